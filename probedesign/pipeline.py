@@ -132,14 +132,19 @@ def confirm(
     return before, run(best.design, best.task, draws, seed, on_progress)
 
 
-def identify(design: "Design", campaign: "Campaign", names: Sequence[str]) -> "Identification":
-    """Estimate the named parameters of a printed probe from the measurements of a campaign."""
+def identify(
+    design: "Design", campaign: "Campaign", names: Sequence[str], accept: bool = False
+) -> "Identification":
+    """Estimate the named parameters of a printed probe from the measurements of a campaign.
+
+    `accept` reports numbers with widened intervals where the tests contradict each other.
+    """
     from probedesign.identification.identify import data_of
     from probedesign.identification.identify import identify as run
     from probedesign.probe import build_probe
 
     probe = build_probe(design)
-    found = run(data_of(campaign, probe.model, _flange_volume(probe)), names)
+    found = run(data_of(campaign, probe.model, _flange_volume(probe)), names, accept)
     used = {one.test for one in found.residuals}
     return replace(found, served=tuple(test.digest for test in campaign.tests if test.name in used))
 

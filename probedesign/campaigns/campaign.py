@@ -63,6 +63,7 @@ class Test:
         std_sag: standard deviation of tip_sag [m].
         wrenches: readings of the sensor without bias [N, N·m], (n, 6), n may be 0.
         frame: of the wrenches: "sensor" (with the weight of what hangs between) or "base".
+        time: mean of its readings [s]; NaN if not given, or if time begins anew in each test.
         markers: None if none were measured.
         use: command that the test is for; empty for both.
     """
@@ -82,6 +83,7 @@ class Test:
     frame: Frame = "base"
     markers: Markers | None = None
     use: Use = ""
+    time: float = np.nan
 
     @property
     def free(self) -> bool:

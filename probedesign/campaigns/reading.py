@@ -94,7 +94,7 @@ def read_campaign(path: str | Path) -> Campaign:
     manifest = read_manifest(folder)
     tests = read_tests(folder, manifest)
     names = {test.name: i for i, test in enumerate(tests)}
-    wrenches, frame, assumptions = read_wrench_table(folder, names)
+    wrenches, times, frame, assumptions = read_wrench_table(folder, names)
     markers, notes = _markers(folder, manifest, names)
     marker_s, side = np.zeros(0), None
     if manifest.markers is not None:
@@ -116,8 +116,8 @@ def read_campaign(path: str | Path) -> Campaign:
         marker_s=marker_s,
         marker_side=marker_side,
         tests=tuple(
-            replace(test, wrenches=readings, frame=frame, markers=seen)
-            for test, readings, seen in zip(tests, wrenches, markers, strict=True)
+            replace(test, wrenches=readings, time=time, frame=frame, markers=seen)
+            for test, readings, time, seen in zip(tests, wrenches, times, markers, strict=True)
         ),
         weighing=None if one is None else Weighing(GRAM * one.mass_g, GRAM * one.std_g, one.of),
         folder=folder,
@@ -219,8 +219,11 @@ def indices_of_tests(rows: TableRows, names: dict[str, int]) -> NDArray[np.intp]
     return np.array(found, dtype=np.intp)
 
 
-def read_wrench_table(folder: Path, tests: dict[str, int]) -> tuple[list[Array], Frame, tuple[str, ...]]:
-    """Return readings of each test [N, N·m], (n, 6), their frame, and notes on assumptions, from `wrenches.csv` if any.
+def read_wrench_table(
+    folder: Path, tests: dict[str, int]
+) -> tuple[list[Array], list[float], Frame, tuple[str, ...]]:
+    """Return readings of each test [N, N·m], (n, 6), the mean time of each [s], their frame, and notes on assumptions,
+    from `wrenches.csv` if any.
 
     Args:
         folder: of the data.
@@ -231,7 +234,7 @@ def read_wrench_table(folder: Path, tests: dict[str, int]) -> tuple[list[Array],
     """
     path = folder / WRENCHES
     if not path.exists():
-        return [np.zeros((0, 6)) for _ in tests], "base", ()
+        return [np.zeros((0, 6)) for _ in tests], [np.nan] * len(tests), "base", ()
     rows = read_rows(path, WRENCHES_SCHEMA)
     frame = rows.lines.frame
     which = indices_of_tests(rows, tests)
@@ -242,7 +245,40 @@ def read_wrench_table(folder: Path, tests: dict[str, int]) -> tuple[list[Array],
     ]
     rows.check_unique(keys, lambda row: f"test {names[row]} at {time[row]:g} s")
     note = f"{WRENCHES}: names no frame, the sensor's is assumed; its first line should be `# frame: sensor` or `base`"
-    return [wrench[which == i] for i in range(len(tests))], frame, () if rows.lines.names_frame else (note,)
+    of_tests = [which == i for i in range(len(tests))]
+    return (
+        [wrench[own] for own in of_tests],
+        _test_times(rows, time, which, of_tests),
+        frame,
+        () if rows.lines.names_frame else (note,),
+    )
+
+
+def _test_times(
+    rows: TableRows, time: Array, which: NDArray[np.intp], of_tests: list[NDArray[np.bool_]]
+) -> list[float]:
+    """Return the mean time of each test [s]; NaN for all if time begins anew in each test, or is not given.
+
+    Raises:
+        InputError: time runs backward, within a test or from some tests to the next.
+    """
+    anew = _begins_anew(time, which)
+    for row in np.flatnonzero(np.diff(time) < 0.0) + 1:
+        if not anew or which[row] == which[row - 1]:
+            rows.fail(int(row), f"{rows.columns['time'].name} runs backward, from {time[row - 1]:g} s to "
+                                f"{time[row]:g} s; use one clock and keep the rows in the order of time")  # fmt: skip
+    if anew or np.isnan(time).any():
+        return [np.nan] * len(of_tests)
+    return [float(time[own].mean()) if own.any() else np.nan for own in of_tests]
+
+
+def _begins_anew(time: Array, which: NDArray[np.intp]) -> bool:
+    """Return whether the clock starts again with every test."""
+    first = np.flatnonzero(np.diff(which) != 0) + 1
+    if not len(first):
+        return False
+    same = bool((time[first] == time[0]).all())  # single readings, all at 0 s
+    return same or bool((time[first] < time[first - 1]).all())
 
 
 def read_markers(folder: Path, manifest: Manifest, tests: dict[str, int]) -> list[Markers | None]:

@@ -25,7 +25,7 @@ def deploy(
         as_json: print one JSON document.
     """
     from probedesign import pipeline
-    from probedesign.identification.identify import design_diff
+    from probedesign.identification.design_update import design_diff
 
     with show_progress("freezing the probe"):
         probe = pipeline.load_probe(design)

@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from probedesign.design.io import Change
     from probedesign.identification.result import Identification, Identified
 
+MAX_CAUSES = 4
+"""Likely causes of a contradiction that are printed; all are in identification.json."""
+
 
 def identify(
     design: Path,
@@ -26,6 +29,7 @@ def identify(
     write: bool = False,
     out: Path | None = None,
     force: bool = False,
+    accept: bool = False,
     folder: Path | None = None,
     page: Annotated[bool, Parameter(negative="--no-page")] = True,
     as_json: JsonOutput = False,
@@ -39,6 +43,7 @@ def identify(
         write: write the identified values to the design file. Default: print the changes only.
         out: write a changed copy of the design to this file instead.
         force: replace values that were set or identified before, or the file of --out, which is kept as FILE.old.
+        accept: use the numbers of tests that contradict the design or each other, with widened intervals.
         folder: folder for identification.json, residuals.csv and identification.html. Default:
             exports/NAME/identification.
         page: write the page with residuals.
@@ -57,7 +62,7 @@ def identify(
     with show_progress("identifying"):
         start = load_design(design)
         names = check_requested(names)
-        found = pipeline.identify(start, read_campaign(data), names)
+        found = pipeline.identify(start, read_campaign(data), names, accept)
         place = EXPORTS / start.name / "identification" if folder is None else folder
         files = write_files(place, _files(found, page))
     if not as_json:
@@ -109,7 +114,7 @@ def _write_design(
     """
     from probedesign.design import load_design
     from probedesign.design.io import edit_text, write_design
-    from probedesign.identification.identify import check_overwritable, design_changes
+    from probedesign.identification.design_update import check_overwritable, design_changes
 
     design, text = load_design(design_path), design_path.read_bytes().decode("utf-8-sig")
     day = date.today().isoformat()
@@ -134,15 +139,13 @@ def _print(found: "Identification") -> None:
         print(f"  outlier: {outlier.words}, {outlier.deviations:.1f} standard deviations; down-weighted")
     if len(found.outliers) > 5:
         print(f"  and {len(found.outliers) - 5} more outliers, in residuals.csv")
-    for cause, effects in found.causes.items():
-        percent = ", ".join(f"{effect.of} {effect.percent:+.2g} %" for effect in effects)
-        print(f"  systematic effect (one standard deviation): {cause}: {percent}")
-    for one in found.found:
-        if any(shift.of == one.name for shift in found.shifts):
-            print(
-                f"  including systematic effects: {one.name} ± {one.relative_std_total:.2%}, "
-                f"95 % interval {one.low_total:.4g} ... {one.high_total:.4g}"
-            )
+    for name in dict.fromkeys(one.of for one in found.shifts):
+        number = found.of(name)
+        if number is not None:
+            shares = ", ".join(f"{one.cause} {one.percent:.2g} %" for one in found.shifts if one.of == name)
+            print(f"  {name} ± {number.relative_std_total:.2%} (one standard deviation): {shares}")
+    for rank, cause in enumerate(found.likely_causes[:MAX_CAUSES], 1):
+        print(f"  likely cause {rank}: {cause}")
     for note in (*found.caveats, *found.notes):
         print(f"  note: {note}")
 
@@ -155,13 +158,13 @@ def _value(one: "Identified", dimensions: str) -> str:
         dimensions: uncertainty of the print's dimensions; the interval that includes it is added where it is wider.
     """
     value = f"{one.value:.4g} {one.unit or f'({one.words})'}"
-    if not one.identified:
+    if one.result == "not_told":
         return f"{value} (design value; not observable in these tests)"
     text = f"{value}, 95 % interval {one.low:.4g} ... {one.high:.4g}"
     assert one.std is not None and one.std_of_print is not None
     if one.std_of_print > 1.1 * one.std:
         text += f" with the design's dimensions; {one.low_of_print:.4g} ... {one.high_of_print:.4g} with {dimensions}"
-    return text
+    return text if one.identified else f"{text} ({one.why})"
 
 
 def _print_changes(changes: "tuple[Change, ...]", path: Path | None, design: Path) -> None:

@@ -1,8 +1,10 @@
 """Parameters that a campaign can identify, the nuisance parameters of its tests, and the rod and poses they imply.
 
-All of them form one parameter vector: the blocks of `PARAMETERS` in order, then the modes of the print's dimension
-errors. One entry of `PARAMETERS` adds a parameter: of the rod with `apply` and `jacobian`, of the sensor with
-`reading`. The solver, the checks, the report and the design update iterate over the entries.
+All of them form one parameter vector: the blocks of `PARAMETERS` in order, the modes of the print's dimension errors,
+and the steps of the sensor's bias from test to test. One entry of `PARAMETERS` adds a parameter: of the rod with
+`apply` and `jacobian`; effects on the readings are in `residuals`. The solver, the checks, the report and the design
+update iterate over the entries. Priors are those of `Tolerances`, so that a fit, an estimate and a prediction take the
+same errors into account.
 """
 
 import math
@@ -20,7 +22,7 @@ from probedesign.core.frames import Array, pose, wrench_map
 from probedesign.core.units import MM, MPA
 from probedesign.estimation.error_sources import parameters_of
 from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.rod.kernels import equations
 from probedesign.rod.rod import Rod
 
@@ -40,11 +42,20 @@ TARE_FRACTION = 0.05
 """Fraction of the free probe's wrench that a tare with the probe hanging free absorbs as an error of its own weight.
 Covers 1 % of density, 2 % of area and the change of the sag by a third of E (assumed)."""
 
+MAX_EXPONENT = 700.0
+"""Of a factor in a report: the end of an interval that is not bounded stays a finite number."""
+LENGTH_SCALE = 0.005
+"""Standard deviation of the length scale of the reference, relative. Assumed: 0.5 mm on a box of 100 mm."""
+POISSON, POISSON_STD = 0.49, 0.01
+"""Poisson's ratio of an elastomer and its standard deviation. Source: R. H. Pritchard, P. Lava, D. Debruyne,
+E. M. Terentjev, Soft Matter 9, 2013, 6037: 0.49 to 0.5 for unfilled elastomers at small strain. The standard deviation
+is assumed and covers the solid photopolymers, whose bulk modulus is not published."""
+IMPLIED = ("G", "root")
+"""Parameters that are estimated and reported with E although they are not requested: a probe's stiffness is that of all
+three together."""
+
 Jacobian = Callable[["SolvedTest", "WithJacobian"], Array]
 """Derivative of a vector of the solved rod in base axes (...) by a parameter's components, (..., k)."""
-Reading = Callable[[Array, Array], tuple[Array, Array, Array]]
-"""What the sensor reads of a wrench about the base (6,), by a parameter's components (k,): the reading [N, N·m], (6,),
-and its derivatives by the wrench, (6, 6), and by the components, (6, k)."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +69,6 @@ class Parameter:
         jacobian: derivative of vectors of the solved rod in base axes; None where only the change of axes matters,
             which `residuals` adds.
         apply: the rod with the parameter at a value; None if the parameter does not change the rod.
-        reading: its effect on the sensor's readings; None if it has none. Effects follow each other in order.
         logarithm: whether the vector has the logarithm of a factor on the design value.
         max_std: largest useful standard deviation [vector unit]; a parameter that is known worse is not reported.
             None for a nuisance parameter, which cannot be requested.
@@ -76,7 +86,6 @@ class Parameter:
     prior: Callable[["CommonParameters"], ArrayLike]
     jacobian: Jacobian | None = None
     apply: Callable[[Rod, float], Rod] | None = None
-    reading: Reading | None = None
     logarithm: bool = False
     max_std: float | None = None
     unit: str = ""
@@ -97,7 +106,7 @@ class Parameter:
     def reported(self, rod: Rod, x: float) -> float:
         """Return a component of the vector in the reported unit, for the given design rod."""
         design = self.design_value(rod)
-        return design * math.exp(x) if self.logarithm else design + self.scale * x
+        return design * math.exp(min(x, MAX_EXPONENT)) if self.logarithm else design + self.scale * x
 
     def format_std(self, std: float) -> str:
         """Return a standard deviation [vector unit] as text, `unbounded` beyond any meaningful value."""
@@ -148,6 +157,15 @@ def scaled_diameters(rod: Rod, factor: float | Array) -> Rod:
     return replace(rod, radius=radius, rigid_length=rod.rigid_length * float(radius[0] / rod.radius[0]))
 
 
+def stiffness_column(vector: "WithJacobian") -> Array:
+    """Return the derivative of a vector of the rod by the logarithm of E and G together, (..., 1)."""
+    columns = [equations.PARAMETERS.index(name) for name in ("log_E", "log_G")]
+    return np.asarray(vector.by_rod[..., columns].sum(axis=-1, keepdims=True))
+
+
+CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+
+
 def _xyz(name: str, label: str) -> dict[str, str]:
     return {f"{name}_{axis}": label.format(axis) for axis in "xyz"}
 
@@ -167,10 +185,13 @@ PARAMETERS: dict[str, Parameter] = {
         _material("G", "shear modulus", "shear_modulus", "MPa", MPA, 0.1, design_key="material.shear_modulus_mpa",
                   prior_name="design shear modulus",
                   prior_source="shear_modulus_mpa in the design, and its tolerance"),
-        Parameter("root", {"root": "compliance that the base lacks, in base radii"}, lambda common: 0.0,
+        Parameter("root", {"root": "compliance that the base lacks, in base radii"},
+                  lambda common: common.tolerances.root_radii,
                   lambda test, vector: vector.by_root[..., None], _with_root, max_std=0.3,
-                  design_value=lambda rod: float(rod.rigid_length / rod.radius[0]),
-                  design_key="mount.root_rigid_radii"),
+                  design_value=lambda rod: float(rod.rigid_length / rod.radius[0]), attribute="root_radii",
+                  design_key="mount.root_rigid_radii", prior_name="root of the probe",
+                  prior_source="root_rigid_radii in the design (-0.18 is computed for the exported flange), and the "
+                  "tolerance root_radii"),
         Parameter("tilt", {"tilt_x": "rotation about x", "tilt_y": "rotation about y"},
                   lambda common: common.std_tilt, lambda test, vector: test.by_base_rotation(vector)[..., 0:2],
                   max_std=2.0 * DEGREE, unit="deg", scale=1.0 / DEGREE,
@@ -198,10 +219,21 @@ PARAMETERS: dict[str, Parameter] = {
         Parameter("mount_offset", _xyz("mount_offset", "position of the probe on the sensor along {}"),
                   lambda common: common.tolerances.base_mm * MM,
                   prior_name=_MOUNTING[0], prior_source=_MOUNTING[1]),
-        Parameter("bias", {f"bias_{channel}": f"bias of {channel}" for channel in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")},
-                  lambda common: common.bias_std, reading=lambda wrench, x: (wrench + x, np.eye(6), np.eye(6)),
+        Parameter("bias", {f"bias_{channel}": f"bias of {channel}" for channel in CHANNELS},
+                  lambda common: common.bias_std,
                   prior_name="bias of the sensor",
                   prior_source="when the sensor was zeroed: before the probe is mounted, or with it hanging free"),
+        Parameter("gain", {f"gain_{channel}": f"gain of {channel}" for channel in CHANNELS},
+                  lambda common: common.tolerances.gain, prior_name="gain of the sensor",
+                  prior_source="the sensor's calibration, the units of wrenches.csv, and the tolerance gain"),
+        Parameter("length_scale", {"length_scale": "length scale of the reference"}, lambda common: LENGTH_SCALE,
+                  prior_name="length scale of the reference",
+                  prior_source="the control points of the cameras, or the stage"),
+        Parameter("creep", {"creep": "loss of stiffness from the first test to the last"},
+                  lambda common: common.tolerances.creep,
+                  lambda test, vector: -test.measured.creep_ramp * stiffness_column(vector),
+                  prior_name="creep", prior_source="the temperature and the rests between tests, and the tolerance "
+                  "creep"),
     )
 }  # fmt: skip
 """By name. Of two parameters that cannot be separated, the later one stays at the design value.
@@ -216,7 +248,7 @@ COMPONENTS = tuple(label for one in PARAMETERS.values() for label in one.labels)
 OWNER = tuple(one for one in PARAMETERS.values() for _ in one.labels)
 """Parameter that each entry of the vector belongs to."""
 PRINT = len(COMPONENTS)
-"""First entry of the print's dimension modes, which have unit normal priors."""
+"""First entry of the print's dimension modes and, after them, of the steps of the bias; all have unit normal priors."""
 
 
 def _span(first: str, last: str) -> slice:
@@ -225,7 +257,8 @@ def _span(first: str, last: str) -> slice:
 
 BASE_ROTATION, BASE_OFFSET = _span("tilt", "clocking"), PARAMETERS["offset"].columns
 MOUNT_ROTATION, MOUNT_OFFSET = PARAMETERS["mount_rotation"].columns, PARAMETERS["mount_offset"].columns
-LOG_E, DIAMETERS = PARAMETERS["E"].columns.start, PARAMETERS["diameters"].columns.start
+LOG_E, LOG_G = PARAMETERS["E"].columns.start, PARAMETERS["G"].columns.start
+DIAMETERS = PARAMETERS["diameters"].columns.start
 LOGARITHMS = [i for i, one in enumerate(OWNER) if one.logarithm]
 
 
@@ -252,12 +285,14 @@ class CommonParameters:
         model: of the probe as designed.
         tolerances: of probe, mount and gravity.
         std_base, std_tilt: standard deviations of the stated base pose [m, rad].
+        walk_seconds: time from each test to the next, in the order of their `epoch` [s].
     """
 
     model: ProbeModel
     tolerances: Tolerances
     std_base: float
     std_tilt: float
+    walk_seconds: tuple[float, ...] = ()
 
     @cached_property
     def print_modes(self) -> Array:
@@ -273,7 +308,27 @@ class CommonParameters:
     @property
     def size(self) -> int:
         """Length of the parameter vector."""
-        return PRINT + len(self.print_modes)
+        return PRINT + len(self.print_modes) + 6 * len(self.walk_seconds)
+
+    @cached_property
+    def print_columns(self) -> slice:
+        """Position of the print's dimension modes in the parameter vector."""
+        return slice(PRINT, PRINT + len(self.print_modes))
+
+    def walk_columns(self, epoch: int) -> slice:
+        """Return the position of the steps of the bias before a test in the parameter vector."""
+        return slice(self.print_columns.stop, self.print_columns.stop + 6 * epoch)
+
+    @cached_property
+    def walk_modes(self) -> Array:
+        """Change of the bias at the base by unit normal numbers, six for each step [N, N·m], (6, 6 steps).
+
+        The bias walks: the variance of its change is (walk_steps of the resolution)² in `WALK_SECONDS` and grows with
+        time, as in the fusion of touches.
+        """
+        root = np.linalg.cholesky(self.model.averaging_samples * self.model.noise_base())
+        sizes = self.tolerances.walk_steps * np.sqrt(np.array(self.walk_seconds) / WALK_SECONDS)
+        return np.concatenate([np.zeros((6, 0)), *(size * root for size in sizes)], axis=1)
 
     @property
     def mount_rotation_std(self) -> Array:
@@ -283,18 +338,28 @@ class CommonParameters:
 
     @cached_property
     def drift_cov(self) -> Array:
-        """Covariance of the bias drift between tests, at the base [N², N·m²], (6, 6)."""
+        """Covariance of the bias drift from the tare to the first test, at the base [N², N·m²], (6, 6)."""
         steps = self.tolerances.drift_steps**2 * self.model.averaging_samples
         return np.asarray(steps * self.model.noise_base())
 
     @cached_property
     def bias_std(self) -> Array:
-        """Standard deviations of the bias that all tests share [N, N·m], (6,): drift, and what a tare absorbed."""
+        """Standard deviations of the first test's bias [N, N·m], (6,): drift, and what a tare absorbed.
+
+        A tare absorbs the errors of the free probe's wrench, and those of the weight between base and sensor, which
+        the sensor's gain and the tilt of the base change.
+        """
         absorbed = np.zeros(6)
         free = self.model.rod.solve(self.model.gravity_base)
         if self.tolerances.tared and free.ok:
             force, moment = np.linalg.norm(free.wrench_base.reshape(2, 3), axis=1)
-            absorbed[:] = TARE_FRACTION * np.repeat([force, moment], 3)
+            payload = np.linalg.norm(
+                (self.model.payload_by_gravity @ self.model.gravity_base).reshape(2, 3), axis=1
+            )
+            error = math.hypot(self.tolerances.gain, self.std_tilt)
+            absorbed[:] = np.repeat(
+                [TARE_FRACTION * force + error * payload[0], TARE_FRACTION * moment + error * payload[1]], 3
+            )
         return np.asarray(np.sqrt(np.diag(self.drift_cov) + absorbed**2))
 
     @cached_property
@@ -309,6 +374,8 @@ class CommonParameters:
         """Return the prior with infinite standard deviations for the requested parameters, (size,)."""
         std = self.prior.copy()
         std[columns_of(requested)] = math.inf
+        if "E" in requested:
+            std[columns_of(["G"])] = math.inf  # Poisson's ratio determines it with E, see `PoissonPrior`
         together = self.tolerances.diameter_mm > 0.0 or self.tolerances.diameter_share > 0.0
         if "diameters" in requested and together:
             std[PRINT] = (
@@ -336,11 +403,20 @@ class ParameterValues:
         for one in PARAMETERS.values():
             if one.apply is not None:
                 rod = one.apply(rod, float(self.x[one.columns][0]))
-        return scaled_diameters(rod, np.exp(self.x[PRINT:] @ self.common.print_modes))
+        return scaled_diameters(rod, np.exp(self.x[self.common.print_columns] @ self.common.print_modes))
 
-    def with_root_step(self, step: float) -> Rod:
-        """Return the rod with root_rigid_radii changed by a step."""
-        return replace(self.rod, rigid_length=self.rod.rigid_length + step * float(self.rod.radius[0]))
+    def rod_at(self, log_stiffness: float) -> Rod:
+        """Return the rod with E and G changed by the logarithm of a factor."""
+        if log_stiffness == 0.0:
+            return self.rod
+        factor = math.exp(log_stiffness)
+        return replace(self.rod, youngs_modulus=factor * self.rod.youngs_modulus,
+                       shear_modulus=factor * self.rod.shear_modulus)  # fmt: skip
+
+    def bias(self, epoch: int) -> Array:
+        """Return the bias of the sensor at a test, at the base [N, N·m], (6,)."""
+        walked = self.common.walk_modes[:, : 6 * epoch] @ self.x[self.common.walk_columns(epoch)]
+        return np.asarray(self.x[PARAMETERS["bias"].columns] + walked)
 
     @cached_property
     def T_base_error(self) -> Array:

@@ -1,13 +1,15 @@
 """Residuals of one test and of the weighing: whitened, with derivatives, in blocks that belong together."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from probedesign.core.frames import Array, skew
+from probedesign.core.frames import Array, inverse, skew, wrench_map
 from probedesign.core.statistics import whiten
+from probedesign.core.units import MM
 from probedesign.identification.parameters import (
     BASE_OFFSET,
     BASE_ROTATION,
@@ -15,17 +17,23 @@ from probedesign.identification.parameters import (
     MOUNT_OFFSET,
     MOUNT_ROTATION,
     PARAMETERS,
-    PRINT,
     ROOT_STEP,
     ParameterValues,
+    stiffness_column,
 )
+from probedesign.identification.surface_touch import COUPLE_COLUMNS, S_COLUMN, SurfaceTouch, solve_touch
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.kernels import equations
 from probedesign.rod.rod import Rod
 
-FRICTION = 0.1
-"""Standard deviation of the tangential fraction of a touch's force. A dry edge on this resin may well stick (assumed);
-the sensor measures the force itself, so little is lost by trusting the surface little."""
+WEIGHT_STD = 0.005
+"""Standard deviation of a known load, relative. Assumed: 5 mg on a weight of a gram."""
+MIN_FRICTION = 1e-3
+"""Smallest prior standard deviation of the friction ratio, as in `probedesign.estimation`."""
+SCALE, CREEP = PARAMETERS["length_scale"].columns.start, PARAMETERS["creep"].columns.start
+GAIN, BIAS = PARAMETERS["gain"].columns, PARAMETERS["bias"].columns
+MIN_SCATTER = 1e-4
+"""Smallest standard deviation of a test's stiffness, relative: a tolerance of 0 is taken for this one."""
 _TANGENT_STEP = 1e-5  # of arclength, for the rotation of a section by a difference of its tangent [m]
 
 
@@ -38,7 +46,7 @@ class MeasuredTest:
         T_world_base: pose of the base as stated, (4, 4).
         gravity_world: [m/s²], (3,).
         force_world: a known dead load [N], (3,); None for a touch whose force is not known.
-        s_contact: arclength of the load [m].
+        s_contact: arclength of the load [m]: of the touched section, or of a dead load on the axis.
         std_s: standard deviation of s_contact [m]; 0 if it is exact.
         p_touch_world: touched point of the surface, or of the centreline under a dead load [m], (3,).
         std_touch: standard deviation of p_touch_world on each axis [m].
@@ -51,6 +59,9 @@ class MeasuredTest:
         marker_side: side of the section that carries them [rad]; None if they are on the axis.
         sag: displacement of the tip along gravity from where it would be without weight [m].
         std_sag: [m].
+        epoch: position among the tests in the order of time, for the walk of the sensor's bias.
+        creep_ramp: part of the creep that has passed since the middle of the campaign, -1/2 at the first test and 1/2
+            at the last.
     """
 
     name: str
@@ -70,6 +81,8 @@ class MeasuredTest:
     marker_side: float | None = None
     sag: float = np.nan
     std_sag: float = np.nan
+    epoch: int = 0
+    creep_ramp: float = 0.0
 
     @property
     def free(self) -> bool:
@@ -86,10 +99,29 @@ class MeasuredTest:
         """Whether the arclength of the load is not known exactly."""
         return not self.free and not (np.isfinite(self.s_contact) and self.std_s == 0.0)
 
-    @property
+    @cached_property
+    def nuisance(self) -> dict[str, slice]:
+        """Position of the nuisance parameters of this test by name: the force of a touch in base axes [N] and the
+        angle of the touched point about the section [rad], the relative error of a known load, the arclength of either
+        [m], and the logarithm of the factor on its stiffness."""
+        sizes = {
+            "force": 3 * self.touched,
+            "angle": int(self.touched),
+            "weight": int(not self.touched and not self.free),
+            "s": int(self.s_estimated),
+            "stiffness": int(not self.free),
+        }
+        ends = np.cumsum(list(sizes.values())).tolist()
+        return {
+            name: slice(end - size, end)
+            for (name, size), end in zip(sizes.items(), ends, strict=True)
+            if size
+        }
+
+    @cached_property
     def nuisance_size(self) -> int:
-        """Number of nuisance parameters of this test: the force of a touch [N], and the arclength of a load [m]."""
-        return 3 * self.touched + self.s_estimated
+        """Number of nuisance parameters of this test."""
+        return max((one.stop for one in self.nuisance.values()), default=0)
 
     @property
     def gravity_base(self) -> Array:
@@ -102,7 +134,7 @@ class ResidualBlock(NamedTuple):
 
     Attributes:
         test: its name.
-        kind: markers, wrenches, touches, places, sags, friction or scales.
+        kind: markers, wrenches, touches, places, sags, friction, weights, stiffness, poisson or scales.
         item: number of the marker in the test, from 1; 0 for the only one of its kind.
         r: measured minus modelled, whitened, (k,).
         J: derivatives of `r` by the parameter vector, (k, size).
@@ -131,11 +163,13 @@ class WithJacobian(NamedTuple):
         value: (3,), or (6,) for a wrench.
         by_rod: by the parameters of the rod's sensitivities, (., k).
         by_root: by root_rigid_radii, (.,).
+        by_angle: by the angle of the touched point, (.,).
     """
 
     value: Array
     by_rod: Array
     by_root: Array
+    by_angle: Array
 
 
 @dataclass(frozen=True)
@@ -145,25 +179,27 @@ class SolvedTest:
     Attributes:
         measured: the test.
         values: of the parameters.
-        nuisance: the test's own parameters: force of a touch in base axes [N], arclength of the load [m].
+        nuisance: the test's own parameters, (measured.nuisance_size,).
+        rod: with these values, and the test's own stiffness.
         eq: the equilibrium, with all sensitivities.
-        root_solutions: with a root a step less and a step more; empty where its derivative is not needed.
+        touch: of a touched probe; None for others.
+        root_solutions: with a root a step less and a step more, at the same couple; empty where its derivative is not
+            needed.
         gravity_base: at these values [m/s²], (3,).
         d_gravity: derivative of gravity in base axes by its two rotations, (3, 2).
+        ok: whether the rod has a stable equilibrium.
     """
 
     measured: MeasuredTest
     values: ParameterValues
     nuisance: Array
+    rod: Rod
     eq: Equilibrium
+    touch: SurfaceTouch | None
     root_solutions: tuple[Equilibrium, ...]
     gravity_base: Array
     d_gravity: Array
-
-    @property
-    def ok(self) -> bool:
-        """Whether the rod has a stable equilibrium."""
-        return self.eq.ok and all(eq.ok for eq in self.root_solutions)
+    ok: bool
 
     @property
     def sensitivity(self) -> Sensitivity:
@@ -184,9 +220,15 @@ class SolvedTest:
         if self.measured.p_touch_world is not None and not self.measured.free:
             yield self._touch()
         if self.measured.s_estimated and np.isfinite(self.measured.s_contact):
-            yield self._arclength()
-        if self.measured.touched:
-            yield self._friction()
+            yield self._own("places", "s", self.measured.std_s, self.measured.s_contact)
+        friction = self.values.common.model.friction
+        if self.touch is not None and np.isfinite(friction):
+            yield self._friction(max(friction, MIN_FRICTION))
+        if "weight" in self.measured.nuisance:
+            yield self._own("weights", "weight", WEIGHT_STD)
+        if "stiffness" in self.measured.nuisance:
+            scatter = max(self.values.common.tolerances.stiffness_scatter, MIN_SCATTER)
+            yield self._own("stiffness", "stiffness", scatter)
         if np.isfinite(self.measured.sag):
             yield self._sag()
 
@@ -208,17 +250,53 @@ class SolvedTest:
         for parameter in PARAMETERS.values():
             if parameter.jacobian is not None:
                 J[..., parameter.columns] = parameter.jacobian(self, vector)
-        J[..., PRINT:] = vector.by_rod[..., equations.ALL_COLUMNS :] @ self.values.common.print_modes.T
+        common = self.values.common
+        J[..., common.print_columns] = vector.by_rod[..., equations.ALL_COLUMNS :] @ common.print_modes.T
         return J
 
     def nuisance_jacobian(self, vector: WithJacobian) -> Array:
         """Return derivatives of a vector in base axes by the test's nuisance parameters, (..., nuisance_size)."""
-        force, s = 3 * self.measured.touched, int(self.measured.s_estimated)
-        return np.concatenate([vector.by_rod[..., 0:force], vector.by_rod[..., 3 : 3 + s]], axis=-1)
+        nuisance, d = self.measured.nuisance, vector.by_rod
+        columns = {
+            "force": lambda: d[..., 0:3],
+            "angle": lambda: vector.by_angle[..., None],
+            "weight": lambda: (d[..., 0:3] @ self.known_force)[..., None],
+            "s": lambda: d[..., S_COLUMN : S_COLUMN + 1],
+            "stiffness": lambda: stiffness_column(vector),
+        }
+        J = np.zeros((*vector.value.shape, self.measured.nuisance_size))
+        for name, at in nuisance.items():
+            J[..., at] = columns[name]()
+        return J
+
+    @property
+    def known_force(self) -> Array:
+        """Known load in base axes at these values [N], (3,)."""
+        assert self.measured.force_world is not None
+        R = (self.measured.T_world_base @ self.values.T_stated_base)[:3, :3]
+        return np.asarray(R.T @ self.measured.force_world)
+
+    def vector(
+        self, value: Array, by_rod: Array, by_root: Array, by_angle: Array | None = None
+    ) -> WithJacobian:
+        """Return a vector in base axes with its total derivatives, through the couple of a touch.
+
+        The arguments are its value and its derivatives at a given couple.
+        """
+        by_angle = np.zeros_like(value) if by_angle is None else by_angle
+        if self.touch is None:
+            return WithJacobian(value, by_rod, by_root, by_angle)
+        across = by_rod[..., COUPLE_COLUMNS]
+        couple_by_rod, couple_by_root, couple_by_angle = self.touch.couple_response
+        total = by_rod + across @ couple_by_rod
+        total[..., COUPLE_COLUMNS] = 0.0
+        return WithJacobian(
+            value, total, by_root + across @ couple_by_root, by_angle + across @ couple_by_angle
+        )
 
     def in_world(self, vector: WithJacobian) -> tuple[Array, Array, Array]:
-        """Return points of the rod in the world, with derivatives by the parameter vector and by the nuisance
-        parameters."""
+        """Return points of the rod in the world as the reference measures them, with derivatives by the parameter
+        vector and by the nuisance parameters."""
         values, R_stated = self.values, self.measured.T_world_base[:3, :3]
         T = self.measured.T_world_base @ values.T_stated_base
         R, R_sensor, mount = T[:3, :3], R_stated @ values.T_base_error[:3, :3], values.T_mount_error
@@ -227,24 +305,33 @@ class SolvedTest:
         J[..., BASE_ROTATION] -= R_stated @ _skews((turned + mount[:3, 3]) @ values.T_base_error[:3, :3].T)
         J[..., MOUNT_ROTATION] -= R_sensor @ _skews(turned)
         J[..., BASE_OFFSET], J[..., MOUNT_OFFSET] = R_stated, R_sensor
-        return vector.value @ R.T + T[:3, 3], J, R @ self.nuisance_jacobian(vector)
+        scale, origin = 1.0 + values.x[SCALE], self.measured.T_world_base[:3, 3]
+        from_origin = vector.value @ R.T + (T[:3, 3] - origin)
+        J *= scale
+        J[..., SCALE] = from_origin
+        return origin + scale * from_origin, J, scale * (R @ self.nuisance_jacobian(vector))
 
     def _wrench(self) -> ResidualBlock:
         X = self.values.mount_wrench_map
         by_root = self._by_root(lambda eq: eq.wrench_base)
-        vector = WithJacobian(self.eq.wrench_base, self.sensitivity.d_wrench, by_root)
+        vector = self.vector(self.eq.wrench_base, self.sensitivity.d_wrench, by_root)
         modelled = X @ vector.value
         J, J_nuisance = X @ self.jacobian(vector), X @ self.nuisance_jacobian(vector)
         f, arm = skew(modelled[:3]), skew(self.values.T_mount_error[:3, 3])
         J[:3, MOUNT_ROTATION] -= f
         J[3:, MOUNT_ROTATION] -= skew(modelled[3:] - arm @ modelled[:3]) + arm @ f
         J[3:, MOUNT_OFFSET] -= f
-        for parameter in PARAMETERS.values():
-            if parameter.reading is not None:
-                x = self.values.x[parameter.columns]
-                modelled, by_wrench, by_parameter = parameter.reading(modelled, x)
-                J, J_nuisance = by_wrench @ J, by_wrench @ J_nuisance
-                J[:, parameter.columns] += by_parameter
+        # gain and bias of the sensor, whose reading includes the weight between base and sensor
+        model, common = self.values.common.model, self.values.common
+        to_sensor, to_base = wrench_map(model.T_sensor_base), wrench_map(inverse(model.T_sensor_base))
+        reading = model.to_sensor(modelled, self.measured.gravity_base)
+        gain = to_base * self.values.x[GAIN]  # to_base @ diag(gain)
+        by_wrench = np.eye(6) + gain @ to_sensor
+        J, J_nuisance = by_wrench @ J, by_wrench @ J_nuisance
+        J[:, GAIN] += to_base * reading
+        J[:, BIAS] += np.eye(6)
+        J[:, common.walk_columns(self.measured.epoch)] += common.walk_modes[:, : 6 * self.measured.epoch]
+        modelled = modelled + gain @ reading + self.values.bias(self.measured.epoch)
         assert self.measured.wrench_base is not None and self.measured.cov_wrench is not None
         residual = self.measured.wrench_base - modelled
         return self._block("wrenches", 0, residual, J, J_nuisance, self.measured.cov_wrench)
@@ -258,17 +345,21 @@ class SolvedTest:
         if measured.marker_side is not None:
             offset, d_offset = self._surface_offset(measured.marker_s, measured.marker_side)
             p, d = p + offset, d + d_offset
-        modelled, J, J_nuisance = self.in_world(WithJacobian(p, d, by_root))
+        modelled, J, J_nuisance = self.in_world(self.vector(p, d, by_root))
         residual = measured.p_markers_world - modelled
+        W = whiten(measured.cov_markers)
+        whitened, J, J_nuisance = (W @ residual[:, :, None])[:, :, 0], -W @ J, -W @ J_nuisance
         for i, number in enumerate(measured.marker_numbers):
-            yield self._block("markers", number, residual[i], J[i], J_nuisance[i], measured.cov_markers[i])
+            yield ResidualBlock(
+                measured.name, "markers", number, whitened[i], J[i], J_nuisance[i], residual[i]
+            )
 
     def _surface_offset(self, s: Array, side: float) -> tuple[Array, Array]:
         """Return vectors from the axis to the surface on one side, (m, 3), and their derivatives, (m, 3, k).
 
         The section rotates with its tangent; a change of its twist, which round rods do not have, is neglected.
         """
-        rod, R, section = self.values.rod, self.eq.R_at(s), self.values.common.model.cross_section
+        rod, R, section = self.rod, self.eq.R_at(s), self.values.common.model.cross_section
         radius = section.reach(side) * rod.radius_at(s)[:, None]
         offset = radius * (np.cos(side) * R[:, :, 0] + np.sin(side) * R[:, :, 1])
         low, high = np.maximum(s - _TANGENT_STEP, 0.0), np.minimum(s + _TANGENT_STEP, rod.length)
@@ -282,62 +373,46 @@ class SolvedTest:
     def _touch(self) -> ResidualBlock:
         measured = self.measured
         by_root = self._by_root(lambda eq: eq.p_contact_base)
-        vector = WithJacobian(self.eq.p_contact_base, self.sensitivity.d_position, by_root)
-        if measured.touched:
-            offset, d_offset = self._contact_offset()
-            vector = WithJacobian(vector.value + offset, vector.by_rod + d_offset, by_root)
-        modelled, J, J_nuisance = self.in_world(vector)
+        value, by_rod, by_angle = self.eq.p_contact_base, self.sensitivity.d_position, np.zeros(3)
+        if self.touch is not None:
+            offset, offset_by_rod, offset_by_root, by_angle = self.touch.offset
+            value, by_rod, by_root = value + offset, by_rod + offset_by_rod, by_root + offset_by_root
+        modelled, J, J_nuisance = self.in_world(self.vector(value, by_rod, by_root, by_angle))
         assert measured.p_touch_world is not None
-        cov = measured.std_touch**2 * np.eye(3)
+        own_pose = self.values.common.tolerances.robot_mm * MM
+        cov = (measured.std_touch**2 + own_pose**2) * np.eye(3)
         return self._block("touches", 0, measured.p_touch_world - modelled, J, J_nuisance, cov)
 
-    def _contact_offset(self) -> tuple[Array, Array]:
-        """Return the vector from the axis to the touched surface, against the force [m], (3,), with derivatives by
-        the parameters of the rod's sensitivities, (3, k)."""
-        rod, s, size = self.values.rod, self.eq.s_contact, float(np.linalg.norm(self.force)) or 1.0
-        u, slope, radius = self.force / size, rod.taper_at(s), float(rod.radius_at(s))
-        reach = radius / np.hypot(1.0, slope)
-        d = np.zeros((3, equations.ALL_COLUMNS + len(rod.s)))
-        d[:, 0:3] = -reach / size * (np.eye(3) - np.outer(u, u))
-        d[:, 3] = slope / radius * reach * u
-        d[:, equations.PARAMETERS.index("log_diameter")] = -reach * u
-        knots = np.array([np.interp(s, rod.s, one) for one in np.diag(rod.radius)]) / radius
-        d[:, equations.ALL_COLUMNS :] = -reach * np.outer(u, knots)
-        return -reach * u, d
-
-    def _arclength(self) -> ResidualBlock:
+    def _own(self, kind: str, name: str, std: float, stated: float = 0.0) -> ResidualBlock:
+        """Return the residual of a nuisance parameter from its stated value."""
+        at = self.measured.nuisance[name]
         J_nuisance = np.zeros((1, self.measured.nuisance_size))
-        J_nuisance[0, -1] = 1.0
-        residual = np.array([self.measured.s_contact - self.nuisance[-1]])
-        cov = np.array([[self.measured.std_s**2]])
-        return self._block("places", 0, residual, np.zeros((1, self.values.common.size)), J_nuisance, cov)
+        J_nuisance[:, at] = 1.0
+        J = np.zeros((1, self.values.common.size))
+        return self._block(kind, 0, stated - self.nuisance[at], J, J_nuisance, np.array([[std**2]]))
 
-    def _friction(self) -> ResidualBlock:
-        """Return the residual of a force without a tangential part: F · t = -|F| sin α, t the tangent at the touch."""
-        d, size = self.sensitivity, float(np.linalg.norm(self.force)) or 1.0
-        t, dt = d.frame[0:3], d.d_contact[0:3]
-        slope = self.values.rod.taper_at(self.eq.s_contact)
-        share = (self.force @ t) / size + slope / np.hypot(1.0, slope)
-        by_force = (t - (self.force @ t) / size**2 * self.force) / size
-        root = self._by_root(lambda eq: eq.R_at(eq.s_contact)[:, 2])
-        by_root = np.array([self.force @ root / size])
-        vector = WithJacobian(np.zeros(1), (self.force @ dt / size)[None], by_root)
-        J_nuisance = self.nuisance_jacobian(vector)
-        J_nuisance[0, 0:3] += by_force
-        cov = np.array([[FRICTION**2]])
-        return self._block("friction", 0, np.array([-share]), self.jacobian(vector), J_nuisance, cov)
+    def _friction(self, std: float) -> ResidualBlock:
+        """Return the residual of a force without tangential parts."""
+        assert self.touch is not None
+        vector = self.vector(*self.touch.friction)
+        cov = std**2 * np.eye(2)
+        return self._block(
+            "friction", 0, -vector.value, self.jacobian(vector), self.nuisance_jacobian(vector), cov
+        )
 
     def _sag(self) -> ResidualBlock:
         """Return the residual of the tip's displacement along gravity from the straight probe on the same base."""
-        length, size = self.values.rod.length, float(np.linalg.norm(self.gravity_base))
+        length, size = self.rod.length, float(np.linalg.norm(self.gravity_base))
         s, down = np.array([length]), self.gravity_base / size
         by_root = self._by_root(lambda eq: eq.p_at(s))[0]
-        tip = WithJacobian(self.eq.p_at(s)[0] - [0.0, 0.0, length], self.eq.d_p_at(s)[0], by_root)
-        gravity = WithJacobian(self.gravity_base, np.zeros_like(tip.by_rod), np.zeros(3))
+        tip = self.vector(self.eq.p_at(s)[0] - [0.0, 0.0, length], self.eq.d_p_at(s)[0], by_root)
+        gravity = WithJacobian(self.gravity_base, np.zeros_like(tip.by_rod), np.zeros(3), np.zeros(3))
         gravity.by_rod[:, GRAVITY_COLUMNS] = np.eye(3)
-        J = down @ self.jacobian(tip) + tip.value @ self.jacobian(gravity) / size
-        J_nuisance = (down @ self.nuisance_jacobian(tip))[None]
-        residual = np.array([self.measured.sag - tip.value @ down])
+        scale, sag = 1.0 + self.values.x[SCALE], float(tip.value @ down)
+        J = scale * (down @ self.jacobian(tip) + tip.value @ self.jacobian(gravity) / size)
+        J[SCALE] = sag
+        J_nuisance = scale * (down @ self.nuisance_jacobian(tip))[None]
+        residual = np.array([self.measured.sag - scale * sag])
         return self._block("sags", 0, residual, J[None], J_nuisance, np.array([[self.measured.std_sag**2]]))
 
     def _by_root(self, value: Callable[[Equilibrium], Array]) -> Array:
@@ -365,7 +440,7 @@ def solve_test(
     measured: MeasuredTest,
     values: ParameterValues,
     nuisance: Array,
-    tip: Array | None = None,
+    last: SolvedTest | None = None,
     root: bool = False,
 ) -> SolvedTest:
     """Solve one test at some parameter values and nuisance parameters, (measured.nuisance_size,).
@@ -374,46 +449,37 @@ def solve_test(
         measured: the test.
         values: of the parameters.
         nuisance: the test's own parameters.
-        tip: state of a neighbouring equilibrium, as the initial guess.
+        last: the test at neighbouring values, as the initial guess.
         root: whether derivatives by the root are needed.
     """
     R = (measured.T_world_base @ values.T_stated_base)[:3, :3]
     gravity, d_gravity = values.gravity(measured.gravity_world)
-    gravity_base = R.T @ gravity
-    force = nuisance[:3] if measured.force_world is None else R.T @ measured.force_world
-    s = nuisance[-1] if measured.s_estimated else (None if measured.free else measured.s_contact)
-
-    def solved(rod: Rod) -> Equilibrium:
-        """Return the equilibrium under the load of the test."""
-        return rod.solve(gravity_base, force, s, guess=tip, columns="all")
-
-    steps = (-ROOT_STEP, ROOT_STEP) if root else ()
-    return SolvedTest(measured, values, nuisance, solved(values.rod),
-                      tuple(solved(values.with_root_step(step)) for step in steps), gravity_base,
-                      R.T @ d_gravity)  # fmt: skip
-
-
-@dataclass(frozen=True)
-class MassMeasurement:
-    """A weighing of the probe.
-
-    Attributes:
-        mass: measured [kg].
-        std: standard deviation of the mass [kg].
-        flange_volume: of printed material that was weighed with the flexible part, as drawn [m³].
-    """
-
-    mass: float
-    std: float
-    flange_volume: float
-
-    def block(self, values: ParameterValues) -> ResidualBlock:
-        """Return its residual, which depends on the density and on all diameters."""
-        rod = values.rod
-        total = rod.mass + rod.density * self.flange_volume
-        J = np.zeros((1, values.common.size))
-        J[0, PARAMETERS["density"].columns] = total
-        J[0, PARAMETERS["diameters"].columns] = 2.0 * rod.mass
-        J[0, PRINT:] = rod.density * rod.body.volume_by_knot[0] @ values.common.print_modes.T
-        residual = np.array([self.mass - total])
-        return ResidualBlock("", "scales", 0, residual / self.std, -J / self.std, np.zeros((1, 0)), residual)
+    gravity_base, at = R.T @ gravity, measured.nuisance
+    tip = None if last is None else last.eq.tip
+    if measured.force_world is None:
+        force = nuisance[at["force"]]
+    else:
+        force = R.T @ measured.force_world * (1.0 + (nuisance[at["weight"]][0] if "weight" in at else 0.0))
+    s = nuisance[at["s"]][0] if "s" in at else (None if measured.free else measured.s_contact)
+    own = nuisance[at["stiffness"]][0] if "stiffness" in at else 0.0
+    factor = own - values.x[CREEP] * measured.creep_ramp
+    rod, touch = values.rod_at(factor), None
+    if measured.touched:
+        assert s is not None
+        angle, couple = nuisance[at["angle"]][0], np.zeros(3) if last is None else last.eq.load[9:12]
+        eq, ok = solve_touch(rod, gravity_base, force, s, angle, tip, couple)
+    else:
+        eq = rod.solve(gravity_base, force, s, guess=tip, columns="all")
+        ok = eq.ok
+    others: tuple[Equilibrium, ...] = ()
+    axes = np.zeros((3, 3))
+    if ok and root:
+        steps = (-ROOT_STEP, ROOT_STEP)
+        rods = [replace(rod, rigid_length=rod.rigid_length + step * float(rod.radius[0])) for step in steps]
+        others = tuple(one.solve(gravity_base, force, s, couple=eq.load[9:12], guess=eq.tip) for one in rods)
+        ok = all(other.ok for other in others)
+        if ok and measured.touched:
+            axes = (others[1].R_at(eq.s_contact) - others[0].R_at(eq.s_contact)) / (2.0 * ROOT_STEP)
+    if ok and measured.touched:
+        touch = SurfaceTouch(rod, eq, force, angle, axes)
+    return SolvedTest(measured, values, nuisance, rod, eq, touch, others, gravity_base, R.T @ d_gravity, ok)

@@ -1,10 +1,10 @@
-"""Result of an identification: numbers with intervals, systematic effects, outliers and residuals, for JSON and CSV.
+"""Result of an identification: numbers with intervals and their error budget, outliers and residuals, for JSON and CSV.
 
 Attributes of the classes are the keys of identification.json, except those of `JSON_NAMES`, whose keys are older.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
@@ -12,26 +12,34 @@ import numpy as np
 from scipy.stats import norm, t
 
 from probedesign.core.frames import Array
-from probedesign.core.units import MM, MPA
+from probedesign.core.units import MM
+from probedesign.identification.contradiction import LikelyCause
 from probedesign.identification.fit_checks import UnobservableDirection, conditional_estimate, cov_conditional
-from probedesign.identification.parameters import COMPONENTS, DIAMETERS, OWNER, PARAMETERS, PRINT, columns_of
-from probedesign.identification.residuals import MeasuredTest, ResidualBlock
-from probedesign.identification.solver import ROBUST_KINDS, Fit, NoiseScale, column_scales, linearize
-from probedesign.rod.rod import Rod
+from probedesign.identification.parameters import (
+    COMPONENTS,
+    IMPLIED,
+    LOG_E,
+    OWNER,
+    PARAMETERS,
+    POISSON,
+    POISSON_STD,
+    columns_of,
+)
+from probedesign.identification.solver import ROBUST_KINDS, Fit, NoiseScale
 
 CONFIDENCE = 0.95
 UNITS = {"markers": "mm", "touches": "mm", "places": "mm", "sags": "mm", "wrenches": "N and N·m", "scales": "g",
-         "friction": "share of the force"}  # fmt: skip
+         "friction": "share of the force", "weights": "share of the load", "stiffness": "logarithm of the stiffness",
+         "poisson": "logarithm of E/G"}  # fmt: skip
 """Units of residuals by kind of reading."""
-ROOT_UNCERTAINTY = 0.05
-"""Of root_rigid_radii, between the ways to hold a flange. Source: docs/decisions/0006."""
-GAIN_UNCERTAINTY = 0.01
-"""Of a sensor's gain. Assumed: certificates of the Nano17 state 1 to 1.75 % of full scale."""
-SCALE_UNCERTAINTY = 0.005
-"""Of a reference's length scale. Assumed: 0.5 mm on a box of 100 mm."""
 WEAK = 0.5
 """Fraction of `Parameter.max_std` from which on the total standard deviation makes a parameter weakly identifiable
 (assumed)."""
+DATA_SHARE = 0.5
+"""Largest posterior over prior variance with which an implied parameter counts as identified by the tests: they then
+contain at least as much information on it as its prior."""
+MIN_CONTRIBUTION = 0.1
+"""Of the standard deviation of a number: smaller contributions to it, 1 % of its variance, are not listed."""
 JSON_NAMES = {
     "std_total": "std_in_all",
     "low_total": "low_in_all",
@@ -48,26 +56,26 @@ class Identified:
         name: of the parameter or its component: E, tilt_x.
         words: what it is.
         unit: of all values below; empty for plain factors.
-        result: "identified"; or "not_told" if it is not observable: then `value` is the design's and there is no
-            interval.
+        result: "identified"; "inferred" if it follows from E and a prior rather than from the tests; or "not_told" if
+            it is not observable: then `value` is the design's and there is no interval.
         value: conditional on the design's diameters, which the frozen probe uses, even where those are requested too.
         std: standard deviation of the fit.
         low, high: 95 % interval of the fit.
         design: design value; 0 for a pose.
         value_of_print, std_of_print, low_of_print, high_of_print: the same with the diameters as uncertain as the
             design's tolerances: of the material rather than of the probe.
-        std_total, low_total, high_total: of `value` with systematic effects, each taken as one standard deviation,
-            independent of the others. A design gets these.
+        std_total, low_total, high_total: the same as std, low and high, which include all errors of the bench; the
+            keys are older.
         by_diameter: power of the base diameter with which `value` changes if all diameters differ together; None if
             the diameters are not estimated.
         caveat: to be shown with the number; empty if there is none.
-        why: what the tests determine instead, where it is not observable.
+        why: what the tests determine instead, where it is not observable, or what the value follows from.
     """
 
     name: str
     words: str
     unit: str
-    result: Literal["identified", "not_told"]
+    result: Literal["identified", "inferred", "not_told"]
     value: float
     design: float
     std: float | None = None
@@ -102,7 +110,7 @@ class Outlier:
 
     Attributes:
         test: its test.
-        kind: markers, wrenches or touches.
+        kind: markers, wrenches, touches, stiffness or friction.
         item: the marker's number; 0 for the others.
         deviations: Mahalanobis distance.
     """
@@ -115,18 +123,20 @@ class Outlier:
     @property
     def words(self) -> str:
         """Name of the reading."""
-        what = {"markers": f"marker {self.item}", "wrenches": "the wrench", "touches": "the touched place"}
+        what = {"markers": f"marker {self.item}", "wrenches": "the wrench", "touches": "the touched place",
+                "places": "the arclength", "weights": "the known load", "stiffness": "the stiffness",
+                "friction": "the friction"}  # fmt: skip
         return f"{what[self.kind]} of {self.test}"
 
 
 @dataclass(frozen=True)
-class SystematicEffect:
-    """Change of one number by a systematic error that the fit's interval does not include.
+class ErrorContribution:
+    """Part of the standard deviation of one number that one error source makes; their squares add up.
 
     Attributes:
-        cause: description of the error.
+        cause: the error source.
         of: the number.
-        percent: change of the number.
+        percent: standard deviation of the number due to it, relative to its value.
     """
 
     cause: str
@@ -160,7 +170,8 @@ class Identification:
     """Identified numbers of one campaign.
 
     Attributes:
-        result: "ok"; "not_converged"; or "inconsistent": the tests contradict the probe as designed, or each other.
+        result: "ok"; "not_converged"; "inconsistent": the tests contradict the probe as designed, or each other; or
+            "accepted": the same, accepted by the user with widened intervals.
         name: of the design.
         fingerprint: of its geometry.
         data: folder of the campaign.
@@ -173,11 +184,13 @@ class Identification:
         noise: of each kind of reading.
         quantile: of the 95 % intervals, in standard deviations: Student's where noise was estimated.
         outliers: readings that noise does not explain.
-        shifts: systematic effects.
+        shifts: error budget of the moduli.
         notes: lines for the user.
         residuals: of every reading.
         seconds: computing time.
-        why: what is inconsistent and what to check, where the result is "inconsistent".
+        why: what is inconsistent and what to check, where the tests contradict each other.
+        likely_causes: of a contradiction, the likeliest first.
+        widening: factor on all standard deviations of a contradiction that was accepted; else 1.
         served: `campaigns.Test.digest` of the tests used, which a design keeps for `validate`.
     """
 
@@ -194,15 +207,22 @@ class Identification:
     noise: tuple[NoiseScale, ...]
     quantile: float
     outliers: tuple[Outlier, ...]
-    shifts: tuple[SystematicEffect, ...]
+    shifts: tuple[ErrorContribution, ...]
     notes: tuple[str, ...]
     residuals: tuple[Residual, ...]
     seconds: float
     why: str = ""
+    likely_causes: tuple[LikelyCause, ...] = ()
+    widening: float = 1.0
     served: tuple[str, ...] = ()
 
+    @property
+    def valid(self) -> bool:
+        """Whether its numbers may be used: the tests agree, or a contradiction was accepted."""
+        return self.result in ("ok", "accepted")
+
     def as_inconsistent(self, why: str) -> "Identification":
-        """Return the result without numbers, intervals or systematic effects, for the reason given."""
+        """Return the result without numbers, intervals or error budget, for the reason given."""
         found = tuple(
             Identified(one.name, one.words, one.unit, "not_told", one.design, one.design,
                        why=one.why or "the tests contradict the design, or each other")
@@ -222,8 +242,8 @@ class Identification:
         return tuple(f"{one.name}: {one.caveat}" for one in self.found if one.caveat)
 
     @property
-    def causes(self) -> dict[str, tuple[SystematicEffect, ...]]:
-        """Systematic effects by their cause."""
+    def causes(self) -> dict[str, tuple[ErrorContribution, ...]]:
+        """Error budget by cause."""
         causes = dict.fromkeys(effect.cause for effect in self.shifts)
         return {cause: tuple(effect for effect in self.shifts if effect.cause == cause) for cause in causes}
 
@@ -266,43 +286,72 @@ def identified_numbers(
     unobservable: Sequence[UnobservableDirection],
     requested: Sequence[str],
     quantile: float,
+    widening: float = 1.0,
 ) -> tuple[tuple[Identified, ...], Array, tuple[str, ...]]:
-    """Return every requested number, the correlation of the identified ones, and their names.
+    """Return every requested number and those that E implies, the correlation of the identified ones, and their names.
 
-    `quantile` is that of the intervals, in standard deviations.
+    `quantile` is that of the intervals, in standard deviations, which are multiplied with `widening`.
     """
     rod, columns = fit.point.problem.common.model.rod, columns_of(identified)
     why = {one.name: one.description for one in unobservable}
+    implied = [name for name in IMPLIED if "E" in identified and name not in requested]
     found = []
-    for column in columns_of(requested):
+    for column in columns_of([*requested, *implied]):
         owner, name = OWNER[column], COMPONENTS[column]
         if owner.name in why:
             design = owner.design_value(rod)
             found.append(Identified(name, owner.labels[name], owner.unit, "not_told", design, design,
                                     why=why[owner.name]))  # fmt: skip
-        else:
-            found.append(_identified(fit, column, quantile))
+        elif fit.point.problem.active[column]:
+            one = _identified(fit, column, quantile, widening)
+            reason = _prior_of(fit, owner.name, owner.name in requested)
+            found.append(replace(one, result="inferred", why=reason) if reason else one)
     cov = cov_conditional(fit, columns)
     std = np.sqrt(np.diag(cov))
     return tuple(found), cov / np.outer(std, std), tuple(COMPONENTS[column] for column in columns)
 
 
-def _identified(fit: Fit, column: int, quantile: float) -> Identified:
+def _prior_of(fit: Fit, name: str, requested: bool) -> str:
+    """Return which prior an implied parameter follows, where the tests contain less information on it; else empty."""
+    column = columns_of([name])[0]
+    if name == "G" and fit.point.problem.poisson is not None:
+        prior = POISSON_STD / (1.0 + POISSON)
+        variance = float(fit.cov[_at(fit, column), _at(fit, column)])
+        if fit.point.problem.active[LOG_E]:
+            cov = cov_conditional(fit, [LOG_E, column])
+            variance = float(cov[0, 0] - 2.0 * cov[0, 1] + cov[1, 1])
+        text = f"not observable in these tests; E/G by Poisson's ratio {POISSON:g} ± {POISSON_STD:g}"
+    elif name == "root" and not requested:
+        prior = float(fit.point.problem.prior[column])
+        variance = float(cov_conditional(fit, [column])[0, 0])
+        text = f"not observable in these tests; prior ± {prior:.2g} by [tolerances]"
+    else:
+        return ""
+    return text if variance > DATA_SHARE * prior**2 else ""
+
+
+def _at(fit: Fit, column: int) -> int:
+    """Return the position of an entry of the parameter vector among the estimated ones."""
+    return int(np.count_nonzero(fit.point.problem.active[:column]))
+
+
+def _identified(fit: Fit, column: int, quantile: float, widening: float) -> Identified:
     """Return one number given the design's dimensions, and with uncertain dimensions."""
     parameter, name = OWNER[column], COMPONENTS[column]
     rod = fit.point.problem.common.model.rod
 
     def interval(x: float, std: float) -> tuple[float, float, float, float]:
         """Return value, standard deviation and ends of the interval in the reported unit."""
+        std *= widening
         value, low, high = (parameter.reported(rod, x + sign * quantile * std) for sign in (0.0, -1.0, 1.0))
         return value, value * std if parameter.logarithm else parameter.scale * std, low, high
 
     x, std_x, by_diameter = conditional_estimate(fit, column)
     value, std, low, high = interval(x, std_x)
-    i = int(fit.point.problem.active[:column].sum())
+    i = _at(fit, column)
     of_print = interval(float(fit.point.values.x[column]), float(np.sqrt(fit.cov[i, i])))
     return Identified(name, parameter.labels[name], parameter.unit, "identified", value, parameter.design_value(rod),
-                      std, low, high, *of_print,
+                      std, low, high, *of_print, std, low, high,
                       by_diameter=by_diameter if parameter.logarithm else None)  # fmt: skip
 
 
@@ -318,129 +367,57 @@ def residuals_of(fit: Fit) -> tuple[Residual, ...]:
             s = float(measured.marker_s[measured.marker_numbers.index(block.item)]) / MM
         elif block.kind in ("touches", "wrenches") and not tests[block.test].measured.free:
             s = tests[block.test].eq.s_contact / MM
-        unit = {"wrenches": 1.0, "friction": 1.0, "scales": 1e3}.get(block.kind, 1.0 / MM)
+        unit = {"scales": 1e3, **dict.fromkeys(("markers", "touches", "places", "sags"), 1.0 / MM)}.get(
+            block.kind, 1.0
+        )
         off = tuple(float(v) * unit for v in block.residual)
         distance = float(np.sqrt(block.squared_distance / len(block.r))) / scale
         found.append(Residual(block.test, block.kind, block.item, s, off, distance, float(weight) * scale**2))
     return tuple(found)
 
 
-# systematic effects
+# error budget
 
 
-def systematic_effects(fit: Fit, identified: Sequence[str]) -> tuple[SystematicEffect, ...]:
-    """Return the changes of moduli, density and diameters, to first order, by errors of the root, the sensor's gain
-    and the reference's length scale."""
-    names = [name for name in identified if PARAMETERS[name].logarithm]
-    if not names:
-        return ()
-    point = fit.point
-    errors = {
-        f"sensor gain {GAIN_UNCERTAINTY:.0%} too large": GAIN_UNCERTAINTY * _by_readings(fit, _gain_reading),
-        f"length scale of the reference {SCALE_UNCERTAINTY:.1%} too small": SCALE_UNCERTAINTY
-        * _by_readings(fit, _length_reading),
-    }
-    if "root" not in identified:
-        own = [test.nuisance for test in point.tests]
-        other = linearize(point.problem, point.values, own, point, root=True)
-        if other.ok:
-            by_root = ROOT_UNCERTAINTY * other.fixed_jacobian(columns_of(["root"]), fit.weight)[:, 0]
-            errors = {f"root_rigid_radii {ROOT_UNCERTAINTY:g} larger": by_root, **errors}
-    return tuple(
-        SystematicEffect(cause, name, 100.0 * float(np.expm1(_change(fit, name, d_residuals))))
-        for cause, d_residuals in errors.items()
-        if d_residuals.any()
-        for name in names
-    )
+def error_budget(fit: Fit, names: Sequence[str]) -> tuple[ErrorContribution, ...]:
+    """Return the contribution of each error source to the standard deviation of the moduli, density and diameters.
 
-
-def _change(fit: Fit, name: str, d_residuals: Array) -> float:
-    """Return the change of one logarithm, to first order, by a change of the residuals at fixed dimensions."""
-    active, column = np.flatnonzero(fit.point.problem.active), columns_of([name])[0]
-    fixed = (active >= PRINT) | ((active == DIAMETERS) & (column != DIAMETERS))
-    keep = np.concatenate([~fixed, np.ones(fit.point.problem.size - len(active), dtype=bool)])
-    rows = fit.point.system(fit.weight)[0][:, keep]
-    units = column_scales(rows)
-    i = int(np.count_nonzero(~fixed & (active < column)))
-    return float(-(np.linalg.lstsq(rows * units, d_residuals)[0] * units)[i])
-
-
-def _gain_reading(block: ResidualBlock, test: MeasuredTest) -> tuple[Array, Array] | None:
-    """Return what the sensor's gain scales in a block and its covariance; None if nothing."""
-    wrench, cov = test.wrench_base, test.cov_wrench
-    return (wrench, cov) if block.kind == "wrenches" and wrench is not None and cov is not None else None
-
-
-def _length_reading(block: ResidualBlock, test: MeasuredTest) -> tuple[Array, Array] | None:
-    """Return what the length scale of the reference scales in a block and its covariance; None if nothing."""
-    base = test.T_world_base[:3, 3]
-    if block.kind == "markers":
-        i = test.marker_numbers.index(block.item)
-        return test.p_markers_world[i] - base, test.cov_markers[i]
-    if block.kind == "touches" and test.p_touch_world is not None:
-        return test.p_touch_world - base, test.std_touch**2 * np.eye(3)
-    if block.kind == "sags":
-        return np.array([test.sag]), np.array([[test.std_sag**2]])
-    return None
-
-
-def _by_readings(
-    fit: Fit, reading: Callable[[ResidualBlock, MeasuredTest], tuple[Array, Array] | None]
-) -> Array:
-    """Return the derivative of the weighted residuals by the logarithm of a scale of the readings; `reading` gives what
-    it scales in a block, and the covariance."""
-    rows = [np.zeros(fit.point.problem.n_active)]
-    tests = {test.measured.name: test.measured for test in fit.point.tests}
-    for block, w in zip(fit.point.blocks, fit.weight, strict=True):
-        change = reading(block, tests[block.test]) if block.test in tests else None
-        if change is None:
-            rows.append(np.zeros(len(block.r)))
-        else:
-            rows.append(np.sqrt(w) * np.linalg.solve(np.linalg.cholesky(change[1]), change[0]))
-    return np.concatenate(rows)
-
-
-def with_systematics(
-    numbers: Sequence[Identified], effects: Sequence[SystematicEffect], quantile: float
-) -> tuple[Identified, ...]:
-    """Return the numbers with total standard deviations and intervals: the fit's and each systematic effect, as if
-    independent. `quantile` is that of the intervals."""
+    A fit is linear in the values its priors are about: an error of one standard deviation σ of prior j changes the
+    number i by C_ij/σ_j, C the covariance with the design's dimensions. What these leave of C_ii is due to the readings
+    and the priors of single tests.
+    """
+    problem = fit.point.problem
+    active = np.flatnonzero(problem.active)
+    print_modes = range(problem.common.print_columns.start, problem.common.print_columns.stop)
+    columns = [int(c) for c in active if c not in print_modes]
+    cov, prior = cov_conditional(fit, columns), problem.prior[columns]
+    causes = ["drift of the sensor" if c >= len(OWNER) else OWNER[c].prior_name or c for c in columns]
     result = []
-    for one in numbers:
-        if one.identified:
-            assert one.std is not None
-            own = (one.value * 1e-2 * effect.percent for effect in effects if effect.of == one.name)
-            std = math.hypot(one.std, *own)
-            low, high = one.value - quantile * std, one.value + quantile * std
-            if one.name in PARAMETERS and PARAMETERS[one.name].logarithm:
-                low, high = (one.value * math.exp(sign * quantile * std / one.value) for sign in (-1.0, 1.0))
-            one = replace(one, std_total=std, low_total=low, high_total=high)
-        result.append(one)
+    for name in names:
+        if not PARAMETERS[name].logarithm:
+            continue
+        i = columns.index(columns_of([name])[0])
+        share = np.where(np.isinf(prior), 0.0, cov[i] / np.where(np.isinf(prior), 1.0, prior)) ** 2
+        squares: dict[str, float] = {}
+        for cause, value in zip(causes, share, strict=True):
+            if isinstance(cause, str):
+                squares[cause] = squares.get(cause, 0.0) + float(value)
+        squares["readings and single tests"] = max(float(cov[i, i]) - sum(squares.values()), 0.0)
+        for cause, value in sorted(squares.items(), key=lambda pair: -pair[1]):
+            if value > MIN_CONTRIBUTION**2 * cov[i, i]:
+                result.append(ErrorContribution(cause, name, 100.0 * math.sqrt(value)))
     return tuple(result)
 
 
-def with_caveats(numbers: Sequence[Identified], rod: Rod) -> tuple[Identified, ...]:
-    """Return the numbers, with caveats where one is weakly identifiable or G is consistent with a fixed ratio to E."""
-    E = next((one.value for one in numbers if one.name == "E"), rod.youngs_modulus / MPA)
-    ratio = rod.youngs_modulus / rod.shear_modulus
-    return tuple(
-        replace(one, caveat="; ".join(_caveats(one, E, ratio))) if one.identified else one for one in numbers
-    )
+def with_caveats(numbers: Sequence[Identified]) -> tuple[Identified, ...]:
+    """Return the numbers, with caveats where one is near the limit of observability."""
+    return tuple(replace(one, caveat=_caveat(one)) if one.identified else one for one in numbers)
 
 
-def _caveats(one: Identified, E: float, design_ratio: float) -> list[str]:
-    """Return caveats of a number: near the limit of observability, or a G that is consistent with a fixed ratio to E.
-
-    The ratios to E are that of an incompressible solid and the design's.
-    """
-    parameter, caveats = PARAMETERS.get(one.name), []
+def _caveat(one: Identified) -> str:
+    parameter = PARAMETERS.get(one.name)
     limit = parameter.max_std if parameter is not None and parameter.logarithm else None
-    if limit is not None and one.relative_std_total >= WEAK * limit:
-        caveats.append(f"weakly identifiable: total standard deviation {one.relative_std_total:.0%} (limit {limit:.0%})"
-                       "; consider fixing it at the design value")  # fmt: skip
-    if one.name == "G" and one.low_total is not None and one.high_total is not None:
-        ratios = {"E/3": 3.0, f"the design's E/{design_ratio:.3g}": design_ratio}
-        inside = [name for name, ratio in ratios.items() if one.low_total <= E / ratio <= one.high_total]
-        if inside:
-            caveats.append(f"consistent with {' and '.join(inside)}")
-    return caveats
+    if limit is None or one.relative_std_total < WEAK * limit:
+        return ""
+    return (f"weakly identifiable: standard deviation {one.relative_std_total:.0%} (limit {limit:.0%}); consider "
+            "fixing it at the design value")  # fmt: skip

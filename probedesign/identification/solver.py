@@ -14,34 +14,41 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from probedesign.core.frames import Array
+from probedesign.identification.elimination import NormalEquations, TestRows
 from probedesign.identification.parameters import (
-    LOG_E,
+    LOG_G,
     LOGARITHMS,
     CommonParameters,
     ParameterValues,
     columns_of,
 )
 from probedesign.identification.residuals import (
-    MassMeasurement,
     MeasuredTest,
     ResidualBlock,
     SolvedTest,
     solve_test,
 )
-from probedesign.rod.rod import Rod
+from probedesign.identification.whole_probe import MassMeasurement, PoissonPrior
 
-ROBUST_KINDS = ("markers", "wrenches", "touches")
-"""Kinds with many readings; the others are prior knowledge or single readings."""
+READING_KINDS = ("markers", "wrenches", "touches", "places", "weights")
+"""Kinds of readings that most tests have."""
+ROBUST_KINDS = (*READING_KINDS, "stiffness", "friction")
+"""Kinds whose scatter is estimated where it exceeds the stated one; the others are prior knowledge or single readings.
+Stiffness and friction of each touch scatter as readings do, and one may be far from the others."""
+MIN_FREEDOM = 1.0
+"""Degrees of freedom from which on a scatter is estimated; Student's t widens the intervals for few of them."""
 FULL_WEIGHT = 0.99
 """Quantile of χ² up to which a block has full weight."""
 REJECTION_CHANCE = 1e-3
 """Chance, with noise as stated, that a scatter is judged larger than stated or a prior is rejected."""
 OUTLIER_CHANCE = 0.01
 """Chance, with normal noise, that a campaign reports any outlier at all."""
-MAX_ITERATIONS = 60
+MAX_ITERATIONS = 25
+"""Steps of one search: those of campaigns without contradictions take fewer than ten."""
 MIN_DAMPING, MAX_DAMPING = 1e-9, 1e8
 MIN_GAIN = 1e-3
 """Decrease of the loss, half a χ², that ends a search: within a twentieth of a standard deviation of the minimum. The
@@ -50,8 +57,6 @@ MAX_LOGARITHM = 3.0
 """Of a factor on the design value: no probe is twenty times stiffer than designed."""
 MAX_SCALE_ROUNDS = 4
 """Estimates of the noise scales from the residuals."""
-START_FACTORS = (1.0, 0.7, 1.5, 0.45, 2.5)
-"""Factors on E to start from: published values of one resin differ by two."""
 
 
 # robust weights
@@ -131,7 +136,7 @@ def _noise_scales(
         relative = weight[at] * scales.get(kind, 1.0) ** 2  # 1 for blocks with full weight
         squares = float(np.sum(relative * [blocks[i].squared_distance for i in at]))
         freedom = float(np.sum(relative * [len(blocks[i].r) for i in at]) - leverage[at].sum())
-        measured = freedom > 1.0 and chi2.sf(squares, freedom) < REJECTION_CHANCE
+        measured = freedom > MIN_FREEDOM and chi2.sf(squares, freedom) < REJECTION_CHANCE
         scale = float(np.sqrt(squares / freedom)) if measured else 1.0
         result.append(NoiseScale(kind, len(at), scale, max(freedom, 0.0), bool(measured)))
     return result
@@ -174,11 +179,16 @@ class LeastSquaresProblem:
         return np.asarray(self.prior > 0.0)
 
     @cached_property
+    def poisson(self) -> PoissonPrior | None:
+        """Prior on Poisson's ratio; None if G has its own prior."""
+        return PoissonPrior() if np.isinf(self.prior[LOG_G]) else None
+
+    @cached_property
     def n_active(self) -> int:
         """Number of estimated entries of the parameter vector."""
         return int(self.active.sum())
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of all unknowns, nuisance parameters of the tests included."""
         return self.n_active + sum(test.nuisance_size for test in self.tests)
@@ -242,11 +252,53 @@ class Linearization:
             values.append(np.sqrt(w) * block.r)
         return np.concatenate(rows), np.concatenate(values)
 
-    def fixed_jacobian(self, columns: Sequence[int], weight: Array) -> Array:
-        """Return the same rows by entries of the parameter vector that are fixed, (n, len(columns))."""
-        prior = np.zeros((self.problem.n_active, len(columns)))
-        rows = [np.sqrt(w) * block.J[:, columns] for block, w in zip(self.blocks, weight, strict=True)]
-        return np.concatenate([prior, *rows])
+    @cached_property
+    def _blocks_of_tests(self) -> list[list[int]]:
+        """Positions of the blocks of each test, and of those that belong to none."""
+        groups: dict[str, list[int]] = {test.measured.name: [] for test in self.tests}
+        groups[""] = []
+        for i, block in enumerate(self.blocks):
+            groups[block.test].append(i)
+        return list(groups.values())
+
+    @cached_property
+    def _stacked(self) -> list[tuple[TestRows, NDArray[np.intp]]]:
+        """Rows of each test with full weight, and the number of rows of each block."""
+        active, result = self.problem.active, []
+        for group in self._blocks_of_tests:
+            blocks = [self.blocks[i] for i in group]
+            if not blocks:
+                empty = np.zeros((0, self.problem.n_active))
+                result.append((TestRows(empty, np.zeros((0, 0)), np.zeros(0)), np.zeros(0, dtype=np.intp)))
+                continue
+            rows = TestRows(
+                np.concatenate([block.J for block in blocks])[:, active],
+                np.concatenate([block.J_nuisance for block in blocks]),
+                np.concatenate([block.r for block in blocks]),
+            )
+            result.append((rows, np.array([len(block.r) for block in blocks])))
+        return result
+
+    def normal_equations(self, weight: Array, damping: float = 0.0) -> NormalEquations:
+        """Return the weighted normal equations of the common unknowns."""
+        tests = []
+        for group, (rows, sizes) in zip(self._blocks_of_tests, self._stacked, strict=True):
+            root = np.sqrt(np.repeat(weight[group], sizes))
+            tests.append(
+                TestRows(root[:, None] * rows.A, root[:, None] * rows.B, root * rows.r).eliminated(damping)
+            )
+        std = self.problem.prior[self.problem.active]
+        inverse = np.where(np.isinf(std), 0.0, 1.0 / std)
+        return NormalEquations(tests, inverse**2, inverse * self.prior_residual, damping)
+
+    def absorbed(self, equations: NormalEquations) -> list[Array]:
+        """Return the hat matrix of each block, by the normal equations with its weights."""
+        result: list[Array] = [np.zeros((0, 0))] * len(self.blocks)
+        for i, (group, (_, sizes)) in enumerate(zip(self._blocks_of_tests, self._stacked, strict=True)):
+            hat, ends = equations.hat(i), np.cumsum(sizes)
+            for k, size, end in zip(group, sizes, ends, strict=True):
+                result[k] = hat[end - size : end, end - size : end]
+        return result
 
 
 def linearize(
@@ -264,79 +316,15 @@ def linearize(
     root = root or bool(problem.active[columns_of(["root"])[0]])
     solved: list[SolvedTest] = []
     for i, (test, own) in enumerate(zip(problem.tests, nuisance, strict=True)):
-        tip = last.tests[i].eq.tip if last is not None else None
-        solved.append(solve_test(test, values, own, tip, root))
+        solved.append(solve_test(test, values, own, None if last is None else last.tests[i], root))
         if not solved[-1].ok:
             return Linearization(problem, values, tuple(solved), ())
     blocks = [block for test in solved for block in test.blocks()]
     if problem.mass is not None:
         blocks.append(problem.mass.block(values))
+    if problem.poisson is not None:
+        blocks.append(problem.poisson.block(values))
     return Linearization(problem, values, tuple(solved), tuple(blocks))
-
-
-def column_scales(rows: Array) -> Array:
-    """Return inverse column norms, so that scaled columns are comparable; 1 for columns of zeros."""
-    size = np.linalg.norm(rows, axis=0)
-    return np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 1.0)
-
-
-# starting values
-
-
-def start_point(problem: LeastSquaresProblem, free_E: bool) -> Linearization | None:
-    """Return the linearization with the least loss over factors on E, or at the design's E; None without a solution."""
-    best = None
-    for factor in START_FACTORS if free_E else START_FACTORS[:1]:
-        x = np.zeros(problem.common.size)
-        x[LOG_E] = np.log(factor)
-        point = linearize(problem, ParameterValues(problem.common, x),
-                          start_nuisance(problem.tests, problem.common.model.rod))  # fmt: skip
-        if point.ok and (best is None or point.loss({}) < best.loss({})):
-            best = point
-    return best
-
-
-def solvable_tests(
-    problem: LeastSquaresProblem, free_E: bool
-) -> tuple[list[MeasuredTest], list[MeasuredTest]]:
-    """Split the tests into those with a stable equilibrium for some factor on E, and those without."""
-    kept: list[MeasuredTest] = []
-    lost: list[MeasuredTest] = []
-    for test in problem.tests:
-        alone = LeastSquaresProblem(problem.common, (test,), None, problem.prior)
-        (lost if start_point(alone, free_E) is None else kept).append(test)
-    return kept, lost
-
-
-def start_nuisance(tests: Sequence[MeasuredTest], rod: Rod) -> list[Array]:
-    """Return initial nuisance parameters of each test: a touch's force by its reading, its place by the lever."""
-    result = []
-    for test in tests:
-        start = np.zeros(test.nuisance_size)
-        if len(start):
-            if test.force_world is None:
-                assert test.wrench_base is not None  # tests without are not used
-                force = test.wrench_base[:3] - rod.mass * test.gravity_base
-                start[:3] = force
-            else:
-                force = test.T_world_base[:3, :3].T @ test.force_world
-            if test.s_estimated:
-                start[-1] = np.clip(_start_arclength(test, rod, force), 0.02 * rod.length, rod.flank_end)
-        result.append(start)
-    return result
-
-
-def _start_arclength(test: MeasuredTest, rod: Rod, force: Array) -> float:
-    """Return the stated arclength, else the distance of the touched point, else the lever of the force [m]."""
-    if np.isfinite(test.s_contact):
-        return test.s_contact
-    if test.p_touch_world is not None:
-        return float(np.linalg.norm(test.p_touch_world - test.T_world_base[:3, 3]))
-    free = rod.solve(test.gravity_base)
-    assert test.wrench_base is not None
-    moment = test.wrench_base[3:] - (free.wrench_base[3:] if free.ok else 0.0)
-    across = float(np.hypot(*force[:2]))
-    return float(np.hypot(*moment[:2])) / across if across > 0.0 else 0.5 * rod.length
 
 
 # the search
@@ -366,12 +354,19 @@ class Fit:
         return weights(self.point.blocks, self.scales)
 
     @cached_property
+    def equations(self) -> NormalEquations:
+        """Normal equations at the solution."""
+        return self.point.normal_equations(self.weight)
+
+    @property
     def cov(self) -> Array:
-        """Covariance of all unknowns, entries of the parameter vector first, (size, size)."""
-        rows, _ = self.point.system(self.weight)
-        scales = column_scales(rows)
-        R_inverse = np.linalg.pinv(np.linalg.qr(rows * scales, mode="r"))
-        return np.asarray(scales[:, None] * (R_inverse @ R_inverse.T) * scales)
+        """Covariance of the estimated entries of the parameter vector, (n_active, n_active)."""
+        return self.equations.covariance
+
+    @cached_property
+    def absorbed(self) -> list[Array]:
+        """Hat matrix of each block."""
+        return self.point.absorbed(self.equations)
 
 
 def fit(problem: LeastSquaresProblem, start: Linearization) -> Fit:
@@ -380,7 +375,7 @@ def fit(problem: LeastSquaresProblem, start: Linearization) -> Fit:
     At first the scale of each kind is that of the median of its distances; once that has converged it is estimated
     from the residuals and their degrees of freedom, and the search continues from there.
     """
-    point, iterations, converged = _minimise(problem, start, None)
+    point, iterations, converged = minimise(problem, start, None)
     scales: dict[str, float] = {}
     noise: list[NoiseScale] = []
     for _ in range(MAX_SCALE_ROUNDS):
@@ -389,7 +384,9 @@ def fit(problem: LeastSquaresProblem, start: Linearization) -> Fit:
         estimated = {one.kind: one.scale for one in noise}
         settled = bool(scales) and all(abs(estimated[k] / scales[k] - 1.0) < 0.02 for k in estimated)
         scales = estimated
-        point, more, converged = _minimise(problem, point, scales)
+        if not converged:  # contradictory tests: more steps change no more than the noise
+            break
+        point, more, converged = minimise(problem, point, scales)
         iterations += more
         if settled:
             break
@@ -398,57 +395,53 @@ def fit(problem: LeastSquaresProblem, start: Linearization) -> Fit:
 
 def _leverage(point: Linearization, weight: Array) -> Array:
     """Return the degrees of freedom of each block that the unknowns absorb, (n,)."""
-    rows, _ = point.system(weight)
-    q = np.linalg.qr(rows * column_scales(rows))[0]
-    each = np.sum(q * q, axis=1)
-    ends = np.cumsum([point.problem.n_active] + [len(block.r) for block in point.blocks])
-    return np.array([each[a:b].sum() for a, b in itertools.pairwise(ends)])
+    return np.array([np.trace(hat) for hat in point.absorbed(point.normal_equations(weight))])
 
 
-def _minimise(
-    problem: LeastSquaresProblem, point: Linearization, scales: dict[str, float] | None
+def minimise(
+    problem: LeastSquaresProblem,
+    point: Linearization,
+    scales: dict[str, float] | None,
+    max_iterations: int = MAX_ITERATIONS,
 ) -> tuple[Linearization, int, bool]:
     """Take Levenberg–Marquardt steps until the gain is negligible; scales by the medians if none are given."""
     damping = MIN_DAMPING
-    for iteration in range(MAX_ITERATIONS):
+    for iteration in range(max_iterations):
         used = _median_scales(point.blocks) if scales is None else scales
-        rows, values = point.system(weights(point.blocks, used))
-        units = column_scales(rows)
-        q, R = np.linalg.qr(rows * units)
-        projected = q.T @ values
-        remaining = projected + R @ _damped_step(R, projected, MIN_DAMPING)
-        if 0.5 * float(projected @ projected - remaining @ remaining) < MIN_GAIN:  # by the linear model
+        weight = weights(point.blocks, used)
+        equations = point.normal_equations(weight, MIN_DAMPING)
+        if equations.steps[2] < MIN_GAIN:
             return point, iteration, True
         moved, loss = None, point.loss(used)
         while moved is None and damping < MAX_DAMPING:
-            moved = _moved(problem, point, units * _damped_step(R, projected, damping))
+            if damping > MIN_DAMPING:
+                equations = point.normal_equations(weight, damping)
+            moved = _moved(problem, point, equations)
             if moved is not None and moved.loss(used) > loss:
                 moved = None
             damping = 10.0 * max(damping, 1e-5) if moved is None else max(damping / 10.0, MIN_DAMPING)
         if moved is None:
             return point, iteration, False
         point = moved
-    return point, MAX_ITERATIONS, False
+    return point, max_iterations, False
 
 
-def _damped_step(R: Array, projected: Array, damping: float) -> Array:
-    """Return the step of the scaled unknowns; R is the triangular factor of their rows."""
-    size = len(R)
-    damped = np.concatenate([R, np.sqrt(damping) * np.eye(size)])
-    return np.asarray(np.linalg.lstsq(damped, -np.concatenate([projected, np.zeros(size)]))[0])
-
-
-def _moved(problem: LeastSquaresProblem, point: Linearization, step: Array) -> Linearization | None:
+def _moved(
+    problem: LeastSquaresProblem, point: Linearization, equations: NormalEquations
+) -> Linearization | None:
     """Return the campaign after a step of all unknowns; None if a factor is absurd or the rod has no solution."""
+    step, own_steps, _ = equations.steps
     x = point.values.x.copy()
-    x[problem.active] += step[: problem.n_active]
+    x[problem.active] += step
     if np.abs(x[LOGARITHMS]).max() > MAX_LOGARITHM:
         return None
     nuisance = []
-    for test in point.tests:
-        own = test.nuisance + step[problem.nuisance_slices[test.measured.name]]
-        if test.measured.s_estimated:
-            own[-1] = np.clip(own[-1], 0.0, problem.common.model.rod.flank_end)
+    for test, own_step in zip(point.tests, own_steps, strict=False):
+        own, at = test.nuisance + own_step, test.measured.nuisance
+        if "s" in at:
+            own[at["s"]] = np.clip(own[at["s"]], 0.0, problem.common.model.rod.flank_end)
+        if "stiffness" in at and abs(own[at["stiffness"]][0]) > MAX_LOGARITHM:
+            return None
         nuisance.append(own)
     moved = linearize(problem, ParameterValues(problem.common, x), nuisance, point)
     return moved if moved.ok else None

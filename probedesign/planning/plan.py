@@ -24,12 +24,13 @@ from probedesign.identification.identify import data_of
 from probedesign.identification.parameters import (
     OWNER,
     PARAMETERS,
-    PRINT,
     ParameterValues,
     columns_of,
 )
-from probedesign.identification.residuals import MassMeasurement, ResidualBlock
-from probedesign.identification.solver import LeastSquaresProblem, Linearization, linearize, start_nuisance
+from probedesign.identification.residuals import ResidualBlock
+from probedesign.identification.solver import LeastSquaresProblem, Linearization, linearize
+from probedesign.identification.starting_values import start_nuisance
+from probedesign.identification.whole_probe import MassMeasurement
 from probedesign.planning.candidates import TOUCH_PLACES, Bench, Candidate, Instruments, SetUp
 
 DEFAULT = ("E", "G", "root", "diameters")
@@ -123,9 +124,7 @@ class Plan:
     def notes(self) -> tuple[str, ...]:
         """Notes for the user, each one line."""
         calipers = any(one.set_up == "calipers" for one in self.candidates)
-        own: tuple[str, ...] = (
-            "The intervals are those of the fit; identify adds its systematic effects, such as the sensor's gain.",
-        )
+        own: tuple[str, ...] = ()
         if "diameters" in self.names and calipers:
             own += (
                 "Diameters are measured by calipers and written into the design; leave them out of identify --for.",
@@ -205,7 +204,7 @@ class Information:
         s = np.array([0.02, *TOUCH_PLACES]) * rod.length
         common = self.whole.problem.common
         J = np.zeros((len(s), common.size))
-        for column in (*columns_of(["diameters"]), *range(PRINT, common.size)):
+        for column in (*columns_of(["diameters"]), *range(common.size)[common.print_columns]):
             x = np.zeros(common.size)
             x[column] = step
             J[:, column] = (
@@ -234,8 +233,9 @@ class Information:
         while requested:
             problem = LeastSquaresProblem(common, tuple(test.measured for test in solved), None,
                                           common.prior_without(requested))  # fmt: skip
-            point = Linearization(problem, self.whole.values, solved, blocks)
-            lost = unobservable_direction(point, np.ones(len(blocks)), requested)
+            prior = () if problem.poisson is None else (problem.poisson.block(self.whole.values),)
+            point = Linearization(problem, self.whole.values, solved, blocks + prior)
+            lost = unobservable_direction(point, np.ones(len(point.blocks)), requested)
             if lost is None:
                 return self._intervals(point, names, requested), tuple(why)
             why.append(lost.description)
@@ -251,7 +251,8 @@ class Information:
         inverse = np.linalg.pinv(np.linalg.qr(rows * scale, mode="r"))
         cov = scale[:, None] * (inverse @ inverse.T) * scale
         active = np.flatnonzero(point.problem.active)
-        given = np.flatnonzero((active >= PRINT) | (active == columns_of(["diameters"])[0]))
+        printed = np.arange(point.problem.common.size)[point.problem.common.print_columns]
+        given = np.flatnonzero(np.isin(active, [*printed, columns_of(["diameters"])[0]]))
         found, quantile = [], float(norm.ppf(0.5 + LEVEL / 2.0))
         for label, column in zip(_components(names), columns_of(names), strict=True):
             owner = OWNER[column]
@@ -388,10 +389,13 @@ class _Choice:
 
     @cached_property
     def scale(self) -> Array:
-        """Standard deviations of the parameter vector before the tests: for requested ones their limit of use."""
+        """Standard deviations of the parameter vector before the tests: for those without a prior their limit of use.
+
+        G has none where E is requested: Poisson's ratio determines it with E.
+        """
         common = self.information.whole.problem.common
         std = common.prior_without(self.names)
-        for name in self.names:
+        for name in dict.fromkeys((*self.names, "G")) if np.isinf(std).any() else self.names:
             limit = PARAMETERS[name].max_std
             assert limit is not None
             std[PARAMETERS[name].columns] = limit

@@ -12,6 +12,8 @@ from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 MAX_TEST_NAMES = 36
 """Maximum number of test names along an axis; of more tests, every second or third is named."""
 KINDS = {"markers": "marker", "wrenches": "wrench", "touches": "place touched"}
+NOISE_KINDS = KINDS | {"places": "arclength of a load", "weights": "known load", "stiffness": "stiffness of a test",
+                       "friction": "friction of a touch"}  # fmt: skip
 _SIGNS = {kind: (colour, mark) for kind, colour, mark in zip(KINDS, COLOURS[1:], MARKS, strict=False)}
 """Colour and marker of each kind of reading."""
 _AXES = ("x", "y", "z")
@@ -28,9 +30,10 @@ def identification_page(found: Identification) -> bytes:
     about = [
         f"{found.data}: {found.tests} tests, {found.numbers} measured values for {found.unknowns} unknowns; "
         f"geometry {found.fingerprint}. Result: {found.result}{': ' if found.why else ''}{found.why}.",
-        f"Intervals are 95 %: {found.quantile:.3g} standard deviations. First that of the fit with the design's "
-        "dimensions, as the frozen probe uses them; then including the systematic effects listed below, as written to "
-        f"a design; then the fit's with {found.dimensions}, as a property of the material.",
+        f"Intervals are 95 %: {found.quantile:.3g} standard deviations. First with the design's dimensions, as the "
+        "frozen probe uses them and as written to a design, including all errors of the bench; then with "
+        f"{found.dimensions}, as a property of the material.",
+        *(f"Likely cause {rank}: {cause}." for rank, cause in enumerate(found.likely_causes, 1)),
         *found.caveats,
         *found.notes,
     ]
@@ -41,7 +44,7 @@ def identification_page(found: Identification) -> bytes:
     wrenches = [_wrenches(found, "forces"), _wrenches(found, "moments")] if "wrenches" in kinds else []
     if len(found.correlated) > 1:
         sections.append(_correlation(found))
-    after = [("Scatter of the readings", _noise(found)), ("Systematic effects", _shifts(found))]
+    after = [("Scatter of the readings", _noise(found)), ("Error budget", _shifts(found))]
     if found.outliers:
         after.append(("Outliers", _outliers(found)))
     folded = [("Residuals of the wrenches", wrenches)]
@@ -53,7 +56,6 @@ def _table(found: Identification) -> HtmlTable:
         "",
         "value",
         "95 % interval",
-        "with systematic effects",
         f"with {found.dimensions}",
         "design",
         "description",
@@ -63,11 +65,11 @@ def _table(found: Identification) -> HtmlTable:
 
 def _row(one: Identified) -> list[str]:
     design = f"{one.design:.4g} {one.unit}"
-    if not one.identified:
-        return [one.name, "not identifiable", "", "", "", design, one.why]
-    ends = ((one.low, one.high), (one.low_total, one.high_total), (one.low_of_print, one.high_of_print))
+    if one.result == "not_told":
+        return [one.name, "not identifiable", "", "", design, one.why]
+    ends = ((one.low, one.high), (one.low_of_print, one.high_of_print))
     intervals = [f"{a:.4g} ... {b:.4g}" for a, b in ends]
-    return [one.name, f"{one.value:.4g} {one.unit}", *intervals, design, one.words]
+    return [one.name, f"{one.value:.4g} {one.unit}", *intervals, design, one.why or one.words]
 
 
 def _by_test(found: Identification) -> ReportFigure:
@@ -186,7 +188,7 @@ def _correlation(found: Identification) -> ReportFigure:
 
 def _noise(found: Identification) -> HtmlTable:
     rows = [
-        [KINDS[one.kind], f"{one.groups}", f"{one.scale:.3g}", f"{one.freedom:.0f}",
+        [NOISE_KINDS[one.kind], f"{one.groups}", f"{one.scale:.3g}", f"{one.freedom:.0f}",
          "measured, larger than stated" if one.measured else "as stated"]
         for one in found.noise
     ]  # fmt: skip
@@ -195,15 +197,14 @@ def _noise(found: Identification) -> HtmlTable:
 
 def _shifts(found: Identification) -> HtmlTable:
     rows = [
-        [cause, ", ".join(f"{one.of} {one.percent:+.2g} %" for one in of)]
+        [cause, ", ".join(f"{one.of} {one.percent:.2g} %" for one in of)]
         for cause, of in found.causes.items()
     ]
-    rows.append(["creep between tests and use", "unknown"])
     note = (
-        "None of these is included in the fit's interval. Each except creep is one standard deviation; --write puts "
-        "the root sum of squares of these and the fit's into [tolerances] and stiffness_spread."
+        "One standard deviation each, of the prior in [tolerances] where there is one; the squares add up to that of "
+        "the number, which --write puts into [tolerances] and stiffness_spread."
     )
-    return HtmlTable(["effect", "change of the parameter"], rows, note)
+    return HtmlTable(["error source", "contribution to the parameter"], rows, note)
 
 
 def _outliers(found: Identification) -> HtmlTable:

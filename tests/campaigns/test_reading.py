@@ -185,6 +185,7 @@ def test_a_test_may_have_a_base_of_its_own(folder):
      "they count from the tip; marker 1 is nearest to the base"),
     ("markers.csv", ",0,2", ",80,2", "is the pose of the base right?"),
     ("wrenches.csv", "hang,1,", "hang,0,", "wrenches.csv:4: test hang at 0 s occurs twice, first in line 3"),
+    ("wrenches.csv", "hang,1,", "hang,-1,", "wrenches.csv:4: time_s runs backward, from 0 s to -1 s"),
     ("wrenches.csv", "sensor", "tool", "frame 'tool' is not known; use sensor or base"),
     ("wrenches.csv", "68,0", "68,", "Fy_mN is empty; write the number"),
     ("wrenches.csv", "68", "9999999", "Fx_mN = 1e+07 is implausibly large; raw counts or a wrong unit?"),

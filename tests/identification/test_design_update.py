@@ -7,7 +7,7 @@ import pytest
 from probedesign.core.errors import InputError
 from probedesign.design import parse_design
 from probedesign.design.io import Change, edit_text
-from probedesign.identification.identify import check_overwritable
+from probedesign.identification.design_update import check_overwritable
 from tests.identification.conftest import LARGE
 
 DAY = "2026-01-02"
@@ -79,7 +79,7 @@ def test_a_value_that_no_design_may_have_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("present", "change"),
     [
-        ("[mount]\nroot_rigid_radii = 0.12\n", Change("mount", "root_rigid_radii", "0.2")),
+        ("[mount]\nroot_rigid_radii = 0.05\n", Change("mount", "root_rigid_radii", "0.2")),
         ('[tolerances]\nyoungs_modulus = 0.1\n[material]\nyoungs_modulus_mpa = 2.0\n'
          'provenance.youngs_modulus_mpa = "identified"\n', Change("tolerances", "youngs_modulus", "0.02")),
         ('[material]\nstiffness_spread = 0.1\nyoungs_modulus_mpa = 2.0\nprovenance.youngs_modulus_mpa = "identified"\n',

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
 from probedesign.campaigns import Campaign
@@ -11,7 +12,8 @@ from probedesign.core.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.identify import IdentificationData, data_of, identify
 from probedesign.identification.parameters import CommonParameters, check_requested
-from probedesign.identification.residuals import MassMeasurement, MeasuredTest
+from probedesign.identification.residuals import MeasuredTest
+from probedesign.identification.whole_probe import MassMeasurement
 from tests.identification.conftest import TRUE_E
 
 FOUR = norm.isf(norm.sf(4.0))
@@ -31,15 +33,82 @@ def test_stage_campaign_identifies_E(found) -> None:
     E = found.of("E")
     assert found.result == "ok" and E is not None
     assert abs(1e6 * E.value - TRUE_E) < FOUR * 1e6 * E.std
-    assert E.std / E.value < 0.01  # 11 tests; the benchmark's 36 reach 0.13 %
+    # the readings 1.3 %, the root 0.6 %, length scale, mounting, gain and creep 0.3 to 0.5 % each
+    assert E.std / E.value < 0.025
     assert E.std_of_print > E.std  # of the material it is known worse: E·d⁴ was measured
 
 
 def test_G_of_a_full_round_probe_is_not_observable(found) -> None:
     """A full round probe shears by a tenth of a millimetre."""
+    E = found.of("E")
     G = next(one for one in found.found if one.name == "G")
-    assert G.result == "not_told" and G.value == G.design == 0.761
-    assert G.std is None and G.why.startswith("G: weakly observable")
+    assert G.result == "inferred" and found.of("G") is None
+    # Poisson's ratio 0.49 ± 0.01: E/G = 2.98 to 0.67 %; the tests shift it by less than a standard deviation of that
+    assert E.value / G.value == pytest.approx(2.98, rel=0.0067)
+    assert G.std / G.value == pytest.approx(np.hypot(E.std / E.value, 0.0067), rel=0.1)
+
+
+def test_the_root_goes_with_E_and_its_prior(found, model: ProbeModel) -> None:
+    """The stage bends the probe enough to determine the root better than its prior of 0.15."""
+    root = next(one for one in found.found if one.name == "root")
+    assert root.std < 0.15
+    assert abs(root.value - model.rod.rigid_length / model.rod.radius[0]) < FOUR * root.std
+
+
+def test_accept_is_harmless_where_nothing_is_contradictory(found, stage: Campaign, model: ProbeModel) -> None:
+    accepted = identify(_data(stage, model), accept=True)
+    assert accepted.result == "ok" and accepted.widening == 1.0
+    assert accepted.of("E") == found.of("E")
+
+
+def test_a_contradiction_is_explained_and_can_be_accepted(stage: Campaign, model: ProbeModel) -> None:
+    """All moments have the opposite sign: that is the likeliest cause, and accepted numbers have wide intervals."""
+    data = _data(stage, model)
+    flipped = tuple(
+        replace(t, wrench_base=t.wrench_base * np.repeat([1.0, -1.0], 3)) for t in data.tests if not t.free
+    )
+    other = identify(replace(data, tests=flipped), ("E",), accept=True)
+    assert other.result == "accepted" and other.likely_causes[0].name == "sign"
+    assert "moments" in other.likely_causes[0].words
+    assert other.widening > 3.0 and other.of("E") is not None
+
+
+def test_merely_noisy_places_are_accepted(stage: Campaign, model: ProbeModel) -> None:
+    """Places that scatter by 0.5 mm where 0.05 mm are stated: the noise is estimated, and the interval is wider."""
+    rng = np.random.default_rng(3)
+    data = _data(stage, model)
+    noisy = tuple(
+        t
+        if t.p_touch_world is None
+        else replace(t, p_touch_world=t.p_touch_world + 5e-4 * rng.normal(size=3))
+        for t in data.tests
+    )
+    other = identify(replace(data, tests=noisy), ("E",))
+    E = other.of("E")
+    assert other.result == "ok" and E is not None
+    assert abs(1e6 * E.value - TRUE_E) < FOUR * 1e6 * E.std
+    touches = next(one for one in other.noise if one.kind == "touches")
+    assert touches.measured and touches.scale > 3.0
+
+
+def test_free_hangs_in_other_orientations_determine_the_weight(model: ProbeModel) -> None:
+    """Wrenches of the free probe under gravity from four sides separate the density from a tare."""
+    common = _shared(model)
+    tests = []
+    for i, R in enumerate(
+        Rotation.from_rotvec([[0.0, 0.0, turn] for turn in (0.0, 1.6, 3.1, 4.7)]).as_matrix()
+    ):
+        T = np.eye(4)
+        T[:3, :3] = R
+        heavier = replace(model.rod, density=1.05 * model.rod.density)
+        wrench = heavier.solve(R.T @ model.gravity_base).wrench_base + 1e-3 * np.array(
+            [1, 2, -1, 0.01, 0.02, 0.01]
+        )
+        tests.append(MeasuredTest(f"free-{i}", T, model.gravity_base, np.zeros(3), wrench_base=wrench,
+                                  cov_wrench=model.noise_base() / 20.0))  # fmt: skip
+    other = identify(IdentificationData(common, tuple(tests), None, "hangs"), ("density",))
+    density = other.of("density")
+    assert density is not None and abs(density.value_of_print / (1.05 * model.rod.density) - 1.0) < 0.02
 
 
 def test_a_factor_on_all_forces_is_noted(stage: Campaign, model: ProbeModel) -> None:

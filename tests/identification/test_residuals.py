@@ -9,8 +9,9 @@ import pytest
 from probedesign.campaigns import Campaign
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.identify import IdentificationData, data_of
-from probedesign.identification.parameters import OWNER, PARAMETERS, PRINT, ParameterValues
-from probedesign.identification.solver import LeastSquaresProblem, Linearization, linearize, start_nuisance
+from probedesign.identification.parameters import LOG_G, OWNER, PRINT, ParameterValues
+from probedesign.identification.solver import LeastSquaresProblem, Linearization, linearize
+from probedesign.identification.starting_values import start_nuisance
 
 
 def _data(campaign: Campaign, model: ProbeModel) -> IdentificationData:
@@ -23,19 +24,31 @@ def _data(campaign: Campaign, model: ProbeModel) -> IdentificationData:
 
 def test_derivatives_agree_with_differences(cameras: Campaign, model: ProbeModel) -> None:
     data = _data(cameras, model)
-    problem = LeastSquaresProblem(data.common, data.tests, data.mass, np.ones(data.common.size))
+    prior = np.ones(data.common.size)
+    prior[LOG_G] = np.inf
+    problem = LeastSquaresProblem(data.common, data.tests, data.mass, prior)
     rng = np.random.default_rng(2)
     size = {"diameters": 0.02, "E": 0.1, "density": 0.1, "G": 0.1, "root": 0.1, "bias": 1e-4}
     sizes = np.array([size.get(one.name, 1e-3) for one in OWNER])
     x = rng.normal(size=data.common.size) * np.concatenate([sizes, np.ones(data.common.size - PRINT)])
     nuisance = start_nuisance(data.tests, model.rod)
+    for test, own in zip(data.tests, nuisance, strict=True):
+        for name in (
+            "angle",
+            "stiffness",
+            "weight",
+        ):  # friction around the section, and a stiffness of its own
+            own[test.nuisance.get(name, slice(0, 0))] += {"angle": 0.4, "stiffness": 0.02, "weight": 0.01}[
+                name
+            ]
     point = linearize(problem, ParameterValues(data.common, x), nuisance)
     assert point.ok
     assert {group.kind for group in point.blocks} == {
-        "wrenches", "markers", "touches", "friction", "places", "sags", "scales"}  # fmt: skip
+        "wrenches", "markers", "touches", "friction", "places", "sags", "scales", "weights", "stiffness", "poisson"
+    }  # fmt: skip
     rows = _rows(point)
     for j in range(rows.shape[1]):
-        step = 1e-2 if j >= PRINT else 1e-4 if PARAMETERS["bias"].columns.start <= j else 1e-3
+        step = 1e-2 if j >= PRINT else 1e-4 if OWNER[j].name == "bias" else 1e-3
         if j >= data.common.size:
             step = 1e-5
         numeric = (_values(problem, x, nuisance, j, step) - _values(problem, x, nuisance, j, -step)) / (
@@ -71,10 +84,11 @@ def test_a_marker_where_the_weight_hangs_has_the_right_derivative(
                     p_markers_world=np.zeros((1, 3)), cov_markers=np.eye(3)[None])  # fmt: skip
     problem = LeastSquaresProblem(data.common, (trial,), None, np.ones(data.common.size))
     x, size = np.zeros(data.common.size), data.common.size
-    rows = _rows(linearize(problem, ParameterValues(data.common, x), [np.array([place])]))
-    numeric = _values(problem, x, [np.array([place])], size, 1e-3) - _values(
-        problem, x, [np.array([place])], size, -1e-3
-    )
+    own = np.zeros(trial.nuisance_size)
+    own[trial.nuisance["s"]] = place
+    rows = _rows(linearize(problem, ParameterValues(data.common, x), [own]))
+    at = size + trial.nuisance["s"].start
+    numeric = _values(problem, x, [own], at, 1e-3) - _values(problem, x, [own], at, -1e-3)
     marker = slice(size + 6, size + 9)  # after the priors and the wrench
     # a millimetre's difference, of a curve that bends over centimetres
-    assert rows[marker, size] == pytest.approx(numeric[marker] / 2e-3, rel=0.05, abs=2e-4)
+    assert rows[marker, at] == pytest.approx(numeric[marker] / 2e-3, rel=0.05, abs=2e-4)

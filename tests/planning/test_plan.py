@@ -89,11 +89,12 @@ def test_the_chosen_tests_are_better_than_others_of_the_same_time(plan, bench):
         assert area(intervals) > 0.98 * area(plan.expected)
 
 
-def test_weights_without_displacement_do_not_determine_g(bench):
-    """A full round probe shears by a tenth of a millimetre: no plan states an interval for G."""
+def test_g_follows_e_where_the_tests_do_not_determine_it(bench):
+    """A full round probe shears by a tenth of a millimetre: G is known as well as E and Poisson's ratio are."""
     plan = make_plan(bench.model, 0.0, 60.0, ("E", "G"), replace(STAGE, stage=None, turnable=False), 0)
-    assert plan.expected[1].std is None and plan.unobservable
-    assert plan.expected[0].std is not None
+    E, G = plan.expected
+    # G = E / (2 (1 + ν)) with ν = 0.49 ± 0.01; the tests add a little, and shear with bending correlates the two
+    assert G.std == pytest.approx(math.hypot(E.std, 0.01 / 1.49), rel=0.1)
 
 
 def test_calipers_determine_diameters_as_well_as_they_measure(bench):
@@ -119,9 +120,9 @@ def test_identify_states_the_expected_intervals(plan, design, tmp_path, exact):
     for one in plan.expected:
         stated = found.of(one.name)
         scale = stated.value if one.relative else 1.0
-        # the drawn print bends elsewhere, and its derivatives differ by a few percent
-        assert stated.std / scale == pytest.approx(one.std, rel=0.02 if exact else 0.1)
-        assert stated.std_of_print / scale == pytest.approx(one.std_of_print, rel=0.03 if exact else 0.12)
+        # a fit of noisy readings has its derivatives at friction and place as estimated, the drawn print bends elsewhere
+        assert stated.std / scale == pytest.approx(one.std, rel=0.1)
+        assert stated.std_of_print / scale == pytest.approx(one.std_of_print, rel=0.12)
         if exact:  # four standard deviations
             assert abs(stated.value - stated.design) < 4.0 * stated.std
 

@@ -1,0 +1,155 @@
+"""Changes of a design by an identification: values, their uncertainties and where they come from."""
+
+import json
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from probedesign.core.errors import InputError
+from probedesign.core.units import MPA
+from probedesign.design import Design
+from probedesign.design.io import Change
+from probedesign.identification.parameters import PARAMETERS
+from probedesign.identification.result import Identification, Identified
+
+IN_DESIGN = {name: one for name, one in PARAMETERS.items() if one.design_key}
+"""Parameters that a design file holds."""
+MATERIAL = {name: one for name, one in IN_DESIGN.items() if one.design_key.startswith("material.")}
+REPLACED_WITH_E = (
+    "material.stiffness_spread",
+    "tolerances.youngs_modulus_by_diameter",
+    "tolerances.root_radii",
+)
+"""Keys that an identification of E replaces as well, where E was not identified before."""
+
+
+def design_changes(found: Identification, design: Design, day: str) -> tuple[Change, ...]:
+    """Return the keys that a design gets; poses and gravity belong to the bench and not to the probe.
+
+    The value written is conditional on the design's diameters, which the frozen probe uses too: of E and diameters it
+    is E·d⁴ that was measured, and `youngs_modulus_by_diameter` states it. G and the root go with E, whether the tests
+    or a prior determine them. `day` is for the comments.
+
+    Raises:
+        InputError: no number of a design was identified, or the fit is not valid.
+    """
+    if not found.valid:
+        why = found.why or "the search did not converge"
+        raise InputError(f"{found.data}: {found.result}: {why}; nothing is written")
+    numbers = [one for one in found.found if one.result != "not_told" and one.name in IN_DESIGN]
+    if not any(one.identified for one in numbers):
+        raise InputError(
+            f"{found.data}: no number of a design is identified; use --for {', '.join(IN_DESIGN)}"
+        )
+    changes = [_value(one, found, day) for one in numbers]
+    for one in numbers:
+        if one.name in MATERIAL:
+            provenance = '"identified"' if one.identified else '"assumed"'
+            changes.append(Change("material.provenance", _split_key(one.name)[1], provenance))
+    for one in numbers:
+        if PARAMETERS[one.name].attribute:
+            spread = one.relative_std_total if one.name in MATERIAL else one.std_total
+            note = f"identified {day}, all errors of the bench included" if one.identified else one.why
+            changes.append(Change("tolerances", PARAMETERS[one.name].attribute, f"{spread:.2g}", note))
+    identified = [_split_key(one.name)[1] for one in numbers if one.name in MATERIAL and one.identified]
+    changes += _served(found, design, identified, day)
+    E = found.of("E")
+    if E is None:
+        return tuple(changes)
+    changes.append(Change("material", "stiffness_spread", f"{E.relative_std_total:.2g}",
+                          f"identified {day}: of E, as in [tolerances], for fusing touches"))  # fmt: skip
+    if E.by_diameter is not None:
+        changes.append(Change("tolerances", "youngs_modulus_by_diameter", f"{E.by_diameter:.2f}",
+                              f"identified {day}: E·d⁴ was measured, so E goes with the diameters"))  # fmt: skip
+    return tuple(changes)
+
+
+def _served(found: Identification, design: Design, keys: Sequence[str], day: str) -> list[Change]:
+    """Return the change of the list of tests that served; those of values which stay identified are kept."""
+    if not found.served or not keys:
+        return []
+    provenance = design.material.provenance.model_dump()
+    stay = any(provenance[key] == "identified" for key in provenance if key not in keys)
+    served = dict.fromkeys((*(design.material.identified_tests if stay else ()), *found.served))
+    note = f"identified {day}: fingerprints of the tests that served; validate leaves them out"
+    return [Change("material", "identified_tests", json.dumps(list(served)), note)]
+
+
+def _split_key(name: str) -> tuple[str, str]:
+    table, key = PARAMETERS[name].design_key.split(".")
+    return table, key
+
+
+def _value(one: Identified, found: Identification, day: str) -> Change:
+    caveat = f"; {one.caveat}" if one.caveat else ""
+    tests = f"{found.tests} test{'s' * (found.tests != 1)}"
+    start = f"identified {day}, {tests}" if one.identified else one.why
+    note = f"{start}: {one.low_total:.4g} ... {one.high_total:.4g} in 95 %, with these diameters{caveat}"
+    return Change(*_split_key(one.name), f"{one.value:.4g}", note)
+
+
+def check_overwritable(
+    design: Design, text: str, changes: tuple[Change, ...], where: str, force: bool
+) -> None:
+    """Refuse to replace what someone set or identified before in a file's text, unless `force` is set.
+
+    A material's value that is not identified yet is what an identification is for, and its uncertainty goes with it.
+    """
+    document = tomllib.loads(text)
+    present = [f"{one.table}.{one.key}" for one in changes
+               if not _replaceable(one, design)
+               and _value_in(document, one) not in (None, tomllib.loads(f"v = {one.text}")["v"])]  # fmt: skip
+    if present and not force:
+        raise InputError(f"{where}: set or identified already: {', '.join(present)}; --force replaces these values "
+                         "and keeps them as comments, or write another file with --out")  # fmt: skip
+
+
+def _replaceable(change: Change, design: Design) -> bool:
+    """Return whether the change is a provenance, or of a value that is not identified yet or of its uncertainty."""
+    key = f"{change.table}.{change.key}"
+    if change.table == "material.provenance" or key == "material.identified_tests":
+        return True
+    if key == "mount.root_rigid_radii":  # the default is assumed; any other value was set
+        default = type(design.mount).model_fields["root_rigid_radii"].default
+        E_identified = design.material.provenance.youngs_modulus_mpa == "identified"
+        return bool(design.mount.root_rigid_radii == default and not E_identified)
+    for name, one in MATERIAL.items():
+        if key in (one.design_key, f"tolerances.{one.attribute}", *(REPLACED_WITH_E if name == "E" else ())):
+            provenance: str = getattr(design.material.provenance, _split_key(name)[1])
+            return provenance != "identified"
+    return False
+
+
+def _value_in(document: dict[str, Any], change: Change) -> object:
+    """Return the value in a design file; None if there is none."""
+    value: Any = document
+    for part in (*change.table.split("."), change.key):
+        value = value.get(part) if isinstance(value, dict) else None
+    return value
+
+
+def design_diff(design: Design, fingerprint: str, file: Path) -> str:
+    """Return which numbers of an earlier identification, in `file`, a design of this geometry lacks; empty if none."""
+    try:
+        data = json.loads(file.read_bytes())
+        if data["result"] not in ("ok", "accepted") or data["fingerprint"] != fingerprint:
+            return ""
+        differences = []
+        for one in data["found"]:
+            if one["result"] == "identified" and one["name"] in MATERIAL:
+                quantity = getattr(design, MATERIAL[one["name"]].attribute)
+                unit = MPA if one["unit"] == "MPa" else 1.0
+                # a design gets four digits
+                identified, present = f"{one['value']:.4g}", f"{quantity.value / unit:.4g}"
+                if identified != present:
+                    text = f"{one['name']} {identified} {one['unit']}, where the design has {present}"
+                    differences.append(text)
+        return f"by {data['tests']} tests of {data['data']}, {', '.join(differences)}" if differences else ""
+    except (
+        OSError,
+        ValueError,
+        KeyError,
+        TypeError,
+    ):  # no identification was made, or another program's file
+        return ""

@@ -1,0 +1,87 @@
+"""Starting values of a fit: a factor on E that explains the tests best, and each touch by its own reading."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from probedesign.core.frames import Array
+from probedesign.identification.parameters import LOG_E, ParameterValues
+from probedesign.identification.residuals import MeasuredTest
+from probedesign.identification.solver import LeastSquaresProblem, Linearization, linearize
+from probedesign.rod.rod import Rod
+
+START_FACTORS = (1.0, 0.7, 1.5, 0.45, 2.5)
+"""Factors on E to start from: published values of one resin differ by two."""
+MAX_COMPARED = 6
+"""Tests that the factors are compared by."""
+
+
+def start_point(problem: LeastSquaresProblem, free_E: bool) -> Linearization | None:
+    """Return the linearization with the least loss over factors on E, or at the design's E; None without a solution.
+
+    The factors are compared by tests that are spread over the campaign.
+    """
+    factors = START_FACTORS if free_E else START_FACTORS[:1]
+    n = len(problem.tests)
+    spread = np.unique(np.linspace(0, n - 1, min(n, MAX_COMPARED)).round().astype(int))
+    some = replace(problem, tests=tuple(problem.tests[i] for i in spread))
+    losses = []
+    for factor in factors if free_E else ():
+        point = _at_factor(some, factor)
+        losses.append(point.loss({}) if point.ok else np.inf)
+    for i in np.argsort(losses, kind="stable") if losses else (0,):
+        point = _at_factor(problem, factors[i])
+        if point.ok:
+            return point
+    return None
+
+
+def _at_factor(problem: LeastSquaresProblem, factor: float) -> Linearization:
+    x = np.zeros(problem.common.size)
+    x[LOG_E] = np.log(factor)
+    nuisance = start_nuisance(problem.tests, problem.common.model.rod)
+    return linearize(problem, ParameterValues(problem.common, x), nuisance)
+
+
+def solvable_tests(
+    problem: LeastSquaresProblem, free_E: bool
+) -> tuple[list[MeasuredTest], list[MeasuredTest]]:
+    """Split the tests into those with a stable equilibrium for some factor on E, and those without."""
+    kept: list[MeasuredTest] = []
+    lost: list[MeasuredTest] = []
+    for test in problem.tests:
+        alone = LeastSquaresProblem(problem.common, (test,), None, problem.prior)
+        (lost if start_point(alone, free_E) is None else kept).append(test)
+    return kept, lost
+
+
+def start_nuisance(tests: Sequence[MeasuredTest], rod: Rod) -> list[Array]:
+    """Return initial nuisance parameters of each test: a touch's force by its reading, its place by the lever, and the
+    touched side opposite to the force."""
+    result = []
+    for test in tests:
+        start, at = np.zeros(test.nuisance_size), test.nuisance
+        if test.force_world is None:
+            assert test.wrench_base is not None  # tests without are not used
+            force = test.wrench_base[:3] - rod.mass * test.gravity_base
+            start[at["force"]], start[at["angle"]] = force, np.arctan2(-force[1], -force[0])
+        else:
+            force = test.T_world_base[:3, :3].T @ test.force_world
+        if "s" in at:
+            start[at["s"]] = np.clip(_start_arclength(test, rod, force), 0.02 * rod.length, rod.flank_end)
+        result.append(start)
+    return result
+
+
+def _start_arclength(test: MeasuredTest, rod: Rod, force: Array) -> float:
+    """Return the stated arclength, else the distance of the touched point, else the lever of the force [m]."""
+    if np.isfinite(test.s_contact):
+        return test.s_contact
+    if test.p_touch_world is not None:
+        return float(np.linalg.norm(test.p_touch_world - test.T_world_base[:3, 3]))
+    free = rod.solve(test.gravity_base)
+    assert test.wrench_base is not None
+    moment = test.wrench_base[3:] - (free.wrench_base[3:] if free.ok else 0.0)
+    across = float(np.hypot(*force[:2]))
+    return float(np.hypot(*moment[:2])) / across if across > 0.0 else 0.5 * rod.length

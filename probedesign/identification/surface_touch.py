@@ -1,0 +1,184 @@
+"""A touch at a point of the deformed surface: its couple about the axis, the touched point and the friction.
+
+A force F acts at the point x = p(s) + r(s) e(φ), e(φ) = R(s) [cos φ, sin φ, 0], of the deformed surface; on the axis
+it acts with the couple C = (x - p) × F. The couple depends on the deformed section and the section on the couple, so
+both are solved for together by Newton's method with the rod's exact sensitivities. The force is that of the sensor and
+lies in no given direction: its tangential part over its normal part has the prior N(0, μ²) in each direction, as in
+`probedesign.estimation`.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from probedesign.core.frames import Array, skew
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.kernels.equations import ALL_COLUMNS, COUPLE, PARAMETERS
+from probedesign.rod.rod import Rod
+
+COUPLE_COLUMNS = slice(PARAMETERS.index("couple_x"), PARAMETERS.index("couple_z") + 1)
+"""Columns of the rod's sensitivities by the couple."""
+S_COLUMN, DIAMETER_COLUMN = PARAMETERS.index("s_contact"), PARAMETERS.index("log_diameter")
+MAX_ITERATIONS = 12
+COUPLE_TOLERANCE = 1e-5
+"""Of the couple, relative to the force times the radius: a nanonewton metre for a touch of 20 mN."""
+MIN_NORMAL = 1e-3
+"""Smallest normal force over the force that friction ratios are formed with: below it the force pulls."""
+
+
+@dataclass(frozen=True)
+class SurfaceTouch:
+    """A solved touch.
+
+    Attributes:
+        rod: the rod.
+        eq: its equilibrium under force and couple, with all sensitivities.
+        force: on the rod [N], (3,).
+        angle: φ of the touched point about the tangent, from the section's x axis [rad].
+        root_axes: derivatives of the section's axes by root_rigid_radii, (3, 3); zeros where they are not needed.
+    """
+
+    rod: Rod
+    eq: Equilibrium
+    force: Array
+    angle: float
+    root_axes: Array
+
+    @cached_property
+    def _weights(self) -> Array:
+        """Return the maps from the section's [t, x, p, y] to e and to the circumferential direction h, (2, 12)."""
+        c, s = math.cos(self.angle), math.sin(self.angle)
+        weights = np.zeros((2, 4))
+        weights[0, [1, 3]] = c, s
+        weights[1, [1, 3]] = -s, c
+        return weights
+
+    @cached_property
+    def _directions(self) -> tuple[Array, Array]:
+        """Return [t, e, h], (3, 3), and their derivatives by the rod's parameters, (3, 3, k)."""
+        assert self.eq.sensitivity is not None
+        frame = self.eq.sensitivity.frame.reshape(4, 3)
+        d = self.eq.sensitivity.d_contact.reshape(4, 3, -1)
+        maps = np.vstack([[1.0, 0.0, 0.0, 0.0], self._weights])
+        return maps @ frame, np.einsum("ij,jkl->ikl", maps, d)
+
+    @cached_property
+    def _by_root(self) -> Array:
+        """Return the derivatives of [t, e, h] by the root at a given couple, (3, 3)."""
+        x, y, t = self.root_axes.T
+        return np.vstack([t, self._weights[:, [1, 3]] @ np.stack([x, y])])
+
+    @cached_property
+    def radius(self) -> float:
+        """Radius of the touched section [m]."""
+        return float(self.rod.radius_at(self.eq.s_contact))
+
+    @cached_property
+    def _d_log_radius(self) -> Array:
+        """Return the derivative of the logarithm of the radius by the rod's parameters, (k,)."""
+        rod, s = self.rod, self.eq.s_contact
+        d = np.zeros(ALL_COLUMNS + len(rod.s))
+        d[S_COLUMN] = -rod.taper_at(s) / self.radius
+        d[DIAMETER_COLUMN] = 1.0
+        d[ALL_COLUMNS:] = np.array([np.interp(s, rod.s, one) for one in np.diag(rod.radius)]) / self.radius
+        return d
+
+    @property
+    def couple(self) -> Array:
+        """Couple of the force about the axis, by the section as it is [N·m], (3,)."""
+        return np.asarray(-self.radius * (skew(self.force) @ self._directions[0][1]))
+
+    @cached_property
+    def _couple_jacobian(self) -> Array:
+        """Return the derivative of `couple` by the rod's parameters, (3, k)."""
+        (_, e, _), d = self._directions
+        J = -self.radius * skew(self.force) @ d[1] + np.outer(self.couple, self._d_log_radius)
+        J[:, 0:3] += self.radius * skew(e)
+        return np.asarray(J)
+
+    def next_couple(self) -> Array:
+        """Return the couple by a step of Newton's method from that of the equilibrium [N·m], (3,)."""
+        used = self.eq.load[COUPLE : COUPLE + 3]
+        matrix = np.eye(3) - self._couple_jacobian[:, COUPLE_COLUMNS]
+        return np.asarray(used + np.linalg.solve(matrix, self.couple - used))
+
+    @property
+    def converged(self) -> bool:
+        """Whether the couple of the equilibrium is that of its section."""
+        error = np.linalg.norm(self.couple - self.eq.load[COUPLE : COUPLE + 3])
+        return bool(error <= COUPLE_TOLERANCE * self.radius * np.linalg.norm(self.force) + 1e-15)
+
+    @cached_property
+    def couple_response(self) -> tuple[Array, Array, Array]:
+        """Derivatives of the couple at equilibrium by the rod's parameters (3, k), the root (3,) and the angle (3,)."""
+        J = self._couple_jacobian
+        h = self._directions[0][2]
+        root = -self.radius * (skew(self.force) @ self._by_root[1])
+        direct = J.copy()
+        direct[:, COUPLE_COLUMNS] = 0.0
+        columns = np.column_stack([direct, root, -self.radius * (skew(self.force) @ h)])
+        found: Array = np.linalg.solve(np.eye(3) - J[:, COUPLE_COLUMNS], columns).astype(float, copy=False)
+        return found[:, :-2], found[:, -2], found[:, -1]
+
+    @property
+    def offset(self) -> tuple[Array, Array, Array, Array]:
+        """Vector from the axis to the touched point [m], (3,), and its derivatives by the rod's parameters (3, k), the
+        root (3,) and the angle (3,), at a given couple."""
+        (_, e, h), d = self._directions
+        by_rod = self.radius * (d[1] + np.outer(e, self._d_log_radius))
+        return self.radius * e, by_rod, self.radius * self._by_root[1], self.radius * h
+
+    @property
+    def friction(self) -> tuple[Array, Array, Array, Array]:
+        """Tangential over normal force along the flank and around it, (2,), and its derivatives as in `offset`.
+
+        Outward normal N = cos α e + sin α t, along the flank a = cos α t - sin α e; the ratios are F·a/(-F·N) and
+        F·h/(-F·N).
+        """
+        (t, e, h), d = self._directions
+        tan = self.rod.taper_at(self.eq.s_contact)
+        cos, sin = 1.0 / math.hypot(1.0, tan), tan / math.hypot(1.0, tan)
+        maps = np.array(
+            [[-sin, -cos, 0.0], [cos, -sin, 0.0], [0.0, 0.0, 1.0]]
+        )  # inward normal, a, h, of [t, e, h]
+        axes = maps @ np.stack([t, e, h])
+        by_angle = maps @ np.stack([np.zeros(3), h, -e])
+        normal, *tangential = axes @ self.force
+        normal = max(normal, MIN_NORMAL * float(np.linalg.norm(self.force)), 1e-12)
+        ratio = np.array(tangential) / normal
+        by_rod = np.einsum("ij,jkl->ikl", maps, d)
+        moved = np.einsum("ikl,k->il", by_rod, self.force)
+        moved[:, 0:3] += axes
+        moved = np.column_stack([moved, maps @ self._by_root @ self.force, by_angle @ self.force])
+        D = (moved[1:] - ratio[:, None] * moved[0]) / normal
+        return ratio, D[:, :-2], D[:, -2], D[:, -1]
+
+
+def solve_touch(
+    rod: Rod, gravity: Array, force: Array, s: float, angle: float, tip: Array | None, couple: Array
+) -> tuple[Equilibrium, bool]:
+    """Solve for the rod under a force at a point of its deformed surface.
+
+    Args:
+        rod: the rod.
+        gravity: in base axes [m/s²], (3,).
+        force: in base axes [N], (3,).
+        s: arclength of the touched section [m].
+        angle: of the touched point about the tangent, from the section's x axis [rad].
+        tip: state of a neighbouring equilibrium, as the initial guess.
+        couple: initial guess [N·m], (3,).
+
+    Returns:
+        The equilibrium with all sensitivities, and whether it was found with its couple.
+    """
+    for _ in range(MAX_ITERATIONS):
+        eq = rod.solve(gravity, force, s, couple=couple, guess=tip, columns="all")
+        if not eq.ok:
+            return eq, False
+        touch = SurfaceTouch(rod, eq, force, angle, np.zeros((3, 3)))
+        if touch.converged:
+            return eq, True
+        couple, tip = touch.next_couple(), eq.tip
+    return eq, False
