@@ -103,7 +103,7 @@ def _rate(estimator: Estimator, spec: str, seconds: float, folder: Path, view: b
         if view:
             sinks.add(BrowserView(estimator, folder, CommandQueue(), print, counts=lambda: source.counts))
         for answer in estimate_stream(estimator, source, plan, print, sinks):
-            late.append(1e3 * (answer.made - answer.reading.received))
+            late.append(1e3 * (answer.computed - answer.reading.received))
             if len(late) % RARELY == 1:
                 memory.append(_resident())
     wall, cpu = time.monotonic() - wall, time.process_time() - cpu

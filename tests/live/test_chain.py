@@ -7,7 +7,7 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import pose
-from probedesign.estimation.detector import DRIFT_STEPS
+from probedesign.estimation.bias import WALK_STEPS
 from probedesign.live.poses.base_poses import BasePoses, open_poses
 from probedesign.live.poses.pose_sources import PoseListener, parse_pose_json
 from probedesign.live.poses.track import TimedPose, pose_from_matrix
@@ -280,7 +280,7 @@ def test_a_sample_at_its_limit_spoils_its_mean(estimator, motion):
 @pytest.mark.parametrize("seed", range(4))
 def test_a_bias_that_walks_is_no_touch(seed, estimator, motion):
     """As fast as the test for touches allows for: since the tare, and over a touch in which nothing could follow it."""
-    _, _, chain = run(estimator, touch(motion, walk=DRIFT_STEPS, seed=seed))
+    _, _, chain = run(estimator, touch(motion, walk=WALK_STEPS, seed=seed))
     assert len(chain.contacts) == 1 and chain.contacts[0].settled
 
 
