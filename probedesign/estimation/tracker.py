@@ -161,6 +161,10 @@ class Tracker:
         self._known: KnownBias | None = None
         self._last_sources: dict[bytes, ErrorSources] = {}
 
+    def restart(self) -> None:
+        """Discard the present touch: the base has leapt, and its readings no longer belong together."""
+        self._forget()
+
     @property
     def kept(self) -> int:
         """Return the number of keyframes of the present touch."""

@@ -25,7 +25,6 @@ from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.model import ProbeModel, covariance
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.live.processing.touches import BIAS_STEPS
 from probedesign.mapping.segmentation import TouchSegment
 
 MAX_STD_MM, MAX_STD_DEG = 10.0, 10.0
@@ -94,11 +93,14 @@ class BasePoseUncertainty:
         )
 
 
+BIAS_STEPS = 0.5
+"""Standard deviation of the bias, in steps of the sensor's resolution, without readings of the free probe next to the
+touch: what the assumed random walk makes in 100 s."""
 MIN_INFORMATION = 1e-9
 """Information on a common error source, relative to its prior, below which it is a rounding error."""
 UNKNOWN_BIAS_STEPS = 10.0
 """Standard deviation of the bias, in steps of the sensor's resolution, where readings of the free probe next to the
-touch determine it: practically unknown. An hour of the assumed random walk makes 3 (`detector.DRIFT_STEPS`)."""
+touch determine it: practically unknown. An hour of the assumed random walk makes 3 (`bias.WALK_STEPS`)."""
 NEVER_SETTLED = "never_settled"
 RESULT_MEANINGS: dict[str, str] = {
     **{str(result): meaning for result, meaning in RESULTS.items()},
