@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.coverage import SLIDE, TOUCHES, WITHIN_95, friction_of, paper_models
-from benchmarks.reference_rod import solve
 from benchmarks.reference_worlds import Priors, Sources, bound, nominal_free, presses, read, rms
 from benchmarks.timing import print_table
 from probedesign.core.frames import Array, inverse, wrench_map
@@ -31,6 +30,7 @@ from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.chain import Chain
 from probedesign.live.processing.control import ProcessingOptions, TareWindow
 from probedesign.live.processing.touches import Contact
+from tests.reference.cosserat import solve
 
 HOURS = 8.0
 WALK, RAMP = 0.05, 10.0 / 3600.0

@@ -12,8 +12,9 @@ MAX_MEAN_RATE = 500.0
 """Rate above which readings are single samples unless their noise shows that they are not [Hz]."""
 MIN_READINGS, MAX_READINGS, MAX_TIME = 8, 64, 1.0
 """Least and largest number of first readings that decide, and their duration [s]."""
-WHITE = -0.25
-"""Correlation of successive differences below which readings scatter by noise: -1/2 for noise, positive for a signal."""
+WHITE = -0.35
+"""Correlation of successive second differences below which readings scatter by noise: -2/3 for noise, positive for a
+slow signal."""
 NEAR = 2.0
 """Factor between the measured variance and that of single samples, or of the model's means, within which readings are
 taken for those: 64 readings measure it to 15 %."""
@@ -39,8 +40,8 @@ def readings_needed(time: Array) -> int:
 def choose_averaging(time: Array, wrench_sensor: Array, model: ProbeModel) -> Averaging:
     """Return how many readings are to be averaged for the noise that the model states.
 
-    The variance of the readings is measured by their successive differences, in which a slow signal does not show.
-    Where these do not scatter like noise, the rate decides.
+    The variance of the readings is measured by their second differences, in which a slow signal does not show. Where
+    these do not scatter like noise, the rate decides.
 
     Args:
         time: of the first readings [s], (n,).
@@ -53,10 +54,10 @@ def choose_averaging(time: Array, wrench_sensor: Array, model: ProbeModel) -> Av
     by_rate = most if rate > MAX_MEAN_RATE else 1
     if most == 1 or len(time) < MIN_READINGS:
         return Averaging(by_rate, "")
-    changes = np.diff(wrench_sensor, axis=0) / (math.sqrt(2.0) * model.noise.std)
-    power = float((changes * changes).sum())
-    variance = float(np.median(changes * changes)) / MEDIAN
-    white = power > 0.0 and float((changes[1:] * changes[:-1]).sum()) < WHITE * power
+    bends = np.diff(wrench_sensor, 2, axis=0) / (math.sqrt(6.0) * model.noise.std)
+    power = float((bends * bends).sum())
+    variance = float(np.median(bends * bends)) / MEDIAN
+    white = power > 0.0 and float((bends[1:] * bends[:-1]).sum()) < WHITE * power
     if not white or not variance > 0.0:
         return Averaging(by_rate, f"{rate:.4g} readings/s")
     if variance > most / NEAR:

@@ -33,7 +33,7 @@ from probedesign.live.processing.control import (
     without_bias,
 )
 from probedesign.live.processing.estimates import EstimateUpdate, locate
-from probedesign.live.processing.plausibility import FaultReport, PoseMonitor, SignalMonitor
+from probedesign.live.processing.plausibility import FaultReport, PoseMonitor, SignalMonitor, TravelCheck
 from probedesign.live.processing.touches import Contact, ContactHistory, TouchMonitor, TouchState
 
 
@@ -129,7 +129,8 @@ class Chain:
         self._zero_known = tare is not None or takes_tare or options.zero == "trusted"
         self._zero_reported = False
         self._signals = SignalMonitor(estimator.model, max(self.samples, 1), math.nan)
-        self._base, self._faults = PoseMonitor(), FaultReport(log)
+        self._base, self._travel = PoseMonitor(), TravelCheck()
+        self._faults, self._travel_faults = FaultReport(log), FaultReport(log)
         self._free = deque[AveragedBatch](maxlen=MAX_TARE_BATCHES)
         self._contacts = ContactHistory()
         self._monitor: TouchMonitor | None = None
@@ -274,6 +275,7 @@ class Chain:
         elif self._options.estimates:
             estimate = locate(self._estimator, reading, self.tare, self._options.method, drift)
             self._contacts.locate(estimate, self._state.phase)
+            self._check_travel(reading, estimate)
         T = None if self._poses is None else self._poses.at(reading.time)
         free_of_bias = without_bias(reading, self.tare).wrench_sensor
         excess = np.zeros(6) if drift is None else drift.excess
@@ -286,6 +288,24 @@ class Chain:
         return EstimateUpdate(
             reading, estimate, *self._state, pose, wrench, monotonic(), stale, self.contacts, excess
         )
+
+    def _check_travel(self, reading: WrenchReading, estimate: Estimate) -> None:
+        """Check the travel of the base in a touch; a touch that fails has no point in the world."""
+        T = None if self._poses is None or reading.fault else self._poses.at(reading.time)
+        if T is None or self._monitor is None:
+            return
+        if self._state.phase not in ("touching", "settled"):
+            self._travel.on_free(T)
+        else:
+            deflection = math.nan
+            if estimate.ok:
+                free = self._estimator.free(reading.gravity_base).p_at(estimate.s_contact)
+                deflection = float(np.linalg.norm(estimate.p_contact_base - free))
+            self._travel.on_contact(T, deflection)
+            self._contacts.refused = bool(self._travel.fault)
+            if self._contacts.refused:
+                self._state = self._state._replace(fused=FusedEstimate("inconsistent"))
+        self._travel_faults.update(reading.time, self._travel.fault)
 
     def _check_zero(self, reading: WrenchReading) -> None:
         """Check whether a reading without a tare is that of the free probe: then the sensor's own zero is right."""

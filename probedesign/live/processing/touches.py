@@ -189,10 +189,12 @@ class ContactHistory:
 
     Attributes:
         contacts: every touch, including the current one.
+        refused: whether the current touch contradicts the poses of the base: then it has no point in the world.
     """
 
     def __init__(self) -> None:
         self.contacts: tuple[Contact, ...] = ()
+        self.refused = False
         self._count = 0
 
     @property
@@ -208,8 +210,10 @@ class ContactHistory:
         if current is None:
             self._count += 1
             current = Contact(self._count, time)
-            self.contacts = (*self.contacts[1 - MAX_CONTACTS :], current)
-        if phase == "settled" or not current.settled:
+            self.contacts, self.refused = (*self.contacts[1 - MAX_CONTACTS :], current), False
+        if self.refused:
+            current = replace(current, fused=fused and FusedEstimate("inconsistent"))
+        elif phase == "settled" or not current.settled:
             current = replace(current, fused=fused or current.fused)
         self._replace_last(replace(current, settled=current.settled or phase == "settled"))
         return None
