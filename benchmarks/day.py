@@ -2,8 +2,8 @@
 
 Two parts, each in a process of its own. A free probe at the rate of a Net F/T box counts false touches of the contact
 test. And the whole chain of `live`, on means at a lower rate, gets touches of 10 mN at 0.6 of the length, simulated by
-the independent rod with every error source drawn anew for each: single ones, compared with the bound of a reading with a
-fresh tare, and presses from five poses, fused with the poses of the base.
+the independent rod with every error source drawn anew for each: single ones, compared with the bound of a reading with
+a fresh tare, and presses from five poses, fused with the poses of the base.
 """
 
 import math
@@ -34,7 +34,7 @@ from tests.reference.cosserat import solve
 
 HOURS = 8.0
 WALK, RAMP = 0.05, 10.0 / 3600.0
-"""Random walk of the bias in one second, and its ramp [1/s], in steps of the resolution, each channel to its own side."""
+"""Random walk and ramp of the bias in one second, in steps of the resolution; the ramp of a channel has either sign."""
 RATE, RATE_OF_BOX = 25.0, 7000.0
 """Of the means and of the samples [Hz]."""
 PLACE, NEWTONS = 0.6, 10e-3
@@ -74,7 +74,9 @@ def report(hours: float = HOURS) -> None:
         [f"the whole chain, {RATE:g} means/s", f"{false_means / hours:.2g}", "≤ 1"],
     ]
     print_table("False touches in an hour", ["", "measured", "target"], rows)
-    print(f"  {hours:g} h simulated in {time.monotonic() - began:.0f} s; bias: {WALK:g} steps/√s, {3600 * RAMP:g} steps/h")
+    print(
+        f"  {hours:g} h simulated in {time.monotonic() - began:.0f} s; bias: {WALK:g} steps/√s, {3600 * RAMP:g} steps/h"
+    )
 
 
 # False touches at full rate
@@ -87,11 +89,15 @@ def _false_alarms(hours: float) -> int:
     n, alarms, before = int(60.0 * RATE_OF_BOX), 0, "free"
     bias, sides = np.zeros(6), rng.choice([-1.0, 1.0], 6)
     for minute in range(round(60.0 * hours)):
-        walk = WALK / math.sqrt(RATE_OF_BOX) * np.cumsum(rng.standard_normal((n, 6), dtype=np.float32), axis=0)
+        walk = (
+            WALK / math.sqrt(RATE_OF_BOX) * np.cumsum(rng.standard_normal((n, 6), dtype=np.float32), axis=0)
+        )
         ramp = RAMP * (60.0 * minute + np.arange(n)[:, None] / RATE_OF_BOX) * sides
         steps = bias + walk
         bias = steps[-1]
-        states = np.array(detector.run((steps + ramp + rng.standard_normal((n, 6), dtype=np.float32)) @ root.T))
+        states = np.array(
+            detector.run((steps + ramp + rng.standard_normal((n, 6), dtype=np.float32)) @ root.T)
+        )
         touching = states == "contact"
         alarms += int((touching[1:] & ~touching[:-1]).sum() + (touching[0] and before != "contact"))
         before = str(states[-1])
@@ -226,7 +232,9 @@ def _touches(hours: float) -> tuple[list[Found], int]:
     """Return what became of each touch, and the number of contacts that are no touch."""
     model, rng = paper_models()["large"], np.random.default_rng(2)
     touches = _schedule(model, hours, rng)
-    chain = Chain(Estimator(model), ProcessingOptions(TARE, 1, rate=2.0), _poses(model, touches), lambda line: None)
+    chain = Chain(
+        Estimator(model), ProcessingOptions(TARE, 1, rate=2.0), _poses(model, touches), lambda line: None
+    )
     singles: dict[int, str] = {}
     contacts: dict[int, Contact] = {}
     for block in _blocks(model, touches, hours, rng):

@@ -45,10 +45,10 @@ def estimate(
         out: output file, CSV.
         force: replace an existing output file.
         tare_s: START:END of the tare in seconds after the first reading. The probe must be free then.
-        tare: without --tare-s: auto takes the first second at rest, when the probe must be free; none trusts the sensor's
-            own zero, taken without the probe. Default: that zero only if readings agree with the free probe.
-        average: number of readings per mean; each mean is one estimate. Default: by rate and noise of the first readings,
-            so that a mean has the noise that BUNDLE states.
+        tare: without --tare-s: auto takes the first second at rest, when the probe must be free; none trusts the
+            sensor's own zero, taken without the probe. Default: that zero only if readings agree with the free probe.
+        average: number of readings per mean; each mean is one estimate. Default: by rate and noise of the first
+            readings, so that a mean has the noise that BUNDLE states.
         mend: continue with a recording that lacks lines or its end.
         topic: topic of the wrenches in a bag that has several.
         moment_unit: unit of the moments in a bag whose publisher does not use N·m.
@@ -72,9 +72,7 @@ def estimate(
     with show_progress("loading the rod kernels"):
         warm_up(estimator, print_note)
     options = RecordingOptions(topic, moment_unit=moment_unit, other_probe=other_probe)
-    estimates = pipeline.estimate(
-        estimator, recording, window, average, method, mend, options, _track, zero
-    )
+    estimates = pipeline.estimate(estimator, recording, window, average, method, mend, options, _track, zero)
     for note in estimates.notes:
         print_note(note)
     if out is not None:

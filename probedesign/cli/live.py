@@ -57,10 +57,10 @@ def live(
         record: record everything to NAME.mcap, or raw readings to NAME.csv.
         force: replace an existing recording.
         tare_s: START:END of the tare in seconds after the first reading. The probe must be free then.
-        tare: without --tare-s: auto takes the first second at rest, when the probe must be free; none trusts the sensor's
-            own zero, taken without the probe. Default: that zero only if readings agree with the free probe.
-        average: number of readings per mean; each mean is one estimate. Default: by rate and noise of the first readings,
-            so that a mean has the noise that BUNDLE states.
+        tare: without --tare-s: auto takes the first second at rest, when the probe must be free; none trusts the
+            sensor's own zero, taken without the probe. Default: that zero only if readings agree with the free probe.
+        average: number of readings per mean; each mean is one estimate. Default: by rate and noise of the first
+            readings, so that a mean has the noise that BUNDLE states.
         filter_hz: cutoff frequency (-3 dB) of a low-pass filter before the estimates [Hz]; its delay is printed.
         pose: poses of the base: fixed, FILE.csv or .jsonl, a ROS 2 bag (BAG?topic=/pose or BAG?world=map&base=probe)
             or udp://:PORT (JSON). With poses, touches are fused to points of the world.
@@ -91,7 +91,9 @@ def live(
     from probedesign.live.sources.source import open_source
 
     window, zero = parse_tare(tare_s, tare)
-    processing = ProcessingOptions(window, average, rate_hz, count, seconds, filter_hz, method=method, zero=zero)
+    processing = ProcessingOptions(
+        window, average, rate_hz, count, seconds, filter_hz, method=method, zero=zero
+    )
     estimator = pipeline.load_estimator(bundle, manifest, exact_model, friction)
     settings = {
         "source": source,

@@ -138,7 +138,9 @@ class BiasFilter:
         walk: variance of the bias after one second [steps²/s].
     """
 
-    def __init__(self, walk_steps: float, start_steps: float, sample_variance: float, rate: float) -> None:
+    def __init__(
+        self, walk_steps: float, start_steps: float, sample_variance: float, rate: float, block: int
+    ) -> None:
         """Start with a bias of zero, as after a tare.
 
         Args:
@@ -146,7 +148,9 @@ class BiasFilter:
             start_steps: standard deviation of the bias, in the same steps.
             sample_variance: noise of a sample [steps²].
             rate: of samples [Hz].
+            block: number of samples of a block.
         """
+        self._block, self._sum, self._count = block, np.zeros(6), 0
         self.walk = walk_steps**2
         ramp = RAMP_STEPS**2 if walk_steps > 0.0 else 0.0
         self.state = BiasState(
@@ -160,7 +164,9 @@ class BiasFilter:
         t = float(s.clock[NOW] - s.clock[AT])
         b, c, r = s.cov.tolist()
         variance = b + t * (2.0 * c + self.walk) + t * t * r
-        return KnownBias(s.mean[BIAS] + t * s.mean[RATE], s.mean[RATE].copy(), math.sqrt(variance), (c + t * r, r))
+        return KnownBias(
+            s.mean[BIAS] + t * s.mean[RATE], s.mean[RATE].copy(), math.sqrt(variance), (c + t * r, r)
+        )
 
     def rest(self, seconds: float) -> None:
         """Account for time without samples [s]."""
@@ -168,10 +174,16 @@ class BiasFilter:
         self.drop_waiting()
 
     def drop_waiting(self) -> None:
-        """Drop the block that waits: a contact was detected, or readings are missing after it."""
-        self.state.waiting[WAITING_COUNT] = 0.0
+        """Drop the samples that wait: a contact was detected, or readings are missing after them."""
+        self.state.clock[NOW] += self._count * self.state.constants[PERIOD]
+        self.state.waiting[WAITING_COUNT] = self._count = 0
+        self._sum = np.zeros(6)
 
-    def add(self, block: Array, count: float) -> None:
-        """Add the mean of the last samples, of the free probe less its wrench [N, N·m], (6,)."""
-        self.state.clock[NOW] += count * self.state.constants[PERIOD]
-        add_block(*self.state, block, count)
+    def add(self, sample: Array) -> None:
+        """Add a sample of the free probe less its wrench [N, N·m], (6,), where no contact test does it."""
+        self._sum = self._sum + sample
+        self._count += 1
+        if self._count == self._block:
+            self.state.clock[NOW] += self._count * self.state.constants[PERIOD]
+            add_block(*self.state, self._sum / self._count, float(self._count))
+            self._sum, self._count = np.zeros(6), 0

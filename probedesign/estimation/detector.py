@@ -244,7 +244,7 @@ class Detector:
         samples = averaging if self.samples is None else self.samples
         walk = Tolerances.of(self.model).walk_steps if self.walk_steps is None else self.walk_steps
         self.bias_filter = BiasFilter(
-            walk / math.sqrt(WALK_SECONDS), self.start_steps, samples / averaging, self.rate
+            walk / math.sqrt(WALK_SECONDS), self.start_steps, samples / averaging, self.rate, self.lengths[-1]
         )
         whiten = np.linalg.inv(np.linalg.cholesky(self.model.noise_base() * samples))
         self._state = DetectorState.fresh(
@@ -273,7 +273,9 @@ class Detector:
         sample = np.ascontiguousarray(wrench, dtype=float)
         if sample.shape != (6,):
             raise InputError(f"wrench has shape {sample.shape}; it must be (6,)")
-        return _STATES[int(advance(sample[None], *self._state, *self.bias_filter.state, np.empty(1, dtype=np.int64)))]
+        return _STATES[
+            int(advance(sample[None], *self._state, *self.bias_filter.state, np.empty(1, dtype=np.int64)))
+        ]
 
     def run(self, wrenches: ArrayLike) -> list[Touching]:
         """Process many samples, (n, 6)."""
@@ -322,4 +324,3 @@ class Detector:
         return math.sqrt(float(self._state.thresholds[longest]) / lengths[longest]) / float(
             np.linalg.norm(per_newton)
         )
-

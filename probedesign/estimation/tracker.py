@@ -101,11 +101,11 @@ class Tracker:
         model = self.estimator.model
         self._priors = self.priors or self.estimator.priors
         samples = model.averaging_samples if self.samples is None else self.samples
+        priors = self._priors
         self._detector = Detector(
-            model, self.rate, samples=samples, walk_steps=self._priors.walk_steps, start_steps=self._priors.drift_steps
+            model, self.rate, samples=samples, walk_steps=priors.walk_steps, start_steps=priors.drift_steps
         )
         self._followed = self.bias or self._detector.bias_filter
-        self._free_sum, self._free_count = np.zeros(6), 0
         self._channels = channels_of(model, self.moments_about if self.moments_only else None)
         self._moments = self.moments_about if self.moments_only else None
         sample, step = model.noise_base() * samples, model.noise_base() * model.averaging_samples
@@ -116,7 +116,7 @@ class Tracker:
         self._gravity = np.empty(3)
         self._axes = across(self._gravity_world)
         self._walk = self._priors.walk_steps**2 / WALK_SECONDS
-        self._walk_of_samples = self._walk * model.averaging_samples / samples
+        self._walk_rate = self._walk * model.averaging_samples / samples
         self._apart = max(_APART, 3.0 * self._priors.robot_mm * MM)
         self._tared: ErrorSources | None
         self._memory()
@@ -203,7 +203,7 @@ class Tracker:
             self._release(wrench - free.wrench_base, lost=state == "lost", followed=touching is None)
             return FusedEstimate("no_contact")
         if self._known is None:
-            self._drop_free()
+            self._followed.drop_waiting()
             self._known, self._began = self._followed.known(), self._time
         self._place(wrench - self._known.after(self._time - self._began), T)
         return self._solve() if self._x is not None else self._begin()
@@ -214,19 +214,8 @@ class Tracker:
         """Take in a free reading, less the wrench of the free probe; `followed`: the contact test has used it."""
         if lost or self._kept:
             self._forget()
-        if followed or self.bias is not None:
-            return
-        self._free_sum = self._free_sum + beyond
-        self._free_count += 1
-        if self._free_count == self._detector.lengths[-1]:
-            self._followed.add(self._free_sum / self._free_count, self._free_count)
-            self._free_sum, self._free_count = np.zeros(6), 0
-
-    def _drop_free(self) -> None:
-        """Drop the free readings that the bias has not followed yet: they may belong to the touch."""
-        if self.bias is None:
-            self._followed.rest(self._free_count / self.rate)
-            self._free_sum, self._free_count = np.zeros(6), 0
+        if not followed and self.bias is None:
+            self._followed.add(beyond)
 
     def _sources_at(self, T: Array) -> ErrorSources:
         """Return the error sources under the present gravity; the sensor counts as tared where the touch began."""
@@ -324,7 +313,7 @@ class Tracker:
         self._ramp[frame.slot] = k / (len(self._kept) - 1) if len(self._kept) > 1 else 1.0
         keyframe_kernel.reduce_keyframe(
             frame.touch, frame.lin, frame.D, frame.wrench, frame.T, self._channels,
-            math.sqrt(frame.weight(self._walk_of_samples)) * self._whiten, self._step_of_bias, self.estimator.model.friction,
+            math.sqrt(frame.weight(self._walk_rate)) * self._whiten, self._step_of_bias, self.estimator.model.friction,
             COMMON_FRICTION, self._priors.robot_mm * MM, self._scatter, self._creep, self._ramp[frame.slot],
             self._block, frame.local, frame.reduced,
         )  # fmt: skip
@@ -340,9 +329,8 @@ class Tracker:
         return order, np.maximum(walk, 0.0), self._start_of(frames[0])
 
     def _start_of(self, first: Keyframe) -> float:
-        """Return the standard deviation of the bias at the first keyframe [steps].
-
-        The mean of a walk over T has the variance q T/3; `Keyframe.weight` has q T/12 of it.
+        """Return the standard deviation of the bias at the first keyframe [steps]: the mean of a walk over T has the
+        variance q T/3, and `Keyframe.weight` has q T/12 of it.
         """
         return math.sqrt(self._variance_at(first.began + 0.25 * first.span))
 
@@ -482,8 +470,8 @@ class Tracker:
     def _batch(self) -> tuple[Fusion, Array]:
         """Return the keyframes as one batch, and their touches, (k, TOUCH)."""
         readings = [
-            Reading(frame.wrench.copy(), self._sample / frame.weight(self._walk_of_samples), frame.T, frame.sources.gravity, True,
-                    frame.time)
+            Reading(frame.wrench.copy(), self._sample / frame.weight(self._walk_rate), frame.T, frame.sources.gravity,
+                    True, frame.time)
             for frame in self._kept
         ]  # fmt: skip
         touches, first, last = [frame.touch for frame in self._kept], self._kept[0].time, self._kept[-1].time

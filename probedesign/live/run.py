@@ -297,7 +297,9 @@ def estimate_recording(
     if tare is None and zero == "auto":
         tare = find_rest(readings, estimator)
     trusted: Zero = "trusted" if zero == "trusted" or _any_free(estimator, readings) else "checked"
-    chain = Chain(estimator, ProcessingOptions(samples=samples, method=method, zero=trusted), None, lines.append, tare)
+    chain = Chain(
+        estimator, ProcessingOptions(samples=samples, method=method, zero=trusted), None, lines.append, tare
+    )
     updates = chain_updates(chain, blocks)
     rows = [
         estimate_row(update.reading, update.estimate)
@@ -320,7 +322,9 @@ def _any_free(estimator: Estimator, readings: list[WrenchReading]) -> bool:
     """Return whether a reading agrees with the free probe without a tare."""
     model = estimator.model
     return any(
-        not estimator.detects(model.to_base(reading.wrench_sensor, reading.gravity_base), reading.gravity_base)
+        not estimator.detects(
+            model.to_base(reading.wrench_sensor, reading.gravity_base), reading.gravity_base
+        )
         for reading in readings
         if not reading.fault and estimator.free(reading.gravity_base).ok
     )

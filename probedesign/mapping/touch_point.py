@@ -227,7 +227,9 @@ def locate_touch(
         return LocatedTouch(segment, "not_converged")
     _chi2, _x, cov = state.solved(fusion.priors)
     point = ConditionalPoint.from_fusion(state, fused.cov_surface_world - cov)
-    if not np.linalg.eigvalsh(point.cov)[0] > 0.0:  # the readings leave a direction open, or contradict each other
+    if (
+        not np.linalg.eigvalsh(point.cov)[0] > 0.0
+    ):  # a direction is open, or the readings contradict each other
         return LocatedTouch(segment, "not_converged")
     forces = np.linalg.norm(fused.force_base, axis=1)
     strongest = int(np.argmax(forces))

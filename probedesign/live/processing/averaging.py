@@ -64,4 +64,6 @@ def choose_averaging(time: Array, wrench_sensor: Array, model: ProbeModel) -> Av
         return Averaging(most, "the readings scatter like single samples")
     if variance < NEAR:
         return Averaging(1, "the readings scatter like means")
-    return Averaging(round(variance), f"the readings scatter by {math.sqrt(variance):.2g} times the stated noise")
+    return Averaging(
+        round(variance), f"the readings scatter by {math.sqrt(variance):.2g} times the stated noise"
+    )

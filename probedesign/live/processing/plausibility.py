@@ -28,8 +28,8 @@ MAX_NOISE, MIN_NOISE = 4.0, 0.02
 """Limits of the measured noise over the stated one. Beyond the upper one, free readings count as touches; the lower one
 is that of values in a unit a thousand times too large, or of a filter far below the rate of the readings."""
 MIN_NOISE_RATE = 150.0
-"""Rate below which noise is not separated from motion, so that only too little noise is a fault [Hz]: second differences
-of a sway at 5 Hz by 3 mN at mid-length reach the stated noise of means at 150 Hz."""
+"""Rate below which noise is not separated from motion, so that only too little noise is a fault [Hz]: second
+differences of a sway at 5 Hz by 3 mN at mid-length reach the stated noise of means at 150 Hz."""
 MAX_CLOCK_LEAP = 0.5
 """Largest lead of the sensor's clock over its arrival that is no leap [s]. A reading that waited arrives late, never
 early."""
@@ -76,7 +76,12 @@ class SignalMonitor:
             return block.fault
         rows, time = block.wrench_sensor, block.time
         if block.stretch != self._stretch:
-            self._stretch, self._in_window, self._next_noise, self._noise_fault = block.stretch, 0, math.nan, ""
+            self._stretch, self._in_window, self._next_noise, self._noise_fault = (
+                block.stretch,
+                0,
+                math.nan,
+                "",
+            )
             self._window.clear()
         leap = self._clock_leap(time, block.received)
         beyond = ~(np.abs(rows) <= self._limit)
@@ -109,7 +114,7 @@ class SignalMonitor:
             self._same_count[:], self._same_since[:] = 1.0, time[-1]
             return ""
         frozen = 0
-        for identical in same.all(axis=1).tolist():
+        for identical in np.logical_and.reduce(same, axis=1).tolist():
             self._repeats = self._repeats + 1 if identical else 1
             frozen = max(frozen, self._repeats)
         if frozen >= FROZEN_READINGS:
@@ -145,9 +150,13 @@ class SignalMonitor:
         if usual.max() > MAX_NOISE and self._rate >= MIN_NOISE_RATE:
             channel = int(np.argmax(usual))
             hint = "; readings are not averaged?" if self._samples == 1 else ""
-            self._noise_fault = f"{CHANNELS[channel]} scatters by {usual[channel]:.2g} times its stated noise{hint}"
+            self._noise_fault = (
+                f"{CHANNELS[channel]} scatters by {usual[channel]:.2g} times its stated noise{hint}"
+            )
         elif size.max() < MIN_NOISE:
-            self._noise_fault = f"readings scatter by {size.max():.1g} times their stated noise; a wrong unit?"
+            self._noise_fault = (
+                f"readings scatter by {size.max():.1g} times their stated noise; a wrong unit?"
+            )
 
 
 class PoseMonitor:
