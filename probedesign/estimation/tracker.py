@@ -324,9 +324,8 @@ class Tracker:
         """
         frames = [frame for frame in self._kept if frame.known]
         variances = np.array([self._variance_at(frame.time) for frame in frames])
-        walk = np.diff(variances, prepend=variances[:1])
-        order = np.array([frame.slot for frame in frames], dtype=np.int64)
-        return order, np.maximum(walk, 0.0), self._start_of(frames[0])
+        walk, order = np.diff(variances, prepend=variances[:1]), [frame.slot for frame in frames]
+        return np.array(order, dtype=np.int64), np.maximum(walk, 0.0), self._start_of(frames[0])
 
     def _start_of(self, first: Keyframe) -> float:
         """Return the standard deviation of the bias at the first keyframe [steps]: the mean of a walk over T has the
