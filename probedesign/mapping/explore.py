@@ -102,7 +102,7 @@ def check_poses(poses: BasePoses | None, span: tuple[float, float] | None) -> Ba
     if span is not None and times:
         p = np.array([pose.p for pose in poses.track.spanning(*span)])
         extent = float(np.ptp(p, axis=0).max())
-        if extent < MIN_EXTENT:
+        if 0.0 < extent < MIN_EXTENT:  # without any motion it is a base at rest
             raise InputError(
                 f"the base moves by {1e3 * extent:.2g} mm in all of the recording, too little for touches of several "
                 "points; are its positions in metres instead of millimetres?"
