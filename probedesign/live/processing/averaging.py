@@ -53,7 +53,7 @@ def choose_averaging(time: Array, wrench_sensor: Array, model: ProbeModel) -> Av
     rate = 1.0 / step if step > 0.0 else math.inf
     by_rate = most if rate > MAX_MEAN_RATE else 1
     if most == 1 or len(time) < MIN_READINGS:
-        return Averaging(by_rate, "")
+        return Averaging(by_rate, f"{rate:.4g} readings/s")
     bends = np.diff(wrench_sensor, 2, axis=0) / (math.sqrt(6.0) * model.noise.std)
     power = float((bends * bends).sum())
     variance = float(np.median(bends * bends)) / MEDIAN

@@ -206,10 +206,8 @@ class Chain:
         needed = readings_needed(time) or len(time)
         chosen = choose_averaging(time[:needed], wrench[:needed], self._estimator.model)
         self.samples = chosen.samples
-        if chosen.reason:
-            self._log(
-                f"{chosen.reason}: {self.samples} {'is' if self.samples == 1 else 'are'} averaged to one"
-            )
+        if chosen.samples > 1:
+            self._log(f"{chosen.reason}: {chosen.samples} are averaged to one")
         self._batches = BatchAverager(self.samples)
         for block in self._undecided:
             self._waiting.extend(self._batches.add(block))
