@@ -297,9 +297,8 @@ def estimate_recording(
     if tare is None and zero == "auto":
         tare = find_rest(readings, estimator)
     trusted: Zero = "trusted" if zero == "trusted" or _any_free(estimator, readings) else "checked"
-    chain = Chain(
-        estimator, ProcessingOptions(samples=samples, method=method, zero=trusted), None, lines.append, tare
-    )
+    processing = ProcessingOptions(samples=samples, method=method, zero=trusted, touches=False)
+    chain = Chain(estimator, processing, None, lines.append, tare)
     updates = chain_updates(chain, blocks)
     rows = [
         estimate_row(update.reading, update.estimate)

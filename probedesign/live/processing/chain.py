@@ -235,7 +235,7 @@ class Chain:
     def _reset_monitor(self) -> None:
         self._monitor = TouchMonitor(
             self._estimator, self._contacts, self._rate, self.samples, self._poses, self._log,
-            self._options.estimates,
+            self._options.estimates and self._options.touches,
         )  # fmt: skip
 
     def _step(self, batch: AveragedBatch, ready: float) -> Iterator[EstimateUpdate]:

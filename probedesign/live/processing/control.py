@@ -232,6 +232,7 @@ class ProcessingOptions:
         filter_hz: cut-off frequency of the low-pass filter before each estimate; None does not filter.
         method: method by which a single reading is located.
         zero: what stands for a tare without a window.
+        touches: whether touches are reported, and fused where poses are known.
         estimates: whether contacts are located as readings arrive; otherwise only phases and touches are reported.
     """
 
@@ -244,6 +245,7 @@ class ProcessingOptions:
     estimates: bool = True
     method: Method = "ml"
     zero: Zero = "checked"
+    touches: bool = True
 
     def __post_init__(self) -> None:
         """Check the numbers; raises InputError if one is not positive."""
