@@ -109,23 +109,21 @@ class SignalMonitor:
         same[0] = rows[0] == self._last
         np.equal(rows[1:], rows[:-1], out=same[1:])
         self._last = rows[-1]
-        if not same.any():
+        frozen, identical = 0, np.logical_and.reduce(same, axis=1)
+        if identical.any():
+            for one in identical.tolist():
+                self._repeats = self._repeats + 1 if one else 1
+                frozen = max(frozen, self._repeats)
+        else:
             self._repeats = 1
-            self._same_count[:], self._same_since[:] = 1.0, time[-1]
-            return ""
-        frozen = 0
-        for identical in np.logical_and.reduce(same, axis=1).tolist():
-            self._repeats = self._repeats + 1 if identical else 1
-            frozen = max(frozen, self._repeats)
         if frozen >= FROZEN_READINGS:
             return f"frozen: {frozen} readings in a row are identical"
-        for channel in range(6):
-            changed = np.flatnonzero(~same[:, channel])
-            if len(changed):
-                i = int(changed[-1])
-                self._same_count[channel], self._same_since[channel] = len(rows) - i, time[i]
-            else:
-                self._same_count[channel] += len(rows)
+        # A channel that changes within a batch counts from its end on.
+        constant = np.logical_and.reduce(same, axis=0)
+        self._same_count = np.where(constant, self._same_count + len(rows), 1.0)
+        self._same_since = np.where(constant, self._same_since, time[-1])
+        if not constant.any():
+            return ""
         lasting = time[-1] - self._same_since
         dead = (lasting >= DEAD_TIME) & (self._same_count >= DEAD_READINGS)
         if dead.any():
