@@ -8,7 +8,7 @@ from benchmarks.timing import print_machine
 
 PARTS = ("rod", "peak", "start", "estimation", "detection", "prints", "identify", "pictured", "validation", "planning",
          "prediction", "optimisation", "sweep", "export", "live", "recording", "view",
-         "studio", "explore", "coverage")  # fmt: skip
+         "studio", "day", "explore", "coverage")  # fmt: skip
 """Modules, each imported when its turn comes: worker processes import this one again."""
 
 
@@ -17,6 +17,7 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks")
     parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; all if none is named")
     parser.add_argument("--minutes", type=float, help="how long live streams, default a third of a minute")
+    parser.add_argument("--hours", type=float, help="day: how long it is, default 8")
     parser.add_argument("--view", action="store_true", help="live with the page of live --view")
     parser.add_argument("--foxglove", action="store_true", help="live with the server of live --foxglove")
     parser.add_argument("--draws", type=int, help="coverage: single touches a row")
@@ -34,6 +35,8 @@ def main(arguments: list[str]) -> int:
         given: dict[str, object] = {}
         if name == "live":
             given = {"minutes": args.minutes, "view": args.view or None, "foxglove": args.foxglove or None}
+        elif name == "day":
+            given = {"hours": args.hours}
         elif name == "coverage":
             given = {"draws": args.draws, "only": args.only, "bounds_only": args.bounds or None,
                      "as_json": args.json or None, "workers": args.workers}  # fmt: skip

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from probedesign.live import Log
     from probedesign.live.outputs.sinks import Sink
     from probedesign.live.poses.base_poses import BasePoses
-    from probedesign.live.processing.control import CommandQueue, ProcessingOptions, TareWindow
+    from probedesign.live.processing.control import CommandQueue, ProcessingOptions, TareWindow, Zero
     from probedesign.live.processing.estimates import EstimateUpdate
     from probedesign.live.run import Progress, RecordingEstimates
     from probedesign.live.sources.replay import RecordingOptions
@@ -219,16 +219,17 @@ def estimate(
     estimator: "Estimator",
     recording: Path,
     window: "TareWindow | None",
-    average: int,
+    average: int | None,
     method: "Method",
     mend: bool,
     options: "RecordingOptions",
     progress: "Progress" = iter,
+    zero: "Zero" = "checked",
 ) -> "RecordingEstimates":
     """Locate the contacts of a recording; for the arguments see `estimate_recording`."""
     from probedesign.live.run import estimate_recording
 
-    return estimate_recording(estimator, recording, window, average, progress, mend, options, method)
+    return estimate_recording(estimator, recording, window, average, progress, mend, options, method, zero)
 
 
 def live(

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from probedesign.cli.console import print_json, print_note, show_progress
-from probedesign.cli.options import JsonOutput, Method
+from probedesign.cli.options import JsonOutput, Method, Tare
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, write_atomically
 
@@ -22,7 +22,8 @@ def estimate(
     out: Path | None = None,
     force: bool = False,
     tare_s: str | None = None,
-    average: int = 1,
+    tare: Tare | None = None,
+    average: int | None = None,
     mend: bool = False,
     topic: str = "",
     moment_unit: Literal["Nm", "Nmm"] = "Nm",
@@ -44,7 +45,10 @@ def estimate(
         out: output file, CSV.
         force: replace an existing output file.
         tare_s: START:END of the tare in seconds after the first reading. The probe must be free then.
-        average: number of readings per mean; each mean is one estimate.
+        tare: without --tare-s: auto takes the first second at rest, when the probe must be free; none trusts the
+            sensor's own zero, taken without the probe. Default: that zero only if readings agree with the free probe.
+        average: number of readings per mean; each mean is one estimate. Default: by rate and noise of the first
+            readings, so that a mean has the noise that BUNDLE states.
         mend: continue with a recording that lacks lines or its end.
         topic: topic of the wrenches in a bag that has several.
         moment_unit: unit of the moments in a bag whose publisher does not use N·m.
@@ -58,18 +62,18 @@ def estimate(
         as_json: print one JSON document with the rows and their metadata.
     """
     from probedesign import pipeline
-    from probedesign.live.processing.control import parse_window
+    from probedesign.live.processing.control import parse_tare
     from probedesign.live.run import describe_counts, warm_up
     from probedesign.live.sources.replay import RecordingOptions, check_readable
 
     _check_out(out, recording, force)
     check_readable(recording)
-    window = parse_window(tare_s) if tare_s is not None else None
+    window, zero = parse_tare(tare_s, tare)
     estimator = pipeline.load_estimator(bundle, manifest, exact_model, friction)
     with show_progress("loading the rod kernels"):
         warm_up(estimator, print_note)
     options = RecordingOptions(topic, moment_unit=moment_unit, other_probe=other_probe)
-    estimates = pipeline.estimate(estimator, recording, window, average, method, mend, options, _track)
+    estimates = pipeline.estimate(estimator, recording, window, average, method, mend, options, _track, zero)
     for note in estimates.notes:
         print_note(note)
     if out is not None:

@@ -8,7 +8,7 @@ from threading import Event
 from typing import TYPE_CHECKING
 
 from probedesign.cli.console import interrupt_on_termination
-from probedesign.cli.options import JsonOutput, Method
+from probedesign.cli.options import JsonOutput, Method, Tare
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
@@ -26,7 +26,8 @@ def live(
     split_minutes: float | None = None,
     force: bool = False,
     tare_s: str | None = None,
-    average: int = 1,
+    tare: Tare | None = None,
+    average: int | None = None,
     filter_hz: float | None = None,
     pose: str = "fixed",
     pose_latency_ms: float = 0.0,
@@ -63,7 +64,10 @@ def live(
         split_minutes: the same after this many minutes.
         force: replace an existing recording.
         tare_s: START:END of the tare in seconds after the first reading. The probe must be free then.
-        average: number of readings per mean; each mean is one estimate.
+        tare: without --tare-s: auto takes the first second at rest, when the probe must be free; none trusts the
+            sensor's own zero, taken without the probe. Default: that zero only if readings agree with the free probe.
+        average: number of readings per mean; each mean is one estimate. Default: by rate and noise of the first
+            readings, so that a mean has the noise that BUNDLE states.
         filter_hz: cutoff frequency (-3 dB) of a low-pass filter before the estimates [Hz]; its delay is printed.
         pose: poses of the base: fixed, FILE.csv or .jsonl, a ROS 2 bag (BAG?topic=/pose or BAG?world=map&base=probe),
             udp://:PORT, tf://WORLD/BASE, ur://HOST or franka://HOST. With poses, touches are fused to points of the
@@ -97,17 +101,20 @@ def live(
     from probedesign.live.outputs.sinks import SinkGroup, StderrSink
     from probedesign.live.poses.base_poses import open_poses
     from probedesign.live.processing.command_inputs import open_inputs
-    from probedesign.live.processing.control import CommandQueue, ProcessingOptions, parse_window
+    from probedesign.live.processing.control import CommandQueue, ProcessingOptions, parse_tare
     from probedesign.live.run import warm_up
     from probedesign.live.sources.source import open_source
 
-    window = parse_window(tare_s) if tare_s is not None else None
-    processing = ProcessingOptions(window, average, rate_hz, count, seconds, filter_hz, method=method)
+    window, zero = parse_tare(tare_s, tare)
+    processing = ProcessingOptions(
+        window, average, rate_hz, count, seconds, filter_hz, method=method, zero=zero
+    )
     estimator = pipeline.load_estimator(bundle, manifest, exact_model, friction)
     settings = {
         "source": source,
         "tare_s": tare_s or "",
-        "average": str(average),
+        "tare": tare or "",
+        "average": "" if average is None else str(average),
         "rate_hz": f"{rate_hz:g}",
         "exact_model": str(exact_model).lower(),
         "method": method,

@@ -27,6 +27,8 @@ JsonOutput = Annotated[bool, Parameter(name="--json")]
 """The option --json of a command."""
 Method = Literal["ml", "force_moment", "paper"]
 """Values of --method."""
+Tare = Literal["auto", "none"]
+"""Values of --tare."""
 Origin = Literal["sensor", "base"]
 _LIST: dict[str, Any] = {"negative": (), "consume_multiple": True}
 
@@ -99,8 +101,11 @@ class ReadingOptions:
 
     tare_s: str | None = None
     """START:END of the tare in seconds after the first reading. The probe must be free then."""
-    average: int = 1
-    """Number of readings per mean."""
+    tare: Tare | None = None
+    """Instead of --tare-s: auto takes the first second at rest, when the probe must be free."""
+    average: int | None = None
+    """Number of readings per mean. Default: by rate and noise of the first readings, so that a mean has the noise that
+    BUNDLE states."""
     seconds: float | None = None
     """End this many seconds after the first reading."""
     source: str | None = None
@@ -120,18 +125,17 @@ class ReadingOptions:
         Raises:
             InputError: there is no input, or more than one; there is no tare; or a value is out of range.
         """
-        from probedesign.live.processing.control import ProcessingOptions, parse_window
+        from probedesign.live.processing.control import ProcessingOptions, parse_tare
 
         if (recording is None) == (self.source is None):
             raise InputError("explore needs either a recording or --source for a live run, not both")
-        if self.tare_s is None:
+        if self.tare_s is None and self.tare is None:
             raise InputError(
                 "explore needs a tare to separate touches from the sensor's bias. "
-                "Add --tare-s START:END, a time when the probe is free"
+                "Add --tare-s START:END, a time when the probe is free, or --tare auto"
             )
-        return ProcessingOptions(
-            parse_window(self.tare_s), self.average, seconds=self.seconds, estimates=False
-        )
+        window, zero = parse_tare(self.tare_s, self.tare)
+        return ProcessingOptions(window, self.average, seconds=self.seconds, estimates=False, zero=zero)
 
     def open(
         self, recording: Path | None, model: "ProbeModel", poses: "BasePoses", log: Callable[[str], None]

@@ -6,8 +6,8 @@ moves. Its squared length is Hotelling's
 
     T² = zᵀ S⁻¹ z,   (ν - 5)/(6 ν) T² ~ F(6, ν - 5),
 
-and its threshold gives one false alarm in `hours_between_alarms`, over all lengths together. A drifting bias is tracked
-while the probe is free. The arithmetic is compiled and takes a bounded time per sample.
+and its threshold gives one false alarm in `hours_between_alarms`, over all lengths together. The bias is followed while
+the probe is free (`bias`). The arithmetic is compiled and takes a bounded time per sample.
 """
 
 import math
@@ -21,7 +21,21 @@ from scipy.stats import f as fisher
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
+from probedesign.estimation.bias import (
+    AT,
+    BIAS,
+    BLOCK_TIME,
+    NOW,
+    PERIOD,
+    RATE,
+    SAMPLE,
+    WAITING_COUNT,
+    BiasFilter,
+    observe_block,
+    variance_now,
+)
 from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.rod.kernels import inner, kernel
 from probedesign.rod.kernels.linalg import forward
 
@@ -29,46 +43,39 @@ LENGTHS = (1, 4, 16, 64, 256, 1024)
 """Samples of each mean."""
 RATIO = 4
 FREE, CONTACT, LOST, INVALID = 0, 1, 2, 3
-STATE_NOW, DETECTED_BY, BIAS_VARIANCE, WALK = 0, 1, 2, 3
+STATE_NOW, DETECTED_BY = 0, 1
 
 
 class DetectorState(NamedTuple):
-    """State of the test between samples; arrays by length are in the order of `LENGTHS`.
+    """State of the test between samples; arrays by length are in the order of `LENGTHS`, as many as are in use.
 
     Attributes:
         whiten: of a sample, (6, 6).
-        thresholds: of T² for each length, (6,).
+        thresholds: of T² for each length, (k,).
         released: T² below which a touch is over.
-        gain: of the bias.
         prior_weight: weight of the identity in the covariances, and the number of means that they average over.
-        state: the last code, the index of the length that detected the contact, the variance of the bias since it was
-            last tracked, and its increase per sample, both over the variance of a sample, (4,).
-        bias: whitened, (6,).
-        sums: running sums for each length, (6, 6); counts: number of parts in them, (6,).
-        scatter: Cholesky factor of S for each length, (6, 6, 6); moments: what S is made from, (6, 6, 6).
+        state: the last code, and the index of the length that detected the contact, (2,).
+        sums: running sums of whitened samples for each length, (k, 6); counts: number of parts in them, (k,).
+        scatter: Cholesky factor of S for each length, (k, 6, 6); moments: what S is made from, (k, 6, 6).
     """
 
     whiten: Array
     thresholds: Array
     released: float
-    gain: float
     prior_weight: float
     state: Array
-    bias: Array
     sums: Array
     counts: Array
     scatter: Array
     moments: Array
 
     @classmethod
-    def fresh(
-        cls, whiten: Array, thresholds: Array, released: float, gain: float, prior_weight: float, walk: float
-    ) -> "DetectorState":
+    def fresh(cls, whiten: Array, thresholds: Array, released: float, prior_weight: float) -> "DetectorState":
         """Return the state of a free probe."""
-        lengths = len(LENGTHS)
+        lengths = len(thresholds)
         eye = np.tile(np.eye(6), (lengths, 1, 1))
-        return cls(whiten, thresholds, released, gain, prior_weight, np.array([0.0, 0.0, 0.0, walk]), np.zeros(6),
-                   np.zeros((lengths, 6)), np.zeros(lengths), eye.copy(), eye.copy())  # fmt: skip
+        return cls(whiten, thresholds, released, prior_weight, np.zeros(2), np.zeros((lengths, 6)), np.zeros(lengths),
+                   eye.copy(), eye.copy())  # fmt: skip
 
 
 @inner
@@ -89,23 +96,36 @@ def learn(j, z, share, moments, scatter):
                 scatter[j, a, b] = value / scatter[j, b, b]
 
 
+@inner
+def unwhiten(whiten, white, wrench):
+    """Solve whiten · wrench = white for a lower triangular matrix."""
+    for a in range(6):
+        wrench[a] = white[a]
+        for b in range(a):
+            wrench[a] -= whiten[a, b] * wrench[b]
+        wrench[a] /= whiten[a, a]
+
+
 @kernel
 def advance(
     samples,
     whiten,
     thresholds,
     released,
-    gain,
     prior_weight,
     state,
-    bias,
     sums,
     counts,
     scatter,
     moments,
+    mean,
+    cov,
+    clock,
+    waiting,
+    constants,
     codes,
 ):
-    """Process samples (n, 6) in order; fill in their codes (n,).
+    """Process samples (n, 6) in order; fill in their codes (n,). The arrays from `mean` on are a `BiasState`.
 
     Returns:
         The code of the last one.
@@ -115,18 +135,21 @@ def advance(
     z, y = np.empty(6), np.empty(6)
     code = FREE
     for i in range(samples.shape[0]):
+        clock[NOW] += constants[PERIOD]
+        since = clock[NOW] - clock[AT]
         finite = True
         for a in range(6):
-            white[a] = -bias[a]
-            for b in range(a + 1):
-                white[a] += whiten[a, b] * samples[i, b]
-            finite = finite and np.isfinite(white[a])
+            y[a] = samples[i, a] - mean[BIAS, a] - since * mean[RATE, a]
+            finite = finite and np.isfinite(y[a])
         if not finite:
             codes[i] = code = INVALID
             continue
+        for a in range(6):
+            white[a] = 0.0
+            for b in range(a + 1):
+                white[a] += whiten[a, b] * y[b]
         in_contact = state[STATE_NOW] == CONTACT
         code = CONTACT if in_contact else FREE
-        state[BIAS_VARIANCE] += state[WALK]
         for a in range(6):
             sums[0, a] += white[a]
         counts[0] += 1.0
@@ -134,7 +157,7 @@ def advance(
         while j < lengths and counts[j] >= (1.0 if j == 0 else RATIO):
             # The bias drifts untracked during contact and between its updates: the variance of a free mean includes
             # that, also at the end of a contact.
-            root = np.sqrt(n * (1.0 + n * state[BIAS_VARIANCE]))
+            root = np.sqrt(n * (1.0 + n * variance_now(cov, clock, constants) / constants[SAMPLE]))
             for a in range(6):
                 z[a] = sums[j, a] / root
             far = 0.0
@@ -150,10 +173,15 @@ def advance(
             elif code == FREE:
                 learn(j, z, 1.0 / prior_weight, moments, scatter)
                 if j == lengths - 1:
-                    ratio = n * state[BIAS_VARIANCE] + gain / (1.0 - gain)  # over a mean's noise
+                    swaying = 0.0
                     for a in range(6):
-                        bias[a] += ratio / (ratio + 1.0) * sums[j, a] / n
-                    state[BIAS_VARIANCE] /= ratio + 1.0
+                        swaying += moments[j, a, a] / 6.0
+                        white[a] = sums[j, a] / n
+                    unwhiten(whiten, white, y)
+                    middle = since - 0.5 * n * constants[PERIOD]
+                    for a in range(6):
+                        y[a] += mean[BIAS, a] + middle * mean[RATE, a]
+                    observe_block(mean, cov, clock, waiting, constants, y, n, max(swaying, 1.0))
             if j + 1 < lengths:
                 for a in range(6):
                     sums[j + 1, a] += sums[j, a]
@@ -163,6 +191,7 @@ def advance(
             counts[j] = 0.0
             j, n = j + 1, n * RATIO
         if code == LOST or (code == CONTACT and not in_contact):
+            waiting[WAITING_COUNT] = 0.0
             for j in range(lengths):  # samples before the change do not belong to the new state
                 counts[j] = 0.0
                 for a in range(6):
@@ -179,23 +208,31 @@ PRIOR_WEIGHT = 400.0
 that the covariance averages over."""
 RELEASE_CHANCE = 1e-4
 """Probability that the mean of a free probe still counts as contact."""
-DRIFT_STEPS = 0.05
-"""Random walk of the bias in one second, in steps of the sensor's resolution. Assumed; 0.2 steps between touches."""
 
 
 @dataclass
 class Detector:
-    """Sequential contact test for samples as the sensor delivers them, not averaged.
+    """Sequential contact test for samples as the sensor delivers them.
 
     Attributes:
         model: the probe.
         rate: of samples [Hz].
         hours_between_alarms: mean time from one false alarm to the next while the probe is free [h].
+        samples: number of samples whose mean has the noise of the model; None: `averaging_samples`, as single samples
+            have it. For readings that are such means already, 1.
+        walk_steps: random walk of the bias in `WALK_SECONDS`, in steps of the resolution; that of the model's
+            tolerances if None.
+        start_steps: standard deviation of the bias at the first sample, in the same steps.
+        bias_filter: the bias, followed while the probe is free.
     """
 
     model: ProbeModel
     rate: float = 7000.0
     hours_between_alarms: float = 1.0
+    samples: int | None = None
+    walk_steps: float | None = None
+    start_steps: float = 0.0
+    bias_filter: BiasFilter = field(init=False, repr=False)
     _state: DetectorState = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -203,32 +240,29 @@ class Detector:
         for name, value in (("rate", self.rate), ("hours_between_alarms", self.hours_between_alarms)):
             if not 0.0 < value < math.inf:
                 raise InputError(f"{name} = {value} must be positive and finite")
-        sample = self.model.noise_base() * self.model.averaging_samples
-        whiten = np.linalg.inv(np.linalg.cholesky(sample))
+        averaging = self.model.averaging_samples
+        samples = averaging if self.samples is None else self.samples
+        walk = Tolerances.of(self.model).walk_steps if self.walk_steps is None else self.walk_steps
+        self.bias_filter = BiasFilter(
+            walk / math.sqrt(WALK_SECONDS), self.start_steps, samples / averaging, self.rate, self.lengths[-1]
+        )
+        whiten = np.linalg.inv(np.linalg.cholesky(self.model.noise_base() * samples))
         self._state = DetectorState.fresh(
-            whiten, self._thresholds(), float(chdtri(6, RELEASE_CHANCE)), self._gain(), PRIOR_WEIGHT,
-            DRIFT_STEPS**2 / self.rate,
-        )  # fmt: skip
+            whiten, self._thresholds(), float(chdtri(6, RELEASE_CHANCE)), PRIOR_WEIGHT
+        )
 
     @property
     def lengths(self) -> tuple[int, ...]:
-        """Return the numbers of samples of the means."""
-        return LENGTHS
+        """Return the numbers of samples of the means: as many as fit in `BLOCK_TIME`, at least one."""
+        return tuple(n for n in LENGTHS if n == 1 or n <= BLOCK_TIME * self.rate)
 
     def _thresholds(self) -> Array:
         """Return the threshold of T² for each length."""
-        tests_an_hour = 3600.0 * self.rate / np.array(LENGTHS)
-        chance = 1.0 / self.hours_between_alarms / tests_an_hour / len(LENGTHS)
+        tests_an_hour = 3600.0 * self.rate / np.array(self.lengths)
+        chance = 1.0 / self.hours_between_alarms / tests_an_hour / len(self.lengths)
         nu = PRIOR_WEIGHT
         found = 6.0 * nu / (nu - 5.0) * fisher.isf(np.minimum(chance, 0.5), 6, nu - 5.0)
         return np.asarray(found, dtype=float)
-
-    def _gain(self) -> float:
-        """Return the gain of the bias by the longest mean: the steady state of a Kalman filter for a random walk."""
-        seconds = LENGTHS[-1] / self.rate
-        walk, seen = DRIFT_STEPS**2 * seconds, 1.0 / LENGTHS[-1]
-        ahead = 0.5 * (walk + math.sqrt(walk * walk + 4.0 * walk * seen))
-        return ahead / (ahead + seen)
 
     def update(self, wrench: ArrayLike) -> Touching:
         """Process the next sample.
@@ -239,7 +273,9 @@ class Detector:
         sample = np.ascontiguousarray(wrench, dtype=float)
         if sample.shape != (6,):
             raise InputError(f"wrench has shape {sample.shape}; it must be (6,)")
-        return _STATES[int(advance(sample[None], *self._state, np.empty(1, dtype=np.int64)))]
+        return _STATES[
+            int(advance(sample[None], *self._state, *self.bias_filter.state, np.empty(1, dtype=np.int64)))
+        ]
 
     def run(self, wrenches: ArrayLike) -> list[Touching]:
         """Process many samples, (n, 6)."""
@@ -248,7 +284,7 @@ class Detector:
             raise InputError(f"wrenches have shape {samples.shape}; they must be (n, 6)")
         codes = np.empty(len(samples), dtype=np.int64)
         if len(samples):
-            advance(samples, *self._state, codes)
+            advance(samples, *self._state, *self.bias_filter.state, codes)
         return [_STATES[code] for code in codes.tolist()]
 
     def calibrate(self, wrenches: ArrayLike) -> None:
@@ -265,12 +301,12 @@ class Detector:
 
     def rest(self, seconds: float) -> None:
         """Account for a gap without samples [s], in which the bias may have drifted."""
-        self._state.state[BIAS_VARIANCE] += DRIFT_STEPS**2 * seconds
+        self.bias_filter.rest(seconds)
 
     @property
     def bias(self) -> Array:
         """Return the tracked bias of the free probe, at the base [N, N·m], (6,)."""
-        return np.asarray(np.linalg.solve(self._state.whiten, self._state.bias), dtype=float)
+        return self.bias_filter.known().excess
 
     def detectable(self, wrench_by_force: Array, samples: int) -> float:
         """Return the smallest force [N] that is detected with probability 0.5 within so many samples.
@@ -279,52 +315,12 @@ class Detector:
             wrench_by_force: change of the base wrench per newton of contact, (6,).
             samples: of which the longest mean that fits is taken.
         """
-        fitting = [j for j, length in enumerate(LENGTHS) if length <= samples]
+        lengths = self.lengths
+        fitting = [j for j, length in enumerate(lengths) if length <= samples]
         if not fitting:
             raise InputError(f"samples = {samples} must be 1 or more")
         per_newton = self._state.whiten @ wrench_by_force
         longest = fitting[-1]
-        return math.sqrt(float(self._state.thresholds[longest]) / LENGTHS[longest]) / float(
+        return math.sqrt(float(self._state.thresholds[longest]) / lengths[longest]) / float(
             np.linalg.norm(per_newton)
         )
-
-
-PENDING, PENDING_SECONDS = 256.0, 0.15
-"""Free readings that wait before they count, the fewer: the last ones may be touches not yet detected. The contact test
-takes a seventh of a second at most."""
-MEAN_SECONDS = 1.0
-"""How long free readings count in their mean [s]: the bias drifts meanwhile."""
-
-
-class FreeMean:
-    """The mean of the free readings, less the free probe's wrench: it measures the bias of the sensor.
-
-    Attributes:
-        excess: the mean, (6,).
-        count: number of readings that it averages.
-    """
-
-    def __init__(self, rate: float) -> None:
-        """Start without readings; `rate` is that of the readings [Hz]."""
-        self.excess, self.count = np.zeros(6), 0.0
-        self._batch = min(PENDING, PENDING_SECONDS * rate)
-        self._window = MEAN_SECONDS * rate
-        self._pending = np.zeros((2, 7))  # sum and number of the readings that wait, the younger batch first
-
-    def add(self, excess: Array) -> None:
-        """Take in one free reading less the free probe's wrench, (6,)."""
-        younger, older = self._pending
-        younger[:6] += excess
-        younger[6] += 1.0
-        if younger[6] < self._batch:
-            return
-        added = older[6]
-        if added:
-            total = min(self.count + added, max(self._window, added))
-            self.excess += (older[:6] - added * self.excess) / total
-            self.count = total
-        self._pending[1], self._pending[0] = self._pending[0], 0.0
-
-    def drop_pending(self) -> None:
-        """Drop the readings that wait: a contact was detected, and they may belong to it."""
-        self._pending[:] = 0.0

@@ -20,6 +20,7 @@ Result = Literal[
     "unobservable",
     "out_of_range",
     "not_converged",
+    "no_tare",
 ]
 RESULTS: dict[Result, str] = {
     "ok": "one contact was located",
@@ -30,6 +31,7 @@ RESULTS: dict[Result, str] = {
     "unobservable": "the force hardly bends the probe, so its place is not observable",
     "out_of_range": "the reading is not finite, beyond the sensor, or needs a contact off the probe",
     "not_converged": "no equilibrium was found",
+    "no_tare": "the sensor's zero is not that of the free probe, and no tare was taken",
 }
 
 MomentsAbout = Literal["base", "sensor"]

@@ -14,6 +14,7 @@ from probedesign.core.frames import Array, is_pose
 from probedesign.core.statistics import FALSE_ALARM, MISFIT_CHANCE, RIVAL_CHI2, UNIFORM_STD, max_chi2
 from probedesign.design.sensors import Noise
 from probedesign.estimation import force_moment, likelihood
+from probedesign.estimation.bias import RAMP_STEPS
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimate import Candidate, Estimate, FusedEstimate, MomentsAbout, Result
 from probedesign.estimation.likelihood import Problem
@@ -147,7 +148,7 @@ class Estimator:
         if not self._exceeds(seen.sensor_chi2 / self._scatter(readings)):
             # The sensor itself reads zero: it was tared with the probe mounted, and that zero was not taken into
             # account. A contact that balances all six channels is not a coincidence to believe in.
-            return Estimate("inconsistent", detection_chi2=chi2)
+            return Estimate("no_tare", detection_chi2=chi2)
         sources = self._sources(gravity)
         noise = covariance(self.model, seen.wrench, readings) + sources.drift
         problem = Problem(sources, seen, self.model.friction, noise)
@@ -312,22 +313,34 @@ class Estimator:
             and math.sqrt(force @ force) > MIN_FORCE * self._std_force(readings)
         )
 
-    def with_tare_age(self, seconds: float) -> "Estimator":
-        """Return the estimator for readings this long after the tare [s]: the bias grows with the root of time.
+    def with_drift(self, steps: float) -> "Estimator":
+        """Return the estimator for readings whose bias is known with a standard deviation in steps of the resolution.
 
-        The tolerance `drift_steps` applies `WALK_SECONDS` after the tare. The age is rounded up to `WALK_SECONDS` times
-        a power of two; the last such estimator is cached.
+        It is rounded up to `drift_steps` of the tolerances times a power of √2, and never below `drift_steps`, which
+        is assumed like the numbers that the bias is followed with. The last such estimator is cached.
         """
-        if self.priors.drift_steps == 0.0 or not seconds > WALK_SECONDS:
+        least = self.priors.drift_steps
+        if least == 0.0 or not steps > least:
             return self
-        doublings = math.ceil(math.log2(seconds / WALK_SECONDS))
+        doublings = math.ceil(2.0 * math.log2(steps / least))
         aged = self._last_aged.get(doublings)
         if aged is None:
-            steps = self.priors.drift_steps * math.sqrt(2.0**doublings)
-            aged = Estimator(self.model, replace(self.priors, drift_steps=steps), self._last_free)
+            tolerances = replace(self.priors, drift_steps=least * math.sqrt(2.0**doublings))
+            aged = Estimator(self.model, tolerances, self._last_free)
             self._last_aged.clear()
             self._last_aged[doublings] = aged
         return aged
+
+    def with_tare_age(self, seconds: float) -> "Estimator":
+        """Return the estimator for readings this long after a tare [s] since which the bias was not followed.
+
+        The tolerance `drift_steps` applies `WALK_SECONDS` after the tare; its variance grows with time, and that of
+        the rate of drift (`bias.RAMP_STEPS`) with its square.
+        """
+        if not seconds > WALK_SECONDS:
+            return self
+        walked = self.priors.drift_steps**2 * seconds / WALK_SECONDS
+        return self.with_drift(math.sqrt(walked + (RAMP_STEPS * seconds) ** 2))
 
     def since_tare(self, seconds: float) -> "Estimator":
         """Call `with_tare_age`: the former name, removed in the next release."""

@@ -18,7 +18,8 @@ from probedesign.core.frames import Array
 from probedesign.core.statistics import UNIFORM_STD
 from probedesign.core.units import MM
 from probedesign.estimation import fusion_kernel, keyframe_kernel, multistart
-from probedesign.estimation.detector import Detector, FreeMean, Touching
+from probedesign.estimation.bias import BiasFilter, KnownBias
+from probedesign.estimation.detector import Detector, Touching
 from probedesign.estimation.error_sources import FINE, ErrorSources, across
 from probedesign.estimation.estimate import FusedEstimate, MomentsAbout, Result
 from probedesign.estimation.estimator import Estimator
@@ -57,8 +58,6 @@ SETTLING = 8
 _APART = 5e-6
 """Distance [m] below which two poses are one, or three standard deviations of the robot's place if that is more; a
 rotation of 1 rad counts as a tenth of a metre."""
-FREE_BEFORE = 1.0
-"""Time from the mean of the free readings to the first reading of a touch [s]: about `detector.MEAN_SECONDS`."""
 _MIXED = 1e-4
 """Distance [m], rotations included, above which two poses are not merged into one keyframe: their readings differ."""
 MAX_STEP = 0.1
@@ -74,8 +73,11 @@ class Tracker:
         priors: standard deviations of the error sources; those of the estimator if None.
         gravity_world: [m/s²], (3,).
         moments_only, moments_about: as in `Estimator.fuse`.
-        rate: of readings [Hz], each one sample of the sensor, not averaged.
+        rate: of readings [Hz].
         keyframes: kept at most.
+        samples: number of readings whose mean has the noise of the model: None for single samples of the sensor, 1 for
+            readings that are such means.
+        bias: the filter that follows the bias, if the contact test is outside; None: the tracker's own.
     """
 
     estimator: Estimator
@@ -85,6 +87,8 @@ class Tracker:
     moments_about: MomentsAbout = "sensor"
     rate: float = 7000.0
     keyframes: int = MAX_KEYFRAMES
+    samples: int | None = None
+    bias: BiasFilter | None = None
     _kept: list[Keyframe] = field(default_factory=list, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -96,19 +100,24 @@ class Tracker:
             raise InputError(f"keyframes = {self.keyframes} must be 2 or more")
         model = self.estimator.model
         self._priors = self.priors or self.estimator.priors
-        self._detector = Detector(model, self.rate)
+        samples = model.averaging_samples if self.samples is None else self.samples
+        priors = self._priors
+        self._detector = Detector(
+            model, self.rate, samples=samples, walk_steps=priors.walk_steps, start_steps=priors.drift_steps
+        )
+        self._followed = self.bias or self._detector.bias_filter
         self._channels = channels_of(model, self.moments_about if self.moments_only else None)
         self._moments = self.moments_about if self.moments_only else None
-        sample = model.noise_base() * model.averaging_samples
+        sample, step = model.noise_base() * samples, model.noise_base() * model.averaging_samples
         of = np.linalg.cholesky(self._channels @ sample @ self._channels.T)
         self._whiten, self._sample = np.ascontiguousarray(np.linalg.inv(of)), sample
-        self._bias = np.ascontiguousarray(self._channels @ np.linalg.cholesky(sample))
+        self._step_of_bias = np.ascontiguousarray(self._channels @ np.linalg.cholesky(step))
         self._time = -math.inf
         self._gravity = np.empty(3)
         self._axes = across(self._gravity_world)
-        self._rate = self._priors.walk_steps**2 / WALK_SECONDS
+        self._walk = self._priors.walk_steps**2 / WALK_SECONDS
+        self._walk_rate = self._walk * model.averaging_samples / samples
         self._apart = max(_APART, 3.0 * self._priors.robot_mm * MM)
-        self._free_mean = FreeMean(self.rate)
         self._tared: ErrorSources | None
         self._memory()
         self._forget()
@@ -127,11 +136,11 @@ class Tracker:
         self._sweep_work = np.empty(work_size(parameters))
         self._block = np.empty((keyframe_kernel.rows_of(m), keyframe_kernel.LOCAL + self._width))
         self._work = np.empty(fusion_kernel.solve_work(self._causes))
-        room = self.keyframes + 2  # the first for the free probe's mean, the last for one keyframe too many
+        room = self.keyframes + 1  # for one keyframe too many
         self._all = np.empty((room, m, self._width))
         self._chain = np.empty((room, keyframe_kernel.BIAS, self._width))
         self._xs = np.empty((room, self._width - 1))
-        self._touched, self._ramp = np.arange(room) > 0, np.ones(room)
+        self._touched, self._ramp = np.ones(room, dtype=bool), np.ones(room)
         self._lins, self._Ds = np.empty((room, ROWS, self._columns)), np.empty((room, 12, self._causes))
         self._locals = np.empty((room, keyframe_kernel.LOCAL, keyframe_kernel.LOCAL + self._width))
         self._poses, self._touches = np.empty((room, 4, 4)), np.empty((room, TOUCH))
@@ -147,9 +156,14 @@ class Tracker:
         self._evaluated, self._moved = -math.inf, False
         self._curvature = 0.0, np.zeros((3, 3)), np.zeros((3, 3))
         self._last = FusedEstimate("unobservable")
-        # The next free readings tie the bias to what they read: as a tare, where the touch begins.
+        # The bias is that of the free readings before the touch: as a tare, where it begins.
         self._tared = None
+        self._known: KnownBias | None = None
         self._last_sources: dict[bytes, ErrorSources] = {}
+
+    def restart(self) -> None:
+        """Discard the present touch: the base has leapt, and its readings no longer belong together."""
+        self._forget()
 
     @property
     def kept(self) -> int:
@@ -186,18 +200,22 @@ class Tracker:
         self._time = float(time)
         state = touching or self._detector.update(wrench - free.wrench_base)
         if state != "contact":
-            self._release(wrench - free.wrench_base, lost=state == "lost")
+            self._release(wrench - free.wrench_base, lost=state == "lost", followed=touching is None)
             return FusedEstimate("no_contact")
-        self._place(wrench, T)
+        if self._known is None:
+            self._followed.drop_waiting()
+            self._known, self._began = self._followed.known(), self._time
+        self._place(wrench - self._known.after(self._time - self._began), T)
         return self._solve() if self._x is not None else self._begin()
 
     # Readings into keyframes -----------------------------------------------------------------------------------------
 
-    def _release(self, beyond: Array, lost: bool) -> None:
-        """Add a free reading, less the wrench of the free probe, which constrains the bias."""
+    def _release(self, beyond: Array, lost: bool, followed: bool) -> None:
+        """Take in a free reading, less the wrench of the free probe; `followed`: the contact test has used it."""
         if lost or self._kept:
             self._forget()
-        self._free_mean.add(beyond)
+        if not followed and self.bias is None:
+            self._followed.add(beyond)
 
     def _sources_at(self, T: Array) -> ErrorSources:
         """Return the error sources under the present gravity; the sensor counts as tared where the touch began."""
@@ -215,12 +233,11 @@ class Tracker:
 
     def _place(self, wrench: Array, T: Array) -> None:
         """Add a reading to the last keyframe, or to a new one if the base has moved."""
-        self._free_mean.drop_pending()
         if self._kept and keyframe_kernel.apart(self._kept[-1].T, T) <= self._apart:
             self._kept[-1].take_in(wrench, T, self._time)
             return
         touch = self._kept[-1].touch.copy() if self._kept else np.zeros(TOUCH)
-        slot = next(i for i in range(1, self.keyframes + 2) if all(frame.slot != i for frame in self._kept))
+        slot = next(i for i in range(self.keyframes + 1) if all(frame.slot != i for frame in self._kept))
         self._poses[slot], self._touches[slot] = T, touch
         self._kept.append(Keyframe(
             slot, wrench.copy(), self._poses[slot], self._time, self._sources_at(T), self._touches[slot],
@@ -296,37 +313,37 @@ class Tracker:
         self._ramp[frame.slot] = k / (len(self._kept) - 1) if len(self._kept) > 1 else 1.0
         keyframe_kernel.reduce_keyframe(
             frame.touch, frame.lin, frame.D, frame.wrench, frame.T, self._channels,
-            math.sqrt(frame.weight(self._rate)) * self._whiten, self._bias, self.estimator.model.friction,
+            math.sqrt(frame.weight(self._walk_rate)) * self._whiten, self._step_of_bias, self.estimator.model.friction,
             COMMON_FRICTION, self._priors.robot_mm * MM, self._scatter, self._creep, self._ramp[frame.slot],
             self._block, frame.local, frame.reduced,
         )  # fmt: skip
 
-    def _gather(self) -> tuple[NDArray[np.int64], Array]:
-        """Return the order of the rows, the free probe's mean first, and the variance of the bias's step before
-        each.
+    def _gather(self) -> tuple[NDArray[np.int64], Array, float]:
+        """Return the order of the rows, the variance of the bias's step before each, and its standard deviation at the
+        first [steps].
         """
-        order, walk = [], []
-        if self._priors.drift_steps > 0.0 and self._free_mean.count > 0.0:
-            free = self.estimator.free(self._kept[0].sources.gravity).wrench_base
-            keyframe_kernel.reduce_free(
-                np.zeros((6, self._causes)), free, free + self._free_mean.excess, self._channels,
-                math.sqrt(self._free_mean.count) * self._whiten, self._bias, self._all[0],
-            )  # fmt: skip
-            order, walk = [0], [0.0]
-        last = self._kept[0].began - FREE_BEFORE
-        for frame in self._kept:
-            if frame.known:
-                order.append(frame.slot)
-                walk.append(self._rate * max(frame.time - last, 0.0))
-                last = frame.time
-        return np.array(order, dtype=np.int64), np.array(walk)
+        frames = [frame for frame in self._kept if frame.known]
+        variances = np.array([self._variance_at(frame.time) for frame in frames])
+        walk, order = np.diff(variances, prepend=variances[:1]), [frame.slot for frame in frames]
+        return np.array(order, dtype=np.int64), np.maximum(walk, 0.0), self._start_of(frames[0])
+
+    def _start_of(self, first: Keyframe) -> float:
+        """Return the standard deviation of the bias at the first keyframe [steps]: the mean of a walk over T has the
+        variance q T/3, and `Keyframe.weight` has q T/12 of it.
+        """
+        return math.sqrt(self._variance_at(first.began + 0.25 * first.span))
+
+    def _variance_at(self, time: float) -> float:
+        """Return the variance of the bias during the touch [steps²]."""
+        assert self._known is not None
+        return self._known.variance_after(max(time - self._began, 0.0), self._walk)
 
     def _step(self) -> FusedEstimate:
         """Solve all keyframes as they are linearised."""
-        order, walk = self._gather()
+        order, walk, start = self._gather()
         x = np.empty(self._width - 1)
         chi2 = fusion_kernel.solve_reduced(
-            self._all, order, walk, self._priors.drift_steps, self._causes, self._chain, self._work, x, self._cov
+            self._all, order, walk, start, self._causes, self._chain, self._work, x, self._cov
         )  # fmt: skip
         if not math.isfinite(chi2):
             return FusedEstimate("not_converged")
@@ -450,22 +467,19 @@ class Tracker:
         return result
 
     def _batch(self) -> tuple[Fusion, Array]:
-        """Return the keyframes as one batch, after the free probe's mean, and their touches, (k, TOUCH)."""
+        """Return the keyframes as one batch, and their touches, (k, TOUCH)."""
         readings = [
-            Reading(frame.wrench.copy(), self._sample / frame.weight(self._rate), frame.T, frame.sources.gravity, True,
-                    frame.time)
+            Reading(frame.wrench.copy(), self._sample / frame.weight(self._walk_rate), frame.T, frame.sources.gravity,
+                    True, frame.time)
             for frame in self._kept
         ]  # fmt: skip
-        touches = [frame.touch for frame in self._kept]
-        if self._priors.drift_steps > 0.0 and self._free_mean.count > 0.0:
-            first = self._kept[0]
-            free = self.estimator.free(first.sources.gravity).wrench_base
-            readings.insert(0, Reading(free + self._free_mean.excess, self._sample / self._free_mean.count, first.T,
-                                       first.sources.gravity, False, first.began - FREE_BEFORE))  # fmt: skip
-            touches.insert(0, np.zeros(TOUCH))
-        fusion = Fusion(
-            self.estimator.model, tuple(readings), self._priors, self._channels, self._gravity_world
+        touches, first, last = [frame.touch for frame in self._kept], self._kept[0].time, self._kept[-1].time
+        walked = self._variance_at(last) - self._variance_at(first)
+        walk = max(walked, 0.0) / (last - first) if last > first else self._walk
+        priors = replace(
+            self._priors, drift_steps=self._start_of(self._kept[0]), walk_steps=math.sqrt(walk * WALK_SECONDS)
         )
+        fusion = Fusion(self.estimator.model, tuple(readings), priors, self._channels, self._gravity_world)
         return fusion, np.array(touches)
 
     def _from_batch(self) -> FusedEstimate:

@@ -22,6 +22,7 @@ from probedesign.estimation.tracker import Tracker
 from probedesign.live import Log
 from probedesign.live.outputs.sinks import Sink
 from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.processing.averaging import choose_averaging, readings_needed
 from probedesign.live.processing.blocks import Block, WrenchReading, averaged, limit_duration
 from probedesign.live.processing.chain import Chain
 from probedesign.live.processing.control import (
@@ -29,11 +30,13 @@ from probedesign.live.processing.control import (
     ProcessingOptions,
     Tare,
     TareWindow,
+    Zero,
     describe_tare,
+    find_rest,
     readings_in,
     take_tare,
 )
-from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, Row, csv_line, estimate_row, locate
+from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, Row, csv_line, estimate_row
 from probedesign.live.recordings.csv import gaps_in
 from probedesign.live.sources.replay import OpenRecording, RecordingOptions, open_recording
 from probedesign.live.sources.source import Source
@@ -238,43 +241,80 @@ def estimate_recording(
     estimator: Estimator,
     path: Path,
     window: TareWindow | None = None,
-    samples: int = 1,
+    samples: int | None = 1,
     progress: Progress = iter,
     allow_incomplete: bool = False,
     options: RecordingOptions | None = None,
     method: Method = "ml",
+    zero: Zero = "checked",
 ) -> RecordingEstimates:
-    """Locate the contacts of a recording.
+    """Locate the contacts of a recording, by the chain of a live run with the tare known from the beginning.
 
     Args:
         estimator: estimator of the recorded probe.
         path: path of the recording.
-        window: window of the tare, in which the probe is free; None takes no tare.
-        samples: number of readings averaged to one.
+        window: window of the tare, in which the probe is free; None: see `zero`.
+        samples: number of readings averaged to one; None: as the noise of the first readings and their rate require.
         progress: receives the readings and passes them on one by one.
         allow_incomplete: accept an incomplete recording: dropped lines of CSV, a truncated file.
         options: what to read of a bag.
         method: see `Estimator.estimate`.
+        zero: what stands for a tare without a window. "checked": without a reading that agrees with the free probe the
+            result is "no_tare" throughout.
 
     Raises:
         InputError: the recording or the tare window cannot be used.
     """
-    if samples < 1:
+    if samples is not None and samples < 1:
         raise InputError(f"--average {samples} must be positive")
     recording = open_recording(path, estimator.model, options)
     blocks = list(recording.blocks())
     if (missing := recording.missing()) and not allow_incomplete:
         raise InputError(f"{path}: {'; '.join(missing)}; use --mend to continue without the missing data")
     time = np.concatenate([np.empty(0), *(block.time for block in blocks)])
+    lines: list[str] = []
+    if samples is None:
+        needed = readings_needed(time) or len(time)
+        first = np.concatenate([np.empty((0, 6)), *(block.wrench_sensor for block in blocks)])[:needed]
+        samples, reason = choose_averaging(time[:needed], first, estimator.model)
+        lines += [f"{reason}: {samples} are averaged to one"] if samples > 1 else []
     readings = list(averaged(blocks, samples))
     if not readings:
         raise InputError(f"{path}: {len(time)} readings are fewer than --average {samples}")
     tare = take_tare(readings_in(window, readings), window, estimator) if window is not None else None
-    rows = [estimate_row(reading, locate(estimator, reading, tare, method)) for reading in progress(readings)]
+    if tare is None and zero == "auto":
+        tare = find_rest(readings, estimator)
+    trusted: Zero = "trusted" if zero == "trusted" or _any_free(estimator, readings) else "checked"
+    processing = ProcessingOptions(samples=samples, method=method, zero=trusted, touches=False)
+    chain = Chain(estimator, processing, None, lines.append, tare)
+    updates = chain_updates(chain, blocks)
+    rows = [
+        estimate_row(update.reading, update.estimate)
+        for _, update in zip(progress(readings), updates, strict=True)
+    ]
     gaps, lost = gaps_in(time)
     gap = (f"{lost} samples are missing in {gaps} gaps",) if gaps else ()
-    notes = (*dict.fromkeys((*recording.notes, *missing, *gap)), *_notes(len(time), samples, tare))
+    notes = (*dict.fromkeys((*recording.notes, *missing, *gap, *lines)), *_notes(len(time), samples, tare))
     return RecordingEstimates(estimator, recording, len(time), lost, samples, tare, rows, notes, method)
+
+
+def chain_updates(chain: Chain, blocks: Iterable[Block]) -> Iterator[EstimateUpdate]:
+    """Yield the estimates of blocks of readings, up to the last."""
+    for block in blocks:
+        yield from chain.process(block)
+    yield from chain.finish()
+
+
+def _any_free(estimator: Estimator, readings: list[WrenchReading]) -> bool:
+    """Return whether a reading agrees with the free probe without a tare."""
+    model = estimator.model
+    return any(
+        not estimator.detects(
+            model.to_base(reading.wrench_sensor, reading.gravity_base), reading.gravity_base
+        )
+        for reading in readings
+        if not reading.fault and estimator.free(reading.gravity_base).ok
+    )
 
 
 def _notes(readings: int, samples: int, tare: Tare | None) -> tuple[str, ...]:

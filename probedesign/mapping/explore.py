@@ -6,6 +6,8 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from probedesign.core.errors import InputError
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
@@ -97,7 +99,20 @@ def check_poses(poses: BasePoses | None, span: tuple[float, float] | None) -> Ba
             f"the poses span {times[0]:.9g} ... {times[-1]:.9g} s, the readings {span[0]:.9g} ... {span[1]:.9g} s: "
             "the clocks do not overlap; stamp the poses with the clock of the recording"
         )
+    if span is not None and times:
+        p = np.array([pose.p for pose in poses.track.spanning(*span)])
+        extent = float(np.ptp(p, axis=0).max())
+        if 0.0 < extent < MIN_EXTENT:  # without any motion it is a base at rest
+            raise InputError(
+                f"the base moves by {1e3 * extent:.2g} mm in all of the recording, too little for touches of several "
+                "points; are its positions in metres instead of millimetres?"
+            )
     return poses
+
+
+MIN_EXTENT = 1e-3
+"""Least extent of the positions of a base that touches an object [m]: a touch with a free probe before it alone takes
+some millimetres of travel."""
 
 
 @dataclass

@@ -73,7 +73,8 @@ class StationaryInterval:
         """Add a reading."""
         self.end = update.reading.time
         self.n_readings += 1
-        self.total = self.total + update.wrench_base
+        # The free readings around a touch determine its bias, so the bias must be the same in all of them.
+        self.total = self.total + update.wrench_base + update.drift_base
 
 
 @dataclass(frozen=True)

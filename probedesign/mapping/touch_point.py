@@ -25,7 +25,6 @@ from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.model import ProbeModel, covariance
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.live.processing.touches import BIAS_STEPS
 from probedesign.mapping.segmentation import TouchSegment
 
 MAX_STD_MM, MAX_STD_DEG = 10.0, 10.0
@@ -94,11 +93,14 @@ class BasePoseUncertainty:
         )
 
 
+BIAS_STEPS = 0.5
+"""Standard deviation of the bias, in steps of the sensor's resolution, without readings of the free probe next to the
+touch: what the assumed random walk makes in 100 s."""
 MIN_INFORMATION = 1e-9
 """Information on a common error source, relative to its prior, below which it is a rounding error."""
 UNKNOWN_BIAS_STEPS = 10.0
 """Standard deviation of the bias, in steps of the sensor's resolution, where readings of the free probe next to the
-touch determine it: practically unknown. An hour of the assumed random walk makes 3 (`detector.DRIFT_STEPS`)."""
+touch determine it: practically unknown. An hour of the assumed random walk makes 3 (`bias.WALK_STEPS`)."""
 NEVER_SETTLED = "never_settled"
 RESULT_MEANINGS: dict[str, str] = {
     **{str(result): meaning for result, meaning in RESULTS.items()},
@@ -225,6 +227,10 @@ def locate_touch(
         return LocatedTouch(segment, "not_converged")
     _chi2, _x, cov = state.solved(fusion.priors)
     point = ConditionalPoint.from_fusion(state, fused.cov_surface_world - cov)
+    if (
+        not np.linalg.eigvalsh(point.cov)[0] > 0.0
+    ):  # a direction is open, or the readings contradict each other
+        return LocatedTouch(segment, "not_converged")
     forces = np.linalg.norm(fused.force_base, axis=1)
     strongest = int(np.argmax(forces))
     R = fusion.readings[strongest].T_world_base[:3, :3]

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose, skew
 from probedesign.core.units import MM
-from probedesign.estimation.detector import DRIFT_STEPS
+from probedesign.estimation.bias import WALK_STEPS
 from probedesign.estimation.model import ProbeModel
 from probedesign.live.poses.track import TimedPose, pose_from_matrix
 from probedesign.live.processing.blocks import Block
@@ -140,7 +140,7 @@ class SimulatedTrajectory:
     wrench_free: Array
     rng: np.random.Generator
     time_scale: float = 1.0
-    bias_rate: float = DRIFT_STEPS
+    bias_rate: float = WALK_STEPS
     times: list[float] = field(default_factory=list)
     positions: list[Array] = field(default_factory=list)
     wrenches: list[Array] = field(default_factory=list)

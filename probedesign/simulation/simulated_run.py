@@ -18,7 +18,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, write_atomically
 from probedesign.core.frames import Array, pose
 from probedesign.core.units import MILLINEWTON, MM
-from probedesign.estimation.detector import DRIFT_STEPS
+from probedesign.estimation.bias import WALK_STEPS
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.live.poses.pose_sources import POSE_COLUMNS
@@ -67,7 +67,7 @@ class RunErrors:
     stiffness: float = 0.01
     base_offset: float = 0.05e-3
     base_repeat: float = 0.01e-3
-    bias_rate: float = DRIFT_STEPS
+    bias_rate: float = WALK_STEPS
     rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     friction: float = ASSUMED_FRICTION
     friction_spread: float = ASSUMED_SPREAD

@@ -10,8 +10,10 @@ import trimesh
 
 from probedesign.cli.main import run
 from probedesign.core.units import MM
-from probedesign.frozen_probe import write_frozen
+from probedesign.frozen_probe import load_estimator, write_frozen
 from probedesign.live.poses.pose_sources import POSE_COLUMNS
+from probedesign.live.recordings.csv import write_recording
+from probedesign.live.sources.replay import open_recording
 from probedesign.mapping.contact_map import CHI2_95, COLUMNS
 
 
@@ -113,6 +115,26 @@ def test_a_source_gives_the_same_as_the_recording(probe, house, found, tmp_path,
     assert [point["touch_numbers"] for point in json.loads(output.out)["points"]] == ["1 3", "2"]
     for name in ("points.csv", "points.ply", "points.svg"):
         assert (out / name).read_bytes() == (found[0] / name).read_bytes()
+
+
+@pytest.mark.parametrize("rate", [10.0, 100.0])
+def test_a_recording_of_means_gives_the_same_points(rate, probe, house, found, tmp_path, capsys):
+    """Of means without `--average`: the same touches, each point within its stated error of the one from samples."""
+    folder = house[1]
+    blocks = list(open_recording(folder / "house.mcap", load_estimator(probe).model).blocks())
+    time, wrench = (np.concatenate([getattr(b, name) for b in blocks]) for name in ("time", "wrench_sensor"))
+    n = round(1.0 / (rate * np.median(np.diff(time))))
+    k = len(time) // n
+    means = wrench[: k * n].reshape(k, n, 6).mean(axis=1)
+    write_recording(tmp_path / "means.csv", time[: k * n].reshape(k, n).mean(axis=1), means)
+    command = ["explore", str(probe), str(tmp_path / "means.csv"), "--pose", str(folder / "poses.csv"),
+               "--tare-s", "0.5:3.5", "--json"]  # fmt: skip
+    assert run(command) == 0
+    points = json.loads(capsys.readouterr().out)["points"]
+    assert [point["touch_numbers"] for point in points] == ["1 3", "2"]
+    for point, row in zip(points, found[1], strict=True):
+        off = np.array([point[f"{axis}_world_mm"] for axis in "xyz"]) - place(row)
+        assert np.linalg.norm(off) < point["rms_mm"]  # the same samples, but for those where the base moves
 
 
 # refusals

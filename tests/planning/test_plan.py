@@ -120,7 +120,7 @@ def test_identify_states_the_expected_intervals(plan, design, tmp_path, exact):
     for one in plan.expected:
         stated = found.of(one.name)
         scale = stated.value if one.relative else 1.0
-        # a fit of noisy readings has its derivatives at friction and place as estimated, the drawn print bends elsewhere
+        # the fit has its derivatives at friction and place as estimated, and the drawn print bends elsewhere
         assert stated.std / scale == pytest.approx(one.std, rel=0.1)
         assert stated.std_of_print / scale == pytest.approx(one.std_of_print, rel=0.12)
         if exact:  # four standard deviations

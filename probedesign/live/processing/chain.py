@@ -19,7 +19,8 @@ from probedesign.estimation.estimate import Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.live import Log
 from probedesign.live.poses.base_poses import BasePoses
-from probedesign.live.processing.blocks import AveragedBatch, BatchAverager, Block, WrenchReading
+from probedesign.live.processing.averaging import choose_averaging, readings_needed
+from probedesign.live.processing.blocks import AveragedBatch, BatchAverager, Block, WrenchReading, joined
 from probedesign.live.processing.control import (
     MAX_AGE,
     TARE_DURATION,
@@ -32,6 +33,7 @@ from probedesign.live.processing.control import (
     without_bias,
 )
 from probedesign.live.processing.estimates import EstimateUpdate, locate
+from probedesign.live.processing.plausibility import FaultReport, PoseMonitor, SignalMonitor, TravelCheck
 from probedesign.live.processing.touches import Contact, ContactHistory, TouchMonitor, TouchState
 
 
@@ -85,8 +87,11 @@ MIN_RATE_SAMPLES = 8
 """Number of samples from which the rate of the source is determined before processing starts."""
 MAX_TARE_BATCHES = 1000
 """Maximum number of batches of a tare window that calibrate the detector: the last ones."""
-MAX_MEAN_RATE = 500.0
-"""Rate of means beyond which averaging was probably forgotten [Hz]."""
+NO_TARE = (
+    "no tare: the readings are not those of a free probe, so there is no position; give --tare auto if the probe is "
+    "free in its first second at rest, --tare-s START:END, or --tare none if the sensor's zero was taken without the "
+    "probe"
+)
 
 
 class Chain:
@@ -95,17 +100,37 @@ class Chain:
     Attributes:
         tare: bias subtracted from every reading; None without a tare.
         scheduler: counts the estimates that were due and skipped.
+        samples: number of readings averaged to one; 0 until it is known.
     """
 
     def __init__(
-        self, estimator: Estimator, options: ProcessingOptions, poses: BasePoses | None, log: Log
+        self,
+        estimator: Estimator,
+        options: ProcessingOptions,
+        poses: BasePoses | None,
+        log: Log,
+        tare: Tare | None = None,
     ) -> None:
-        """Start with no readings; `poses` is None if the base is fixed as the frozen probe or the source states."""
-        self.tare: Tare | None = None
+        """Start with no readings.
+
+        Args:
+            estimator: of the probe.
+            options: how readings are processed.
+            poses: None if the base is fixed as the frozen probe or the source states.
+            log: takes messages for the user.
+            tare: one that was taken beforehand; then that of the options is not taken.
+        """
+        self.tare = tare
         self._estimator, self._options, self._poses, self._log = estimator, options, poses, log
-        self._batches, self._waiting = BatchAverager(options.samples), deque[AveragedBatch]()
-        window = options.window
-        self._tare_collector = None if window is None else TareCollector(window, estimator)
+        self.samples, self._undecided = options.samples or 0, list[Block]()
+        self._batches, self._waiting = BatchAverager(max(self.samples, 1)), deque[AveragedBatch]()
+        takes_tare = tare is None and (options.window is not None or options.zero == "auto")
+        self._tare_collector = TareCollector(options.window, estimator) if takes_tare else None
+        self._zero_known = tare is not None or takes_tare or options.zero == "trusted"
+        self._zero_reported = False
+        self._signals = SignalMonitor(estimator.model, max(self.samples, 1), math.nan)
+        self._base, self._travel = PoseMonitor(), TravelCheck()
+        self._faults, self._travel_faults = FaultReport(log), FaultReport(log)
         self._free = deque[AveragedBatch](maxlen=MAX_TARE_BATCHES)
         self._contacts = ContactHistory()
         self._monitor: TouchMonitor | None = None
@@ -130,7 +155,10 @@ class Chain:
         n_waiting, now = len(self._waiting), monotonic()  # readings that waited for a pose
         if self._poses is not None:
             self._poses.refresh(block)
-        self._waiting.extend(self._batches.add(block))
+        if self.samples:
+            self._waiting.extend(self._batches.add(block))
+        elif not self._decide_averaging(block):
+            return
         if math.isnan(self._rate) and not self._initialize():
             return
         while self._waiting and not (
@@ -145,6 +173,9 @@ class Chain:
         Raises:
             InputError: the tare window was not complete and cannot be used.
         """
+        if not self.samples and self._undecided:
+            self._set_averaging()
+            self._initialize()
         while self._waiting:
             yield from self._step(self._waiting.popleft(), math.inf)
         if self._tare_collector is not None and not self._tare_collector.on_request:
@@ -167,9 +198,30 @@ class Chain:
         self._tare_collector = TareCollector(window, self._estimator, on_request=True)
         return f"tare: keep the probe free and still for {TARE_DURATION:g} s"
 
+    def _decide_averaging(self, block: Block) -> bool:
+        """Collect first readings until the number that is averaged is known; return whether it is."""
+        self._undecided.append(block)
+        if not readings_needed(np.concatenate([block.time for block in self._undecided])):
+            return False
+        self._set_averaging()
+        return True
+
+    def _set_averaging(self) -> None:
+        """Choose how many readings are averaged, and process those that were collected."""
+        time, wrench = joined(self._undecided).time, joined(self._undecided).wrench_sensor
+        needed = readings_needed(time) or len(time)
+        chosen = choose_averaging(time[:needed], wrench[:needed], self._estimator.model)
+        self.samples = chosen.samples
+        if chosen.samples > 1:
+            self._log(f"{chosen.reason}: {chosen.samples} are averaged to one")
+        self._batches = BatchAverager(self.samples)
+        for block in self._undecided:
+            self._waiting.extend(self._batches.add(block))
+        self._undecided.clear()
+
     def _initialize(self) -> bool:
         """Determine the sampling rate and set up what depends on it; return False while there are too few samples."""
-        needed = math.ceil(MIN_RATE_SAMPLES / self._options.samples)
+        needed = math.ceil(MIN_RATE_SAMPLES / self.samples)
         if len(self._waiting) < needed:
             return False
         time = np.concatenate([batch.block.time for batch in islice(self._waiting, needed)])
@@ -178,9 +230,7 @@ class Chain:
         if math.isinf(self._rate):
             self._log("the source's clock does not advance: phases and filter are off")
             return True
-        if self._rate / self._options.samples > MAX_MEAN_RATE:
-            fits = self._estimator.model.averaging_samples
-            self._log(f"{self._rate:.0f} readings/s: --average {fits} matches the noise model of the probe")
+        self._signals = SignalMonitor(self._estimator.model, self.samples, self._rate)
         if self._options.filter_hz is not None:
             self._low_pass = LowPass(self._options.filter_hz, self._rate)
             delay = 1e3 * self._low_pass.delay
@@ -190,20 +240,22 @@ class Chain:
 
     def _reset_monitor(self) -> None:
         self._monitor = TouchMonitor(
-            self._estimator, self._contacts, self._rate, self._options.samples, self._poses, self._log,
-            self._options.estimates,
+            self._estimator, self._contacts, self._rate, self.samples, self._poses, self._log,
+            self._options.estimates and self._options.touches,
         )  # fmt: skip
 
     def _step(self, batch: AveragedBatch, ready: float) -> Iterator[EstimateUpdate]:
         """Yield the estimate of a batch, if one is due; see `EstimateScheduler.is_due` for `ready`."""
         if math.isnan(self._first):
             self._first = batch.reading.time
-        # A sample at its limit is a fault of the whole batch: the mean would not show it.
-        within = np.abs(batch.block.wrench_sensor) <= self._estimator.model.saturation_limit
-        saturation = "" if within.all() else "a channel is at its limit or not a number"
-        whole = replace(batch.reading, fault=batch.reading.fault or saturation)
+        # A fault of one sample is a fault of the whole batch: the mean would not show it.
+        fault = batch.reading.fault or self._signals.fault(batch)
+        whole = replace(batch.reading, fault=fault)
         reading = self._with_gravity(whole)
         self._report_pose(reading)
+        self._faults.update(reading.time, "" if batch.reading.fault or self._pose_missing else reading.fault)
+        if self._base.leapt == reading.time and self._monitor is not None:
+            self._monitor.on_leap(reading.time)
         if reading.stretch != self._stretch:  # readings are missing before this one
             self._stretch = reading.stretch
             if self._low_pass is not None:
@@ -214,27 +266,63 @@ class Chain:
         self._collect_tare(AveragedBatch(batch.block, reading))
         if self._tare_collector is not None and not self._tare_collector.on_request:
             return
+        if not self._zero_known:
+            self._check_zero(reading)
         self._state = self._update_state(AveragedBatch(batch.block, reading))
         if self.scheduler.is_due(reading, ready):
             yield self._estimate(reading if smooth is None else self._with_gravity(smooth))
 
     def _estimate(self, reading: WrenchReading) -> EstimateUpdate:
         """Return the estimate of a reading, filtered or not, with the current state."""
+        drift = None if self._monitor is None else self._monitor.drift
         estimate = Estimate("unobservable")
-        if self._options.estimates:
-            estimate = locate(self._estimator, reading, self.tare, self._options.method)
+        if not (self._zero_known or reading.fault):
+            estimate = Estimate("no_tare")
+        elif self._options.estimates:
+            estimate = locate(self._estimator, reading, self.tare, self._options.method, drift)
             self._contacts.locate(estimate, self._state.phase)
+            self._check_travel(reading, estimate)
         T = None if self._poses is None else self._poses.at(reading.time)
         free_of_bias = without_bias(reading, self.tare).wrench_sensor
-        wrench = self._estimator.model.to_base(free_of_bias, reading.gravity_base)
+        excess = np.zeros(6) if drift is None else drift.excess
+        wrench = self._estimator.model.to_base(free_of_bias, reading.gravity_base) - excess
         stale = "pose" if self._poses is not None and T is None else ""
         pose, wrench = (
             np.full((4, 4), np.nan) if T is None else T,
             np.full(6, np.nan) if reading.fault else wrench,
         )
         return EstimateUpdate(
-            reading, estimate, *self._state, pose, wrench, monotonic(), stale, self.contacts
+            reading, estimate, *self._state, pose, wrench, monotonic(), stale, self.contacts, excess
         )
+
+    def _check_travel(self, reading: WrenchReading, estimate: Estimate) -> None:
+        """Check the travel of the base in a touch; a touch that fails has no point in the world."""
+        T = None if self._poses is None or reading.fault else self._poses.at(reading.time)
+        if T is None or self._monitor is None:
+            return
+        if self._state.phase not in ("touching", "settled"):
+            self._travel.on_free(T)
+        else:
+            deflection = math.nan
+            if estimate.ok:
+                free = self._estimator.free(reading.gravity_base).p_at(estimate.s_contact)
+                deflection = float(np.linalg.norm(estimate.p_contact_base - free))
+            self._travel.on_contact(T, deflection)
+            self._contacts.refused = bool(self._travel.fault)
+            if self._contacts.refused:
+                self._state = self._state._replace(fused=FusedEstimate("inconsistent"))
+        self._travel_faults.update(reading.time, self._travel.fault)
+
+    def _check_zero(self, reading: WrenchReading) -> None:
+        """Check whether a reading without a tare is that of the free probe: then the sensor's own zero is right."""
+        if reading.fault:
+            return
+        wrench = self._estimator.model.to_base(reading.wrench_sensor, reading.gravity_base)
+        free = self._estimator.free(reading.gravity_base)
+        self._zero_known = free.ok and not self._estimator.detects(wrench, reading.gravity_base)
+        if not self._zero_known and not self._zero_reported:
+            self._zero_reported = True
+            self._log(NO_TARE)
 
     def _with_gravity(self, reading: WrenchReading) -> WrenchReading:
         """Return the reading with the gravity of the base pose at its time, or with a fault if that pose is unknown."""
@@ -243,7 +331,8 @@ class Chain:
         T = self._poses.at(reading.time)
         if T is None:
             return replace(reading, fault=reading.fault or self._poses.reason(reading.time))
-        return replace(reading, gravity_base=self._poses.gravity(T))
+        leap = self._base.fault(reading.time, T)
+        return replace(reading, gravity_base=self._poses.gravity(T), fault=reading.fault or leap)
 
     def _report_pose(self, reading: WrenchReading) -> None:
         """Report when poses become unavailable and available again."""
@@ -284,10 +373,11 @@ class Chain:
                 raise
             return self._log(f"tare refused: {error}")
         self._log(describe_tare(self.tare))
+        self._zero_known = True
         self._contacts.update(reading.time, "", None)
         if self._monitor is not None:
             self._reset_monitor()
-            since = self._first + collector.window.start
+            since = self._first + collector.start
             self._monitor.calibrate([b for b in free if b.reading.time >= since], self.tare)
 
     def _tare_refusal(self) -> str:
@@ -301,7 +391,7 @@ class Chain:
 
     def _update_state(self, batch: AveragedBatch) -> TouchState:
         """Return the state of the touch monitor; unknown for a reading with a fault."""
-        if self._monitor is None or batch.reading.fault:
+        if self._monitor is None or batch.reading.fault or not self._zero_known:
             return TouchState("", None if self._poses is None else FusedEstimate("out_of_range"))
         T = None if self._poses is None else self._poses.at(batch.reading.time)
         return self._monitor.update(batch, self.tare, T)

@@ -22,10 +22,19 @@ MIN_READINGS = 10
 MAX_SCATTER = 3.0
 """Maximum standard deviation of a channel, in units of its noise. Ten readings of pure noise exceed it once in 1e12
 windows."""
+MAX_STEP = 5.0
+"""Maximum step from the first half of a rest to the second, in units of its noise; 0.05 resolution steps of drift in a
+second add little to it."""
 TARE_DURATION = 2.0
 """Duration of a tare requested during a run [s]; at 194 readings per second the noise of the mean is a twentieth of
 theirs."""
+REST_TIME = 1.0
+"""Duration of the rest that an automatic tare uses [s]."""
 CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+
+Zero = Literal["checked", "auto", "trusted"]
+"""What stands for a tare without a window: nothing, unless readings agree with the free probe without one; the first
+second at rest; or the sensor's own zero, taken without the probe."""
 
 
 @dataclass(frozen=True)
@@ -54,29 +63,72 @@ class Tare:
 
 
 class TareCollector:
-    """Collects the readings of a tare window until the first reading after it. A tare is taken only on request.
+    """Collects the readings of a tare until the first reading after its window, or until a rest is complete.
 
     Attributes:
-        window: time window in which the probe is free.
+        window: time window in which the probe is free; None: the first `REST_TIME` at rest.
         on_request: whether the tare was requested during the run; otherwise it precedes all estimates.
     """
 
-    def __init__(self, window: TareWindow, estimator: Estimator, on_request: bool = False) -> None:
+    def __init__(self, window: TareWindow | None, estimator: Estimator, on_request: bool = False) -> None:
         """Start with no readings."""
         self.window, self.on_request, self._estimator = window, on_request, estimator
-        self._readings: list[WrenchReading] = []
+        self._readings: list[tuple[float, WrenchReading]] = []
+
+    @property
+    def start(self) -> float:
+        """Time of the first reading that counts, since the first of the run [s]."""
+        return self._readings[0][0] if self._readings else math.inf
 
     def add(self, reading: WrenchReading, since: float) -> bool:
-        """Add a reading, `since` seconds after the first one of the run; return whether it lies after the window."""
+        """Add a reading, `since` seconds after the first one of the run; return whether the tare is complete."""
+        if self.window is None:
+            return self._rests(reading, since)
         if since >= self.window.end:
             return True
         if since >= self.window.start:
-            self._readings.append(reading)
+            self._readings.append((since, reading))
         return False
+
+    def _rests(self, reading: WrenchReading, since: float) -> bool:
+        """Add a reading and return whether those of the last `REST_TIME` are at rest; if not, wait for half of it."""
+        if reading.fault:
+            self._readings.clear()
+            return False
+        self._readings.append((since, reading))
+        n, span = len(self._readings), since - self.start
+        if n < MIN_READINGS or span * n < REST_TIME * (n - 1):
+            return False
+        try:
+            self.tare()
+        except InputError:
+            self._readings = self._readings[n // 2 :]
+            return False
+        return True
 
     def tare(self) -> Tare:
         """Return the tare; see `take_tare`."""
-        return take_tare(self._readings, self.window, self._estimator)
+        if self.window is not None:
+            return take_tare([reading for _, reading in self._readings], self.window, self._estimator)
+        if not self._readings:
+            raise InputError("--tare auto found no reading at rest; give the time as --tare-s START:END")
+        window = TareWindow(self.start, self._readings[-1][0])
+        return take_tare([reading for _, reading in self._readings], window, self._estimator, steady=True)
+
+
+def find_rest(readings: list[WrenchReading], estimator: Estimator) -> Tare:
+    """Return the tare of the first `REST_TIME` at rest.
+
+    Raises:
+        InputError: there is none.
+    """
+    collector = TareCollector(None, estimator)
+    for reading in readings:
+        if collector.add(reading, reading.time - readings[0].time):
+            return collector.tare()
+    raise InputError(
+        f"--tare auto found no {REST_TIME:g} s at rest; give the time when the probe is free as --tare-s START:END"
+    )
 
 
 def parse_window(text: str) -> TareWindow:
@@ -95,10 +147,25 @@ def parse_window(text: str) -> TareWindow:
     return window
 
 
-def take_tare(readings: list[WrenchReading], window: TareWindow, estimator: Estimator) -> Tare:
+def parse_tare(tare_s: str | None, tare: Literal["auto", "none"] | None) -> tuple[TareWindow | None, Zero]:
+    """Return the window of --tare-s, if it is given, and what stands for a tare otherwise, by --tare.
+
+    Raises:
+        InputError: both are given, or the window is invalid.
+    """
+    if tare_s is not None and tare is not None:
+        raise InputError(f"--tare {tare} and --tare-s {tare_s} exclude each other; give one of them")
+    zeros: dict[str | None, Zero] = {None: "checked", "auto": "auto", "none": "trusted"}
+    return (None if tare_s is None else parse_window(tare_s)), zeros[tare]
+
+
+def take_tare(
+    readings: list[WrenchReading], window: TareWindow, estimator: Estimator, steady: bool = False
+) -> Tare:
     """Estimate the sensor bias from readings of a window in which nothing touches the probe.
 
-    A constant contact force cannot be distinguished from a bias; the user is responsible for a free probe.
+    A constant contact force cannot be distinguished from a bias; the user is responsible for a free probe. With
+    `steady`, the means of the two halves of the window must agree, too.
 
     Raises:
         InputError: there are too few readings, or they scatter more than those of a free probe.
@@ -118,6 +185,10 @@ def take_tare(readings: list[WrenchReading], window: TareWindow, estimator: Esti
             f"{CHANNELS[i]} scatters by {std[i] * 1e3:.3g} {unit}, its noise is {noise[i] * 1e3:.3g} {unit}"
         )
         raise InputError(f"{label} is not steady: {scatter}; touched, moving or not averaged?")
+    half = len(excess) // 2
+    step = np.abs(excess[-half:].mean(axis=0) - excess[:half].mean(axis=0))
+    if steady and (step > MAX_STEP * noise * math.sqrt(2.0 / half)).any():
+        raise InputError(f"{label} is not steady: a channel changes in it; touched or moving?")
     return Tare(bias, len(readings), window, readings[-1].time)
 
 
@@ -155,24 +226,28 @@ class ProcessingOptions:
     """Options for processing the readings of a source.
 
     Attributes:
-        window: window of the tare, in which the probe is free; None takes no tare.
-        samples: number of readings averaged to one.
+        window: window of the tare, in which the probe is free; None: see `zero`.
+        samples: number of readings averaged to one; None: as the noise of the first readings and their rate require.
         rate: maximum number of estimates per second of the source's clock [Hz].
         count: end after this many estimates.
         seconds: end this long after the first reading [s].
         filter_hz: cut-off frequency of the low-pass filter before each estimate; None does not filter.
         method: method by which a single reading is located.
+        zero: what stands for a tare without a window.
+        touches: whether touches are reported, and fused where poses are known.
         estimates: whether contacts are located as readings arrive; otherwise only phases and touches are reported.
     """
 
     window: TareWindow | None = None
-    samples: int = 1
+    samples: int | None = 1
     rate: float = math.inf
     count: int | None = None
     seconds: float | None = None
     filter_hz: float | None = None
     estimates: bool = True
     method: Method = "ml"
+    zero: Zero = "checked"
+    touches: bool = True
 
     def __post_init__(self) -> None:
         """Check the numbers; raises InputError if one is not positive."""

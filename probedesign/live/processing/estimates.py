@@ -8,6 +8,7 @@ import numpy as np
 
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
+from probedesign.estimation.bias import KnownBias
 from probedesign.estimation.estimate import Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.live.processing.blocks import WrenchReading
@@ -26,6 +27,7 @@ class EstimateUpdate:
         fused: touched point from all readings of this touch; None without fusion.
         T_world_base: pose of the base, (4, 4); NaN if unknown.
         wrench_base: wrench at the base without bias [N, N·m], (6,); NaN for a reading with a fault.
+        drift_base: drift of the bias since the tare, which `wrench_base` does not contain either [N, N·m], (6,).
         computed: time at which the estimate was available, by `time.monotonic` [s].
         stale: input that is too old or missing: "pose", or empty.
         contacts: every touch so far, including the current one.
@@ -40,21 +42,33 @@ class EstimateUpdate:
     computed: float = float("nan")
     stale: str = ""
     contacts: tuple[Contact, ...] = ()
+    drift_base: Array = field(default_factory=lambda: np.zeros(6))
 
 
 def locate(
-    estimator: Estimator, reading: WrenchReading, tare: Tare | None = None, method: Method = "ml"
+    estimator: Estimator,
+    reading: WrenchReading,
+    tare: Tare | None = None,
+    method: Method = "ml",
+    drift: KnownBias | None = None,
 ) -> Estimate:
     """Return the estimate of one reading, bias included. Saturation is tested before the bias is removed.
 
-    The variance of the bias grows with the age of the tare. For `method` see `Estimator.estimate`.
+    Args:
+        estimator: of the probe.
+        reading: the reading.
+        tare: bias of the sensor, if one was taken.
+        method: see `Estimator.estimate`.
+        drift: of the bias since then, as it was followed; None: its variance grows with the age of the tare.
     """
     if reading.fault or not estimator.model.in_range(reading.wrench_sensor):
         return Estimate("out_of_range")
     reading = without_bias(reading, tare)
     wrench_base = estimator.model.to_base(reading.wrench_sensor, reading.gravity_base)
-    if tare is not None:
-        estimator = estimator.with_tare_age(reading.time - tare.time)
+    if drift is not None:
+        wrench_base, estimator = wrench_base - drift.excess, estimator.with_drift(drift.steps)
+    elif tare is not None:
+        estimator = estimator.with_tare_age(abs(reading.time - tare.time))
     return estimator.estimate(wrench_base, reading.gravity_base, method=method)
 
 

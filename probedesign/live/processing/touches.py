@@ -21,6 +21,7 @@ from scipy.special import chdtri
 
 from probedesign.core.frames import Array
 from probedesign.core.statistics import FALSE_ALARM
+from probedesign.estimation.bias import KnownBias
 from probedesign.estimation.detector import Detector, Touching
 from probedesign.estimation.estimate import Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator
@@ -188,10 +189,12 @@ class ContactHistory:
 
     Attributes:
         contacts: every touch, including the current one.
+        refused: whether the current touch contradicts the poses of the base: then it has no point in the world.
     """
 
     def __init__(self) -> None:
         self.contacts: tuple[Contact, ...] = ()
+        self.refused = False
         self._count = 0
 
     @property
@@ -207,8 +210,10 @@ class ContactHistory:
         if current is None:
             self._count += 1
             current = Contact(self._count, time)
-            self.contacts = (*self.contacts[1 - MAX_CONTACTS :], current)
-        if phase == "settled" or not current.settled:
+            self.contacts, self.refused = (*self.contacts[1 - MAX_CONTACTS :], current), False
+        if self.refused:
+            current = replace(current, fused=fused and FusedEstimate("inconsistent"))
+        elif phase == "settled" or not current.settled:
             current = replace(current, fused=fused or current.fused)
         self._replace_last(replace(current, settled=current.settled or phase == "settled"))
         return None
@@ -226,11 +231,6 @@ class ContactHistory:
         return contact
 
 
-BIAS_STEPS = 0.5
-"""Random walk of the bias since the tare, in steps of the sensor's resolution: what a walk of `detector.DRIFT_STEPS`
-accumulates in 100 s. Free readings before the touch constrain it."""
-
-
 class TouchState(NamedTuple):
     """State after a batch: the phase, empty if unknown, and the fused estimate of the touch, None without poses."""
 
@@ -239,10 +239,7 @@ class TouchState(NamedTuple):
 
 
 class TouchMonitor:
-    """Monitors every batch: the contact test uses its samples, the phase and the fusion its mean.
-
-    The tracker treats a mean as one sample of a sensor that has the noise of the mean.
-    """
+    """Monitors every batch: the contact test uses its samples, the phase and the fusion its mean."""
 
     def __init__(
         self,
@@ -267,19 +264,18 @@ class TouchMonitor:
         model = estimator.model
         self._estimator, self._contacts, self._poses, self._log = estimator, contacts, poses, log
         self._estimates = estimates
-        self._detector = Detector(replace(model, averaging_samples=samples), rate)
+        self._detector = Detector(
+            model, rate, samples=samples, walk_steps=estimator.priors.walk_steps,
+            start_steps=estimator.priors.drift_steps,
+        )  # fmt: skip
         self._phases = PhaseTracker(model, rate / samples)
         self._latency_check = LatencyCheck(model.whiten)
         self._tracker: Tracker | None = None
         if poses is not None and estimates:
-            of_means = Estimator(replace(model, averaging_samples=1), estimator.tolerances)
-            # Steps are in units of the noise of one sample. The mean takes the sample's place and has less noise.
-            step = math.sqrt(model.averaging_samples)
-            nominal = estimator.priors
-            priors = replace(nominal, drift_steps=BIAS_STEPS * step, walk_steps=nominal.walk_steps * step)
             self._tracker = Tracker(
-                of_means, priors=priors, gravity_world=poses.gravity_world, rate=rate / samples
-            )
+                estimator, gravity_world=poses.gravity_world, rate=rate / samples, samples=1,
+                bias=self._detector.bias_filter,
+            )  # fmt: skip
         self._state = self._no_state
         self._period, self._last = samples / rate, math.nan
 
@@ -308,10 +304,15 @@ class TouchMonitor:
         self._state = TouchState(phase, fused)
         return self._state
 
+    @property
+    def drift(self) -> KnownBias:
+        """What is known of the drift of the bias since the tare."""
+        return self._detector.bias_filter.known()
+
     def calibrate(self, batches: list[AveragedBatch], tare: Tare) -> None:
         """Calibrate the detector on batches of a free probe, as those of the tare.
 
-        They provide the oscillation of the probe and the random walk of the bias since their mean.
+        They provide the oscillation of the probe and the drift of the bias since their mean.
         """
         if batches:
             self._detector.calibrate(np.concatenate([self._excess(batch, tare) for batch in batches]))
@@ -325,6 +326,13 @@ class TouchMonitor:
     def on_interruption(self) -> None:
         """Handle missing readings between the last batch and the next."""
         self._phases.stationarity.reset()
+
+    def on_leap(self, time: float) -> None:
+        """Handle a leap of the base: what was touched before it and what is touched after it are two touches."""
+        self._phases.stationarity.reset()
+        self._contacts.update(time, "", None)
+        if self._tracker is not None:
+            self._tracker.restart()
 
     def _fused(
         self, decisions: list[Touching], wrench: Array, T: Array | None, time: float

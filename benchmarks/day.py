@@ -1,0 +1,288 @@
+"""A working day of live: the bias walks and ramps, the tare is taken once, touches are located from hour to hour.
+
+Two parts, each in a process of its own. A free probe at the rate of a Net F/T box counts false touches of the contact
+test. And the whole chain of `live`, on means at a lower rate, gets touches of 10 mN at 0.6 of the length, simulated by
+the independent rod with every error source drawn anew for each: single ones, compared with the bound of a reading with
+a fresh tare, and presses from five poses, fused with the poses of the base.
+"""
+
+import math
+import time
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.coverage import SLIDE, TOUCHES, WITHIN_95, friction_of, paper_models
+from benchmarks.reference_worlds import Priors, Sources, bound, nominal_free, presses, read, rms
+from benchmarks.timing import print_table
+from probedesign.core.frames import Array, inverse, wrench_map
+from probedesign.core.units import MM
+from probedesign.estimation.detector import Detector
+from probedesign.estimation.estimate import FusedEstimate
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
+from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.poses.track import TimedPose
+from probedesign.live.processing.blocks import Block
+from probedesign.live.processing.chain import Chain
+from probedesign.live.processing.control import ProcessingOptions, TareWindow
+from probedesign.live.processing.touches import Contact
+from tests.reference.cosserat import solve
+
+HOURS = 8.0
+WALK, RAMP = 0.05, 10.0 / 3600.0
+"""Random walk and ramp of the bias in one second, in steps of the resolution; the ramp of a channel has either sign."""
+RATE, RATE_OF_BOX = 25.0, 7000.0
+"""Of the means and of the samples [Hz]."""
+PLACE, NEWTONS = 0.6, 10e-3
+PERIOD, BEGIN, DWELL = 120.0, 60.0, 2.0
+"""From one touch to the next, from the start of a period to its touch, and at each pose [s]."""
+TARE = TareWindow(0.0, 3.0)
+ASIDE = np.array([0.0, 0.0, 3.0 * MM])
+"""Way of the base off the touched point while the probe is free [m]."""
+TRAVEL = 10.0
+"""Time of the base's way from one touch to the next [s]."""
+PARTS = 4
+"""Of the day, in the table."""
+
+
+def report(hours: float = HOURS) -> None:
+    """Print both tables.
+
+    Args:
+        hours: length of the day.
+    """
+    began = time.monotonic()
+    with ProcessPoolExecutor(max_workers=2) as pool:
+        alarms, day = pool.submit(_false_alarms, hours), pool.submit(_touches, hours)
+        false_box, (found, false_means) = alarms.result(), day.result()
+    rows = []
+    for i in range(PARTS):
+        part = [one for one in found if int(PARTS * one.time / (3600.0 * hours)) == i]
+        rows.append([f"{hours * i / PARTS:g} ... {hours * (i + 1) / PARTS:g} h", *_columns(part)])
+    rows.append(["all", *_columns(found)])
+    print_table(
+        f"A day after one tare: touches of {1e3 * NEWTONS:g} mN at {PLACE:g} L, every error source drawn",
+        ["", "single", "located", "RMS ÷ bound", "in 95 %", "presses", "located", "RMS mm", "in 95 %", "other results"],
+        rows,
+    )  # fmt: skip
+    rows = [
+        [f"contact test, {RATE_OF_BOX:g} samples/s", f"{false_box / hours:.2g}", "≤ 1"],
+        [f"the whole chain, {RATE:g} means/s", f"{false_means / hours:.2g}", "≤ 1"],
+    ]
+    print_table("False touches in an hour", ["", "measured", "target"], rows)
+    print(
+        f"  {hours:g} h simulated in {time.monotonic() - began:.0f} s; bias: {WALK:g} steps/√s, {3600 * RAMP:g} steps/h"
+    )
+
+
+# False touches at full rate
+
+
+def _false_alarms(hours: float) -> int:
+    """Return the number of contacts that the test detects on a free probe."""
+    model, rng = paper_models()["large"], np.random.default_rng(1)
+    detector, root = Detector(model, RATE_OF_BOX), _root(model) * math.sqrt(model.averaging_samples)
+    n, alarms, before = int(60.0 * RATE_OF_BOX), 0, "free"
+    bias, sides = np.zeros(6), rng.choice([-1.0, 1.0], 6)
+    for minute in range(round(60.0 * hours)):
+        walk = (
+            WALK / math.sqrt(RATE_OF_BOX) * np.cumsum(rng.standard_normal((n, 6), dtype=np.float32), axis=0)
+        )
+        ramp = RAMP * (60.0 * minute + np.arange(n)[:, None] / RATE_OF_BOX) * sides
+        steps = bias + walk
+        bias = steps[-1]
+        states = np.array(
+            detector.run((steps + ramp + rng.standard_normal((n, 6), dtype=np.float32)) @ root.T)
+        )
+        touching = states == "contact"
+        alarms += int((touching[1:] & ~touching[:-1]).sum() + (touching[0] and before != "contact"))
+        before = str(states[-1])
+    return alarms
+
+
+def _root(model: ProbeModel) -> Array:
+    """Return the map of independent normals of the channels to the noise of one reading at the base, (6, 6)."""
+    return wrench_map(inverse(model.T_sensor_base)) * model.noise.std
+
+
+# Touches through the whole chain
+
+
+@dataclass(frozen=True)
+class Scheduled:
+    """A touch that is made.
+
+    Attributes:
+        begin: [s].
+        wrenches: without noise and bias at each pose, (k, 6); places: of the base at each [m], (k, 3).
+        point: touched point in base axes at the last pose [m], (3,).
+        limit: RMS of the bound of one reading with a fresh tare [m]; NaN for a press.
+    """
+
+    begin: float
+    wrenches: Array
+    places: Array
+    point: Array
+    limit: float
+
+    @property
+    def end(self) -> float:
+        """Return the time at which it is over [s]."""
+        return self.begin + DWELL * len(self.places)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What became of a touch.
+
+    Attributes:
+        time: of its beginning [s].
+        single: whether it is a single touch.
+        result: code of the estimate of one reading, or of the fusion of a press; "missed" without a contact.
+        error: distance from the truth [m]; ratio: of it to the bound; nees: error squared over the covariance.
+    """
+
+    time: float
+    single: bool
+    result: str
+    error: float = math.nan
+    ratio: float = math.nan
+    nees: float = math.nan
+
+
+def _schedule(model: ProbeModel, hours: float, rng: np.random.Generator) -> list[Scheduled]:
+    """Return single touches and presses in turn, each of a world of its own; the day's drift is not in them."""
+    n = int(3600.0 * hours / PERIOD) // 2
+    stated, found = Priors.of(model), list[Scheduled]()
+    mu = friction_of(model)
+
+    def drawn(touches: int) -> tuple[Sources, Array, Array, Array]:
+        sources = Sources.of(model, stated, touches)
+        z = sources.draw(n, rng)
+        z[:, sources.slots["drift"]] = 0.0
+        return sources, z, mu * rng.normal(size=(n, 2)), rng.uniform(-np.pi, np.pi, n)
+
+    sources, z, ratios, phi = drawn(1)
+    worlds = sources.worlds(z)
+    force = NEWTONS * np.column_stack([np.ones(n), ratios]) / np.sqrt(1.0 + (ratios**2).sum(axis=1))[:, None]
+    one = solve(worlds.at_touch(0), worlds.gravity, PLACE * worlds.probes.length, phi, force, axes="surface")
+    readings = read(worlds, z, one, worlds.free())
+    limits = rms(bound(readings, model.noise_base()))
+    for i in np.flatnonzero(one.ok):
+        begin = 2.0 * i * PERIOD + BEGIN
+        place, point = -readings.point[i : i + 1], readings.point[i]
+        found.append(Scheduled(begin, readings.wrench[i : i + 1], place, point, float(limits[i])))
+    sources, z, ratios, phi = drawn(TOUCHES)
+    slide = rng.uniform(0.0, SLIDE, n)
+    pressed = presses(sources.worlds(z), z, PLACE, phi, ratios, NEWTONS, slide)
+    for i in np.flatnonzero(pressed.ok):
+        begin = (2.0 * i + 1.0) * PERIOD + BEGIN
+        point = pressed.readings[-1].point[i]
+        found.append(Scheduled(begin, pressed.wrenches[i], pressed.places[i], point, math.nan))
+    return sorted(found, key=lambda touch: touch.begin)
+
+
+def _poses(model: ProbeModel, touches: list[Scheduled]) -> BasePoses:
+    """Return the poses of the base: at rest but from one touch to the next."""
+    stated, t = list[TimedPose](), -1.0
+    step = 0.4 / RATE
+
+    def rest(start: float, end: float, p: Array) -> None:
+        for at in (start, end):
+            stated.append(TimedPose(at, tuple(p.tolist()), (0.0, 0.0, 0.0, 1.0)))
+
+    for touch in touches:
+        rest(t, touch.begin - step, touch.places[0] + ASIDE)
+        for k, p in enumerate(touch.places):
+            rest(touch.begin + k * DWELL, touch.begin + (k + 1) * DWELL - step, p)
+        t = touch.end
+        rest(t, t + TRAVEL, touch.places[0] + ASIDE)
+        t += 2.0 * TRAVEL
+    rest(t, t + 2.0 * PERIOD, touches[-1].places[0] + ASIDE)
+    return BasePoses("stated", stated, max_gap=math.inf, gravity_world=model.gravity_base)
+
+
+def _blocks(
+    model: ProbeModel, touches: list[Scheduled], hours: float, rng: np.random.Generator
+) -> Iterator[Block]:
+    """Yield the readings, a period at a time; each lies in the middle of the time since the one before."""
+    step = np.sqrt(np.diag(model.noise.cov) * model.averaging_samples)
+    bias, sides, n = np.zeros(6), rng.choice([-1.0, 1.0], 6), int(PERIOD * RATE)
+    by_period = {int(touch.begin // PERIOD): touch for touch in touches}
+    free = nominal_free(model)
+    for period in range(int(3600.0 * hours / PERIOD)):
+        t = PERIOD * period + (np.arange(n) + 0.25) / RATE
+        wrench = np.tile(free, (n, 1))
+        touch = by_period.get(period)
+        if touch is not None:
+            inside = (t >= touch.begin) & (t < touch.end)
+            wrench[inside] = touch.wrenches[((t[inside] - touch.begin) // DWELL).astype(int)]
+        walk = bias + WALK / math.sqrt(RATE) * np.cumsum(rng.normal(size=(n, 6)), axis=0)
+        bias = walk[-1]
+        drift = step * (walk + RAMP * t[:, None] * sides)
+        read = model.to_sensor(wrench, model.gravity_base) + drift + model.noise.std * rng.normal(size=(n, 6))
+        yield Block(t, read, model.gravity_base, np.full(n, math.nan))
+
+
+def _touches(hours: float) -> tuple[list[Found], int]:
+    """Return what became of each touch, and the number of contacts that are no touch."""
+    model, rng = paper_models()["large"], np.random.default_rng(2)
+    touches = _schedule(model, hours, rng)
+    chain = Chain(
+        Estimator(model), ProcessingOptions(TARE, 1, rate=2.0), _poses(model, touches), lambda line: None
+    )
+    singles: dict[int, str] = {}
+    contacts: dict[int, Contact] = {}
+    for block in _blocks(model, touches, hours, rng):
+        for update in chain.process(block):
+            if update.phase == "settled":
+                singles[update.contacts[-1].number] = update.estimate.result
+        contacts |= {contact.number: contact for contact in chain.contacts[-10:]}
+    found, used = list[Found](), set[int]()
+    for touch in touches:
+        mine = [c for c in contacts.values() if touch.begin - 0.1 <= c.start < touch.end]
+        used |= {c.number for c in mine}
+        found.append(_found(touch, mine[-1] if mine else None, singles))
+    return found, len(set(contacts) - used)
+
+
+def _found(touch: Scheduled, contact: Contact | None, singles: dict[int, str]) -> Found:
+    single = math.isfinite(touch.limit)
+    if contact is None:
+        return Found(touch.begin, single, "missed")
+    if single:
+        e = contact.estimate
+        if e is None:
+            return Found(touch.begin, True, singles.get(contact.number, "missed"))
+        return _error(touch, True, e.p_surface_base - touch.point, e.cov_surface_base)
+    fused = contact.fused or FusedEstimate("not_converged")
+    if not fused.ok:
+        return Found(touch.begin, False, fused.result)
+    return _error(touch, False, fused.p_surface_world, fused.cov_surface_world)
+
+
+def _error(touch: Scheduled, single: bool, off: Array, cov: Array) -> Found:
+    # A covariance of a point on a surface may lack its third direction.
+    values, vectors = np.linalg.eigh(cov)
+    values = np.maximum(values, 1e-9 * values[-1] + (1e-6) ** 2)
+    error = float(np.linalg.norm(off))
+    nees = float(((vectors.T @ off) ** 2 / values).sum())
+    return Found(touch.begin, single, "ok", error, error / touch.limit, nees)
+
+
+def _columns(found: list[Found]) -> list[str]:
+    """Return the columns of a row of the table."""
+    columns = list[str]()
+    for single in (True, False):
+        mine = [one for one in found if one.single == single]
+        located = [one for one in mine if one.result == "ok"]
+        n = max(len(located), 1)
+        size = math.sqrt(sum((one.ratio if single else one.error / MM) ** 2 for one in located) / n)
+        inside = sum(one.nees <= WITHIN_95 for one in located) / n
+        columns += [str(len(mine)), f"{len(located) / max(len(mine), 1):.1%}", f"{size:.2f}", f"{inside:.1%}"]
+    others = Counter(one.result for one in found if one.result != "ok")
+    return [*columns, ", ".join(f"{code} {n}" for code, n in others.items()) or "none"]

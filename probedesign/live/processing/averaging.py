@@ -1,0 +1,69 @@
+"""How many readings are averaged to one: single samples and means are told apart by rate and noise."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from probedesign.core.frames import Array
+from probedesign.estimation.model import ProbeModel
+
+MAX_MEAN_RATE = 500.0
+"""Rate above which readings are single samples unless their noise shows that they are not [Hz]."""
+MIN_READINGS, MAX_READINGS, MAX_TIME = 8, 64, 1.0
+"""Least and largest number of first readings that decide, and their duration [s]."""
+WHITE = -0.35
+"""Correlation of successive second differences below which readings scatter by noise: -2/3 for noise, positive for a
+slow signal."""
+NEAR = 2.0
+"""Factor between the measured variance and that of single samples, or of the model's means, within which readings are
+taken for those: 64 readings measure it to 15 %."""
+MEDIAN = 0.4549
+"""Median of χ² with one degree of freedom."""
+
+
+class Averaging(NamedTuple):
+    """How many readings are averaged to one, and why."""
+
+    samples: int
+    reason: str
+
+
+def readings_needed(time: Array) -> int:
+    """Return how many of the first readings at these times [s] decide; 0 if there are not enough yet."""
+    inside = int(np.searchsorted(time, time[0] + MAX_TIME)) if len(time) else 0
+    needed = min(max(inside, MIN_READINGS), MAX_READINGS)
+    complete = len(time) >= MAX_READINGS or (len(time) > inside and len(time) >= MIN_READINGS)
+    return needed if complete else 0
+
+
+def choose_averaging(time: Array, wrench_sensor: Array, model: ProbeModel) -> Averaging:
+    """Return how many readings are to be averaged for the noise that the model states.
+
+    The variance of the readings is measured by their second differences, in which a slow signal does not show. Where
+    these do not scatter like noise, the rate decides.
+
+    Args:
+        time: of the first readings [s], (n,).
+        wrench_sensor: the readings [N, N·m], (n, 6).
+        model: states the noise of the mean of `averaging_samples` samples.
+    """
+    most = model.averaging_samples
+    step = float(np.median(np.diff(time))) if len(time) > 1 else math.inf
+    rate = 1.0 / step if step > 0.0 else math.inf
+    by_rate = most if rate > MAX_MEAN_RATE else 1
+    if most == 1 or len(time) < MIN_READINGS:
+        return Averaging(by_rate, f"{rate:.4g} readings/s")
+    bends = np.diff(wrench_sensor, 2, axis=0) / (math.sqrt(6.0) * model.noise.std)
+    power = float((bends * bends).sum())
+    variance = float(np.median(bends * bends)) / MEDIAN
+    white = power > 0.0 and float((bends[1:] * bends[:-1]).sum()) < WHITE * power
+    if not white or not variance > 0.0:
+        return Averaging(by_rate, f"{rate:.4g} readings/s")
+    if variance > most / NEAR:
+        return Averaging(most, "the readings scatter like single samples")
+    if variance < NEAR:
+        return Averaging(1, "the readings scatter like means")
+    return Averaging(
+        round(variance), f"the readings scatter by {math.sqrt(variance):.2g} times the stated noise"
+    )

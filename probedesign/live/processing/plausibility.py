@@ -1,0 +1,235 @@
+"""Plausibility of the signals: readings that no working sensor gives, and poses that no robot can have.
+
+A reading with a fault has no position. Each check has a limit far beyond what a working sensor or robot does, and the
+fault ends with the first readings that pass it.
+"""
+
+import math
+from collections import deque
+
+import numpy as np
+
+from probedesign.core.frames import Array
+from probedesign.estimation.model import ProbeModel
+from probedesign.live import Log
+from probedesign.live.processing.blocks import AveragedBatch
+from probedesign.live.processing.control import CHANNELS
+
+FROZEN_READINGS = 8
+"""Identical readings in all channels from which the signal counts as frozen. With a noise of half a step of the
+resolution, two raw readings are identical in all six channels once in sixty pairs, and eight once in 10¹²."""
+DEAD_TIME, DEAD_READINGS = 1.0, 20
+"""Duration [s] and number of identical readings of one channel from which it counts as dead."""
+NOISE_WINDOW, NOISE_PERIOD = 1.0, 0.25
+"""Interval over which the noise is measured, and time from one measurement to the next [s]."""
+MIN_NOISE_READINGS = 30
+"""Least number of readings of a noise measurement."""
+MAX_NOISE, MIN_NOISE = 4.0, 0.02
+"""Limits of the measured noise over the stated one. Beyond the upper one, free readings count as touches; the lower one
+is that of values in a unit a thousand times too large, or of a filter far below the rate of the readings."""
+MIN_NOISE_RATE = 150.0
+"""Rate below which noise is not separated from motion, so that only too little noise is a fault [Hz]: second
+differences of a sway at 5 Hz by 3 mN at mid-length reach the stated noise of means at 150 Hz."""
+MAX_CLOCK_LEAP = 0.5
+"""Largest lead of the sensor's clock over its arrival that is no leap [s]. A reading that waited arrives late, never
+early."""
+CLOCK_SKEW = 1e-3
+"""Largest difference of the rates of two clocks. Assumed: twenty times that of quartz oscillators."""
+MAX_SPEED, MAX_TURN = 5.0, 15.0
+"""Largest speed [m/s] and rate of rotation [rad/s] of a base. Assumed: faster than any arm moves a probe; light arms
+reach 2 m/s and 7 rad/s."""
+LEAP_HOLD = 0.25
+"""Time without a leap after which poses count again [s]: poses that flicker are not used in between."""
+MIN_DEFLECTION, MIN_TRAVEL_SHARE = 0.5e-3, 0.05
+"""Deflection of the probe at the contact from which the travel of the base is compared with it [m], and its least share
+of it. A base that presses on a fixed point travels by all of it; in metres instead of millimetres, by a thousandth."""
+LEVER = 0.1
+"""Lever arm that converts a rotation of the base to a distance [m], as in the tracker."""
+QUANTILE = 0.6745
+"""Median of the magnitude of a standard normal."""
+
+
+class SignalMonitor:
+    """Checks the readings of a sensor, batch by batch."""
+
+    def __init__(self, model: ProbeModel, samples: int, rate: float) -> None:
+        """Start without readings.
+
+        Args:
+            model: probe and sensor.
+            samples: number of readings averaged to one: their mean has the noise of the model.
+            rate: of readings [Hz]; NaN if it is unknown.
+        """
+        self._limit, self._noise = model.saturation_limit, model.noise.std * math.sqrt(samples)
+        self._samples, self._rate = samples, rate
+        self._last, self._repeats, self._same_since = np.full(6, np.nan), 1, np.full(6, np.nan)
+        self._same_count = np.ones(6)
+        self._window = deque[Array]()
+        self._in_window, self._next_noise, self._noise_fault = 0, math.nan, ""
+        self._lead = math.nan
+        self._stretch = -1
+
+    def fault(self, batch: AveragedBatch) -> str:
+        """Return the fault of a batch; empty without one. A fault that the source reports takes precedence."""
+        block = batch.block
+        if block.fault:
+            return block.fault
+        rows, time = block.wrench_sensor, block.time
+        if block.stretch != self._stretch:
+            self._stretch, self._in_window, self._next_noise, self._noise_fault = (
+                block.stretch,
+                0,
+                math.nan,
+                "",
+            )
+            self._window.clear()
+        leap = self._clock_leap(time, block.received)
+        beyond = ~(np.abs(rows) <= self._limit)
+        if beyond.any():
+            i, channel = np.argwhere(beyond)[0]
+            return f"{CHANNELS[channel]} is at its limit or not a number: {rows[i, channel]:.4g}"
+        still = self._standstill(rows, time)
+        self._measure_noise(rows, time)
+        return leap or still or self._noise_fault
+
+    def _clock_leap(self, time: Array, received: Array) -> str:
+        """Return whether the sensor's clock leapt ahead of the arrival of its readings."""
+        lead = time - received
+        largest = float(lead.max())
+        if not math.isfinite(largest):
+            return ""
+        before, self._lead = self._lead, max(largest, self._lead - CLOCK_SKEW * float(time[-1] - time[0]))
+        if largest > before + MAX_CLOCK_LEAP:  # never where there was none before
+            return f"the sensor's clock leapt ahead by {largest - before:.3g} s; a leap of ft_sequence?"
+        return ""
+
+    def _standstill(self, rows: Array, time: Array) -> str:
+        """Return whether all channels, or one of them, have stood still for too long."""
+        same = np.empty(rows.shape, dtype=bool)
+        same[0] = rows[0] == self._last
+        np.equal(rows[1:], rows[:-1], out=same[1:])
+        self._last = rows[-1]
+        frozen, identical = 0, np.logical_and.reduce(same, axis=1)
+        if identical.any():
+            for one in identical.tolist():
+                self._repeats = self._repeats + 1 if one else 1
+                frozen = max(frozen, self._repeats)
+        else:
+            self._repeats = 1
+        if frozen >= FROZEN_READINGS:
+            return f"frozen: {frozen} readings in a row are identical"
+        # A channel that changes within a batch counts from its end on.
+        constant = np.logical_and.reduce(same, axis=0)
+        self._same_count = np.where(constant, self._same_count + len(rows), 1.0)
+        self._same_since = np.where(constant, self._same_since, time[-1])
+        if not constant.any():
+            return ""
+        lasting = time[-1] - self._same_since
+        dead = (lasting >= DEAD_TIME) & (self._same_count >= DEAD_READINGS)
+        if dead.any():
+            channel = int(np.argmax(dead))
+            return f"{CHANNELS[channel]} has not changed for {lasting[channel]:.3g} s: dead, or rounded too coarsely"
+        return ""
+
+    def _measure_noise(self, rows: Array, time: Array) -> None:
+        """Measure the noise by second differences of the readings, which no slow signal shows in."""
+        self._window.append(rows)
+        self._in_window += len(rows)
+        enough = max(MIN_NOISE_READINGS, NOISE_WINDOW * self._rate) if math.isfinite(self._rate) else math.inf
+        while self._in_window - len(self._window[0]) >= enough:
+            self._in_window -= len(self._window.popleft())
+        now = float(time[-1])
+        if self._in_window < enough or now < self._next_noise:
+            return
+        self._next_noise = now + NOISE_PERIOD
+        bends = np.abs(np.diff(np.concatenate(self._window), 2, axis=0)) / (math.sqrt(6.0) * self._noise)
+        usual, size = np.median(bends, axis=0) / QUANTILE, np.sqrt(np.mean(bends * bends, axis=0))
+        self._noise_fault = ""
+        if usual.max() > MAX_NOISE and self._rate >= MIN_NOISE_RATE:
+            channel = int(np.argmax(usual))
+            hint = "; readings are not averaged?" if self._samples == 1 else ""
+            self._noise_fault = (
+                f"{CHANNELS[channel]} scatters by {usual[channel]:.2g} times its stated noise{hint}"
+            )
+        elif size.max() < MIN_NOISE:
+            self._noise_fault = (
+                f"readings scatter by {size.max():.1g} times their stated noise; a wrong unit?"
+            )
+
+
+class PoseMonitor:
+    """Checks that the base moves as a robot can."""
+
+    def __init__(self) -> None:
+        """Start without a pose."""
+        self._last: tuple[float, Array] | None = None
+        self._leapt = -math.inf
+        self._reason = ""
+
+    def fault(self, time: float, T_world_base: Array) -> str:
+        """Return the fault of the pose at a time [s], (4, 4); empty without one."""
+        last, self._last = self._last, (time, T_world_base)
+        if last is None or not time > last[0]:
+            return self._reason if time - self._leapt < LEAP_HOLD else ""
+        seconds = time - last[0]
+        travel = float(np.linalg.norm(T_world_base[:3, 3] - last[1][:3, 3]))
+        # The Frobenius norm |R - R'| is 2√2 sin(angle/2).
+        chord = float(np.linalg.norm(T_world_base[:3, :3] - last[1][:3, :3]))
+        turn = 2.0 * math.asin(min(chord / (2.0 * math.sqrt(2.0)), 1.0))
+        if travel > MAX_SPEED * seconds or turn > MAX_TURN * seconds:
+            self._leapt = time
+            degrees = math.degrees(turn)
+            self._reason = (
+                f"the base leapt by {1e3 * travel:.3g} mm and {degrees:.2g}° in {1e3 * seconds:.3g} ms; "
+                "positions in the wrong unit?"
+            )
+        return self._reason if time - self._leapt < LEAP_HOLD else ""
+
+    @property
+    def leapt(self) -> float:
+        """Return the time of the last leap [s]; minus infinity without one."""
+        return self._leapt
+
+
+class TravelCheck:
+    """Checks that a base travels as far as the probe bends at a touched point that is fixed in the world."""
+
+    def __init__(self) -> None:
+        """Start without a touch."""
+        self._start: Array | None = None
+        self.fault = ""
+
+    def on_free(self, T_world_base: Array) -> None:
+        """Take in the pose of a base whose probe is free, (4, 4)."""
+        self._start, self.fault = T_world_base, ""
+
+    def on_contact(self, T_world_base: Array, deflection: float) -> None:
+        """Take in the pose of a touch (4, 4) and how far the probe is bent at the contact [m]; NaN if unknown."""
+        if self._start is None:
+            return
+        lever = np.linalg.norm(T_world_base[:3, :3] - self._start[:3, :3]) / math.sqrt(2.0)
+        travel = float(np.linalg.norm(T_world_base[:3, 3] - self._start[:3, 3]) + LEVER * lever)
+        if deflection > MIN_DEFLECTION and travel < MIN_TRAVEL_SHARE * deflection:
+            self.fault = (
+                f"the base moved by {1e3 * travel:.2g} mm while the probe bent by {1e3 * deflection:.2g} mm; "
+                "positions of the base in metres, or an object that moves?"
+            )
+        elif deflection > MIN_DEFLECTION:
+            self.fault = ""
+
+
+class FaultReport:
+    """Reports a fault where it begins, and its end, at most once a second."""
+
+    def __init__(self, log: Log) -> None:
+        """Start without a fault."""
+        self._log, self._ongoing, self._reported = log, "", -math.inf
+
+    def update(self, time: float, fault: str) -> None:
+        """Take in the fault of a reading at a time [s]; empty without one."""
+        if bool(fault) == bool(self._ongoing):
+            return
+        if fault and time - self._reported < 1.0:
+            return
+        self._log(f"fault: {fault}; no position until it ends" if fault else "the fault has ended")
+        self._ongoing, self._reported = fault, time
