@@ -19,8 +19,9 @@ from scipy.stats import norm
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import WALK_SECONDS
 from probedesign.identification.fit_checks import unobservable_direction
-from probedesign.identification.identify import data_of
+from probedesign.identification.identify import TEST_SECONDS, data_of
 from probedesign.identification.parameters import (
     OWNER,
     PARAMETERS,
@@ -177,10 +178,19 @@ class Information:
     @cached_property
     def whole(self) -> Linearization:
         """All tests at the designed probe, linearised by every parameter."""
-        data = data_of(self.bench.campaign(list(self.candidates)), self.bench.model, self.flange_volume)
-        problem = LeastSquaresProblem(data.common, data.tests, None, np.ones(data.common.size))
-        values = ParameterValues(data.common, np.zeros(data.common.size))
-        return linearize(problem, values, start_nuisance(data.tests, self.bench.model.rod), root=True)
+        model = self.bench.model
+        data = data_of(self.bench.campaign(list(self.candidates)), model, self.flange_volume)
+        # The order is chosen last: the bias walks in each test by itself, over the time from one test to the next.
+        common = replace(data.common, walk_seconds=())
+        walked = common.tolerances.walk_steps**2 * TEST_SECONDS / WALK_SECONDS
+        drift = walked * model.averaging_samples * model.noise_base()
+        tests = tuple(
+            replace(test, epoch=0, cov_wrench=None if test.cov_wrench is None else test.cov_wrench + drift)
+            for test in data.tests
+        )
+        problem = LeastSquaresProblem(common, tests, None, np.ones(common.size))
+        values = ParameterValues(common, np.zeros(common.size))
+        return linearize(problem, values, start_nuisance(tests, model.rod), root=True)
 
     @cached_property
     def blocks(self) -> dict[str, tuple[ResidualBlock, ...]]:
