@@ -462,7 +462,7 @@ def _cells(lines: CsvLines) -> list[list[str]]:
         except csv.Error:
             lines.fail(number, "a quotation mark is opened and not closed, or the row is too long")
         if len(fields) != len(lines.header):
-            lines.fail(number, f"{len(fields)} fields where the header names {len(lines.header)}")
+            lines.fail(number, f"the row has {len(fields)} values where the header names {len(lines.header)}")
         for name, text in zip(lines.header, fields, strict=True):
             if not name and text.strip():
                 lines.fail(number, f"{quote_input(text.strip())} is in a column without a name; name the column, or "

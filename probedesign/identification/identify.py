@@ -240,7 +240,7 @@ def identify(
         return whole
     causes = likely_causes(found, priors)
     whole = replace(whole, why=why, likely_causes=causes, seconds=time.perf_counter() - begun)
-    if not accept:
+    if not accept or found.result == "not_converged":
         return whole.as_inconsistent(why)
     note = f"accepted although inconsistent: {why}; all standard deviations are {widening:.3g} times as large"
     return replace(whole, result="accepted", widening=widening, notes=(note, *whole.notes))

@@ -93,7 +93,9 @@ def parse_listen_address(option: str) -> tuple[str, int]:
     except ValueError:
         host, port = "", None
     if port is None:
-        raise InputError(f"{option}: write udp://:PORT, or udp://0.0.0.0:PORT for every network")
+        raise InputError(
+            f"{option}: write udp://:PORT with a port of 1 ... 65535, or udp://0.0.0.0:PORT for every network"
+        )
     return host or LOOPBACK[0], port
 
 

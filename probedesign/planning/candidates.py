@@ -272,20 +272,12 @@ class Bench:
                 T[:3, :3] @ surface_point(self.model.rod, eq) + T[:3, 3],
                 self.instruments.std_place,
             )
-        std_s = math.nan if math.isnan(s) else self.std_s(mark, force_world is None)
+        std_s = math.nan if math.isnan(s) else STD_MARK
         test = Test(
             name, T, self.gravity_world, force_world, s, std_s, place, std_place, direction, math.nan, math.nan,
             np.tile(eq.wrench_base, (READINGS, 1)), "base", self._markers(eq, T),
         )  # fmt: skip
         return Candidate(set_up, test, eq, words, mass, mark, displacement)
-
-    def std_s(self, mark: float, touched: bool) -> float:
-        """Return the standard deviation of the arclength of a load [m].
-
-        Friction moves the line of a touch's force by up to μ r along the axis.
-        """
-        shift = self.model.friction * float(self.model.rod.radius_at(mark)) if touched else 0.0
-        return math.hypot(STD_MARK, shift if math.isfinite(shift) else 0.0)
 
     def _markers(self, eq: Equilibrium, T: Array) -> Markers | None:
         std = self.instruments.cameras

@@ -169,7 +169,7 @@ def test_a_test_may_have_a_base_of_its_own(folder):
     ("tests.csv", ",60,", ",nan,", "s_contact_mm = 'nan' is not a finite number"),
     ("tests.csv", ",60,", ',"6,', "tests.csv:3: a quotation mark is opened and not closed"),
     ("tests.csv", "+y", "y", "tests.csv:3: direction = 'y' is none of +x, -x, +y, -y of the base"),
-    ("tests.csv", ",60,", ",60,7,", "9 fields where the header names 8"),
+    ("tests.csv", ",60,", ",60,7,", "9 values where the header names 8"),
     ("tests.csv", ",", ";", "tests.csv:1: semicolons between the columns"),
     ("markers.csv", "hang,1", "hung,1", "markers.csv:2: test 'hung' is not in tests.csv; did you mean 'hang'?"),
     ("markers.csv", "hang,1", "hang,4", "marker 4 is beyond the list: markers.s_mm in campaign.toml has 3"),

@@ -13,12 +13,13 @@ from probedesign.live.poses.pose_sources import PoseListener, parse_pose_json
 from probedesign.live.poses.track import TimedPose, pose_from_matrix
 from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.chain import Chain, LowPass
-from probedesign.live.processing.control import ProcessingOptions, TareWindow
+from probedesign.live.processing.control import ProcessingOptions, Tare, TareWindow
 from probedesign.live.processing.estimates import estimate_row, json_line, world_row
 from probedesign.live.processing.touches import SPAN
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.replay import ReplaySource
+from probedesign.rod.contact import solve_frictionless
 from probedesign.simulation import scenes
 from probedesign.simulation.robot import (
     CYCLE_DWELL_TIME,
@@ -240,7 +241,7 @@ def test_a_requested_tare_is_taken_while_free_and_refused_during_contact(estimat
     assert stated[2] == "tare refused: a tare is already being taken"
     assert stated[3].startswith("tare from 200 readings in 2.5")
     assert stated[4] in {
-        f"tare refused: the probe is {p}; the previous tare is kept" for p in ("touching", "settled")
+        f"tare refused: the probe is {p}; the previous zero is kept" for p in ("touching", "settled")
     }
     assert len(stated) == 5
     noise = estimator.model.noise.std
@@ -261,6 +262,41 @@ def test_the_first_tare_may_be_requested(estimator, motion):
     answers, _, chain = run(estimator, stream, None, ProcessingOptions(samples=SAMPLES, rate=1.0), ask=[1.0])
     assert chain.tare is not None and answers[-1].estimate.result == "no_contact"
     assert (answers[1].phase, answers[1].estimate.result) == ("", "no_tare") and answers[-1].phase == "free"
+
+
+def test_a_requested_tare_is_refused_in_a_touch_when_the_zero_is_that_of_the_sensor(estimator, motion):
+    """A tare then would make the touch the zero, and the free probe a touch."""
+    time = np.arange(int(9.0 * RATE)) / RATE
+    stream = blocks(motion.model, motion.wrench_sensor(time), time)  # zeroed without the probe: no bias
+    options = ProcessingOptions(samples=SAMPLES, rate=1.0)
+    _, lines, chain = run(estimator, stream, reported_poses(motion), options, ask=[7.9])
+    assert any(line.startswith("tare refused: the probe is") for line in lines) and chain.tare is None
+
+
+def test_the_age_of_a_tare_taken_beforehand_counts(estimator, motion):
+    """A touch of 10 mN is lost in the drift of a thousand seconds."""
+    time = np.arange(int(1.0 * RATE)) / RATE
+    touched = np.tile(
+        estimator.model.to_sensor(motion_wrench(estimator, 0.01), estimator.model.gravity_base),
+        (len(time), 1),
+    )
+    stds = []
+    for age in (0.0, 1000.0):
+        tare = Tare(np.zeros(6), 100, TareWindow(0.0, 1.0), -age)
+        lines: list[str] = []
+        chain = Chain(estimator, ProcessingOptions(samples=SAMPLES), None, lines.append, tare)
+        first = next(u for b in blocks(estimator.model, touched, time) for u in chain.process(b))
+        stds.append((first.estimate.result, first.estimate.std_s))
+    assert stds[0][0] == "ok"
+    assert stds[1][0] != "ok" or stds[1][1] > 1.5 * stds[0][1]
+
+
+def motion_wrench(estimator, force):
+    """Wrench about the base of a touch at 0.6 of the length [N, N·m], (6,)."""
+    found = solve_frictionless(
+        estimator.model.rod, estimator.model.gravity_base, 0.6 * estimator.model.rod.length, 1.57, force
+    )
+    return found.equilibrium.wrench_base
 
 
 def test_a_sample_at_its_limit_spoils_its_mean(estimator, motion):

@@ -157,12 +157,12 @@ def test_each_start_is_a_new_file(model, tmp_path):
     with closing(RecordingSink(path, model, log_lines.append)) as recordings:
         recordings.on_samples(block(0, 3))  # before the start: recorded nowhere
         for i in range(1, 4):
-            recordings.try_start()
+            recordings.start()
             recordings.on_samples(block(3 * i, 3))
             recordings.stop()
         recordings.stop()
-        recordings.try_start()
-        recordings.try_start()
+        recordings.start()
+        recordings.start()
     names = ["r.mcap", "r-2.mcap", "r-3.mcap", "r-4.mcap"]
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names)
     for i, name in enumerate(names[:3], 1):
@@ -177,10 +177,8 @@ def test_no_file_is_overwritten_without_force(model, tmp_path):
     log_lines, path = [], tmp_path / "r.mcap"
     path.write_text("mine")
     recordings = RecordingSink(path, model, log_lines.append)
-    recordings.try_start()
-    assert log_lines == [
-        f"cannot start recording: {path}: exists already; --force replaces it, or choose another name"
-    ]
+    with pytest.raises(InputError, match="exists already; --force replaces it"):
+        recordings.start()
     assert path.read_text() == "mine"
     with closing(RecordingSink(path, model, log_lines.append, force=True)) as recordings:
         recordings.start()
@@ -224,7 +222,7 @@ def test_a_recording_is_split_by_size_without_a_reading_lost(model, tmp_path, ki
     blocks = [each for part in paths for each in open_recording(part, model).blocks()]
     assert joined(blocks) == joined(written)
     assert all(open_recording(part, model).missing() == () for part in paths)
-    assert log_lines[-1] == f"recorded 1200 readings to {paths[-1]}"
+    assert log_lines[-1] == f"recorded 1200 readings to {paths[0]} ... {paths[-1].name}"
     assert [line for line in log_lines if "continues in" in line] == [
         f"recording continues in {part}" for part in paths[1:]
     ]

@@ -83,7 +83,8 @@ def a_run(node, estimator, record=None, seconds=4):
         poses.on_pose = file.on_pose
     publisher.follow(poses)
     source = SimulatedSource(estimator.model, f"speed=max&seconds={seconds}&rate_hz=10&period_s=5")
-    for _ in estimate_stream(estimator, source, ProcessingOptions(), lines.append, sinks, None, poses):
+    options = ProcessingOptions(samples=1, zero="trusted")
+    for _ in estimate_stream(estimator, source, options, lines.append, sinks, None, poses):
         node.receive()
     sinks.log("mark: cup")
     node.receive()

@@ -248,6 +248,7 @@ class SplitRecording(Sink):
 
     Attributes:
         path: path of the current file.
+        first_path: path of the first one.
     """
 
     def __init__(
@@ -257,6 +258,7 @@ class SplitRecording(Sink):
         self._open_next, self._limits, self._log = open_next, limits, log
         self._n_before = 0
         self.path, self._file = open_next()
+        self.first_path = self.path
         self._opened = time.monotonic()
 
     @property
@@ -378,14 +380,9 @@ class RecordingSink(Sink):
             return
         (recording, writer), self._current = self._current, None
         writer.close()
-        self._log(f"recorded {writer.readings} readings to {recording.path}")
-
-    def try_start(self) -> None:
-        """Open the next file on request; a failure is reported and the run continues."""
-        try:
-            self.start()
-        except ProbeDesignError as error:
-            self._log(f"cannot start recording: {error}")
+        first = recording.first_path
+        files = f"{recording.path}" if first == recording.path else f"{first} ... {recording.path.name}"
+        self._log(f"recorded {writer.readings} readings to {files}")
 
     def on_samples(self, block: Block) -> None:
         """Record readings; see `Sink`."""

@@ -236,6 +236,8 @@ class Chain:
             delay = 1e3 * self._low_pass.delay
             self._log(f"low-pass {self._options.filter_hz:g} Hz: estimates are delayed by {delay:.1f} ms")
         self._reset_monitor()
+        if self.tare is not None and self._monitor is not None:  # taken beforehand, perhaps long ago
+            self._monitor.rest(abs(float(time[0]) - self.tare.time))
         return True
 
     def _reset_monitor(self) -> None:
@@ -383,11 +385,11 @@ class Chain:
     def _tare_refusal(self) -> str:
         """Return why a requested tare is refused: the probe is not free; empty if it may be taken.
 
-        Before the first tare this cannot be decided: a bias looks like a touch.
+        While the sensor's zero is unknown this cannot be decided: a bias looks like a touch.
         """
         phase = self._state.phase
-        free = self.tare is None or phase in ("", "free")
-        return "" if free else f"the probe is {phase}; the previous tare is kept"
+        free = not self._zero_known or phase in ("", "free")
+        return "" if free else f"the probe is {phase}; the previous zero is kept"
 
     def _update_state(self, batch: AveragedBatch) -> TouchState:
         """Return the state of the touch monitor; unknown for a reading with a fault."""

@@ -309,6 +309,10 @@ class TouchMonitor:
         """What is known of the drift of the bias since the tare."""
         return self._detector.bias_filter.known()
 
+    def rest(self, seconds: float) -> None:
+        """Account for time since the tare without readings [s]: the bias has drifted."""
+        self._detector.bias_filter.rest(seconds)
+
     def calibrate(self, batches: list[AveragedBatch], tare: Tare) -> None:
         """Calibrate the detector on batches of a free probe, as those of the tare.
 

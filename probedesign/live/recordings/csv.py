@@ -136,7 +136,7 @@ def _whole_rows(table: CsvLines, columns: list[Column]) -> tuple[list[str], tupl
     commas = len(table.header) - 1
     for row, number in zip(rows, table.numbers, strict=False):
         if row.count(",") != commas:
-            table.fail(number, f"{row.count(',') + 1} fields where the header names {commas + 1}")
+            table.fail(number, f"the row has {row.count(',') + 1} values where the header names {commas + 1}")
     return rows, tuple(notes)
 
 

@@ -12,6 +12,10 @@ ARGUMENTS = {
     "probedesign": ("probedesign", "the program, or its path in a virtual environment"),
     "bundle": ("", "frozen probe, NAME.probe.json; empty: the run is started elsewhere"),
     "source": ("sim:", "source of the wrenches, as of probedesign live --source"),
+    "tare": (
+        "auto",
+        "auto: the first second at rest, when the probe must be free; none: the sensor's own zero",
+    ),
     "pose": ("fixed", "poses of the base, as of probedesign live --pose"),
     "port": ("9001", "UDP port of the messages"),
     "control_port": ("9002", "UDP port of the commands"),
@@ -35,6 +39,7 @@ def generate_launch_description():
     run = ExecuteProcess(
         cmd=[
             value["probedesign"], "live", value["bundle"], "--source", value["source"], "--pose", value["pose"],
+            "--tare", value["tare"],
             "--publish", ["ros2://127.0.0.1:", value["port"]], "--control", ["udp://:", value["control_port"]],
             "--lines",
         ],
