@@ -279,7 +279,7 @@ def _search(
         if lost is None:
             found = fit(problem, start)
             lost = unobservable_direction(found.point, found.weight, requested)
-            if lost is None or _contradicts(found, requested):
+            if lost is None or _contradicts(found):
                 return found, requested, unobservable
         unobservable.append(lost)
         requested = tuple(name for name in requested if name != lost.name)
@@ -288,10 +288,9 @@ def _search(
     )
 
 
-def _contradicts(found: Fit, requested: Sequence[str]) -> bool:
-    """Return whether tests that would determine all parameters contradict each other, so that little weight is left."""
-    if unobservable_direction(found.point, np.ones(len(found.point.blocks)), requested) is not None:
-        return False
+def _contradicts(found: Fit) -> bool:
+    """Return whether the tests contradict each other, so that little weight is left. At the start, with full weight,
+    they would have determined all parameters."""
     off = outliers(found.point.blocks, found.scales)
     return bool(inconsistency(found.point.blocks, off, found.noise, found.point.problem.tests))
 
