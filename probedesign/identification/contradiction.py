@@ -16,17 +16,16 @@ from scipy.stats import chi2
 
 from probedesign.core.frames import Array
 from probedesign.identification.fit_checks import LABELS, PriorTest
-from probedesign.identification.parameters import CHANNELS, LOG_E, ParameterValues
+from probedesign.identification.parameters import CHANNELS
 from probedesign.identification.residuals import MeasuredTest
-from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, linearize, minimise
-from probedesign.identification.starting_values import START_FACTORS, start_nuisance
+from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, minimise
+from probedesign.identification.starting_values import START_FACTORS, points_at
 
 MAX_REFINED = 5
 """Hypotheses that are fitted; of the others only the start of the search is compared."""
 MAX_FIT_ITERATIONS = 8
 MAX_TESTS, MAX_FACTORS = 6, 3
 """Tests and factors on E that hypotheses are compared with."""
-PLACE_MISTAKES = ("camera", "marker")
 SOFT_CHANCE = 0.01
 """Chance of a deviation of a prior up to which it is listed as a likely cause."""
 MIN_EXPLAINED = 0.5
@@ -95,9 +94,7 @@ def _mistakes(fit: Fit) -> Iterator[LikelyCause]:
     tried = []
     for name, words, change in _hypotheses(problem.tests):
         other = replace(problem, tests=tuple(change(test) for test in problem.tests))
-        # markers and places do not change the rod: the solved start serves again
-        placed = name in PLACE_MISTAKES
-        others = [_with_tests(start, other) for start in starts] if placed else _starts(other)
+        others = _starts(other)
         if others:
             start = min(others, key=lambda one: one.loss({}))
             tried.append((start.loss({}), name, words, other, start))
@@ -125,20 +122,7 @@ def _some_tests(problem: LeastSquaresProblem) -> LeastSquaresProblem:
 
 def _starts(problem: LeastSquaresProblem) -> list[Linearization]:
     """Return the starts of a search with each factor on E for which the rod has an equilibrium."""
-    x = np.zeros((len(START_FACTORS[:MAX_FACTORS]), problem.common.size))
-    x[:, LOG_E] = np.log(START_FACTORS[:MAX_FACTORS])
-    nuisance = start_nuisance(problem.tests, problem.common.model.rod)
-    points = [linearize(problem, ParameterValues(problem.common, one), nuisance) for one in x]
-    return [point for point in points if point.ok]
-
-
-def _with_tests(start: Linearization, problem: LeastSquaresProblem) -> Linearization:
-    """Return a start with other places of the same tests."""
-    tests = tuple(
-        replace(solved, measured=test) for solved, test in zip(start.tests, problem.tests, strict=True)
-    )
-    blocks = [block for test in tests for block in test.blocks()]
-    return Linearization(problem, start.values, tests, tuple(blocks))
+    return [point for _, point in points_at(problem, START_FACTORS[:MAX_FACTORS])]
 
 
 def _fitted_loss(problem: LeastSquaresProblem, start: Linearization) -> float:

@@ -36,7 +36,7 @@ from probedesign.identification.parameters import (
 )
 from probedesign.identification.residuals import MeasuredTest
 from probedesign.identification.result import Identification, Outlier
-from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, fit, outliers, weights
+from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, fit, outliers
 from probedesign.identification.starting_values import solvable_tests, start_point
 from probedesign.identification.whole_probe import MassMeasurement
 
@@ -274,11 +274,12 @@ def _search(
             found_start = start_point(problem, "E" in requested)
             assert found_start is not None  # by `_solvable`, test by test
             start = found_start
-        lost = unobservable_direction(start, weights(start.blocks, {}), requested, START_TOLERANCE)
+        # with full weight: what is far off at the start is not an outlier yet
+        lost = unobservable_direction(start, np.ones(len(start.blocks)), requested, START_TOLERANCE)
         if lost is None:
             found = fit(problem, start)
             lost = unobservable_direction(found.point, found.weight, requested)
-            if lost is None or _contradicts(found, requested):
+            if lost is None or _contradicts(found):
                 return found, requested, unobservable
         unobservable.append(lost)
         requested = tuple(name for name in requested if name != lost.name)
@@ -287,10 +288,9 @@ def _search(
     )
 
 
-def _contradicts(found: Fit, requested: Sequence[str]) -> bool:
-    """Return whether tests that would determine all parameters contradict each other, so that little weight is left."""
-    if unobservable_direction(found.point, np.ones(len(found.point.blocks)), requested) is not None:
-        return False
+def _contradicts(found: Fit) -> bool:
+    """Return whether the tests contradict each other, so that little weight is left. At the start, with full weight,
+    they would have determined all parameters."""
     off = outliers(found.point.blocks, found.scales)
     return bool(inconsistency(found.point.blocks, off, found.noise, found.point.problem.tests))
 
@@ -311,6 +311,14 @@ def _solvable(data: IdentificationData, names: Sequence[str]) -> tuple[Identific
         raise InputError(
             f"{data.where}: the probe buckles in its tests for any E; is it the right design, and are forces in "
             "their column's unit?"
+        )
+    full = np.ones(len(start.blocks))
+    if len(lost) >= len(kept) and all(
+        unobservable_direction(start, full, (name,), START_TOLERANCE) for name in names
+    ):
+        raise InputError(
+            f"{data.where}: the probe buckles in {len(lost)} of {len(data.tests)} tests for any E, and the others do "
+            f"not determine {', '.join(names)}; is it the right design, and are forces in their column's unit?"
         )
     notes = tuple(f"{one.name}: not used: the probe buckles under its load" for one in lost)
     return replace(data, tests=tuple(kept), notes=(*data.notes, *notes)), start

@@ -1,6 +1,6 @@
 """Starting values of a fit: a factor on E that explains the tests best, and each touch by its own reading."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,19 +22,27 @@ def start_point(problem: LeastSquaresProblem, free_E: bool) -> Linearization | N
 
     The factors are compared by tests that are spread over the campaign.
     """
-    factors = START_FACTORS if free_E else START_FACTORS[:1]
     n = len(problem.tests)
     spread = np.unique(np.linspace(0, n - 1, min(n, MAX_COMPARED)).round().astype(int))
     some = replace(problem, tests=tuple(problem.tests[i] for i in spread))
-    losses = []
-    for factor in factors if free_E else ():
-        point = _at_factor(some, factor)
-        losses.append(point.loss({}) if point.ok else np.inf)
-    for i in np.argsort(losses, kind="stable") if losses else (0,):
-        point = _at_factor(problem, factors[i])
+    losses = {factor: point.loss({}) for factor, point in points_at(some)} if free_E else {1.0: 0.0}
+    for factor in sorted(losses, key=lambda one: losses[one]):
+        point = _at_factor(problem, factor)
         if point.ok:
             return point
     return None
+
+
+def points_at(
+    problem: LeastSquaresProblem, factors: Sequence[float] = START_FACTORS
+) -> Iterator[tuple[float, Linearization]]:
+    """Yield the factors on E for which the rod has an equilibrium in every test, with the linearization, from the
+    stiffest on. A softer probe does not bear what a stiffer one does not, and it takes long to find that out."""
+    for factor in sorted(factors, reverse=True):
+        point = _at_factor(problem, factor)
+        if not point.ok:
+            return
+        yield factor, point
 
 
 def _at_factor(problem: LeastSquaresProblem, factor: float) -> Linearization:
