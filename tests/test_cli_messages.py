@@ -93,11 +93,21 @@ def replace_slow_and_local_parts(patch: pytest.MonkeyPatch) -> None:
     from probedesign.campaigns import photographs
     from probedesign.cli import doctor
     from probedesign.optimization import sweep
+    from probedesign.optimization.objective import METRICS
     from probedesign.printing import preform_job as job
 
-    records = [{"point": 0, "probe.length_mm": 100.0, "result": "ok", "reason": "", "error_mm": 14.4,
-                "detectable_mN": 0.28, "sag_mm": 2.6, "print_errors": 0},
-               {"point": 1, "probe.length_mm": 120.0, "result": "invalid", "reason": "too slender"}]  # fmt: skip
+    good = {
+        "probe.length_mm": 100.0,
+        "error_mm": 14.4,
+        "detectable_mN": 0.28,
+        "sag_mm": 2.6,
+        "print_errors": 0,
+    }
+    bad = {"probe.length_mm": 120.0, "result": "refused", "reason": "too slender"}
+    records = [
+        dict.fromkeys(METRICS, 1.0) | {"point": 0, "result": "ok", "reason": ""} | good,
+        dict.fromkeys(METRICS) | {"point": 1} | bad,
+    ]
     swept = sweep.SweepResult(
         records, 1, [Path("sweep.csv"), Path("sweep.parquet")], ["a record was dropped"]
     )

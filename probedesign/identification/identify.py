@@ -240,10 +240,13 @@ def identify(
         return whole
     causes = likely_causes(found, priors)
     whole = replace(whole, why=why, likely_causes=causes, seconds=time.perf_counter() - begun)
-    if not accept or found.result == "not_converged":
+    if not accept:
         return whole.as_inconsistent(why)
     note = f"accepted although inconsistent: {why}; all standard deviations are {widening:.3g} times as large"
-    return replace(whole, result="accepted", widening=widening, notes=(note, *whole.notes))
+    unfinished = (
+        () if found.result == "ok" else ("the search ended before it converged: its numbers may be off",)
+    )
+    return replace(whole, result="accepted", widening=widening, notes=(note, *unfinished, *whole.notes))
 
 
 def _widening(found: Fit, rejected: Sequence[PriorTest]) -> float:
