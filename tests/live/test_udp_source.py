@@ -159,14 +159,14 @@ def test_a_fault_of_the_sender_is_that_of_the_reading(opened):
 
 
 def test_without_time_stamps_the_arrival_counts(opened):
-    """From zero; the second is 2 ms later at least, which is what the sender sleeps."""
+    """From zero; a busy receiver may take both at once."""
     reader, sender = opened
     sender.send()
     sender.send()
     reader.wait(lambda: len(reader.readings) == 2)
     first, second = reader.readings
     assert first.time == 0.0 and second.time == pytest.approx(second.received - first.received, abs=1e-9)
-    assert second.time >= 0.002
+    assert second.time > 0.0
 
 
 def test_silence_is_reported_and_a_restarted_sender_continues_the_time(opened):
@@ -219,12 +219,14 @@ def test_a_wrench_by_udp_is_located_as_it_was_sent(estimator):
     wrench = model.to_sensor(touch.equilibrium.wrench_base, model.gravity_base)
     names = dict(zip(GOOD, wrench.tolist(), strict=True))
     source = open_source("udp://127.0.0.1:0", model)
-    updates = estimate_stream(estimator, source, ProcessingOptions(count=1), print)
+    updates = estimate_stream(estimator, source, ProcessingOptions(samples=1, count=1, zero="trusted"), print)
     sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
     def send():
         for i in range(400):
-            sender.sendto(json.dumps(names | {"sequence": i}).encode(), source._listener.address)
+            # a millionth of a newton: readings that are identical are those of a frozen sensor
+            reading = {name: value + 1e-6 * (i % 7) for name, value in names.items()}
+            sender.sendto(json.dumps(reading | {"sequence": i}).encode(), source._listener.address)
             time.sleep(0.005)
 
     thread = threading.Thread(target=send, daemon=True)

@@ -236,8 +236,11 @@ class Chain:
             delay = 1e3 * self._low_pass.delay
             self._log(f"low-pass {self._options.filter_hz:g} Hz: estimates are delayed by {delay:.1f} ms")
         self._reset_monitor()
-        if self.tare is not None and self._monitor is not None:  # taken beforehand, perhaps long ago
-            self._monitor.rest(abs(float(time[0]) - self.tare.time))
+        if self.tare is not None and self._monitor is not None:
+            # It was taken beforehand, or is that of a later window of the same recording.
+            age = max(self.tare.window.start, float(time[0]) - self.tare.time)
+            if age > 0.0:
+                self._monitor.rest(age)
         return True
 
     def _reset_monitor(self) -> None:
