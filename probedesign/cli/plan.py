@@ -107,7 +107,7 @@ def _instruments(
     from probedesign.planning.candidates import Instruments
 
     def si(option: str, value: float | None, unit: float, high: float) -> float | None:
-        """Return a standard deviation [SI]; None without the instrument, which 0 stands for."""
+        """Return a standard deviation [SI]; None for 0, which means that there is no such instrument."""
         if value is None or value == 0.0:
             return None
         if not 1e-4 <= value <= high:

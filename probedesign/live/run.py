@@ -259,8 +259,8 @@ def estimate_recording(
         allow_incomplete: accept an incomplete recording: dropped lines of CSV, a truncated file.
         options: what to read of a bag.
         method: see `Estimator.estimate`.
-        zero: what stands for a tare without a window. "checked": without a reading that agrees with the free probe the
-            result is "no_tare" throughout.
+        zero: zero of the sensor that is used without a tare window. "checked": without a reading that agrees with the
+            free probe the result is "no_tare" throughout.
 
     Raises:
         InputError: the recording or the tare window cannot be used.

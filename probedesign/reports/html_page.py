@@ -131,7 +131,7 @@ def report_page(
         table: the most important figures, above the charts; None if the charts come first.
         sections: figures, in order.
         after: headings and tables at the end, closed until they are clicked; open in print.
-        folded: headings and figures that repeat one kind, likewise closed.
+        folded: headings and figures that repeat one kind, also closed until they are clicked.
         verdict: the result in one sentence.
     """
     repeated = "".join(

@@ -48,7 +48,7 @@ class FoxgloveServer(MessageEncoder):
     Attributes:
         url: address of the server.
         readings: 0; a server keeps nothing (see `RecordingFile`).
-        size: 0, likewise.
+        size: 0, since there is no file.
     """
 
     readings = size = 0

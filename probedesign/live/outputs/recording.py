@@ -254,7 +254,7 @@ class SplitRecording(Sink):
     def __init__(
         self, open_next: Callable[[], tuple[Path, RecordingFile]], limits: SplitLimits, log: Log
     ) -> None:
-        """Open the first file; `open_next` opens a file, and `log` is told of every further one."""
+        """Open the first file; `open_next` opens a file, and `log` receives a line for each further one."""
         self._open_next, self._limits, self._log = open_next, limits, log
         self._n_before = 0
         self.path, self._file = open_next()

@@ -1,4 +1,4 @@
-"""How many readings are averaged to one: single samples and means are told apart by rate and noise."""
+"""How many readings are averaged to one: single samples and means differ in rate and noise."""
 
 import math
 from typing import NamedTuple

@@ -33,7 +33,7 @@ REST_TIME = 1.0
 CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 Zero = Literal["checked", "auto", "trusted"]
-"""What stands for a tare without a window: nothing, unless readings agree with the free probe without one; the first
+"""Zero of the sensor without a tare window: nothing, unless readings agree with the free probe without one; the first
 second at rest; or the sensor's own zero, taken without the probe."""
 
 
@@ -148,7 +148,7 @@ def parse_window(text: str) -> TareWindow:
 
 
 def parse_tare(tare_s: str | None, tare: Literal["auto", "none"] | None) -> tuple[TareWindow | None, Zero]:
-    """Return the window of --tare-s, if it is given, and what stands for a tare otherwise, by --tare.
+    """Return the window of --tare-s, if it is given, and the zero that is used otherwise, by --tare.
 
     Raises:
         InputError: both are given, or the window is invalid.
@@ -233,7 +233,7 @@ class ProcessingOptions:
         seconds: end this long after the first reading [s].
         filter_hz: cut-off frequency of the low-pass filter before each estimate; None does not filter.
         method: method by which a single reading is located.
-        zero: what stands for a tare without a window.
+        zero: zero of the sensor that is used without a tare window.
         touches: whether touches are reported, and fused where poses are known.
         estimates: whether contacts are located as readings arrive; otherwise only phases and touches are reported.
     """
