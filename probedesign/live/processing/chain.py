@@ -392,7 +392,7 @@ class Chain:
         """
         phase = self._state.phase
         free = not self._zero_known or phase in ("", "free")
-        return "" if free else f"the probe is {phase}; the previous zero is kept"
+        return "" if free else f"the probe is {phase}; the previous tare is kept"
 
     def _update_state(self, batch: AveragedBatch) -> TouchState:
         """Return the state of the touch monitor; unknown for a reading with a fault."""
