@@ -97,13 +97,16 @@ def fill(folder: Path, plan: Plan, seed: int, exact: bool = False) -> GroundTrut
     drift = 0.0 if exact else Tolerances.of(model).drift_steps * math.sqrt(model.averaging_samples)
     std = reading_std(model)
     tests = [one for one in plan.candidates if one.test is not None]
-    for k, (row, one) in enumerate(zip(rows, tests, strict=True)):
+    for row, one in zip(rows, tests, strict=True):
+        assert one.test is not None
         reading, T, points, place = _measured(truth, one, rng)
         bias = drift * std * rng.normal(size=6)
         for i in range(READINGS):
             values = reading + bias + std * rng.normal(size=6)
-            wrenches.append(",".join([row["test"], f"{240 * k + i}", *(f"{value:.8g}" for value in values)]))
-        if place is not None and one.test is not None:
+            wrenches.append(
+                ",".join([row["test"], f"{one.test.time + i:g}", *(f"{value:.8g}" for value in values)])
+            )
+        if place is not None:
             seen = (T[:3, :3] @ place + T[:3, 3] + one.test.std_contact * rng.normal(size=3)) / MM
             row |= {
                 f"contact_{axis}_world_mm": f"{value:.4f}" for axis, value in zip("xyz", seen, strict=True)

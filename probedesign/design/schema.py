@@ -436,6 +436,7 @@ class Design(Table):
             *(f"material.{key}" for key, q in material.items() if q.provenance == "assumed"),
             *root,
             *contact,
+            *(f"sensor.{key}" for key in ("model", "calibration") if key not in self.sensor.model_fields_set),
         )
 
 

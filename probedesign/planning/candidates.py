@@ -121,11 +121,11 @@ class Candidate:
         """Its usual duration [min]."""
         return MINUTES[self.set_up]
 
-    def named(self, name: str, held_out: bool = False) -> "Candidate":
-        """Return it with a name of its own."""
+    def named(self, name: str, held_out: bool = False, time: float = math.nan) -> "Candidate":
+        """Return it with a name of its own, and the time since the start when it is made [s]."""
         assert self.test is not None
         use: Use = "validate" if held_out else ""
-        return replace(self, test=replace(self.test, name=name, use=use), held_out=held_out)
+        return replace(self, test=replace(self.test, name=name, use=use, time=time), held_out=held_out)
 
 
 @dataclass(frozen=True, eq=False)

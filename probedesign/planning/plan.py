@@ -130,6 +130,8 @@ class Plan:
             own += (
                 "Diameters are measured by calipers and written into the design; leave them out of identify --for.",
             )
+        if assumed := ", ".join(self.bench.model.assumptions):
+            own += (f"assumed of the design: {assumed}",)
         return (*self.unobservable, *own)
 
     @property
@@ -169,25 +171,31 @@ class Information:
         bench: probe and instruments.
         candidates: all of them.
         flange_volume: of printed material that is weighed with the flexible part [m³].
+        scheduled: whether the candidates have their times: the bias then walks from one to the next, as in `identify`.
     """
 
     bench: Bench
     candidates: tuple[Candidate, ...]
     flange_volume: float
+    scheduled: bool = False
 
     @cached_property
     def whole(self) -> Linearization:
         """All tests at the designed probe, linearised by every parameter."""
         model = self.bench.model
         data = data_of(self.bench.campaign(list(self.candidates)), model, self.flange_volume)
-        # The order is chosen last: the bias walks in each test by itself, over the time from one test to the next.
-        common = replace(data.common, walk_seconds=())
-        walked = common.tolerances.walk_steps**2 * TEST_SECONDS / WALK_SECONDS
-        drift = walked * model.averaging_samples * model.noise_base()
-        tests = tuple(
-            replace(test, epoch=0, cov_wrench=None if test.cov_wrench is None else test.cov_wrench + drift)
-            for test in data.tests
-        )
+        common, tests = data.common, data.tests
+        if not self.scheduled:
+            # The order is chosen last: until then the bias walks in each test by itself, between two tests.
+            common = replace(common, walk_seconds=())
+            walked = common.tolerances.walk_steps**2 * TEST_SECONDS / WALK_SECONDS
+            drift = walked * model.averaging_samples * model.noise_base()
+            tests = tuple(
+                replace(
+                    test, epoch=0, cov_wrench=None if test.cov_wrench is None else test.cov_wrench + drift
+                )
+                for test in tests
+            )
         problem = LeastSquaresProblem(common, tests, None, np.ones(common.size))
         values = ParameterValues(common, np.zeros(common.size))
         return linearize(problem, values, start_nuisance(tests, model.rod), root=True)
@@ -340,21 +348,34 @@ def make_plan(
     validation = [replace(one, held_out=True) for one in sorted(for_validation, key=lambda one: one.mark)]
     away, mounted = ([one for one in _ordered(chosen) if (one.test is None) is off] for off in (True, False))
     ordered = (*away, fixed[0], *mounted, *validation, fixed[1])
-    tests, clock, done = list[PlannedTest](), PREPARATION, list[Candidate]()
-    intervals: tuple[ExpectedInterval, ...] = tuple(_unknown(label) for label in _components(names))
-    why: tuple[str, ...] = ()
-    counts = dict.fromkeys(ORDER, 0)
+    return _scheduled(information, ordered, tuple(names), minutes)
+
+
+def _scheduled(
+    information: Information, ordered: Sequence[Candidate], names: tuple[str, ...], minutes: float
+) -> Plan:
+    """Return the plan of tests in their order, with their times and the intervals after each."""
+    counts, clock, timed = dict.fromkeys(ORDER, 0), PREPARATION, list[tuple[Candidate, float]]()
     for one in ordered:
         clock += one.minutes
+        counts[one.set_up] += 1
+        if one.test is not None:
+            fixed = one.name in ("hang-1", "hang-2")
+            name = one.name if fixed else f"{one.set_up}-{counts[one.set_up]:02d}"
+            one = one.named(name, one.held_out, 60.0 * clock)
+        timed.append((one, clock))
+    last = Information(
+        information.bench, tuple(one for one, _ in timed), information.flange_volume, scheduled=True
+    )
+    done, why = list[Candidate](), tuple[str, ...]()
+    intervals: tuple[ExpectedInterval, ...] = tuple(_unknown(label) for label in _components(names))
+    tests = []
+    for one, clock in timed:
         if not one.held_out:
             done.append(one)
-            intervals, why = information.expected(done, names)
-        counts[one.set_up] += 1
-        named = one
-        if one.test is not None and one not in fixed:
-            named = one.named(f"{one.set_up}-{counts[one.set_up]:02d}", one.held_out)
-        tests.append(PlannedTest(named, clock, intervals))
-    return Plan(bench, tuple(names), minutes, tuple(tests), why)
+            intervals, why = last.expected(done, names)
+        tests.append(PlannedTest(one, clock, intervals))
+    return Plan(information.bench, names, minutes, tuple(tests), why)
 
 
 def _ordered(chosen: list[Candidate]) -> list[Candidate]:

@@ -121,8 +121,8 @@ def test_identify_states_the_expected_intervals(plan, design, tmp_path, exact):
         stated = found.of(one.name)
         scale = stated.value if one.relative else 1.0
         # the fit has its derivatives at friction and place as estimated, and the drawn print bends elsewhere
-        assert stated.std / scale == pytest.approx(one.std, rel=0.1)
-        assert stated.std_of_print / scale == pytest.approx(one.std_of_print, rel=0.12)
+        assert stated.std / scale == pytest.approx(one.std, rel=0.02)
+        assert stated.std_of_print / scale == pytest.approx(one.std_of_print, rel=0.02)
         if exact:  # four standard deviations
             assert abs(stated.value - stated.design) < 4.0 * stated.std
 
@@ -213,6 +213,17 @@ def test_a_bad_option_gives_one_line(call, arguments):
     status, out, err = call(*arguments)
     assert status == 2 and not out and len(err.splitlines()) == 1 and arguments[0] in err
     assert not Path("data").exists()
+
+
+def test_a_sensor_that_the_design_does_not_name_is_listed_as_assumed(design, tmp_path, bench):
+    text = LARGE.read_text()
+    start, end = text.index("[sensor]"), text.index("\n[", text.index("[sensor]"))
+    (tmp_path / "a.toml").write_text(text[:start] + text[end:])
+    named, unnamed = ({*one.assumptions} for one in (design, load_design(tmp_path / "a.toml")))
+    assert unnamed - named == {"sensor.model", "sensor.calibration"}
+    notes = replace(make_plan(bench.model, 0.0, 60.0, ("E",), STAGE, 0), bench=replace(
+        bench, model=replace(bench.model, assumptions=tuple(unnamed)))).notes  # fmt: skip
+    assert any("sensor.calibration" in note for note in notes)
 
 
 @pytest.mark.parametrize(
