@@ -311,7 +311,7 @@ def surface_point(rod: Rod, eq: Equilibrium) -> Array:
     s_contact the touched section lies r cos α sin α further out and has radius r cos² α.
     """
     s = eq.s_contact
-    tan = rod.taper_at(s)
+    tan = float(rod.taper_at(s))
     cos2 = 1.0 / (1.0 + tan * tan)
     radius = float(rod.radius_at(s)) * cos2
     there = min(s + radius * tan, rod.length)

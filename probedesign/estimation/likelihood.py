@@ -377,7 +377,7 @@ def _covariance(
 
 def _sphere(rod: Rod) -> tuple[float, float]:
     """Return the arclength of the sphere's centre and its radius [m], from the flank and the end of the rod."""
-    tan = rod.taper_at(rod.flank_end)
+    tan = float(rod.taper_at(rod.flank_end))
     sin = tan / math.hypot(1.0, tan)
     blunt = float(rod.radius_at(rod.flank_end)) - tan * (rod.length - rod.flank_end)
     R = blunt * math.sqrt(1.0 - sin * sin) / (1.0 - sin)

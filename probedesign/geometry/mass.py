@@ -50,9 +50,12 @@ def combined(bodies: Iterable[MassProperties]) -> MassProperties:
     bodies = [b for b in bodies if b.mass > 0.0]
     if not bodies:
         return NOTHING
-    mass = sum(b.mass for b in bodies)
-    p_com = sum((b.mass * b.p_com for b in bodies), np.zeros(3)) / mass
-    inertia = sum((b.inertia_about(p_com) for b in bodies), np.zeros((3, 3)))
+    masses, p = np.array([b.mass for b in bodies]), np.array([b.p_com for b in bodies])
+    mass = float(masses.sum())
+    p_com = masses @ p / mass
+    d = p - p_com
+    steiner = np.eye(3) * float(masses @ (d * d).sum(axis=1)) - (masses * d.T) @ d
+    inertia = np.sum([b.inertia for b in bodies], axis=0) + steiner
     return MassProperties(sum(b.volume for b in bodies), mass, p_com, inertia)
 
 

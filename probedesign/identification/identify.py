@@ -159,7 +159,7 @@ def _at_touched_section(measured: MeasuredTest, model: ProbeModel) -> MeasuredTe
     """
     s = min(measured.s_contact, model.rod.length)
     radius, friction = float(model.rod.radius_at(s)), min(model.friction, 1.0)
-    section = min(s + radius * model.rod.taper_at(s), model.rod.flank_end)
+    section = min(s + radius * float(model.rod.taper_at(s)), model.rod.flank_end)
     return replace(measured, s_contact=section, std_s=math.hypot(measured.std_s, friction * radius))
 
 

@@ -5,6 +5,7 @@ and differences of upright prisms.
 """
 
 from collections.abc import Iterable
+from functools import lru_cache
 
 import numpy as np
 
@@ -96,15 +97,18 @@ def _screw(screw: SocketScrew, seat: float, length: float, density: float, p: XY
 
 def engraving_mass(engraving: Engraving, density: float) -> MassProperties:
     """Return the mass properties of the material that an engraving removes; density [kg/m³]."""
-    letters = []
-    for character, T in engraving.placed():
-        bars, width = [], glyph_width(character)
-        for start, end, row in cut_runs(character):
-            a, b = (end - start) * CELL, CELL
-            p = ((start + end - width) / 2 * CELL, (row + 0.5 - ROWS / 2) * CELL)
-            bars.append(prism(a * b, a * b**3 / 12, a**3 * b / 12, (-DEPTH, 0.0), density, p))
-        letters.append(combined(bars).moved(T))
-    return combined(letters)
+    return combined(_glyph_mass(character, density).moved(T) for character, T in engraving.placed())
+
+
+@lru_cache(maxsize=256)
+def _glyph_mass(character: str, density: float) -> MassProperties:
+    """Return the mass properties of what one character removes, in its own frame."""
+    bars, width = [], glyph_width(character)
+    for start, end, row in cut_runs(character):
+        a, b = (end - start) * CELL, CELL
+        p = ((start + end - width) / 2 * CELL, (row + 0.5 - ROWS / 2) * CELL)
+        bars.append(prism(a * b, a * b**3 / 12, a**3 * b / 12, (-DEPTH, 0.0), density, p))
+    return combined(bars)
 
 
 def subtract(body: MassProperties, voids: Iterable[MassProperties]) -> MassProperties:

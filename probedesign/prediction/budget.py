@@ -118,7 +118,7 @@ class _LinearizedTouches:
     def of(cls, touch: Array, lin: Array, D: Array, sources: ErrorSources) -> "_LinearizedTouches":
         """Return the linearisations of touches; the arguments are those of `error_budget`."""
         by = slice(BY_TOUCH, BY_TOUCH + UNKNOWNS)
-        by_s = np.array([by_s_of(sources.model.rod, float(s)) for s in touch[:, S]])
+        by_s = by_s_of(sources.model.rod, touch[:, S])
         noise = np.array([covariance(sources.model, wrench) for wrench in lin[:, 0:6, VALUE]])
         return cls(
             lin[:, 0:6, by], lin[:, POINT : POINT + 3, by], lin[:, CENTRE : CENTRE + 3, by],
@@ -199,16 +199,16 @@ def unweighted_error_budget(lin: Array, D: Array, sources: ErrorSources, frictio
     return np.stack(cov, axis=1)
 
 
-def by_s_of(rod: Rod, s: float) -> Array:
-    """Return the derivative of s_contact by the touch for a force normal to the surface, (UNKNOWNS,).
+def by_s_of(rod: Rod, s: Array) -> Array:
+    """Return the derivatives of s_contact by the touch for forces normal to the surface, (n, UNKNOWNS).
 
     s_contact = s + r tan(β - α) with β the inclination of the force towards the tip: ∂/∂s = 1 + tan² α,
     ∂/∂a_2 = r / cos² α.
     """
-    tan = rod.taper_at(s)
-    found = np.zeros(UNKNOWNS)
-    found[S] = 1.0 + tan * tan
-    found[ALONG] = float(rod.radius_at(s)) * (1.0 + tan * tan)
+    stretch = 1.0 + rod.taper_at(s) ** 2
+    found = np.zeros((len(s), UNKNOWNS))
+    found[:, S] = stretch
+    found[:, ALONG] = rod.radius_at(s) * stretch
     return found
 
 

@@ -352,35 +352,37 @@ def predict_touch(
 
 def conditions_of(touches: Touches, lines: Sequence[tuple[float, str]]) -> list[Condition]:
     """Return the conditions of some lines at one force."""
-    results = zip(lines, touches.results(), strict=False)
-    return [_condition(touches, i, line, result) for i, (line, result) in enumerate(results)]
-
-
-def _condition(touches: Touches, i: int, line: tuple[float, str], result: str) -> Condition:
-    force = touches.force_N
-    if result == "gives_way":
-        return Condition(line[0], force, line[1], result)
-    per_N, press = touches.wrench_by_force[i], float(touches.press_per_N[i])
-    by_moment, by_force = float(np.linalg.norm(per_N[3:6])), float(np.linalg.norm(per_N[0:3]))
-    rms = touches.budget.rms[i] / MM
-    error, within = finite_or_none(touches.rms[0][i] / MM), finite_or_none(touches.within_95[0][i] / MM)
-    return Condition(
-        line[0], force, line[1], result,
-        predicted_error_mm=error,
-        predicted_error_95_mm=within,
-        noise_error_mm=finite_or_none(touches.rms[1][i] / MM),
-        noise_error_95_mm=finite_or_none(touches.within_95[1][i] / MM),
-        std_s_mm=finite_or_none(touches.budget.std_s[i] / MM),
-        deflection_mm=float(touches.deflection[i] / MM),
-        moment_per_N_Nmm=1e3 * by_moment,
-        force_per_N_N=by_force,
-        moment_per_mm_Nmm=finite_or_none(1e3 * by_moment / press * MM) if press > 0 else None,
-        force_per_mm_N=finite_or_none(by_force / press * MM) if press > 0 else None,
-        sensor_use=float(touches.sensor_use[i]),
-        budget_mm=dict(zip(CAUSES, rms.tolist(), strict=True)) if np.isfinite(rms).all() else None,
-        total_error_mm=error,
-        total_error_95_mm=within,
-    )  # fmt: skip
+    per_N = touches.wrench_by_force
+    by_moment, by_force = np.linalg.norm(per_N[:, 3:6], axis=1), np.linalg.norm(per_N[:, 0:3], axis=1)
+    per_mm = MM / np.where(touches.press_per_N > 0.0, touches.press_per_N, np.nan)
+    error, within = touches.rms[0] / MM, touches.within_95[0] / MM
+    numbers = {
+        "predicted_error_mm": error,
+        "predicted_error_95_mm": within,
+        "noise_error_mm": touches.rms[1] / MM,
+        "noise_error_95_mm": touches.within_95[1] / MM,
+        "std_s_mm": touches.budget.std_s / MM,
+        "deflection_mm": touches.deflection / MM,
+        "moment_per_N_Nmm": 1e3 * by_moment,
+        "force_per_N_N": by_force,
+        "moment_per_mm_Nmm": 1e3 * by_moment * per_mm,
+        "force_per_mm_N": by_force * per_mm,
+        "sensor_use": touches.sensor_use,
+        "total_error_mm": error,
+        "total_error_95_mm": within,
+    }
+    # Numbers that are infinite or NaN do not exist.
+    columns = {name: column.tolist() for name, column in numbers.items()}
+    values = [[x if math.isfinite(x) else None for x in row] for row in zip(*columns.values(), strict=True)]
+    budgets = [dict(zip(CAUSES, row, strict=True)) if math.isfinite(sum(row)) else None
+               for row in (touches.budget.rms / MM).tolist()]  # fmt: skip
+    rows = zip(lines, touches.results(), values, budgets, strict=False)
+    return [
+        Condition(
+            place, touches.force_N, side, result, **dict(zip(columns, row, strict=True)), budget_mm=budget
+        )
+        for (place, side), result, row, budget in rows
+    ]
 
 
 def tip_sag_mm(estimator: Estimator) -> float | None:

@@ -125,7 +125,7 @@ class ForceContinuation:
         while self.lin is not None:
             goal = target - self.touch[:UNKNOWNS]
             turn = self.lin[TURN : TURN + 3, BY_TOUCH : BY_TOUCH + UNKNOWNS] @ goal
-            share = first = min(1.0, _MAX_TURN / max(float(np.linalg.norm(turn)), 1e-300))
+            share = first = min(1.0, _MAX_TURN / max(math.sqrt(turn @ turn), 1e-300))
             smallest = _MIN_STEP * max(first, self.force / max(abs(goal[NORMAL]), 1e-300))
             while not self._try_step(share * goal):
                 share *= 0.3
@@ -143,7 +143,8 @@ class ForceContinuation:
         kernel.move_touch(ahead, self.lin, step)
         predicted = ahead[TIP:].copy()
         lin = self.on.linearize(ahead)
-        if lin is None or np.linalg.norm(ahead[TIP:] - predicted) > _MAX_PREDICTION_ERROR:
+        off = ahead[TIP:] - predicted
+        if lin is None or off @ off > _MAX_PREDICTION_ERROR**2:
             return False
         self.touch, self.lin = ahead, lin
         return True
@@ -227,7 +228,7 @@ class Touches:
     D: Array
     max_stable_force: Array
 
-    @property
+    @cached_property
     def ok(self) -> NDArray[np.bool_]:
         """Return which touches have an equilibrium, (n,)."""
         return np.asarray(np.isfinite(self.lin[:, 0, VALUE]))
@@ -279,9 +280,8 @@ class Touches:
     @cached_property
     def free_centre(self) -> Array:
         """Return the touched points of the centreline on the free probe [m], (n, 3)."""
-        rod = self.estimator.model.rod
-        at = [s - float(rod.radius_at(s)) * rod.taper_at(s) for s in np.nan_to_num(self.touch[:, S])]
-        return self.estimator.free().p_at(np.clip(at, 0.0, rod.length))
+        rod, s = self.estimator.model.rod, np.nan_to_num(self.touch[:, S])
+        return self.estimator.free().p_at(np.clip(s - rod.radius_at(s) * rod.taper_at(s), 0.0, rod.length))
 
     @cached_property
     def deflection(self) -> Array:

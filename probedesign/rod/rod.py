@@ -137,10 +137,15 @@ class Rod:
         radius: Array = np.interp(np.asarray(s, dtype=float), self.s, self.radius)
         return radius
 
-    def taper_at(self, s: float) -> float:
-        """Return tan α = -dr/ds of the frustum at arclength s [m]; of the lower one at a knot."""
-        i = int(np.clip(np.searchsorted(self.s, s) - 1, 0, len(self.s) - 2))
-        return float((self.radius[i] - self.radius[i + 1]) / (self.s[i + 1] - self.s[i]))
+    def taper_at(self, s: ArrayLike) -> Array:
+        """Return tan α = -dr/ds of the frustum at arclength s [m], of the shape of s; of the lower one at a knot."""
+        taper: Array = self._tapers[np.searchsorted(self.s[1:-1], np.asarray(s, dtype=float))]
+        return taper
+
+    @cached_property
+    def _tapers(self) -> Array:
+        """tan α of each frustum."""
+        return np.asarray(-np.diff(self.radius) / np.diff(self.s), dtype=float)
 
     @property
     def root(self) -> tuple[float, float]:
