@@ -128,8 +128,19 @@ def _fail(message: str, status: int) -> int:
     return status
 
 
+def use_one_blas_thread() -> None:
+    """Set the linear algebra of numpy to one thread, unless the environment states another number.
+
+    No matrix here gains from several threads. They wait in busy loops and take the cores from the process of the
+    sensor, the browser and the workers. numpy reads the variables when it is imported.
+    """
+    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+
+
 def main() -> None:
     """Run `probedesign` with the arguments of the process."""
+    use_one_blas_thread()
     sys.exit(run(sys.argv[1:]))
 
 

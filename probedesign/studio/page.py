@@ -49,20 +49,20 @@ REST_SECONDS = 0.35
 
 
 class StudioPage:
-    """Serves the studio of a session until it is stopped."""
+    """Serves the studio of a session until it is stopped.
+
+    Attributes:
+        session: the state.
+        figures: what is shown of the current design.
+    """
 
     def __init__(self, session: Session, host: str, port: int) -> None:
-        """Start the server; the next free port is used.
-
-        Args:
-            session: the state.
-            host, port: address of the server.
-        """
+        """Start the server at an address; the next free port is used."""
         self.session = session
         self._requests: queue.Queue[Callable[[], None]] = queue.Queue()
         self._latest: dict[str, Any] = {}
         self._lock, self._setting = threading.Lock(), False
-        self._figures = preview(session.design, self._forces)
+        self.figures = preview(session.design, self._forces)
         self._drawn: DrawnTouch | None = None
         self._complete = False
         self._stopped = threading.Event()
@@ -167,13 +167,13 @@ class StudioPage:
         self._show_improvement()
         if not self._complete:
             self._complete = True
-            self._figures = complete(self.session.design)
+            self.figures = complete(self.session.design)
             self._show_text()
 
     def _refresh(self, moved: bool = True) -> None:
         """Compute and show what follows from a change; `moved`: the design or the forces may have changed."""
         if moved:
-            self._figures = preview(self.session.design, self._forces)
+            self.figures = preview(self.session.design, self._forces)
             self._complete = False
         self._show()
 
@@ -383,10 +383,10 @@ class StudioPage:
 
     def _show(self) -> None:
         """Show the whole state in one update."""
-        self._drawn = None if self._figures.buckles else drawn_touch(self._figures.probe, self.session.touch)
+        self._drawn = None if self.figures.buckles else drawn_touch(self.figures.probe, self.session.touch)
         with self._server.atomic():
             self._show_controls()
-            self._scene.show(self._figures, self._drawn, self.session.touch)
+            self._scene.show(self.figures, self._drawn, self.session.touch)
             self._show_text()
         self._server.flush()
 
@@ -446,7 +446,7 @@ class StudioPage:
 
     def _show_text(self) -> None:
         """Update texts, tables and charts."""
-        session, figures = self.session, self._figures
+        session, figures = self.session, self.figures
         if session.refused:
             self._say(f"Not applied: {session.refused}", bad=True)
         elif figures.buckles:
@@ -487,7 +487,7 @@ class StudioPage:
 
     def _set_camera(self) -> None:
         """Place the camera beside and slightly above the probe."""
-        T, length = level_rotation(self._figures.probe.model.gravity_base), self._figures.probe.length
+        T, length = level_rotation(self.figures.probe.model.gravity_base), self.figures.probe.length
         along = T[:, 2]
         side = np.cross(along, (0.0, 0.0, 1.0))
         side = side / np.linalg.norm(side) if np.linalg.norm(side) > 0.2 else np.array([0.0, -1.0, 0.0])

@@ -51,7 +51,10 @@ class StudioScene:
         self._on_change, self._scene = on_change, scene
         self._shown: tuple[Probe, DrawnTouch | None, BentShape] | None = None
         scene.set_up_direction("+z")
-        scene.configure_default_lights(True, cast_shadow=True)
+        # Reflections of an environment and shadows take nine tenths of a frame's time in a browser without a GPU.
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(True, cast_shadow=False)
+        scene.add_light_hemisphere("/sky", ground_color=(150, 150, 150), intensity=2.5)
         self._base = scene.add_frame("/base", show_axes=False)
         nothing, faces = np.zeros((RINGS * RING_POINTS + 1, 3)), _segment_faces()
         self._segments = [
