@@ -1,7 +1,7 @@
 """What the studio shows of a design: the numbers and charts of `predict`, and one bent touch.
 
-`preview` takes some tens of milliseconds and follows the sliders; `complete` adds fused touches, the largest force and
-the workspace, and follows when the hand rests.
+`preview` takes some tens of milliseconds and follows the sliders: single touches at every second position. `complete`
+adds the other positions, fused touches, the largest force and the workspace, and follows when the hand rests.
 """
 
 import math
@@ -19,6 +19,7 @@ from probedesign.prediction.fused import SHOWN_N, shown
 from probedesign.prediction.predict import (
     BUDGET_FORCE_N,
     FORCES_N,
+    FRACTIONS,
     HEADLINE_FORCE_N,
     HEADLINE_FRACTION,
     Condition,
@@ -43,6 +44,8 @@ STYLE = """<style>.st table{border-collapse:collapse;font-size:12.5px;width:100%
 .st .bad{background:#b3261e;color:#fff;border-radius:6px;padding:6px 10px}
 .st .note{color:#75808b;font-size:12px}</style>"""
 """Style of the texts, tables and charts of the page."""
+PREVIEWED = FRACTIONS[1::2]
+"""Contact positions that follow a slider, the one of the summary among them."""
 NOT_LOCATED = (150, 150, 150)
 """Colour of a part of the probe that is not located."""
 
@@ -150,22 +153,24 @@ def preview(design: Design, forces_N: tuple[float, ...]) -> DesignFigures:
         forces_N: forces whose errors are drawn; those of the summary are added.
     """
     forces = tuple(sorted({*forces_N, HEADLINE_FORCE_N, BUDGET_FORCE_N}))
-    return _figures(design, forces, True)
+    return _figures(design, PREVIEWED, forces, True)
 
 
 @lru_cache(maxsize=16)
 def complete(design: Design) -> DesignFigures:
     """Return all figures of `probedesign predict`."""
-    return _figures(design, FORCES_N, False)
+    return _figures(design, FRACTIONS, FORCES_N, False)
 
 
-def _figures(design: Design, forces_N: tuple[float, ...], only_single: bool) -> DesignFigures:
+def _figures(
+    design: Design, fractions: tuple[float, ...], forces_N: tuple[float, ...], only_single: bool
+) -> DesignFigures:
     probe = build_probe(design)
     model = probe.model
     found = check_print(design)
     return DesignFigures(
         probe,
-        predict(model, forces_N=forces_N, only_single=only_single),
+        predict(model, fractions, forces_N, only_single=only_single),
         not only_single,
         natural_frequency(probe.rod, model.gravity_base),
         tuple(f"{finding.severity}: {finding.message}" for finding in (*found.errors, *found.warnings)),

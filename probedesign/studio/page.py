@@ -168,7 +168,7 @@ class StudioPage:
         if not self._complete:
             self._complete = True
             self.figures = complete(self.session.design)
-            self._show_text()
+            self._show()
 
     def _refresh(self, moved: bool = True) -> None:
         """Compute and show what follows from a change; `moved`: the design or the forces may have changed."""

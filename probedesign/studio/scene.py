@@ -50,6 +50,10 @@ class StudioScene:
         """
         self._on_change, self._scene = on_change, scene
         self._shown: tuple[Probe, DrawnTouch | None, BentShape] | None = None
+        self._grabbed = (
+            0.0,
+            np.zeros(3),
+        )  # diameter of a knot and pointer in base axes when its drag began [m]
         scene.set_up_direction("+z")
         # Reflections of an environment and shadows take nine tenths of a frame's time in a browser without a GPU.
         scene.configure_environment_map(None)
@@ -180,14 +184,17 @@ class StudioScene:
         self._on_change("touch.force_mN", round(2.0 * float(force)) / 2.0)
 
     def _drag_knot(self, i: int, event: Any) -> None:
-        """Set the diameter of a knot to twice the pointer's distance from the centreline."""
+        """Change the diameter of a knot by twice the way of the pointer across the probe since the drag began."""
         pointer = self._in_base(event)
         if pointer is None or self._shown is None:
             return
         probe, _, bent = self._shown
-        index, s, _ = knots_of(probe.design)[i]
-        p, x, _ = centreline(bent, np.array([s]))
-        self._on_change(f"knot.{index}", round(2e3 * abs(float((pointer - p[0]) @ x[0])), 1))
+        index, s, diameter = knots_of(probe.design)[i]
+        if event.phase == "start":
+            self._grabbed = diameter, pointer
+        before, start = self._grabbed
+        way = float((pointer - start) @ centreline(bent, np.array([s]))[1][0])
+        self._on_change(f"knot.{index}", round(1e3 * max(before + 2.0 * way, 0.0), 1))
 
 
 def arrow_length(force_mN: float) -> float:

@@ -1,5 +1,6 @@
 """The studio in a real browser."""
 
+import math
 import os
 import shutil
 import signal
@@ -7,12 +8,18 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+import viser
+import viser.transforms
 
 from probedesign.cli.main import run
+from probedesign.core.units import MM
+from probedesign.live.outputs.drawing import centreline
+from probedesign.live.view.page import UNIT, level_rotation
 from probedesign.prediction.table_one import paper_design
 from probedesign.studio.page import StudioPage
-from probedesign.studio.session import Session
+from probedesign.studio.session import Session, knots_of
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
@@ -63,6 +70,56 @@ def test_two_tabs_show_one_state_without_errors(page):
         assert page.session.design == paper_design("small")
         browser.close()
     assert not [fault for fault in faults if "favicon" not in fault]
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+def test_a_knot_of_a_profile_is_dragged_with_the_pointer(page):
+    """The pointer goes out from the knot across the probe to three times the radius: the diameter becomes as large."""
+    from playwright.sync_api import sync_playwright
+
+    page.move("probe.shape", "profile")
+    page.settle()
+    index, _, d = knots_of(page.session.design)[1]
+    others = {i: other for i, _, other in knots_of(page.session.design) if i != index}
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+        tab = browser.new_page(viewport={"width": 1280, "height": 720})
+        tab.set_default_timeout(PATIENCE)
+        tab.goto(page.url)
+        tab.wait_for_selector("text=/One reading of 10 mN is located/")
+        tab.wait_for_timeout(3000)  # the scene is drawn after the panels
+        start, end = (knot_on_screen(page, tab, 1, stretch) for stretch in (1.0, 3.0))
+        tab.mouse.move(*start)
+        tab.mouse.down()
+        for share in (0.2, 0.4, 0.6, 0.8, 1.0):
+            tab.mouse.move(*(start + share * (end - start)))
+            tab.wait_for_timeout(200)
+        tab.mouse.up()
+        tab.wait_for_timeout(500)
+        page.settle()
+        browser.close()
+    diameters = {i: d for i, _, d in knots_of(page.session.design)}
+    # A pixel is 0.13 mm of radius. The pointer moves in a plane through the front of the mark, 1.6 mm nearer to the
+    # camera than its centre, whose distance is 12 cm, and faces it: the camera stands 20 degrees above the section.
+    assert diameters[index] == pytest.approx(3.0 * d, rel=0.1)
+    assert {i: d for i, d in diameters.items() if i != index} == others
+
+
+def knot_on_screen(page, tab, i, stretch):
+    """Return the pixel of a knot's mark, moved away from the centreline by a factor of its radius."""
+    scene, (client,) = page._scene, page._server.get_clients().values()
+    probe, _, bent = scene._shown
+    _, s, _ = knots_of(probe.design)[i]
+    middle = UNIT * centreline(bent, np.array([s]))[0][0]
+    p = level_rotation(probe.model.gravity_base) @ (middle + stretch * (scene._knots[i].position - middle))
+    camera = client.camera
+    right, down, ahead = viser.transforms.SO3(camera.wxyz).as_matrix().T
+    off = p - camera.position
+    box = tab.locator("canvas").last.bounding_box()
+    focal = box["height"] / 2.0 / math.tan(camera.fov / 2.0)
+    return np.array([box["x"] + box["width"] / 2.0, box["y"] + box["height"] / 2.0]) + focal / (
+        off @ ahead
+    ) * np.array([off @ right, off @ down])
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
