@@ -16,7 +16,7 @@ from probedesign.core.frames import Array, inverse, wrench_map
 from probedesign.core.units import MM
 from probedesign.design import Design, load_design
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.planning.candidates import READINGS, STD_MARK, Candidate, Instruments
+from probedesign.planning.candidates import READINGS, STD_MARK, CandidateTest, Instruments
 from probedesign.planning.folder import tables
 from probedesign.planning.plan import Plan
 from probedesign.prediction.touches import DIRECTIONS
@@ -128,7 +128,7 @@ def fill(folder: Path, plan: Plan, seed: int, exact: bool = False) -> GroundTrut
 
 
 def _measured(
-    truth: GroundTruth, one: Candidate, rng: np.random.Generator
+    truth: GroundTruth, one: CandidateTest, rng: np.random.Generator
 ) -> tuple[Array, Array, Array, Array | None]:
     """Return what the sensor reads without noise, the true pose of the base, the markers on the axis and the touched
     point, both in the true base frame."""

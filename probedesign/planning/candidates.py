@@ -88,7 +88,7 @@ class Instruments:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class CandidateTest:
     """A test that could be made.
 
     Attributes:
@@ -121,7 +121,7 @@ class Candidate:
         """Its usual duration [min]."""
         return MINUTES[self.set_up]
 
-    def named(self, name: str, held_out: bool = False, time: float = math.nan) -> "Candidate":
+    def named(self, name: str, held_out: bool = False, time: float = math.nan) -> "CandidateTest":
         """Return it with a name of its own, and the time since the start when it is made [s]."""
         assert self.test is not None
         use: Use = "validate" if held_out else ""
@@ -152,7 +152,7 @@ class Bench:
         """Return the pose of the base with gravity in this direction of its axes, (4, 4)."""
         return pose(pose_under_gravity(gravity_base), BASE_POSITION)
 
-    def campaign(self, candidates: list[Candidate]) -> Campaign:
+    def campaign(self, candidates: list[CandidateTest]) -> Campaign:
         """Return the candidates' tests as a campaign; its weighing is apart."""
         model, std = self.model, self.instruments.std_base
         marker_s = np.array(marker_arclengths(model.rod.length)) if self.instruments.cameras else np.zeros(0)
@@ -160,7 +160,7 @@ class Bench:
         return Campaign(model.name, model.fingerprint, self.T_world_base(model.gravity_base), *std,
                         self.gravity_world, marker_s, None, tests, None, Path("plan"))  # fmt: skip
 
-    def candidates(self) -> list[Candidate]:
+    def candidates(self) -> list[CandidateTest]:
         """Return all tests that could be made, the free hang as mounted first.
 
         Raises:
@@ -173,20 +173,20 @@ class Bench:
         if self.instruments.std_place is not None:
             found += self._touches()
         if self.instruments.balance is not None:
-            found.append(Candidate("weighing", None, None, "Weigh the printed probe with its flange."))
+            found.append(CandidateTest("weighing", None, None, "Weigh the printed probe with its flange."))
         if self.instruments.calipers is not None:
             words = "Measure the diameter at each mark, twice, at a right angle, without pressing it in."
-            found.append(Candidate("calipers", None, None, words))
+            found.append(CandidateTest("calipers", None, None, words))
         return found
 
-    def hang(self) -> Candidate:
+    def hang(self) -> CandidateTest:
         """Return the free hang as mounted."""
         eq = self.model.rod.solve(self.model.gravity_base)
         if not eq.ok:
             raise InputError(f"{self.model.name} has no stable equilibrium in its mount ({eq.result})")
         return self._candidate("hang", "hang", eq, np.zeros(3), words="Let the probe hang free as mounted.")
 
-    def _turned(self) -> Iterator[Candidate]:
+    def _turned(self) -> Iterator[CandidateTest]:
         size = float(np.linalg.norm(self.model.gravity_base))
         for name, direction in TURNS.items():
             gravity = size * np.array(direction)
@@ -196,7 +196,7 @@ class Bench:
                 slug = "turned-" + name.replace(" ", "-")
                 yield self._candidate("turned", slug, eq, np.zeros(3), gravity_base=gravity, words=words)
 
-    def _weights(self) -> Iterator[Candidate]:
+    def _weights(self) -> Iterator[CandidateTest]:
         rod, down = self.model.rod, self.gravity_world / np.linalg.norm(self.gravity_world)
         R = self.T_world_base(self.model.gravity_base)[:3, :3]
         free = rod.solve(self.model.gravity_base)
@@ -211,7 +211,7 @@ class Bench:
                 yield self._candidate("weight", f"weight-{s / MM:g}-{1e3 * mass:g}", eq, force, s=s,
                                       words=words, mass=mass, mark=s)  # fmt: skip
 
-    def _touches(self) -> Iterator[Candidate]:
+    def _touches(self) -> Iterator[CandidateTest]:
         rod = self.model.rod
         for fraction in TOUCH_PLACES:
             s = _rounded(fraction * rod.length)
@@ -262,7 +262,7 @@ class Bench:
         mass: float = 0.0,
         mark: float = math.nan,
         displacement: float = 0.0,
-    ) -> Candidate:  # fmt: skip
+    ) -> CandidateTest:  # fmt: skip
         gravity = self.model.gravity_base if gravity_base is None else gravity_base
         T = self.T_world_base(gravity)
         place, std_place = None, math.nan
@@ -277,7 +277,7 @@ class Bench:
             name, T, self.gravity_world, force_world, s, std_s, place, std_place, direction, math.nan, math.nan,
             np.tile(eq.wrench_base, (READINGS, 1)), "base", self._markers(eq, T),
         )  # fmt: skip
-        return Candidate(set_up, test, eq, words, mass, mark, displacement)
+        return CandidateTest(set_up, test, eq, words, mass, mark, displacement)
 
     def _markers(self, eq: Equilibrium, T: Array) -> Markers | None:
         std = self.instruments.cameras

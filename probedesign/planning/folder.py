@@ -18,7 +18,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.files import check_writable, exists_already
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
-from probedesign.planning.candidates import READINGS, STD_MARK, Candidate
+from probedesign.planning.candidates import READINGS, STD_MARK, CandidateTest
 from probedesign.planning.plan import Plan
 from probedesign.simulation.ground_truth import marker_arclengths
 
@@ -77,7 +77,7 @@ def _tests(plan: Plan) -> str:
     return text.getvalue()
 
 
-def _row(plan: Plan, one: Candidate) -> dict[str, str]:
+def _row(plan: Plan, one: CandidateTest) -> dict[str, str]:
     """Return the row of a planned test: what is set beforehand; what is measured stays empty."""
     test = one.test
     assert test is not None

@@ -32,7 +32,7 @@ from probedesign.identification.residuals import ResidualBlock
 from probedesign.identification.solver import LeastSquaresProblem, Linearization, linearize
 from probedesign.identification.starting_values import start_nuisance
 from probedesign.identification.whole_probe import MassMeasurement
-from probedesign.planning.candidates import TOUCH_PLACES, Bench, Candidate, Instruments, SetUp
+from probedesign.planning.candidates import TOUCH_PLACES, Bench, CandidateTest, Instruments, SetUp
 
 DEFAULT = ("E", "G", "root", "diameters")
 """Parameters that a plan is for unless others are requested."""
@@ -83,7 +83,7 @@ class PlannedTest:
         expected: intervals after it; the same as before for a test that is held out.
     """
 
-    candidate: Candidate
+    candidate: CandidateTest
     minutes: float
     expected: tuple[ExpectedInterval, ...]
 
@@ -135,7 +135,7 @@ class Plan:
         return (*self.unobservable, *own)
 
     @property
-    def candidates(self) -> tuple[Candidate, ...]:
+    def candidates(self) -> tuple[CandidateTest, ...]:
         """What is to be done, in order."""
         return tuple(one.candidate for one in self.tests)
 
@@ -175,7 +175,7 @@ class Information:
     """
 
     bench: Bench
-    candidates: tuple[Candidate, ...]
+    candidates: tuple[CandidateTest, ...]
     flange_volume: float
     scheduled: bool = False
 
@@ -240,7 +240,7 @@ class Information:
         return np.asarray(J.T @ J)
 
     def expected(
-        self, chosen: Sequence[Candidate], names: Sequence[str]
+        self, chosen: Sequence[CandidateTest], names: Sequence[str]
     ) -> tuple[tuple[ExpectedInterval, ...], tuple[str, ...]]:
         """Return the intervals that `identify` would state of these tests, and why parameters are not determined."""
         requested, why = tuple(names), list[str]()
@@ -352,10 +352,10 @@ def make_plan(
 
 
 def _scheduled(
-    information: Information, ordered: Sequence[Candidate], names: tuple[str, ...], minutes: float
+    information: Information, ordered: Sequence[CandidateTest], names: tuple[str, ...], minutes: float
 ) -> Plan:
     """Return the plan of tests in their order, with their times and the intervals after each."""
-    counts, clock, timed = dict.fromkeys(ORDER, 0), PREPARATION, list[tuple[Candidate, float]]()
+    counts, clock, timed = dict.fromkeys(ORDER, 0), PREPARATION, list[tuple[CandidateTest, float]]()
     for one in ordered:
         clock += one.minutes
         counts[one.set_up] += 1
@@ -367,7 +367,7 @@ def _scheduled(
     last = Information(
         information.bench, tuple(one for one, _ in timed), information.flange_volume, scheduled=True
     )
-    done, why = list[Candidate](), tuple[str, ...]()
+    done, why = list[CandidateTest](), tuple[str, ...]()
     intervals: tuple[ExpectedInterval, ...] = tuple(_unknown(label) for label in _components(names))
     tests = []
     for one, clock in timed:
@@ -378,18 +378,18 @@ def _scheduled(
     return Plan(information.bench, names, minutes, tuple(tests), why)
 
 
-def _ordered(chosen: list[Candidate]) -> list[Candidate]:
+def _ordered(chosen: list[CandidateTest]) -> list[CandidateTest]:
     """Return the chosen tests with one set-up after the other, the most informative test of each first."""
     return [one for kind in ORDER for one in chosen if one.set_up == kind]
 
 
-def _spread(touches: list[Candidate], count: int) -> list[Candidate]:
+def _spread(touches: list[CandidateTest], count: int) -> list[CandidateTest]:
     """Return touches at places along the probe, each in another direction and by another displacement."""
     if not touches or count <= 0:
         return []
     marks = sorted({one.mark for one in touches})
     directions = list(dict.fromkeys(one.test.direction for one in touches if one.test is not None))
-    found: list[Candidate] = []
+    found: list[CandidateTest] = []
     for k in range(count):
         mark = marks[round((k + 0.5) / count * len(marks) - 0.5)]
         here = [one for one in touches if one.mark == mark and one not in found]
@@ -416,7 +416,7 @@ class _Choice:
 
     information: Information
     names: Sequence[str]
-    fixed: list[Candidate]
+    fixed: list[CandidateTest]
 
     @cached_property
     def scale(self) -> Array:
@@ -450,10 +450,10 @@ class _Choice:
         whole = np.linalg.slogdet(matrices)[1]
         return np.asarray(0.5 * (whole - np.linalg.slogdet(matrices[..., others[:, None], others])[1]))
 
-    def best(self, candidates: list[Candidate], minutes: float) -> list[Candidate]:
+    def best(self, candidates: list[CandidateTest], minutes: float) -> list[CandidateTest]:
         """Return tests within the time, the most informative per minute first."""
         total = np.eye(len(self.active)) + sum(self.matrices[one.name] for one in self.fixed)
-        chosen: list[Candidate] = []
+        chosen: list[CandidateTest] = []
         left = minutes
         while pool := [one for one in candidates if one not in chosen and one.minutes <= left]:
             gains = self._values(total, pool) - self.value(total)
@@ -464,13 +464,13 @@ class _Choice:
             total, left = total + self.matrices[pool[k].name], left - pool[k].minutes
         return self._exchanged(chosen, candidates, total, left)
 
-    def _values(self, total: Array, pool: list[Candidate]) -> Array:
+    def _values(self, total: Array, pool: list[CandidateTest]) -> Array:
         """Return the value with each candidate added."""
         return self.value(total + np.stack([self.matrices[one.name] for one in pool]))
 
     def _exchanged(
-        self, chosen: list[Candidate], candidates: list[Candidate], total: Array, left: float
-    ) -> list[Candidate]:
+        self, chosen: list[CandidateTest], candidates: list[CandidateTest], total: Array, left: float
+    ) -> list[CandidateTest]:
         """Return the tests after the exchanges that increase the determinant."""
         for _ in range(MAX_EXCHANGES):
             best, gain = None, MIN_GAIN

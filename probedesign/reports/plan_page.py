@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-from probedesign.planning.candidates import Candidate
+from probedesign.planning.candidates import CandidateTest
 from probedesign.planning.folder import checklist
 from probedesign.planning.plan import ENOUGH, ExpectedInterval, Plan
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis
@@ -113,7 +113,7 @@ def _items(lines: Sequence[str], attribute: str = "") -> str:
     return f"<ul>{''.join(f'<li{attribute}>{escape(line)}</li>' for line in lines)}</ul>"
 
 
-def _set_up(plan: Plan, one: Candidate) -> str:
+def _set_up(plan: Plan, one: CandidateTest) -> str:
     drawing = set_up_drawing(plan.bench.model, one).decode()
     use = " For validate." if one.held_out else ""
     return f"<section><h3>☐ {escape(one.name)}</h3>{drawing}<p>{escape(one.words)}{use}</p></section>"

@@ -9,7 +9,7 @@ import numpy as np
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
-from probedesign.planning.candidates import Candidate
+from probedesign.planning.candidates import CandidateTest
 from probedesign.prediction.touches import DIRECTIONS
 
 WIDTH, HEIGHT, MARGIN = 360.0, 230.0, 26.0
@@ -92,7 +92,7 @@ class _Canvas:
                 ).encode()  # fmt: skip
 
 
-def set_up_drawing(model: ProbeModel, candidate: Candidate) -> bytes:
+def set_up_drawing(model: ProbeModel, candidate: CandidateTest) -> bytes:
     """Return the drawing of a test.
 
     Args:
@@ -168,7 +168,7 @@ def _weight(canvas: _Canvas, at: Array, mass: float) -> None:
     canvas.text(end + np.array([14.0, 13.0]), f"{1e3 * mass:g} g", LOAD, "start")
 
 
-def _edge(canvas: _Canvas, at: Array, along: Array, candidate: Candidate, width: float) -> None:
+def _edge(canvas: _Canvas, at: Array, along: Array, candidate: CandidateTest, width: float) -> None:
     """Draw the touching edge on the side that it pushes from, with an arrow along its displacement."""
     assert candidate.test is not None
     across, tip = np.array([-along[1], along[0]]), at - width * along

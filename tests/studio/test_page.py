@@ -14,7 +14,6 @@ import viser
 import viser.transforms
 
 from probedesign.cli.main import run
-from probedesign.core.units import MM
 from probedesign.live.outputs.drawing import centreline
 from probedesign.live.view.page import UNIT, level_rotation
 from probedesign.prediction.table_one import paper_design
