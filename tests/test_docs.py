@@ -1,12 +1,17 @@
 """The examples of the docs print the values in their comments."""
 
 import re
+import shlex
+import shutil
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+import probedesign
+from probedesign.cli.main import run
 
 ROOT = Path(__file__).parent.parent
 
@@ -22,3 +27,78 @@ def test_the_examples_print_the_values_in_their_comments(page, monkeypatch):
     with redirect_stdout(printed):
         exec(code, names)
     assert printed.getvalue().splitlines() == expected
+
+
+def commands_of(page: Path) -> list[list[str]]:
+    """Return the probedesign commands of a page's shell blocks, in order."""
+    text = page.read_text(encoding="utf-8")
+    blocks = "\n".join(re.findall(r"```sh\n(.*?)```", text, re.DOTALL)).replace("\\\n", " ")
+    lines = [shlex.split(line, comments=True) for line in blocks.splitlines()]
+    return [words[1:] for words in lines if words and words[0] == "probedesign"]
+
+
+PAGES = sorted(page for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")] if commands_of(page))
+SLOW = {"search"}
+"""Pages whose commands take minutes: searches and Monte Carlo checks."""
+
+
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, marks=[pytest.mark.slow] * (page.stem in SLOW), id=page.stem) for page in PAGES],
+)
+def test_the_commands_of_a_page_run_in_order(page, tmp_path, monkeypatch, capsys):
+    """In a folder with nothing but the designs of the project."""
+    pytest.importorskip("cadquery")
+    shutil.copytree(ROOT / "designs", tmp_path / "designs")
+    monkeypatch.chdir(tmp_path)
+    for words in commands_of(page):
+        status = run(words)
+        assert status == 0, f"probedesign {shlex.join(words)}: {capsys.readouterr().err}"
+    examples = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    if page.stem in ("README", "tutorial"):
+        assert examples
+        for code in examples:
+            names = dict[str, Any]()
+            exec(code, names)
+            assert names["c"].result == "ok"
+
+
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
+
+
+@pytest.mark.parametrize("page", DOCUMENTS, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_leads_to_a_file_and_a_heading(page):
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)\s]+)\)|(?:src|href)=\"([^\"]+)\"", text):
+        link = "".join(target)
+        if link.startswith(("http://", "https://", "mailto:")):
+            continue
+        name, _, anchor = link.partition("#")
+        file = (page.parent / name).resolve() if name else page
+        assert file.exists(), f"{page.name}: {link}"
+        if anchor and file.suffix == ".md":
+            assert anchor in anchors(file.read_text(encoding="utf-8")), f"{page.name}: {link}"
+
+
+def anchors(text: str) -> set[str]:
+    """Return the anchors of a page: those that it names, and those that its headings get on GitHub and on the site."""
+    headings = re.findall(r"^#+ +(.*)$", text, re.MULTILINE)
+    plain = [re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings]
+    return {*re.findall(r"<a id=\"([^\"]+)\"", text), *plain}
+
+
+def test_the_site_lists_every_page_and_every_public_name():
+    """`sphinx-build -W` refuses a page that no table of contents lists; this needs no Sphinx."""
+    index = (ROOT / "docs/index.md").read_text(encoding="utf-8")
+    for page in (ROOT / "docs").glob("*.md"):
+        assert page.stem in ("README", "index") or re.search(rf"^{page.stem}$", index, re.MULTILINE), (
+            page.name
+        )
+    documented = re.findall(r"auto(?:class|function|exception):: (\w+)", (ROOT / "docs/api.md").read_text())
+    assert sorted(documented) == sorted(probedesign.__all__)
+
+
+@pytest.mark.slow
+def test_the_site_is_built_without_warnings(tmp_path):
+    build = pytest.importorskip("sphinx.cmd.build")
+    assert build.main(["-q", "-W", str(ROOT / "docs"), str(tmp_path)]) == 0
