@@ -349,3 +349,33 @@ def test_doctor_reports_a_cache_that_is_not_writable(monkeypatch, capsys, tmp_pa
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
     assert run(["doctor"]) == 0
     assert "NUMBA_CACHE_DIR" in capsys.readouterr().out
+
+
+def test_options_come_from_the_settings_file_and_the_environment(tmp_path, monkeypatch, capsys):
+    """The command line wins over the environment, and that over the file, which is found in a folder above."""
+    (tmp_path / "probedesign.toml").write_text("[new]\nlength = 120.0\nbase-d = 11.0\ntip-d = 3.0\n")
+    (tmp_path / "below").mkdir()
+    monkeypatch.chdir(tmp_path / "below")
+    monkeypatch.setenv("PROBEDESIGN_NEW_BASE_D", "10")
+    assert run(["new", "--tip-d", "2"]) == 0
+    assert "designs/cone-120x10x2.toml" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "text", ["[[[", "[lvie]\na = 1", "[new]\nlenght = 1", "live = 3", '[new]\nlength = "long"']
+)
+def test_a_wrong_settings_file_gives_one_line_that_names_it(text, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "probedesign.toml").write_text(text)
+    assert run(["new", "--base-d", "12"]) == 2
+    error = capsys.readouterr().err
+    assert (
+        len(error.splitlines()) == 1 and "probedesign.toml" in error and not (tmp_path / "designs").exists()
+    )
+
+
+def test_completion_is_installed_for_a_shell(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("SHELL", "/bin/bash")
+    assert run(["--install-completion"]) == 0
+    assert any("--length" in file.read_text() for file in tmp_path.rglob("probedesign"))

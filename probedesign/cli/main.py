@@ -9,6 +9,8 @@ import sys
 
 TYPE_CHECKING = False  # nothing is imported here that delays the handling of Ctrl-C
 if TYPE_CHECKING:
+    from typing import Any
+
     from cyclopts import App
 
 COMMANDS = {
@@ -49,6 +51,10 @@ FUNCTIONS = {
 """Module and function of a command, where they do not have its name."""
 
 DEBUG = "PROBEDESIGN_DEBUG"
+ENVIRONMENT = "PROBEDESIGN_"
+"""Prefix of the variables that set options, such as PROBEDESIGN_LIVE_SOURCE for --source of live."""
+SETTINGS = "probedesign.toml"
+"""File in the working directory or a folder above it that sets options, a table for each command."""
 INTERRUPTED = 130
 """Exit status after SIGINT: 128 plus the number of the signal."""
 
@@ -58,7 +64,9 @@ def build_app() -> "App":
     from importlib.metadata import version
 
     from cyclopts import App, Parameter
+    from cyclopts.config import Dict, Env
 
+    settings, path = read_settings()
     app = App(
         name="probedesign",
         help="Design, fabricate and run soft conic probes that locate contacts from the wrench at their base.",
@@ -69,11 +77,40 @@ def build_app() -> "App":
         exit_on_error=False,
         suppress_keyboard_interrupt=False,
         result_action="return_value",
+        config=(Env(ENVIRONMENT), Dict(settings, source=path)),
     )
     for sort_key, (name, line) in enumerate(COMMANDS.items()):
         function = FUNCTIONS.get(name, f"{name}:{name}")
         app.command(f"probedesign.cli.{function}", name=name, help=line, sort_key=sort_key)
+    app.register_install_completion_command(
+        add_to_startup=True, help="Install completion of commands and options for bash, zsh or fish."
+    )
     return app
+
+
+def read_settings() -> "tuple[dict[str, Any], str]":
+    """Return the options of the settings file by command, and its path; nothing if there is no such file.
+
+    Raises:
+        InputError: the file cannot be read, or has a table that is not a command.
+    """
+    import tomllib
+
+    from probedesign.core.errors import InputError
+
+    here = os.getcwd()
+    while not os.path.isfile(path := os.path.join(here, SETTINGS)):
+        if here == (here := os.path.dirname(here)):
+            return {}, SETTINGS
+    try:
+        with open(path, "rb") as file:
+            found = tomllib.load(file)
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as TOML: {error}") from None
+    for name, table in found.items():
+        if name not in COMMANDS or not isinstance(table, dict):
+            raise InputError(f"{path}: [{name}] is not a command; use a table for each command, such as [live]")
+    return found, path
 
 
 def run(arguments: list[str]) -> int:
