@@ -331,7 +331,7 @@ class Chart:
         return "".join(parts)
 
     def draw_on(self, ax: "Axes", title: str, legend_size: float = 8.0) -> None:
-        """Draw the chart into matplotlib axes; for axes with numbers, not with named categories."""
+        """Draw the chart into matplotlib axes; boxes and labels are for the SVG alone."""
         for element in self._elements:
             match element:
                 case _Line(x, y, colour, dashes, mark, width, _):
@@ -356,6 +356,8 @@ class Chart:
                 )
                 ax.set(**{f"{name}ticks": axis.shown_ticks, f"{name}ticklabels": axis.tick_labels})
             ax.minorticks_off()
+            if self.x.upright:
+                ax.tick_params(axis="x", rotation=90.0, labelsize=8.0)
         if self.down:
             ax.invert_yaxis()
         ax.grid(True, alpha=0.25)

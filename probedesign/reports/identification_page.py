@@ -38,7 +38,13 @@ def identification_page(found: Identification) -> bytes:
         *found.notes,
     ]
     kinds = {one.kind for one in found.residuals}
-    sections = [_by_test(found), _normal(found)] if kinds & set(KINDS) else []
+    sections = []
+    if kinds & set(KINDS):
+        caption = (
+            "Noise as stated, or as measured where that is larger. Tests are in the order of their table."
+        )
+        by_test = ReportFigure("Residuals by test", caption, residual_chart(found).svg())
+        sections = [by_test, _normal(found)]
     if "markers" in kinds:
         sections.append(_along(found))
     wrenches = [_wrenches(found, "forces"), _wrenches(found, "moments")] if "wrenches" in kinds else []
@@ -72,7 +78,7 @@ def _row(one: Identified) -> list[str]:
     return [one.name, f"{one.value:.4g} {one.unit}", *intervals, design, one.why or one.words]
 
 
-def _by_test(found: Identification) -> ReportFigure:
+def residual_chart(found: Identification) -> Chart:
     """Return the RMS of each test's normalised residuals by kind."""
     tests = list(dict.fromkeys(one.test for one in found.residuals if one.kind in KINDS))
     each = math.ceil(len(tests) / MAX_TEST_NAMES)
@@ -88,8 +94,7 @@ def _by_test(found: Identification) -> ReportFigure:
         colour, mark = _SIGNS[kind]
         chart.points(range(1, len(tests) + 1), line, colour, mark, KINDS[kind])
     chart.line([0.5, len(tests) + 0.5], [1.0, 1.0], "#666666", "4 4", name="noise alone")
-    caption = "Noise as stated, or as measured where that is larger. Tests are in the order of their table."
-    return ReportFigure("Residuals by test", caption, chart.svg())
+    return chart
 
 
 def _normal(found: Identification) -> ReportFigure:

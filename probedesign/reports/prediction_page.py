@@ -52,6 +52,8 @@ TOUCHES = ((0.4, 0.05), (0.6, 0.03), (0.8, 0.02))
 LIMITS = {"gives_way": ("buckling", "o"), "sensor": ("sensor's range", "s"), "slips_off": ("slips off", "v"),
           "none": ("no limit found", "d")}  # fmt: skip
 """Text and marker of each limit of the force."""
+STATIONS = 81
+"""Points of a centreline that is drawn."""
 _PLACE = "contact position, fraction of the length"
 
 
@@ -330,15 +332,9 @@ def _cell(here: Sequence[Cell], error: Callable[[Cell], float | None]) -> tuple[
 def probe_chart(prediction: Prediction, estimator: Estimator) -> Chart:
     """Return the free probe to scale, seen along y; its colour is the error of one reading of the headline's force."""
     model, free = estimator.model, estimator.free()
-    s = np.linspace(0.0, model.rod.length, 81)
-    if free.ok:
-        centre = free.p_at(s)[:, [2, 0]] / MM
-    else:  # it buckles under its weight: drawn undeformed
-        centre = np.column_stack([s, np.zeros_like(s)]) / MM
-    along = np.gradient(centre, axis=0)
-    normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
-    r = np.interp(s, model.rod.s, model.rod.radius)[:, None] / MM
-    upper, lower = centre + r * normal, centre - r * normal
+    s = np.linspace(0.0, model.rod.length, STATIONS)
+    shape = free.p_at(s) if free.ok else np.outer(s, (0.0, 0.0, 1.0))  # buckled under its weight: undeformed
+    upper, lower = flanks(shape, model.rod.radius_at(s))
     chart = Chart.side_view(np.insert(np.concatenate([upper, lower]), 1, 0.0, axis=1)[:, [2, 1, 0]], 0)
     located = {
         c.contact_fraction: c.predicted_error_mm for c in worst(prediction.conditions, HEADLINE_FORCE_N)
@@ -360,6 +356,20 @@ def probe_chart(prediction: Prediction, estimator: Estimator) -> Chart:
         LegendEntry(_level_label(level), ORDERED[level]) for level in sorted(shown, reverse=True)
     ]
     return chart
+
+
+def flanks(shape: Array, radius: Array) -> tuple[Array, Array]:
+    """Return both sides of a probe seen along y as points of z and x [mm], (n, 2) each.
+
+    Args:
+        shape: centreline [m], (n, 3).
+        radius: half-width along x at its points [m], (n,).
+    """
+    centre = shape[:, [2, 0]] / MM
+    along = np.gradient(centre, axis=0)
+    normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
+    reach = radius[:, None] / MM * normal
+    return centre + reach, centre - reach
 
 
 def error_level(error_mm: float) -> int:
