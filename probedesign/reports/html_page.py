@@ -35,6 +35,7 @@ section svg { width: 100%; height: auto; display: block }
 @media screen and (prefers-color-scheme: dark) { section svg { filter: invert(1) hue-rotate(180deg) } }
 section p { color: var(--soft); margin: 1mm 0; font-size: 9.5pt }
 th:first-child, td:first-child, .last td:last-child, .last th:last-child { text-align: left }
+.worded td:last-child, .worded th:last-child { text-align: left }
 td:last-child { white-space: normal }
 details { margin: 0 0 3mm } summary { font-size: 12.5pt; font-weight: bold; cursor: pointer }
 details p { color: var(--soft); font-size: 9.5pt }
@@ -63,11 +64,15 @@ class ReportFigure:
 
 @dataclass(frozen=True)
 class HtmlTable:
-    """Rows of text below a head, whose first column names them, with an optional note."""
+    """Rows of text below a head, whose first column names them, with an optional note.
+
+    `worded` states that the last column has words rather than numbers.
+    """
 
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
     note: str = ""
+    worded: bool = False
 
     def html(self) -> str:
         """Return the element."""
@@ -75,7 +80,7 @@ class HtmlTable:
         rows = "".join(f"<tr>{''.join(f'<td>{escape(c)}</td>' for c in row)}</tr>" for row in self.rows)
         note = f"<p>{escape(self.note)}</p>" if self.note else ""
         table = f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
-        return f'<div class="wide">{table}</div>{note}'
+        return f'<div class="wide{" worded" if self.worded else ""}">{table}</div>{note}'
 
 
 def html_document(
@@ -122,6 +127,9 @@ def report_page(
     after: Sequence[tuple[str, HtmlTable]] = (),
     folded: Sequence[tuple[str, Sequence[ReportFigure]]] = (),
     verdict: str = "",
+    opened: Sequence[tuple[str, HtmlTable]] = (),
+    first: str = "",
+    style: str = "",
 ) -> bytes:
     """Return the page of a report.
 
@@ -133,6 +141,8 @@ def report_page(
         after: headings and tables at the end, closed until they are clicked; open in print.
         folded: headings and figures that repeat one kind, also closed until they are clicked.
         verdict: the result in one sentence.
+        opened: headings and tables after the figures, always open.
+        first: HTML above the figures, for which `style` is added to the style sheet.
     """
     repeated = "".join(
         f'<details><summary>{escape(name)}</summary>\n<div class="figures">\n{_figures(figures)}</div></details>\n'
@@ -143,10 +153,12 @@ def report_page(
         f"<details class=last><summary>{escape(name)}</summary>{rows.html()}</details>\n"
         for name, rows in after
     )
-    first = f"<section>{table.html()}</section>\n" if table else ""
+    listed = "".join(f"<section><h2>{escape(name)}</h2>{rows.html()}</section>\n" for name, rows in opened)
+    head = f"<section>{table.html()}</section>\n" if table else ""
     lead = f'<p class="verdict">{escape(verdict)}</p>\n' if verdict else ""
-    body = f'{first}<div class="figures">\n{_figures(sections)}</div>\n{repeated}{last}'
-    return html_document(title, [escape(line) for line in about], body, REPORT_STYLE, lead=lead)
+    figures = f'<div class="figures">\n{_figures(sections)}</div>\n' if sections else ""
+    body = f"{first}{head}{figures}{listed}{repeated}{last}"
+    return html_document(title, [escape(line) for line in about], body, REPORT_STYLE + style, lead=lead)
 
 
 def _figures(sections: Sequence[ReportFigure]) -> str:
