@@ -8,7 +8,7 @@ from pathlib import Path
 from probedesign.reports.html_page import REPORT_STYLE, html_document
 
 _STYLE = """code { border: 0.4pt solid var(--rule); padding: 0.3mm 1.5mm; border-radius: 1mm; font-size: 9pt }
-.links a { margin-right: 4mm } a { color: #2a78c8 } .waiting { color: var(--soft); font-style: italic }
+.links a { margin-right: 4mm } .waiting { color: var(--soft); font-style: italic }
 section img { max-width: 100%; background: #fff }
 """
 _REFRESH = '<meta http-equiv="refresh" content="2">'

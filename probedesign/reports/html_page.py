@@ -13,11 +13,13 @@ from probedesign.core.errors import InputError
 DOCTYPE = "<!DOCTYPE html>"
 STYLE = """
 @page { size: A4; margin: 14mm }
-:root { color-scheme: light dark; --ink: #111; --soft: #444; --rule: #bbb; --paper: #fff }
-@media (prefers-color-scheme: dark) { :root { --ink: #e8e8e8; --soft: #b8b8b8; --rule: #555; --paper: #16181c } }
-@media print { :root { color-scheme: light; --ink: #111; --soft: #444; --rule: #bbb; --paper: #fff } }
+:root { color-scheme: light dark; --ink: #111; --soft: #444; --rule: #bbb; --paper: #fff; --link: #1a5fa8 }
+@media (prefers-color-scheme: dark) { :root { --ink: #e8e8e8; --soft: #b8b8b8; --rule: #555; --paper: #16181c; --link: #7db9f2 } }
+@media print { :root { color-scheme: light; --ink: #111; --soft: #444; --rule: #bbb; --paper: #fff; --link: #1a5fa8 } }
 body { font: 10.5pt/1.4 Helvetica, Arial, "Liberation Sans", "DejaVu Sans", sans-serif; color: var(--ink);
   background: var(--paper); max-width: 260mm; margin: 8mm auto; padding: 0 4mm; overflow-wrap: break-word }
+a { color: var(--link) }
+@media screen and (prefers-color-scheme: dark) { canvas { filter: invert(1) hue-rotate(180deg) } }
 h1 { font-size: 18pt; margin: 0 } .about { color: var(--soft); margin: 1mm 0 4mm }
 .verdict { font-size: 13.5pt; line-height: 1.35; margin: 2mm 0 }
 .wide { overflow-x: auto }

@@ -251,7 +251,7 @@ def _scale_bar(scale: float) -> str:
 
 SCRIPT = Path(__file__).with_suffix(".js")
 ORBIT = SCRIPT.with_name("orbit.js")
-STYLE = """canvas { width: 100%; height: 150mm; border: 0.4pt solid var(--rule); touch-action: none; cursor: grab;
+STYLE = """canvas { width: 100%; height: 150mm; border: 0.4pt solid #bbb; color: #111; touch-action: none; cursor: grab;
   display: block; box-sizing: border-box }
 #status { color: var(--soft); min-height: 1.4em; margin: 1mm 0 3mm; font-size: 9.5pt }
 #times { margin: 0 0 1.5mm } #times label { margin-left: 3mm } #times input { vertical-align: -1px }

@@ -86,7 +86,8 @@ def _column(rows: Sequence[Row], name: str) -> Array:
 
 def _force(rows: Sequence[Row]) -> Array:
     """Return the magnitudes of the forces [mN]."""
-    return np.linalg.norm([_column(rows, f"force_base_{axis}_N") for axis in "xyz"], axis=0) / MILLINEWTON
+    force = [_column(rows, f"force_base_{axis}_N") for axis in "xyz"]
+    return np.asarray(np.linalg.norm(force, axis=0) / MILLINEWTON)
 
 
 def _rms(rows: Sequence[Row]) -> Array:

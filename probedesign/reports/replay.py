@@ -30,8 +30,8 @@ FLAT = 2.2
 """Width over height of a probe that lies, whose picture may be wider than high."""
 FOLDER = Path(__file__).parent
 ORBIT = FOLDER / "orbit.js"
-STYLE = """#replay { width: 100%; height: 84mm; border: 0.4pt solid #bbb; color: #111; touch-action: pan-y; cursor: grab;
-  display: block; box-sizing: border-box }
+STYLE = """#replay { width: 100%; height: 84mm; border: 0.4pt solid #bbb; color: #111; touch-action: pan-y;
+  cursor: grab; display: block; box-sizing: border-box }
 .player { display: flex; gap: 3mm; align-items: center; margin: 1.5mm 0 }
 .player button { font: inherit; min-width: 18mm; padding: 0.8mm 3mm } .player input { flex: 1; min-width: 0 }
 #replay-text { min-height: 2.8em } @media print { .replay { display: none } }
