@@ -95,6 +95,17 @@ class ChartAxis:
         return _SMALL * max(map(len, self.names), default=0) if self.upright else 0.0
 
 
+def ink_on(fill: str) -> str:
+    """Return black or white, whichever is legible on a colour #rrggbb: their contrast is at least 4.5.
+
+    The better of both has a contrast of at least √(1.05/0.05) = 4.58. Source: WCAG 2.2, relative luminance.
+    """
+    shares = (int(fill[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
+    red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in shares)
+    luminance = 0.2126 * red + 0.7152 * green + 0.0722 * blue
+    return "#000" if luminance + 0.05 > math.sqrt(1.05 * 0.05) else "#fff"
+
+
 def _floats(values: ArrayLike) -> list[float]:
     found: list[float] = np.asarray(values, dtype=float).ravel().tolist()
     return found

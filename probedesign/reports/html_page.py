@@ -13,22 +13,28 @@ from probedesign.core.errors import InputError
 DOCTYPE = "<!DOCTYPE html>"
 STYLE = """
 @page { size: A4; margin: 14mm }
-:root { color-scheme: light dark; --ink: #111; --soft: #444; --rule: #bbb; --paper: #fff; --link: #1a5fa8 }
-@media (prefers-color-scheme: dark) { :root { --ink: #e8e8e8; --soft: #b8b8b8; --rule: #555; --paper: #16181c; --link: #7db9f2 } }
-@media print { :root { color-scheme: light; --ink: #111; --soft: #444; --rule: #bbb; --paper: #fff; --link: #1a5fa8 } }
+:root { color-scheme: light dark; --ink: #111; --soft: #444; --rule: #bbb; --paper: #fff; --link: #1a5fa8;
+  --alarm: #b00020 }
+@media screen and (prefers-color-scheme: dark) {
+  :root { --ink: #e8e8e8; --soft: #b8b8b8; --rule: #555; --paper: #16181c; --link: #7db9f2; --alarm: #ff8a94 }
+  canvas { filter: invert(1) hue-rotate(180deg) }
+}
+@media print { :root { color-scheme: light } }
 body { font: 10.5pt/1.4 Helvetica, Arial, "Liberation Sans", "DejaVu Sans", sans-serif; color: var(--ink);
   background: var(--paper); max-width: 260mm; margin: 8mm auto; padding: 0 4mm; overflow-wrap: break-word }
 a { color: var(--link) }
-@media screen and (prefers-color-scheme: dark) { canvas { filter: invert(1) hue-rotate(180deg) } }
 h1 { font-size: 18pt; margin: 0 } .about { color: var(--soft); margin: 1mm 0 4mm }
 .verdict { font-size: 13.5pt; line-height: 1.35; margin: 2mm 0 }
 .wide { overflow-x: auto }
 table { border-collapse: collapse; font-size: 9.5pt; break-inside: avoid }
 th, td { text-align: right; padding: 0.8mm 3mm; border-bottom: 0.4pt solid var(--rule); white-space: nowrap }
-thead th { border-bottom: 1pt solid var(--ink) }
+thead th, thead td { border-bottom: 1pt solid var(--ink) }
 """
 """Common to all pages; dark where the reader's system is, and always light in print."""
-PRINT_STYLE = "@media print { body { margin: 0; padding: 0; max-width: none } .wide { overflow: visible } }\n"
+PRINT_STYLE = """@media print { body { margin: 0; padding: 0; max-width: none } .wide { overflow: visible }
+  table { max-width: 100% } th, td { white-space: normal; padding: 0.6mm 1mm } thead { display: table-header-group } }
+"""
+"""After all other styles. A table as wide as the sheet wraps its cells, and repeats its head on each sheet."""
 REPORT_STYLE = """h2 { font-size: 12.5pt; margin: 0 0 1mm }
 .figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(88mm, 100%), 1fr)); gap: 5mm }
 section { break-inside: avoid; margin: 0 0 4mm }
@@ -45,7 +51,7 @@ details p { color: var(--soft); font-size: 9.5pt }
 .last th, .last td { padding: 0.8mm 1.6mm }
 @media print { section p { font-size: 8.5pt } .figures { grid-template-columns: 1fr 1fr }
   details::details-content { content-visibility: visible; block-size: auto }
-  th { white-space: normal } th, td { padding: 0.6mm 1mm } .last table { font-size: 7.5pt } }
+  .last table { font-size: 7.5pt } }
 """
 
 
@@ -78,11 +84,12 @@ class HtmlTable:
 
     def html(self) -> str:
         """Return the element."""
-        head = "".join(f"<th>{escape(cell)}</th>" for cell in self.head)
+        head = "".join(f"<th>{escape(cell)}</th>" if cell else "<td></td>" for cell in self.head)
         rows = "".join(f"<tr>{''.join(f'<td>{escape(c)}</td>' for c in row)}</tr>" for row in self.rows)
         note = f"<p>{escape(self.note)}</p>" if self.note else ""
         table = f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
-        return f'<div class="wide{" worded" if self.worded else ""}">{table}</div>{note}'
+        kind = "wide worded" if self.worded else "wide"
+        return f'<div class="{kind}" tabindex="0">{table}</div>{note}'
 
 
 def html_document(
@@ -101,7 +108,8 @@ def html_document(
     return (
         f'{DOCTYPE}\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         f'<meta name="viewport" content="width=device-width"><style>{STYLE}{style}{PRINT_STYLE}</style>{head}</head>\n'
-        f'<body><h1>{escape(title)}</h1>\n{lead}<p class="about">{"<br>".join(about)}</p>\n{body}</body></html>\n'
+        f'<body><main><h1>{escape(title)}</h1>\n{lead}<p class="about">{"<br>".join(about)}</p>\n'
+        f"{body}</main></body></html>\n"
     ).encode()
 
 

@@ -261,7 +261,7 @@ STYLE = """canvas { width: 100%; height: 150mm; border: 0.4pt solid #bbb; color:
 """
 STILL_STYLE = "canvas, #times, #status, .legend { display: none } .still { display: block }"
 """On paper and without scripts: the still picture, which has its own legend."""
-HINT = "Drag or use the arrow keys to rotate, scroll to zoom, double-click to reset; point at a point to read its values."
+HINT = "Drag or use the arrow keys to rotate, scroll to zoom, double-click to reset; point at a point to read it."
 HEAD = ("point", "x [mm]", "y [mm]", "z [mm]", "± [mm]", "common part [mm]", "force [mN]", "touches")
 
 

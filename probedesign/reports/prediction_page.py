@@ -26,7 +26,7 @@ from probedesign.prediction.predict import (
 )
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.prediction.workspace import STEPS, Workspace
-from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, LegendEntry
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, LegendEntry, ink_on
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 from probedesign.rod.contact import solve_frictionless
 
@@ -38,7 +38,6 @@ _BUDGET = (
 )
 _FILL = (*COLOURS, "#F0E442")
 """Including Okabe and Ito's eighth colour."""
-_INK = ("#fff", "#fff", "#fff", "#fff", "#fff", "#111", "#111", "#111")
 _MIN_LABELLED = 0.09  # smallest share with space for its number
 LEVELS_MM = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 """Errors at which the colour of the map changes."""
@@ -282,10 +281,10 @@ def budget_chart(conditions: Sequence[Cell]) -> Chart:
     for i, condition in enumerate(conditions, 1):
         chart.text(i, 103.0, f"{condition.predicted_error_mm:.2g}", size=12.5)
         bottom = 0.0
-        for share, colour, ink in zip(shares_of(condition).values(), _FILL, _INK, strict=True):
+        for share, colour in zip(shares_of(condition).values(), _FILL, strict=True):
             chart.box((i - 0.42, i + 0.42), (bottom, bottom + 100.0 * share), colour)
             if share >= _MIN_LABELLED:
-                chart.text(i, bottom + 50.0 * share, f"{100.0 * share:.0f}", ink)
+                chart.text(i, bottom + 50.0 * share, f"{100.0 * share:.0f}", ink_on(colour))
             bottom += 100.0 * share
     chart.legend = [
         LegendEntry(name, colour)
@@ -324,9 +323,8 @@ def _cell(here: Sequence[Cell], error: Callable[[Cell], float | None]) -> tuple[
     if bad or not errors:
         return "#e4e4e4", "#555", RESULT_LABELS.get(bad or "", "buckles")
     largest = max(errors)
-    level = error_level(largest)
-    ink = "#111" if level >= 4 else "#fff"  # dark text on light cells
-    return ORDERED[level], ink, f"{largest:.2g}" if largest < 100 else f"{largest:.0f}"
+    fill = ORDERED[error_level(largest)]
+    return fill, ink_on(fill), f"{largest:.2g}" if largest < 100 else f"{largest:.0f}"
 
 
 def probe_chart(prediction: Prediction, estimator: Estimator) -> Chart:

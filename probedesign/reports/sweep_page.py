@@ -10,7 +10,7 @@ from typing import Any
 from probedesign.core.errors import InputError
 from probedesign.core.units import format_value
 from probedesign.optimization.objective import METRICS
-from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, ink_on
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 
 Record = Mapping[str, Any]
@@ -97,7 +97,7 @@ def heat_map(records: Sequence[Record], keys: Sequence[str], low: float, high: f
         level = _level(record[METRIC], low, high)
         chart.box(*box, ORDERED[level])
         if len(values[0]) <= 16:
-            chart.text(i, j, f"{record[METRIC]:.3g}", "#111" if level >= 4 else "#fff", 10.5)
+            chart.text(i, j, f"{record[METRIC]:.3g}", ink_on(ORDERED[level]), 10.5)
         if record is best:
             frame = i, j
     if frame is not None:
