@@ -32,7 +32,8 @@ thead th, thead td { border-bottom: 1pt solid var(--ink) }
 """
 """Common to all pages; dark where the reader's system is, and always light in print."""
 PRINT_STYLE = """@media print { body { margin: 0; padding: 0; max-width: none } .wide { overflow: visible }
-  table { max-width: 100% } th, td { white-space: normal; padding: 0.6mm 1mm } thead { display: table-header-group } }
+  table { max-width: 100% } th { overflow-wrap: anywhere }
+  th, td { white-space: normal; padding: 0.6mm 1mm } thead { display: table-header-group } }
 """
 """After all other styles. A table as wide as the sheet wraps its cells, and repeats its head on each sheet."""
 REPORT_STYLE = """h2 { font-size: 12.5pt; margin: 0 0 1mm }
@@ -40,7 +41,9 @@ REPORT_STYLE = """h2 { font-size: 12.5pt; margin: 0 0 1mm }
 section { break-inside: avoid; margin: 0 0 4mm }
 .figures section { max-width: 150mm }
 section svg { width: 100%; height: auto; display: block }
-@media screen and (prefers-color-scheme: dark) { section svg { filter: invert(1) hue-rotate(180deg) } }
+@media screen and (prefers-color-scheme: dark) {
+  section svg { filter: invert(1) hue-rotate(180deg) } section svg text[style] { fill: var(--dark) }
+}
 section p { color: var(--soft); margin: 1mm 0; font-size: 9.5pt }
 th:first-child, td:first-child, .last td:last-child, .last th:last-child { text-align: left }
 .worded td:last-child, .worded th:last-child { text-align: left }

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from probedesign.identification.result import Identification, Identified
-from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis, LegendEntry, ink_on
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis, LegendEntry
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 
 MAX_TEST_NAMES = 36
@@ -180,7 +180,7 @@ def _correlation(found: Identification) -> ReportFigure:
             fill = f"#ff{strength:02x}{strength:02x}" if value > 0 else f"#{strength:02x}{strength:02x}ff"
             fill = _SELF if i == j else fill
             chart.box((j + 0.5, j + 1.5), (n - i - 0.5, n - i + 0.5), fill, "#999")
-            chart.text(j + 1.0, n - i, f"{value:.2f}", ink_on(fill))
+            chart.text(j + 1.0, n - i, f"{value:.2f}", on=fill)
     for name, colour in (("positive", "#ff0000"), ("negative", "#0000ff"), ("itself", _SELF)):
         chart.legend.append(LegendEntry(name, colour))
     return ReportFigure(

@@ -26,7 +26,7 @@ from probedesign.prediction.predict import (
 )
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.prediction.workspace import STEPS, Workspace
-from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, LegendEntry, ink_on
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, LegendEntry
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 from probedesign.rod.contact import solve_frictionless
 
@@ -284,7 +284,7 @@ def budget_chart(conditions: Sequence[Cell]) -> Chart:
         for share, colour in zip(shares_of(condition).values(), _FILL, strict=True):
             chart.box((i - 0.42, i + 0.42), (bottom, bottom + 100.0 * share), colour)
             if share >= _MIN_LABELLED:
-                chart.text(i, bottom + 50.0 * share, f"{100.0 * share:.0f}", ink_on(colour))
+                chart.text(i, bottom + 50.0 * share, f"{100.0 * share:.0f}", on=colour)
             bottom += 100.0 * share
     chart.legend = [
         LegendEntry(name, colour)
@@ -310,21 +310,21 @@ def error_map(cells: Sequence[Cell], error: Callable[[Cell], float | None]) -> C
     for i, place in enumerate(places, 1):
         for j, force in enumerate(forces, 1):
             here = [c for c in cells if (c.contact_fraction, c.force_N) == (place, force)]
-            fill, ink, words = _cell(here, error)
+            fill, words = _cell(here, error)
             chart.box((i - 0.5, i + 0.5), (j - 0.5, j + 0.5), fill)
-            chart.text(i, j, words, ink, 12.5 if len(words) < 5 else 9.0)
+            chart.text(i, j, words, size=12.5 if len(words) < 5 else 9.0, on=fill)
     return chart
 
 
-def _cell(here: Sequence[Cell], error: Callable[[Cell], float | None]) -> tuple[str, str, str]:
-    """Return colour, ink and text of a cell."""
+def _cell(here: Sequence[Cell], error: Callable[[Cell], float | None]) -> tuple[str, str]:
+    """Return colour and text of a cell."""
     bad = next((c.result for c in here if c.result != "ok"), None)
     errors = [e for e in map(error, here) if e is not None]
     if bad or not errors:
-        return "#e4e4e4", "#555", RESULT_LABELS.get(bad or "", "buckles")
+        return "#e4e4e4", RESULT_LABELS.get(bad or "", "buckles")
     largest = max(errors)
     fill = ORDERED[error_level(largest)]
-    return fill, ink_on(fill), f"{largest:.2g}" if largest < 100 else f"{largest:.0f}"
+    return fill, f"{largest:.2g}" if largest < 100 else f"{largest:.0f}"
 
 
 def probe_chart(prediction: Prediction, estimator: Estimator) -> Chart:

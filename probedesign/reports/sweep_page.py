@@ -10,7 +10,7 @@ from typing import Any
 from probedesign.core.errors import InputError
 from probedesign.core.units import format_value
 from probedesign.optimization.objective import METRICS
-from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, ink_on
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 
 Record = Mapping[str, Any]
@@ -92,12 +92,12 @@ def heat_map(records: Sequence[Record], keys: Sequence[str], low: float, high: f
         box = (i - 0.5, i + 0.5), (j - 0.5, j + 0.5)
         if record["result"] != "ok":
             chart.box(*box, "#e4e4e4")
-            chart.text(i, j, SHORT.get(str(record["result"]), "failed"), "#555", 9.0)
+            chart.text(i, j, SHORT.get(str(record["result"]), "failed"), size=9.0, on="#e4e4e4")
             continue
         level = _level(record[METRIC], low, high)
         chart.box(*box, ORDERED[level])
         if len(values[0]) <= 16:
-            chart.text(i, j, f"{record[METRIC]:.3g}", ink_on(ORDERED[level]), 10.5)
+            chart.text(i, j, f"{record[METRIC]:.3g}", size=10.5, on=ORDERED[level])
         if record is best:
             frame = i, j
     if frame is not None:

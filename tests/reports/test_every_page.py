@@ -45,6 +45,12 @@ def probe():
 
 
 @pytest.fixture(scope="module")
+def running():
+    with browser() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("pages")
 
@@ -134,17 +140,16 @@ PAGES: tuple[Callable[[pytest.FixtureRequest], bytes], ...] = (
 
 
 @pytest.mark.parametrize("make", PAGES, ids=lambda make: make.__name__)
-def test_a_page_is_legible_fits_and_prints(make, folder, request):
+def test_a_page_is_legible_fits_and_prints(make, running, folder, request):
     """Contrast of 4.5 in light and dark, nothing cut at 360 px and on A4, no request, no console message."""
     file = folder / f"{make.__name__}.html"
     file.write_bytes(make(request))
-    with browser() as running:
-        check_page(running, file)
-        number, cut = sheets(running, file)
+    check_page(running, file)
+    number, cut = sheets(running, file)
     assert not cut and 1 <= number <= 6
 
 
-def test_the_replay_plays_pauses_and_turns(folder, recorded):
+def test_the_replay_plays_pauses_and_turns(running, folder, recorded):
     file = folder / "replay.html"
     file.write_bytes(recording_page(recorded))
     with (
