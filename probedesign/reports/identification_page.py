@@ -54,7 +54,24 @@ def identification_page(found: Identification) -> bytes:
     if found.outliers:
         after.append(("Outliers", _outliers(found)))
     folded = [("Residuals of the wrenches", wrenches)]
-    return report_page(f"{found.name}: identified", about, _table(found), sections, after, folded)
+    title = f"{found.name}: identified"
+    return report_page(title, about, _table(found), sections, after, folded, verdict(found))
+
+
+def verdict(found: Identification) -> str:
+    """Return the result of an identification in one sentence."""
+    if not found.valid:
+        return f"No number is identified: {found.why or found.result}."
+    known = [one for one in found.found if one.identified]
+    if not known:
+        return "The tests determine none of the requested numbers."
+    first = known[0]
+    unit = f" {first.unit}" if first.unit else ""
+    others = f"; {', '.join(one.name for one in known[1:])} as well" if known[1:] else ""
+    return (
+        f"{first.name} is {first.value:.4g}{unit}, with a 95 % interval of {first.low:.4g} to {first.high:.4g}{unit} "
+        f"(design: {first.design:.4g}{unit}){others}."
+    )
 
 
 def _table(found: Identification) -> HtmlTable:
@@ -66,7 +83,7 @@ def _table(found: Identification) -> HtmlTable:
         "design",
         "description",
     ]
-    return HtmlTable(head, [_row(one) for one in found.found])
+    return HtmlTable(head, [_row(one) for one in found.found], worded=True)
 
 
 def _row(one: Identified) -> list[str]:
