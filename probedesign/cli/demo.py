@@ -88,13 +88,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     Raises:
         InputError: the folder has an edited design or other files, and `force` is not set.
     """
-    import numpy as np
-
-    from probedesign import pipeline
     from probedesign.design.io import draft_design, render_design, write_design
-    from probedesign.reports.prediction_page import probe_chart
-    from probedesign.reports.recording_page import recording_page
-    from probedesign.reports.replay import STYLE, replay_element
 
     made: dict[str, str] = {}
     skipped: list[str] = []
@@ -117,6 +111,15 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     made[str(design)] = "the design; edit it and run the chain again"
     page = write_demo_page(folder, list(sections.values()))
     show(page.absolute().as_uri())
+
+    # the page is visible before the slow imports
+    import numpy as np
+
+    from probedesign import pipeline
+    from probedesign.reports.prediction_page import probe_chart
+    from probedesign.reports.recording_page import recording_page
+    from probedesign.reports.replay import STYLE, replay_element
+
     print_step("predicting (the first run compiles the rod and the estimator, about a minute)")
     probe = pipeline.load_probe(design)
     prediction = pipeline.predict(probe)
