@@ -17,7 +17,7 @@ STYLE = """
   --alarm: #b00020 }
 @media screen and (prefers-color-scheme: dark) {
   :root { --ink: #e8e8e8; --soft: #b8b8b8; --rule: #555; --paper: #16181c; --link: #7db9f2; --alarm: #ff8a94 }
-  canvas { filter: invert(1) hue-rotate(180deg) }
+  canvas, .legend svg { filter: invert(1) hue-rotate(180deg) }
 }
 @media print { :root { color-scheme: light } }
 body { font: 10.5pt/1.4 Helvetica, Arial, "Liberation Sans", "DejaVu Sans", sans-serif; color: var(--ink);

@@ -120,7 +120,7 @@ def recording_page(estimates: RecordingEstimates) -> bytes:
         *estimates.notes,
     ]
     replay = replay_element(estimates.estimator, rows, estimates.gravities, "The located touches, replayed")
-    first = f"<section><h2>The touches, replayed</h2>{replay}</section>\n" if replay else ""
+    first = f'<section class="replay"><h2>The touches, replayed</h2>{replay}</section>\n' if replay else ""
     touches = touches_in(rows)
     after = [("Touches", _touch_table(touches)), ("Estimates by result", _count_table(estimates.counts))]
     title = f"{estimates.recording.path.name}: located touches"
