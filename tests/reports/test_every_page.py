@@ -152,10 +152,7 @@ def test_a_page_is_legible_fits_and_prints(make, running, folder, request):
 def test_the_replay_plays_pauses_and_turns(running, folder, recorded):
     file = folder / "replay.html"
     file.write_bytes(recording_page(recorded))
-    with (
-        browser() as running,
-        opened(running, file, 1000, "light") as page,
-    ):  # reduced motion: it does not start
+    with opened(running, file, 1000, "light") as page:  # reduced motion: it does not start
 
         def picture() -> str:
             return str(page.evaluate("document.getElementById('replay').toDataURL()"))
