@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
+from probedesign.core.notebook import Displayed
 from probedesign.design import Design
 from probedesign.geometry import ProbeGeometry, build_geometry
 from probedesign.geometry.mass import MassProperties, flexible_part
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Probe:
+class Probe(Displayed):
     """A probe as its design describes it, for mechanics and estimation.
 
     Attributes:

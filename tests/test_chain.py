@@ -149,7 +149,7 @@ def test_the_demo_page_is_there_at_once_and_ends_complete(workplace, monkeypatch
     )
     assert 'http-equiv="refresh"' in pages[0] and "being made" in pages[0]
     page = (workplace / "d/index.html").read_text()
-    assert 'http-equiv="refresh"' not in page and "being made" not in page
+    assert 'http-equiv="refresh"' not in page and "being made" not in page and 'id="replay"' in page
     assert len(result["skipped"]) == 2 and all(escape(reason) in page for reason in result["skipped"])
     for file in re.findall(r'(?:href|src)="([^"]+)"', page):
         assert (workplace / "d" / file).exists()

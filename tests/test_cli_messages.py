@@ -56,6 +56,8 @@ live exports/a/a.probe.json --source "sim:?speed=max&rate_hz=50&seconds=2" --rec
 live exports/a/a.probe.json --source "sim:?speed=max&rate_hz=50&seconds=2" --record run.mcap --count 1
 estimate exports/a/a.probe.json run.csv --out estimates.csv
 estimate exports/a/a.probe.json run.csv --out run.csv
+estimate exports/a/a.probe.json run.csv --page run.html
+estimate exports/a/a.probe.json run.csv --page run.html --out run.html
 explore exports/a/a.probe.json run.csv --pose poses.csv --tare-s 0:0.5 --out map
 explore exports/a/a.probe.json run.csv --pose poses.csv
 recover run.mcap

@@ -125,17 +125,19 @@ def bill_csv(bill: list[BillItem]) -> bytes:
 
 STYLE = """body { max-width: 182mm }
 h2 { font-size: 13pt; margin: 4.5mm 0 1mm; break-after: avoid } p { margin: 1mm 0 }
-.warning { border: 2.5pt solid #b00020; padding: 3mm 4mm; margin: 4mm 0; break-inside: avoid }
-.warning strong { color: #b00020; font-size: 13pt; display: block }
-table { width: 100% } th { border-bottom: 1pt solid #111 }
+.warning { border: 2.5pt solid var(--alarm); padding: 3mm 4mm; margin: 4mm 0; break-inside: avoid }
+.warning strong { color: var(--alarm); font-size: 13pt; display: block }
+table { width: 100% }
 th, td { text-align: left; padding: 0.8mm 2mm; vertical-align: top; white-space: normal }
 .n { text-align: right; white-space: nowrap }
-.exploded { break-before: page; break-inside: avoid } .exploded svg { display: block; width: auto; height: auto;
-  max-width: 100%; max-height: 245mm; margin: 0 auto }
-.steps { display: grid; grid-template-columns: 1fr 1fr; gap: 4mm }
-.step { border: 0.4pt solid #bbb; padding: 3mm; break-inside: avoid } .step img { display: block; height: 58mm;
-  max-width: 100%; object-fit: contain; margin: 0 auto 2mm } .step b { margin-right: 1.5mm }
-ul { margin: 1mm 0; padding-left: 5mm } .tools { columns: 2 }
+.exploded { break-before: page; break-inside: avoid } .exploded svg { display: block; background: #fff;
+  width: auto; height: auto; max-width: 100%; max-height: 245mm; margin: 0 auto }
+.steps { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(75mm, 100%), 1fr)); gap: 4mm }
+.step { border: 0.4pt solid var(--rule); padding: 3mm; break-inside: avoid }
+.step img { display: block; background: #fff; height: 58mm; max-width: 100%; object-fit: contain; margin: 0 auto 2mm }
+.step b { margin-right: 1.5mm }
+ul { margin: 1mm 0; padding-left: 5mm } .tools { columns: 2 75mm }
+@media print { body { font-size: 9.5pt } table { font-size: 8.5pt } }
 """
 
 
@@ -188,8 +190,8 @@ def _warning(model: CadModel) -> str:
 
 def _parts(bill: Sequence[BillItem]) -> str:
     head = (
-        "<tr><th></th><th>part</th><th class=n>pieces</th><th>what</th><th>of</th><th class=n>g each</th>"
-        "<th class=n>at most N·m</th></tr>"
+        "<thead><tr><th class=n>no.</th><th>part</th><th class=n>pieces</th><th>what</th><th>of</th>"
+        "<th class=n>g each</th><th class=n>at most N·m</th></tr></thead>"
     )
     rows = []
     for item in bill:
@@ -200,7 +202,7 @@ def _parts(bill: Sequence[BillItem]) -> str:
             f"<td>{escape(what)}</td><td>{escape(item.material)}</td>"
             f"<td class=n>{mass}</td><td class=n>{torque}</td></tr>"
         )
-    return f"<table>{head}{''.join(rows)}</table>"
+    return f'<div class="wide" tabindex="0"><table>{head}<tbody>{"".join(rows)}</tbody></table></div>'
 
 
 def _tools(model: CadModel) -> str:

@@ -16,11 +16,12 @@ from probedesign.cli.deploy import write_bundle
 from probedesign.cli.options import EXPORTS, JsonOutput
 from probedesign.cli.predict import prediction_files
 from probedesign.core.errors import InputError, MissingDependencyError
-from probedesign.core.units import MM
 from probedesign.reports.demo_page import DemoSection, write_demo_page
 
 if TYPE_CHECKING:
+    from probedesign.core.frames import Array
     from probedesign.estimation.estimator import Estimator
+    from probedesign.live.run import RecordingEstimates
     from probedesign.prediction.predict import Prediction
     from probedesign.probe import Probe
     from probedesign.reports.png import SweepSeries
@@ -28,8 +29,8 @@ if TYPE_CHECKING:
 NAME = "demo"
 SECTIONS = {
     "predict": ("The probe, coloured by its predicted error", "probedesign predict {folder}/demo.toml"),
-    "estimate": ("A simulated touch, located",
-                 "probedesign estimate {folder}/demo.probe.json {folder}/recording.csv"),
+    "estimate": ("A simulated touch, located and replayed",
+                 "probedesign estimate {folder}/demo.probe.json {folder}/recording.csv --page {folder}/touches.html"),
     "export": ("The parts", "probedesign export {folder}/demo.toml"),
     "explore": ("A card house, found by touch",
                 "probedesign explore {folder}/demo.probe.json --rehearse {folder}/rehearsal"),
@@ -87,11 +88,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     Raises:
         InputError: the folder has an edited design or other files, and `force` is not set.
     """
-    import numpy as np
-
-    from probedesign import pipeline
     from probedesign.design.io import draft_design, render_design, write_design
-    from probedesign.reports.prediction_page import probe_chart
 
     made: dict[str, str] = {}
     skipped: list[str] = []
@@ -114,6 +111,15 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     made[str(design)] = "the design; edit it and run the chain again"
     page = write_demo_page(folder, list(sections.values()))
     show(page.absolute().as_uri())
+
+    # the page is visible before the slow imports
+    import numpy as np
+
+    from probedesign import pipeline
+    from probedesign.reports.prediction_page import probe_chart
+    from probedesign.reports.recording_page import recording_page
+    from probedesign.reports.replay import STYLE, replay_element
+
     print_step("predicting (the first run compiles the rod and the estimator, about a minute)")
     probe = pipeline.load_probe(design)
     prediction = pipeline.predict(probe)
@@ -126,9 +132,14 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     print_step("simulating a recording and locating its contacts")
     estimator = pipeline.load_estimator(bundle)
     recording, contacts = folder / "recording.csv", folder / "contacts.csv"
-    sweep = _simulate(estimator, recording, contacts)
+    estimates = _simulate(estimator, recording)
+    write_files(
+        folder, [(contacts.name, estimates.csv().encode()), ("touches.html", recording_page(estimates))]
+    )
+    sweep = _sweep(estimates)
     made[str(recording)] = "a simulated recording: 20 mN, swept along the probe"
     made[str(contacts)] = "the located contacts, one estimate per row"
+    made[str(folder / "touches.html")] = "the located contacts as a page"
     made |= _draw(sweep, folder / "contacts.png")
     ok = np.isfinite(sweep.error_mm)
     result = {
@@ -141,8 +152,13 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
         "estimate",
         f"A touch of 20 mN sweeps along the probe: {result['located']} of {result['touches']} readings located, "
         f"{result['error_mm']:.2f} mm RMS, predicted {result['predicted_mm']:.2f} mm.",
-        picture="contacts.png" if (folder / "contacts.png").exists() else "",
-        links=[(contacts.name, "located contacts"), (recording.name, "the recording")],
+        html=replay_element(estimator, estimates.rows, estimates.gravities, SECTIONS["estimate"][0]),
+        style=STYLE,
+        links=[
+            ("touches.html", "charts"),
+            (contacts.name, "located contacts"),
+            (recording.name, "the recording"),
+        ],
     )
     print_step("building the parts")
     parts = _export(probe, folder, skipped)
@@ -246,32 +262,42 @@ def _draw(sweep: "SweepSeries", path: Path) -> dict[str, str]:
     return {str(path): "true and estimated contacts"}
 
 
-def _simulate(estimator: "Estimator", recording: Path, contacts: Path) -> "SweepSeries":
-    """Simulate and record readings, locate their contacts and return estimates and truth."""
+def _simulate(estimator: "Estimator", recording: Path) -> "RecordingEstimates":
+    """Simulate and record readings, and return their estimates with the truth in each row."""
     import numpy as np
 
     from probedesign.live.processing.blocks import iter_readings
+    from probedesign.live.processing.estimates import true_values
     from probedesign.live.recordings.csv import write_recording
     from probedesign.live.run import estimate_recording
     from probedesign.live.sources.sim import SimulatedSource
-    from probedesign.reports.png import SweepSeries
 
     readings = list(iter_readings(SimulatedSource(estimator.model, TOUCH)))
-    time = np.array([r.time for r in readings])
-    write_recording(recording, time, np.array([r.wrench_sensor for r in readings]))
-    estimates = estimate_recording(estimator, recording)
-    write_files(contacts.parent, [(contacts.name, estimates.csv().encode())])
-    truth = np.array([np.append(r.truth.s_contact, r.truth.p_surface_base) for r in readings if r.truth]) / MM
-    columns = ["s_contact_mm", "std_s_mm", *(f"p_surface_base_{a}_mm" for a in "xyz")]
-    found = np.array([[row[c] for c in columns] for row in estimates.rows], dtype=float)
-    variance = np.array(
-        [[row[f"cov_surface_base_{a}{a}_mm2"] for a in "xyz"] for row in estimates.rows], dtype=float
+    write_recording(
+        recording, np.array([r.time for r in readings]), np.array([r.wrench_sensor for r in readings])
     )
+    estimates = estimate_recording(estimator, recording)
+    for row, reading in zip(estimates.rows, readings, strict=True):
+        row |= true_values(reading)
+    return estimates
+
+
+def _sweep(estimates: "RecordingEstimates") -> "SweepSeries":
+    """Return estimates and truth over time."""
+    import numpy as np
+
+    from probedesign.reports.png import SweepSeries
+
+    def columns(*names: str) -> "Array":
+        return np.array([[row[name] for name in names] for row in estimates.rows], dtype=float)
+
+    found, true = (columns(*(f"{kind}p_surface_base_{a}_mm" for a in "xyz")) for kind in ("", "true_"))
+    variance = columns(*(f"cov_surface_base_{a}{a}_mm2" for a in "xyz"))
     return SweepSeries(
-        time_s=time,
-        true_s_mm=truth[:, 0],
-        s_mm=found[:, 0],
-        std_s_mm=found[:, 1],
-        error_mm=np.linalg.norm(found[:, 2:5] - truth[:, 1:4], axis=1),
+        time_s=columns("time_s")[:, 0],
+        true_s_mm=columns("true_s_contact_mm")[:, 0],
+        s_mm=columns("s_contact_mm")[:, 0],
+        std_s_mm=columns("std_s_mm")[:, 0],
+        error_mm=np.linalg.norm(found - true, axis=1),
         predicted_mm=np.sqrt(variance.sum(axis=1)),
     )

@@ -13,6 +13,7 @@ from probedesign.cli.options import JsonOutput
 ENABLES = {
     "": "everything",
     "plots": "plots of predict",
+    "notebook": "plots and data frames of results in a notebook",
     "sweep": "sweep: grids of designs, on many machines",
     "optimize": "Pareto fronts of optimize",
     "cad": "export: STL, STEP and 3MF of the parts to print",

@@ -10,8 +10,12 @@ from probedesign.cli.options import JsonOutput, Method, Tare
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, write_atomically
 
+MAX_PRINTED = 20
+"""Number of touches that are printed."""
+
 if TYPE_CHECKING:
     from probedesign.live.processing.blocks import WrenchReading
+    from probedesign.reports.recording_page import RecordedTouch
 
 
 def estimate(
@@ -20,6 +24,7 @@ def estimate(
     /,
     *,
     out: Path | None = None,
+    page: Path | None = None,
     force: bool = False,
     tare_s: str | None = None,
     tare: Tare | None = None,
@@ -36,14 +41,15 @@ def estimate(
 ) -> None:
     """Locate the contacts of a recording, one estimate per row.
 
-    The rows are CSV on standard output, or in the file of --out; notes go to standard error. A row has a position
-    only if its result is ok. See docs/live.md.
+    The rows are CSV on standard output, or in the file of --out; with --out or --page a summary of the touches is
+    printed instead. A row has a position only if its result is ok. See docs/live.md.
 
     Args:
         bundle: the frozen probe, NAME.probe.json.
         recording: MCAP, a ROS 2 bag, or CSV with named units; see docs/recording-format.md.
         out: output file, CSV.
-        force: replace an existing output file.
+        page: write a page with the touches, a replay in three dimensions and charts to this file.
+        force: replace existing output files.
         tare_s: START:END of the tare in seconds after the first reading. The probe must be free then.
         tare: without --tare-s: auto takes the first second at rest, when the probe must be free; none trusts the
             sensor's own zero, taken without the probe. Default: that zero only if readings agree with the free probe.
@@ -65,8 +71,12 @@ def estimate(
     from probedesign.live.processing.control import parse_tare
     from probedesign.live.run import describe_counts, warm_up
     from probedesign.live.sources.replay import RecordingOptions, check_readable
+    from probedesign.reports.recording_page import recording_page, touches_in
 
-    _check_out(out, recording, force)
+    for target in (out, page):
+        _check_target(target, recording, force)
+    if out is not None and out == page:
+        raise InputError(f"--out and --page both name {out}; choose two files")
     check_readable(recording)
     window, zero = parse_tare(tare_s, tare)
     estimator = pipeline.load_estimator(bundle, manifest, exact_model, friction)
@@ -78,15 +88,28 @@ def estimate(
         print_note(note)
     if out is not None:
         write_atomically(out, estimates.csv().encode())
+    if page is not None:
+        write_atomically(page, recording_page(estimates))
     if as_json:
         print_json(estimates.document())
-    elif out is not None:
-        print(f"wrote {out}: {describe_counts(estimates.counts)}")
-    else:
+    elif out is page is None:
         sys.stdout.write(estimates.csv())
+    else:
+        print(
+            f"wrote {', '.join(str(file) for file in (out, page) if file)}: {describe_counts(estimates.counts)}"
+        )
+        _print_touches(touches_in(estimates.rows))
 
 
-def _check_out(out: Path | None, recording: Path, force: bool) -> None:
+def _print_touches(touches: "list[RecordedTouch]") -> None:
+    """Print one line per touch."""
+    for number, touch in enumerate(touches[:MAX_PRINTED], 1):
+        print(f"  touch {number}: {touch.words}")
+    if len(touches) > MAX_PRINTED:
+        print(f"  and {len(touches) - MAX_PRINTED} more touches")
+
+
+def _check_target(out: Path | None, recording: Path, force: bool) -> None:
     """Refuse an output file that exists and may not be replaced, or that is the recording."""
     if out is None:
         return

@@ -11,6 +11,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_valida
 
 from probedesign.core.errors import InputError
 from probedesign.core.files import is_plain_name
+from probedesign.core.notebook import Displayed
 from probedesign.core.units import MM, MPA
 from probedesign.design.catalog import (
     CUSTOM,
@@ -313,7 +314,7 @@ class TolerancesTable(Table):
     tared: bool | None = None
 
 
-class Design(Table):
+class Design(Table, Displayed):
     """A probe as its design file describes it: the checked tables, and their quantities in SI units."""
 
     schema_version: Literal[1] = Field(alias="schema")

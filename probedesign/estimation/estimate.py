@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from probedesign.core.frames import Array
+from probedesign.core.notebook import Tabular
 from probedesign.rod.equilibrium import Equilibrium
 
 Result = Literal[
@@ -125,7 +126,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimate(Tabular):
     """Where a probe is touched. With any result but "ok" the position is NaN.
 
     Attributes:
@@ -185,7 +186,7 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class FusedEstimate:
+class FusedEstimate(Tabular):
     """One fixed point touched from several poses. With any result but "ok" the position is NaN.
 
     Attributes:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, inverse, wrench_map
+from probedesign.core.notebook import Displayed
 from probedesign.design.catalog import ELASTIC_FRICTION, Provenance, Quantity
 from probedesign.design.sensors import NANO17, Noise
 from probedesign.geometry import Flange
@@ -27,7 +28,7 @@ FULL_SCALE = 1e-3
 
 
 @dataclass(frozen=True)
-class ProbeModel:
+class ProbeModel(Displayed):
     """One probe on one sensor.
 
     Attributes:

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.stats import norm, t
 
 from probedesign.core.frames import Array
+from probedesign.core.notebook import Tabular
 from probedesign.core.units import MM
 from probedesign.identification.contradiction import LikelyCause
 from probedesign.identification.fit_checks import UnobservableDirection, conditional_estimate, cov_conditional
@@ -166,7 +167,7 @@ class Residual:
 
 
 @dataclass(frozen=True)
-class Identification:
+class Identification(Tabular):
     """Identified numbers of one campaign.
 
     Attributes:

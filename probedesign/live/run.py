@@ -184,6 +184,7 @@ class RecordingEstimates:
         samples: number of readings averaged to one.
         tare: bias subtracted from every reading, if a tare was requested.
         rows: one row per reading or mean.
+        gravities: gravity in base axes at each row [m/s²], (3,).
         notes: notes for the user, one line each.
         method: method by which the readings were located.
     """
@@ -195,6 +196,7 @@ class RecordingEstimates:
     samples: int
     tare: Tare | None
     rows: list[Row]
+    gravities: list[Array]
     notes: tuple[str, ...]
     method: Method = "ml"
 
@@ -295,7 +297,10 @@ def estimate_recording(
     gaps, lost = gaps_in(time)
     gap = (f"{lost} samples are missing in {gaps} gaps",) if gaps else ()
     notes = (*dict.fromkeys((*recording.notes, *missing, *gap, *lines)), *_notes(len(time), samples, tare))
-    return RecordingEstimates(estimator, recording, len(time), lost, samples, tare, rows, notes, method)
+    gravities = [reading.gravity_base for reading in readings]
+    return RecordingEstimates(
+        estimator, recording, len(time), lost, samples, tare, rows, gravities, notes, method
+    )
 
 
 def chain_updates(chain: Chain, blocks: Iterable[Block]) -> Iterator[EstimateUpdate]:

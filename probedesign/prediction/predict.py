@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from probedesign.core.frames import Array
+from probedesign.core.notebook import Tabular
 from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
@@ -155,7 +156,7 @@ class MonteCarloResult:
 
 
 @dataclass(frozen=True)
-class Prediction:
+class Prediction(Tabular):
     """Predicted performance of a probe.
 
     Attributes:
@@ -419,8 +420,8 @@ def finite_or_none(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def conditions_csv(prediction: Prediction) -> bytes:
-    """Return a CSV table with a row per condition, single (touches = 1) and fused, the error sources at the end."""
+def condition_rows(prediction: Prediction) -> tuple[list[str], list[dict[str, Any]]]:
+    """Return the columns and rows of a table of all conditions, single (touches = 1) and fused, error sources last."""
     first = ["contact_fraction", "force_N", "direction", "touches", "result"]
     sources = {cause: f"budget_{cause.replace(' ', '_')}_mm" for cause in FUSED_CAUSES}
     rows = []
@@ -431,7 +432,12 @@ def conditions_csv(prediction: Prediction) -> bytes:
         rows.append(row | {sources[cause]: value for cause, value in budget.items()})
     known = {*first, *sources.values()}
     between = [name for name in dict.fromkeys(k for row in rows for k in row) if name not in known]
-    return _csv([*first, *between, *sources.values()], rows)
+    return [*first, *between, *sources.values()], rows
+
+
+def conditions_csv(prediction: Prediction) -> bytes:
+    """Return `condition_rows` as CSV."""
+    return _csv(*condition_rows(prediction))
 
 
 def along_csv(prediction: Prediction) -> bytes:

@@ -95,6 +95,28 @@ class ChartAxis:
         return _SMALL * max(map(len, self.names), default=0) if self.upright else 0.0
 
 
+def ink_on(fill: str, dark: bool = False) -> str:
+    """Return black or white, whichever is legible on a colour #rrggbb: their contrast is at least 4.5.
+
+    The better of both has a contrast of at least √(1.05/0.05) = 4.58. Source: WCAG 2.2, relative luminance.
+
+    Args:
+        fill: the colour.
+        dark: whether the drawing is shown on a dark page, which inverts it and turns its hues back by 180°.
+    """
+    shown = np.array([int(fill[i : i + 2], 16) / 255.0 for i in (1, 3, 5)])
+    if dark:
+        shown = np.clip(_HALF_TURN @ (1.0 - shown), 0.0, 1.0)
+    linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
+    light = linear @ (0.2126, 0.7152, 0.0722) + 0.05 > math.sqrt(1.05 * 0.05)
+    return "#000" if light != dark else "#fff"
+
+
+_WEIGHTS = np.array([0.213, 0.715, 0.072])
+_HALF_TURN = 2.0 * np.tile(_WEIGHTS, (3, 1)) - np.eye(3)
+"""Of all hues. Source: Filter Effects Module Level 1, hue-rotate, with cos 180° = -1."""
+
+
 def _floats(values: ArrayLike) -> list[float]:
     found: list[float] = np.asarray(values, dtype=float).ravel().tolist()
     return found
@@ -158,6 +180,7 @@ class _Label(NamedTuple):
     y: float
     text: str
     colour: str
+    dark: str
     size: float
     turned: bool
 
@@ -226,10 +249,12 @@ class Chart:
         self._elements.append(_Rectangle(x, y, fill, edge))
 
     def text(
-        self, x: float, y: float, text: str, colour: str = "#111", size: float = 12.0, turned: bool = False
-    ) -> None:
-        """Add a label centred on a point; `turned` reads upwards."""
-        self._elements.append(_Label(x, y, text, colour, size, turned))
+        self, x: float, y: float, text: str, colour: str = "#111", size: float = 12.0, turned: bool = False,
+        on: str = "",
+    ) -> None:  # fmt: skip
+        """Add a label centred on a point; `turned` reads upwards, the fill `on` below it chooses its colour."""
+        dark = ink_on(on, dark=True) if on else ""
+        self._elements.append(_Label(x, y, text, ink_on(on) if on else colour, dark, size, turned))
 
     def at(self, x: float, y: float) -> tuple[float, float]:
         """Return the position of a point in the SVG, below the legend."""
@@ -267,11 +292,12 @@ class Chart:
                 (a, b), (c, d) = self.at(x[0], y[0]), self.at(x[1], y[1])
                 return (f'<rect x="{min(a, c):.1f}" y="{min(b, d):.1f}" width="{abs(c - a):.1f}" '
                         f'height="{abs(d - b):.1f}" fill="{fill}" stroke="{edge}"/>')  # fmt: skip
-            case _Label(x, y, text, colour, size, turned):
+            case _Label(x, y, text, colour, dark, size, turned):
+                swap = f' style="--dark: {dark}"' if dark else ""
                 p, q = self.at(x, y)
                 turn = f' transform="rotate(-90 {p:.1f} {q:.1f})"' if turned else ""
                 return (f'<text x="{p:.1f}" y="{q + 0.36 * size:.1f}" text-anchor="middle" fill="{colour}" '
-                        f'font-size="{size:g}"{turn}>{escape(text)}</text>')  # fmt: skip
+                        f'font-size="{size:g}"{turn}{swap}>{escape(text)}</text>')  # fmt: skip
 
     def _polyline(self, line: _Line) -> str:
         drawn, run = [], list[tuple[float, float]]()
@@ -331,7 +357,7 @@ class Chart:
         return "".join(parts)
 
     def draw_on(self, ax: "Axes", title: str, legend_size: float = 8.0) -> None:
-        """Draw the chart into matplotlib axes; for axes with numbers, not with named categories."""
+        """Draw the chart into matplotlib axes; boxes and labels are for the SVG alone."""
         for element in self._elements:
             match element:
                 case _Line(x, y, colour, dashes, mark, width, _):
@@ -356,6 +382,8 @@ class Chart:
                 )
                 ax.set(**{f"{name}ticks": axis.shown_ticks, f"{name}ticklabels": axis.tick_labels})
             ax.minorticks_off()
+            if self.x.upright:
+                ax.tick_params(axis="x", rotation=90.0, labelsize=8.0)
         if self.down:
             ax.invert_yaxis()
         ax.grid(True, alpha=0.25)

@@ -8,7 +8,7 @@ from pathlib import Path
 from probedesign.reports.html_page import REPORT_STYLE, html_document
 
 _STYLE = """code { border: 0.4pt solid var(--rule); padding: 0.3mm 1.5mm; border-radius: 1mm; font-size: 9pt }
-.links a { margin-right: 4mm } a { color: #2a78c8 } .waiting { color: var(--soft); font-style: italic }
+.links a { margin-right: 4mm } .waiting { color: var(--soft); font-style: italic }
 section img { max-width: 100%; background: #fff }
 """
 _REFRESH = '<meta http-equiv="refresh" content="2">'
@@ -23,6 +23,7 @@ class DemoSection:
         command: the command that makes it.
         text: what was made, or why it was not; empty while it is being made.
         svg: a picture in the page.
+        html, style: an element of the page instead of a picture, and its style sheet.
         picture: file of a picture beside the page.
         links: files beside the page, with what they are.
     """
@@ -31,15 +32,17 @@ class DemoSection:
     command: str
     text: str = ""
     svg: bytes = b""
+    html: str = ""
+    style: str = ""
     picture: str = ""
     links: Sequence[tuple[str, str]] = field(default_factory=tuple)
 
-    def html(self) -> str:
-        """Return the section; a picture links to the first file."""
+    def element(self) -> str:
+        """Return the section as HTML; a picture links to the first file."""
         if not self.text:
             body = '<p class="waiting">being made ...</p>'
         else:
-            shown = self.svg.decode().replace(
+            shown = self.html or self.svg.decode().replace(
                 "<svg ", f'<svg role="img" aria-label="{escape(self.heading)}" ', 1
             )
             if self.picture:
@@ -60,9 +63,10 @@ def write_demo_page(folder: Path, sections: Sequence[DemoSection]) -> Path:
         The file.
     """
     about = ["A 150 mm cone of Elastic 50A on an ATI Nano17: from a few dimensions to located touches."]
-    body = f'<div class="figures">{"".join(section.html() for section in sections)}</div>'
+    body = f'<div class="figures">{"".join(section.element() for section in sections)}</div>'
     head = "" if all(section.text for section in sections) else _REFRESH
+    style = "".join([REPORT_STYLE, _STYLE, *(section.style for section in sections)])
     page = folder / "index.html"
     folder.mkdir(parents=True, exist_ok=True)
-    page.write_bytes(html_document("probedesign demo", about, body, REPORT_STYLE + _STYLE, head))
+    page.write_bytes(html_document("probedesign demo", about, body, style, head))
     return page

@@ -13,28 +13,40 @@ from probedesign.core.errors import InputError
 DOCTYPE = "<!DOCTYPE html>"
 STYLE = """
 @page { size: A4; margin: 14mm }
-:root { color-scheme: light dark; --ink: #111; --soft: #444; --rule: #bbb; --paper: #fff }
-@media (prefers-color-scheme: dark) { :root { --ink: #e8e8e8; --soft: #b8b8b8; --rule: #555; --paper: #16181c } }
-@media print { :root { color-scheme: light; --ink: #111; --soft: #444; --rule: #bbb; --paper: #fff } }
+:root { color-scheme: light dark; --ink: #111; --soft: #444; --rule: #bbb; --paper: #fff; --link: #1a5fa8;
+  --alarm: #b00020 }
+@media screen and (prefers-color-scheme: dark) {
+  :root { --ink: #e8e8e8; --soft: #b8b8b8; --rule: #555; --paper: #16181c; --link: #7db9f2; --alarm: #ff8a94 }
+  canvas, .legend svg { filter: invert(1) hue-rotate(180deg) }
+}
+@media print { :root { color-scheme: light } }
 body { font: 10.5pt/1.4 Helvetica, Arial, "Liberation Sans", "DejaVu Sans", sans-serif; color: var(--ink);
   background: var(--paper); max-width: 260mm; margin: 8mm auto; padding: 0 4mm; overflow-wrap: break-word }
+a { color: var(--link) }
 h1 { font-size: 18pt; margin: 0 } .about { color: var(--soft); margin: 1mm 0 4mm }
 .verdict { font-size: 13.5pt; line-height: 1.35; margin: 2mm 0 }
 .wide { overflow-x: auto }
 table { border-collapse: collapse; font-size: 9.5pt; break-inside: avoid }
 th, td { text-align: right; padding: 0.8mm 3mm; border-bottom: 0.4pt solid var(--rule); white-space: nowrap }
-thead th { border-bottom: 1pt solid var(--ink) }
+thead th, thead td { border-bottom: 1pt solid var(--ink) }
 """
 """Common to all pages; dark where the reader's system is, and always light in print."""
-PRINT_STYLE = "@media print { body { margin: 0; padding: 0; max-width: none } .wide { overflow: visible } }\n"
+PRINT_STYLE = """@media print { body { margin: 0; padding: 0; max-width: none } .wide { overflow: visible }
+  table { max-width: 100% } th { overflow-wrap: anywhere }
+  th, td { white-space: normal; padding: 0.6mm 1mm } thead { display: table-header-group } }
+"""
+"""After all other styles. A table as wide as the sheet wraps its cells, and repeats its head on each sheet."""
 REPORT_STYLE = """h2 { font-size: 12.5pt; margin: 0 0 1mm }
 .figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(88mm, 100%), 1fr)); gap: 5mm }
 section { break-inside: avoid; margin: 0 0 4mm }
 .figures section { max-width: 150mm }
 section svg { width: 100%; height: auto; display: block }
-@media screen and (prefers-color-scheme: dark) { section svg { filter: invert(1) hue-rotate(180deg) } }
+@media screen and (prefers-color-scheme: dark) {
+  section svg { filter: invert(1) hue-rotate(180deg) } section svg text[style] { fill: var(--dark) }
+}
 section p { color: var(--soft); margin: 1mm 0; font-size: 9.5pt }
 th:first-child, td:first-child, .last td:last-child, .last th:last-child { text-align: left }
+.worded td:last-child, .worded th:last-child { text-align: left }
 td:last-child { white-space: normal }
 details { margin: 0 0 3mm } summary { font-size: 12.5pt; font-weight: bold; cursor: pointer }
 details p { color: var(--soft); font-size: 9.5pt }
@@ -42,7 +54,7 @@ details p { color: var(--soft); font-size: 9.5pt }
 .last th, .last td { padding: 0.8mm 1.6mm }
 @media print { section p { font-size: 8.5pt } .figures { grid-template-columns: 1fr 1fr }
   details::details-content { content-visibility: visible; block-size: auto }
-  th { white-space: normal } th, td { padding: 0.6mm 1mm } .last table { font-size: 7.5pt } }
+  .last table { font-size: 7.5pt } }
 """
 
 
@@ -63,19 +75,24 @@ class ReportFigure:
 
 @dataclass(frozen=True)
 class HtmlTable:
-    """Rows of text below a head, whose first column names them, with an optional note."""
+    """Rows of text below a head, whose first column names them, with an optional note.
+
+    `worded` states that the last column has words rather than numbers.
+    """
 
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
     note: str = ""
+    worded: bool = False
 
     def html(self) -> str:
         """Return the element."""
-        head = "".join(f"<th>{escape(cell)}</th>" for cell in self.head)
+        head = "".join(f"<th>{escape(cell)}</th>" if cell else "<td></td>" for cell in self.head)
         rows = "".join(f"<tr>{''.join(f'<td>{escape(c)}</td>' for c in row)}</tr>" for row in self.rows)
         note = f"<p>{escape(self.note)}</p>" if self.note else ""
         table = f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
-        return f'<div class="wide">{table}</div>{note}'
+        kind = "wide worded" if self.worded else "wide"
+        return f'<div class="{kind}" tabindex="0">{table}</div>{note}'
 
 
 def html_document(
@@ -94,7 +111,8 @@ def html_document(
     return (
         f'{DOCTYPE}\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         f'<meta name="viewport" content="width=device-width"><style>{STYLE}{style}{PRINT_STYLE}</style>{head}</head>\n'
-        f'<body><h1>{escape(title)}</h1>\n{lead}<p class="about">{"<br>".join(about)}</p>\n{body}</body></html>\n'
+        f'<body><main><h1>{escape(title)}</h1>\n{lead}<p class="about">{"<br>".join(about)}</p>\n'
+        f"{body}</main></body></html>\n"
     ).encode()
 
 
@@ -122,6 +140,9 @@ def report_page(
     after: Sequence[tuple[str, HtmlTable]] = (),
     folded: Sequence[tuple[str, Sequence[ReportFigure]]] = (),
     verdict: str = "",
+    opened: Sequence[tuple[str, HtmlTable]] = (),
+    first: str = "",
+    style: str = "",
 ) -> bytes:
     """Return the page of a report.
 
@@ -133,6 +154,8 @@ def report_page(
         after: headings and tables at the end, closed until they are clicked; open in print.
         folded: headings and figures that repeat one kind, also closed until they are clicked.
         verdict: the result in one sentence.
+        opened: headings and tables after the figures, always open.
+        first: HTML above the figures, for which `style` is added to the style sheet.
     """
     repeated = "".join(
         f'<details><summary>{escape(name)}</summary>\n<div class="figures">\n{_figures(figures)}</div></details>\n'
@@ -143,10 +166,12 @@ def report_page(
         f"<details class=last><summary>{escape(name)}</summary>{rows.html()}</details>\n"
         for name, rows in after
     )
-    first = f"<section>{table.html()}</section>\n" if table else ""
+    listed = "".join(f"<section><h2>{escape(name)}</h2>{rows.html()}</section>\n" for name, rows in opened)
+    head = f"<section>{table.html()}</section>\n" if table else ""
     lead = f'<p class="verdict">{escape(verdict)}</p>\n' if verdict else ""
-    body = f'{first}<div class="figures">\n{_figures(sections)}</div>\n{repeated}{last}'
-    return html_document(title, [escape(line) for line in about], body, REPORT_STYLE, lead=lead)
+    figures = f'<div class="figures">\n{_figures(sections)}</div>\n' if sections else ""
+    body = f"{first}{head}{figures}{listed}{repeated}{last}"
+    return html_document(title, [escape(line) for line in about], body, REPORT_STYLE + style, lead=lead)
 
 
 def _figures(sections: Sequence[ReportFigure]) -> str:

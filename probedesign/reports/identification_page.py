@@ -38,7 +38,13 @@ def identification_page(found: Identification) -> bytes:
         *found.notes,
     ]
     kinds = {one.kind for one in found.residuals}
-    sections = [_by_test(found), _normal(found)] if kinds & set(KINDS) else []
+    sections = []
+    if kinds & set(KINDS):
+        caption = (
+            "Noise as stated, or as measured where that is larger. Tests are in the order of their table."
+        )
+        by_test = ReportFigure("Residuals by test", caption, residual_chart(found).svg())
+        sections = [by_test, _normal(found)]
     if "markers" in kinds:
         sections.append(_along(found))
     wrenches = [_wrenches(found, "forces"), _wrenches(found, "moments")] if "wrenches" in kinds else []
@@ -48,7 +54,24 @@ def identification_page(found: Identification) -> bytes:
     if found.outliers:
         after.append(("Outliers", _outliers(found)))
     folded = [("Residuals of the wrenches", wrenches)]
-    return report_page(f"{found.name}: identified", about, _table(found), sections, after, folded)
+    title = f"{found.name}: identified"
+    return report_page(title, about, _table(found), sections, after, folded, verdict(found))
+
+
+def verdict(found: Identification) -> str:
+    """Return the result of an identification in one sentence."""
+    if not found.valid:
+        return f"No number is identified: {found.why or found.result}."
+    known = [one for one in found.found if one.identified]
+    if not known:
+        return "The tests determine none of the requested numbers."
+    first = known[0]
+    unit = f" {first.unit}" if first.unit else ""
+    others = f"; {', '.join(one.name for one in known[1:])} as well" if known[1:] else ""
+    return (
+        f"{first.name} is {first.value:.4g}{unit}, with a 95 % interval of {first.low:.4g} to {first.high:.4g}{unit} "
+        f"(design: {first.design:.4g}{unit}){others}."
+    )
 
 
 def _table(found: Identification) -> HtmlTable:
@@ -60,7 +83,7 @@ def _table(found: Identification) -> HtmlTable:
         "design",
         "description",
     ]
-    return HtmlTable(head, [_row(one) for one in found.found])
+    return HtmlTable(head, [_row(one) for one in found.found], worded=True)
 
 
 def _row(one: Identified) -> list[str]:
@@ -72,7 +95,7 @@ def _row(one: Identified) -> list[str]:
     return [one.name, f"{one.value:.4g} {one.unit}", *intervals, design, one.why or one.words]
 
 
-def _by_test(found: Identification) -> ReportFigure:
+def residual_chart(found: Identification) -> Chart:
     """Return the RMS of each test's normalised residuals by kind."""
     tests = list(dict.fromkeys(one.test for one in found.residuals if one.kind in KINDS))
     each = math.ceil(len(tests) / MAX_TEST_NAMES)
@@ -88,8 +111,7 @@ def _by_test(found: Identification) -> ReportFigure:
         colour, mark = _SIGNS[kind]
         chart.points(range(1, len(tests) + 1), line, colour, mark, KINDS[kind])
     chart.line([0.5, len(tests) + 0.5], [1.0, 1.0], "#666666", "4 4", name="noise alone")
-    caption = "Noise as stated, or as measured where that is larger. Tests are in the order of their table."
-    return ReportFigure("Residuals by test", caption, chart.svg())
+    return chart
 
 
 def _normal(found: Identification) -> ReportFigure:
@@ -175,7 +197,7 @@ def _correlation(found: Identification) -> ReportFigure:
             fill = f"#ff{strength:02x}{strength:02x}" if value > 0 else f"#{strength:02x}{strength:02x}ff"
             fill = _SELF if i == j else fill
             chart.box((j + 0.5, j + 1.5), (n - i - 0.5, n - i + 0.5), fill, "#999")
-            chart.text(j + 1.0, n - i, f"{value:.2f}", "#fff" if abs(value) > 0.6 and i != j else "#111")
+            chart.text(j + 1.0, n - i, f"{value:.2f}", on=fill)
     for name, colour in (("positive", "#ff0000"), ("negative", "#0000ff"), ("itself", _SELF)):
         chart.legend.append(LegendEntry(name, colour))
     return ReportFigure(

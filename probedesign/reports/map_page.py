@@ -250,17 +250,18 @@ def _scale_bar(scale: float) -> str:
 # Page
 
 SCRIPT = Path(__file__).with_suffix(".js")
-STYLE = """canvas { width: 100%; height: 150mm; border: 0.4pt solid #bbb; touch-action: none; cursor: grab;
-  display: block }
-#status { color: #333; min-height: 1.4em; margin: 1mm 0 3mm; font-size: 9.5pt }
+ORBIT = SCRIPT.with_name("orbit.js")
+STYLE = """canvas { width: 100%; height: 150mm; border: 0.4pt solid #bbb; color: #111; touch-action: none; cursor: grab;
+  display: block; box-sizing: border-box }
+#status { color: var(--soft); min-height: 1.4em; margin: 1mm 0 3mm; font-size: 9.5pt }
 #times { margin: 0 0 1.5mm } #times label { margin-left: 3mm } #times input { vertical-align: -1px }
-.legend { list-style: none; padding: 0; margin: 0 0 5mm; color: #333; font-size: 9.5pt }
+.legend { list-style: none; padding: 0; margin: 0 0 5mm; color: var(--soft); font-size: 9.5pt }
 .legend svg { vertical-align: -2px; margin-right: 1.5mm }
 .still { display: none }
 """
 STILL_STYLE = "canvas, #times, #status, .legend { display: none } .still { display: block }"
 """On paper and without scripts: the still picture, which has its own legend."""
-HINT = "Drag to rotate, scroll to zoom, double-click to reset; point at a point to read its values."
+HINT = "Drag or use the arrow keys to rotate, scroll to zoom, double-click to reset; point at a point to read it."
 HEAD = ("point", "x [mm]", "y [mm]", "z [mm]", "± [mm]", "common part [mm]", "force [mN]", "touches")
 
 
@@ -276,11 +277,11 @@ def map_page(scene: MapScene, title: str, about: Sequence[str]) -> bytes:
     unlocated = "".join(f"<p>{escape(line)}.</p>" for line in unlocated_lines(scene.contact_map))
     body = (
         f"{_magnification_form(scene.magnification)}\n"
-        '<canvas id="map" role="img" aria-label="points and their ellipsoids"></canvas>'
+        '<canvas id="map" role="img" tabindex="0" aria-label="points and their ellipsoids"></canvas>'
         f'<div class="still">{map_svg(scene).decode()}</div>\n<p id="status">{HINT}</p>\n{_legend(bool(scene.truth))}\n'
         f"{_table(scene.contact_map)}{unlocated}\n"
         f'<script type="application/json" id="data">{data}</script>\n'
-        f"<script>\n{SCRIPT.read_text()}</script>"
+        f"<script>\n{ORBIT.read_text('utf-8')}{SCRIPT.read_text('utf-8')}</script>"
     )
     style = f"{STYLE}@media print {{ {STILL_STYLE} }}\n"
     head = f"<noscript><style>{STILL_STYLE}</style></noscript>"
@@ -308,7 +309,7 @@ def _legend(truth: bool) -> str:
 def _data(scene: MapScene) -> dict[str, Any]:
     view = ParallelProjection()
     return {
-        "azimuth": view.azimuth, "elevation": view.elevation, "centre": scene.centre_mm.tolist(),
+        "azimuth": view.azimuth, "elevation": view.elevation, "flat": 1.0, "centre": scene.centre_mm.tolist(),
         "radius": scene.radius_mm, "radius_95": math.sqrt(CHI2_95), "normal": NORMAL_LENGTH, "hint": HINT,
         "truth": [(polygon / MM).tolist() for polygon in scene.truth], "truth_colour": TRUTH_COLOUR,
         "stroke_colour": STROKE_COLOUR,

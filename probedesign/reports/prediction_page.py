@@ -38,7 +38,6 @@ _BUDGET = (
 )
 _FILL = (*COLOURS, "#F0E442")
 """Including Okabe and Ito's eighth colour."""
-_INK = ("#fff", "#fff", "#fff", "#fff", "#fff", "#111", "#111", "#111")
 _MIN_LABELLED = 0.09  # smallest share with space for its number
 LEVELS_MM = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 """Errors at which the colour of the map changes."""
@@ -52,6 +51,8 @@ TOUCHES = ((0.4, 0.05), (0.6, 0.03), (0.8, 0.02))
 LIMITS = {"gives_way": ("buckling", "o"), "sensor": ("sensor's range", "s"), "slips_off": ("slips off", "v"),
           "none": ("no limit found", "d")}  # fmt: skip
 """Text and marker of each limit of the force."""
+STATIONS = 81
+"""Points of a centreline that is drawn."""
 _PLACE = "contact position, fraction of the length"
 
 
@@ -280,10 +281,10 @@ def budget_chart(conditions: Sequence[Cell]) -> Chart:
     for i, condition in enumerate(conditions, 1):
         chart.text(i, 103.0, f"{condition.predicted_error_mm:.2g}", size=12.5)
         bottom = 0.0
-        for share, colour, ink in zip(shares_of(condition).values(), _FILL, _INK, strict=True):
+        for share, colour in zip(shares_of(condition).values(), _FILL, strict=True):
             chart.box((i - 0.42, i + 0.42), (bottom, bottom + 100.0 * share), colour)
             if share >= _MIN_LABELLED:
-                chart.text(i, bottom + 50.0 * share, f"{100.0 * share:.0f}", ink)
+                chart.text(i, bottom + 50.0 * share, f"{100.0 * share:.0f}", on=colour)
             bottom += 100.0 * share
     chart.legend = [
         LegendEntry(name, colour)
@@ -309,36 +310,29 @@ def error_map(cells: Sequence[Cell], error: Callable[[Cell], float | None]) -> C
     for i, place in enumerate(places, 1):
         for j, force in enumerate(forces, 1):
             here = [c for c in cells if (c.contact_fraction, c.force_N) == (place, force)]
-            fill, ink, words = _cell(here, error)
+            fill, words = _cell(here, error)
             chart.box((i - 0.5, i + 0.5), (j - 0.5, j + 0.5), fill)
-            chart.text(i, j, words, ink, 12.5 if len(words) < 5 else 9.0)
+            chart.text(i, j, words, size=12.5 if len(words) < 5 else 9.0, on=fill)
     return chart
 
 
-def _cell(here: Sequence[Cell], error: Callable[[Cell], float | None]) -> tuple[str, str, str]:
-    """Return colour, ink and text of a cell."""
+def _cell(here: Sequence[Cell], error: Callable[[Cell], float | None]) -> tuple[str, str]:
+    """Return colour and text of a cell."""
     bad = next((c.result for c in here if c.result != "ok"), None)
     errors = [e for e in map(error, here) if e is not None]
     if bad or not errors:
-        return "#e4e4e4", "#555", RESULT_LABELS.get(bad or "", "buckles")
+        return "#e4e4e4", RESULT_LABELS.get(bad or "", "buckles")
     largest = max(errors)
-    level = error_level(largest)
-    ink = "#111" if level >= 4 else "#fff"  # dark text on light cells
-    return ORDERED[level], ink, f"{largest:.2g}" if largest < 100 else f"{largest:.0f}"
+    fill = ORDERED[error_level(largest)]
+    return fill, f"{largest:.2g}" if largest < 100 else f"{largest:.0f}"
 
 
 def probe_chart(prediction: Prediction, estimator: Estimator) -> Chart:
     """Return the free probe to scale, seen along y; its colour is the error of one reading of the headline's force."""
     model, free = estimator.model, estimator.free()
-    s = np.linspace(0.0, model.rod.length, 81)
-    if free.ok:
-        centre = free.p_at(s)[:, [2, 0]] / MM
-    else:  # it buckles under its weight: drawn undeformed
-        centre = np.column_stack([s, np.zeros_like(s)]) / MM
-    along = np.gradient(centre, axis=0)
-    normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
-    r = np.interp(s, model.rod.s, model.rod.radius)[:, None] / MM
-    upper, lower = centre + r * normal, centre - r * normal
+    s = np.linspace(0.0, model.rod.length, STATIONS)
+    shape = free.p_at(s) if free.ok else np.outer(s, (0.0, 0.0, 1.0))  # buckled under its weight: undeformed
+    upper, lower = flanks(shape, model.rod.radius_at(s))
     chart = Chart.side_view(np.insert(np.concatenate([upper, lower]), 1, 0.0, axis=1)[:, [2, 1, 0]], 0)
     located = {
         c.contact_fraction: c.predicted_error_mm for c in worst(prediction.conditions, HEADLINE_FORCE_N)
@@ -360,6 +354,20 @@ def probe_chart(prediction: Prediction, estimator: Estimator) -> Chart:
         LegendEntry(_level_label(level), ORDERED[level]) for level in sorted(shown, reverse=True)
     ]
     return chart
+
+
+def flanks(shape: Array, radius: Array) -> tuple[Array, Array]:
+    """Return both sides of a probe seen along y as points of z and x [mm], (n, 2) each.
+
+    Args:
+        shape: centreline [m], (n, 3).
+        radius: half-width along x at its points [m], (n,).
+    """
+    centre = shape[:, [2, 0]] / MM
+    along = np.gradient(centre, axis=0)
+    normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
+    reach = radius[:, None] / MM * normal
+    return centre + reach, centre - reach
 
 
 def error_level(error_mm: float) -> int:

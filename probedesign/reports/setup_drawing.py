@@ -13,8 +13,10 @@ from probedesign.planning.candidates import CandidateTest
 from probedesign.prediction.touches import DIRECTIONS
 
 WIDTH, HEIGHT, MARGIN = 360.0, 230.0, 26.0
-PROBE, LOAD, MARK, GREY = "#0072B2", "#D55E00", "#000000", "#777777"
+PROBE, LOAD, MARK, GREY = "#0072B2", "#D55E00", "#000000", "#666666"
 """Colours of `reports.chart`."""
+LOAD_INK = "#A34700"
+"""That of the load darkened, for words."""
 PROJECTION = np.array([[1.0, 0.35, 0.0], [0.0, -0.28, -1.0]])
 """Oblique view of the world with x to the right, z up and y away from the viewer, in pixels downwards."""
 STATIONS = 60
@@ -165,7 +167,7 @@ def _weight(canvas: _Canvas, at: Array, mass: float) -> None:
     end = at + np.array([0.0, 34.0])
     canvas.line(np.array([at, end]), LOAD, 1.2)
     canvas.polygon(end + np.array([[-6.0, 0.0], [6.0, 0.0], [9.0, 16.0], [-9.0, 16.0]]), LOAD)
-    canvas.text(end + np.array([14.0, 13.0]), f"{1e3 * mass:g} g", LOAD, "start")
+    canvas.text(end + np.array([14.0, 13.0]), f"{1e3 * mass:g} g", LOAD_INK, "start")
 
 
 def _edge(canvas: _Canvas, at: Array, along: Array, candidate: CandidateTest, width: float) -> None:
@@ -178,7 +180,7 @@ def _edge(canvas: _Canvas, at: Array, along: Array, candidate: CandidateTest, wi
     start = tip - 44.0 * along
     canvas.line(np.array([start, tip - 20.0 * along]), LOAD, 2.0, arrow=True)
     words = f"{candidate.displacement / MM:g} mm {candidate.test.direction}"
-    canvas.text(start - 10.0 * along + np.array([0.0, 4.0]), words, LOAD)
+    canvas.text(start - 10.0 * along + np.array([0.0, 4.0]), words, LOAD_INK)
 
 
 def _gravity(canvas: _Canvas) -> None:

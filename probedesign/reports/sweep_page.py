@@ -10,7 +10,7 @@ from typing import Any
 from probedesign.core.errors import InputError
 from probedesign.core.units import format_value
 from probedesign.optimization.objective import METRICS
-from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, LegendEntry
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 
 Record = Mapping[str, Any]
@@ -59,8 +59,7 @@ def sweep_page(
     return report_page("Sweep", [about], None, figures, after, verdict=verdict(records, keys))
 
 
-_HEAT = ("RMS error of the task. Grey: not evaluated, with the reason; the frame marks the smallest error. "
-         "Darker is larger.")  # fmt: skip
+_HEAT = "RMS error of the task. Grey: not evaluated, with the reason; the frame marks the smallest error."
 _PARALLEL = ("Each line is a design: its values from the smallest to the largest of each key, and its error; the thick "
              "line has the smallest error.")  # fmt: skip
 
@@ -92,14 +91,15 @@ def heat_map(records: Sequence[Record], keys: Sequence[str], low: float, high: f
         box = (i - 0.5, i + 0.5), (j - 0.5, j + 0.5)
         if record["result"] != "ok":
             chart.box(*box, "#e4e4e4")
-            chart.text(i, j, SHORT.get(str(record["result"]), "failed"), "#555", 9.0)
+            chart.text(i, j, SHORT.get(str(record["result"]), "failed"), size=9.0, on="#e4e4e4")
             continue
         level = _level(record[METRIC], low, high)
         chart.box(*box, ORDERED[level])
         if len(values[0]) <= 16:
-            chart.text(i, j, f"{record[METRIC]:.3g}", "#111" if level >= 4 else "#fff", 10.5)
+            chart.text(i, j, f"{record[METRIC]:.3g}", size=10.5, on=ORDERED[level])
         if record is best:
             frame = i, j
+    _legend(chart, low, high)
     if frame is not None:
         (i, j), h = frame, 0.5
         chart.line(
@@ -108,12 +108,18 @@ def heat_map(records: Sequence[Record], keys: Sequence[str], low: float, high: f
     return chart
 
 
+def _legend(chart: Chart, low: float, high: float) -> None:
+    """Add the colours of the smallest and the largest error to the legend."""
+    chart.legend += [LegendEntry(f"{low:.3g} mm", ORDERED[-1]), LegendEntry(f"{high:.3g} mm", ORDERED[0])]
+
+
 def parallel_coordinates(records: Sequence[Record], keys: Sequence[str], low: float, high: float) -> Chart:
     """Return a line for each evaluated design through its values of all keys and its error, coloured by the error."""
     names = [*keys, METRIC]
     chart = Chart(
         ChartAxis.named("", [name.rpartition(".")[2] for name in names]), ChartAxis("", -0.1, 1.1, ticks=())
     )
+    _legend(chart, low, high)
     good = sorted((r for r in records if r["result"] == "ok"), key=lambda r: -float(r[METRIC]))
     scales = [_scale([r[name] for r in records if r[name] is not None]) for name in names]
     for i, record in enumerate(good):

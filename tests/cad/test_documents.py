@@ -30,6 +30,7 @@ from probedesign.cad.sheet import FRONT, HEIGHT, WIDTH, Svg, cut, seen
 from probedesign.core.frames import pose
 from probedesign.design import Design
 from probedesign.mount.engraving import Engraving
+from tests.reports.page_checks import browser, check_page, sheets
 
 Exported = tuple[Path, dict[str, Any]]
 PRINTED = ("probe", "sensor_adapter", "clamp_ring", "flange_adapter")
@@ -312,6 +313,14 @@ def test_the_page_has_warning_parts_steps_and_tools(exported: Exported, large: C
     for tool in ("hexagon key 1.5 mm (M2)", "hexagon key 5 mm (M6)", "calipers"):
         assert tool in words
     assert large.geometry.fingerprint in words and "assumed" in words
+
+
+def test_the_page_is_legible_and_prints_on_three_sheets(exported: Exported) -> None:
+    """As docs/parts.md states; nothing is cut at 360 px or on paper."""
+    file = exported[0] / "assembly.html"
+    with browser() as running:
+        check_page(running, file)
+        assert sheets(running, file) == (3, [])
 
 
 def test_names_from_outside_are_escaped(make_design: Callable[..., Design], large: CadModel) -> None:

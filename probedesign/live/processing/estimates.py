@@ -113,11 +113,16 @@ def estimate_row(reading: WrenchReading, estimate: Estimate) -> Row:
     values += [*_mm(estimate.p_contact_base), *_mm(estimate.p_surface_base), *map(float, estimate.force_base)]
     values += [*_mm2(estimate.cov_contact_base), estimate.detection_chi2, *_mm2(estimate.cov_surface_base)]
     values += [estimate.force_normal, estimate.force_tangential, estimate.friction_ratio]
-    row: Row = dict(zip(COLUMNS, values, strict=True))
-    if (truth := reading.truth) is not None:
-        true = [truth.s_contact / MM, *_mm(truth.p_contact_base), *_mm(truth.p_surface_base)]
-        row |= dict(zip(TRUE_COLUMNS, true, strict=True))
-    return row
+    return dict(zip(COLUMNS, values, strict=True)) | true_values(reading)
+
+
+def true_values(reading: WrenchReading) -> Row:
+    """Return the true contact of a simulated reading in the units of `TRUE_COLUMNS`; empty if it is unknown."""
+    truth = reading.truth
+    if truth is None:
+        return {}
+    true = [truth.s_contact / MM, *_mm(truth.p_contact_base), *_mm(truth.p_surface_base)]
+    return dict(zip(TRUE_COLUMNS, true, strict=True))
 
 
 def world_row(update: EstimateUpdate) -> Row:

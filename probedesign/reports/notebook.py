@@ -1,0 +1,396 @@
+"""What results show in a notebook: a short table, a picture and a data frame of each class of `core.notebook`.
+
+`Summary` describes what is shown of one object; `summary_of` has one entry per class, and so has `rows_of` for the
+classes that are tables. A picture is a `Chart`: SVG in the notebook's output, matplotlib where it is plotted.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from functools import singledispatch
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from probedesign.core.errors import require
+from probedesign.core.frames import Array
+from probedesign.core.units import GRAM, MILLINEWTON, MM, MPA, N_MM, format_value
+from probedesign.design import Design
+from probedesign.estimation.estimate import RESULTS, Candidate, Estimate, FusedEstimate
+from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import ProbeModel
+from probedesign.geometry import build_geometry
+from probedesign.identification.result import Identification, Identified
+from probedesign.prediction.predict import Prediction, condition_rows, worst
+from probedesign.probe import Probe
+from probedesign.reports.chart import COLOURS, DASHES, Chart, ChartAxis
+from probedesign.reports.identification_page import residual_chart
+from probedesign.reports.prediction_page import STATIONS, error_chart, flanks
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from pandas import DataFrame
+
+RADIUS_95 = 2.448
+"""Radius that contains 95 % of a two-dimensional normal distribution, in standard deviations: √(-2 ln 0.05)."""
+_ARROW = 0.25
+"""Length of a force's arrow over that of the probe."""
+_STYLE = "margin: 0.3em 0 0.3em 0.8em"
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a notebook shows of an object.
+
+    Attributes:
+        title: its kind and name.
+        rows: quantities and their values with units.
+        chart: draws the picture; None if there is none.
+    """
+
+    title: str
+    rows: Sequence[tuple[str, str]]
+    chart: Callable[[], Chart] | None = None
+
+
+def html_of(thing: object) -> str:
+    """Return the table and the picture of an object as HTML."""
+    summary = summary_of(thing)
+    rows = "".join(
+        f'<tr><th style="text-align: left">{escape(name)}</th><td style="text-align: left">{escape(value)}</td></tr>'
+        for name, value in summary.rows
+    )
+    head = f'<thead><tr><th colspan="2">{escape(summary.title)}</th></tr></thead>'
+    table = f"<table>{head}<tbody>{rows}</tbody></table>"
+    if summary.chart is None:
+        return table
+    svg = summary.chart().svg().decode()
+    picture = svg.replace("<svg ", f'<svg role="img" aria-label="{escape(summary.title)}" ', 1)
+    # its inks are dark, and a notebook may be
+    shown = f'<div style="background: #fff; width: 440px; max-width: 100%; {_STYLE}">{picture}</div>'
+    return f'<div style="display: flex; flex-wrap: wrap; align-items: flex-start">{table}{shown}</div>'
+
+
+def text_of(thing: object) -> str:
+    """Return the table of an object as lines of text."""
+    summary = summary_of(thing)
+    width = max(len(name) for name, _ in summary.rows)
+    return "\n".join([summary.title, *(f"  {name:<{width}}  {value}" for name, value in summary.rows)])
+
+
+def plot_of(thing: object, ax: "Axes | None") -> "Axes":
+    """Draw the picture of an object into axes, new ones if None, and return them.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+    """
+    require("matplotlib", "a plot", "notebook")
+    if ax is None:
+        from matplotlib import pyplot
+
+        ax = pyplot.subplots(layout="constrained")[1]
+    summary = summary_of(thing)
+    if summary.chart is None:
+        ax.set(title=f"{summary.title}: no picture")
+    else:
+        summary.chart().draw_on(ax, summary.title)
+    return ax
+
+
+def dataframe_of(thing: object) -> "DataFrame":
+    """Return an object as a data frame.
+
+    Raises:
+        MissingDependencyError: pandas is not installed.
+    """
+    require("pandas", "a data frame", "notebook")
+    from pandas import DataFrame
+
+    columns, rows = rows_of(thing)
+    return DataFrame(rows, columns=list(columns))
+
+
+@singledispatch
+def summary_of(thing: object) -> Summary:
+    """Return what is shown of an object."""
+    raise TypeError(f"a notebook shows no {type(thing).__name__}")
+
+
+Rows = tuple[Iterable[str], list[dict[str, Any]]]
+
+
+@singledispatch
+def rows_of(thing: object) -> Rows:
+    """Return an object as the columns and rows of a table."""
+    raise TypeError(f"a {type(thing).__name__} is not a table")
+
+
+# Design and probe
+
+
+@summary_of.register
+def _(design: Design) -> Summary:
+    probe, sensor = design.probe, design.sensor_model
+    ends = f"{probe.base_d_mm:g} mm at the base" + (
+        f", {probe.tip_d_mm:g} mm at the tip" if probe.tip_d_mm else ""
+    )
+    gravity = ", ".join(f"{g:g}" for g in design.mount.gravity_base_m_s2)
+    rows = [
+        ("shape", f"{probe.shape}, {probe.section} section, {probe.length_mm:g} mm long"),
+        ("diameter", ends),
+        ("resin", design.resin.product),
+        *_material({"E": design.youngs_modulus, "G": design.shear_modulus, "density": design.density}),
+        (
+            "sensor",
+            f"{sensor.name}, {design.calibration.name}, mean of {design.sensor.averaging_samples} samples",
+        ),
+        ("gravity in base axes", f"{gravity} m/s²"),
+        ("friction", f"{design.friction.value:g} ({design.friction.provenance})"),
+    ]
+
+    def chart() -> Chart:
+        geometry = build_geometry(design)
+        return _body(np.outer(geometry.s, (0.0, 0.0, 1.0)), geometry.radius)
+
+    return Summary(f"design {design.name}", rows, chart)
+
+
+@summary_of.register
+def _(probe: Probe) -> Summary:
+    return summary_of(probe.model)
+
+
+@summary_of.register
+def _(model: ProbeModel) -> Summary:
+    rod, free = model.rod, Estimator(model).free()
+    s = np.linspace(0.0, rod.length, STATIONS)
+    radius = rod.radius_at(s)
+    force, moment = model.wrench_range[0], model.wrench_range[3]
+    noise = f"{model.noise.force / MILLINEWTON:.3g} mN, {model.noise.moment / N_MM:.3g} N·mm"
+    names = {"youngs_modulus": "E", "shear_modulus": "G", "density": "density"}
+    rows = [
+        ("geometry", model.fingerprint),
+        ("length", f"{rod.length / MM:g} mm"),
+        ("diameter", f"{2.0 * radius[0] / MM:.3g} mm at the base, {2.0 * radius[-1] / MM:.3g} mm at the tip"),
+        ("mass of the flexible part", f"{model.mass / GRAM:.3g} g"),
+        *_material({names[key]: quantity for key, quantity in model.material.items() if key in names}),
+        ("sensor", f"{model.sensor}, ±{force:g} N, ±{moment / N_MM:g} N·mm (x)"),
+        ("noise of one reading", noise),
+        ("free shape", "bent by gravity as mounted" if free.ok else "buckles under its own weight"),
+    ]
+    shape = free.p_at(s) if free.ok else np.outer(s, (0.0, 0.0, 1.0))
+    return Summary(f"probe {model.name}", rows, lambda: _body(shape, radius))
+
+
+def _material(quantities: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return E, G [MPa] and density [kg/m³] with their provenance."""
+    units = {"E": (MPA, "MPa"), "G": (MPA, "MPa"), "density": (1.0, "kg/m³")}
+    return [
+        (name, f"{quantity.value / units[name][0]:.4g} {units[name][1]} ({quantity.provenance})")
+        for name, quantity in quantities.items()
+    ]
+
+
+def _body(shape: Array, radius: Array) -> Chart:
+    """Return a probe from the side, with x downwards."""
+    upper, lower = flanks(shape, radius)
+    corners = np.concatenate([upper, lower[::-1]])
+    chart = Chart.side_view(np.insert(corners, 1, 0.0, axis=1)[:, [2, 1, 0]], 0)
+    chart.area([(z, x) for z, x in corners.tolist()], COLOURS[1], 0.35)
+    outline = np.concatenate([corners, corners[:1]])
+    chart.line(outline[:, 0], outline[:, 1], COLOURS[1], width=1.0)
+    return chart
+
+
+# Prediction
+
+
+@summary_of.register
+def _(prediction: Prediction) -> Summary:
+    forces = sorted({c.force_N for c in prediction.conditions})
+    errors = [
+        (f"RMS error of {force / MILLINEWTON:g} mN at {touch.contact_fraction:g} of the length",
+         format_value(touch.predicted_error_mm, ".3g", "mm", touch.result))
+        for force in forces if (touch := _headline(prediction, force)) is not None
+    ]  # fmt: skip
+    rows = [
+        ("result", prediction.verdict),
+        *errors,
+        ("sag of the tip", format_value(prediction.tip_sag_mm, ".3g", "mm", "it buckles")),
+        ("mass of the flexible part", f"{prediction.mass_g:.3g} g"),
+        ("assumed", ", ".join(prediction.assumptions) or "nothing"),
+    ]
+    located = any(c.predicted_error_mm is not None for c in prediction.conditions)
+    return Summary(
+        f"prediction of {prediction.name}", rows, (lambda: error_chart(prediction)) if located else None
+    )
+
+
+def _headline(prediction: Prediction, force: float) -> Any:
+    """Return the condition nearest to 0.8 of the length, worst direction."""
+    here = worst(prediction.conditions, force)
+    return min(here, key=lambda c: abs(c.contact_fraction - 0.8), default=None)
+
+
+@rows_of.register
+def _(prediction: Prediction) -> Rows:
+    return condition_rows(prediction)
+
+
+# Estimates
+
+
+@summary_of.register
+def _(estimate: Estimate) -> Summary:
+    rows = [("result", f"{estimate.result}: {RESULTS[estimate.result]}")]
+    if estimate.ok:
+        rms = math.sqrt(float(np.trace(estimate.cov_surface_base)))
+        rows += [
+            ("touched point, base frame", _point(estimate.p_surface_base)),
+            ("RMS error of it", f"{rms / MM:.3g} mm"),
+            ("arclength s", f"{estimate.s_contact / MM:.2f} ± {estimate.std_s / MM:.2g} mm"),
+            ("normal force", f"{estimate.force_normal / MILLINEWTON:.3g} mN"),
+            ("friction, tangential over normal", f"{estimate.friction_ratio:.2g}"),
+        ]
+    elif estimate.candidates:
+        rows.append(("candidates", f"{len(estimate.candidates)}"))
+    shape = estimate.shape if estimate.ok else None
+    if shape is None:
+        return Summary(f"estimate: {estimate.result}", rows)
+    return Summary("estimate of one reading", rows, lambda: _contact(estimate))
+
+
+def _contact(estimate: Estimate) -> Chart:
+    """Return the reconstructed centreline and the touched point with its 95 % ellipse, seen across the force."""
+    shape, p, force = estimate.shape, estimate.p_surface_base, estimate.force_base
+    assert shape is not None
+    length = float(shape.s[-1])
+    line = shape.p_at(np.linspace(0.0, length, STATIONS))
+    across = int(np.argmax(np.abs(force[:2])))
+    view = [2, across]
+    tail = p - _ARROW * length * force / np.linalg.norm(force)
+    ellipse = p[view] + _ellipse(estimate.cov_surface_base[np.ix_(view, view)])
+    extent = np.zeros((len(ellipse), 3))
+    extent[:, view] = ellipse
+    chart = Chart.side_view(np.concatenate([line, extent, tail[None]]) / MM, across)
+    chart.line(line[:, 2] / MM, line[:, across] / MM, COLOURS[1], name="probe")
+    ends = np.stack([tail, p])[:, view] / MM
+    chart.line(ends[:, 0], ends[:, 1], COLOURS[3], width=2.4, name="force")
+    chart.area([(a, b) for a, b in (ellipse / MM).tolist()], COLOURS[2], 0.3, "95 %")
+    chart.points(p[2] / MM, p[across] / MM, COLOURS[2], "o", "touched point")
+    return chart
+
+
+def _ellipse(cov: Array) -> Array:
+    """Return the outline of 95 % of a plane covariance (2, 2), (n, 2)."""
+    values, vectors = np.linalg.eigh(cov)
+    turn = np.linspace(0.0, 2.0 * math.pi, 49)
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    return np.asarray(RADIUS_95 * (circle * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+
+
+@rows_of.register
+def _(estimate: Estimate) -> Rows:
+    columns = ["s_contact_mm", "std_s_mm", *_axes("p_surface_base", "mm"), *_axes("force_base", "N"), "rms_mm",
+               "force_normal_N", "force_tangential_N", "chi2"]  # fmt: skip
+    return columns, [dict(zip(columns, _candidate(one), strict=True)) for one in estimate.candidates]
+
+
+def _candidate(one: Candidate) -> list[float]:
+    place = [one.s_contact / MM, one.std_s / MM, *(one.p_surface_base / MM).tolist()]
+    return [*place, *one.force_base.tolist(), one.rms / MM, one.force_normal, one.force_tangential, one.chi2]
+
+
+@summary_of.register
+def _(fused: FusedEstimate) -> Summary:
+    rows = [("result", f"{fused.result}: {RESULTS[fused.result]}"), ("poses", f"{len(fused.s_contact)}")]
+    if not fused.ok:
+        return Summary(f"fused touches: {fused.result}", rows)
+    rows += [
+        ("touched point, world frame", _point(fused.p_surface_world)),
+        ("RMS error of it", f"{fused.rms / MM:.3g} mm"),
+        ("factor on E", f"{fused.stiffness:.3f} ± {fused.std_stiffness:.2g}"),
+        ("χ²", f"{fused.chi2:.3g}, {fused.dof} degrees of freedom"),
+        *(
+            (f"RMS error without the error of {name}", f"{rms / MM:.3g} mm")
+            for name, rms in fused.rms_without.items()
+        ),
+        *((f"RMS error with {name}", f"{rms / MM:.3g} mm") for name, rms in fused.rms_with.items()),
+    ]
+    return Summary("fused touches of one point", rows, lambda: _projections(fused.cov_surface_world))
+
+
+def _projections(cov: Array) -> Chart:
+    """Return the 95 % ellipses of a covariance (3, 3) about its mean, seen along each axis."""
+    pairs = {"x and y": [0, 1], "x and z": [0, 2], "y and z": [1, 2]}
+    ellipses = {name: _ellipse(cov[np.ix_(pair, pair)]) / MM for name, pair in pairs.items()}
+    every = np.concatenate(list(ellipses.values()))
+    chart = Chart(
+        ChartAxis.spanning("error of the first axis [mm]", every[:, 0]),
+        ChartAxis.spanning("error of the second axis [mm]", every[:, 1]), square=True,
+    )  # fmt: skip
+    for (name, ellipse), colour, dashes in zip(ellipses.items(), COLOURS[1:], DASHES, strict=False):
+        chart.line(ellipse[:, 0], ellipse[:, 1], colour, dashes, name=f"95 %, {name}")
+    return chart
+
+
+@rows_of.register
+def _(fused: FusedEstimate) -> Rows:
+    columns = [
+        "s_contact_mm",
+        *_axes("force_base", "N"),
+        "force_normal_N",
+        "force_tangential_N",
+        "friction_ratio",
+    ]
+    values = np.column_stack(
+        [
+            fused.s_contact / MM,
+            fused.force_base,
+            fused.force_normal,
+            fused.force_tangential,
+            fused.friction_ratio,
+        ]
+    )
+    return columns, [dict(zip(columns, row, strict=True)) for row in values.tolist()]
+
+
+def _point(p: Array) -> str:
+    return f"({', '.join(f'{value / MM:z.2f}' for value in p)}) mm"
+
+
+def _axes(name: str, unit: str) -> list[str]:
+    return [f"{name}_{axis}_{unit}" for axis in "xyz"]
+
+
+# Identification
+
+
+@summary_of.register
+def _(found: Identification) -> Summary:
+    rows = [
+        ("result", f"{found.result}{': ' if found.why else ''}{found.why}"),
+        ("data", f"{found.tests} tests, {found.numbers} values for {found.unknowns} unknowns"),
+        *((one.name, _interval(one)) for one in found.found),
+        *(("likely cause", str(cause)) for cause in found.likely_causes),
+        *(("caveat", caveat) for caveat in found.caveats),
+    ]
+    drawn = any(one.kind in ("markers", "wrenches", "touches") for one in found.residuals)
+    return Summary(
+        f"identification of {found.name}", rows, (lambda: residual_chart(found)) if drawn else None
+    )
+
+
+def _interval(one: Identified) -> str:
+    """Return a number with its 95 % interval, or the reason why it is not identified."""
+    if one.low is None or one.high is None:
+        return f"{one.design:.4g} {one.unit}".strip() + f" (design): {one.why}"
+    unit = f" {one.unit}" if one.unit else ""
+    return f"{one.value:.4g}{unit}, 95 % interval {one.low:.4g} ... {one.high:.4g}; design {one.design:.4g}"
+
+
+@rows_of.register
+def _(found: Identification) -> Rows:
+    rows = [asdict(one) for one in found.found]
+    return list(Identified.__dataclass_fields__), rows
