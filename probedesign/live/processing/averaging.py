@@ -37,6 +37,18 @@ def readings_needed(time: Array) -> int:
     return needed if complete else 0
 
 
+def second_differences(wrench_sensor: Array, std: Array) -> Array:
+    """Return the second differences of readings (n, 6), (n - 2, 6), of variance one for white noise.
+
+    A slow signal does not show in them.
+
+    Args:
+        wrench_sensor: the readings [N, N·m].
+        std: standard deviation of the noise of each channel [N, N·m], (6,).
+    """
+    return np.asarray(np.diff(wrench_sensor, 2, axis=0) / (math.sqrt(6.0) * std), dtype=float)
+
+
 def choose_averaging(time: Array, wrench_sensor: Array, model: ProbeModel) -> Averaging:
     """Return how many readings are to be averaged for the noise that the model states.
 
@@ -54,7 +66,7 @@ def choose_averaging(time: Array, wrench_sensor: Array, model: ProbeModel) -> Av
     by_rate = most if rate > MAX_MEAN_RATE else 1
     if most == 1 or len(time) < MIN_READINGS:
         return Averaging(by_rate, f"{rate:.4g} readings/s")
-    bends = np.diff(wrench_sensor, 2, axis=0) / (math.sqrt(6.0) * model.noise.std)
+    bends = second_differences(wrench_sensor, model.noise.std)
     power = float((bends * bends).sum())
     variance = float(np.median(bends * bends)) / MEDIAN
     white = power > 0.0 and float((bends[1:] * bends[:-1]).sum()) < WHITE * power

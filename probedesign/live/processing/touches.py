@@ -153,6 +153,7 @@ class Contact:
         settled: whether readings and base were stationary at any time during the touch.
         fused: fused estimate, the last one while settled, or the last one of all if the touch never settled.
         estimate: last located single-reading estimate, of settled readings if there are any.
+        refused: whether the poses of the base contradict the touch: then it has no point in the world.
     """
 
     number: int
@@ -161,6 +162,7 @@ class Contact:
     settled: bool = False
     fused: FusedEstimate | None = None
     estimate: Estimate | None = None
+    refused: bool = False
 
     @property
     def ongoing(self) -> bool:
@@ -189,12 +191,10 @@ class ContactHistory:
 
     Attributes:
         contacts: every touch, including the current one.
-        refused: whether the current touch contradicts the poses of the base: then it has no point in the world.
     """
 
     def __init__(self) -> None:
         self.contacts: tuple[Contact, ...] = ()
-        self.refused = False
         self._count = 0
 
     @property
@@ -210,8 +210,8 @@ class ContactHistory:
         if current is None:
             self._count += 1
             current = Contact(self._count, time)
-            self.contacts, self.refused = (*self.contacts[1 - MAX_CONTACTS :], current), False
-        if self.refused:
+            self.contacts = (*self.contacts[1 - MAX_CONTACTS :], current)
+        if current.refused:
             current = replace(current, fused=fused and FusedEstimate("inconsistent"))
         elif phase == "settled" or not current.settled:
             current = replace(current, fused=fused or current.fused)
@@ -225,6 +225,11 @@ class ContactHistory:
             return
         if phase == "settled" or not current.settled:
             self._replace_last(replace(current, estimate=estimate))
+
+    def refuse(self, refused: bool) -> None:
+        """State whether the poses of the base contradict the current touch."""
+        if self.current is not None:
+            self._replace_last(replace(self.current, refused=refused))
 
     def _replace_last(self, contact: Contact) -> Contact:
         self.contacts = (*self.contacts[:-1], contact)

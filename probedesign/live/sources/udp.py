@@ -17,6 +17,7 @@ from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.datagrams import (
+    MAX_TIME_JUMP,
     SENDER_TIMEOUT,
     StreamListener,
     decode_object,
@@ -103,9 +104,12 @@ class WrenchListener(StreamListener[WrenchDatagram]):
         if value.sequence is not None and last.sequence is not None:
             if value.sequence <= last.sequence:
                 return "late or duplicated", f"sequence {value.sequence} after {last.sequence}"
+            step = value.sequence - last.sequence
+            if step > MAX_RATE * (elapsed + MAX_TIME_JUMP):
+                return "leaping in sequence", f"sequence leaps by {step} within {1e3 * elapsed:.3g} ms"
             found = super().fault(value, last, elapsed)
             if found is None:
-                self.counts["lost"] += value.sequence - last.sequence - 1
+                self.counts["lost"] += step - 1
             return found
         return super().fault(value, last, elapsed)
 
