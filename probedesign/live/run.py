@@ -278,8 +278,9 @@ def estimate_recording(
     if samples is None:
         needed = readings_needed(time) or len(time)
         first = np.concatenate([np.empty((0, 6)), *(block.wrench_sensor for block in blocks)])[:needed]
-        samples, reason = choose_averaging(time[:needed], first, estimator.model)
-        lines += [f"{reason}: {samples} are averaged to one"] if samples > 1 else []
+        chosen = choose_averaging(time[:needed], first, estimator.model)
+        samples = chosen.samples
+        lines += [chosen.summary] if chosen.summary else []
     readings = list(averaged(blocks, samples))
     if not readings:
         raise InputError(f"{path}: {len(time)} readings are fewer than --average {samples}")

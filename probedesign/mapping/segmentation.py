@@ -138,9 +138,7 @@ class TouchSegmenter:
             valid = [interval for interval in self._intervals if interval.is_valid]
             if len(valid) > MAX_INTERVALS:
                 valid = [valid[round(i)] for i in np.linspace(0, len(valid) - 1, MAX_INTERVALS)]
-            yield TouchSegment(
-                self._count, self._start, self._before, tuple(valid), after, self._refused
-            )
+            yield TouchSegment(self._count, self._start, self._before, tuple(valid), after, self._refused)
             if after is not None:
                 self._before, self._older = after, None
         self._open, self._intervals, self._after = 0, [], None

@@ -209,6 +209,15 @@ def test_samples_and_means_are_told_apart(rate, averaged, estimator):
     assert found.samples == model.averaging_samples // averaged
 
 
+def test_noise_beyond_that_of_samples_is_not_averaged_longer(estimator):
+    """A hundred times the noise of single samples would be that of means of 360,000 samples."""
+    model, rng = estimator.model, np.random.default_rng(2)
+    noise = 100.0 * model.noise.std * np.sqrt(model.averaging_samples)
+    found = choose_averaging(np.arange(64) / 1000.0, noise * rng.normal(size=(64, 6)), model)
+    assert found.samples == model.averaging_samples and "noise of single samples" in found.summary
+    assert found.duration == pytest.approx(model.averaging_samples / 1000.0)
+
+
 def test_without_noise_the_rate_decides(estimator):
     still = np.tile(np.arange(6.0), (64, 1))
     for rate, samples in ((100.0, 1), (7000.0, estimator.model.averaging_samples)):
@@ -307,5 +316,29 @@ def test_an_automatic_tare_waits_for_rest(estimator, mounted, tmp_path):
         for r in readings
     ]
     write_recording(tmp_path / "moved.csv", [r.time for r in moved], [r.wrench_sensor for r in moved])
+    source, lines = ReplaySource(estimator.model, tmp_path / "moved.csv", "speed=max"), []
+    list(estimate_stream(estimator, source, ProcessingOptions(zero="auto"), lines.append))
+    waits = [line for line in lines if "waits for" in line]
+    assert len(waits) == 1 and "My scatters by" in waits[0]
     tare = estimate_recording(estimator, tmp_path / "moved.csv", zero="auto").tare
     assert tare is not None and 2.5 < tare.window.start < 4.5
+
+
+def test_an_automatic_tare_without_rest_names_its_reason_and_no_window(estimator, mounted, tmp_path):
+    readings = [r for block in ReplaySource(estimator.model, mounted, "speed=max") for r in block.readings()]
+    moved = [r.wrench_sensor + 1e-3 * np.sin(9.0 * r.time) * np.eye(6)[4] for r in readings]
+    write_recording(tmp_path / "moved.csv", [r.time for r in readings], moved)
+    for run in (
+        lambda: estimate_recording(estimator, tmp_path / "moved.csv", zero="auto"),
+        lambda: list(
+            estimate_stream(
+                estimator,
+                ReplaySource(estimator.model, tmp_path / "moved.csv", "speed=max"),
+                ProcessingOptions(zero="auto"),
+                print,
+            )
+        ),
+    ):
+        with pytest.raises(InputError, match="no 1 s at rest: My scatters by") as error:
+            run()
+        assert "window" not in str(error.value)

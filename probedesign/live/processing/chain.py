@@ -125,7 +125,7 @@ class Chain:
         self.samples, self._undecided = options.samples or 0, list[Block]()
         self._batches, self._waiting = BatchAverager(max(self.samples, 1)), deque[AveragedBatch]()
         takes_tare = tare is None and (options.window is not None or options.zero == "auto")
-        self._tare_collector = TareCollector(options.window, estimator) if takes_tare else None
+        self._tare_collector = TareCollector(options.window, estimator, log=log) if takes_tare else None
         self._zero_known = tare is not None or takes_tare or options.zero == "trusted"
         self._zero_reported = False
         self._signals = SignalMonitor(estimator.model, max(self.samples, 1), math.nan)
@@ -179,7 +179,7 @@ class Chain:
         while self._waiting:
             yield from self._step(self._waiting.popleft(), math.inf)
         if self._tare_collector is not None and not self._tare_collector.on_request:
-            self._log(describe_tare(self._tare_collector.tare()))
+            self._log(describe_tare(self._tare_collector.at_end()))
 
     def take_tare(self) -> str:
         """Start a tare from the next readings; return what to do meanwhile. Its outcome is reported.
@@ -212,8 +212,8 @@ class Chain:
         needed = readings_needed(time) or len(time)
         chosen = choose_averaging(time[:needed], wrench[:needed], self._estimator.model)
         self.samples = chosen.samples
-        if chosen.samples > 1:
-            self._log(f"{chosen.reason}: {chosen.samples} are averaged to one")
+        if chosen.summary:
+            self._log(chosen.summary)
         self._batches = BatchAverager(self.samples)
         for block in self._undecided:
             self._waiting.extend(self._batches.add(block))

@@ -118,7 +118,9 @@ class SignalMonitor:
         """
         self._limit, self._noise = model.saturation_limit, model.noise.std * math.sqrt(samples)
         self._samples, self._rate = samples, rate
-        self._window_readings = max(WINDOW_READINGS, NOISE_WINDOW * rate)  # the first one where the rate is NaN
+        self._window_readings = max(
+            WINDOW_READINGS, NOISE_WINDOW * rate
+        )  # the first one where the rate is NaN
         self._last, self._repeats, self._same_since = np.full(6, np.nan), 1, np.full(6, np.nan)
         self._same_count = np.ones(6)
         self._window = deque[Array]()
