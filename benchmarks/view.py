@@ -55,6 +55,7 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: 
         until: when [s].
         picture: where it goes.
     """
+    from probedesign.live.view.access import protect
     from probedesign.live.view.page import ViewerPage
 
     try:
@@ -71,17 +72,19 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: 
         now, one = answer.reading.time, np.array([answer.reading.time])
         state.on_samples(Block(one, answer.reading.wrench_sensor[None], answer.reading.gravity_base, one))
         state.on_estimate(answer)
-    page = ViewerPage(
-        scene_setup(estimator, folder, "127.0.0.1", free_port(), print), lambda wish, text: None
-    )
-    page.show(state.snapshot())
+    setup = scene_setup(estimator, folder, "127.0.0.1", free_port(), print)
+    protect(setup.title, setup.token)
+    page = ViewerPage(setup, lambda wish, text: None)
     try:
         with sync_playwright() as playwright:
             browser = playwright.chromium.launch(executable_path=browser_path, args=SOFTWARE)
             tab = browser.new_page(viewport=SIZE)
             tab.goto(page.url)
+            page.show(state.snapshot())
             tab.get_by_text("Touches so far").wait_for(timeout=120_000)
-            time.sleep(FADED_IN)
+            for _ in range(round(FADED_IN)):
+                page.show(state.snapshot())  # a page that is not renewed marks its values as old
+                time.sleep(1.0)
             _write(screenshot(tab), picture)
             tab.close()  # a browser that still draws takes half a minute to close
             browser.close()

@@ -257,7 +257,7 @@ class Chain:
             self._first = batch.reading.time
         # A fault of one sample is a fault of the whole batch: the mean would not show it.
         fault = batch.reading.fault or self._signals.fault(batch)
-        whole = replace(batch.reading, fault=fault)
+        whole = batch.reading if fault == batch.reading.fault else replace(batch.reading, fault=fault)
         reading = self._with_gravity(whole)
         self._report_pose(reading)
         self._faults.update(reading.time, "" if batch.reading.fault or self._pose_missing else reading.fault)

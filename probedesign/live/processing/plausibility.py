@@ -156,6 +156,11 @@ class SignalMonitor:
         same[0] = rows[0] == self._last
         np.equal(rows[1:], rows[:-1], out=same[1:])
         self._last = rows[-1]
+        if not same.any():
+            self._repeats = 1
+            self._same_count.fill(1.0)
+            self._same_since.fill(time[-1])
+            return ""
         frozen, identical = 0, np.logical_and.reduce(same, axis=1)
         if identical.any():
             for one in identical.tolist():
@@ -235,9 +240,9 @@ class PoseMonitor:
         if last is None or not time > last[0]:
             return self._reason if time - self._leapt < LEAP_HOLD else ""
         seconds = time - last[0]
-        travel = float(np.linalg.norm(T_world_base[:3, 3] - last[1][:3, 3]))
-        # The Frobenius norm |R - R'| is 2√2 sin(angle/2).
-        chord = float(np.linalg.norm(T_world_base[:3, :3] - last[1][:3, :3]))
+        squares = np.square(T_world_base[:3] - last[1][:3])
+        travel = math.sqrt(squares[:, 3].sum())
+        chord = math.sqrt(squares[:, :3].sum())  # the Frobenius norm |R - R'|, which is 2√2 sin(angle/2)
         turn = 2.0 * math.asin(min(chord / (2.0 * math.sqrt(2.0)), 1.0))
         if travel > MAX_SPEED * seconds or turn > MAX_TURN * seconds:
             self._leapt = time
