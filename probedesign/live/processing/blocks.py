@@ -241,6 +241,11 @@ class BatchAverager:
         self._pending: list[Block] = []
         self._count = 0
 
+    @property
+    def pending(self) -> int:
+        """Number of readings of the incomplete batch."""
+        return self._count
+
     def add(self, block: Block) -> Iterator[AveragedBatch]:
         """Yield each batch that a block completes; an incomplete batch is dropped at the end of a stretch."""
         if self._pending and self._pending[0].stretch != block.stretch:

@@ -178,6 +178,10 @@ class Chain:
             self._initialize()
         while self._waiting:
             yield from self._step(self._waiting.popleft(), math.inf)
+        if math.isnan(self._first) and self._batches.pending:
+            self._log(
+                f"{self._batches.pending} readings are fewer than the {self.samples} of a mean: no estimate"
+            )
         if self._tare_collector is not None and not self._tare_collector.on_request:
             self._log(describe_tare(self._tare_collector.at_end()))
 

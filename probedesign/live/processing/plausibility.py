@@ -24,10 +24,12 @@ FROZEN_READINGS = 8
 resolution, two raw readings are identical in all six channels once in sixty pairs, and eight once in 10¹²."""
 DEAD_TIME, DEAD_READINGS = 1.0, 20
 """Duration [s] and number of identical readings of one channel from which it counts as dead."""
-NOISE_WINDOW, NOISE_PERIOD = 1.0, 0.25
-"""Interval over which the noise is measured, and time from one measurement to the next [s]."""
-MIN_NOISE_READINGS, MIN_CHANNEL_READINGS, WINDOW_READINGS = 8, 16, 30
-"""Least number of readings of the first measurement, of one by channel, and of a complete window."""
+NOISE_WINDOW, NOISE_PERIOD = 0.25, 0.1
+"""Interval over which the noise is measured, and time from one measurement to the next [s]. A knock is shorter than
+half of the interval, and noise is found after that half."""
+MIN_NOISE_READINGS, WINDOW_READINGS = 8, 16
+"""Least number of readings of the first measurement, and of a complete window. Too little noise shows in the last
+readings of a window alone."""
 MAX_NOISE, MIN_NOISE = 4.0, 0.02
 """Limits of the measured noise over the stated one. Beyond the upper one, free readings count as touches; the lower one
 is that of values in a unit a thousand times too large, or of a filter far below the rate of the readings.
@@ -198,7 +200,7 @@ class SignalMonitor:
         if len(rows) < MIN_NOISE_READINGS:
             return ""
         bends = second_differences(rows, self._noise)
-        if self._rate >= MIN_NOISE_RATE and len(rows) >= MIN_CHANNEL_READINGS:
+        if self._rate >= MIN_NOISE_RATE and len(rows) >= WINDOW_READINGS:
             usual = np.median(np.abs(bends), axis=0) / QUANTILE
             largest, name = float(usual.max()), CHANNELS[int(np.argmax(usual))]
         else:
@@ -206,7 +208,8 @@ class SignalMonitor:
         if largest > MAX_NOISE:
             hint = "; readings are not averaged?" if self._samples == 1 else ""
             return f"{name} scatters by {largest:.2g} times its stated noise{hint}"
-        size = float(np.sqrt(np.mean(bends * bends, axis=0)).max())
+        last = bends[-WINDOW_READINGS:]
+        size = float(np.sqrt(np.mean(last * last, axis=0)).max())
         if size < MIN_NOISE:
             return f"readings scatter by {size:.1g} times their stated noise; a wrong unit?"
         return ""

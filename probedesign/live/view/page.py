@@ -213,7 +213,7 @@ LABEL_SIDE = 0.2
 """Distance beside the middle of the view [lengths of the probe] from which a label extends toward the middle, and so is
 not behind a panel or beyond the edge of a small screen."""
 LABEL_WIDTH, LABEL_HEIGHT = 0.7, 0.08
-"""Size of the contact's label at most [lengths of the probe], on a screen of 390 pixels; it covers numbers of touches."""
+"""Size of the label of the contact at most, on a small screen [lengths of the probe]; numbers below it are hidden."""
 SMALL_WIDTH = 576
 """Width [px] up to which viser covers the lower part of the scene with its panel."""
 AGEING = 0.5
