@@ -183,6 +183,11 @@ class UdpSource:
         self._intervals: deque[float] = deque(maxlen=USUAL_INTERVALS)
         self._reported = (0, -inf)
 
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port that receive."""
+        return self._listener.address
+
     def __iter__(self) -> Generator[Block, None, None]:
         self._dropout.restart()
         with closing(self._listener) as listener:
