@@ -251,6 +251,18 @@ def test_no_part_of_a_split_recording_is_replaced_while_it_is_written(model, tmp
             other.start()
 
 
+def test_complete_parts_may_be_moved_while_the_recording_continues(model, tmp_path):
+    path = tmp_path / "r.csv"
+    with closing(RecordingSink(path, model, print, limits=SplitLimits(size=1000))) as sink:
+        sink.start()
+        for i in range(4):
+            sink.on_samples(block(i * 10, 10))
+            until(lambda i=i: sink._current[1].readings == 10 * i + 10)
+            path.unlink(missing_ok=True)
+        assert not sink._current[1].failure
+    assert sorted(part.name for part in tmp_path.iterdir()) == ["r-2.csv", "r-3.csv", "r-4.csv"]
+
+
 def test_a_recording_is_split_by_time(model, tmp_path):
     path = tmp_path / "r.csv"
     sink = RecordingSink(path, model, print, limits=SplitLimits(duration=0.15))

@@ -283,7 +283,8 @@ class SplitRecording(Sink):
     def _continue(self) -> None:
         """Close the file and open the next; the first one stays locked, and with it the series."""
         self._file.close()
-        self._first_lock = self._first_lock or FileLock(self.first_path)
+        with suppress(OSError):  # the user has moved it
+            self._first_lock = self._first_lock or FileLock(self.first_path)
         path, file = self._open_next()
         self._n_before += self._file.readings
         self.path, self._file, self._opened = path, file, time.monotonic()
@@ -344,7 +345,7 @@ class RecordingSink(Sink):
         self._model, self._log, self._metadata = model, log, metadata or {}
         self._force, self._limits = force and path is not None, limits
         self._current: tuple[SplitRecording, BackgroundWriter] | None = None
-        self._started = False
+        self._number = 0  # of the newest file
 
     @property
     def path(self) -> Path | None:
@@ -375,9 +376,11 @@ class RecordingSink(Sink):
         return f"recording to {recording.path}"
 
     def _open_next(self) -> tuple[Path, RecordingFile]:
-        path = _unused_path(self._path) if self._started else self._path
-        file = open_recording_file(path, self._model, self._force and not self._started, self._metadata)
-        self._started = True
+        number, path = self._number + 1, self._path
+        while number > 1 and (path := part_path(self._path, number)).exists():
+            number += 1
+        file = open_recording_file(path, self._model, self._force and number == 1, self._metadata)
+        self._number = number
         return path, file
 
     def stop(self) -> str:
@@ -418,12 +421,3 @@ class RecordingSink(Sink):
         """Close the current file, if any, and report it."""
         if self._current is not None:
             self._log(self.stop())
-
-
-def _unused_path(path: Path) -> Path:
-    """Return the first of NAME, NAME-2, NAME-3, ... that does not exist."""
-    number, unused = 1, path
-    while unused.exists():
-        number += 1
-        unused = part_path(path, number)
-    return unused

@@ -95,8 +95,9 @@ class FileLock:
 
         Raises:
             InputError: another program is writing it.
+            OSError: it cannot be opened.
         """
-        self._file = os.open(path, os.O_WRONLY)
+        self._file = os.open(path, os.O_RDONLY)
         if not _lock(self._file):
             os.close(self._file)
             raise _locked(path)
