@@ -174,6 +174,7 @@ import json, socket, sys, time
 port, rate, seconds = int(sys.argv[1]), float(sys.argv[2]), float(sys.argv[3])
 link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 link.connect(("127.0.0.1", port))
+time.sleep(1.0)  # a source discards what arrives before it is read
 names, start, sent = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm"), time.monotonic(), 0
 while (now := time.monotonic() - start) < seconds:
     while sent < rate * now:
