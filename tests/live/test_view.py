@@ -425,6 +425,12 @@ def test_the_label_of_a_contact_extends_toward_the_middle_of_the_view(estimator,
             )
             page.show(Snapshot(result="ok", marker=marker, gravity_base=g))
             anchors.append(page._label.anchor)
+            # numbers of earlier touches are hidden below the label only
+            inward = {"bottom-left": 1.0, "bottom-center": 0.0, "bottom-right": -1.0}[page._label.anchor]
+            here, right = np.asarray(page._label.position), np.cross(-page._direction, (0.0, 0.0, 1.0))
+            step = 2.0 * right / np.linalg.norm(right)  # a tenth of a metre, two thirds of the probe
+            assert page._is_covered(here + 0.5 * inward * step)
+            assert not page._is_covered(here - inward * step + (0.0, 0.0, -2.0))
     finally:
         page.stop()
     # The first view has the root on one side and the tip on the other.
