@@ -1,10 +1,12 @@
 """Live over loopback: a simulated box in another process sends 7000 records a second to `netft://`.
 
-Box and reader share one machine, as nobody runs them, so what is lost in the kernel's buffer is lost to both.
+Box and reader share one machine, as nobody runs them, so what is lost in the kernel's buffer is lost to both. And
+wrenches by UDP, one JSON object in each datagram, beside a loop that reads the same socket and does nothing else.
 """
 
 import gc
 import resource
+import socket
 import subprocess
 import sys
 import tempfile
@@ -31,6 +33,7 @@ from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.run import estimate_stream, warm_up
 from probedesign.live.sources.netft.source import NetFTSource
 from probedesign.live.sources.source import open_source
+from probedesign.live.sources.udp import UdpSource
 from probedesign.live.view.sinks import BrowserView
 from probedesign.probe import build_probe
 from probedesign.simulation.netft_box import FAULT_DURATION
@@ -63,6 +66,7 @@ def report(minutes: float = MINUTES, view: bool = False, foxglove: bool = False)
             _rate(estimator, spec, 60.0 * minutes, folder, view, foxglove)
         with _box(bundle, "--scene", "free", "--fault", "restart@8", "--fault", "stall@15") as spec:
             _faults(estimator, spec, 20.0)
+        _datagrams(estimator)
 
 
 @dataclass
@@ -160,6 +164,85 @@ def _faults(estimator: Estimator, spec: str, seconds: float) -> None:
     print_table(
         f"the box restarts, then stalls, for {FAULT_DURATION:g} s each", ["", "measured", "target"], rows
     )
+
+
+DATAGRAM_RATES = (1000, 2000, 4000, 7000, 10_000)
+"""Rates at which wrenches are sent by UDP [1/s]."""
+DATAGRAM_SECONDS = 4.0
+SENDER = """
+import json, socket, sys, time
+port, rate, seconds = int(sys.argv[1]), float(sys.argv[2]), float(sys.argv[3])
+link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+link.connect(("127.0.0.1", port))
+time.sleep(1.0)  # a source discards what arrives before it is read
+names, start, sent = ("fx_N", "fy_N", "fz_N", "mx_Nm", "my_Nm", "mz_Nm"), time.monotonic(), 0
+while (now := time.monotonic() - start) < seconds:
+    while sent < rate * now:
+        values = {name: 1e-3 * ((7 * sent + 13 * i) % 101) for i, name in enumerate(names)}
+        try:
+            link.send(json.dumps(values | {"sequence": sent, "time_s": sent / rate}).encode())
+        except ConnectionRefusedError:
+            pass
+        sent += 1
+    time.sleep(0.001)
+print(sent)
+"""
+
+
+def _datagrams(estimator: Estimator) -> None:
+    """Count the wrenches a second that `udp://` reads, beside a plain loop on a socket."""
+    rows = []
+    for rate in DATAGRAM_RATES:
+        plain = _plain_loop(rate)
+        sent, received, busy = _udp_source(estimator, rate)
+        rows.append(
+            [f"{rate}", f"{plain:.0f}", f"{sent / DATAGRAM_SECONDS:.0f}", f"{received / DATAGRAM_SECONDS:.0f}",
+             f"{max(sent - received, 0) / max(sent, 1):.2%}", f"{busy / DATAGRAM_SECONDS:.0%}"]
+        )  # fmt: skip
+    print_table(
+        "wrenches by UDP in JSON, a second",
+        ["asked for", "plain socket loop reads", "sent to udp://", "udp:// reads", "not read", "of one core"],
+        rows,
+    )
+
+
+def _sender(port: int, rate: float) -> subprocess.Popen[str]:
+    arguments = [sys.executable, "-c", SENDER, str(port), str(rate), str(DATAGRAM_SECONDS)]
+    return subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True)
+
+
+def _plain_loop(rate: float) -> float:
+    """Return the datagrams a second that a loop reads, which does nothing with them."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 22)
+        link.bind(("127.0.0.1", 0))
+        link.settimeout(1.0)
+        sender, count, ended = _sender(link.getsockname()[1], rate), 0, False
+        while not ended:
+            ended = sender.poll() is not None  # what was sent before is read in the next pass
+            try:
+                while True:
+                    link.recv(4096)
+                    count += 1
+            except TimeoutError:
+                pass
+    return count / DATAGRAM_SECONDS
+
+
+def _udp_source(estimator: Estimator, rate: float) -> tuple[int, int, float]:
+    """Return the numbers of datagrams sent and read, and the processor time of reading them [s]."""
+    source = open_source("udp://127.0.0.1:0", estimator.model, lambda line: None)
+    assert isinstance(source, UdpSource)
+    received, sender, cpu = 0, None, time.process_time()
+    with closing(iter(source)) as blocks:
+        sender = _sender(source.address[1], rate)
+        for block in blocks:
+            received += len(block)
+            if len(block) == 0 and sender.poll() is not None:
+                break
+    cpu = time.process_time() - cpu
+    assert sender.stdout is not None
+    return int(sender.stdout.read()), received, cpu
 
 
 SUBSCRIBER = """

@@ -32,6 +32,8 @@ PICTURE = ROOT / "docs/pictures/live-view.png"
 SIZE = {"width": 1440, "height": 860}
 SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
 """Chromium without a GPU and as root, as in a container."""
+CLOCK_STANDS = "(() => { const now = Date.now(); Date.now = () => now; })()"
+"""The page marks values as old that are not renewed for three seconds; this one draws one snapshot for longer."""
 FADED_IN = float(os.environ.get("PROBEDESIGN_VIEW_SECONDS", "20"))
 """The scene fades in over its first frames, which a processor takes its time for [s]."""
 
@@ -55,6 +57,7 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: 
         until: when [s].
         picture: where it goes.
     """
+    from probedesign.live.view.access import protect
     from probedesign.live.view.page import ViewerPage
 
     try:
@@ -71,14 +74,15 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: 
         now, one = answer.reading.time, np.array([answer.reading.time])
         state.on_samples(Block(one, answer.reading.wrench_sensor[None], answer.reading.gravity_base, one))
         state.on_estimate(answer)
-    page = ViewerPage(
-        scene_setup(estimator, folder, "127.0.0.1", free_port(), print), lambda wish, text: None
-    )
+    setup = scene_setup(estimator, folder, "127.0.0.1", free_port(), print)
+    protect(setup.title, setup.token)
+    page = ViewerPage(setup, lambda wish, text: None)
     page.show(state.snapshot())
     try:
         with sync_playwright() as playwright:
             browser = playwright.chromium.launch(executable_path=browser_path, args=SOFTWARE)
             tab = browser.new_page(viewport=SIZE)
+            tab.add_init_script(CLOCK_STANDS)
             tab.goto(page.url)
             tab.get_by_text("Touches so far").wait_for(timeout=120_000)
             time.sleep(FADED_IN)

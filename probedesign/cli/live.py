@@ -95,6 +95,7 @@ def live(
         as_json: print each estimate as one line of JSON.
     """
     from probedesign import pipeline
+    from probedesign.live.datagrams import parse_listen_address
     from probedesign.live.outputs.foxglove import parse_foxglove_address
     from probedesign.live.outputs.options import OutputOptions
     from probedesign.live.outputs.recording import SplitLimits
@@ -130,6 +131,8 @@ def live(
     split = SplitLimits.of_options(split_mb, split_minutes)
     outputs = OutputOptions(record, force, publish, page, live_table, bundle.parent, settings, split, server)
     outputs.check(source)
+    if control is not None:
+        parse_listen_address(f"--control {control}")  # before anything is compiled
     with closing(SinkGroup(StderrSink())) as sinks, ExitStack() as inputs, interrupt_on_termination():
         opened_source = open_source(source, estimator.model, sinks.log)
         poses = open_poses(pose, pose_latency_ms, gravity_world, sinks.log)

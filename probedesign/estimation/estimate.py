@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Literal
 
 import numpy as np
@@ -39,8 +39,12 @@ MomentsAbout = Literal["base", "sensor"]
 """Where the moments are taken about that count alone: the base's origin, or the sensor's own."""
 
 
+@cache
 def _nan(*shape: int) -> Array:
-    return np.full(shape, np.nan)
+    """Return an array of NaN, which all results without a quantity share and nobody can write to."""
+    array = np.full(shape, np.nan)
+    array.flags.writeable = False
+    return array
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ import json
 import math
 import socket
 import threading
-from collections import Counter, deque
+from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from time import monotonic, sleep
@@ -17,6 +18,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from probedesign.core.csv_tables import UNITS
 from probedesign.core.errors import InputError
 from probedesign.live import LOOPBACK, split_address
+from probedesign.live.handover import MAX_QUEUED, Handover
 
 MAX_DATAGRAM = 4096
 """Maximum size of a datagram [bytes]; two or three hundred are needed."""
@@ -103,13 +105,11 @@ TICK = 0.010
 """Interval in which the number of datagrams is limited [s]. The system drops the rest of a flood."""
 MAX_BURSTS = 50
 """Number of full ticks after which the user is informed."""
-MAX_QUEUED = 8192
-"""Maximum number of queued values and messages: a second of the fastest sensor."""
 BUFFER_BYTES = 1 << 22
 """Size of the socket's buffer that is requested of the system; it may grant less."""
 
 
-class DatagramReceiver:
+class DatagramReceiver(ABC):
     """Receives datagrams in its own thread, at a limited rate; a subclass handles each in `receive`.
 
     Attributes:
@@ -141,7 +141,7 @@ class DatagramReceiver:
             why = getattr(error, "strerror", None) or str(error)
             raise InputError(f"{option}: {why}; use another port, or an address of this machine") from None
         self.address: tuple[str, int] = self._socket.getsockname()[:2]
-        self._messages: deque[str] = deque(maxlen=MAX_QUEUED)
+        self._messages = Handover[str]()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._listen, name=name, daemon=True)
 
@@ -163,7 +163,7 @@ class DatagramReceiver:
 
     def pop_messages(self) -> list[str]:
         """Return the messages to the user since the last call."""
-        return [self._messages.popleft() for _ in range(len(self._messages))]
+        return self._messages.take()
 
     def close(self) -> None:
         """Stop the thread and close the socket."""
@@ -172,13 +172,13 @@ class DatagramReceiver:
             self._thread.join()
         self._socket.close()
 
+    @abstractmethod
     def receive(self, datagram: bytes, sender: tuple[str, int], now: float) -> None:
         """Handle one datagram, in the thread; `now` is its arrival by `time.monotonic` [s].
 
         Raises:
             InputError: it is not valid; it is counted, and the first one is reported.
         """
-        raise NotImplementedError
 
     def _listen(self) -> None:
         tick, n_tick = monotonic(), 0
@@ -251,14 +251,14 @@ class StreamListener(DatagramReceiver, Generic[T]):
         """Bind the port; see `DatagramReceiver`."""
         super().__init__(option, name, host, port, max_per_tick)
         self.arrived = threading.Event()
-        self._queue: deque[tuple[float, T, int]] = deque(maxlen=MAX_QUEUED)
+        self._queue = Handover[tuple[float, T, int]]()
         self._session, self._sender, self.frame = 0, ("", 0), ""
         self._last: T | None = None
         self._last_arrival = -SENDER_TIMEOUT
 
+    @abstractmethod
     def parse(self, datagram: bytes) -> tuple[T, str]:
         """Return the value of a datagram and its frame, empty without one; raises InputError if it is not valid."""
-        raise NotImplementedError
 
     def fault(self, value: T, last: T, elapsed: float) -> tuple[str, str] | None:
         """Return kind and description of an inconsistency with the last value, `elapsed` seconds before, or None."""
@@ -280,7 +280,7 @@ class StreamListener(DatagramReceiver, Generic[T]):
             Arrival by `time.monotonic` [s], value, and number of the sender's session, for each.
         """
         self.arrived.clear()
-        return [self._queue.popleft() for _ in range(len(self._queue))]
+        return self._queue.take()
 
     @property
     def summary(self) -> str:

@@ -37,6 +37,7 @@ from probedesign.live.processing.control import (
     take_tare,
 )
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, Row, csv_line, estimate_row
+from probedesign.live.processing.plausibility import ClockMonitor
 from probedesign.live.recordings.csv import gaps_in
 from probedesign.live.sources.replay import OpenRecording, RecordingOptions, open_recording
 from probedesign.live.sources.source import Source
@@ -87,7 +88,8 @@ def _updates(
     commands = commands or CommandQueue()
     commands.register("tare", lambda command: chain.take_tare())
     commands.register("mark", lambda command: f"mark: {command.text}")
-    for block in blocks:
+    clock = ClockMonitor(log)
+    for block in map(clock.marked, blocks):
         if sink is not None:
             sink.on_samples(block)
         for update in chain.process(block):
@@ -278,8 +280,9 @@ def estimate_recording(
     if samples is None:
         needed = readings_needed(time) or len(time)
         first = np.concatenate([np.empty((0, 6)), *(block.wrench_sensor for block in blocks)])[:needed]
-        samples, reason = choose_averaging(time[:needed], first, estimator.model)
-        lines += [f"{reason}: {samples} are averaged to one"] if samples > 1 else []
+        chosen = choose_averaging(time[:needed], first, estimator.model)
+        samples = chosen.samples
+        lines += [chosen.summary] if chosen.summary else []
     readings = list(averaged(blocks, samples))
     if not readings:
         raise InputError(f"{path}: {len(time)} readings are fewer than --average {samples}")

@@ -3,12 +3,13 @@
 import math
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
@@ -101,13 +102,19 @@ def check_poses(poses: BasePoses | None, span: tuple[float, float] | None) -> Ba
         )
     if span is not None and times:
         p = np.array([pose.p for pose in poses.track.spanning(*span)])
-        extent = float(np.ptp(p, axis=0).max())
-        if 0.0 < extent < MIN_EXTENT:  # without any motion it is a base at rest
-            raise InputError(
-                f"the base moves by {1e3 * extent:.2g} mm in all of the recording, too little for touches of several "
-                "points; are its positions in metres instead of millimetres?"
-            )
+        if problem := _too_little_motion(float(np.ptp(p, axis=0).max())):
+            raise InputError(problem)
     return poses
+
+
+def _too_little_motion(extent: float) -> str:
+    """Return a line if positions of a base with an extent [m] cannot be those of touches; empty if they can."""
+    if not 0.0 < extent < MIN_EXTENT:  # without any motion it is a base at rest
+        return ""
+    return (
+        f"the base moves by {1e3 * extent:.2g} mm in all, too little for touches of several points; are its positions "
+        "in metres instead of millimetres?"
+    )
 
 
 MIN_EXTENT = 1e-3
@@ -134,6 +141,8 @@ class Exploration:
     touches: list[LocatedTouch] = field(default_factory=list)
     n_readings: int = 0
     n_without_pose: int = 0
+    _low: Array = field(default_factory=lambda: np.full(3, np.inf))
+    _high: Array = field(default_factory=lambda: np.full(3, -np.inf))
 
     def run(
         self,
@@ -154,12 +163,14 @@ class Exploration:
                 for update in updates:
                     self.n_readings += 1
                     self.n_without_pose += update.stale == "pose"
+                    p = update.T_world_base[:3, 3]
+                    self._low, self._high = np.fmin(self._low, p), np.fmax(self._high, p)
                     for segment in segmenter.update(update):
-                        yield self._located(segment, poses)
+                        yield self._located(segment, poses, log)
         except KeyboardInterrupt:
             log("interrupted; the touches so far are evaluated")
         for segment in segmenter.finish():
-            yield self._located(segment, poses)
+            yield self._located(segment, poses, log)
 
     def map(self) -> ContactMap:
         """Return the map of all touches so far."""
@@ -169,7 +180,10 @@ class Exploration:
     def _priors(self) -> Tolerances:
         return self.estimator.priors if self.priors is None else self.priors
 
-    def _located(self, segment: TouchSegment, poses: BasePoses) -> LocatedTouch:
+    def _located(self, segment: TouchSegment, poses: BasePoses, log: Callable[[str], None]) -> LocatedTouch:
+        if problem := _too_little_motion(float((self._high - self._low).max())):
+            log(problem)
+            segment = replace(segment, refused=True)
         touch = locate_touch(segment, self.estimator, self._priors, poses.gravity_world)
         self.touches.append(touch)
         return touch

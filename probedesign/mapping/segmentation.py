@@ -87,6 +87,7 @@ class TouchSegment:
         free_before: free probe just before it; None if the base was not stationary.
         intervals: stationary intervals in contact, in order of time.
         free_after: free probe just after it; None if the base was not stationary.
+        refused: whether the poses of the base contradict it.
     """
 
     number: int
@@ -94,6 +95,7 @@ class TouchSegment:
     free_before: StationaryInterval | None
     intervals: tuple[StationaryInterval, ...]
     free_after: StationaryInterval | None
+    refused: bool = False
 
 
 class TouchSegmenter:
@@ -102,6 +104,7 @@ class TouchSegmenter:
     def __init__(self) -> None:
         self._count, self._start = 0, np.nan
         self._open, self._last = 0, np.nan  # number of the open touch as given by `live`; 0 for none
+        self._refused = False
         self._before: StationaryInterval | None = None
         self._older: StationaryInterval | None = None
         self._intervals: list[StationaryInterval] = []
@@ -119,7 +122,7 @@ class TouchSegmenter:
                 self._before = _latest_free(self._before, self._older)
             self._open = contact.number
         if contact is not None:
-            self._last = update.reading.time
+            self._last, self._refused = update.reading.time, contact.refused
             if update.phase == "settled":
                 if self._intervals and self._intervals[-1].contains(update.T_world_base):
                     self._intervals[-1].add(update)
@@ -135,7 +138,7 @@ class TouchSegmenter:
             valid = [interval for interval in self._intervals if interval.is_valid]
             if len(valid) > MAX_INTERVALS:
                 valid = [valid[round(i)] for i in np.linspace(0, len(valid) - 1, MAX_INTERVALS)]
-            yield TouchSegment(self._count, self._start, self._before, tuple(valid), after)
+            yield TouchSegment(self._count, self._start, self._before, tuple(valid), after, self._refused)
             if after is not None:
                 self._before, self._older = after, None
         self._open, self._intervals, self._after = 0, [], None

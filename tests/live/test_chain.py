@@ -241,7 +241,7 @@ def test_a_requested_tare_is_taken_while_free_and_refused_during_contact(estimat
     assert stated[2] == "tare refused: a tare is already being taken"
     assert stated[3].startswith("tare from 200 readings in 2.5")
     assert stated[4] in {
-        f"tare refused: the probe is {p}; the previous zero is kept" for p in ("touching", "settled")
+        f"tare refused: the probe is {p}; the previous tare is kept" for p in ("touching", "settled")
     }
     assert len(stated) == 5
     noise = estimator.model.noise.std

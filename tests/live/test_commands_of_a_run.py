@@ -66,9 +66,11 @@ def test_what_is_accepted_and_what_is_refused(run, tmp_path):
     first = results_of(run, "stop recording", "tare", "tare", "mark", "start recording", "start recording")
     assert [result.accepted for result in first] == [False, True, False, True, True, False]
     assert first[3].text == "mark: here"
+    assert first[4].text == f"recording to {tmp_path / 'touch.csv'}"
     assert all(result.text in run[1] for result in first if not result.accepted)
     second = results_of(run, "stop recording", "stop recording", "stop", "mark")
     assert [result.accepted for result in second] == [True, False, True]  # nothing is executed after the end
+    assert second[0].text.startswith("recorded ") and second[0].text.endswith(str(tmp_path / "touch.csv"))
     assert list(run[2]) == [] and (tmp_path / "touch.csv").exists()
 
 

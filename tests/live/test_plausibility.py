@@ -12,8 +12,9 @@ from probedesign.live.poses.track import TimedPose
 from probedesign.live.processing.averaging import choose_averaging
 from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.control import ProcessingOptions, TareWindow
-from probedesign.live.processing.plausibility import LEAP_HOLD, TravelCheck
+from probedesign.live.processing.plausibility import CLOCK_HOLD, LEAP_HOLD, TravelCheck
 from probedesign.live.recordings.csv import write_recording
+from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_recording, estimate_stream
 from probedesign.live.sources.replay import ReplaySource
 from probedesign.live.sources.source import open_source
@@ -22,9 +23,9 @@ from tests.live.peers import box
 
 RATE, SAMPLES = 2000.0, 36
 FAULT = (3.0, 4.5)
-"""Time of each fault [s], longer than the second in which a dead channel and noise are found."""
-MARGIN = 1.3
-"""Time after its end by which a fault must have ended [s]: noise is measured over the last second."""
+"""Time of each fault [s], longer than the second in which a dead channel is found."""
+MARGIN = 0.4
+"""Time after its end by which a fault must have ended [s]: noise is measured over the last quarter of a second."""
 
 
 @pytest.fixture(scope="module")
@@ -64,8 +65,8 @@ def thousandth(wrench, inside, model):
 
 @pytest.mark.parametrize(
     ("change", "named", "found_after"),
-    [(frozen, "frozen", 0.05), (dead, "My", 1.1), (saturated, "Fy", 0.0), (noisy, "scatter", 1.3),
-     (thousandth, "scatter", 1.3)],
+    [(frozen, "frozen", 0.05), (dead, "My", 1.1), (saturated, "Fy", 0.0), (noisy, "scatter", 0.3),
+     (thousandth, "scatter", 0.15)],
 )  # fmt: skip
 def test_a_fault_in_a_file_has_no_position_and_ends(change, named, found_after, estimator, free, tmp_path):
     time, wrench = free[0], free[1].copy()
@@ -92,19 +93,22 @@ def test_a_healthy_sensor_has_no_fault(estimator, free, tmp_path):
     assert {row["result"] for row in rows} == {"no_contact"} and len(rows) == len(free[0]) // SAMPLES
 
 
-def test_frozen_values_and_a_leap_of_the_counter_at_the_wire(estimator):
-    """The sequence numbers run on in the first, and leap by three seconds in the second."""
+def test_frozen_values_and_a_leap_of_the_counter_at_the_wire(estimator, tmp_path):
+    """The sequence numbers run on in the first, and leap by three seconds in the second. A replay has the same faults,
+    although a recording contains no arrival."""
     pytest.importorskip("pynetft")
+    recorded, by_time = McapRecorder(tmp_path / "faults.mcap", estimator.model), {}
     model, lines, faults, leapt = estimator.model, [], [], 0
     still = model.to_sensor(estimator.free().wrench_base, model.gravity_base)
     with box(estimator, load=still) as peer:
         read = peer._transducer.read
         stream = estimate_stream(
             estimator, open_source(peer.source, model, lines.append),
-            ProcessingOptions(TareWindow(0.0, 0.5), SAMPLES), lines.append,
+            ProcessingOptions(TareWindow(0.0, 0.5), SAMPLES), lines.append, recorded,
         )  # fmt: skip
         for count, update in enumerate(stream, 1):
             faults.append(update.reading.fault)
+            by_time[update.reading.time] = update.reading.fault
             if count == 20:
                 kept = read(np.zeros(1), 1e-3, peer.configuration)
 
@@ -117,7 +121,7 @@ def test_frozen_values_and_a_leap_of_the_counter_at_the_wire(estimator):
             if count == 120:
                 peer._zero -= 3.0
             leapt = leapt or count * any("leapt" in line for line in lines)
-            if count == 3000 or (leapt and count == leapt + 50):
+            if count == 3000 or (leapt and count == leapt + 100):
                 stream.close()
                 break
     assert any("frozen" in fault for fault in faults[20:70])
@@ -125,6 +129,16 @@ def test_frozen_values_and_a_leap_of_the_counter_at_the_wire(estimator):
     # The estimate at the leap itself may be skipped as too late; the box sends a second of what it missed after it.
     assert sum("leapt ahead by" in line for line in lines) == 1
     assert faults[-10:] == [""] * 10
+    recorded.close()
+    source = ReplaySource(estimator.model, tmp_path / "faults.mcap", "speed=max")
+    options = ProcessingOptions(TareWindow(0.0, 0.5), SAMPLES)
+    replayed = {
+        update.reading.time: update.reading.fault
+        for update in estimate_stream(estimator, source, options, lambda line: None)
+    }
+    assert {time: replayed[time] for time in by_time} == by_time
+    # the live run may have skipped all of these as too late
+    assert sum("leapt" in fault for fault in replayed.values()) > 0.5 * CLOCK_HOLD * 7000.0 / SAMPLES
 
 
 # poses
@@ -195,20 +209,66 @@ def test_samples_and_means_are_told_apart(rate, averaged, estimator):
     assert found.samples == model.averaging_samples // averaged
 
 
+def test_noise_beyond_that_of_samples_is_not_averaged_longer(estimator):
+    """A hundred times the noise of single samples would be that of means of 360,000 samples."""
+    model, rng = estimator.model, np.random.default_rng(2)
+    noise = 100.0 * model.noise.std * np.sqrt(model.averaging_samples)
+    found = choose_averaging(np.arange(64) / 1000.0, noise * rng.normal(size=(64, 6)), model)
+    assert found.samples == model.averaging_samples and "noise of single samples" in found.summary
+    assert found.duration == pytest.approx(model.averaging_samples / 1000.0)
+
+
 def test_without_noise_the_rate_decides(estimator):
     still = np.tile(np.arange(6.0), (64, 1))
     for rate, samples in ((100.0, 1), (7000.0, estimator.model.averaging_samples)):
         assert choose_averaging(np.arange(64) / rate, still, estimator.model).samples == samples
 
 
+@pytest.mark.parametrize("rate", [10.0, 50.0, 194.0])
+def test_noise_of_means_is_a_fault_from_the_first_reading(rate, estimator, tmp_path):
+    """Eight times the stated noise, where the rate does not separate noise from motion. Eight readings find it in four
+    of five cases and twelve in 98 %."""
+    model, rng = estimator.model, np.random.default_rng(3)
+    n = int(6.0 * rate)
+    still = model.to_sensor(estimator.free().wrench_base, model.gravity_base)
+    write_recording(
+        tmp_path / "noisy.csv",
+        np.arange(n) / rate,
+        still + 8.0 * model.noise.std * rng.normal(size=(n, 6)),
+    )
+    source = ReplaySource(model, tmp_path / "noisy.csv", "speed=max")
+    options = ProcessingOptions(samples=1, zero="trusted")
+    updates = list(estimate_stream(estimator, source, options, lambda line: None))
+    assert len(updates) == n and all("scatters" in u.reading.fault for u in updates)
+    assert {u.estimate.result for u in updates} == {"out_of_range"}
+
+
+@pytest.mark.parametrize("rate", [10.0, 25.0, 100.0])
+def test_a_probe_that_sways_and_is_touched_at_a_low_rate_has_no_fault(rate, estimator, tmp_path):
+    """A force of 20 mN that changes at random from reading to reading, in all three components, at 0.6 L."""
+    model, rng = estimator.model, np.random.default_rng(6)
+    n = int(20.0 * rate)
+    s = 0.6 * model.rod.length
+    arm = np.array([[0.0, -s, 0.0], [s, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    force = 0.02 * rng.normal(size=(n, 3))
+    wrench = estimator.free().wrench_base + np.hstack([force, force @ arm.T])
+    read = model.to_sensor(wrench, model.gravity_base) + model.noise.std * rng.normal(size=(n, 6))
+    write_recording(tmp_path / "swaying.csv", np.arange(n) / rate, read)
+    source = ReplaySource(model, tmp_path / "swaying.csv", "speed=max")
+    options = ProcessingOptions(samples=1, zero="trusted", rate=2.0)
+    updates = list(estimate_stream(estimator, source, options, lambda line: None))
+    assert updates and not any(u.reading.fault for u in updates)
+
+
 def test_raw_samples_without_averaging_are_a_fault(estimator, free, tmp_path):
-    """`--average 1` for single samples: their noise is six times that of the model's means."""
+    """`--average 1` for single samples: their noise is six times that of the model's means. Sixteen show it surely, so
+    that only the first estimate may precede it."""
     write_recording(tmp_path / "raw.csv", *free)
     source = ReplaySource(estimator.model, tmp_path / "raw.csv", "speed=max")
     options = ProcessingOptions(samples=1, rate=5.0, seconds=3.0, zero="trusted")
     updates = list(estimate_stream(estimator, source, options, lambda line: None))
-    late = [u for u in updates if u.reading.time > 1.5]
-    assert {u.estimate.result for u in late} == {"out_of_range"} and "averaged" in late[0].reading.fault
+    assert {u.estimate.result for u in updates[1:]} == {"out_of_range"}
+    assert "averaged" in updates[1].reading.fault
 
 
 # the zero
@@ -256,5 +316,29 @@ def test_an_automatic_tare_waits_for_rest(estimator, mounted, tmp_path):
         for r in readings
     ]
     write_recording(tmp_path / "moved.csv", [r.time for r in moved], [r.wrench_sensor for r in moved])
+    source, lines = ReplaySource(estimator.model, tmp_path / "moved.csv", "speed=max"), []
+    list(estimate_stream(estimator, source, ProcessingOptions(zero="auto"), lines.append))
+    waits = [line for line in lines if "waits for" in line]
+    assert len(waits) == 1 and "My scatters by" in waits[0]
     tare = estimate_recording(estimator, tmp_path / "moved.csv", zero="auto").tare
     assert tare is not None and 2.5 < tare.window.start < 4.5
+
+
+def test_an_automatic_tare_without_rest_names_its_reason_and_no_window(estimator, mounted, tmp_path):
+    readings = [r for block in ReplaySource(estimator.model, mounted, "speed=max") for r in block.readings()]
+    moved = [r.wrench_sensor + 1e-3 * np.sin(9.0 * r.time) * np.eye(6)[4] for r in readings]
+    write_recording(tmp_path / "moved.csv", [r.time for r in readings], moved)
+    for run in (
+        lambda: estimate_recording(estimator, tmp_path / "moved.csv", zero="auto"),
+        lambda: list(
+            estimate_stream(
+                estimator,
+                ReplaySource(estimator.model, tmp_path / "moved.csv", "speed=max"),
+                ProcessingOptions(zero="auto"),
+                print,
+            )
+        ),
+    ):
+        with pytest.raises(InputError, match="no 1 s at rest: My scatters by") as error:
+            run()
+        assert "window" not in str(error.value)

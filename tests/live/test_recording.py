@@ -22,6 +22,7 @@ from probedesign.live.run import estimate_stream
 from probedesign.live.sources.replay import open_recording
 from probedesign.live.sources.sim import SimulatedSource
 from tests.live.mcap_files import block, joined, read, same
+from tests.live.peers import until
 
 SIM = "speed=max&rate_hz=60&seconds=4"
 
@@ -157,20 +158,21 @@ def test_each_start_is_a_new_file(model, tmp_path):
     with closing(RecordingSink(path, model, log_lines.append)) as recordings:
         recordings.on_samples(block(0, 3))  # before the start: recorded nowhere
         for i in range(1, 4):
-            recordings.start()
+            assert recordings.start() == f"recording to {recordings.path}"
+            written = recordings.path
             recordings.on_samples(block(3 * i, 3))
+            assert recordings.stop() == f"recorded 3 readings to {written}"
+        with pytest.raises(InputError, match="no recording is active"):
             recordings.stop()
-        recordings.stop()
         recordings.start()
-        recordings.start()
+        with pytest.raises(InputError, match=r"recording to .*r-4\.mcap is already active"):
+            recordings.start()
     names = ["r.mcap", "r-2.mcap", "r-3.mcap", "r-4.mcap"]
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names)
     for i, name in enumerate(names[:3], 1):
         (only,) = read(tmp_path / name, model)[1]
         assert same(only, block(3 * i, 3))
-    assert log_lines[:2] == [f"recording to {path}", f"recorded 3 readings to {path}"]
-    assert log_lines[6:8] == ["no recording is active", f"recording to {tmp_path / 'r-4.mcap'}"]
-    assert log_lines[8] == f"recording to {tmp_path / 'r-4.mcap'} is already active"
+    assert log_lines == [f"recorded 0 readings to {tmp_path / 'r-4.mcap'}"]
 
 
 def test_no_file_is_overwritten_without_force(model, tmp_path):
@@ -226,6 +228,39 @@ def test_a_recording_is_split_by_size_without_a_reading_lost(model, tmp_path, ki
     assert [line for line in log_lines if "continues in" in line] == [
         f"recording continues in {part}" for part in paths[1:]
     ]
+
+
+def test_no_part_of_a_split_recording_is_replaced_while_it_is_written(model, tmp_path):
+    """The first part, an earlier one and the current one; a recording with such a name beside it is not concerned."""
+    path = tmp_path / "r.csv"
+    with closing(RecordingSink(path, model, print, limits=SplitLimits(size=1000))) as sink:
+        sink.start()
+        for i in range(4):
+            sink.on_samples(block(i * 10, 10))
+            until(lambda i=i: sink._current[1].readings == 10 * i + 10)
+        contents = {part: part.read_bytes() for part in tmp_path.iterdir()}
+        assert len(contents) == 4
+        for part in contents:
+            with pytest.raises(InputError, match="another program is writing"):
+                RecordingSink(part, model, print, force=True).start()
+        assert {part: part.read_bytes() for part in tmp_path.iterdir()} == contents
+        with closing(RecordingSink(tmp_path / "q-2.csv", model, print)) as other:
+            other.start()
+    for part in contents:
+        with closing(RecordingSink(part, model, print, force=True)) as other:
+            other.start()
+
+
+def test_complete_parts_may_be_moved_while_the_recording_continues(model, tmp_path):
+    path = tmp_path / "r.csv"
+    with closing(RecordingSink(path, model, print, limits=SplitLimits(size=1000))) as sink:
+        sink.start()
+        for i in range(4):
+            sink.on_samples(block(i * 10, 10))
+            until(lambda i=i: sink._current[1].readings == 10 * i + 10)
+            path.unlink(missing_ok=True)
+        assert not sink._current[1].failure
+    assert sorted(part.name for part in tmp_path.iterdir()) == ["r-2.csv", "r-3.csv", "r-4.csv"]
 
 
 def test_a_recording_is_split_by_time(model, tmp_path):

@@ -42,7 +42,7 @@ def test_wrenches_of_a_topic(ros2, estimator, query, unit):
     assert readings[0].wrench_sensor == pytest.approx([0.25, 0, 0, 0, 0, 0.004 * unit], abs=1e-15)
     assert readings[0].time >= 100.0 and (np.diff([r.time for r in readings]) > 0.0).all()
     assert any("'tool0' is interpreted as the sensor frame" in line for line in lines)
-    bridge = source._guard._process
+    bridge = source._sender._process
     assert bridge.poll() is not None  # it ends with the source
 
 

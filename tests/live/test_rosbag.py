@@ -157,7 +157,7 @@ def test_what_is_not_there_is_one_line(model, tmp_path):
         with pytest.raises(InputError, match=r"no such recording|does not exist|cannot be read"):
             read(tmp_path / name, model)
     (tmp_path / "folder").mkdir()
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="is a folder without"):
         read(tmp_path / "folder", model)
 
 

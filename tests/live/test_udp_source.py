@@ -150,6 +150,20 @@ def test_lost_and_late_datagrams_are_counted_by_their_sequence(opened):
     assert reader.source._listener.counts["late or duplicated"] == 2
 
 
+def test_a_leap_of_the_sequence_is_rejected_and_named(opened):
+    """A million datagrams cannot be lost in the second since the last; a sender that goes on there begins anew."""
+    reader, sender = opened
+    for sequence in (1, 2, 1_000_002, 3):
+        sender.send(sequence=sequence)
+    reader.wait(lambda: len(reader.readings) == 3)
+    assert reader.source._listener.counts["leaping in sequence"] == 1
+    assert any("sequence leaps by 1000000" in line for line in reader.lines)
+    time.sleep(SENDER_TIMEOUT)
+    sender.send(sequence=1_000_003)
+    reader.wait(lambda: len(reader.readings) == 4)
+    assert reader.source.counts["lost"] == 0 and reader.readings[-1].stretch == 1
+
+
 def test_a_fault_of_the_sender_is_that_of_the_reading(opened):
     reader, sender = opened
     sender.send(fault="saturated\x1b[2J")
@@ -162,11 +176,12 @@ def test_without_time_stamps_the_arrival_counts(opened):
     """From zero; a busy receiver may take both at once."""
     reader, sender = opened
     sender.send()
+    reader.wait(lambda: len(reader.readings) == 1)
     sender.send()
     reader.wait(lambda: len(reader.readings) == 2)
     first, second = reader.readings
     assert first.time == 0.0 and second.time == pytest.approx(second.received - first.received, abs=1e-9)
-    assert second.time > 0.0
+    assert second.received > first.received  # the first had been read when the second was sent
 
 
 def test_silence_is_reported_and_a_restarted_sender_continues_the_time(opened):

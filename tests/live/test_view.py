@@ -13,7 +13,7 @@ from rich.console import Console
 from probedesign.core.frames import pose
 from probedesign.core.stl import RECORD
 from probedesign.estimation.estimate import RESULTS, Estimate
-from probedesign.live.outputs.drawing import SIDES, BentShape, TubeMesh, centreline, ellipsoid
+from probedesign.live.outputs.drawing import SIDES, BentShape, ContactMarker, TubeMesh, centreline, ellipsoid
 from probedesign.live.processing.blocks import Block, WrenchReading
 from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.processing.estimates import EstimateUpdate, readable_line
@@ -21,7 +21,7 @@ from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.view.page import events_html, status_html
 from probedesign.live.view.scene import StripCharts, read_stl, rigid_parts
-from probedesign.live.view.sinks import TerminalView, table_of
+from probedesign.live.view.sinks import TerminalView, scene_setup, table_of
 from probedesign.live.view.state import STRIP, Event, Snapshot, StatusLine, ViewState
 
 
@@ -404,3 +404,34 @@ def test_the_terminal_is_left_as_it_was(estimator):
     drawn = console.file.getvalue()
     assert "no_contact" in drawn and "from [bold]100[/bold] readings" in drawn
     assert drawn.index("\x1b[?25l") < drawn.rindex("\x1b[?25h")  # the cursor is back
+
+
+def test_the_label_of_a_contact_extends_toward_the_middle_of_the_view(estimator, tmp_path):
+    """A panel or the edge of the screen covers what extends outward."""
+    pytest.importorskip("viser")
+    from probedesign.live.view.page import ViewerPage
+
+    page = ViewerPage(
+        scene_setup(estimator, tmp_path, "127.0.0.1", 8123, lambda line: None), lambda name, text: None
+    )
+    free = estimator.free()
+    g, anchors = estimator.model.gravity_base, []
+    side = np.cross(g, (0.0, 0.0, 1.0))
+    try:
+        for part in (0.1, 0.5, 0.95):
+            s = part * estimator.model.rod.length
+            marker = ContactMarker(
+                free.p_at(s), 1e-6 * np.eye(3), 0.02 * side / np.linalg.norm(side), s, 1e-3, False, 0.0, 1
+            )
+            page.show(Snapshot(result="ok", marker=marker, gravity_base=g))
+            anchors.append(page._label.anchor)
+            # numbers of earlier touches are hidden below the label only
+            inward = {"bottom-left": 1.0, "bottom-center": 0.0, "bottom-right": -1.0}[page._label.anchor]
+            here, right = np.asarray(page._label.position), np.cross(-page._direction, (0.0, 0.0, 1.0))
+            step = 2.0 * right / np.linalg.norm(right)  # a tenth of a metre, two thirds of the probe
+            assert page._is_covered(here + 0.5 * inward * step)
+            assert not page._is_covered(here - inward * step + (0.0, 0.0, -2.0))
+    finally:
+        page.stop()
+    # The first view has the root on one side and the tip on the other.
+    assert anchors == ["bottom-left", "bottom-center", "bottom-right"]

@@ -190,3 +190,22 @@ def test_a_negative_seed_is_refused(probe, tmp_path, capsys):
     assert "--seed -1" in refused(
         capsys, ["explore", str(probe), "--rehearse", str(tmp_path), "--seed", "-1"]
     )
+
+
+def test_a_live_source_with_positions_in_metres_gives_no_points(probe, house, tmp_path, capsys):
+    """As `live` does: 0.4 in x_mm. A recording with such poses is refused before it is read."""
+    lines = (house[1] / "poses.csv").read_text().splitlines()
+    header, *rows = (line for line in lines if not line.startswith("#"))
+    metres = [
+        ",".join(
+            [row.split(",")[0], *(repr(float(x) / 1000.0) for x in row.split(",")[1:4]), *row.split(",")[4:]]
+        )
+        for row in rows
+    ]
+    (tmp_path / "metres.csv").write_text("\n".join([header, *metres]) + "\n")
+    replayed = ["explore", str(probe), "--source", f"replay:{house[1] / 'house.mcap'}?speed=max", "--json",
+                "--average", "36", "--tare-s", "0.5:3.5", "--pose", str(tmp_path / "metres.csv")]  # fmt: skip
+    assert run(replayed) == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["points"] == []
+    assert "in metres" in printed.err and printed.err.count("ended: inconsistent") == len(house[0].touches)

@@ -113,7 +113,7 @@ class OutputOptions:
                 )
             )
         if self.record is not None:  # after the views, which show recording by its events
-            recordings.start()
+            sinks.log(recordings.start())
 
 
 def _give_to_all(takers: Sequence[Callable[[TimedPose], None]], pose: TimedPose) -> None:

@@ -19,6 +19,7 @@ from probedesign.live.outputs.sinks import Sink
 from probedesign.live.poses.track import TimedPose
 from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.estimates import EstimateUpdate
+from probedesign.live.recordings import FileLock, part_path
 
 MAX_QUEUED_READINGS = 65_536
 """Maximum number of queued readings: 9 s at the 7000 Hz of a Net F/T box, 5 MB."""
@@ -257,6 +258,7 @@ class SplitRecording(Sink):
         """Open the first file; `open_next` opens a file, and `log` receives a line for each further one."""
         self._open_next, self._limits, self._log = open_next, limits, log
         self._n_before = 0
+        self._first_lock: FileLock | None = None
         self.path, self._file = open_next()
         self.first_path = self.path
         self._opened = time.monotonic()
@@ -279,8 +281,10 @@ class SplitRecording(Sink):
         self._file.on_samples(block)
 
     def _continue(self) -> None:
-        """Close the file and open the next."""
+        """Close the file and open the next; the first one stays locked, and with it the series."""
         self._file.close()
+        with suppress(OSError):  # the user has moved it
+            self._first_lock = self._first_lock or FileLock(self.first_path)
         path, file = self._open_next()
         self._n_before += self._file.readings
         self.path, self._file, self._opened = path, file, time.monotonic()
@@ -308,7 +312,11 @@ class SplitRecording(Sink):
 
     def close(self) -> None:
         """Close the file."""
-        self._file.close()
+        try:
+            self._file.close()
+        finally:
+            if self._first_lock is not None:
+                self._first_lock.close()
 
 
 class RecordingSink(Sink):
@@ -337,7 +345,7 @@ class RecordingSink(Sink):
         self._model, self._log, self._metadata = model, log, metadata or {}
         self._force, self._limits = force and path is not None, limits
         self._current: tuple[SplitRecording, BackgroundWriter] | None = None
-        self._started = False
+        self._number = 0  # of the newest file
 
     @property
     def path(self) -> Path | None:
@@ -353,36 +361,41 @@ class RecordingSink(Sink):
             return "", f"ended: {writer.failure}"
         return f"to {recording.path}, {writer.readings} readings", ""
 
-    def start(self) -> None:
-        """Open the next file.
+    def start(self) -> str:
+        """Open the next file, and return a line that names it.
 
         Raises:
-            InputError: it exists or cannot be written.
+            InputError: a recording is active already, or the file exists or cannot be written.
             MissingDependencyError: the package that writes it is not installed.
         """
-        if self._current is not None:
-            self._log(f"recording to {self.path} is already active")
-            return
+        if self._current is not None and not self._current[1].failure:
+            raise InputError(f"recording to {self.path} is already active")
+        self.close()
         recording = SplitRecording(self._open_next, self._limits, self._log)
         self._current = recording, BackgroundWriter(recording, str(recording.path), self._log)
-        self._log(f"recording to {recording.path}")
+        return f"recording to {recording.path}"
 
     def _open_next(self) -> tuple[Path, RecordingFile]:
-        path = _unused_path(self._path) if self._started else self._path
-        file = open_recording_file(path, self._model, self._force and not self._started, self._metadata)
-        self._started = True
+        number, path = self._number + 1, self._path
+        while number > 1 and (path := part_path(self._path, number)).exists():
+            number += 1
+        file = open_recording_file(path, self._model, self._force and number == 1, self._metadata)
+        self._number = number
         return path, file
 
-    def stop(self) -> None:
-        """Close the file."""
+    def stop(self) -> str:
+        """Close the file, and return a line that names it.
+
+        Raises:
+            InputError: no recording is active.
+        """
         if self._current is None:
-            self._log("no recording is active")
-            return
+            raise InputError("no recording is active")
         (recording, writer), self._current = self._current, None
         writer.close()
         first = recording.first_path
         files = f"{recording.path}" if first == recording.path else f"{first} ... {recording.path.name}"
-        self._log(f"recorded {writer.readings} readings to {files}")
+        return f"recorded {writer.readings} readings to {files}"
 
     def on_samples(self, block: Block) -> None:
         """Record readings; see `Sink`."""
@@ -405,15 +418,6 @@ class RecordingSink(Sink):
             self._current[1].on_event(time, line)
 
     def close(self) -> None:
-        """Close the current file, if any."""
+        """Close the current file, if any, and report it."""
         if self._current is not None:
-            self.stop()
-
-
-def _unused_path(path: Path) -> Path:
-    """Return the first of NAME, NAME-2, NAME-3, ... that does not exist."""
-    number, unused = 1, path
-    while unused.exists():
-        number += 1
-        unused = path.with_stem(f"{path.stem}-{number}")
-    return unused
+            self._log(self.stop())

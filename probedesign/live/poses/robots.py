@@ -7,13 +7,14 @@ Source: the docstrings of ur_rtde 1.6.5 and franky-control 2.0.0. Neither has be
 """
 
 import threading
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Mapping
 from time import monotonic, sleep
 
 from probedesign.core.csv_tables import plain
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.live import split_address
+from probedesign.live.handover import Handover
 from probedesign.live.poses.track import TimedPose, timed_pose
 
 POLL_PERIOD = 0.002
@@ -22,8 +23,6 @@ RETRY_PERIOD = 1.0
 """Interval between attempts to connect again [s]."""
 MAX_TRIES = 10
 """Maximum number of attempts to read a pose and its time from the same state."""
-MAX_QUEUED = 4096
-"""Maximum number of queued poses and messages."""
 
 Reader = Callable[[], TimedPose]
 """Returns the newest pose; raises any exception if the connection is lost."""
@@ -47,8 +46,7 @@ class RobotPoses:
         self.title, self.notes = title, ("the pose is that of the robot's tool centre point",)
         self.counts: Counter[str] = Counter()
         self._connect, self._period = connect, period
-        self._queue: deque[tuple[float, TimedPose, int]] = deque(maxlen=MAX_QUEUED)
-        self._messages: deque[str] = deque(maxlen=MAX_QUEUED)
+        self._queue, self._messages = Handover[tuple[float, TimedPose, int]](), Handover[str]()
         self._ended = threading.Event()
         try:
             self._reader: Reader | None = connect()
@@ -62,11 +60,11 @@ class RobotPoses:
 
     def pop(self) -> list[tuple[float, TimedPose, int]]:
         """Return the poses since the last call; see `PoseStream`."""
-        return [self._queue.popleft() for _ in range(len(self._queue))]
+        return self._queue.take()
 
     def pop_messages(self) -> list[str]:
         """Return the messages to the user since the last call."""
-        return [self._messages.popleft() for _ in range(len(self._messages))]
+        return self._messages.take()
 
     def close(self) -> None:
         """Stop polling; the connection ends with the thread."""

@@ -22,11 +22,24 @@ MEDIAN = 0.4549
 """Median of χ² with one degree of freedom."""
 
 
+LONG_MEAN = 0.25
+"""Duration of a mean from which it is stated [s]: a touch counts as settled after so long."""
+
+
 class Averaging(NamedTuple):
-    """How many readings are averaged to one, and why."""
+    """How many readings are averaged to one, why, and how long a mean takes [s]."""
 
     samples: int
     reason: str
+    duration: float = 0.0
+
+    @property
+    def summary(self) -> str:
+        """The number and its reason in one line; empty if readings are used as they are."""
+        if self.samples == 1:
+            return ""
+        long = f", a mean takes {self.duration:.2g} s" if self.duration > LONG_MEAN else ""
+        return f"{self.reason}: {self.samples} are averaged to one{long}"
 
 
 def readings_needed(time: Array) -> int:
@@ -37,11 +50,24 @@ def readings_needed(time: Array) -> int:
     return needed if complete else 0
 
 
+def second_differences(wrench_sensor: Array, std: Array) -> Array:
+    """Return the second differences of readings (n, 6), (n - 2, 6), of variance one for white noise.
+
+    A slow signal does not show in them.
+
+    Args:
+        wrench_sensor: the readings [N, N·m].
+        std: standard deviation of the noise of each channel [N, N·m], (6,).
+    """
+    return np.asarray(np.diff(wrench_sensor, 2, axis=0) / (math.sqrt(6.0) * std), dtype=float)
+
+
 def choose_averaging(time: Array, wrench_sensor: Array, model: ProbeModel) -> Averaging:
     """Return how many readings are to be averaged for the noise that the model states.
 
     The variance of the readings is measured by their second differences, in which a slow signal does not show. Where
-    these do not scatter like noise, the rate decides.
+    these do not scatter like noise, the rate decides. At most `averaging_samples` are averaged: readings that scatter
+    more than single samples do so for another reason than the missing mean, and a longer mean would only hide it.
 
     Args:
         time: of the first readings [s], (n,).
@@ -53,17 +79,21 @@ def choose_averaging(time: Array, wrench_sensor: Array, model: ProbeModel) -> Av
     rate = 1.0 / step if step > 0.0 else math.inf
     by_rate = most if rate > MAX_MEAN_RATE else 1
     if most == 1 or len(time) < MIN_READINGS:
-        return Averaging(by_rate, f"{rate:.4g} readings/s")
-    bends = np.diff(wrench_sensor, 2, axis=0) / (math.sqrt(6.0) * model.noise.std)
+        return Averaging(by_rate, f"{rate:.4g} readings/s", by_rate * step)
+    bends = second_differences(wrench_sensor, model.noise.std)
     power = float((bends * bends).sum())
     variance = float(np.median(bends * bends)) / MEDIAN
     white = power > 0.0 and float((bends[1:] * bends[:-1]).sum()) < WHITE * power
     if not white or not variance > 0.0:
-        return Averaging(by_rate, f"{rate:.4g} readings/s")
+        return Averaging(by_rate, f"{rate:.4g} readings/s", by_rate * step)
+    if variance > most * NEAR:
+        times = math.sqrt(variance / most)
+        return Averaging(
+            most, f"the readings scatter by {times:.2g} times the noise of single samples", most * step
+        )
     if variance > most / NEAR:
-        return Averaging(most, "the readings scatter like single samples")
+        return Averaging(most, "the readings scatter like single samples", most * step)
     if variance < NEAR:
-        return Averaging(1, "the readings scatter like means")
-    return Averaging(
-        round(variance), f"the readings scatter by {math.sqrt(variance):.2g} times the stated noise"
-    )
+        return Averaging(1, "the readings scatter like means", step)
+    n = round(variance)
+    return Averaging(n, f"the readings scatter by {math.sqrt(variance):.2g} times the stated noise", n * step)

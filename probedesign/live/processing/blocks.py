@@ -87,13 +87,10 @@ class Block:
 
     def __getitem__(self, index: slice) -> "Block":
         """Return a slice of the readings as a block."""
-        return replace(
-            self,
-            time=self.time[index],
-            wrench_sensor=self.wrench_sensor[index],
-            received=self.received[index],
-            truths=self.truths[index],
-        )
+        return Block(
+            self.time[index], self.wrench_sensor[index], self.gravity_base, self.received[index], self.fault,
+            self.stretch, self.truths[index],
+        )  # fmt: skip
 
     def readings(self) -> Iterator[WrenchReading]:
         """Iterate over the readings one by one."""
@@ -243,6 +240,11 @@ class BatchAverager:
         self._samples = samples
         self._pending: list[Block] = []
         self._count = 0
+
+    @property
+    def pending(self) -> int:
+        """Number of readings of the incomplete batch."""
+        return self._count
 
     def add(self, block: Block) -> Iterator[AveragedBatch]:
         """Yield each batch that a block completes; an incomplete batch is dropped at the end of a stretch."""

@@ -125,7 +125,7 @@ class Chain:
         self.samples, self._undecided = options.samples or 0, list[Block]()
         self._batches, self._waiting = BatchAverager(max(self.samples, 1)), deque[AveragedBatch]()
         takes_tare = tare is None and (options.window is not None or options.zero == "auto")
-        self._tare_collector = TareCollector(options.window, estimator) if takes_tare else None
+        self._tare_collector = TareCollector(options.window, estimator, log=log) if takes_tare else None
         self._zero_known = tare is not None or takes_tare or options.zero == "trusted"
         self._zero_reported = False
         self._signals = SignalMonitor(estimator.model, max(self.samples, 1), math.nan)
@@ -139,7 +139,7 @@ class Chain:
         self._now = -math.inf
         self.scheduler = EstimateScheduler(options.rate, log, MAX_AGE if options.estimates else math.inf)
         self._stretch = 0
-        self._state = TouchState("", None)
+        self._state, self._phase_before = TouchState("", None), ""
         self._pose_missing = False
 
     @property
@@ -178,8 +178,12 @@ class Chain:
             self._initialize()
         while self._waiting:
             yield from self._step(self._waiting.popleft(), math.inf)
+        if math.isnan(self._first) and self._batches.pending:
+            self._log(
+                f"{self._batches.pending} readings are fewer than the {self.samples} of a mean: no estimate"
+            )
         if self._tare_collector is not None and not self._tare_collector.on_request:
-            self._log(describe_tare(self._tare_collector.tare()))
+            self._log(describe_tare(self._tare_collector.at_end()))
 
     def take_tare(self) -> str:
         """Start a tare from the next readings; return what to do meanwhile. Its outcome is reported.
@@ -212,8 +216,8 @@ class Chain:
         needed = readings_needed(time) or len(time)
         chosen = choose_averaging(time[:needed], wrench[:needed], self._estimator.model)
         self.samples = chosen.samples
-        if chosen.samples > 1:
-            self._log(f"{chosen.reason}: {chosen.samples} are averaged to one")
+        if chosen.summary:
+            self._log(chosen.summary)
         self._batches = BatchAverager(self.samples)
         for block in self._undecided:
             self._waiting.extend(self._batches.add(block))
@@ -227,10 +231,12 @@ class Chain:
         time = np.concatenate([batch.block.time for batch in islice(self._waiting, needed)])
         step = float(np.median(np.diff(time))) or float(time[-1] - time[0]) / (len(time) - 1)
         self._rate = 1.0 / step if step > 0.0 else math.inf
+        known = self._rate if math.isfinite(self._rate) else math.nan
+        self._signals = SignalMonitor(self._estimator.model, self.samples, known)
+        self._signals.preview(islice(self._waiting, needed))
         if math.isinf(self._rate):
             self._log("the source's clock does not advance: phases and filter are off")
             return True
-        self._signals = SignalMonitor(self._estimator.model, self.samples, self._rate)
         if self._options.filter_hz is not None:
             self._low_pass = LowPass(self._options.filter_hz, self._rate)
             delay = 1e3 * self._low_pass.delay
@@ -255,7 +261,7 @@ class Chain:
             self._first = batch.reading.time
         # A fault of one sample is a fault of the whole batch: the mean would not show it.
         fault = batch.reading.fault or self._signals.fault(batch)
-        whole = replace(batch.reading, fault=fault)
+        whole = batch.reading if fault == batch.reading.fault else replace(batch.reading, fault=fault)
         reading = self._with_gravity(whole)
         self._report_pose(reading)
         self._faults.update(reading.time, "" if batch.reading.fault or self._pose_missing else reading.fault)
@@ -287,6 +293,13 @@ class Chain:
             estimate = locate(self._estimator, reading, self.tare, self._options.method, drift)
             self._contacts.locate(estimate, self._state.phase)
             self._check_travel(reading, estimate)
+        elif self._poses is not None:  # touches are located later: one reading of each stop checks the poses
+            stopped = self._state.phase == "settled" and self._phase_before != "settled"
+            at_stop = (
+                locate(self._estimator, reading, self.tare, self._options.method, drift) if stopped else None
+            )
+            self._check_travel(reading, at_stop)
+        self._phase_before = self._state.phase
         T = None if self._poses is None else self._poses.at(reading.time)
         free_of_bias = without_bias(reading, self.tare).wrench_sensor
         excess = np.zeros(6) if drift is None else drift.excess
@@ -300,21 +313,24 @@ class Chain:
             reading, estimate, *self._state, pose, wrench, monotonic(), stale, self.contacts, excess
         )
 
-    def _check_travel(self, reading: WrenchReading, estimate: Estimate) -> None:
-        """Check the travel of the base in a touch; a touch that fails has no point in the world."""
+    def _check_travel(self, reading: WrenchReading, estimate: Estimate | None) -> None:
+        """Check the travel of the base in a touch; a touch that fails has no point in the world.
+
+        `estimate` is that of the reading; None if it was not located.
+        """
         T = None if self._poses is None or reading.fault else self._poses.at(reading.time)
         if T is None or self._monitor is None:
             return
         if self._state.phase not in ("touching", "settled"):
             self._travel.on_free(T)
-        else:
+        elif estimate is not None:
             deflection = math.nan
             if estimate.ok:
                 free = self._estimator.free(reading.gravity_base).p_at(estimate.s_contact)
                 deflection = float(np.linalg.norm(estimate.p_contact_base - free))
             self._travel.on_contact(T, deflection)
-            self._contacts.refused = bool(self._travel.fault)
-            if self._contacts.refused:
+            self._contacts.refuse(bool(self._travel.fault))
+            if self._travel.fault:
                 self._state = self._state._replace(fused=FusedEstimate("inconsistent"))
         self._travel_faults.update(reading.time, self._travel.fault)
 

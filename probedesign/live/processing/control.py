@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from queue import Empty, SimpleQueue
 from time import monotonic
 from typing import Literal, NamedTuple, Protocol
@@ -28,8 +27,8 @@ second add little to it."""
 TARE_DURATION = 2.0
 """Duration of a tare requested during a run [s]; at 194 readings per second the noise of the mean is a twentieth of
 theirs."""
-REST_TIME = 1.0
-"""Duration of the rest that an automatic tare uses [s]."""
+REST_TIME, REST_WAIT = 1.0, 3.0
+"""Duration of the rest that an automatic tare uses, and of the wait after which its reason is reported [s]."""
 CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 Zero = Literal["checked", "auto", "trusted"]
@@ -70,10 +69,17 @@ class TareCollector:
         on_request: whether the tare was requested during the run; otherwise it precedes all estimates.
     """
 
-    def __init__(self, window: TareWindow | None, estimator: Estimator, on_request: bool = False) -> None:
-        """Start with no readings."""
-        self.window, self.on_request, self._estimator = window, on_request, estimator
+    def __init__(
+        self,
+        window: TareWindow | None,
+        estimator: Estimator,
+        on_request: bool = False,
+        log: Log = lambda line: None,
+    ) -> None:
+        """Start with no readings; `log` receives what an automatic tare waits for."""
+        self.window, self.on_request, self._estimator, self._log = window, on_request, estimator, log
         self._readings: list[tuple[float, WrenchReading]] = []
+        self._unrest, self._reported = f"there were fewer than {MIN_READINGS} readings in it", False
 
     @property
     def start(self) -> float:
@@ -92,8 +98,12 @@ class TareCollector:
 
     def _rests(self, reading: WrenchReading, since: float) -> bool:
         """Add a reading and return whether those of the last `REST_TIME` are at rest; if not, wait for half of it."""
+        if since > REST_WAIT and not self._reported:
+            self._reported = True
+            self._log(f"--tare auto waits for {REST_TIME:g} s at rest: {self._unrest}")
         if reading.fault:
             self._readings.clear()
+            self._unrest = reading.fault
             return False
         self._readings.append((since, reading))
         n, span = len(self._readings), since - self.start
@@ -101,19 +111,32 @@ class TareCollector:
             return False
         try:
             self.tare()
-        except InputError:
-            self._readings = self._readings[n // 2 :]
+        except InputError as error:
+            self._readings, self._unrest = self._readings[n // 2 :], str(error)
             return False
         return True
 
     def tare(self) -> Tare:
         """Return the tare; see `take_tare`."""
+        readings = [reading for _, reading in self._readings]
         if self.window is not None:
-            return take_tare([reading for _, reading in self._readings], self.window, self._estimator)
-        if not self._readings:
-            raise InputError("--tare auto found no reading at rest; give the time as --tare-s START:END")
-        window = TareWindow(self.start, self._readings[-1][0])
-        return take_tare([reading for _, reading in self._readings], window, self._estimator, steady=True)
+            return take_tare(readings, self.window, self._estimator)
+        return take_tare(
+            readings, TareWindow(self.start, self._readings[-1][0]), self._estimator, steady=True
+        )
+
+    def at_end(self) -> Tare:
+        """Return the tare at the end of the readings, within its window.
+
+        Raises:
+            InputError: the window cannot be used, or there was no rest.
+        """
+        if self.window is not None:
+            return self.tare()
+        raise InputError(
+            f"--tare auto found no {REST_TIME:g} s at rest: {self._unrest}; give the time when the probe is free as "
+            "--tare-s START:END"
+        )
 
 
 def find_rest(readings: list[WrenchReading], estimator: Estimator) -> Tare:
@@ -126,9 +149,7 @@ def find_rest(readings: list[WrenchReading], estimator: Estimator) -> Tare:
     for reading in readings:
         if collector.add(reading, reading.time - readings[0].time):
             return collector.tare()
-    raise InputError(
-        f"--tare auto found no {REST_TIME:g} s at rest; give the time when the probe is free as --tare-s START:END"
-    )
+    return collector.at_end()
 
 
 def parse_window(text: str) -> TareWindow:
@@ -165,16 +186,18 @@ def take_tare(
     """Estimate the sensor bias from readings of a window in which nothing touches the probe.
 
     A constant contact force cannot be distinguished from a bias; the user is responsible for a free probe. With
-    `steady`, the means of the two halves of the window must agree, too.
+    `steady`, the means of the two halves of the window must agree, too, and errors do not name the window, which the
+    user did not choose.
 
     Raises:
         InputError: there are too few readings, or they scatter more than those of a free probe.
     """
-    label = f"tare window {window.start:g}:{window.end:g} s"
+    label = "" if steady else f"tare window {window.start:g}:{window.end:g} s "
+    unsteady = f"{label}is not steady: " if label else ""
     if len(readings) < MIN_READINGS:
-        raise InputError(f"{label} has {len(readings)} readings; a tare needs {MIN_READINGS}")
+        raise InputError(f"{label}has {len(readings)} readings; a tare needs {MIN_READINGS}")
     if fault := next((reading.fault for reading in readings if reading.fault), ""):
-        raise InputError(f"{label} has readings with a fault: {fault}")
+        raise InputError(f"{label}has readings with a fault: {fault}")
     excess = np.array([reading.wrench_sensor - _free_wrench(reading, estimator) for reading in readings])
     bias, std = excess.mean(axis=0), excess.std(axis=0, ddof=1)
     noise = estimator.model.noise.std
@@ -184,11 +207,12 @@ def take_tare(
         scatter = (
             f"{CHANNELS[i]} scatters by {std[i] * 1e3:.3g} {unit}, its noise is {noise[i] * 1e3:.3g} {unit}"
         )
-        raise InputError(f"{label} is not steady: {scatter}; touched, moving or not averaged?")
+        raise InputError(f"{unsteady}{scatter}; touched, moving or not averaged?")
     half = len(excess) // 2
     step = np.abs(excess[-half:].mean(axis=0) - excess[:half].mean(axis=0))
     if steady and (step > MAX_STEP * noise * math.sqrt(2.0 / half)).any():
-        raise InputError(f"{label} is not steady: a channel changes in it; touched or moving?")
+        i = int(np.argmax(step / noise))
+        raise InputError(f"{unsteady}{CHANNELS[i]} changes; touched or moving?")
     return Tare(bias, len(readings), window, readings[-1].time)
 
 
@@ -347,32 +371,17 @@ class CommandQueue:
 class Recordings(Protocol):
     """What starts and stops recordings, and reports it."""
 
-    @property
-    def path(self) -> Path | None:
-        """Path of the current file, or None."""
+    def start(self) -> str:
+        """Open the next file and return what is recorded; raises `ProbeDesignError` if that is refused."""
 
-    def start(self) -> None:
-        """Open the next file; raises `ProbeDesignError` if it cannot be written."""
-
-    def stop(self) -> None:
-        """Close the file."""
+    def stop(self) -> str:
+        """Close the file and return what was recorded; raises `ProbeDesignError` if there is none."""
 
 
 def register_recording(commands: CommandQueue, recordings: Recordings) -> None:
-    """Register the commands that start and stop recordings; each is refused where there is nothing to do."""
-
-    def start(command: Command) -> None:
-        if recordings.path is not None:
-            raise InputError(f"recording to {recordings.path} is already active")
-        recordings.start()
-
-    def stop(command: Command) -> None:
-        if recordings.path is None:
-            raise InputError("no recording is active")
-        recordings.stop()
-
-    commands.register("start recording", start)
-    commands.register("stop recording", stop)
+    """Register the commands that start and stop recordings."""
+    commands.register("start recording", lambda command: recordings.start())
+    commands.register("stop recording", lambda command: recordings.stop())
 
 
 MAX_AGE = 0.012

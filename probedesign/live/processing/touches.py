@@ -12,7 +12,6 @@ change; nothing moves and readings are collected. Three tests distinguish the ph
 """
 
 import math
-from collections import deque
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -45,6 +44,13 @@ MAX_MEANS = 64
 """Maximum number of values in the span; more readings are averaged."""
 
 
+_TRAVELS = np.zeros((12, 2))
+"""Squares of the elements of a step between two poses (3, 4) to those of its distance, and of its angle times `LEVER`:
+the Frobenius norm |R - R'| is 2√2 sin(angle/2), which is √2 angle for small angles."""
+_TRAVELS[3::4, 0] = 1.0
+_TRAVELS[np.arange(12) % 4 < 3, 1] = 0.5 * LEVER**2
+
+
 class StationarityTest:
     """Tests whether the readings of the last span vary by no more than their noise, and whether the base moves."""
 
@@ -54,7 +60,10 @@ class StationarityTest:
         self._period = max(1, math.ceil(SPAN * rate / MAX_MEANS))  # readings to a mean
         n = max(4, math.ceil(SPAN * rate / self._period))
         self._samples, self._filled = np.zeros((n, 6)), 0  # the last rows are filled
-        self._poses: deque[Array | None] = deque(maxlen=n)
+        self._poses, self._posed = (
+            np.zeros((n, 12)),
+            0,
+        )  # rows of each pose, and how many of the last rows are known
         self._sum, self._count = np.zeros(6), 0
         self._limits = chdtri(6 * (n - 1), 0.5 * FALSE_ALARM), chdtri(6, 0.5 * FALSE_ALARM)  # scatter, step
 
@@ -66,13 +75,14 @@ class StationarityTest:
             self._samples[:-1] = self._samples[1:]
             self._samples[-1] = self._whiten @ self._sum / math.sqrt(self._period)
             self._filled = min(self._filled + 1, len(self._samples))
-            self._poses.append(T_world_base)
+            self._posed = 0 if T_world_base is None else min(self._posed + 1, len(self._samples))
+            self._poses[:-1] = self._poses[1:]
+            self._poses[-1] = 0.0 if T_world_base is None else T_world_base[:3].ravel()
             self._sum, self._count = np.zeros(6), 0
 
     def reset(self) -> None:
         """Discard the span: its readings belong to another phase."""
-        self._filled = 0
-        self._poses.clear()
+        self._filled = self._posed = 0
         self._sum, self._count = np.zeros(6), 0
 
     @property
@@ -94,14 +104,10 @@ class StationarityTest:
     @property
     def moving(self) -> bool | None:
         """Whether the base moves; None if a pose is missing."""
-        poses = [T for T in self._poses if T is not None]
-        if not poses or len(poses) < len(self._poses):
+        if self._posed < max(self._filled, 1):
             return None
-        poses_array, last = np.array(poses), poses[-1]
-        distance = np.linalg.norm(poses_array[:, :3, 3] - last[:3, 3], axis=1)
-        # The Frobenius norm |R - R'| is 2√2 sin(angle/2), which is √2 angle for small angles.
-        rotation = np.linalg.norm(poses_array[:, :3, :3] - last[:3, :3], axis=(1, 2)) / math.sqrt(2.0)
-        return bool((np.maximum(distance, LEVER * rotation) > MAX_TRAVEL).any())
+        steps = self._poses[-self._filled :] - self._poses[-1]
+        return bool((steps * steps @ _TRAVELS).max() > MAX_TRAVEL**2)
 
 
 class PhaseTracker:
@@ -153,6 +159,7 @@ class Contact:
         settled: whether readings and base were stationary at any time during the touch.
         fused: fused estimate, the last one while settled, or the last one of all if the touch never settled.
         estimate: last located single-reading estimate, of settled readings if there are any.
+        refused: whether the poses of the base contradict the touch: then it has no point in the world.
     """
 
     number: int
@@ -161,6 +168,7 @@ class Contact:
     settled: bool = False
     fused: FusedEstimate | None = None
     estimate: Estimate | None = None
+    refused: bool = False
 
     @property
     def ongoing(self) -> bool:
@@ -189,12 +197,10 @@ class ContactHistory:
 
     Attributes:
         contacts: every touch, including the current one.
-        refused: whether the current touch contradicts the poses of the base: then it has no point in the world.
     """
 
     def __init__(self) -> None:
         self.contacts: tuple[Contact, ...] = ()
-        self.refused = False
         self._count = 0
 
     @property
@@ -210,8 +216,8 @@ class ContactHistory:
         if current is None:
             self._count += 1
             current = Contact(self._count, time)
-            self.contacts, self.refused = (*self.contacts[1 - MAX_CONTACTS :], current), False
-        if self.refused:
+            self.contacts = (*self.contacts[1 - MAX_CONTACTS :], current)
+        if current.refused:
             current = replace(current, fused=fused and FusedEstimate("inconsistent"))
         elif phase == "settled" or not current.settled:
             current = replace(current, fused=fused or current.fused)
@@ -225,6 +231,11 @@ class ContactHistory:
             return
         if phase == "settled" or not current.settled:
             self._replace_last(replace(current, estimate=estimate))
+
+    def refuse(self, refused: bool) -> None:
+        """State whether the poses of the base contradict the current touch."""
+        if self.current is not None:
+            self._replace_last(replace(self.current, refused=refused))
 
     def _replace_last(self, contact: Contact) -> Contact:
         self.contacts = (*self.contacts[:-1], contact)

@@ -1,6 +1,7 @@
 """Recordings: CSV with raw readings, and MCAP with standard ROS 2 messages in a file that survives a crash."""
 
 import os
+import re
 import sys
 from pathlib import Path
 
@@ -31,10 +32,11 @@ class AppendFile:
             path.parent.mkdir(parents=True, exist_ok=True)
             if force and path.exists() and not path.is_file():  # a pipe would block until someone reads it
                 raise InputError(f"{path}: cannot be written: it is not a regular file")
+            _check_series(path)
             self._file = os.open(path, flags, 0o644)
             if not _lock(self._file):
                 os.close(self._file)
-                raise InputError(f"{path}: another program is writing this file; choose another name")
+                raise _locked(path)
             os.ftruncate(self._file, 0)  # only now: the file of another writer is left as it is
         except FileExistsError:
             raise exists_already(path) from None
@@ -78,6 +80,43 @@ class AppendFile:
         """Close and delete the file."""
         self.close()
         self._path.unlink(missing_ok=True)
+
+
+def part_path(path: Path, number: int) -> Path:
+    """Return the path of a part of the recording that begins with a path: NAME-2, NAME-3, ..."""
+    return path.with_stem(f"{path.stem}-{number}")
+
+
+class FileLock:
+    """Keeps a file locked against other writers that has been written."""
+
+    def __init__(self, path: Path) -> None:
+        """Lock a file.
+
+        Raises:
+            InputError: another program is writing it.
+            OSError: it cannot be opened.
+        """
+        self._file = os.open(path, os.O_RDONLY)
+        if not _lock(self._file):
+            os.close(self._file)
+            raise _locked(path)
+
+    def close(self) -> None:
+        """Release the lock."""
+        os.close(self._file)
+
+
+def _check_series(path: Path) -> None:
+    """Refuse to replace a part of a recording whose first file is locked: its series is being written."""
+    stem, number = re.fullmatch(r"(.*?)(-\d+)?", path.stem, re.DOTALL).groups()  # type: ignore[union-attr]  # always matches
+    first = path.with_stem(stem) if number and stem else path
+    if first != path and path.exists() and first.is_file():
+        FileLock(first).close()
+
+
+def _locked(path: Path) -> InputError:
+    return InputError(f"{path}: another program is writing this file; choose another name")
 
 
 def _lock(file: int) -> bool:

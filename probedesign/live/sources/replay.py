@@ -106,6 +106,10 @@ def check_readable(path: Path) -> None:
     """
     if not path.exists():
         raise InputError(f"{path}: no such recording")
+    if path.is_dir() and not rosbag.is_bag(path):
+        raise InputError(
+            f"{path}: is a folder without metadata.yaml, so no ROS 2 bag; name a recording in it"
+        )
     for each in (path, *(path.iterdir() if path.is_dir() else ())):
         check_regular(each)
 
@@ -327,9 +331,9 @@ class ReplaySource:
             InputError: a parameter is invalid, the file is not a recording, or it is of another probe.
             MissingDependencyError: the package that reads it is not installed.
         """
-        path = Path(path)
-        if not path.name:
+        if not str(path):
             raise InputError("replay: a file is required; write replay:FILE")
+        path = Path(path)
         numbers, texts = parse_parameters("replay:", query, PARAMETERS, TEXT_PARAMETERS)
         given = {name: text for name, text in texts.items() if text}
         self._speed, self._log = numbers["speed"], log

@@ -17,6 +17,7 @@ from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.datagrams import (
+    MAX_TIME_JUMP,
     SENDER_TIMEOUT,
     StreamListener,
     decode_object,
@@ -103,15 +104,18 @@ class WrenchListener(StreamListener[WrenchDatagram]):
         if value.sequence is not None and last.sequence is not None:
             if value.sequence <= last.sequence:
                 return "late or duplicated", f"sequence {value.sequence} after {last.sequence}"
+            step = value.sequence - last.sequence
+            if step > MAX_RATE * (elapsed + MAX_TIME_JUMP):
+                return "leaping in sequence", f"sequence leaps by {step} within {1e3 * elapsed:.3g} ms"
             found = super().fault(value, last, elapsed)
             if found is None:
-                self.counts["lost"] += value.sequence - last.sequence - 1
+                self.counts["lost"] += step - 1
             return found
         return super().fault(value, last, elapsed)
 
 
-class Guard(Protocol):
-    """What the sender of the datagrams depends on, such as a process."""
+class SenderProcess(Protocol):
+    """A sender of the datagrams that runs as long as the source is read."""
 
     def start(self, address: tuple[str, int]) -> None:
         """Start to send to an address."""
@@ -150,7 +154,7 @@ class UdpSource:
         log: Log,
         frame: str = "",
         wait: float = PARAMETERS["wait_s"].default,
-        guard: Guard | None = None,
+        sender: SenderProcess | None = None,
     ) -> None:
         """Prepare; nothing is received yet.
 
@@ -161,10 +165,16 @@ class UdpSource:
             log: callback for messages.
             frame: frame of the wrenches; empty: the base frame if the datagrams name it `base`, else the sensor's.
             wait: maximum wait for the first wrench [s].
-            guard: sender that is started with the source, if any.
+            sender: process that is started with the source, if any.
         """
-        self.title, self.notes = title, (listener.access_note,) if guard is None else ()
-        self._model, self._listener, self._log, self._frame, self._guard = model, listener, log, frame, guard
+        self.title, self.notes = title, (listener.access_note,) if sender is None else ()
+        self._model, self._listener, self._log, self._frame, self._sender = (
+            model,
+            listener,
+            log,
+            frame,
+            sender,
+        )
         text = f"no wrench within {wait:g} s; check the sender, its address and port"
         self._dropout = DropoutMonitor(title, log, text, wait)
         self.counts: Counter[str] = Counter()
@@ -173,17 +183,22 @@ class UdpSource:
         self._intervals: deque[float] = deque(maxlen=USUAL_INTERVALS)
         self._reported = (0, -inf)
 
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port that receive."""
+        return self._listener.address
+
     def __iter__(self) -> Generator[Block, None, None]:
         self._dropout.restart()
         with closing(self._listener) as listener:
             listener.start()
             try:
-                if self._guard is not None:
-                    self._guard.start(listener.address)
+                if self._sender is not None:
+                    self._sender.start(listener.address)
                 yield from self._blocks(listener)
             finally:
-                if self._guard is not None:
-                    self._guard.close()
+                if self._sender is not None:
+                    self._sender.close()
                 self._report(listener)
                 self._log(f"{self.title}: {listener.summary}")
 
@@ -198,8 +213,8 @@ class UdpSource:
                 sleep(max(0.0, started + GATHER_TIME - monotonic()))
             elif started - self._arrival > self._stale_time:
                 self._report(listener)
-                if self._guard is not None:
-                    self._guard.check()
+                if self._sender is not None:
+                    self._sender.check()
                 self._dropout.on_silence(self._arrival, "is the sender running?")
                 yield dropout_block(self._model.gravity_base, self._dropout.reason, self._stretch)
 

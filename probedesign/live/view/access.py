@@ -39,13 +39,13 @@ def protect(title: str, token: str) -> None:
     def serve(
         handler: object, host: str, port: int, *, process_request: Handler | None, **options: object
     ) -> object:
-        guard = Guard(title, token, port, process_request)
-        return original(handler, host, port, process_request=guard, **options)  # type: ignore[arg-type]  # viser's
+        request_filter = RequestFilter(title, token, port, process_request)
+        return original(handler, host, port, process_request=request_filter, **options)  # type: ignore[arg-type]  # viser's
 
     server.serve = serve  # type: ignore[misc, assignment]
 
 
-class Guard:
+class RequestFilter:
     """Decides about each request, and completes the responses of viser's own handler."""
 
     def __init__(self, title: str, token: str, port: int, serve_file: Handler | None) -> None:

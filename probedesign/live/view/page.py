@@ -209,6 +209,11 @@ LABEL_GAP = 0.012
 FIELD_OF_VIEW = math.radians(40.0)
 DISTANCE, SHOWN_WIDTH = 2.5, 1.6
 """Distance of the camera at least, and width of the scene that is shown at least, in lengths of the probe."""
+LABEL_SIDE = 0.2
+"""Distance beside the middle of the view [lengths of the probe] from which a label extends toward the middle, and so is
+not behind a panel or beyond the edge of a small screen."""
+LABEL_WIDTH, LABEL_HEIGHT = 0.7, 0.08
+"""Size of the label of the contact at most, on a small screen [lengths of the probe]; numbers below it are hidden."""
 SMALL_WIDTH = 576
 """Width [px] up to which viser covers the lower part of the scene with its panel."""
 AGEING = 0.5
@@ -380,9 +385,28 @@ class ViewerPage:
         self._force.points = (UNIT * np.array([[tail, surface]])).astype(np.float32)
         self._contact.color = STALE_COLOUR if snapshot.stale else CONTACT
         self._label.position = UNIT * tail
+        beside, _ = self._in_view(UNIT * tail)
+        self._label.anchor = (
+            "bottom-center" if abs(beside) < LABEL_SIDE else "bottom-right" if beside > 0.0 else "bottom-left"
+        )
         place = f"s {1e3 * marker.s:.1f} ± {1e3 * marker.std_s:.1f} mm"
         fresh = f"{place}, {1e3 * strength:.1f} mN"
         self._label.text = f"{snapshot.age:.0f} s old: {place}" if snapshot.stale else fresh
+
+    def _in_view(self, position: Array) -> tuple[float, float]:
+        """Return how far right of and above the middle of the first view a point is, in lengths of the probe."""
+        right = np.cross(-self._direction, (0.0, 0.0, 1.0))
+        right /= np.linalg.norm(right)
+        off = (position - self._middle) / (UNIT * float(self._setup.tube.s[-1]))
+        return float(off @ right), float(off @ np.cross(self._direction, right))
+
+    def _is_covered(self, position: Array) -> bool:
+        """Return whether the label of the contact covers a point in the first view."""
+        if not self._label.visible:
+            return False
+        (x, y), (x0, y0) = self._in_view(position), self._in_view(np.asarray(self._label.position))
+        left = {"bottom-left": 0.0, "bottom-center": -0.5 * LABEL_WIDTH}.get(self._label.anchor, -LABEL_WIDTH)
+        return 0.0 < x - x0 - left < LABEL_WIDTH and -0.5 * LABEL_HEIGHT < y - y0 < 1.5 * LABEL_HEIGHT
 
     def _show_touches(self, touches: tuple[ContactMarker, ...]) -> None:
         """Show earlier contacts in grey, with the numbers of those that no later one covers."""
@@ -392,7 +416,8 @@ class ViewerPage:
         ]
         for i, ((mark, number), marker) in enumerate(zip(self._marks, shown, strict=False)):
             mark.visible, mark.position = True, UNIT * points[i]
-            number.visible = all(np.linalg.norm(later - points[i]) > LABEL_GAP for later in points[i + 1 :])
+            apart = all(np.linalg.norm(later - points[i]) > LABEL_GAP for later in points[i + 1 :])
+            number.visible = apart and not self._is_covered(UNIT * points[i])
             number.text = f"{marker.number}"
 
 

@@ -15,11 +15,15 @@ MAX_AT_ONCE = 500  # datagrams per call, so that a flood leaves time for service
 
 
 class RecordedMessage(NamedTuple):
-    """One message, as a recording contains it: topic, type, and the bytes of its CDR encoding."""
+    """One message, as a recording contains it: topic, type, and the bytes of its CDR encoding.
+
+    `number` is that of its datagram; None without one.
+    """
 
     topic: str
     type: str
     cdr: bytes
+    number: int | None
 
 
 def parse(datagram: bytes) -> RecordedMessage:
@@ -34,7 +38,9 @@ def parse(datagram: bytes) -> RecordedMessage:
     topic, kind, data = (content.get(name) for name in ("topic", "type", "data"))
     if not (isinstance(topic, str) and isinstance(kind, str) and isinstance(data, str)):
         raise ValueError("topic, type and data must be texts")
-    return RecordedMessage(topic, kind, base64.b64decode(data, validate=True))
+    number = content.get("number")
+    cdr = base64.b64decode(data, validate=True)
+    return RecordedMessage(topic, kind, cdr, number if isinstance(number, int) else None)
 
 
 class Receiver:
@@ -67,14 +73,13 @@ class Receiver:
                 continue
             try:
                 message = parse(datagram)
-                number = json.loads(datagram).get("number")
             except (ValueError, RecursionError):
                 self.counts["malformed"] += 1
                 continue
-            if isinstance(number, int):
-                if self._last is not None and number > self._last + 1:
-                    self.counts["lost"] += number - self._last - 1
-                self._last = number  # it begins anew with a new run
+            if message.number is not None:
+                if self._last is not None and message.number > self._last + 1:
+                    self.counts["lost"] += message.number - self._last - 1
+                self._last = message.number  # it begins anew with a new run
             self.counts["received"] += 1
             yield message
 

@@ -59,7 +59,7 @@ def find_python(option: str, chosen: str = "") -> str:
 
 
 class Bridge:
-    """The bridge process; see `Guard`."""
+    """The bridge process; see `SenderProcess`."""
 
     def __init__(
         self, option: str, python: str, before: tuple[str, ...], after: tuple[str, ...] = ()
