@@ -109,7 +109,9 @@ def read_settings() -> "tuple[dict[str, Any], str]":
         raise InputError(f"{path}: cannot be read as TOML: {error}") from None
     for name, table in found.items():
         if name not in COMMANDS or not isinstance(table, dict):
-            raise InputError(f"{path}: [{name}] is not a command; use a table for each command, such as [live]")
+            raise InputError(
+                f"{path}: [{name}] is not a command; use a table for each command, such as [live]"
+            )
     return found, path
 
 
