@@ -16,7 +16,14 @@ from probedesign.estimation.error_sources import parameters_of, turns_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.identification.identify import IdentificationData
-from probedesign.identification.parameters import DEGREE, LENGTH_SCALE, POISSON, POISSON_STD, CommonParameters
+from probedesign.identification.parameters import (
+    DEGREE,
+    LENGTH_SCALE,
+    POISSON,
+    POISSON_STD,
+    WRIST,
+    CommonParameters,
+)
 from probedesign.identification.residuals import WEIGHT_STD, MeasuredTest
 from probedesign.identification.whole_probe import MassMeasurement
 from probedesign.prediction.monte_carlo import perturbed_rod
@@ -188,7 +195,8 @@ class _Bench:
         own = 1.0 if flaws.reference else 0.0
         self.gain = np.diag(flaws.gain * rng.normal(size=6))
         self.scale = 1.0 + own * LENGTH_SCALE * rng.normal()
-        self.std_pose, self.std_weight = own * tolerances.robot_mm * MM, own * WEIGHT_STD
+        self.stated_pose = tolerances.robot_mm * MM
+        self.std_pose, self.std_weight = own * self.stated_pose, own * WEIGHT_STD
         self.creep = own * tolerances.creep * rng.normal()
         self.mu = flaws.friction * rng.random()
         steps = np.linalg.cholesky(model.averaging_samples * model.noise_base())
@@ -226,17 +234,18 @@ class _Bench:
         rod = replace(truth.rod, youngs_modulus=stiffer * truth.rod.youngs_modulus,
                       shear_modulus=stiffer * truth.rod.shear_modulus)  # fmt: skip
         s, size, turn = fraction * rod.length, self.mu * math.sqrt(rng.random()), 2.0 * math.pi * rng.random()
-        T, surface, known = truth.T_mount, None, None if what == "touch" else np.zeros(3)
+        own = np.concatenate([rng.normal(size=3) / WRIST, rng.normal(size=3)]) * self.std_pose
+        T = pose(Rotation.from_rotvec(own[:3]).as_matrix(), own[3:]) @ truth.T_mount
+        gravity = T[:3, :3].T @ truth.gravity_mount
+        surface, known = None, None if what == "touch" else np.zeros(3)
         if what == "free":
-            eq = rod.solve(truth.gravity_base)
+            eq = rod.solve(gravity)
         elif what == "weight":
             known = force * model.gravity_base / np.linalg.norm(model.gravity_base)
-            eq = rod.solve(
-                truth.gravity_base, (1.0 + self.std_weight * rng.normal()) * T[:3, :3].T @ known, s
-            )
+            eq = rod.solve(gravity, (1.0 + self.std_weight * rng.normal()) * T[:3, :3].T @ known, s)
         else:
             ratios = (size * math.cos(turn), size * math.sin(turn))
-            touch = solve_surface_force(rod, truth.gravity_base, s, DIRECTIONS[side] + math.pi, force, ratios)
+            touch = solve_surface_force(rod, gravity, s, DIRECTIONS[side] + math.pi, force, ratios)
             eq, surface = touch.equilibrium, touch.p_surface_base
             if touch.result != "ok":
                 return None
@@ -246,14 +255,14 @@ class _Bench:
         wrench = self._true_reading(eq.wrench_base) + self.bias + np.linalg.cholesky(cov) @ rng.normal(size=6)
         self.bias = self.bias + self.walk @ rng.normal(size=6)
         trial = MeasuredTest(name, np.eye(4), model.gravity_base, known, wrench_base=wrench, cov_wrench=cov,
-                             creep_ramp=passed - 0.5)  # fmt: skip
+                             creep_ramp=passed - 0.5, std_place=self.stated_pose,
+                             std_turn=self.stated_pose / WRIST)  # fmt: skip
         if what != "free":
             trial = replace(trial, s_contact=s + self.kind.s * rng.normal(), std_s=self.kind.s)
-        moved = self.std_pose * rng.normal(size=3)
         if surface is not None:
-            place = self._seen(surface[None], moved)[0] + self.kind.touch * rng.normal(size=3)
+            place = self._seen(surface[None], T)[0] + self.kind.touch * rng.normal(size=3)
             trial = replace(trial, p_touch_world=place, std_touch=self.kind.touch)
-        return self._with_markers(trial, eq, moved) if self.kind.marker else trial
+        return self._with_markers(trial, eq, T) if self.kind.marker else trial
 
     def _true_reading(self, wrench: Array) -> Array:
         """Return what the sensor reads of a wrench of the true probe, about the stated base."""
@@ -262,13 +271,12 @@ class _Bench:
         reading = model.to_sensor(about_seat, model.gravity_base)
         return np.asarray(about_seat + wrench_map(np.linalg.inv(model.T_sensor_base)) @ (self.gain @ reading))
 
-    def _seen(self, points: Array, moved: Array) -> Array:
+    def _seen(self, points: Array, T: Array) -> Array:
         """Return points in the true base frame as the reference has them in the world, which is the stated frame."""
-        T = self.truth.T_mount
-        return np.asarray(self.scale * (points @ T[:3, :3].T + T[:3, 3] + moved))
+        return np.asarray(self.scale * (points @ T[:3, :3].T + T[:3, 3]))
 
-    def _with_markers(self, trial: MeasuredTest, eq: Equilibrium, moved: Array) -> MeasuredTest:
-        seen = self._seen(eq.p_at(np.minimum(MARKERS, self.truth.rod.length)), moved)
+    def _with_markers(self, trial: MeasuredTest, eq: Equilibrium, T: Array) -> MeasuredTest:
+        seen = self._seen(eq.p_at(np.minimum(MARKERS, self.truth.rod.length)), T)
         seen = seen + self.kind.marker * self.rng.normal(size=seen.shape)
         cov = np.tile(self.kind.marker**2 * np.eye(3), (len(MARKERS), 1, 1))
         numbers = tuple(range(1, len(MARKERS) + 1))

@@ -30,7 +30,7 @@ from probedesign.identification.solver import ROBUST_KINDS, Fit, NoiseScale
 CONFIDENCE = 0.95
 UNITS = {"markers": "mm", "touches": "mm", "places": "mm", "sags": "mm", "wrenches": "N and N·m", "scales": "g",
          "friction": "share of the force", "weights": "share of the load", "stiffness": "logarithm of the stiffness",
-         "poisson": "logarithm of E/G"}  # fmt: skip
+         "poisson": "logarithm of E/G", "poses": "rad and m"}  # fmt: skip
 """Units of residuals by kind of reading."""
 WEAK = 0.5
 """Fraction of `Parameter.max_std` from which on the total standard deviation makes a parameter weakly identifiable
