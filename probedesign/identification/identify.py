@@ -16,7 +16,7 @@ from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.identification import result
-from probedesign.identification.contradiction import likely_causes
+from probedesign.identification.contradiction import explaining_mistakes, likely_causes
 from probedesign.identification.fit_checks import (
     LABELS,
     PriorTest,
@@ -322,19 +322,18 @@ def _solvable(data: IdentificationData, names: Sequence[str]) -> tuple[Identific
         return data, start
     kept, lost = solvable_tests(problem, free_E)
     start = start_point(replace(problem, tests=tuple(kept)), free_E) if kept else None
-    if start is None:
-        raise InputError(
-            f"{data.where}: the probe buckles in its tests for any E; is it the right design, and are forces in "
-            "their column's unit?"
-        )
-    full = np.ones(len(start.blocks))
-    if len(lost) >= len(kept) and all(
-        unobservable_direction(start, full, (name,), START_TOLERANCE) for name in names
-    ):
-        raise InputError(
-            f"{data.where}: the probe buckles in {len(lost)} of {len(data.tests)} tests for any E, and the others do "
-            f"not determine {', '.join(names)}; is it the right design, and are forces in their column's unit?"
-        )
+    if start is None or len(lost) > max(1, int(MAX_LEFT_OUT * len(data.tests))):
+        buckles = f"{data.where}: the probe buckles in {len(lost)} of {len(data.tests)} tests for any E"
+        causes = explaining_mistakes(problem)
+        if causes:
+            raise InputError(f"{buckles}; likely cause: {causes[0]}")
+        if start is None or all(
+            unobservable_direction(start, np.ones(len(start.blocks)), (name,), START_TOLERANCE) for name in names
+        ):
+            raise InputError(
+                f"{buckles}, and the others do not determine {', '.join(names)}; is it the right design, and are "
+                "forces in their column's unit?"
+            )
     notes = tuple(f"{one.name}: not used: the probe buckles under its load" for one in lost)
     return replace(data, tests=tuple(kept), notes=(*data.notes, *notes)), start
 

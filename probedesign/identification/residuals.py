@@ -9,7 +9,6 @@ import numpy as np
 
 from probedesign.core.frames import Array, inverse, skew, wrench_map
 from probedesign.core.statistics import whiten
-from probedesign.core.units import MM
 from probedesign.identification.parameters import (
     BASE_OFFSET,
     BASE_POSE,
@@ -61,7 +60,7 @@ class MeasuredTest:
         sag: displacement of the tip along gravity from where it would be without weight [m].
         std_sag: [m].
         epoch: position among the tests in the order of time, for the walk of the sensor's bias.
-        std_place, std_turn: standard deviations of the pose of this test alone, on each axis [m, rad]; 0 if it is exact.
+        std_place, std_turn: standard deviations of the pose of this test alone, on each axis [m, rad]; 0: it is exact.
         creep_ramp: part of the creep that has passed since the middle of the campaign, -1/2 at the first test and 1/2
             at the last.
     """
