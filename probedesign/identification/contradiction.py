@@ -231,6 +231,9 @@ def _hypotheses(tests: Sequence[MeasuredTest]) -> Iterator[tuple[str, str, Chang
         yield "unit", "unit: known forces in mN; check tests.csv", partial(_known, factor=1e-3)
     if not any(len(test.marker_s) or test.p_touch_world is not None for test in tests):
         return
+    for factor, which in ((1e3, "small"), (1e-3, "large")):
+        words = f"unit: places of the reference a thousand times too {which}; check the columns in mm"
+        yield "unit", words, partial(_resized, factor=factor)
     for axis in range(3):
         words = f"camera: {'xyz'[axis]} mirrored; check which camera is which, and the control points"
         yield "camera", words, partial(_placed, matrix=np.diag(np.where(np.arange(3) == axis, -1.0, 1.0)))
@@ -312,6 +315,15 @@ def _placed(test: MeasuredTest, matrix: Array) -> MeasuredTest:
         test,
         p_markers_world=origin + (test.p_markers_world - origin) @ matrix.T,
         p_touch_world=None if touch is None else origin + matrix @ (touch - origin),
+    )
+
+
+def _resized(test: MeasuredTest, factor: float) -> MeasuredTest:
+    touch = test.p_touch_world
+    return replace(
+        test,
+        p_markers_world=factor * test.p_markers_world,
+        p_touch_world=None if touch is None else factor * touch,
     )
 
 
