@@ -1,6 +1,7 @@
 """Reading a campaign: the tables of its folder, each checked against the others, and its markers located."""
 
 import difflib
+import itertools
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -264,7 +265,7 @@ def _test_times(
     """
     given = np.flatnonzero(np.isfinite(time))
     anew = _begins_anew(time[given], which[given])
-    for last, row in zip(given, given[1:], strict=False):
+    for last, row in itertools.pairwise(given):
         if time[row] < time[last] and (not anew or which[row] == which[last]):
             rows.fail(int(row), f"{rows.columns['time'].name} runs backward, from {time[last]:g} s to "
                                 f"{time[row]:g} s; use one clock and keep the rows in the order of time")  # fmt: skip

@@ -110,7 +110,9 @@ def _cost(point: Linearization, scales: dict[str, float] | None = None) -> float
     """Return minus the logarithm of the evidence, up to a constant of all models."""
     scales = scales or {}
     std = point.problem.prior[point.problem.active]
-    noise = sum(len(one.r) * np.log(scales.get(one.kind, 1.0)) for one in point.blocks if one.kind in ROBUST_KINDS)
+    noise = sum(
+        len(one.r) * np.log(scales.get(one.kind, 1.0)) for one in point.blocks if one.kind in ROBUST_KINDS
+    )
     volume = point.normal_equations(weights(point.blocks, scales)).log_volume
     return float(point.loss(scales) + noise + np.log(std[np.isfinite(std)]).sum() + volume)
 

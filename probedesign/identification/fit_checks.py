@@ -413,11 +413,15 @@ def _test_single_readings(fit: Fit) -> Iterator[PriorTest]:
             yield from _tested(label.format(block.test), source, block.r, np.eye(len(hat)) - hat)
 
 
-def _tested(label: str, source: str, r: Array, variance: Array, columns: Sequence[int] = ()) -> Iterator[PriorTest]:
+def _tested(
+    label: str, source: str, r: Array, variance: Array, columns: Sequence[int] = ()
+) -> Iterator[PriorTest]:
     """Yield the χ² test along those directions that the rest of the data check, if there are any."""
     sizes, directions = np.linalg.eigh(0.5 * (variance + variance.T))
     checked = sizes > MIN_REDUNDANCY
     if checked.any():
         d2 = float(np.sum((directions.T @ r)[checked] ** 2 / sizes[checked]))
         freedom = int(checked.sum())
-        yield PriorTest(label, source, float(chi2.sf(d2, freedom)), d2**0.5, freedom, tuple(map(int, columns)))
+        yield PriorTest(
+            label, source, float(chi2.sf(d2, freedom)), d2**0.5, freedom, tuple(map(int, columns))
+        )

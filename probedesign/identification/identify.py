@@ -132,9 +132,13 @@ def _epochs(campaign: Campaign, notes: list[str]) -> tuple[dict[str, int], Array
         times = TEST_SECONDS * positions
     elif not known.all():
         lost = ", ".join(test.name for test, is_known in zip(read, known, strict=True) if not is_known)
-        notes.append(f"{lost}: no time_s in {WRENCHES}; the time between the neighbours in {TESTS} is assumed")
+        notes.append(
+            f"{lost}: no time_s in {WRENCHES}; the time between the neighbours in {TESTS} is assumed"
+        )
         times = np.interp(positions, positions[known], times[known])
-    twins = [test.name for test, time in zip(read, times, strict=True) if known.all() and (times == time).sum() > 1]
+    twins = [
+        test.name for test, time in zip(read, times, strict=True) if known.all() and (times == time).sum() > 1
+    ]
     if twins:
         notes.append(f"{', '.join(twins)}: the same time_s in {WRENCHES}; no drift between them is assumed")
     ranks = np.argsort(times, kind="stable")
@@ -328,7 +332,8 @@ def _solvable(data: IdentificationData, names: Sequence[str]) -> tuple[Identific
         if causes:
             raise InputError(f"{buckles}; likely cause: {causes[0]}")
         if start is None or all(
-            unobservable_direction(start, np.ones(len(start.blocks)), (name,), START_TOLERANCE) for name in names
+            unobservable_direction(start, np.ones(len(start.blocks)), (name,), START_TOLERANCE)
+            for name in names
         ):
             raise InputError(
                 f"{buckles}, and the others do not determine {', '.join(names)}; is it the right design, and are "

@@ -406,7 +406,13 @@ class SolvedTest:
         J_nuisance[:, at] = -np.diag(1.0 / std)
         own = self.nuisance[at]
         return ResidualBlock(
-            self.measured.name, "poses", 0, -own / std, np.zeros((6, self.values.common.size)), J_nuisance, -own
+            self.measured.name,
+            "poses",
+            0,
+            -own / std,
+            np.zeros((6, self.values.common.size)),
+            J_nuisance,
+            -own,
         )
 
     def _friction(self, std: float) -> ResidualBlock:
@@ -447,7 +453,6 @@ class SolvedTest:
         W, J_nuisance = whiten(cov), self._with_own_pose(J, J_nuisance)
         return ResidualBlock(self.measured.name, kind, item, W @ residual, -W @ J, -W @ J_nuisance,
                              residual)  # fmt: skip
-
 
     def _with_own_pose(self, J: Array, J_nuisance: Array) -> Array:
         """Return the derivatives by the nuisance parameters with those by the test's own error of the base pose, which

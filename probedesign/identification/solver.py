@@ -47,7 +47,7 @@ REJECTION_CHANCE = 1e-3
 """Chance, with noise as stated, that a scatter is judged larger than stated or a prior is rejected."""
 OUTLIER_CHANCE = 0.01
 """Chance, with normal noise, that a campaign reports any outlier at all."""
-MAX_ITERATIONS = 15
+MAX_ITERATIONS = 25
 """Steps of one search: those of campaigns without contradictions take fewer than ten."""
 MIN_DAMPING, MAX_DAMPING = 1e-9, 1e8
 MIN_GAIN = 1e-3

@@ -39,7 +39,8 @@ def test_derivatives_agree_with_differences(cameras: Campaign, model: ProbeModel
     point = linearize(problem, ParameterValues(data.common, x), nuisance)
     assert point.ok
     assert {group.kind for group in point.blocks} == {
-        "wrenches", "markers", "touches", "friction", "places", "sags", "scales", "weights", "stiffness", "poses", "poisson"
+        "wrenches", "markers", "touches", "friction", "places", "sags", "scales", "weights", "stiffness",
+        "poses", "poisson",
     }  # fmt: skip
     rows = _rows(point)
     for j in range(rows.shape[1]):
