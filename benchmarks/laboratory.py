@@ -1,7 +1,7 @@
 """Campaigns of a laboratory whose bench has flaws: true probes, poses, sensors, frictions and drifts are drawn.
 
 The true touches are solved by `rod.contact` for a force in the axes of the touched surface, which `identification` does
-not use; sensor, drift and reference are written anew here.
+not use, or by the reference rod of `tests/reference`; sensor, drift and reference are written anew here.
 """
 
 import math
@@ -31,6 +31,8 @@ from probedesign.prediction.touches import DIRECTIONS
 from probedesign.rod.contact import solve_surface_force
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
+from tests.reference.cosserat import solve
+from tests.reference.round_rods import Probes
 
 STD_BASE, STD_TILT = 0.2 * MM, 0.2 * DEGREE
 """Of the base in the world: what `campaign.toml` assumes."""
@@ -89,6 +91,8 @@ class Flaws:
         root_drawn: whether the root is drawn by its tolerance instead.
         reference: whether length scale, weights, poses of tests and creep have errors by their priors.
         stated: tolerances that the design states because of the bench, by name.
+        independent: whether the true touches and the free probe are solved by the reference rod of `tests/reference`,
+            which shares no code with the package's; for laboratories without markers.
     """
 
     friction: float = 0.0
@@ -99,6 +103,7 @@ class Flaws:
     root_drawn: bool = False
     reference: bool = False
     stated: dict[str, float] = field(default_factory=dict)
+    independent: bool = False
 
 
 FLAWLESS = Flaws()
@@ -238,21 +243,35 @@ class _Bench:
         T = pose(Rotation.from_rotvec(own[:3]).as_matrix(), own[3:]) @ truth.T_mount
         gravity = T[:3, :3].T @ truth.gravity_mount
         surface, known = None, None if what == "touch" else np.zeros(3)
-        if what == "free":
-            eq = rod.solve(gravity)
+        eq: Equilibrium | None = None
+        if what == "touch":
+            ratios = (size * math.cos(turn), size * math.sin(turn))
+            phi = DIRECTIONS[side] + math.pi
+            if self.flaws.independent:
+                along, around = ratios
+                found = solve(
+                    Probes.of(rod), gravity, s, phi, (force, around * force, along * force), axes="surface"
+                )
+                ok, wrench, surface = bool(found.ok[0]), found.wrench[0], found.p_surface[0]
+            else:
+                touch = solve_surface_force(rod, gravity, s, phi, force, ratios)
+                eq, surface, ok = touch.equilibrium, touch.p_surface_base, touch.result == "ok"
         elif what == "weight":
             known = force * model.gravity_base / np.linalg.norm(model.gravity_base)
             eq = rod.solve(gravity, (1.0 + self.std_weight * rng.normal()) * T[:3, :3].T @ known, s)
+            ok = eq.ok
+        elif self.flaws.independent:
+            found = solve(Probes.of(rod), gravity)
+            ok, wrench = bool(found.ok[0]), found.wrench[0]
         else:
-            ratios = (size * math.cos(turn), size * math.sin(turn))
-            touch = solve_surface_force(rod, gravity, s, DIRECTIONS[side] + math.pi, force, ratios)
-            eq, surface = touch.equilibrium, touch.p_surface_base
-            if touch.result != "ok":
-                return None
-        if not eq.ok:
+            eq = rod.solve(gravity)
+            ok = eq.ok
+        if not ok:
             return None
+        if eq is not None:
+            wrench = eq.wrench_base
         cov = model.noise_base() / ROWS
-        wrench = self._true_reading(eq.wrench_base) + self.bias + np.linalg.cholesky(cov) @ rng.normal(size=6)
+        wrench = self._true_reading(wrench) + self.bias + np.linalg.cholesky(cov) @ rng.normal(size=6)
         self.bias = self.bias + self.walk @ rng.normal(size=6)
         trial = MeasuredTest(name, np.eye(4), model.gravity_base, known, wrench_base=wrench, cov_wrench=cov,
                              creep_ramp=passed - 0.5, std_place=self.stated_pose,
@@ -262,7 +281,7 @@ class _Bench:
         if surface is not None:
             place = self._seen(surface[None], T)[0] + self.kind.touch * rng.normal(size=3)
             trial = replace(trial, p_touch_world=place, std_touch=self.kind.touch)
-        return self._with_markers(trial, eq, T) if self.kind.marker else trial
+        return self._with_markers(trial, eq, T) if self.kind.marker and eq is not None else trial
 
     def _true_reading(self, wrench: Array) -> Array:
         """Return what the sensor reads of a wrench of the true probe, about the stated base."""

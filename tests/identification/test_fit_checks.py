@@ -63,6 +63,29 @@ def test_forces_in_millinewtons_are_refused(stage: Campaign, model: ProbeModel) 
         _with(data_of(stage, model, 0.0), _in_mn)
 
 
+def test_exchanged_neighbouring_markers_are_found_within_the_noise(
+    cameras: Campaign, model: ProbeModel
+) -> None:
+    """Two markers 10 mm apart, known to 5 mm on each axis: each reading is within its noise, the campaign is not."""
+    data = data_of(cameras, model, 0.0)
+    rng = np.random.default_rng(4)
+
+    def blurred(t: MeasuredTest) -> MeasuredTest:
+        p = t.p_markers_world + 4.9e-3 * rng.normal(size=t.p_markers_world.shape)
+        return replace(t, p_markers_world=p, cov_markers=25.0 * t.cov_markers)
+
+    def exchanged(t: MeasuredTest) -> MeasuredTest:
+        order = list(range(len(t.marker_s)))
+        order[8], order[9] = 9, 8
+        return replace(t, p_markers_world=t.p_markers_world[order])
+
+    noisy = replace(data, tests=tuple(map(blurred, data.tests)))
+    assert identify(noisy, ("E",)).result == "ok"
+    found = _with(noisy, exchanged)
+    _assert_no_number(found)
+    assert found.likely_causes[0].name == "marker" and "9 and 10" in found.likely_causes[0].words
+
+
 def test_a_test_with_markers_numbered_one_too_high_is_left_out(cameras: Campaign, model: ProbeModel) -> None:
     data = data_of(cameras, model, 0.0)
     name = next(t.name for t in data.tests if t.touched and len(t.marker_s) > 10)
