@@ -44,7 +44,10 @@ MIN_FREEDOM = 1.0
 FULL_WEIGHT = 0.99
 """Quantile of χ² up to which a block has full weight."""
 REJECTION_CHANCE = 1e-3
-"""Chance, with noise as stated, that a scatter is judged larger than stated or a prior is rejected."""
+"""Chance, with noise as stated, that a prior is rejected."""
+SCATTER_CHANCE = 0.05
+"""Chance, with noise as stated, that a scatter is judged larger than stated: that widens the intervals and refuses
+nothing, while a scatter that is not noticed leaves them too narrow."""
 OUTLIER_CHANCE = 0.01
 """Chance, with normal noise, that a campaign reports any outlier at all."""
 MAX_ITERATIONS = 25
@@ -136,7 +139,7 @@ def _noise_scales(
         relative = weight[at] * scales.get(kind, 1.0) ** 2  # 1 for blocks with full weight
         squares = float(np.sum(relative * [blocks[i].squared_distance for i in at]))
         freedom = float(np.sum(relative * [len(blocks[i].r) for i in at]) - leverage[at].sum())
-        measured = freedom > MIN_FREEDOM and chi2.sf(squares, freedom) < REJECTION_CHANCE
+        measured = freedom > MIN_FREEDOM and chi2.sf(squares, freedom) < SCATTER_CHANCE
         scale = float(np.sqrt(squares / freedom)) if measured else 1.0
         result.append(NoiseScale(kind, len(at), scale, max(freedom, 0.0), bool(measured)))
     return result
