@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from probedesign.core.frames import Array
-from probedesign.identification.parameters import LOG_E, ParameterValues
+from probedesign.identification.parameters import LOG_E, LOG_G, ParameterValues
 from probedesign.identification.residuals import MeasuredTest
 from probedesign.identification.solver import LeastSquaresProblem, Linearization, linearize
 from probedesign.rod.rod import Rod
@@ -55,6 +55,8 @@ def points_at(
 def _at_factor(problem: LeastSquaresProblem, factor: float) -> Linearization:
     x = np.zeros(problem.common.size)
     x[LOG_E] = np.log(factor)
+    if problem.poisson is not None:
+        x[LOG_G] = x[LOG_E]  # as Poisson's ratio has it
     values = ParameterValues(problem.common, x)
     nuisance = start_nuisance(problem.tests, problem.common.model.rod)
     if any(_absurd(test, own, values.rod) for test, own in zip(problem.tests, nuisance, strict=True)):
