@@ -59,7 +59,7 @@ class CampaignPlan:
         images: render photographs too.
         calibration: of the cameras: by a box of control points, pictures of a board, or files of another program.
         friction: median friction coefficient μ of touches; 0 is without friction. None: [contact] friction of the
-            design, or 0 for an exact probe.
+            design with flaws of the bench, else 0.
         friction_spread: standard deviation of ln μ from test to test.
         hold_out: mark every second touch as one for `validate`, which `identify` leaves out.
         flaws: whether the bench has the flaws of the design's tolerances; an exact probe's has none.
@@ -77,7 +77,7 @@ class CampaignPlan:
     friction: float | None = None
     friction_spread: float = ASSUMED_SPREAD
     hold_out: bool = False
-    flaws: bool = True
+    flaws: bool = False
 
     def __post_init__(self) -> None:
         """Raise InputError where a number is out of range or two options exclude each other."""
