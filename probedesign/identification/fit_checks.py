@@ -403,7 +403,7 @@ def _test_priors(fit: Fit) -> Iterator[PriorTest]:
         at = np.flatnonzero(np.isin(active, columns) & np.isfinite(std))
         if len(at):
             variance = np.eye(len(at)) - fit.cov[np.ix_(at, at)] / np.outer(std[at], std[at])
-            yield from _tested(label, source, fit.point.prior_residual[at], variance, active[at])
+            yield from _tested(label, source, fit.point.prior_residual[at], variance, active[at].tolist())
 
 
 def _test_single_readings(fit: Fit) -> Iterator[PriorTest]:
