@@ -1,7 +1,7 @@
 """Campaigns of a laboratory whose bench has flaws: true probes, poses, sensors, frictions and drifts are drawn.
 
 The true touches are solved by `rod.contact` for a force in the axes of the touched surface, which `identification` does
-not use; sensor, drift and reference are written anew here.
+not use, or by the reference rod of `tests/reference`; sensor, drift and reference are written anew here.
 """
 
 import math
@@ -16,7 +16,14 @@ from probedesign.estimation.error_sources import parameters_of, turns_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.identification.identify import IdentificationData
-from probedesign.identification.parameters import DEGREE, LENGTH_SCALE, POISSON, POISSON_STD, CommonParameters
+from probedesign.identification.parameters import (
+    DEGREE,
+    LENGTH_SCALE,
+    POISSON,
+    POISSON_STD,
+    WRIST,
+    CommonParameters,
+)
 from probedesign.identification.residuals import WEIGHT_STD, MeasuredTest
 from probedesign.identification.whole_probe import MassMeasurement
 from probedesign.prediction.monte_carlo import perturbed_rod
@@ -24,6 +31,8 @@ from probedesign.prediction.touches import DIRECTIONS
 from probedesign.rod.contact import solve_surface_force
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
+from tests.reference.cosserat import solve
+from tests.reference.round_rods import Probes
 
 STD_BASE, STD_TILT = 0.2 * MM, 0.2 * DEGREE
 """Of the base in the world: what `campaign.toml` assumes."""
@@ -82,6 +91,8 @@ class Flaws:
         root_drawn: whether the root is drawn by its tolerance instead.
         reference: whether length scale, weights, poses of tests and creep have errors by their priors.
         stated: tolerances that the design states because of the bench, by name.
+        independent: whether the true touches and the free probe are solved by the reference rod of `tests/reference`,
+            which shares no code with the package's; for laboratories without markers.
     """
 
     friction: float = 0.0
@@ -92,6 +103,7 @@ class Flaws:
     root_drawn: bool = False
     reference: bool = False
     stated: dict[str, float] = field(default_factory=dict)
+    independent: bool = False
 
 
 FLAWLESS = Flaws()
@@ -188,7 +200,8 @@ class _Bench:
         own = 1.0 if flaws.reference else 0.0
         self.gain = np.diag(flaws.gain * rng.normal(size=6))
         self.scale = 1.0 + own * LENGTH_SCALE * rng.normal()
-        self.std_pose, self.std_weight = own * tolerances.robot_mm * MM, own * WEIGHT_STD
+        self.stated_pose = tolerances.robot_mm * MM
+        self.std_pose, self.std_weight = own * self.stated_pose, own * WEIGHT_STD
         self.creep = own * tolerances.creep * rng.normal()
         self.mu = flaws.friction * rng.random()
         steps = np.linalg.cholesky(model.averaging_samples * model.noise_base())
@@ -226,34 +239,49 @@ class _Bench:
         rod = replace(truth.rod, youngs_modulus=stiffer * truth.rod.youngs_modulus,
                       shear_modulus=stiffer * truth.rod.shear_modulus)  # fmt: skip
         s, size, turn = fraction * rod.length, self.mu * math.sqrt(rng.random()), 2.0 * math.pi * rng.random()
-        T, surface, known = truth.T_mount, None, None if what == "touch" else np.zeros(3)
-        if what == "free":
-            eq = rod.solve(truth.gravity_base)
+        own = np.concatenate([rng.normal(size=3) / WRIST, rng.normal(size=3)]) * self.std_pose
+        T = pose(Rotation.from_rotvec(own[:3]).as_matrix(), own[3:]) @ truth.T_mount
+        gravity = T[:3, :3].T @ truth.gravity_mount
+        surface, known = None, None if what == "touch" else np.zeros(3)
+        eq: Equilibrium | None = None
+        if what == "touch":
+            ratios = (size * math.cos(turn), size * math.sin(turn))
+            phi = DIRECTIONS[side] + math.pi
+            if self.flaws.independent:
+                along, around = ratios
+                found = solve(
+                    Probes.of(rod), gravity, s, phi, (force, around * force, along * force), axes="surface"
+                )
+                ok, wrench, surface = bool(found.ok[0]), found.wrench[0], found.p_surface[0]
+            else:
+                touch = solve_surface_force(rod, gravity, s, phi, force, ratios)
+                eq, surface, ok = touch.equilibrium, touch.p_surface_base, touch.result == "ok"
         elif what == "weight":
             known = force * model.gravity_base / np.linalg.norm(model.gravity_base)
-            eq = rod.solve(
-                truth.gravity_base, (1.0 + self.std_weight * rng.normal()) * T[:3, :3].T @ known, s
-            )
+            eq = rod.solve(gravity, (1.0 + self.std_weight * rng.normal()) * T[:3, :3].T @ known, s)
+            ok = eq.ok
+        elif self.flaws.independent:
+            found = solve(Probes.of(rod), gravity)
+            ok, wrench = bool(found.ok[0]), found.wrench[0]
         else:
-            ratios = (size * math.cos(turn), size * math.sin(turn))
-            touch = solve_surface_force(rod, truth.gravity_base, s, DIRECTIONS[side] + math.pi, force, ratios)
-            eq, surface = touch.equilibrium, touch.p_surface_base
-            if touch.result != "ok":
-                return None
-        if not eq.ok:
+            eq = rod.solve(gravity)
+            ok = eq.ok
+        if not ok:
             return None
+        if eq is not None:
+            wrench = eq.wrench_base
         cov = model.noise_base() / ROWS
-        wrench = self._true_reading(eq.wrench_base) + self.bias + np.linalg.cholesky(cov) @ rng.normal(size=6)
+        wrench = self._true_reading(wrench) + self.bias + np.linalg.cholesky(cov) @ rng.normal(size=6)
         self.bias = self.bias + self.walk @ rng.normal(size=6)
         trial = MeasuredTest(name, np.eye(4), model.gravity_base, known, wrench_base=wrench, cov_wrench=cov,
-                             creep_ramp=passed - 0.5)  # fmt: skip
+                             creep_ramp=passed - 0.5, std_place=self.stated_pose,
+                             std_turn=self.stated_pose / WRIST)  # fmt: skip
         if what != "free":
             trial = replace(trial, s_contact=s + self.kind.s * rng.normal(), std_s=self.kind.s)
-        moved = self.std_pose * rng.normal(size=3)
         if surface is not None:
-            place = self._seen(surface[None], moved)[0] + self.kind.touch * rng.normal(size=3)
+            place = self._seen(surface[None], T)[0] + self.kind.touch * rng.normal(size=3)
             trial = replace(trial, p_touch_world=place, std_touch=self.kind.touch)
-        return self._with_markers(trial, eq, moved) if self.kind.marker else trial
+        return self._with_markers(trial, eq, T) if self.kind.marker and eq is not None else trial
 
     def _true_reading(self, wrench: Array) -> Array:
         """Return what the sensor reads of a wrench of the true probe, about the stated base."""
@@ -262,13 +290,12 @@ class _Bench:
         reading = model.to_sensor(about_seat, model.gravity_base)
         return np.asarray(about_seat + wrench_map(np.linalg.inv(model.T_sensor_base)) @ (self.gain @ reading))
 
-    def _seen(self, points: Array, moved: Array) -> Array:
+    def _seen(self, points: Array, T: Array) -> Array:
         """Return points in the true base frame as the reference has them in the world, which is the stated frame."""
-        T = self.truth.T_mount
-        return np.asarray(self.scale * (points @ T[:3, :3].T + T[:3, 3] + moved))
+        return np.asarray(self.scale * (points @ T[:3, :3].T + T[:3, 3]))
 
-    def _with_markers(self, trial: MeasuredTest, eq: Equilibrium, moved: Array) -> MeasuredTest:
-        seen = self._seen(eq.p_at(np.minimum(MARKERS, self.truth.rod.length)), moved)
+    def _with_markers(self, trial: MeasuredTest, eq: Equilibrium, T: Array) -> MeasuredTest:
+        seen = self._seen(eq.p_at(np.minimum(MARKERS, self.truth.rod.length)), T)
         seen = seen + self.kind.marker * self.rng.normal(size=seen.shape)
         cov = np.tile(self.kind.marker**2 * np.eye(3), (len(MARKERS), 1, 1))
         numbers = tuple(range(1, len(MARKERS) + 1))

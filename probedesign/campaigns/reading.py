@@ -1,6 +1,7 @@
 """Reading a campaign: the tables of its folder, each checked against the others, and its markers located."""
 
 import difflib
+import itertools
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -257,19 +258,19 @@ def read_wrench_table(
 def _test_times(
     rows: TableRows, time: Array, which: NDArray[np.intp], of_tests: list[NDArray[np.bool_]]
 ) -> list[float]:
-    """Return the mean time of each test [s]; NaN for all if time begins anew in each test, or is not given.
+    """Return the mean time of each test [s]; NaN for those without, and for all if time begins anew in each test.
 
     Raises:
         InputError: time runs backward, within a test or from some tests to the next.
     """
-    anew = _begins_anew(time, which)
-    for row in np.flatnonzero(np.diff(time) < 0.0) + 1:
-        if not anew or which[row] == which[row - 1]:
-            rows.fail(int(row), f"{rows.columns['time'].name} runs backward, from {time[row - 1]:g} s to "
+    given = np.flatnonzero(np.isfinite(time))
+    anew = _begins_anew(time[given], which[given])
+    for last, row in itertools.pairwise(given):
+        if time[row] < time[last] and (not anew or which[row] == which[last]):
+            rows.fail(int(row), f"{rows.columns['time'].name} runs backward, from {time[last]:g} s to "
                                 f"{time[row]:g} s; use one clock and keep the rows in the order of time")  # fmt: skip
-    if anew or np.isnan(time).any():
-        return [np.nan] * len(of_tests)
-    return [float(time[own].mean()) if own.any() else np.nan for own in of_tests]
+    means = [time[own & np.isfinite(time)] for own in of_tests]
+    return [float(own.mean()) if len(own) and not anew else np.nan for own in means]
 
 
 def _begins_anew(time: Array, which: NDArray[np.intp]) -> bool:

@@ -29,9 +29,10 @@ def campaign(
     marker_noise_mm: float | None = None,
     readings: int = 5,
     exact: bool = False,
-    friction: float = 0.0,
+    friction: float | None = None,
     friction_spread: float = 0.2,
     hold_out: Annotated[bool, Parameter(negative="--no-hold-out")] = True,
+    flaws: Annotated[bool, Parameter(negative="--no-flaws")] = True,
     force: bool = False,
     as_json: JsonOutput = False,
 ) -> None:
@@ -54,9 +55,11 @@ def campaign(
         readings: number of sensor readings per test.
         exact: the print and its mount are exactly as designed; only the readings are noisy.
         friction: median friction coefficient of the touching objects. The tangential force has any direction within
-            the friction cone. 0 is without friction.
+            the friction cone. 0 is without friction. Default: [contact] friction of the design.
         friction_spread: standard deviation of the friction coefficient's logarithm from test to test.
         hold_out: every second touch is for validate, and identify leaves it out (use in tests.csv).
+        flaws: the bench has the flaws of the design's tolerances: friction, gain and drift of the sensor, root, creep
+            and scatter of the stiffness.
         force: replace an existing simulated campaign.
         as_json: print one JSON document.
     """
@@ -69,7 +72,7 @@ def campaign(
 
     plan = CampaignPlan("stage" if stage else "cameras", seed, si(youngs_modulus_mpa, MPA), si(shear_modulus_mpa, MPA),
                 si(marker_noise_mm, MM), readings, exact, images, calibration,
-                friction, friction_spread, hold_out)  # fmt: skip
+                friction, friction_spread, hold_out, flaws)  # fmt: skip
     with show_progress() as on_progress:
         made = make_campaign(pipeline.load_probe(design).model, out, plan, force, on_progress)
     if as_json:

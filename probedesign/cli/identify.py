@@ -143,7 +143,7 @@ def _print(found: "Identification") -> None:
         number = found.of(name)
         if number is not None:
             shares = ", ".join(f"{one.cause} {one.percent:.2g} %" for one in found.shifts if one.of == name)
-            print(f"  {name} ± {number.relative_std_total:.2%} (one standard deviation): {shares}")
+            print(f"  {name} ± {number.relative_std:.2%} (one standard deviation): {shares}")
     for rank, cause in enumerate(found.likely_causes[:MAX_CAUSES], 1):
         print(f"  likely cause {rank}: {cause}")
     for note in (*found.caveats, *found.notes):

@@ -1,8 +1,13 @@
 """Likely causes of a contradiction: what would have to be different for the tests to agree.
 
-Each hypothesis is a mistake in the data folder that is undone, or a prior that is dropped. The evidence for it is the
-gain of the log-likelihood: of a fit to the changed data, or half the squared deviation of the prior. The likeliest
-cause comes first.
+Each cause is a model of its own that is fitted to the same tests: a mistake in the data folder is undone, a prior is
+thirty times as wide, or a kind of reading scatters more. They are ranked by Laplace's approximation of their evidence,
+
+    -ln p(data | model) ≈ loss + Σ ln s + Σ ln σ + ½ ln det N,
+
+with the robust loss, the noise scales s of all readings, the standard deviations σ of the priors, and the information N
+of all unknowns. The last three terms make a model pay for its freedom: a wide prior or a large scatter fits anything.
+Source: D. J. C. MacKay, Information Theory, Inference, and Learning Algorithms, 2003, chapter 28.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -15,21 +20,36 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from probedesign.core.frames import Array
-from probedesign.identification.fit_checks import LABELS, PriorTest
-from probedesign.identification.parameters import CHANNELS
+from probedesign.identification.fit_checks import DIMENSIONS, LABELS, PriorTest
+from probedesign.identification.parameters import CHANNELS, PARAMETERS
 from probedesign.identification.residuals import MeasuredTest
-from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, minimise
-from probedesign.identification.starting_values import START_FACTORS, points_at
+from probedesign.identification.solver import (
+    READING_KINDS,
+    ROBUST_KINDS,
+    Fit,
+    LeastSquaresProblem,
+    Linearization,
+    linearize,
+    median_scales,
+    minimise,
+    reread,
+    weights,
+)
+from probedesign.identification.starting_values import START_FACTORS, points_at, spread
 
 MAX_REFINED = 5
-"""Hypotheses that are fitted; of the others only the start of the search is compared."""
+"""Mistakes, and priors, that are fitted; of other mistakes only the start of the search is compared."""
 MAX_FIT_ITERATIONS = 8
-MAX_TESTS, MAX_FACTORS = 6, 3
-"""Tests and factors on E that hypotheses are compared with."""
+MAX_LOADED, MAX_FREE, MAX_FACTORS = 6, 2, 3
+"""Tests under load, free tests, and factors on E that models are compared with."""
 SOFT_CHANCE = 0.01
-"""Chance of a deviation of a prior up to which it is listed as a likely cause."""
-MIN_EXPLAINED = 0.5
-"""Fraction of the misfit that a mistake must explain, else another probe is suspected (assumed)."""
+"""Chance up to which a cause is listed."""
+WRONG_PRIOR = 30.0
+"""Factor on the standard deviation of a prior whose value is wrong: 6 mm or 6 degrees of a base known to 0.2
+(assumed)."""
+MAX_LOSS = 2.0
+"""Loss over its median for normal noise up to which a mistake explains tests that have no equilibrium otherwise: noise
+three times as large as stated (assumed)."""
 
 Change = Callable[[MeasuredTest], MeasuredTest]
 
@@ -39,10 +59,10 @@ class LikelyCause:
     """A likely cause of a contradiction.
 
     Attributes:
-        name: sign, unit, mount, camera, marker, probe, friction, stiffness, noise, or the prior's name.
+        name: sign, unit, mount, camera, marker, probe, friction, stiffness, or the prior's name.
         words: what is likely wrong, and what to check.
         evidence: the number that speaks for it.
-        gain: of the log-likelihood.
+        gain: logarithm of its odds against the tests and priors as stated.
     """
 
     name: str
@@ -61,63 +81,120 @@ def likely_causes(fit: Fit, priors: Sequence[PriorTest]) -> tuple[LikelyCause, .
         fit: of the contradictory tests.
         priors: tests of the priors against the rest of the data.
     """
-    causes = [*_soft(fit, priors), *_mistakes(fit)]
+    some = [test.measured.name for test in fit.point.tests if test.measured in _some(fit.point.problem.tests)]
+    solved = [test for test in fit.point.tests if test.measured.name in some]
+    problem = replace(fit.point.problem, tests=tuple(test.measured for test in solved))
+    point = linearize(problem, fit.point.values, [test.nuisance for test in solved])
+    if not point.ok:
+        return ()
+    stated = _refined(problem, point)
+    causes = [*_mistakes(problem, stated), *_wrong_priors(stated, priors), *_scatter(stated, fit)]
     return tuple(sorted(causes, key=lambda one: -one.gain))
 
 
-def _soft(fit: Fit, priors: Sequence[PriorTest]) -> Iterator[LikelyCause]:
-    """Yield priors that deviate, and kinds of readings that scatter more than stated."""
-    for one in priors:
-        if one.chance < SOFT_CHANCE:
-            yield LikelyCause(one.label, f"{one.label}: check {one.source}",
-                              f"{one.deviation:.3g} standard deviations from the rest", one.gain)  # fmt: skip
+def explaining_mistakes(problem: LeastSquaresProblem) -> tuple[LikelyCause, ...]:
+    """Return mistakes without which the rod has an equilibrium in tests that have none as they are, the likeliest
+    first."""
+    some = replace(problem, tests=_some(problem.tests))
+    return tuple(sorted(_mistakes(some, None), key=lambda one: -one.gain))
+
+
+def _some(tests: Sequence[MeasuredTest]) -> tuple[MeasuredTest, ...]:
+    """Return tests that are spread over the campaign, most of them loaded: a mistake of the whole folder is in all."""
+    loaded, free = [one for one in tests if not one.free], [one for one in tests if one.free]
+    chosen = {one.name for one in (*spread(loaded, MAX_LOADED), *spread(free, MAX_FREE))}
+    return tuple(one for one in tests if one.name in chosen)
+
+
+def _cost(point: Linearization, scales: dict[str, float] | None = None) -> float:
+    """Return minus the logarithm of the evidence, up to a constant of all models."""
+    scales = scales or {}
+    std = point.problem.prior[point.problem.active]
+    noise = sum(
+        len(one.r) * np.log(scales.get(one.kind, 1.0)) for one in point.blocks if one.kind in ROBUST_KINDS
+    )
+    volume = point.normal_equations(weights(point.blocks, scales)).log_volume
+    return float(point.loss(scales) + noise + np.log(std[np.isfinite(std)]).sum() + volume)
+
+
+def _refined(problem: LeastSquaresProblem, point: Linearization) -> Linearization:
+    """Return the fit with the stated noise, after a search that gross errors disturb less."""
+    point = minimise(problem, point, None, MAX_FIT_ITERATIONS)[0]
+    return minimise(problem, point, {}, MAX_FIT_ITERATIONS)[0]
+
+
+def _wrong_priors(stated: Linearization, priors: Sequence[PriorTest]) -> Iterator[LikelyCause]:
+    """Yield priors and single readings whose value is wrong."""
+    for one in [one for one in priors if one.chance < SOFT_CHANCE][:MAX_REFINED]:
+        gain = one.gain
+        if one.columns:
+            prior = stated.problem.prior.copy()
+            prior[list(one.columns)] *= WRONG_PRIOR
+            problem = replace(stated.problem, prior=prior)
+            start = Linearization(problem, stated.values, stated.tests, stated.blocks)
+            gain = _cost(stated) - _cost(minimise(problem, start, {}, MAX_FIT_ITERATIONS)[0])
+        name = "probe" if one.label == DIMENSIONS else one.label
+        words = f"{one.label}: check {one.source}"
+        if gain > 0.0:
+            yield LikelyCause(name, words, f"{one.deviation:.3g} standard deviations from the rest", gain)
+
+
+def _scatter(stated: Linearization, fit: Fit) -> Iterator[LikelyCause]:
+    """Yield stiffness and friction that scatter more than stated; and that all kinds do, as with another probe."""
     for scale in fit.noise:
-        if scale.measured:
-            name = {"stiffness": "stiffness", "friction": "friction"}.get(scale.kind, "noise")
-            gain = scale.freedom * (0.5 * (scale.scale**2 - 1.0) - np.log(scale.scale))
-            words = {
-                "stiffness": "creep or rests between tests: the stiffness differs from test to test",
-                "friction": "friction: larger than friction in [contact]",
-            }.get(scale.kind, f"noise of {LABELS[scale.kind]}")
-            # noise fits anything: it comes after a cause that explains the same
-            yield LikelyCause(name, words, f"{scale.scale:.2g} times as large as stated", 0.1 * float(gain))
+        words = {
+            "stiffness": "creep or rests between tests: the stiffness differs from test to test",
+            "friction": "friction: larger than friction in [contact]",
+        }.get(scale.kind)
+        if scale.measured and words:
+            scales = {scale.kind: scale.scale}
+            point = minimise(stated.problem, stated, scales, MAX_FIT_ITERATIONS)[0]
+            gain = _cost(stated) - _cost(point, scales)
+            if gain > 0.0:
+                yield LikelyCause(scale.kind, words, f"{scale.scale:.2g} times as large as stated", gain)
+    point = minimise(stated.problem, stated, None, MAX_FIT_ITERATIONS)[0]
+    scales = median_scales(point.blocks)
+    worst = max(READING_KINDS, key=lambda kind: scales.get(kind, 0.0))
+    yield LikelyCause("probe", "another probe than the design's, or a mistake that is not listed here: check probe and "
+                      "fingerprint in campaign.toml, and the diameters of the print",
+                      f"{LABELS[worst]} scatter {scales.get(worst, 1.0):.2g} times as much as stated",
+                      _cost(stated) - _cost(point, scales))  # fmt: skip
 
 
-def _mistakes(fit: Fit) -> Iterator[LikelyCause]:
-    """Yield mistakes in the data that explain a part of the misfit."""
-    problem = _some_tests(fit.point.problem)
-    starts = _starts(problem)
-    if not starts:
-        return
-    misfit = _fitted_loss(problem, min(starts, key=lambda start: start.loss({})))
-    expected = 0.5 * sum(chi2.median(len(block.r)) for block in starts[0].blocks)
+def _mistakes(problem: LeastSquaresProblem, stated: Linearization | None) -> Iterator[LikelyCause]:
+    """Yield mistakes in the data that the tests speak for; without a fit of the tests as stated, those that explain
+    all readings."""
+    prior = problem.prior.copy()
+    prior[PARAMETERS["root"].columns] = 0.0  # its derivatives are half of the time
+    rough = replace(problem, prior=prior)
+    starts = _starts(rough)
     tried = []
     for name, words, change in _hypotheses(problem.tests):
-        other = replace(problem, tests=tuple(change(test) for test in problem.tests))
-        others = _starts(other)
+        tests = tuple(change(test) for test in problem.tests)
+        if all(_same_load(a, b) for a, b in zip(tests, problem.tests, strict=True)):
+            others = [reread(one, tests) for one in starts]
+        else:
+            others = _starts(replace(rough, tests=tests))
         if others:
             start = min(others, key=lambda one: one.loss({}))
-            tried.append((start.loss({}), name, words, other, start))
+            tried.append((start.loss({}), name, words, start))
     tried.sort(key=lambda one: one[0])
-    best = 0.0
-    for _, name, words, other, start in tried[:MAX_REFINED]:
-        loss = _fitted_loss(other, start)
-        if loss < misfit - 0.5 * chi2.isf(SOFT_CHANCE / len(tried), 1):
-            best = max(best, (misfit - loss) / max(misfit - expected, 1e-9))
-            evidence = f"χ² of {len(problem.tests)} tests falls from {2.0 * misfit:.4g} to {2.0 * loss:.4g}"
-            yield LikelyCause(name, words, evidence, misfit - loss)
-    if best < MIN_EXPLAINED:
-        yield LikelyCause("probe", "another probe than the design's: check probe and fingerprint in campaign.toml, and "
-                          "the diameters of the print",
-                          f"no mistake in the tables explains half of χ² {2.0 * misfit:.4g}",
-                          misfit - expected)  # fmt: skip
-
-
-def _some_tests(problem: LeastSquaresProblem) -> LeastSquaresProblem:
-    """Return the problem with tests that are spread over the campaign: a mistake of the whole folder is in all."""
-    n = len(problem.tests)
-    at = np.unique(np.linspace(0, n - 1, min(n, MAX_TESTS)).round().astype(int))
-    return replace(problem, tests=tuple(problem.tests[i] for i in at))
+    margin = 0.5 * chi2.isf(SOFT_CHANCE / max(len(tried), 1), 1)
+    for _, name, words, start in tried[:MAX_REFINED]:
+        whole = replace(problem, tests=start.problem.tests)
+        point = linearize(whole, start.values, [test.nuisance for test in start.tests], start)
+        if not point.ok:
+            continue
+        point = _refined(whole, point)
+        loss, n = point.loss({}), len(whole.tests)
+        if stated is None:
+            expected = 0.5 * sum(chi2.median(len(block.r)) for block in point.blocks)
+            if loss < MAX_LOSS * expected:
+                yield LikelyCause(name, words, f"χ² of {n} tests is {2.0 * loss:.4g}, and else they have no "
+                                  "equilibrium", -_cost(point))  # fmt: skip
+        elif (gain := _cost(stated) - _cost(point)) > margin:
+            evidence = f"χ² of {n} tests falls from {2.0 * stated.loss({}):.4g} to {2.0 * loss:.4g}"
+            yield LikelyCause(name, words, evidence, gain)
 
 
 def _starts(problem: LeastSquaresProblem) -> list[Linearization]:
@@ -125,9 +202,11 @@ def _starts(problem: LeastSquaresProblem) -> list[Linearization]:
     return [point for _, point in points_at(problem, START_FACTORS[:MAX_FACTORS])]
 
 
-def _fitted_loss(problem: LeastSquaresProblem, start: Linearization) -> float:
-    """Return the loss with the stated noise after a few steps of the search."""
-    return minimise(problem, start, None, MAX_FIT_ITERATIONS)[0].loss({})
+def _same_load(a: MeasuredTest, b: MeasuredTest) -> bool:
+    """Return whether two tests differ in what the reference measured alone, so that the rod is in the same state."""
+    return (
+        a.wrench_base is b.wrench_base and a.force_world is b.force_world and a.T_world_base is b.T_world_base
+    )
 
 
 def _hypotheses(tests: Sequence[MeasuredTest]) -> Iterator[tuple[str, str, Change]]:
@@ -154,6 +233,9 @@ def _hypotheses(tests: Sequence[MeasuredTest]) -> Iterator[tuple[str, str, Chang
         yield "unit", "unit: known forces in mN; check tests.csv", partial(_known, factor=1e-3)
     if not any(len(test.marker_s) or test.p_touch_world is not None for test in tests):
         return
+    for factor, which in ((1e3, "small"), (1e-3, "large")):
+        words = f"unit: places of the reference a thousand times too {which}; check the columns in mm"
+        yield "unit", words, partial(_resized, factor=factor)
     for axis in range(3):
         words = f"camera: {'xyz'[axis]} mirrored; check which camera is which, and the control points"
         yield "camera", words, partial(_placed, matrix=np.diag(np.where(np.arange(3) == axis, -1.0, 1.0)))
@@ -238,6 +320,15 @@ def _placed(test: MeasuredTest, matrix: Array) -> MeasuredTest:
     )
 
 
+def _resized(test: MeasuredTest, factor: float) -> MeasuredTest:
+    touch = test.p_touch_world
+    return replace(
+        test,
+        p_markers_world=factor * test.p_markers_world,
+        p_touch_world=None if touch is None else factor * touch,
+    )
+
+
 def _swapped(n: int, i: int, j: int) -> list[int]:
     order = list(range(n))
     order[i], order[j] = j, i
@@ -252,11 +343,9 @@ def _renamed(test: MeasuredTest, names: dict[int, int]) -> MeasuredTest:
 
 
 def _shifted(test: MeasuredTest, shift: int) -> MeasuredTest:
-    """Return the test with the arclength of each marker that of its neighbour; the last one is left out."""
-    n = len(test.marker_s)
-    if n < 2:
+    """Return the test with the arclength of each marker that of its neighbour; that of the last one is extrapolated."""
+    s = test.marker_s
+    if len(s) < 2:
         return test
-    keep = slice(0, n - 1) if shift > 0 else slice(1, n)
-    s = test.marker_s[1:] if shift > 0 else test.marker_s[:-1]
-    return replace(test, marker_s=s, p_markers_world=test.p_markers_world[keep], cov_markers=test.cov_markers[keep],
-                   marker_numbers=test.marker_numbers[keep])  # fmt: skip
+    end = 2.0 * s[-1] - s[-2] if shift > 0 else max(2.0 * s[0] - s[1], 0.0)
+    return replace(test, marker_s=np.append(s[1:], end) if shift > 0 else np.append(end, s[:-1]))

@@ -49,7 +49,7 @@ def design_changes(found: Identification, design: Design, day: str) -> tuple[Cha
             changes.append(Change("material.provenance", _split_key(one.name)[1], provenance))
     for one in numbers:
         if PARAMETERS[one.name].attribute:
-            spread = one.relative_std_total if one.name in MATERIAL else one.std_total
+            spread = one.relative_std if one.name in MATERIAL else one.std
             note = f"identified {day}, all errors of the bench included" if one.identified else one.why
             changes.append(Change("tolerances", PARAMETERS[one.name].attribute, f"{spread:.2g}", note))
     identified = [_split_key(one.name)[1] for one in numbers if one.name in MATERIAL and one.identified]
@@ -57,7 +57,7 @@ def design_changes(found: Identification, design: Design, day: str) -> tuple[Cha
     E = found.of("E")
     if E is None:
         return tuple(changes)
-    changes.append(Change("material", "stiffness_spread", f"{E.relative_std_total:.2g}",
+    changes.append(Change("material", "stiffness_spread", f"{E.relative_std:.2g}",
                           f"identified {day}: of E, as in [tolerances], for fusing touches"))  # fmt: skip
     if E.by_diameter is not None:
         changes.append(Change("tolerances", "youngs_modulus_by_diameter", f"{E.by_diameter:.2f}",
@@ -85,7 +85,7 @@ def _value(one: Identified, found: Identification, day: str) -> Change:
     caveat = f"; {one.caveat}" if one.caveat else ""
     tests = f"{found.tests} test{'s' * (found.tests != 1)}"
     start = f"identified {day}, {tests}" if one.identified else one.why
-    note = f"{start}: {one.low_total:.4g} ... {one.high_total:.4g} in 95 %, with these diameters{caveat}"
+    note = f"{start}: {one.low:.4g} ... {one.high:.4g} in 95 %, with these diameters{caveat}"
     return Change(*_split_key(one.name), f"{one.value:.4g}", note)
 
 

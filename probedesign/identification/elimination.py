@@ -133,6 +133,13 @@ class NormalEquations:
         inverse = cho_solve(cho_factor(self._scaled(0.0)), np.eye(n))
         return np.asarray(inverse * np.outer(self.units, self.units))
 
+    @cached_property
+    def log_volume(self) -> float:
+        """Half the logarithm of the determinant of the information on all unknowns."""
+        common = 0.5 * np.linalg.slogdet(self._scaled(0.0))[1] - np.log(self.units).sum()
+        own = sum(float(np.log(np.maximum(np.abs(np.diag(test.R)), 1e-12)).sum()) for test in self.tests)
+        return float(common + own)
+
     def hat(self, i: int) -> Array:
         """Return what the fit absorbs of the residuals of one test, their hat matrix, (k, k)."""
         test = self.tests[i]

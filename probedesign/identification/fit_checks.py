@@ -10,6 +10,7 @@ gross error in one would bias the numbers unseen. Each is tested against the res
 standard deviations and V = I - J C Jᵀ the share of their unit variance that the fit leaves, d² = rᵀ V⁻¹ r is χ².
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -54,6 +55,8 @@ CHECKS = {
     "weights": "the known forces and their unit",
 }
 """What to check in the data folder, by kind of reading."""
+DIMENSIONS = "dimensions as designed"
+"""Label of the prior on the print's dimensions."""
 SINGLE_READINGS = {
     "sags": ("the sag of {}", "tip_sag_mm: its sign, its unit and std_sag_mm"),
     "scales": ("the weighing", "mass_g, std_g and of in campaign.toml"),
@@ -233,7 +236,34 @@ def inconsistency(
                 return (f"markers scatter {one.scale:.2g} times as much as stated, and neighbours alike (correlation "
                         f"{correlation:.2f}), so the probe as designed does not explain them; check "
                         f"{CHECKS['markers']}")  # fmt: skip
-    return ""
+    return _exchanged_markers(blocks, tests)
+
+
+def _exchanged_markers(blocks: Sequence[ResidualBlock], tests: Sequence[MeasuredTest]) -> str:
+    """Return which neighbouring markers are exchanged in the whole campaign, by the χ² that their exchange saves; each
+    single reading may be within its noise."""
+    of = {test.name: test for test in tests}
+    found = {(one.test, one.item): one for one in blocks if one.kind == "markers"}
+    saved: dict[tuple[int, int], float] = {}
+    for (name, i), one in found.items():
+        test = of[name]
+        at = test.marker_numbers.index(i)
+        if at + 1 == len(test.marker_numbers):
+            continue
+        j = test.marker_numbers[at + 1]
+        other = found[name, j]
+        step = test.p_markers_world[at + 1] - test.p_markers_world[at]
+        now = one.squared_distance + other.squared_distance
+        then = sum(float(r @ np.linalg.solve(cov, r)) for r, cov in
+                   ((one.residual + step, test.cov_markers[at]), (other.residual - step, test.cov_markers[at + 1]))
+                   )  # fmt: skip
+        saved[i, j] = saved.get((i, j), 0.0) + now - then
+    if not saved:
+        return ""
+    (i, j), most = max(saved.items(), key=lambda pair: pair[1])
+    if most < chi2.isf(REJECTION_CHANCE / len(saved), 1):
+        return ""
+    return f"markers {i} and {j}: χ² is smaller by {most:.3g} with both exchanged; check the numbering of the markers"
 
 
 def _unexplained(blocks: Sequence[ResidualBlock], tests: Sequence[MeasuredTest], kind: str) -> float:
@@ -324,6 +354,7 @@ class PriorTest:
         chance: of so large a deviation.
         deviation: Mahalanobis distance.
         freedom: number of directions that are tested.
+        columns: of the prior in the parameter vector; empty for a single reading.
     """
 
     label: str
@@ -331,11 +362,13 @@ class PriorTest:
     chance: float
     deviation: float
     freedom: int
+    columns: tuple[int, ...] = ()
 
     @property
     def gain(self) -> float:
-        """Gain of the log-likelihood if the prior is dropped, beyond that expected by chance."""
-        return 0.5 * (self.deviation**2 - self.freedom)
+        """Logarithm of the odds of a wider prior, whose standard deviation is that of the deviation itself."""
+        ratio = max(self.deviation**2 / self.freedom, 1.0)
+        return 0.5 * self.freedom * (ratio - 1.0 - math.log(ratio))
 
     def __str__(self) -> str:
         return (f"{self.label}: the stated value deviates by {self.deviation:.3g} standard deviations from the rest of "
@@ -360,7 +393,7 @@ def _test_priors(fit: Fit) -> Iterator[PriorTest]:
     for one in PARAMETERS.values():
         if one.prior_name:
             groups.setdefault((one.prior_name, one.prior_source), []).extend(columns_of([one.name]))
-    groups["dimensions as designed", "what was printed: measure it, or increase the tolerances"] = list(
+    groups[DIMENSIONS, "what was printed: measure it, or increase the tolerances"] = list(
         range(problem.common.print_columns.start, problem.common.print_columns.stop)
     )
     groups[
@@ -370,7 +403,7 @@ def _test_priors(fit: Fit) -> Iterator[PriorTest]:
         at = np.flatnonzero(np.isin(active, columns) & np.isfinite(std))
         if len(at):
             variance = np.eye(len(at)) - fit.cov[np.ix_(at, at)] / np.outer(std[at], std[at])
-            yield from _tested(label, source, fit.point.prior_residual[at], variance)
+            yield from _tested(label, source, fit.point.prior_residual[at], variance, active[at].tolist())
 
 
 def _test_single_readings(fit: Fit) -> Iterator[PriorTest]:
@@ -380,11 +413,15 @@ def _test_single_readings(fit: Fit) -> Iterator[PriorTest]:
             yield from _tested(label.format(block.test), source, block.r, np.eye(len(hat)) - hat)
 
 
-def _tested(label: str, source: str, r: Array, variance: Array) -> Iterator[PriorTest]:
+def _tested(
+    label: str, source: str, r: Array, variance: Array, columns: Sequence[int] = ()
+) -> Iterator[PriorTest]:
     """Yield the χ² test along those directions that the rest of the data check, if there are any."""
     sizes, directions = np.linalg.eigh(0.5 * (variance + variance.T))
     checked = sizes > MIN_REDUNDANCY
     if checked.any():
         d2 = float(np.sum((directions.T @ r)[checked] ** 2 / sizes[checked]))
         freedom = int(checked.sum())
-        yield PriorTest(label, source, float(chi2.sf(d2, freedom)), d2**0.5, freedom)
+        yield PriorTest(
+            label, source, float(chi2.sf(d2, freedom)), d2**0.5, freedom, tuple(map(int, columns))
+        )

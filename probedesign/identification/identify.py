@@ -8,14 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from probedesign.campaigns import Campaign, Test
-from probedesign.campaigns.campaign import TESTS
+from probedesign.campaigns.campaign import TESTS, WRENCHES
 from probedesign.campaigns.checks import check_probe
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.identification import result
-from probedesign.identification.contradiction import likely_causes
+from probedesign.identification.contradiction import explaining_mistakes, likely_causes
 from probedesign.identification.fit_checks import (
     LABELS,
     PriorTest,
@@ -30,6 +31,7 @@ from probedesign.identification.fit_checks import (
 from probedesign.identification.parameters import (
     DEFAULT,
     LOG_E,
+    WRIST,
     CommonParameters,
     check_requested,
     columns_of,
@@ -117,15 +119,28 @@ def data_of(campaign: Campaign, model: ProbeModel, flange_volume: float) -> Iden
 def _epochs(campaign: Campaign, notes: list[str]) -> tuple[dict[str, int], Array]:
     """Return the position of each test with readings in the order of time, and the times [s].
 
-    Without times, or with times that begin anew in each test, the order is that of the table.
+    Without times, or with times that begin anew in each test, the order is that of the table. A single test without
+    time is taken between its neighbours in the table.
     """
     read = [test for test in campaign.tests if len(test.wrenches)]
-    times = np.array([test.time for test in read])
-    if not np.isfinite(times).all() or len(np.unique(times)) < len(times):
+    times, positions = np.array([test.time for test in read]), np.arange(len(read))
+    known = np.isfinite(times)
+    if not known.any():
         if len(read) > 1:
             notes.append(f"times of tests are not known: {TEST_SECONDS:g} s from one to the next are assumed, in the "
                          "order of tests.csv")  # fmt: skip
-        times = TEST_SECONDS * np.arange(len(read))
+        times = TEST_SECONDS * positions
+    elif not known.all():
+        lost = ", ".join(test.name for test, is_known in zip(read, known, strict=True) if not is_known)
+        notes.append(
+            f"{lost}: no time_s in {WRENCHES}; the time between the neighbours in {TESTS} is assumed"
+        )
+        times = np.interp(positions, positions[known], times[known])
+    twins = [
+        test.name for test, time in zip(read, times, strict=True) if known.all() and (times == time).sum() > 1
+    ]
+    if twins:
+        notes.append(f"{', '.join(twins)}: the same time_s in {WRENCHES}; no drift between them is assumed")
     ranks = np.argsort(times, kind="stable")
     return {read[i].name: k for k, i in enumerate(ranks)}, times[ranks]
 
@@ -134,7 +149,8 @@ def _measured(test: Test, campaign: Campaign, common: CommonParameters) -> Measu
     measured = MeasuredTest(
         test.name, test.T_world_base, test.gravity_world, test.force_world, test.s_contact,
         0.0 if np.isnan(test.std_s) else test.std_s, test.p_contact_world, test.std_contact,
-        sag=test.tip_sag, std_sag=test.std_sag,
+        sag=test.tip_sag, std_sag=test.std_sag, std_place=common.tolerances.robot_mm * MM,
+        std_turn=common.tolerances.robot_mm * MM / WRIST,
     )  # fmt: skip
     if measured.touched and np.isfinite(test.s_contact):
         measured = _at_touched_section(measured, common.model)
@@ -310,19 +326,19 @@ def _solvable(data: IdentificationData, names: Sequence[str]) -> tuple[Identific
         return data, start
     kept, lost = solvable_tests(problem, free_E)
     start = start_point(replace(problem, tests=tuple(kept)), free_E) if kept else None
-    if start is None:
-        raise InputError(
-            f"{data.where}: the probe buckles in its tests for any E; is it the right design, and are forces in "
-            "their column's unit?"
-        )
-    full = np.ones(len(start.blocks))
-    if len(lost) >= len(kept) and all(
-        unobservable_direction(start, full, (name,), START_TOLERANCE) for name in names
-    ):
-        raise InputError(
-            f"{data.where}: the probe buckles in {len(lost)} of {len(data.tests)} tests for any E, and the others do "
-            f"not determine {', '.join(names)}; is it the right design, and are forces in their column's unit?"
-        )
+    if start is None or len(lost) > max(1, int(MAX_LEFT_OUT * len(data.tests))):
+        buckles = f"{data.where}: the probe buckles in {len(lost)} of {len(data.tests)} tests for any E"
+        causes = explaining_mistakes(problem)
+        if causes:
+            raise InputError(f"{buckles}; likely cause: {causes[0]}")
+        if start is None or all(
+            unobservable_direction(start, np.ones(len(start.blocks)), (name,), START_TOLERANCE)
+            for name in names
+        ):
+            raise InputError(
+                f"{buckles}, and the others do not determine {', '.join(names)}; is it the right design, and are "
+                "forces in their column's unit?"
+            )
     notes = tuple(f"{one.name}: not used: the probe buckles under its load" for one in lost)
     return replace(data, tests=tuple(kept), notes=(*data.notes, *notes)), start
 
@@ -332,7 +348,7 @@ def _check_counts(data: IdentificationData, names: Sequence[str]) -> None:
     values = sum(
         6 * (one.wrench_base is not None) + 3 * len(one.marker_s) + 3 * (one.p_touch_world is not None)
         + bool(one.sag == one.sag) + (one.s_estimated and one.s_contact == one.s_contact) + 2 * one.touched
-        + sum(name in one.nuisance for name in ("weight", "stiffness"))
+        + sum(name in one.nuisance for name in ("weight", "stiffness")) + 6 * ("pose" in one.nuisance)
         for one in data.tests
     ) + (data.mass is not None)  # fmt: skip
     unknowns = len(columns_of(names)) + sum(one.nuisance_size for one in data.tests)

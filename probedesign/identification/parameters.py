@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from probedesign.identification.residuals import SolvedTest, WithJacobian
 
 DEGREE = math.pi / 180.0
+WRIST = 0.1
+"""Distance over which a robot's or a stage's repeatability becomes a rotation of the base [m]. Assumed: that of the
+base from the last axis."""
 DEFAULT = ("E", "G")
 """Parameters identified unless others are requested: those of the paper."""
 ROOT_STEP = 0.02
@@ -50,6 +53,13 @@ POISSON, POISSON_STD = 0.49, 0.01
 """Poisson's ratio of an elastomer and its standard deviation. Source: R. H. Pritchard, P. Lava, D. Debruyne,
 E. M. Terentjev, Soft Matter 9, 2013, 6037: 0.49 to 0.5 for unfilled elastomers at small strain. The standard deviation
 is assumed and covers the solid photopolymers, whose bulk modulus is not published."""
+KNOWN_ROOTS = (0.12, -0.18)
+"""root_rigid_radii of a bonded base and of the exported soft flange. Source: docs/decisions/0006."""
+MAX_ROOT_DEVIATION = 1.2
+"""Largest distance of a known root from the design's, in standard deviations of the prior, where the design does not
+state a tolerance. A normal prior that is off by k of its standard deviations and contributes the fraction w of the
+information leaves P(|√w k + √(1-w) z| < 1.96) in the 95 % interval: at least 94 % for any w up to k = 1.2, and 75 %
+at k = 2 and w = 1/2."""
 IMPLIED = ("G", "root")
 """Parameters that are estimated and reported with E although they are not requested: a probe's stiffness is that of all
 three together."""
@@ -186,7 +196,7 @@ PARAMETERS: dict[str, Parameter] = {
                   prior_name="design shear modulus",
                   prior_source="shear_modulus_mpa in the design, and its tolerance"),
         Parameter("root", {"root": "compliance that the base lacks, in base radii"},
-                  lambda common: common.tolerances.root_radii,
+                  lambda common: common.root_std,
                   lambda test, vector: vector.by_root[..., None], _with_root, max_std=0.3,
                   design_value=lambda rod: float(rod.rigid_length / rod.radius[0]), attribute="root_radii",
                   design_key="mount.root_rigid_radii", prior_name="root of the probe",
@@ -256,6 +266,7 @@ def _span(first: str, last: str) -> slice:
 
 
 BASE_ROTATION, BASE_OFFSET = _span("tilt", "clocking"), PARAMETERS["offset"].columns
+BASE_POSE = _span("tilt", "offset")
 MOUNT_ROTATION, MOUNT_OFFSET = PARAMETERS["mount_rotation"].columns, PARAMETERS["mount_offset"].columns
 LOG_E, LOG_G = PARAMETERS["E"].columns.start, PARAMETERS["G"].columns.start
 DIAMETERS = PARAMETERS["diameters"].columns.start
@@ -331,6 +342,16 @@ class CommonParameters:
         return np.concatenate([np.zeros((6, 0)), *(size * root for size in sizes)], axis=1)
 
     @property
+    def root_std(self) -> float:
+        """Standard deviation of the root, in base radii: the tolerance, or as wide as `MAX_ROOT_DEVIATION` asks where
+        that is the assumed default, because the kind of base is then not known."""
+        stated, rod = self.tolerances.root_radii, self.model.rod
+        if stated != Tolerances.root_radii:
+            return stated
+        design = float(rod.rigid_length / rod.radius[0])
+        return max(stated, max(abs(design - root) for root in KNOWN_ROOTS) / MAX_ROOT_DEVIATION)
+
+    @property
     def mount_rotation_std(self) -> Array:
         """Standard deviations of the probe's rotation on the sensor [rad], (3,)."""
         t = self.tolerances
@@ -404,6 +425,14 @@ class ParameterValues:
             if one.apply is not None:
                 rod = one.apply(rod, float(self.x[one.columns][0]))
         return scaled_diameters(rod, np.exp(self.x[self.common.print_columns] @ self.common.print_modes))
+
+    def with_pose_error(self, error: Array) -> "ParameterValues":
+        """Return the values with a further error of the base pose: rotation [rad] and position [m], (6,)."""
+        x = self.x.copy()
+        x[BASE_POSE] += error
+        moved = ParameterValues(self.common, x)
+        moved.__dict__["rod"] = self.rod  # poses do not change it
+        return moved
 
     def rod_at(self, log_stiffness: float) -> Rod:
         """Return the rod with E and G changed by the logarithm of a factor."""

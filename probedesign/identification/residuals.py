@@ -9,9 +9,9 @@ import numpy as np
 
 from probedesign.core.frames import Array, inverse, skew, wrench_map
 from probedesign.core.statistics import whiten
-from probedesign.core.units import MM
 from probedesign.identification.parameters import (
     BASE_OFFSET,
+    BASE_POSE,
     BASE_ROTATION,
     GRAVITY_COLUMNS,
     MOUNT_OFFSET,
@@ -60,6 +60,7 @@ class MeasuredTest:
         sag: displacement of the tip along gravity from where it would be without weight [m].
         std_sag: [m].
         epoch: position among the tests in the order of time, for the walk of the sensor's bias.
+        std_place, std_turn: standard deviations of the pose of this test alone, on each axis [m, rad]; 0: it is exact.
         creep_ramp: part of the creep that has passed since the middle of the campaign, -1/2 at the first test and 1/2
             at the last.
     """
@@ -83,6 +84,8 @@ class MeasuredTest:
     std_sag: float = np.nan
     epoch: int = 0
     creep_ramp: float = 0.0
+    std_place: float = 0.0
+    std_turn: float = 0.0
 
     @property
     def free(self) -> bool:
@@ -103,13 +106,14 @@ class MeasuredTest:
     def nuisance(self) -> dict[str, slice]:
         """Position of the nuisance parameters of this test by name: the force of a touch in base axes [N] and the
         angle of the touched point about the section [rad], the relative error of a known load, the arclength of either
-        [m], and the logarithm of the factor on its stiffness."""
+        [m], the logarithm of the factor on its stiffness, and the error of its base pose [rad, m]."""
         sizes = {
             "force": 3 * self.touched,
             "angle": int(self.touched),
             "weight": int(not self.touched and not self.free),
             "s": int(self.s_estimated),
             "stiffness": int(not self.free),
+            "pose": 6 * (self.std_place > 0.0),
         }
         ends = np.cumsum(list(sizes.values())).tolist()
         return {
@@ -134,7 +138,7 @@ class ResidualBlock(NamedTuple):
 
     Attributes:
         test: its name.
-        kind: markers, wrenches, touches, places, sags, friction, weights, stiffness, poisson or scales.
+        kind: markers, wrenches, touches, places, sags, friction, weights, stiffness, poses, poisson or scales.
         item: number of the marker in the test, from 1; 0 for the only one of its kind.
         r: measured minus modelled, whitened, (k,).
         J: derivatives of `r` by the parameter vector, (k, size).
@@ -229,6 +233,8 @@ class SolvedTest:
         if "stiffness" in self.measured.nuisance:
             scatter = max(self.values.common.tolerances.stiffness_scatter, MIN_SCATTER)
             yield self._own("stiffness", "stiffness", scatter)
+        if "pose" in self.measured.nuisance:
+            yield self._pose()
         if np.isfinite(self.measured.sag):
             yield self._sag()
 
@@ -266,7 +272,8 @@ class SolvedTest:
         }
         J = np.zeros((*vector.value.shape, self.measured.nuisance_size))
         for name, at in nuisance.items():
-            J[..., at] = columns[name]()
+            if name in columns:  # the error of the pose acts on blocks, see `_with_own_pose`
+                J[..., at] = columns[name]()
         return J
 
     @property
@@ -347,6 +354,7 @@ class SolvedTest:
             p, d = p + offset, d + d_offset
         modelled, J, J_nuisance = self.in_world(self.vector(p, d, by_root))
         residual = measured.p_markers_world - modelled
+        J_nuisance = self._with_own_pose(J, J_nuisance)
         W = whiten(measured.cov_markers)
         whitened, J, J_nuisance = (W @ residual[:, :, None])[:, :, 0], -W @ J, -W @ J_nuisance
         for i, number in enumerate(measured.marker_numbers):
@@ -379,8 +387,7 @@ class SolvedTest:
             value, by_rod, by_root = value + offset, by_rod + offset_by_rod, by_root + offset_by_root
         modelled, J, J_nuisance = self.in_world(self.vector(value, by_rod, by_root, by_angle))
         assert measured.p_touch_world is not None
-        own_pose = self.values.common.tolerances.robot_mm * MM
-        cov = (measured.std_touch**2 + own_pose**2) * np.eye(3)
+        cov = measured.std_touch**2 * np.eye(3)
         return self._block("touches", 0, measured.p_touch_world - modelled, J, J_nuisance, cov)
 
     def _own(self, kind: str, name: str, std: float, stated: float = 0.0) -> ResidualBlock:
@@ -390,6 +397,23 @@ class SolvedTest:
         J_nuisance[:, at] = 1.0
         J = np.zeros((1, self.values.common.size))
         return self._block(kind, 0, stated - self.nuisance[at], J, J_nuisance, np.array([[std**2]]))
+
+    def _pose(self) -> ResidualBlock:
+        """Return the residual of the test's own error of the base pose from zero."""
+        at = self.measured.nuisance["pose"]
+        std = np.repeat([self.measured.std_turn, self.measured.std_place], 3)
+        J_nuisance = np.zeros((6, self.measured.nuisance_size))
+        J_nuisance[:, at] = -np.diag(1.0 / std)
+        own = self.nuisance[at]
+        return ResidualBlock(
+            self.measured.name,
+            "poses",
+            0,
+            -own / std,
+            np.zeros((6, self.values.common.size)),
+            J_nuisance,
+            -own,
+        )
 
     def _friction(self, std: float) -> ResidualBlock:
         """Return the residual of a force without tangential parts."""
@@ -426,9 +450,17 @@ class SolvedTest:
         self, kind: str, item: int, residual: Array, J: Array, J_nuisance: Array, cov: Array
     ) -> ResidualBlock:
         """Return the whitened block; residuals are measured minus modelled, so the derivatives change their sign."""
-        W = whiten(cov)
+        W, J_nuisance = whiten(cov), self._with_own_pose(J, J_nuisance)
         return ResidualBlock(self.measured.name, kind, item, W @ residual, -W @ J, -W @ J_nuisance,
                              residual)  # fmt: skip
+
+    def _with_own_pose(self, J: Array, J_nuisance: Array) -> Array:
+        """Return the derivatives by the nuisance parameters with those by the test's own error of the base pose, which
+        acts as the common one does."""
+        at = self.measured.nuisance.get("pose")
+        if at is not None:
+            J_nuisance[..., at] = J[..., BASE_POSE]
+        return J_nuisance
 
 
 def _skews(a: Array) -> Array:
@@ -452,9 +484,12 @@ def solve_test(
         last: the test at neighbouring values, as the initial guess.
         root: whether derivatives by the root are needed.
     """
+    at = measured.nuisance
+    if "pose" in at:
+        values = values.with_pose_error(nuisance[at["pose"]])
     R = (measured.T_world_base @ values.T_stated_base)[:3, :3]
     gravity, d_gravity = values.gravity(measured.gravity_world)
-    gravity_base, at = R.T @ gravity, measured.nuisance
+    gravity_base = R.T @ gravity
     tip = None if last is None else last.eq.tip
     if measured.force_world is None:
         force = nuisance[at["force"]]

@@ -31,10 +31,10 @@ from probedesign.identification.solver import ROBUST_KINDS, Fit, NoiseScale
 CONFIDENCE = 0.95
 UNITS = {"markers": "mm", "touches": "mm", "places": "mm", "sags": "mm", "wrenches": "N and N·m", "scales": "g",
          "friction": "share of the force", "weights": "share of the load", "stiffness": "logarithm of the stiffness",
-         "poisson": "logarithm of E/G"}  # fmt: skip
+         "poisson": "logarithm of E/G", "poses": "rad and m"}  # fmt: skip
 """Units of residuals by kind of reading."""
 WEAK = 0.5
-"""Fraction of `Parameter.max_std` from which on the total standard deviation makes a parameter weakly identifiable
+"""Fraction of `Parameter.max_std` from which on the standard deviation makes a parameter weakly identifiable
 (assumed)."""
 DATA_SHARE = 0.5
 """Largest posterior over prior variance with which an implied parameter counts as identified by the tests: they then
@@ -42,9 +42,6 @@ contain at least as much information on it as its prior."""
 MIN_CONTRIBUTION = 0.1
 """Of the standard deviation of a number: smaller contributions to it, 1 % of its variance, are not listed."""
 JSON_NAMES = {
-    "std_total": "std_in_all",
-    "low_total": "low_in_all",
-    "high_total": "high_in_all",
     "caveat": "doubt",
 }
 
@@ -60,13 +57,11 @@ class Identified:
         result: "identified"; "inferred" if it follows from E and a prior rather than from the tests; or "not_told" if
             it is not observable: then `value` is the design's and there is no interval.
         value: conditional on the design's diameters, which the frozen probe uses, even where those are requested too.
-        std: standard deviation of the fit.
-        low, high: 95 % interval of the fit.
+        std: standard deviation, which includes all errors of the bench.
+        low, high: 95 % interval.
         design: design value; 0 for a pose.
         value_of_print, std_of_print, low_of_print, high_of_print: the same with the diameters as uncertain as the
             design's tolerances: of the material rather than of the probe.
-        std_total, low_total, high_total: the same as std, low and high, which include all errors of the bench; the
-            keys are older.
         by_diameter: power of the base diameter with which `value` changes if all diameters differ together; None if
             the diameters are not estimated.
         caveat: to be shown with the number; empty if there is none.
@@ -86,18 +81,15 @@ class Identified:
     std_of_print: float | None = None
     low_of_print: float | None = None
     high_of_print: float | None = None
-    std_total: float | None = None
-    low_total: float | None = None
-    high_total: float | None = None
     by_diameter: float | None = None
     caveat: str = ""
     why: str = ""
 
     @property
-    def relative_std_total(self) -> float:
-        """`std_total` relative to the value."""
-        assert self.std_total is not None
-        return self.std_total / self.value
+    def relative_std(self) -> float:
+        """`std` relative to the value."""
+        assert self.std is not None
+        return self.std / self.value
 
     @property
     def identified(self) -> bool:
@@ -352,7 +344,7 @@ def _identified(fit: Fit, column: int, quantile: float, widening: float) -> Iden
     i = _at(fit, column)
     of_print = interval(float(fit.point.values.x[column]), float(np.sqrt(fit.cov[i, i])))
     return Identified(name, parameter.labels[name], parameter.unit, "identified", value, parameter.design_value(rod),
-                      std, low, high, *of_print, std, low, high,
+                      std, low, high, *of_print,
                       by_diameter=by_diameter if parameter.logarithm else None)  # fmt: skip
 
 
@@ -418,7 +410,7 @@ def with_caveats(numbers: Sequence[Identified]) -> tuple[Identified, ...]:
 def _caveat(one: Identified) -> str:
     parameter = PARAMETERS.get(one.name)
     limit = parameter.max_std if parameter is not None and parameter.logarithm else None
-    if limit is None or one.relative_std_total < WEAK * limit:
+    if limit is None or one.relative_std < WEAK * limit:
         return ""
-    return (f"weakly identifiable: standard deviation {one.relative_std_total:.0%} (limit {limit:.0%}); consider "
+    return (f"weakly identifiable: standard deviation {one.relative_std:.0%} (limit {limit:.0%}); consider "
             "fixing it at the design value")  # fmt: skip

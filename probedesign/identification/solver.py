@@ -10,7 +10,7 @@ scale of its kind is estimated with it, which is why the steps are taken here.
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -44,7 +44,10 @@ MIN_FREEDOM = 1.0
 FULL_WEIGHT = 0.99
 """Quantile of χ² up to which a block has full weight."""
 REJECTION_CHANCE = 1e-3
-"""Chance, with noise as stated, that a scatter is judged larger than stated or a prior is rejected."""
+"""Chance, with noise as stated, that a prior is rejected."""
+SCATTER_CHANCE = 0.05
+"""Chance, with noise as stated, that a scatter is judged larger than stated: that widens the intervals and refuses
+nothing, while a scatter that is not noticed leaves them too narrow."""
 OUTLIER_CHANCE = 0.01
 """Chance, with normal noise, that a campaign reports any outlier at all."""
 MAX_ITERATIONS = 25
@@ -116,7 +119,7 @@ def robust_loss(blocks: Sequence[ResidualBlock], scales: dict[str, float]) -> fl
     return total
 
 
-def _median_scales(blocks: Sequence[ResidualBlock]) -> dict[str, float]:
+def median_scales(blocks: Sequence[ResidualBlock]) -> dict[str, float]:
     """Return the scale of each kind by the median of its distances, at least 1."""
     result = {}
     for kind in ROBUST_KINDS:
@@ -136,7 +139,7 @@ def _noise_scales(
         relative = weight[at] * scales.get(kind, 1.0) ** 2  # 1 for blocks with full weight
         squares = float(np.sum(relative * [blocks[i].squared_distance for i in at]))
         freedom = float(np.sum(relative * [len(blocks[i].r) for i in at]) - leverage[at].sum())
-        measured = freedom > MIN_FREEDOM and chi2.sf(squares, freedom) < REJECTION_CHANCE
+        measured = freedom > MIN_FREEDOM and chi2.sf(squares, freedom) < SCATTER_CHANCE
         scale = float(np.sqrt(squares / freedom)) if measured else 1.0
         result.append(NoiseScale(kind, len(at), scale, max(freedom, 0.0), bool(measured)))
     return result
@@ -209,7 +212,7 @@ class Linearization:
     Attributes:
         problem: the fit.
         values: of the parameters.
-        tests: solved.
+        tests: solved; none where the loads are absurd.
         blocks: all residuals; empty where a test has no solution.
     """
 
@@ -221,7 +224,7 @@ class Linearization:
     @property
     def ok(self) -> bool:
         """Whether the rod has a stable equilibrium in every test."""
-        return all(test.ok for test in self.tests)
+        return len(self.tests) == len(self.problem.tests) and all(test.ok for test in self.tests)
 
     @cached_property
     def prior_residual(self) -> Array:
@@ -319,6 +322,18 @@ def linearize(
         solved.append(solve_test(test, values, own, None if last is None else last.tests[i], root))
         if not solved[-1].ok:
             return Linearization(problem, values, tuple(solved), ())
+    return _collected(problem, values, solved)
+
+
+def reread(point: Linearization, tests: Sequence[MeasuredTest]) -> Linearization:
+    """Return the same states of the probe with other readings of the reference."""
+    solved = [replace(one, measured=test) for one, test in zip(point.tests, tests, strict=True)]
+    return _collected(replace(point.problem, tests=tuple(tests)), point.values, solved)
+
+
+def _collected(
+    problem: LeastSquaresProblem, values: ParameterValues, solved: Sequence[SolvedTest]
+) -> Linearization:
     blocks = [block for test in solved for block in test.blocks()]
     if problem.mass is not None:
         blocks.append(problem.mass.block(values))
@@ -407,7 +422,7 @@ def minimise(
     """Take Levenberg–Marquardt steps until the gain is negligible; scales by the medians if none are given."""
     damping = MIN_DAMPING
     for iteration in range(max_iterations):
-        used = _median_scales(point.blocks) if scales is None else scales
+        used = median_scales(point.blocks) if scales is None else scales
         weight = weights(point.blocks, used)
         equations = point.normal_equations(weight, MIN_DAMPING)
         if equations.steps[2] < MIN_GAIN:

@@ -6,13 +6,16 @@ from dataclasses import replace
 import numpy as np
 
 from probedesign.core.frames import Array
-from probedesign.identification.parameters import LOG_E, ParameterValues
+from probedesign.identification.parameters import LOG_E, LOG_G, ParameterValues
 from probedesign.identification.residuals import MeasuredTest
 from probedesign.identification.solver import LeastSquaresProblem, Linearization, linearize
 from probedesign.rod.rod import Rod
 
-START_FACTORS = (1.0, 0.7, 1.5, 0.45, 2.5)
-"""Factors on E to start from: published values of one resin differ by two."""
+START_FACTORS = (1.0, 0.7, 1.5, 0.45, 2.5, 6.0)
+"""Factors on E to start from: published values of one resin differ by two; 6 is for forces in a wrong unit."""
+MAX_LOAD = 15.0
+"""Largest F s²/(2 E I) of a load, the angle by which it would bend a rod of small deflection [rad] (assumed: far
+beyond any test)."""
 MAX_COMPARED = 6
 """Tests that the factors are compared by."""
 
@@ -22,15 +25,19 @@ def start_point(problem: LeastSquaresProblem, free_E: bool) -> Linearization | N
 
     The factors are compared by tests that are spread over the campaign.
     """
-    n = len(problem.tests)
-    spread = np.unique(np.linspace(0, n - 1, min(n, MAX_COMPARED)).round().astype(int))
-    some = replace(problem, tests=tuple(problem.tests[i] for i in spread))
+    some = replace(problem, tests=spread(problem.tests, MAX_COMPARED))
     losses = {factor: point.loss({}) for factor, point in points_at(some)} if free_E else {1.0: 0.0}
     for factor in sorted(losses, key=lambda one: losses[one]):
         point = _at_factor(problem, factor)
         if point.ok:
             return point
     return None
+
+
+def spread(tests: Sequence[MeasuredTest], count: int) -> tuple[MeasuredTest, ...]:
+    """Return at most `count` tests that are spread over the campaign."""
+    n = len(tests)
+    return tuple(tests[i] for i in np.unique(np.linspace(0, n - 1, min(n, count)).round().astype(int)))
 
 
 def points_at(
@@ -48,8 +55,23 @@ def points_at(
 def _at_factor(problem: LeastSquaresProblem, factor: float) -> Linearization:
     x = np.zeros(problem.common.size)
     x[LOG_E] = np.log(factor)
+    if problem.poisson is not None:
+        x[LOG_G] = x[LOG_E]  # as Poisson's ratio has it
+    values = ParameterValues(problem.common, x)
     nuisance = start_nuisance(problem.tests, problem.common.model.rod)
-    return linearize(problem, ParameterValues(problem.common, x), nuisance)
+    if any(_absurd(test, own, values.rod) for test, own in zip(problem.tests, nuisance, strict=True)):
+        return Linearization(problem, values, (), ())
+    return linearize(problem, values, nuisance)
+
+
+def _absurd(test: MeasuredTest, nuisance: Array, rod: Rod) -> bool:
+    """Return whether the load would bend the probe by more than `MAX_LOAD`: no test does, and the solver takes long to
+    find that out."""
+    at = test.nuisance
+    force = nuisance[at["force"]] if test.force_world is None else test.force_world
+    s = nuisance[at["s"]][0] if "s" in at else test.s_contact
+    stiffness = rod.youngs_modulus * 0.25 * np.pi * float(rod.radius.max()) ** 4
+    return not test.free and bool(np.linalg.norm(force) * s**2 > 2.0 * MAX_LOAD * stiffness)
 
 
 def solvable_tests(

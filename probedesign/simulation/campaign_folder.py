@@ -17,7 +17,7 @@ from probedesign.core.files import check_overwrite
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.tolerances import WALK_SECONDS
 from probedesign.simulation.ground_truth import STD_BASE, CampaignPlan, GroundTruth, SimulatedTest
 from probedesign.simulation.rod_and_sensor import reading_std
 from probedesign.simulation.simulated_calibration import SimulatedBoard, calibration_yaml
@@ -33,6 +33,9 @@ STD_SAG = 0.5 * MM
 """Of the tip's sag in a photograph with a scale [m] (assumed)."""
 STD_WEIGHING = 1e-5
 """Of a laboratory balance [kg] (assumed)."""
+
+TEST_SECONDS = 60.0
+"""Time from one test to the next (assumed)."""
 
 TESTS_HEADER = (
     "test,force_x_world_N,force_y_world_N,force_z_world_N,s_contact_mm,std_s_mm,contact_x_world_mm,"
@@ -210,16 +213,20 @@ def _sag(truth: GroundTruth, test: SimulatedTest) -> float:
 
 
 def _wrenches(truth: GroundTruth, tests: list[SimulatedTest], rng: np.random.Generator) -> str:
-    """Return the text of `wrenches.csv`: readings with noise and, between tests, drift of the bias."""
-    model, tolerances = truth.model, Tolerances.of(truth.model)
+    """Return the text of `wrenches.csv`: readings with noise, errors of the gain, and a bias that walks."""
+    model, flaws = truth.model, truth.flaws
     std = reading_std(model)
-    drift = 0.0 if truth.plan.exact else tolerances.drift_steps * math.sqrt(model.averaging_samples)
+    step = math.sqrt(model.averaging_samples) * std
+    bias = flaws.drift_steps * step * rng.normal(size=6)
+    walk = flaws.walk_steps * math.sqrt(TEST_SECONDS / WALK_SECONDS) * step
     rows = ["# frame: sensor", "test,time_s,Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm"]
     for k, test in enumerate(tests):
-        bias = drift * std * rng.normal(size=6)
         for i in range(truth.plan.readings):
-            reading = test.wrench_sensor + bias + std * rng.normal(size=6)
-            rows.append(",".join([test.name, f"{60 * k + i:g}", *(f"{value:.8g}" for value in reading)]))
+            reading = (1.0 + flaws.gain) * test.wrench_sensor + bias + std * rng.normal(size=6)
+            rows.append(
+                ",".join([test.name, f"{TEST_SECONDS * k + i:g}", *(f"{value:.8g}" for value in reading)])
+            )
+        bias = bias + walk * rng.normal(size=6)
     return "\n".join(rows) + "\n"
 
 
@@ -280,6 +287,9 @@ def _truth(truth: GroundTruth, tests: list[SimulatedTest]) -> str:
         "length_mm": rod.length / MM,
         "diameters_mm": (2.0 * rod.radius / MM).tolist(),
         "mass_g": 1e3 * rod.mass,
+        "root_rigid_radii": rod.rigid_length / float(rod.radius[0]),
+        "gain": truth.flaws.gain.tolist(),
+        "creep": truth.flaws.creep,
         "T_world_base": truth.T_world_true.tolist(),
         "gravity_world_m_s2": truth.gravity_world.tolist(),
         "tests": {test.name: _true_test(truth, test) for test in tests},

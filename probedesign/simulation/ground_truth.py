@@ -58,9 +58,11 @@ class CampaignPlan:
         exact: the true probe is the design's and at the stated pose; only readings and pictures are noisy.
         images: render photographs too.
         calibration: of the cameras: by a box of control points, pictures of a board, or files of another program.
-        friction: median friction coefficient μ of touches; 0 is without friction.
+        friction: median friction coefficient μ of touches; 0 is without friction. None: [contact] friction of the
+            design with flaws of the bench, else 0.
         friction_spread: standard deviation of ln μ from test to test.
         hold_out: mark every second touch as one for `validate`, which `identify` leaves out.
+        flaws: whether the bench has the flaws of the design's tolerances; an exact probe's has none.
     """
 
     kind: CampaignKind = "cameras"
@@ -72,9 +74,10 @@ class CampaignPlan:
     exact: bool = False
     images: bool = False
     calibration: CalibrationKind = "box"
-    friction: float = 0.0
+    friction: float | None = None
     friction_spread: float = ASSUMED_SPREAD
     hold_out: bool = False
+    flaws: bool = False
 
     def __post_init__(self) -> None:
         """Raise InputError where a number is out of range or two options exclude each other."""
@@ -145,6 +148,37 @@ def marker_arclengths(length: float) -> list[float]:
 
 
 @dataclass(frozen=True, eq=False)
+class BenchFlaws:
+    """What a bench does beside the noise of its readings, drawn from the tolerances.
+
+    Attributes:
+        friction: median friction coefficient of touches.
+        gain: relative error of each channel of the sensor, (6,).
+        root: error of root_rigid_radii, in base radii.
+        creep: relative loss of stiffness from the first test to the last.
+        stiffness_scatter: standard deviation of the stiffness of each loaded test, relative.
+        drift_steps, walk_steps: of the sensor's bias, as in `Tolerances`.
+    """
+
+    friction: float
+    gain: Array
+    root: float
+    creep: float
+    stiffness_scatter: float
+    drift_steps: float
+    walk_steps: float
+
+    @classmethod
+    def draw(cls, model: ProbeModel, plan: CampaignPlan, tolerances: Tolerances) -> "BenchFlaws":
+        """Draw the flaws of a plan's bench."""
+        rng, t = np.random.default_rng([plan.seed, 4]), tolerances if plan.flaws else Tolerances.none()
+        own = 0.0 if plan.exact or not plan.flaws else min(model.friction, MAX_FRICTION)
+        return cls(own if plan.friction is None else plan.friction, t.gain * rng.normal(size=6),
+                   t.root_radii * rng.normal(), t.creep * rng.normal(), t.stiffness_scatter, tolerances.drift_steps,
+                   t.walk_steps)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
 class SimulatedTest:
     """Ground truth of one test.
 
@@ -183,6 +217,7 @@ class GroundTruth:
         stated_gravity: as the campaign states it [m/s²], (3,).
         gravity_world: true gravity.
         tolerances: from which it was drawn.
+        flaws: of the bench.
     """
 
     model: ProbeModel
@@ -194,6 +229,7 @@ class GroundTruth:
     stated_gravity: Array
     gravity_world: Array
     tolerances: Tolerances
+    flaws: BenchFlaws
 
     @classmethod
     def draw(cls, model: ProbeModel, plan: CampaignPlan, rng: np.random.Generator) -> "GroundTruth":
@@ -209,18 +245,34 @@ class GroundTruth:
         for rows in turns_of(stated, tolerances).values():
             turns += rng.normal(size=len(rows)) @ rows
         true = mount @ _displacement(turns[0:3], turns[3:6])
-        return cls(model, plan, _rod(model, plan, tolerances, rng), T, mount, true, stated, stated + turns[6:9],
-                   tolerances)  # fmt: skip
+        flaws = BenchFlaws.draw(model, plan, tolerances)
+        return cls(model, plan, _rod(model, plan, tolerances, flaws, rng), T, mount, true, stated,
+                   stated + turns[6:9], tolerances, flaws)  # fmt: skip
 
     def tests(self) -> list[SimulatedTest]:
         """Return every test: free, weights, touches, free again; refuse a probe that has no stable equilibrium."""
-        found = [self._free("hang-1")]
-        if self.plan.kind == "cameras":
-            for i, (fraction, newtons) in enumerate(planned_weights(self.model), 1):
-                found.append(self._loaded(f"weight-{i}", fraction, newtons))
-        for i, touch in enumerate(planned_touches(self.model), 1):
-            found.append(self._touched(f"touch-{i:02d}", *touch))
-        return [*found, self._free("hang-2")]
+        weights = planned_weights(self.model) if self.plan.kind == "cameras" else []
+        touches = planned_touches(self.model)
+        rods = iter(self._rods(len(weights) + len(touches)))
+        found = [self._free("hang-1", next(rods))]
+        for i, (fraction, newtons) in enumerate(weights, 1):
+            found.append(self._loaded(f"weight-{i}", next(rods), fraction, newtons))
+        for i, touch in enumerate(touches, 1):
+            found.append(self._touched(f"touch-{i:02d}", next(rods), *touch))
+        return [*found, self._free("hang-2", next(rods))]
+
+    def _rods(self, loaded: int) -> list[Rod]:
+        """Return the probe of each test, whose stiffness creeps and scatters; the first and the last are free."""
+        scatter = self.flaws.stiffness_scatter * np.random.default_rng([self.plan.seed, 5]).normal(
+            size=loaded
+        )
+        own = np.concatenate([[0.0], scatter, [0.0]])
+        factors = np.exp(own - self.flaws.creep * (np.linspace(0.0, 1.0, loaded + 2) - 0.5)).tolist()
+        rod = self.rod
+        return [
+            replace(rod, youngs_modulus=f * rod.youngs_modulus, shear_modulus=f * rod.shear_modulus)
+            for f in factors
+        ]
 
     @property
     def gravity_base(self) -> Array:
@@ -231,34 +283,34 @@ class GroundTruth:
         """Return points of the true base's frame in the world [m], (..., 3)."""
         return np.asarray(points_base @ self.T_world_true[:3, :3].T + self.T_world_true[:3, 3])
 
-    def _free(self, name: str) -> SimulatedTest:
-        return self._test(name, self.rod.solve(self.gravity_base), None, "", np.zeros(3))
+    def _free(self, name: str, rod: Rod) -> SimulatedTest:
+        return self._test(name, rod.solve(self.gravity_base), None, "", np.zeros(3))
 
-    def _loaded(self, name: str, fraction: float, newtons: float) -> SimulatedTest:
+    def _loaded(self, name: str, rod: Rod, fraction: float, newtons: float) -> SimulatedTest:
         """Return a weight on a thread around the probe, a dead force on its axis, halved until the probe is stable."""
         down = self.gravity_world / np.linalg.norm(self.gravity_world)
         for _ in range(MAX_HALVINGS):
             force_base = self.T_world_true[:3, :3].T @ (newtons * down)
-            eq = self.rod.solve(self.gravity_base, force_base, fraction * self.rod.length)
+            eq = rod.solve(self.gravity_base, force_base, fraction * rod.length)
             if eq.ok:
                 break
             newtons /= 2.0
         return self._test(name, eq, None, "", np.array([0.0, 0.0, -newtons]))
 
-    def _touched(self, name: str, fraction: float, newtons: float, direction: str) -> SimulatedTest:
+    def _touched(self, name: str, rod: Rod, fraction: float, newtons: float, direction: str) -> SimulatedTest:
         """Return a touch, halved until the probe is stable.
 
         With friction the force lies within Coulomb's cone, its tangential part uniform in the circle of radius μ F_n.
         """
         ratios, size = None, 0.0
-        if self.plan.friction > 0.0:
+        if self.flaws.friction > 0.0:
             rng = np.random.default_rng([self.plan.seed, 2, int(name.rsplit("-", 1)[1])])
-            mu = draw_friction(self.plan.friction, self.plan.friction_spread, rng)
+            mu = draw_friction(self.flaws.friction, self.plan.friction_spread, rng)
             size, turn = mu * math.sqrt(rng.random()), 2.0 * math.pi * rng.random()
             ratios = (size * math.cos(turn), size * math.sin(turn))
-        s, angle = fraction * self.rod.length, DIRECTIONS[direction]
+        s, angle = fraction * rod.length, DIRECTIONS[direction]
         for _ in range(MAX_HALVINGS):
-            found = solve_contact(self.rod, self.gravity_base, s, angle, newtons, ratios)
+            found = solve_contact(rod, self.gravity_base, s, angle, newtons, ratios)
             if found.result == "ok":
                 break
             newtons /= 2.0
@@ -302,17 +354,20 @@ def _displacement(shift: Array, turn: Array) -> Array:
     return pose(Rotation.from_rotvec(turn).as_matrix(), shift)
 
 
-def _rod(model: ProbeModel, plan: CampaignPlan, tolerances: Tolerances, rng: np.random.Generator) -> Rod:
+def _rod(
+    model: ProbeModel, plan: CampaignPlan, tolerances: Tolerances, flaws: BenchFlaws, rng: np.random.Generator
+) -> Rod:
     """Return the probe as printed; moduli of the plan are exact.
 
-    Stiffness scatter between touches is not a property of the print.
+    Creep and the stiffness scatter between touches are not properties of the print.
     """
     K = len(model.rod.s)
     by = np.zeros(4 + K)
-    for rows in parameters_of(model.rod, replace(tolerances, stiffness_scatter=0.0)).values():
+    for rows in parameters_of(model.rod, replace(tolerances, stiffness_scatter=0.0, creep=0.0)).values():
         by += rng.normal(size=len(rows)) @ rows
     if plan.youngs_modulus is not None:
         by[0] = math.log(plan.youngs_modulus / model.rod.youngs_modulus)
     if plan.shear_modulus is not None:
         by[1] = math.log(plan.shear_modulus / model.rod.shear_modulus)
-    return perturbed_rod(model.rod, by)
+    rod = perturbed_rod(model.rod, by)
+    return replace(rod, rigid_length=rod.rigid_length + flaws.root * float(rod.radius[0]))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from probedesign.campaigns import Campaign
+from probedesign.core.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.fit_checks import OutlierCount, PriorTest, check_priors, rejected_priors
 from probedesign.identification.identify import IdentificationData, data_of, identify
@@ -57,11 +58,32 @@ def test_a_kind_with_only_gross_errors_is_inconsistent(
 
 
 def test_forces_in_millinewtons_are_refused(stage: Campaign, model: ProbeModel) -> None:
-    """The probe buckles under touches a thousand times as strong; the free tests and their sag are left."""
-    found = _with(data_of(stage, model, 0.0), _in_mn)
+    """The probe buckles under touches a thousand times as strong, so there is no fit to explain."""
+    with pytest.raises(InputError, match="unit: forces a thousand times too large"):
+        _with(data_of(stage, model, 0.0), _in_mn)
+
+
+def test_exchanged_neighbouring_markers_are_found_within_the_noise(
+    cameras: Campaign, model: ProbeModel
+) -> None:
+    """Two markers 10 mm apart, known to 5 mm on each axis: each reading is within its noise, the campaign is not."""
+    data = data_of(cameras, model, 0.0)
+    rng = np.random.default_rng(4)
+
+    def blurred(t: MeasuredTest) -> MeasuredTest:
+        p = t.p_markers_world + 4.9e-3 * rng.normal(size=t.p_markers_world.shape)
+        return replace(t, p_markers_world=p, cov_markers=25.0 * t.cov_markers)
+
+    def exchanged(t: MeasuredTest) -> MeasuredTest:
+        order = list(range(len(t.marker_s)))
+        order[8], order[9] = 9, 8
+        return replace(t, p_markers_world=t.p_markers_world[order])
+
+    noisy = replace(data, tests=tuple(map(blurred, data.tests)))
+    assert identify(noisy, ("E",)).result == "ok"
+    found = _with(noisy, exchanged)
     _assert_no_number(found)
-    assert found.likely_causes[0].name == "unit"
-    assert sum("buckles" in note for note in found.notes) > len(found.notes) / 2
+    assert found.likely_causes[0].name == "marker" and "9 and 10" in found.likely_causes[0].words
 
 
 def test_a_test_with_markers_numbered_one_too_high_is_left_out(cameras: Campaign, model: ProbeModel) -> None:

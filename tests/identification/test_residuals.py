@@ -33,18 +33,14 @@ def test_derivatives_agree_with_differences(cameras: Campaign, model: ProbeModel
     x = rng.normal(size=data.common.size) * np.concatenate([sizes, np.ones(data.common.size - PRINT)])
     nuisance = start_nuisance(data.tests, model.rod)
     for test, own in zip(data.tests, nuisance, strict=True):
-        for name in (
-            "angle",
-            "stiffness",
-            "weight",
-        ):  # friction around the section, and a stiffness of its own
-            own[test.nuisance.get(name, slice(0, 0))] += {"angle": 0.4, "stiffness": 0.02, "weight": 0.01}[
-                name
-            ]
+        # friction around the section, a stiffness and a pose of its own
+        for name, value in {"angle": 0.4, "stiffness": 0.02, "weight": 0.01, "pose": 1e-4}.items():
+            own[test.nuisance.get(name, slice(0, 0))] += value
     point = linearize(problem, ParameterValues(data.common, x), nuisance)
     assert point.ok
     assert {group.kind for group in point.blocks} == {
-        "wrenches", "markers", "touches", "friction", "places", "sags", "scales", "weights", "stiffness", "poisson"
+        "wrenches", "markers", "touches", "friction", "places", "sags", "scales", "weights", "stiffness",
+        "poses", "poisson",
     }  # fmt: skip
     rows = _rows(point)
     for j in range(rows.shape[1]):

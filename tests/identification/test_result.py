@@ -20,8 +20,7 @@ def number(name: str, value: float, share: float, design: float) -> Identified:
     """Return a number as a fit has it, in MPa."""
     std, ends = share * value, [value * float(np.exp(sign * NORMAL * share)) for sign in (-1.0, 1.0)]
     return Identified(
-        name, "modulus", "MPa", "identified", value, design, std, *ends, value, std, *ends, std, *ends,
-        by_diameter=-4.0,
+        name, "modulus", "MPa", "identified", value, design, std, *ends, value, std, *ends, by_diameter=-4.0,
     )  # fmt: skip
 
 
