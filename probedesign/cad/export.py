@@ -18,8 +18,9 @@ from probedesign.cad.assembly_docs import Documents, bill_records, build_documen
 from probedesign.cad.kernel import mass_properties
 from probedesign.cad.mesh import read_back, tessellate, threemf_packages
 from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad
+from probedesign.cad.step import step_bytes
 from probedesign.cad.verify import Findings, verify
-from probedesign.core.errors import CheckFailedError, InputError
+from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.parallel import defer_sigint
 from probedesign.core.stl import stl_bytes
@@ -130,9 +131,6 @@ def _base(model: CadModel) -> dict[str, Any]:
     }
 
 
-STEP_END = b"END-ISO-10303-21;"
-
-
 def export_parts(design: Design, out: Path | None, progress: Callable[[str], None]) -> dict[str, Any]:
     """Build, verify and write an export; see `probedesign.cad.export_parts`."""
     folder = Path(os.path.abspath(out or Path("exports") / design.name))
@@ -160,25 +158,20 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
         )
         for name, mesh in meshes.items()
     }
+    step = step_bytes(assembly_of(model.parts, design.name))
     with staged(folder) as staging:
-        for name, content in (stl | packages | documents.files).items():
+        contents = stl | packages | documents.files | {"assembly.step": step}
+        for name, content in contents.items():
             (staging / name).write_bytes(content)
-        _write_step(model, staging / "assembly.step")
-        contents = {path.name: path.read_bytes() for path in sorted(staging.iterdir())}
         files = {
-            n: {"sha256": hashlib.sha256(c).hexdigest(), "size_bytes": len(c)} for n, c in contents.items()
+            name: {"sha256": hashlib.sha256(content).hexdigest(), "size_bytes": len(content)}
+            for name, content in sorted(contents.items())
         }
         manifest = manifest_of(model, documents, files, findings)
         manifest["print_check"] = check_print(design).as_record()
         manifest["print_scale"] = {name: list(print_scale(design, name)) for name in meshes}
         (staging / MANIFEST).write_text(_as_json(manifest), "utf-8")
     return {**manifest, "folder": str(folder)}
-
-
-def _write_step(model: CadModel, path: Path) -> None:
-    assembly_of(model.parts, model.design.name).export(str(path), "STEP")
-    if not path.is_file() or not path.read_bytes().rstrip().endswith(STEP_END):
-        raise CheckFailedError(f"{path.name}: the kernel did not write it to its end")
 
 
 def _as_json(manifest: dict[str, Any]) -> str:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import cadquery as cq
 import numpy as np
 from OCP.BRep import BRep_Tool
-from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge
+from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge, BRepBuilderAPI_MakeVertex
 from OCP.BRepGProp import BRepGProp
 from OCP.BRepTools import BRepTools
 from OCP.Geom import Geom_BezierCurve
@@ -42,18 +42,21 @@ def _ellipse(a: float, b: float, z: float) -> cq.Wire:
     It is made of rational arcs, which are exact. The kernel's own ellipses become polynomials with an error of 1e-9
     when it lofts a face between two of them.
     """
-    ends = np.linspace(0.0, 2.0 * np.pi, ARCS + 1)
-    return cq.Wire.assembleEdges([_arc(a, b, z, *ends[i : i + 2]) for i in range(ARCS)])
-
-
-def _arc(a: float, b: float, z: float, start: float, end: float) -> cq.Edge:
-    """Return the arc from angle `start` to `end` [rad] of the parametric circle."""
-    middle, weight = (start + end) / 2.0, np.cos((end - start) / 2.0)
-    points, weights = TColgp_Array1OfPnt(1, 3), TColStd_Array1OfReal(1, 3)
-    for i, (angle, w) in enumerate([(start, 1.0), (middle, weight), (end, 1.0)], 1):
-        points.SetValue(i, gp_Pnt(a * np.cos(angle) / w, b * np.sin(angle) / w, z))
-        weights.SetValue(i, w)
-    return cq.Edge(BRepBuilderAPI_MakeEdge(Geom_BezierCurve(points, weights)).Edge())
+    half = np.pi / ARCS
+    angles = half * np.arange(2 * ARCS + 1)  # of the ends of the arcs and of their middles
+    x, y = (np.round(f, 15) + 0.0 for f in (np.cos(angles), np.sin(angles)))  # exact zeros on the axes
+    weight = float(np.cos(half))
+    # Two arcs share one vertex: of two that differ by round-off, the kernel keeps one by its address in memory.
+    ends = [BRepBuilderAPI_MakeVertex(gp_Pnt(a * x[i], b * y[i], z)).Vertex() for i in range(0, 2 * ARCS, 2)]
+    edges = []
+    for k in range(ARCS):
+        points, weights = TColgp_Array1OfPnt(1, 3), TColStd_Array1OfReal(1, 3)
+        for i, w in enumerate((1.0, weight, 1.0)):
+            points.SetValue(i + 1, gp_Pnt(a * x[2 * k + i] / w, b * y[2 * k + i] / w, z))
+            weights.SetValue(i + 1, w)
+        arc = Geom_BezierCurve(points, weights)
+        edges.append(cq.Edge(BRepBuilderAPI_MakeEdge(arc, ends[k], ends[(k + 1) % ARCS]).Edge()))
+    return cq.Wire.assembleEdges(edges)
 
 
 def cylinder(d: float, z0: float, z1: float, p: XY = (0.0, 0.0)) -> cq.Solid:

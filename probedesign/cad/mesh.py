@@ -3,6 +3,7 @@
 A package holds the parts of one resin with their unit, names and the design's fingerprint; a strict reader checks it.
 """
 
+import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -120,8 +121,17 @@ def threemf_bytes(objects: Sequence[ThreemfObject], metadata: dict[str, str]) ->
             _structs(lib3mf.Position, piece.mesh.vertices.astype("<f4")),
             _structs(lib3mf.Triangle, piece.mesh.triangles.astype("<u4")),
         )
-        model.AddBuildItem(body, wrapper.GetTranslationTransform(*place)).SetPartNumber(piece.part_number)
+        body.SetUUID(_uuid(f"object {piece.part_number}"))
+        item = model.AddBuildItem(body, wrapper.GetTranslationTransform(*place))
+        item.SetPartNumber(piece.part_number)
+        item.SetUUID(_uuid(f"item {piece.part_number}"))
+    model.SetBuildUUID(_uuid(" ".join(piece.part_number for piece in objects)))
     return bytes(model.QueryWriter("3mf").WriteToBuffer())
+
+
+def _uuid(name: str) -> str:
+    """Return a UUID that depends on a name alone; the library would draw it."""
+    return str(uuid.uuid5(uuid.NAMESPACE_OID, name))
 
 
 def platform_positions(objects: Sequence[ThreemfObject]) -> list[list[float]]:
