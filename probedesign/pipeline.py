@@ -162,10 +162,10 @@ def plan(
 
 def _flange_volume(probe: "Probe") -> float:
     """Return the volume of the printed flange, which is weighed with the flexible part [m³]."""
-    from probedesign.mount import mount_part_masses, sensor_adapter_for
+    from probedesign.mount import mount_options, mount_part_masses, sensor_adapter_for
 
     design = probe.design
-    adapter = sensor_adapter_for(probe.geometry, design.sensor_model, design.name)
+    adapter = sensor_adapter_for(probe.geometry, design.sensor_model, design.name, mount_options(design))
     return mount_part_masses(probe.geometry, adapter, design.density.value)["flange"].volume
 
 

@@ -16,7 +16,7 @@ from probedesign.core.frames import Array
 from probedesign.design import Design
 from probedesign.geometry import ProbeGeometry, build_geometry
 from probedesign.geometry.mass import MassProperties, flexible_part
-from probedesign.mount import mount_mass_properties, sensor_adapter_for
+from probedesign.mount import mount_mass_properties, mount_options, sensor_adapter_for
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
@@ -90,7 +90,7 @@ class Probe:
         from probedesign.estimation.tolerances import Tolerances
 
         d = self.design
-        adapter = sensor_adapter_for(self.geometry, d.sensor_model, d.name)
+        adapter = sensor_adapter_for(self.geometry, d.sensor_model, d.name, mount_options(d))
         calibration = d.calibration
         model = ProbeModel(
             name=d.name,

@@ -27,7 +27,8 @@ from probedesign.core.stl import stl_bytes
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.geometry.mass import MassProperties, combined
-from probedesign.mount.adapters import SQUEEZE, exported_root_radii
+from probedesign.mount import exported_root_radii
+from probedesign.mount.tolerance_stack import measurements, tolerance_stacks
 from probedesign.printing.check import check_print, is_compensated, print_scale, scale_note
 
 SCHEMA = 1
@@ -56,7 +57,12 @@ def manifest_of(
         "fingerprint": model.geometry.fingerprint,
         "made_with": {"cadquery": cq.__version__},
         "design": design.model_dump(mode="json", by_alias=True, exclude_none=True),
-        "assumptions": [*design.assumptions, "density of the rigid parts", "density of the steel parts"],
+        "assumptions": [
+            *design.assumptions,
+            "density of the rigid parts",
+            "density of the steel parts",
+            "tolerance_stacks",
+        ],
         "files": files,
         "parts": {part.name: _part(part) for part in model.printed},
         "poses": "4x4, in metres; T_a_b maps b's coordinates into a's",
@@ -65,8 +71,14 @@ def manifest_of(
         "mass": _mass(model),
         "bill_of_materials": bill_records(documents.bill),
         "screws": [use.as_record() for use in model.screws],
-        # neither printed nor screws
-        "also_needed": {"M2 nut, ISO 4032": len(a.p_ring_screws), pin: len(a.p_dowels), **robot_pin},
+        "tolerance_stacks": [stack.as_record() for stack in tolerance_stacks(a, model.plate)],
+        "measure_before_assembly": [row.as_record() for row in measurements(a, model.plate)],
+        "also_needed": {
+            f"{a.ring_screw.thread} nut, ISO 4032": len(a.p_ring_screws),
+            pin: len(a.p_dowels) + len(model.plate.p_centring_pins),
+            "cable tie, 2.5 mm wide": 1,
+            **robot_pin,
+        },
         # the fingerprint, then as much of the name as fits
         "engraved": {
             "probe": a.on_flange.text,
@@ -122,7 +134,7 @@ def _base(model: CadModel) -> dict[str, Any]:
     return {
         "held_by": f"soft flange Ø{flange.diameter / MM:g} x {flange.thickness / MM:g} mm in one piece with "
         f"the probe; the clamp ring presses its lip from Ø{a.ring_bore_d / MM:g} mm outwards by "
-        f"{SQUEEZE / MM:g} mm",
+        f"{a.squeeze / MM:.3g} mm",
         "root_rigid_radii": model.design.mount.root_rigid_radii,
         "root_rigid_radii_means": "bending compliance that the base lacks, in base radii; 0.12 is that of a face "
         f"bonded to a rigid part, that of this soft flange is about {exported_root_radii(model.geometry):.2f}, "

@@ -64,12 +64,15 @@ def cylinder(d: float, z0: float, z1: float, p: XY = (0.0, 0.0)) -> cq.Solid:
     return cq.Solid.makeCylinder(d / 2 / MM, (z1 - z0) / MM, _vector(p, z0))
 
 
-def hexagon(af: float, z0: float, z1: float, p: XY) -> cq.Solid:
-    """Return an upright hexagonal prism across flats `af` between z0 and z1 about p [m], a flat facing the axis."""
+def hexagon(af: float, z0: float, z1: float, p: XY, turn_deg: float = 0.0) -> cq.Solid:
+    """Return an upright hexagonal prism across flats `af` between z0 and z1 about p [m], a flat facing the axis at a
+    turn of 0."""
     outline = cq.Workplane().polygon(6, 2 * af / np.sqrt(3.0) / MM).extrude((z1 - z0) / MM)
     azimuth = np.degrees(np.arctan2(p[1], p[0]))
     return single_solid(
-        outline.val().rotate((0, 0, 0), (0, 0, 1), azimuth + 30.0).moved(cq.Location(_vector(p, z0)))
+        outline.val()
+        .rotate((0, 0, 0), (0, 0, 1), azimuth + 30.0 + turn_deg)
+        .moved(cq.Location(_vector(p, z0)))
     )
 
 
@@ -87,6 +90,17 @@ def engraving_cuts(engraving: Engraving) -> list[cq.Solid]:
 def _turns(loop: list[XY]) -> float:
     """Return twice the signed area of a polygon."""
     return sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(loop, [*loop[1:], loop[0]], strict=True))
+
+
+def round_slot(width: float, x: XY, z: XY, p: XY, azimuth_deg: float, both_ends: bool = False) -> cq.Solid:
+    """Return an upright slot along x in a frame at p [m], turned by the azimuth: the centres of its round ends at the
+    values of x; without `both_ends` the one at x[1] is straight."""
+    (x0, x1), half = x, width / 2
+    body = block((x0, x1), (-half, half), z).fuse(cylinder(width, *z, (x0, 0.0)))
+    if both_ends:
+        body = body.fuse(cylinder(width, *z, (x1, 0.0)))
+    turned = body.clean().rotate((0, 0, 0), (0, 0, 1), azimuth_deg)
+    return single_solid(turned.moved(cq.Location(_vector(p, 0.0))))
 
 
 def block(x: XY, y: XY, z: XY) -> cq.Solid:

@@ -235,12 +235,21 @@ class FlangeTable(Table):
 
 
 class MountTable(Table):
-    """`[mount]`: the robot flange, the orientation of gravity and the compliance of the root."""
+    """`[mount]`: robot flange, gravity, compliance of the root, and how the flange is held.
+
+    Lengths that are not given take the defaults of the mount.
+    """
 
     robot_flange: str = "iso-9409-1-50-4-m6"
     flange: FlangeTable | None = None
     gravity_base_m_s2: Annotated[tuple[float, float, float], FromArray] = (9.81, 0.0, 0.0)
     root_rigid_radii: Annotated[float, Field(ge=-1.0, le=2.0)] = 0.12
+    hold: Literal["clamped", "glued"] = "clamped"
+    ring_screw: Literal["M2", "M3"] = "M2"
+    adapters: Literal["printed", "milled"] = "printed"
+    flange_thickness_mm: Annotated[float, Field(ge=1.0, le=10.0)] | None = None
+    flange_lip_mm: Annotated[float, Field(ge=3.5, le=10.0)] | None = None
+    squeeze_mm: Annotated[float, Field(ge=0.0, le=2.0)] | None = None
 
     @model_validator(mode="after")
     def _plausible(self) -> Self:
@@ -426,7 +435,7 @@ class Design(Table):
             "shear_modulus_mpa": self.shear_modulus,
             "density_kg_m3": self.density,
         }
-        # 0.12 is a face bonded to something rigid; the exported flange is computed to yield (mount/adapters.py).
+        # 0.12 is a face bonded to something rigid; the exported flange is computed to yield (mount/root.py).
         root = ("mount.root_rigid_radii",) if self.mount.root_rigid_radii != 0.0 else ()
         # An infinite friction leaves the direction of the force free: no number is assumed.
         friction, free = self.friction, math.isinf(self.friction.value)

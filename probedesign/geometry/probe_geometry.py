@@ -123,25 +123,31 @@ FLANGE_LIP = 3.5 * MM
 """Radial width under the clamp ring [m] (assumed)."""
 
 
-def flange_for(base_d: float, min_d: float) -> Flange:
+def flange_for(
+    base_d: float, min_d: float, thickness: float = FLANGE_THICKNESS, lip: float = FLANGE_LIP
+) -> Flange:
     """Return the flange of a probe of that base diameter [m].
 
     Args:
         base_d: of the probe.
         min_d: of the flange: the sensor's tool face, so that one adapter serves all thin probes and the flange covers
             the screws into the sensor.
+        thickness, lip: of the flange, and its radial width under the clamp ring.
     """
-    return Flange(max(base_d + 2 * FLANGE_LIP, min_d), FLANGE_THICKNESS)
+    return Flange(max(base_d + 2 * lip, min_d), thickness)
 
 
 def build_geometry(design: "Design") -> ProbeGeometry:
     """Return the geometry of a design, in SI units."""
     knots = np.array(design.probe.knots_mm, dtype=float) * MM
     radius = knots[:, 1] / 2.0
+    mount = design.mount
+    thickness = FLANGE_THICKNESS if mount.flange_thickness_mm is None else mount.flange_thickness_mm * MM
+    lip = FLANGE_LIP if mount.flange_lip_mm is None else mount.flange_lip_mm * MM
     return ProbeGeometry(
         knots[:, 0],
         radius,
-        flange_for(2.0 * float(radius[0]), design.sensor_model.interface.tool.face_d),
+        flange_for(2.0 * float(radius[0]), design.sensor_model.interface.tool.face_d, thickness, lip),
         design.probe.cross_section,
         None if design.probe.tip == "blunt" else design.probe.flank_end_mm * MM,
     )

@@ -18,11 +18,18 @@ import numpy as np
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.design.catalog import M2, PRINTERS, Printer
+from probedesign.design.catalog import PRINTERS, Printer
 from probedesign.geometry import ProbeGeometry, build_geometry
-from probedesign.mount import FlangeAdapter, SensorAdapter, flange_adapter_for, sensor_adapter_for
-from probedesign.mount.adapters import PEG_D
+from probedesign.mount import (
+    FlangeAdapter,
+    SensorAdapter,
+    flange_adapter_for,
+    mount_options,
+    sensor_adapter_for,
+)
 from probedesign.mount.engraving import XY
+from probedesign.mount.flange_adapter import TIE_SLOT
+from probedesign.mount.sensor_adapter import PEG_D
 
 Severity = Literal["ok", "warning", "error"]
 Confidence = Literal["high", "medium", "low"]
@@ -252,8 +259,11 @@ def mount_findings(a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
     screw, slot = plate.mounting.screw, plate.robot.pin_slot[0]
     bolt_hole = {"bolt hole": plate.robot.screw.clearance_d} | ({"pin slot": slot} if slot > 0.0 else {})
     parts = {
-        "sensor_adapter": (_adapter_walls(a), {"screw hole": M2.clearance_d, "dowel hole": a.dowel_d}),
-        "clamp_ring": (_ring_walls(a), {"screw hole": M2.clearance_d}),
+        "sensor_adapter": (
+            _adapter_walls(a),
+            {"screw hole": a.ring_screw.clearance_d, "dowel hole": a.dowel_d},
+        ),
+        "clamp_ring": (_ring_walls(a), {"screw hole": a.ring_screw.clearance_d}),
         "flange_adapter": (_plate_walls(plate), {"sensor screw hole": screw.clearance_d} | bolt_hole),
     }
     findings = [SLENDERNESS.at_least(
@@ -274,17 +284,18 @@ Walls = list[tuple[str, float, float]]
 
 def _adapter_walls(a: SensorAdapter) -> Walls:
     ring, rim, recess = _reach(a.p_ring_screws), a.body_d / 2, a.recess_d / 2
-    pocket = a.nut_pocket_af / math.sqrt(3.0)  # to its corners
+    hole, inner = a.ring_screw.clearance_d / 2, ring - a.nut_slot_reach - a.nut_slot_width / 2
     tool, dowel, foot = _reach(a.p_tool_screws), _reach(a.p_dowels), a.foot_d / 2
-    walls = [
-        ("rim around the recess, at the flat", a.mark_x - recess, UNSUPPORTED_WALL),
-        ("between ring screw and recess", ring - M2.clearance_d / 2 - recess, SUPPORTED_WALL),
-        ("between nut pocket and rim", rim - ring - pocket, UNSUPPORTED_WALL),
-    ]
-    if ring - pocket < recess:  # the pocket extends below the recess
-        walls.append(("between nut pocket and recess", a.floor - a.nut_pocket_top, SUPPORTED_WALL))
+    # The cone below a ring screw's blind hole, and below the floor of a nut's slot at the rim.
+    cone = a.foot_height + (ring + hole - a.cone_d / 2) * (a.cone_top - a.foot_height) / (rim - a.cone_d / 2)
     return [
-        *walls,
+        ("rim around the recess, at the flat", a.mark_x - recess, UNSUPPORTED_WALL),
+        ("between ring screw and recess", ring - hole - recess, SUPPORTED_WALL),
+        ("between ring screw and rim", rim - ring - hole, UNSUPPORTED_WALL),
+        ("between nut slot and recess", inner - recess, SUPPORTED_WALL),
+        ("above a nut", a.nut_roof, SUPPORTED_WALL),
+        ("below a nut slot, at the rim", a.nut_slot_z[0] - a.cone_top, UNSUPPORTED_WALL),
+        ("below a ring screw's hole", a.ring_hole_bottom - cone, SUPPORTED_WALL),
         (
             "between sensor screw and edge of the foot",
             foot - tool - a.tool.screw.clearance_d / 2,
@@ -297,7 +308,7 @@ def _adapter_walls(a: SensorAdapter) -> Walls:
 
 
 def _ring_walls(a: SensorAdapter) -> Walls:
-    ring, hole = _reach(a.p_ring_screws), M2.clearance_d / 2
+    ring, hole = _reach(a.p_ring_screws), a.ring_screw.clearance_d / 2
     return [
         ("thickness", a.ring_thickness, UNSUPPORTED_WALL),
         ("between screw hole and rim", a.body_d / 2 - ring - hole, UNSUPPORTED_WALL),
@@ -306,7 +317,7 @@ def _ring_walls(a: SensorAdapter) -> Walls:
 
 
 def _plate_walls(p: FlangeAdapter) -> Walls:
-    robot, rim, pad, screw = p.robot, p.plate_d / 2, p.pad_d / 2, p.mounting.screw
+    robot, rim, screw = p.robot, p.plate_d / 2, p.mounting.screw
     bolts, screws = _reach(p.p_bolts), _reach(p.p_mounting_screws)
     width, length = robot.pin_slot
     slot = rim - math.hypot(bolts + length / 2, width / 2)
@@ -315,7 +326,16 @@ def _plate_walls(p: FlangeAdapter) -> Walls:
         ("thickness", p.plate_top, UNSUPPORTED_WALL),
         ("between bolt and rim", rim - bolts - robot.screw.clearance_d / 2, UNSUPPORTED_WALL),
         *([("between pin slot and rim", slot, UNSUPPORTED_WALL)] if width > 0.0 else []),
-        ("between sensor screw and edge of the pad", pad - screws - screw.clearance_d / 2, UNSUPPORTED_WALL),
+        (
+            "between a slot for the cable tie and rim",
+            rim - _reach(p.p_tie_slots) - max(TIE_SLOT) / 2,
+            UNSUPPORTED_WALL,
+        ),
+        *(
+            [("between pin and head's room", _apart(p), SUPPORTED_WALL)]
+            if p.p_centring_pins and p.centring_hole[1] < p.counterbore_top
+            else []
+        ),
         *(
             [("between a head's room and edge of the spigot", spigot, SUPPORTED_WALL)]
             if robot.spigot[0] > 0.0
@@ -323,6 +343,12 @@ def _plate_walls(p: FlangeAdapter) -> Walls:
         ),
         ("under the heads of the sensor screws", p.mounting.grip, SUPPORTED_WALL),
     ]
+
+
+def _apart(p: FlangeAdapter) -> float:
+    """Return the wall between the centring pins' holes and the rooms of the screws' heads [m]."""
+    nearest = min(math.dist(a, b) for a in p.p_centring_pins for b in p.p_mounting_screws)
+    return nearest - p.centring_hole[0] / 2 - p.mounting.screw.counterbore_d / 2
 
 
 def _reach(points: Iterable[XY]) -> float:
@@ -409,9 +435,10 @@ def check_print(design: Design) -> PrintCheck:
     """Check a design against the rules of its printer and of both resins."""
     geometry, printer = build_geometry(design), design.printer
     findings = [*_probe_size(design, geometry), *probe_findings(geometry)]
-    plate = flange_adapter_for(design.sensor_model, design.robot_flange)
+    options = mount_options(design)
+    plate = flange_adapter_for(design.sensor_model, design.robot_flange, options=options)
     try:
-        a = sensor_adapter_for(geometry, design.sensor_model)
+        a = sensor_adapter_for(geometry, design.sensor_model, options=options)
     except InputError as error:
         findings.append(MOUNT.impossible("clamp_ring", str(error)))
     else:
@@ -420,7 +447,7 @@ def check_print(design: Design) -> PrintCheck:
         for part, width, height in (
             ("sensor_adapter", a.body_d, a.body_top),
             ("clamp_ring", a.body_d, a.ring_thickness),
-            ("flange_adapter", plate.plate_d, plate.pad_top + plate.robot.spigot[1]),
+            ("flange_adapter", plate.plate_d, plate.plate_top + plate.robot.spigot[1]),
         ):
             findings += size_findings(part, printer, sx * width / MM, sz * height / MM)
     advice = (
