@@ -304,7 +304,11 @@ def build_documents(model: CadModel, meshes: Mapping[str, Mesh]) -> Documents:
     bodies = {name: render_body(part, meshes.get(name)) for name, part in model.parts.items()}
     bill = bill_of_materials(model)
     steps = assembly_steps(
-        model.screws, model.adapter.dowels, model.plate.robot.pin_d, len(model.plate.p_centring_pins)
+        model.screws,
+        model.adapter.dowels,
+        model.plate.robot.pin_d,
+        len(model.plate.p_centring_pins),
+        model.design.mount.hold == "glued",
     )
     labels = {}
     for item in bill:

@@ -84,7 +84,7 @@ def explosion(names: Collection[str]) -> tuple[Move, ...]:
 
 
 def assembly_steps(
-    screws: list[ScrewGroup], dowels: DowelPattern, pin_d: float, centring_pins: int
+    screws: list[ScrewGroup], dowels: DowelPattern, pin_d: float, centring_pins: int, glued: bool = False
 ) -> list[AssemblyStep]:
     """Return the steps of the assembly.
 
@@ -93,6 +93,7 @@ def assembly_steps(
         dowels: of the sensor's tool face.
         pin_d: diameter of the robot's dowel pin [m], 0 if there is none.
         centring_pins: number of pins around the sensor's body.
+        glued: whether the flange's underside is glued.
     """
     centred = (
         f"press the {centring_pins} centring pins into the flange adapter as deep as they go, set the sensor "
@@ -101,6 +102,7 @@ def assembly_steps(
         else ""
     )
     plate = explosion(("centring_pins",) if centring_pins else ())[: 2 if centring_pins else 1]
+    glue = "spread a thin film of flexible cyanoacrylate on the floor of the recess, " if glued else ""
     nut = next(use.screw.thread for use in screws if use.name == "ring_screws")
     of = {use.name: f"{len(use.points)} {use.screw.thread}x{use.length / MM:g}" for use in screws}
     pin = f", its own {pin_d / MM:g} mm dowel pin in the slot" if pin_d > 0.0 else ""
@@ -120,7 +122,8 @@ def assembly_steps(
              f"{of['sensor_adapter_screws']}, never longer",
              (Move(("sensor_adapter", "ring_nuts", "dowel_pins"), "sensor", UP),
               Move(("sensor_adapter_screws",), "sensor_adapter", UP))),
-        AssemblyStep("lay the flange into the recess, its hole over the peg: peg and the flat on the rim are at +X",
+        AssemblyStep(f"{glue}lay the flange into the recess, its hole over the peg: peg and the flat on the rim are "
+             "at +X",
              (Move(("probe",), "sensor_adapter", UP),)),
         AssemblyStep(f"slip the clamp ring over the tip and screw it down with {of['ring_screws']} until it sits on "
              "the wall", (Move(("clamp_ring",), "probe", UP), Move(("ring_screws",), "clamp_ring", UP))),

@@ -28,6 +28,7 @@ from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.geometry.mass import MassProperties, combined
 from probedesign.mount import exported_root_radii
+from probedesign.mount.root import ROOT_STD
 from probedesign.mount.tolerance_stack import measurements, tolerance_stacks
 from probedesign.printing.check import check_print, is_compensated, print_scale, scale_note
 
@@ -136,8 +137,10 @@ def _base(model: CadModel) -> dict[str, Any]:
         f"the probe; the clamp ring presses its lip from Ø{a.ring_bore_d / MM:g} mm outwards by "
         f"{a.squeeze / MM:.3g} mm",
         "root_rigid_radii": model.design.mount.root_rigid_radii,
+        "root_rigid_radii_computed": round(exported_root_radii(model.geometry, model.design.mount.hold), 3),
         "root_rigid_radii_means": "bending compliance that the base lacks, in base radii; 0.12 is that of a face "
-        f"bonded to a rigid part, that of this soft flange is about {exported_root_radii(model.geometry):.2f}, "
+        f"bonded to a rigid part, that of this {model.design.mount.hold} soft flange about "
+        f"{exported_root_radii(model.geometry, model.design.mount.hold):.2f} ± {ROOT_STD:g}, "
         "computed for a full round probe, not measured: identify it on the bench",
         "drawn": "with the lip not yet pressed: screwed down, the ring and its screws lie lower by as much",
     }

@@ -113,7 +113,7 @@ def flange_adapter_for(
     room = pins_r + CENTRING_PIN_D / 2 + 0.3 * MM < reach - robot.screw.head_d / 2
     pins = on_circle(2 * pins_r, (cable_deg + a for a in CENTRING_DEG)) if room else ()
     pocket = (
-        (body_r - CABLE_SIDE, cable.reach + CABLE_SIDE),
+        (body_r - CABLE_SIDE, max(cable.reach, body_r) + CABLE_SIDE),
         (-cable.width / 2 - CABLE_SIDE, cable.width / 2 + CABLE_SIDE),
         (plate_top - CABLE_ROOM, plate_top),
     )

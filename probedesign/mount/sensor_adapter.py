@@ -254,8 +254,8 @@ def sensor_adapter_for(
 
     width = nut.af + SLIP
     # The nut's two inner corners, at (af/√12, af/2) from its axis, touch the slot's round end.
-    reach = nut.af / math.sqrt(12.0) - math.sqrt((width / 2) ** 2 - (nut.af / 2) ** 2)
-    circle_d = recess_d + 2 * (WALL + width / 2 + reach)
+    reach = _up(nut.af / math.sqrt(12.0) - math.sqrt((width / 2) ** 2 - (nut.af / 2) ** 2))
+    circle_d = _up(recess_d + 2 * (WALL + width / 2 + reach))
     stock = [n * MM for n in screw.stock_mm]
     needed = options.ring_thickness + ROOF + nut.height
     length = next(n for n in stock if n >= needed + nut_slack(screw, n, options))
@@ -274,7 +274,7 @@ def sensor_adapter_for(
     hole_bottom = wall + options.ring_thickness - length - TIP_ROOM
     lowest = max(cone_top + WALL - slot_bottom, cone_at_hole + THIN_WALL - hole_bottom)
     floor = tool.grip + tool.screw.head_height + HEAD_SUNK
-    floor = max(floor, math.ceil(lowest / (0.1 * MM) - 1e-6) * 0.1 * MM)
+    floor = max(floor, _up(lowest))
     body_top = floor + wall
     peg_x, peg_hole_d = (flange.diameter - options.lip) / 2 - PEG_INWARD, PEG_D + 0.1 * MM
     mark_x = body_d / 2 - MARK_FLAT
@@ -318,6 +318,11 @@ def sensor_adapter_for(
         on_wall=engraved(letters, body_top, (0.0, *RING_AZIMUTHS_DEG), screw.clearance_d),
         on_ring=engraved(letters, options.ring_thickness, RING_AZIMUTHS_DEG, screw.head_d),
     )
+
+
+def _up(length: float) -> float:
+    """Return a length rounded up to 0.1 mm, for drawings [m]."""
+    return math.ceil(length / (0.1 * MM) - 1e-6) * 0.1 * MM
 
 
 def nut_slack(screw: SocketScrew, length: float, options: MountOptions) -> float:

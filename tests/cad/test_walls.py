@@ -7,6 +7,8 @@ import pytest
 
 pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip install 'probedesign[cad]'")
 
+from OCP.BRepAdaptor import BRepAdaptor_Surface
+
 from probedesign.core.units import MM
 from probedesign.design.catalog import M2
 from probedesign.printing.check import check_print
@@ -14,12 +16,9 @@ from probedesign.printing.check import check_print
 
 def round_faces(shape: Any, diameter: float) -> list[Any]:
     """Cylindrical faces of that diameter [m]."""
-    return [
-        face
-        for face in shape.Faces()
-        if face.geomType() == "CYLINDER"
-        and abs(2 * face._geomAdaptor().Cylinder().Radius() * MM - diameter) < 1e-9
-    ]
+    cylinders = [face for face in shape.Faces() if face.geomType() == "CYLINDER"]
+    radii = [BRepAdaptor_Surface(face.wrapped).Cylinder().Radius() for face in cylinders]
+    return [face for face, r in zip(cylinders, radii, strict=True) if abs(2 * r * MM - diameter) < 1e-9]
 
 
 def apart(some: list[Any], others: list[Any]) -> float:
