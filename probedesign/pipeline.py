@@ -67,6 +67,13 @@ def export(design: "Design", folder: Path | None, on_step: Callable[[str], None]
     return cad.export_parts(design, folder, on_step)
 
 
+def export_part(design: "Design", part: str, folder: Path | None) -> dict[str, Any]:
+    """Write the STL file of one printed part, and return its properties. Needs CadQuery."""
+    from probedesign import cad
+
+    return cad.export_part(design, part, folder)
+
+
 def check(design: "Design") -> "PrintCheck":
     """Check a design against the rules of its printer and of both resins, without CAD."""
     from probedesign.printing.check import check_print

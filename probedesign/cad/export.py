@@ -16,16 +16,18 @@ import numpy as np
 
 from probedesign.cad.assembly_docs import Documents, bill_records, build_documents
 from probedesign.cad.kernel import mass_properties
-from probedesign.cad.mesh import read_back, tessellate, threemf_packages
-from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad
+from probedesign.cad.mesh import Mesh, read_back, tessellate, threemf_packages
+from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad, printed_solid
 from probedesign.cad.step import step_bytes
-from probedesign.cad.verify import Findings, verify
-from probedesign.core.errors import InputError
+from probedesign.cad.verify import MESH_LIMIT, Findings, verify
+from probedesign.core.errors import CheckFailedError, InputError
+from probedesign.core.files import write_atomically
 from probedesign.core.frames import Array
 from probedesign.core.parallel import defer_sigint
 from probedesign.core.stl import stl_bytes
 from probedesign.core.units import MM
 from probedesign.design import Design
+from probedesign.geometry import build_geometry
 from probedesign.geometry.mass import MassProperties, combined
 from probedesign.mount import exported_root_radii
 from probedesign.mount.root import ROOT_STD
@@ -165,13 +167,8 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
         for content in packages.values():
             read_back(content)
     progress("writing")
-    # An STL header must not begin with "solid", which marks a text file.
-    title = f"probedesign {model.geometry.fingerprint}"
     stl = {
-        f"{name}.stl": stl_bytes(
-            mesh.vertices[mesh.triangles], f"{title}{scale_note(design, name)} {design.name} {name}"
-        )
-        for name, mesh in meshes.items()
+        f"{name}.stl": _stl(design, name, mesh, model.geometry.fingerprint) for name, mesh in meshes.items()
     }
     step = step_bytes(assembly_of(model.parts, design.name))
     with staged(folder) as staging:
@@ -187,6 +184,51 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
         manifest["print_scale"] = {name: list(print_scale(design, name)) for name in meshes}
         (staging / MANIFEST).write_text(_as_json(manifest), "utf-8")
     return {**manifest, "folder": str(folder)}
+
+
+def export_part(design: Design, part: str, out: Path | None) -> dict[str, Any]:
+    """Build, check and write the mesh of one printed part; see `probedesign.cad.export_part`."""
+    folder = Path(os.path.abspath(out or Path("exports") / design.name))
+    check_target(folder)
+    shape = printed_solid(design, part)
+    mesh, solid = tessellate(shape), mass_properties(shape, 1.0)
+    missing = abs(mesh.volume / solid.volume - 1.0)
+    if not mesh.closed or missing > MESH_LIMIT:
+        raise CheckFailedError(f"{part}: the mesh is not closed, or omits {missing:.2g} of the volume")
+    scaled = mesh.scaled(print_scale(design, part))
+    content = _stl(design, part, scaled, build_geometry(design).fingerprint)
+    path = folder / f"{part}.stl"
+    listed = _digests(folder).get(path.name)
+    if listed is not None and listed != hashlib.sha256(content).hexdigest():
+        raise InputError(
+            f"{path}: belongs to an export of another design or version; export the whole design, or give --out"
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, content, replace=True)
+    return {
+        "file": str(path),
+        "part": part,
+        "fingerprint": build_geometry(design).fingerprint,
+        "volume_m3": solid.volume,
+        "mesh_volume_missing": missing,
+        "size_bytes": len(content),
+        "print_scale": list(print_scale(design, part)),
+    }
+
+
+def _stl(design: Design, part: str, mesh: Mesh, fingerprint: str) -> bytes:
+    # An STL header must not begin with "solid", which marks a text file.
+    title = f"probedesign {fingerprint}{scale_note(design, part)} {design.name} {part}"
+    return stl_bytes(mesh.vertices[mesh.triangles], title)
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    """Return the digests of the files that the folder's manifest lists; none if it cannot be read."""
+    try:
+        files = json.loads((folder / MANIFEST).read_text("utf-8"))["files"]
+        return {str(name): str(record["sha256"]) for name, record in files.items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {}
 
 
 def _as_json(manifest: dict[str, Any]) -> str:
@@ -273,8 +315,5 @@ def _put_in_place(staging: Path, folder: Path) -> None:
 
 def _made_before(folder: Path) -> set[str]:
     """Return the names of existing files that the folder's manifest lists; none if it cannot be read."""
-    try:
-        listed = set(json.loads((folder / MANIFEST).read_text("utf-8"))["files"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return set()
+    listed = _digests(folder)
     return {path.name for path in folder.iterdir() if path.name in listed and path.is_file()}

@@ -43,7 +43,7 @@ from probedesign.mount import (
 )
 from probedesign.mount.engraving import XY
 from probedesign.mount.flange_adapter import CENTRING_PIN_D, CENTRING_PIN_LENGTH, TIE_SLOT
-from probedesign.mount.sensor_adapter import DOWEL_SLOT, PEG_D, VENT_WIDTH, on_circle
+from probedesign.mount.sensor_adapter import DOWEL_SLOT, PEG_D, RING_VENT_HEIGHT, VENT_WIDTH, on_circle
 
 MIN_CLEARANCE = 0.5 * MM
 """Minimum clearance to the sensor's body and cable: a contact across the split line would bypass the strain gauges."""
@@ -268,6 +268,7 @@ def clamp_ring_solid(a: SensorAdapter) -> cq.Solid:
     body = cylinder(a.body_d, 0.0, height).cut(
         revolved([(0.0, 0.0), (bore, 0.0), (top, height), (0.0, height)]),
         *(cylinder(a.ring_screw.clearance_d, 0.0, height, p) for p in a.p_ring_screws),
+        block((0.0, a.body_d), (-VENT_WIDTH / 2, VENT_WIDTH / 2), (0.0, RING_VENT_HEIGHT)),
         *engraving_cuts(a.on_ring),
     )
     return single_solid(body)
@@ -505,6 +506,28 @@ class CadModel:
     def shared_volumes(self) -> dict[str, float]:
         """Return the volume shared by each pair of parts that come near each other [m³]; contact is zero."""
         return overlaps(self.parts)
+
+
+def printed_solid(design: Design, part: str) -> cq.Solid:
+    """Return one printed part in its own frame, in millimetres, without building the others.
+
+    Raises:
+        InputError: the mount cannot clamp this probe.
+        CheckFailedError: a screw would enter too deep, or the part is not one valid solid.
+    """
+    geometry, sensor, options = build_geometry(design), design.sensor_model, mount_options(design)
+    plate = flange_adapter_for(sensor, design.robot_flange, geometry.fingerprint, design.name, options)
+    adapter = sensor_adapter_for(geometry, sensor, design.name, options)
+    screw_groups(adapter, plate)
+    match part:
+        case "probe":
+            return probe_solid(geometry, adapter)
+        case "sensor_adapter":
+            return sensor_adapter_solid(adapter)
+        case "clamp_ring":
+            return clamp_ring_solid(adapter)
+        case _:
+            return flange_adapter_solid(plate)
 
 
 def build_cad(design: Design) -> CadModel:

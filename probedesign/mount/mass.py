@@ -13,7 +13,9 @@ from probedesign.design.catalog import STEEL_DENSITY, SocketScrew
 from probedesign.geometry import ProbeGeometry
 from probedesign.geometry.mass import MassProperties, combined, flange_part, frustum
 from probedesign.mount.engraving import CELL, DEPTH, ROWS, XY, Engraving, cut_runs, glyph_width
-from probedesign.mount.sensor_adapter import DOWEL_SLOT, PEG_D, VENT_WIDTH, SensorAdapter
+from probedesign.mount.sensor_adapter import DOWEL_SLOT, PEG_D, RING_VENT_HEIGHT, VENT_WIDTH, SensorAdapter
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(40)
 
 
 def mount_mass_properties(
@@ -97,7 +99,27 @@ def _clamp_ring(a: SensorAdapter, density: float) -> MassProperties:
     bore = frustum(a.ring_bore_d / 2, a.ring_bore_top_d / 2, a.ring_thickness, 0.0, density)
     holes = [cylinder(a.ring_screw.clearance_d, 0.0, a.ring_thickness, density, p) for p in a.p_ring_screws]
     disc = cylinder(a.body_d, 0.0, a.ring_thickness, density)
-    return subtract(disc, [bore, *holes, engraving_mass(a.on_ring, density)])
+    return subtract(disc, [bore, _ring_vent(a, density), *holes, engraving_mass(a.on_ring, density)])
+
+
+def _ring_vent(a: SensorAdapter, density: float) -> MassProperties:
+    """Return the notch across the ring's underside at +x, from the conical bore to the rim.
+
+    Its moments are integrals over y and z of polynomials of smooth limits in x, which Gauss points give to round-off.
+    """
+    half, height = VENT_WIDTH / 2, RING_VENT_HEIGHT
+    y, z = np.meshgrid(half * _NODES, height / 2 * (1.0 + _NODES), indexing="ij")
+    w = density * half * height / 2 * np.outer(_WEIGHTS, _WEIGHTS)
+    bore = (a.ring_bore_d + (a.ring_bore_top_d - a.ring_bore_d) * z / a.ring_thickness) / 2
+    x0, x1 = np.sqrt(bore**2 - y * y), np.sqrt(a.body_d**2 / 4 - y * y)
+    length, first, second = ((x1**n - x0**n) / n for n in (1, 2, 3))
+    mass = float((w * length).sum())
+    p = np.array([(w * first).sum(), 0.0, (w * z * length).sum()]) / mass
+    xx, yy, zz = (w * second).sum(), (w * y * y * length).sum(), (w * z * z * length).sum()
+    xz = (w * z * first).sum()
+    about_origin = np.array([[yy + zz, 0.0, -xz], [0.0, xx + zz, 0.0], [-xz, 0.0, xx + yy]])
+    central = about_origin - mass * (p @ p * np.eye(3) - np.outer(p, p))
+    return MassProperties(mass / density, mass, p, central)
 
 
 def _fasteners(a: SensorAdapter, density: float) -> list[MassProperties]:
@@ -160,9 +182,6 @@ def prism_of_box(x: XY, y: XY, z: XY, density: float) -> MassProperties:
     """Return a box between the two values of x, of y and of z [m]."""
     a, b = x[1] - x[0], y[1] - y[0]
     return prism(a * b, a * b**3 / 12, a**3 * b / 12, z, density, ((x[0] + x[1]) / 2, (y[0] + y[1]) / 2))
-
-
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(40)
 
 
 def strip(r: float, x0: float, half: float, z0: float, z1: float, density: float) -> MassProperties:

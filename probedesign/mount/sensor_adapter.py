@@ -37,7 +37,7 @@ HEAD_SUNK = 0.2 * MM
 """A head lies this far below the face, so that it cannot dent the part that rests on it."""
 FOOT_HEIGHT = 0.6 * MM
 """Height of the foot's edge above the tool face: clearance to the sensor's body and its cable."""
-FOOT_LEDGE = 0.9 * MM
+FOOT_LEDGE = 0.6 * MM
 """Horizontal overhang at the foot's edge; up to 1 mm prints without supports (Formlabs' design guide)."""
 UNDERSIDE_DEG = 20.0
 """Angle of the underside to the horizontal: from 19° it prints without supports (Formlabs' design guide)."""
@@ -71,7 +71,9 @@ PEG_INWARD = 0.05 * MM
 MARK_FLAT = 0.8 * MM
 """Depth of the flat on the adapter's rim that marks +X on the outside."""
 VENT_WIDTH = 2.0 * MM
-"""Of the notch through the recess's wall at +X: resin drains through it, and it shows the flange's clocking."""
+"""Of the notches at +X through the recess's wall and across the ring's underside: on the platform, resin and air pass
+through them, and they show the clocking."""
+RING_VENT_HEIGHT = 0.6 * MM
 PIN_TOLERANCE = 0.25 * MM
 """Tolerance ± of a dowel pin's length, ISO 2338."""
 PIN_ROOM = 0.1 * MM

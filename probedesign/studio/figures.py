@@ -162,7 +162,7 @@ def complete(design: Design) -> DesignFigures:
 def _figures(design: Design, forces_N: tuple[float, ...], only_single: bool) -> DesignFigures:
     probe = build_probe(design)
     model = probe.model
-    found = check_print(design)
+    found = check_print(design, layers=False)
     return DesignFigures(
         probe,
         predict(model, forces_N=forces_N, only_single=only_single),
