@@ -54,7 +54,7 @@ def export_part(design: Design, part: str, out: Path | None = None) -> dict[str,
         MissingDependencyError: CadQuery, trimesh or lib3mf is not installed.
     """
     with _kernel():
-        from probedesign.cad.export import export_part as export
+        from probedesign.cad.single_part import export_part as export
     return export(design, part, out)
 
 

@@ -4,10 +4,7 @@ import hashlib
 import json
 import os
 import re
-import shutil
-import uuid
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,27 +12,23 @@ import cadquery as cq
 import numpy as np
 
 from probedesign.cad.assembly_docs import Documents, bill_records, build_documents
+from probedesign.cad.folder import MANIFEST, check_target, staged
 from probedesign.cad.kernel import mass_properties
-from probedesign.cad.mesh import Mesh, read_back, tessellate, threemf_packages
-from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad, printed_solid
+from probedesign.cad.mesh import read_back, tessellate, threemf_packages
+from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad
+from probedesign.cad.single_part import part_stl
 from probedesign.cad.step import step_bytes
-from probedesign.cad.verify import MESH_LIMIT, Findings, verify
-from probedesign.core.errors import CheckFailedError, InputError
-from probedesign.core.files import write_atomically
+from probedesign.cad.verify import Findings, verify
 from probedesign.core.frames import Array
-from probedesign.core.parallel import defer_sigint
-from probedesign.core.stl import stl_bytes
 from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.geometry import build_geometry
 from probedesign.geometry.mass import MassProperties, combined
 from probedesign.mount import exported_root_radii
 from probedesign.mount.root import ROOT_STD
 from probedesign.mount.tolerance_stack import measurements, tolerance_stacks
-from probedesign.printing.check import check_print, is_compensated, print_scale, scale_note
+from probedesign.printing.check import check_print, is_compensated, print_scale
 
 SCHEMA = 1
-MANIFEST = "manifest.json"
 
 
 def manifest_of(
@@ -168,7 +161,8 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
             read_back(content)
     progress("writing")
     stl = {
-        f"{name}.stl": _stl(design, name, mesh, model.geometry.fingerprint) for name, mesh in meshes.items()
+        f"{name}.stl": part_stl(design, name, mesh, model.geometry.fingerprint)
+        for name, mesh in meshes.items()
     }
     step = step_bytes(assembly_of(model.parts, design.name))
     with staged(folder) as staging:
@@ -186,134 +180,8 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
     return {**manifest, "folder": str(folder)}
 
 
-def export_part(design: Design, part: str, out: Path | None) -> dict[str, Any]:
-    """Build, check and write the mesh of one printed part; see `probedesign.cad.export_part`."""
-    folder = Path(os.path.abspath(out or Path("exports") / design.name))
-    check_target(folder)
-    shape = printed_solid(design, part)
-    mesh, solid = tessellate(shape), mass_properties(shape, 1.0)
-    missing = abs(mesh.volume / solid.volume - 1.0)
-    if not mesh.closed or missing > MESH_LIMIT:
-        raise CheckFailedError(f"{part}: the mesh is not closed, or omits {missing:.2g} of the volume")
-    scaled = mesh.scaled(print_scale(design, part))
-    content = _stl(design, part, scaled, build_geometry(design).fingerprint)
-    path = folder / f"{part}.stl"
-    listed = _digests(folder).get(path.name)
-    if listed is not None and listed != hashlib.sha256(content).hexdigest():
-        raise InputError(
-            f"{path}: belongs to an export of another design or version; export the whole design, or give --out"
-        )
-    folder.mkdir(parents=True, exist_ok=True)
-    write_atomically(path, content, replace=True)
-    return {
-        "file": str(path),
-        "part": part,
-        "fingerprint": build_geometry(design).fingerprint,
-        "volume_m3": solid.volume,
-        "mesh_volume_missing": missing,
-        "size_bytes": len(content),
-        "print_scale": list(print_scale(design, part)),
-    }
-
-
-def _stl(design: Design, part: str, mesh: Mesh, fingerprint: str) -> bytes:
-    # An STL header must not begin with "solid", which marks a text file.
-    title = f"probedesign {fingerprint}{scale_note(design, part)} {design.name} {part}"
-    return stl_bytes(mesh.vertices[mesh.triangles], title)
-
-
-def _digests(folder: Path) -> dict[str, str]:
-    """Return the digests of the files that the folder's manifest lists; none if it cannot be read."""
-    try:
-        files = json.loads((folder / MANIFEST).read_text("utf-8"))["files"]
-        return {str(name): str(record["sha256"]) for name, record in files.items()}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return {}
-
-
 def _as_json(manifest: dict[str, Any]) -> str:
     """Return readable JSON: each row of numbers on one line."""
     text = json.dumps(manifest, indent=2, ensure_ascii=False, allow_nan=False)
     row = re.compile(r"\[\n\s+([^\[\]{}\"]*?)\n\s+\]")
     return row.sub(lambda m: "[" + re.sub(r",\n\s+", ", ", m[1]) + "]", text) + "\n"
-
-
-def check_target(folder: Path) -> None:
-    """Check, before any work, that a folder can be written or created."""
-    nearest = next(path for path in (folder, *folder.parents) if path.exists())
-    if not nearest.is_dir():
-        inside = "" if nearest == folder else f"{folder}: "
-        raise InputError(f"{inside}{nearest} is a file; name a folder to export into")
-    if not os.access(nearest, os.W_OK | os.X_OK):
-        raise InputError(f"{folder}: cannot be written: no permission in {nearest}")
-
-
-@contextmanager
-def staged(folder: Path) -> Iterator[Path]:
-    """Yield a temporary sibling of `folder`; its files move there on success and are deleted otherwise.
-
-    What killed processes left behind is removed first.
-    """
-    staging = folder.parent / f".{folder.name}.{uuid.uuid4().hex[:8]}.partial"
-    try:
-        staging.mkdir(parents=True)
-        with _claimed(staging):
-            _remove_abandoned(folder)
-            yield staging
-            with defer_sigint():
-                _put_in_place(staging, folder)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from None
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
-
-
-@contextmanager
-def _claimed(staging: Path) -> Iterator[None]:
-    """Lock a folder; the system releases the lock with the process, however it ends.
-
-    Raises:
-        BlockingIOError: another process holds it.
-    """
-    try:
-        import fcntl
-    except ImportError:  # Windows: no locks, so no folder counts as abandoned
-        yield
-        return
-    handle = os.open(staging, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    finally:
-        os.close(handle)
-
-
-def _remove_abandoned(folder: Path) -> None:
-    """Remove staging folders that no process has locked; those of running exports stay."""
-    if os.name == "nt":
-        return
-    for left in folder.parent.glob(f".{folder.name}.????????.partial"):
-        with suppress(OSError), _claimed(left):
-            shutil.rmtree(left, ignore_errors=True)
-
-
-def _put_in_place(staging: Path, folder: Path) -> None:
-    """Move the files into place. Files of the folder's last export that this one lacks are removed; all others stay.
-
-    The old manifest is removed first and the new one moved last, so a folder with a manifest is a complete export.
-    """
-    if not folder.exists():
-        staging.rename(folder)
-        return
-    outdated = _made_before(folder) - {path.name for path in staging.iterdir()}
-    (folder / MANIFEST).unlink(missing_ok=True)
-    for name in outdated:
-        (folder / name).unlink(missing_ok=True)
-    for path in sorted(staging.iterdir(), key=lambda path: path.name == MANIFEST):
-        path.replace(folder / path.name)
-
-
-def _made_before(folder: Path) -> set[str]:
-    """Return the names of existing files that the folder's manifest lists; none if it cannot be read."""
-    listed = _digests(folder)
-    return {path.name for path in folder.iterdir() if path.name in listed and path.is_file()}

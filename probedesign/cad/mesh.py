@@ -11,7 +11,6 @@ from typing import Any
 import cadquery as cq
 import lib3mf
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from OCP.BRepMesh import BRepMesh_IncrementalMesh
 from OCP.IMeshTools import IMeshTools_Parameters
@@ -26,6 +25,9 @@ from probedesign.printing.check import scale_note
 LINEAR_TOLERANCE_MM = 0.01
 ANGULAR_TOLERANCE_RAD = 0.05
 """Determines a cone's mesh: 0.05 rad omits 0.04 % of its volume, the default 0.1 four times that."""
+
+MESH_LIMIT = 5e-4
+"""Relative. Facets that turn by at most δ = 0.05 rad omit δ²/6 = 4.2e-4 of a round body."""
 
 
 @dataclass(frozen=True)
@@ -42,21 +44,21 @@ class Mesh:
 
     @property
     def volume(self) -> float:
-        """Return the enclosed volume [m³]."""
-        return float(self._as_trimesh().volume) * MM**3
+        """Return the enclosed volume [m³]: the tetrahedra between the triangles and the origin."""
+        a, b, c = (self.vertices.astype(float)[self.triangles[:, i]] for i in range(3))
+        return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6.0 * MM**3
 
     @property
     def closed(self) -> bool:
         """Return whether every edge joins two consistently oriented triangles and the normals point outwards."""
-        mesh = self._as_trimesh()
-        return bool(mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0.0)
+        ends = np.concatenate([self.triangles[:, [i, (i + 1) % 3]] for i in range(3)])
+        forward, backward = (ends @ [len(self.vertices), 1], ends @ [1, len(self.vertices)])
+        once = len(np.unique(forward)) == len(forward)
+        return bool(once and np.array_equal(np.sort(forward), np.sort(backward)) and self.volume > 0.0)
 
     def scaled(self, factors: tuple[float, float, float]) -> "Mesh":
         """Return the mesh scaled along x, y and z about the origin of its frame."""
         return Mesh(self.vertices * np.array(factors, dtype=np.float32), self.triangles)
-
-    def _as_trimesh(self) -> trimesh.Trimesh:
-        return trimesh.Trimesh(self.vertices.astype(float), self.triangles, process=False)
 
 
 def tessellate(shape: cq.Shape) -> Mesh:

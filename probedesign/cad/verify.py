@@ -19,7 +19,7 @@ from probedesign.cad.kernel import (
     planar_section_properties,
     revolved,
 )
-from probedesign.cad.mesh import Mesh, package_objects, read_back
+from probedesign.cad.mesh import MESH_LIMIT, Mesh, package_objects, read_back
 from probedesign.cad.model import (
     CadModel,
     CadPart,
@@ -115,8 +115,6 @@ SOLID_LIMIT = 1e-9
 """Relative. The kernel integrates these surfaces to about 1e-14; modelling errors are far larger."""
 SECTION_LIMIT = 1e-6
 """Relative, for cross-sections."""
-MESH_LIMIT = 5e-4
-"""Relative. Facets that turn by at most δ = 0.05 rad omit δ²/6 = 4.2e-4 of a round body."""
 OVERLAP_LIMIT = 0.0
 """Shared volume [m³]: touching faces share none, and no fit is drawn compressed."""
 STATIONS = 9
