@@ -37,9 +37,9 @@ HEAD_SUNK = 0.2 * MM
 """A head lies this far below the face, so that it cannot dent the part that rests on it."""
 FOOT_HEIGHT = 0.6 * MM
 """Height of the foot's edge above the tool face: clearance to the sensor's body and its cable."""
-FOOT_LEDGE = 0.6 * MM
+FOOT_LEDGE = 0.4 * MM
 """Horizontal overhang at the foot's edge; up to 1 mm prints without supports (Formlabs' design guide)."""
-UNDERSIDE_DEG = 20.0
+UNDERSIDE_DEG = 22.0
 """Angle of the underside to the horizontal: from 19° it prints without supports (Formlabs' design guide)."""
 SLIP = 0.2 * MM  # on the diameter, rigid resin (assumed)
 MIN_SQUEEZE = 0.1 * MM

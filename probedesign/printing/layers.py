@@ -31,8 +31,8 @@ class LayerReport:
         overhang: longest horizontal overhang that nothing carries.
         overhang_z: its height above the platform.
         bridge: longest bridge, between two supported places.
-        hanging_area: area of the overhangs that are longer than the limit [mm²].
-        datum_area: area of those on faces that carry a dimension [mm²].
+        hanging_area: largest area of a layer's overhangs that are longer than the limit [mm²].
+        datum_area: the same on faces that carry a dimension [mm²].
         islands: number of places that begin in mid-air.
         cup_d: diameter of the largest circle in a cup.
         trapped: volume that is enclosed on all sides [mm³].
@@ -72,37 +72,35 @@ def examine_layers(
             layers.append(solid)
             tops.append(float(z))
     volume = np.stack(layers)
-    # A layer may reach so far beyond the one below; the raster may add a pixel.
+    # A layer may reach so far beyond the one below. What it reaches beyond is carried on to the next layers.
     reach_of_layer = layer / math.tan(math.radians(MIN_ANGLE_DEG))
-    carried = reach_of_layer + pixel
     overhang = overhang_z = bridge = area = datum_area = 0.0
     islands = 0
-    for below, solid, z in zip(layers, layers[1:], tops[1:], strict=False):
-        if not (solid & ~below).any():
-            continue
-        distance = ndimage.distance_transform_edt(~below) * pixel
-        hanging = solid & (distance > carried)
+    beyond = np.zeros(x.shape)  # overhang of each pixel of the layer below
+    for below, solid, z, rise in zip(layers, layers[1:], tops[1:], np.diff(tops), strict=False):
+        distance, nearest = ndimage.distance_transform_edt(~below, return_indices=True)
+        beyond = np.maximum(beyond - (rise - layer) * reach_of_layer / layer, 0.0)  # equal layers between
+        beyond = np.maximum(beyond[tuple(nearest)] + distance * pixel - reach_of_layer, 0.0) * solid
+        parts, count = ndimage.label(solid)
+        islands += count - len(np.unique(parts[solid & below]))
+        hanging = beyond > pixel
         if not hanging.any():
             continue
-        supported = solid & ~hanging
-        parts, count = ndimage.label(solid)
-        islands += count - len(np.unique(parts[supported & (distance <= carried)]))
-        span = _spans(hanging, supported, max_bridge / pixel) * pixel
+        span = _spans(hanging, solid & ~hanging, max_bridge / pixel) * pixel
         bridged = hanging & (span <= max_bridge)
         if bridged.any():
             bridge = max(bridge, float(span[bridged].max()))
-        free = hanging & ~bridged
-        if free.any():
-            out = ndimage.distance_transform_edt(~supported) * pixel + reach_of_layer
-            if bridged.any():
-                out = np.minimum(out, ndimage.distance_transform_edt(~bridged) * pixel)
-            longest = float(out[free].max())
-            if longest > overhang:
-                overhang, overhang_z = longest, float(z - layer / 2)
-            if longest > max_overhang:
-                excess = float((free & (out > max_overhang)).sum()) * pixel**2
-                area += excess
-                datum_area += excess if any(abs(z - layer / 2 - d) <= layer for d in datums) else 0.0
+            to_bridge = ndimage.distance_transform_edt(~bridged) * pixel - reach_of_layer
+            beyond = np.where(solid, np.minimum(beyond, np.maximum(to_bridge, 0.0)), 0.0)
+        out = np.where(beyond > pixel, beyond + reach_of_layer, 0.0)
+        longest = float(out.max())
+        if longest > overhang:
+            overhang, overhang_z = longest, float(z - layer / 2)
+        if longest > max_overhang:
+            excess = float((out > max_overhang).sum()) * pixel**2
+            area = max(area, excess)
+            if any(abs(z - layer / 2 - d) <= layer for d in datums):
+                datum_area = max(datum_area, excess)
     return LayerReport(
         overhang, overhang_z, bridge, area, datum_area, islands, _largest_cup(volume, pixel),
         _trapped(volume, np.diff([*tops, float(heights[-1]) + layer])) * pixel**2,

@@ -11,7 +11,7 @@ PIXEL, LAYER = 0.25, 0.1
 
 
 def examined(interior, height: float = 6.0, datums: tuple[float, ...] = ()) -> LayerReport:
-    return examine_layers(interior, (8.0, height), datums, 1.0, 10.0, PIXEL, LAYER)
+    return examine_layers(interior, (11.0, height), datums, 1.0, 10.0, PIXEL, LAYER)
 
 
 def cone(angle_deg: float):
@@ -31,9 +31,9 @@ def test_a_ledge_overhangs_by_its_width(ledge: float) -> None:
     report = examined(lambda x, y, z: np.hypot(x, y) < (2.0 if z < 3.0 else 2.0 + ledge), datums=(3.0,))
     # To a pixel, and what one layer may reach.
     if report.overhang:
-        assert report.overhang == pytest.approx(ledge, abs=PIXEL + 0.1)
+        assert report.overhang == pytest.approx(ledge, abs=2 * PIXEL)
         assert report.overhang_z == pytest.approx(3.0, abs=LAYER)
-    assert (report.hanging_area > 0.0) == (ledge > 1.2) == (report.datum_area > 0.0)
+    assert (report.hanging_area > 0.0) == (ledge > 1.0) == (report.datum_area > 0.0)
     assert report.islands == 0
 
 
@@ -43,7 +43,11 @@ def test_a_roof_between_two_walls_is_a_bridge_in_any_direction(width: float) -> 
         c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
 
         def tunnel(x, y, z, c=c, s=s):
-            return (np.hypot(x, y) < 7.0) & ~((abs(c * x + s * y) < width / 2) & (z < 3.0))
+            return (
+                (abs(c * x + s * y) < 7.0)
+                & (abs(c * y - s * x) < 7.0)
+                & ~((abs(c * x + s * y) < width / 2) & (z < 3.0))
+            )
 
         report = examined(tunnel)
         assert report.overhang <= 1.0 and report.islands == 0
