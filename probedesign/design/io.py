@@ -29,6 +29,7 @@ COMMENTS = {
     "probe.section": "round | hollow | elliptic",
     "probe.bore_ratio": "inner over outer diameter, all along",
     "probe.flatness": "diameter along y over that along x; the diameters here are along x",
+    "probe.base_fillet_mm": "radius of the fillet at s = 0, between flank and flange",
     "probe.assumed": "dimensions that nobody has confirmed; every report names them",
     "material.resin": "fills what is not given here",
     "material.shear_coefficient": "of the rod's section; 1 is the paper's",

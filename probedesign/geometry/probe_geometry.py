@@ -196,6 +196,30 @@ def rounded(knots: tuple[Knot, ...]) -> tuple[Knot, ...]:
     return (*knots[:-1], *round_end, (length, 2.0 * R * math.tan(step / 2.0)))
 
 
+def filleted(knots: tuple[Knot, ...], radius: float) -> tuple[tuple[Knot, ...], float]:
+    """Return the knots (s, diameter) [mm] of a fillet between the flange's top, s = 0, and the flank above it.
+
+    The circle of that radius touches the plane s = 0 and the flank outside of the body. Its corners lie on the circle,
+    the first at s = 0; between them the frusta deviate by at most `DEVIATION_MM`, outwards.
+
+    Args:
+        knots: of the blunt body; its first frustum reaches beyond the fillet.
+        radius: of the fillet [mm].
+
+    Returns:
+        The knots up to the end of the fillet, and its height [mm].
+    """
+    alpha = _half_angle(*knots[:2])
+    base = knots[0][1] / 2.0
+    # The centre lies at height `radius`, at that distance from the flank r = base - s tan α.
+    centre = base - radius * math.tan(alpha) + radius / math.cos(alpha)
+    end = math.pi / 2.0 - alpha  # of the turn from straight down to the flank's normal
+    count = max(math.ceil(end / (2.0 * math.acos(max(1.0 - DEVIATION_MM / radius, 0.0)))), 2)
+    turns = [end * k / count for k in range(count + 1)]
+    points = [(radius * (1.0 - math.cos(t)), 2.0 * (centre - radius * math.sin(t))) for t in turns]
+    return tuple(points), points[-1][0]
+
+
 def _half_angle(before: Knot, tip: Knot) -> float:
     """Return the half-angle α of the last frustum [rad]; negative where it widens."""
     return math.atan((before[1] - tip[1]) / 2.0 / (tip[0] - before[0]))

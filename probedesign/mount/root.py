@@ -43,7 +43,8 @@ def stated_root_radii(design: Design) -> float:
 def with_computed_root(design: Design, hold: Hold) -> tuple[Design, dict[str, str]]:
     """Return a design with the computed compliance of its exported mount and its uncertainty.
 
-    The uncertainty of other than full round sections stays the default, which is larger: they were not computed.
+    The uncertainty of other sections and of a base with a fillet stays the default, which is larger: they were not
+    computed.
 
     Returns:
         The design, and notes for `render_design`.
@@ -54,7 +55,7 @@ def with_computed_root(design: Design, hold: Hold) -> tuple[Design, dict[str, st
     notes = {
         "mount.root_rigid_radii": f"computed for the exported {hold} flange, not measured; 0.12: bonded at s = 0",
     }
-    if design.probe.cross_section.full_round:
+    if design.probe.cross_section.full_round and design.probe.base_fillet_mm is None:
         data["tolerances"]["root_radii"] = ROOT_STD
         notes["tolerances.root_radii"] = "computed: friction below the flange; docs/decisions/0006"
     return check_design(data), notes

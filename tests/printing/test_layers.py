@@ -81,9 +81,7 @@ def test_an_enclosed_volume_is_measured() -> None:
 
 
 @pytest.mark.parametrize("base", [3.0, 12.0, 25.0])
-@pytest.mark.parametrize(
-    "mount", ["", 'robot_flange = "iso-9409-1-31.5-4-m5"\nring_screw = "M3"\nflange_thickness_mm = 5.0']
-)
+@pytest.mark.parametrize("mount", ["", 'robot_flange = "iso-9409-1-31.5-4-m5"\nflange_thickness_mm = 5.0'])
 def test_rigid_parts_stand_on_the_platform_without_supports_on_their_datums(base: float, mount: str) -> None:
     design = parse_design(
         f'schema = 1\nname = "x"\n[probe]\nlength_mm = 60.0\nbase_d_mm = {base}\ntip_d_mm = 2.0\n[mount]\n{mount}\n'
@@ -99,3 +97,14 @@ def test_rigid_parts_stand_on_the_platform_without_supports_on_their_datums(base
     sides = {part.name: part.side for part in check.oriented}
     assert sides == {"sensor_adapter": "upright", "clamp_ring": "upright", "flange_adapter": "upside down"}
     assert not any(part.needs_supports for part in check.oriented)
+
+
+def test_the_roof_beside_an_m3_hole_overhangs_by_its_width() -> None:
+    """A slot 5.7 mm wide with a hole of 3.4 mm in its roof leaves 1.15 mm on both sides, more than the rule of 1 mm."""
+    design = parse_design(
+        'schema = 1\nname = "x"\n[probe]\nlength_mm = 60.0\nbase_d_mm = 25.0\ntip_d_mm = 2.0\n'
+        '[mount]\nring_screw = "M3"\n'
+    )
+    (found,) = [f for f in check_print(design).findings if f.severity != "ok" and f.part != "probe"]
+    assert (found.rule, found.severity, found.part) == ("overhang", "warning", "sensor_adapter")
+    assert found.measured == pytest.approx(1.15, abs=PIXEL)
