@@ -145,7 +145,7 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
 
     flange, dowels, robot, nut = a.flange, a.dowels, plate.robot, a.options.nut
     recess = a.body_top - a.floor
-    pin = (PIN_TOLERANCE, PIN_TOLERANCE)
+    hole = SENSOR_HOLE_TOLERANCE
     return [
         Stack(
             "lip_squeeze",
@@ -181,11 +181,9 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
             "dowel_pin_room",
             "room beyond the ends of a dowel pin",
             (
-                StackItem(
-                    "depth of the sensor's hole", dowels.depth, *[SENSOR_HOLE_TOLERANCE] * 2, "assumed"
-                ),
+                StackItem("depth of the sensor's hole", dowels.depth, hole, hole, "assumed"),
                 rigid("depth of the adapter's hole", a.dowel_depth),
-                StackItem("length of the pin", -dowels.pin_length, *pin, "ISO 2338"),
+                StackItem("length of the pin", -dowels.pin_length, PIN_TOLERANCE, PIN_TOLERANCE, "ISO 2338"),
             ),
             (0.0, a.dowel_depth),
         ),
