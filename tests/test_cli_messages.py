@@ -114,7 +114,18 @@ def replace_slow_and_local_parts(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(sweep, "sweep", lambda *_: swept)
     selection = job.PrintSelection("Form 3", "Elastic 50A", "0.100 mm", {})
     prepared = job.PreparedJob(
-        "0.9", selection, ("probe",), 900, 21.5, 14_000.0, (), "preform.png", None, None, None
+        "0.9",
+        selection,
+        ("probe",),
+        {"probe": "upright, on supports"},
+        900,
+        21.5,
+        14_000.0,
+        (),
+        "preform.png",
+        None,
+        None,
+        None,
     )
     patch.setattr(job, "load_job", lambda *_: SimpleNamespace(folder=Path("exports/a")))
     patch.setattr(job, "prepare_job", lambda *_: prepared)

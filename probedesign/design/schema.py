@@ -165,7 +165,7 @@ class ProbeTable(Table):
         height = filleted(self.blunt_mm, self.base_fillet_mm)[1]
         end = self.length_mm if len(self.blunt_mm) > 2 or self.tip == "blunt" else self._rounded_mm[1][0]
         straight = min(second[0], end)
-        if height >= straight:
+        if height > straight - 1e-6:  # a nanometre for round-off
             raise Inconsistent(
                 "base_fillet_mm",
                 f"= {self.base_fillet_mm:g} ends at s = {height:.3g} mm, beyond the first straight piece, up to "

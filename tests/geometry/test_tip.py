@@ -185,4 +185,4 @@ def test_a_fillet_widens_base_and_flange_and_nothing_above_it():
     assert wide.base_radius > plain.base_radius and wide.flange.diameter > plain.flange.diameter
     assert wide.fingerprint != plain.fingerprint
     with pytest.raises(InputError, match=r"base_fillet_mm = 5 ends at s = "):
-        parse_design(text.replace("60.0", "5.0") + "base_fillet_mm = 5.0\n")
+        parse_design(text.replace("60.0", "5.0").replace("6.0", "12.0") + "base_fillet_mm = 5.0\n")
