@@ -82,7 +82,11 @@ def manifest() -> dict[str, object]:
         "base": {"held_by": "4 x M2x10"}, "verification": {"volume": {"ok": True}, "mass": {"ok": False}},
         "assumptions": ["density of the steel parts"],
         "print_scale": {"probe": [1.01, 1.01, 1.02], "adapter": [1.0, 1.0, 1.0]},
-        "print_check": {"findings": [{"severity": "warning", "message": "the tip is thin"}]},
+        "print_check": {
+            "findings": [{"severity": "warning", "message": "the tip is thin"}],
+            "orientation": {"clamp_ring": {"side": "upright", "rests_on": "its underside", "supports": False}},
+        },
+        "tolerance_stacks": [{"what": "compression of the lip", "worst_mm": [0.1, 0.7], "limits_mm": [0.1, 0.75]}],
         "screws": [{"count": 4, "screw": "M2x10", "into": "the sensor", "entry_mm": 2.5, "entry_allowed_mm": [2, 3]}],
         "also_needed": {"dowel pin 2x6 mm": 2}, "assembly_order": ["Press the pins in.", "Screw the adapter on."],
     }  # fmt: skip

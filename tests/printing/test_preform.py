@@ -115,9 +115,9 @@ def test_adapters_stand_as_the_print_check_chose_and_only_some_get_supports(fake
     for part in manifest["print_check"]["orientation"].values():
         part["supports"] = False
     (place / "manifest.json").write_text(json.dumps(manifest))
-    fake.calls.clear()
+    before = len(fake.calls)
     assert prepared(fake, place, PrintOrder(parts="adapters")).problems == ()
-    assert not any("auto-support" in call for call in fake.calls)
+    assert not any("auto-support" in call for call in fake.calls[before:])
 
 
 def test_the_probe_is_prepared_upright_and_supported_and_nothing_is_sent(fake, place):
