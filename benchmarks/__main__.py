@@ -8,7 +8,7 @@ from benchmarks.timing import print_machine
 
 PARTS = ("rod", "peak", "start", "estimation", "detection", "prints", "identify", "pictured", "validation", "planning",
          "prediction", "optimisation", "sweep", "export", "live", "recording", "view",
-         "studio", "day", "explore", "coverage")  # fmt: skip
+         "studio", "day", "explore", "clamp", "coverage")  # fmt: skip
 """Modules, each imported when its turn comes: worker processes import this one again."""
 
 

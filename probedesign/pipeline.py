@@ -67,6 +67,13 @@ def export(design: "Design", folder: Path | None, on_step: Callable[[str], None]
     return cad.export_parts(design, folder, on_step)
 
 
+def export_part(design: "Design", part: str, folder: Path | None) -> dict[str, Any]:
+    """Write the STL file of one printed part, and return its properties. Needs CadQuery."""
+    from probedesign import cad
+
+    return cad.export_part(design, part, folder)
+
+
 def check(design: "Design") -> "PrintCheck":
     """Check a design against the rules of its printer and of both resins, without CAD."""
     from probedesign.printing.check import check_print
@@ -162,10 +169,10 @@ def plan(
 
 def _flange_volume(probe: "Probe") -> float:
     """Return the volume of the printed flange, which is weighed with the flexible part [m³]."""
-    from probedesign.mount import mount_part_masses, sensor_adapter_for
+    from probedesign.mount import mount_options, mount_part_masses, sensor_adapter_for
 
     design = probe.design
-    adapter = sensor_adapter_for(probe.geometry, design.sensor_model, design.name)
+    adapter = sensor_adapter_for(probe.geometry, design.sensor_model, design.name, mount_options(design))
     return mount_part_masses(probe.geometry, adapter, design.density.value)["flange"].volume
 
 

@@ -17,7 +17,7 @@ from probedesign.core.notebook import Displayed
 from probedesign.design import Design
 from probedesign.geometry import ProbeGeometry, build_geometry
 from probedesign.geometry.mass import MassProperties, flexible_part
-from probedesign.mount import mount_mass_properties, sensor_adapter_for
+from probedesign.mount import mount_mass_properties, mount_options, sensor_adapter_for
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
@@ -91,7 +91,7 @@ class Probe(Displayed):
         from probedesign.estimation.tolerances import Tolerances
 
         d = self.design
-        adapter = sensor_adapter_for(self.geometry, d.sensor_model, d.name)
+        adapter = sensor_adapter_for(self.geometry, d.sensor_model, d.name, mount_options(d))
         calibration = d.calibration
         model = ProbeModel(
             name=d.name,

@@ -84,7 +84,11 @@ def manifest() -> dict[str, object]:
         "base": {"held_by": "4 x M2x10"}, "verification": {"volume": {"ok": True}, "mass": {"ok": False}},
         "assumptions": ["density of the steel parts"],
         "print_scale": {"probe": [1.01, 1.01, 1.02], "adapter": [1.0, 1.0, 1.0]},
-        "print_check": {"findings": [{"severity": "warning", "message": "the tip is thin"}]},
+        "print_check": {
+            "findings": [{"severity": "warning", "message": "the tip is thin"}],
+            "orientation": {"clamp_ring": {"side": "upright", "rests_on": "its underside", "supports": False}},
+        },
+        "tolerance_stacks": [{"what": "compression of the lip", "worst_mm": [0.1, 0.7], "limits_mm": [0.1, 0.75]}],
         "screws": [{"count": 4, "screw": "M2x10", "into": "the sensor", "entry_mm": 2.5, "entry_allowed_mm": [2, 3]}],
         "also_needed": {"dowel pin 2x6 mm": 2}, "assembly_order": ["Press the pins in.", "Screw the adapter on."],
     }  # fmt: skip
@@ -116,7 +120,18 @@ def replace_slow_and_local_parts(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(sweep, "sweep", lambda *_: swept)
     selection = job.PrintSelection("Form 3", "Elastic 50A", "0.100 mm", {})
     prepared = job.PreparedJob(
-        "0.9", selection, ("probe",), 900, 21.5, 14_000.0, (), "preform.png", None, None, None
+        "0.9",
+        selection,
+        ("probe",),
+        {"probe": "upright, on supports"},
+        900,
+        21.5,
+        14_000.0,
+        (),
+        "preform.png",
+        None,
+        None,
+        None,
     )
     patch.setattr(job, "load_job", lambda *_: SimpleNamespace(folder=Path("exports/a")))
     patch.setattr(job, "prepare_job", lambda *_: prepared)

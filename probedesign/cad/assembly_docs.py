@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from probedesign.cad.exploded_view import (
-    EXPLOSION,
     AssemblyStep,
     PartLabel,
     assembly_steps,
     exploded_svg,
+    explosion,
     step_pictures,
 )
 from probedesign.cad.kernel import mass_properties
@@ -25,7 +25,9 @@ from probedesign.cad.part_drawings import part_drawings
 from probedesign.cad.render import render_body, render_png
 from probedesign.cad.sheet import Svg
 from probedesign.core.units import MM, MPA
-from probedesign.design.catalog import M2, RIGID_RESIN
+from probedesign.design.catalog import ALUMINIUM, RIGID_RESIN
+from probedesign.mount.flange_adapter import CENTRING_PIN_D, CENTRING_PIN_LENGTH
+from probedesign.mount.tolerance_stack import CALIPERS, measurements, tolerance_stacks
 from probedesign.reports.html_page import html_document
 
 STEEL = "stainless steel A2"
@@ -69,7 +71,7 @@ class BillItem:
 
 def bill_of_materials(model: CadModel) -> list[BillItem]:
     """Return the bill of materials: the sensor first, then every part in the order of assembly."""
-    order = ["sensor", *(name for move in EXPLOSION for name in move.parts)]
+    order = ["sensor", *(name for move in explosion(model.parts) for name in move.parts)]
     return [_item(number, model, model.parts[name]) for number, name in enumerate(order, 1)]
 
 
@@ -80,13 +82,17 @@ def _item(number: int, model: CadModel, part: CadPart) -> BillItem:
     )
     use = next((use for use in model.screws if use.name == part.name), None)
     if part.printed:
-        what, file = "printed", f"{part.name}.stl"
-        material = model.design.resin.name if part.name == "probe" else RIGID_RESIN
+        file = f"{part.name}.stl"
+        material = material_of(model, part.name)
+        what = "milled" if material == ALUMINIUM else "printed"
     elif use is not None:
         what, length = f"ISO 4762 {use.screw.thread}x{use.length / MM:g}", round(use.length / MM, 3)
         torque = hand_torque(use)
     elif part.name == "ring_nuts":
-        what = "ISO 4032 M2"
+        what = f"ISO 4032 {model.adapter.ring_screw.thread}"
+    elif part.name == "centring_pins":
+        length = CENTRING_PIN_LENGTH / MM
+        what = f"ISO 2338 {CENTRING_PIN_D / MM:g} h8x{length:g}"
     elif part.name == "dowel_pins":
         d, length = model.adapter.dowels.diameter / MM, model.adapter.dowels.pin_length / MM
         what = (
@@ -95,6 +101,13 @@ def _item(number: int, model: CadModel, part: CadPart) -> BillItem:
     else:
         what, material = _sensor_text(model), ""
     return BillItem(number, part.name, count, what, length, material, grams, file, torque)
+
+
+def material_of(model: CadModel, part: str) -> str:
+    """Return the material of a part that has a file."""
+    if part == "probe":
+        return model.design.resin.name
+    return ALUMINIUM if model.adapter.options.milled else RIGID_RESIN
 
 
 def _sensor_text(model: CadModel) -> str:
@@ -158,7 +171,7 @@ def assembly_page(
         pictures: a PNG of each step.
     """
     sections = [
-        _warning(model),
+        _warning(model), _measure(model),
         "<h2>Parts</h2>", _parts(bill), _tightening(), _tools(model), _frames(model),
         f'<div class="exploded"><h2>Exploded view</h2>{exploded}</div>',
         '<h2>Steps</h2><div class="steps">', *map(_step, range(1, len(steps) + 1), steps, pictures), "</div>",
@@ -176,15 +189,31 @@ def _about(model: CadModel) -> str:
 def _warning(model: CadModel) -> str:
     deepest = min(model.adapter.tool.max_entry, model.plate.mounting.max_entry) / MM
     into_sensor = [use for use in model.screws if use.name in ("sensor_adapter_screws", "mounting_screws")]
+    stacks = {stack.name: stack.worst for stack in tolerance_stacks(model.adapter, model.plate)}
     rows = "".join(
         f"<li>{len(use.points)} × ISO 4762 {use.screw.thread}×{use.length / MM:g} into the {use.into}: enters "
-        f"{use.entry / MM:g} mm, {use.entry_limits[0] / MM:g} to {use.entry_limits[1] / MM:g} mm allowed</li>"
+        f"{use.entry / MM:.2g} mm, {' to '.join(f'{x / MM:.2f}' for x in stacks[f'{use.name}_entry'])} mm with all "
+        f"tolerances, {use.entry_limits[0] / MM:g} to {use.entry_limits[1] / MM:g} mm allowed</li>"
         for use in into_sensor
     )
     return (
         f'<div class="warning"><strong>A screw that enters the sensor by more than {deepest:g} mm destroys it.</strong>'
         f"<ul>{rows}</ul>Measure every screw under its head before it goes in. Never a longer one, and never one "
         "without the printed part under its head.</div>"
+    )
+
+
+def _measure(model: CadModel) -> str:
+    head = "<tr><th>measure</th><th class=n>drawn</th><th class=n>accept</th><th>outside</th></tr>"
+    rows = "".join(
+        f"<tr><td>{escape(row.what)}</td><td class=n>{row.nominal / MM:.2f}</td>"
+        f"<td class=n>{row.accept[0] / MM:.2f} … {row.accept[1] / MM:.2f}</td><td>{escape(row.otherwise)}</td></tr>"
+        for row in measurements(model.adapter, model.plate)
+    )
+    return (
+        "<h2>Measure before the first screw</h2><p>In millimetres. The ranges leave room for the tolerance of the "
+        f"screws and {CALIPERS / MM:g} mm for the calipers on the side that destroys the sensor. Do not sand the foot "
+        f"of the sensor adapter or the faces of the flange adapter.</p><table>{head}{rows}</table>"
     )
 
 
@@ -207,11 +236,11 @@ def _parts(bill: Sequence[BillItem]) -> str:
 
 def _tools(model: CadModel) -> str:
     keys = dict.fromkeys((use.screw for use in model.screws), "") | {
-        M2: " with a long arm, to reach past the probe"
+        model.adapter.ring_screw: " with a long arm, to reach past the probe"
     }
     tools = [
         *(f"hexagon key {screw.socket_af / MM:g} mm ({screw.thread}){note}" for screw, note in keys.items()),
-        "calipers, for the screws' lengths and the probe's diameters",
+        "calipers with a depth rod, for the dimensions above and the probe's diameters",
         "tweezers, for nuts and pins",
     ]
     return f"<h2>Tools</h2><ul class=tools>{''.join(f'<li>{escape(tool)}</li>' for tool in tools)}</ul>"
@@ -276,7 +305,13 @@ def build_documents(model: CadModel, meshes: Mapping[str, Mesh]) -> Documents:
     """
     bodies = {name: render_body(part, meshes.get(name)) for name, part in model.parts.items()}
     bill = bill_of_materials(model)
-    steps = assembly_steps(model.screws, model.adapter.dowels, model.plate.robot.pin_d)
+    steps = assembly_steps(
+        model.screws,
+        model.adapter.dowels,
+        model.plate.robot.pin_d,
+        len(model.plate.p_centring_pins),
+        model.design.mount.hold == "glued",
+    )
     labels = {}
     for item in bill:
         what = f"{item.quantity} × {item.what}" if item.quantity > 1 else item.what

@@ -1,7 +1,7 @@
 """Assembly order: what is mounted in each step, and exploded views of all parts and of each step."""
 
 import base64
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,7 +61,8 @@ class AssemblyStep:
 
 
 EXPLOSION = (
-    Move(("flange_adapter",), "sensor", DOWN),
+    Move(("centring_pins",), "sensor", DOWN),
+    Move(("flange_adapter",), "centring_pins", DOWN),
     Move(("mounting_screws",), "flange_adapter", DOWN),
     Move(("robot_bolts",), "flange_adapter", UP),
     Move(("dowel_pins",), "sensor", UP),
@@ -75,34 +76,57 @@ EXPLOSION = (
 """All parts moved away from the sensor, in the order of assembly."""
 
 
-def assembly_steps(screws: list[ScrewGroup], dowels: DowelPattern, pin_d: float) -> list[AssemblyStep]:
+def explosion(names: Collection[str]) -> tuple[Move, ...]:
+    """Return the moves of an assembly with these parts: a robot flange may leave no room for the centring pins."""
+    if "centring_pins" in names:
+        return EXPLOSION
+    return (Move(("flange_adapter",), "sensor", DOWN), *EXPLOSION[2:])
+
+
+def assembly_steps(
+    screws: list[ScrewGroup], dowels: DowelPattern, pin_d: float, centring_pins: int, glued: bool = False
+) -> list[AssemblyStep]:
     """Return the steps of the assembly.
 
     Args:
         screws: of the assembly.
         dowels: of the sensor's tool face.
         pin_d: diameter of the robot's dowel pin [m], 0 if there is none.
+        centring_pins: number of pins around the sensor's body.
+        glued: whether the flange's underside is glued.
     """
+    centred = (
+        f"press the {centring_pins} centring pins into the flange adapter as deep as they go, set the sensor "
+        "between them with its cable over the pocket, and "
+        if centring_pins
+        else ""
+    )
+    plate = explosion(("centring_pins",) if centring_pins else ())[: 2 if centring_pins else 1]
+    glue = "spread a thin film of flexible cyanoacrylate on the floor of the recess, " if glued else ""
+    nut = next(use.screw.thread for use in screws if use.name == "ring_screws")
     of = {use.name: f"{len(use.points)} {use.screw.thread}x{use.length / MM:g}" for use in screws}
     pin = f", its own {pin_d / MM:g} mm dowel pin in the slot" if pin_d > 0.0 else ""
     return [
-        AssemblyStep("screw the flange adapter to the sensor's mounting side from below: "
+        AssemblyStep(f"{centred}screw the flange adapter to the sensor's mounting side from below: "
              f"{of['mounting_screws']}, never longer",
-             (EXPLOSION[0], EXPLOSION[1])),
-        AssemblyStep(f"bolt the flange adapter to the robot: {of['robot_bolts']} from above{pin}",
-             (EXPLOSION[2],)),
-        AssemblyStep("press M2 nuts into the four pockets of the sensor adapter and the "
-             f"{dowels.diameter / MM:g} mm dowel pins into its underside",
+             (*plate, Move(("mounting_screws",), "flange_adapter", DOWN))),
+        AssemblyStep(f"bolt the flange adapter to the robot: {of['robot_bolts']} from above{pin}; tie the cable to the "
+             "plate through the two slots, with a slack loop before the tie",
+             (Move(("robot_bolts",), "flange_adapter", UP),)),
+        AssemblyStep(f"press the {dowels.diameter / MM:g} mm dowel pins into the underside of the sensor adapter, and "
+             f"slide {nut} nuts into its four slots from the side; they lie on the slots' floors as long as the "
+             "adapter is upright",
              (Move(("ring_nuts",), "sensor_adapter", DOWN), Move(("dowel_pins",), "sensor_adapter", DOWN)),
              on_bench=True, seen_from_below=True),
         AssemblyStep("screw the sensor adapter to the tool side from above through its recess: "
              f"{of['sensor_adapter_screws']}, never longer",
              (Move(("sensor_adapter", "ring_nuts", "dowel_pins"), "sensor", UP),
               Move(("sensor_adapter_screws",), "sensor_adapter", UP))),
-        AssemblyStep("lay the flange into the recess, its hole over the peg: peg and the flat on the rim are at +X",
+        AssemblyStep(f"{glue}lay the flange into the recess, its hole over the peg: peg and the flat on the rim are "
+             "at +X",
              (Move(("probe",), "sensor_adapter", UP),)),
         AssemblyStep(f"slip the clamp ring over the tip and screw it down with {of['ring_screws']} until it sits on "
-             "the wall", (EXPLOSION[8], EXPLOSION[9])),
+             "the wall", (Move(("clamp_ring",), "probe", UP), Move(("ring_screws",), "clamp_ring", UP))),
     ]  # fmt: skip
 
 
@@ -181,7 +205,7 @@ def exploded_svg(bodies: Bodies, labels: Mapping[str, PartLabel], title: str, se
         title: text alternative.
         seat: as for `exploded_bodies`.
     """
-    exploded = exploded_bodies(bodies, EXPLOSION, seat)
+    exploded = exploded_bodies(bodies, explosion(bodies), seat)
     names = list(exploded)
     view = fit_view(list(exploded.values()), FROM_ABOVE, EXPLODED_SIZE)
     pixels, owners = render_bodies(list(exploded.values()), view)

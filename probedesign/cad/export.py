@@ -4,10 +4,7 @@ import hashlib
 import json
 import os
 import re
-import shutil
-import uuid
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,22 +12,23 @@ import cadquery as cq
 import numpy as np
 
 from probedesign.cad.assembly_docs import Documents, bill_records, build_documents
+from probedesign.cad.folder import MANIFEST, check_target, staged
 from probedesign.cad.kernel import mass_properties
 from probedesign.cad.mesh import read_back, tessellate, threemf_packages
 from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad
+from probedesign.cad.single_part import part_stl
+from probedesign.cad.step import step_bytes
 from probedesign.cad.verify import Findings, verify
-from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.core.frames import Array
-from probedesign.core.parallel import defer_sigint
-from probedesign.core.stl import stl_bytes
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.geometry.mass import MassProperties, combined
-from probedesign.mount.adapters import SQUEEZE, exported_root_radii
-from probedesign.printing.check import check_print, is_compensated, print_scale, scale_note
+from probedesign.mount import exported_root_radii
+from probedesign.mount.root import ROOT_STD
+from probedesign.mount.tolerance_stack import measurements, tolerance_stacks
+from probedesign.printing.check import check_print, is_compensated, print_scale
 
 SCHEMA = 1
-MANIFEST = "manifest.json"
 
 
 def manifest_of(
@@ -55,7 +53,12 @@ def manifest_of(
         "fingerprint": model.geometry.fingerprint,
         "made_with": {"cadquery": cq.__version__},
         "design": design.model_dump(mode="json", by_alias=True, exclude_none=True),
-        "assumptions": [*design.assumptions, "density of the rigid parts", "density of the steel parts"],
+        "assumptions": [
+            *design.assumptions,
+            "density of the rigid parts",
+            "density of the steel parts",
+            "tolerance_stacks",
+        ],
         "files": files,
         "parts": {part.name: _part(part) for part in model.printed},
         "poses": "4x4, in metres; T_a_b maps b's coordinates into a's",
@@ -64,8 +67,14 @@ def manifest_of(
         "mass": _mass(model),
         "bill_of_materials": bill_records(documents.bill),
         "screws": [use.as_record() for use in model.screws],
-        # neither printed nor screws
-        "also_needed": {"M2 nut, ISO 4032": len(a.p_ring_screws), pin: len(a.p_dowels), **robot_pin},
+        "tolerance_stacks": [stack.as_record() for stack in tolerance_stacks(a, model.plate)],
+        "measure_before_assembly": [row.as_record() for row in measurements(a, model.plate)],
+        "also_needed": {
+            f"{a.ring_screw.thread} nut, ISO 4032": len(a.p_ring_screws),
+            pin: len(a.p_dowels) + len(model.plate.p_centring_pins),
+            "cable tie, 2.5 mm wide": 1,
+            **robot_pin,
+        },
         # the fingerprint, then as much of the name as fits
         "engraved": {
             "probe": a.on_flange.text,
@@ -121,16 +130,15 @@ def _base(model: CadModel) -> dict[str, Any]:
     return {
         "held_by": f"soft flange Ø{flange.diameter / MM:g} x {flange.thickness / MM:g} mm in one piece with "
         f"the probe; the clamp ring presses its lip from Ø{a.ring_bore_d / MM:g} mm outwards by "
-        f"{SQUEEZE / MM:g} mm",
+        f"{a.squeeze / MM:.3g} mm",
         "root_rigid_radii": model.design.mount.root_rigid_radii,
+        "root_rigid_radii_computed": round(exported_root_radii(model.geometry, model.design.mount.hold), 3),
         "root_rigid_radii_means": "bending compliance that the base lacks, in base radii; 0.12 is that of a face "
-        f"bonded to a rigid part, that of this soft flange is about {exported_root_radii(model.geometry):.2f}, "
+        f"bonded to a rigid part, that of this {model.design.mount.hold} soft flange about "
+        f"{exported_root_radii(model.geometry, model.design.mount.hold):.2f} ± {ROOT_STD:g}, "
         "computed for a full round probe, not measured: identify it on the bench",
         "drawn": "with the lip not yet pressed: screwed down, the ring and its screws lie lower by as much",
     }
-
-
-STEP_END = b"END-ISO-10303-21;"
 
 
 def export_parts(design: Design, out: Path | None, progress: Callable[[str], None]) -> dict[str, Any]:
@@ -152,21 +160,18 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
         for content in packages.values():
             read_back(content)
     progress("writing")
-    # An STL header must not begin with "solid", which marks a text file.
-    title = f"probedesign {model.geometry.fingerprint}"
     stl = {
-        f"{name}.stl": stl_bytes(
-            mesh.vertices[mesh.triangles], f"{title}{scale_note(design, name)} {design.name} {name}"
-        )
+        f"{name}.stl": part_stl(design, name, mesh, model.geometry.fingerprint)
         for name, mesh in meshes.items()
     }
+    step = step_bytes(assembly_of(model.parts, design.name))
     with staged(folder) as staging:
-        for name, content in (stl | packages | documents.files).items():
+        contents = stl | packages | documents.files | {"assembly.step": step}
+        for name, content in contents.items():
             (staging / name).write_bytes(content)
-        _write_step(model, staging / "assembly.step")
-        contents = {path.name: path.read_bytes() for path in sorted(staging.iterdir())}
         files = {
-            n: {"sha256": hashlib.sha256(c).hexdigest(), "size_bytes": len(c)} for n, c in contents.items()
+            name: {"sha256": hashlib.sha256(content).hexdigest(), "size_bytes": len(content)}
+            for name, content in sorted(contents.items())
         }
         manifest = manifest_of(model, documents, files, findings)
         manifest["print_check"] = check_print(design).as_record()
@@ -175,98 +180,8 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
     return {**manifest, "folder": str(folder)}
 
 
-def _write_step(model: CadModel, path: Path) -> None:
-    assembly_of(model.parts, model.design.name).export(str(path), "STEP")
-    if not path.is_file() or not path.read_bytes().rstrip().endswith(STEP_END):
-        raise CheckFailedError(f"{path.name}: the kernel did not write it to its end")
-
-
 def _as_json(manifest: dict[str, Any]) -> str:
     """Return readable JSON: each row of numbers on one line."""
     text = json.dumps(manifest, indent=2, ensure_ascii=False, allow_nan=False)
     row = re.compile(r"\[\n\s+([^\[\]{}\"]*?)\n\s+\]")
     return row.sub(lambda m: "[" + re.sub(r",\n\s+", ", ", m[1]) + "]", text) + "\n"
-
-
-def check_target(folder: Path) -> None:
-    """Check, before any work, that a folder can be written or created."""
-    nearest = next(path for path in (folder, *folder.parents) if path.exists())
-    if not nearest.is_dir():
-        inside = "" if nearest == folder else f"{folder}: "
-        raise InputError(f"{inside}{nearest} is a file; name a folder to export into")
-    if not os.access(nearest, os.W_OK | os.X_OK):
-        raise InputError(f"{folder}: cannot be written: no permission in {nearest}")
-
-
-@contextmanager
-def staged(folder: Path) -> Iterator[Path]:
-    """Yield a temporary sibling of `folder`; its files move there on success and are deleted otherwise.
-
-    What killed processes left behind is removed first.
-    """
-    staging = folder.parent / f".{folder.name}.{uuid.uuid4().hex[:8]}.partial"
-    try:
-        staging.mkdir(parents=True)
-        with _claimed(staging):
-            _remove_abandoned(folder)
-            yield staging
-            with defer_sigint():
-                _put_in_place(staging, folder)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from None
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
-
-
-@contextmanager
-def _claimed(staging: Path) -> Iterator[None]:
-    """Lock a folder; the system releases the lock with the process, however it ends.
-
-    Raises:
-        BlockingIOError: another process holds it.
-    """
-    try:
-        import fcntl
-    except ImportError:  # Windows: no locks, so no folder counts as abandoned
-        yield
-        return
-    handle = os.open(staging, os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    finally:
-        os.close(handle)
-
-
-def _remove_abandoned(folder: Path) -> None:
-    """Remove staging folders that no process has locked; those of running exports stay."""
-    if os.name == "nt":
-        return
-    for left in folder.parent.glob(f".{folder.name}.????????.partial"):
-        with suppress(OSError), _claimed(left):
-            shutil.rmtree(left, ignore_errors=True)
-
-
-def _put_in_place(staging: Path, folder: Path) -> None:
-    """Move the files into place. Files of the folder's last export that this one lacks are removed; all others stay.
-
-    The old manifest is removed first and the new one moved last, so a folder with a manifest is a complete export.
-    """
-    if not folder.exists():
-        staging.rename(folder)
-        return
-    outdated = _made_before(folder) - {path.name for path in staging.iterdir()}
-    (folder / MANIFEST).unlink(missing_ok=True)
-    for name in outdated:
-        (folder / name).unlink(missing_ok=True)
-    for path in sorted(staging.iterdir(), key=lambda path: path.name == MANIFEST):
-        path.replace(folder / path.name)
-
-
-def _made_before(folder: Path) -> set[str]:
-    """Return the names of existing files that the folder's manifest lists; none if it cannot be read."""
-    try:
-        listed = set(json.loads((folder / MANIFEST).read_text("utf-8"))["files"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return set()
-    return {path.name for path in folder.iterdir() if path.name in listed and path.is_file()}

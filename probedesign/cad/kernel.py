@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import cadquery as cq
 import numpy as np
 from OCP.BRep import BRep_Tool
-from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge
+from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge, BRepBuilderAPI_MakeVertex
 from OCP.BRepGProp import BRepGProp
 from OCP.BRepTools import BRepTools
 from OCP.Geom import Geom_BezierCurve
@@ -42,18 +42,21 @@ def _ellipse(a: float, b: float, z: float) -> cq.Wire:
     It is made of rational arcs, which are exact. The kernel's own ellipses become polynomials with an error of 1e-9
     when it lofts a face between two of them.
     """
-    ends = np.linspace(0.0, 2.0 * np.pi, ARCS + 1)
-    return cq.Wire.assembleEdges([_arc(a, b, z, *ends[i : i + 2]) for i in range(ARCS)])
-
-
-def _arc(a: float, b: float, z: float, start: float, end: float) -> cq.Edge:
-    """Return the arc from angle `start` to `end` [rad] of the parametric circle."""
-    middle, weight = (start + end) / 2.0, np.cos((end - start) / 2.0)
-    points, weights = TColgp_Array1OfPnt(1, 3), TColStd_Array1OfReal(1, 3)
-    for i, (angle, w) in enumerate([(start, 1.0), (middle, weight), (end, 1.0)], 1):
-        points.SetValue(i, gp_Pnt(a * np.cos(angle) / w, b * np.sin(angle) / w, z))
-        weights.SetValue(i, w)
-    return cq.Edge(BRepBuilderAPI_MakeEdge(Geom_BezierCurve(points, weights)).Edge())
+    half = np.pi / ARCS
+    angles = half * np.arange(2 * ARCS + 1)  # of the ends of the arcs and of their middles
+    x, y = (np.round(f, 15) + 0.0 for f in (np.cos(angles), np.sin(angles)))  # exact zeros on the axes
+    weight = float(np.cos(half))
+    # Two arcs share one vertex: of two that differ by round-off, the kernel keeps one by its address in memory.
+    ends = [BRepBuilderAPI_MakeVertex(gp_Pnt(a * x[i], b * y[i], z)).Vertex() for i in range(0, 2 * ARCS, 2)]
+    edges = []
+    for k in range(ARCS):
+        points, weights = TColgp_Array1OfPnt(1, 3), TColStd_Array1OfReal(1, 3)
+        for i, w in enumerate((1.0, weight, 1.0)):
+            points.SetValue(i + 1, gp_Pnt(a * x[2 * k + i] / w, b * y[2 * k + i] / w, z))
+            weights.SetValue(i + 1, w)
+        arc = Geom_BezierCurve(points, weights)
+        edges.append(cq.Edge(BRepBuilderAPI_MakeEdge(arc, ends[k], ends[(k + 1) % ARCS]).Edge()))
+    return cq.Wire.assembleEdges(edges)
 
 
 def cylinder(d: float, z0: float, z1: float, p: XY = (0.0, 0.0)) -> cq.Solid:
@@ -61,12 +64,15 @@ def cylinder(d: float, z0: float, z1: float, p: XY = (0.0, 0.0)) -> cq.Solid:
     return cq.Solid.makeCylinder(d / 2 / MM, (z1 - z0) / MM, _vector(p, z0))
 
 
-def hexagon(af: float, z0: float, z1: float, p: XY) -> cq.Solid:
-    """Return an upright hexagonal prism across flats `af` between z0 and z1 about p [m], a flat facing the axis."""
+def hexagon(af: float, z0: float, z1: float, p: XY, turn_deg: float = 0.0) -> cq.Solid:
+    """Return an upright hexagonal prism across flats `af` between z0 and z1 about p [m], a flat facing the axis at a
+    turn of 0."""
     outline = cq.Workplane().polygon(6, 2 * af / np.sqrt(3.0) / MM).extrude((z1 - z0) / MM)
     azimuth = np.degrees(np.arctan2(p[1], p[0]))
     return single_solid(
-        outline.val().rotate((0, 0, 0), (0, 0, 1), azimuth + 30.0).moved(cq.Location(_vector(p, z0)))
+        outline.val()
+        .rotate((0, 0, 0), (0, 0, 1), azimuth + 30.0 + turn_deg)
+        .moved(cq.Location(_vector(p, z0)))
     )
 
 
@@ -84,6 +90,17 @@ def engraving_cuts(engraving: Engraving) -> list[cq.Solid]:
 def _turns(loop: list[XY]) -> float:
     """Return twice the signed area of a polygon."""
     return sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(loop, [*loop[1:], loop[0]], strict=True))
+
+
+def round_slot(width: float, x: XY, z: XY, p: XY, azimuth_deg: float, both_ends: bool = False) -> cq.Solid:
+    """Return an upright slot along x in a frame at p [m], turned by the azimuth: the centres of its round ends at the
+    values of x; without `both_ends` the one at x[1] is straight."""
+    (x0, x1), half = x, width / 2
+    body = block((x0, x1), (-half, half), z).fuse(cylinder(width, *z, (x0, 0.0)))
+    if both_ends:
+        body = body.fuse(cylinder(width, *z, (x1, 0.0)))
+    turned = body.clean().rotate((0, 0, 0), (0, 0, 1), azimuth_deg)
+    return single_solid(turned.moved(cq.Location(_vector(p, 0.0))))
 
 
 def block(x: XY, y: XY, z: XY) -> cq.Solid:

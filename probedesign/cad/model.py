@@ -23,19 +23,27 @@ from probedesign.cad.kernel import (
     mass_properties,
     placed,
     revolved,
+    round_slot,
     single_solid,
 )
 from probedesign.core.errors import CheckFailedError
 from probedesign.core.frames import Array, pose
 from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.design.catalog import M2, M2_NUT_AF, M2_NUT_HEIGHT, RIGID_DENSITY, STEEL_DENSITY, SocketScrew
+from probedesign.design.catalog import STEEL_DENSITY, SocketScrew
 from probedesign.design.sensors import CableExit, ScrewPattern, SensorInterface
 from probedesign.geometry import ProbeGeometry, build_geometry
 from probedesign.geometry.mass import MassProperties, combined
-from probedesign.mount import FlangeAdapter, SensorAdapter, flange_adapter_for, sensor_adapter_for
-from probedesign.mount.adapters import PEG_D, on_circle
+from probedesign.mount import (
+    FlangeAdapter,
+    SensorAdapter,
+    flange_adapter_for,
+    mount_options,
+    sensor_adapter_for,
+)
 from probedesign.mount.engraving import XY
+from probedesign.mount.flange_adapter import CENTRING_PIN_D, CENTRING_PIN_LENGTH, TIE_SLOT
+from probedesign.mount.sensor_adapter import DOWEL_SLOT, PEG_D, RING_VENT_HEIGHT, VENT_WIDTH, on_circle
 
 MIN_CLEARANCE = 0.5 * MM
 """Minimum clearance to the sensor's body and cable: a contact across the split line would bypass the strain gauges."""
@@ -114,13 +122,13 @@ def screw_groups(a: SensorAdapter, plate: FlangeAdapter) -> list[ScrewGroup]:
     """
     T, robot, tool, mounting = plate.T_sensor_robotflange, plate.robot, a.tool, plate.mounting
     bolt = robot.screw
-    ring_grip = a.ring_thickness + a.body_top - a.nut_pocket_top  # with the ring pressed onto the wall
-    nut = (M2_NUT_HEIGHT, a.nut_pocket_top - a.foot_height)
+    ring_grip = a.ring_thickness + a.nut_roof  # with the ring pressed onto the wall
+    nut = (a.options.nut.height, a.nut_slot_z[1] - a.ring_hole_bottom)
     thread = (0.8 * bolt.nominal_d, robot.max_bolt_entry)  # 0.8 d of thread engagement suffices in aluminium
     uses = [
         ScrewGroup("sensor_adapter_screws", "sensor tool side", tool.screw, tool.length, tool.grip,
                    (tool.min_entry, tool.max_entry), a.p_tool_screws, tool.grip, up=False),
-        ScrewGroup("ring_screws", "nuts in the sensor adapter", M2, a.ring_screw_length, ring_grip,
+        ScrewGroup("ring_screws", "nuts in the sensor adapter", a.ring_screw, a.ring_screw_length, ring_grip,
                    nut, a.p_ring_screws, a.ring_top, up=False),
         ScrewGroup("mounting_screws", "sensor mounting side", mounting.screw, mounting.length, mounting.grip,
                    (mounting.min_entry, mounting.max_entry), _in_frame(plate.p_mounting_screws, T),
@@ -139,11 +147,23 @@ def screw_solids(use: ScrewGroup) -> cq.Compound:
 
 
 def nut_solids(a: SensorAdapter) -> cq.Compound:
-    """Return the nuts at the top of their pockets."""
-    z = (a.nut_pocket_top - M2_NUT_HEIGHT, a.nut_pocket_top)
+    """Return the nuts at the top of their slots, two sides along the slot."""
+    nut, screw = a.options.nut, a.ring_screw
+    z = (a.nut_slot_z[1] - nut.height, a.nut_slot_z[1])
     return cq.Compound.makeCompound(
-        [single_solid(hexagon(M2_NUT_AF, *z, p).cut(cylinder(M2.pitch_d, *z, p))) for p in a.p_ring_screws]
+        [
+            single_solid(hexagon(nut.af, *z, p, 30.0).cut(cylinder(screw.pitch_d, *z, p)))
+            for p in a.p_ring_screws
+        ]
     )
+
+
+def centring_pin_solids(plate: FlangeAdapter) -> cq.Compound:
+    """Return the pins around the sensor's body, in millimetres in the sensor frame, on the bottom of their holes."""
+    T, bottom = plate.T_sensor_robotflange, plate.centring_hole[1]
+    z = float(T[2, 3]) + bottom
+    points = _in_frame(plate.p_centring_pins, T)
+    return cq.Compound.makeCompound([cylinder(CENTRING_PIN_D, z, z + CENTRING_PIN_LENGTH, p) for p in points])
 
 
 def _screw(use: ScrewGroup, p: XY) -> cq.Solid:
@@ -211,22 +231,34 @@ def _taper(geometry: ProbeGeometry) -> list[XY]:
 
 def sensor_adapter_solid(a: SensorAdapter) -> cq.Solid:
     """Return the sensor adapter, in millimetres in the sensor frame: its foot rests on the tool face, z = 0."""
-    foot, rim, recess = a.foot_d / 2, a.body_d / 2, a.recess_d / 2
+    foot, cone, rim, recess = a.foot_d / 2, a.cone_d / 2, a.body_d / 2, a.recess_d / 2
     outline = [
-        (0.0, 0.0), (foot, 0.0), (foot, a.foot_height), (rim, a.foot_height),
+        (0.0, 0.0), (foot, 0.0), (foot, a.foot_height), (cone, a.foot_height), (rim, a.cone_top),
         (rim, a.body_top), (recess, a.body_top), (recess, a.floor), (0.0, a.floor),
     ]  # fmt: skip
+    hole_d, (slot_z0, slot_z1) = a.ring_screw.clearance_d, a.nut_slot_z
+    circle = a.ring_circle_d / 2
     holes = [
-        block((a.mark_x, rim), (-rim, rim), (0.0, a.body_top)),
+        block((a.mark_x, rim), (-rim, rim), (a.cone_top, a.body_top)),
+        block((a.peg_x, a.mark_x), (-VENT_WIDTH / 2, VENT_WIDTH / 2), (a.floor, a.body_top)),
         *(cylinder(a.tool.screw.clearance_d, 0.0, a.tool.grip, p) for p in a.p_tool_screws),
         *(cylinder(a.tool.screw.counterbore_d, a.tool.grip, a.floor, p) for p in a.p_tool_screws),
-        *(cylinder(a.dowel_d, 0.0, a.dowel_depth, p) for p in a.p_dowels),
-        *(cylinder(M2.clearance_d, a.nut_pocket_top, a.body_top, p) for p in a.p_ring_screws),
-        *(hexagon(a.nut_pocket_af, a.foot_height, a.nut_pocket_top, p) for p in a.p_ring_screws),
+        *(_dowel_hole(a, number) for number in range(len(a.p_dowels))),
+        *(cylinder(hole_d, slot_z1, a.body_top, p) for p in a.p_ring_screws),
+        *(cylinder(hole_d, a.ring_hole_bottom, slot_z0, p) for p in a.p_ring_screws),
+        *(round_slot(a.nut_slot_width, (circle - a.nut_slot_reach, 1.2 * rim), a.nut_slot_z, (0.0, 0.0),
+                     math.degrees(math.atan2(p[1], p[0]))) for p in a.p_ring_screws),
         *engraving_cuts(a.on_wall),
-    ]
+    ]  # fmt: skip
     peg = cylinder(PEG_D, a.floor, a.peg_top, (a.peg_x, 0.0))
     return single_solid(revolved(outline).cut(*holes).fuse(peg))
+
+
+def _dowel_hole(a: SensorAdapter, number: int) -> cq.Solid:
+    slot_deg, p, half = a.dowel_slot_deg(number), a.p_dowels[number], DOWEL_SLOT / 2
+    if slot_deg is None:
+        return cylinder(a.dowel_d, 0.0, a.dowel_depth, p)
+    return round_slot(a.dowel_d, (-half, half), (0.0, a.dowel_depth), p, slot_deg, both_ends=True)
 
 
 def clamp_ring_solid(a: SensorAdapter) -> cq.Solid:
@@ -235,30 +267,42 @@ def clamp_ring_solid(a: SensorAdapter) -> cq.Solid:
     height = a.ring_thickness
     body = cylinder(a.body_d, 0.0, height).cut(
         revolved([(0.0, 0.0), (bore, 0.0), (top, height), (0.0, height)]),
-        *(cylinder(M2.clearance_d, 0.0, height, p) for p in a.p_ring_screws),
+        *(cylinder(a.ring_screw.clearance_d, 0.0, height, p) for p in a.p_ring_screws),
+        block((0.0, a.body_d), (-VENT_WIDTH / 2, VENT_WIDTH / 2), (0.0, RING_VENT_HEIGHT)),
         *engraving_cuts(a.on_ring),
     )
     return single_solid(body)
 
 
 def flange_adapter_solid(a: FlangeAdapter) -> cq.Solid:
-    """Return the flange adapter, in millimetres in the robot flange's frame: spigot below z = 0, sensor pad on top."""
+    """Return the flange adapter, in millimetres in the robot flange's frame: spigot below z = 0, flat top."""
     spigot_d, spigot_height = a.robot.spigot
     width, length = a.robot.pin_slot
-    reach, screw = a.robot.bolt_circle_d / 2, a.mounting.screw
-    body = cylinder(a.plate_d, 0.0, a.plate_top).fuse(cylinder(a.pad_d, a.plate_top, a.pad_top))
+    reach, screw, top = a.robot.bolt_circle_d / 2, a.mounting.screw, a.plate_top
+    body = cylinder(a.plate_d, 0.0, top)
     if spigot_height:
         body = body.fuse(cylinder(spigot_d, -spigot_height, 0.0))
+    radial, tangential = (side / 2 for side in TIE_SLOT)
     holes = [
-        *(cylinder(a.robot.screw.clearance_d, 0.0, a.plate_top, p) for p in a.p_bolts),
+        *(cylinder(a.robot.screw.clearance_d, 0.0, top, p) for p in a.p_bolts),
         *(cylinder(screw.counterbore_d, -spigot_height, a.counterbore_top, p) for p in a.p_mounting_screws),
-        *(cylinder(screw.clearance_d, a.counterbore_top, a.pad_top, p) for p in a.p_mounting_screws),
+        *(cylinder(screw.clearance_d, a.counterbore_top, top, p) for p in a.p_mounting_screws),
+        _turned_to(block(*a.cable_pocket), a.cable_deg),
+        *(cylinder(a.centring_hole[0], a.centring_hole[1], top, p) for p in a.p_centring_pins),
+        *(_turned_to(block((-radial, radial), (-tangential, tangential), (0.0, top)), a.cable_deg, p)
+          for p in a.p_tie_slots),
         *engraving_cuts(a.on_plate),
-    ]
+    ]  # fmt: skip
     if width:
         sides = (reach - length / 2, reach + length / 2), (-width / 2, width / 2)
         holes.append(block(*sides, (0.0, a.plate_top)))
     return single_solid(body.cut(*holes))
+
+
+def _turned_to(shape: cq.Solid, azimuth_deg: float, p: XY = (0.0, 0.0)) -> cq.Shape:
+    """Return a shape turned about z and moved to p [m]."""
+    turned = shape.rotate((0, 0, 0), (0, 0, 1), azimuth_deg)
+    return placed(turned, pose(p=[*p, 0.0]))
 
 
 @dataclass(frozen=True)
@@ -299,17 +343,20 @@ def build_parts(
 ) -> dict[str, CadPart]:
     """Return every part of the assembly by name, the printed ones first."""
     T, grey, steel = adapter.T_sensor_base, (0.75, 0.75, 0.72), (0.45, 0.47, 0.5)
+    rigid = adapter.options.density
     printed = [
         CadPart("probe", probe_solid(geometry, adapter), T, "base", probe_density, (0.93, 0.85, 0.6)),
-        CadPart("sensor_adapter", sensor_adapter_solid(adapter), IN_SENSOR_FRAME, "sensor", RIGID_DENSITY, grey),
-        CadPart("clamp_ring", clamp_ring_solid(adapter), T, "clamp_ring", RIGID_DENSITY, (0.35, 0.5, 0.7)),
+        CadPart("sensor_adapter", sensor_adapter_solid(adapter), IN_SENSOR_FRAME, "sensor", rigid, grey),
+        CadPart("clamp_ring", clamp_ring_solid(adapter), T, "clamp_ring", rigid, (0.35, 0.5, 0.7)),
         CadPart("flange_adapter", flange_adapter_solid(plate), plate.T_sensor_robotflange, "robotflange",
-             RIGID_DENSITY, grey),
+             rigid, grey),
     ]  # fmt: skip
     bought = {use.name: screw_solids(use) for use in screws}
     dowels, z = adapter.dowels, -adapter.dowels.depth
     pins = [cylinder(dowels.diameter, z, z + dowels.pin_length, p) for p in adapter.p_dowels]
     bought |= {"ring_nuts": nut_solids(adapter), "dowel_pins": cq.Compound.makeCompound(pins)}
+    if plate.p_centring_pins:
+        bought["centring_pins"] = centring_pin_solids(plate)
     loose = [
         CadPart(name, shape, IN_SENSOR_FRAME, "sensor", STEEL_DENSITY, steel, printed=False)
         for name, shape in bought.items()
@@ -345,7 +392,10 @@ def _at_cable(shape: cq.Shape, cable: CableExit, turn_deg: float = 0.0) -> cq.Sh
 def clearance_volumes(sensor: SensorInterface) -> list[cq.Shape]:
     """Return the volumes around the sensor's body, tool face and cable exit that must stay empty."""
     h, r, cable, gap = sensor.height, sensor.body_d / 2, sensor.cable, MIN_CLEARANCE
-    shell = cylinder(2 * (r + gap), -h, gap).cut(cylinder(2 * r, -h, gap))
+    # The centring pins touch the mounting side only, below the cable's free height.
+    shell = cylinder(2 * (r + gap), cable.free_height - h, gap).cut(
+        cylinder(2 * r, cable.free_height - h, gap)
+    )
     side, (low, high) = cable.width / 2 + gap, cable.heights
     # Within the rim no part lies above the mounting face; from there the clearance is measured obliquely.
     inward = math.sqrt(max(gap**2 - low**2, 0.0))
@@ -458,6 +508,28 @@ class CadModel:
         return overlaps(self.parts)
 
 
+def printed_solid(design: Design, part: str) -> cq.Solid:
+    """Return one printed part in its own frame, in millimetres, without building the others.
+
+    Raises:
+        InputError: the mount cannot clamp this probe.
+        CheckFailedError: a screw would enter too deep, or the part is not one valid solid.
+    """
+    geometry, sensor, options = build_geometry(design), design.sensor_model, mount_options(design)
+    plate = flange_adapter_for(sensor, design.robot_flange, geometry.fingerprint, design.name, options)
+    adapter = sensor_adapter_for(geometry, sensor, design.name, options)
+    screw_groups(adapter, plate)
+    match part:
+        case "probe":
+            return probe_solid(geometry, adapter)
+        case "sensor_adapter":
+            return sensor_adapter_solid(adapter)
+        case "clamp_ring":
+            return clamp_ring_solid(adapter)
+        case _:
+            return flange_adapter_solid(plate)
+
+
 def build_cad(design: Design) -> CadModel:
     """Build the CAD model of a design.
 
@@ -466,8 +538,9 @@ def build_cad(design: Design) -> CadModel:
         CheckFailedError: a screw would enter too deep, or a part is not one valid solid.
     """
     geometry, sensor = build_geometry(design), design.sensor_model
-    adapter = sensor_adapter_for(geometry, sensor, design.name)
-    plate = flange_adapter_for(sensor, design.robot_flange, geometry.fingerprint, design.name)
+    options = mount_options(design)
+    adapter = sensor_adapter_for(geometry, sensor, design.name, options)
+    plate = flange_adapter_for(sensor, design.robot_flange, geometry.fingerprint, design.name, options)
     screws = screw_groups(adapter, plate)
     parts = build_parts(geometry, design.density.value, sensor.interface, adapter, plate, screws)
     return CadModel(design, geometry, adapter, plate, screws, parts)

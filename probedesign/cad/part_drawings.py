@@ -28,12 +28,14 @@ from probedesign.cad.sheet import (
     seen,
 )
 from probedesign.core.units import MM
-from probedesign.design.catalog import M2, RIGID_RESIN
-from probedesign.mount.adapters import PEG_D
+from probedesign.design.catalog import ALUMINIUM, MILLED_TOLERANCE, RIGID_RESIN
 from probedesign.mount.engraving import XY
+from probedesign.mount.flange_adapter import TIE_SLOT
+from probedesign.mount.sensor_adapter import DOWEL_SLOT, PEG_D, UNDERSIDE_DEG, VENT_WIDTH
 
 TOLERANCE = "±0.5 %, at least ±0.15 (assumed)"
 """Tolerance of a stereolithography print; the manufacturer publishes none for the soft resin."""
+MILLED = f"±{number(MILLED_TOLERANCE / MM)} (ISO 2768-1, fine)"
 BOTTOM = HEIGHT - EDGE - TITLE_HEIGHT
 """Upper edge of the title block on the paper [mm]."""
 STACK = 7.5
@@ -42,11 +44,12 @@ STACK = 7.5
 
 def titled_sheet(model: CadModel, part: CadPart, scale: float) -> Sheet:
     """Return an empty sheet for a part at a scale."""
-    resin = model.design.resin.name if part.name == "probe" else RIGID_RESIN
+    milled = part.name != "probe" and model.adapter.options.milled
+    resin = model.design.resin.name if part.name == "probe" else ALUMINIUM if milled else RIGID_RESIN
     return Sheet(f"{model.design.name}: {part.name.replace('_', ' ')}", [
         ("geometry", model.geometry.fingerprint), ("material", resin), ("file", f"{part.name}.stl"),
         ("scale", scale_text(scale)), ("units", "mm"), ("frame", part.frame.replace("_", " ")),
-        ("tolerance", TOLERANCE), ("angles", "about +z from +x, seen from above"),
+        ("tolerance", MILLED if milled else TOLERANCE), ("angles", "about +z from +x, seen from above"),
     ])  # fmt: skip
 
 
@@ -160,23 +163,31 @@ def _sensor_adapter(model: CadModel, part: CadPart) -> Sheet:
     bore, room = a.tool.screw.clearance_d, a.tool.screw.counterbore_d
     above = [
         Holes(a.p_tool_screws, room, f"⌀{_mm(bore)} through, ⌀{_mm(room)} from z = {_mm(a.tool.grip)} up"),
-        Holes(a.p_ring_screws, M2.clearance_d, f"⌀{_mm(M2.clearance_d)} through"),
+        Holes(a.p_ring_screws, a.ring_screw.clearance_d,
+              f"⌀{_mm(a.ring_screw.clearance_d)} to z = {_mm(a.ring_hole_bottom)}"),
         Holes([(a.peg_x, 0.0)], PEG_D, f"peg ⌀{_mm(PEG_D)} at x = {_mm(a.peg_x)}, top at z = {_mm(a.peg_top)}", False),
     ]  # fmt: skip
-    pocket = f"nut pocket {_mm(a.nut_pocket_af)} across flats, up to z = {_mm(a.nut_pocket_top)}"
+    z0, z1 = a.nut_slot_z
+    inner = a.ring_circle_d / 2 - a.nut_slot_reach
+    slot = f"slot {_mm(a.nut_slot_width)} wide, z = {_mm(z0)} to {_mm(z1)}, round end about r = {_mm(inner)}"
+    second = f"the second a slot {_mm(a.dowel_d)} × {_mm(a.dowel_d + DOWEL_SLOT)} towards the first"
     below = [
-        Holes(a.p_ring_screws, a.nut_pocket_af, pocket),
-        Holes(a.p_dowels, a.dowel_d, f"⌀{_mm(a.dowel_d)}, {_mm(a.dowel_depth)} deep"),
+        Holes(a.p_ring_screws, a.nut_slot_width, slot),
+        Holes(a.p_dowels, a.dowel_d, f"⌀{_mm(a.dowel_d)}, {_mm(a.dowel_depth)} deep, {second}"),
     ]
-    heights, tops = [a.foot_height, a.floor, a.peg_top, a.body_top], [a.recess_d, a.body_d]
-    notes = [f"flat at x = {_mm(a.mark_x)} shows +x; z = 0 rests on the sensor's tool face"]
-    return _disc(model, part, (0.0, a.body_top), heights, tops, [a.foot_d], (above, below), notes)
+    heights, tops = [a.foot_height, a.cone_top, a.floor, a.peg_top, a.body_top], [a.recess_d, a.body_d]
+    notes = [
+        f"flat at x = {_mm(a.mark_x)} shows +x; z = 0 rests on the sensor's tool face",
+        f"notch {_mm(VENT_WIDTH)} wide from the recess to the flat; underside at {UNDERSIDE_DEG:g}° to the horizontal",
+    ]
+    return _disc(model, part, (0.0, a.body_top), heights, tops, [a.foot_d, a.cone_d], (above, below), notes)
 
 
 def _clamp_ring(model: CadModel, part: CadPart) -> Sheet:
     a = model.adapter
     top = a.ring_thickness
-    above = [Holes(a.p_ring_screws, M2.clearance_d, f"⌀{_mm(M2.clearance_d)} through")]
+    hole_d = a.ring_screw.clearance_d
+    above = [Holes(a.p_ring_screws, hole_d, f"⌀{_mm(hole_d)} through")]
     tops, bottoms = [a.ring_bore_top_d, a.body_d], [a.ring_bore_d]
     notes = ["the wide end of the bore faces the tip"]
     return _disc(model, part, (0.0, top), [top], tops, bottoms, (above, []), notes)
@@ -194,10 +205,20 @@ def _flange_adapter(model: CadModel, part: CadPart) -> Sheet:
     slot = f"slot {_mm(width)} × {_mm(length)} through, middle at x = {_mm(reach)}: the robot's dowel pin"
     bore = f"counterbore ⌀{_mm(screw.counterbore_d)} up to z = {_mm(p.counterbore_top)}"
     below = [Holes(p.p_mounting_screws, screw.counterbore_d, bore)]
+    if p.p_centring_pins:
+        d, bottom = p.centring_hole
+        above.append(Holes(p.p_centring_pins, d, f"⌀{_mm(d)} down to z = {_mm(bottom)}"))
+    radial, across = TIE_SLOT
+    above.append(Holes(p.p_tie_slots, across, f"slot {_mm(radial)} × {_mm(across)} through", False))
     below += [Holes([(reach, 0.0)], 0.0, slot, False)] if width > 0.0 else []
-    heights, bottoms = [-spigot, p.plate_top, p.pad_top], [spigot_d, p.plate_d]
-    notes = [f"z = 0 rests on the robot: {p.robot.source}; the sensor sits on the pad ⌀{_mm(p.pad_d)}"]
-    return _disc(model, part, (-spigot, p.pad_top), heights, [p.pad_d], bottoms, (above, below), notes)
+    heights, bottoms = [-spigot, p.plate_top], [spigot_d, p.plate_d]
+    (r0, r1), (v0, v1), (z0, z1) = p.cable_pocket
+    notes = [
+        f"z = 0 rests on the robot: {p.robot.source}; the sensor sits on the top face",
+        f"pocket for the cable at {number(p.cable_deg)}°: r = {_mm(r0)} to {_mm(r1)}, {_mm(v1 - v0)} wide, "
+        f"{_mm(z1 - z0)} deep",
+    ]
+    return _disc(model, part, (-spigot, p.plate_top), heights, [], bottoms, (above, below), notes)
 
 
 def _disc(

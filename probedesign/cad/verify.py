@@ -11,6 +11,7 @@ import numpy as np
 
 from probedesign.cad.exploded_view import assembly_steps
 from probedesign.cad.kernel import (
+    block,
     cylinder,
     hexagon,
     mass_properties,
@@ -18,7 +19,7 @@ from probedesign.cad.kernel import (
     planar_section_properties,
     revolved,
 )
-from probedesign.cad.mesh import Mesh, package_objects, read_back
+from probedesign.cad.mesh import MESH_LIMIT, Mesh, package_objects, read_back
 from probedesign.cad.model import (
     CadModel,
     CadPart,
@@ -32,13 +33,14 @@ from probedesign.cad.model import (
 from probedesign.core.errors import CheckFailedError
 from probedesign.core.frames import pose
 from probedesign.core.units import MM
-from probedesign.design.catalog import M2_NUT_AF
 from probedesign.geometry import ProbeGeometry
 from probedesign.geometry.mass import combined, flexible_part
 from probedesign.mount import SensorAdapter, mount_mass_properties, mount_part_masses
+from probedesign.mount.engraving import XY
+from probedesign.mount.tolerance_stack import tolerance_stacks
 
 CORRIDOR = 60.0 * MM
-"""Length of the corridors of nuts and pins below the adapter, which lies free on the bench."""
+"""Length of the corridors of nuts and pins around the adapter, which lies free on the bench."""
 
 
 def blocked_tools(
@@ -57,9 +59,10 @@ def blocked_tools(
     corridors = {use.name: screw_corridors(use) for use in screws} | _part_corridors(parts, adapter)
     shapes = {name: part.placed for name, part in parts.items()}
     boxes = {name: box_of(shape) for name, shape in shapes.items()}
+    centring_pins = len(parts["centring_pins"].shape.Solids()) if "centring_pins" in parts else 0
     found: dict[str, float] = {}
     present = ["sensor"]
-    for step in assembly_steps(screws, adapter.dowels, pin_d=0.0):
+    for step in assembly_steps(screws, adapter.dowels, 0.0, centring_pins):
         there = [move.onto for move in step.moves] if step.on_bench else present
         for name in step.parts:
             if name in corridors and name not in found:
@@ -83,12 +86,12 @@ def screw_corridors(use: ScrewGroup) -> list[cq.Solid]:
     return [placed(corridor, pose(p=[*p, 0.0])) for p in use.points]
 
 
-def _part_corridors(parts: dict[str, CadPart], a: SensorAdapter) -> dict[str, list[cq.Solid]]:
-    """Return the corridors of nuts and pins from below the adapter, and that of the ring from above the tip."""
+def _part_corridors(parts: dict[str, CadPart], a: SensorAdapter) -> dict[str, list[cq.Shape]]:
+    """Return the corridors of the nuts from the rim, of the pins from below, and of the ring from above the tip."""
     tip = float(parts["probe"].placed.BoundingBox().zmax) * MM
     ring = cylinder(a.body_d, a.ring_top, tip).cut(cylinder(a.ring_bore_d, a.ring_top, tip))
     return {
-        "ring_nuts": [hexagon(M2_NUT_AF, -CORRIDOR, a.nut_pocket_top, p) for p in a.p_ring_screws],
+        "ring_nuts": [_nut_corridor(a, p) for p in a.p_ring_screws],
         "dowel_pins": [
             cylinder(a.dowels.diameter, -CORRIDOR, a.dowels.pin_length - a.dowels.depth, p)
             for p in a.p_dowels
@@ -97,14 +100,21 @@ def _part_corridors(parts: dict[str, CadPart], a: SensorAdapter) -> dict[str, li
     }
 
 
+def _nut_corridor(a: SensorAdapter, p: XY) -> cq.Shape:
+    """Return the corridor of a nut along its slot, from the outside."""
+    nut, r = a.options.nut, float(np.hypot(*p))
+    z = (a.nut_slot_z[1] - nut.height, a.nut_slot_z[1])
+    ahead = block((r, r + CORRIDOR), (-nut.af / 2, nut.af / 2), z)
+    turned = ahead.rotate((0, 0, 0), (0, 0, 1), float(np.degrees(np.arctan2(p[1], p[0]))))
+    return turned.fuse(hexagon(nut.af, *z, p, 30.0))
+
+
 Findings = dict[str, dict[str, Any]]
 
 SOLID_LIMIT = 1e-9
 """Relative. The kernel integrates these surfaces to about 1e-14; modelling errors are far larger."""
 SECTION_LIMIT = 1e-6
 """Relative, for cross-sections."""
-MESH_LIMIT = 5e-4
-"""Relative. Facets that turn by at most δ = 0.05 rad omit δ²/6 = 4.2e-4 of a round body."""
 OVERLAP_LIMIT = 0.0
 """Shared volume [m³]: touching faces share none, and no fit is drawn compressed."""
 STATIONS = 9
@@ -130,6 +140,7 @@ def verify(model: CadModel, meshes: dict[str, Mesh], packages: dict[str, bytes])
         **_meshes(model, meshes),
         **_packages(model, meshes, packages),
         **_room(model),
+        **_stacks(model),
     }
     blocked = blocked_tools(model.parts, model.screws, model.adapter)
     what = "m³ of earlier parts in the corridors of the fastener and its key"
@@ -236,6 +247,19 @@ def _room(model: CadModel) -> Findings:
         # A nanometre: the kernel pads bounding boxes by its tolerance of 1e-10 m.
         "below_tool_face": _finding(max(0.0, -lowest), 1e-9, "m that wide parts reach below the tool face"),
     }
+
+
+def _stacks(model: CadModel) -> Findings:
+    """Return, for each tolerance stack, how far its worst case lies outside of its limits."""
+    findings: Findings = {}
+    for stack in tolerance_stacks(model.adapter, model.plate):
+        (low, high), (least, greatest) = stack.worst, stack.limits
+        outside = max(least - low, high - greatest, 0.0)
+        what = f"m outside the limits at the worst corner: {stack.what}"
+        findings[f"{stack.name}_worst_case"] = _finding(
+            outside, 1e-9, what
+        )  # a nanometre for round-off of sums
+    return findings
 
 
 def _finding(measured: float, limit: float, what: str) -> dict[str, Any]:

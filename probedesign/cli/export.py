@@ -1,7 +1,7 @@
 """`probedesign export`: write the parts to print."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from probedesign.cli.console import print_json, print_step, print_table
 from probedesign.cli.options import JsonOutput
@@ -16,6 +16,7 @@ def export(
     /,
     *,
     out: Path | None = None,
+    only: Literal["probe", "sensor_adapter", "clamp_ring", "flange_adapter"] | None = None,
     as_json: JsonOutput = False,
 ) -> None:
     """Write the parts to print: STL, STEP, 3MF and their manifest. Needs the extra 'cad'.
@@ -23,11 +24,21 @@ def export(
     Args:
         design: the design file.
         out: output folder. Default: exports/NAME.
+        only: write the STL file of this part only.
         as_json: print the manifest instead of a summary.
     """
     from probedesign import pipeline
     from probedesign.design import load_design
 
+    if only is not None:
+        written = pipeline.export_part(load_design(design), only, out)
+        if as_json:
+            print_json(written)
+        else:
+            print(
+                f"wrote {written['file']}: {1e6 * written['volume_m3']:.3g} cm³, geometry {written['fingerprint']}"
+            )
+        return
     manifest = pipeline.export(load_design(design), out, print_step)
     if as_json:
         print_json(manifest)
@@ -63,6 +74,13 @@ def _print(manifest: dict[str, Any]) -> None:
             )
     for finding in manifest["print_check"]["findings"]:
         print(f"  print check, {finding['severity']}: {finding['message']}")
+    for part, way in manifest["print_check"]["orientation"].items():
+        stands = "on supports" if way["supports"] else "without supports"
+        print(f"  print the {part.replace('_', ' ')} {way['side']} on {way['rests_on']}, {stands}")
+    print("\ntolerances, worst case")
+    for stack in manifest["tolerance_stacks"]:
+        (low, high), (least, most) = stack["worst_mm"], stack["limits_mm"]
+        print(f"  {stack['what']}: {low:.2f} ... {high:.2f} mm (allowed: {least:.2f} ... {most:.2f} mm)")
     print("\nscrews (longer ones damage the sensor)")
     for screw in manifest["screws"]:
         low, high = screw["entry_allowed_mm"]

@@ -46,6 +46,7 @@ def new(
     sensor: str = "nano17",
     robot_flange: str = "iso-9409-1-50-4-m6",
     friction: float | None = None,
+    hold: Literal["clamped", "glued"] = "clamped",
     force: bool = False,
     as_json: JsonOutput = False,
 ) -> None:
@@ -67,10 +68,13 @@ def new(
         robot_flange: bolt pattern of the robot.
         friction: standard deviation of the prior of tangential over normal contact force, 0 ... inf. Default: the
             resin's.
+        hold: how the adapter holds the flange: clamped by the ring, or its underside glued as well. It determines
+            root_rigid_radii, which finite elements give for the exported parts.
         force: replace an existing design file.
         as_json: print one JSON document.
     """
     from probedesign.design.io import draft_design, render_design, write_design
+    from probedesign.mount.root import with_computed_root
 
     try:
         design, notes = draft_design(
@@ -88,10 +92,11 @@ def new(
             robot_flange=robot_flange,
             friction=friction,
         )
+        design, root_notes = with_computed_root(design, hold)
     except InputError as error:
         raise InputError(_in_options(str(error))) from None
     path = FOLDER / f"{design.name}.toml"
-    write_design(render_design(design, notes), path, force)
+    write_design(render_design(design, notes | root_notes), path, force)
     with show_progress("predicting its performance"):
         figures = summary(design)
     document = {"file": str(path), "name": design.name, "tip_d_mm": design.probe.blunt_mm[-1][1], **figures}

@@ -66,7 +66,7 @@ def print_job(
     force: bool = False,
     as_json: JsonOutput = False,
 ) -> int:
-    """Prepare the exported parts in PreForm: oriented upright, supported, laid out and validated.
+    """Prepare the exported parts in PreForm: oriented as the print check chose, supported, laid out and validated.
 
     Reports print time and resin and saves a screenshot. Nothing is sent to a printer without --send, and then the job
     only enters the printer's queue; a person starts it there. Needs an export of the design and a running
@@ -123,6 +123,7 @@ def _document(prepared: "PreparedJob", printer: str | None) -> dict[str, Any]:
         "setting": prepared.selection.setting,
         "scene_settings": prepared.selection.scene_settings,
         "parts": prepared.parts,
+        "orientation": prepared.orientation,
         "layer_count": prepared.layer_count,
         "volume_ml": prepared.volume_ml,
         "print_time_s": prepared.print_time_s,
@@ -139,7 +140,7 @@ def _print_job(prepared: "PreparedJob", preform: str, printer: str | None) -> No
     selection, minutes = prepared.selection, round(prepared.print_time_s / 60.0)
     rows = {
         "job": f"{selection.material} on a {selection.printer}, {selection.setting}",
-        "parts": f"{', '.join(prepared.parts)}: upright on supports",
+        "parts": "; ".join(f"{part} {way}" for part, way in prepared.orientation.items()),
         "resin": "unknown" if prepared.volume_ml is None else f"{prepared.volume_ml:.1f} ml with supports",
         "layers": "unknown" if prepared.layer_count is None else f"{prepared.layer_count}",
         "time": f"{minutes // 60} h {minutes % 60:02d} min, estimated",

@@ -122,6 +122,9 @@ RIGID_RESIN = "rigid resin, e.g. Grey V4"
 """Material of the adapters; any resin that is stiff against the probe is suitable."""
 RIGID_PREFORM_LABELS = ("Grey V4", "Grey V5")
 """Labels of that resin in PreForm."""
+ALUMINIUM = "aluminium, e.g. EN AW-6082"
+ALUMINIUM_DENSITY = 2700.0
+"""Density of milled adapters [kg/m³]. Source: EN 573-3 alloys of the series 6000, any table."""
 RIGID_DENSITY = 1180.0
 """Density of the rigid adapters [kg/m³]. Source: Formlabs Grey/Clear V4, 1.15-1.2 g/ml; the middle, assumed."""
 
@@ -182,6 +185,25 @@ class SocketScrew:
         """Return the diameter of the room for the head in printed resin [m]."""
         return self.head_d + 0.4 * MM
 
+    def length_tolerance(self, length: float) -> float:
+        """Return the tolerance ± [m] of a length under the head [m]: js15.
+
+        Source: ISO 4759-1 with ISO 286-2; an M2x6 measures 5.76 to 6.24 mm.
+        """
+        return next(t for up_to, t in _JS15_MM if length / MM <= up_to + 1e-6) * MM
+
+
+_JS15_MM = ((3.0, 0.20), (6.0, 0.24), (10.0, 0.29), (18.0, 0.35), (30.0, 0.42), (50.0, 0.50))
+"""Largest length and its tolerance."""
+
+
+@dataclass(frozen=True)
+class Nut:
+    """A hexagon nut, ISO 4032: width across flats and height [m]."""
+
+    af: float
+    height: float
+
 
 def _screw(thread: str, lengths_mm: tuple[float, ...], stock_mm: tuple[int, ...]) -> SocketScrew:
     head_d, head, socket_af, socket, pitch_d, hole_d, key = (length * MM for length in lengths_mm)
@@ -192,6 +214,7 @@ SCREWS = {
     screw.thread: screw
     for screw in (
         _screw("M2", (3.8, 2.0, 1.5, 1.0, 1.740, 2.4, 46.5), (3, 4, 5, 6, 8, 10, 12)),
+        _screw("M3", (5.5, 3.0, 2.5, 1.3, 2.675, 3.4, 57.5), (5, 6, 8, 10, 12, 16, 20)),
         _screw("M4", (7.0, 4.0, 3.0, 2.0, 3.545, 4.5, 66.0), (8, 10, 12, 16, 20, 25)),
         _screw("M5", (8.5, 5.0, 4.0, 2.5, 4.480, 5.5, 74.0), (8, 10, 12, 16, 20, 25)),
         _screw("M6", (10.0, 6.0, 5.0, 3.0, 5.350, 6.6, 85.0), (10, 12, 16, 20, 25, 30)),
@@ -200,7 +223,11 @@ SCREWS = {
 }
 """Source: ISO 4762 (heads, sockets, lengths), ISO 724 (pitch diameters), ISO 273, medium (holes), ISO 2936 (keys)."""
 M2 = SCREWS["M2"]
-M2_NUT_AF, M2_NUT_HEIGHT = 4.0 * MM, 1.6 * MM  # ISO 4032
+NUTS = {"M2": Nut(4.0 * MM, 1.6 * MM), "M3": Nut(5.5 * MM, 2.4 * MM)}
+PRINT_TOLERANCE = 0.15 * MM
+"""Tolerance ± of a printed length, or 0.5 % where that is more: none is published (assumed)."""
+MILLED_TOLERANCE = 0.05 * MM
+"""Tolerance ± of a milled length: ISO 2768-1, fine, up to 6 mm."""
 MIN_GRIP = 3.0 * MM
 """Least resin under the head of a screw into a sensor [m] (assumed)."""
 STEEL_DENSITY = 7900.0

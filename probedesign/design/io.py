@@ -29,6 +29,7 @@ COMMENTS = {
     "probe.section": "round | hollow | elliptic",
     "probe.bore_ratio": "inner over outer diameter, all along",
     "probe.flatness": "diameter along y over that along x; the diameters here are along x",
+    "probe.base_fillet_mm": "radius of the fillet at s = 0, between flank and flange",
     "probe.assumed": "dimensions that nobody has confirmed; every report names them",
     "material.resin": "fills what is not given here",
     "material.shear_coefficient": "of the rod's section; 1 is the paper's",
@@ -41,6 +42,12 @@ COMMENTS = {
     "print.scale_xy": "flexible part, printed over drawn, from a coupon; files to print only",
     "print.scale_z": "printed over drawn, along its axis",
     "print.rigid_scale_xy": "rigid parts, printed over drawn",
+    "mount.hold": "clamped | glued: the flange's underside on the adapter as well",
+    "mount.ring_screw": "M2 | M3",
+    "mount.adapters": "printed | milled: from aluminium",
+    "mount.flange_thickness_mm": "soft flange below s = 0",
+    "mount.flange_lip_mm": "its radial width around the base",
+    "mount.squeeze_mm": "compression of the lip; by default the least that the tolerances allow",
     "mount.root_rigid_radii": "bending that the base lacks, in base radii; 0 is the bare rod, below 0 it yields",
 }
 """Comment beside a key, unless the notes of the design replace it."""

@@ -28,7 +28,7 @@ from probedesign.design.catalog import (
 from probedesign.design.diagnostics import Inconsistent, quoted
 from probedesign.design.sensors import SENSORS, Calibration, SensorModel
 from probedesign.geometry.cross_section import CrossSection
-from probedesign.geometry.probe_geometry import rounded, rounding_height_mm
+from probedesign.geometry.probe_geometry import filleted, rounded, rounding_height_mm
 
 ProbeShape = Literal["cone", "cylinder", "profile"]
 SectionKind = Literal["round", "hollow", "elliptic"]
@@ -82,6 +82,7 @@ class ProbeTable(Table):
     section: SectionKind = "round"
     bore_ratio: BoreRatio | None = None
     flatness: Flatness | None = None
+    base_fillet_mm: Annotated[float, Field(ge=0.2, le=5.0)] | None = None
     assumed: Annotated[tuple[str, ...], FromArray] = ()
 
     @model_validator(mode="after")
@@ -109,6 +110,7 @@ class ProbeTable(Table):
             )
         self._check_section()
         self._check_tip()
+        self._check_fillet()
         return self
 
     def _check_profile(self) -> None:
@@ -155,15 +157,39 @@ class ProbeTable(Table):
                 f'at most {last[1] * straight / height:g} mm wide there, or tip = "blunt"',
             )
 
+    def _check_fillet(self) -> None:
+        if self.base_fillet_mm is None:
+            return
+        if self.section == "elliptic":
+            raise Inconsistent("base_fillet_mm", "is only for round and hollow sections; remove it")
+        second = self.blunt_mm[1]
+        height = filleted(self.blunt_mm, self.base_fillet_mm)[1]
+        end = self.length_mm if len(self.blunt_mm) > 2 or self.tip == "blunt" else self._rounded_mm[1][0]
+        straight = min(second[0], end)
+        if height > straight - 1e-6:  # a nanometre for round-off
+            raise Inconsistent(
+                "base_fillet_mm",
+                f"= {self.base_fillet_mm:g} ends at s = {height:.3g} mm, beyond the first straight piece, up to "
+                f"{straight:g} mm; take a smaller one",
+            )
+
+    @property
+    def _rounded_mm(self) -> tuple[tuple[float, float], ...]:
+        """Return (s, diameter) of the knots without the fillet [mm]."""
+        return self.blunt_mm if self.tip == "blunt" else rounded(self.blunt_mm)
+
     @property
     def knots_mm(self) -> tuple[tuple[float, float], ...]:
-        """Return (s, diameter) of the knots between which the diameter is linear [mm], rounding included."""
-        return self.blunt_mm if self.tip == "blunt" else rounded(self.blunt_mm)
+        """Return (s, diameter) of the knots between which the diameter is linear [mm], rounding and fillet included."""
+        if self.base_fillet_mm is None:
+            return self._rounded_mm
+        fillet, _ = filleted(self.blunt_mm, self.base_fillet_mm)
+        return (*fillet, *self._rounded_mm[1:])
 
     @property
     def flank_end_mm(self) -> float:
         """Return the arclength at which the flank ends and a rounded tip begins [mm]; the length for a blunt tip."""
-        return self.knots_mm[len(self.blunt_mm) - 1][0]
+        return self._rounded_mm[len(self.blunt_mm) - 1][0]
 
     @property
     def blunt_mm(self) -> tuple[tuple[float, float], ...]:
@@ -236,12 +262,21 @@ class FlangeTable(Table):
 
 
 class MountTable(Table):
-    """`[mount]`: the robot flange, the orientation of gravity and the compliance of the root."""
+    """`[mount]`: robot flange, gravity, compliance of the root, and how the flange is held.
+
+    Lengths that are not given take the defaults of the mount.
+    """
 
     robot_flange: str = "iso-9409-1-50-4-m6"
     flange: FlangeTable | None = None
     gravity_base_m_s2: Annotated[tuple[float, float, float], FromArray] = (9.81, 0.0, 0.0)
     root_rigid_radii: Annotated[float, Field(ge=-1.0, le=2.0)] = 0.12
+    hold: Literal["clamped", "glued"] = "clamped"
+    ring_screw: Literal["M2", "M3"] = "M2"
+    adapters: Literal["printed", "milled"] = "printed"
+    flange_thickness_mm: Annotated[float, Field(ge=1.0, le=10.0)] | None = None
+    flange_lip_mm: Annotated[float, Field(ge=3.5, le=10.0)] | None = None
+    squeeze_mm: Annotated[float, Field(ge=0.0, le=2.0)] | None = None
 
     @model_validator(mode="after")
     def _plausible(self) -> Self:
@@ -427,7 +462,7 @@ class Design(Table, Displayed):
             "shear_modulus_mpa": self.shear_modulus,
             "density_kg_m3": self.density,
         }
-        # 0.12 is a face bonded to something rigid; the exported flange is computed to yield (mount/adapters.py).
+        # 0.12 is a face bonded to something rigid; the exported flange is computed to yield (mount/root.py).
         root = ("mount.root_rigid_radii",) if self.mount.root_rigid_radii != 0.0 else ()
         # An infinite friction leaves the direction of the force free: no number is assumed.
         friction, free = self.friction, math.isinf(self.friction.value)

@@ -3,6 +3,7 @@
 A new sensor or calibration is one record here; mount, CAD, print rules, estimation and the live view read it.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +12,7 @@ import numpy as np
 from probedesign.core.errors import unknown_name
 from probedesign.core.frames import Array
 from probedesign.core.units import MM, N_MM
-from probedesign.design.catalog import M2, MIN_GRIP, SocketScrew
+from probedesign.design.catalog import M2, MIN_GRIP, PRINT_TOLERANCE, SocketScrew
 
 
 @dataclass(frozen=True)
@@ -104,13 +105,20 @@ class ScrewPattern:
     @property
     def length(self) -> float:
         """Return the shortest stock length that leaves `MIN_GRIP` under the head [m]."""
-        needed = (self.min_entry + self.max_entry) / 2 + MIN_GRIP - 1e-9  # a nanometre for round-off
-        return min(n * MM for n in self.screw.stock_mm if n * MM >= needed)
+        stock = [n * MM for n in self.screw.stock_mm]
+        return min(
+            (n for n in stock if self._grip(n) >= MIN_GRIP - 1e-9), default=stock[-1]
+        )  # 1 nm for round-off
 
     @property
     def grip(self) -> float:
-        """Return the thickness under the head [m] with which the screw enters by the middle of its limits."""
-        return self.length - (self.min_entry + self.max_entry) / 2
+        """Return the thickness under the head [m], to 0.1 mm: the shortest screw through the thickest print enters by
+        `min_entry`. This leaves most of the room for sanding, which makes a screw enter deeper."""
+        return self._grip(self.length)
+
+    def _grip(self, length: float) -> float:
+        thickest = length - self.min_entry - self.screw.length_tolerance(length) - PRINT_TOLERANCE
+        return math.floor(thickest / (0.1 * MM) + 1e-6) * 0.1 * MM
 
 
 @dataclass(frozen=True)

@@ -123,25 +123,31 @@ FLANGE_LIP = 3.5 * MM
 """Radial width under the clamp ring [m] (assumed)."""
 
 
-def flange_for(base_d: float, min_d: float) -> Flange:
+def flange_for(
+    base_d: float, min_d: float, thickness: float = FLANGE_THICKNESS, lip: float = FLANGE_LIP
+) -> Flange:
     """Return the flange of a probe of that base diameter [m].
 
     Args:
         base_d: of the probe.
         min_d: of the flange: the sensor's tool face, so that one adapter serves all thin probes and the flange covers
             the screws into the sensor.
+        thickness, lip: of the flange, and its radial width under the clamp ring.
     """
-    return Flange(max(base_d + 2 * FLANGE_LIP, min_d), FLANGE_THICKNESS)
+    return Flange(max(base_d + 2 * lip, min_d), thickness)
 
 
 def build_geometry(design: "Design") -> ProbeGeometry:
     """Return the geometry of a design, in SI units."""
     knots = np.array(design.probe.knots_mm, dtype=float) * MM
     radius = knots[:, 1] / 2.0
+    mount = design.mount
+    thickness = FLANGE_THICKNESS if mount.flange_thickness_mm is None else mount.flange_thickness_mm * MM
+    lip = FLANGE_LIP if mount.flange_lip_mm is None else mount.flange_lip_mm * MM
     return ProbeGeometry(
         knots[:, 0],
         radius,
-        flange_for(2.0 * float(radius[0]), design.sensor_model.interface.tool.face_d),
+        flange_for(2.0 * float(radius[0]), design.sensor_model.interface.tool.face_d, thickness, lip),
         design.probe.cross_section,
         None if design.probe.tip == "blunt" else design.probe.flank_end_mm * MM,
     )
@@ -188,6 +194,30 @@ def rounded(knots: tuple[Knot, ...]) -> tuple[Knot, ...]:
     angles = [(k + 0.5) * step for k in reversed(range(1, count))]
     round_end = [(length - R + corner * math.cos(a), 2.0 * corner * math.sin(a)) for a in angles]
     return (*knots[:-1], *round_end, (length, 2.0 * R * math.tan(step / 2.0)))
+
+
+def filleted(knots: tuple[Knot, ...], radius: float) -> tuple[tuple[Knot, ...], float]:
+    """Return the knots (s, diameter) [mm] of a fillet between the flange's top, s = 0, and the flank above it.
+
+    The circle of that radius touches the plane s = 0 and the flank outside of the body. Its corners lie on the circle,
+    the first at s = 0; between them the frusta deviate by at most `DEVIATION_MM`, outwards.
+
+    Args:
+        knots: of the blunt body; its first frustum reaches beyond the fillet.
+        radius: of the fillet [mm].
+
+    Returns:
+        The knots up to the end of the fillet, and its height [mm].
+    """
+    alpha = _half_angle(*knots[:2])
+    base = knots[0][1] / 2.0
+    # The centre lies at height `radius`, at that distance from the flank r = base - s tan α.
+    centre = base - radius * math.tan(alpha) + radius / math.cos(alpha)
+    end = math.pi / 2.0 - alpha  # of the turn from straight down to the flank's normal
+    count = max(math.ceil(end / (2.0 * math.acos(max(1.0 - DEVIATION_MM / radius, 0.0)))), 2)
+    turns = [end * k / count for k in range(count + 1)]
+    points = [(radius * (1.0 - math.cos(t)), 2.0 * (centre - radius * math.sin(t))) for t in turns]
+    return tuple(points), points[-1][0]
 
 
 def _half_angle(before: Knot, tip: Knot) -> float:

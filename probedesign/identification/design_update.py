@@ -12,6 +12,7 @@ from probedesign.design import Design
 from probedesign.design.io import Change
 from probedesign.identification.parameters import PARAMETERS
 from probedesign.identification.result import Identification, Identified
+from probedesign.mount.root import stated_root_radii
 
 IN_DESIGN = {name: one for name, one in PARAMETERS.items() if one.design_key}
 """Parameters that a design file holds."""
@@ -110,10 +111,11 @@ def _replaceable(change: Change, design: Design) -> bool:
     key = f"{change.table}.{change.key}"
     if change.table == "material.provenance" or key == "material.identified_tests":
         return True
-    if key == "mount.root_rigid_radii":  # the default is assumed; any other value was set
+    if key == "mount.root_rigid_radii":  # the default and the value of `new` are assumed; any other was set
         default = type(design.mount).model_fields["root_rigid_radii"].default
         E_identified = design.material.provenance.youngs_modulus_mpa == "identified"
-        return bool(design.mount.root_rigid_radii == default and not E_identified)
+        assumed = (default, stated_root_radii(design))
+        return design.mount.root_rigid_radii in assumed and not E_identified
     for name, one in MATERIAL.items():
         if key in (one.design_key, f"tolerances.{one.attribute}", *(REPLACED_WITH_E if name == "E" else ())):
             provenance: str = getattr(design.material.provenance, _split_key(name)[1])

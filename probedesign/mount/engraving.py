@@ -182,9 +182,18 @@ def engrave(fingerprint: str, name: str, radius: float, top: float, arcs: Sequen
     return Engraving(fits, radius, tuple(azimuths[: len(fits)]), top)
 
 
-def free_arcs(radius: float, azimuths: Sequence[float], clearance: float) -> list[Arc]:
-    """Return the arcs of a circle clockwise from each azimuth [rad] to the next, `clearance` [m] away from both."""
-    margin = 2.0 * np.arcsin(clearance / 2.0 / radius)
-    ordered = sorted(azimuths, reverse=True)
-    ends = [*ordered[1:], ordered[0] - 2 * np.pi]
-    return [(start - margin, end + margin) for start, end in zip(ordered, ends, strict=True)]
+def free_arcs(radius: float, azimuths: Sequence[float], clearance: float | Sequence[float]) -> list[Arc]:
+    """Return the arcs of a circle clockwise from each azimuth [rad] to the next, `clearance` [m] away from both.
+
+    Args:
+        radius: of the circle [m].
+        azimuths: of the obstacles [rad].
+        clearance: from each obstacle, or one for all [m].
+    """
+    clearances = np.broadcast_to(np.asarray(clearance, dtype=float), len(azimuths))
+    margins = 2.0 * np.arcsin(clearances / 2.0 / radius)
+    around = sorted(
+        ((a % (2 * np.pi), float(m)) for a, m in zip(azimuths, margins, strict=True)), reverse=True
+    )
+    ahead = [*around[1:], (around[0][0] - 2 * np.pi, around[0][1])]
+    return [(a - m, b + n) for (a, m), (b, n) in zip(around, ahead, strict=True)]

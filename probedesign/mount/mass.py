@@ -1,7 +1,7 @@
 """Closed-form mass properties of everything rigid between the sensor's tool face and s = 0.
 
 The frozen probe takes them from here, so it needs no CAD; `cad/verify` proves that the solids agree. All parts are sums
-and differences of upright prisms.
+and differences of upright prisms and frusta.
 """
 
 from collections.abc import Iterable
@@ -9,11 +9,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from probedesign.design.catalog import M2, M2_NUT_AF, M2_NUT_HEIGHT, RIGID_DENSITY, STEEL_DENSITY, SocketScrew
+from probedesign.core.frames import pose, rotation_z
+from probedesign.design.catalog import STEEL_DENSITY, SocketScrew
 from probedesign.geometry import ProbeGeometry
 from probedesign.geometry.mass import MassProperties, combined, flange_part, frustum
-from probedesign.mount.adapters import PEG_D, SensorAdapter
 from probedesign.mount.engraving import CELL, DEPTH, ROWS, XY, Engraving, cut_runs, glyph_width
+from probedesign.mount.sensor_adapter import DOWEL_SLOT, PEG_D, RING_VENT_HEIGHT, VENT_WIDTH, SensorAdapter
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(40)
 
 
 def mount_mass_properties(
@@ -40,45 +43,95 @@ def mount_part_masses(
     peg_hole = cylinder(adapter.peg_hole_d, adapter.floor, T[2, 3], probe_density, (adapter.peg_x, 0.0))
     return {
         "flange": subtract(flange, [peg_hole, engraving_mass(adapter.on_flange, probe_density).moved(T)]),
-        "sensor_adapter": _adapter_body(adapter, RIGID_DENSITY),
-        "clamp_ring": _clamp_ring(adapter, RIGID_DENSITY).moved(T),
+        "sensor_adapter": _adapter_body(adapter, adapter.options.density),
+        "clamp_ring": _clamp_ring(adapter, adapter.options.density).moved(T),
         "fasteners": combined(_fasteners(adapter, STEEL_DENSITY)),
     }
 
 
 def _adapter_body(a: SensorAdapter, density: float) -> MassProperties:
     foot = cylinder(a.foot_d, 0.0, a.foot_height, density)
-    plate = cylinder(a.body_d, a.foot_height, a.body_top, density)
+    cone = frustum(a.cone_d / 2, a.body_d / 2, a.cone_top - a.foot_height, a.foot_height, density)
+    plate = cylinder(a.body_d, a.cone_top, a.body_top, density)
     peg = cylinder(PEG_D, a.floor, a.peg_top, density, (a.peg_x, 0.0))
+    screw, (slot_z0, slot_z1) = a.ring_screw, a.nut_slot_z
+    half = VENT_WIDTH / 2
     voids = [
         cylinder(a.recess_d, a.floor, a.body_top, density),
-        segment(a.body_d / 2, a.mark_x, a.foot_height, a.body_top, density),
+        segment(a.body_d / 2, a.mark_x, a.cone_top, a.body_top, density),
+        subtract(  # the vent: from the recess's wall to the flat
+            prism_of_box((0.0, a.mark_x), (-half, half), (a.floor, a.body_top), density),
+            [strip(a.recess_d / 2, 0.0, half, a.floor, a.body_top, density)],
+        ),
         *(cylinder(a.tool.screw.clearance_d, 0.0, a.tool.grip, density, p) for p in a.p_tool_screws),
         *(cylinder(a.tool.screw.counterbore_d, a.tool.grip, a.floor, density, p) for p in a.p_tool_screws),
-        *(cylinder(a.dowel_d, 0.0, a.dowel_depth, density, p) for p in a.p_dowels),
-        *(cylinder(M2.clearance_d, a.nut_pocket_top, a.body_top, density, p) for p in a.p_ring_screws),
-        *(hexagon(a.nut_pocket_af, a.foot_height, a.nut_pocket_top, density, p) for p in a.p_ring_screws),
+        *(_dowel_hole(a, number, density) for number in range(len(a.p_dowels))),
+        *(cylinder(screw.clearance_d, slot_z1, a.body_top, density, p) for p in a.p_ring_screws),
+        *(cylinder(screw.clearance_d, a.ring_hole_bottom, slot_z0, density, p) for p in a.p_ring_screws),
+        *(_nut_slot(a, density, p) for p in a.p_ring_screws),
         engraving_mass(a.on_wall, density),
     ]
-    return combined([subtract(combined([foot, plate]), voids), peg])
+    return combined([subtract(combined([foot, cone, plate]), voids), peg])
+
+
+def _nut_slot(a: SensorAdapter, density: float, p: XY) -> MassProperties:
+    """Return the mass properties of a nut's slot: a half disc, and from its straight side to the rim."""
+    half, inner = a.nut_slot_width / 2, float(np.hypot(*p)) - a.nut_slot_reach
+    end = segment(half, 0.0, *a.nut_slot_z, density).moved(pose(rotation_z(np.pi), [inner, 0.0, 0.0]))
+    straight = strip(a.body_d / 2, inner, half, *a.nut_slot_z, density)
+    return combined([end, straight]).moved(pose(rotation_z(np.arctan2(p[1], p[0]))))
+
+
+def _dowel_hole(a: SensorAdapter, number: int, density: float) -> MassProperties:
+    slot_deg, (x, y) = a.dowel_slot_deg(number), a.p_dowels[number]
+    if slot_deg is None:
+        return cylinder(a.dowel_d, 0.0, a.dowel_depth, density, (x, y))
+    r, half = a.dowel_d / 2, DOWEL_SLOT / 2
+    ends = [
+        segment(r, 0.0, 0.0, a.dowel_depth, density).moved(pose(rotation_z(turn), [side, 0.0, 0.0]))
+        for turn, side in ((0.0, half), (np.pi, -half))
+    ]
+    middle = prism_of_box((-half, half), (-r, r), (0.0, a.dowel_depth), density)
+    return combined([*ends, middle]).moved(pose(rotation_z(np.radians(slot_deg)), [x, y, 0.0]))
 
 
 def _clamp_ring(a: SensorAdapter, density: float) -> MassProperties:
     """Return the ring's mass properties in its own frame, which is the base frame while the lip is unpressed."""
     bore = frustum(a.ring_bore_d / 2, a.ring_bore_top_d / 2, a.ring_thickness, 0.0, density)
-    holes = [cylinder(M2.clearance_d, 0.0, a.ring_thickness, density, p) for p in a.p_ring_screws]
+    holes = [cylinder(a.ring_screw.clearance_d, 0.0, a.ring_thickness, density, p) for p in a.p_ring_screws]
     disc = cylinder(a.body_d, 0.0, a.ring_thickness, density)
-    return subtract(disc, [bore, *holes, engraving_mass(a.on_ring, density)])
+    return subtract(disc, [bore, _ring_vent(a, density), *holes, engraving_mass(a.on_ring, density)])
+
+
+def _ring_vent(a: SensorAdapter, density: float) -> MassProperties:
+    """Return the notch across the ring's underside at +x, from the conical bore to the rim.
+
+    Its moments are integrals over y and z of polynomials of smooth limits in x, which Gauss points give to round-off.
+    """
+    half, height = VENT_WIDTH / 2, RING_VENT_HEIGHT
+    y, z = np.meshgrid(half * _NODES, height / 2 * (1.0 + _NODES), indexing="ij")
+    w = density * half * height / 2 * np.outer(_WEIGHTS, _WEIGHTS)
+    bore = (a.ring_bore_d + (a.ring_bore_top_d - a.ring_bore_d) * z / a.ring_thickness) / 2
+    x0, x1 = np.sqrt(bore**2 - y * y), np.sqrt(a.body_d**2 / 4 - y * y)
+    length, first, second = ((x1**n - x0**n) / n for n in (1, 2, 3))
+    mass = float((w * length).sum())
+    p = np.array([(w * first).sum(), 0.0, (w * z * length).sum()]) / mass
+    xx, yy, zz = (w * second).sum(), (w * y * y * length).sum(), (w * z * z * length).sum()
+    xz = (w * z * first).sum()
+    about_origin = np.array([[yy + zz, 0.0, -xz], [0.0, xx + zz, 0.0], [-xz, 0.0, xx + yy]])
+    central = about_origin - mass * (p @ p * np.eye(3) - np.outer(p, p))
+    return MassProperties(mass / density, mass, p, central)
 
 
 def _fasteners(a: SensorAdapter, density: float) -> list[MassProperties]:
     sensor_screws = [_screw(a.tool.screw, a.tool.grip, a.tool.length, density, p) for p in a.p_tool_screws]
-    ring_screws = [_screw(M2, a.ring_top, a.ring_screw_length, density, p) for p in a.p_ring_screws]
-    nut_z = a.nut_pocket_top - M2_NUT_HEIGHT
+    ring_screws = [_screw(a.ring_screw, a.ring_top, a.ring_screw_length, density, p) for p in a.p_ring_screws]
+    nut, top = a.options.nut, a.nut_slot_z[1]
+    bottom = top - nut.height
     nuts = [
         subtract(
-            hexagon(M2_NUT_AF, nut_z, a.nut_pocket_top, density, p),
-            [cylinder(M2.pitch_d, nut_z, a.nut_pocket_top, density, p)],
+            hexagon(nut.af, bottom, top, density, p),
+            [cylinder(a.ring_screw.pitch_d, bottom, top, density, p)],
         )
         for p in a.p_ring_screws
     ]
@@ -127,6 +180,25 @@ def prism(area: float, Ix: float, Iy: float, z: tuple[float, float], density: fl
     slab = mass * h * h / 12.0
     inertia = np.diag([density * h * Ix + slab, density * h * Iy + slab, density * h * (Ix + Iy)])
     return MassProperties(area * h, mass, np.array([*p, (z[0] + z[1]) / 2]), inertia)
+
+
+def prism_of_box(x: XY, y: XY, z: XY, density: float) -> MassProperties:
+    """Return a box between the two values of x, of y and of z [m]."""
+    a, b = x[1] - x[0], y[1] - y[0]
+    return prism(a * b, a * b**3 / 12, a**3 * b / 12, z, density, ((x[0] + x[1]) / 2, (y[0] + y[1]) / 2))
+
+
+def strip(r: float, x0: float, half: float, z0: float, z1: float, density: float) -> MassProperties:
+    """Return the prism between the plane x = x0 and a cylinder of radius r about z, for |y| <= half < r.
+
+    Its moments are integrals over y of polynomials of √(r² - y²), which 40 Gauss points give to round-off.
+    """
+    y, w = half * _NODES, half * _WEIGHTS
+    x1 = np.sqrt(r * r - y * y)
+    area = float(w @ (x1 - x0))
+    x = float(w @ (x1**2 - x0**2)) / 2 / area
+    Iy = float(w @ (x1**3 - x0**3)) / 3 - area * x * x
+    return prism(area, float(w @ (y * y * (x1 - x0))), Iy, (z0, z1), density, (x, 0.0))
 
 
 def cylinder(d: float, z0: float, z1: float, density: float, p: XY = (0.0, 0.0)) -> MassProperties:

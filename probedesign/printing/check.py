@@ -11,111 +11,33 @@ fingerprint, the STEP file or the check of the drawn parts.
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.design.catalog import M2, PRINTERS, Printer
+from probedesign.design.catalog import PRINTERS, Printer
 from probedesign.geometry import ProbeGeometry, build_geometry
-from probedesign.mount import FlangeAdapter, SensorAdapter, flange_adapter_for, sensor_adapter_for
-from probedesign.mount.adapters import PEG_D
+from probedesign.mount import (
+    FlangeAdapter,
+    SensorAdapter,
+    flange_adapter_for,
+    mount_options,
+    sensor_adapter_for,
+)
 from probedesign.mount.engraving import XY
-
-Severity = Literal["ok", "warning", "error"]
-Confidence = Literal["high", "medium", "low"]
-Bound = Literal["at least", "at most"]
-ROUNDING = 1e-9
-"""Relative tolerance: sums such as 1.75 - 1.05 are off in the sixteenth digit."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """The result of one rule on one part.
-
-    Attributes:
-        rule: name of the rule.
-        part: of the export.
-        severity: `error` is not expected to print; `warning` may fail or print badly.
-        what: the measured feature.
-        measured: its value in `unit`; None where the part could not be laid out.
-        limit: the value it is compared with.
-        bound: the side of the limit on which it must lie.
-        unit: mm, deg or 1.
-        remedy: the nearest change that meets the limit; empty if the finding is ok.
-        source: of the limit.
-        confidence: in the limit.
-    """
-
-    rule: str
-    part: str
-    severity: Severity
-    what: str
-    measured: float | None
-    limit: float | None
-    bound: Bound
-    unit: str
-    remedy: str
-    source: str
-    confidence: Confidence
-
-    def as_record(self) -> dict[str, Any]:
-        """Return the finding as a dictionary for JSON and the manifest; numbers to a nanometre."""
-        record = {key: value for key, value in vars(self).items() if value != ""}
-        numbers = {key: record[key] for key in ("measured", "limit")}
-        rounded = {key: None if value is None else round(value, 6) for key, value in numbers.items()}
-        return record | rounded | {"message": self.message}
-
-    @property
-    def message(self) -> str:
-        """Return one line: part, value, limit, remedy."""
-        if self.measured is None or self.limit is None:
-            return f"{self.part}: {self.what}"
-        unit = "" if self.unit == "1" else f" {self.unit}"
-        numbers = f"{self.measured:.4g}{unit}, required {self.bound} {self.limit:.4g}{unit}"
-        return f"{self.part}: {self.what}: {numbers}{f'; {self.remedy}' if self.remedy else ''}"
-
-
-@dataclass(frozen=True)
-class Rule:
-    """A rule with the source of its limits and the confidence in them."""
-
-    name: str
-    unit: str
-    source: str
-    confidence: Confidence
-
-    def at_least(
-        self, part: str, what: str, measured: float, good: float, bad: float | None = None, remedy: str = ""
-    ) -> Finding:
-        """Return a warning below `good` and an error below `bad`; without `bad` an error below `good`."""
-        worst = good if bad is None else bad
-        room = ROUNDING * max(abs(good), abs(worst))
-        severity: Severity = "ok" if measured >= good - room else "warning"
-        if measured < worst - room:
-            return self._finding(part, what, measured, worst, "at least", "error", remedy)
-        return self._finding(part, what, measured, good, "at least", severity, remedy)
-
-    def at_most(self, part: str, what: str, measured: float, bad: float, remedy: str = "") -> Finding:
-        """Return an error above `bad`."""
-        severity: Severity = "error" if measured > bad + ROUNDING * abs(bad) else "ok"
-        return self._finding(part, what, measured, bad, "at most", severity, remedy)
-
-    def impossible(self, part: str, what: str) -> Finding:
-        """Return an error without a number; `what` is the whole message."""
-        return self._finding(part, what, None, None, "at most", "error", "")
-
-    def _finding(
-        self, part: str, what: str, measured: float | None, limit: float | None, bound: Bound, severity: Severity,
-        remedy: str,
-    ) -> Finding:  # fmt: skip
-        remedy = "" if severity == "ok" else remedy
-        return Finding(
-            self.name, part, severity, what, measured, limit, bound, self.unit, remedy, self.source, self.confidence
-        )  # fmt: skip
-
+from probedesign.mount.flange_adapter import TIE_SLOT
+from probedesign.mount.sensor_adapter import PEG_D
+from probedesign.printing.findings import Finding, Rule, Severity
+from probedesign.printing.orientation import (
+    MAX_BRIDGE,
+    MAX_CUP_D,
+    MAX_OVERHANG,
+    OrientedPart,
+    oriented_parts,
+)
 
 GUIDE = "Formlabs' design guide, Form 2, rigid resin"
 DOUBLED = f"twice {GUIDE}, for soft resin (assumed)"
@@ -156,6 +78,12 @@ NO_OVERHANG = Rule(
     "overhang", "deg", f"{GUIDE}; a warning below {MIN_SOFT_OVERHANG:g} for soft resin (assumed)", "low"
 )
 TRAPPED_VOLUME = Rule("trapped_volume", "mm", f"drain hole of {GUIDE}", "medium")
+LAYER_OVERHANG = Rule("overhang", "mm", "Formlabs' design guide: 1 mm, or 19° to the horizontal", "medium")
+LAYER_BRIDGE = Rule("bridge", "mm", "half of the 21 mm of Formlabs' design guide (assumed)", "low")
+DATUM = Rule("datum", "mm²", "a face that carries a dimension must not be sanded", "high")
+ISLANDS = Rule("island", "1", "what begins in mid-air is lost", "high")
+CUP = Rule("cup", "mm", "assumed: suction of a shallow cup that a rigid resin stands", "low")
+ENCLOSED = Rule("enclosed_volume", "mm³", "resin cannot drain", "high")
 MOUNT = Rule("mount", "mm", "the adapter's own dimensions", "high")
 
 
@@ -252,8 +180,11 @@ def mount_findings(a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
     screw, slot = plate.mounting.screw, plate.robot.pin_slot[0]
     bolt_hole = {"bolt hole": plate.robot.screw.clearance_d} | ({"pin slot": slot} if slot > 0.0 else {})
     parts = {
-        "sensor_adapter": (_adapter_walls(a), {"screw hole": M2.clearance_d, "dowel hole": a.dowel_d}),
-        "clamp_ring": (_ring_walls(a), {"screw hole": M2.clearance_d}),
+        "sensor_adapter": (
+            _adapter_walls(a),
+            {"screw hole": a.ring_screw.clearance_d, "dowel hole": a.dowel_d},
+        ),
+        "clamp_ring": (_ring_walls(a), {"screw hole": a.ring_screw.clearance_d}),
         "flange_adapter": (_plate_walls(plate), {"sensor screw hole": screw.clearance_d} | bolt_hole),
     }
     findings = [SLENDERNESS.at_least(
@@ -268,23 +199,39 @@ def mount_findings(a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
     return findings
 
 
+def layer_findings(part: OrientedPart) -> list[Finding]:
+    """Return the findings on the layers of a rigid part in its printing orientation."""
+    report, name, where = part.report, part.name, f"{part.side}, on {part.rests_on}"
+    supports = "supports must carry it"
+    return [
+        LAYER_OVERHANG.warn_above(name, f"overhang without supports, {where}", report.overhang, MAX_OVERHANG, supports),
+        LAYER_BRIDGE.warn_above(name, f"bridge, {where}", report.bridge, MAX_BRIDGE, supports),
+        DATUM.at_most(name, f"area of datum faces that needs supports, {where}", report.datum_area, 0.0,
+                      "sand them flat, and measure again"),
+        ISLANDS.at_most(name, f"places that begin in mid-air, {where}", report.islands, 0.0, supports),
+        CUP.warn_above(name, f"width of the widest cup, {where}", report.cup_d, MAX_CUP_D, "drill a vent"),
+        ENCLOSED.at_most(name, f"enclosed volume, {where}", report.trapped, 0.0, "drill a drain hole"),
+    ]  # fmt: skip
+
+
 Walls = list[tuple[str, float, float]]
 """Thin features: name, thickness [m] and its limit [mm]."""
 
 
 def _adapter_walls(a: SensorAdapter) -> Walls:
     ring, rim, recess = _reach(a.p_ring_screws), a.body_d / 2, a.recess_d / 2
-    pocket = a.nut_pocket_af / math.sqrt(3.0)  # to its corners
+    hole, inner = a.ring_screw.clearance_d / 2, ring - a.nut_slot_reach - a.nut_slot_width / 2
     tool, dowel, foot = _reach(a.p_tool_screws), _reach(a.p_dowels), a.foot_d / 2
-    walls = [
-        ("rim around the recess, at the flat", a.mark_x - recess, UNSUPPORTED_WALL),
-        ("between ring screw and recess", ring - M2.clearance_d / 2 - recess, SUPPORTED_WALL),
-        ("between nut pocket and rim", rim - ring - pocket, UNSUPPORTED_WALL),
-    ]
-    if ring - pocket < recess:  # the pocket extends below the recess
-        walls.append(("between nut pocket and recess", a.floor - a.nut_pocket_top, SUPPORTED_WALL))
+    # The cone below a ring screw's blind hole, and below the floor of a nut's slot at the rim.
+    cone = a.foot_height + (ring + hole - a.cone_d / 2) * (a.cone_top - a.foot_height) / (rim - a.cone_d / 2)
     return [
-        *walls,
+        ("rim around the recess, at the flat", a.mark_x - recess, UNSUPPORTED_WALL),
+        ("between ring screw and recess", ring - hole - recess, SUPPORTED_WALL),
+        ("between ring screw and rim", rim - ring - hole, UNSUPPORTED_WALL),
+        ("between nut slot and recess", inner - recess, SUPPORTED_WALL),
+        ("above a nut", a.nut_roof, SUPPORTED_WALL),
+        ("below a nut slot, at the rim", a.nut_slot_z[0] - a.cone_top, UNSUPPORTED_WALL),
+        ("below a ring screw's hole", a.ring_hole_bottom - cone, SUPPORTED_WALL),
         (
             "between sensor screw and edge of the foot",
             foot - tool - a.tool.screw.clearance_d / 2,
@@ -297,7 +244,7 @@ def _adapter_walls(a: SensorAdapter) -> Walls:
 
 
 def _ring_walls(a: SensorAdapter) -> Walls:
-    ring, hole = _reach(a.p_ring_screws), M2.clearance_d / 2
+    ring, hole = _reach(a.p_ring_screws), a.ring_screw.clearance_d / 2
     return [
         ("thickness", a.ring_thickness, UNSUPPORTED_WALL),
         ("between screw hole and rim", a.body_d / 2 - ring - hole, UNSUPPORTED_WALL),
@@ -306,7 +253,7 @@ def _ring_walls(a: SensorAdapter) -> Walls:
 
 
 def _plate_walls(p: FlangeAdapter) -> Walls:
-    robot, rim, pad, screw = p.robot, p.plate_d / 2, p.pad_d / 2, p.mounting.screw
+    robot, rim, screw = p.robot, p.plate_d / 2, p.mounting.screw
     bolts, screws = _reach(p.p_bolts), _reach(p.p_mounting_screws)
     width, length = robot.pin_slot
     slot = rim - math.hypot(bolts + length / 2, width / 2)
@@ -315,7 +262,16 @@ def _plate_walls(p: FlangeAdapter) -> Walls:
         ("thickness", p.plate_top, UNSUPPORTED_WALL),
         ("between bolt and rim", rim - bolts - robot.screw.clearance_d / 2, UNSUPPORTED_WALL),
         *([("between pin slot and rim", slot, UNSUPPORTED_WALL)] if width > 0.0 else []),
-        ("between sensor screw and edge of the pad", pad - screws - screw.clearance_d / 2, UNSUPPORTED_WALL),
+        (
+            "between the opening for the cable tie and rim",
+            rim - _reach(p.p_tie_slots) - max(TIE_SLOT) / 2,
+            UNSUPPORTED_WALL,
+        ),
+        *(
+            [("between pin and head's room", _apart(p), SUPPORTED_WALL)]
+            if p.p_centring_pins and p.centring_hole[1] < p.counterbore_top
+            else []
+        ),
         *(
             [("between a head's room and edge of the spigot", spigot, SUPPORTED_WALL)]
             if robot.spigot[0] > 0.0
@@ -323,6 +279,12 @@ def _plate_walls(p: FlangeAdapter) -> Walls:
         ),
         ("under the heads of the sensor screws", p.mounting.grip, SUPPORTED_WALL),
     ]
+
+
+def _apart(p: FlangeAdapter) -> float:
+    """Return the wall between the centring pins' holes and the rooms of the screws' heads [m]."""
+    nearest = min(math.dist(a, b) for a in p.p_centring_pins for b in p.p_mounting_screws)
+    return nearest - p.centring_hole[0] / 2 - p.mounting.screw.counterbore_d / 2
 
 
 def _reach(points: Iterable[XY]) -> float:
@@ -359,6 +321,7 @@ class PrintCheck:
         printer, resin: the rules depend on.
         findings: one per rule and feature, passed ones included.
         advice: for what no rule can measure.
+        oriented: the rigid parts in their printing orientation, where their layers were examined.
     """
 
     name: str
@@ -367,6 +330,7 @@ class PrintCheck:
     resin: str
     findings: tuple[Finding, ...]
     advice: tuple[str, ...]
+    oriented: tuple[OrientedPart, ...] = ()
 
     def _of(self, severity: Severity) -> list[Finding]:
         return [finding for finding in self.findings if finding.severity == severity]
@@ -402,16 +366,25 @@ class PrintCheck:
             "warnings": len(self.warnings),
             "findings": [f.as_record() for f in (*self.errors, *self.warnings)],
             "advice": list(self.advice),
+            "orientation": {part.name: part.as_record() for part in self.oriented},
         }
 
 
-def check_print(design: Design) -> PrintCheck:
-    """Check a design against the rules of its printer and of both resins."""
+def check_print(design: Design, layers: bool = True) -> PrintCheck:
+    """Check a design against the rules of its printer and of both resins.
+
+    Args:
+        design: the design.
+        layers: whether the layers of the rigid parts are examined, which takes a second; the flexible part alone does
+            not need it.
+    """
     geometry, printer = build_geometry(design), design.printer
+    oriented: tuple[OrientedPart, ...] = ()
     findings = [*_probe_size(design, geometry), *probe_findings(geometry)]
-    plate = flange_adapter_for(design.sensor_model, design.robot_flange)
+    options = mount_options(design)
+    plate = flange_adapter_for(design.sensor_model, design.robot_flange, options=options)
     try:
-        a = sensor_adapter_for(geometry, design.sensor_model)
+        a = sensor_adapter_for(geometry, design.sensor_model, options=options)
     except InputError as error:
         findings.append(MOUNT.impossible("clamp_ring", str(error)))
     else:
@@ -420,17 +393,30 @@ def check_print(design: Design) -> PrintCheck:
         for part, width, height in (
             ("sensor_adapter", a.body_d, a.body_top),
             ("clamp_ring", a.body_d, a.ring_thickness),
-            ("flange_adapter", plate.plate_d, plate.pad_top + plate.robot.spigot[1]),
+            ("flange_adapter", plate.plate_d, plate.plate_top + plate.robot.spigot[1]),
         ):
             findings += size_findings(part, printer, sx * width / MM, sz * height / MM)
+        if layers and not options.milled:
+            oriented = tuple(oriented_parts(a, plate))
+            findings += [finding for part in oriented for finding in layer_findings(part)]
     advice = (
         f"print it upright on its flange, {LAYER:g} mm layers, supports below the flange only",
         design.resin.cure,
         "cure it hanging or in a V-groove: lying flat, it would cure bent under its own weight",
         "measure its diameters after curing: they determine its stiffness",
+        *(
+            f"print the {part.name.replace('_', ' ')} {part.side}, on {part.rests_on}, without supports and raft"
+            for part in oriented
+            if not part.needs_supports
+        ),
+        *(
+            f"print the {part.name.replace('_', ' ')} {part.side} on supports"
+            for part in oriented
+            if part.needs_supports
+        ),
     )
     return PrintCheck(
-        design.name, geometry.fingerprint, printer.name, design.resin.name, tuple(findings), advice
+        design.name, geometry.fingerprint, printer.name, design.resin.name, tuple(findings), advice, oriented
     )  # fmt: skip
 
 

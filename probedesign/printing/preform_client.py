@@ -219,6 +219,7 @@ OnProgress = Callable[[str, float | None], None]
 
 UPRIGHT = {"z_direction": [0.0, 0.0, 1.0], "x_direction": [1.0, 0.0, 0.0]}
 """Keeps the part's z axis up; PreForm would tilt it."""
+UPSIDE_DOWN = {"z_direction": [0.0, 0.0, -1.0], "x_direction": [1.0, 0.0, 0.0]}
 SUPPORTS = {
     "raft_type": "FULL_RAFT",
     "raft_thickness_mm": RAFT_THICKNESS,
@@ -272,16 +273,18 @@ class PreForm:
         """Delete a scene; with a short timeout, since a user may be waiting for the prompt."""
         replace(self.connection, timeout_s=FORGET_S).request("the end of the scene", "DELETE", _at(scene))
 
-    def import_model(self, scene: str, file: str, name: str) -> None:
-        """Import a part upright. By default PreForm would guess its units and refuse meshes with defects."""
+    def import_model(self, scene: str, file: str, name: str, upside_down: bool = False) -> None:
+        """Import a part upright or upside down. PreForm would guess its units and refuse meshes with defects."""
         body = {
-            "file": file, "name": name, "repair_behavior": "REPAIR", "units": "MILLIMETERS", "orientation": UPRIGHT,
+            "file": file, "name": name, "repair_behavior": "REPAIR", "units": "MILLIMETERS",
+            "orientation": UPSIDE_DOWN if upside_down else UPRIGHT,
         }  # fmt: skip
         self._operate(Reply, f"the import of {name}", "POST", f"{_at(scene)}import-model/", body)
 
-    def support(self, scene: str) -> None:
-        """Generate raft and supports below all parts."""
-        self._operate(Reply, "supports", "POST", f"{_at(scene)}auto-support/", {"models": "ALL", **SUPPORTS})
+    def support(self, scene: str, models: list[str] | None = None) -> None:
+        """Generate raft and supports below some parts, or below all if `models` is None."""
+        body = {"models": "ALL" if models is None else models, **SUPPORTS}
+        self._operate(Reply, "supports", "POST", f"{_at(scene)}auto-support/", body)
 
     def lay_out(self, scene: str) -> None:
         """Lay out all parts on the platform."""

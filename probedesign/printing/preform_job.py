@@ -47,6 +47,8 @@ class PrintJob:
         resin: of the design, or "rigid".
         folder: of the export, absolute.
         sizes: extent of each part's mesh along x, y and z [mm]; the file is the part's name with .stl.
+        upside_down: parts that are printed upside down.
+        on_platform: parts that stand on the platform without supports.
     """
 
     name: str
@@ -54,6 +56,13 @@ class PrintJob:
     resin: str
     folder: Path
     sizes: dict[str, Extent]
+    upside_down: frozenset[str] = frozenset()
+    on_platform: frozenset[str] = frozenset()
+
+    def stands(self, part: str) -> str:
+        """Return how a part stands on the platform."""
+        side = "upside down" if part in self.upside_down else "upright"
+        return f"{side}, {'on the platform' if part in self.on_platform else 'on supports'}"
 
     def file(self, part: str) -> Path:
         """Return the path of a part's file."""
@@ -86,7 +95,25 @@ def load_job(design: Design, folder: Path, parts: Parts) -> PrintJob:
     sizes = {name[:-4]: _size(folder / name, manifest["files"][name]) for name in names}
     resin = design.resin.name if parts == "probe" else "rigid"
     name = f"{design.name}-{build_geometry(design).fingerprint}-{parts}"
-    return PrintJob(name, design.printer.product, resin, folder, sizes)
+    upside_down, on_platform = _orientations(manifest, sizes)
+    return PrintJob(name, design.printer.product, resin, folder, sizes, upside_down, on_platform)
+
+
+def _orientations(
+    manifest: dict[str, Any], sizes: dict[str, Extent]
+) -> tuple[frozenset[str], frozenset[str]]:
+    """Return the parts that are printed upside down, and those without supports; all others stand upright on supports.
+
+    Exports of earlier versions do not state them.
+    """
+    check = manifest.get("print_check")
+    stated = check.get("orientation") if isinstance(check, dict) else None
+    stated = stated if isinstance(stated, dict) else {}
+    records = {part: stated[part] for part in sizes if isinstance(stated.get(part), dict)}
+    return (
+        frozenset(part for part, record in records.items() if record.get("side") == "upside down"),
+        frozenset(part for part, record in records.items() if record.get("supports") is False),
+    )
 
 
 def _manifest(path: Path) -> dict[str, Any]:
@@ -259,6 +286,7 @@ class PreparedJob:
         api: version.
         selection: printer, material, setting.
         parts: in the scene.
+        orientation: of each part, and whether it stands on supports or on the platform.
         layer_count, volume_ml: of the whole job; None where PreForm gives no value.
         print_time_s: estimated.
         problems: found by validation; empty if there are none.
@@ -269,6 +297,7 @@ class PreparedJob:
     api: str
     selection: PrintSelection
     parts: tuple[str, ...]
+    orientation: dict[str, str]
     layer_count: int | None
     volume_ml: float | None
     print_time_s: float
@@ -289,10 +318,12 @@ def prepare_job(server: PreForm, job: PrintJob, paths: PathMapping, order: Print
     selection = select_settings(server.materials(), job.product, job.resin, order.material)
     with _scene(server, selection) as scene:
         names = _import(server, job, paths, scene)
-        server.support(scene)
+        supported = [key for key, part in names.items() if part not in job.on_platform]
+        if supported:
+            server.support(scene, None if len(supported) == len(names) else supported)
         server.lay_out(scene)
         laid_out = server.scene(scene)
-        problems = tuple(_problems(laid_out, server.validate(scene), names))
+        problems = tuple(_problems(laid_out, server.validate(scene), names, job.on_platform))
         print_time_s = server.print_time_s(scene)
         picture = f"preform-{job.name.rpartition('-')[2]}.png"
         with paths.output(picture) as file:
@@ -306,6 +337,7 @@ def prepare_job(server: PreForm, job: PrintJob, paths: PathMapping, order: Print
         api=api,
         selection=selection,
         parts=tuple(names.values()),
+        orientation={part: job.stands(part) for part in names.values()},
         layer_count=laid_out.layer_count,
         volume_ml=laid_out.material_usage.volume_ml,
         print_time_s=print_time_s,
@@ -332,7 +364,7 @@ def _import(server: PreForm, job: PrintJob, paths: PathMapping, scene: str) -> d
     """Import every part, and check that it is present, in its size and upright; return names by id."""
     names: dict[str, str] = {}
     for part, size in job.sizes.items():
-        server.import_model(scene, paths.server_path(job.file(part)), part)
+        server.import_model(scene, paths.server_path(job.file(part)), part, part in job.upside_down)
         new = [model for model in server.scene(scene).models if model.id not in names]
         if len(new) != 1:
             raise PreFormError(
@@ -354,7 +386,9 @@ def _check_size(part: str, model: SceneModel, size: tuple[float, float, float]) 
         )
 
 
-def _problems(scene: PrintScene, validation: PrintValidation, names: dict[str, str]) -> Iterator[str]:
+def _problems(
+    scene: PrintScene, validation: PrintValidation, names: dict[str, str], on_platform: frozenset[str]
+) -> Iterator[str]:
     """Yield one line per problem that would spoil the print."""
     # PreForm wraps ids into braces in some responses and not in others.
     checked = {key.strip("{}"): value for key, value in validation.per_model_results.items()}
@@ -362,7 +396,7 @@ def _problems(scene: PrintScene, validation: PrintValidation, names: dict[str, s
         part = names.get(model.id, model.id)
         if model.in_bounds is False:
             yield f"{part}: outside the build volume"
-        if model.has_supports is False:
+        if model.has_supports is False and part not in on_platform:
             yield f"{part}: without supports"
         found = checked.get(model.id.strip("{}"))
         if found is None:

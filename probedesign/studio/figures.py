@@ -167,7 +167,7 @@ def _figures(
 ) -> DesignFigures:
     probe = build_probe(design)
     model = probe.model
-    found = check_print(design)
+    found = check_print(design, layers=False)
     return DesignFigures(
         probe,
         predict(model, fractions, forces_N, only_single=only_single),

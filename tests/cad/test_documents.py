@@ -79,7 +79,9 @@ def test_every_part_has_a_step_and_an_exploded_position(large: CadModel) -> None
     assert Counter(exploded) == Counter(set(large.parts) - {"sensor"})
     assert {
         name
-        for step in assembly_steps(large.screws, large.adapter.dowels, large.plate.robot.pin_d)
+        for step in assembly_steps(
+            large.screws, large.adapter.dowels, large.plate.robot.pin_d, centring_pins=3
+        )
         for name in step.parts
     } == set(exploded)
 

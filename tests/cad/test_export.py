@@ -21,6 +21,7 @@ from probedesign.cad import export_parts
 from probedesign.cad.assembly_docs import Documents
 from probedesign.cad.kernel import location
 from probedesign.cad.model import CadModel
+from probedesign.cad.step import reproducible
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.design import Design
 from probedesign.frozen_probe import freeze
@@ -29,6 +30,7 @@ from probedesign.geometry.mass import MassProperties, combined, flexible_part
 from probedesign.mount import mount_mass_properties, sensor_adapter_for
 from probedesign.printing.preform_job import load_job
 from probedesign.probe import build_probe
+from tests.cad.conftest import LARGE
 
 FILES = {
     "probe.stl", "sensor_adapter.stl", "clamp_ring.stl", "flange_adapter.stl",
@@ -216,25 +218,59 @@ def test_print_accepts_the_export(exported: Exported, make_design: Callable[...,
 
 
 def test_exports_are_reproducible(exported: Exported, tmp_path: Path) -> None:
-    """In another process, with another seed of Python's hashes; STEP and 3MF alone carry the time.
+    """In another process, with another seed of Python's hashes: every file, manifest included, has the same bytes.
 
     Nothing else is printed on stdout, which is reserved for `--json`: the kernel would print there.
     """
+    again = exported_by_another_process(LARGE, tmp_path / "again", seed="12345")
+    assert {path.name for path in again.iterdir()} == FILES
+    for path in again.iterdir():
+        assert path.read_bytes() == (exported[0] / path.name).read_bytes(), path.name
+
+
+@pytest.mark.parametrize(
+    "section", ['section = "hollow"\nbore_ratio = 0.5', 'section = "elliptic"\nflatness = 0.6']
+)
+def test_other_sections_are_reproducible(tmp_path: Path, section: str) -> None:
+    """The kernel keeps one of two coincident vertices by its address, which differs between processes."""
+    probe = f"length_mm = 60.0\nbase_d_mm = 12.0\ntip_d_mm = 6.0\n{section}"
+    one, other = (exported_by_another_process(probe, tmp_path / seed, seed) for seed in ("1", "2"))
+    for path in one.iterdir():
+        assert path.read_bytes() == (other / path.name).read_bytes(), path.name
+
+
+def exported_by_another_process(probe: str, folder: Path, seed: str) -> Path:
     code = (
         "from pathlib import Path; from tests.cad.conftest import design_of;"
         "from probedesign.cad import export_parts; import sys;"
-        "export_parts(design_of(), Path(sys.argv[1]), lambda step: print(step, file=sys.stderr))"
+        "export_parts(design_of(sys.argv[2]), Path(sys.argv[1]), lambda step: print(step, file=sys.stderr))"
     )
     result = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "again")],
-        env={**os.environ, "PYTHONHASHSEED": "12345"}, cwd=Path(__file__).parents[2],
+        [sys.executable, "-c", code, str(folder), probe],
+        env={**os.environ, "PYTHONHASHSEED": seed}, cwd=Path(__file__).parents[2],
         check=True, capture_output=True, text=True,
     )  # fmt: skip
     assert result.stdout == "" and "meshing" in result.stderr.splitlines()
-    again = json.loads((tmp_path / "again" / "manifest.json").read_text("utf-8"))
-    assert again["fingerprint"] == exported[1]["fingerprint"]
-    timeless = [name for name in FILES - {"manifest.json"} if not name.endswith((".step", ".3mf"))]
-    assert {n: again["files"][n] for n in timeless} == {n: exported[1]["files"][n] for n in timeless}
+    return folder
+
+
+def test_a_step_file_does_not_depend_on_the_order_in_which_the_kernel_writes_styles() -> None:
+    blocks = [
+        f"#{n} = MECHANICAL_DESIGN_GEOMETRIC_PRESENTATION_REPRESENTATION('',(\n    #{n + 1}),#{shape});\n"
+        f"#{n + 1} = STYLED_ITEM('color',(#{n + 2}),#{shape - 1});\n#{n + 2} = STYLE(#{colour});\n"
+        for n, shape, colour in ((100, 20, 103), (104, 10, 103))
+    ]
+    swapped = [
+        f"#{n} = MECHANICAL_DESIGN_GEOMETRIC_PRESENTATION_REPRESENTATION('',(\n    #{n + 1}),#{shape});\n"
+        f"#{n + 1} = STYLED_ITEM('color',(#{n + 2}),#{shape - 1});\n#{n + 2} = STYLE(#{colour});\n"
+        for n, shape, colour in ((100, 10, 103), (104, 20, 103))
+    ]
+    files = [
+        f"HEADER;\nFILE_NAME('x','{time}',(''));\n#9 = SHAPE();\n{one}#103 = RGB(0.5);\n{two}ENDSEC;\nEND;\n"
+        for time, (one, two) in (("2026-01-01T01:02:03", blocks), ("2027-02-03T04:05:06", swapped))
+    ]
+    assert reproducible(files[0]) == reproducible(files[1])
+    assert reproducible(files[0]).count("#20") == 1 and "#9 = SHAPE" in reproducible(files[0])
 
 
 @pytest.fixture
@@ -260,7 +296,7 @@ def test_interrupted_export_leaves_nothing(
         assert any(tmp_path.rglob("probe.stl"))  # half of the files are there already
         raise trouble
 
-    monkeypatch.setattr("probedesign.cad.export._write_step", fail)
+    monkeypatch.setattr("probedesign.cad.export.manifest_of", fail)
     with pytest.raises(
         (KeyboardInterrupt, InputError), match=r"^$|cannot be written: No space left on device$"
     ):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from probedesign.cad.export import staged
+from probedesign.cad.folder import staged
 from probedesign.core.errors import InputError
 
 posix = pytest.mark.skipif(os.name == "nt", reason="signals and locks of POSIX")
@@ -26,7 +26,7 @@ def manifest(*files: str) -> str:
 def run(folder: Path, inside: str) -> subprocess.CompletedProcess[str]:
     """A process that stages one file and then does something."""
     code = (
-        "import os, signal, sys; from pathlib import Path; from probedesign.cad.export import staged\n"
+        "import os, signal, sys; from pathlib import Path; from probedesign.cad.folder import staged\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored in a shell's background
         "with staged(Path(sys.argv[1])) as staging:\n"
         "    (staging / 'probe.stl').write_text('half'); " + inside

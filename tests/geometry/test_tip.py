@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.design import Design, check_design
+from probedesign.design import Design, check_design, parse_design
 from probedesign.frozen_probe import freeze, load_model, write_frozen
 from probedesign.geometry import build_geometry
 from probedesign.geometry.mass import flexible_part
-from probedesign.geometry.probe_geometry import DEVIATION_MM
+from probedesign.geometry.probe_geometry import DEVIATION_MM, filleted
 from probedesign.prediction.predict import predict_touch
 from probedesign.probe import build_probe
 from probedesign.rod.contact import solve_frictionless
@@ -157,3 +157,32 @@ def test_a_frozen_probe_keeps_its_round_end(tmp_path) -> None:
     again = load_model(tmp_path / "g.probe.json")
     assert again.rod.flank_end == model.rod.flank_end < model.rod.length
     assert "rounded_from_m" not in freeze(build_probe(design_of("blunt")).model)["rod"]
+
+
+@pytest.mark.parametrize(
+    ("base_d", "tip_d", "radius"), [(12.0, 12.0, 1.5), (12.0, 2.0, 2.0), (12.0, 4.0, 0.5)]
+)
+def test_the_fillet_lies_on_a_circle_that_touches_flange_and_flank(base_d, tip_d, radius):
+    blunt = ((0.0, base_d), (60.0, tip_d))
+    knots, height = filleted(blunt, radius)
+    z, r = np.array(knots).T * [[1.0], [0.5]]
+    slope = (base_d - tip_d) / 2 / 60.0
+    assert z[0] == 0.0 and height == z[-1] and (np.diff(z) > 0).all() and (np.diff(r) < 0).all()
+    assert r[-1] == pytest.approx(base_d / 2 - slope * z[-1])  # on the flank
+    centre = np.array([r[0], radius])
+    assert np.hypot(r - centre[0], z - centre[1]) == pytest.approx(radius)
+    to_flank = (centre[0] - (base_d / 2 - slope * radius)) * np.cos(np.arctan(slope))
+    assert to_flank == pytest.approx(radius)  # tangent
+    sagitta = radius - np.hypot((r[1:] + r[:-1]) / 2 - centre[0], (z[1:] + z[:-1]) / 2 - centre[1])
+    assert (sagitta <= DEVIATION_MM + 1e-9).all()
+
+
+def test_a_fillet_widens_base_and_flange_and_nothing_above_it():
+    text = 'schema = 1\nname = "x"\n[probe]\nlength_mm = 60.0\nbase_d_mm = 12.0\ntip_d_mm = 6.0\n'
+    plain, wide = (build_geometry(parse_design(text + more)) for more in ("", "base_fillet_mm = 1.5\n"))
+    s = np.linspace(2e-3, 60e-3, 50)
+    assert wide.radius_at(s) == pytest.approx(plain.radius_at(s), rel=1e-12)
+    assert wide.base_radius > plain.base_radius and wide.flange.diameter > plain.flange.diameter
+    assert wide.fingerprint != plain.fingerprint
+    with pytest.raises(InputError, match=r"base_fillet_mm = 5 ends at s = "):
+        parse_design(text.replace("60.0", "5.0").replace("6.0", "12.0") + "base_fillet_mm = 5.0\n")

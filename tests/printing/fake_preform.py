@@ -248,7 +248,8 @@ class FakePreForm:
                 return self._import(scene, body)
             case "auto-support":
                 for model in scene["models"]:
-                    model["has_supports"] = True
+                    if body["models"] == "ALL" or model["id"] in body["models"]:
+                        model["has_supports"] = True
                 scene |= {
                     "layer_count": 1600,
                     "material_usage": {"volume_ml": 12.34, "unsupported_volume_ml": 8.0},

@@ -96,6 +96,30 @@ def left_over(folder):
 # What is asked of PreForm
 
 
+def test_adapters_stand_as_the_print_check_chose_and_only_some_get_supports(fake, place):
+    """The manifest states a side for each part; a part on the platform needs no supports and is no problem without."""
+    manifest = json.loads((place / "manifest.json").read_text())
+    manifest["print_check"] = {"orientation": {
+        "sensor_adapter": {"side": "upright", "supports": False, "rests_on": "its foot"},
+        "clamp_ring": {"side": "upside down", "supports": True, "rests_on": "its top"},
+    }}  # fmt: skip
+    (place / "manifest.json").write_text(json.dumps(manifest))
+    result = prepared(fake, place, PrintOrder(parts="adapters"))
+    assert result.problems == ()
+    assert result.orientation == {
+        "sensor_adapter": "upright, on the platform",
+        "clamp_ring": "upside down, on supports",
+    }
+    assert len(fake.body("auto-support")["models"]) == 1
+    assert fake.body("import-model")["orientation"]["z_direction"] == [0, 0, -1]  # the last part imported
+    for part in manifest["print_check"]["orientation"].values():
+        part["supports"] = False
+    (place / "manifest.json").write_text(json.dumps(manifest))
+    before = len(fake.calls)
+    assert prepared(fake, place, PrintOrder(parts="adapters")).problems == ()
+    assert not any("auto-support" in call for call in fake.calls[before:])
+
+
 def test_the_probe_is_prepared_upright_and_supported_and_nothing_is_sent(fake, place):
     result = prepared(fake, place)
     scene = "/scene/*/"

@@ -1,0 +1,210 @@
+"""Compliance of the clamped soft flange by linear finite elements, as `root_rigid_radii` of the rod.
+
+A body of revolution under a bending moment: u = (U cos θ, V sin θ, W cos θ) in cylinder coordinates reduces the solid
+to its half plane. Displacement and pressure are independent (Taylor–Hood, Q2/Q1), so that incompressible material does
+not lock. The end of a stub above the flange turns by less, or more, than the rod does; the difference, in base radii of
+rod, is c = (∫ ds/(E I) - φ/M) E I₀/r₀. Needs scikit-fem: pip install 'probedesign[bench]'.
+"""
+
+import math
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from benchmarks.timing import print_table
+
+ROOT = Path(__file__).parents[1]
+POISSON = 0.49
+STUB = 4.0
+"""Height of the stub in base radii: the root's effect has decayed by Saint-Venant's principle."""
+Hold = Literal["face", "glued", "clamped", "slipping", "hollow seat"]
+HOLDS: dict[Hold, str] = {
+    "face": "base bonded at s = 0, no flange",
+    "glued": "underside glued, lip clamped",
+    "clamped": "lip stuck, underside without friction (clamped)",
+    "slipping": "lip and underside without friction",
+    "hollow seat": "lip stuck, middle of the underside free",
+}
+
+
+class ClampedBase(NamedTuple):
+    """A round base with its flange [m]: radius, slope -dr/ds, flange's radius and thickness, ring's bore radius."""
+
+    r0: float
+    slope: float
+    flange_r: float
+    thickness: float
+    bore_r: float
+
+
+def lines(ends: list[float], sharp: list[bool], cells: int, ratio: float) -> np.ndarray:
+    """Return grid lines through `ends`, refined by `ratio` from cell to cell towards the ends that are sharp."""
+    pieces = []
+    for a, b, at_a, at_b in zip(ends, ends[1:], sharp, sharp[1:], strict=False):
+        steps = ratio ** np.arange(cells)
+        if at_a and at_b:
+            steps = np.concatenate([steps, steps[::-1]])
+        elif at_b:
+            steps = steps[::-1]
+        elif not at_a:
+            steps = np.ones(cells)
+        pieces.append(a + (b - a) * np.cumsum([0.0, *steps])[:-1] / steps.sum())
+    return np.concatenate([*pieces, [ends[-1]]])
+
+
+def missing_compliance(base: ClampedBase, hold: Hold, poisson: float = POISSON, cells: int = 10) -> float:
+    """Return c of a base, in base radii: positive where the base bends less than the rod."""
+    from skfem import (  # fmt: skip
+        Basis,
+        BilinearForm,
+        ElementQuad1,
+        ElementQuad2,
+        ElementVector,
+        FacetBasis,
+        LinearForm,
+        MeshQuad,
+        asm,
+        bmat,
+        condense,
+        solve,
+    )
+
+    r0, h, top = base.r0, base.thickness, STUB * base.r0
+    mu = 1.0
+    E, lam = 2 * mu * (1 + poisson), 2 * mu * poisson / (1 - 2 * poisson)
+    flange = hold != "face"
+    radial = [0.0, r0, base.bore_r, base.flange_r] if flange else [0.0, r0]
+    axial = [-h, 0.0, top] if flange else [0.0, top]
+    r = lines(radial, [False, True, True, False], cells, 1.45)
+    z = lines(axial, [False, True, False] if flange else [True, False], cells, 1.35)
+    mesh = MeshQuad.init_tensor(r, z)
+    middle = mesh.p[:, mesh.t].mean(axis=1)
+    mesh = mesh.remove_elements(np.flatnonzero((middle[1] > 0.0) & (middle[0] > r0)))
+    points = mesh.p.copy()
+    points[0] *= np.where(points[1] > 0.0, 1.0 - base.slope * points[1] / r0, 1.0)
+    mesh = MeshQuad(points, mesh.t)
+
+    u_basis = Basis(mesh, ElementVector(ElementQuad2(), 3), intorder=6)
+    p_basis = u_basis.with_element(ElementQuad1())
+
+    def strain(u: Any, x: Any) -> tuple[Any, ...]:
+        radius = x[0]
+        (U, V, W), g = u, u.grad
+        return (
+            g[0, 0], (U + V) / radius, g[2, 1],
+            0.5 * (g[0, 1] + g[2, 0]), 0.5 * (g[1, 0] - (U + V) / radius), 0.5 * (g[1, 1] - W / radius),
+        )  # fmt: skip
+
+    @BilinearForm
+    def stiffness(u: Any, v: Any, w: Any) -> Any:
+        a, b = strain(u, w.x), strain(v, w.x)
+        return (
+            2 * mu * w.x[0] * (sum(a[i] * b[i] for i in range(3)) + 2 * sum(a[i] * b[i] for i in range(3, 6)))
+        )
+
+    @BilinearForm
+    def divergence(u: Any, q: Any, w: Any) -> Any:
+        return -q * sum(strain(u, w.x)[:3]) * w.x[0]
+
+    @BilinearForm
+    def bulk(p: Any, q: Any, w: Any) -> Any:
+        return -p * q / lam * w.x[0]
+
+    top_r = r0 - base.slope * top
+    end = FacetBasis(
+        mesh, u_basis.elem, facets=mesh.facets_satisfying(lambda x: np.isclose(x[1], top)), intorder=6
+    )
+
+    @LinearForm
+    def turn(v: Any, w: Any) -> Any:
+        return v[2] * w.x[0] ** 2  # traction k r cos θ with k = 1, of the moment I; divided by π as all forms
+
+    B, f = asm(divergence, u_basis, p_basis), asm(turn, end)
+    K = bmat([[asm(stiffness, u_basis), B.T], [B, asm(bulk, p_basis)]], "csr")
+    load = np.concatenate([f, np.zeros(p_basis.N)])
+    fixed = _fixed(base, hold, u_basis, p_basis)
+    x = solve(*condense(K, load, D=fixed))
+    second = math.pi * top_r**4 / 4.0  # I at the end; M = k I
+    phi_over_moment = math.pi * float(f @ x[: u_basis.N]) / second**2
+    s = np.linspace(0.0, top, 2001)
+    rod = float(np.trapezoid(4.0 / (math.pi * E * (r0 - base.slope * s) ** 4), s))
+    return (rod - phi_over_moment) * E * math.pi * r0**4 / 4.0 / r0
+
+
+def _fixed(base: ClampedBase, hold: Hold, u_basis: Any, p_basis: Any) -> np.ndarray:
+    """Return the fixed degrees of freedom: of the axis, of the lip and of the underside."""
+    x, tiny = u_basis.doflocs, 1e-9
+    index = np.arange(u_basis.N)
+    component = np.empty(u_basis.N, dtype=int)
+    for name in ("nodal_dofs", "facet_dofs", "interior_dofs"):
+        dofs = getattr(u_basis, name)
+        for i in range(3):
+            component[dofs[i::3].ravel()] = i
+    axis = np.isclose(x[0], 0.0, atol=tiny)
+    fixed = axis & (component == 2)
+    axial = component == 2
+    if hold == "face":
+        fixed |= np.isclose(x[1], 0.0, atol=tiny)
+    else:
+        under = np.isclose(x[1], -base.thickness, atol=tiny)
+        beyond = x[0] >= base.bore_r - tiny
+        lip = (np.isclose(x[1], 0.0, atol=tiny) | under) & beyond
+        if hold == "slipping":
+            fixed |= (lip | under) & axial
+        else:
+            fixed |= lip
+        if hold == "clamped":
+            fixed |= under & axial
+        if hold == "glued":
+            fixed |= under
+    p_axis = np.isclose(p_basis.doflocs[0], 0.0, atol=tiny)
+    return np.concatenate([index[fixed], u_basis.N + np.flatnonzero(p_axis)])
+
+
+def base_of(base_d_mm: float, slope: float, thickness_mm: float = 3.0) -> ClampedBase:
+    """Return the base of an exported probe by its diameter."""
+    from probedesign.geometry import flange_for
+    from probedesign.mount.sensor_adapter import RING_CLEARANCE
+
+    flange = flange_for(1e-3 * base_d_mm, 17e-3, 1e-3 * thickness_mm)
+    r0 = base_d_mm / 2
+    return ClampedBase(r0, slope, 5e2 * flange.diameter, thickness_mm, r0 + 1e3 * RING_CLEARANCE)
+
+
+def report() -> None:
+    """Print the compliance for the three designs, for other bases and thicknesses, and on finer meshes."""
+    from probedesign.design import load_design
+    from probedesign.geometry import build_geometry
+    from probedesign.mount.root import exported_root_radii
+
+    rows = []
+    for name in ("large", "medium", "small"):
+        geometry = build_geometry(load_design(ROOT / f"designs/{name}.toml"))
+        slope = (geometry.base_radius - geometry.tip_radius) / geometry.length
+        base = base_of(2e3 * geometry.base_radius, slope)
+        computed = [missing_compliance(base, hold) for hold in HOLDS]
+        used = [exported_root_radii(geometry, "glued"), exported_root_radii(geometry)]
+        rows.append([name, f"{2 * base.r0:g}", *(f"{c:.3f}" for c in (*computed, *used))])
+    print_table("root_rigid_radii by finite elements, ν = 0.49",
+                ["design", "d [mm]", *HOLDS, "formula, glued", "formula, clamped"], rows)  # fmt: skip
+    rows = []
+    for thickness in (2.8, 3.0, 4.0, 6.0):
+        for d in (3.0, 6.0, 12.0, 25.0):
+            base = base_of(d, 0.0, thickness)
+            rows.append(
+                [f"{thickness:g}", f"{d:g}", *(f"{missing_compliance(base, hold):.3f}" for hold in HOLDS)]
+            )
+    print_table("other bases, cylinders", ["flange [mm]", "d [mm]", *HOLDS], rows)
+    base = base_of(12.0, 0.0)
+    rows = [
+        [f"{cells}", *(f"{missing_compliance(base, hold, cells=cells):.4f}" for hold in HOLDS)]
+        for cells in (6, 10, 14)
+    ]
+    rows += [
+        [f"ν = {nu:g}", *(f"{missing_compliance(base, hold, nu):.4f}" for hold in HOLDS)]
+        for nu in (0.48, 0.499)
+    ]
+    print_table("cells between two edges, and Poisson's ratio; d = 12 mm", ["", *HOLDS], rows)
+    for hold, what in HOLDS.items():
+        print(f"  {hold}: {what}")

@@ -1,0 +1,104 @@
+"""The folder of an export: written whole or not at all."""
+
+import json
+import os
+import shutil
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from probedesign.core.errors import InputError
+from probedesign.core.parallel import defer_sigint
+
+MANIFEST = "manifest.json"
+
+
+def listed_digests(folder: Path) -> dict[str, str]:
+    """Return the digests of the files that the folder's manifest lists; none if it cannot be read."""
+    try:
+        files = json.loads((folder / MANIFEST).read_text("utf-8"))["files"]
+        return {str(name): str(record["sha256"]) for name, record in files.items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return {}
+
+
+def check_target(folder: Path) -> None:
+    """Check, before any work, that a folder can be written or created."""
+    nearest = next(path for path in (folder, *folder.parents) if path.exists())
+    if not nearest.is_dir():
+        inside = "" if nearest == folder else f"{folder}: "
+        raise InputError(f"{inside}{nearest} is a file; name a folder to export into")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise InputError(f"{folder}: cannot be written: no permission in {nearest}")
+
+
+@contextmanager
+def staged(folder: Path) -> Iterator[Path]:
+    """Yield a temporary sibling of `folder`; its files move there on success and are deleted otherwise.
+
+    What killed processes left behind is removed first.
+    """
+    staging = folder.parent / f".{folder.name}.{uuid.uuid4().hex[:8]}.partial"
+    try:
+        staging.mkdir(parents=True)
+        with _claimed(staging):
+            _remove_abandoned(folder)
+            yield staging
+            with defer_sigint():
+                _put_in_place(staging, folder)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written: {error.strerror or error}") from None
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+@contextmanager
+def _claimed(staging: Path) -> Iterator[None]:
+    """Lock a folder; the system releases the lock with the process, however it ends.
+
+    Raises:
+        BlockingIOError: another process holds it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows: no locks, so no folder counts as abandoned
+        yield
+        return
+    handle = os.open(staging, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _remove_abandoned(folder: Path) -> None:
+    """Remove staging folders that no process has locked; those of running exports stay."""
+    if os.name == "nt":
+        return
+    for left in folder.parent.glob(f".{folder.name}.????????.partial"):
+        with suppress(OSError), _claimed(left):
+            shutil.rmtree(left, ignore_errors=True)
+
+
+def _put_in_place(staging: Path, folder: Path) -> None:
+    """Move the files into place. Files of the folder's last export that this one lacks are removed; all others stay.
+
+    The old manifest is removed first and the new one moved last, so a folder with a manifest is a complete export.
+    """
+    if not folder.exists():
+        staging.rename(folder)
+        return
+    outdated = _made_before(folder) - {path.name for path in staging.iterdir()}
+    (folder / MANIFEST).unlink(missing_ok=True)
+    for name in outdated:
+        (folder / name).unlink(missing_ok=True)
+    for path in sorted(staging.iterdir(), key=lambda path: path.name == MANIFEST):
+        path.replace(folder / path.name)
+
+
+def _made_before(folder: Path) -> set[str]:
+    """Return the names of existing files that the folder's manifest lists; none if it cannot be read."""
+    listed = listed_digests(folder)
+    return {path.name for path in folder.iterdir() if path.name in listed and path.is_file()}

@@ -1,0 +1,61 @@
+"""Compliance of the probe's root in the exported mount, computed by finite elements."""
+
+from typing import Literal
+
+import numpy as np
+
+from probedesign.design import Design
+from probedesign.design.io import check_design
+from probedesign.geometry import ProbeGeometry, build_geometry
+
+Hold = Literal["clamped", "glued"]
+
+_RATIO = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.1667, 6.6667, 10.0)
+_MISSING: dict[Hold, tuple[float, ...]] = {
+    "clamped": (-0.3686, -0.338, -0.3069, -0.2761, -0.2204, -0.1754, -0.1125, -0.0686, -0.0207, 0.0076),
+    "glued": (-0.3684, -0.3342, -0.293, -0.2484, -0.1699, -0.1118, -0.0383, 0.006, 0.0479, 0.07),
+}
+"""`root_rigid_radii` by base radius over the flange's thickness. Source: `python -m benchmarks clamp`: linear finite
+elements of full round bases at ν = 0.49 with a flange of 3 mm."""
+ROOT_STD = 0.05
+"""Standard deviation of these values [base radii]: friction below the flange moves the clamped one by that much, the
+other thicknesses and Poisson's ratios less; the squeezed lip is not modelled (assumed)."""
+
+
+def exported_root_radii(geometry: ProbeGeometry, hold: Hold = "clamped") -> float:
+    """Return `root_rigid_radii` of a probe in the exported mount; negative where its soft flange yields.
+
+    Computed, not measured, with a standard deviation of `ROOT_STD`. A face that is bonded at s = 0 to something rigid
+    has 0.12; a flange of 3 mm below it yields more even if its underside is glued (docs/decisions/0006).
+
+    Args:
+        geometry: of the probe; bores and elliptic sections were not computed.
+        hold: clamped: lip stuck between ring and adapter, underside without friction; glued: the underside as well.
+    """
+    return float(np.interp(geometry.base_radius / geometry.flange.thickness, _RATIO, _MISSING[hold]))
+
+
+def stated_root_radii(design: Design) -> float:
+    """Return the computed `root_rigid_radii` of a design to two decimals, as `new` writes it."""
+    return round(exported_root_radii(build_geometry(design), design.mount.hold), 2)
+
+
+def with_computed_root(design: Design, hold: Hold) -> tuple[Design, dict[str, str]]:
+    """Return a design with the computed compliance of its exported mount and its uncertainty.
+
+    The uncertainty of other sections and of a base with a fillet stays the default, which is larger: they were not
+    computed.
+
+    Returns:
+        The design, and notes for `render_design`.
+    """
+    data = design.model_dump(by_alias=True, exclude_none=True, mode="json")
+    data["mount"]["hold"] = hold
+    data["mount"]["root_rigid_radii"] = stated_root_radii(check_design(data))
+    notes = {
+        "mount.root_rigid_radii": f"computed for the exported {hold} flange, not measured; 0.12: bonded at s = 0",
+    }
+    if design.probe.cross_section.full_round and design.probe.base_fillet_mm is None:
+        data["tolerances"]["root_radii"] = ROOT_STD
+        notes["tolerances.root_radii"] = "computed: friction below the flange; docs/decisions/0006"
+    return check_design(data), notes

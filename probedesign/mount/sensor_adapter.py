@@ -1,0 +1,378 @@
+"""Dimensions of the sensor adapter and its clamp ring, which clamp the probe's flange to the sensor's tool face.
+
+From bottom to top in the sensor frame: foot on the tool face; cone that widens to the rim; floor with countersunk
+screws into the sensor; recess with the probe's flange, clocked by a peg at +X; clamp ring on the flange's lip, with
+screws into nuts in slots that open at the rim. Both parts print on their datum faces, directly on the platform.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array, pose
+from probedesign.core.units import MM
+from probedesign.design.catalog import (
+    ALUMINIUM_DENSITY,
+    M2,
+    MILLED_TOLERANCE,
+    NUTS,
+    PRINT_TOLERANCE,
+    RIGID_DENSITY,
+    SCREWS,
+    Nut,
+    SocketScrew,
+)
+from probedesign.design.sensors import DowelPattern, ScrewPattern, SensorModel
+from probedesign.geometry import FLANGE_LIP, Flange, ProbeGeometry
+from probedesign.mount.engraving import XY, Engraving, engrave, free_arcs
+
+if TYPE_CHECKING:
+    from probedesign.design import Design
+
+HEAD_SUNK = 0.2 * MM
+"""A head lies this far below the face, so that it cannot dent the part that rests on it."""
+FOOT_HEIGHT = 0.6 * MM
+"""Height of the foot's edge above the tool face: clearance to the sensor's body and its cable."""
+FOOT_LEDGE = 0.4 * MM
+"""Horizontal overhang at the foot's edge; up to 1 mm prints without supports (Formlabs' design guide)."""
+UNDERSIDE_DEG = 22.0
+"""Angle of the underside to the horizontal: from 19° it prints without supports (Formlabs' design guide)."""
+SLIP = 0.2 * MM  # on the diameter, rigid resin (assumed)
+MIN_SQUEEZE = 0.1 * MM
+"""Least compression of the flange's lip at the worst corner of the tolerances (assumed)."""
+MAX_SQUEEZE_SHARE = 0.25
+"""Greatest compression over the thickness: static face seals of elastomer are used up to about 0.3 (assumed)."""
+PEG_D = 1.9 * MM
+PEG_BELOW_RING = 0.4 * MM
+"""From the peg's top up to the ring: more than both tolerances, so that the ring never rests on the peg."""
+RING_CLEARANCE = 0.5 * MM
+"""Radial clearance of the ring's bore to the probe at s = 0; the bore then widens by 45° to clear the bending probe."""
+MIN_LIP = 1.5 * MM
+RING_AZIMUTHS_DEG = (45.0, 135.0, 225.0, 315.0)
+WALL = 0.6 * MM
+"""Between a nut's slot and the recess, and outside a hole."""
+THIN_WALL = 0.4 * MM
+"""Below a ring screw's blind hole: a wall that is supported on all sides."""
+ROOF = 1.0 * MM
+"""Least thickness above a nut, which the screw presses against the ring."""
+NUT_PLAY = 0.2 * MM
+TIP_ROOM = 0.65 * MM
+"""Depth of the blind hole below the point of a ring screw: more than its tolerances."""
+HEAD_EDGE = 0.8 * MM  # ring outside a screw's head
+LETTER_EDGE = 0.8 * MM
+"""Distance from a hole or a screw head's seat to the nearest character."""
+PEG_INWARD = 0.05 * MM
+"""Offset inward from the middle of the lip: outside the hole the soft lip keeps 0.8 mm, twice the minimum wall
+(assumed), and the ring presses all around it."""
+MARK_FLAT = 0.8 * MM
+"""Depth of the flat on the adapter's rim that marks +X on the outside."""
+VENT_WIDTH = 2.0 * MM
+"""Of the notches at +X through the recess's wall and across the ring's underside: on the platform, resin and air pass
+through them, and they show the clocking."""
+RING_VENT_HEIGHT = 0.6 * MM
+PIN_TOLERANCE = 0.25 * MM
+"""Tolerance ± of a dowel pin's length, ISO 2338."""
+PIN_ROOM = 0.1 * MM
+"""Least room beyond a dowel pin's end, so that the pin never lifts the adapter off the tool face."""
+DOWEL_SLOT = 0.4 * MM
+"""Length of the second dowel's slot beyond its width: the tolerance of the distance between two printed holes."""
+
+
+@dataclass(frozen=True)
+class MountOptions:
+    """Choices of `[mount]` that shape the adapters.
+
+    Attributes:
+        ring_screw: of the clamp ring, M2 or M3.
+        lip: radial width of the flange under the clamp ring [m].
+        squeeze: nominal compression of the lip [m]; None for the least that the tolerances allow.
+        milled: whether the rigid parts are milled from aluminium instead of printed.
+    """
+
+    ring_screw: SocketScrew = M2
+    lip: float = FLANGE_LIP
+    squeeze: float | None = None
+    milled: bool = False
+
+    @property
+    def nut(self) -> Nut:
+        """Return the nut of the ring's screws."""
+        return NUTS[self.ring_screw.thread]
+
+    @property
+    def ring_thickness(self) -> float:
+        """Return the thickness of the clamp ring [m], by which the nuts lie above the adapter's underside."""
+        return (2.5 if self.ring_screw is M2 else 4.0) * MM
+
+    @property
+    def tolerance(self) -> float:
+        """Return the tolerance ± of a length of a rigid part [m]."""
+        return MILLED_TOLERANCE if self.milled else PRINT_TOLERANCE
+
+    @property
+    def density(self) -> float:
+        """Return the density of the rigid parts [kg/m³]."""
+        return ALUMINIUM_DENSITY if self.milled else RIGID_DENSITY
+
+
+def mount_options(design: "Design") -> MountOptions:
+    """Return the choices of a design."""
+    mount = design.mount
+    lip = FLANGE_LIP if mount.flange_lip_mm is None else mount.flange_lip_mm * MM
+    squeeze = None if mount.squeeze_mm is None else mount.squeeze_mm * MM
+    return MountOptions(SCREWS[mount.ring_screw], lip, squeeze, mount.adapters == "milled")
+
+
+@dataclass(frozen=True)
+class SensorAdapter:
+    """Dimensions of the adapter on the tool side, in the sensor frame [m].
+
+    Attributes:
+        tool, dowels: the holes in the sensor's tool face.
+        options: choices of the design.
+        floor: tool face to the flange's underside.
+        foot_d, foot_height: the disc that rests on the tool face.
+        cone_d, cone_top: diameter at which the underside's cone begins, at `foot_height`, and z where it meets the rim.
+        body_d, body_top: the plate above the cone.
+        recess_d: diameter of the flange's seat, from `floor` up.
+        mark_x: distance of the +X flat from the axis.
+        dowel_d, dowel_depth, p_dowels: blind holes from below for the sensor's dowel pins; the first is round, the
+            second a slot that points to the first.
+        peg_top, peg_x: the clocking peg on the floor, at y = 0.
+        peg_hole_d: in the flange.
+        flange: the probe's flange.
+        squeeze: nominal compression of the flange's lip when the ring rests on the wall.
+        ring_bore_d, ring_bore_top_d, ring_thickness: of the clamp ring; its rim is `body_d`.
+        ring_screw_length: a stock length under the head.
+        ring_circle_d: of the ring's screws.
+        nut_slot_width, nut_slot_z, nut_slot_reach: slots from the rim inward: width, lower and upper face, and the
+            distance of the round inner end's centre inward from the screw.
+        ring_hole_bottom: of the blind hole below each nut.
+        on_flange, on_wall, on_ring: engravings of the flange's lip (base frame), of the wall around the recess (sensor
+            frame) and of the ring's top (its own frame).
+    """
+
+    tool: ScrewPattern
+    dowels: DowelPattern
+    options: MountOptions
+    floor: float
+    foot_d: float
+    foot_height: float
+    cone_d: float
+    cone_top: float
+    body_d: float
+    body_top: float
+    recess_d: float
+    mark_x: float
+    dowel_d: float
+    dowel_depth: float
+    p_dowels: tuple[XY, ...]
+    peg_top: float
+    peg_x: float
+    peg_hole_d: float
+    flange: Flange
+    squeeze: float
+    ring_bore_d: float
+    ring_bore_top_d: float
+    ring_thickness: float
+    ring_screw_length: float
+    ring_circle_d: float
+    nut_slot_width: float
+    nut_slot_z: tuple[float, float]
+    nut_slot_reach: float
+    ring_hole_bottom: float
+    on_flange: Engraving
+    on_wall: Engraving
+    on_ring: Engraving
+
+    @property
+    def T_sensor_base(self) -> Array:
+        """Return the pose of the base frame in the sensor frame, (4, 4): along the axis, x axes parallel."""
+        return pose(p=[0.0, 0.0, self.floor + self.flange.thickness])
+
+    @property
+    def ring_screw(self) -> SocketScrew:
+        """Return the dimensions of the ring's screws."""
+        return self.options.ring_screw
+
+    @property
+    def p_tool_screws(self) -> tuple[XY, ...]:
+        """Return (x, y) of the screws into the sensor [m]."""
+        return on_circle(self.tool.bolt_circle_d, self.tool.azimuths_deg)
+
+    @property
+    def p_ring_screws(self) -> tuple[XY, ...]:
+        """Return (x, y) of the ring's screws [m]."""
+        return on_circle(self.ring_circle_d, RING_AZIMUTHS_DEG)
+
+    @property
+    def ring_top(self) -> float:
+        """Return z of the face under the heads of the ring's screws, the lip uncompressed [m]."""
+        return self.floor + self.flange.thickness + self.ring_thickness
+
+    @property
+    def nut_roof(self) -> float:
+        """Return the thickness between a nut and the ring [m]."""
+        return self.body_top - self.nut_slot_z[1]
+
+    def dowel_slot_deg(self, number: int) -> float | None:
+        """Return the direction of a dowel hole's slot in the sensor frame [deg]; None for a round hole."""
+        if number == 0:
+            return None
+        (x0, y0), (x, y) = self.p_dowels[0], self.p_dowels[number]
+        return math.degrees(math.atan2(y0 - y, x0 - x))
+
+
+def on_circle(diameter: float, azimuths_deg: Iterable[float]) -> tuple[XY, ...]:
+    """Return points on a circle about the origin; diameter [m], azimuths [deg]."""
+    angles = np.radians(list(azimuths_deg))
+    return tuple((float(diameter / 2 * np.cos(a)), float(diameter / 2 * np.sin(a))) for a in angles)
+
+
+def sensor_adapter_for(
+    geometry: ProbeGeometry, sensor: SensorModel, name: str = "", options: MountOptions | None = None
+) -> SensorAdapter:
+    """Return the adapter that mounts a probe on a sensor.
+
+    Args:
+        geometry: of the probe.
+        sensor: whose tool side it screws to.
+        name: of the design, engraved after the geometry's fingerprint as far as it fits.
+        options: choices of the design; None for the defaults.
+
+    Raises:
+        InputError: the probe is too wide above its base for any ring that could still clamp the flange, or the lip
+            cannot be clamped at every corner of the tolerances.
+    """
+    options = options or MountOptions()
+    flange, screw, nut = geometry.flange, options.ring_screw, options.nut
+    tool, dowels = sensor.interface.tool, sensor.interface.dowels
+    squeeze = _squeeze(flange, options)
+    recess_d = flange.diameter + SLIP
+
+    width = nut.af + SLIP
+    # The nut's two inner corners, at (af/√12, af/2) from its axis, touch the slot's round end.
+    reach = _up(nut.af / math.sqrt(12.0) - math.sqrt((width / 2) ** 2 - (nut.af / 2) ** 2))
+    circle_d = _up(recess_d + 2 * (WALL + width / 2 + reach))
+    stock = [n * MM for n in screw.stock_mm]
+    needed = options.ring_thickness + ROOF + nut.height
+    length = next(n for n in stock if n >= needed + nut_slack(screw, n, options))
+    roof = length - options.ring_thickness - nut.height - nut_slack(screw, length, options)
+
+    bore_d = _ring_bore_d(geometry)
+    body_d = circle_d + screw.head_d + 2 * HEAD_EDGE
+    head_clear_d = circle_d - screw.counterbore_d  # the heads need a seat beside the bore
+    foot_d, cone_d = tool.face_d, tool.face_d + 2 * FOOT_LEDGE
+    rise = math.tan(math.radians(UNDERSIDE_DEG))
+    cone_top = FOOT_HEIGHT + rise * (body_d - cone_d) / 2
+    cone_at_hole = FOOT_HEIGHT + rise * (circle_d + screw.clearance_d - cone_d) / 2
+    # From the floor up; a wide rim has a high cone, on which the floor must lie higher than its screws require.
+    wall = flange.thickness - squeeze
+    slot_bottom = wall - roof - nut.height - NUT_PLAY
+    hole_bottom = wall + options.ring_thickness - length - TIP_ROOM
+    lowest = max(cone_top + WALL - slot_bottom, cone_at_hole + THIN_WALL - hole_bottom)
+    floor = tool.grip + tool.screw.head_height + HEAD_SUNK
+    floor = max(floor, _up(lowest))
+    body_top = floor + wall
+    peg_x, peg_hole_d = (flange.diameter - options.lip) / 2 - PEG_INWARD, PEG_D + 0.1 * MM
+    mark_x = body_d / 2 - MARK_FLAT
+    letters = (recess_d / 2 + mark_x) / 2
+
+    def engraved(radius: float, top: float, azimuths_deg: Iterable[float], hole_d: float) -> Engraving:
+        arcs = free_arcs(radius, [float(a) for a in np.radians(list(azimuths_deg))], hole_d / 2 + LETTER_EDGE)
+        return engrave(geometry.fingerprint, name, radius, top, arcs)
+
+    return SensorAdapter(
+        tool=tool,
+        dowels=dowels,
+        options=options,
+        floor=floor,
+        foot_d=foot_d,
+        foot_height=FOOT_HEIGHT,
+        cone_d=cone_d,
+        cone_top=cone_top,
+        body_d=body_d,
+        body_top=body_top,
+        recess_d=recess_d,
+        mark_x=mark_x,
+        dowel_d=dowels.diameter + 0.1 * MM,  # prints undersize by as much: a press or slip fit
+        dowel_depth=dowels.pin_length - dowels.depth + PIN_TOLERANCE + options.tolerance + PIN_ROOM,
+        p_dowels=on_circle(dowels.circle_d, dowels.azimuths_deg),
+        peg_top=body_top - PEG_BELOW_RING,
+        peg_x=peg_x,
+        peg_hole_d=peg_hole_d,
+        flange=flange,
+        squeeze=squeeze,
+        ring_bore_d=bore_d,
+        ring_bore_top_d=min(bore_d + 2 * options.ring_thickness, head_clear_d),
+        ring_thickness=options.ring_thickness,
+        ring_screw_length=length,
+        ring_circle_d=circle_d,
+        nut_slot_width=width,
+        nut_slot_z=(floor + slot_bottom, body_top - roof),
+        nut_slot_reach=reach,
+        ring_hole_bottom=floor + hole_bottom,
+        on_flange=engraved(peg_x, 0.0, (0.0,), peg_hole_d),
+        on_wall=engraved(letters, body_top, (0.0, *RING_AZIMUTHS_DEG), screw.clearance_d),
+        on_ring=engraved(letters, options.ring_thickness, RING_AZIMUTHS_DEG, screw.head_d),
+    )
+
+
+def _up(length: float) -> float:
+    """Return a length rounded up to 0.1 mm, for drawings [m]."""
+    return math.ceil(length / (0.1 * MM) - 1e-6) * 0.1 * MM
+
+
+def nut_slack(screw: SocketScrew, length: float, options: MountOptions) -> float:
+    """Return how much less [m] a ring screw may enter its nut at the worst corner: screw, ring and roof."""
+    return screw.length_tolerance(length) + 2 * options.tolerance
+
+
+def length_tolerance(length: float, milled: bool = False) -> float:
+    """Return the tolerance ± [m] of a printed length [m], or of a milled one."""
+    return MILLED_TOLERANCE if milled else max(PRINT_TOLERANCE, 0.005 * length)
+
+
+def _squeeze(flange: Flange, options: MountOptions) -> float:
+    """Return the nominal compression of the lip [m], which is positive at every corner of the tolerances.
+
+    Raises:
+        InputError: names the key, its value and the allowed range.
+    """
+    slack = length_tolerance(flange.thickness) + options.tolerance
+    low, high = MIN_SQUEEZE + slack, MAX_SQUEEZE_SHARE * flange.thickness - slack
+    if low > high + 1e-9:
+        least = (low + slack) / MAX_SQUEEZE_SHARE
+        raise InputError(
+            f"mount.flange_thickness_mm = {flange.thickness / MM:g} cannot be clamped within its tolerances; "
+            f"at least {math.ceil(least / MM * 20 - 1e-6) / 20:g} mm"
+        )
+    squeeze = low if options.squeeze is None else options.squeeze
+    if not low - 1e-9 <= squeeze <= high + 1e-9:
+        raise InputError(
+            f"mount.squeeze_mm = {squeeze / MM:g} does not clamp the lip within its tolerances; "
+            f"allowed is {low / MM:.3g} ... {high / MM:.3g} mm"
+        )
+    return squeeze
+
+
+def _ring_bore_d(geometry: ProbeGeometry) -> float:
+    """Return the narrowest diameter of the ring's bore [m]: the ring passes over the tip and the widest section."""
+    bore_d = 2.0 * (float(geometry.radius.max()) + RING_CLEARANCE)
+    max_d = max_ring_passage_d(geometry.flange)
+    if bore_d - 2 * RING_CLEARANCE > max_d:
+        raise InputError(
+            f"probe.profile_mm: {(bore_d - 2 * RING_CLEARANCE) / MM:g} mm at its widest, "
+            f"so the clamp ring cannot pass; at most {max_d / MM:g} mm "
+            f"with a base of {2 * geometry.base_radius / MM:g} mm"
+        )
+    return bore_d
+
+
+def max_ring_passage_d(flange: Flange) -> float:
+    """Return the largest probe diameter over which a ring passes that still clamps the flange [m]."""
+    return flange.diameter - 2 * MIN_LIP - 2 * RING_CLEARANCE
