@@ -9,6 +9,7 @@ scale of its kind is estimated with it, which is why the steps are taken here.
 """
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -40,14 +41,15 @@ ROBUST_KINDS = (*READING_KINDS, "stiffness", "friction")
 """Kinds whose scatter is estimated where it exceeds the stated one; the others are prior knowledge or single readings.
 Stiffness and friction of each touch scatter as readings do, and one may be far from the others."""
 MIN_FREEDOM = 1.0
-"""Degrees of freedom from which on a scatter is estimated; Student's t widens the intervals for few of them."""
+"""Degrees of freedom from which on a scatter is judged."""
+STATED_FREEDOM = 4.0
+"""Degrees of freedom that a stated standard deviation is worth: it is known within about a third (assumed)."""
 FULL_WEIGHT = 0.99
 """Quantile of χ² up to which a block has full weight."""
 REJECTION_CHANCE = 1e-3
 """Chance, with noise as stated, that a prior is rejected."""
 SCATTER_CHANCE = 0.05
-"""Chance, with noise as stated, that a scatter is judged larger than stated: that widens the intervals and refuses
-nothing, while a scatter that is not noticed leaves them too narrow."""
+"""Chance, with noise as stated, that a scatter is judged larger than stated and reported; it refuses nothing."""
 OUTLIER_CHANCE = 0.01
 """Chance, with normal noise, that a campaign reports any outlier at all."""
 MAX_ITERATIONS = 25
@@ -73,8 +75,8 @@ class NoiseScale:
         kind: of readings.
         groups: how many there are.
         scale: standard deviation over the stated one; at least 1.
-        freedom: degrees of freedom of the estimate.
-        measured: whether the scale was estimated from the residuals, which scatter more than stated.
+        freedom: degrees of freedom of the scale, those of the stated value included.
+        measured: whether the residuals scatter significantly more than stated.
     """
 
     kind: str
@@ -132,7 +134,11 @@ def median_scales(blocks: Sequence[ResidualBlock]) -> dict[str, float]:
 def _noise_scales(
     blocks: Sequence[ResidualBlock], weight: Array, leverage: Array, scales: dict[str, float]
 ) -> list[NoiseScale]:
-    """Estimate the scatter of each kind about the fit; `leverage` is what the fit absorbs of each block, (n,)."""
+    """Estimate the scatter of each kind about the fit; `leverage` is what the fit absorbs of each block, (n,).
+
+    The stated variance is itself uncertain: its prior is the scaled inverse χ² distribution with `STATED_FREEDOM`
+    degrees of freedom, and the scale is that of the posterior, never below the stated one.
+    """
     result = []
     for kind in dict.fromkeys(block.kind for block in blocks if block.kind in ROBUST_KINDS):
         at = [i for i, block in enumerate(blocks) if block.kind == kind]
@@ -140,8 +146,9 @@ def _noise_scales(
         squares = float(np.sum(relative * [blocks[i].squared_distance for i in at]))
         freedom = float(np.sum(relative * [len(blocks[i].r) for i in at]) - leverage[at].sum())
         measured = freedom > MIN_FREEDOM and chi2.sf(squares, freedom) < SCATTER_CHANCE
-        scale = float(np.sqrt(squares / freedom)) if measured else 1.0
-        result.append(NoiseScale(kind, len(at), scale, max(freedom, 0.0), bool(measured)))
+        freedom = max(freedom, 0.0) + STATED_FREEDOM
+        scale = max(math.sqrt((squares + STATED_FREEDOM) / freedom), 1.0)
+        result.append(NoiseScale(kind, len(at), scale, freedom, bool(measured)))
     return result
 
 
