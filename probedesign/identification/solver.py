@@ -142,7 +142,8 @@ def _noise_scales(
     result = []
     for kind in dict.fromkeys(block.kind for block in blocks if block.kind in ROBUST_KINDS):
         at = [i for i, block in enumerate(blocks) if block.kind == kind]
-        relative = weight[at] * scales.get(kind, 1.0) ** 2  # 1 for blocks with full weight
+        # 1 for blocks with full weight; the square lets far outliers have no part in the scale.
+        relative = (weight[at] * scales.get(kind, 1.0) ** 2) ** 2
         squares = float(np.sum(relative * [blocks[i].squared_distance for i in at]))
         freedom = float(np.sum(relative * [len(blocks[i].r) for i in at]) - leverage[at].sum())
         measured = freedom > MIN_FREEDOM and chi2.sf(squares, freedom) < SCATTER_CHANCE
