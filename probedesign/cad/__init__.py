@@ -68,7 +68,10 @@ def _kernel() -> Iterator[None]:
         if (error.name or "").startswith("probedesign"):
             raise
         raise MissingDependencyError.of_extra("export", "CadQuery", "cad") from None
-    except ImportError as error:  # CadQuery is installed, a system library is missing
+    except ImportError as error:
+        if (error.name or "").startswith("probedesign"):
+            raise
+        # CadQuery is installed, a system library is missing
         raise MissingDependencyError(
             f"CadQuery does not load: {error}; on Debian and Ubuntu: apt-get install libgl1 libexpat1"
         ) from None

@@ -1,6 +1,7 @@
 """`probedesign demo`: run the whole chain on a built-in example, from a few dimensions to located contacts."""
 
 import contextlib
+import csv
 import io
 import sys
 import webbrowser
@@ -246,8 +247,9 @@ def _explore(bundle: Path, folder: Path, skipped: list[str]) -> dict[str, str]:
 
 def _found(folder: Path) -> str:
     """Return what `explore` found, in one sentence."""
-    points = (folder / "found/points.csv").read_text("utf-8").splitlines()
-    count = sum(not line.startswith("#") for line in points) - 1
+    lines = (folder / "found/points.csv").read_text("utf-8").splitlines()
+    rows = csv.DictReader(line for line in lines if not line.startswith("#"))
+    count = sum(row["result"] == "ok" for row in rows)
     return f"A base touches a simulated card house with friction: {count} points of its edges, each with its ellipsoid."
 
 

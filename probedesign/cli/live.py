@@ -5,7 +5,9 @@ import sys
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from threading import Event
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
 
 from probedesign.cli.console import interrupt_on_termination
 from probedesign.cli.options import JsonOutput, Method, Tare
@@ -41,6 +43,7 @@ def live(
     view: bool = False,
     view_host: str = "127.0.0.1",
     view_port: int = 8080,
+    open_: Annotated[bool, Parameter(name="--open", negative="--no-open")] = True,
     manifest: Path | None = None,
     exact_model: bool = False,
     method: Method = "ml",
@@ -85,6 +88,7 @@ def live(
         view: show the probe, the contact and charts on a page in the browser.
         view_host: address on which the page is served. 0.0.0.0 makes it accessible from the network.
         view_port: port of the page, or the next free one.
+        open_: open the page in a browser, if the output is a terminal.
         manifest: manifest.json of the printed parts; its geometry must be the bundle's.
         exact_model: treat probe, mount and bench as exactly known; sensor noise, drift of its bias and the friction
             prior remain. Default: all tolerances of BUNDLE.
@@ -129,7 +133,8 @@ def live(
     page = (view_host, view_port) if view else None
     server = None if foxglove is False else parse_foxglove_address("" if foxglove is True else foxglove)
     split = SplitLimits.of_options(split_mb, split_minutes)
-    outputs = OutputOptions(record, force, publish, page, live_table, bundle.parent, settings, split, server)
+    outputs = OutputOptions(record, force, publish, page, live_table, bundle.parent, settings, split, server,
+                            open_ and _is_terminal())  # fmt: skip
     outputs.check(source)
     if control is not None:
         parse_listen_address(f"--control {control}")  # before anything is compiled

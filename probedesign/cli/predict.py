@@ -142,7 +142,7 @@ def _print_properties(prediction: "Prediction") -> None:
 
 def print_tables(prediction: "Prediction") -> None:
     """Print the tables of a prediction: errors, sensitivity, error budgets, Monte Carlo, forces and workspace."""
-    from probedesign.prediction.predict import BUDGET_FORCE_N
+    from probedesign.prediction.predict import HEADLINE_FORCE_N
 
     print("\nContact error of one reading [mm], RMS, worst direction, all error sources")
     print(_error_table(prediction, "predicted_error_mm"))
@@ -155,7 +155,7 @@ def print_tables(prediction: "Prediction") -> None:
     )
     print("\nSensitivity at the lightest force, worst direction")
     print(_sensitivity_table(prediction))
-    _print_budget(prediction, prediction.conditions, BUDGET_FORCE_N, "one reading at")
+    _print_budget(prediction, prediction.conditions, HEADLINE_FORCE_N, "one reading at")
     _print_budget(prediction, prediction.fused, FUSED_BUDGET_FORCE_N, f"{prediction.pressing.text}, up to")
     print("  Tolerances are assumed unless the design states them: prediction.json, [tolerances].")
     if prediction.monte_carlo:

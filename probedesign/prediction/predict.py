@@ -50,10 +50,9 @@ __all__ = [
 
 FRACTIONS = tuple(round(0.1 * k, 1) for k in range(1, 11))
 FORCES_N = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
-BUDGET_FORCE_N = 0.02
-"""Contact force of the shown error budget of one reading; the nearest force of the grid is used."""
 HEADLINE_FORCE_N, HEADLINE_FRACTION = 0.01, 0.8
-"""Touch that the verdict describes: the smallest force of the paper's Table I, where its touches near the tip are."""
+"""Touch that the verdict and the shown error budget describe: the smallest force of the paper's Table I, where its
+touches near the tip are."""
 CAUSE_GROUPS = {
     "noise": ("noise",),
     "drift": ("drift",),

@@ -16,7 +16,6 @@ from probedesign.core.units import MM, format_value
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.fused import SHOWN_N, FusedCondition, shown
 from probedesign.prediction.predict import (
-    BUDGET_FORCE_N,
     CAUSE_GROUPS,
     HEADLINE_FORCE_N,
     Condition,
@@ -86,7 +85,7 @@ def prediction_figures(prediction: Prediction, estimator: Estimator) -> Iterator
         "RMS error, all sources included. Line: worst direction; band: all directions. A pointer on a dot shows "
         "its values. A line ends where the probe buckles.", "Contact error of one reading by force",
     )  # fmt: skip
-    if single := worst(prediction.conditions, BUDGET_FORCE_N):
+    if single := worst(prediction.conditions, HEADLINE_FORCE_N):
         budgeted = f"{1e3 * single[0].force_N:g} mN"
         yield PredictionFigure(budget_chart(single), f"Error budget of one reading of {budgeted}", _BUDGET)
     yield PredictionFigure(

@@ -17,7 +17,6 @@ from probedesign.design import Design
 from probedesign.estimation.estimate import Estimate
 from probedesign.prediction.fused import SHOWN_N, shown
 from probedesign.prediction.predict import (
-    BUDGET_FORCE_N,
     FORCES_N,
     FRACTIONS,
     HEADLINE_FORCE_N,
@@ -99,9 +98,11 @@ class DesignFigures:
         return self.prediction.tip_sag_mm is None
 
     def at(self, fraction: float, force_N: float) -> Condition | None:
-        """Return the worst direction at the nearest position and force; None where it is not located."""
-        here = worst(self.prediction.conditions, force_N)
-        return min(here, key=lambda c: abs(c.contact_fraction - fraction), default=None)
+        """Return the worst direction at a position and the nearest force; None where a touch of any is not located."""
+        here = [c for c in self.prediction.conditions if c.contact_fraction == fraction]
+        found = worst(here, force_N)
+        lost = any(c.result != "ok" for c in here if found and c.force_N == found[0].force_N)
+        return None if lost or not found else found[0]
 
     def summary(self) -> list[Figure]:
         """Return the figures of the summary, each the number that `predict` reports."""
@@ -111,7 +112,9 @@ class DesignFigures:
         felt = [d.detectable_force_mN for d in p.detection if d.contact_fraction == HEADLINE_FRACTION]
         rows = [
             Figure(f"error, {where}", touch.predicted_error_mm if touch else None, "mm", "all error sources"),
-            Figure("sensor alone", touch.noise_error_mm if touch else None, "mm", "noise and friction prior"),
+            Figure(
+                "of it noise and friction", touch.noise_error_mm if touch else None, "mm", "of an exact probe"
+            ),
             Figure(f"detected at {HEADLINE_FRACTION:g} L", _largest(felt), "mN", "with probability 0.5"),
         ]
         if self.complete:
@@ -152,7 +155,7 @@ def preview(design: Design, forces_N: tuple[float, ...]) -> DesignFigures:
         design: a valid design.
         forces_N: forces whose errors are drawn; those of the summary are added.
     """
-    forces = tuple(sorted({*forces_N, HEADLINE_FORCE_N, BUDGET_FORCE_N}))
+    forces = tuple(sorted({*forces_N, HEADLINE_FORCE_N}))
     return _figures(design, PREVIEWED, forces, True)
 
 
@@ -298,7 +301,7 @@ def fused_chart(figures: DesignFigures, pinned: Sequence[tuple[PinnedDesign, Des
 
 def budget_figure(figures: DesignFigures) -> Chart | None:
     """Return the error budget along the probe; None where nothing is located."""
-    rows = worst(figures.prediction.conditions, BUDGET_FORCE_N)
+    rows = worst(figures.prediction.conditions, HEADLINE_FORCE_N)
     return budget_chart(rows) if rows else None
 
 

@@ -228,7 +228,7 @@ class StudioPage:
     def _probe_controls(self, gui: viser.GuiApi) -> None:
         design = self.session.design
         preset = gui.add_dropdown("preset", ("-", *PROBES), initial_value="-")
-        preset.on_update(lambda _: self._preset(preset.value))
+        preset.on_update(lambda _: self._preset(preset))
         steps = gui.add_button_group("changes", ("undo", "redo"))
         steps.on_click(lambda _: self._request(lambda: self._step(steps.value)))
         probe = design.probe
@@ -309,7 +309,7 @@ class StudioPage:
         pin.on_click(lambda _: self._request(self._pin))
         unpin = gui.add_button("Remove the last pin")
         unpin.on_click(lambda _: self._request(self._unpin))
-        self._name = gui.add_text("name", self.session.design.name)
+        self._name: Any = gui.add_text("name", self.session.design.name)
         self._replace = gui.add_checkbox("replace existing files", False)
         for label, action in actions.ACTIONS.items():
             gui.add_button(label).on_click(partial(self._press, action))
@@ -317,12 +317,15 @@ class StudioPage:
 
     # Reactions
 
-    def _preset(self, name: str) -> None:
-        if name in PROBES and not self._setting:
+    def _preset(self, preset: Any) -> None:
+        """Load a preset; its field is empty again, so that the same one can be chosen later."""
+        if (name := preset.value) in PROBES:
+            preset.value = "-"
             self._request(lambda: self._load(paper_design(name)))
 
     def _load(self, design: Design) -> None:
         self.session.replace_design(design)
+        self._name.value = design.name
         self._refresh()
 
     def _step(self, name: str) -> None:
@@ -349,7 +352,13 @@ class StudioPage:
     def _act(self, action: actions.Action) -> None:
         design = self.session.design.model_copy(update={"name": self._name.value.strip()})
         self._say("working ...")
-        self._say(action(actions.checked(design), self._replace.value))
+        try:
+            self._say(action(actions.checked(design), self._replace.value))
+        except InputError as error:  # the page has a box where the command has an option
+            self._say(
+                str(error).replace("--force replaces it", "tick 'replace existing files' to replace it"),
+                bad=True,
+            )
 
     def _improve(self) -> None:
         """Start a search in a thread of its own; its path is drawn as it goes."""

@@ -34,6 +34,7 @@ class OutputOptions:
         metadata: options of the run, stored in the recording.
         split: when a recording continues in a new file.
         foxglove: host and port of the Foxglove server; None serves none.
+        open_browser: whether the page is shown in the user's browser.
     """
 
     record: Path | None
@@ -45,6 +46,7 @@ class OutputOptions:
     metadata: Mapping[str, str]
     split: SplitLimits = field(default_factory=SplitLimits)
     foxglove: tuple[str, int] | None = None
+    open_browser: bool = False
 
     def check(self, source: str) -> None:
         """Refuse to replace an existing file unasked, or to replace the recording that is replayed.
@@ -103,7 +105,14 @@ class OutputOptions:
         if self.page is not None:
             sinks.add(
                 BrowserView(
-                    estimator, self.parts_folder, commands, sinks.log, *self.page, counts, recordings.state
+                    estimator,
+                    self.parts_folder,
+                    commands,
+                    sinks.log,
+                    *self.page,
+                    counts,
+                    recordings.state,
+                    self.open_browser,
                 )
             )
         if self.terminal:

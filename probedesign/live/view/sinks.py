@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import threading
+import webbrowser
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, get_args
@@ -53,6 +54,7 @@ class BrowserView(ViewState):
         port: int = 8080,
         counts: Counts = dict,
         recording: RecordingState = not_recording,
+        open_browser: bool = False,
     ) -> None:
         """Open the page.
 
@@ -63,6 +65,7 @@ class BrowserView(ViewState):
             port: port, or the first free one after it.
             counts: returns the counters of the source: lost, dropped.
             recording: returns what is recorded.
+            open_browser: show the page in the user's browser.
 
         Raises:
             InputError: the address cannot be used.
@@ -82,6 +85,8 @@ class BrowserView(ViewState):
         if token:  # not to the log, which recordings and the network receive
             print(f"view: open {_address_for_others(self.url)}/?token={token}", file=sys.stderr, flush=True)
         log(f"view: {self.url}, open to {'the network, with its token' if token else 'this machine only'}")
+        if open_browser and not webbrowser.open(f"{self.url}/?token={token}" if token else self.url):
+            log("view: no browser was found; open the address by hand")
         self._writer = threading.Thread(target=self._write, args=(process.stdin,), daemon=True)
         self._reader = threading.Thread(target=self._read, args=(process.stdout,), daemon=True)
         self._writer.start()
