@@ -9,13 +9,19 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
 
 from probedesign.rod.kernels import cache
 
 if TYPE_CHECKING:
+    from probedesign.estimation.error_sources import ErrorSources
     from probedesign.probe import Probe
+    from probedesign.rod.equilibrium import Equilibrium
 
 DESIGN = """
 schema = 1
@@ -33,6 +39,33 @@ def _rod(probe: "Probe") -> None:
     probe.solve(gravity_base=(9.81, 0.0, 0.0), s_contact=0.1, force_base=(0.01, 0.0, 0.0))
 
 
+def _sources(probe: "Probe") -> "ErrorSources":
+    """Return error sources that need no solution of the rod."""
+    from probedesign.estimation.error_sources import ErrorSources
+
+    model, free = probe.model, cast("Equilibrium", SimpleNamespace(wrench_base=np.zeros(6)))
+    assert model.tolerances is not None
+    return ErrorSources.of(model, replace(model.tolerances, tared=False), model.gravity_base, free)
+
+
+def _columns(probe: "Probe") -> None:
+    from probedesign.estimation.surface_contact_kernel import TOUCH
+
+    _sources(probe).columns_at(np.zeros(TOUCH))
+
+
+def _fit(probe: "Probe") -> None:
+    from probedesign.estimation.contact_fit import FIT_SCRATCH
+    from probedesign.estimation.multistart import FIT, MAX_STARTS, fit_contacts
+
+    model, sources = probe.model, _sources(probe)
+    fit_contacts(
+        model.rod.body, model.rod.flank_end, model.gravity_base, model.mass, np.zeros(6), np.zeros((6, 6)), 1.0,
+        *sources.arguments(), False, np.empty(sources.room), np.empty(1, dtype=FIT_SCRATCH),
+        np.empty(MAX_STARTS, dtype=FIT),
+    )  # fmt: skip
+
+
 def _estimate(probe: "Probe") -> None:
     probe.estimator().estimate((0.25, 0.0, 0.0, 0.0, 0.012, 0.0))
 
@@ -43,8 +76,15 @@ def _live(probe: "Probe") -> None:
     warm_up(probe.estimator(), print, fusing=True)
 
 
-PARTS: dict[str, Callable[["Probe"], None]] = {"rod": _rod, "estimate": _estimate, "live": _live}
-"""What compiles the kernels of one subject, by calling them."""
+PARTS: dict[str, Callable[["Probe"], None]] = {
+    "rod": _rod,
+    "fit": _fit,
+    "columns": _columns,
+    "estimate": _estimate,
+    "live": _live,
+}
+"""What compiles the kernels of one subject, by calling them. The last two wait for kernels of those before them, and
+compile what these lack."""
 
 
 def precompile(folder: Path) -> dict[str, float]:

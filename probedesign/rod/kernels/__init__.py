@@ -22,12 +22,17 @@ _INTERNAL: dict[str, Any] = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_w
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a function that Python and other kernels call, cached on disk."""
-    return _cached(function, _OPTIONS)
+    return _cached(function, {**_OPTIONS, "no_cfunc_wrapper": True})  # nothing calls them from C
 
 
 def inner(function: Callable[..., Any]) -> Any:
     """Compile a function that only kernels call, cached on disk."""
     return _cached(function, _INTERNAL)
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """Compile a function that LLVM always inlines, cached on disk: arithmetic on a few numbers."""
+    return _cached(function, {**_INTERNAL, "forceinline": True})
 
 
 def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Any:
@@ -37,7 +42,5 @@ def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     return dispatcher
 
 
-inlined = njit(forceinline=True, **_INTERNAL)
-"""Compile a function that LLVM always inlines: arithmetic on a few numbers."""
 inline_always = njit(inline="always", **_INTERNAL)
 """Compile a function with one caller as part of that caller, not by itself and then again."""
