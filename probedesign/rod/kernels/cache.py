@@ -25,7 +25,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from types import CodeType, FunctionType, ModuleType
+from types import CodeType, FunctionType, ModuleType, SimpleNamespace
 from typing import Any
 
 import llvmlite.binding
@@ -169,33 +169,36 @@ def _lock(file: Path) -> Any:
 
 def content_digest(dispatcher: Any) -> str:
     """Return the digest of all that a kernel's machine code follows from, but types, compiler and processor."""
-    digest = _DIGEST()
-    for part in _content(dispatcher, set()):
-        digest.update(part.encode() + b"\0")
-    return digest.hexdigest()
+    function = dispatcher.py_func
+    options = getattr(dispatcher, "targetoptions", {})
+    key = function, tuple(f"{name} {options[name]!r}" for name in sorted(options))
+    if key not in _digests:
+        _digests[key] = function.__qualname__  # where it calls itself
+        digest = _DIGEST(f"{key[1]}".encode())
+        cells = tuple(cell.cell_contents for cell in function.__closure__ or ())
+        for part in (*_content((cells, function.__defaults__)), *_code(function.__code__, function)):
+            digest.update(part.encode() + b"\0")
+        _digests[key] = digest.hexdigest()
+    return _digests[key]
 
 
-def _content(value: Any, seen: set[int]) -> Iterator[str]:
+_digests: dict[tuple[FunctionType, tuple[str, ...]], str] = {}
+"""Digests of functions with their options: kernels have most of the functions that they call in common."""
+
+
+def _content(value: Any) -> Iterator[str]:
     """Yield texts that determine a value which compiled code contains."""
     function = getattr(value, "py_func", value)
     if isinstance(function, FunctionType) and _is_ours(function.__module__):
         yield f"{function.__module__}.{function.__qualname__}"
-        if id(function) not in seen:
-            seen.add(id(function))
-            options = getattr(value, "targetoptions", {})
-            for option in sorted(options):
-                yield option
-                yield from _content(options[option], seen)
-            cells = tuple(cell.cell_contents for cell in function.__closure__ or ())
-            yield from _content((cells, function.__defaults__ or ()), seen)
-            yield from _code(function.__code__, function, seen)
+        yield content_digest(value if function is not value else SimpleNamespace(py_func=function))
     elif isinstance(value, np.ndarray | np.generic):
         yield f"{value.dtype!r} {value.shape}"
         yield value.tobytes().hex()
     elif isinstance(value, tuple | list):
         yield f"{type(value).__name__} {len(value)}"
         for item in value:
-            yield from _content(item, seen)
+            yield from _content(item)
     elif isinstance(value, set | frozenset):
         yield from sorted(repr(item) for item in value)
     elif isinstance(value, ModuleType):
@@ -206,28 +209,27 @@ def _content(value: Any, seen: set[int]) -> Iterator[str]:
         yield f"{type(value).__name__} {value!r}"
 
 
-def _code(code: CodeType, function: FunctionType, seen: set[int]) -> Iterator[str]:
+def _code(code: CodeType, function: FunctionType) -> Iterator[str]:
     """Yield texts that determine what bytecode computes: its own and the values of the names that it looks up."""
     yield code.co_code.hex()
     yield f"{code.co_names} {code.co_varnames} {code.co_freevars}"
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
-            yield from _code(constant, function, seen)
+            yield from _code(constant, function)
         elif constant != function.__doc__:
-            yield from _content(constant, seen)
+            yield from _content(constant)
     for name in code.co_names:
         if name not in function.__globals__:
             continue
         value = function.__globals__[name]
         yield name
-        yield from _content(value, seen)
+        yield from _content(value)
         if _is_ours(getattr(value, "__module__" if isinstance(value, type) else "__name__", None)):
-            for (
-                attribute
-            ) in code.co_names:  # of a module or class: which names belong to it is not in the bytecode
+            # Of a module or class: the bytecode does not state which names belong to it.
+            for attribute in code.co_names:
                 if attribute in getattr(value, "__dict__", {}):
                     yield attribute
-                    yield from _content(vars(value)[attribute], seen)
+                    yield from _content(vars(value)[attribute])
 
 
 def _is_ours(module: Any) -> bool:
