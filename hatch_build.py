@@ -24,6 +24,8 @@ def is_on() -> bool:
 class PrecompileHook(BuildHookInterface[Any]):
     """Add the compiled kernels to a wheel; an editable installation gets them beside its sources."""
 
+    _folder: tempfile.TemporaryDirectory[str] | None = None
+
     def dependencies(self) -> list[str]:
         """Return what the build needs: what the kernels import."""
         return list(self.metadata.core.dependencies) if is_on() else []
@@ -35,12 +37,18 @@ class PrecompileHook(BuildHookInterface[Any]):
         if version == "editable":
             self._compile(Path(self.root) / BUILT)
             return
-        folder = Path(tempfile.mkdtemp(prefix="probedesign-kernels-"))
+        self._folder = tempfile.TemporaryDirectory(prefix="probedesign-kernels-")
+        folder = Path(self._folder.name)
         if self._compile(folder):
             for file in folder.glob("*/*.kernel"):
                 build_data["force_include"][str(file)] = f"{BUILT}/{file.relative_to(folder).as_posix()}"
             build_data["pure_python"] = False
             build_data["infer_tag"] = True
+
+    def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
+        """Remove the files that the wheel now contains."""
+        if self._folder is not None:
+            self._folder.cleanup()
 
     def _compile(self, folder: Path) -> bool:
         """Return whether the kernels could be compiled; without them the wheel compiles at its first use."""
