@@ -66,6 +66,12 @@ def _fit(probe: "Probe") -> None:
     )  # fmt: skip
 
 
+def _detector(probe: "Probe") -> None:
+    from probedesign.estimation.detector import Detector
+
+    Detector(probe.model, 100.0).run(np.zeros((2, 6)))
+
+
 def _estimate(probe: "Probe") -> None:
     probe.estimator().estimate((0.25, 0.0, 0.0, 0.0, 0.012, 0.0))
 
@@ -80,6 +86,7 @@ PARTS: dict[str, Callable[["Probe"], None]] = {
     "rod": _rod,
     "fit": _fit,
     "columns": _columns,
+    "detector": _detector,
     "estimate": _estimate,
     "live": _live,
 }
