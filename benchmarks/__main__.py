@@ -6,8 +6,8 @@ from importlib import import_module
 
 from benchmarks.timing import print_machine
 
-PARTS = ("rod", "peak", "start", "estimation", "detection", "prints", "identify", "pictured", "validation", "planning",
-         "prediction", "optimisation", "sweep", "export", "live", "recording", "view",
+PARTS = ("rod", "peak", "start", "install", "estimation", "detection", "prints", "identify", "pictured", "validation",
+         "planning", "prediction", "optimisation", "sweep", "export", "live", "recording", "view",
          "studio", "day", "explore", "clamp", "coverage")  # fmt: skip
 """Modules, each imported when its turn comes: worker processes import this one again."""
 

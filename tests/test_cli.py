@@ -16,7 +16,7 @@ from probedesign.cli.main import COMMANDS, run
 from probedesign.core.errors import CheckFailedError, InputError, MissingDependencyError
 from probedesign.core.files import check_overwrite
 from probedesign.design import load_design
-from probedesign.rod import kernels
+from probedesign.rod.kernels import cache
 
 NEW = ("new", "--length", "150", "--base-d", "12")
 
@@ -337,11 +337,11 @@ def test_doctor_fails_without_a_required_package(monkeypatch, capsys):
 
 
 def test_doctor_reports_the_cache_of_the_rod_kernels(monkeypatch, capsys):
-    """numba keeps compiled code in `__pycache__` beside the module."""
+    """They are in the package, where a wheel has them."""
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     assert run(["doctor", "--json"]) == 0
-    cache = Path(json.loads(capsys.readouterr().out)["numba_cache"]["folder"])
-    assert cache == Path(kernels.__file__).parent / "__pycache__"
+    reported = json.loads(capsys.readouterr().out)["numba_cache"]
+    assert Path(reported["folder"]) == cache.BUILT and reported["processor"] in cache.runs()
 
 
 def test_doctor_reports_a_cache_that_is_not_writable(monkeypatch, capsys, tmp_path):

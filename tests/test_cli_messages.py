@@ -148,7 +148,11 @@ def replace_slow_and_local_parts(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(platform, "machine", lambda: "machine")
     patch.setattr(platform, "system", lambda: "System")
     patch.setattr(metadata, "requires", lambda _: ["numpy>=2", "mcap>=1; extra == 'live'"])
-    patch.setattr(doctor, "_numba_cache", lambda: {"folder": "cache", "writable": False})
+    patch.setattr(
+        doctor,
+        "_numba_cache",
+        lambda: {"folder": "cache", "writable": False, "processor": "cpu", "kernels": 3},
+    )
 
 
 def missing() -> str:

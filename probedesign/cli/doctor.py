@@ -43,7 +43,7 @@ def doctor(*, as_json: JsonOutput = False) -> int:
 
 
 def examine() -> dict[str, Any]:
-    """Return the versions of all packages, the missing ones, and whether numba's cache is writable."""
+    """Return the versions of all packages, the missing ones, and the state of the compiled kernels."""
     packages = [_package(extra, requirement) for extra, requirement in _requirements()]
     missing = [package for package in packages if package["version"] is None]
     return {
@@ -93,11 +93,30 @@ def _no_wheel(extra: str) -> str | None:
 
 
 def _numba_cache() -> dict[str, Any]:
-    """Return the folder that numba tries first for compiled code, and whether it is writable."""
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    folder = Path(chosen or Path(__file__).parents[1] / "rod/kernels/__pycache__").absolute()
+    """Return where compiled kernels are saved, whether that is writable, and how many are ready for this processor."""
+    try:
+        from probedesign.rod.kernels import cache
+    except ImportError:  # numba is missing or does not run here
+        return {"folder": "", "writable": True, "processor": "no processor", "kernels": 0}
+    places, chosen = cache.folders(), os.environ.get("NUMBA_CACHE_DIR")
+    writable = [folder for folder in places if _is_writable(folder)]
+    ready = {
+        file.name
+        for folder in places
+        for processor in cache.runs()
+        for file in (folder / cache.version(processor)).glob(f"*{cache.SUFFIX}")
+    }
+    return {
+        "folder": str(places[0] if chosen or not writable else writable[0]),
+        "writable": places[0] in writable if chosen else bool(writable),
+        "processor": cache.runs()[-1],
+        "kernels": len(ready),
+    }
+
+
+def _is_writable(folder: Path) -> bool:
     existing = next(p for p in (folder, *folder.parents) if p.exists())
-    return {"folder": str(folder), "writable": existing.is_dir() and os.access(existing, os.W_OK)}
+    return existing.is_dir() and os.access(existing, os.W_OK)
 
 
 def _print(findings: dict[str, Any]) -> None:
@@ -109,7 +128,9 @@ def _print(findings: dict[str, Any]) -> None:
     print_table(rows)
     cache = findings["numba_cache"]
     remedy = "" if cache["writable"] else ", which is not writable; set NUMBA_CACHE_DIR to a writable folder"
-    print(f"cache of compiled code: {cache['folder']}{remedy}")
+    print(
+        f"compiled kernels: {cache['kernels']} for {cache['processor']}; new ones in {cache['folder']}{remedy}"
+    )
     for missing in findings["missing"]:
         note = f" ({missing['note']})" if missing["note"] else ""
         print(f"missing for {missing['needed_for']}{note}:\n  {missing['install']}")

@@ -17,6 +17,7 @@ from probedesign.estimation.surface_contact_kernel import (
     BY_TOUCH,
     CLAMPED,
     MOVE,
+    NO_PARAMETERS,
     NORMAL,
     PHI,
     TOUCH,
@@ -210,7 +211,7 @@ def fit_touch(
     for iteration in range(max_iterations):
         # A size below 1e-6 would ask for steps finer than rounding.
         status, lack, margin, size = linearise(
-            body, gravity, mass, tol, max(size, 1e-6), touch, 0, sweep_work, lin
+            body, gravity, mass, tol, max(size, 1e-6), touch, NO_PARAMETERS, sweep_work, lin
         )
         merit = math.inf
         if status == OK and lack < math.inf:

@@ -28,6 +28,7 @@ from probedesign.estimation.surface_contact_kernel import (
     BY_TOUCH,
     CENTRE,
     CLAMPED,
+    NO_PARAMETERS,
     NORMAL,
     OWN,
     PHI,
@@ -214,7 +215,7 @@ def fit_contacts(
         own, turns, root, gain, hanging, sensor_from_base, base_from_sensor, reference, still
     )
     parameters, J = own.shape[1] + 3, still.shape[1]
-    a = max(sweep_work_size(0), sweep_work_size(parameters))
+    a = max(sweep_work_size(NO_PARAMETERS), sweep_work_size(parameters))
     b = a + ROWS * (1 + UNKNOWNS + parameters)
     c = b + 12 * J
     d = c + 3 * (6 + J)

@@ -79,6 +79,11 @@ CLAMPED = 1e-4
 """Misfit at the clamp [rad] up to which it is exact: an error of its square."""
 
 
+NO_PARAMETERS = np.int64(0)
+"""Of the rod to differentiate by; for the literal 0 numba would compile `linearise` and its callers' copies of it once
+more."""
+
+
 def work_size(parameters: int) -> int:
     """Return how many numbers `linearise` works in, for so many parameters of the rod (0, or OWN and the knots)."""
     return int(_parts(parameters)[-1])

@@ -21,6 +21,7 @@ from probedesign.estimation.surface_contact_kernel import (
     BY_GRAVITY,
     BY_TOUCH,
     CENTRE,
+    NO_PARAMETERS,
     NORMAL,
     PHI,
     POINT,
@@ -34,7 +35,7 @@ from probedesign.estimation.surface_contact_kernel import (
     plan_move,
     radius_and_slope,
 )
-from probedesign.rod.kernels import inner, kernel
+from probedesign.rod.kernels import inline_always, inner, kernel
 from probedesign.rod.kernels.equations import BEND_X, BEND_Y, OK
 from probedesign.rod.kernels.linalg import (
     add,
@@ -337,7 +338,7 @@ def _share_within(touch, end, change):
     return share
 
 
-@inner
+@inline_always
 def _offsets_beside(
     body, end, gravity, mass, wrench, whiten, friction, tol, touch, lin, v, along, spread, side, sweep_work, brief,
     work, offsets,
@@ -361,7 +362,9 @@ def _offsets_beside(
     plan_move(lin, change, move)
     advance(at, touch, share, change, move)
     at[S] = min(max(at[S], 0.0), end)  # rounding
-    status, lack, _margin, _size = linearise(body, gravity, mass, tol, 1.0, at, 0, sweep_work, brief)
+    status, lack, _margin, _size = linearise(
+        body, gravity, mass, tol, 1.0, at, NO_PARAMETERS, sweep_work, brief
+    )
     if status != OK or not lack < math.inf:
         return False
     residuals(brief, at, wrench, whiten, friction, J, r)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from probedesign.core.frames import Array
-from probedesign.rod.kernels import announce, inline_always, inlined, kernel
+from probedesign.rod.kernels import inline_always, inlined, kernel
 from probedesign.rod.kernels import lanes as rows
 from probedesign.rod.kernels.equations import GENERAL, NOT_CONVERGED, OK, UNSTABLE
 from probedesign.rod.kernels.lane_sweep import SOLVER_STATE, arrive, body_of, launch, tick
@@ -242,7 +242,6 @@ class ScratchBuffers(NamedTuple):
 
 def scratch_buffers(k: int, room: int, group: int = 1) -> ScratchBuffers:
     """Return buffers for k sensitivities, `room` nodes of the shape and `group` cases side by side."""
-    announce(solve_cases)
     chunks = chunks_of(k) if k else 0
     width = width_of(chunks)
     return ScratchBuffers(

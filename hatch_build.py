@@ -1,0 +1,63 @@
+"""Build hook: compile the kernels with the wheel, so that its first use compiles nothing.
+
+`PROBEDESIGN_PRECOMPILE=1` switches it on: the build then needs numba and takes about a minute, and the wheel belongs to
+one Python and one platform. Without it, the wheel is for any, and compiles at its first use, as does an installation whose
+numba is another than that of the build.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+BUILT = "probedesign/_compiled"
+
+
+def is_on() -> bool:
+    """Return whether the kernels are compiled with the wheel."""
+    return os.environ.get("PROBEDESIGN_PRECOMPILE", "0") == "1"
+
+
+class PrecompileHook(BuildHookInterface[Any]):
+    """Add the compiled kernels to a wheel; an editable installation gets them beside its sources."""
+
+    _folder: tempfile.TemporaryDirectory[str] | None = None
+
+    def dependencies(self) -> list[str]:
+        """Return what the build needs: what the kernels import."""
+        return list(self.metadata.core.dependencies) if is_on() else []
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Compile, and name the files and the platform of the wheel."""
+        if not is_on():
+            return
+        if version == "editable":
+            self._compile(Path(self.root) / BUILT)
+            return
+        self._folder = tempfile.TemporaryDirectory(prefix="probedesign-kernels-")
+        folder = Path(self._folder.name)
+        if self._compile(folder):
+            for file in folder.glob("*/*.kernel"):
+                build_data["force_include"][str(file)] = f"{BUILT}/{file.relative_to(folder).as_posix()}"
+            build_data["pure_python"] = False
+            build_data["infer_tag"] = True
+
+    def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
+        """Remove the files that the wheel now contains."""
+        if self._folder is not None:
+            self._folder.cleanup()
+
+    def _compile(self, folder: Path) -> bool:
+        """Return whether the kernels could be compiled; without them the wheel compiles at its first use."""
+        self.app.display_info("compiling the kernels of rod and estimator")
+        command = [sys.executable, "-m", "probedesign.precompile", str(folder)]
+        done = subprocess.run(
+            command, cwd=self.root, check=False, env={**os.environ, "PYTHONPATH": self.root}
+        )
+        if done.returncode:
+            self.app.display_warning("the kernels could not be compiled; they will be at the first use")
+        return done.returncode == 0

@@ -1,0 +1,139 @@
+"""`python -m probedesign.precompile FOLDER`: compile the kernels into a folder, in several processes.
+
+The build of a wheel runs it. The parts below are independent; where two of them use the same kernel, one process
+compiles it and the other waits (`rod.kernels.cache`), so that there are as many processes as parts.
+"""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+
+from probedesign.rod.kernels import cache
+
+if TYPE_CHECKING:
+    from probedesign.estimation.error_sources import ErrorSources
+    from probedesign.probe import Probe
+    from probedesign.rod.equilibrium import Equilibrium
+
+DESIGN = """
+schema = 1
+name = "precompile"
+[probe]
+shape = "cone"
+length_mm = 150.0
+base_d_mm = 12.0
+tip_d_mm = 2.0
+"""
+"""Any design serves: the machine code does not depend on its numbers."""
+
+
+def _rod(probe: "Probe") -> None:
+    probe.solve(gravity_base=(9.81, 0.0, 0.0), s_contact=0.1, force_base=(0.01, 0.0, 0.0))
+
+
+def _sources(probe: "Probe") -> "ErrorSources":
+    """Return error sources that need no solution of the rod."""
+    from probedesign.estimation.error_sources import ErrorSources
+
+    model, free = probe.model, cast("Equilibrium", SimpleNamespace(wrench_base=np.zeros(6)))
+    assert model.tolerances is not None
+    return ErrorSources.of(model, replace(model.tolerances, tared=False), model.gravity_base, free)
+
+
+def _columns(probe: "Probe") -> None:
+    from probedesign.estimation.surface_contact_kernel import TOUCH
+
+    _sources(probe).columns_at(np.zeros(TOUCH))
+
+
+def _fit(probe: "Probe") -> None:
+    from probedesign.estimation.contact_fit import FIT_SCRATCH
+    from probedesign.estimation.multistart import FIT, MAX_STARTS, fit_contacts
+
+    model, sources = probe.model, _sources(probe)
+    fit_contacts(
+        model.rod.body, model.rod.flank_end, model.gravity_base, model.mass, np.zeros(6), np.zeros((6, 6)), 1.0,
+        *sources.arguments(), False, np.empty(sources.room), np.empty(1, dtype=FIT_SCRATCH),
+        np.empty(MAX_STARTS, dtype=FIT),
+    )  # fmt: skip
+
+
+def _detector(probe: "Probe") -> None:
+    from probedesign.estimation.detector import Detector
+
+    Detector(probe.model, 100.0).run(np.zeros((2, 6)))
+
+
+def _estimate(probe: "Probe") -> None:
+    probe.estimator().estimate((0.25, 0.0, 0.0, 0.0, 0.012, 0.0))
+
+
+def _live(probe: "Probe") -> None:
+    from probedesign.live.run import warm_up
+
+    warm_up(probe.estimator(), print, fusing=True)
+
+
+PARTS: dict[str, Callable[["Probe"], None]] = {
+    "rod": _rod,
+    "fit": _fit,
+    "columns": _columns,
+    "detector": _detector,
+    "estimate": _estimate,
+    "live": _live,
+}
+"""What compiles the kernels of one subject, by calling them. The last two wait for kernels of those before them, and
+compile what these lack."""
+
+
+def precompile(folder: Path) -> dict[str, float]:
+    """Compile all kernels for the baseline processor, or this machine's where it lacks it, into a folder.
+
+    Returns:
+        Wall time and processor time of the processes [s], and the number of compiled functions.
+    """
+    environment = {**os.environ, "PYTHONPATH": str(cache.PACKAGE.parent)}
+    if cache.BASELINE in cache.runs():
+        environment |= {"NUMBA_CPU_NAME": cache.BASELINE, "NUMBA_CPU_FEATURES": ""}
+    began, before = time.perf_counter(), os.times()
+    processes = [subprocess.Popen([sys.executable, "-m", __spec__.name, str(folder), part], env=environment)
+                 for part in PARTS]  # fmt: skip
+    failed = [process.args for process in processes if process.wait()]
+    if failed:
+        raise RuntimeError(f"{len(failed)} of {len(processes)} processes that compile the kernels failed")
+    after = os.times()
+    return {
+        "wall_s": time.perf_counter() - began,
+        "processor_s": after.children_user
+        + after.children_system
+        - before.children_user
+        - before.children_system,
+        "functions": len(list(folder.glob(f"*/*{cache.SUFFIX}"))),
+    }
+
+
+def main(arguments: list[str]) -> int:
+    """Compile a part into a folder, or all of them."""
+    folder = Path(arguments[0]).absolute()
+    if len(arguments) > 1:
+        from probedesign import build_probe, parse_design
+
+        cache.only = folder
+        PARTS[arguments[1]](build_probe(parse_design(DESIGN)))
+    else:
+        spent = precompile(folder)
+        print(f"{spent['functions']} functions compiled in {spent['wall_s']:.0f} s, "
+              f"{spent['processor_s']:.0f} s of processor time")  # fmt: skip
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,149 @@
+"""The cache of compiled kernels: what is edited, damaged or for another processor is compiled anew.
+
+A copy of the package's decorators gets two small kernels of its own, one of which calls the other in another file.
+"""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from probedesign.rod.kernels import cache
+
+INNER = "from probedesign.rod.kernels import inner\nFACTOR = 2.0\n\n@inner\ndef scaled(x):\n    return FACTOR * x\n"
+OUTER = (
+    "from probedesign.rod.kernels import kernel\nfrom probedesign.rod.kernels.one import scaled\n\n"
+    "@kernel\ndef answer(x):\n    return scaled(x) + 1.0\n"
+)
+RUN = """
+import json, resource, sys
+from probedesign.rod.kernels.two import answer
+if "full" in sys.argv:  # no file may have a byte, as on a full disk
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+print(json.dumps([answer(10.0), answer(11.0), sum(answer.stats.cache_hits.values())]))
+"""
+COMPILED, LOADED = 0, 1
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """Return a folder with a package of the same name."""
+    root = tmp_path / "root"
+    for name in ("core", "rod/kernels"):
+        (root / "probedesign" / name).mkdir(parents=True)
+    for name in ("", "core", "rod"):
+        (root / "probedesign" / name / "__init__.py").write_text("")
+    for name in ("core/files.py", "core/errors.py", "rod/kernels/__init__.py", "rod/kernels/cache.py"):
+        shutil.copy(cache.PACKAGE / name, root / "probedesign" / name)
+    (root / "probedesign/rod/kernels/one.py").write_text(INNER)
+    (root / "probedesign/rod/kernels/two.py").write_text(OUTER)
+    return root
+
+
+def start(package: Path, *arguments: str, **environment: str) -> "subprocess.Popen[str]":
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+    # Python itself decides by the time of a file whether its bytecode is old, so none is written.
+    own = {
+        "PYTHONPATH": str(package),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "XDG_CACHE_HOME": str(package / "home"),
+    }
+    return subprocess.Popen([sys.executable, "-c", RUN, *arguments], env=clean | own | environment, text=True,
+                            cwd=package, stdout=subprocess.PIPE, stderr=subprocess.PIPE)  # fmt: skip
+
+
+def finish(process: "subprocess.Popen[str]") -> tuple[list[float], str]:
+    out, err = process.communicate()
+    assert process.returncode == 0, err
+    return json.loads(out), err
+
+
+def run(package: Path, *arguments: str, **environment: str) -> tuple[list[float], str]:
+    return finish(start(package, *arguments, **environment))
+
+
+def edit(package: Path, old: str, new: str) -> None:
+    """Edit the file of the called kernel; its size and times stay as they are."""
+    file = package / "probedesign/rod/kernels/one.py"
+    before = file.stat()
+    text = file.read_text().replace(old, new)
+    assert len(text) == before.st_size
+    file.write_text(text)
+    os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+def test_an_edited_kernel_is_compiled_anew_wherever_it_is_called(package):
+    assert run(package) == ([21.0, 23.0, COMPILED], "")
+    assert run(package) == ([21.0, 23.0, LOADED], "")
+    edit(package, "FACTOR * x", "FACTOR - x")
+    assert run(package) == ([-7.0, -8.0, COMPILED], "")
+    edit(package, "FACTOR = 2.0", "FACTOR = 5.0")
+    assert run(package) == ([-4.0, -5.0, COMPILED], "")
+    saved = list(package.glob("probedesign/_compiled/*/*.kernel"))
+    assert len(saved) == 2  # former versions are removed
+
+
+def test_a_damaged_file_is_compiled_anew(package):
+    run(package)
+    for damage in (
+        lambda content: content[:-1],
+        lambda content: content[:200] + b"\0" + content[201:],
+        lambda _: b"",
+    ):
+        for file in package.glob("probedesign/_compiled/*/*.kernel"):
+            file.write_bytes(damage(file.read_bytes()))
+        assert run(package) == ([21.0, 23.0, COMPILED], "")
+    assert run(package) == ([21.0, 23.0, LOADED], "")
+
+
+@pytest.mark.skipif(
+    cache.BASELINE not in cache.runs(), reason="this processor lacks the baseline's instructions"
+)
+def test_code_is_used_only_where_the_processor_runs_it(package):
+    run(package, NUMBA_CPU_NAME=cache.BASELINE, NUMBA_CPU_FEATURES="")
+    assert run(package)[0][-1] == LOADED  # built for the baseline, which this processor has
+    assert run(package, NUMBA_ENABLE_AVX="0")[0] == [21.0, 23.0, COMPILED]  # a processor without AVX
+
+
+def test_without_a_folder_to_write_it_compiles_and_prints_one_line(package):
+    (package / "probedesign/_compiled").write_text("in the way")
+    (package / "home").write_text("in the way")
+    for _ in range(2):
+        values, err = run(package, NUMBA_CACHE_DIR=str(package / "home"))
+        assert values == [21.0, 23.0, COMPILED]
+        assert err.count("\n") == 1 and "NUMBA_CACHE_DIR" in err
+
+
+def test_a_full_disk_leaves_no_file_and_prints_one_line(package):
+    values, err = run(package, "full")
+    assert values == [21.0, 23.0, COMPILED]
+    assert err.count("\n") == 1 and "NUMBA_CACHE_DIR" in err
+    assert not list(package.glob("probedesign/_compiled/*/*.kernel"))
+    assert run(package) == ([21.0, 23.0, COMPILED], "")
+
+
+def test_processes_at_once_compile_a_kernel_once(package):
+    processes = [start(package) for _ in range(3)]
+    found = [finish(process)[0] for process in processes]
+    assert sorted(values[-1] for values in found) == [COMPILED, LOADED, LOADED]
+
+
+def test_the_digest_of_every_kernel_is_that_of_another_process():
+    """An address or the order of a set in it would make every process compile."""
+    code = (
+        "from probedesign.rod.kernels.cache import content_digest as digest;"
+        "from probedesign.estimation import fusion_kernel, keyframe_kernel, detector, multistart;"
+        "from probedesign.rod.kernels import solve;"
+        "print([digest(k) for m in (fusion_kernel, keyframe_kernel, detector, multistart, solve)"
+        " for k in vars(m).values() if hasattr(k, 'py_func')])"
+    )
+    found = {
+        subprocess.run([sys.executable, "-c", code], env=os.environ | {"PYTHONHASHSEED": seed}, check=True, text=True,
+                       capture_output=True).stdout
+        for seed in ("1", "2")
+    }  # fmt: skip
+    assert len(found) == 1 and "[]" not in found.pop()
