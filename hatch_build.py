@@ -1,8 +1,8 @@
 """Build hook: compile the kernels with the wheel, so that its first use compiles nothing.
 
 `PROBEDESIGN_PRECOMPILE=1` switches it on: the build then needs numba and takes about a minute, and the wheel belongs to
-one Python and one platform. Without it, the wheel is for any, and compiles at its first use, as does an installation whose
-numba is another than that of the build.
+one Python and one platform. Without it, the wheel is for any, and compiles at its first use, as does an installation
+whose numba is another than that of the build.
 """
 
 import os
