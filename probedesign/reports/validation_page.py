@@ -146,6 +146,7 @@ def validation_page(validation: ValidationReport) -> bytes:
     model, coverage = validation.estimator.model, validation.coverage
     how = "probe assumed to match its file exactly" if validation.exact else "with the probe's tolerances"
     about = [
+        *validation.notes_on_identification,
         f"{len(validation.tests)} tests of {validation.campaign.folder}; geometry {model.fingerprint}; {how}",
         f"assumptions of the probe: {', '.join(model.assumptions) or 'nothing'}",
         *coverage.words,

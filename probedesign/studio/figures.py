@@ -136,9 +136,11 @@ class DesignFigures:
         reach = [r for r in p.reach if r.contact_fraction == HEADLINE_FRACTION]
         weakest = min(reach, key=lambda r: r.greatest_force_N or 0.0)
         force = None if weakest.greatest_force_N is None else 1e3 * weakest.greatest_force_N
+        at = f"at {HEADLINE_FRACTION:g} L"
+        touches = f"{p.pressing.touches} touches fused, {1e3 * SHOWN_N:g} mN {at}"
         return [
-            Figure(f"{p.pressing.touches} touches fused, {1e3 * SHOWN_N:g} mN", _largest(errors), "mm"),
-            Figure(f"largest force at {HEADLINE_FRACTION:g} L", force, "mN", LIMITS[weakest.limit][0], False),
+            Figure(touches, _largest(errors), "mm", "worst direction"),
+            Figure(f"largest force {at}", force, "mN", LIMITS[weakest.limit][0], False),
         ]
 
 

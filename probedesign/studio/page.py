@@ -159,8 +159,8 @@ class StudioPage:
                 continue
             try:
                 request()
-            except InputError as error:
-                self._say(str(error), bad=True)
+            except InputError as error:  # the page has a box where a command has an option
+                self._say(str(error).replace("--force", "the box 'replace existing files'"), bad=True)
 
     def _rest(self) -> None:
         """Predict everything once the hand rests, and draw the path of a search."""
@@ -352,13 +352,7 @@ class StudioPage:
     def _act(self, action: actions.Action) -> None:
         design = self.session.design.model_copy(update={"name": self._name.value.strip()})
         self._say("working ...")
-        try:
-            self._say(action(actions.checked(design), self._replace.value))
-        except InputError as error:  # the page has a box where the command has an option
-            self._say(
-                str(error).replace("--force replaces it", "tick 'replace existing files' to replace it"),
-                bad=True,
-            )
+        self._say(action(actions.checked(design), self._replace.value))
 
     def _improve(self) -> None:
         """Start a search in a thread of its own; its path is drawn as it goes."""
@@ -474,9 +468,7 @@ class StudioPage:
             self._charts[name].content = styled(
                 "nothing is located" if chart is None else chart.svg().decode()
             )
-        dotted = (
-            "<p class=note>Solid: all error sources. Dotted: the sensor alone. Dashed: pinned designs.</p>"
-        )
+        dotted = "<p class=note>Solid: all error sources. Dotted: an exact probe. Dashed: pinned designs.</p>"
         self._charts["summary"].content = styled(dotted + summary_table(figures, pinned) + check)
         self._touch_text.content = styled(self._touch_html())
         self._command.value = session.command_line

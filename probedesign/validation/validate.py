@@ -214,9 +214,9 @@ class ValidationReport:
         return found
 
     @property
-    def notes(self) -> tuple[str, ...]:
-        """Notes for the user, each one line."""
-        lines = list(self.campaign.notes)
+    def notes_on_identification(self) -> tuple[str, ...]:
+        """Notes on tests from which the probe's parameters were identified, each one line."""
+        lines = list[str]()
         served = [one for one in self.tests if one.served and one.kind != "free"]
         if served and self.include_identified:
             lines.append(f"{len(served)} of the tests judged served the identification of this probe, which fits its "
@@ -229,6 +229,12 @@ class ValidationReport:
             if not left:
                 lines.append("measure touches with use = validate in tests.csv, which identify leaves out, or judge "
                              "all with --include-identified")  # fmt: skip
+        return tuple(lines)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the user, each one line."""
+        lines = [*self.campaign.notes, *self.notes_on_identification]
         for one in self.unexpected:
             lines.append(f"{one.test.name} ({one.kind}): {one.result}: {WHY[one.result]}")
         untared = [test for test in self.tests if not test.tares and test.readings and test.kind != "free"]
