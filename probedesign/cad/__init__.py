@@ -61,6 +61,26 @@ def export_part(design: Design, part: str, out: Path | None = None) -> dict[str,
     return export(design, part, out)
 
 
+def export_coupon(design: Design, out: Path | None = None) -> dict[str, Any]:
+    """Write a stepped cone and a straight rod in the resin of a design, with sheets for the diameters.
+
+    Args:
+        design: whose range of diameters the coupons cover.
+        out: output folder; `exports/NAME/coupon` if None.
+
+    Returns:
+        The manifest, with the output folder under `folder`.
+
+    Raises:
+        InputError: the folder cannot be written, or a sheet there was filled in.
+        CheckFailedError: a part disagrees with its closed form; nothing is written.
+        MissingDependencyError: CadQuery or trimesh is not installed.
+    """
+    with _kernel():
+        from probedesign.cad.coupon import export_coupon as export
+    return export(design, out)
+
+
 def probe_solid(design: Design) -> "cq.Workplane":
     """Return the probe with its flange as a CadQuery workplane of one solid.
 
