@@ -4,6 +4,7 @@
                                              ├─ check ───────→ PrintCheck
                                              ├─ predict ─────→ Prediction
                                              ├─ optimize ────→ Optimum
+                     calipers ───────────────├─ measure ─────→ MeasuredDiameters
                                              ├─ plan ────────→ Plan
                      measurements ───────────┼─ identify ────→ Identification
                                              └─ freeze ──────→ frozen probe ─ load_estimator ─→ Estimator
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from probedesign.design import Design
     from probedesign.estimation.estimator import Estimator, Method
     from probedesign.estimation.tolerances import Tolerances
+    from probedesign.identification.measured_diameters import Calipers, MeasuredDiameters
     from probedesign.identification.result import Identification
     from probedesign.live import Log
     from probedesign.live.outputs.sinks import Sink
@@ -72,6 +74,21 @@ def export_part(design: "Design", part: str, folder: Path | None) -> dict[str, A
     from probedesign import cad
 
     return cad.export_part(design, part, folder)
+
+
+def export_coupon(design: "Design", folder: Path | None) -> dict[str, Any]:
+    """Write a stepped cone and a rod to be printed and measured, and return their manifest. Needs CadQuery."""
+    from probedesign import cad
+
+    return cad.export_coupon(design, folder)
+
+
+def measure(design: "Design", calipers: "Calipers", calipers_std_mm: float) -> "MeasuredDiameters":
+    """Estimate the diameters of a print from readings of calipers, with its tolerances as prior."""
+    from probedesign.identification.measured_diameters import fit_diameters
+    from probedesign.probe import build_probe
+
+    return fit_diameters(design, build_probe(design).tolerances, calipers, calipers_std_mm)
 
 
 def check(design: "Design") -> "PrintCheck":

@@ -29,6 +29,10 @@ check designs/a.toml
 check designs/none.toml
 export designs/a.toml
 export designs/none.toml
+coupon designs/a.toml
+coupon designs/none.toml
+measured designs/b.toml calipers.csv --out designs/measured.toml
+measured designs/a.toml calipers.csv
 print designs/a.toml
 print designs/a.toml --timeout-s 0
 predict designs/a.toml --no-plots
@@ -169,6 +173,11 @@ def replace_export(patch: pytest.MonkeyPatch, arguments: list[str]) -> None:
         return manifest()
 
     patch.setattr(cad, "export_parts", export)
+    coupon = {
+        "folder": "exports/a/coupon", "files": ["calipers.csv", "coupon.step"], "steps_mm": [12.0, 2.0],
+        "step_height_mm": 8.0, "rod_mm": [7.0, 70.0],
+    }  # fmt: skip
+    patch.setattr(cad, "export_coupon", lambda *_: coupon)
 
 
 def masked(text: str) -> list[str]:
@@ -185,6 +194,7 @@ def transcript(patch: pytest.MonkeyPatch) -> str:
     replace_slow_and_local_parts(patch)
     rows = "".join(f"{0.02 * i:.2f},0,0,0,0,0,0,1\n" for i in range(300))
     Path("poses.csv").write_text(f"time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw\n{rows}")
+    Path("calipers.csv").write_text("s_mm,diameter_mm\n20,8.42\n50,6.05\n80,3.42\n")
     blocks = []
     for line in SCRIPT.splitlines():
         arguments = shlex.split(line)

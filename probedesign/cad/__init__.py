@@ -3,11 +3,14 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from probedesign.core.errors import MissingDependencyError
 from probedesign.core.parallel import defer_sigint
 from probedesign.design import Design
+
+if TYPE_CHECKING:
+    import cadquery as cq
 
 
 def _quiet(_: str) -> None:
@@ -56,6 +59,119 @@ def export_part(design: Design, part: str, out: Path | None = None) -> dict[str,
     with _kernel():
         from probedesign.cad.single_part import export_part as export
     return export(design, part, out)
+
+
+def export_coupon(design: Design, out: Path | None = None) -> dict[str, Any]:
+    """Write a stepped cone and a straight rod in the resin of a design, with sheets for the diameters.
+
+    Args:
+        design: whose range of diameters the coupons cover.
+        out: output folder; `exports/NAME/coupon` if None.
+
+    Returns:
+        The manifest, with the output folder under `folder`.
+
+    Raises:
+        InputError: the folder cannot be written, or a sheet there was filled in.
+        CheckFailedError: a part disagrees with its closed form; nothing is written.
+        MissingDependencyError: CadQuery or trimesh is not installed.
+    """
+    with _kernel():
+        from probedesign.cad.coupon import export_coupon as export
+    return export(design, out)
+
+
+def probe_solid(design: Design) -> "cq.Workplane":
+    """Return the probe with its flange as a CadQuery workplane of one solid.
+
+    Args:
+        design: the design, for example from `load_design`.
+
+    Returns:
+        The solid in millimetres in the base frame. Tagged faces: base_plane, tip, underside; tagged point:
+        clocking_mark.
+
+    Raises:
+        InputError: the mount cannot clamp this probe.
+        MissingDependencyError: CadQuery is not installed.
+    """
+    return _part(design, "probe")
+
+
+def sensor_adapter(design: Design) -> "cq.Workplane":
+    """Return the sensor adapter in millimetres in the sensor frame; raises what `probe_solid` raises.
+
+    Tagged faces: tool_face, seat, rim; tagged centres of holes: tool_screws, dowels, ring_screws.
+    """
+    return _part(design, "sensor_adapter")
+
+
+def clamp_ring(design: Design) -> "cq.Workplane":
+    """Return the clamp ring in millimetres in its own frame; raises what `probe_solid` raises.
+
+    Tagged faces: base_plane, top; tagged centres of holes: ring_screws.
+    """
+    return _part(design, "clamp_ring")
+
+
+def flange_adapter(design: Design) -> "cq.Workplane":
+    """Return the robot flange's adapter in millimetres in that flange's frame; raises what `probe_solid` raises.
+
+    Tagged faces: robot_face, sensor_face; tagged centres of holes: robot_bolts, mounting_screws, centring_pins.
+    """
+    return _part(design, "flange_adapter")
+
+
+def assembly(design: Design, **changed: "cq.Workplane") -> "cq.Assembly":
+    """Return all parts, screws, pins and the sensor's envelope, named, coloured and placed in the sensor frame.
+
+    Args:
+        design: the design.
+        changed: printed parts that replace the design's, by name, each in its own frame.
+
+    Returns:
+        The assembly in millimetres. Its printed parts carry their tags, such as `probe?tip` in a constraint.
+
+    Raises:
+        InputError: the mount cannot clamp this probe, a name is not that of a printed part, or a part is not one solid.
+        CheckFailedError: a changed solid is not valid.
+        MissingDependencyError: CadQuery is not installed.
+    """
+    with _kernel():
+        from probedesign.cad.workplanes import assembly as build
+    return build(design, changed)
+
+
+def export_changed(design: Design, out: Path, **changed: "cq.Workplane") -> dict[str, Any]:
+    """Check changed parts in the assembly, and write their STL and STEP, the assembly's STEP and GLB and a manifest.
+
+    Checked are what needs no formula of the original part: valid solids, closed meshes, no overlap of parts, and the
+    clearance to the sensor and its cable. Screw lengths, tolerance stacks and printability of a changed part are not
+    checked.
+
+    Args:
+        design: the design.
+        out: output folder.
+        changed: printed parts that replace the design's, by name, each in its own frame.
+
+    Returns:
+        The manifest, with the output folder under `folder`; `changed` has the mass of each part beside that of the
+        design, which `deploy` uses.
+
+    Raises:
+        InputError: as `assembly`, or no part is given, or the folder cannot be written.
+        CheckFailedError: a check fails; nothing is written.
+        MissingDependencyError: CadQuery or trimesh is not installed.
+    """
+    with _kernel():
+        from probedesign.cad.changed import export_changed as export
+    return export(design, changed, out)
+
+
+def _part(design: Design, part: str) -> "cq.Workplane":
+    with _kernel():
+        from probedesign.cad.workplanes import part_workplane
+    return part_workplane(design, part)
 
 
 @contextmanager

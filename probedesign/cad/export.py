@@ -42,31 +42,15 @@ def manifest_of(
         files: sha256 and size by name.
         findings: of `verify`.
     """
-    design, a, robot = model.design, model.adapter, model.plate.robot
+    a, robot = model.adapter, model.plate.robot
     robot_pin = (
         {f"dowel pin of {robot.pin_d / MM:g} mm that the robot's flange takes": 1} if robot.pin_d else {}
     )
     pin = f"dowel pin {a.dowels.diameter / MM:g}x{a.dowels.pin_length / MM:g} mm"
     return {
         "schema": SCHEMA,
-        "name": design.name,
-        "fingerprint": model.geometry.fingerprint,
-        "made_with": {"cadquery": cq.__version__},
-        "design": design.model_dump(mode="json", by_alias=True, exclude_none=True),
-        "assumptions": [
-            *design.assumptions,
-            "density of the rigid parts",
-            "density of the steel parts",
-            "tolerance_stacks",
-        ],
-        "files": files,
-        "parts": {part.name: _part(part) for part in model.printed},
-        "poses": "4x4, in metres; T_a_b maps b's coordinates into a's",
-        "T_sensor_base": _pose(a.T_sensor_base),
-        "T_sensor_robotflange": _pose(model.plate.T_sensor_robotflange),
-        "mass": _mass(model),
+        **model_record(model, files, findings),
         "bill_of_materials": bill_records(documents.bill),
-        "screws": [use.as_record() for use in model.screws],
         "tolerance_stacks": [stack.as_record() for stack in tolerance_stacks(a, model.plate)],
         "measure_before_assembly": [row.as_record() for row in measurements(a, model.plate)],
         "also_needed": {
@@ -84,6 +68,30 @@ def manifest_of(
         },
         "assembly_order": documents.steps,
         "base": _base(model),
+    }
+
+
+def model_record(model: CadModel, files: dict[str, dict[str, Any]], findings: Findings) -> dict[str, Any]:
+    """Return what the manifests of all exports have in common; the arguments are those of `manifest_of`."""
+    design = model.design
+    return {
+        "name": design.name,
+        "fingerprint": model.geometry.fingerprint,
+        "made_with": {"cadquery": cq.__version__},
+        "design": design.model_dump(mode="json", by_alias=True, exclude_none=True),
+        "assumptions": [
+            *design.assumptions,
+            "density of the rigid parts",
+            "density of the steel parts",
+            "tolerance_stacks",
+        ],
+        "files": files,
+        "parts": {part.name: _part(part) for part in model.printed},
+        "poses": "4x4, in metres; T_a_b maps b's coordinates into a's",
+        "T_sensor_base": _pose(model.adapter.T_sensor_base),
+        "T_sensor_robotflange": _pose(model.plate.T_sensor_robotflange),
+        "mass": _mass(model),
+        "screws": [use.as_record() for use in model.screws],
         "verification": findings,
         "intersections_m3": model.shared_volumes,
     }
@@ -176,11 +184,11 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
         manifest = manifest_of(model, documents, files, findings)
         manifest["print_check"] = check_print(design).as_record()
         manifest["print_scale"] = {name: list(print_scale(design, name)) for name in meshes}
-        (staging / MANIFEST).write_text(_as_json(manifest), "utf-8")
+        (staging / MANIFEST).write_text(manifest_json(manifest), "utf-8")
     return {**manifest, "folder": str(folder)}
 
 
-def _as_json(manifest: dict[str, Any]) -> str:
+def manifest_json(manifest: dict[str, Any]) -> str:
     """Return readable JSON: each row of numbers on one line."""
     text = json.dumps(manifest, indent=2, ensure_ascii=False, allow_nan=False)
     row = re.compile(r"\[\n\s+([^\[\]{}\"]*?)\n\s+\]")

@@ -2,6 +2,7 @@
 
 import re
 import tempfile
+from itertools import count
 from pathlib import Path
 
 import cadquery as cq
@@ -12,6 +13,8 @@ STEP_END = b"END-ISO-10303-21;"
 EPOCH = "1970-01-01T00:00:00"
 """Time in the header of every file, as ISO 10303-21 requires one."""
 _HEADER_TIME = re.compile(r"'\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d'")
+_OCCURRENCE = re.compile(r"(?<=NEXT_ASSEMBLY_USAGE_OCCURRENCE\(')\d+(?=')")
+"""Number of a part in its assembly, which the kernel counts through all assemblies of a process."""
 _ENTITY = re.compile(r"^#(\d+) = (.*?);$", re.MULTILINE | re.DOTALL)
 _REFERENCE = re.compile(r"#(\d+)")
 _STYLES = "MECHANICAL_DESIGN_GEOMETRIC_PRESENTATION_REPRESENTATION"
@@ -33,11 +36,13 @@ def step_bytes(assembly: cq.Assembly) -> bytes:
 
 
 def reproducible(text: str) -> str:
-    """Return a STEP file without its time of writing, its styles in the order of the styled shapes.
+    """Return a STEP file without its time of writing, its parts counted from 1, its styles in the order of the shapes.
 
     The kernel writes the styles last, in the order of the addresses of the shapes in memory.
     """
     text = _HEADER_TIME.sub(f"'{EPOCH}'", text, count=1)
+    numbers = count(1)
+    text = _OCCURRENCE.sub(lambda _: str(next(numbers)), text)
     first = re.search(rf"^#(\d+) = {_STYLES}", text, re.MULTILINE)
     if first is None:
         return text

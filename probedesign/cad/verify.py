@@ -137,19 +137,28 @@ def verify(model: CadModel, meshes: dict[str, Mesh], packages: dict[str, bytes])
     findings = {
         **_solids(model),
         **_sections(model),
-        **_meshes(model, meshes),
+        **mesh_findings(model, meshes),
         **_packages(model, meshes, packages),
-        **_room(model),
+        **room_findings(model),
         **_stacks(model),
     }
     blocked = blocked_tools(model.parts, model.screws, model.adapter)
     what = "m³ of earlier parts in the corridors of the fastener and its key"
     findings |= {f"reach_{name}": _finding(volume, OVERLAP_LIMIT, what) for name, volume in blocked.items()}
+    return checked(model.design.name, findings)
+
+
+def checked(name: str, findings: Findings) -> Findings:
+    """Return the findings of a model of that name.
+
+    Raises:
+        CheckFailedError: names every finding that is not ok.
+    """
     failed = [
         f"{n} = {f['measured']:.3g} (limit {f['limit']:.3g})" for n, f in findings.items() if not f["ok"]
     ]
     if failed:
-        raise CheckFailedError(f"{model.design.name}: the CAD model fails verification: {'; '.join(failed)}")
+        raise CheckFailedError(f"{name}: the CAD model fails verification: {'; '.join(failed)}")
     return findings
 
 
@@ -200,7 +209,8 @@ def _stations(geometry: ProbeGeometry) -> list[float]:
     return [float(s) for s in np.clip(even, geometry.s[i] + clear, geometry.s[i + 1] - clear)]
 
 
-def _meshes(model: CadModel, meshes: dict[str, Mesh]) -> Findings:
+def mesh_findings(model: CadModel, meshes: dict[str, Mesh]) -> Findings:
+    """Return whether meshes are closed, and what they omit of their solids."""
     findings: Findings = {}
     for name, mesh in meshes.items():
         missing = abs(mesh.volume / mass_properties(model.parts[name].shape, 1.0).volume - 1.0)
@@ -230,7 +240,8 @@ def _packages(model: CadModel, meshes: dict[str, Mesh], packages: dict[str, byte
     return findings
 
 
-def _room(model: CadModel) -> Findings:
+def room_findings(model: CadModel) -> Findings:
+    """Return what parts share with each other, with the sensor's clearance and with its cable's sector."""
     mount = [part for part in model.parts.values() if part.name != "sensor"]
     sensor = model.design.sensor_model.interface
     sector = cable_sector(sensor)

@@ -10,7 +10,7 @@ from cyclopts import Parameter
 from probedesign.cli.console import json_bytes, plural, print_json, print_table, show_progress, write_files
 from probedesign.cli.options import EXPORTS, JsonOutput
 from probedesign.core.errors import InputError
-from probedesign.core.files import backup, check_overwrite
+from probedesign.core.files import check_overwrite
 
 if TYPE_CHECKING:
     from probedesign.design.io import Change
@@ -113,22 +113,15 @@ def _write_design(
         The changes; the file written, if any; the backup of the file `out`, if there was one.
     """
     from probedesign.design import load_design
-    from probedesign.design.io import edit_text, write_design
-    from probedesign.identification.design_update import check_overwritable, design_changes
+    from probedesign.design.io import edit_text
+    from probedesign.identification.design_update import design_changes, write_changes
 
-    design, text = load_design(design_path), design_path.read_bytes().decode("utf-8-sig")
     day = date.today().isoformat()
-    changes = design_changes(found, design, day)
-    result = edit_text(text, changes, day, str(design_path))
-    if not write and out is None:
+    changes = design_changes(found, load_design(design_path), day)
+    if not write and out is None:  # checked all the same
+        edit_text(design_path.read_bytes().decode("utf-8-sig"), changes, day, str(design_path))
         return changes, None, None
-    if out is None:
-        check_overwritable(design, text, changes, str(design_path), force)
-        write_design(result, design_path, force=True)
-        return changes, design_path, None
-    kept = backup(out) if force else None
-    write_design(result, out, force=force)
-    return changes, out, kept
+    return changes, *write_changes(design_path, changes, day, out, force)
 
 
 def _print(found: "Identification") -> None:

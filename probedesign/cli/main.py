@@ -19,6 +19,8 @@ COMMANDS = {
     "check": "Check whether a design can be printed.",
     "export": "Write the parts to print: STL, STEP, 3MF and their manifest.",
     "print": "Prepare the exported parts in PreForm, and send them to a printer on request.",
+    "coupon": "Write a stepped cone and a rod to print and measure, with their measuring sheets.",
+    "measured": "Write diameters measured with calipers into a design.",
     "predict": "Predict sensitivity and contact error of a design.",
     "compare": "Compare several designs in a table and on a page.",
     "sweep": "Evaluate a grid of designs, on this machine or on a cluster.",

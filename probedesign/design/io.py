@@ -31,6 +31,7 @@ COMMENTS = {
     "probe.flatness": "diameter along y over that along x; the diameters here are along x",
     "probe.base_fillet_mm": "radius of the fillet at s = 0, between flank and flange",
     "probe.assumed": "dimensions that nobody has confirmed; every report names them",
+    "probe.measured": "dimensions measured on the print; diameters in [tolerances] go with them",
     "material.resin": "fills what is not given here",
     "material.shear_coefficient": "of the rod's section; 1 is the paper's",
     "material.identified_tests": "fingerprints of the tests that served; validate leaves them out",

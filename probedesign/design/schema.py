@@ -84,6 +84,7 @@ class ProbeTable(Table):
     flatness: Flatness | None = None
     base_fillet_mm: Annotated[float, Field(ge=0.2, le=5.0)] | None = None
     assumed: Annotated[tuple[str, ...], FromArray] = ()
+    measured: Annotated[tuple[Literal["base_d_mm", "tip_d_mm", "profile_mm"], ...], FromArray] = ()
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -1,4 +1,4 @@
-"""Changes of a design by an identification: values, their uncertainties and where they come from."""
+"""Changes of a design by measurements: values, their uncertainties and where they come from."""
 
 import json
 import tomllib
@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from probedesign.core.errors import InputError
+from probedesign.core.files import backup
 from probedesign.core.units import MPA
 from probedesign.design import Design
-from probedesign.design.io import Change
+from probedesign.design.io import Change, edit_text, load_design, write_design
 from probedesign.identification.parameters import PARAMETERS
 from probedesign.identification.result import Identification, Identified
 from probedesign.mount.root import stated_root_radii
@@ -90,6 +91,35 @@ def _value(one: Identified, found: Identification, day: str) -> Change:
     return Change(*_split_key(one.name), f"{one.value:.4g}", note)
 
 
+def write_changes(
+    design_path: Path, changes: tuple[Change, ...], day: str, out: Path | None, force: bool
+) -> tuple[Path, Path | None]:
+    """Write changes into a design file, which keeps its comments, its layout and the former values.
+
+    Args:
+        design_path: the design file.
+        changes: of its keys.
+        day: for the comments.
+        out: a file for a changed copy; None changes the design file itself.
+        force: replace values that were set or identified before, or the file `out`, of which a backup is kept.
+
+    Returns:
+        The file written; the backup of `out`, if there was one.
+
+    Raises:
+        InputError: a value or file must not be replaced, or a file cannot be written.
+    """
+    design, text = load_design(design_path), design_path.read_bytes().decode("utf-8-sig")
+    result = edit_text(text, changes, day, str(design_path))
+    if out is None:
+        check_overwritable(design, text, changes, str(design_path), force)
+        write_design(result, design_path, force=True)
+        return design_path, None
+    kept = backup(out) if force else None
+    write_design(result, out, force=force)
+    return out, kept
+
+
 def check_overwritable(
     design: Design, text: str, changes: tuple[Change, ...], where: str, force: bool
 ) -> None:
@@ -107,9 +137,12 @@ def check_overwritable(
 
 
 def _replaceable(change: Change, design: Design) -> bool:
-    """Return whether the change is a provenance, or of a value that is not identified yet or of its uncertainty."""
+    """Return whether the change is a provenance, or of a value that is not identified yet or of its uncertainty.
+
+    Drawn dimensions are what a measurement is for.
+    """
     key = f"{change.table}.{change.key}"
-    if change.table == "material.provenance" or key == "material.identified_tests":
+    if change.table in ("probe", "material.provenance") or key == "material.identified_tests":
         return True
     if key == "mount.root_rigid_radii":  # the default and the value of `new` are assumed; any other was set
         default = type(design.mount).model_fields["root_rigid_radii"].default

@@ -1,0 +1,156 @@
+"""Coupons of a design: a stepped cone and a straight rod in its resin, and sheets of the diameters to measure.
+
+Both parts stand upright on a foot, as the probe does. They are written unscaled, so that their drawn over their
+measured size is the scale of `[print]`.
+"""
+
+import hashlib
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import cadquery as cq
+import numpy as np
+
+from probedesign.cad.folder import MANIFEST, check_target, listed_digests, staged
+from probedesign.cad.kernel import revolved
+from probedesign.cad.mesh import MESH_LIMIT, tessellate
+from probedesign.cad.step import step_bytes
+from probedesign.core.errors import CheckFailedError, InputError
+from probedesign.core.stl import stl_bytes
+from probedesign.core.units import MM
+from probedesign.design import Design
+from probedesign.geometry import build_geometry
+
+STEPS = 5
+STEP_HEIGHT_MM = 8.0
+"""Height of a step [mm]: wider than the jaws of calipers, about 3 mm, with room to either edge (assumed)."""
+FOOT_RIM_MM, FOOT_HEIGHT_MM = 3.0, 3.0
+"""Rim and height of the foot [mm]: those of the probe's flange, about."""
+LEAST_RANGE = 0.7
+"""Smallest over largest diameter above which the steps go down to half of the largest."""
+SLENDERNESS = 10.0
+"""Length of the rod over its diameter, within 40 ... 100 mm."""
+PLACES = 7
+"""Places at which the probe is measured: from 5 to 95 % of its flank, one of them halfway."""
+CHECK_LIMIT = 1e-9
+"""Relative, of a solid's volume to its closed form, as in `verify`."""
+Disc = tuple[float, float, float]
+"""Diameter, and the heights between which it is [mm]."""
+
+
+def export_coupon(design: Design, out: Path | None) -> dict[str, Any]:
+    """Draw, check and write the coupons; see `probedesign.cad.export_coupon`."""
+    folder = Path(os.path.abspath(out or Path("exports") / design.name / "coupon"))
+    check_target(folder)
+    _check_sheets(folder)
+    fingerprint = build_geometry(design).fingerprint
+    steps, (rod_d, rod_length) = coupon_steps_mm(design), coupon_rod_mm(design)
+    parts = {
+        "coupon_steps": [(d, i * STEP_HEIGHT_MM, (i + 1) * STEP_HEIGHT_MM) for i, d in enumerate(steps)],
+        "coupon_rod": [(rod_d, 0.0, rod_length)],
+    }
+    contents = {
+        "coupon.csv": _coupon_sheet(design, parts).encode(),
+        "calipers.csv": _probe_sheet(design, fingerprint).encode(),
+    }
+    assembled, x = cq.Assembly(name=f"{design.name}-coupon"), 0.0
+    for name, discs in parts.items():
+        solid = _solid(name, discs)
+        mesh = tessellate(solid)
+        if not mesh.closed or abs(mesh.volume / (solid.Volume() * MM**3) - 1.0) > MESH_LIMIT:
+            raise CheckFailedError(f"{name}: the mesh is not closed, or omits more than {MESH_LIMIT:g}")
+        title = f"probedesign {fingerprint} {design.name} {name}"
+        contents[f"{name}.stl"] = stl_bytes(mesh.vertices[mesh.triangles], title)
+        assembled.add(solid, name=name, loc=cq.Location(cq.Vector(x, 0.0, 0.0)))
+        x += 2.0 * (steps[0] + 2.0 * FOOT_RIM_MM)
+    contents["coupon.step"] = step_bytes(assembled)
+    manifest = {
+        "name": design.name,
+        "fingerprint": fingerprint,
+        "resin": design.resin.name,
+        "steps_mm": list(steps),
+        "step_height_mm": STEP_HEIGHT_MM,
+        "rod_mm": [rod_d, rod_length],
+        "files": {
+            name: {"sha256": hashlib.sha256(content).hexdigest(), "size_bytes": len(content)}
+            for name, content in sorted(contents.items())
+        },
+    }
+    with staged(folder) as staging:
+        for name, content in contents.items():
+            (staging / name).write_bytes(content)
+        (staging / MANIFEST).write_text(json.dumps(manifest, indent=2, ensure_ascii=False) + "\n", "utf-8")
+    return {**manifest, "folder": str(folder)}
+
+
+def coupon_steps_mm(design: Design) -> tuple[float, ...]:
+    """Return the diameters of the stepped cone [mm]: the range of the design's, the widest first."""
+    diameters = [d for _, d in design.probe.blunt_mm]
+    largest, smallest = max(diameters), min(diameters)
+    if smallest > LEAST_RANGE * largest:
+        smallest = largest / 2.0
+    return tuple(round(float(d), 2) for d in np.linspace(largest, smallest, STEPS))
+
+
+def coupon_rod_mm(design: Design) -> tuple[float, float]:
+    """Return diameter and length of the rod [mm]: the diameter of the probe halfway up."""
+    s, d = zip(*design.probe.blunt_mm, strict=True)
+    diameter = round(float(np.interp(design.probe.length_mm / 2.0, s, d)), 2)
+    return diameter, round(min(max(SLENDERNESS * diameter, 40.0), 100.0), 1)
+
+
+def _solid(name: str, discs: list[Disc]) -> cq.Solid:
+    """Return the coupon: a foot below z = 0 and the discs above it, checked against their volume."""
+    foot = discs[0][0] + 2.0 * FOOT_RIM_MM
+    stack = [(foot, -FOOT_HEIGHT_MM, 0.0), *discs]
+    outline = [(0.0, -FOOT_HEIGHT_MM)]
+    for d, low, high in stack:
+        outline += [(d / 2.0, low), (d / 2.0, high)]
+    outline.append((0.0, stack[-1][2]))
+    solid = revolved([(r * MM, z * MM) for r, z in outline])
+    volume = sum(math.pi / 4.0 * d**2 * (high - low) for d, low, high in stack)
+    if not solid.isValid() or abs(solid.Volume() / volume - 1.0) > CHECK_LIMIT:
+        raise CheckFailedError(
+            f"{name}: the solid is not valid, or differs from its volume of {volume:.6g} mm³"
+        )
+    return solid
+
+
+def _check_sheets(folder: Path) -> None:
+    """Refuse to replace a sheet that was filled in."""
+    listed = listed_digests(folder)
+    for name in ("coupon.csv", "calipers.csv"):
+        path = folder / name
+        if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() != listed.get(name):
+            raise InputError(f"{path}: was filled in; move it, or name another folder with --out")
+
+
+def _coupon_sheet(design: Design, parts: dict[str, list[Disc]]) -> str:
+    lines = [
+        f"# coupons of {design.name}, {design.resin.product}: diameters along x and along y, at s above the foot",
+        "# scale_xy of [print] = mean of drawn over measured diameter: these parts are not scaled",
+        "part,s_mm,drawn_mm,diameter_x_mm,diameter_y_mm",
+    ]
+    for name, discs in parts.items():
+        for d, low, high in discs:
+            places = (0.5,) if name == "coupon_steps" else (0.1, 0.5, 0.9)
+            lines += [f"{name},{low + share * (high - low):g},{d:g},," for share in places]
+    return "\n".join(lines) + "\n"
+
+
+def _probe_sheet(design: Design, fingerprint: str) -> str:
+    probe = design.probe
+    s, d = zip(*probe.blunt_mm, strict=True)
+    along = "" if probe.section != "elliptic" else ", along x, the wider side"
+    lines = [
+        f"# fingerprint: {fingerprint}",
+        f"# diameters of {design.name}{along}; s from the top of the flange; std: of one reading, 0.03 mm if empty",
+        "s_mm,diameter_mm,std_mm,note",
+    ]
+    for share in np.linspace(0.05, 0.95, PLACES):
+        place = round(float(share) * probe.flank_end_mm, 1)
+        lines.append(f"{place:g},,,drawn {float(np.interp(place, s, d)):.3f} mm")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,114 @@
+"""The parts of a design as CadQuery objects: workplanes with tagged faces and bolt circles, and their assembly."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+import cadquery as cq
+
+from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad, printed_solid
+from probedesign.core.errors import CheckFailedError, InputError, unknown_name
+from probedesign.core.units import MM
+from probedesign.design import Design
+from probedesign.geometry import build_geometry
+from probedesign.mount import flange_adapter_for, mount_options, sensor_adapter_for
+from probedesign.mount.engraving import XY
+
+CHANGEABLE = ("probe", "sensor_adapter", "clamp_ring", "flange_adapter")
+"""Printed parts, which an assembly takes changed."""
+FLAT = 1e-6
+"""Largest distance of a face from its plane [mm], which covers round-off of the kernel."""
+
+
+def part_workplane(design: Design, part: str) -> cq.Workplane:
+    """Return one printed part; see `probedesign.cad.probe_solid` and the functions beside it."""
+    return _tagged(design, part, printed_solid(design, part))
+
+
+def assembly(design: Design, changed: Mapping[str, cq.Workplane]) -> cq.Assembly:
+    """Return all parts, placed in the sensor frame; see `probedesign.cad.assembly`."""
+    return assembly_of_changed(changed_model(design, changed), changed)
+
+
+def assembly_of_changed(model: CadModel, changed: Mapping[str, cq.Workplane]) -> cq.Assembly:
+    """Return the assembly of a model that contains changed parts; printed parts carry their tags."""
+    result = assembly_of(model.parts, model.design.name)
+    for part in model.printed:
+        kept = changed.get(part.name)
+        result.objects[part.name].obj = _tagged(model.design, part.name, part.shape) if kept is None else kept
+    return result
+
+
+def changed_model(design: Design, changed: Mapping[str, cq.Workplane]) -> CadModel:
+    """Return the CAD model of a design with some printed parts replaced.
+
+    Raises:
+        InputError: a name is not that of a printed part, or the part is not one solid.
+        CheckFailedError: the solid is not valid.
+    """
+    solids = {name: solid_of(name, part) for name, part in changed.items()}
+    model = build_cad(design)
+    parts: dict[str, CadPart] = {
+        name: replace(part, shape=solids[name]) if name in solids else part
+        for name, part in model.parts.items()
+    }
+    return replace(model, parts=parts)
+
+
+def solid_of(name: str, part: cq.Workplane) -> cq.Solid:
+    """Return the solid of a changed part.
+
+    Raises:
+        InputError: the name is not that of a printed part, or there is not exactly one solid.
+        CheckFailedError: the solid is not valid.
+    """
+    if name not in CHANGEABLE:
+        raise unknown_name("part", name, CHANGEABLE)
+    solids = part.findSolid().Solids() if isinstance(part, cq.Workplane) else []
+    if len(solids) != 1:
+        raise InputError(f"{name}: has {len(solids)} solids; give a CadQuery Workplane with one solid")
+    if not solids[0].isValid() or solids[0].Volume() <= 0.0:
+        raise CheckFailedError(f"{name}: the changed solid is not valid; check its last operation")
+    return solids[0]
+
+
+def _tagged(design: Design, part: str, solid: cq.Shape) -> cq.Workplane:
+    """Return a part's workplane with its tags: faces by their height, circles by the centres of their holes."""
+    geometry, sensor, options = build_geometry(design), design.sensor_model, mount_options(design)
+    a = sensor_adapter_for(geometry, sensor, design.name, options)
+    plate = flange_adapter_for(sensor, design.robot_flange, geometry.fingerprint, design.name, options)
+    faces: dict[str, float]
+    circles: dict[str, tuple[Iterable[XY], float]]
+    match part:
+        case "probe":
+            faces = {"base_plane": 0.0, "tip": geometry.length, "underside": -geometry.flange.thickness}
+            circles = {"clocking_mark": ([(a.peg_x, 0.0)], 0.0)}
+        case "sensor_adapter":
+            faces = {"tool_face": 0.0, "seat": a.floor, "rim": a.body_top}
+            circles = {"tool_screws": (a.p_tool_screws, 0.0), "dowels": (a.p_dowels, 0.0),
+                       "ring_screws": (a.p_ring_screws, a.body_top)}  # fmt: skip
+        case "clamp_ring":
+            faces = {"base_plane": 0.0, "top": a.ring_thickness}
+            circles = {"ring_screws": (a.p_ring_screws, a.ring_thickness)}
+        case _:
+            faces = {"robot_face": 0.0, "sensor_face": plate.plate_top}
+            circles = {"robot_bolts": (plate.p_bolts, plate.plate_top),
+                       "mounting_screws": (plate.p_mounting_screws, plate.plate_top),
+                       "centring_pins": (plate.p_centring_pins, plate.plate_top)}  # fmt: skip
+    work = cq.Workplane(obj=solid)
+    for name, z in faces.items():
+        work.newObject([_face_at(solid, z)]).tag(name)
+    for name, (points, z) in circles.items():
+        work.newObject([cq.Vertex.makeVertex(x / MM, y / MM, z / MM) for x, y in points]).tag(name)
+    return work
+
+
+def _face_at(solid: cq.Shape, z: float) -> cq.Face:
+    """Return the largest flat face at a height [m], across the z axis."""
+    found = [
+        face
+        for face in solid.Faces()
+        if face.geomType() == "PLANE"
+        and abs(face.Center().z - z / MM) < FLAT
+        and abs(face.normalAt().z) > 1.0 - FLAT
+    ]
+    return max(found, key=lambda face: face.Area())

@@ -1,0 +1,30 @@
+"""`probedesign coupon`: write parts to print and measure, with their measuring sheets."""
+
+from pathlib import Path
+
+from probedesign.cli.console import print_json
+from probedesign.cli.options import JsonOutput
+
+
+def coupon(design: Path, /, *, out: Path | None = None, as_json: JsonOutput = False) -> None:
+    """Write a stepped cone and a straight rod in the probe's resin, and sheets for diameters. Needs the extra 'cad'.
+
+    Args:
+        design: the design file.
+        out: output folder. Default: exports/NAME/coupon.
+        as_json: print the manifest instead of a summary.
+    """
+    from probedesign import pipeline
+    from probedesign.design import load_design
+
+    manifest = pipeline.export_coupon(load_design(design), out)
+    if as_json:
+        print_json(manifest)
+        return
+    print(f"wrote {manifest['folder']}: {', '.join(manifest['files'])}")
+    diameters = ", ".join(f"{d:g}" for d in manifest["steps_mm"])
+    (rod_d, rod_length) = manifest["rod_mm"]
+    print(f"  stepped cone: Ø {diameters} mm, {manifest['step_height_mm']:g} mm each")
+    print(f"  straight rod: Ø {rod_d:g} mm, {rod_length:g} mm long")
+    print("  coupon.csv: drawn over measured diameter is scale_xy of [print]; the parts are not scaled")
+    print(f"  calipers.csv: diameters of the probe, for: probedesign measured {design} calipers.csv")

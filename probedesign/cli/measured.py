@@ -1,0 +1,61 @@
+"""`probedesign measured`: write diameters measured with calipers into a design."""
+
+from datetime import date
+from pathlib import Path
+
+from probedesign.cli.console import plural, print_json
+from probedesign.cli.options import JsonOutput
+from probedesign.core.files import check_overwrite
+
+
+def measured(
+    design: Path,
+    calipers: Path,
+    /,
+    *,
+    calipers_std_mm: float = 0.02,
+    out: Path | None = None,
+    force: bool = False,
+    as_json: JsonOutput = False,
+) -> None:
+    """Write diameters measured with calipers and their uncertainty into a design, whose error budget shrinks.
+
+    Args:
+        design: the design file.
+        calipers: CSV file with the columns s_mm, diameter_mm and std_mm (docs/parts.md); `coupon` writes an empty one.
+        calipers_std_mm: standard deviation of the error that all readings share [mm].
+        out: write a changed copy of the design to this file instead.
+        force: replace tolerances that were set before, or the file of --out, which is kept as FILE.old.
+        as_json: print one JSON document.
+    """
+    from probedesign import pipeline
+    from probedesign.design import load_design
+    from probedesign.geometry import build_geometry
+    from probedesign.identification.design_update import write_changes
+    from probedesign.identification.measured_diameters import diameter_changes, read_calipers
+
+    if out is not None:
+        check_overwrite(out, force)
+    start = load_design(design)
+    found = pipeline.measure(start, read_calipers(calipers, start), calipers_std_mm)
+    day = date.today().isoformat()
+    changes = diameter_changes(found, start, day)
+    path, kept = write_changes(design, changes, day, out, force)
+    fingerprint = build_geometry(load_design(path)).fingerprint
+    if as_json:
+        print_json({**found.as_dict(), "fingerprint": fingerprint, "changes": changes,
+                    "design_written": path, "design_kept": kept})  # fmt: skip
+        return
+    print(f"wrote {path}: {plural(found.readings, 'reading')}; the former values are kept as comments")
+    for s, drawn, mean, std in zip(found.s, found.drawn, found.measured, found.std, strict=True):
+        print(f"  s = {s:g} mm: {mean:.3f} ± {std:.3f} mm (drawn: {drawn:g} mm; one standard deviation)")
+    (common, scatter), (together, each) = found.before, found.after
+    print(f"  tolerance of all diameters together: {together:.3f} mm (before: {common:.3f} mm); "
+          f"of each for itself: {each:.3f} mm (before: {scatter:.3f} mm)")  # fmt: skip
+    if found.scale > 1.0:
+        print(
+            f"  note: the readings scatter by {found.scale:.1f} times their standard deviation, which was widened"
+        )
+    print(f"  the geometry is now {fingerprint}: deploy the probe again, with this design")
+    if kept is not None:
+        print(f"kept the former {out} as {kept}")

@@ -1,0 +1,272 @@
+"""Diameters of a print from calipers: least squares with the print's tolerance as prior, and their place in a design.
+
+The diameters d of the K knots have the prior N(d_drawn, c cᵀ + σ² I) of the design's tolerances: a deviation c of all
+knots together and a scatter σ of each for itself. A reading at s is y = A(s) d + o + e, linear between the knots, with
+an error e of its own and an error o of the calipers that all readings share. The posterior covariance C goes into the
+design as the least a² 1 1ᵀ + b² I that covers it, so that no direction becomes more certain than C.
+
+Source: normal linear model with known covariance; the scale of e is that of the residuals where they are greater
+(R. T. Birge, Physical Review 40 (1932) 207).
+"""
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from probedesign.core.csv_tables import TableRows, TableSchema, read_rows
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
+from probedesign.design import Design
+from probedesign.design.io import Change
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.geometry import build_geometry
+from probedesign.geometry.probe_geometry import filleted
+
+READING_STD_MM = 0.03
+"""Standard deviation of one reading where its cell is empty [mm]: the jaws indent a soft resin. Assumed."""
+CALIPERS_STD_MM = 0.02
+"""Standard deviation of the error that all readings share [mm]: ±0.03 mm of digital calipers (DIN 862), and the force
+of the jaws on a soft resin. Assumed."""
+MAX_DEVIATIONS = 4.0
+"""Standard deviations from the drawn diameter beyond which a reading is of another probe."""
+SCHEMA = TableSchema(
+    what="table of measured diameters",
+    kinds={"s": "length", "diameter": "length", "std": "length"},
+    required=("s", "diameter"),
+    like="s_mm,diameter_mm,std_mm",
+    aliases={"d": "diameter"},
+)
+
+
+@dataclass(frozen=True)
+class Calipers:
+    """Measured diameters of one print; of an elliptic section along x.
+
+    Attributes:
+        s: arclength of each reading [mm], (n,).
+        diameter: [mm], (n,).
+        std: of each reading by itself [mm], (n,).
+        places: file and line of each reading, for messages.
+    """
+
+    s: Array
+    diameter: Array
+    std: Array
+    places: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class MeasuredDiameters:
+    """Diameters of the knots after a measurement.
+
+    Attributes:
+        s: knots of the blunt body [mm], (K,).
+        drawn: diameters of the design [mm], (K,).
+        measured: posterior mean [mm], (K,).
+        cov: posterior covariance [mm²], (K, K); of a cylinder that of its one diameter, (1, 1).
+        readings: number of readings.
+        scale: factor on the readings' standard deviations; above 1 where they scatter more than stated.
+        before, after: standard deviations before and after: of all diameters together, and of each for itself [mm].
+    """
+
+    s: Array
+    drawn: Array
+    measured: Array
+    cov: Array
+    readings: int
+    scale: float
+    before: tuple[float, float]
+    after: tuple[float, float]
+
+    @property
+    def std(self) -> Array:
+        """Return the standard deviation of each measured diameter [mm], (K,)."""
+        return np.asarray(np.sqrt(np.diag(self.cov))) * np.ones(len(self.s))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the measurement as plain data."""
+        return {
+            "s_mm": self.s.tolist(),
+            "drawn_mm": self.drawn.tolist(),
+            "measured_mm": self.measured.tolist(),
+            "std_mm": self.std.tolist(),
+            "readings": self.readings,
+            "scale": self.scale,
+            "diameter_mm": {"before": self.before[0], "after": self.after[0]},
+            "diameter_scatter_mm": {"before": self.before[1], "after": self.after[1]},
+        }
+
+
+def read_calipers(path: Path, design: Design) -> Calipers:
+    """Read a table of measured diameters.
+
+    Args:
+        path: CSV file with the columns s, diameter and, optionally, std, each with its unit; a comment
+            `# fingerprint: DIGITS` names the geometry that was printed.
+        design: of the printed probe.
+
+    Raises:
+        InputError: the file cannot be used, is of another probe, or a place is not on the flank.
+    """
+    rows = read_rows(path, SCHEMA)
+    _check_fingerprint(rows, build_geometry(design).fingerprint)
+    values = rows.required("s", "diameter") / MM
+    none_needed = np.zeros(len(rows), dtype=bool)
+    std = rows.std("std", none_needed, "") / MM
+    probe = design.probe
+    first = 0.0 if probe.base_fillet_mm is None else filleted(probe.blunt_mm, probe.base_fillet_mm)[1]
+    last = probe.flank_end_mm
+    for row in np.flatnonzero((values[:, 0] < first) | (values[:, 0] > last))[:1]:
+        rows.fail(
+            int(row),
+            f"s = {values[row, 0]:g} mm is not on the flank, {first:.4g} ... {last:.4g} mm from the base",
+        )
+    for row in np.flatnonzero(values[:, 1] <= 0.0)[:1]:
+        rows.fail(
+            int(row), f"diameter = {values[row, 1]:g} mm is not positive; write the reading of the calipers"
+        )
+    std = np.where(np.isnan(std), READING_STD_MM, std)
+    places = tuple(f"{path}:{number}" for number in rows.lines.numbers)
+    return Calipers(values[:, 0], values[:, 1], std, places)
+
+
+def _check_fingerprint(rows: TableRows, fingerprint: str) -> None:
+    for number, line in rows.lines.comments:
+        named = re.match(r"\s*#\s*fingerprint\s*[:=]\s*(\w*)", line, re.IGNORECASE)
+        if named and named[1].lower() != fingerprint:
+            rows.lines.fail(
+                number,
+                f"the calipers are of geometry {named[1]!r}, the design has {fingerprint}; name the design of this "
+                "print, which a measurement may have changed since",
+            )
+
+
+def fit_diameters(
+    design: Design, tolerances: Tolerances, calipers: Calipers, calipers_std_mm: float = CALIPERS_STD_MM
+) -> MeasuredDiameters:
+    """Return the diameters of the knots by least squares, with the print's tolerance as prior.
+
+    Args:
+        design: the drawn probe.
+        tolerances: standard deviations before the measurement.
+        calipers: the readings.
+        calipers_std_mm: standard deviation of the error that all readings share [mm].
+
+    Raises:
+        InputError: a reading deviates more than the print's tolerance allows, or the standard deviation is not one.
+    """
+    if not 0.0 <= calipers_std_mm <= 1.0:
+        raise InputError(f"calipers_std_mm = {calipers_std_mm:g} must lie in 0 ... 1")
+    s, drawn = (np.array(column) for column in zip(*design.probe.blunt_mm, strict=True))
+    common = np.maximum(tolerances.diameter_mm, tolerances.diameter_share * drawn)
+    scatter, one = tolerances.diameter_scatter_mm, design.probe.shape == "cylinder"
+    # a cylinder's one diameter is the mean of its knots, whose scatter the readings have as well
+    A = np.ones((len(calipers.s), 1)) if one else _weights(s, calipers.s)
+    x, c = (drawn[:1], common[:1]) if one else (drawn, common)
+    prior = np.outer(c, c) + (0.0 if one else scatter**2) * np.eye(len(x))
+    own = calipers.std**2 + (scatter**2 if one else 0.0)
+    scale = _scatter_of(A, calipers.diameter, np.sqrt(own))
+    noise = np.diag(scale**2 * own) + calipers_std_mm**2
+    deviation = calipers.diameter - A @ x
+    stated = A @ prior @ A.T + np.diag(own) + calipers_std_mm**2  # not widened: another probe scatters, too
+    _check_probe(calipers, deviation, np.sqrt(np.diag(stated)))
+    gain = np.linalg.solve(A @ prior @ A.T + noise, A @ prior).T
+    joseph = np.eye(len(x)) - gain @ A  # the form that stays positive
+    cov = joseph @ prior @ joseph.T + gain @ noise @ gain.T
+    together, each = (float(np.sqrt(cov[0, 0])), scatter) if one else covering(cov)
+    measured = np.round((x + gain @ deviation) * np.ones(len(s)), 3)  # a design gets micrometres
+    return MeasuredDiameters(
+        s, drawn, measured, cov, len(calipers.s), scale, (float(common.max()), scatter), (together, each)
+    )
+
+
+def _weights(knots: Array, s: Array) -> Array:
+    """Return the weights of the knots at s, (n, K)."""
+    return np.column_stack([np.interp(s, knots, unit) for unit in np.eye(len(knots))])
+
+
+def _scatter_of(A: Array, y: Array, std: Array) -> float:
+    """Return by how much readings scatter about straight pieces, in their standard deviations; at least 1."""
+    W = A / std[:, None]
+    x, _, rank, _ = np.linalg.lstsq(W, y / std, rcond=None)
+    free = len(y) - int(rank)
+    return 1.0 if free < 1 else max(1.0, float(np.linalg.norm(W @ x - y / std)) / float(np.sqrt(free)))
+
+
+def _check_probe(calipers: Calipers, deviation: Array, std: Array) -> None:
+    worst = int(np.argmax(np.abs(deviation) / std))
+    if abs(deviation[worst]) > MAX_DEVIATIONS * std[worst]:
+        y = calipers.diameter[worst]
+        raise InputError(
+            f"{calipers.places[worst]}: diameter = {y:g} mm where the design has {y - deviation[worst]:.3f} mm at "
+            f"s = {calipers.s[worst]:g} mm; the tolerance of the print allows ±{MAX_DEVIATIONS * std[worst]:.2f} mm: "
+            "check probe, unit and place, or widen diameter_mm in [tolerances]"
+        )
+
+
+def covering(cov: Array) -> tuple[float, float]:
+    """Return the least a and b with a² 1 1ᵀ + b² I ⪰ C, by the sum of the variances.
+
+    Args:
+        cov: C, positive definite, (K, K).
+    """
+    ones = np.ones_like(cov)
+
+    def rest(square: float) -> float:
+        return max(float(np.linalg.eigvalsh(cov - square * ones)[-1]), 0.0)
+
+    most = float(np.diag(cov).max())
+    found = minimize_scalar(
+        lambda square: square + rest(square),
+        bounds=(0.0, most),
+        method="bounded",
+        options={"xatol": 1e-9 * most},
+    )
+    square = float(found.x)
+    return float(np.sqrt(square)), float(np.sqrt(rest(square)))
+
+
+def diameter_changes(found: MeasuredDiameters, design: Design, day: str) -> tuple[Change, ...]:
+    """Return the changes of a design by measured diameters: the dimensions, their provenance and the tolerances.
+
+    Where E was identified with the former diameters, it changes with the base diameter as
+    `youngs_modulus_by_diameter` states, because it is E·d⁴ that was measured.
+
+    Args:
+        found: the measured diameters.
+        design: that was measured.
+        day: for the comments.
+    """
+    probe = design.probe
+    mean = [float(d) for d in found.measured]
+    note = f"measured {day}, {found.readings} readings: ± {{:.2g}} mm (one standard deviation)"
+    values: dict[str, tuple[str, str]] = {"base_d_mm": (repr(mean[0]), note.format(found.std[0]))}
+    if probe.tip_d_mm is not None:
+        values["tip_d_mm"] = (repr(mean[-1]), note.format(found.std[-1]))
+    if probe.profile_mm is not None:
+        pairs = [[float(s), d] for s, d in zip(found.s, mean, strict=True)]
+        values["profile_mm"] = (json.dumps(pairs), note.format(found.std.max()))
+    changes = [Change("probe", key, text, comment) for key, (text, comment) in values.items()]
+    changes.append(Change("probe", "measured", json.dumps(list(values)), "dimensions measured on the print"))
+    if set(probe.assumed) & set(values):
+        kept = [key for key in probe.assumed if key not in values]
+        changes.append(Change("probe", "assumed", json.dumps(kept)))
+    together, each = found.after
+    after = f"measured {day}: "
+    changes += [
+        Change("tolerances", "diameter_mm", f"{together:.3g}", after + "of all diameters together"),
+        Change("tolerances", "diameter_share", "0.0", after + "diameter_mm holds for all diameters"),
+        Change("tolerances", "diameter_scatter_mm", f"{each:.3g}", after + "of each diameter for itself"),
+    ]
+    power = design.tolerances.youngs_modulus_by_diameter or 0.0
+    if power and design.material.youngs_modulus_mpa is not None:
+        E = design.material.youngs_modulus_mpa * (mean[0] / float(found.drawn[0])) ** power
+        because = f"changed {day} with the base diameter, to the power {power:g}; identify again"
+        changes.append(Change("material", "youngs_modulus_mpa", f"{E:.4g}", because))
+    return tuple(changes)

@@ -1,0 +1,102 @@
+"""The parts as CadQuery objects: tags, poses and colours of the assembly, and the export of changed parts."""
+
+import hashlib
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip install 'probedesign[cad]'")
+
+import cadquery as cq
+
+from probedesign.cad import assembly, export_changed, flange_adapter, probe_solid, sensor_adapter
+from probedesign.core.errors import CheckFailedError, InputError
+from probedesign.design import parse_design
+from probedesign.design.io import render_design, write_design
+
+EXAMPLE = Path(__file__).parents[2] / "examples/changed_adapter.py"
+LARGE = parse_design(
+    'schema = 1\nname = "large"\n[probe]\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n'
+)
+FLANGE = LARGE.robot_flange
+
+
+def test_tags_of_the_probe_are_base_plane_and_tip() -> None:
+    part = probe_solid(LARGE)
+    base, tip = part.faces(tag="base_plane").val(), part.faces(tag="tip").val()
+    assert abs(base.Center().z) < 1e-9 and abs(tip.Center().z - 150.0) < 1e-9  # [mm], round-off
+    assert tip.Area() == pytest.approx(math.pi, rel=1e-9)  # Ø2 mm
+    assert part.solids().size() == 1
+
+
+def test_bolt_circle_of_the_robot_lies_on_its_holes() -> None:
+    part = flange_adapter(LARGE)
+    centres = [v.toTuple() for v in part.vertices(tag="robot_bolts").vals()]
+    radii = [2e-3 * math.hypot(x, y) for x, y, _ in centres]
+    assert np.allclose(radii, FLANGE.bolt_circle_d)
+    wider = part.faces(tag="sensor_face").workplane(origin=(0, 0, 0)).vertices(tag="robot_bolts").hole(8.0)
+    thickness = centres[0][2]
+    clearance = FLANGE.screw.clearance_d * 1e3
+    ring = math.pi / 4 * (8.0**2 - clearance**2) * thickness
+    # drilled concentrically, each of the four holes loses exactly a ring; the engraving and the pocket are elsewhere
+    assert part.val().Volume() - wider.findSolid().Volume() == pytest.approx(4 * ring, rel=1e-6)
+
+
+def test_assembly_has_names_colours_tags_and_poses(large: Any) -> None:
+    whole = assembly(LARGE)
+    assert {"probe", "sensor_adapter", "clamp_ring", "flange_adapter", "sensor"} <= set(whole.objects)
+    assert whole.objects["probe"].color.toTuple()[:3] == pytest.approx(large.parts["probe"].color, abs=1e-6)
+    probe = whole.objects["probe"]
+    tip = probe.obj.faces(tag="tip").val().moved(probe.loc).Center()
+    assert tip.z == pytest.approx(150.0 + 1e3 * large.adapter.T_sensor_base[2, 3])
+    # a tag that a constraint of CadQuery names
+    whole.constrain("probe?base_plane", "clamp_ring?base_plane", "Plane", param=0)
+
+
+def test_changed_part_is_exported_with_its_manifest(tmp_path: Path) -> None:
+    path, out = tmp_path / "large.toml", tmp_path / "changed"
+    write_design(render_design(LARGE), path)
+    done = subprocess.run(
+        [sys.executable, EXAMPLE, path, out], capture_output=True, text=True, check=False
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    manifest = json.loads((out / "manifest.json").read_text("utf-8"))
+    assert {"flange_adapter.stl", "flange_adapter.step", "assembly.step", "assembly.glb"} == set(
+        manifest["files"]
+    )
+    for name, record in manifest["files"].items():
+        assert hashlib.sha256((out / name).read_bytes()).hexdigest() == record["sha256"]
+    mass = manifest["changed"]["flange_adapter"]
+    density = manifest["parts"]["flange_adapter"]["density_kg_m3"]
+    hole = math.pi / 4 * 2.5**2 * 4.0 * 1e-9
+    assert mass["mass_as_designed_kg"] - mass["mass_kg"] == pytest.approx(density * hole, rel=1e-6)
+    read = cq.importers.importStep(str(out / "flange_adapter.step"))
+    assert read.val().Volume() * 1e-9 == pytest.approx(
+        manifest["parts"]["flange_adapter"]["volume_m3"], rel=1e-6
+    )
+
+
+def test_part_that_touches_the_sensor_is_refused(tmp_path: Path) -> None:
+    part = sensor_adapter(LARGE)
+    grown = part.union(
+        cq.Workplane(origin=(0, 0, 0.5)).circle(12.0).circle(6.0).extrude(-5.0)
+    )  # a skirt around the sensor's body
+    with pytest.raises(CheckFailedError, match="below_tool_face"):
+        export_changed(LARGE, tmp_path / "out", sensor_adapter=grown)
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_is_no_changed_part_is_refused(tmp_path: Path) -> None:
+    two = cq.Workplane().box(1, 1, 1).add(cq.Solid.makeBox(1, 1, 1, cq.Vector(5, 0, 0))).combine()
+    with pytest.raises(InputError, match="2 solids"):
+        assembly(LARGE, clamp_ring=two)
+    with pytest.raises(InputError, match="clamp_rng"):
+        assembly(LARGE, clamp_rng=two)
+    with pytest.raises(InputError, match="no part"):
+        export_changed(LARGE, tmp_path)

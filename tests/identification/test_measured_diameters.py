@@ -1,0 +1,199 @@
+"""Diameters from calipers: limits of the least squares, coverage, refusals, and the change of a design."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from probedesign.cli.main import run
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
+from probedesign.design import Design, load_design, parse_design
+from probedesign.design.io import render_design, write_design
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.geometry import build_geometry
+from probedesign.identification.measured_diameters import (
+    Calipers,
+    covering,
+    fit_diameters,
+    read_calipers,
+)
+from probedesign.probe import build_probe
+
+CONE = "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0"
+CYLINDER = 'shape = "cylinder"\nlength_mm = 80.0\nbase_d_mm = 6.0'
+PROFILE = (
+    'shape = "profile"\nlength_mm = 120.0\nbase_d_mm = 12.0\n'
+    "profile_mm = [[0, 12], [40, 13], [60, 7], [80, 7], [120, 2]]"
+)
+PRIOR = Tolerances()
+
+
+def design_of(probe: str = CONE, more: str = "") -> Design:
+    return parse_design(f'schema = 1\nname = "p"\n[probe]\n{probe}\n{more}')
+
+
+def readings(s: Array, d: Array, std: float = 0.03) -> Calipers:
+    return Calipers(s, d, np.full(len(s), std), tuple(f"row {i}" for i in range(len(s))))
+
+
+def test_many_exact_readings_determine_the_knots() -> None:
+    s = np.linspace(1.0, 149.0, 60)
+    found = fit_diameters(design_of(), PRIOR, readings(s, np.interp(s, [0, 150], [12.1, 2.04]), 1e-4), 0.0)
+    assert np.allclose(found.measured, [12.1, 2.04], atol=1e-3)  # a design gets micrometres
+    assert max(found.after) < 1e-3
+
+
+def test_readings_of_the_drawn_size_confirm_it_and_shrink_the_tolerance() -> None:
+    s = np.array([10.0, 75.0, 140.0])
+    found = fit_diameters(design_of(), PRIOR, readings(s, np.interp(s, [0, 150], [12.0, 2.0])))
+    assert np.allclose(found.measured, found.drawn)
+    assert found.after[0] < found.before[0] / 2 and found.after[1] <= found.before[1]
+
+
+def test_poor_readings_leave_the_prior() -> None:
+    s = np.array([10.0, 140.0])
+    found = fit_diameters(design_of(), PRIOR, readings(s, np.interp(s, [0, 150], [12.1, 2.1]), 100.0))
+    assert np.allclose(found.measured, found.drawn, atol=1e-3)
+    assert found.after == pytest.approx((PRIOR.diameter_mm, PRIOR.diameter_scatter_mm), rel=1e-3)
+
+
+def test_error_of_the_calipers_is_a_floor() -> None:
+    s = np.linspace(1.0, 149.0, 2000)
+    found = fit_diameters(design_of(), PRIOR, readings(s, np.interp(s, [0, 150], [12.0, 2.0])), 0.02)
+    # with one common error the mean cannot be better than 0.02 and the prior together
+    floor = 1.0 / np.sqrt(1.0 / 0.02**2 + 1.0 / (PRIOR.diameter_mm**2 + PRIOR.diameter_scatter_mm**2 / 2))
+    assert found.std.min() > 0.99 * floor
+
+
+def test_scattered_readings_widen_their_uncertainty() -> None:
+    s, signs = np.linspace(5.0, 145.0, 20), np.tile([0.15, -0.15], 10)
+    tidy = fit_diameters(design_of(), PRIOR, readings(s, np.interp(s, [0, 150], [12.0, 2.0])))
+    rough = fit_diameters(design_of(), PRIOR, readings(s, np.interp(s, [0, 150], [12.0, 2.0]) + signs))
+    assert tidy.scale == 1.0 and rough.scale == pytest.approx(
+        5.0, rel=0.1
+    )  # 0.15 over 0.03, two knots fitted
+    assert (rough.std > tidy.std).all()
+
+
+@pytest.mark.parametrize("probe", [CONE, CYLINDER, PROFILE])
+def test_intervals_cover_true_diameters(probe: str) -> None:
+    """Prints and readings drawn from the priors: 95 % intervals contain 95 % of the diameters."""
+    design, rng = design_of(probe), np.random.default_rng(3)
+    knots, drawn = (np.array(x) for x in zip(*design.probe.blunt_mm, strict=True))
+    s = np.linspace(0.05, 0.95, 7) * design.probe.length_mm
+    deviations = []
+    for _ in range(400):
+        each = 0.0 if design.probe.shape == "cylinder" else rng.normal(size=len(knots))
+        common = np.maximum(PRIOR.diameter_mm, PRIOR.diameter_share * drawn)
+        true = drawn + common * rng.normal() + PRIOR.diameter_scatter_mm * each
+        own = np.hypot(0.03, PRIOR.diameter_scatter_mm) if design.probe.shape == "cylinder" else 0.03
+        y = np.interp(s, knots, true) + 0.02 * rng.normal() + own * rng.normal(size=len(s))
+        found = fit_diameters(design, PRIOR, readings(s, y))
+        deviations.append((found.measured - true) / found.std)
+    inside = float((np.abs(np.array(deviations)) < 1.96).mean())
+    # 400 prints with correlated knots: ±0.03 is three standard deviations; a scale that only widens adds a little
+    assert 0.92 < inside < 0.985
+
+
+def test_covering_is_no_smaller_and_exact_where_it_can_be() -> None:
+    a, b = covering(0.3**2 * np.ones((4, 4)) + 0.1**2 * np.eye(4))
+    assert (a, b) == pytest.approx((0.3, 0.1), rel=1e-4)
+    rng = np.random.default_rng(0)
+    for K in (2, 3, 7):
+        X = rng.normal(size=(K, K))
+        a, b = covering(X @ X.T)
+        gap = np.linalg.eigvalsh(a**2 * np.ones((K, K)) + b**2 * np.eye(K) - X @ X.T)
+        assert gap[0] > -1e-9 * gap[-1]  # round-off
+
+
+@pytest.mark.parametrize(
+    ("content", "named"),
+    [
+        ("s_mm,diameter_mm\n75,nan\n", "nan"),
+        ("s_mm,diameter_mm\n75,\n", "empty"),
+        ("s_mm,diameter_inch\n75,0.27\n", "inch"),
+        ("s_mm,diameter_mm,colour\n75,7.0,red\n", "colour"),
+        ("s_mm,diameter_mm\n75,0.7\n", "0.7 mm"),  # written in centimetres
+        ("s_mm,diameter_mm\n75,8.0\n", "8 mm"),  # of another probe
+        ("s_mm,diameter_mm\n75,-7.0\n", "positive"),
+        ("s_mm,diameter_mm\n151,2.0\n", "flank"),
+        ("s_mm,diameter_mm,std_mm\n75,7.0,0\n", "standard deviation"),
+        ("# fingerprint: 0123456789ab\ns_mm,diameter_mm\n75,7.0\n", "0123456789ab"),
+        ("s_mm,diameter_mm\n", "no rows"),
+        ("", "empty"),
+    ],
+)
+def test_unusable_readings_are_refused_and_nothing_is_written(
+    content: str, named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, calipers = tmp_path / "p.toml", tmp_path / "calipers.csv"
+    write_design(render_design(design_of()), path)
+    before = path.read_bytes()
+    calipers.write_text(content)
+    assert run(["measured", str(path), str(calipers)]) == 2
+    message = capsys.readouterr().err
+    assert named in message and message.count("\n") == 1
+    assert path.read_bytes() == before and sorted(p.name for p in tmp_path.iterdir()) == [
+        "calipers.csv",
+        "p.toml",
+    ]
+
+
+def test_readings_on_a_rounding_or_a_fillet_are_refused(tmp_path: Path) -> None:
+    design = design_of(f'{CONE}\ntip = "rounded"\nbase_fillet_mm = 2.0')
+    path = tmp_path / "calipers.csv"
+    for s in (0.5, 149.9):
+        path.write_text(f"s_mm,diameter_mm\n{s},7.0\n")
+        with pytest.raises(InputError, match="flank"):
+            read_calipers(path, design)
+
+
+@pytest.mark.parametrize("probe", [CONE, CYLINDER, PROFILE])
+def test_measured_design_has_the_diameters_and_a_smaller_budget(probe: str, tmp_path: Path) -> None:
+    design, path, calipers = design_of(probe), tmp_path / "p.toml", tmp_path / "calipers.csv"
+    write_design(render_design(design), path)
+    geometry = build_geometry(design)
+    s = np.linspace(0.1, 0.9, 5) * design.probe.length_mm
+    rows = "".join(f"{x:.2f},{2e3 * float(geometry.radius_at(x * 1e-3)) + 0.06:.4f}\n" for x in s)
+    calipers.write_text(f"# fingerprint: {geometry.fingerprint}\ns_mm,diameter_mm\n{rows}")
+    out = tmp_path / "measured.toml"
+    assert run(["measured", str(path), str(calipers), "--out", str(out)]) == 0
+    assert load_design(path) == design  # the drawn design stays
+    changed = load_design(out)
+    assert set(changed.probe.measured) >= {"base_d_mm"}
+    before, after = build_probe(design), build_probe(changed)
+    shift = 2e3 * (after.geometry.radius - before.geometry.radius)
+    assert ((shift > 0.02) & (shift < 0.06)).all()  # between the drawn size and the readings
+    assert after.tolerances.diameter_mm < 0.5 * before.tolerances.diameter_mm
+    touch = {"fractions": [0.8], "forces_N": [0.02], "directions": ["+y"]}
+    budgets = [p.predict(**touch).conditions[0].budget_mm["diameter"] for p in (before, after)]
+    assert budgets[1] < 0.5 * budgets[0]
+    # the same readings again are of the former geometry
+    assert run(["measured", str(out), str(calipers)]) == 2
+
+
+def test_tolerances_of_the_user_are_kept_without_force(tmp_path: Path) -> None:
+    path, calipers = tmp_path / "p.toml", tmp_path / "calipers.csv"
+    write_design(render_design(design_of(more="[tolerances]\ndiameter_mm = 0.05\n")), path)
+    before = path.read_bytes()
+    calipers.write_text("s_mm,diameter_mm\n75,7.03\n")
+    assert run(["measured", str(path), str(calipers)]) == 2 and path.read_bytes() == before
+    assert run(["measured", str(path), str(calipers), "--force"]) == 0
+    assert "diameter_mm = 0.05" in path.read_text()  # as a comment
+    assert load_design(path).tolerances.diameter_mm < 0.05
+
+
+def test_identified_E_keeps_the_measured_stiffness(tmp_path: Path) -> None:
+    path, calipers = tmp_path / "p.toml", tmp_path / "calipers.csv"
+    more = (
+        '[material]\nyoungs_modulus_mpa = 2.0\n[material.provenance]\nyoungs_modulus_mpa = "identified"\n'
+        "[tolerances]\nyoungs_modulus_by_diameter = -4.0\n"
+    )
+    write_design(render_design(design_of(more=more)), path)
+    calipers.write_text("s_mm,diameter_mm\n10,11.42\n75,7.09\n")
+    assert run(["measured", str(path), str(calipers)]) == 2  # E was identified
+    assert run(["measured", str(path), str(calipers), "--force"]) == 0
+    changed = load_design(path)
+    d = changed.probe.base_d_mm
+    assert d > 12.03 and changed.youngs_modulus.value * d**4 == pytest.approx(2e6 * 12.0**4, rel=1e-3)
