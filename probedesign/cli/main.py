@@ -79,7 +79,7 @@ def build_app() -> "App":
         exit_on_error=False,
         suppress_keyboard_interrupt=False,
         result_action="return_value",
-        config=(Env(ENVIRONMENT), Dict(settings, source=path)),
+        config=(Env(ENVIRONMENT, show=False), Dict(settings, source=path)),
     )
     for sort_key, (name, line) in enumerate(COMMANDS.items()):
         function = FUNCTIONS.get(name, f"{name}:{name}")
