@@ -13,8 +13,9 @@ STEP_END = b"END-ISO-10303-21;"
 EPOCH = "1970-01-01T00:00:00"
 """Time in the header of every file, as ISO 10303-21 requires one."""
 _HEADER_TIME = re.compile(r"'\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d'")
-_OCCURRENCE = re.compile(r"(?<=NEXT_ASSEMBLY_USAGE_OCCURRENCE\(')\d+(?=')")
-"""Number of a part in its assembly, which the kernel counts through all assemblies of a process."""
+_OCCURRENCE = re.compile(r"(NEXT_ASSEMBLY_USAGE_OCCURRENCE\(')\d+('.*?\);)", re.DOTALL)
+"""A part in its assembly, with a number that the kernel counts through all assemblies of a process."""
+_LINE_BREAK = re.compile(r"\s*\n\s*")
 _ENTITY = re.compile(r"^#(\d+) = (.*?);$", re.MULTILINE | re.DOTALL)
 _REFERENCE = re.compile(r"#(\d+)")
 _STYLES = "MECHANICAL_DESIGN_GEOMETRIC_PRESENTATION_REPRESENTATION"
@@ -42,7 +43,8 @@ def reproducible(text: str) -> str:
     """
     text = _HEADER_TIME.sub(f"'{EPOCH}'", text, count=1)
     numbers = count(1)
-    text = _OCCURRENCE.sub(lambda _: str(next(numbers)), text)
+    # the number's digits decide where the kernel breaks the line
+    text = _OCCURRENCE.sub(lambda m: m[1] + str(next(numbers)) + _LINE_BREAK.sub("", m[2]), text)
     first = re.search(rf"^#(\d+) = {_STYLES}", text, re.MULTILINE)
     if first is None:
         return text
