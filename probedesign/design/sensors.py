@@ -228,8 +228,8 @@ class SensorModel:
         assumed = [key for key in ("tool", "mounting", "dowels") if f"interface.{key}" in self.assumed]
         if assumed:
             raise InputError(
-                f"sensor {self.name}: its holes are assumed (interface: {', '.join(assumed)}), so parts may not fit; enter "
-                "yours in a copy of its file, remove them from its 'assumed', and name the copy in sensor.file"
+                f"sensor {self.name}: its holes are assumed (interface: {', '.join(assumed)}), so parts may not fit; "
+                "enter yours in a copy of its file, remove them from its 'assumed', and name the copy in sensor.file"
             )
 
     def calibration(self, name: str) -> Calibration:
