@@ -20,7 +20,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.files import check_regular, is_plain_name, write_atomically
 from probedesign.core.frames import Array, is_pose
 from probedesign.design.catalog import ELASTIC_FRICTION, Provenance, Quantity
-from probedesign.design.sensors import NANO17, Noise
+from probedesign.design.sensors import DEFAULT_SENSOR, NANO17_BODY, Noise
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
@@ -206,7 +206,9 @@ FIELDS = (
     Field("sensor.noise_moment_Nm", "noise.moment", POSITIVE),
     Field("sensor.noise_cov", "noise_cov", _read_cov, OPTIONAL),
     Field("sensor.averaging_samples", "averaging_samples", int),
-    Field("sensor.model", "sensor", _read_text, OPTIONAL, NANO17.name),
+    Field("sensor.model", "sensor", _read_text, OPTIONAL, DEFAULT_SENSOR),
+    Field("sensor.body_d_m", "sensor_d", _number(1e-3, 1.0), OPTIONAL, NANO17_BODY[0]),
+    Field("sensor.height_m", "sensor_height", _number(1e-3, 1.0), OPTIONAL, NANO17_BODY[1]),
     Field("material.identified_tests", "identified_tests", _read_digests, OPTIONAL, ()),
 )
 """Values of the file, in its order."""

@@ -66,6 +66,7 @@ def export(design: "Design", folder: Path | None, on_step: Callable[[str], None]
     """Write solids, adapters, meshes and drawings, and return their manifest. Needs CadQuery."""
     from probedesign import cad
 
+    design.sensor_model.check_holes_known()
     return cad.export_parts(design, folder, on_step)
 
 
@@ -73,6 +74,7 @@ def export_part(design: "Design", part: str, folder: Path | None) -> dict[str, A
     """Write the STL file of one printed part, and return its properties. Needs CadQuery."""
     from probedesign import cad
 
+    design.sensor_model.check_holes_known()
     return cad.export_part(design, part, folder)
 
 

@@ -91,8 +91,8 @@ class Probe(Displayed):
         from probedesign.estimation.tolerances import Tolerances
 
         d = self.design
-        adapter = sensor_adapter_for(self.geometry, d.sensor_model, d.name, mount_options(d))
-        calibration = d.calibration
+        sensor, calibration = d.sensor_model, d.calibration
+        adapter = sensor_adapter_for(self.geometry, sensor, d.name, mount_options(d))
         model = ProbeModel(
             name=d.name,
             fingerprint=self.geometry.fingerprint,
@@ -115,7 +115,9 @@ class Probe(Displayed):
             friction_provenance=d.friction.provenance,
             friction_source=d.friction.source,
             resin=d.resin.name,
-            sensor=d.sensor.model,
+            sensor=sensor.name,
+            sensor_d=sensor.interface.body_d,
+            sensor_height=sensor.interface.height,
             stiffness_spread=d.material.stiffness_spread,
             creep_spread=d.material.creep_spread,
             identified_tests=d.material.identified_tests,

@@ -256,7 +256,7 @@ def test_new_takes_every_section(workplace, section, key, ratio):
         (["--flatness", "0.5"], "--flatness"),
         (["--section", "elliptic", "--flatness", "nan"], "--flatness = nan"),
         (["--resin", "jelly"], "--resin: unknown 'jelly'"),
-        (["--sensor", "mini40"], "--sensor: unknown 'mini40'"),
+        (["--sensor", "nano43"], "--sensor: unknown 'nano43'"),
         (["--robot-flange", "x"], "--robot-flange: unknown 'x'"),
         (["--friction", "-0.1"], "--friction = -0.1"),
         (["--friction", "nan"], "--friction = nan"),

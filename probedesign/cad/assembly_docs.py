@@ -111,7 +111,7 @@ def material_of(model: CadModel, part: str) -> str:
 
 
 def _sensor_text(model: CadModel) -> str:
-    return f"{model.design.sensor_model.product}, {model.design.sensor.calibration.upper()}"
+    return f"{model.design.sensor_model.product}, {model.design.calibration.name.upper()}"
 
 
 def hand_torque(use: ScrewGroup) -> float:

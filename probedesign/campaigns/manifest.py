@@ -9,8 +9,8 @@ from probedesign.core.csv_tables import read_text
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import check_name
-from probedesign.design.diagnostics import Inconsistent, parse_toml
-from probedesign.design.schema import MAX_GRAVITY, Table, as_tuple
+from probedesign.design.diagnostics import Inconsistent, Table, as_tuple, parse_toml
+from probedesign.design.schema import MAX_GRAVITY
 from probedesign.vision.boards import Board
 
 FILE = "campaign.toml"

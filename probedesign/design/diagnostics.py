@@ -3,13 +3,30 @@
 import difflib
 import re
 import tomllib
+from pathlib import Path
 from typing import Any, TypeVar, get_args
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
 from probedesign.core.errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
+
+
+class Table(BaseModel):
+    """Base of all tables: no unknown keys, no type conversion, no NaN."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+def as_tuple(value: Any) -> Any:
+    """Convert a TOML array and the arrays in it to tuples; return anything else unchanged, for pydantic to refuse."""
+    if not isinstance(value, list):
+        return value
+    return tuple(tuple(v) if isinstance(v, list) else v for v in value)
+
+
+FromArray = BeforeValidator(as_tuple)
 
 
 def parse_toml(text: str, model: type[Model], where: str) -> Model:
@@ -18,6 +35,15 @@ def parse_toml(text: str, model: type[Model], where: str) -> Model:
     Raises:
         InputError: one line naming the key, the value, the remedy and the line.
     """
+    return check_toml(read_toml(text, model, where), model, text, where)
+
+
+def read_toml(text: str, model: type[BaseModel], where: str) -> dict[str, Any]:
+    """Return the tables of the text of a TOML file, unchecked; `where` names it in errors.
+
+    Raises:
+        InputError: the text is not TOML, or empty; the message lists the keys that the model needs.
+    """
     try:
         data = tomllib.loads(text)
     except (ValueError, RecursionError) as error:  # ValueError: also an integer of thousands of digits
@@ -25,7 +51,28 @@ def parse_toml(text: str, model: type[Model], where: str) -> Model:
     if not data:
         needed = [f.alias or name for name, f in model.model_fields.items() if f.is_required()]
         raise InputError(f"{where}: is empty; it needs {', '.join(needed)}")
-    return check_toml(data, model, text, where)
+    return data
+
+
+def read_text(path: Path, what: str, remedy: str = "") -> str:
+    """Return the text of a file in UTF-8.
+
+    Args:
+        path: of the file.
+        what: such as `design file`, for the message.
+        remedy: what to do if there is no such file.
+
+    Raises:
+        InputError: the file cannot be read or is not UTF-8.
+    """
+    try:
+        return path.read_bytes().decode("utf-8-sig")  # Windows editors put a byte order mark first
+    except FileNotFoundError:
+        raise InputError(one_line(f"{path}: no such {what}{remedy and f'; {remedy}'}")) from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is not a text file in UTF-8") from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        raise InputError(one_line(f"{path}: cannot be read: {getattr(error, 'strerror', error)}")) from None
 
 
 def check_toml(data: dict[str, Any], model: type[Model], text: str = "", where: str = "") -> Model:

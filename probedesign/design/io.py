@@ -11,10 +11,10 @@ from typing import Any
 from probedesign.core.errors import CheckFailedError, InputError, unknown_name
 from probedesign.core.files import write_atomically
 from probedesign.core.units import MPA
-from probedesign.design.catalog import RESINS, Quantity, Resin, find
-from probedesign.design.diagnostics import check_toml, one_line, parse_toml
+from probedesign.design.catalog import CUSTOM, RESINS, Quantity, Resin, find
+from probedesign.design.diagnostics import check_toml, quoted, read_text, read_toml
 from probedesign.design.schema import Design
-from probedesign.design.sensors import SENSORS
+from probedesign.design.sensor_catalog import SENSORS, load_sensor
 
 COMMENT_COLUMN = 36
 TIP_RATIO, MIN_TIP_D_MM = 6.0, 2.0
@@ -215,6 +215,7 @@ def _tables(design: Design) -> Iterator[tuple[str, dict[str, Any]]]:
         if table in top:
             continue
         provenance, flange = values.pop("provenance", {}), values.pop("flange", None) or {}
+        own = values.pop("own", None) or {}
         given = {key: value for key, value in values.items() if value is not None and value != ()}
         yield table, given
         known = {key: value for key, value in provenance.items() if key in given or value != "assumed"}
@@ -222,6 +223,27 @@ def _tables(design: Design) -> Iterator[tuple[str, dict[str, Any]]]:
             yield f"{table}.provenance", known
         if flange:
             yield f"{table}.flange", {key: value for key, value in flange.items() if value is not None}
+        if own:
+            yield from _nested(f"{table}.own", own)
+
+
+def _nested(table: str, values: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield a table and those in it, without empty values; the name of an item of a list is in brackets of its own."""
+    inner = {key: value for key, value in values.items() if isinstance(value, dict)}
+    lists = {
+        key: value
+        for key, value in values.items()
+        if isinstance(value, tuple) and value and isinstance(value[0], dict)
+    }
+    yield (
+        table,
+        {k: v for k, v in values.items() if k not in inner and k not in lists and v is not None and v != ()},
+    )
+    for key, value in inner.items():
+        yield from _nested(f"{table}.{key}", value)
+    for key, items in lists.items():
+        for item in items:
+            yield f"[{table}.{key}]", {k: v for k, v in item.items() if v is not None}
 
 
 def _example_profile(design: Design) -> tuple[tuple[float, float], ...]:
@@ -281,14 +303,7 @@ def load_design(path: str | Path) -> Design:
         InputError: the file cannot be read, is not TOML, or has a wrong value; one line.
     """
     path = Path(path)
-    try:
-        text = path.read_bytes().decode("utf-8-sig")  # Windows editors put a byte order mark first
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such design file; make one with: probedesign new") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is not a text file in UTF-8") from None
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        raise InputError(one_line(f"{path}: cannot be read: {getattr(error, 'strerror', error)}")) from None
+    text = read_text(path, "design file", "make one with: probedesign new")
     return parse_design(text, str(path))
 
 
@@ -298,11 +313,13 @@ def parse_design(text: str, where: str = "design") -> Design:
     Raises:
         InputError: one line naming the key, the value, the remedy and the line.
     """
-    return parse_toml(text, Design, where)
+    return check_design(read_toml(text, Design, where), text, where)
 
 
 def check_design(data: dict[str, Any], text: str = "", where: str = "") -> Design:
     """Check the tables of a design file and return the design.
+
+    A sensor file that they name is read and becomes `[sensor.own]`, so that the design is complete by itself.
 
     Args:
         data: its tables, with the keys and units of the file.
@@ -315,7 +332,26 @@ def check_design(data: dict[str, Any], text: str = "", where: str = "") -> Desig
     Raises:
         InputError: one line naming the key, the value and the remedy.
     """
-    return check_toml(data, Design, text, where)
+    return check_toml(_with_sensor_file(data, where), Design, text, where)
+
+
+def _with_sensor_file(data: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return the tables with `sensor.file`, a path relative to the design file, replaced by the content of that file.
+
+    Raises:
+        InputError: the file is wrong, or the design describes the sensor twice.
+    """
+    sensor = data.get("sensor")
+    if not isinstance(sensor, dict) or "file" not in sensor:
+        return data
+    path, place = sensor["file"], f"{where}: " if where else ""
+    if not isinstance(path, str):
+        raise InputError(f"{place}sensor.file = {quoted(path)}: expected text in quotes")
+    if twice := [key for key in ("model", "own") if key in sensor]:
+        raise InputError(f"{place}sensor.{twice[0]} is not used beside sensor.file; remove one of them")
+    own = load_sensor(Path(where).parent / path)
+    rest = {key: value for key, value in sensor.items() if key != "file"}
+    return {**data, "sensor": {**rest, "model": CUSTOM, "own": own}}
 
 
 _HEADER = re.compile(r"\s*\[\s*([^\[\]]+?)\s*\]\s*(#.*)?$")

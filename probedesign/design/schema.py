@@ -5,9 +5,9 @@ returns the quantities in SI units with their provenance.
 """
 
 import math
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from probedesign.core.errors import InputError
 from probedesign.core.files import is_plain_name
@@ -25,8 +25,9 @@ from probedesign.design.catalog import (
     RobotFlange,
     find,
 )
-from probedesign.design.diagnostics import Inconsistent, quoted
-from probedesign.design.sensors import SENSORS, Calibration, SensorModel
+from probedesign.design.diagnostics import FromArray, Inconsistent, Table, quoted
+from probedesign.design.sensor_catalog import SENSORS, SensorRecord
+from probedesign.design.sensors import DEFAULT_SENSOR, Calibration, SensorModel
 from probedesign.geometry.cross_section import CrossSection
 from probedesign.geometry.probe_geometry import filleted, rounded, rounding_height_mm
 
@@ -52,22 +53,6 @@ SECTION_KEYS = {
     "flatness": ("elliptic", "an elliptic section needs its diameter along y over that along x"),
 }
 """Section to which a key belongs, and the message when the key is missing, by key."""
-
-
-class Table(BaseModel):
-    """Base of all tables: no unknown keys, no type conversion, no NaN."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
-
-def as_tuple(value: Any) -> Any:
-    """Convert a TOML array and the arrays in it to tuples; return anything else unchanged, for pydantic to refuse."""
-    if not isinstance(value, list):
-        return value
-    return tuple(tuple(v) if isinstance(v, list) else v for v in value)
-
-
-FromArray = BeforeValidator(as_tuple)
 
 
 class ProbeTable(Table):
@@ -233,11 +218,23 @@ class MaterialTable(Table):
 
 
 class SensorTable(Table):
-    """`[sensor]`: the sensor, its calibration and the number of samples averaged to one reading."""
+    """`[sensor]`: the sensor, its calibration and the number of samples averaged to one reading.
 
-    model: str = "nano17"
-    calibration: str = "si-12-0.12"
+    In a file, `file` names a sensor file, which `io` reads into `own`.
+    """
+
+    model: str = DEFAULT_SENSOR
+    calibration: str | None = None
     averaging_samples: Annotated[int, Field(ge=1, le=70000)] = 36
+    own: SensorRecord | None = None
+
+    @model_validator(mode="after")
+    def _described(self) -> Self:
+        if (self.own is not None) != (self.model == CUSTOM):
+            missing = f"is missing beside model = {CUSTOM!r}; describe the sensor there, or name its file: file = ..."
+            unused = f"is only for model = {CUSTOM!r}; remove it or change model"
+            raise Inconsistent("own", missing if self.own is None else unused)
+        return self
 
 
 Millimetres = Annotated[float, Field(gt=0.0, le=300.0)]
@@ -397,13 +394,15 @@ class Design(Table, Displayed):
 
     @property
     def sensor_model(self) -> SensorModel:
-        """Return the sensor of `[sensor]`."""
-        return find(SENSORS, self.sensor.model, "sensor.model")
+        """Return the sensor of the catalog, or that of `[sensor.own]`."""
+        own = self.sensor.own
+        return find(SENSORS, self.sensor.model, "sensor.model", CUSTOM) if own is None else own.sensor
 
     @property
     def calibration(self) -> Calibration:
-        """Return the calibration of `[sensor]`."""
-        return self.sensor_model.calibration(self.sensor.calibration)
+        """Return the calibration of `[sensor]`: the finest if none is named."""
+        name = self.sensor.calibration
+        return self.sensor_model.calibrations[0] if name is None else self.sensor_model.calibration(name)
 
     @property
     def robot_flange(self) -> RobotFlange:
@@ -474,6 +473,7 @@ class Design(Table, Displayed):
             *root,
             *contact,
             *(f"sensor.{key}" for key in ("model", "calibration") if key not in self.sensor.model_fields_set),
+            *(f"sensor.{key}" for key in self.sensor_model.assumed),
         )
 
 

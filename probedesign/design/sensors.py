@@ -1,6 +1,7 @@
 """Force/moment sensors: frame, mechanical interface, ranges, resolution and noise.
 
-A new sensor or calibration is one record here; mount, CAD, print rules, estimation and the live view read it.
+The types only; `sensor_catalog` has the known sensors and reads the user's own. Mount, CAD, print rules and the model
+for estimation read them.
 """
 
 import math
@@ -9,10 +10,15 @@ from functools import cached_property
 
 import numpy as np
 
-from probedesign.core.errors import unknown_name
+from probedesign.core.errors import InputError, unknown_name
 from probedesign.core.frames import Array
-from probedesign.core.units import MM, N_MM
-from probedesign.design.catalog import M2, MIN_GRIP, PRINT_TOLERANCE, SocketScrew
+from probedesign.core.units import MM
+from probedesign.design.catalog import MIN_GRIP, PRINT_TOLERANCE, SocketScrew
+
+DEFAULT_SENSOR = "nano17"
+"""Sensor of designs and frozen probes that name none."""
+NANO17_BODY = (17.0 * MM, 14.5 * MM)
+"""Diameter and height of its body [m], for frozen probes that lack them."""
 
 
 @dataclass(frozen=True)
@@ -23,17 +29,22 @@ class Calibration:
         name: as written in a design file.
         wrench_range: largest absolute value of each channel, six numbers.
         resolution: one step of each channel, six numbers.
+        sample_cov: covariance of one sample, six rows; None if it is not known.
     """
 
     name: str
     wrench_range: tuple[float, ...]
     resolution: tuple[float, ...]
+    sample_cov: tuple[tuple[float, ...], ...] | None = None
 
     def noise(self, samples: int = 1) -> "Noise":
-        """Return the noise of the mean of `samples` independent samples, each with a σ of one resolution step.
+        """Return the noise of the mean of `samples` independent samples.
 
-        One step per sample is assumed and conservative: a Net Box was measured at 0.35 steps without filter.
+        Without a known covariance, each sample has a σ of one resolution step. This is assumed and conservative: a Net
+        Box was measured at 0.35 steps without filter.
         """
+        if self.sample_cov is not None:
+            return Noise(np.array(self.sample_cov) / samples)
         return Noise(np.diag((np.array(self.resolution) / np.sqrt(samples)) ** 2))
 
     @property
@@ -167,7 +178,8 @@ class SensorInterface:
         tool, mounting: threaded holes of both faces.
         dowels: holes in the tool face.
         cable: exit and free sector.
-        source: of the numbers, and which of them are assumed.
+        mass: without cable [kg].
+        p_com: centre of mass in the sensor frame [m], (3,).
     """
 
     body_d: float
@@ -176,7 +188,8 @@ class SensorInterface:
     mounting: ScrewPattern
     dowels: DowelPattern
     cable: CableExit
-    source: str
+    mass: float
+    p_com: tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -191,12 +204,33 @@ class SensorModel:
         product: maker and type, for documents.
         interface: mechanical.
         calibrations: the finest first.
+        source: of the numbers.
+        assumed: keys of the numbers without a source, as in a sensor file, such as `interface.tool.azimuths_deg`.
+        overload: load on one axis that the sensor survives [N, N·m], six numbers; None if it is not known.
+        rate: greatest sampling rate [Hz]; None if it is not known.
     """
 
     name: str
     product: str
     interface: SensorInterface
     calibrations: tuple[Calibration, ...]
+    source: str
+    assumed: tuple[str, ...] = ()
+    overload: tuple[float, ...] | None = None
+    rate: float | None = None
+
+    def check_holes_known(self) -> None:
+        """Refuse a sensor with holes that are assumed as a whole: parts made for them are not known to fit.
+
+        Raises:
+            InputError: names the tables of the sensor file.
+        """
+        assumed = [key for key in ("tool", "mounting", "dowels") if f"interface.{key}" in self.assumed]
+        if assumed:
+            raise InputError(
+                f"sensor {self.name}: its holes are assumed (interface: {', '.join(assumed)}), so parts may not fit; "
+                "enter yours in a copy of its file, remove them from its 'assumed', and name the copy in sensor.file"
+            )
 
     def calibration(self, name: str) -> Calibration:
         """Return the calibration of that name.
@@ -208,37 +242,3 @@ class SensorModel:
             if calibration.name == name:
                 return calibration
         raise unknown_name("sensor.calibration", name, (c.name for c in self.calibrations), of=self.name)
-
-
-def _si(force: float, force_z: float, moment_n_mm: float, per_n: float, per_n_mm: float) -> Calibration:
-    """Return a calibration of a Nano17 by its ranges [N, N·mm] and its counts per N and per N·mm."""
-    m = moment_n_mm * N_MM
-    return Calibration(
-        f"si-{force:g}-{moment_n_mm / 1000:g}",
-        (force, force, force_z, m, m, m),
-        (*[1 / per_n] * 3, *[N_MM / per_n_mm] * 3),
-    )
-
-
-NANO17 = SensorModel(
-    name="nano17",
-    product="ATI Nano17",
-    interface=SensorInterface(
-        body_d=17.0 * MM,
-        height=14.5 * MM,
-        tool=ScrewPattern(
-            17.0 * MM, 12.5 * MM, (60.0, 180.0, 300.0), M2, min_entry=2.5 * MM, max_entry=3.5 * MM
-        ),
-        # Two sources disagree on this bolt circle (12.5 and 12.306 mm): assumed 12.5; Ø2.4 holes take either.
-        mounting=ScrewPattern(
-            17.0 * MM, 12.5 * MM, (95.0, 215.0, 335.0), M2, min_entry=2.5 * MM, max_entry=3.5 * MM
-        ),
-        dowels=DowelPattern(2.0 * MM, 3.0 * MM, 12.5 * MM, (0.0, 120.0), pin_length=6.0 * MM),
-        cable=CableExit(150.0, 25.0, 8.0 * MM, 3.8 * MM, 11.7 * MM, (0.3 * MM, 4.1 * MM)),
-        source="drawing and specifications published by ATI; the free sector of the cable and the least entry of the "
-        "screws are assumed",
-    ),
-    calibrations=(_si(12, 17, 120, 320, 64), _si(25, 35, 250, 160, 32), _si(50, 70, 500, 80, 16)),
-)
-
-SENSORS = {sensor.name: sensor for sensor in (NANO17,)}

@@ -13,7 +13,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, inverse, wrench_map
 from probedesign.core.notebook import Displayed
 from probedesign.design.catalog import ELASTIC_FRICTION, Provenance, Quantity
-from probedesign.design.sensors import NANO17, Noise
+from probedesign.design.sensors import DEFAULT_SENSOR, NANO17_BODY, Noise
 from probedesign.geometry import Flange
 from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
 from probedesign.geometry.mass import MassProperties
@@ -53,7 +53,8 @@ class ProbeModel(Displayed):
             t₁, t₂ ~ N(0, (friction Fₙ)²). 0 is the frictionless contact, inf leaves the direction of the force free.
         friction_provenance, friction_source: where the friction comes from.
         resin: name of the resin, for the sources of the tolerances; empty if unknown.
-        sensor: name of the sensor, for its shape in the view.
+        sensor: name of the sensor.
+        sensor_d, sensor_height: of its body, for the view [m].
         identified_tests: `campaigns.Test.digest` of the tests that the parameters were identified from.
     """
 
@@ -77,7 +78,9 @@ class ProbeModel(Displayed):
     friction_provenance: Provenance = ELASTIC_FRICTION.provenance
     friction_source: str = ELASTIC_FRICTION.source
     resin: str = ""
-    sensor: str = NANO17.name
+    sensor: str = DEFAULT_SENSOR
+    sensor_d: float = NANO17_BODY[0]
+    sensor_height: float = NANO17_BODY[1]
     identified_tests: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -32,8 +32,15 @@ LIMITED_METRICS = (
     "slide_mm",
     "mass_g",
     "length_mm",
+    "thinnest_mm",
+    "detectable_mN",
+    "buckling_margin",
+    "natural_frequency_Hz",
+    "print_warnings",
 )
-"""Metrics that may be limited."""
+"""Metrics that may be limited. `buckling_margin` is the critical load over the task's force; `print_warnings` can only
+be excluded."""
+NO_WARNINGS = "print_warnings"
 _LIMIT = re.compile(r"\s*([A-Za-z_]+)\s*(<=|>=)\s*(\S+)\s*")
 
 
@@ -80,7 +87,10 @@ def parse_limit(text: str) -> Limit:
         value = float(number)
     except ValueError:
         value = float("nan")
-    if not 0.0 < value < 1e9:
+    if figure == NO_WARNINGS:
+        if sign != "<=" or value != 0.0:
+            raise InputError(f"--subject-to {text!r}: a count cannot be limited; write '{NO_WARNINGS}<=0'")
+    elif not 0.0 < value < 1e9:
         raise InputError(f"--subject-to {text!r}: {number} must be a positive number")
     return Limit(figure, sign == "<=", value)
 
@@ -164,9 +174,16 @@ class NonlinearProgram:
     @cached_property
     def constraints(self) -> list[Constraint]:
         """Return one constraint for each limit and print rule, for buckling and for slipping."""
-        rules = self.evaluator.space.printable(self.evaluator.space.x_of(self.evaluator.space.start))
+        space = self.evaluator.space
+        rules = space.printable(space.x_of(space.start), without_warnings=self.without_warnings)
+        limits = [limit for limit in self.limits if limit.metric != NO_WARNINGS]
         slips = [self._slip_constraint] if self.evaluator.task.touches > 1 else []
-        return [*map(self._limit, self.limits), self._buckling_constraint, *slips, *map(self._rule, rules)]
+        return [*map(self._limit, limits), self._buckling_constraint, *slips, *map(self._rule, rules)]
+
+    @property
+    def without_warnings(self) -> bool:
+        """Return whether designs with warnings of the print check are excluded."""
+        return any(limit.metric == NO_WARNINGS for limit in self.limits)
 
     @property
     def _slip_constraint(self) -> Constraint:
@@ -205,7 +222,7 @@ class NonlinearProgram:
         space = self.evaluator.space
 
         def margin(x: Array) -> Array:
-            return space.printable(x[: space.size])[name]
+            return space.printable(x[: space.size], without_warnings=self.without_warnings)[name]
 
         return Constraint(name, margin, lambda x: finite_differences(margin, x, central=True).T)
 
@@ -311,5 +328,14 @@ class OptimizationProblem:
     def problem(self) -> NonlinearProgram:
         """Return the problem in the form of the solver."""
         space = DesignSpace.of(self.start, self.free)
-        evaluator = DesignEvaluator(space, self.task, self.goal == "force-for-error")
-        return NonlinearProgram(evaluator, self.all_limits)
+        return self.program(space, self.goal == "force-for-error")
+
+    def program(self, space: DesignSpace, with_force: bool) -> NonlinearProgram:
+        """Return the problem over a design space, with the force as a variable or without."""
+        limits = self.all_limits
+        margins = [limit.value for limit in limits if limit.metric == "buckling_margin"]
+        max_load = 1.1 * max(
+            [SAFETY_FACTOR, *margins]
+        )  # beyond the limit, so that the constraint is smooth there
+        limited = frozenset(limit.metric for limit in limits)
+        return NonlinearProgram(DesignEvaluator(space, self.task, with_force, limited, max_load), limits)

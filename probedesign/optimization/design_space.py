@@ -17,12 +17,13 @@ from probedesign.design.schema import MAX_DIAMETER_MM, MIN_DIAMETER_MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.geometry import flange_for
 from probedesign.mount import max_ring_passage_d
-from probedesign.optimization.objective import Task, predict_task, side_of
+from probedesign.optimization.objective import Task, detectable_mN, predict_task, side_of
 from probedesign.prediction.predict import tip_sag
 from probedesign.printing import check as limits
 from probedesign.probe import Probe, build_probe
 from probedesign.rod.contact import solve_frictionless
 from probedesign.rod.rod import Rod
+from probedesign.rod.vibration import natural_frequency
 
 FreeParameter = Literal["cone", "taper", "length", "section"]
 CONTROLS = 5
@@ -137,24 +138,34 @@ class DesignSpace:
                 found.append((low / _UNIT[name], high / _UNIT[name]))
         return found
 
-    def printable(self, x: Array) -> dict[str, Array]:
+    def printable(self, x: Array, *, without_warnings: bool = False) -> dict[str, Array]:
         """Return the margins of the print rules; 0 is the limit below which they report an error.
 
-        The margins are at most quadratic in x, so their central differences are exact.
+        The limits of wall and bore are those for soft resin, below which `check` warns: a search that may choose them
+        ends at the limit, and the figures of rigid resin are not expected to print. The margins are at most quadratic
+        in x, so their central differences are exact.
+
+        Args:
+            x: the point.
+            without_warnings: take the limits below which any rule reports a warning.
         """
         s, d = self.knots_mm(x)
         ratio, hollow = self.ratio(x), self.start.probe.section == "hollow"
         thin = d * (ratio if ratio is not None and not hollow else 1.0)
-        steepest = math.tan(math.radians(limits.MIN_OVERHANG))
+        angle = limits.MIN_SOFT_OVERHANG if without_warnings else limits.MIN_OVERHANG
+        steepest = math.tan(math.radians(angle))
+        slenderness = limits.GOOD_SLENDERNESS if without_warnings else limits.MIN_SLENDERNESS
+        bore = max(limits.SOFT_FACTOR * limits.MIN_HOLE_D, limits.MIN_DRAIN_D if without_warnings else 0.0)
         rules = {
             "print rule smallest_feature": thin / limits.MIN_THICKNESS - 1.0,
-            "print rule slenderness": (thin[:-1] - limits.MIN_SLENDERNESS * (s[-1] - s[:-1]))
-            / limits.MIN_THICKNESS,
+            "print rule slenderness": (thin[:-1] - slenderness * (s[-1] - s[:-1])) / limits.MIN_THICKNESS,
             "print rule overhang": (np.diff(s) - steepest * np.diff(d) / 2.0) / s[-1],
         }
         if hollow and ratio is not None:
-            rules["print rule wall"] = (1.0 - ratio) * d / 2.0 / limits.SUPPORTED_WALL - 1.0
-            rules["print rule hole"] = ratio * d / limits.MIN_HOLE_D - 1.0
+            rules["print rule wall"] = (1.0 - ratio) * d / 2.0 / (
+                limits.SOFT_FACTOR * limits.SUPPORTED_WALL
+            ) - 1.0
+            rules["print rule hole"] = ratio * d / bore - 1.0
         if self.controls > 2:
             flange = flange_for(d[0] * MM, self.start.sensor_model.interface.tool.face_d)
             rules["room for the clamp ring"] = (max_ring_passage_d(flange) / MM - d) / limits.MIN_THICKNESS
@@ -265,7 +276,8 @@ _NO_SLIDE_MM = 1e-3
 """Slide below which an object counts as stationary."""
 _MAX_LOAD = 1.1 * SAFETY_FACTOR  # beyond the safety factor, so that the constraint is smooth at its limit
 INFEASIBLE = {"error_mm": 1e3, "worst_error_mm": 1e3, "sensor_use": 10.0, "slide_mm": 1e3, "sag_mm": 1e3,
-            "reach_mm": 1e-3, "critical_load": 0.1}  # fmt: skip
+            "reach_mm": 1e-3, "critical_load": 0.1, "buckling_margin": 0.1, "natural_frequency_Hz": 1e-3,
+            "detectable_mN": 1e6, "thinnest_mm": 1e-3}  # fmt: skip
 """Metrics of a design that buckles: values that no optimiser accepts."""
 
 
@@ -277,11 +289,15 @@ class DesignEvaluator:
         space: the design space.
         task: by which designs are judged; its force is scaled by that of a point that has one.
         with_force: whether the last coordinate of a point is the logarithm of the force over the task's.
+        limited: names of the metrics that are limited; what costs extra is computed for these alone.
+        max_load: largest factor of the critical load over the task's force that is of interest.
     """
 
     space: DesignSpace
     task: Task
     with_force: bool = False
+    limited: frozenset[str] = frozenset()
+    max_load: float = _MAX_LOAD
     _cache: dict[bytes, dict[str, float]] = field(default_factory=dict)
 
     @property
@@ -323,7 +339,7 @@ class DesignEvaluator:
             model = probe.model
         except InputError:
             return found
-        found["mass_g"] = 1e3 * probe.mass
+        found |= {"mass_g": 1e3 * probe.mass, "thinnest_mm": probe.geometry.thinnest / MM}
         task = self.task_at(x)
         touched = predict_task(model, task)
         error = task.combined(touched.errors)
@@ -331,7 +347,13 @@ class DesignEvaluator:
             slid = min(max(touched.slide / MM, _NO_SLIDE_MM), INFEASIBLE["slide_mm"])
             found |= {"error_mm": error / MM, "worst_error_mm": max(touched.errors) / MM, "slide_mm": slid,
                       "sensor_use": touched.sensor_use,
-                      "critical_load": critical_load_factor(model, task, _MAX_LOAD)}  # fmt: skip
+                      "critical_load": critical_load_factor(model, task, self.max_load)}  # fmt: skip
+            found["buckling_margin"] = found["critical_load"]
+        if "natural_frequency_Hz" in self.limited:
+            frequency = natural_frequency(model.rod, model.gravity_base)
+            found["natural_frequency_Hz"] = frequency if math.isfinite(frequency) else 1e-3
+        if "detectable_mN" in self.limited:
+            found["detectable_mN"] = detectable_mN(model, task) or INFEASIBLE["detectable_mN"]
         free = probe.rod.solve(model.gravity_base)
         if free.ok:
             tip = free.p_at(probe.length)

@@ -229,7 +229,7 @@ def design_metrics(design: Design, task: Task) -> DesignMetrics:
     return DesignMetrics(
         error_mm=finite_or_none(task.combined(touched.errors) / MM),
         worst_error_mm=finite_or_none(max(touched.errors) / MM),
-        detectable_mN=_detectable_mN(probe.model, task),
+        detectable_mN=detectable_mN(probe.model, task),
         sag_mm=tip_sag(free, probe.length, probe.model.gravity_base) / MM if free.ok else None,
         reach_mm=float(np.linalg.norm(free.p_at(probe.length)) / MM) if free.ok else None,
         sensor_use=finite_or_none(touched.sensor_use),
@@ -304,7 +304,8 @@ def _errors_at(
     return found
 
 
-def _detectable_mN(model: ProbeModel, task: Task) -> float | None:
+def detectable_mN(model: ProbeModel, task: Task) -> float | None:
+    """Return the force that one reading detects with probability 0.5 at `DETECTION_FRACTION` [mN]; None if none is."""
     estimator = Estimator(model, task.priors(model))
     if not estimator.free().ok:
         return None

@@ -18,7 +18,7 @@ from probedesign.design import Design, check_design
 from probedesign.design.io import render_design
 from probedesign.estimation.model import ProbeModel
 from probedesign.optimization.constraints import FORCES, SPARE, NonlinearProgram, OptimizationProblem
-from probedesign.optimization.design_space import DIGITS, DesignEvaluator, DesignSpace, design_dict
+from probedesign.optimization.design_space import DIGITS, DesignSpace, design_dict
 from probedesign.optimization.objective import (
     COMPARED_FRACTIONS,
     DesignMetrics,
@@ -328,7 +328,7 @@ def pareto_front(
 
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     space = DesignSpace.of(search.start, ("cone", "length"))
-    problem = NonlinearProgram(DesignEvaluator(space, search.task, True), search.all_limits)
+    problem = search.program(space, with_force=True)
     sampler = optuna.samplers.NSGAIISampler(population_size=min(POPULATION, max(trials, 2)), seed=seed)
     study = optuna.create_study(directions=["minimize", "minimize", "maximize"], sampler=sampler)
     if best is not None and best.design.probe.shape == "cone":

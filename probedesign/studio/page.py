@@ -22,7 +22,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.design.catalog import RESINS
-from probedesign.design.sensors import SENSORS
+from probedesign.design.sensor_catalog import SENSORS
 from probedesign.live.view.access import protect
 from probedesign.live.view.page import UNIT, LoopbackServer, level_rotation
 from probedesign.prediction.predict import FORCES_N
@@ -260,10 +260,11 @@ class StudioPage:
 
     def _bench_controls(self, gui: viser.GuiApi) -> None:
         design = self.session.design
-        calibrations = tuple(c.name for sensor in SENSORS.values() for c in sensor.calibrations)
+        known = (design.sensor_model, *SENSORS.values())
+        calibrations = tuple(dict.fromkeys(c.name for sensor in known for c in sensor.calibrations))
         self._bind(
             "sensor.calibration",
-            gui.add_dropdown("calibration", calibrations, initial_value=design.sensor.calibration),
+            gui.add_dropdown("calibration", calibrations, initial_value=design.calibration.name),
         )
         self._bind(
             "sensor.averaging_samples",
@@ -401,7 +402,7 @@ class StudioPage:
             "probe.tip_d_mm": probe.tip_d_mm, "probe.section": probe.section, "probe.bore_ratio": probe.bore_ratio,
             "probe.flatness": probe.flatness, "probe.tip": probe.tip, "material.resin": design.material.resin,
             "material.youngs_modulus_mpa": design.youngs_modulus.value / 1e6,
-            "sensor.calibration": design.sensor.calibration,
+            "sensor.calibration": design.calibration.name,
             "sensor.averaging_samples": design.sensor.averaging_samples,
             "mounting": mounting_of(design.mount.gravity_base_m_s2),
             "mount.gravity_base_m_s2": tuple(design.mount.gravity_base_m_s2),

@@ -15,6 +15,8 @@ from probedesign.core.units import MM
 from probedesign.design import Design, check_design
 from probedesign.design.catalog import RESINS, find
 from probedesign.design.io import default_tip_d_mm, material_keys, sensor_keys
+from probedesign.design.sensor_catalog import SENSORS
+from probedesign.design.sensors import DEFAULT_SENSOR
 from probedesign.optimization.design_space import design_dict
 from probedesign.optimization.sweep import with_values
 
@@ -154,6 +156,21 @@ class Session:
         return " ".join(["probedesign studio", shlex.quote(self.source), *options])
 
 
+def _with_calibration(sensor: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return `[sensor]` with another calibration: of the same sensor if it has one of that name."""
+    own, known = sensor.get("own"), SENSORS.get(sensor.get("model", DEFAULT_SENSOR))
+    names = (
+        [c["name"] for c in own["calibrations"]]
+        if own
+        else [c.name for c in known.calibrations]
+        if known
+        else []
+    )
+    if name in names:
+        return {**sensor, "calibration": name}
+    return {key: value for key, value in sensor.items() if key != "own"} | sensor_keys(name)
+
+
 def _with_key(data: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
     """Return the tables of a design with one key changed, and the keys that follow from it."""
     match key:
@@ -164,7 +181,7 @@ def _with_key(data: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
             data["contact"] = {"friction": resin.friction.value}
             return data
         case "sensor.calibration":
-            return {**data, "sensor": {**data["sensor"], **sensor_keys(value)}}
+            return {**data, "sensor": _with_calibration(data["sensor"], value)}
         case "probe.shape":
             return _with_shape(data, value)
         case "probe.section":

@@ -31,7 +31,8 @@ from probedesign.core.frames import Array, pose, rotation_z
 from probedesign.design import Design, parse_design
 from probedesign.design.catalog import SCREWS
 from probedesign.design.io import render_design
-from probedesign.design.sensors import NANO17, ScrewPattern
+from probedesign.design.sensor_catalog import NANO17
+from probedesign.design.sensors import ScrewPattern
 from probedesign.geometry import flange_for
 from probedesign.geometry.mass import combined
 from probedesign.mount import flange_adapter_for, mount_part_masses, sensor_adapter_for

@@ -18,7 +18,7 @@ from probedesign.design.io import (
     sensor_keys,
     write_design,
 )
-from probedesign.design.sensors import NANO17
+from probedesign.design.sensor_catalog import NANO17
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 LARGE = (DESIGNS / "large.toml").read_text(encoding="utf-8")
@@ -217,7 +217,7 @@ def test_an_endless_integer(digits):
         ("assumed", 'section = "elliptic"\nflatnes = 0.5\nassumed', "did you mean 'probe.flatness'"),
         ('"elastic-50a"', '"elastic-50b"', "known: elastic-50a"),
         ('"identified"', '"guessed"', "'assumed', 'datasheet' or 'identified'"),
-        ('"nano17"', '"nano43"', "known: nano17"),
+        ('"nano17"', '"nano43"', "known: gamma, mini40, nano17"),
         ('"si-12-0.12"', '"si-12"', "known: si-12-0.12"),
         ('"form-3"', '"form-5"', "did you mean 'form-"),
         ('"form-3"', '"Form 3L"', "did you mean 'form-3l'? known: form-2"),
@@ -567,8 +567,9 @@ def test_default_names_carry_the_parameters():
 def test_a_sensor_by_model_or_calibration():
     assert sensor_keys("nano17") == {"model": "nano17", "calibration": "si-12-0.12"}
     assert sensor_keys("si-25-0.25") == {"model": "nano17", "calibration": "si-25-0.25"}
-    with pytest.raises(InputError, match=r"known: nano17, si-12-0\.12"):
-        sensor_keys("mini40")
+    assert sensor_keys("mini40") == {"model": "mini40", "calibration": "si-20-1"}
+    with pytest.raises(InputError, match=r"si-12-0\.12"):
+        sensor_keys("nano43")
 
 
 @pytest.mark.parametrize(

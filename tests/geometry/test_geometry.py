@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from probedesign.design import check_design
-from probedesign.design.sensors import NANO17
+from probedesign.design.sensor_catalog import NANO17
 from probedesign.geometry import ProbeGeometry, build_geometry, flange_for
 
 EXACT = 1e-12

@@ -7,7 +7,7 @@ import pytest
 
 from probedesign.design import check_design
 from probedesign.design.catalog import M2
-from probedesign.design.sensors import NANO17
+from probedesign.design.sensor_catalog import NANO17
 from probedesign.geometry import build_geometry
 from probedesign.mount import SensorAdapter, sensor_adapter_for
 from probedesign.mount.engraving import (

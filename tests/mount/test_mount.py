@@ -11,7 +11,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import is_pose
 from probedesign.design import Design
 from probedesign.design.catalog import M2
-from probedesign.design.sensors import NANO17
+from probedesign.design.sensor_catalog import NANO17
 from probedesign.geometry import build_geometry
 from probedesign.mount import (
     SensorAdapter,

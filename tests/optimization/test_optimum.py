@@ -22,8 +22,9 @@ from probedesign.optimization.design_space import (
 from probedesign.optimization.objective import Task, design_metrics, predict_task
 from probedesign.optimization.optimum import confirm, optimum
 from probedesign.prediction.predict import predict
-from probedesign.printing.check import check_print
+from probedesign.printing.check import MIN_HOLE_D, SOFT_FACTOR, SUPPORTED_WALL, check_print
 from probedesign.probe import build_probe
+from probedesign.rod.vibration import natural_frequency
 
 LARGE = Path(__file__).parents[2] / "designs/large.toml"
 TASK = Task()
@@ -206,6 +207,7 @@ def test_a_start_that_buckles_is_improved(large):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["--subject-to", "print_warnings<=2"], "write 'print_warnings<=0'"),
         (["--subject-to", "sagg_mm<=60"], "did you mean 'sag_mm'?"),
         (["--subject-to", "sag_mm=60"], "write FIGURE<=NUMBER"),
         (["--subject-to", "sag_mm<=-1"], "positive number"),
@@ -319,3 +321,62 @@ def test_a_free_taper_is_no_worse_than_the_best_cone(large):
     )
     assert taper.after.error_mm < cone.after.error_mm * 1.001 and taper.after.print_errors == 0
     assert taper.after.sag_mm <= 60.0
+
+
+@pytest.mark.parametrize(
+    ("text", "over", "of"),
+    [
+        ("thinnest_mm>=3", ("cone",), lambda found: found.after.thinnest_mm),
+        ("detectable_mN<=0.18", ("cone", "length"), lambda found: found.after.detectable_mN),
+        ("natural_frequency_Hz>=25", ("cone",), lambda found: frequency_of(found.design)),
+    ],
+)
+def test_a_limit_that_is_computed_on_demand_is_kept(large, text, over, of):
+    """The values are those of the written design. Only a longer arm detects a weaker force."""
+    limit = parse_limit(text)
+    search = OptimizationProblem(large, over, replace(TASK, fractions=(0.7,)), limits=(limit,))
+    start = design_metrics(large, search.task)
+    before = {"thinnest_mm": start.thinnest_mm, "detectable_mN": start.detectable_mN}
+    before["natural_frequency_Hz"] = frequency_of(large)
+    assert limit.margin(before[limit.metric]) < 0.0  # or the limit would not matter
+    found = optimum(search, "best", quiet)
+    assert limit.margin(of(found)) >= -1e-6  # round-off: the search keeps 0.1 %
+
+
+def frequency_of(design):
+    probe = build_probe(design)
+    return natural_frequency(probe.rod, probe.model.gravity_base)
+
+
+def test_a_limit_on_the_buckling_margin_is_kept(large):
+    """The optimum is stable at three times the task's force; the start buckles before."""
+    limit, task = parse_limit("buckling_margin>=3"), Task(forces_N=(0.1,), touches=1, fractions=(0.7,))
+    more = replace(task, forces_N=(3.0 * task.force_N,))
+    assert np.isinf(predict_task(build_probe(large).model, more).errors[0])
+    found = optimum(OptimizationProblem(large, ("cone",), task, limits=(limit,)), "best", quiet)
+    assert np.isfinite(predict_task(build_probe(found.design).model, more).errors[0])
+
+
+def test_a_search_without_print_warnings_finds_a_design_without(large):
+    tables = design_dict(large)
+    tables["probe"] |= {"base_d_mm": 6.0}  # 6 mm below 150 mm: slender
+    large = check_design(tables)
+    search = OptimizationProblem(large, ("cone",), replace(TASK, fractions=(0.7,)),
+                                 limits=(parse_limit("print_warnings<=0"),))  # fmt: skip
+    assert design_metrics(large, search.task).print_warnings > 0
+    found = optimum(search, "best", quiet)
+    assert found.after.print_warnings == 0
+
+
+def test_a_hollow_optimum_keeps_the_limits_of_soft_resin(large):
+    """The search may choose wall and bore, and would end at the limits of rigid resin, which do not print."""
+    tables = design_dict(large)
+    tables["probe"] |= {"section": "hollow", "bore_ratio": 0.5, "tip_d_mm": 4.0}
+    search = OptimizationProblem(check_design(tables), ("cone", "section"), replace(TASK, fractions=(0.7,)))
+    found = optimum(search, "best", quiet)
+    probe = found.design.probe
+    wall, bore = (1 - probe.bore_ratio) * probe.tip_d_mm / 2, probe.bore_ratio * probe.tip_d_mm
+    assert wall >= SOFT_FACTOR * SUPPORTED_WALL and bore >= SOFT_FACTOR * MIN_HOLE_D
+    assert not [
+        f for f in check_print(found.design).warnings if f.rule in ("wall", "hole") and f.part == "probe"
+    ]

@@ -3,7 +3,6 @@
 import numpy as np
 
 from probedesign.core.frames import Array, pose
-from probedesign.design.sensors import NANO17, SENSORS
 from probedesign.estimation.model import ProbeModel
 from probedesign.live.outputs.drawing import TubeMesh, bent_shape, contact_marker, ellipsoid
 from probedesign.live.poses.track import pose_from_matrix
@@ -33,7 +32,7 @@ class SceneEncoder:
         rod = model.rod
         self._tube = TubeMesh(rod.s, rod.radius, model.cross_section.flatness, RINGS, SIDES)
         self._faces = self._tube.faces.reshape(-1)
-        self._body = SENSORS.get(model.sensor, NANO17).interface
+        self._body_d, self._height = model.sensor_d, model.sensor_height
 
     def encode(self, update: EstimateUpdate, stamp: int) -> Bytes:
         """Return the message, (1,), with a time stamp [ns]; the shape of the probe is solved here."""
@@ -69,12 +68,11 @@ class SceneEncoder:
     def _sensor(self, scene: CdrBuilder, stamp: int) -> None:
         """Append the body of the sensor; its tool face is the origin of the sensor's frame."""
         _begin(scene, "sensor", "sensor", stamp, 0.0)
-        body = self._body
         for kind in range(N_PRIMITIVES):
             scene.pack("I", kind == CYLINDERS)
             if kind == CYLINDERS:
-                _pose(scene, pose(p=(0.0, 0.0, -0.5 * body.height)))
-                scene.pack("d", body.body_d, body.body_d, body.height, 1.0, 1.0, *SENSOR)
+                _pose(scene, pose(p=(0.0, 0.0, -0.5 * self._height)))
+                scene.pack("d", self._body_d, self._body_d, self._height, 1.0, 1.0, *SENSOR)
 
 
 def _begin(scene: CdrBuilder, name: str, frame: str, stamp: int, lifetime: float) -> None:

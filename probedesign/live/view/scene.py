@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from probedesign.core.frames import Array, inverse, is_pose
 from probedesign.core.stl import PREAMBLE, RECORD, stl_corners
 from probedesign.core.units import MILLINEWTON, MM
-from probedesign.design.sensors import NANO17, SENSORS
 from probedesign.estimation.model import ProbeModel
 from probedesign.live.outputs.drawing import BentShape, TubeMesh
 from probedesign.live.view.state import STRIP
@@ -90,9 +89,8 @@ def _placed(name: str, corners: Array, T: Array) -> RigidPart:
 
 
 def _sensor_part(model: ProbeModel) -> RigidPart:
-    """Return the body of the sensor, or of a Nano17 for an unknown one; its tool face is the sensor frame's origin."""
-    body = SENSORS.get(model.sensor, NANO17).interface
-    return _cylinder("sensor", body.body_d, -body.height, 0.0, inverse(model.T_sensor_base))
+    """Return the body of the sensor; its tool face is the sensor frame's origin."""
+    return _cylinder("sensor", model.sensor_d, -model.sensor_height, 0.0, inverse(model.T_sensor_base))
 
 
 def _cylinder(name: str, diameter: float, low: float, high: float, T: Array) -> RigidPart:

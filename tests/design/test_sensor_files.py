@@ -1,0 +1,189 @@
+"""Sensor files: what they describe arrives in SI units everywhere, and a wrong one is refused in one line."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from probedesign import pipeline
+from probedesign.core.errors import InputError
+from probedesign.design import check_design, load_design, parse_design
+from probedesign.design.catalog import CUSTOM
+from probedesign.design.io import render_design, write_design
+from probedesign.design.sensor_catalog import FILES, NANO17, SENSORS, load_sensor
+from probedesign.frozen_probe import load_model, write_frozen
+from probedesign.live.view.scene import _sensor_part
+from probedesign.probe import build_probe
+
+DESIGN = """\
+schema = 1
+name = "own-sensor"
+[probe]
+length_mm = 100.0
+base_d_mm = 10.0
+tip_d_mm = 2.0
+[sensor]
+file = "my/sensor.toml"
+averaging_samples = 4
+"""
+COV = np.diag([1e-4, 1e-4, 4e-4, 1e-8, 1e-8, 1e-8])
+COV[0, 4] = COV[4, 0] = 0.8e-6
+
+
+def record(**noise):
+    """The text of a sensor file: a Nano17 in another body, with a correlated noise unless another is given."""
+    text = (FILES / "nano17.toml").read_text().replace('"nano17"', '"lab-1"')
+    text = text.replace("body_d_mm = 17.0", "body_d_mm = 20.0").replace(
+        "height_mm = 14.5", "height_mm = 18.0"
+    )
+    noise = noise or {"cov": COV.tolist()}
+    lines = "".join(f"{key} = {value}\n" for key, value in noise.items())
+    return text.replace("[[calibrations]]", f"[noise]\n{lines}\n[[calibrations]]", 1)
+
+
+@pytest.fixture
+def path(tmp_path):
+    """A design file that names a sensor file beside it."""
+    (tmp_path / "my").mkdir()
+    (tmp_path / "my" / "sensor.toml").write_text(record())
+    (tmp_path / "design.toml").write_text(DESIGN)
+    return tmp_path / "design.toml"
+
+
+def test_known_sensors_are_complete_files():
+    """One file adds a sensor: nothing else names it."""
+    assert {path.stem for path in FILES.glob("*.toml")} == set(SENSORS)
+    assert next(iter(SENSORS.values())) is NANO17
+    for name, sensor in SENSORS.items():
+        assert load_sensor(FILES / f"{name}.toml").sensor == sensor
+        for calibration in sensor.calibrations:
+            assert (np.array(calibration.wrench_range) > 10 * np.array(calibration.resolution)).all()
+
+
+def test_the_nano17_has_the_published_steps():
+    """ATI: 1/320 N and 1/64 N·mm of SI-12-0.12, twice and four times as much of the others."""
+    for k, calibration in enumerate(NANO17.calibrations):
+        steps = [2**k / 320] * 3 + [2**k * 1e-3 / 64] * 3
+        assert calibration.resolution == pytest.approx(steps, rel=1e-15)  # exact decimal numbers
+        assert calibration.noise(4).std == pytest.approx(np.array(steps) / 2, rel=1e-15)
+
+
+def test_every_sensor_predicts_and_its_coarser_steps_locate_worse():
+    errors = {}
+    for name in ("nano17", "nano25", "gamma"):
+        model = build_probe(check_design({**tomllib.loads(DESIGN), "sensor": {"model": name}})).model
+        assert model.sensor == name and model.sensor_d == SENSORS[name].interface.body_d
+        errors[name] = model.noise.moment
+    assert errors["nano17"] < errors["nano25"] < errors["gamma"]
+
+
+def test_a_sensor_file_is_followed_to_the_frozen_probe_and_the_view(path, tmp_path):
+    design = load_design(path)
+    assert design.sensor.model == CUSTOM and design.sensor_model.name == "lab-1"
+    model = build_probe(design).model
+    assert model.noise.cov == pytest.approx(COV / 4, rel=1e-15)  # the mean of four samples
+    write_frozen(model, tmp_path / "a.probe.json")
+    read = load_model(tmp_path / "a.probe.json")
+    assert (read.sensor, read.noise) == ("lab-1", model.noise)
+    vertices = _sensor_part(read).vertices
+    height = vertices[:, 2].max() - vertices[:, 2].min()
+    assert height == pytest.approx(18e-3, abs=1e-9)  # float64 of a pose
+    assert np.hypot(*vertices[:, :2].T).max() == pytest.approx(10e-3, abs=1e-9)
+
+
+def test_a_written_design_contains_its_sensor(path, tmp_path):
+    design = load_design(path)
+    text = render_design(design)
+    assert parse_design(text) == design
+    other = tmp_path / "elsewhere" / "b.toml"
+    write_design(text, other)
+    assert load_design(other).sensor_model == design.sensor_model
+
+
+def test_standard_deviations_are_a_diagonal_covariance(path):
+    (path.parent / "my" / "sensor.toml").write_text(record(std=[0.01, 0.01, 0.02, 1e-4, 1e-4, 2e-4]))
+    noise = load_design(path).calibration.noise()
+    assert noise.std == pytest.approx([0.01, 0.01, 0.02, 1e-4, 1e-4, 2e-4], rel=1e-15)
+    assert np.count_nonzero(noise.cov) == 6
+
+
+INDEFINITE = COV.copy()
+INDEFINITE[0, 4] = INDEFINITE[4, 0] = 2e-6  # a correlation of 2
+ASYMMETRIC = COV.copy()
+ASYMMETRIC[0, 4] = 0.0
+NAN = "[[nan, 0.0, 0.0, 0.0, 0.0, 0.0]]"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("[60.0, 180.0, 300.0]", "[60.0, 180.0]", "interface.tool.azimuths_deg has 2 holes"),
+        ("[60.0, 180.0, 300.0]", "[60.0, 61.0, 300.0]", "which overlap"),
+        ("[60.0, 180.0, 300.0]", "[5.0, 180.0, 300.0]", "interface.dowels.azimuths_deg has a hole"),
+        ("[0.0, 120.0]", "[0.0]", "interface.dowels.azimuths_deg has 1 holes"),
+        ("mass_g = 9.07", "mass_g = -9.07", "interface.mass_g = -9.07 is out of range"),
+        ("mass_g = 9.07", "mass_g = nan", "mass_g = nan is not a finite number"),
+        ("mass_g = 9.07", "mass_kg = 0.009", "did you mean 'interface.mass_g'"),
+        ("bolt_circle_d_mm = 12.5", "bolt_circle_d_mm = 0.0125", "interface.tool.azimuths_deg has holes"),
+        ("bolt_circle_d_mm = 12.5", "bolt_circle_d_mm = 125.0", "outside the face"),
+        ("min_entry_mm = 2.5", "min_entry_mm = 4.0", "is above max_entry_mm"),
+        (str(COV.tolist()), str(INDEFINITE.tolist()), "noise.cov is not positive definite"),
+        (str(COV.tolist()), str((-COV).tolist()), "noise.cov is not positive definite"),
+        (str(COV.tolist()), str(ASYMMETRIC.tolist()), "noise.cov is not symmetric"),
+        (str(COV.tolist()), str(COV[:5].tolist()), "noise.cov needs six rows"),
+        (str(COV.tolist()), NAN, "not a finite number"),
+        ("cov =", "std = [1.0, 1.0, 1.0, 1.0, 1.0, 1.0]\ncov =", "one of the two"),
+        ('name = "lab-1"', 'name = "../x"', "is not a plain name"),
+        ('screw = "M2"', 'screw = "M7"', "interface.tool.screw = 'M7' is not one of"),
+        ('name = "si-25-0.25"', 'name = "si-12-0.12"', "has two of one name"),
+        ('name = "lab-1"', 'name = "lab-1"\nassumed = ["mass"]', "'mass' is not a key"),
+        ("[interface.cable]", "[interface.cabel]", "unknown key"),
+        ('name = "lab-1"', "name = ", "not valid TOML"),
+    ],
+)
+def test_a_wrong_sensor_file_is_refused_in_one_line(path, old, new, message):
+    file = path.parent / "my" / "sensor.toml"
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, 1))
+    before = sorted(path.parent.rglob("*"))
+    with pytest.raises(InputError) as error:
+        load_design(path)
+    assert message in str(error.value) and "sensor.toml" in str(error.value)
+    assert "\n" not in str(error.value)
+    assert sorted(path.parent.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("my/sensor.toml", "my/none.toml", "no such sensor file"),
+        ("my/sensor.toml", "my", "cannot be read"),
+        ('"my/sensor.toml"', "7", "sensor.file = 7"),
+        (
+            "averaging_samples",
+            'model = "nano17"\naveraging_samples',
+            "sensor.model is not used beside sensor.file",
+        ),
+        ("averaging_samples", 'calibration = "si-9"\naveraging_samples', "sensor.calibration"),
+        ('file = "my/sensor.toml"', 'model = "own"', "sensor.own is missing"),
+    ],
+)
+def test_a_wrong_reference_to_a_sensor_is_refused(path, old, new, message):
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(InputError) as error:
+        load_design(path)
+    assert message in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["nano25", "mini40", "gamma", "rokubi", "rft40"])
+def test_parts_for_assumed_holes_are_refused(name, tmp_path):
+    design = check_design({**tomllib.loads(DESIGN), "sensor": {"model": name}})
+    assert "sensor.interface.tool" in design.assumptions
+    for export in (
+        lambda: pipeline.export(design, tmp_path / "out", lambda step: None),
+        lambda: pipeline.export_part(design, "probe", tmp_path / "out"),
+    ):
+        with pytest.raises(InputError, match="its holes are assumed"):
+            export()
+    assert not (tmp_path / "out").exists()
