@@ -13,7 +13,7 @@ from probedesign.core.units import MM
 from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.prediction.predict import predict_touch
 from probedesign.rod.equilibrium import Equilibrium
 
@@ -131,12 +131,19 @@ class TaredReading:
     Attributes:
         wrenches_base: [N, N·m], (n, 6).
         gravity_base: by the stated pose [m/s²], (3,).
-        tares: number of free tests that it was tared by.
+        weights: of the free tests that it was tared by; empty without.
+        walked: time [s] over which the bias walks at random between the test and its tares, in effect.
     """
 
     wrenches_base: Array
     gravity_base: Array
-    tares: int
+    weights: Array
+    walked: float
+
+    @property
+    def tares(self) -> int:
+        """Number of free tests that it was tared by."""
+        return int(np.count_nonzero(self.weights))
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,31 +248,63 @@ def validate_test(campaign: Campaign, test: Test, estimator: Estimator, exact: b
 
 
 def tared_reading(campaign: Campaign, test: Test, estimator: Estimator) -> TaredReading:
-    """Return the readings of one test, tared by all free tests with readings; a free test by the others."""
+    """Return the readings of one test, tared by free tests with readings; a free test by the others."""
     gravity, own = test.gravity_base, test.wrenches_base(estimator.model)
-    offsets = []
+    offsets, times = [], []
     for other in campaign.tests:
         if not other.free or not len(other.wrenches) or other is test:
             continue
         g = other.gravity_base
         if g @ gravity >= SAME_GRAVITY * np.linalg.norm(g) * np.linalg.norm(gravity):
             offsets.append(other.mean_wrench_base(estimator.model) - estimator.free(g).wrench_base)
-    return TaredReading(own - np.mean(offsets, axis=0) if offsets else own, gravity, len(offsets))
+            times.append(other.time)
+    weights, walked = tare_weights(test.time, np.array(times))
+    return TaredReading(own - weights @ np.array(offsets) if offsets else own, gravity, weights, walked)
+
+
+def tare_weights(time: float, times: Array) -> tuple[Array, float]:
+    """Return the weights of tares for a reading at some time, and the time over which the bias walks, in effect [s].
+
+    A bias that walks at random between two tares, at t_1 and t_2, is known best by interpolation, with the variance
+    of a walk over (t - t_1) (t_2 - t) / (t_2 - t_1); before the first and after the last tare, by the nearest one. All
+    tares count alike where times are not known.
+
+    Args:
+        time: of the reading [s]; NaN if it is not known.
+        times: of the tares [s], (k,).
+    """
+    weights = np.zeros(len(times))
+    if not len(times):
+        return weights, 0.0
+    if not np.isfinite([time, *times]).all() or len(np.unique(times)) < len(times):
+        return weights + 1.0 / len(times), 0.0
+    before, after = np.flatnonzero(times <= time), np.flatnonzero(times > time)
+    if not len(before) or not len(after):
+        nearest = int(np.argmin(np.abs(times - time)))
+        weights[nearest] = 1.0
+        return weights, abs(float(times[nearest]) - time)
+    first, last = before[np.argmax(times[before])], after[np.argmin(times[after])]
+    span = float(times[last] - times[first])
+    weights[last] = (time - times[first]) / span
+    weights[first] = 1.0 - weights[last]
+    return weights, float(weights[last] * weights[first]) * span
 
 
 def campaign_tolerances(campaign: Campaign, model: ProbeModel, reading: TaredReading) -> Tolerances:
     """Return the probe's tolerances in this campaign: the direction of gravity includes the base's tilt, the bias the
     error of the tare.
 
-    A tare of k tests drifts as they did: by 1/√k, and its noise is that of as many readings as they had, taken for as
-    many as the test's own.
+    A tare by weighted tests drifts as they did, its noise is that of as many readings as they had, taken for as many as
+    the test's own, and the bias walks from the tares to the test.
     """
     known = Tolerances.of(model)
     gravity_deg = math.hypot(known.gravity_deg, math.degrees(campaign.std_tilt))
     if not reading.tares:
         return replace(known, gravity_deg=gravity_deg, tared=False)
-    noise = 1.0 / (model.averaging_samples * len(reading.wrenches_base) * reading.tares)
-    drift = math.sqrt(known.drift_steps**2 * (1.0 + 1.0 / reading.tares) + noise)
+    squares = float(reading.weights @ reading.weights)
+    noise = squares / (model.averaging_samples * len(reading.wrenches_base))
+    walked = known.walk_steps**2 * reading.walked / WALK_SECONDS
+    drift = math.sqrt(known.drift_steps**2 * (1.0 + squares) + walked + noise)
     return replace(known, gravity_deg=gravity_deg, drift_steps=drift, tared=True)
 
 

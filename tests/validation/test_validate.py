@@ -27,6 +27,7 @@ from probedesign.reports.validation_page import (
 from probedesign.simulation.campaign_folder import make_campaign
 from probedesign.simulation.ground_truth import CampaignPlan
 from probedesign.validation.validate import COLUMNS, coverage_of, validate
+from probedesign.validation.validated_test import tare_weights
 from tests.reports.test_pages import assert_whole
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -185,7 +186,8 @@ def test_weights_are_located_by_the_method_that_takes_them(found):
     """A thread's load is a dead load on the centreline, of any direction."""
     weights = [trial for trial in found.tests if trial.kind == "weight"]
     located = [trial for trial in weights if trial.result == "ok"]
-    assert len(weights) == 4 and len(located) >= 3 and {trial.method for trial in weights} == {"force_moment"}
+    # The two tares lie half an hour apart: the bias walks by a step of the resolution, and 5 and 10 mN are too light.
+    assert len(weights) == 4 and len(located) >= 2 and {trial.method for trial in weights} == {"force_moment"}
     assert all(trial.contact_error.within_95 and trial.shape_rms < 2e-3 for trial in located)
     assert not any(trial.measured for trial in weights)
     line_end = f"{len(located)} of {len(located)} weights lie within their 95 % interval"
@@ -193,8 +195,8 @@ def test_weights_are_located_by_the_method_that_takes_them(found):
 
 
 def test_coverage_of_weights_over_prints(large, tmp_path):
-    """The three weights of ten drawn prints that are well above what is located at all: of 30 squares the mean errs by
-    √(2/30) = 0.26 by chance, four of those; 28 lie within, and 23 where one print in six misses with all."""
+    """The two weights of ten drawn prints that are well above what is located at all: of 20 squares the mean errs by
+    √(2/20) = 0.32 by chance, four of those; 19 lie within, and 15 where one print in six misses with all."""
     misses = []
     for seed in range(10):
         folder = make_campaign(
@@ -206,20 +208,20 @@ def test_coverage_of_weights_over_prints(large, tmp_path):
             for t in trials
             if t.kind == "weight" and t.force > 0.008 and t.contact_error is not None
         ]
-    assert len(misses) >= 28  # one in five hundred is called inconsistent
-    assert np.mean([miss.nees for miss in misses]) == pytest.approx(1.0, abs=1.04)
-    assert sum(miss.within_95 for miss in misses) >= 23
+    assert len(misses) >= 19  # one in five hundred is called inconsistent
+    assert np.mean([miss.nees for miss in misses]) == pytest.approx(1.0, abs=1.28)
+    assert sum(miss.within_95 for miss in misses) >= 0.77 * len(misses)
 
 
 def test_predicted_errors_are_those_of_predict(found, large):
     """The prediction is that of `predict` for the same touch; there is none for weights, which have no friction."""
     for trial in found.tests:
-        if trial.kind != "touch":
+        if trial.kind != "touch" or trial.result != "ok":  # the place of a touch that is too light is not known
             assert math.isnan(trial.predicted)
             continue
         predicted = predict_touch(Estimator(large), trial.fraction, trial.force, trial.test.direction)
         assert 1e3 * trial.predicted == pytest.approx(predicted.total_error_mm)
-    assert sum(row["predicted_error_mm"] is not None for row in found.rows()) == 9
+    assert sum(row["predicted_error_mm"] is not None for row in found.rows()) >= 8
 
 
 def test_a_missing_push_direction_is_that_of_the_force(found, large, made):
@@ -393,3 +395,19 @@ def test_the_markers_of_a_flattened_probe_lie_on_its_surface(tmp_path):
         trial for trial in validate(Estimator(model), read_campaign(folder)).tests if trial.kind == "free"
     ]
     assert free and max(trial.shape_rms for trial in free) < 0.2e-3
+
+
+def test_a_walking_bias_is_interpolated_between_its_tares():
+    """100,000 random walks of unit variance a second: the interpolated tare is off by the stated variance, and less
+    than the mean of all tares is."""
+    rng, times, at = np.random.default_rng(5), np.array([0.0, 40.0, 100.0]), 60.0
+    every = np.array([0.0, 40.0, 60.0, 100.0])
+    walks = np.cumsum(rng.normal(size=(100_000, 4)) * np.sqrt(np.diff(every, prepend=0.0)), axis=1)
+    weights, walked = tare_weights(at, times)
+    off = walks[:, 2] - walks[:, [0, 1, 3]] @ weights
+    # the variance of 100,000 squares is known within half a percent
+    assert np.var(off) == pytest.approx(walked, rel=0.02) and np.var(off) < np.var(
+        walks[:, 2] - walks[:, [0, 1, 3]].mean(axis=1)
+    )
+    assert tare_weights(130.0, times)[1] == 30.0 and tare_weights(-5.0, times)[0].tolist() == [1.0, 0.0, 0.0]
+    assert tare_weights(math.nan, times)[0] == pytest.approx(np.full(3, 1.0 / 3.0))
