@@ -112,7 +112,8 @@ def _ring_vent(a: SensorAdapter, density: float) -> MassProperties:
     y, z = np.meshgrid(half * _NODES, height / 2 * (1.0 + _NODES), indexing="ij")
     w = density * half * height / 2 * np.outer(_WEIGHTS, _WEIGHTS)
     bore = (a.ring_bore_d + (a.ring_bore_top_d - a.ring_bore_d) * z / a.ring_thickness) / 2
-    x0, x1 = np.sqrt(bore**2 - y * y), np.sqrt(a.body_d**2 / 4 - y * y)
+    # Beside a bore that is narrower than the notch, the notch begins at the middle.
+    x0, x1 = np.sqrt(np.maximum(bore**2 - y * y, 0.0)), np.sqrt(a.body_d**2 / 4 - y * y)
     length, first, second = ((x1**n - x0**n) / n for n in (1, 2, 3))
     mass = float((w * length).sum())
     p = np.array([(w * first).sum(), 0.0, (w * z * length).sum()]) / mass

@@ -42,7 +42,7 @@ def test_the_papers_probes_print(name):
     assert check.errors == [] and check.fits
     assert {f.part for f in check.passed} == {"probe", "sensor_adapter", "clamp_ring", "flange_adapter"}
     for finding in check.findings:
-        assert finding.source and finding.unit in ("mm", "deg", "1")
+        assert finding.source and finding.unit in ("mm", "mm²", "mm³", "deg", "1")
         assert bool(finding.remedy) == (finding.severity != "ok")
 
 

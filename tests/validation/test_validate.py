@@ -216,7 +216,9 @@ def test_coverage_of_weights_over_prints(large, tmp_path):
 def test_predicted_errors_are_those_of_predict(found, large):
     """The prediction is that of `predict` for the same touch; there is none for weights, which have no friction."""
     for trial in found.tests:
-        if trial.kind != "touch" or trial.result != "ok":  # the place of a touch that is too light is not known
+        if (
+            trial.kind != "touch" or trial.result != "ok"
+        ):  # the place of a touch that is too light is not known
             assert math.isnan(trial.predicted)
             continue
         predicted = predict_touch(Estimator(large), trial.fraction, trial.force, trial.test.direction)
