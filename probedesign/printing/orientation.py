@@ -123,7 +123,8 @@ def oriented_parts(a: SensorAdapter, plate: FlangeAdapter) -> list[OrientedPart]
         ),
         _RigidPart(
             "flange_adapter", lambda x, y, z: flange_adapter_interior(plate, x, y, z), plate.plate_d / 2,
-            (-spigot, plate.plate_top), (0.0,), (plate.plate_top,), ("its spigot" if spigot > 0.0 else "its face to the robot", "the sensor's seat"),
+            (-spigot, plate.plate_top), (0.0,), (plate.plate_top,),
+            ("its spigot" if spigot > 0.0 else "its face to the robot", "the sensor's seat"),
         ),
     ]  # fmt: skip
     return [part.best for part in parts]
