@@ -268,7 +268,7 @@ def clamp_ring_solid(a: SensorAdapter) -> cq.Solid:
     body = cylinder(a.body_d, 0.0, height).cut(
         revolved([(0.0, 0.0), (bore, 0.0), (top, height), (0.0, height)]),
         *(cylinder(a.ring_screw.clearance_d, 0.0, height, p) for p in a.p_ring_screws),
-        block((0.0, a.body_d), (-VENT_WIDTH / 2, VENT_WIDTH / 2), (0.0, RING_VENT_HEIGHT)),
+        block((0.0, a.body_d), (-a.ring_vent_width / 2, a.ring_vent_width / 2), (0.0, RING_VENT_HEIGHT)),
         *engraving_cuts(a.on_ring),
     )
     return single_solid(body)

@@ -62,7 +62,7 @@ def clamp_ring_interior(a: SensorAdapter, x: Array, y: Array, z: float) -> Mask:
     r = np.hypot(x, y)
     solid = (r < a.body_d / 2) & (r >= bore / 2) & ~_near(x, y, a.p_ring_screws, a.ring_screw.clearance_d)
     if z < RING_VENT_HEIGHT:
-        solid &= ~((np.abs(y) < VENT_WIDTH / 2) & (x > 0.0))
+        solid &= ~((np.abs(y) < a.ring_vent_width / 2) & (x > 0.0))
     return solid
 
 

@@ -108,12 +108,11 @@ def _ring_vent(a: SensorAdapter, density: float) -> MassProperties:
 
     Its moments are integrals over y and z of polynomials of smooth limits in x, which Gauss points give to round-off.
     """
-    half, height = VENT_WIDTH / 2, RING_VENT_HEIGHT
+    half, height = a.ring_vent_width / 2, RING_VENT_HEIGHT
     y, z = np.meshgrid(half * _NODES, height / 2 * (1.0 + _NODES), indexing="ij")
     w = density * half * height / 2 * np.outer(_WEIGHTS, _WEIGHTS)
     bore = (a.ring_bore_d + (a.ring_bore_top_d - a.ring_bore_d) * z / a.ring_thickness) / 2
-    # Beside a bore that is narrower than the notch, the notch begins at the middle.
-    x0, x1 = np.sqrt(np.maximum(bore**2 - y * y, 0.0)), np.sqrt(a.body_d**2 / 4 - y * y)
+    x0, x1 = np.sqrt(bore**2 - y * y), np.sqrt(a.body_d**2 / 4 - y * y)
     length, first, second = ((x1**n - x0**n) / n for n in (1, 2, 3))
     mass = float((w * length).sum())
     p = np.array([(w * first).sum(), 0.0, (w * z * length).sum()]) / mass

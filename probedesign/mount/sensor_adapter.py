@@ -210,6 +210,11 @@ class SensorAdapter:
         return on_circle(self.ring_circle_d, RING_AZIMUTHS_DEG)
 
     @property
+    def ring_vent_width(self) -> float:
+        """Return the width of the notch across the ring's underside [m]: half a narrow bore at most."""
+        return min(VENT_WIDTH, 0.5 * self.ring_bore_d)
+
+    @property
     def ring_top(self) -> float:
         """Return z of the face under the heads of the ring's screws, the lip uncompressed [m]."""
         return self.floor + self.flange.thickness + self.ring_thickness

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import dblquad
 
 pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip install 'probedesign[cad]'")
 
@@ -524,8 +525,12 @@ def test_overlap_is_detected(large: CadModel) -> None:
     (shared,) = overlaps({"probe": probe, "clamp_ring": pressed}).values()
     a = large.adapter
     inner = np.pi / 3 * 0.2e-3 * sum(x * y for x, y in [(6.5e-3, 6.5e-3), (6.5e-3, 6.7e-3), (6.7e-3, 6.7e-3)])
-    mark = np.pi / 4 * a.peg_hole_d**2 * 0.2e-3
-    expected = np.pi / 4 * a.flange.diameter**2 * 0.2e-3 - inner - mark
+    # The notch below the ring takes what lies at +x, the hole of the peg in the lip included.
+    half, outer = a.ring_vent_width / 2, a.flange.diameter / 2
+    assert a.peg_hole_d / 2 <= half and a.peg_x + a.peg_hole_d / 2 < outer
+    notch, _ = dblquad(lambda z, y: np.sqrt(outer**2 - y * y) - np.sqrt((6.5e-3 + z) ** 2 - y * y), -half, half,
+                       0.0, 0.2e-3, epsabs=1e-22, epsrel=1e-12)  # fmt: skip
+    expected = np.pi / 4 * a.flange.diameter**2 * 0.2e-3 - inner - notch
     assert shared == pytest.approx(expected, rel=1e-9)  # exact surfaces
 
 
