@@ -18,7 +18,7 @@ def listed_digests(folder: Path) -> dict[str, str]:
     """Return the digests of the files that the folder's manifest lists; none if it cannot be read."""
     try:
         files = json.loads((folder / MANIFEST).read_text("utf-8"))["files"]
-        return {str(name): str(record["sha256"]) for name, record in files.items()}
+        return {str(name): str(record.get("sha256", "")) for name, record in files.items()}
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return {}
 
