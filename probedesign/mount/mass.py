@@ -191,7 +191,7 @@ def prism_of_box(x: XY, y: XY, z: XY, density: float) -> MassProperties:
 def strip(r: float, x0: float, half: float, z0: float, z1: float, density: float) -> MassProperties:
     """Return the prism between the plane x = x0 and a cylinder of radius r about z, for |y| <= half < r.
 
-    Its moments are integrals over y of polynomials of √(r² - y²), which 40 Gauss points give to round-off.
+    Its moments are integrals over y of polynomials of √(r² - y²), which Gauss points give to round-off.
     """
     y, w = half * _NODES, half * _WEIGHTS
     x1 = np.sqrt(r * r - y * y)

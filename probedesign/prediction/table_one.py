@@ -215,5 +215,7 @@ def paper_design(name: str) -> Design:
     probe = {"shape": "cone", "length_mm": length, "base_d_mm": base, "tip_d_mm": tip,
              "assumed": ["tip_d_mm"] if name == "large" else ["base_d_mm", "tip_d_mm"]}  # fmt: skip
     material = {"resin": "elastic-50a", **_MEASURED, "provenance": _PROVENANCE}
+    sensor = {"model": "nano17", "calibration": "si-12-0.12"}
     contact = {"friction": ELASTIC_50A.friction.value}
-    return check_design({"schema": 1, "name": name, "probe": probe, "material": material, "contact": contact})
+    return check_design({"schema": 1, "name": name, "probe": probe, "material": material, "sensor": sensor,
+                         "contact": contact})  # fmt: skip

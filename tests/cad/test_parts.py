@@ -401,9 +401,13 @@ def test_solids_agree_with_the_formulae(make_design: Callable[..., Design], prob
     model = build_cad(make_design(probe))
     findings = verify(model, *meshed(model))
     assert all(f["ok"] for f in findings.values())
-    # The limit is 1e-9; the kernel is far better, so growth of this number indicates a change.
-    assert max(f["measured"] for name, f in findings.items() if name.endswith(("volume", "centre", "inertia"))
-               and "mesh" not in name and "3mf" not in name) < 1e-12  # fmt: skip
+    # The limit is 1e-9; the kernel is far better, so growth of these numbers indicates a change. It integrates along
+    # the hyperbolas of the ring's notch in its conical bore, and so the ring and the sum of all parts, to 4e-11 only;
+    # the closed form is converged there to 1e-15 (32 to 200 Gauss points).
+    for name, finding in findings.items():
+        if name.endswith(("volume", "centre", "inertia")) and "mesh" not in name and "3mf" not in name:
+            by_notch = name.startswith(("clamp_ring", "hanging"))
+            assert finding["measured"] < (1e-10 if by_notch else 1e-12), name
 
 
 def waisted(base_d: float, length: float, tip_d: float) -> str:
