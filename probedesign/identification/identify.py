@@ -38,7 +38,8 @@ from probedesign.identification.parameters import (
 )
 from probedesign.identification.residuals import MeasuredTest
 from probedesign.identification.result import Identification, Outlier
-from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, fit, outliers
+from probedesign.identification.robust_loss import outliers
+from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, fit
 from probedesign.identification.starting_values import solvable_tests, start_point
 from probedesign.identification.whole_probe import MassMeasurement
 

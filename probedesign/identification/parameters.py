@@ -39,6 +39,9 @@ ROOT_STEP = 0.02
 """Step of root_rigid_radii for its central difference, the one derivative that the rod does not provide. The relative
 truncation error is 1e-4."""
 ROOT_RANGE = (-0.98, 2.0)
+"""Smallest and largest root_rigid_radii that the rod takes, with a margin of `ROOT_STEP`."""
+MAX_LOGARITHM = 3.0
+"""Of a factor on the design value: no probe is twenty times stiffer than designed."""
 GRAVITY_COLUMNS = slice(7, 10)
 """Columns of the rod's sensitivities by gravity in base axes."""
 TARE_FRACTION = 0.05
@@ -80,6 +83,7 @@ class Parameter:
             which `residuals` adds.
         apply: the rod with the parameter at a value; None if the parameter does not change the rod.
         logarithm: whether the vector has the logarithm of a factor on the design value.
+        bounds: smallest and largest value in the reported unit; those of a logarithm are `MAX_LOGARITHM`.
         max_std: largest useful standard deviation [vector unit]; a parameter that is known worse is not reported.
             None for a nuisance parameter, which cannot be requested.
         unit: of reported values; empty for plain factors.
@@ -97,6 +101,7 @@ class Parameter:
     jacobian: Jacobian | None = None
     apply: Callable[[Rod, float], Rod] | None = None
     logarithm: bool = False
+    bounds: tuple[float, float] = (-math.inf, math.inf)
     max_std: float | None = None
     unit: str = ""
     scale: float = 1.0
@@ -157,8 +162,7 @@ def _material(
 
 def _with_root(rod: Rod, x: float) -> Rod:
     """Return the rod with another rigid length at its root, in base radii."""
-    radii = float(np.clip(rod.rigid_length / rod.radius[0] + x, *ROOT_RANGE))
-    return replace(rod, rigid_length=radii * float(rod.radius[0]))
+    return replace(rod, rigid_length=rod.rigid_length + x * float(rod.radius[0]))
 
 
 def scaled_diameters(rod: Rod, factor: float | Array) -> Rod:
@@ -197,7 +201,8 @@ PARAMETERS: dict[str, Parameter] = {
                   prior_source="shear_modulus_mpa in the design, and its tolerance"),
         Parameter("root", {"root": "compliance that the base lacks, in base radii"},
                   lambda common: common.root_std,
-                  lambda test, vector: vector.by_root[..., None], _with_root, max_std=0.3,
+                  lambda test, vector: vector.by_root[..., None], _with_root, bounds=ROOT_RANGE,
+                  max_std=0.3,
                   design_value=lambda rod: float(rod.rigid_length / rod.radius[0]), attribute="root_radii",
                   design_key="mount.root_rigid_radii", prior_name="root of the probe",
                   prior_source="root_rigid_radii in the design (-0.18 is computed for the exported flange), and the "
@@ -270,7 +275,6 @@ BASE_POSE = _span("tilt", "offset")
 MOUNT_ROTATION, MOUNT_OFFSET = PARAMETERS["mount_rotation"].columns, PARAMETERS["mount_offset"].columns
 LOG_E, LOG_G = PARAMETERS["E"].columns.start, PARAMETERS["G"].columns.start
 DIAMETERS = PARAMETERS["diameters"].columns.start
-LOGARITHMS = [i for i, one in enumerate(OWNER) if one.logarithm]
 
 
 def check_requested(names: Sequence[str]) -> tuple[str, ...]:
@@ -390,6 +394,16 @@ class CommonParameters:
         for one in PARAMETERS.values():
             std[one.columns] = one.prior(self)
         return std
+
+    @cached_property
+    def bounds(self) -> Array:
+        """Smallest and largest values of the vector, (2, size)."""
+        bounds = np.full((2, self.size), np.inf) * [[-1.0], [1.0]]
+        for one in PARAMETERS.values():
+            design = one.design_value(self.model.rod)
+            ends = [(end - design) / one.scale for end in one.bounds]
+            bounds[:, one.columns] = np.array([(-MAX_LOGARITHM, MAX_LOGARITHM) if one.logarithm else ends]).T
+        return bounds
 
     def prior_without(self, requested: Sequence[str]) -> Array:
         """Return the prior with infinite standard deviations for the requested parameters, (size,)."""

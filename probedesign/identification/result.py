@@ -26,7 +26,8 @@ from probedesign.identification.parameters import (
     POISSON_STD,
     columns_of,
 )
-from probedesign.identification.solver import ROBUST_KINDS, Fit, NoiseScale
+from probedesign.identification.robust_loss import ROBUST_KINDS, NoiseScale
+from probedesign.identification.solver import Fit
 
 CONFIDENCE = 0.95
 UNITS = {"markers": "mm", "touches": "mm", "places": "mm", "sags": "mm", "wrenches": "N and N·m", "scales": "g",
