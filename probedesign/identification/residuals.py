@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from probedesign.campaigns.manifest import WEIGHT_STD
 from probedesign.core.frames import Array, inverse, skew, wrench_map
 from probedesign.core.statistics import whiten
 from probedesign.identification.parameters import (
@@ -26,14 +27,10 @@ from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.kernels import equations
 from probedesign.rod.rod import Rod
 
-WEIGHT_STD = 0.005
-"""Standard deviation of a known load, relative. Assumed: 5 mg on a weight of a gram."""
 MIN_FRICTION = 1e-3
 """Smallest prior standard deviation of the friction ratio, as in `probedesign.estimation`."""
 SCALE, CREEP = PARAMETERS["length_scale"].columns.start, PARAMETERS["creep"].columns.start
 GAIN, BIAS = PARAMETERS["gain"].columns, PARAMETERS["bias"].columns
-MIN_SCATTER = 1e-4
-"""Smallest standard deviation of a test's stiffness, relative: a tolerance of 0 is taken for this one."""
 _TANGENT_STEP = 1e-5  # of arclength, for the rotation of a section by a difference of its tangent [m]
 
 
@@ -231,8 +228,7 @@ class SolvedTest:
         if "weight" in self.measured.nuisance:
             yield self._own("weights", "weight", WEIGHT_STD)
         if "stiffness" in self.measured.nuisance:
-            scatter = max(self.values.common.tolerances.stiffness_scatter, MIN_SCATTER)
-            yield self._own("stiffness", "stiffness", scatter)
+            yield self._own("stiffness", "stiffness", self.values.common.stiffness_std)
         if "pose" in self.measured.nuisance:
             yield self._pose()
         if np.isfinite(self.measured.sag):
