@@ -23,17 +23,14 @@ from probedesign.core.frames import Array
 from probedesign.identification.fit_checks import DIMENSIONS, LABELS, PriorTest
 from probedesign.identification.parameters import CHANNELS, PARAMETERS
 from probedesign.identification.residuals import MeasuredTest
+from probedesign.identification.robust_loss import READING_KINDS, ROBUST_KINDS, median_scales, weights
 from probedesign.identification.solver import (
-    READING_KINDS,
-    ROBUST_KINDS,
     Fit,
     LeastSquaresProblem,
     Linearization,
     linearize,
-    median_scales,
     minimise,
     reread,
-    weights,
 )
 from probedesign.identification.starting_values import START_FACTORS, points_at, spread
 

@@ -32,13 +32,13 @@ class TestRows:
     r: Array
 
     def eliminated(self, damping: float) -> "EliminatedRows":
-        """Return the rows with the own unknowns eliminated, each damped by a fraction of its information."""
+        """Return the rows with the own unknowns eliminated, each damped by a fraction of its information; those without
+        any keep their values."""
         k, m = self.B.shape
         B, A, r = self.B, self.A, self.r
         if m:
             size = np.linalg.norm(B, axis=0)
-            size = np.where(size > 0.0, size, 1.0)
-            B = np.concatenate([B, np.sqrt(damping) * np.diag(size)])
+            B = np.concatenate([B, np.diag(np.where(size > 0.0, np.sqrt(damping) * size, 1.0))])
             A = np.concatenate([A, np.zeros((m, A.shape[1]))])
             r = np.concatenate([r, np.zeros(m)])
         Q, R = np.linalg.qr(B, mode="complete") if m else (np.eye(k), np.zeros((k, 0)))

@@ -21,13 +21,8 @@ from scipy.stats import binom, chi2
 from probedesign.core.frames import Array
 from probedesign.identification.parameters import DIAMETERS, OWNER, PARAMETERS, PRINT, columns_of
 from probedesign.identification.residuals import MeasuredTest, ResidualBlock
-from probedesign.identification.solver import (
-    READING_KINDS,
-    REJECTION_CHANCE,
-    Fit,
-    Linearization,
-    NoiseScale,
-)
+from probedesign.identification.robust_loss import READING_KINDS, REJECTION_CHANCE, NoiseScale
+from probedesign.identification.solver import Fit, Linearization
 
 MIN_SHARE = 0.2
 """Component of a unit direction from which on a parameter takes part in what cannot be separated."""

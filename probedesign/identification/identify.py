@@ -10,6 +10,7 @@ import numpy as np
 from probedesign.campaigns import Campaign, Test
 from probedesign.campaigns.campaign import TESTS, WRENCHES
 from probedesign.campaigns.checks import check_probe
+from probedesign.campaigns.manifest import WRIST
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
@@ -31,14 +32,14 @@ from probedesign.identification.fit_checks import (
 from probedesign.identification.parameters import (
     DEFAULT,
     LOG_E,
-    WRIST,
     CommonParameters,
     check_requested,
     columns_of,
 )
 from probedesign.identification.residuals import MeasuredTest
 from probedesign.identification.result import Identification, Outlier
-from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, fit, outliers
+from probedesign.identification.robust_loss import outliers
+from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, fit
 from probedesign.identification.starting_values import solvable_tests, start_point
 from probedesign.identification.whole_probe import MassMeasurement
 

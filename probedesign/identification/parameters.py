@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from probedesign.campaigns.manifest import LENGTH_SCALE
 from probedesign.core.errors import InputError, unknown_name
 from probedesign.core.frames import Array, pose, wrench_map
 from probedesign.core.units import MM, MPA
@@ -30,15 +31,15 @@ if TYPE_CHECKING:
     from probedesign.identification.residuals import SolvedTest, WithJacobian
 
 DEGREE = math.pi / 180.0
-WRIST = 0.1
-"""Distance over which a robot's or a stage's repeatability becomes a rotation of the base [m]. Assumed: that of the
-base from the last axis."""
 DEFAULT = ("E", "G")
 """Parameters identified unless others are requested: those of the paper."""
 ROOT_STEP = 0.02
 """Step of root_rigid_radii for its central difference, the one derivative that the rod does not provide. The relative
 truncation error is 1e-4."""
 ROOT_RANGE = (-0.98, 2.0)
+"""Smallest and largest root_rigid_radii that the rod takes, with a margin of `ROOT_STEP`."""
+MAX_LOGARITHM = 3.0
+"""Of a factor on the design value: no probe is twenty times stiffer than designed."""
 GRAVITY_COLUMNS = slice(7, 10)
 """Columns of the rod's sensitivities by gravity in base axes."""
 TARE_FRACTION = 0.05
@@ -47,8 +48,6 @@ Covers 1 % of density, 2 % of area and the change of the sag by a third of E (as
 
 MAX_EXPONENT = 700.0
 """Of a factor in a report: the end of an interval that is not bounded stays a finite number."""
-LENGTH_SCALE = 0.005
-"""Standard deviation of the length scale of the reference, relative. Assumed: 0.5 mm on a box of 100 mm."""
 POISSON, POISSON_STD = 0.49, 0.01
 """Poisson's ratio of an elastomer and its standard deviation. Source: R. H. Pritchard, P. Lava, D. Debruyne,
 E. M. Terentjev, Soft Matter 9, 2013, 6037: 0.49 to 0.5 for unfilled elastomers at small strain. The standard deviation
@@ -60,6 +59,10 @@ MAX_ROOT_DEVIATION = 1.2
 state a tolerance. A normal prior that is off by k of its standard deviations and contributes the fraction w of the
 information leaves P(|√w k + √(1-w) z| < 1.96) in the 95 % interval: at least 94 % for any w up to k = 1.2, and 75 %
 at k = 2 and w = 1/2."""
+ORDINARY_SCATTER, MIN_SCATTER = 0.02, 1e-4
+"""Standard deviation of the stiffness from test to test on an ordinary bench, relative (assumed), and the smallest one
+that is used. Residuals of 16 touches do not reveal that a scatter is twice as large as stated, so a prior that is too
+small makes the intervals of E too small."""
 IMPLIED = ("G", "root")
 """Parameters that are estimated and reported with E although they are not requested: a probe's stiffness is that of all
 three together."""
@@ -80,6 +83,7 @@ class Parameter:
             which `residuals` adds.
         apply: the rod with the parameter at a value; None if the parameter does not change the rod.
         logarithm: whether the vector has the logarithm of a factor on the design value.
+        bounds: smallest and largest value in the reported unit; those of a logarithm are `MAX_LOGARITHM`.
         max_std: largest useful standard deviation [vector unit]; a parameter that is known worse is not reported.
             None for a nuisance parameter, which cannot be requested.
         unit: of reported values; empty for plain factors.
@@ -97,6 +101,7 @@ class Parameter:
     jacobian: Jacobian | None = None
     apply: Callable[[Rod, float], Rod] | None = None
     logarithm: bool = False
+    bounds: tuple[float, float] = (-math.inf, math.inf)
     max_std: float | None = None
     unit: str = ""
     scale: float = 1.0
@@ -157,8 +162,7 @@ def _material(
 
 def _with_root(rod: Rod, x: float) -> Rod:
     """Return the rod with another rigid length at its root, in base radii."""
-    radii = float(np.clip(rod.rigid_length / rod.radius[0] + x, *ROOT_RANGE))
-    return replace(rod, rigid_length=radii * float(rod.radius[0]))
+    return replace(rod, rigid_length=rod.rigid_length + x * float(rod.radius[0]))
 
 
 def scaled_diameters(rod: Rod, factor: float | Array) -> Rod:
@@ -197,7 +201,8 @@ PARAMETERS: dict[str, Parameter] = {
                   prior_source="shear_modulus_mpa in the design, and its tolerance"),
         Parameter("root", {"root": "compliance that the base lacks, in base radii"},
                   lambda common: common.root_std,
-                  lambda test, vector: vector.by_root[..., None], _with_root, max_std=0.3,
+                  lambda test, vector: vector.by_root[..., None], _with_root, bounds=ROOT_RANGE,
+                  max_std=0.3,
                   design_value=lambda rod: float(rod.rigid_length / rod.radius[0]), attribute="root_radii",
                   design_key="mount.root_rigid_radii", prior_name="root of the probe",
                   prior_source="root_rigid_radii in the design (-0.18 is computed for the exported flange), and the "
@@ -270,7 +275,6 @@ BASE_POSE = _span("tilt", "offset")
 MOUNT_ROTATION, MOUNT_OFFSET = PARAMETERS["mount_rotation"].columns, PARAMETERS["mount_offset"].columns
 LOG_E, LOG_G = PARAMETERS["E"].columns.start, PARAMETERS["G"].columns.start
 DIAMETERS = PARAMETERS["diameters"].columns.start
-LOGARITHMS = [i for i, one in enumerate(OWNER) if one.logarithm]
 
 
 def check_requested(names: Sequence[str]) -> tuple[str, ...]:
@@ -352,6 +356,13 @@ class CommonParameters:
         return max(stated, max(abs(design - root) for root in KNOWN_ROOTS) / MAX_ROOT_DEVIATION)
 
     @property
+    def stiffness_std(self) -> float:
+        """Standard deviation of the stiffness from test to test, relative: the tolerance, or `ORDINARY_SCATTER` where
+        that is the assumed default, because how a bench rests the probe between tests is then not known."""
+        stated = self.tolerances.stiffness_scatter
+        return max(stated if stated != Tolerances.stiffness_scatter else ORDINARY_SCATTER, MIN_SCATTER)
+
+    @property
     def mount_rotation_std(self) -> Array:
         """Standard deviations of the probe's rotation on the sensor [rad], (3,)."""
         t = self.tolerances
@@ -390,6 +401,16 @@ class CommonParameters:
         for one in PARAMETERS.values():
             std[one.columns] = one.prior(self)
         return std
+
+    @cached_property
+    def bounds(self) -> Array:
+        """Smallest and largest values of the vector, (2, size)."""
+        bounds = np.full((2, self.size), np.inf) * [[-1.0], [1.0]]
+        for one in PARAMETERS.values():
+            design = one.design_value(self.model.rod)
+            ends = [(end - design) / one.scale for end in one.bounds]
+            bounds[:, one.columns] = np.array([(-MAX_LOGARITHM, MAX_LOGARITHM) if one.logarithm else ends]).T
+        return bounds
 
     def prior_without(self, requested: Sequence[str]) -> Array:
         """Return the prior with infinite standard deviations for the requested parameters, (size,)."""

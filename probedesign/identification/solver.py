@@ -1,28 +1,21 @@
-"""Robust least squares over a whole campaign: starting values, Levenberg–Marquardt steps, weights and noise scales.
-
-A block of k residuals at distance d has full weight up to c², the 99 % quantile of χ²_k, and weight c²/d² beyond: with
-normal noise hardly any information is lost, and the pull of a gross error falls as 1/d. That loss has more than one
-minimum, so distances are first measured against their median, whose scale falls to 1 as the fit converges.
+"""Least squares over a whole campaign: Levenberg–Marquardt steps within bounds, with robust weights and noise scales.
 
 SciPy's `least_squares` has robust losses of single residuals only; here a block of residuals shares one weight and the
 scale of its kind is estimated with it, which is why the steps are taken here.
 """
 
-import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from probedesign.core.frames import Array
 from probedesign.identification.elimination import NormalEquations, TestRows
 from probedesign.identification.parameters import (
     LOG_G,
-    LOGARITHMS,
+    MAX_LOGARITHM,
     CommonParameters,
     ParameterValues,
     columns_of,
@@ -33,136 +26,23 @@ from probedesign.identification.residuals import (
     SolvedTest,
     solve_test,
 )
+from probedesign.identification.robust_loss import (
+    NoiseScale,
+    median_scales,
+    noise_scales,
+    robust_loss,
+    weights,
+)
 from probedesign.identification.whole_probe import MassMeasurement, PoissonPrior
 
-READING_KINDS = ("markers", "wrenches", "touches", "places", "weights")
-"""Kinds of readings that most tests have."""
-ROBUST_KINDS = (*READING_KINDS, "stiffness", "friction")
-"""Kinds whose scatter is estimated where it exceeds the stated one; the others are prior knowledge or single readings.
-Stiffness and friction of each touch scatter as readings do, and one may be far from the others."""
-MIN_FREEDOM = 1.0
-"""Degrees of freedom from which on a scatter is judged."""
-STATED_FREEDOM = 4.0
-"""Degrees of freedom that a stated standard deviation is worth: it is known within about a third (assumed)."""
-FULL_WEIGHT = 0.99
-"""Quantile of χ² up to which a block has full weight."""
-REJECTION_CHANCE = 1e-3
-"""Chance, with noise as stated, that a prior is rejected."""
-SCATTER_CHANCE = 0.05
-"""Chance, with noise as stated, that a scatter is judged larger than stated and reported; it refuses nothing."""
-OUTLIER_CHANCE = 0.01
-"""Chance, with normal noise, that a campaign reports any outlier at all."""
 MAX_ITERATIONS = 25
 """Steps of one search: those of campaigns without contradictions take fewer than ten."""
 MIN_DAMPING, MAX_DAMPING = 1e-9, 1e8
 MIN_GAIN = 1e-3
 """Decrease of the loss, half a χ², that ends a search: within a twentieth of a standard deviation of the minimum. The
 rod's own tolerances, a micrometre and a millionth of the moment, make the loss uncertain by about as much."""
-MAX_LOGARITHM = 3.0
-"""Of a factor on the design value: no probe is twenty times stiffer than designed."""
 MAX_SCALE_ROUNDS = 4
 """Estimates of the noise scales from the residuals."""
-
-
-# robust weights
-
-
-@dataclass(frozen=True)
-class NoiseScale:
-    """Scatter of one kind of reading.
-
-    Attributes:
-        kind: of readings.
-        groups: how many there are.
-        scale: standard deviation over the stated one; at least 1.
-        freedom: degrees of freedom of the scale, those of the stated value included.
-        measured: whether the residuals scatter significantly more than stated.
-    """
-
-    kind: str
-    groups: int
-    scale: float
-    freedom: float
-    measured: bool
-
-
-@cache
-def _full_weight_limit(k: int) -> float:
-    """Return c²."""
-    return float(chi2.ppf(FULL_WEIGHT, k))
-
-
-@cache
-def _median(k: int) -> float:
-    return float(chi2.median(k))
-
-
-def weights(blocks: Sequence[ResidualBlock], scales: dict[str, float]) -> Array:
-    """Return the weight of each block, relative to its stated information, (n,)."""
-    result = np.ones(len(blocks))
-    for i, block in enumerate(blocks):
-        if block.kind in ROBUST_KINDS:
-            variance = scales.get(block.kind, 1.0) ** 2
-            d2 = block.squared_distance / variance
-            result[i] = min(1.0, _full_weight_limit(len(block.r)) / max(d2, 1e-12)) / variance
-    return result
-
-
-def robust_loss(blocks: Sequence[ResidualBlock], scales: dict[str, float]) -> float:
-    """Return the loss that a fit minimises, half a χ² of blocks with full weight."""
-    total = 0.0
-    for block in blocks:
-        d2 = block.squared_distance
-        if block.kind in ROBUST_KINDS:
-            d2 /= scales.get(block.kind, 1.0) ** 2
-            limit = _full_weight_limit(len(block.r))
-            d2 = d2 if d2 <= limit else limit * (1.0 + np.log(d2 / limit))
-        total += 0.5 * d2
-    return total
-
-
-def median_scales(blocks: Sequence[ResidualBlock]) -> dict[str, float]:
-    """Return the scale of each kind by the median of its distances, at least 1."""
-    result = {}
-    for kind in ROBUST_KINDS:
-        relative = [block.squared_distance / _median(len(block.r)) for block in blocks if block.kind == kind]
-        if relative:
-            result[kind] = max(1.0, float(np.sqrt(np.median(relative))))
-    return result
-
-
-def _noise_scales(
-    blocks: Sequence[ResidualBlock], weight: Array, leverage: Array, scales: dict[str, float]
-) -> list[NoiseScale]:
-    """Estimate the scatter of each kind about the fit; `leverage` is what the fit absorbs of each block, (n,).
-
-    The stated variance is itself uncertain: its prior is the scaled inverse χ² distribution with `STATED_FREEDOM`
-    degrees of freedom, and the scale is that of the posterior, never below the stated one.
-    """
-    result = []
-    for kind in dict.fromkeys(block.kind for block in blocks if block.kind in ROBUST_KINDS):
-        at = [i for i, block in enumerate(blocks) if block.kind == kind]
-        # 1 for blocks with full weight; the square lets far outliers have no part in the scale.
-        relative = (weight[at] * scales.get(kind, 1.0) ** 2) ** 2
-        squares = float(np.sum(relative * [blocks[i].squared_distance for i in at]))
-        freedom = float(np.sum(relative * [len(blocks[i].r) for i in at]) - leverage[at].sum())
-        measured = freedom > MIN_FREEDOM and chi2.sf(squares, freedom) < SCATTER_CHANCE
-        freedom = max(freedom, 0.0) + STATED_FREEDOM
-        scale = max(math.sqrt((squares + STATED_FREEDOM) / freedom), 1.0)
-        result.append(NoiseScale(kind, len(at), scale, freedom, bool(measured)))
-    return result
-
-
-def outliers(blocks: Sequence[ResidualBlock], scales: dict[str, float]) -> list[tuple[ResidualBlock, float]]:
-    """Return the blocks that noise does not explain, farthest first, with their Mahalanobis distance."""
-    count = sum(block.kind in ROBUST_KINDS for block in blocks)
-    result = []
-    for block in blocks:
-        if block.kind in ROBUST_KINDS:
-            d2 = block.squared_distance / scales.get(block.kind, 1.0) ** 2
-            if chi2.sf(d2, len(block.r)) < OUTLIER_CHANCE / max(count, 1):
-                result.append((block, float(np.sqrt(d2))))
-    return sorted(result, key=lambda pair: -pair[1])
 
 
 # the problem, linearised
@@ -195,6 +75,25 @@ class LeastSquaresProblem:
         return PoissonPrior() if np.isinf(self.prior[LOG_G]) else None
 
     @cached_property
+    def bounds(self) -> Array:
+        """Smallest and largest values of the estimated entries of the parameter vector, (2, n_active)."""
+        return self.common.bounds[:, self.active]
+
+    @cached_property
+    def nuisance_bounds(self) -> tuple[Array, ...]:
+        """Smallest and largest values of each test's nuisance parameters, (2, nuisance_size): the flank ends the
+        arclength, and a stiffness is bounded as E is."""
+        found = []
+        for test in self.tests:
+            bounds = np.full((2, test.nuisance_size), np.inf) * [[-1.0], [1.0]]
+            if "s" in test.nuisance:
+                bounds[:, test.nuisance["s"]] = [[0.0], [self.common.model.rod.flank_end]]
+            if "stiffness" in test.nuisance:
+                bounds[:, test.nuisance["stiffness"]] = [[-MAX_LOGARITHM], [MAX_LOGARITHM]]
+            found.append(bounds)
+        return tuple(found)
+
+    @cached_property
     def n_active(self) -> int:
         """Number of estimated entries of the parameter vector."""
         return int(self.active.sum())
@@ -203,14 +102,6 @@ class LeastSquaresProblem:
     def size(self) -> int:
         """Number of all unknowns, nuisance parameters of the tests included."""
         return self.n_active + sum(test.nuisance_size for test in self.tests)
-
-    @cached_property
-    def nuisance_slices(self) -> dict[str, slice]:
-        """Position of each test's nuisance parameters among the unknowns, by its name."""
-        ends = itertools.accumulate((test.nuisance_size for test in self.tests), initial=self.n_active)
-        return {
-            test.name: slice(a, b) for test, (a, b) in zip(self.tests, itertools.pairwise(ends), strict=True)
-        }
 
 
 @dataclass(frozen=True)
@@ -244,25 +135,6 @@ class Linearization:
         """Return the loss with the prior's share."""
         return robust_loss(self.blocks, scales) + 0.5 * float(self.prior_residual @ self.prior_residual)
 
-    def block_jacobian(self, block: ResidualBlock) -> Array:
-        """Return derivatives of one block by all unknowns, (k, size)."""
-        J = np.zeros((len(block.r), self.problem.size))
-        J[:, : self.problem.n_active] = block.J[:, self.problem.active]
-        if block.test in self.problem.nuisance_slices:
-            J[:, self.problem.nuisance_slices[block.test]] = block.J_nuisance
-        return J
-
-    def system(self, weight: Array) -> tuple[Array, Array]:
-        """Return the weighted Jacobian (n, size) and residuals (n,), priors first."""
-        std = self.problem.prior[self.problem.active]
-        prior = np.zeros((self.problem.n_active, self.problem.size))
-        prior[:, : self.problem.n_active] = np.diag(np.where(np.isinf(std), 0.0, 1.0 / std))
-        rows, values = [prior], [self.prior_residual]
-        for block, w in zip(self.blocks, weight, strict=True):
-            rows.append(np.sqrt(w) * self.block_jacobian(block))
-            values.append(np.sqrt(w) * block.r)
-        return np.concatenate(rows), np.concatenate(values)
-
     @cached_property
     def _blocks_of_tests(self) -> list[list[int]]:
         """Positions of the blocks of each test, and of those that belong to none."""
@@ -290,16 +162,27 @@ class Linearization:
             result.append((rows, np.array([len(block.r) for block in blocks])))
         return result
 
-    def normal_equations(self, weight: Array, damping: float = 0.0) -> NormalEquations:
-        """Return the weighted normal equations of the common unknowns."""
-        tests = []
-        for group, (rows, sizes) in zip(self._blocks_of_tests, self._stacked, strict=True):
+    def normal_equations(self, weight: Array, damping: float = 0.0, bounded: bool = False) -> NormalEquations:
+        """Return the weighted normal equations of the common unknowns.
+
+        `bounded` fixes the unknowns at a bound whose loss decreases beyond it: the steps then are those of the others,
+        and the expected decrease is one that a step within the bounds can reach.
+        """
+        rows = []
+        for group, (stated, sizes) in zip(self._blocks_of_tests, self._stacked, strict=True):
             root = np.sqrt(np.repeat(weight[group], sizes))
-            tests.append(
-                TestRows(root[:, None] * rows.A, root[:, None] * rows.B, root * rows.r).eliminated(damping)
-            )
+            rows.append(TestRows(root[:, None] * stated.A, root[:, None] * stated.B, root * stated.r))
         std = self.problem.prior[self.problem.active]
         inverse = np.where(np.isinf(std), 0.0, 1.0 / std)
+        if bounded:
+            gradient = inverse * self.prior_residual + sum(one.A.T @ one.r for one in rows)
+            movable = _movable(self.values.x[self.problem.active], gradient, self.problem.bounds)
+            inverse = inverse * movable
+            rows = [replace(one, A=one.A * movable) for one in rows]
+            for i, (test, bounds) in enumerate(zip(self.tests, self.problem.nuisance_bounds, strict=True)):
+                own = rows[i]
+                rows[i] = replace(own, B=own.B * _movable(test.nuisance, own.B.T @ own.r, bounds))
+        tests = [one.eliminated(damping) for one in rows]
         return NormalEquations(tests, inverse**2, inverse * self.prior_residual, damping)
 
     def absorbed(self, equations: NormalEquations) -> list[Array]:
@@ -310,6 +193,12 @@ class Linearization:
             for k, size, end in zip(group, sizes, ends, strict=True):
                 result[k] = hat[end - size : end, end - size : end]
         return result
+
+
+def _movable(values: Array, gradient: Array, bounds: Array) -> NDArray[np.bool_]:
+    """Return which values are within their bounds or are drawn away from the bound they are at."""
+    low, high = bounds
+    return np.asarray(~((values <= low) & (gradient > 0.0) | (values >= high) & (gradient < 0.0)))
 
 
 def linearize(
@@ -403,7 +292,7 @@ def fit(problem: LeastSquaresProblem, start: Linearization) -> Fit:
     noise: list[NoiseScale] = []
     for _ in range(MAX_SCALE_ROUNDS):
         weight = weights(point.blocks, scales)
-        noise = _noise_scales(point.blocks, weight, _leverage(point, weight), scales)
+        noise = noise_scales(point.blocks, weight, _leverage(point, weight), scales)
         estimated = {one.kind: one.scale for one in noise}
         settled = bool(scales) and all(abs(estimated[k] / scales[k] - 1.0) < 0.02 for k in estimated)
         scales = estimated
@@ -432,13 +321,13 @@ def minimise(
     for iteration in range(max_iterations):
         used = median_scales(point.blocks) if scales is None else scales
         weight = weights(point.blocks, used)
-        equations = point.normal_equations(weight, MIN_DAMPING)
+        equations = point.normal_equations(weight, MIN_DAMPING, bounded=True)
         if equations.steps[2] < MIN_GAIN:
             return point, iteration, True
         moved, loss = None, point.loss(used)
         while moved is None and damping < MAX_DAMPING:
             if damping > MIN_DAMPING:
-                equations = point.normal_equations(weight, damping)
+                equations = point.normal_equations(weight, damping, bounded=True)
             moved = _moved(problem, point, equations)
             if moved is not None and moved.loss(used) > loss:
                 moved = None
@@ -452,19 +341,13 @@ def minimise(
 def _moved(
     problem: LeastSquaresProblem, point: Linearization, equations: NormalEquations
 ) -> Linearization | None:
-    """Return the campaign after a step of all unknowns; None if a factor is absurd or the rod has no solution."""
+    """Return the campaign after a step of all unknowns within their bounds; None if the rod has no solution."""
     step, own_steps, _ = equations.steps
     x = point.values.x.copy()
-    x[problem.active] += step
-    if np.abs(x[LOGARITHMS]).max() > MAX_LOGARITHM:
-        return None
-    nuisance = []
-    for test, own_step in zip(point.tests, own_steps, strict=False):
-        own, at = test.nuisance + own_step, test.measured.nuisance
-        if "s" in at:
-            own[at["s"]] = np.clip(own[at["s"]], 0.0, problem.common.model.rod.flank_end)
-        if "stiffness" in at and abs(own[at["stiffness"]][0]) > MAX_LOGARITHM:
-            return None
-        nuisance.append(own)
+    x[problem.active] = np.clip(x[problem.active] + step, *problem.bounds)
+    nuisance = [
+        np.clip(test.nuisance + own_step, *bounds)
+        for test, own_step, bounds in zip(point.tests, own_steps, problem.nuisance_bounds, strict=False)
+    ]
     moved = linearize(problem, ParameterValues(problem.common, x), nuisance, point)
     return moved if moved.ok else None

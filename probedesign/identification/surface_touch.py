@@ -25,7 +25,7 @@ MAX_ITERATIONS = 12
 COUPLE_TOLERANCE = 1e-5
 """Of the couple, relative to the force times the radius: a nanonewton metre for a touch of 20 mN."""
 MIN_NORMAL = 1e-3
-"""Smallest normal force over the force that friction ratios are formed with: below it the force pulls."""
+"""Smallest normal force of a touch over its force: with less it would pull."""
 
 
 @dataclass(frozen=True)
@@ -130,23 +130,31 @@ class SurfaceTouch:
         by_rod = self.radius * (d[1] + np.outer(e, self._d_log_radius))
         return self.radius * e, by_rod, self.radius * self._by_root[1], self.radius * h
 
+    @cached_property
+    def _contact_maps(self) -> Array:
+        """Return the maps from [t, e, h] to the inward normal, along the flank and around it, (3, 3)."""
+        tan = self.rod.taper_at(self.eq.s_contact)
+        cos, sin = 1.0 / math.hypot(1.0, tan), tan / math.hypot(1.0, tan)
+        return np.array([[-sin, -cos, 0.0], [cos, -sin, 0.0], [0.0, 0.0, 1.0]])
+
+    @property
+    def pushes(self) -> bool:
+        """Whether the force points into the surface. Where it does not, the friction ratios have no meaning."""
+        normal = self._contact_maps[0] @ self._directions[0] @ self.force
+        return bool(normal > MIN_NORMAL * np.linalg.norm(self.force))
+
     @property
     def friction(self) -> tuple[Array, Array, Array, Array]:
         """Tangential over normal force along the flank and around it, (2,), and its derivatives as in `offset`.
 
         Outward normal N = cos α e + sin α t, along the flank a = cos α t - sin α e; the ratios are F·a/(-F·N) and
-        F·h/(-F·N).
+        F·h/(-F·N). Defined where the force `pushes`.
         """
         (t, e, h), d = self._directions
-        tan = self.rod.taper_at(self.eq.s_contact)
-        cos, sin = 1.0 / math.hypot(1.0, tan), tan / math.hypot(1.0, tan)
-        maps = np.array(
-            [[-sin, -cos, 0.0], [cos, -sin, 0.0], [0.0, 0.0, 1.0]]
-        )  # inward normal, a, h, of [t, e, h]
+        maps = self._contact_maps
         axes = maps @ np.stack([t, e, h])
         by_angle = maps @ np.stack([np.zeros(3), h, -e])
         normal, *tangential = axes @ self.force
-        normal = max(normal, MIN_NORMAL * float(np.linalg.norm(self.force)), 1e-12)
         ratio = np.array(tangential) / normal
         by_rod = np.einsum("ij,jkl->ikl", maps, d)
         moved = np.einsum("ikl,k->il", by_rod, self.force)
@@ -171,7 +179,7 @@ def solve_touch(
         couple: initial guess [N·m], (3,).
 
     Returns:
-        The equilibrium with all sensitivities, and whether it was found with its couple.
+        The equilibrium with all sensitivities, and whether it was found with its couple and the force pushes.
     """
     for _ in range(MAX_ITERATIONS):
         eq = rod.solve(gravity, force, s, couple=couple, guess=tip, columns="all")
@@ -179,6 +187,6 @@ def solve_touch(
             return eq, False
         touch = SurfaceTouch(rod, eq, force, angle, np.zeros((3, 3)))
         if touch.converged:
-            return eq, True
+            return eq, touch.pushes
         couple, tip = touch.next_couple(), eq.tip
     return eq, False

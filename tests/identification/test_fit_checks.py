@@ -13,7 +13,8 @@ from probedesign.identification.fit_checks import OutlierCount, PriorTest, check
 from probedesign.identification.identify import IdentificationData, data_of, identify
 from probedesign.identification.residuals import MeasuredTest
 from probedesign.identification.result import Identification
-from probedesign.identification.solver import REJECTION_CHANCE, LeastSquaresProblem, fit
+from probedesign.identification.robust_loss import REJECTION_CHANCE
+from probedesign.identification.solver import LeastSquaresProblem, fit
 from probedesign.identification.starting_values import start_point
 
 
