@@ -28,8 +28,9 @@ from probedesign.probe import Probe
 from probedesign.studio.figures import DesignFigures, DrawnTouch, segment_colours
 from probedesign.studio.session import StudioTouch, knots_of
 
-SEGMENTS, RINGS, RING_POINTS = 20, 4, 28
-"""Coloured segments of the drawn probe, rings of each, points of a ring."""
+SEGMENTS, RINGS, RING_POINTS = 20, 3, 20
+"""Coloured segments of the drawn probe, rings of each, points of a ring: without a GPU, the triangles of the probe take
+half of a frame's time."""
 KNOT_COLOUR = (38, 84, 124)
 MAX_KNOTS = 12
 """Number of diameters of a profile that can be dragged; a profile with more is changed in its file."""
@@ -62,7 +63,7 @@ class StudioScene:
         self._base = scene.add_frame("/base", show_axes=False)
         nothing, faces = np.zeros((RINGS * RING_POINTS + 1, 3)), _segment_faces()
         self._segments = [
-            scene.add_mesh_simple(f"/base/probe/{i}", nothing, faces, color=STALE_COLOUR, side="double")
+            scene.add_mesh_simple(f"/base/probe/{i}", nothing, faces, color=STALE_COLOUR, cast_shadow=False)
             for i in range(SEGMENTS)
         ]
         self._contact = scene.add_icosphere("/base/contact", UNIT * 1.8e-3, CONTACT, cast_shadow=False)
