@@ -170,7 +170,9 @@ def dxf_bytes(sheet: Sheet) -> bytes:
     ezdxf.options.write_fixed_meta_data_for_testing = True  # no time of writing, no random identifier
     try:
         document = _dxf_document(sheet)
-        for kind in sorted(document.entitydb.dxf_types_in_use()):  # ezdxf itself takes them in the order of a set
+        for kind in sorted(
+            document.entitydb.dxf_types_in_use()
+        ):  # ezdxf itself takes them in the order of a set
             document.classes.add_class(kind)
         text = io.StringIO()
         document.write(text)
