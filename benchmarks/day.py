@@ -15,9 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.coverage import SLIDE, TOUCHES, WITHIN_95, friction_of, paper_models
-from benchmarks.reference_worlds import Priors, Sources, bound, nominal_free, presses, read, rms
+from benchmarks.coverage import MAX_SLIDE, TOUCHES
+from benchmarks.error_statistics import CHI2_95
+from benchmarks.reference_probes import Perturbations, PriorStds, nominal_free
+from benchmarks.reference_touches import cramer_rao, evaluate_readings, position_rms, solve_presses
 from benchmarks.timing import print_table
+from benchmarks.touches import paper_models
 from probedesign.core.frames import Array, inverse, wrench_map
 from probedesign.core.units import MM
 from probedesign.estimation.detector import Detector
@@ -155,30 +158,32 @@ class Found:
 
 
 def _schedule(model: ProbeModel, hours: float, rng: np.random.Generator) -> list[Scheduled]:
-    """Return single touches and presses in turn, each of a world of its own; the day's drift is not in them."""
+    """Return alternately single touches and presses, each with error sources of its own but without the drift."""
     n = int(3600.0 * hours / PERIOD) // 2
-    stated, found = Priors.of(model), list[Scheduled]()
-    mu = friction_of(model)
+    stated, found = PriorStds.of(model), list[Scheduled]()
+    mu = model.friction
 
-    def drawn(touches: int) -> tuple[Sources, Array, Array, Array]:
-        sources = Sources.of(model, stated, touches)
-        z = sources.draw(n, rng)
-        z[:, sources.slots["drift"]] = 0.0
-        return sources, z, mu * rng.normal(size=(n, 2)), rng.uniform(-np.pi, np.pi, n)
+    def drawn(touches: int) -> tuple[Perturbations, Array, Array, Array]:
+        perturbations = Perturbations.of(model, stated, touches)
+        z = perturbations.draw(n, rng)
+        z[:, perturbations.slots["drift"]] = 0.0
+        return perturbations, z, mu * rng.normal(size=(n, 2)), rng.uniform(-np.pi, np.pi, n)
 
-    sources, z, ratios, phi = drawn(1)
-    worlds = sources.worlds(z)
+    perturbations, z, ratios, phi = drawn(1)
+    samples = perturbations.samples(z)
     force = NEWTONS * np.column_stack([np.ones(n), ratios]) / np.sqrt(1.0 + (ratios**2).sum(axis=1))[:, None]
-    one = solve(worlds.at_touch(0), worlds.gravity, PLACE * worlds.probes.length, phi, force, axes="surface")
-    readings = read(worlds, z, one, worlds.free())
-    limits = rms(bound(readings, model.noise_base()))
+    one = solve(
+        samples.at_touch(0), samples.gravity, PLACE * samples.probes.length, phi, force, axes="surface"
+    )
+    readings = evaluate_readings(samples, z, one, samples.free_wrench())
+    limits = position_rms(cramer_rao(readings, model.noise_base()))
     for i in np.flatnonzero(one.ok):
         begin = 2.0 * i * PERIOD + BEGIN
         place, point = -readings.point[i : i + 1], readings.point[i]
         found.append(Scheduled(begin, readings.wrench[i : i + 1], place, point, float(limits[i])))
-    sources, z, ratios, phi = drawn(TOUCHES)
-    slide = rng.uniform(0.0, SLIDE, n)
-    pressed = presses(sources.worlds(z), z, PLACE, phi, ratios, NEWTONS, slide)
+    perturbations, z, ratios, phi = drawn(TOUCHES)
+    slide = rng.uniform(0.0, MAX_SLIDE, n)
+    pressed = solve_presses(perturbations.samples(z), z, PLACE, phi, ratios, NEWTONS, slide)
     for i in np.flatnonzero(pressed.ok):
         begin = (2.0 * i + 1.0) * PERIOD + BEGIN
         point = pressed.readings[-1].point[i]
@@ -282,7 +287,7 @@ def _columns(found: list[Found]) -> list[str]:
         located = [one for one in mine if one.result == "ok"]
         n = max(len(located), 1)
         size = math.sqrt(sum((one.ratio if single else one.error / MM) ** 2 for one in located) / n)
-        inside = sum(one.nees <= WITHIN_95 for one in located) / n
+        inside = sum(one.nees <= CHI2_95 for one in located) / n
         columns += [str(len(mine)), f"{len(located) / max(len(mine), 1):.1%}", f"{size:.2f}", f"{inside:.1%}"]
     others = Counter(one.result for one in found if one.result != "ok")
     return [*columns, ", ".join(f"{code} {n}" for code, n in others.items()) or "none"]
