@@ -1,9 +1,10 @@
-"""Compliance of the clamped soft flange by linear finite elements, as `root_rigid_radii` of the rod.
+"""Compute `root_rigid_radii` of the rod from the compliance of the clamped flange by linear finite elements.
 
-A body of revolution under a bending moment: u = (U cos θ, V sin θ, W cos θ) in cylinder coordinates reduces the solid
-to its half plane. Displacement and pressure are independent (Taylor–Hood, Q2/Q1), so that incompressible material does
-not lock. The end of a stub above the flange turns by less, or more, than the rod does; the difference, in base radii of
-rod, is c = (∫ ds/(E I) - φ/M) E I₀/r₀. Needs scikit-fem: pip install 'probedesign[bench]'.
+For a body of revolution under a bending moment, u = (U cos θ, V sin θ, W cos θ) in cylindrical coordinates reduces the
+solid to its half plane. Displacement and pressure are independent (Taylor–Hood, Q2/Q1), which prevents locking of
+incompressible material. The end of a stub above the flange rotates by φ, and the rod without a flange by M ∫ ds/(E I);
+the difference as a length of rod in base radii is c = (∫ ds/(E I) - φ/M) E I₀/r₀. scikit-fem is needed:
+pip install 'probedesign[bench]'.
 """
 
 import math
@@ -17,19 +18,20 @@ from benchmarks.timing import print_table
 ROOT = Path(__file__).parents[1]
 POISSON = 0.49
 STUB = 4.0
-"""Height of the stub in base radii: the root's effect has decayed by Saint-Venant's principle."""
+"""Height of the stub in base radii. The effect of the root has decayed there by Saint-Venant's principle."""
 Hold = Literal["face", "glued", "clamped", "slipping", "hollow seat"]
 HOLDS: dict[Hold, str] = {
     "face": "base bonded at s = 0, no flange",
     "glued": "underside glued, lip clamped",
-    "clamped": "lip stuck, underside without friction (clamped)",
+    "clamped": "lip bonded, underside without friction (clamped)",
     "slipping": "lip and underside without friction",
-    "hollow seat": "lip stuck, middle of the underside free",
+    "hollow seat": "lip bonded, middle of the underside free",
 }
 
 
 class ClampedBase(NamedTuple):
-    """A round base with its flange [m]: radius, slope -dr/ds, flange's radius and thickness, ring's bore radius."""
+    """Dimensions of a round base with its flange [m]: radius, slope -dr/ds, radius and thickness of the flange, bore
+    radius of the ring."""
 
     r0: float
     slope: float
@@ -54,7 +56,7 @@ def lines(ends: list[float], sharp: list[bool], cells: int, ratio: float) -> np.
 
 
 def missing_compliance(base: ClampedBase, hold: Hold, poisson: float = POISSON, cells: int = 10) -> float:
-    """Return c of a base, in base radii: positive where the base bends less than the rod."""
+    """Return c of a base in base radii; it is positive if the base bends less than the rod."""
     from skfem import (  # fmt: skip
         Basis,
         BilinearForm,
@@ -117,10 +119,12 @@ def missing_compliance(base: ClampedBase, hold: Hold, poisson: float = POISSON, 
     )
 
     @LinearForm
-    def turn(v: Any, w: Any) -> Any:
-        return v[2] * w.x[0] ** 2  # traction k r cos θ with k = 1, of the moment I; divided by π as all forms
+    def moment(v: Any, w: Any) -> Any:
+        return (
+            v[2] * w.x[0] ** 2
+        )  # traction k r cos θ with k = 1 has the moment I; like all forms divided by π
 
-    B, f = asm(divergence, u_basis, p_basis), asm(turn, end)
+    B, f = asm(divergence, u_basis, p_basis), asm(moment, end)
     K = bmat([[asm(stiffness, u_basis), B.T], [B, asm(bulk, p_basis)]], "csr")
     load = np.concatenate([f, np.zeros(p_basis.N)])
     fixed = _fixed(base, hold, u_basis, p_basis)
@@ -133,7 +137,7 @@ def missing_compliance(base: ClampedBase, hold: Hold, poisson: float = POISSON, 
 
 
 def _fixed(base: ClampedBase, hold: Hold, u_basis: Any, p_basis: Any) -> np.ndarray:
-    """Return the fixed degrees of freedom: of the axis, of the lip and of the underside."""
+    """Return the fixed degrees of freedom on the axis, the lip and the underside."""
     x, tiny = u_basis.doflocs, 1e-9
     index = np.arange(u_basis.N)
     component = np.empty(u_basis.N, dtype=int)
@@ -163,7 +167,7 @@ def _fixed(base: ClampedBase, hold: Hold, u_basis: Any, p_basis: Any) -> np.ndar
 
 
 def base_of(base_d_mm: float, slope: float, thickness_mm: float = 3.0) -> ClampedBase:
-    """Return the base of an exported probe by its diameter."""
+    """Return the base of an exported probe of a given diameter."""
     from probedesign.geometry import flange_for
     from probedesign.mount.sensor_adapter import RING_CLEARANCE
 
@@ -173,7 +177,7 @@ def base_of(base_d_mm: float, slope: float, thickness_mm: float = 3.0) -> Clampe
 
 
 def report() -> None:
-    """Print the compliance for the three designs, for other bases and thicknesses, and on finer meshes."""
+    """Print the result for the three designs, for other bases and thicknesses, and on finer meshes."""
     from probedesign.design import load_design
     from probedesign.geometry import build_geometry
     from probedesign.mount.root import exported_root_radii
@@ -195,7 +199,7 @@ def report() -> None:
             rows.append(
                 [f"{thickness:g}", f"{d:g}", *(f"{missing_compliance(base, hold):.3f}" for hold in HOLDS)]
             )
-    print_table("other bases, cylinders", ["flange [mm]", "d [mm]", *HOLDS], rows)
+    print_table("Other bases, cylinders", ["flange [mm]", "d [mm]", *HOLDS], rows)
     base = base_of(12.0, 0.0)
     rows = [
         [f"{cells}", *(f"{missing_compliance(base, hold, cells=cells):.4f}" for hold in HOLDS)]
@@ -205,6 +209,6 @@ def report() -> None:
         [f"ν = {nu:g}", *(f"{missing_compliance(base, hold, nu):.4f}" for hold in HOLDS)]
         for nu in (0.48, 0.499)
     ]
-    print_table("cells between two edges, and Poisson's ratio; d = 12 mm", ["", *HOLDS], rows)
-    for hold, what in HOLDS.items():
-        print(f"  {hold}: {what}")
+    print_table("Cells between two edges, and Poisson's ratio; d = 12 mm", ["", *HOLDS], rows)
+    for hold, description in HOLDS.items():
+        print(f"  {hold}: {description}")

@@ -54,6 +54,8 @@ MAX_SLIDE = 1.0 * MM
 """Largest distance that a sliding touch moves along the probe from the first to the last touch. Assumed."""
 SAMPLES = 36
 """Samples of each touch for the tracker; their mean is the reading for `fuse`."""
+MIN_STD = 1e-6
+"""Smallest standard deviation of a point in any direction for its NEES [m]."""
 DRAWS, FUSED_DRAWS = 100, 30
 """Default numbers of single and of fused touches of each row."""
 STIFFNESS_FACTOR, OBJECT_STEP, BIAS_STEPS = 1.2, 1.0 * MM, 5.0
@@ -103,7 +105,7 @@ def track(estimator: Estimator, samples: Array, Ts: Array) -> Estimate:
 
 def run_single(case: Case, probe: str, n: int, seed: int) -> ErrorStatistics:
     """Draw and locate about n touches of one probe that are counted."""
-    model, rng, statistics = paper_models()[probe], np.random.default_rng(seed), ErrorStatistics()
+    model, rng, statistics = paper_models()[probe], np.random.default_rng(seed), ErrorStatistics(MIN_STD)
     stated = PriorStds.of(model).only(case.sources)
     perturbations = Perturbations.of(model, stated.scaled(case.std_factor))
     estimator, noise = estimator_for(model, stated), model.noise_base()
@@ -170,7 +172,7 @@ def _draw_ratios(case: Case, model: ProbeModel, n: int, rng: np.random.Generator
 
 def run_fused(case: Case, n: int, seed: int) -> ErrorStatistics:
     """Draw and fuse n presses of the large probe."""
-    model, rng, statistics = paper_models()["large"], np.random.default_rng(seed), ErrorStatistics()
+    model, rng, statistics = paper_models()["large"], np.random.default_rng(seed), ErrorStatistics(MIN_STD)
     stated = _stated_priors(case, model)
     perturbations = Perturbations.of(model, stated.scaled(case.std_factor), TOUCHES)
     estimator, noise = estimator_for(model, stated), model.noise_base()

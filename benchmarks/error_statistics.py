@@ -17,10 +17,12 @@ CHI2_95 = max_chi2(3, 0.05)
 
 
 def proportion_interval(hits: int, n: int) -> tuple[float, float]:
-    """Return the 95 % confidence interval of a proportion.
+    """Return the 95 % confidence interval of a proportion; 0 to 1 if n is 0.
 
     Source: C. J. Clopper, E. S. Pearson, Biometrika 26, 1934.
     """
+    if n == 0:
+        return 0.0, 1.0
     interval = binomtest(hits, n).proportion_ci(0.95)
     return float(interval.low), float(interval.high)
 
@@ -31,11 +33,18 @@ def proportion_cells(hits: int, n: int) -> tuple[str, str]:
     return f"{hits / n:.1%}", f"{low:.1%} – {high:.1%}"
 
 
-def nees(error: Array, cov: Array) -> float:
-    """Return the normalised estimation error squared eᵀ P⁻¹ e of a point error [m] with covariance P [m²]."""
-    # The covariance of a point on a surface may have a zero eigenvalue.
+def nees(error: Array, cov: Array, min_std: float = 0.0) -> float:
+    """Return the normalised estimation error squared, eᵀ P⁻¹ e.
+
+    Args:
+        error: of a point [m], (3,).
+        cov: its covariance P [m²], (3, 3).
+        min_std: smallest standard deviation [m] in any direction, for a covariance that may be singular because the
+            point is on a surface; 0 if it is regular.
+    """
     values, vectors = np.linalg.eigh(np.asarray(cov, dtype=float))
-    values = np.maximum(values, 1e-9 * values[-1] + (1e-6) ** 2)
+    if min_std:
+        values = np.maximum(values, 1e-9 * values[-1] + min_std**2)
     return float(((vectors.T @ error) ** 2 / values).sum())
 
 
@@ -44,6 +53,7 @@ class ErrorStatistics:
     """Errors of estimates, collected one by one.
 
     Attributes:
+        min_std: smallest standard deviation of a point in any direction for its NEES [m], see `nees`.
         results: number of estimates by result code.
         squared_bounds: mean square error of the Cramér–Rao bound, of all estimates [m²].
         squared_errors: of located estimates [m²].
@@ -53,6 +63,7 @@ class ErrorStatistics:
         powers: power of the best possible test for a model error, at one false positive in a hundred.
     """
 
+    min_std: float = 0.0
     results: Counter[str] = field(default_factory=Counter)
     squared_bounds: list[float] = field(default_factory=list)
     squared_errors: list[float] = field(default_factory=list)
@@ -71,7 +82,7 @@ class ErrorStatistics:
         self.squared_errors.append(squared)
         self.squared_ratios.append(squared / bound**2)
         self.beyond_3_std += bool(squared > 9.0 * np.trace(cov))
-        self.nees.append(nees(error, cov))
+        self.nees.append(nees(error, cov, self.min_std))
 
     def join(self, other: "ErrorStatistics") -> None:
         """Add the estimates of another collection."""
