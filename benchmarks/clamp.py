@@ -19,8 +19,8 @@ ROOT = Path(__file__).parents[1]
 POISSON = 0.49
 STUB = 4.0
 """Height of the stub in base radii. The effect of the root has decayed there by Saint-Venant's principle."""
-Hold = Literal["face", "glued", "clamped", "slipping", "hollow seat"]
-HOLDS: dict[Hold, str] = {
+Support = Literal["face", "glued", "clamped", "slipping", "hollow seat"]
+SUPPORTS: dict[Support, str] = {
     "face": "base bonded at s = 0, no flange",
     "glued": "underside glued, lip clamped",
     "clamped": "lip bonded, underside without friction (clamped)",
@@ -55,7 +55,9 @@ def lines(ends: list[float], sharp: list[bool], cells: int, ratio: float) -> np.
     return np.concatenate([*pieces, [ends[-1]]])
 
 
-def missing_compliance(base: ClampedBase, hold: Hold, poisson: float = POISSON, cells: int = 10) -> float:
+def missing_compliance(
+    base: ClampedBase, support: Support, poisson: float = POISSON, cells: int = 10
+) -> float:
     """Return c of a base in base radii; it is positive if the base bends less than the rod."""
     from skfem import (  # fmt: skip
         Basis,
@@ -75,7 +77,7 @@ def missing_compliance(base: ClampedBase, hold: Hold, poisson: float = POISSON, 
     r0, h, top = base.r0, base.thickness, STUB * base.r0
     mu = 1.0
     E, lam = 2 * mu * (1 + poisson), 2 * mu * poisson / (1 - 2 * poisson)
-    flange = hold != "face"
+    flange = support != "face"
     radial = [0.0, r0, base.bore_r, base.flange_r] if flange else [0.0, r0]
     axial = [-h, 0.0, top] if flange else [0.0, top]
     r = lines(radial, [False, True, True, False], cells, 1.45)
@@ -127,7 +129,7 @@ def missing_compliance(base: ClampedBase, hold: Hold, poisson: float = POISSON, 
     B, f = asm(divergence, u_basis, p_basis), asm(moment, end)
     K = bmat([[asm(stiffness, u_basis), B.T], [B, asm(bulk, p_basis)]], "csr")
     load = np.concatenate([f, np.zeros(p_basis.N)])
-    fixed = _fixed(base, hold, u_basis, p_basis)
+    fixed = _fixed(base, support, u_basis, p_basis)
     x = solve(*condense(K, load, D=fixed))
     second = math.pi * top_r**4 / 4.0  # I at the end; M = k I
     phi_over_moment = math.pi * float(f @ x[: u_basis.N]) / second**2
@@ -136,7 +138,7 @@ def missing_compliance(base: ClampedBase, hold: Hold, poisson: float = POISSON, 
     return (rod - phi_over_moment) * E * math.pi * r0**4 / 4.0 / r0
 
 
-def _fixed(base: ClampedBase, hold: Hold, u_basis: Any, p_basis: Any) -> np.ndarray:
+def _fixed(base: ClampedBase, support: Support, u_basis: Any, p_basis: Any) -> np.ndarray:
     """Return the fixed degrees of freedom on the axis, the lip and the underside."""
     x, tiny = u_basis.doflocs, 1e-9
     index = np.arange(u_basis.N)
@@ -148,19 +150,19 @@ def _fixed(base: ClampedBase, hold: Hold, u_basis: Any, p_basis: Any) -> np.ndar
     axis = np.isclose(x[0], 0.0, atol=tiny)
     fixed = axis & (component == 2)
     axial = component == 2
-    if hold == "face":
+    if support == "face":
         fixed |= np.isclose(x[1], 0.0, atol=tiny)
     else:
         under = np.isclose(x[1], -base.thickness, atol=tiny)
         beyond = x[0] >= base.bore_r - tiny
         lip = (np.isclose(x[1], 0.0, atol=tiny) | under) & beyond
-        if hold == "slipping":
+        if support == "slipping":
             fixed |= (lip | under) & axial
         else:
             fixed |= lip
-        if hold == "clamped":
+        if support == "clamped":
             fixed |= under & axial
-        if hold == "glued":
+        if support == "glued":
             fixed |= under
     p_axis = np.isclose(p_basis.doflocs[0], 0.0, atol=tiny)
     return np.concatenate([index[fixed], u_basis.N + np.flatnonzero(p_axis)])
@@ -187,28 +189,32 @@ def report() -> None:
         geometry = build_geometry(load_design(ROOT / f"designs/{name}.toml"))
         slope = (geometry.base_radius - geometry.tip_radius) / geometry.length
         base = base_of(2e3 * geometry.base_radius, slope)
-        computed = [missing_compliance(base, hold) for hold in HOLDS]
+        computed = [missing_compliance(base, support) for support in SUPPORTS]
         used = [exported_root_radii(geometry, "glued"), exported_root_radii(geometry)]
         rows.append([name, f"{2 * base.r0:g}", *(f"{c:.3f}" for c in (*computed, *used))])
     print_table("root_rigid_radii by finite elements, ν = 0.49",
-                ["design", "d [mm]", *HOLDS, "formula, glued", "formula, clamped"], rows)  # fmt: skip
+                ["design", "d [mm]", *SUPPORTS, "formula, glued", "formula, clamped"], rows)  # fmt: skip
     rows = []
     for thickness in (2.8, 3.0, 4.0, 6.0):
         for d in (3.0, 6.0, 12.0, 25.0):
             base = base_of(d, 0.0, thickness)
             rows.append(
-                [f"{thickness:g}", f"{d:g}", *(f"{missing_compliance(base, hold):.3f}" for hold in HOLDS)]
+                [
+                    f"{thickness:g}",
+                    f"{d:g}",
+                    *(f"{missing_compliance(base, support):.3f}" for support in SUPPORTS),
+                ]
             )
-    print_table("Other bases, cylinders", ["flange [mm]", "d [mm]", *HOLDS], rows)
+    print_table("Other bases, cylinders", ["flange [mm]", "d [mm]", *SUPPORTS], rows)
     base = base_of(12.0, 0.0)
     rows = [
-        [f"{cells}", *(f"{missing_compliance(base, hold, cells=cells):.4f}" for hold in HOLDS)]
+        [f"{cells}", *(f"{missing_compliance(base, support, cells=cells):.4f}" for support in SUPPORTS)]
         for cells in (6, 10, 14)
     ]
     rows += [
-        [f"ν = {nu:g}", *(f"{missing_compliance(base, hold, nu):.4f}" for hold in HOLDS)]
+        [f"ν = {nu:g}", *(f"{missing_compliance(base, support, nu):.4f}" for support in SUPPORTS)]
         for nu in (0.48, 0.499)
     ]
-    print_table("Cells between two edges, and Poisson's ratio; d = 12 mm", ["", *HOLDS], rows)
-    for hold, description in HOLDS.items():
-        print(f"  {hold}: {description}")
+    print_table("Cells between two edges, and Poisson's ratio; d = 12 mm", ["", *SUPPORTS], rows)
+    for support, description in SUPPORTS.items():
+        print(f"  {support}: {description}")

@@ -345,9 +345,9 @@ def write(path: Path, convergence: list[dict[str, Any]], cases: list[dict[str, A
     """Write the file with one case per line."""
     head = json.dumps(header() | {"convergence": convergence}, indent=1, ensure_ascii=False)
     rows = ",\n  ".join(json.dumps(case) for case in sorted(cases, key=lambda case: str(case["id"])))
-    beside = path.with_suffix(".part")
-    beside.write_text(f'{head[:-2]},\n "cases": [\n  {rows}\n ]\n}}\n')
-    beside.replace(path)
+    partial = path.with_suffix(".part")
+    partial.write_text(f'{head[:-2]},\n "cases": [\n  {rows}\n ]\n}}\n')
+    partial.replace(path)
 
 
 def main(arguments: list[str]) -> int:

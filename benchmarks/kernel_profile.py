@@ -323,8 +323,8 @@ def print_parts(work: Work, each: dict[str, Part], peaks: dict[str, float], name
     )
     print(
         f"  Steps of the Newton iteration include the control of their size; one case uses one of {WIDE} SIMD lanes.\n"
-        f"  The state of the solution is scalar: at most {scalar / 1e9:.3g} Gflop/s. Derivatives of the solution use four "
-        "lanes,\n  but only three of the first four, those of the tip, are needed.\n"
+        f"  The state of the solution is scalar: at most {scalar / 1e9:.3g} Gflop/s.\n"
+        "  Derivatives of the solution use four lanes; of the first four only the three of the tip are needed.\n"
         "  Other: Newton's matrix, the path, stops, copies between arrays, calls."
     )
 

@@ -339,7 +339,7 @@ class PreForm:
             if state.status == "FAILED":
                 raise RefusedError(
                     one_line(
-                        f"PreForm fails at {what}: {error_message(state.result) or 'it does not say why'}"
+                        f"PreForm fails at {what}: {error_message(state.result) or 'no reason stated'}"
                     )
                 )
             share = min(max(state.progress, 0.0), 1.0)

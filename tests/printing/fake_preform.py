@@ -124,7 +124,7 @@ class FakePreForm:
 
     @property
     def calls(self) -> list[str]:
-        """What was asked, without the questions how far an operation is."""
+        """The requests, without those for the progress of an operation."""
         return [f"{method} {path}" for method, path, _ in self.diary if not path.startswith("/operations")]
 
     def body(self, last: str) -> Any:

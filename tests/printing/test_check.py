@@ -28,7 +28,7 @@ def design_of(length=150.0, base=12.0, tip=2.0, profile=None, print_="", **more)
 
 
 def found(design, rule, what=""):
-    """The worst finding of a rule on the probe whose text holds `what`."""
+    """Return the most severe finding of a rule on the probe whose text contains `what`."""
     rank = ("ok", "warning", "error").index
     findings = [
         f for f in check_print(design).findings if (f.rule, f.part) == (rule, "probe") and what in f.what

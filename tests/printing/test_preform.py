@@ -529,7 +529,7 @@ def test_ids_that_lead_elsewhere_are_refused(fake, place, answer):
     [
         ({"status": "PAUSED"}, "its answer to the import of probe: status"),
         ({"status": "IN_PROGRESS", "progress": float("nan")}, "progress"),
-        ({"status": "FAILED"}, "PreForm fails at the import of probe: it does not say why"),
+        ({"status": "FAILED"}, "PreForm fails at the import of probe: no reason stated"),
         (
             {"status": "FAILED", "result": {"error": {"message": "The mesh is empty"}}},
             "of probe: The mesh is empty$",

@@ -130,7 +130,7 @@ def test_the_root_lacks_its_rigid_length(rigid_length):
 
 
 def test_the_root_turns_the_rod_less_by_its_rigid_length():
-    """Little bent: what the root takes from the tip's turn is m(0)/(E I) times the rigid length, but for its taper."""
+    """At small bending the root reduces the tip rotation by m(0)/(E I) times the rigid length, except for taper."""
     force, rigid = 1e-6, 0.12 * CYLINDER.radius[0]
     slope = [
         replace(CYLINDER, rigid_length=x).solve(force=(force, 0, 0), mode="reference").tip_tangent[0]

@@ -194,7 +194,7 @@ def test_sticking_is_path_independent():
 
 
 def test_steps_of_the_path_hardly_matter():
-    """The slide's direction turns on the way; what halving the steps changes is of first order in them, and small."""
+    """The direction of sliding rotates during the motion; halving the steps has a small, first-order effect."""
     point, travel, _ = approach(CONE)
     solver = CoulombSolver(CONE, 0.5, "reference")
     first = solver.touch(GRAVITY, point, travel)
@@ -204,7 +204,7 @@ def test_steps_of_the_path_hardly_matter():
 
 
 def test_a_round_probe_has_no_preferred_side():
-    """Turned about z with gravity and object, everything turns along; 1e-8 of the force is the solver's."""
+    """A rotation about z of rod, gravity and object rotates the solution; the tolerance is 1e-8 of the force."""
     point, travel, d = approach(CONE, line=True)
     solver = CoulombSolver(CONE, 0.5, "reference")
     here = solver.press(GRAVITY, point, travel, d)
@@ -246,7 +246,7 @@ def test_an_edge_may_roll_without_sliding():
 
 
 def test_gravity_may_turn_while_it_touches():
-    """The base turns about x: the same end whether the turn comes in one piece or two, as long as it sticks."""
+    """A rotation of the base about x in one step or in two has the same result as long as the contact sticks."""
     point, travel, _ = approach(CONE)
     solver = CoulombSolver(CONE, math.inf, "reference")
     begun = solver.press(GRAVITY, point, travel)

@@ -24,7 +24,7 @@ FLANK = [(name, fraction) for name in RODS for fraction in (0.2, 0.5, 0.85)]
 def flank_press(
     rod, fraction, depth, line=False, offset=0.2, gravity=GRAVITY, mode="reference", moved=(0, 0, 0)
 ):
-    """Pressed by `depth` radii at a fraction of the free rod, so many radii beside its axis."""
+    """Press at a fraction of the free rod by `depth` radii, at a distance from its axis in radii."""
     free = rod.solve(gravity, mode="reference")
     s = fraction * rod.length
     R, r = free.R_at(s), float(rod.radius_at(s))
@@ -39,7 +39,7 @@ def flank_press(
 
 
 def tip_press(rod, offset, depth, line=False, gravity=GRAVITY, mode="reference", moved=(0, 0, 0)):
-    """Pressed by `depth` radii on the flat end, so many radii beside its middle, or by an edge on its rim."""
+    """Press on the flat end by `depth` radii, at a distance from its centre in radii, or by an edge on its rim."""
     free = rod.solve(gravity, mode="reference")
     R, r = free.R_at(rod.length), rod.radius[-1]
     normal = R @ ([math.cos(LEAN), 0.0, math.sin(LEAN)] if line else [0.0, 0.0, 1.0])

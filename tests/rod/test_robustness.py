@@ -71,7 +71,7 @@ def test_the_base_moment_is_that_of_force_and_weight_on_the_bent_rod():
 
 
 def test_the_answer_is_the_end_of_the_path_from_no_load():
-    """Followed in a hundred small steps, each from the last one's answer and from nowhere else."""
+    """Follow the equilibrium in a hundred small steps, each started only from the one before."""
     rods, gravity, force, s = random_cases(FOLLOWED, 2)
     followed = 0
     for rod, g, F, at in zip(rods, gravity, force, s, strict=True):

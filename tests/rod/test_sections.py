@@ -38,7 +38,7 @@ def test_a_small_push_moves_each_way_by_its_own_stiffness(factors, fraction, ang
 
 
 def test_a_flat_rod_gives_way_towards_its_softer_side():
-    """Bent well, too, it leaves the plane of the push towards y, the way it is thin."""
+    """Also at large bending the rod leaves the plane of the force towards y, its thin direction."""
     eq = ELLIPTIC.solve(force=bending_force(ELLIPTIC, 0.1, 0.5) * np.array([1.0, 1.0, 0.0]), s_contact=0.1)
     x, y, _z = eq.p_contact_base
     assert y > 1.5 * x > 0.0
@@ -77,7 +77,7 @@ def test_a_load_turned_by_a_right_angle_turns_the_answer_if_the_section_turns_to
 
 @pytest.mark.parametrize("angle", [0.4, -2.0])
 def test_a_round_curved_rod_turned_about_its_axis_is_the_same_rod(angle):
-    """Curvature at rest and load turned together turn the answer, whatever axes the section has."""
+    """Rotating curvature at rest and load together rotates the solution for any axes of the section."""
     rest = EVERYTHING.rest_curvature
     rod = replace(PROFILE, rest_curvature=rest)
     other = replace(PROFILE, rest_curvature=np.array([turned(angle, u) for u in rest]))
@@ -107,7 +107,7 @@ def test_no_curvature_and_no_flatness_are_the_round_rod_to_the_bit(mode):
     "almost", [{"factors": (1.0, 1.0, 1.0 + 1e-15, 1.0)}, {"rest_curvature": np.full((4, 3), 1e-14)}]
 )
 def test_hardly_flat_or_curved_is_the_round_rod(almost):
-    """The two ways to solve, with section axes and without, give one answer."""
+    """The solvers with and without section axes agree."""
     plain = PROFILE.solve(*LOAD, mode="reference", columns="all")
     other = replace(PROFILE, **almost).solve(*LOAD, mode="reference", columns="all")
     s = np.linspace(0.0, PROFILE.length, 9)

@@ -1,4 +1,4 @@
-"""The node of ROS 2, with a stand-in for rclpy: what it publishes is what a recording contains."""
+"""Test the ROS 2 node with a substitute for rclpy: it publishes what a recording contains."""
 
 import base64
 import json
@@ -40,7 +40,7 @@ def estimator():
 
 @pytest.fixture(scope="module")
 def ros():
-    """The package and the stand-in on the path, without the modules afterwards."""
+    """Put the package and the substitute on the path and remove their modules afterwards."""
     before, path = set(sys.modules), sys.path[:]
     sys.path[:0] = [str(ROOT / "tests" / "ros2_stub"), str(ROS / "probedesign_ros")]
     import probedesign_ros.node as node
