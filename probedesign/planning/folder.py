@@ -41,7 +41,7 @@ def _manifest(plan: Plan) -> str:
     T = bench.T_world_base(model.gravity_base)
     place, turn = bench.instruments.std_base
     lines = [
-        "# Planned by `probedesign plan`. Correct what differs on your bench; See README.md.",
+        "# Planned by `probedesign plan`. Correct what differs on your bench; README.md says how.",
         "schema = 1",
         f"probe = {json.dumps(model.name)}",
         f"fingerprint = {json.dumps(model.fingerprint)}   # of the geometry, in manifest.json and on the part",
