@@ -97,6 +97,8 @@ def _tests(model: ProbeModel, plan: CampaignPlan) -> tuple[ValidatedTest, ...]:
 
 def _statistics(tests: list[ValidatedTest]) -> list[str]:
     errors = [test.contact_error for test in tests if test.contact_error is not None]
+    if not errors:
+        return [f"{len(tests)}", "0%", *["-"] * 5]
     inside = sum(error.within_95 for error in errors)
     low, high = proportion_interval(inside, len(errors))
     nees = np.mean([error.nees / error.dof for error in errors])
