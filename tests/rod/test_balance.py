@@ -1,4 +1,4 @@
-"""Every part of the bent rod is in balance: the equations between nodes, and the whole about its base."""
+"""Test the equilibrium equations between nodes and of the whole rod about its base."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def solved(rod_name, load_name):
 
 
 def integral(f, low, high):
-    """∫ f ds over [low, high] by Gauss-Legendre; f of (j,) gives (j, 3)."""
+    """Return ∫ f ds over [low, high] by Gauss–Legendre quadrature; f maps (j,) to (j, 3)."""
     s = low + (high - low) * (NODES + 1.0) / 2.0
     return (high - low) / 2.0 * (WEIGHTS @ f(s))
 

@@ -1,4 +1,4 @@
-"""Many equilibria at once: each the one that `Rod.solve` finds, whoever its neighbours and whatever the threads."""
+"""Test that batches have the equilibria of `Rod.solve` for any neighbours and number of threads."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ from probedesign.rod.batch import solve_batch
 
 GRAVITY = np.array([3.0, 4.0, -8.0])
 RODS = (PROFILE, CURVED, EVERYTHING)
-"""With equally many knots."""
+"""Rods with equal numbers of knots."""
 CASES = 40
 
 

@@ -1,4 +1,4 @@
-"""The rod against three-dimensional finite elements of the printed cones, base face bonded rigid."""
+"""Compare the rod with 3-D finite elements of the printed cones, base face bonded rigid."""
 
 import json
 from pathlib import Path

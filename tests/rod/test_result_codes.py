@@ -20,7 +20,7 @@ A. G. Greenhill, Proc. Cambridge Phil. Soc. 4 (1881) 65-73."""
 
 
 def upright(weight):
-    """The elastica upright under a weight per length [N/m]."""
+    """Return the upright elastica under a weight per length [N/m]."""
     g = weight / (ELASTICA.density * np.pi * ELASTICA.radius[0] ** 2)
     return ELASTICA.solve((0, 0, -g))
 

@@ -93,7 +93,7 @@ def a_run(node, estimator, record=None, seconds=4):
 
 
 START = 1_800_000_000
-"""A wall clock that stands still [s]."""
+"""A constant wall clock [s]."""
 
 
 def test_messages_equal_those_of_the_recording(node, estimator, tmp_path, monkeypatch):
@@ -234,7 +234,7 @@ def test_every_command_is_a_service(ros, node):
 
 
 def test_services_have_the_results_of_the_run(ros):
-    """The same refusal as everywhere: there is one execution."""
+    """A refused service has the same message as in all inputs, because commands have one implementation."""
     commands, ended = CommandQueue(), threading.Event()
     commands.register("mark", lambda command: f"mark: {command.text}")
     inputs = DatagramInput("udp://:0", commands, lambda line: None)
