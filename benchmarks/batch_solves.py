@@ -12,7 +12,7 @@ import numpy as np
 from benchmarks.cases import GRAVITY, Cases, Load, bare_large, paper_loads, random_cases, random_loads
 from benchmarks.figures import CostCurve, draw_cost
 from benchmarks.kernel_profile import SIMULTANEOUS, Request, counted, solver
-from benchmarks.timing import interleaved, print_table, shown
+from benchmarks.timing import format_seconds, interleaved, print_table
 from probedesign.core.frames import Array
 from probedesign.rod.batch import CHUNK, solve_batch
 from probedesign.rod.kernels.equations import OK, Body
@@ -163,10 +163,10 @@ def print_batches(found: dict[str, Batch]) -> None:
         rows.append([name, *(f"{batch.rates[threads]:,.0f}" for batch in batches)])
     rows += [
         ["results bitwise equal for all threads", *("yes" if b.same else "no" for b in batches)],
-        *([f"one case, {q:g}th percentile", *(shown(float(np.percentile(b.alone, q))) for b in batches)]
+        *([f"one case, {q:g}th percentile", *(format_seconds(float(np.percentile(b.alone, q))) for b in batches)]
           for q in (50, 90, 99, 100)),
         ["share of the slowest 1 % in the time", *(f"{_slowest(b.alone):.0%}" for b in batches)],
-        ["conversion of rods and loads, not included", *(shown(b.stacking) for b in batches)],
+        ["conversion of rods and loads, not included", *(format_seconds(b.stacking) for b in batches)],
         ["solve_batch, everything included", *(f"{CASES * b.shares['ok'] / b.whole:,.0f} /s" for b in batches)],
         [f"speed-up by {WIDE} SIMD lanes, on one core", *(f"× {b.gain:.2f}" for b in batches)],
     ]  # fmt: skip

@@ -5,7 +5,7 @@ import time
 import numpy as np
 
 from benchmarks.cases import GRAVITY
-from benchmarks.timing import print_table, shown
+from benchmarks.timing import format_seconds, print_table
 from benchmarks.touches import paper_models
 from probedesign.estimation.detector import Detector
 
@@ -40,4 +40,4 @@ def report() -> None:
     print_table("Contact test at 7 kHz, large probe: force detected with probability 1/2, by place over the length",
                 ["time", *(f"at {place:g} L" for place in by_force)], rows)  # fmt: skip
     print(f"  false alarms: {alarms} in {HOURS} simulated hours, specified rate 1 per hour; "
-          f"{shown(spent / (HOURS * 60 * MINUTE))} per sample, state names included")  # fmt: skip
+          f"{format_seconds(spent / (HOURS * 60 * MINUTE))} per sample, state names included")  # fmt: skip

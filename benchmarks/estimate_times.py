@@ -7,7 +7,7 @@ from itertools import count
 import numpy as np
 
 from benchmarks.cases import GRAVITY, TABLE_I
-from benchmarks.timing import interleaved, print_table, shown
+from benchmarks.timing import format_seconds, interleaved, print_table
 from benchmarks.touches import paper_models, presses, touch
 from probedesign.core.frames import Array
 from probedesign.estimation.estimator import Estimator
@@ -41,7 +41,7 @@ def report() -> None:
     print_table(
         f"Time of one call from Python, large probe. Median of {ROUNDS} interleaved rounds",
         ["call", "time", "calls per second"],
-        [[name, shown(t), f"{1.0 / t:.0f}"] for name, t in seconds.items()],
+        [[name, format_seconds(t), f"{1.0 / t:.0f}"] for name, t in seconds.items()],
     )
 
 

@@ -9,7 +9,7 @@ from numba import njit
 
 from benchmarks.cases import GRAVITY, Load
 from benchmarks.flop_count import count, flops
-from benchmarks.timing import interleaved, print_table, shown, value_range
+from benchmarks.timing import format_seconds, interleaved, print_table, value_range
 from probedesign.core.frames import Array
 from probedesign.rod.kernels import newton
 from probedesign.rod.kernels.equations import ALL_COLUMNS, LOAD_COLUMNS, OK, frustum_of, rest_of
@@ -285,7 +285,7 @@ def print_times(found: dict[str, list[Work]], peak: float) -> None:
         share = [w.operations / w.seconds / peak for w in work]
         rows.append([
             name,
-            value_range([w.seconds for w in work], shown),
+            value_range([w.seconds for w in work], format_seconds),
             value_range([float(sum(w.calls.get(step, 0) for step in STEPS.values())) for w in work], "{:.0f}".format),
             value_range([float(w.operations) for w in work], "{:.0f}".format),
             value_range([w.operations / w.seconds / 1e9 for w in work], "{:.1f}".format),
@@ -334,6 +334,6 @@ def _part_row(
 ) -> list[str]:
     rate = operations / max(seconds, 1e-12)
     return [
-        kind, str(calls), shown(seconds), f"{seconds / whole:.0%}", str(operations), f"{rate / 1e9:.1f}",
+        kind, str(calls), format_seconds(seconds), f"{seconds / whole:.0%}", str(operations), f"{rate / 1e9:.1f}",
         f"{rate / peak:.0%}",
     ]  # fmt: skip

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.timing import print_table, shown
+from benchmarks.timing import format_seconds, print_table
 from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.tolerances import Tolerances
@@ -53,7 +53,7 @@ def _map(probe: Probe) -> list[str]:
         solved = sum(int(touch.ok.sum()) for touch in touches.values())
         best = min(best, (time.perf_counter() - wall, time.process_time() - cpu))
     name = f"map of 40 × 40 × 4 with full error budget ({solved} of 6400 solved), best of {RUNS}"
-    return [name, shown(best[0]), shown(best[1]), "≤ 1 s"]
+    return [name, format_seconds(best[0]), format_seconds(best[1]), "≤ 1 s"]
 
 
 def _monte_carlo(probe: Probe, all_sources: bool, estimates: int, target: str) -> list[str]:
@@ -76,7 +76,7 @@ def _monte_carlo(probe: Probe, all_sources: bool, estimates: int, target: str) -
     sources = "all error sources" if all_sources else "sensor noise alone"
     name = (f"Monte Carlo, {touches * plan.draws} estimates, {sources}; {located:.0%} located, "
             f"{differ} of {len(found)} differ from the prediction by a tenth")  # fmt: skip
-    return [name, shown(wall), shown(cpu), target]
+    return [name, format_seconds(wall), format_seconds(cpu), target]
 
 
 def _cpu() -> float:
@@ -96,5 +96,5 @@ def _command() -> list[str]:
             subprocess.run(command, check=True, capture_output=True)
             walls.append(time.perf_counter() - wall)
             cpus.append(_cpu() - cpu)
-    return ["predict designs/large.toml, whole process", shown(statistics.median(walls)),
-            shown(statistics.median(cpus)), "≤ 6 s"]  # fmt: skip
+    return ["predict designs/large.toml, whole process", format_seconds(statistics.median(walls)),
+            format_seconds(statistics.median(cpus)), "≤ 6 s"]  # fmt: skip

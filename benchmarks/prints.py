@@ -5,7 +5,7 @@ import time
 import numpy as np
 
 from benchmarks.error_statistics import CHI2_95
-from benchmarks.timing import print_table, shown
+from benchmarks.timing import format_seconds, print_table
 from benchmarks.touches import paper_models
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
@@ -56,4 +56,4 @@ def _statistics(estimator: Estimator, read: Array, points: Array) -> tuple[str, 
     stated = np.sqrt(np.mean([np.trace(cov) for _, cov in located]))
     rms = np.sqrt(np.mean(np.sum(np.square(errors), axis=1)))
     return (f"{len(located) / len(found):.0%}", f"{rms / MM:.2f} mm", f"{stated / MM:.2f} mm",
-            f"{inside:.0%}", shown(spent))  # fmt: skip
+            f"{inside:.0%}", format_seconds(spent))  # fmt: skip

@@ -8,7 +8,7 @@ from benchmarks.cases import bare_large, paper_loads
 from benchmarks.kernel_profile import COLD, IN_LANES, JACOBIAN, Work
 from benchmarks.peak import peaks
 from benchmarks.solver_comparison import Measurement
-from benchmarks.timing import print_table, shown, two_digits
+from benchmarks.timing import format_seconds, print_table, two_digits
 from probedesign.rod.kernels.steps import WIDE
 
 Comparison = Sequence[dict[str, Measurement | None]]
@@ -91,7 +91,7 @@ def peak_share(work: dict[str, list[Work]], peak: float) -> list[list[str]]:
 
 def upper_target(name: str, seconds: float, target: float) -> list[str]:
     """Return the row of a time with its upper target."""
-    return [name, shown(seconds), f"≤ {shown(target)}", _verdict(seconds <= target)]
+    return [name, format_seconds(seconds), f"≤ {format_seconds(target)}", _verdict(seconds <= target)]
 
 
 def _verdict(reached: bool) -> str:

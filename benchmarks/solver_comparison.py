@@ -11,7 +11,7 @@ from benchmarks.cases import GRAVITY, Load, paper_loads
 from benchmarks.kernel_profile import COPIES, NEIGHBOUR, NODES, Request, solver
 from benchmarks.peers.collocation import solve_by_bvp
 from benchmarks.peers.shooting import shoot_rk45
-from benchmarks.timing import interleaved, print_table, shown, two_digits, value_range
+from benchmarks.timing import format_seconds, interleaved, print_table, two_digits, value_range
 from probedesign.core.frames import Array
 from probedesign.rod.rod import Rod
 
@@ -162,7 +162,7 @@ def row(name: str, found: Sequence[dict[str, Measurement | None]]) -> list[str]:
         verdict = f"≥ {target:g}: {'reached' if reached else 'missed'}"
     return [
         name,
-        value_range([m.seconds for m in measured], shown),
+        value_range([m.seconds for m in measured], format_seconds),
         value_range(
             [m.error for m in measured],
             lambda error: "< 0.001" if error < 1e-9 else two_digits(error / 1e-6),
@@ -217,5 +217,5 @@ def print_calls(slowest: dict[str, float]) -> None:
     print_table(
         f"One call from Python. Median of {ROUNDS} interleaved rounds, slowest of the loads",
         ["Rod.solve", "time"],
-        [[name, shown(seconds)] for name, seconds in slowest.items()],
+        [[name, format_seconds(seconds)] for name, seconds in slowest.items()],
     )

@@ -7,7 +7,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.timing import print_table, shown
+from benchmarks.timing import format_seconds, print_table
 
 ROOT = Path(__file__).parents[1]
 RUNS = 5
@@ -35,7 +35,12 @@ def report() -> None:
         first = {name: wall(command) for name, (command, _) in commands.items()}
         rounds = [{name: wall(command) for name, (command, _) in commands.items()} for _ in range(RUNS)]
     rows = [
-        [name, shown(first[name]), shown(statistics.median(found[name] for found in rounds)), target]
+        [
+            name,
+            format_seconds(first[name]),
+            format_seconds(statistics.median(found[name] for found in rounds)),
+            target,
+        ]
         for name, (_, target) in commands.items()
     ]
     print_table(

@@ -8,7 +8,7 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from benchmarks.timing import print_table, shown
+from benchmarks.timing import format_seconds, print_table
 
 DESIGN = Path(__file__).parents[1] / "designs/large.toml"
 VARY = ("probe.base_d_mm=8:15.8:0.2", "probe.tip_d_mm=1.6:4:0.1")
@@ -22,7 +22,7 @@ def report() -> None:
     """Print wall time, CPU time and speed-up."""
     runs = {workers: _run(workers) for workers in WORKERS}
     first = runs[WORKERS[0]][0]
-    rows = [[worker_count(workers), shown(wall), shown(cpu), f"{first / wall:.2f} x"]
+    rows = [[worker_count(workers), format_seconds(wall), format_seconds(cpu), f"{first / wall:.2f} x"]
             for workers, (wall, cpu) in runs.items()]  # fmt: skip
     print_table(f"Sweep of {DESIGNS} designs, whole command, on {len(os.sched_getaffinity(0))} cores; "
                 "CPU time is the sum over all processes; target for two workers 1.8 x",
