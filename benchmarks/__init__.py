@@ -1,5 +1,5 @@
-"""How fast the program is beside the other ways to do the same. Not tests: nothing here asserts on time."""
+"""Benchmarks of speed and accuracy. They print tables and assert nothing about time."""
 
 from probedesign.cli.main import use_one_blas_thread
 
-use_one_blas_thread()  # as the command does
+use_one_blas_thread()  # the command line does the same

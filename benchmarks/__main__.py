@@ -1,4 +1,4 @@
-"""`python -m benchmarks [PART ...]`: all parts or some; for an unknown name it lists the parts."""
+"""Run benchmarks: `python -m benchmarks [PART ...]`."""
 
 import argparse
 import sys
@@ -9,26 +9,28 @@ from benchmarks.timing import print_machine
 PARTS = ("rod", "peak", "start", "install", "estimation", "detection", "prints", "identify", "pictured", "validation",
          "planning", "prediction", "optimisation", "sweep", "export", "live", "recording", "view",
          "studio", "day", "explore", "clamp", "coverage")  # fmt: skip
-"""Modules, each imported when its turn comes: worker processes import this one again."""
+"""Benchmarks by module. Each is imported when it runs, because worker processes import this module again."""
 
 
 def main(arguments: list[str]) -> int:
-    """Run the parts named, all if none; the exit status."""
+    """Run the named parts, or all if none is named, and return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks")
-    parser.add_argument("parts", nargs="*", help=f"of {', '.join(PARTS)}; all if none is named")
-    parser.add_argument("--minutes", type=float, help="how long live streams, default a third of a minute")
-    parser.add_argument("--hours", type=float, help="day: how long it is, default 8")
-    parser.add_argument("--view", action="store_true", help="live with the page of live --view")
-    parser.add_argument("--foxglove", action="store_true", help="live with the server of live --foxglove")
-    parser.add_argument("--draws", type=int, help="coverage: single touches a row")
-    parser.add_argument("--only", help="coverage: only rows with this in their name")
-    parser.add_argument("--bounds", action="store_true", help="coverage: the bounds of one touch instead")
-    parser.add_argument("--workers", type=int, help="coverage: processes, default 2")
-    parser.add_argument("--json", action="store_true", help="coverage: one JSON document")
+    parser.add_argument("parts", nargs="*", help=f"benchmarks to run, out of {', '.join(PARTS)}; default all")
+    parser.add_argument("--minutes", type=float, help="live: duration of the stream, default 1/3")
+    parser.add_argument("--hours", type=float, help="day: length of the simulated day, default 8")
+    parser.add_argument("--view", action="store_true", help="live: with the page of live --view")
+    parser.add_argument("--foxglove", action="store_true", help="live: with the server of live --foxglove")
+    parser.add_argument("--draws", type=int, help="coverage: single touches in each row")
+    parser.add_argument("--only", help="coverage: only rows whose name contains this text")
+    parser.add_argument(
+        "--bounds", action="store_true", help="coverage: print the bounds of one touch instead"
+    )
+    parser.add_argument("--workers", type=int, help="coverage: number of processes, default 2")
+    parser.add_argument("--json", action="store_true", help="coverage: print JSON")
     args = parser.parse_args(arguments)
     unknown = [name for name in args.parts if name not in PARTS]
     if unknown:
-        parser.error(f"no part '{unknown[0]}'; there are {', '.join(PARTS)}")
+        parser.error(f"there is no benchmark '{unknown[0]}'; choose from {', '.join(PARTS)}")
     if not args.json:
         print_machine()
     for name in args.parts or PARTS:

@@ -1,9 +1,10 @@
-"""Compliance of the clamped soft flange by linear finite elements, as `root_rigid_radii` of the rod.
+"""Compute `root_rigid_radii` of the rod from the compliance of the clamped flange by linear finite elements.
 
-A body of revolution under a bending moment: u = (U cos θ, V sin θ, W cos θ) in cylinder coordinates reduces the solid
-to its half plane. Displacement and pressure are independent (Taylor–Hood, Q2/Q1), so that incompressible material does
-not lock. The end of a stub above the flange turns by less, or more, than the rod does; the difference, in base radii of
-rod, is c = (∫ ds/(E I) - φ/M) E I₀/r₀. Needs scikit-fem: pip install 'probedesign[bench]'.
+For a body of revolution under a bending moment, u = (U cos θ, V sin θ, W cos θ) in cylindrical coordinates reduces the
+solid to its half plane. Displacement and pressure are independent (Taylor–Hood, Q2/Q1), which prevents locking of
+incompressible material. The end of a stub above the flange rotates by φ, and the rod without a flange by M ∫ ds/(E I);
+the difference as a length of rod in base radii is c = (∫ ds/(E I) - φ/M) E I₀/r₀. scikit-fem is needed:
+pip install 'probedesign[bench]'.
 """
 
 import math
@@ -17,19 +18,20 @@ from benchmarks.timing import print_table
 ROOT = Path(__file__).parents[1]
 POISSON = 0.49
 STUB = 4.0
-"""Height of the stub in base radii: the root's effect has decayed by Saint-Venant's principle."""
-Hold = Literal["face", "glued", "clamped", "slipping", "hollow seat"]
-HOLDS: dict[Hold, str] = {
+"""Height of the stub in base radii. The effect of the root has decayed there by Saint-Venant's principle."""
+Support = Literal["face", "glued", "clamped", "slipping", "hollow seat"]
+SUPPORTS: dict[Support, str] = {
     "face": "base bonded at s = 0, no flange",
     "glued": "underside glued, lip clamped",
-    "clamped": "lip stuck, underside without friction (clamped)",
+    "clamped": "lip bonded, underside without friction (clamped)",
     "slipping": "lip and underside without friction",
-    "hollow seat": "lip stuck, middle of the underside free",
+    "hollow seat": "lip bonded, middle of the underside free",
 }
 
 
 class ClampedBase(NamedTuple):
-    """A round base with its flange [m]: radius, slope -dr/ds, flange's radius and thickness, ring's bore radius."""
+    """Dimensions of a round base with its flange [m]: radius, slope -dr/ds, radius and thickness of the flange, bore
+    radius of the ring."""
 
     r0: float
     slope: float
@@ -53,8 +55,10 @@ def lines(ends: list[float], sharp: list[bool], cells: int, ratio: float) -> np.
     return np.concatenate([*pieces, [ends[-1]]])
 
 
-def missing_compliance(base: ClampedBase, hold: Hold, poisson: float = POISSON, cells: int = 10) -> float:
-    """Return c of a base, in base radii: positive where the base bends less than the rod."""
+def missing_compliance(
+    base: ClampedBase, support: Support, poisson: float = POISSON, cells: int = 10
+) -> float:
+    """Return c of a base in base radii; it is positive if the base bends less than the rod."""
     from skfem import (  # fmt: skip
         Basis,
         BilinearForm,
@@ -73,7 +77,7 @@ def missing_compliance(base: ClampedBase, hold: Hold, poisson: float = POISSON, 
     r0, h, top = base.r0, base.thickness, STUB * base.r0
     mu = 1.0
     E, lam = 2 * mu * (1 + poisson), 2 * mu * poisson / (1 - 2 * poisson)
-    flange = hold != "face"
+    flange = support != "face"
     radial = [0.0, r0, base.bore_r, base.flange_r] if flange else [0.0, r0]
     axial = [-h, 0.0, top] if flange else [0.0, top]
     r = lines(radial, [False, True, True, False], cells, 1.45)
@@ -117,13 +121,15 @@ def missing_compliance(base: ClampedBase, hold: Hold, poisson: float = POISSON, 
     )
 
     @LinearForm
-    def turn(v: Any, w: Any) -> Any:
-        return v[2] * w.x[0] ** 2  # traction k r cos θ with k = 1, of the moment I; divided by π as all forms
+    def moment(v: Any, w: Any) -> Any:
+        return (
+            v[2] * w.x[0] ** 2
+        )  # traction k r cos θ with k = 1 has the moment I; like all forms divided by π
 
-    B, f = asm(divergence, u_basis, p_basis), asm(turn, end)
+    B, f = asm(divergence, u_basis, p_basis), asm(moment, end)
     K = bmat([[asm(stiffness, u_basis), B.T], [B, asm(bulk, p_basis)]], "csr")
     load = np.concatenate([f, np.zeros(p_basis.N)])
-    fixed = _fixed(base, hold, u_basis, p_basis)
+    fixed = _fixed(base, support, u_basis, p_basis)
     x = solve(*condense(K, load, D=fixed))
     second = math.pi * top_r**4 / 4.0  # I at the end; M = k I
     phi_over_moment = math.pi * float(f @ x[: u_basis.N]) / second**2
@@ -132,8 +138,8 @@ def missing_compliance(base: ClampedBase, hold: Hold, poisson: float = POISSON, 
     return (rod - phi_over_moment) * E * math.pi * r0**4 / 4.0 / r0
 
 
-def _fixed(base: ClampedBase, hold: Hold, u_basis: Any, p_basis: Any) -> np.ndarray:
-    """Return the fixed degrees of freedom: of the axis, of the lip and of the underside."""
+def _fixed(base: ClampedBase, support: Support, u_basis: Any, p_basis: Any) -> np.ndarray:
+    """Return the fixed degrees of freedom on the axis, the lip and the underside."""
     x, tiny = u_basis.doflocs, 1e-9
     index = np.arange(u_basis.N)
     component = np.empty(u_basis.N, dtype=int)
@@ -144,26 +150,26 @@ def _fixed(base: ClampedBase, hold: Hold, u_basis: Any, p_basis: Any) -> np.ndar
     axis = np.isclose(x[0], 0.0, atol=tiny)
     fixed = axis & (component == 2)
     axial = component == 2
-    if hold == "face":
+    if support == "face":
         fixed |= np.isclose(x[1], 0.0, atol=tiny)
     else:
         under = np.isclose(x[1], -base.thickness, atol=tiny)
         beyond = x[0] >= base.bore_r - tiny
         lip = (np.isclose(x[1], 0.0, atol=tiny) | under) & beyond
-        if hold == "slipping":
+        if support == "slipping":
             fixed |= (lip | under) & axial
         else:
             fixed |= lip
-        if hold == "clamped":
+        if support == "clamped":
             fixed |= under & axial
-        if hold == "glued":
+        if support == "glued":
             fixed |= under
     p_axis = np.isclose(p_basis.doflocs[0], 0.0, atol=tiny)
     return np.concatenate([index[fixed], u_basis.N + np.flatnonzero(p_axis)])
 
 
 def base_of(base_d_mm: float, slope: float, thickness_mm: float = 3.0) -> ClampedBase:
-    """Return the base of an exported probe by its diameter."""
+    """Return the base of an exported probe of a given diameter."""
     from probedesign.geometry import flange_for
     from probedesign.mount.sensor_adapter import RING_CLEARANCE
 
@@ -173,7 +179,7 @@ def base_of(base_d_mm: float, slope: float, thickness_mm: float = 3.0) -> Clampe
 
 
 def report() -> None:
-    """Print the compliance for the three designs, for other bases and thicknesses, and on finer meshes."""
+    """Print the result for the three designs, for other bases and thicknesses, and on finer meshes."""
     from probedesign.design import load_design
     from probedesign.geometry import build_geometry
     from probedesign.mount.root import exported_root_radii
@@ -183,28 +189,32 @@ def report() -> None:
         geometry = build_geometry(load_design(ROOT / f"designs/{name}.toml"))
         slope = (geometry.base_radius - geometry.tip_radius) / geometry.length
         base = base_of(2e3 * geometry.base_radius, slope)
-        computed = [missing_compliance(base, hold) for hold in HOLDS]
+        computed = [missing_compliance(base, support) for support in SUPPORTS]
         used = [exported_root_radii(geometry, "glued"), exported_root_radii(geometry)]
         rows.append([name, f"{2 * base.r0:g}", *(f"{c:.3f}" for c in (*computed, *used))])
     print_table("root_rigid_radii by finite elements, ν = 0.49",
-                ["design", "d [mm]", *HOLDS, "formula, glued", "formula, clamped"], rows)  # fmt: skip
+                ["design", "d [mm]", *SUPPORTS, "formula, glued", "formula, clamped"], rows)  # fmt: skip
     rows = []
     for thickness in (2.8, 3.0, 4.0, 6.0):
         for d in (3.0, 6.0, 12.0, 25.0):
             base = base_of(d, 0.0, thickness)
             rows.append(
-                [f"{thickness:g}", f"{d:g}", *(f"{missing_compliance(base, hold):.3f}" for hold in HOLDS)]
+                [
+                    f"{thickness:g}",
+                    f"{d:g}",
+                    *(f"{missing_compliance(base, support):.3f}" for support in SUPPORTS),
+                ]
             )
-    print_table("other bases, cylinders", ["flange [mm]", "d [mm]", *HOLDS], rows)
+    print_table("Other bases, cylinders", ["flange [mm]", "d [mm]", *SUPPORTS], rows)
     base = base_of(12.0, 0.0)
     rows = [
-        [f"{cells}", *(f"{missing_compliance(base, hold, cells=cells):.4f}" for hold in HOLDS)]
+        [f"{cells}", *(f"{missing_compliance(base, support, cells=cells):.4f}" for support in SUPPORTS)]
         for cells in (6, 10, 14)
     ]
     rows += [
-        [f"ν = {nu:g}", *(f"{missing_compliance(base, hold, nu):.4f}" for hold in HOLDS)]
+        [f"ν = {nu:g}", *(f"{missing_compliance(base, support, nu):.4f}" for support in SUPPORTS)]
         for nu in (0.48, 0.499)
     ]
-    print_table("cells between two edges, and Poisson's ratio; d = 12 mm", ["", *HOLDS], rows)
-    for hold, what in HOLDS.items():
-        print(f"  {hold}: {what}")
+    print_table("Cells between two edges, and Poisson's ratio; d = 12 mm", ["", *SUPPORTS], rows)
+    for support, description in SUPPORTS.items():
+        print(f"  {support}: {description}")

@@ -1,9 +1,10 @@
-"""A working day of live: the bias walks and ramps, the tare is taken once, touches are located from hour to hour.
+"""Simulate a working day of `live` with one tare: false touches and errors of located touches over the hours.
 
-Two parts, each in a process of its own. A free probe at the rate of a Net F/T box counts false touches of the contact
-test. And the whole chain of `live`, on means at a lower rate, gets touches of 10 mN at 0.6 of the length, simulated by
-the independent rod with every error source drawn anew for each: single ones, compared with the bound of a reading with
-a fresh tare, and presses from five poses, fused with the poses of the base.
+The bias has a random walk and a ramp. Two parts run in separate processes. The first counts the false alarms of the
+contact test for a free probe at the rate of a Net F/T box. The second feeds the processing chain of `live` with means
+at a lower rate and touches of 10 mN at 0.6 of the length, simulated by the reference rod with all error sources drawn
+for each touch. Single touches are compared with the bound of a reading after a fresh tare; presses from five poses are
+fused with the poses of the base.
 """
 
 import math
@@ -15,9 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.coverage import SLIDE, TOUCHES, WITHIN_95, friction_of, paper_models
-from benchmarks.reference_worlds import Priors, Sources, bound, nominal_free, presses, read, rms
+from benchmarks.coverage import MAX_SLIDE, MIN_STD, TOUCHES
+from benchmarks.error_statistics import CHI2_95, nees
+from benchmarks.reference_probes import Perturbations, PriorStds, nominal_free
+from benchmarks.reference_touches import cramer_rao, evaluate_readings, position_rms, solve_presses
 from benchmarks.timing import print_table
+from benchmarks.touches import paper_models
 from probedesign.core.frames import Array, inverse, wrench_map
 from probedesign.core.units import MM
 from probedesign.estimation.detector import Detector
@@ -34,19 +38,20 @@ from tests.reference.cosserat import solve
 
 HOURS = 8.0
 WALK, RAMP = 0.05, 10.0 / 3600.0
-"""Random walk and ramp of the bias in one second, in steps of the resolution; the ramp of a channel has either sign."""
+"""Random walk [steps/√s] and ramp [steps/s] of the bias, in steps of the resolution; signs of the ramp are random."""
 RATE, RATE_OF_BOX = 25.0, 7000.0
-"""Of the means and of the samples [Hz]."""
+"""Rates of the means and of the samples [Hz]."""
 PLACE, NEWTONS = 0.6, 10e-3
+"""Place over the length and force of the touches [N]."""
 PERIOD, BEGIN, DWELL = 120.0, 60.0, 2.0
-"""From one touch to the next, from the start of a period to its touch, and at each pose [s]."""
+"""Times from touch to touch, from the start of a period to its touch, and at each pose [s]."""
 TARE = TareWindow(0.0, 3.0)
-ASIDE = np.array([0.0, 0.0, 3.0 * MM])
-"""Way of the base off the touched point while the probe is free [m]."""
+RETREAT = np.array([0.0, 0.0, 3.0 * MM])
+"""Displacement of the base while the probe is free [m]."""
 TRAVEL = 10.0
-"""Time of the base's way from one touch to the next [s]."""
+"""Travel time of the base between touches [s]."""
 PARTS = 4
-"""Of the day, in the table."""
+"""Parts of the day in the table."""
 
 
 def report(hours: float = HOURS) -> None:
@@ -65,15 +70,16 @@ def report(hours: float = HOURS) -> None:
         rows.append([f"{hours * i / PARTS:g} ... {hours * (i + 1) / PARTS:g} h", *_columns(part)])
     rows.append(["all", *_columns(found)])
     print_table(
-        f"A day after one tare: touches of {1e3 * NEWTONS:g} mN at {PLACE:g} L, every error source drawn",
-        ["", "single", "located", "RMS ÷ bound", "in 95 %", "presses", "located", "RMS mm", "in 95 %", "other results"],
+        f"A day with one tare: touches of {1e3 * NEWTONS:g} mN at {PLACE:g} L, all error sources drawn",
+        ["", "single", "located", "RMS / bound", "in 95 %", "presses", "located", "RMS [mm]", "in 95 %",
+         "other results"],
         rows,
     )  # fmt: skip
     rows = [
         [f"contact test, {RATE_OF_BOX:g} samples/s", f"{false_box / hours:.2g}", "≤ 1"],
-        [f"the whole chain, {RATE:g} means/s", f"{false_means / hours:.2g}", "≤ 1"],
+        [f"processing chain, {RATE:g} means/s", f"{false_means / hours:.2g}", "≤ 1"],
     ]
-    print_table("False touches in an hour", ["", "measured", "target"], rows)
+    print_table("False touches per hour", ["", "measured", "target"], rows)
     print(
         f"  {hours:g} h simulated in {time.monotonic() - began:.0f} s; bias: {WALK:g} steps/√s, {3600 * RAMP:g} steps/h"
     )
@@ -114,36 +120,39 @@ def _root(model: ProbeModel) -> Array:
 
 @dataclass(frozen=True)
 class Scheduled:
-    """A touch that is made.
+    """A simulated touch.
 
     Attributes:
-        begin: [s].
-        wrenches: without noise and bias at each pose, (k, 6); places: of the base at each [m], (k, 3).
+        begin: start time [s].
+        wrenches: readings without noise and bias at each pose, (k, 6).
+        places: positions of the base at each pose [m], (k, 3).
         point: touched point in base axes at the last pose [m], (3,).
-        limit: RMS of the bound of one reading with a fresh tare [m]; NaN for a press.
+        bound: bound of the RMS error of one reading with a fresh tare [m]; NaN for a press.
     """
 
     begin: float
     wrenches: Array
     places: Array
     point: Array
-    limit: float
+    bound: float
 
     @property
     def end(self) -> float:
-        """Return the time at which it is over [s]."""
+        """End time [s]."""
         return self.begin + DWELL * len(self.places)
 
 
 @dataclass(frozen=True)
-class Found:
-    """What became of a touch.
+class Outcome:
+    """Result of a touch.
 
     Attributes:
-        time: of its beginning [s].
+        time: start time [s].
         single: whether it is a single touch.
         result: code of the estimate of one reading, or of the fusion of a press; "missed" without a contact.
-        error: distance from the truth [m]; ratio: of it to the bound; nees: error squared over the covariance.
+        error: distance from the true point [m].
+        ratio: error over bound.
+        nees: normalised estimation error squared.
     """
 
     time: float
@@ -155,30 +164,32 @@ class Found:
 
 
 def _schedule(model: ProbeModel, hours: float, rng: np.random.Generator) -> list[Scheduled]:
-    """Return single touches and presses in turn, each of a world of its own; the day's drift is not in them."""
+    """Return alternately single touches and presses, each with error sources of its own but without the drift."""
     n = int(3600.0 * hours / PERIOD) // 2
-    stated, found = Priors.of(model), list[Scheduled]()
-    mu = friction_of(model)
+    stated, found = PriorStds.of(model), list[Scheduled]()
+    mu = model.friction
 
-    def drawn(touches: int) -> tuple[Sources, Array, Array, Array]:
-        sources = Sources.of(model, stated, touches)
-        z = sources.draw(n, rng)
-        z[:, sources.slots["drift"]] = 0.0
-        return sources, z, mu * rng.normal(size=(n, 2)), rng.uniform(-np.pi, np.pi, n)
+    def drawn(touches: int) -> tuple[Perturbations, Array, Array, Array]:
+        perturbations = Perturbations.of(model, stated, touches)
+        z = perturbations.draw(n, rng)
+        z[:, perturbations.slots["drift"]] = 0.0
+        return perturbations, z, mu * rng.normal(size=(n, 2)), rng.uniform(-np.pi, np.pi, n)
 
-    sources, z, ratios, phi = drawn(1)
-    worlds = sources.worlds(z)
+    perturbations, z, ratios, phi = drawn(1)
+    samples = perturbations.samples(z)
     force = NEWTONS * np.column_stack([np.ones(n), ratios]) / np.sqrt(1.0 + (ratios**2).sum(axis=1))[:, None]
-    one = solve(worlds.at_touch(0), worlds.gravity, PLACE * worlds.probes.length, phi, force, axes="surface")
-    readings = read(worlds, z, one, worlds.free())
-    limits = rms(bound(readings, model.noise_base()))
+    one = solve(
+        samples.at_touch(0), samples.gravity, PLACE * samples.probes.length, phi, force, axes="surface"
+    )
+    readings = evaluate_readings(samples, z, one, samples.free_wrench())
+    bounds = position_rms(cramer_rao(readings, model.noise_base()))
     for i in np.flatnonzero(one.ok):
         begin = 2.0 * i * PERIOD + BEGIN
         place, point = -readings.point[i : i + 1], readings.point[i]
-        found.append(Scheduled(begin, readings.wrench[i : i + 1], place, point, float(limits[i])))
-    sources, z, ratios, phi = drawn(TOUCHES)
-    slide = rng.uniform(0.0, SLIDE, n)
-    pressed = presses(sources.worlds(z), z, PLACE, phi, ratios, NEWTONS, slide)
+        found.append(Scheduled(begin, readings.wrench[i : i + 1], place, point, float(bounds[i])))
+    perturbations, z, ratios, phi = drawn(TOUCHES)
+    slide = rng.uniform(0.0, MAX_SLIDE, n)
+    pressed = solve_presses(perturbations.samples(z), z, PLACE, phi, ratios, NEWTONS, slide)
     for i in np.flatnonzero(pressed.ok):
         begin = (2.0 * i + 1.0) * PERIOD + BEGIN
         point = pressed.readings[-1].point[i]
@@ -187,7 +198,7 @@ def _schedule(model: ProbeModel, hours: float, rng: np.random.Generator) -> list
 
 
 def _poses(model: ProbeModel, touches: list[Scheduled]) -> BasePoses:
-    """Return the poses of the base: at rest but from one touch to the next."""
+    """Return the poses of the base, which is at rest except between touches."""
     stated, t = list[TimedPose](), -1.0
     step = 0.4 / RATE
 
@@ -196,20 +207,20 @@ def _poses(model: ProbeModel, touches: list[Scheduled]) -> BasePoses:
             stated.append(TimedPose(at, tuple(p.tolist()), (0.0, 0.0, 0.0, 1.0)))
 
     for touch in touches:
-        rest(t, touch.begin - step, touch.places[0] + ASIDE)
+        rest(t, touch.begin - step, touch.places[0] + RETREAT)
         for k, p in enumerate(touch.places):
             rest(touch.begin + k * DWELL, touch.begin + (k + 1) * DWELL - step, p)
         t = touch.end
-        rest(t, t + TRAVEL, touch.places[0] + ASIDE)
+        rest(t, t + TRAVEL, touch.places[0] + RETREAT)
         t += 2.0 * TRAVEL
-    rest(t, t + 2.0 * PERIOD, touches[-1].places[0] + ASIDE)
+    rest(t, t + 2.0 * PERIOD, touches[-1].places[0] + RETREAT)
     return BasePoses("stated", stated, max_gap=math.inf, gravity_world=model.gravity_base)
 
 
 def _blocks(
     model: ProbeModel, touches: list[Scheduled], hours: float, rng: np.random.Generator
 ) -> Iterator[Block]:
-    """Yield the readings, a period at a time; each lies in the middle of the time since the one before."""
+    """Yield the readings of one period after the other; each is in the middle of the interval since the one before."""
     step = np.sqrt(np.diag(model.noise.cov) * model.averaging_samples)
     bias, sides, n = np.zeros(6), rng.choice([-1.0, 1.0], 6), int(PERIOD * RATE)
     by_period = {int(touch.begin // PERIOD): touch for touch in touches}
@@ -228,8 +239,8 @@ def _blocks(
         yield Block(t, read, model.gravity_base, np.full(n, math.nan))
 
 
-def _touches(hours: float) -> tuple[list[Found], int]:
-    """Return what became of each touch, and the number of contacts that are no touch."""
+def _touches(hours: float) -> tuple[list[Outcome], int]:
+    """Return the outcome of each touch and the number of contacts that belong to no touch."""
     model, rng = paper_models()["large"], np.random.default_rng(2)
     touches = _schedule(model, hours, rng)
     chain = Chain(
@@ -242,39 +253,35 @@ def _touches(hours: float) -> tuple[list[Found], int]:
             if update.phase == "settled":
                 singles[update.contacts[-1].number] = update.estimate.result
         contacts |= {contact.number: contact for contact in chain.contacts[-10:]}
-    found, used = list[Found](), set[int]()
+    found, used = list[Outcome](), set[int]()
     for touch in touches:
         mine = [c for c in contacts.values() if touch.begin - 0.1 <= c.start < touch.end]
         used |= {c.number for c in mine}
-        found.append(_found(touch, mine[-1] if mine else None, singles))
+        found.append(_outcome(touch, mine[-1] if mine else None, singles))
     return found, len(set(contacts) - used)
 
 
-def _found(touch: Scheduled, contact: Contact | None, singles: dict[int, str]) -> Found:
-    single = math.isfinite(touch.limit)
+def _outcome(touch: Scheduled, contact: Contact | None, singles: dict[int, str]) -> Outcome:
+    single = math.isfinite(touch.bound)
     if contact is None:
-        return Found(touch.begin, single, "missed")
+        return Outcome(touch.begin, single, "missed")
     if single:
         e = contact.estimate
         if e is None:
-            return Found(touch.begin, True, singles.get(contact.number, "missed"))
-        return _error(touch, True, e.p_surface_base - touch.point, e.cov_surface_base)
+            return Outcome(touch.begin, True, singles.get(contact.number, "missed"))
+        return _located(touch, True, e.p_surface_base - touch.point, e.cov_surface_base)
     fused = contact.fused or FusedEstimate("not_converged")
     if not fused.ok:
-        return Found(touch.begin, False, fused.result)
-    return _error(touch, False, fused.p_surface_world, fused.cov_surface_world)
+        return Outcome(touch.begin, False, fused.result)
+    return _located(touch, False, fused.p_surface_world, fused.cov_surface_world)
 
 
-def _error(touch: Scheduled, single: bool, off: Array, cov: Array) -> Found:
-    # A covariance of a point on a surface may lack its third direction.
-    values, vectors = np.linalg.eigh(cov)
-    values = np.maximum(values, 1e-9 * values[-1] + (1e-6) ** 2)
-    error = float(np.linalg.norm(off))
-    nees = float(((vectors.T @ off) ** 2 / values).sum())
-    return Found(touch.begin, single, "ok", error, error / touch.limit, nees)
+def _located(touch: Scheduled, single: bool, error: Array, cov: Array) -> Outcome:
+    size = float(np.linalg.norm(error))
+    return Outcome(touch.begin, single, "ok", size, size / touch.bound, nees(error, cov, MIN_STD))
 
 
-def _columns(found: list[Found]) -> list[str]:
+def _columns(found: list[Outcome]) -> list[str]:
     """Return the columns of a row of the table."""
     columns = list[str]()
     for single in (True, False):
@@ -282,7 +289,7 @@ def _columns(found: list[Found]) -> list[str]:
         located = [one for one in mine if one.result == "ok"]
         n = max(len(located), 1)
         size = math.sqrt(sum((one.ratio if single else one.error / MM) ** 2 for one in located) / n)
-        inside = sum(one.nees <= WITHIN_95 for one in located) / n
+        inside = sum(one.nees <= CHI2_95 for one in located) / n
         columns += [str(len(mine)), f"{len(located) / max(len(mine), 1):.1%}", f"{size:.2f}", f"{inside:.1%}"]
     others = Counter(one.result for one in found if one.result != "ok")
     return [*columns, ", ".join(f"{code} {n}" for code, n in others.items()) or "none"]

@@ -1,11 +1,11 @@
-"""The sequential contact test: false alarms over hours of a free probe, and how light a touch it tells how soon."""
+"""False alarms of the sequential contact test with a free probe, and its detection limits over time."""
 
 import time
 
 import numpy as np
 
 from benchmarks.cases import GRAVITY
-from benchmarks.timing import print_table, shown
+from benchmarks.timing import format_seconds, print_table
 from benchmarks.touches import paper_models
 from probedesign.estimation.detector import Detector
 
@@ -13,7 +13,7 @@ HOURS, MINUTE = 4, 7000 * 60
 
 
 def report() -> None:
-    """Print the table."""
+    """Print the false-alarm rate and the detection limits."""
     model = paper_models()["large"]
     detector, rng = Detector(model, 7000.0, 1.0), np.random.default_rng(6)
     root = np.linalg.cholesky(model.noise_base() * model.averaging_samples)
@@ -37,7 +37,7 @@ def report() -> None:
             assert eq.sensitivity is not None
             forces.append(f"{1e3 * detector.detectable(eq.sensitivity.d_wrench[:, 1], length):.2g} mN")
         rows.append([f"{length} samples, {1e3 * length / 7000.0:.3g} ms", *forces])
-    print_table("Contact test at 7 kHz, large probe: force detected with probability 1/2, by place over L",
-                ["within", *(f"at {place:g}" for place in by_force)], rows)  # fmt: skip
-    print(f"  false alarms: {alarms} in {HOURS} simulated hours, one an hour stated; "
-          f"{shown(spent / (HOURS * 60 * MINUTE))} a sample, names included")  # fmt: skip
+    print_table("Contact test at 7 kHz, large probe: force detected with probability 1/2, by place over the length",
+                ["time", *(f"at {place:g} L" for place in by_force)], rows)  # fmt: skip
+    print(f"  false alarms: {alarms} in {HOURS} simulated hours, specified rate 1 per hour; "
+          f"{format_seconds(spent / (HOURS * 60 * MINUTE))} per sample, state names included")  # fmt: skip

@@ -1,10 +1,10 @@
-"""What `explore` reaches on the simulated card house: through the command, and through `fuse` from Python.
+"""Point errors of the simulated card house with the command `explore` and with `Estimator.fuse`.
 
-The large probe, E known to 1 %, the base 0.05 mm off in common and 0.01 mm from pose to pose, no touch above 5 mN. Once
-the poses tell the base's turn and `explore` is told so; once it is off as the tolerances have it, tilt 0.2°, clocking
-0.5°.
-Through the command the sensor's bias walks as the contact test assumes, 0.05 steps of its resolution in a root second,
-which is 0.2 from touch to touch; through `fuse` it walks 0.2 steps from each pose to the next.
+The simulation uses the large probe with E known to 1 %, a constant base position error of 0.05 mm and one of 0.01 mm
+at each pose, and no touch above 5 mN. The command runs with exact base orientations, which its options state, and with
+the default orientation errors (tilt 0.2°, clocking 0.5°). For the command the bias of the sensor is a random walk of
+0.05 steps of the resolution per √s, as the contact test assumes, which is about 0.2 steps from touch to touch; for
+`fuse` it has steps of 0.2 from pose to pose.
 """
 
 import csv
@@ -17,8 +17,8 @@ from itertools import count, islice
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import beta
 
+from benchmarks.error_statistics import CHI2_95, proportion_cells
 from benchmarks.figures import draw_card_house
 from benchmarks.timing import print_table
 from benchmarks.touches import paper_models
@@ -30,81 +30,89 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frozen_probe import write_frozen
-from probedesign.mapping.contact_map import CHI2_95
 from probedesign.mapping.touch_point import BasePoseUncertainty
 from probedesign.rod.friction import ASSUMED_FRICTION
 from probedesign.simulation.scenes import card_house, touch_targets
 from probedesign.simulation.simulated_run import RunErrors, SimulatedRun, simulate_run, write_run
 
-COMMANDS, HOUSES = 3, 20
-"""Runs of the command, each a house of its own; houses fused from Python. Touches of a house share E and its base, so
-they hold or miss together: many houses tell more than many draws of one."""
+COMMAND_RUNS, FUSE_RUNS = 3, 20
+"""Simulated runs for the command and for `fuse`. All touches of a run have the same E and base errors, so their errors
+are correlated, and many runs estimate the coverage better than many touches of one run."""
 READINGS = 50
-"""To a pose, in Python: a quarter of a second of a Net F/T box's samples, averaged by 36."""
+"""Readings at each pose for `fuse`: a quarter of a second of a Net F/T box, averaged by 36."""
 FRICTION = ASSUMED_FRICTION
 """Median friction coefficient of the cards."""
-TARGET = 2.0
+TARGET_MM = 2.0
+"""Target of the error of a located point."""
 SYMMETRIC = np.array([[3, 4, 5], [4, 6, 7], [5, 7, 8]])
-"""Where a row of place and covariance has the covariance's entries."""
-STILL = ("--tilt-deg", "0", "--clocking-deg", "0")
+"""Columns of the covariance in a row of position and covariance."""
+EXACT_ROTATION = ("--tilt-deg", "0", "--clocking-deg", "0")
 """Options of `explore` for a base whose stated poses have no error of rotation."""
 
 
 @dataclass(frozen=True)
-class Found:
-    """What was found of points that were touched.
+class PointErrors:
+    """Errors of the touched points of one run.
 
     Attributes:
-        off: from the true points [mm], NaN where a touch was not located, (n,).
-        chi2: squared Mahalanobis distance of each from its true point, (n,).
-        rows: place and covariance xx, xy, xz, yy, yz, zz of those located [mm, mm²], (k, 9).
+        error: distance from the true points [mm], NaN where a touch was not located, (n,).
+        nees: normalised estimation error squared, NaN where a touch was not located, (n,).
+        rows: position and covariance xx, xy, xz, yy, yz, zz of the located points [mm, mm²], (k, 9).
     """
 
-    off: Array
-    chi2: Array
+    error: Array
+    nees: Array
     rows: Array
 
 
 def report() -> None:
-    """Print what is reached, and draw the first house."""
+    """Print the tables and draw the points of the first run."""
     model = replace(paper_models()["large"], stiffness_spread=0.01)
-    turned = RunErrors.from_priors(model, BasePoseUncertainty(), FRICTION)
-    houses = list(islice(_houses(model), HOUSES))
-    runs = [_through_command(model, house, seed, STILL) for seed, house in enumerate(houses[:COMMANDS])]
-    turns = [_through_command(model, simulate_run(model, touch_targets(), np.random.default_rng(seed), turned), seed)
-             for seed in range(COMMANDS)]  # fmt: skip
-    fused = [_through_fuse(model, house, np.random.default_rng(100 + i)) for i, house in enumerate(houses)]
-    ways = {"command, points": runs, "command, base turned": turns, "fuse, single touches": fused}
-    head = [
-        "way",
-        "located",
-        f"within {TARGET:g} mm",
-        "95 % interval of that",
-        "95 % within",
-        "median",
-        "worst",
+    with_rotation = RunErrors.from_priors(model, BasePoseUncertainty(), FRICTION)
+    simulated = list(islice(_simulated_runs(model), FUSE_RUNS))
+    exact = [
+        _by_command(model, one, seed, EXACT_ROTATION) for seed, one in enumerate(simulated[:COMMAND_RUNS])
     ]
-    title = f"Card house, {len(touch_targets())} touches of 25 points a run, errors in mm"
-    print_table(title, head, [[way, *_errors(found)] for way, found in ways.items()])
-    print_table("Do the ellipsoids come true?",
-                ["way", "in the 95 % ellipsoid", "95 % interval of that", "mean χ², 3 is right", "stated RMS [mm]",
+    rotated = [
+        _by_command(model, simulate_run(model, touch_targets(), np.random.default_rng(seed), with_rotation), seed)
+        for seed in range(COMMAND_RUNS)
+    ]  # fmt: skip
+    fused = [_by_fuse(model, one, np.random.default_rng(100 + i)) for i, one in enumerate(simulated)]
+    methods = {
+        "explore, exact orientation": exact,
+        "explore, orientation errors": rotated,
+        "fuse, single touches": fused,
+    }
+    head = [
+        "method",
+        "located",
+        f"within {TARGET_MM:g} mm",
+        "95 % interval",
+        "95th percentile",
+        "median",
+        "maximum",
+    ]
+    title = f"Card house, {len(touch_targets())} touches of 25 points in each run, errors in mm"
+    print_table(title, head, [[name, *_error_cells(found)] for name, found in methods.items()])
+    print_table("Coverage of the 95 % ellipsoids",
+                ["method", "coverage", "95 % interval", "mean NEES (expected 3)", "stated RMS [mm]",
                  "RMS error [mm]"],
-                [[way, *_honesty(found)] for way, found in ways.items()])  # fmt: skip
-    touches = [touch for house in houses for touch in house.touches]
-    print_table("What the object and the sensor feel",
-                ["greatest force", "greatest moment about the base", "least room to the card behind"],
+                [[name, *_coverage_cells(found)] for name, found in methods.items()])  # fmt: skip
+    touches = [touch for one in simulated for touch in one.touches]
+    print_table("Loads and clearance of the simulated touches",
+                ["largest force", "largest moment about the base", "smallest clearance to the card behind"],
                 [[f"{max(t.force for t in touches) / MILLINEWTON:.2f} mN",
                   f"{1e3 * max(t.moment for t in touches):.2f} N·mm",
                   f"{min(t.clearance for t in touches) / MM:.2f} mm"]])  # fmt: skip
-    cards, meant = (
+    cards, targets = (
         [card.corners / MM for card in card_house()],
         [target.p_world / MM for target in touch_targets()],
     )
-    draw_card_house(cards, runs[0].rows, np.array(meant))
+    draw_card_house(cards, exact[0].rows, np.array(targets))
 
 
-def _houses(model: ProbeModel) -> Iterator[SimulatedRun]:
-    """Houses touched, without those whose base is so far off that it misses an edge."""
+def _simulated_runs(model: ProbeModel) -> Iterator[SimulatedRun]:
+    """Yield simulated runs without end, except those whose base position error makes a touch miss its edge."""
     for seed in count():
         with suppress(InputError):
             yield simulate_run(
@@ -112,32 +120,37 @@ def _houses(model: ProbeModel) -> Iterator[SimulatedRun]:
             )
 
 
-def _through_command(model: ProbeModel, house: SimulatedRun, seed: int, known: Sequence[str] = ()) -> Found:
-    """All points; `known` are the options that say how well the base is known."""
+def _by_command(
+    model: ProbeModel, simulated: SimulatedRun, seed: int, options: Sequence[str] = ()
+) -> PointErrors:
+    """Locate the points of a run with the command `explore` and options for the orientation errors of the base."""
     with tempfile.TemporaryDirectory() as folder:
         at = Path(folder)
         write_frozen(model, at / "large.probe.json")
-        write_run(house, model, at, np.random.default_rng(1000 + seed))
+        write_run(simulated, model, at, np.random.default_rng(1000 + seed))
         _run(["explore", f"{at}/large.probe.json", f"{at}/house.mcap", "--pose", f"{at}/poses.csv",
-              "--tare-s", "0.5:3.5", "--average", "36", "--out", f"{at}/found", *known])  # fmt: skip
+              "--tare-s", "0.5:3.5", "--average", "36", "--out", f"{at}/found", *options])  # fmt: skip
         with (at / "found/points.csv").open(encoding="utf-8") as file:
             found = [row for row in csv.DictReader(file) if row["result"] == "ok"]
     names = [f"{axis}_world_mm" for axis in "xyz"]
     names += [f"cov_world_{name}_mm2" for name in ("xx", "xy", "xz", "yy", "yz", "zz")]
     rows = np.array([[float(row[name]) for name in names] for row in found]).reshape(-1, 9)
     times = [float(row["time_s"]) for row in found]
-    truth, starts = np.array([t.p_world for t in house.touches]) / MM, [t.start for t in house.touches]
+    truth, starts = (
+        np.array([t.p_world for t in simulated.touches]) / MM,
+        [t.start for t in simulated.touches],
+    )
     nearest = [int(np.argmin(np.abs(np.array(starts) - time))) for time in times]
-    missing = max(sum(not t.target.repeated for t in house.touches) - len(found), 0)
-    return _compared(rows, truth[nearest], missing)
+    missing = max(sum(not t.target.repeated for t in simulated.touches) - len(found), 0)
+    return _point_errors(rows, truth[nearest], missing)
 
 
-def _compared(rows: Array, truth: Array, missing: int) -> Found:
-    """What was found, beside the true points [mm], (k, 3)."""
-    off = rows[:, :3] - truth
-    chi2 = np.einsum("ka,ka->k", off, np.linalg.solve(rows[:, SYMMETRIC], off[:, :, None])[:, :, 0])
-    room = np.full(missing, np.nan)
-    return Found(np.append(np.linalg.norm(off, axis=1), room), np.append(chi2, room), rows)
+def _point_errors(rows: Array, truth: Array, missing: int) -> PointErrors:
+    """Compare located points, (k, 9), with the true ones [mm], (k, 3); `missing` touches were not located."""
+    error = rows[:, :3] - truth
+    nees = np.einsum("ka,ka->k", error, np.linalg.solve(rows[:, SYMMETRIC], error[:, :, None])[:, :, 0])
+    none = np.full(missing, np.nan)
+    return PointErrors(np.append(np.linalg.norm(error, axis=1), none), np.append(nees, none), rows)
 
 
 def _run(arguments: list[str]) -> None:
@@ -148,45 +161,39 @@ def _run(arguments: list[str]) -> None:
         raise InputError(f"probedesign {' '.join(arguments)}: {output.getvalue()}")
 
 
-def _through_fuse(model: ProbeModel, house: SimulatedRun, rng: np.random.Generator) -> Found:
-    """All touches, each by itself, with a free reading before and after it."""
+def _by_fuse(model: ProbeModel, simulated: SimulatedRun, rng: np.random.Generator) -> PointErrors:
+    """Locate each touch of a run from its readings and a free reading before and after them."""
     estimator, rows, truth = Estimator(model), list[Array](), list[Array]()
     priors = replace(Tolerances.of(model), drift_steps=10.0)
     step = model.noise_base() * model.averaging_samples
-    for touch in house.touches:
-        wrenches = np.vstack([house.wrench_free, touch.wrenches_base, house.wrench_free])
+    for touch in simulated.touches:
+        wrenches = np.vstack([simulated.wrench_free, touch.wrenches_base, simulated.wrench_free])
         k = len(wrenches)
         read = wrenches + rng.multivariate_normal(np.zeros(6), model.noise_base() / READINGS, k)
         read += rng.multivariate_normal(np.zeros(6), priors.walk_steps**2 * step, k).cumsum(axis=0)
         Ts = np.concatenate([touch.Ts_world_base[:1], touch.Ts_world_base, touch.Ts_world_base[-1:]])
         touched = [False, *[True] * len(touch.wrenches_base), False]
-        answer = estimator.fuse(read, Ts, (0.0, 0.0, -9.81), touched=touched, priors=priors)
-        if answer.ok:
-            cov = answer.cov_surface_world[np.triu_indices(3)] / MM**2
-            rows.append(np.append(answer.p_surface_world / MM, cov))
+        fused = estimator.fuse(read, Ts, (0.0, 0.0, -9.81), touched=touched, priors=priors)
+        if fused.ok:
+            cov = fused.cov_surface_world[np.triu_indices(3)] / MM**2
+            rows.append(np.append(fused.p_surface_world / MM, cov))
             truth.append(touch.p_world / MM)
-    return _compared(np.array(rows), np.array(truth), len(house.touches) - len(rows))
+    return _point_errors(np.array(rows), np.array(truth), len(simulated.touches) - len(rows))
 
 
-def _errors(found: Sequence[Found]) -> list[str]:
-    """Located, share within the target with its interval, quantiles."""
-    off = np.concatenate([one.off for one in found])
-    located = off[np.isfinite(off)]
-    return [f"{len(located)} of {len(off)}", *_share(int((located <= TARGET).sum()), len(off)),
+def _error_cells(found: Sequence[PointErrors]) -> list[str]:
+    """Return cells with the located touches, the share within the target with its interval, and quantiles."""
+    error = np.concatenate([one.error for one in found])
+    located = error[np.isfinite(error)]
+    return [f"{len(located)} of {len(error)}", *proportion_cells(int((located <= TARGET_MM).sum()), len(error)),
             f"{np.quantile(located, 0.95):.2f}", f"{np.median(located):.2f}", f"{located.max():.2f}"]  # fmt: skip
 
 
-def _honesty(found: Sequence[Found]) -> list[str]:
-    """Share within the stated ellipsoid with its interval, mean squared distance, RMS stated and true."""
-    chi2, off = (np.concatenate([getattr(one, name) for one in found]) for name in ("chi2", "off"))
-    rows, located = np.concatenate([one.rows for one in found]), np.isfinite(chi2)
+def _coverage_cells(found: Sequence[PointErrors]) -> list[str]:
+    """Return cells with the coverage of the 95 % ellipsoid and its interval, mean NEES, stated and actual RMS error."""
+    nees, error = (np.concatenate([getattr(one, name) for one in found]) for name in ("nees", "error"))
+    rows, located = np.concatenate([one.rows for one in found]), np.isfinite(nees)
     stated = float(np.sqrt(rows[:, [3, 6, 8]].sum(axis=1).mean()))
-    return [*_share(int((chi2[located] <= CHI2_95).sum()), int(located.sum())), f"{chi2[located].mean():.2f}",
-            f"{stated:.2f}", f"{float(np.sqrt((off[located] ** 2).mean())):.2f}"]  # fmt: skip
-
-
-def _share(within: int, n: int) -> tuple[str, str]:
-    """Of n, with Clopper and Pearson's interval at 95 %."""
-    low = beta.ppf(0.025, within, n - within + 1) if within else 0.0
-    high = beta.ppf(0.975, within + 1, n - within) if within < n else 1.0
-    return f"{within / n:.1%}", f"{low:.1%} – {high:.1%}"
+    return [*proportion_cells(int((nees[located] <= CHI2_95).sum()), int(located.sum())),
+            f"{nees[located].mean():.2f}", f"{stated:.2f}",
+            f"{float(np.sqrt((error[located] ** 2).mean())):.2f}"]  # fmt: skip

@@ -1,4 +1,4 @@
-"""`probedesign export` of the large probe as a whole process: time, memory, and what it wrote."""
+"""Time, memory and files of `probedesign export` for the large probe as a whole process."""
 
 import os
 import shutil
@@ -20,22 +20,22 @@ TARGETS = ("≤ 20 s", "", "≤ 1500 MB")
 
 
 class Run(NamedTuple):
-    """Of one process: seconds by the clock, seconds of all cores, megabytes at its largest."""
+    """Wall time [s], CPU time of all cores [s] and peak memory [MB] of one process."""
 
     wall_s: float
     cpu_s: float
     peak_MB: float
 
 
-def measured(folder: Path) -> Run:
-    """One export that must succeed.
+def measure_export(folder: Path) -> Run:
+    """Run and measure one export.
 
     Raises:
-        RuntimeError: it did not.
+        RuntimeError: the export fails.
     """
     start = time.perf_counter()
     process = subprocess.Popen([*COMMAND, str(folder)], cwd=ROOT, stdout=subprocess.DEVNULL)
-    _, status, usage = os.wait4(process.pid, 0)  # the usage of this child alone
+    _, status, usage = os.wait4(process.pid, 0)  # resource usage of this child only
     if status:
         raise RuntimeError(f"export ended with status {os.waitstatus_to_exitcode(status)}")
     unit = 1.0 if sys.platform == "darwin" else 1024.0  # Linux counts in kibibytes
@@ -43,24 +43,24 @@ def measured(folder: Path) -> Run:
 
 
 def report() -> None:
-    """Print the tables, and keep the exploded picture for the documentation."""
+    """Print the tables and copy the exploded view to the documentation."""
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch) / "large"
-        first, *warm = [measured(folder) for _ in range(1 + RUNS)]
+        first, *warm = [measure_export(folder) for _ in range(1 + RUNS)]
         shutil.copyfile(folder / "exploded.svg", PICTURE)
         sizes = sorted((path.stat().st_size, path.name) for path in folder.iterdir())
     middle = Run(*(statistics.median(values) for values in zip(*warm, strict=True)))
     rows = [
         [name, f"{a:.3g}", f"{b:.3g}", target]
         for name, a, b, target in zip(
-            ("time [s]", "of all cores [s]", "largest [MB]"), first, middle, TARGETS, strict=True
+            ("wall time [s]", "CPU time [s]", "peak memory [MB]"), first, middle, TARGETS, strict=True
         )
     ]
     print_table(
-        f"probedesign export designs/large.toml: the first run, then the median of {RUNS}",
+        f"probedesign export designs/large.toml: first run, and median of {RUNS} more",
         ["", "first", "warm", "target"],
         rows,
     )
     total = sum(size for size, _ in sizes)
     largest = ", ".join(f"{name} {size / 1e3:.0f}" for size, name in sizes[:-4:-1])
-    print(f"  {len(sizes)} files, {total / 1e3:.0f} kB; the largest: {largest} kB")
+    print(f"  {len(sizes)} files, {total / 1e3:.0f} kB; largest: {largest} kB")

@@ -1,19 +1,24 @@
-"""What the estimators reach, drawn for the documentation."""
+"""Figures of the documentation with benchmark results."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.error_statistics import CHI2_95
 from probedesign.core.frames import Array
 
 PICTURES = Path(__file__).parents[1] / "docs/pictures"
-BLUE, ORANGE, GREY = "#1f5fa8", "#d9730d", "#777777"
+BLUE, ORANGE, GREY, LIGHT_GREY = "#1f5fa8", "#d9730d", "#777777", "#999999"
 
 
 def draw_table_one(rows: Sequence[tuple[str, float, float, float, float, float]]) -> None:
-    """RMS errors on Table I's conditions: (probe, force [N], place over L, bound, ml, paper [m]) each."""
+    """Draw RMS errors for the conditions of Table I.
+
+    Args:
+        rows: probe, force [N], place over the length, bound, error of ml and of the paper's method [m].
+    """
     ordered = sorted(rows, key=lambda row: row[3])
     figure, ax = _figure(7.6, 5.6)
     y = np.arange(len(ordered))
@@ -33,17 +38,21 @@ def draw_table_one(rows: Sequence[tuple[str, float, float, float, float, float]]
 
 
 def draw_fusion(drawn: dict[tuple[str, float], tuple[list[float], list[float]]]) -> None:
-    """Errors and bounds [mm] at 0.5 ... 0.9 L, by what is not known and the strongest force [N]."""
+    """Draw errors and bounds of fused touches.
+
+    Args:
+        drawn: errors and bounds [mm] at 0.5 ... 0.9 L, by the error sources and the largest force [N].
+    """
     kinds = list(dict.fromkeys(kind for kind, _ in drawn))
     figure, axes = _figure(9.6, 3.4, len(kinds))
     for ax, kind in zip(axes, kinds, strict=True):
-        for (of, force), color in zip(
+        for key, color in zip(
             [key for key in drawn if key[0] == kind], ("#9cc3e8", BLUE, "#0c2f57"), strict=False
         ):
-            errors, bounds = drawn[of, force]
+            errors, bounds = drawn[key]
             places = np.linspace(0.5, 0.9, 5)[: len(errors)]
             ax.plot(places, bounds, "-", color=color, lw=1.5)
-            ax.plot(places, errors, "o", color=color, ms=5, label=f"to {force * 1e3:g} mN")
+            ax.plot(places, errors, "o", color=color, ms=5, label=f"to {key[1] * 1e3:g} mN")
         ax.set(xlabel="contact over length", ylim=(0.0, None))
         ax.set_title(kind, fontsize=9)
         ax.grid(True, color="#dddddd", lw=0.6)
@@ -53,23 +62,28 @@ def draw_fusion(drawn: dict[tuple[str, float], tuple[list[float], list[float]]])
     figure.savefig(PICTURES / "fusion.png", dpi=150)
 
 
-def draw_card_house(cards: Sequence[Array], found: Array, spots: Array) -> None:
-    """A house of cards (4, 3) each, the points that were meant (n, 3) and those that were found, (k, 9): place and
-    covariance xx, xy, xz, yy, yz, zz [mm, mm²]; seen from the front and from above."""
+def draw_card_house(cards: Sequence[Array], located: Array, targets: Array) -> None:
+    """Draw a card house with its touched and its located points from the front and from above.
+
+    Args:
+        cards: corners of each card [mm], (4, 3).
+        located: position and covariance xx, xy, xz, yy, yz, zz of the located points [mm, mm²], (k, 9).
+        targets: points that were to be touched [mm], (n, 3).
+    """
     figure, axes = _figure(10.4, 5.6, 2)
     for ax, (i, j), names in zip(axes, ((0, 2), (0, 1)), (("x", "z"), ("x", "y")), strict=True):
         for card in cards:
             ax.fill(*card[:, [i, j]].T, facecolor="#c9b98a22", edgecolor="#a08c5a", lw=1.0)
-        ax.plot(*spots[:, [i, j]].T, "+", color="#111111", ms=6, mew=0.8, label="touched", zorder=3)
-        for row in found:
+        ax.plot(*targets[:, [i, j]].T, "+", color="#111111", ms=6, mew=0.8, label="touched", zorder=3)
+        for row in located:
             cov = np.array([[row[3], row[4], row[5]], [row[4], row[6], row[7]], [row[5], row[7], row[8]]])
             values, vectors = np.linalg.eigh(cov[np.ix_([i, j], [i, j])])
-            turn = np.linspace(0.0, 2.0 * np.pi, 60)
-            round_ = row[[i, j], None] + vectors @ (
-                np.sqrt(7.81 * values)[:, None] * np.array([np.cos(turn), np.sin(turn)])
+            angle = np.linspace(0.0, 2.0 * np.pi, 60)
+            ellipse = row[[i, j], None] + vectors @ (
+                np.sqrt(CHI2_95 * values)[:, None] * np.array([np.cos(angle), np.sin(angle)])
             )
-            ax.fill(*round_, facecolor="#1f5fa833", edgecolor=BLUE, lw=1.0)
-        ax.plot(*found[:, [i, j]].T, ".", color=BLUE, ms=4, label="found, with its 95 % ellipsoid")
+            ax.fill(*ellipse, facecolor="#1f5fa833", edgecolor=BLUE, lw=1.0)
+        ax.plot(*located[:, [i, j]].T, ".", color=BLUE, ms=4, label="located, with 95 % ellipsoid")
         ax.set(xlabel=f"{names[0]} [mm]", ylabel=f"{names[1]} [mm]")
         ax.set_aspect("equal")
         ax.grid(True, color="#eeeeee", lw=0.6)
@@ -79,6 +93,42 @@ def draw_card_house(cards: Sequence[Array], found: Array, spots: Array) -> None:
     axes[1].set_aspect("auto")
     axes[0].legend(frameon=False, fontsize=8, loc="upper left")
     figure.savefig(PICTURES / "card-house.png", dpi=130)
+
+
+class CostCurve(NamedTuple):
+    """Measured time over the size of a problem.
+
+    Attributes:
+        amount: number of cases or steps, increasing, (k,).
+        seconds: time [s], (k,).
+    """
+
+    amount: Array
+    seconds: Array
+
+    @property
+    def exponent(self) -> float:
+        """Exponent of the power law fitted to the curve; 1 if the time is proportional to the amount."""
+        return float(np.polyfit(np.log(self.amount), np.log(self.seconds), 1)[0])
+
+
+def draw_cost(panels: Mapping[str, Mapping[str, CostCurve]]) -> None:
+    """Draw curves on logarithmic axes, each with a grey line of slope 1 through its last point.
+
+    Args:
+        panels: curves by name, by the label of the panel's x axis.
+    """
+    figure, axes = _figure(4.6 * len(panels), 3.6, len(panels))
+    for ax, (label, curves) in zip(axes, panels.items(), strict=True):
+        for marker, (name, curve) in zip("osv^D", curves.items(), strict=False):
+            proportional = curve.seconds[-1] / curve.amount[-1] * curve.amount
+            ax.plot(curve.amount, proportional, color=LIGHT_GREY, lw=1.0, zorder=1)
+            ax.plot(curve.amount, curve.seconds, marker, color=BLUE, ms=5, label=name)
+        ax.plot([], [], color=LIGHT_GREY, lw=1.0, label="proportional")
+        ax.set(xscale="log", yscale="log", xlabel=label, ylabel="seconds")
+        ax.grid(True, which="major", color="#dddddd", lw=0.6)
+        ax.legend(frameon=False)
+    figure.savefig(PICTURES / "cost.png", dpi=150)
 
 
 def _figure(width: float, height: float, panels: int = 1) -> tuple[Any, Any]:

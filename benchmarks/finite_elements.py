@@ -2,7 +2,7 @@
 
 `python -m benchmarks.finite_elements --out tests/data/fem_surface_cases.json` computes the cases and adds each one to
 the file as soon as it is solved; a second run computes only what the file lacks. `--convergence` solves two of the
-cases on three meshes and writes their differences into the file's header. Elements and material are those of
+cases on three meshes and writes their differences into the file's header. The elements and the material are those of
 `benchmarks.hyperelastic`; scikit-fem is needed (`pip install probedesign[bench]`).
 
 The base face is bonded (u = 0), gravity is a body force, and the touch is a dead traction F w(X) / ∫ w on a patch of
@@ -37,19 +37,19 @@ from probedesign.core.frames import Array
 from probedesign.rod.equilibrium import Equilibrium
 
 MAX_BEND = math.radians(45.0)
-"""Largest angle between the tip's tangent and the axis at rest."""
+"""Largest angle between the tangent at the tip and the undeformed axis."""
 MIN_MARGIN = 0.3
-"""Least stability margin of the rod: nearer to buckling the shape depends on the last digits of the load."""
+"""Smallest stability margin of the rod; closer to buckling the shape is ill-conditioned."""
 MIN_FORCE, MAX_FORCE = 0.005, 0.2
 """Range of the normal forces [N] before they are reduced to `MAX_BEND`."""
 COARSE, USED, FINE = Fineness(2, 1, 1.8), Fineness(3, 2, 1.8), Fineness(4, 2, 1.3)
 CONVERGENCE = (19, 30)
-"""Cases solved on all three: the medium and the large probe bent by 40°, with and without friction."""
+"""Cases solved on all three meshes: the medium and the large probe bent by 40°, with and without friction."""
 
 
 @dataclass(frozen=True)
 class Touch:
-    """A touch to be solved: lengths [m], angles [rad], forces [N].
+    """Definition of a touch; lengths in m, angles in rad, forces in N.
 
     Attributes:
         design: name of the design under designs/.
@@ -57,7 +57,7 @@ class Touch:
         phi: angle of the touched generator about z, from x towards y, in the undeformed section.
         gravity: in base axes [m/s²], (3,).
         friction: tangential over normal force around the axis and along the generator towards the tip, (2,).
-        force: normal force asked for; reduced until the probe bends by less than `MAX_BEND`.
+        force: requested normal force; it is reduced until the probe bends by less than `MAX_BEND`.
     """
 
     design: str
@@ -99,7 +99,7 @@ def touches() -> list[Touch]:
 
 
 def from_rod(mesh: Mesh, eq: Equilibrium) -> State:
-    """Return a first guess of the deformed cone: the rod's sections with St Venant's lateral contraction.
+    """Return an initial guess of the deformed cone from the sections of the rod and St Venant's lateral contraction.
 
     A section point ξ with axial strain ε = e + c·ξ moves within its section by -ν (e ξ + (c·ξ) ξ - ½ |ξ|² c).
     Source: S. P. Timoshenko, J. N. Goodier, Theory of Elasticity, 3rd edition, 1970, section 102.
@@ -122,14 +122,14 @@ def from_rod(mesh: Mesh, eq: Equilibrium) -> State:
 
 
 def rod_frame(cone: Cone, eq: Equilibrium, s: float, phi: float) -> tuple[Array, Array, Array]:
-    """Return the rod's section: its centre, the touched point relative to it and the frame of the deformed surface."""
+    """Return the centre of the rod's section, the touched point relative to it and the deformed surface's frame."""
     point, frame = cone.on_surface(s, phi)
     R = eq.R_at(s)
     return eq.p_at(s), R @ point, frame @ R.T
 
 
 def solve_rod(cone: Cone, gravity: Array, force: Array, s: float, phi: float) -> Equilibrium:
-    """Solve the rod under a force at a point of its deformed surface; the couple is iterated.
+    """Solve the rod under a force at a point of its deformed surface by iteration of the couple.
 
     Raises:
         ArithmeticError: the rod has no stable equilibrium.
@@ -145,14 +145,14 @@ def solve_rod(cone: Cone, gravity: Array, force: Array, s: float, phi: float) ->
 
 
 def choose_force(touch: Touch, cone: Cone) -> tuple[Array, Equilibrium]:
-    """Return a force with the friction asked for on the rod's deformed surface that bends it moderately."""
+    """Return a force that has the requested friction on the deformed surface of the rod and bends it moderately."""
     s, normal, gravity = touch.fraction * cone.length, touch.force, np.array(touch.gravity)
     direction, (_, frame) = np.array([1.0, *touch.friction]), cone.on_surface(s, touch.phi)
     while True:
         force = normal * direction @ frame
         try:
             eq = solve_rod(cone, gravity, force, s, touch.phi)
-            # The force turns with the surface that it turns; a large one settles nowhere.
+            # The force rotates with the surface, which it rotates itself; for a large force the iteration diverges.
             settled = False
             for _ in range(30):
                 before, force = force, normal * direction @ rod_frame(cone, eq, s, touch.phi)[2]
@@ -173,7 +173,7 @@ def choose_force(touch: Touch, cone: Cone) -> tuple[Array, Equilibrium]:
 
 @dataclass(frozen=True)
 class Section:
-    """The touched section of a solution: centroid [m], rotation, and where the undeformed surface point goes [m]."""
+    """Touched section of a solution: centroid [m], rotation, deformed position of the surface point [m] and patch."""
 
     centroid: Array
     R: Array
@@ -183,7 +183,7 @@ class Section:
 
     @classmethod
     def of(cls, mesh: Mesh, x: Array) -> "Section":
-        """Evaluate a solution; the rotation is the area-weighted best fit of the whole section's."""
+        """Evaluate a solution; the rotation is the area-weighted best fit over the section."""
         w = mesh.section
         centroid, rest = w @ x, w @ mesh.nodes
         U, _, V = np.linalg.svd(np.einsum("n,ni,nj->ij", w, x - centroid, mesh.nodes - rest))
@@ -204,8 +204,8 @@ class Section:
 def solve(name: str, touch: Touch) -> dict[str, Any]:
     """Solve one touch on the coarse and on the used mesh and return its record.
 
-    The force is dead, so its direction is iterated on the coarse mesh until it has the friction asked for on the
-    deformed surface; the used mesh is solved with that force, and its friction is what the record has.
+    The force is dead, so its direction is iterated on the coarse mesh until it has the requested friction on the
+    deformed surface. The used mesh is solved with that force, and the record has the friction that results.
     """
     cone, gravity = Cone.of(touch.design), np.array(touch.gravity)
     s = touch.fraction * cone.length
@@ -235,7 +235,7 @@ def solve(name: str, touch: Touch) -> dict[str, Any]:
 
 
 def evaluate(mesh: Mesh, gravity: Array, force: Array) -> dict[str, Any]:
-    """Solve on a mesh, started from the rod, and return what depends on the solution."""
+    """Solve on a mesh from the rod as initial guess and return the part of the record that depends on the solution."""
     cone = mesh.cone
     eq = solve_rod(cone, gravity, force, mesh.s, mesh.patch_phi)
     state, out, steps = equilibrium(mesh, gravity, force, from_rod(mesh, eq))
@@ -273,7 +273,7 @@ def _rounded(values: Any, digits: int) -> Any:
 
 
 def converge(index: int) -> dict[str, Any]:
-    """Solve one case on all three meshes under the rod's force for it and return how far the points move."""
+    """Solve one case on all three meshes with the force chosen for the rod, and return the changes of the points."""
     touch = touches()[index]
     cone, gravity = Cone.of(touch.design), np.array(touch.gravity)
     force, _ = choose_force(touch, cone)
@@ -301,7 +301,7 @@ def case_name(index: int) -> str:
 
 
 def header() -> dict[str, Any]:
-    """Return the description of method, fields and sources at the head of the file."""
+    """Return the header of the file, with method, fields and sources."""
     import skfem
 
     return {
@@ -342,16 +342,16 @@ def header() -> dict[str, Any]:
 
 
 def write(path: Path, convergence: list[dict[str, Any]], cases: list[dict[str, Any]]) -> None:
-    """Write the file, one case a line."""
+    """Write the file with one case per line."""
     head = json.dumps(header() | {"convergence": convergence}, indent=1, ensure_ascii=False)
     rows = ",\n  ".join(json.dumps(case) for case in sorted(cases, key=lambda case: str(case["id"])))
-    beside = path.with_suffix(".part")
-    beside.write_text(f'{head[:-2]},\n "cases": [\n  {rows}\n ]\n}}\n')
-    beside.replace(path)
+    partial = path.with_suffix(".part")
+    partial.write_text(f'{head[:-2]},\n "cases": [\n  {rows}\n ]\n}}\n')
+    partial.replace(path)
 
 
 def main(arguments: list[str]) -> int:
-    """Compute what the file lacks; the exit status."""
+    """Compute the cases that the file lacks and return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.finite_elements", description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="JSON file, extended case by case")
     parser.add_argument("--convergence", action="store_true", help="solve two cases on three meshes as well")

@@ -5,9 +5,9 @@ volumetric locking), compressible neo-Hookean energy
 
     W = G/2 (tr FᵀF - 3) - G ln J + λ/2 (J - 1)²,   G = E / (2 (1 + ν)),   λ = 2 G ν / (1 - 2 ν),
 
-whose last term is carried by the pressure p = λ Π(J - 1), Π the projection onto linear functions in each element.
-Newton's method in displacement and pressure with the pressure eliminated element by element and a banded Cholesky
-factorisation. Mesh and shape functions are scikit-fem's, which is needed here alone.
+in whose last term the pressure is p = λ Π(J - 1), with Π the projection onto linear functions in each element.
+The equations are solved by Newton's method in displacement and pressure, with the pressure eliminated element by
+element and a banded Cholesky factorisation. scikit-fem provides the mesh and the shape functions.
 
 Sources: D. Boffi, F. Brezzi, M. Fortin, Mixed Finite Element Methods and Applications, 2013, section 8.6 (Q2/P1);
 J. Bonet, R. D. Wood, Nonlinear Continuum Mechanics for Finite Element Analysis, 2nd edition, 2008, chapters 6 and 8;
@@ -30,10 +30,10 @@ from probedesign.rod.rod import Rod
 POISSON = 0.49
 """Poisson's ratio (assumed: nearly incompressible rubber; as in tests/data/fem_cases.json)."""
 ROOT_RADII = 0.12
-"""The rod's `root_rigid_radii` of a bonded base (docs/decisions/0006); only for the guess and the choice of loads."""
+"""`root_rigid_radii` of a bonded base (docs/decisions/0006), used for the initial guess and the choice of loads."""
 PATCH_ANGLE, PATCH_LENGTH = 0.35, 1.5
-"""Half widths of the patch: around the axis [rad], along the generator [radii of the section]. Assumed: wide enough
-that 200 mN indent the 12 mm cone by a few hundredths of a millimetre, narrow enough to be a point to a rod."""
+"""Half widths of the patch: around the axis [rad], along the generator [radii of the section]. Assumed: 200 mN
+indent the 12 mm cone by a few hundredths of a millimetre, and the patch is still a point on the scale of the rod."""
 INNER = 0.55
 """Half the side of the section's inner square of elements over its radius, before the map onto the disc."""
 RESIDUAL = 1e-9
@@ -57,7 +57,7 @@ class Fineness:
 
 @dataclass(frozen=True)
 class Cone:
-    """The printed cone and its material in SI units."""
+    """Printed cone and its material in SI units."""
 
     length: float
     base_radius: float
@@ -108,7 +108,7 @@ class Cone:
 
 
 class Mesh:
-    """The cone in 27-node hexahedra, sections rotated so that elements are narrowest at the touched generator."""
+    """Mesh of 27-node hexahedra whose sections are rotated so that elements are narrowest at the touched generator."""
 
     def __init__(self, cone: Cone, s: float, phi: float, fineness: Fineness) -> None:
         from skfem import Basis, ElementHex2, MeshHex, MeshHex2
@@ -148,8 +148,8 @@ class Mesh:
         self.section /= self.section.sum()
         patch = _Face(mesh, of_layer[:, -4 * fineness.square :].ravel(), "side", 8)
         X = patch.points
-        turn = np.mod(np.arctan2(X[..., 1], X[..., 0]) - phi + np.pi, 2.0 * np.pi) - np.pi
-        distance = (turn / PATCH_ANGLE) ** 2 + ((X[..., 2] - s) / (PATCH_LENGTH * cone.radius(s))) ** 2
+        angle = np.mod(np.arctan2(X[..., 1], X[..., 0]) - phi + np.pi, 2.0 * np.pi) - np.pi
+        distance = (angle / PATCH_ANGLE) ** 2 + ((X[..., 2] - s) / (PATCH_LENGTH * cone.radius(s))) ** 2
         area = np.linalg.norm(patch.areas, axis=2)
         weight = np.maximum(1.0 - distance, 0.0) ** 2 / np.hypot(X[..., 0], X[..., 1]) * area
         weight /= weight.sum()
@@ -159,7 +159,7 @@ class Mesh:
         self.patch_gradients = patch.gradients[loaded]
         self.patch = self._lump(patch.shares(weight), patch.element_dofs)
         self.patch_s = float((weight * X[..., 2]).sum())
-        self.patch_phi = phi + float((weight * turn).sum())
+        self.patch_phi = phi + float((weight * angle).sum())
 
         # Nodes sorted along z make the matrix banded: an element couples three layers of nodes.
         place = np.empty(len(self.nodes), dtype=np.int64)
@@ -221,9 +221,9 @@ class _Face:
 
 
 def _quadrature() -> tuple[Array, Array]:
-    """Gauss points of the reference brick [0, 1]³ and their weights, 3 × 3 in the section and 2 along the axis.
+    """Return Gauss points and weights of the reference brick [0, 1]³, 3 × 3 in the section and 2 along the axis.
 
-    Three points along the axis would make a section's rotation follow a quadratic deflection and so hold the
+    Three points along the axis would make the rotation of a section follow a quadratic deflection and keep the
     curvature constant in each element (shear locking of the quadratic Timoshenko beam); two points do not.
     Source: O. C. Zienkiewicz, R. L. Taylor, J. M. Too, Int. J. Numerical Methods in Engineering 3, 275–290, 1971.
     """
@@ -233,7 +233,7 @@ def _quadrature() -> tuple[Array, Array]:
 
 
 def _butterfly(n: int, rings: int) -> tuple[Array, Array]:
-    """Quadrilaterals of the square [-1, 1]²: an inner n × n grid and rings of trapezia around it."""
+    """Return quadrilaterals of the square [-1, 1]²: an inner n × n grid and rings of trapezia around it."""
     ticks = np.linspace(-INNER, INNER, n + 1)
     points = [np.array([x, y]) for y in ticks for x in ticks]
     quads = [[j * (n + 1) + i + o for o in (0, 1, n + 2, n + 1)] for j in range(n) for i in range(n)]
@@ -271,7 +271,7 @@ def _disc(square: Array, phi: float) -> Array:
 
 
 def _layers(cone: Cone, s: float, height: float) -> Array:
-    """Ends of the layers of elements, finer at the bonded face and at the touched section, which is one of them."""
+    """Return the ends of the layers of elements, finer at the bonded face and at the touched section, which is one."""
 
     def ends(start: float, stop: float) -> Array:
         z = np.linspace(start, stop, 2000)
@@ -327,7 +327,7 @@ def equilibrium(
         while np.linalg.det(deformation(x + share * du, mesh.gradients, mesh.of_element)).min() <= 0.05:
             share *= 0.5
             if share < 1e-3:
-                raise ArithmeticError(f"elements turn inside out at step {step}")
+                raise ArithmeticError(f"elements are inverted at step {step}")
         x, pressure = x + share * du, pressure + share * dp
     raise ArithmeticError(f"no convergence in {limit} steps, residual {worst:.1e} of the force")
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.stats import beta
 
 from benchmarks.laboratory import CAMERAS, STAGE, Flaws, Truth, draw
-from benchmarks.timing import print_table, shown
+from benchmarks.timing import format_seconds, print_table
 from benchmarks.touches import paper_models
 from probedesign.core.errors import InputError
 from probedesign.estimation.model import ProbeModel
@@ -116,7 +116,7 @@ def _row(found: NDArray[np.float64]) -> list[str]:
     _, off, stated, quantile, after, before, _ = found[found[:, 0] > 0.0].T
     inside = int((np.abs(off) <= quantile * stated).sum())
     return [_share(accepted, len(found)), f"{_rms(off):.2%}", f"{_rms(stated):.2%}", _share(inside, len(off)),
-            f"{_rms(after):.2%}", f"{_rms(before):.2%}", shown(float(np.median(seconds)))]  # fmt: skip
+            f"{_rms(after):.2%}", f"{_rms(before):.2%}", format_seconds(float(np.median(seconds)))]  # fmt: skip
 
 
 def _share(hits: int, n: int) -> str:
@@ -234,7 +234,7 @@ def _report_gross(workers: ProcessPoolExecutor) -> None:
             refused, first, listed, seconds = found.T
             rows.append([f"{name}: {error.words}", f"{refused.mean():.0%}", f"{first.mean():.0%}",
                          f"{listed.mean():.0%}",
-                         shown(float(seconds.max()))])  # fmt: skip
+                         format_seconds(float(seconds.max()))])  # fmt: skip
             print("  ".join(rows[-1]), flush=True)
     print_table(f"Gross errors, {GROSS_DRAWS} campaigns each, all flaws of the bench besides",
                 ["gross error", "refused", "named first", "among the first three", "slowest"], rows)  # fmt: skip

@@ -1,7 +1,7 @@
-"""A fresh installation: what installing, the first solve, the first estimate and later processes cost.
+"""Time of a fresh installation, of its first solve and first estimate, and of later processes.
 
-A new virtual environment gets a copy of the working tree by `pip install`. The packages it depends on come from the
-environment that runs this, so that only the compiling is measured. It downloads nothing but the build back end.
+A copy of the working tree is installed by `pip install` into a new virtual environment. Its dependencies are those of
+the current environment, so that only the compilation is measured. Only the build back end is downloaded.
 """
 
 import json
@@ -20,6 +20,7 @@ from benchmarks.timing import print_table
 
 ROOT = Path(__file__).parents[1]
 LATER = 3
+"""Number of later processes."""
 SCRIPT = """
 import json, resource, time
 from probedesign import build_probe, load_design
@@ -39,7 +40,7 @@ Times = tuple[float, float]
 
 
 def run(command: list[str], folder: Path, **environment: str) -> tuple[Times, str]:
-    """Run a command that must succeed; its times with its children, and its output."""
+    """Run a command that must succeed; return its times, including its children, and its output."""
     began, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
     clean = {
         name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "PYTHONPATH"))
@@ -53,7 +54,7 @@ def run(command: list[str], folder: Path, **environment: str) -> tuple[Times, st
 
 
 def environment_in(folder: Path) -> list[str]:
-    """Return the command of a new environment's Python; it finds the packages of this one."""
+    """Return the Python command of a new environment that can import the packages of this one."""
     venv.create(folder, with_pip=True)
     python = folder / "bin" / "python"
     site = folder / "lib" / f"python{sysconfig.get_python_version()}" / "site-packages"
@@ -62,7 +63,7 @@ def environment_in(folder: Path) -> list[str]:
 
 
 def clone(folder: Path) -> Path:
-    """Copy the files that git has or would add."""
+    """Copy all files that git tracks or would add."""
     listed = subprocess.run(
         ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
         cwd=ROOT,
@@ -76,42 +77,42 @@ def clone(folder: Path) -> Path:
     return folder
 
 
-def shown(times: Times) -> str:
+def format_times(times: Times) -> str:
     """Return wall and processor time as text."""
     return f"{times[0]:.2f} s ({times[1]:.2f} s)"
 
 
 def measure(folder: Path, precompile: str) -> list[list[str]]:
-    """Return the rows of an installation with or without kernels compiled while it is built."""
+    """Return the rows of an installation with or without kernels compiled during the build."""
     source, python = clone(folder / "clone"), environment_in(folder / "environment")
     run([*python, "-m", "pip", "install", "--quiet", "--no-deps", "hatchling", "pathspec", "pluggy", "packaging",
          "trove-classifiers"], folder)  # fmt: skip
     install = [*python, "-m", "pip", "install", "--quiet", "--no-deps", "--no-build-isolation", "."]
     installed, _ = run(install, source, PROBEDESIGN_PRECOMPILE=precompile, PIP_NO_CACHE_DIR="1")
-    shutil.rmtree(source / "probedesign")  # the installed one is to be imported
+    shutil.rmtree(source / "probedesign")  # so that the installed package is imported
     found = [run([*python, "-c", SCRIPT], source, XDG_CACHE_HOME=str(folder)) for _ in range(1 + LATER)]
     calls = [json.loads(text) for _, text in found]
-    assert len({call[2] for call in calls}) == 1, "the same estimate to the last digit"
+    assert len({call[2] for call in calls}) == 1, "the estimates of all processes are bitwise equal"
     later = min(range(1, 1 + LATER), key=lambda i: found[i][0][1])
-    name = "with the kernels in the wheel" if precompile == "1" else "compiling at first use"
+    name = "with compiled kernels in the wheel" if precompile == "1" else "with compilation at first use"
     return [
-        [f"{name}: pip install .", shown(installed), "≤ 30 s of compiling"],
-        ["  first solve", shown(calls[0][0]), "≤ 10 s"],
-        ["  first estimate, after it", shown(calls[0][1]), "≤ 15 s with the solve"],
-        ["  solve and estimate, later process", shown((calls[later][0][0] + calls[later][1][0],
+        [f"{name}: pip install .", format_times(installed), "≤ 30 s of compilation"],
+        ["  first solve", format_times(calls[0][0]), "≤ 10 s"],
+        ["  first estimate, after the solve", format_times(calls[0][1]), "≤ 15 s including the solve"],
+        ["  solve and estimate, later process", format_times((calls[later][0][0] + calls[later][1][0],
                                                        calls[later][0][1] + calls[later][1][1])), "≤ 0.5 s"],
-        ["  that process, imports included", shown(found[later][0]), ""],
+        ["  that process, including imports", format_times(found[later][0]), ""],
     ]  # fmt: skip
 
 
 def report() -> None:
-    """Print the table."""
+    """Print the times."""
     rows = []
     for precompile in ("1", "0"):
         with tempfile.TemporaryDirectory() as folder:
             rows += measure(Path(folder), precompile)
     print_table(
-        "A fresh installation in a new environment: wall time (processor time)",
+        "Fresh installation in a new environment: wall time (CPU time)",
         ["step", "time", "target"],
         rows,
     )

@@ -1,4 +1,4 @@
-"""The best body for five light touches fused, against the paper's large probe: predicted error and drawn touches."""
+"""Optimised probes for five fused light touches against the paper's large probe: predicted and simulated error."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,68 +13,68 @@ from probedesign.optimization.optimum import MonteCarloCheck, confirm, optimum
 
 START = Path(__file__).parents[1] / "designs/large.toml"
 SAG = Limit("sag_mm", True, 60.0)
-SPREAD = 0.03
-"""Of E, one print to the next; the design's own E is identified and known better."""
+STIFFNESS_SPREAD = 0.03
+"""Relative standard deviation of E between prints; that of the design is smaller, because its E is identified."""
 DRAWS = 100
-"""At each of six places: 600 errors give their RMS to about 3 %."""
+"""Fusions at each of six places; 600 errors determine their RMS to about 3 %."""
 SEED = 1
 
 
 @dataclass(frozen=True)
-class Body:
+class EvaluatedDesign:
     """A design with its metrics.
 
     Attributes:
-        design: it.
-        metrics: as predicted, by all error sources.
-        drawn: by the real estimator.
-        seconds: that it took to find; 0 for the start.
+        design: the design.
+        metrics: predicted with all error sources.
+        simulated: Monte Carlo result of the estimator.
+        seconds: time of the optimisation; 0 for the initial design.
     """
 
     design: Design
     metrics: DesignMetrics
-    drawn: MonteCarloCheck
+    simulated: MonteCarloCheck
     seconds: float
 
 
 def report() -> None:
-    """The start, the best cone and the best free taper."""
-    task, start = Task(), _start()
-    bodies = {"start": _body(start, task, 0.0)}
+    """Print the initial design, the best cone and the best free taper."""
+    task, initial = Task(), _initial_design()
+    designs = {"initial design": _evaluated(initial, task, 0.0)}
     frees: dict[str, tuple[FreeParameter, ...]] = {"best cone": ("cone",), "best free taper": ("taper",)}
     for name, free in frees.items():
         before = perf_counter()
         found = optimum(
-            OptimizationProblem(start, free, task, limits=(SAG,)), name.replace(" ", "-"), lambda *_: None
+            OptimizationProblem(initial, free, task, limits=(SAG,)), name.replace(" ", "-"), lambda *_: None
         )
-        bodies[name] = _body(found.design, task, perf_counter() - before)
-    first = bodies["start"]
+        designs[name] = _evaluated(found.design, task, perf_counter() - before)
+    first = designs["initial design"]
     print_table(
-        f"Optimised bodies, 150 mm, {SAG.text}, printable; {task.text}; E known to {SPREAD:.0%}; "
-        f"{DRAWS} drawn fusions a place, seed {SEED}",
-        ["", "diameters [mm]", "predicted [mm]", "better", "drawn [mm]", "better",
-         "located", "sag [mm]", "print errors",
-         "found in [s]"],
-        [[name, _diameters(b.design), f"{b.metrics.error_mm:.2f}", _times(first.metrics.error_mm, b.metrics.error_mm),
-          f"{b.drawn.rms_mm:.2f} ± {b.drawn.standard_error_mm:.2f}", _times(first.drawn.rms_mm, b.drawn.rms_mm),
-          f"{b.drawn.located} of {b.drawn.drawn}", f"{b.metrics.sag_mm:.0f}", f"{b.metrics.print_errors}",
-          f"{b.seconds:.0f}"] for name, b in bodies.items()],
+        f"Optimised probes, 150 mm, {SAG.text}, printable; {task.text}; standard deviation of E "
+        f"{STIFFNESS_SPREAD:.0%}; {DRAWS} simulated fusions per place, seed {SEED}",
+        ["", "diameters [mm]", "predicted [mm]", "improvement",
+         "simulated [mm]", "improvement", "located", "sag [mm]", "print errors", "time [s]"],
+        [[name, _diameters(b.design), f"{b.metrics.error_mm:.2f}", _ratio(first.metrics.error_mm, b.metrics.error_mm),
+          f"{b.simulated.rms_mm:.2f} ± {b.simulated.standard_error_mm:.2f}",
+          _ratio(first.simulated.rms_mm, b.simulated.rms_mm),
+          f"{b.simulated.located} of {b.simulated.drawn}", f"{b.metrics.sag_mm:.0f}", f"{b.metrics.print_errors}",
+          f"{b.seconds:.0f}"] for name, b in designs.items()],
     )  # fmt: skip
 
 
-def _start() -> Design:
+def _initial_design() -> Design:
     tables = design_dict(load_design(START))
-    tables["material"]["stiffness_spread"] = SPREAD
+    tables["material"]["stiffness_spread"] = STIFFNESS_SPREAD
     return check_design(tables)
 
 
-def _body(design: Design, task: Task, seconds: float) -> Body:
-    return Body(
+def _evaluated(design: Design, task: Task, seconds: float) -> EvaluatedDesign:
+    return EvaluatedDesign(
         design, design_metrics(design, task), confirm(design, task, DRAWS, SEED, lambda *_: None), seconds
     )
 
 
-def _times(before: float, after: float) -> str:
+def _ratio(before: float, after: float) -> str:
     return f"{before / after:.2f} x"
 
 

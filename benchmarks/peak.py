@@ -1,4 +1,4 @@
-"""How many floating-point operations a second one core of this machine does at most, measured."""
+"""Peak rate of floating-point operations of one core, measured."""
 
 import time
 from collections.abc import Callable
@@ -8,26 +8,26 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from benchmarks.operations import count_operations, flops
+from benchmarks.flop_count import count_operations, flops
 from benchmarks.timing import print_table
 
 ROUNDS = 15
 TRIPS = 20_000
 LANES = 256
-"""Numbers in each row that the vectorised kernel works on: all four stay in the first cache."""
+"""Columns of the array of the vectorised kernel; its four rows fit the first-level cache."""
 DEPTH = 8
-"""Multiply-adds on each number between reading and writing it."""
+"""Multiply-adds of each number between its load and its store."""
 SHRINK, SHIFT = 0.999, 1e-3
-"""x ← x · SHRINK + SHIFT stays near 1, away from infinity and from numbers too small to be quick."""
+"""x ← x · SHRINK + SHIFT stays near 1, far from infinity and from subnormal numbers, which are slow."""
 
 fused = njit(fastmath={"contract"})
-"""A multiplication and the addition to it in one instruction."""
-apart = njit
-"""As the rod is compiled: each rounded by itself."""
+"""Compile multiplication and addition to one fused instruction."""
+separate = njit
+"""Compile with separate rounding, as the rod is compiled."""
 
 
-def _numbers(trips: int, m: float, c: float) -> float:
-    """Twelve chains of x ← x m + c: enough to hide the latency, few enough to stay in registers."""
+def _scalar_chains(trips: int, m: float, c: float) -> float:
+    """Run twelve chains of x ← x m + c, which hide the latency and fit the registers."""
     a, b, d, e, f, g = 0.1, 0.2, 0.3, 0.4, 0.5, 0.6
     p, q, r, s, t, u = 0.7, 0.8, 0.9, 1.0, 1.1, 1.2
     for _ in range(trips):
@@ -36,8 +36,8 @@ def _numbers(trips: int, m: float, c: float) -> float:
     return a + b + d + e + f + g + p + q + r + s + t + u
 
 
-def _lanes(trips: int, x: Any, m: float, c: float) -> None:
-    """Four chains on each column of x (4, LANES); numba turns the loop over the columns into vectors."""
+def _vector_chains(trips: int, x: Any, m: float, c: float) -> None:
+    """Run four chains in each column of x, (4, LANES); numba vectorises the loop over the columns."""
     for _ in range(trips):
         for i in range(LANES):
             a, b, d, e = x[0, i], x[1, i], x[2, i], x[3, i]
@@ -47,23 +47,27 @@ def _lanes(trips: int, x: Any, m: float, c: float) -> None:
 
 
 def peaks() -> dict[str, float]:
-    """Operations a second by the way they are issued; a multiply-add counts as two."""
+    """Return the operation rates [1/s] by kind of instruction; a multiply-add counts as two operations."""
     x = np.ones((4, LANES))
-    a_trip = flops(count_operations(_numbers, 2, SHRINK, SHIFT)) - flops(
-        count_operations(_numbers, 1, SHRINK, SHIFT)
+    per_trip = flops(count_operations(_scalar_chains, 2, SHRINK, SHIFT)) - flops(
+        count_operations(_scalar_chains, 1, SHRINK, SHIFT)
     )
-    a_sweep = flops(count_operations(_lanes, 1, x, SHRINK, SHIFT))
-    one_by_one = partial(_rate, TRIPS, a_trip)
-    in_vectors = partial(_rate, TRIPS // 100, a_sweep)
+    per_sweep = flops(count_operations(_vector_chains, 1, x, SHRINK, SHIFT))
+    scalar_rate = partial(_rate, TRIPS, per_trip)
+    vector_rate = partial(_rate, TRIPS // 100, per_sweep)
     return {
-        "numbers, multiplied and added apart": one_by_one(partial(apart(_numbers), TRIPS, SHRINK, SHIFT)),
-        "numbers, fused": one_by_one(partial(fused(_numbers), TRIPS, SHRINK, SHIFT)),
-        "vectors, fused": in_vectors(partial(fused(_lanes), TRIPS // 100, x, SHRINK, SHIFT)),
+        "scalar, separate multiply and add": scalar_rate(
+            partial(separate(_scalar_chains), TRIPS, SHRINK, SHIFT)
+        ),
+        "scalar, fused multiply-add": scalar_rate(partial(fused(_scalar_chains), TRIPS, SHRINK, SHIFT)),
+        "SIMD, fused multiply-add": vector_rate(
+            partial(fused(_vector_chains), TRIPS // 100, x, SHRINK, SHIFT)
+        ),
     }
 
 
 def _rate(trips: int, operations: int, call: Callable[[], object]) -> float:
-    """The best of many: whatever disturbs a run makes it slower."""
+    """Return the highest rate of several runs, because disturbances only slow a run down."""
     call()  # compiles
     return trips * operations / min(_seconds(call) for _ in range(ROUNDS))
 
@@ -75,9 +79,9 @@ def _seconds(call: Callable[[], object]) -> float:
 
 
 def report() -> None:
-    """Print the table."""
+    """Print the peak rates."""
     print_table(
         f"Floating-point peak of one core. Best of {ROUNDS} rounds",
-        ["issued as", "10⁹ a second"],
+        ["instructions", "Gflop/s"],
         [[name, f"{rate / 1e9:.3g}"] for name, rate in peaks().items()],
     )

@@ -1,5 +1,8 @@
-"""Plans of campaigns: do the intervals of `identify`, from simulated measurements of exactly the plan, come out as wide
-as expected, and do they hold the truth? Pictures of the set-ups for the documentation."""
+"""Expected and actual intervals of planned campaigns, and pictures of the set-ups for the documentation.
+
+Measurements of a plan are simulated and identified. The table compares the stated standard deviations with the expected
+ones and with the errors.
+"""
 
 import csv
 import io
@@ -33,7 +36,7 @@ BENCHES = {
     "stage 0.05 mm": Instruments(calipers=None, balance=None),
     "cameras 1 mm": Instruments(stage=None, cameras=1.0 * MM, calipers=None, balance=None),
 }
-"""Calipers and balance change the design and the manifest, not the tests."""
+"""Instruments of the benches, without calipers and balance, which do not affect the tests."""
 
 
 def report() -> None:
@@ -43,15 +46,15 @@ def report() -> None:
         design = load_design(ROOT / f"designs/{name}.toml")
         for bench, instruments in BENCHES.items():
             plan = pipeline.plan(design, MINUTES, NAMES, instruments, 4)
-            rows += _compared(f"{name}, {bench}", design, plan)
+            rows += _compare(f"{name}, {bench}", design, plan)
     print_table(f"Plans of {MINUTES:g} minutes, {CAMPAIGNS} simulated campaigns of each",
-                ["plan", "ok", "parameter", "std expected", "std stated, mean", "stated ÷ expected", "RMS error",
+                ["plan", "ok", "parameter", "expected std", "mean stated std", "stated / expected", "RMS error",
                  "in 95 %"], rows)  # fmt: skip
     draw_set_ups()
 
 
-def _compared(what: str, design: Design, plan: Plan) -> list[list[str]]:
-    """Return the rows of one plan: E as of the material, since the dimensions are drawn."""
+def _compare(label: str, design: Design, plan: Plan) -> list[list[str]]:
+    """Return the rows of one plan; E is compared as that of the material, because the dimensions are drawn."""
     found: dict[str, list[tuple[float, float]]] = {name: [] for name in NAMES}
     ok = 0
     for seed in range(CAMPAIGNS):
@@ -73,20 +76,20 @@ def _compared(what: str, design: Design, plan: Plan) -> list[list[str]]:
         errors, stated = np.array(found[one.name]).reshape(-1, 2).T
         assert one.std_of_print is not None
         inside = int(np.sum(np.abs(errors) <= 1.96 * stated))
-        rows.append([what, f"{ok} of {CAMPAIGNS}", one.name, f"{one.std_of_print:.3g}", f"{stated.mean():.3g}",
+        rows.append([label, f"{ok} of {CAMPAIGNS}", one.name, f"{one.std_of_print:.3g}", f"{stated.mean():.3g}",
                      f"{stated.mean() / one.std_of_print:.2f}", f"{math.sqrt(np.mean(errors**2)):.3g}",
                      f"{inside} of {len(errors)}"])  # fmt: skip
     return rows
 
 
 def fill(folder: Path, plan: Plan, seed: int, exact: bool = False) -> GroundTruth:
-    """Write the data folder of a plan with simulated measurements of a drawn print, and return the truth.
+    """Write the data folder of a plan with simulated measurements of a random print, and return the truth.
 
     Args:
-        folder: to write to.
+        folder: folder to write to.
         plan: the plan.
-        seed: of all draws.
-        exact: the print is the design's, and its mount as stated.
+        seed: seed of all draws.
+        exact: whether the print equals the design and the mount its stated pose.
     """
     rng = np.random.default_rng(seed)
     model = plan.bench.model
@@ -107,14 +110,17 @@ def fill(folder: Path, plan: Plan, seed: int, exact: bool = False) -> GroundTrut
                 ",".join([row["test"], f"{one.test.time + i:g}", *(f"{value:.8g}" for value in values)])
             )
         if place is not None:
-            seen = (T[:3, :3] @ place + T[:3, 3] + one.test.std_contact * rng.normal(size=3)) / MM
+            measured = (T[:3, :3] @ place + T[:3, 3] + one.test.std_contact * rng.normal(size=3)) / MM
             row |= {
-                f"contact_{axis}_world_mm": f"{value:.4f}" for axis, value in zip("xyz", seen, strict=True)
+                f"contact_{axis}_world_mm": f"{value:.4f}"
+                for axis, value in zip("xyz", measured, strict=True)
             }
         if plan.bench.instruments.cameras is not None:
-            seen = points @ T[:3, :3].T + T[:3, 3]
-            seen = (seen + plan.bench.instruments.cameras * rng.normal(size=seen.shape)) / MM
-            markers += [f"{row['test']},{i},{p[0]:.4f},{p[1]:.4f},{p[2]:.4f}" for i, p in enumerate(seen, 1)]
+            measured = points @ T[:3, :3].T + T[:3, 3]
+            measured = (measured + plan.bench.instruments.cameras * rng.normal(size=measured.shape)) / MM
+            markers += [
+                f"{row['test']},{i},{p[0]:.4f},{p[1]:.4f},{p[2]:.4f}" for i, p in enumerate(measured, 1)
+            ]
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()
@@ -130,8 +136,8 @@ def fill(folder: Path, plan: Plan, seed: int, exact: bool = False) -> GroundTrut
 def _measured(
     truth: GroundTruth, one: CandidateTest, rng: np.random.Generator
 ) -> tuple[Array, Array, Array, Array | None]:
-    """Return what the sensor reads without noise, the true pose of the base, the markers on the axis and the touched
-    point, both in the true base frame."""
+    """Return the reading without noise, the true pose of the base, and the markers on the axis and the touched point in
+    the true base frame."""
     test, rod, model = one.test, truth.rod, truth.model
     assert test is not None and one.shape is not None
     error = inverse(truth.T_world_base)
@@ -159,12 +165,12 @@ def _measured(
 
 
 def draw_set_ups() -> None:
-    """Write docs/pictures/setup-*.svg: a free hang, a turned one, a weight and two touches of the large probe."""
+    """Write docs/pictures/setup-*.svg: two free tests, a weight and two touches of the large probe."""
     from probedesign.planning.candidates import Bench
 
     bench = Bench(pipeline.load_probe(ROOT / "designs/large.toml").model, Instruments())
     every = {one.name: one for one in bench.candidates()}
-    shown = {"hang": "hang", "turned": "turned-tip-down", "weight": "weight-120-2", "touch-x": "touch-97.5-+x-13.5",
+    drawn = {"hang": "hang", "turned": "turned-tip-down", "weight": "weight-120-2", "touch-x": "touch-97.5-+x-13.5",
              "touch-y": "touch-97.5--y-24.5"}  # fmt: skip
-    for name, candidate in shown.items():
+    for name, candidate in drawn.items():
         (PICTURES / f"setup-{name}.svg").write_bytes(set_up_drawing(bench.model, every[candidate]))

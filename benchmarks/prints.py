@@ -1,11 +1,11 @@
-"""One reading of probes that differ from their model as tolerances allow: taken as exact, and weighted by them."""
+"""Estimates from one reading of perturbed probes, with and without the tolerances in the weights."""
 
 import time
 
 import numpy as np
-from scipy.special import chdtri
 
-from benchmarks.timing import print_table, shown
+from benchmarks.error_statistics import CHI2_95
+from benchmarks.timing import format_seconds, print_table
 from benchmarks.touches import paper_models
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
@@ -16,7 +16,6 @@ from probedesign.prediction.touches import DIRECTIONS
 
 DRAWS = 300
 TOUCHES = ((0.3, 0.02, "+y"), (0.6, 0.02, "+y"), (0.9, 0.01, "+y"), (0.5, 0.1, "+x"), (0.3, 0.2, "+y"))
-WITHIN_95 = float(chdtri(3, 0.05))
 
 
 def report() -> None:
@@ -27,32 +26,34 @@ def report() -> None:
         exact = Estimator(model, Tolerances.none())
         for fraction, force, direction in TOUCHES:
             rng, phi = np.random.default_rng(7), DIRECTIONS[direction] + np.pi
-            wrenches, points = (of[:, 0] for of in samples.simulate_touches(fraction, phi, (force,), rng))
+            wrenches, points = (
+                values[:, 0] for values in samples.simulate_touches(fraction, phi, (force,), rng)
+            )
             read = wrenches + samples.draw_noise(DRAWS, 1, rng)[:, 0]
             columns = [_statistics(estimator, read, points) for estimator in (exact, exact.with_tolerances())]
             rows.append([f"{name}, {1e3 * force:g} mN at {fraction:g} L, {direction}",
                          *(" / ".join(pair) for pair in zip(*columns, strict=True))])  # fmt: skip
     head = [
-        "probe taken as exact / weighted by its tolerances",
-        "ok",
+        "probe exact / tolerances in the weights",
+        "located",
         "RMS error",
-        "stated",
+        "stated RMS",
         "in 95 %",
-        "one estimate",
+        "time per estimate",
     ]
-    print_table(f"Prints drawn from their tolerances, {DRAWS} each", head, rows)
+    print_table(f"Probes drawn from their tolerances, {DRAWS} each", head, rows)
 
 
 def _statistics(estimator: Estimator, read: Array, points: Array) -> tuple[str, ...]:
-    """Return share located, RMS error of the best candidates, stated RMS, share inside the 95 % ellipsoid, time."""
+    """Return located share, RMS error of the best candidates, stated RMS, coverage of the 95 % ellipsoid and time."""
     estimator.estimate(read[0])
     start = time.process_time()
     found = [estimator.estimate(wrench) for wrench in read]
     spent = (time.process_time() - start) / len(read)
-    off = [e.candidates[0].p_surface_base - p for e, p in zip(found, points, strict=True) if e.candidates]
+    errors = [e.candidates[0].p_surface_base - p for e, p in zip(found, points, strict=True) if e.candidates]
     located = [(e.p_surface_base - p, e.cov_surface_base) for e, p in zip(found, points, strict=True) if e.ok]
-    inside = np.mean([d @ np.linalg.solve(cov, d) <= WITHIN_95 for d, cov in located])
+    inside = np.mean([d @ np.linalg.solve(cov, d) <= CHI2_95 for d, cov in located])
     stated = np.sqrt(np.mean([np.trace(cov) for _, cov in located]))
-    rms = np.sqrt(np.mean(np.sum(np.square(off), axis=1)))
+    rms = np.sqrt(np.mean(np.sum(np.square(errors), axis=1)))
     return (f"{len(located) / len(found):.0%}", f"{rms / MM:.2f} mm", f"{stated / MM:.2f} mm",
-            f"{inside:.0%}", shown(spent))  # fmt: skip
+            f"{inside:.0%}", format_seconds(spent))  # fmt: skip

@@ -1,4 +1,4 @@
-"""What recording costs: a second of a Net F/T box, 7000 readings, in MCAP and in CSV, and reading it back."""
+"""Processor time and size of a recorded second of a Net F/T box, 7000 readings, in MCAP and CSV."""
 
 import os
 import tempfile
@@ -19,33 +19,33 @@ from probedesign.probe import build_probe
 
 RATE = 7000
 SECONDS = int(os.environ.get("PROBEDESIGN_RECORDING_SECONDS", "10"))
-AT_ONCE = (1, 7, 35)
-"""Readings to a block: one by one, and as a source that drains its queue gives them."""
+BLOCK_SIZES = (1, 7, 35)
+"""Readings in each block; a source that empties its queue returns several at once."""
 DESIGN = Path(__file__).parents[1] / "designs" / "large.toml"
 
 
 def report() -> None:
-    """Print the processor time and the bytes of a second."""
+    """Print the processor time and the size of a recorded second."""
     model = build_probe(load_design(DESIGN)).model
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for kind in ("mcap", "csv"):
-            for count in AT_ONCE:
+            for count in BLOCK_SIZES:
                 path, blocks = Path(folder) / f"{count}.{kind}", _blocks(model, count)
                 written = (
-                    _used(partial(_write, open_recording_file(path, model, False, {}), blocks)) / SECONDS
+                    _cpu_time(partial(_write, open_recording_file(path, model, False, {}), blocks)) / SECONDS
                 )
-                read = _used(partial(_read, path, model)) / SECONDS / RATE
+                read = _cpu_time(partial(_read, path, model)) / SECONDS / RATE
                 size = path.stat().st_size / SECONDS / 1e6
                 rows.append(
-                    [f"{kind}, {count} to a block", f"{written:.1%}", f"{size:.2f}", f"{1e6 * read:.1f}"]
+                    [f"{kind}, {count} per block", f"{written:.1%}", f"{size:.2f}", f"{1e6 * read:.1f}"]
                 )
-    head = ["", "of a core", "MB", "to read back, µs a reading"]
-    print_table(f"recording a second of {RATE} readings, mean of {SECONDS}", head, rows)
+    head = ["", "share of a core", "MB", "reading back [µs/reading]"]
+    print_table(f"Recording one second of {RATE} readings, mean of {SECONDS}", head, rows)
 
 
 def _blocks(model: ProbeModel, count: int) -> list[Block]:
-    """Noise; digits of noise are the hardest to squeeze."""
+    """Return blocks of noise, which compresses worst."""
     noise = np.random.default_rng(1)
     std = model.noise.std
     times = np.arange(RATE * SECONDS).reshape(-1, count) / RATE
@@ -53,11 +53,11 @@ def _blocks(model: ProbeModel, count: int) -> list[Block]:
 
 
 def _write(file: RecordingFile, blocks: list[Block]) -> None:
-    """As the writing thread does."""
-    often = int(FLUSH_PERIOD * RATE) // len(blocks[0])
+    """Write blocks with the flush period of the writer thread."""
+    interval = int(FLUSH_PERIOD * RATE) // len(blocks[0])
     for i, block in enumerate(blocks):
         file.on_samples(block)
-        if i % often == 0:
+        if i % interval == 0:
             file.flush()
     file.close()
 
@@ -67,8 +67,8 @@ def _read(path: Path, model: ProbeModel) -> None:
         pass
 
 
-def _used(call: Callable[[], None]) -> float:
-    """Processor time of a call [s]."""
+def _cpu_time(call: Callable[[], None]) -> float:
+    """Return the processor time of a call [s]."""
     before = time.process_time()
     call()
     return time.process_time() - before

@@ -1,96 +1,97 @@
-"""The rod: beside the other ways, inside the kernel, in batches, in lanes; at last what was promised of it."""
+"""Speed of the rod against other solvers, in its kernel, in batches and in SIMD lanes, with its targets."""
 
 from collections.abc import Sequence
 
-from benchmarks import batch, compare, inside
-from benchmarks.batch import Batch
+from benchmarks import batch_solves, kernel_profile, solver_comparison
+from benchmarks.batch_solves import Batch
 from benchmarks.cases import bare_large, paper_loads
-from benchmarks.inside import COLD, JACOBIAN, TOGETHER, Work
+from benchmarks.kernel_profile import COLD, IN_LANES, JACOBIAN, Work
 from benchmarks.peak import peaks
-from benchmarks.timing import digits, print_table, shown
+from benchmarks.solver_comparison import Measurement
+from benchmarks.timing import format_seconds, print_table, two_digits
 from probedesign.rod.kernels.steps import WIDE
 
-Compared = Sequence[dict[str, compare.Found | None]]
+Comparison = Sequence[dict[str, Measurement | None]]
 
-COLD_AT_MOST, WARM_AT_MOST, CALL_AT_MOST = 30e-6, 12e-6, 60e-6
-"""[s]."""
-BATCH_AT_LEAST, LANES_AT_LEAST = 100_000.0, 400_000.0
-"""Solutions a second on two cores; what lanes should lead to."""
+MAX_COLD, MAX_WARM, MAX_CALL = 30e-6, 12e-6, 60e-6
+"""Targets of the time of a cold solve, a warm solve and a call from Python [s]."""
+MIN_BATCH_RATE, LANES_GOAL = 100_000.0, 400_000.0
+"""Target of the solutions per second on two cores, and long-term goal of SIMD lanes."""
 
 
 def report() -> None:
-    """Measure everything and print it."""
+    """Run and print all measurements of the rod."""
     rod = bare_large()
-    compared = compare.compared(rod)
-    compare.print_compared(compared)
-    calls = compare.calls_from_python(rod)
-    compare.print_calls(calls)
+    comparison = solver_comparison.compare(rod)
+    solver_comparison.print_comparison(comparison)
+    calls = solver_comparison.calls_from_python(rod)
+    solver_comparison.print_calls(calls)
     peak, load = peaks(), paper_loads(rod)[1]
-    work, each = inside.measure(rod, paper_loads(rod)), inside.parts(rod, load)
-    inside.print_times(work, max(peak.values()))
+    work, parts = kernel_profile.measure(rod, paper_loads(rod)), kernel_profile.parts(rod, load)
+    kernel_profile.print_times(work, max(peak.values()))
     for name in (COLD, JACOBIAN):
-        inside.print_parts(work[name][1], each, peak, name)
-    batches = batch.report()
+        kernel_profile.print_parts(work[name][1], parts, peak, name)
+    batches = batch_solves.report()
     print_lanes(batches, work)
     print_targets([
-        *of_one(compared, work, calls[compare.CALLS[0]]),
-        *of_batches(batches),
-        *of_floor(work, max(peak.values())),
+        *single_targets(comparison, work, calls[solver_comparison.CALLS[0]]),
+        *batch_targets(batches),
+        *peak_share(work, max(peak.values())),
     ])  # fmt: skip
 
 
 def print_lanes(batches: dict[str, Batch], work: dict[str, list[Work]]) -> None:
-    """What lanes brought, and what stands in the way of more."""
-    gains = [alone.seconds / beside.seconds for alone, beside in zip(work[COLD], work[TOGETHER], strict=True)]
+    """Print the speed-up by SIMD lanes and what limits it."""
+    gains = [one.seconds / in_lanes.seconds for one, in_lanes in zip(work[COLD], work[IN_LANES], strict=True)]
     print(
-        f"  lanes: {WIDE} like cases side by side × {digits(min(gains))} or more, unlike ones "
-        + ", ".join(f"× {digits(batch.gain)} ({name})" for name, batch in batches.items())
-        + "\n  in the way of more: a core has so many units for whole registers, and the steps keep them busy; "
-        "stops, Newton's matrix and the path go lane by lane"
+        f"  speed-up by {WIDE} SIMD lanes: equal cases × {two_digits(min(gains))} or more, different cases "
+        + ", ".join(f"× {two_digits(batch.gain)} ({name})" for name, batch in batches.items())
+        + "\n  limits: the steps keep the SIMD units of a core busy; "
+        "stops, Newton's matrix and the path are computed lane by lane"
     )
 
 
-def of_one(compared: Compared, work: dict[str, list[Work]], call: float) -> list[list[str]]:
-    """The targets of one equilibrium."""
+def single_targets(comparison: Comparison, work: dict[str, list[Work]], call: float) -> list[list[str]]:
+    """Return the targets of one equilibrium."""
     cold, warm = (max(w.seconds for w in work[name]) for name in (COLD, JACOBIAN))
-    rows = [at_most("one equilibrium, cold, inside the kernel", cold, COLD_AT_MOST)]
-    for start, least in compare.TARGETS.items():
-        name = compare.closest(start, compared)
+    rows = [upper_target("one equilibrium, cold, kernel time", cold, MAX_COLD)]
+    for start, target in solver_comparison.TARGETS.items():
+        name = solver_comparison.most_accurate(start, comparison)
         if name:
-            ratio = min(compare.ratios(name, compared, compare.INSIDE))
-            verdict = _verdict(ratio >= least)
-            rows.append([f"over the same: {name}", f"× {digits(ratio)}", f"≥ {least:g} ×", verdict])
+            ratio = min(solver_comparison.ratios(name, comparison, solver_comparison.KERNEL))
+            verdict = _verdict(ratio >= target)
+            rows.append([f"time of {name} over it", two_digits(ratio), f"≥ {target:g}", verdict])
     return [
         *rows,
-        at_most("from a neighbouring load with the Jacobian by force and s_contact", warm, WARM_AT_MOST),
-        at_most("one call from Python, cold", call, CALL_AT_MOST),
+        upper_target("from a neighbouring load with the Jacobian by force and s_contact", warm, MAX_WARM),
+        upper_target("one call from Python, cold", call, MAX_CALL),
     ]
 
 
-def of_batches(batches: dict[str, Batch]) -> list[list[str]]:
-    """The targets of many cases."""
+def batch_targets(batches: dict[str, Batch]) -> list[list[str]]:
+    """Return the targets of batches."""
     rows = []
     for name, found in batches.items():
         threads = max(found.rates)
         rate = found.rates[threads]
-        rows.append([f"{name}: solutions a second on {threads} threads", f"{rate:,.0f}", f"≥ {BATCH_AT_LEAST:,.0f}",
-                     _verdict(rate >= BATCH_AT_LEAST)])  # fmt: skip
+        rows.append([f"{name}: solutions per second on {threads} threads", f"{rate:,.0f}", f"≥ {MIN_BATCH_RATE:,.0f}",
+                     _verdict(rate >= MIN_BATCH_RATE)])  # fmt: skip
     best = max(max(found.rates.values()) for found in batches.values())
-    rows.append([f"lanes towards {LANES_AT_LEAST:,.0f}", f"{best:,.0f}", "tried and reported", "tried"])
+    rows.append(
+        ["solutions per second with SIMD lanes", f"{best:,.0f}", f"goal {LANES_GOAL:,.0f}", "reported"]
+    )
     return rows
 
 
-def of_floor(work: dict[str, list[Work]], peak: float) -> list[list[str]]:
-    """How much of the floating-point floor is reached."""
+def peak_share(work: dict[str, list[Work]], peak: float) -> list[list[str]]:
+    """Return the share of the floating-point peak."""
     shares = [w.operations / w.seconds / peak for w in work[COLD]]
-    return [
-        ["share of the floating-point peak, cold", f"{min(shares):.0%}", "where the rest goes", "see above"]
-    ]
+    return [["share of the floating-point peak, cold", f"{min(shares):.0%}", "-", "reported"]]
 
 
-def at_most(name: str, seconds: float, most: float) -> list[str]:
-    """A line of a time that is to be short, the slowest of the loads."""
-    return [name, shown(seconds), f"≤ {shown(most)}", _verdict(seconds <= most)]
+def upper_target(name: str, seconds: float, target: float) -> list[str]:
+    """Return the row of a time with its upper target."""
+    return [name, format_seconds(seconds), f"≤ {format_seconds(target)}", _verdict(seconds <= target)]
 
 
 def _verdict(reached: bool) -> str:
@@ -98,10 +99,10 @@ def _verdict(reached: bool) -> str:
 
 
 def print_targets(rows: Sequence[Sequence[str]]) -> None:
-    """Print what was promised and what is."""
+    """Print measured values and targets."""
     print_table(
-        "What was promised, under the least favourable of the loads; peers by their row whose error comes closest "
-        "to ours and is not below it",
+        "Targets, for the least favourable of the loads; of each other solver the variant with the smallest error that "
+        "is not below the error of Rod.solve",
         ["", "measured", "target", ""],
         rows,
     )

@@ -1,4 +1,4 @@
-"""Whole commands, each in a process of its own: what a user waits for."""
+"""Wall time of whole commands, each in its own process."""
 
 import statistics
 import subprocess
@@ -7,7 +7,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.timing import print_table, shown
+from benchmarks.timing import format_seconds, print_table
 
 ROOT = Path(__file__).parents[1]
 RUNS = 5
@@ -16,14 +16,14 @@ PYTHON = (sys.executable, "-c")
 
 
 def wall(command: tuple[str, ...]) -> float:
-    """Seconds from start to end of a command that must succeed."""
+    """Return the wall time of a command that must succeed [s]."""
     start = time.perf_counter()
     subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
     return time.perf_counter() - start
 
 
 def report() -> None:
-    """Print the table."""
+    """Print the wall times."""
     with tempfile.TemporaryDirectory() as out:
         commands = {
             "python -c pass": ((*PYTHON, "pass"), ""),
@@ -35,11 +35,16 @@ def report() -> None:
         first = {name: wall(command) for name, (command, _) in commands.items()}
         rounds = [{name: wall(command) for name, (command, _) in commands.items()} for _ in range(RUNS)]
     rows = [
-        [name, shown(first[name]), shown(statistics.median(found[name] for found in rounds)), target]
+        [
+            name,
+            format_seconds(first[name]),
+            format_seconds(statistics.median(found[name] for found in rounds)),
+            target,
+        ]
         for name, (_, target) in commands.items()
     ]
     print_table(
-        f"Whole processes: the first run, then the median of {RUNS} interleaved runs",
+        f"Whole processes: first run, and median of {RUNS} more interleaved runs",
         ["command", "first", "warm", "target"],
         rows,
     )

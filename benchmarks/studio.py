@@ -1,4 +1,4 @@
-"""The studio: time from a moved slider to new curves and a new shape in a browser."""
+"""Time of the studio from the motion of a slider to new curves and a new shape in a browser."""
 
 import shutil
 import statistics
@@ -14,7 +14,7 @@ from probedesign.studio.session import Session
 MOVES = 60
 """Moves of a slider for each probe."""
 ARGUMENTS = ["--enable-unsafe-swiftshader", "--no-sandbox"]
-"""A browser without a GPU: it draws WebGL on the processor, and composes the page as it does by default."""
+"""Options of a browser without a GPU, which draws WebGL on the processor."""
 WATCH = """() => { window.seen = []; let last = ''; new MutationObserver(() => {
   const text = [...document.querySelectorAll('svg')].map(svg => svg.outerHTML.length + svg.textContent).join();
   if (text === last) return;
@@ -22,11 +22,11 @@ WATCH = """() => { window.seen = []; let last = ''; new MutationObserver(() => {
   const entry = [0, [...document.querySelectorAll('.st table')].map(table => table.textContent).join()];
   requestAnimationFrame(() => requestAnimationFrame(() => { entry[0] = Date.now(); window.seen.push(entry) }));
 }).observe(document.body, {childList: true, subtree: true, characterData: true, attributes: true}) }"""
-"""Collects the time of the second frame after each change of a chart: by then it and the shape were drawn."""
+"""Script that records the time of the second frame after each change of a chart, when chart and shape are drawn."""
 
 
 def report() -> None:
-    """Print the times with a browser attached, and of the computation alone."""
+    """Print the times of the computation and until the browser shows the result."""
     from playwright.sync_api import sync_playwright
 
     rows = []
@@ -49,8 +49,14 @@ def report() -> None:
             rows.append(row)
         finally:
             page.stop()
-    head = ["probe", "computed, median", "95 %", "seen in the browser, median", "95 %"]
-    print_table(f"From a moved slider to new curves and shape, {MOVES} moves each", head, rows)
+    head = [
+        "probe",
+        "computation, median",
+        "95th percentile",
+        "shown in the browser, median",
+        "95th percentile",
+    ]
+    print_table(f"Time from the motion of a slider to new curves and shape, {MOVES} moves each", head, rows)
 
 
 def _factors() -> "np.ndarray[tuple[int], np.dtype[np.float64]]":

@@ -1,4 +1,4 @@
-"""Timing, and the one table that every part of the benchmark prints."""
+"""Timing of calls, number formats and table output for all benchmarks."""
 
 import os
 import platform
@@ -12,23 +12,31 @@ import scipy
 
 
 def interleaved(
-    calls: Mapping[str, Callable[[], object]], rounds: int, at_least_s: float = 2e-3, at_most_s: float = 2.0
+    calls: Mapping[str, Callable[[], object]],
+    rounds: int,
+    min_round_s: float = 2e-3,
+    max_total_s: float = 2.0,
 ) -> dict[str, float]:
-    """Median seconds of each call over so many rounds; each round runs all of them, so drift hits all alike.
+    """Return the median time of each call [s] over interleaved rounds.
 
-    A call much shorter than `at_least_s` is repeated within its round until that time is filled. One that would
-    take more than `at_most_s` over all rounds sits out the last of them, but never the first three.
+    Each round runs all calls, so that changes of the machine's speed affect all of them alike.
+
+    Args:
+        calls: functions to time, by name.
+        rounds: number of rounds.
+        min_round_s: a shorter call is repeated within its round until this time is filled [s].
+        max_total_s: a call that would exceed this time over all rounds takes part in fewer rounds, at least 3 [s].
     """
-    repeats, turns = {}, {}
-    for name, call in calls.items():  # also warms up: compilation and caches
+    repeats, call_rounds = {}, {}
+    for name, call in calls.items():  # this call also compiles and fills caches
         call()
         once = _seconds(call, 1)
-        repeats[name] = max(1, round(at_least_s / once))
-        turns[name] = min(rounds, max(3, int(at_most_s / once)))
+        repeats[name] = max(1, round(min_round_s / once))
+        call_rounds[name] = min(rounds, max(3, int(max_total_s / once)))
     times: dict[str, list[float]] = {name: [] for name in calls}
-    for turn in range(rounds):
+    for i in range(rounds):
         for name, call in calls.items():
-            if turn < turns[name]:
+            if i < call_rounds[name]:
                 times[name].append(_seconds(call, repeats[name]))
     return {name: statistics.median(found) for name, found in times.items()}
 
@@ -40,27 +48,27 @@ def _seconds(call: Callable[[], object], repeats: int) -> float:
     return (time.perf_counter() - start) / repeats
 
 
-def shown(seconds: float) -> str:
-    """A time with three digits and a fitting unit."""
+def format_seconds(seconds: float) -> str:
+    """Return a time with three digits and a suitable unit."""
     for unit, size in (("s", 1.0), ("ms", 1e-3)):
         if seconds >= size:
             return f"{seconds / size:.3g} {unit}"
     return f"{seconds / 1e-6:.3g} µs"
 
 
-def digits(value: float) -> str:
-    """Two of them, without an exponent."""
+def two_digits(value: float) -> str:
+    """Return a number with two significant digits and without an exponent."""
     return f"{float(f'{value:.2g}'):g}"
 
 
-def spread(values: Sequence[float], show: Callable[[float], str]) -> str:
-    """From the least to the most."""
-    low, high = show(min(values)), show(max(values))
+def value_range(values: Sequence[float], form: Callable[[float], str]) -> str:
+    """Return the range of values as text."""
+    low, high = form(min(values)), form(max(values))
     return low if low == high else f"{low} – {high}"
 
 
 def print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Left column to the left, the others to the right."""
+    """Print a table with its first column aligned left and the others aligned right."""
     widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
     print(f"\n{title}")
     for row in [head, ["-" * w for w in widths], *rows]:
@@ -72,6 +80,6 @@ def print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) 
 
 
 def print_machine() -> None:
-    """What the numbers were taken with."""
+    """Print the machine and the versions of the numerical libraries."""
     print(f"{os.cpu_count()} CPUs, {platform.system()} {platform.machine()}, Python {platform.python_version()}, "
           f"numpy {numpy.__version__}, scipy {scipy.__version__}, numba {numba.__version__}")  # fmt: skip

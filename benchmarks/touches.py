@@ -1,4 +1,4 @@
-"""Synthetic readings for estimators: touches of random probes and of Table I, solved by the rod's reference mode."""
+"""Synthetic touches of random probes and of the paper's Table I, solved in the reference mode of the rod."""
 
 import csv
 from collections.abc import Iterator
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.cases import GRAVITY, random_directions
 from probedesign.core.frames import Array, pose
 from probedesign.design import load_design
 from probedesign.estimation import surface_contact_kernel as surface
@@ -19,26 +20,26 @@ from probedesign.probe import build_probe
 from probedesign.rod.contact import SurfaceForce, solve_surface_force
 
 ROOT = Path(__file__).parents[1]
-TABLE_I = ROOT / "tests/data/table1.csv"
+TABLE_I_FILE = ROOT / "tests/data/table1.csv"
 DECADES = {"1-10 mN": (1e-3, 1e-2), "10-100 mN": (1e-2, 1e-1), "0.1-1.5 N": (1e-1, 1.5)}
 LENGTH, BASE, TAPER = (0.05, 0.18), (0.006, 0.014), (0.15, 0.6)
-"""Length and base diameter [m], tip over base, of random probes, least and most."""
+"""Ranges of length and base diameter [m] and of tip over base diameter of random probes."""
 PLACE = (0.15, 0.97)
-"""Of contacts, over the length."""
-MOST_BENT = 2.0
-"""F s²/(E I(0) r(s)/r(0)): the paper's hardest touches have 1.5."""
+"""Range of the contact place over the length."""
+MAX_BEND = 2.0
+"""Largest F s²/(E I(0) r(s)/r(0)) of random touches; the touches of Table I reach 1.5."""
 
 
 @dataclass(frozen=True)
 class Touch:
-    """One true touch.
+    """A frictionless touch with known truth.
 
     Attributes:
-        model: of the probe.
-        gravity: base axes [m/s²], (3,).
-        s, angle, force: [m], [rad], [N].
-        solved: in reference mode.
-        rms: of the touched point by the Cramér–Rao bound of one reading without friction [m].
+        model: model of the probe.
+        gravity: in base axes [m/s²], (3,).
+        s, angle, force: arclength [m], angle about the section [rad] and normal force [N].
+        solved: solution in reference mode.
+        bound: Cramér–Rao bound of the RMS error of the touched point, from one reading without friction [m].
     """
 
     model: ProbeModel
@@ -47,40 +48,40 @@ class Touch:
     angle: float
     force: float
     solved: SurfaceForce
-    rms: float
+    bound: float
 
     @property
     def wrench(self) -> Array:
-        """Without noise, (6,)."""
+        """Base wrench without noise, (6,)."""
         return self.solved.equilibrium.wrench_base
 
     @property
-    def point(self) -> Array:
-        """Centre of the touched section [m], (3,)."""
-        return self.solved.equilibrium.p_contact_base
+    def p_surface(self) -> Array:
+        """Touched point of the surface [m], (3,)."""
+        return self.solved.p_surface_base
 
 
 @cache
 def paper_models() -> dict[str, ProbeModel]:
-    """The paper's probes."""
+    """Return the models of the paper's probes by name."""
     return {name: build_probe(load_design(ROOT / f"designs/{name}.toml")).model
             for name in ("large", "medium", "small")}  # fmt: skip
 
 
 def touch(model: ProbeModel, gravity: Array, s: float, angle: float, force: float) -> Touch | None:
-    """A touch solved in reference mode; None if the probe gives way."""
+    """Return a touch solved in reference mode, or None if the probe buckles or the bound is infinite."""
     solved = solve_surface_force(model.rod, gravity, s, angle + np.pi, force, (0.0, 0.0), "reference")
     if solved.result != "ok":
         return None
-    rms = bound_of(model, gravity, solved)
-    return Touch(model, gravity, s, angle, force, solved, rms) if np.isfinite(rms) else None
+    bound = cramer_rao(model, gravity, solved)
+    return Touch(model, gravity, s, angle, force, solved, bound) if np.isfinite(bound) else None
 
 
-def bound_of(model: ProbeModel, gravity: Array, solved: SurfaceForce) -> float:
-    """Return the RMS of the touched point by the Cramér–Rao bound of one reading, force normal to the surface [m].
+def cramer_rao(model: ProbeModel, gravity: Array, solved: SurfaceForce) -> float:
+    """Return the Cramér–Rao bound of the RMS error of the touched point, from one reading without friction [m].
 
-    With the derivatives H of the base wrench and X of the touched point by arclength, angle and normal force and the
-    covariance Σ of the reading, it is the root of the trace of X (Hᵀ Σ⁻¹ H)⁻¹ Xᵀ.
+    The bound is √tr(X (Hᵀ Σ⁻¹ H)⁻¹ Xᵀ) with the derivatives H of the base wrench and X of the touched point by
+    arclength, angle and normal force, and the covariance Σ of the reading.
     """
     rod, eq, exact = model.rod, solved.equilibrium, Tolerances.none()
     sources = ErrorSources.of(model, exact, gravity, rod.solve(gravity))
@@ -96,18 +97,18 @@ def bound_of(model: ProbeModel, gravity: Array, solved: SurfaceForce) -> float:
     _, values, right = np.linalg.svd(white / scale)
     if values[-1] < 1e-12:
         return float("inf")
-    by = lin[surface.POINT : surface.POINT + 3, normal] / scale @ right.T / values
-    return float(np.linalg.norm(by))
+    root = lin[surface.POINT : surface.POINT + 3, normal] / scale @ right.T / values
+    return float(np.linalg.norm(root))
 
 
 def random_touches(decade: tuple[float, float], rng: np.random.Generator) -> Iterator[Touch]:
-    """Endless touches of random probes under random gravity, forces even in their logarithm."""
+    """Yield touches of random probes under random gravity without end; forces are log-uniform in the range [N]."""
     while True:
-        model, gravity = random_model(rng), 9.81 * direction(rng)
+        model, gravity = random_model(rng), 9.81 * random_directions(1, rng)[0]
         rod, s = model.rod, float(rng.uniform(*PLACE)) * model.rod.length
         force = float(np.exp(rng.uniform(*np.log(decade))))
         stiffness = rod.youngs_modulus * np.pi / 4.0 * rod.radius[0] ** 3 * rod.radius_at(s)
-        if force * s * s > MOST_BENT * stiffness:
+        if force * s * s > MAX_BEND * stiffness:
             continue
         found = touch(model, gravity, s, float(rng.uniform(-np.pi, np.pi)), force)
         if found is not None:
@@ -115,7 +116,7 @@ def random_touches(decade: tuple[float, float], rng: np.random.Generator) -> Ite
 
 
 def random_model(rng: np.random.Generator) -> ProbeModel:
-    """A cone of the paper's resin on the paper's sensor."""
+    """Return a random cone of the paper's resin on the paper's sensor."""
     large = paper_models()["large"]
     length, radius, taper = rng.uniform(*LENGTH), rng.uniform(*BASE) / 2.0, rng.uniform(*TAPER)
     rod = replace(large.rod, s=np.array([0.0, length]), radius=np.array([radius, taper * radius]),
@@ -124,17 +125,17 @@ def random_model(rng: np.random.Generator) -> ProbeModel:
 
 
 def table_one() -> list[Touch]:
-    """The paper's 23 conditions, pushed sideways to gravity without friction, as far as the probe holds them.
+    """Return the paper's 23 conditions as frictionless touches across gravity, without those that have no equilibrium.
 
-    The medium one, of the paper's E, gives way under 0.26 N at 0.7 L: without friction it holds no more than 0.12 N.
+    The medium probe with the paper's E buckles under 0.26 N at 0.7 L; without friction it bears at most 0.12 N there.
     """
-    with TABLE_I.open() as file:
+    with TABLE_I_FILE.open() as file:
         rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
-    gravity, found = np.array([9.81, 0.0, 0.0]), []
+    found = []
     for row in rows:
         model = paper_models()[row["probe"]]
         s = float(row["contact_fraction"]) * model.rod.length
-        one = touch(model, gravity, s, np.pi / 2.0, float(row["force_N"]))
+        one = touch(model, GRAVITY, s, np.pi / 2.0, float(row["force_N"]))
         if one is not None:
             found.append(one)
     return found
@@ -142,13 +143,13 @@ def table_one() -> list[Touch]:
 
 @dataclass(frozen=True)
 class Presses:
-    """Touches of one point, the world's origin, as the base presses on.
+    """Touches of one point, the world's origin, with increasing force.
 
     Attributes:
-        model: of the probe.
-        gravity: base axes and world's [m/s²], (3,).
-        touches: one a pose.
-        Ts: poses, (k, 4, 4).
+        model: model of the probe.
+        gravity: in base axes, which are parallel to those of the world [m/s²], (3,).
+        touches: one for each pose.
+        Ts: poses of the base, (k, 4, 4).
     """
 
     model: ProbeModel
@@ -158,47 +159,36 @@ class Presses:
 
     @property
     def wrenches(self) -> Array:
-        """Without noise, (k, 6)."""
+        """Base wrenches without noise, (k, 6)."""
         return np.array([one.wrench for one in self.touches])
 
 
-def surface_point(one: Touch) -> Array:
-    """Return the touched point [m], (3,)."""
-    return one.solved.p_surface_base
-
-
 def presses(model: ProbeModel, gravity: Array, s: float, angle: float, forces: Array) -> Presses | None:
-    """The probe pressed on against a sharp point, which stays where it is on the probe; None if that gives way."""
+    """Press a probe against a point that stays at one place of the probe; return None if the probe buckles."""
     touches = [touch(model, gravity, s, angle, float(force)) for force in forces]
     solved = tuple(one for one in touches if one is not None)
     if len(solved) < len(touches):
         return None
-    return Presses(model, gravity, solved, np.array([pose(np.eye(3), -surface_point(one)) for one in solved]))
+    return Presses(model, gravity, solved, np.array([pose(np.eye(3), -one.p_surface) for one in solved]))
 
 
 def random_presses(decade: tuple[float, float], rng: np.random.Generator) -> Iterator[Presses]:
-    """Endless presses of random probes under random gravity; the decade is of the strongest touch."""
+    """Yield presses of random probes under random gravity without end; the range is of the largest force [N]."""
     for one in random_touches(decade, rng):
         pressed = presses(one.model, one.gravity, one.s, one.angle, one.force * np.linspace(0.2, 1.0, 5))
         if pressed is not None:
             yield pressed
 
 
-def stiffened(pressed: Presses, stiffness: float) -> tuple[Touch, ...]:
-    """The same forces at the same places of a probe that is so many times as stiff as its model says."""
+def stiffened(pressed: Presses, factor: float) -> tuple[Touch, ...]:
+    """Return the touches of a press for a probe whose E and G are multiplied by a factor."""
     model, rod = pressed.model, pressed.model.rod
-    stiff = replace(model, rod=replace(rod, youngs_modulus=stiffness * rod.youngs_modulus,
-                                       shear_modulus=stiffness * rod.shear_modulus))  # fmt: skip
+    stiff = replace(model, rod=replace(rod, youngs_modulus=factor * rod.youngs_modulus,
+                                       shear_modulus=factor * rod.shear_modulus))  # fmt: skip
     touches = [touch(stiff, one.gravity, one.s, one.angle, one.force) for one in pressed.touches]
     return tuple(one for one in touches if one is not None)
 
 
-def read(wrenches: Array, model: ProbeModel, rng: np.random.Generator) -> Array:
-    """With the sensor's noise, told at the base, (k, 6)."""
+def with_noise(wrenches: Array, model: ProbeModel, rng: np.random.Generator) -> Array:
+    """Return wrenches with the noise of the sensor, at the base, (k, 6)."""
     return wrenches + rng.multivariate_normal(np.zeros(6), model.noise_base(), len(wrenches))
-
-
-def direction(rng: np.random.Generator) -> Array:
-    """Of any, (3,)."""
-    v = rng.normal(size=3)
-    return v / np.linalg.norm(v)

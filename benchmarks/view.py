@@ -1,7 +1,7 @@
-"""The page of `live --view`: its picture for the documentation, from a real browser.
+"""Take the picture of the page of `live --view` for the documentation in a browser.
 
-`python -m benchmarks view`; it needs playwright and Chromium. What the page costs the estimates
-`benchmarks live --view` tells.
+`python -m benchmarks view` needs playwright and Chromium. `python -m benchmarks live --view` measures the effect of the
+page on the estimates.
 """
 
 import base64
@@ -30,32 +30,32 @@ from probedesign.probe import build_probe
 ROOT = Path(__file__).parents[1]
 PICTURE = ROOT / "docs/pictures/live-view.png"
 SIZE = {"width": 1440, "height": 860}
-SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
-"""Chromium without a GPU and as root, as in a container."""
-CLOCK_STANDS = "(() => { const now = Date.now(); Date.now = () => now; })()"
-"""The page marks values as old that are not renewed for three seconds; this one draws one snapshot for longer."""
-FADED_IN = float(os.environ.get("PROBEDESIGN_VIEW_SECONDS", "20"))
-"""The scene fades in over its first frames, which a processor takes its time for [s]."""
+BROWSER_OPTIONS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
+"""Options of Chromium without a GPU and as root, as in a container."""
+STOP_CLOCK = "(() => { const now = Date.now(); Date.now = () => now; })()"
+"""Script that stops the clock of the page, which otherwise marks values as old after three seconds."""
+FADE_IN_SECONDS = float(os.environ.get("PROBEDESIGN_VIEW_SECONDS", "20"))
+"""Waiting time for the fade-in of the scene, whose first frames are slow without a GPU [s]."""
 
 
 def report() -> None:
-    """Draw the picture."""
+    """Take the picture."""
     with tempfile.TemporaryDirectory() as elsewhere:
         bundle = Path(elsewhere) / "large.probe.json"
         write_frozen(build_probe(load_design(ROOT / "designs" / "large.toml")).model, bundle)
-        estimator = load_estimator(bundle)  # as the command has it
+        estimator = load_estimator(bundle)  # the command also loads a frozen probe
         warm_up(estimator, print)
         draw_page(estimator, ROOT / "exports" / "large")
 
 
 def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: Path = PICTURE) -> None:
-    """The page as it is after a simulated touch and during the next.
+    """Take a picture of the page after a simulated touch and during the next one.
 
     Args:
-        estimator: of the probe.
-        folder: of its exported parts; without them plain cylinders are drawn.
-        until: when [s].
-        picture: where it goes.
+        estimator: estimator of the probe.
+        folder: folder of its exported parts; without them the page shows cylinders.
+        until: end of the simulation [s].
+        picture: file to write.
     """
     from probedesign.live.view.access import protect
     from probedesign.live.view.page import ViewerPage
@@ -63,7 +63,7 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: 
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:
-        print("no picture of the page: playwright is not installed")
+        print("playwright is not installed, so no picture of the page is taken")
         return
     browser_path = shutil.which("chromium") or shutil.which("google-chrome")
     now = 0.0
@@ -80,29 +80,33 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: 
     page.show(state.snapshot())
     try:
         with sync_playwright() as playwright:
-            browser = playwright.chromium.launch(executable_path=browser_path, args=SOFTWARE)
+            browser = playwright.chromium.launch(executable_path=browser_path, args=BROWSER_OPTIONS)
             tab = browser.new_page(viewport=SIZE)
-            tab.add_init_script(CLOCK_STANDS)
+            tab.add_init_script(STOP_CLOCK)
             tab.goto(page.url)
             tab.get_by_text("Touches so far").wait_for(timeout=120_000)
-            time.sleep(FADED_IN)
+            time.sleep(FADE_IN_SECONDS)
             _write(screenshot(tab), picture)
             tab.close()  # a browser that still draws takes half a minute to close
             browser.close()
     finally:
         page.stop()
-    print(f"page drawn in {picture}")
+    print(f"picture written to {picture}")
 
 
 def screenshot(tab: Any) -> bytes:
-    """Of a page that never rests, which playwright's own waits for; without the browser's word on software."""
+    """Return a screenshot as PNG.
+
+    Playwright's own method waits until the page is idle, which this page never is. Notifications of the browser are
+    removed.
+    """
     tab.evaluate("document.querySelectorAll('.mantine-Notification-root').forEach(e => e.remove())")
     session = tab.context.new_cdp_session(tab)
     return base64.b64decode(session.send("Page.captureScreenshot", {"format": "png"})["data"])
 
 
 def _write(shot: bytes, picture: Path) -> None:
-    """With 256 colours, which takes less than half the room."""
+    """Write a screenshot with 256 colours, which halves its size."""
     from PIL import Image
 
     Image.open(io.BytesIO(shot)).convert("RGB").quantize(256, dither=Image.Dither.NONE).save(
@@ -111,7 +115,7 @@ def _write(shot: bytes, picture: Path) -> None:
 
 
 def free_port() -> int:
-    """A port that nobody listens on."""
+    """Return a free port."""
     with socket.socket() as trial:
         trial.bind(("127.0.0.1", 0))
         return int(trial.getsockname()[1])

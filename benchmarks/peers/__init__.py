@@ -1,5 +1,5 @@
-"""The other ways to solve the rod, each as its user would write it, with care and without tricks.
+"""Other solvers of the rod, used as their documentation recommends.
 
-All solve the very same case: a bare cone, clamped at s = 0, under gravity and one dead force. None is part of
-the package. Exudyn and PyElastica come with `pip install '.[bench]'`; their files import them.
+All solve the same problem: a cone clamped at s = 0 without a rigid root, under gravity and one dead force. They are no
+part of the package. Exudyn and PyElastica are installed by `pip install '.[bench]'`.
 """

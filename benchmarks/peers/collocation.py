@@ -1,4 +1,4 @@
-"""Collocation with scipy's solve_bvp: the whole curve at once, on a mesh of its own."""
+"""Solve the rod by collocation with scipy's solve_bvp, which chooses its own mesh."""
 
 import numpy as np
 from scipy.integrate import solve_bvp
@@ -10,16 +10,24 @@ from probedesign.rod.rod import Rod
 def solve_by_bvp(
     rod: Rod, gravity: Array, force: Array, s_contact: float, s: Array, tol: float = 1e-3, nodes: int = 8
 ) -> Array:
-    """Collocation: scipy's solve_bvp on [p, quaternion, m], the parts before and after the force side by side.
+    """Return the centreline at the stations s [m], (k, 3), from solve_bvp with the state [p, quaternion, m].
 
-    n is put in as known. Arguments as for `shoot_rk45`; `tol` and the first mesh are solve_bvp's own.
+    The parts before and after the force are solved together on one interval; n is known in closed form.
+
+    Args:
+        rod, gravity, force, s_contact, s: as for `shoot_rk45`.
+        tol: tolerance of solve_bvp.
+        nodes: nodes of the initial mesh.
+
+    Raises:
+        ArithmeticError: solve_bvp fails.
     """
     E, G, kG = rod.youngs_modulus, rod.shear_modulus, rod.shear_coefficient * rod.shear_modulus
     spans = ((0.0, s_contact), (s_contact, rod.length))
     scale = rod.youngs_modulus * np.pi / 4.0 * float(rod.radius[0]) ** 4 / rod.length
 
     def weight(at: Array) -> Array:
-        """ρ V(s) g of a single frustum."""
+        """Return ρ V(s) g of a single frustum."""
         r, r1, h = rod.radius_at(at), rod.radius[-1], rod.length - at
         return rod.density * np.pi / 3.0 * h * (r * r + r * r1 + r1 * r1) * gravity[:, None]
 

@@ -1,7 +1,7 @@
-"""Exudyn: geometrically exact beams and its static solver, with its own tolerances and one load step.
+"""Solve the rod by Exudyn: geometrically exact beams and static solver, with default tolerances and one load step.
 
-Each element has one section, that of its middle. It is loaded without range checks and factorises sparsely, the
-fastest of what it documents. Its beams lie along x: the rod's z, x, y are its x, y, z.
+Each element has the constant section of its middle. Exudyn runs without range checks and with sparse factorisation,
+the fastest options it documents. Its beams lie along x: the rod's z, x, y are its x, y, z.
 """
 
 import contextlib
@@ -15,21 +15,21 @@ from benchmarks.peers.mesh import nodal_weights, stations
 from probedesign.core.frames import Array
 from probedesign.rod.rod import Rod
 
-sys.exudynFast = True  # its own switch: the build without range checks
-with contextlib.redirect_stdout(io.StringIO()):  # it says so
+sys.exudynFast = True  # selects the build without range checks
+with contextlib.redirect_stdout(io.StringIO()):  # suppresses the message about that build
     import exudyn
     from exudyn import itemInterface as item
 
 
 class Model(NamedTuple):
-    """A cone ready to be solved.
+    """Model of a cone.
 
     Attributes:
-        s: of the nodes [m], (k,).
-        nodes: their numbers, k of them.
-        container: keeps the system alive.
-        system: of bodies and loads.
-        settings: of the solver.
+        s: arclengths of the nodes [m], (k,).
+        nodes: node numbers, k of them.
+        container: owner of the system; it must stay alive.
+        system: bodies and loads.
+        settings: settings of the solver.
     """
 
     s: Array
@@ -40,7 +40,7 @@ class Model(NamedTuple):
 
 
 def build(rod: Rod, gravity: Array, force: Array, s_contact: float, elements: int) -> Model:
-    """The cone under gravity [m/s²] and a dead force [N], which acts on a node at s_contact [m]."""
+    """Return the model of a cone under gravity [m/s²] and a dead force [N] on a node at s_contact [m]."""
     s = stations(rod, s_contact, elements)
     loads = nodal_weights(rod, s, gravity)
     loads[np.searchsorted(s, s_contact)] += force
@@ -68,7 +68,11 @@ def build(rod: Rod, gravity: Array, force: Array, s_contact: float, elements: in
 
 
 def solve(model: Model) -> tuple[Array, Array]:
-    """From the straight cone to rest: stations [m], (k,), and the centreline there [m], (k, 3)."""
+    """Solve from the straight cone; return stations [m], (k,), and points of the centreline [m], (k, 3).
+
+    Raises:
+        ArithmeticError: the solver does not converge.
+    """
     if not model.system.SolveStatic(model.settings):
         raise ArithmeticError("Exudyn found no equilibrium")
     position = exudyn.OutputVariableType.Position
@@ -77,12 +81,12 @@ def solve(model: Model) -> tuple[Array, Array]:
 
 
 def _section(rod: Rod, radius: float) -> Any:
-    """Stiffness of a full round section in Exudyn's order: stretch, two shears, twist, two bends."""
+    """Return the stiffness of a solid round section in Exudyn's order: axial, shear (2), torsion, bending (2)."""
     E, kG = rod.youngs_modulus, rod.shear_coefficient * rod.shear_modulus
     A = np.pi * radius * radius
     EI, GJ = E * A * radius * radius / 4.0, rod.shear_modulus * A * radius * radius / 2.0
     section = exudyn.BeamSection()
     section.stiffnessMatrix = np.diag([E * A, kG * A, kG * A, GJ, EI, EI])
-    section.massPerLength = rod.density * A  # at rest without effect, but it must be given
+    section.massPerLength = rod.density * A  # required, but without effect in statics
     section.inertia = rod.density * A * radius * radius / 2.0 * np.eye(3)
     return section

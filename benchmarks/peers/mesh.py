@@ -1,4 +1,4 @@
-"""Where the elements of a cone end, and what each of them weighs."""
+"""Element boundaries of a cone and the nodal weights of its elements."""
 
 import numpy as np
 
@@ -7,9 +7,13 @@ from probedesign.rod.rod import Rod
 
 
 def stations(rod: Rod, s_contact: float, elements: int, behind: float = 0.0) -> Array:
-    """Ends of the elements [m], (elements + 1,): one at s_contact, even before it and even after it.
+    """Return the ends of the elements [m], (elements + 1,), with one at s_contact and equal lengths on either side.
 
-    `behind` is how much of the first element lies behind the clamp.
+    Args:
+        rod: the cone.
+        s_contact: arclength of the contact [m].
+        elements: number of elements.
+        behind: fraction of the first element behind the clamp.
     """
     if s_contact == rod.length:
         before = elements
@@ -20,7 +24,7 @@ def stations(rod: Rod, s_contact: float, elements: int, behind: float = 0.0) -> 
 
 
 def nodal_weights(rod: Rod, s: Array, gravity: Array) -> Array:
-    """Weight of the frusta between s [N], (k, 3): each on its two ends so that its centre of mass stays."""
+    """Return the nodal weights of the frusta between the stations s [N], (k, 3), with their true centres of mass."""
     r0, r1 = rod.radius_at(s[:-1]), rod.radius_at(s[1:])
     squares = r0 * r0 + r0 * r1 + r1 * r1
     mass = rod.density * np.pi / 3.0 * np.diff(s) * squares

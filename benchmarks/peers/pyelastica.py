@@ -1,8 +1,7 @@
-"""PyElastica: a discrete Cosserat rod that swings under its loads until its damping has brought it to rest.
+"""Solve the rod by PyElastica: dynamic relaxation of a discrete Cosserat rod to its equilibrium.
 
-Each element has one section, that of its middle. Step and damping are near the best that keep it stable: the step
-0.9 of the limit set by the fastest mode, the turning of the thinnest element; the damping just below
-critical for the slowest.
+Each element has the constant section of its middle. The time step is 0.9 of the stability limit, which the rotation of
+the thinnest element determines. The damping is just below the critical damping of the slowest mode.
 """
 
 import elastica
@@ -13,23 +12,23 @@ from probedesign.core.frames import Array
 from probedesign.rod.rod import Rod
 
 AT_REST = 1e-4
-"""Speed below which every node must be [m/s]. A tenth of it moves the answer by some 2 µm."""
-LOOK_EVERY = 50
-"""Steps between two looks at the speed."""
+"""Largest speed of a node at rest [m/s]. A tenth of it changes the result by about 2 µm."""
+CHECK_INTERVAL = 50
+"""Steps between checks of the speed."""
 MAX_STEPS = 100_000
 SAFETY = 0.9
 DAMPING = 12.5
-"""Uniform damping over the slowest mode's scale sqrt(E I/(ρ A))/L² of the base: best of those tried on this cone."""
+"""Uniform damping over sqrt(E I/(ρ A))/L² of the base; the best of several values for this cone."""
 
 
 class _Simulation(
     elastica.BaseSystemCollection, elastica.Constraints, elastica.Forcing, elastica.Damping
-):  # its own way to say what a simulation has
+):  # PyElastica composes simulations of mixins
     pass
 
 
 class _DeadForce(elastica.NoForces):
-    """A constant force [N] on one node."""
+    """Constant force [N] on one node."""
 
     def __init__(self, node: int, force: Array) -> None:
         super().__init__()
@@ -42,17 +41,19 @@ class _DeadForce(elastica.NoForces):
 def relax(
     rod: Rod, gravity: Array, force: Array, s_contact: float, elements: int, behind: float
 ) -> tuple[Array, Array]:
-    """From the straight cone to rest: stations [m], (k,), and the centreline there [m], (k, 3).
+    """Solve from the straight cone; return stations [m], (k,), and points of the centreline [m], (k, 3).
 
     Args:
         rod: the cone.
-        gravity: [m/s²], (3,).
-        force: [N], (3,).
-        s_contact: [m]; a node lies there.
-        elements: how many.
-        behind: how much of the first element lies behind the clamp. 0 is the documented clamp; it holds the
-            direction of the whole first element, so the cone is half an element too short. With 0.5 it bends
-            from s = 0 on.
+        gravity: in base axes [m/s²], (3,).
+        force: on the rod in base axes [N], (3,).
+        s_contact: arclength of the force [m], where a node is placed.
+        elements: number of elements.
+        behind: fraction of the first element behind the clamp. 0 is the documented clamp, which fixes the direction
+            of the whole first element, so that the cone is half an element too short. With 0.5 it bends from s = 0.
+
+    Raises:
+        ArithmeticError: the rod is not at rest after `MAX_STEPS`.
     """
     s = stations(rod, s_contact, elements, behind)
     simulation, body = _Simulation(), _body(rod, s)
@@ -71,14 +72,14 @@ def relax(
     stepper, time = elastica.PositionVerlet(), np.float64(0.0)
     for count in range(MAX_STEPS):
         time = stepper.step(simulation, time, step)
-        if (count + 1) % LOOK_EVERY == 0 and np.abs(body.velocity_collection).max() < AT_REST:
+        if (count + 1) % CHECK_INTERVAL == 0 and np.abs(body.velocity_collection).max() < AT_REST:
             on = s >= 0.0
             return s[on], body.position_collection.T[on]
     raise ArithmeticError(f"PyElastica is not at rest after {MAX_STEPS} steps")
 
 
 def _body(rod: Rod, s: Array) -> elastica.CosseratRod:
-    """The straight rod with nodes at s [m]; behind the clamp the cone goes on."""
+    """Return the straight rod with nodes at s [m]; the cone is extended behind the clamp."""
     slope = (rod.radius[-1] - rod.radius[0]) / rod.length
     radius = rod.radius[0] + slope * (s[:-1] + s[1:]) / 2.0
     position = np.zeros((3, len(s)))
@@ -97,13 +98,13 @@ def _body(rod: Rod, s: Array) -> elastica.CosseratRod:
     )
     kGA = (
         rod.shear_coefficient * rod.shear_modulus * np.pi * radius * radius
-    )  # it has a coefficient of its own
+    )  # PyElastica assumes another shear coefficient
     body.shear_matrix[0, 0], body.shear_matrix[1, 1] = kGA, kGA
     return body
 
 
 def _stable_step(rod: Rod, s: Array, radius: Array) -> float:
-    """Time step [s]: elements turn against their neighbours' bending and their own shear."""
+    """Return the time step [s] for the rotation of elements against the bending of their neighbours and their shear."""
     bending = rod.youngs_modulus / np.diff(s) ** 2
     shear = rod.shear_coefficient * rod.shear_modulus / radius**2
     return SAFETY * float(np.sqrt(rod.density / (bending + shear)).min())

@@ -1,4 +1,4 @@
-"""How the paper solves the rod, in plain Python with scipy: guess at the base, integrate, correct."""
+"""Solve the rod by shooting from the base as in the paper, in Python with scipy."""
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -9,15 +9,15 @@ from probedesign.rod.rod import Rod
 
 
 def shoot_rk45(rod: Rod, gravity: Array, force: Array, s_contact: float, s: Array, rtol: float) -> Array:
-    """The paper's way: guess the six numbers n(0), m(0), integrate its equation 1 by RK45, correct by fsolve.
+    """Return the centreline at the stations s [m], (k, 3), by integration with RK45 and fsolve for n(0), m(0).
 
     Args:
         rod: the rod; its rigid root is ignored.
-        gravity: [m/s²], (3,).
-        force: [N], (3,).
-        s_contact: [m].
+        gravity: in base axes [m/s²], (3,).
+        force: on the rod in base axes [N], (3,).
+        s_contact: arclength of the force [m].
         s: increasing stations [m], (k,).
-        rtol: of RK45; the absolute tolerance is a thousandth of it, as in scipy's defaults.
+        rtol: relative tolerance of RK45; the absolute tolerance is a thousandth of it, as in scipy's defaults.
     """
     E, G, kG = rod.youngs_modulus, rod.shear_modulus, rod.shear_coefficient * rod.shear_modulus
     mass = rod.density * float(rod.body.volume_beyond[0])
@@ -63,6 +63,6 @@ def shoot_rk45(rod: Rod, gravity: Array, force: Array, s_contact: float, s: Arra
 
 
 def _within(stations: Array, low: float, high: float) -> Array:
-    """The stations in (low, high], and 0 with the first of them, and high itself."""
+    """Return the stations in (low, high], with 0 in the first interval, and high itself."""
     inside = stations[((stations > low) | (stations == 0.0) & (low == 0.0)) & (stations <= high)]
     return np.unique(np.append(inside, high))

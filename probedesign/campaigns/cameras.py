@@ -24,7 +24,7 @@ WORLD = "world"
 POSITION, PIXEL = ("x_world", "y_world", "z_world"), ("u", "v")
 LENGTH = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 BOARD_DISTORTION = 2
-"""Coefficients of distortion that are fitted to pictures of a board unless `[cameras] distortion` says otherwise."""
+"""Default of `[cameras] distortion`: number of distortion coefficients fitted to pictures of a board."""
 CONTROL_POINTS_SCHEMA = TableSchema(
     "table of control points",
     {"point": "name", **dict.fromkeys(POSITION, "length"), "camera": "name", **dict.fromkeys(PIXEL, "pixel")},

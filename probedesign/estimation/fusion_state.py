@@ -93,9 +93,9 @@ class Keyframe:
         self.span = time - self.began
 
     def weight(self, rate: float) -> float:
-        """Return the number of samples that the mean is worth beside a bias that walks.
+        """Return the effective number of samples of the mean for a bias with a random walk.
 
-        The mean over T seconds scatters about the bias at its middle by `rate` T/12.
+        The mean over T seconds has the variance `rate` T/12 about the bias at its middle.
 
         Args:
             rate: variance of the walk, in steps² a second; a sample has a variance of one step².

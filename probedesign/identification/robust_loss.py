@@ -24,7 +24,7 @@ Stiffness and friction of each touch scatter as readings do, and one may be far 
 MIN_FREEDOM = 1.0
 """Degrees of freedom from which on a scatter is judged."""
 STATED_FREEDOM = 4.0
-"""Degrees of freedom that a stated standard deviation is worth: it is known within about a third (assumed)."""
+"""Equivalent degrees of freedom of a stated standard deviation, which has an uncertainty of about a third (assumed)."""
 FULL_WEIGHT = 0.99
 """Quantile of χ² up to which a block has full weight."""
 REJECTION_CHANCE = 1e-3

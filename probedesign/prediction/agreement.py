@@ -1,10 +1,10 @@
 """Agreement of predicted with measured errors, and of simple laws that any prediction must surpass.
 
-A prediction of the paper's Table I is only worth its mechanics if it agrees better than a law without any. Two are
-compared: a constant, and the error of the lever: a force error δF moves the point that a moment M = s F indicates by
-s δF / F, which together with the error of the reference is √((δF s/F)² + r²). Their constants are fitted to the
-table, one and two; the model has one, the error of the reference. Left-out scores fit the constants on the other two
-probes, so that no law is judged on rows that it was fitted to.
+The mechanics of a prediction of the paper's Table I are only justified if it agrees better than laws without mechanics.
+Two such laws are compared: a constant, and the error of the lever. A force error δF moves the point that a moment
+M = s F indicates by s δF / F, which together with the error of the reference is √((δF s/F)² + r²). Their one and two
+constants are fitted to the table; the model has one, the error of the reference. Left-out scores fit the constants on
+the other two probes, so that no law is judged on rows that it was fitted to.
 """
 
 import math

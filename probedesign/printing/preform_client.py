@@ -338,9 +338,7 @@ class PreForm:
                 return state.result or {}
             if state.status == "FAILED":
                 raise RefusedError(
-                    one_line(
-                        f"PreForm fails at {what}: {error_message(state.result) or 'it does not say why'}"
-                    )
+                    one_line(f"PreForm fails at {what}: {error_message(state.result) or 'no reason stated'}")
                 )
             share = min(max(state.progress, 0.0), 1.0)
             if time.monotonic() > deadline:

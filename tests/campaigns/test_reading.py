@@ -105,7 +105,7 @@ def test_a_folder_is_read_in_si(folder):
 
 
 def test_gravity_and_mean_readings_are_in_the_base_frame(folder, large):
-    """The world's x is the base's z; a reading at the sensor has the weight of the flange, one at the base has not."""
+    """The x axis of the world is z of the base; readings at the sensor include the weight of the flange."""
     hang = read_campaign(folder).tests[0]
     np.testing.assert_allclose(hang.gravity_base, [9.81, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(hang.mean_wrench_sensor(large), [0.067, 0, 0, 0, 0.004, 0], atol=1e-15)

@@ -1,4 +1,4 @@
-"""Writing of files: atomic, durable, with the permissions of the user, and never over another file unasked."""
+"""Test writing of files: atomic, durable, with the user's permissions, and without replacing files unless requested."""
 
 import os
 import stat

@@ -1,4 +1,4 @@
-"""Frames: group axioms, and wrenches whose power is the same in every frame."""
+"""Test frames: group axioms and invariance of the power of a wrench."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from probedesign.core.frames import inverse, is_pose, pose, rotation_z, skew, wrench_map
 
 EXACT = 1e-12
-"""Relative to values of order one: a few dozen roundings of double precision."""
+"""Tolerance for values of order one after a few dozen roundings in double precision."""
 
 vectors = arrays(float, 3, elements=st.floats(-1.0, 1.0))
 angles = st.sampled_from([0.0, 1e-9, 1e-4, 1.0, 3.0])  # near identity on purpose

@@ -1,4 +1,4 @@
-"""Design files: what is written reads back, and an error is one line."""
+"""Test design files: round trips, and error messages of one line."""
 
 import tomllib
 from pathlib import Path
@@ -25,7 +25,7 @@ LARGE = (DESIGNS / "large.toml").read_text(encoding="utf-8")
 
 
 def plain(text: str) -> str:
-    """A design file without its comments, so that a test can change a value by its text."""
+    """Return a design file without comments, so that a test can replace a value in its text."""
     return "\n".join(line.split("#")[0].rstrip() for line in text.splitlines()) + "\n"
 
 
@@ -39,7 +39,7 @@ def one_line(error: pytest.ExceptionInfo[InputError]) -> str:
 
 
 def problem(old: str, new: str) -> str:
-    """The error of the large probe's file with one piece replaced."""
+    """Return the error of the large probe's file with a replaced part."""
     assert old in PLAIN
     with pytest.raises(InputError) as error:
         parse_design(PLAIN.replace(old, new, 1), "large.toml")
@@ -89,7 +89,7 @@ def test_a_root_is_assumed_unless_there_is_none(root, assumed):
 
 
 WITHOUT_CONTACT = PLAIN[: PLAIN.index("[contact]")] + PLAIN[PLAIN.index("[print]") :]
-"""A design file from before there was friction."""
+"""Design file of a version without friction."""
 
 
 @pytest.mark.parametrize("resin", sorted(RESINS))
@@ -353,7 +353,7 @@ def write_new(path: Path, **changes: object) -> Design:
 
 
 def optional(**keys: st.SearchStrategy[object]) -> st.SearchStrategy[dict[str, object]]:
-    """Tables that hold any of these keys."""
+    """Return the tables that contain any of these keys."""
     return st.fixed_dictionaries({}, optional=keys)
 
 

@@ -1,4 +1,4 @@
-"""Sensor files: what they describe arrives in SI units everywhere, and a wrong one is refused in one line."""
+"""Test sensor files: SI units in all uses, and error messages of one line."""
 
 import tomllib
 
@@ -31,7 +31,7 @@ COV[0, 4] = COV[4, 0] = 0.8e-6
 
 
 def record(**noise):
-    """The text of a sensor file: a Nano17 in another body, with a correlated noise unless another is given."""
+    """Return the text of a sensor file: a Nano17 in another body, by default with correlated noise."""
     text = (FILES / "nano17.toml").read_text().replace('"nano17"', '"lab-1"')
     text = text.replace("body_d_mm = 17.0", "body_d_mm = 20.0").replace(
         "height_mm = 14.5", "height_mm = 18.0"
@@ -43,7 +43,7 @@ def record(**noise):
 
 @pytest.fixture
 def path(tmp_path):
-    """A design file that names a sensor file beside it."""
+    """Return a design file that refers to a sensor file in its folder."""
     (tmp_path / "my").mkdir()
     (tmp_path / "my" / "sensor.toml").write_text(record())
     (tmp_path / "design.toml").write_text(DESIGN)
@@ -51,7 +51,7 @@ def path(tmp_path):
 
 
 def test_known_sensors_are_complete_files():
-    """One file adds a sensor: nothing else names it."""
+    """One file adds a sensor without any other change."""
     assert {path.stem for path in FILES.glob("*.toml")} == set(SENSORS)
     assert next(iter(SENSORS.values())) is NANO17
     for name, sensor in SENSORS.items():

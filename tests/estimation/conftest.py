@@ -21,13 +21,13 @@ def probes():
 
 @pytest.fixture(scope="session")
 def large(probes):
-    """The large one."""
+    """The large probe."""
     return probes["large"]
 
 
 @pytest.fixture(scope="session")
 def exact(large):
-    """Its estimator with probe, mount and sensor exactly known but for the noise."""
+    """An estimator of the large probe with sensor noise as its only error source."""
     return Estimator(large.model, EXACT)
 
 
@@ -39,7 +39,7 @@ def gravity():
 
 @pytest.fixture(scope="session")
 def exact_sources(large, gravity):
-    """The error sources of the large probe without any."""
+    """`ErrorSources` of the large probe with all tolerances zero."""
     return sources_of(large.model, gravity)
 
 

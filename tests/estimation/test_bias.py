@@ -1,4 +1,4 @@
-"""The filter of the bias: unbiased and as certain as it states, on walk and ramp; a touch does not enter it."""
+"""Test the bias filter: it is unbiased, its covariance is correct for walk and ramp, and it ignores touches."""
 
 import numpy as np
 import pytest
@@ -7,12 +7,12 @@ from probedesign.estimation.bias import RAMP_STEPS, WALK_STEPS
 from probedesign.estimation.detector import Detector
 
 RATE = 200.0
-"""Of means [Hz]: a long time in few readings."""
+"""Rate of the means [Hz], low so that a long time has few readings."""
 
 
 @pytest.fixture
 def run(large):
-    """Returns a detector of means, and a function that feeds it some seconds of a free probe with a bias in steps."""
+    """Return a detector and a function that feeds it means of a free probe with a bias [steps] for some seconds."""
     model, rng = large.model, np.random.default_rng(8)
     step = np.linalg.cholesky(model.noise_base() * model.averaging_samples)
     noise = np.linalg.cholesky(model.noise_base())
@@ -25,7 +25,7 @@ def run(large):
 
 
 def test_it_follows_walk_and_ramp_as_certainly_as_it_states(run):
-    """Of an hour: every minute, the error in stated standard deviations. Errors a minute apart are independent."""
+    """Return the error in stated standard deviations at every minute of an hour; these errors are independent."""
     detector, feed, step, rng = run
     n, bias, errors = int(60.0 * RATE), np.zeros(6), []
     for minute in range(60):
@@ -41,7 +41,7 @@ def test_it_follows_walk_and_ramp_as_certainly_as_it_states(run):
 
 
 def test_it_is_less_certain_the_longer_a_touch_lasts(run):
-    """The variance grows by that of the walk and of the ramp, and the mean stays."""
+    """The variance increases by those of walk and ramp, and the mean does not change."""
     detector, feed, step, _ = run
     feed(np.zeros((2000, 6)))
     before = detector.bias_filter.known()

@@ -1,4 +1,4 @@
-"""Where the integration from the base puts contacts, against the scan of whole equilibria and the truth."""
+"""Compare contact candidates of the integration from the base with the scan of equilibria and the truth."""
 
 import math
 
@@ -33,7 +33,7 @@ SHAPES = {
 
 
 def problem_of(sources, wrench, friction):
-    """The reading as the estimator poses it."""
+    """Return the observation of a reading."""
     model = sources.model
     free = model.rod.solve(sources.gravity).wrench_base
     seen = Observation.of(model, wrench[None], sources.gravity, free)
@@ -41,7 +41,7 @@ def problem_of(sources, wrench, friction):
 
 
 def drawn(sources, count, rng, friction):
-    """Noisy readings of touches that the probe holds: place, angle, force and friction drawn; with the truth."""
+    """Return noisy readings of random touches with an equilibrium, and the true touches."""
     model = sources.model
     while count:
         s = rng.uniform(0.2, 0.98) * model.rod.length
@@ -57,7 +57,7 @@ def drawn(sources, count, rng, friction):
 @pytest.mark.parametrize("friction", [0.0, 0.6])
 @pytest.mark.parametrize("name", ["large", "medium", "small"])
 def test_no_place_that_the_scan_finds_is_missed(name, friction, probes, gravity):
-    """The scan starts from every place of whole equilibria, at the cost of a hundred of them."""
+    """The scan starts from every candidate along the rod and costs about a hundred equilibria."""
     sources, compared = sources_of(probes[name].model, gravity), 0
     length = probes[name].length
     for _touch, wrench in drawn(sources, 30, np.random.default_rng(3), friction):
@@ -89,7 +89,7 @@ def test_other_shapes_are_traced_too(shape, mount):
 
 
 def test_a_guess_is_close_enough_for_a_few_sweeps(large, gravity):
-    """Sweeps are what an estimate costs: from the trace, half of the fits take six or fewer."""
+    """The number of sweeps determines the time of an estimate; half of the fits need at most six."""
     sources = sources_of(large.model, gravity)
     sweeps = [
         likelihood._fit(problem_of(sources, wrench, 0.6), None)["sweeps"][0, 0]
@@ -99,7 +99,7 @@ def test_a_guess_is_close_enough_for_a_few_sweeps(large, gravity):
 
 
 def test_the_direction_of_the_force_does_not_matter_to_where_it_is_looked_for(large, gravity):
-    """Friction of 0 to 1.5 in all directions: every touch is found, whatever the prior."""
+    """Touches with friction ratios from 0 to 1.5 in all directions are located with any prior."""
     sources = sources_of(large.model, gravity)
     estimator = Estimator(large.model, EXACT).with_friction(math.inf)
     found = 0

@@ -16,7 +16,7 @@ RARE = 1e-4
 
 @pytest.fixture
 def sampled(large):
-    """Noise of so many samples of a free probe, as the sensor gives them."""
+    """Return noise samples of a free probe."""
 
     def sampled(n, seed=1):
         cov = large.model.noise_base() * large.model.averaging_samples
@@ -86,7 +86,7 @@ def test_longer_means_feel_less(large, by_force):
 
 
 def test_drift_is_followed_and_no_touch(large, sampled):
-    """Two steps of the resolution a minute, ten times what is assumed of the sensor, for a minute."""
+    """The bias drifts for a minute by two steps per minute, ten times the assumed rate."""
     model = large.model
     n = int(60 * RATE)
     step = np.sqrt(np.diag(model.noise_base()) * model.averaging_samples)

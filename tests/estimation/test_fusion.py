@@ -1,4 +1,4 @@
-"""Several touches of one point: the solver against dense least squares, statistics, and result codes."""
+"""Test the fusion of touches of one point: dense least squares, statistics and result codes."""
 
 import math
 from dataclasses import replace
@@ -44,7 +44,7 @@ def noisy(model, wrenches, rng):
 
 
 def oracle_of(state, step=None, common_friction=None):
-    """Dense least squares of a fusion as it is linearised."""
+    """Solve a linearised fusion by dense least squares."""
     fusion = state.fusion
     poses = []
     for k, reading in enumerate(fusion.readings):
@@ -68,7 +68,7 @@ def oracle_of(state, step=None, common_friction=None):
 
 
 def linearised(large, gravity, pressed, priors, moments, friction):
-    """Five noisy touches with two free readings between, from a turned base, linearised off the answer."""
+    """Return five noisy touches and two free readings of a rotated base, linearised away from the solution."""
     model, rng = replace(large.model, friction=friction), np.random.default_rng(1)
     touches, Ts = pressed
     free = large.rod.solve(gravity).wrench_base
@@ -131,7 +131,7 @@ def test_the_misfit_with_a_step_of_the_object_is_dense_least_squares(
 def test_the_touches_of_the_poses_are_those_of_dense_least_squares(
     priors, moments, friction, large, gravity, pressed
 ):
-    """What each pose's touch moves by, the mean of the centreline points, and its covariance."""
+    """Return the change of each touch, the mean of the centreline points and its covariance."""
     state = linearised(large, gravity, pressed, priors, moments, friction)
     state.solved(state.fusion.priors)
     wanted = oracle_of(state)
@@ -157,7 +157,7 @@ def test_the_touches_of_the_poses_are_those_of_dense_least_squares(
 def test_without_noise_the_point_is_found(
     moments_only, fraction, force, phi, large, gravity, exact_sources, exact
 ):
-    """Without friction, which is the prior's own mean: the world's origin, and the centreline beside it."""
+    """Without friction, the mean of its prior, the surface point is the origin, and the centreline a radius away."""
     touches, Ts = presses(exact_sources, fraction * large.length, phi, force * np.array([0.2, 0.5, 0.8, 1.0]))
     c = exact.fuse(wrenches_of(touches), Ts, gravity, moments_only=moments_only)
     assert c.result == "ok"
@@ -178,7 +178,7 @@ def test_friction_of_a_free_direction_is_found(large, gravity, exact_sources, ex
 
 
 def test_the_contact_may_slide_and_the_base_may_turn(large, gravity, exact_sources, exact):
-    """The object's point is fixed; the material point may move over it."""
+    """The point of the object is fixed, and the touched material point may change."""
     touches, Ts = presses(exact_sources, 0.6 * large.length, 0.5, 2.0 * FORCES, slide=3e-3)
     turn = pose(rotation_z(0.4))
     c = exact.fuse(wrenches_of(touches), turn @ Ts, turn[:3, :3] @ gravity)
@@ -222,7 +222,7 @@ FIVE = [
 
 @pytest.mark.parametrize(("fraction", "force_mN", "bounds"), FIVE)
 def test_published_bounds_of_five_touches(fraction, force_mN, bounds, large, gravity, exact_sources):
-    """Within a tenth: the table does not give the lowest force, taken for three tenths of the highest."""
+    """The tolerance is a tenth, because the table lacks the lowest force, assumed as 0.3 of the highest."""
     priors = replace(EXACT, youngs_modulus=0.03, robot_mm=0.01, walk_steps=0.2)
     forces = 1e-3 * force_mN * np.linspace(0.3, 1.0, 5)
     touches, Ts = presses(exact_sources, fraction * large.length, -1.57, forces)
@@ -243,7 +243,7 @@ def test_published_bounds_of_five_touches(fraction, force_mN, bounds, large, gra
 
 @pytest.mark.parametrize(("name", "force_mN"), [("large", 5.0), ("small", 2.0)])
 def test_the_stated_error_goes_smoothly_along_the_probe(name, force_mN, probes, gravity):
-    """No isolated place where it explodes: from one hundredth of the length to the next it changes by a few percent."""
+    """The RMS error is a smooth function of the place: it changes by a few percent per hundredth of the length."""
     model = probes[name].model
     sources, estimator = sources_of(model, gravity), Estimator(model)
     rms = []
@@ -257,9 +257,9 @@ def test_the_stated_error_goes_smoothly_along_the_probe(name, force_mN, probes, 
 
 
 def disturbed(model, tolerances, touches, gravity, rng):
-    """Readings and poses of touches of the world's origin with every error source drawn, to first order.
+    """Return readings and poses of touches of the origin with all error sources drawn, to first order.
 
-    The touches keep their places on the probe; the base goes where the touched point of the true probe is the origin.
+    The touches keep their places on the probe; the base moves so that the true touched point is the origin.
     """
     sources = sources_of(model, gravity, tolerances)
     names = np.array(sources.names)
@@ -280,7 +280,7 @@ def disturbed(model, tolerances, touches, gravity, rng):
 
 @pytest.mark.parametrize("moments_only", [False, True])
 def test_five_touches_scatter_as_stated_with_every_source_drawn(moments_only, large, gravity, exact_sources):
-    """Friction, probe, mount, sensor, robot and stiffness drawn from the priors that the estimate has."""
+    """The coverage is correct if friction, probe, mount, sensor, robot and stiffness are drawn from their priors."""
     rng, draws, squares, ratios, codes = np.random.default_rng(8), 40, [], [], []
     estimator, s = large.estimator(), 0.7 * large.length
     for _ in range(draws):
@@ -350,7 +350,7 @@ def test_one_pose_with_moments_alone_is_unobservable(large, gravity, exact, pres
 
 @pytest.mark.parametrize("rig", ["sensor", "robot"])
 def test_an_offset_of_the_base_is_within_what_is_stated(rig, large, gravity, exact_sources):
-    """The moment of a strong press shows an offset of the base on the sensor, but none of the pose that is reported."""
+    """The moment of a strong press depends on a base offset on the sensor, but not on an error of the reported pose."""
     rng, draws = np.random.default_rng(4), 30
     estimator = Estimator(large.model, replace(EXACT, base_mm=0.1))
     touches, Ts = presses(exact_sources, 0.4 * large.length, 1.57, np.linspace(0.05, 0.25, 5))
@@ -371,7 +371,7 @@ def test_an_offset_of_the_base_is_within_what_is_stated(rig, large, gravity, exa
 
 @pytest.mark.parametrize("friction", [0.6, math.inf])
 def test_readings_of_one_pose_are_one_window(friction, large, gravity, exact, pressed):
-    """The priors on friction and on the stiffness at a touch count once, however many readings it has."""
+    """The priors of friction and stiffness of a touch enter once for any number of readings."""
     exact = exact.with_friction(friction)
     rng, (touches, Ts) = np.random.default_rng(6), pressed
     window = noisy(large.model, np.tile(wrenches_of(touches)[4], (6, 1)), rng)
@@ -391,7 +391,7 @@ def test_readings_marked_as_touched_that_are_not_are_no_contact(large, gravity, 
 
 
 def test_the_bias_walks_with_the_times_of_the_readings(large, gravity, pressed):
-    """Readings without times count as sixteen seconds apart, for which the walk is stated."""
+    """Readings without times are assumed 16 s apart, the interval of the stated random walk."""
     touches, Ts = pressed
     estimator = Estimator(large.model, replace(EXACT, drift_steps=0.1, walk_steps=1.0))
     wrenches, apart = wrenches_of(touches), 16.0 * np.arange(5)
@@ -405,7 +405,7 @@ def test_the_bias_walks_with_the_times_of_the_readings(large, gravity, pressed):
 
 
 def test_what_is_stated_is_never_larger_than_the_probe(large, gravity, exact_sources):
-    """The curvature of the likely points counts before the result code is chosen."""
+    """The curvature correction of the covariance precedes the choice of the result code."""
     rng, codes = np.random.default_rng(7), []
     for fraction, force in product((0.1, 0.3, 0.6), (5e-4, 1e-3, 2e-3)):
         touches, Ts = presses(exact_sources, fraction * large.length, 1.57, [force, 2.0 * force])
@@ -437,7 +437,7 @@ def test_a_small_step_of_the_object_shows_though_the_misfit_is_below_its_limit(l
 
 
 def test_a_touch_that_slips_stays_ok(large, gravity, exact_sources):
-    """Friction turns over while the object's point stays."""
+    """The friction reverses while the point of the object is fixed."""
     touches, poses = [], []
     for k, force in enumerate(FORCES):
         ratios = (0.0, 0.5 if k < 3 else -0.5)

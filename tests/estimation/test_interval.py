@@ -1,4 +1,4 @@
-"""The 95 % interval of s_contact: normal where the posterior is, bounded by the probe, and covering true touches."""
+"""Test the 95 % interval of s_contact: normal posterior, bounds of the probe and coverage."""
 
 import math
 
@@ -15,7 +15,7 @@ GRAVITY = np.array([9.81, 0.0, 0.0])
 def _wrench(
     estimator: Estimator, fraction: float, angle: float, force: float, ratios: tuple[float, float]
 ) -> Array:
-    """Base wrench of a touch of the model's own rod."""
+    """Return the base wrench of a touch of the model's rod."""
     rod = estimator.model.rod
     touch = np.zeros(TOUCH)
     touch[:5] = fraction * rod.length, angle, force, *ratios

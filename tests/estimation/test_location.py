@@ -27,14 +27,14 @@ SHAPES = {
 }
 FRACTIONS = (0.2, 0.4, 0.6, 0.8, 0.9, 0.97)
 BENDS = (0.05, 0.3, 1.0)
-"""Force over three E I/s², with I at the touched place: about the bend there [rad]."""
+"""Force over 3 E I/s², with I at the touched place, which is about the bending angle there [rad]."""
 FRICTIONS = (0.0, 0.2, 0.5, 0.8)
 SHARP = {"force_N": 1e-6, "moment_Nm": 1e-8}
 POINT_M, FORCE_SHARE, LEFT = 2e-6, 1e-5, 3e-3
 """Both rods agree to about 1e-6 of the moment, where 1e-3 of it is a millimetre; of a fit that ends within a hundredth
 of a standard deviation its last step leaves less than a third of that."""
 UPRIGHT = 0.5
-"""Cosine of the touched section's turn down to which every touch is asked for: 60 degrees."""
+"""Smallest cosine of the rotation of the touched section for which all touches must be located: 60 degrees."""
 
 
 def model_of(name, probes):
@@ -44,7 +44,7 @@ def model_of(name, probes):
 
 
 def reference_touches(model, gravity, frictions=FRICTIONS):
-    """Touches of every place, force and friction in many directions that the probe holds, by `tests/reference`."""
+    """Return touches of all places, forces and frictions in many directions, solved by `tests/reference`."""
     rows = []
     for k, (fraction, bend, mu) in enumerate(
         (f, b, mu) for f in FRACTIONS for b in BENDS for mu in frictions
@@ -62,7 +62,7 @@ def reference_touches(model, gravity, frictions=FRICTIONS):
 
 
 def assert_located(c, estimator, touches, i):
-    """Touched point and force as they are."""
+    """Return the true touched point and force."""
     noise, where = estimator.model.noise.force, (touches.s[i], touches.surface_force[i])
     off = np.linalg.norm(c.p_surface_base - touches.p_surface[i])
     assert off <= POINT_M + LEFT * c.candidates[0].rms, where
@@ -124,7 +124,7 @@ def test_finite_element_touches_are_found(case, probes):
 
 
 def test_no_prior_hides_a_large_friction(large, gravity, exact, touched):
-    """With a prior of 0.6 a ratio of 0.8 along the probe, far from the tip, is found to half its standard deviation."""
+    """With a prior of 0.6, a ratio of 0.8 along the probe is estimated to half its standard deviation."""
     wrench = touched(0.075, 0.1, around=0.3, along=0.8)
     free, prior = exact.with_friction(math.inf).estimate(wrench, gravity), exact.estimate(wrench, gravity)
     assert free.ok and prior.ok
@@ -148,7 +148,7 @@ def test_the_published_method_has_two_names(exact, gravity, touched):
 
 
 def test_a_dead_force_on_the_centreline_is_found_by_the_published_method(large, exact):
-    """Nine oblique forces and mounts, found where they act."""
+    """Nine oblique forces and mounts are located correctly."""
     rng = np.random.default_rng(3)
     sharp = exact.with_noise(1e-7, 1e-9)
     for _ in range(9):

@@ -63,7 +63,7 @@ def test_a_free_probe_whose_bias_was_taken_with_the_probe_mounted_has_no_tare(es
 
 
 def test_a_drifting_free_probe_is_no_contact_where_drift_is_counted(large, gravity):
-    """The one source that a probe otherwise exact may be given, as the commands do: a step is 6 times the noise."""
+    """The bias is the only error source, as some commands set it; a step is 6 times the noise."""
     rng, model, steps = np.random.default_rng(4), large.model, 1.0
     estimator = Estimator(model, replace(EXACT, drift_steps=steps))
     step = np.linalg.cholesky(model.noise_base() * model.averaging_samples)
@@ -86,7 +86,7 @@ def test_a_force_that_leaves_the_place_open_is_too_light(exact, gravity, touched
 
 
 def test_a_force_that_drift_may_be_is_too_light(large, gravity, touched):
-    """A place is given from five standard deviations of noise and drift on."""
+    """The estimate has a place if the reading exceeds five standard deviations of noise and drift."""
     noise, drift = large.model.noise.force, replace(EXACT, drift_steps=0.5)
     both = noise * math.sqrt(1.0 + 0.5**2 * large.model.averaging_samples)
     wrench = touched(0.09, 0.5 * (5.0 * noise + 5.0 * both))
@@ -202,7 +202,7 @@ def test_a_couple_about_the_normal_beyond_friction_is_inconsistent(couple, gravi
 
 
 def test_a_torsion_that_friction_may_make_is_a_touch(gravity, exact, touched, large):
-    """Around the section: a ratio of one standard deviation explains it, ten do not."""
+    """A circumferential ratio of one standard deviation is consistent with the prior, ten are not."""
     wrench = touched(0.09, 0.05)
     radius = float(large.rod.radius_at(0.09))
     for ratio, ok in ((0.6, True), (10.0, False)):

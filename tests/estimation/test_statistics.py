@@ -1,4 +1,4 @@
-"""Stated covariances against readings with every error source, friction and noise drawn with fixed seeds."""
+"""Compare stated covariances with the errors for random error sources, friction and noise."""
 
 import math
 
@@ -16,7 +16,7 @@ LOW, HIGH = 0.88, 0.99
 """Share inside a 95 % ellipsoid that 150 draws may have: binomial, 0.95 ± 0.018, four standard deviations below; above,
 the bow that the covariance adds is none of a normal distribution's, so 99 % is the tolerance."""
 MAX_BOUND = 6e-3
-"""Bound of the touched point [m] below which a touch is to be located."""
+"""Bound of the touched point [m] below which a touch must be located."""
 CHI2_95 = stats.chi2(3).ppf(0.95)
 
 
@@ -67,7 +67,7 @@ def test_the_ellipsoid_holds_the_touched_point_as_often_as_stated(with_every_sou
 
 
 def test_errors_are_as_large_as_stated(with_every_source):
-    """Root mean square of the error over the stated one, place by place."""
+    """Return the RMS error over the stated one, by place."""
     ratios = [np.linalg.norm(c.p_surface_base - p) ** 2 / np.trace(c.cov_surface_base)
               for c, p, _bound in with_every_source if c.ok]  # fmt: skip
     # The largest of three axes carries most of it: χ² of one to two, whose mean of 130 scatters by an eighth.
@@ -75,7 +75,7 @@ def test_errors_are_as_large_as_stated(with_every_source):
 
 
 def test_the_misfit_is_chi_square(with_every_source, large):
-    """Of the fits, whatever their code; with friction below the prior its share of the misfit is below its mean."""
+    """The statistics include all fits; friction below its prior makes its part of χ² smaller than the mean."""
     misfits = np.array([c.candidates[0].chi2 for c, _p, _bound in with_every_source if c.candidates])
     # Three degrees of freedom by the prior of 0.6, of which at least one is left by what is read.
     assert stats.chi2(1).ppf(0.5) * 0.5 < np.median(misfits) < stats.chi2(3).ppf(0.5) * 1.5
@@ -98,7 +98,7 @@ def test_smaller_probes_with_friction_of_a_half(name, probes, gravity):
 
 @pytest.fixture(scope="module", params=[(0.4, 0.1, 1.57), (0.6, 0.08, 0.6)], ids=["mid", "far"])
 def repeated(request, large, gravity, touched):
-    """The estimate without noise, the direction of the force free, and those of noisy readings."""
+    """Return the estimate without noise and with free direction of the force, and the estimates of noisy readings."""
     fraction, force, phi = request.param
     wrench = touched(fraction * large.length, force, phi, 0.2, -0.2)
     estimator = Estimator(large.model, EXACT).with_friction(math.inf)

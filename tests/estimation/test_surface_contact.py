@@ -1,4 +1,4 @@
-"""The compiled linearisation of a touch against repeated solves of the reference rod."""
+"""Compare the compiled linearisation of a touch with repeated solves of the reference rod."""
 
 from dataclasses import replace
 
@@ -58,13 +58,13 @@ def _arclength(rod, touch):
 
 
 def at(rod, name):
-    """The named touch of a rod."""
+    """Return the touch of a rod with this name."""
     fraction, *rest = TOUCHES[name]
     return SurfaceTouch(fraction * rod.length, *rest)
 
 
 def compiled(rod, gravity, touch, tip=None):
-    """Linearisation (ROWS, 1 + 5 + 7 + K) of a settled touch, and that touch (TOUCH,)."""
+    """Return the linearisation, (ROWS, 1 + 5 + 7 + K), of a converged touch, and the touch, (TOUCH,)."""
     settled = np.zeros(TOUCH)
     settled[:UNKNOWNS] = touch.s, touch.phi, touch.normal, touch.around, touch.along
     settled[TIP:] = rod.solve(gravity).tip if tip is None else tip
@@ -116,7 +116,7 @@ def test_derivatives_by_the_unknowns_are_differences(case):
 
 
 def moved(rod, j, by):
-    """Rod, gravity and arclength's factor with one parameter changed: gravity (3), then logarithms."""
+    """Return rod, gravity and factor of the arclength with one parameter changed: gravity (3), then logarithms."""
     gravity, factor = GRAVITY.copy(), np.exp(by)
     if j < 3:
         gravity[j] += by
@@ -134,7 +134,7 @@ def moved(rod, j, by):
 @pytest.mark.parametrize("touch_name", list(TOUCHES)[:3])
 @pytest.mark.parametrize("rod_name", ["cone", "swelling profile", "hollow"])
 def test_derivatives_by_the_probe_are_those_of_other_probes(rod_name, touch_name):
-    """The touch keeps its place over the length; a root's reach goes with the base radius, so rods have none here."""
+    """The touch keeps its place over the length. The rods have no bonded root: its reach depends on the base radius."""
     rod = replace(RODS[rod_name], rigid_length=0.0)
     touch = at(rod, touch_name)
     lin, _settled = compiled(rod, GRAVITY, touch, solve_touch(rod, GRAVITY, touch).equilibrium.tip)
@@ -217,7 +217,7 @@ def test_turning_everything_about_the_axis_turns_the_answer():
 
 
 def test_a_touch_that_the_probe_does_not_hold_has_no_linearisation():
-    """Half a newton at the thin tip folds the probe."""
+    """The probe has no equilibrium under half a newton at its thin tip."""
     touch, lin = np.zeros(TOUCH), np.empty((ROWS, 1 + UNKNOWNS))
     touch[:3] = 0.95 * CONE.length, 0.3, 0.5
     touch[TIP:] = CONE.solve(GRAVITY).tip

@@ -1,4 +1,4 @@
-"""The fusion as readings come: agrees with the batch, keeps to its bounds, forgets, and refuses what cannot be."""
+"""Test the tracker: agreement with the batch, limits of memory, forgetting, and refusal of inconsistent readings."""
 
 import math
 from dataclasses import replace
@@ -19,14 +19,14 @@ SAMPLES = 36
 
 
 class Feed:
-    """Gives a tracker noisy samples, one after another."""
+    """Feed noisy samples to a tracker one by one."""
 
     def __init__(self, tracker, model, seed=0):
         self.tracker, self.model, self.time = tracker, model, 0.0
         self.rng, self.cov = np.random.default_rng(seed), model.noise_base() * model.averaging_samples
 
     def __call__(self, wrench, T, samples):
-        """Samples of one wrench at one pose; the results and the samples' mean."""
+        """Feed samples of one wrench at one pose and return the results and the mean of the samples."""
         read = wrench + self.rng.multivariate_normal(np.zeros(6), self.cov, samples)
         results = []
         for sample in read:
@@ -73,7 +73,7 @@ def test_it_agrees_with_the_batch(priors, moments_only, large, gravity, pressed,
 
 
 def test_with_a_walking_bias_it_stays_within_the_ellipsoid(large, gravity, pressed, free):
-    """All priors, while the truth has no errors but noise: the error lies in the 99.9 % region."""
+    """With all priors, and only noise as true error, the error is within the 99.9 % region."""
     wrenches, Ts = pressed
     feed = Feed(Tracker(large.estimator(), None, gravity), large.model)
     feed(free, Ts[0], 700)
@@ -151,7 +151,7 @@ def test_a_second_touch_elsewhere_is_located_anew(large, gravity, exact, exact_s
 
 
 def test_no_result_outlives_a_reading_that_does_not_fit(large, gravity, pressed):
-    """The bias jumps by a hundred steps while the probe rests at a pose: once that shows there is no place any more."""
+    """The bias jumps by a hundred steps while the probe is at rest: once the jump is observed, no place is returned."""
     wrenches, Ts = pressed
     feed = Feed(Tracker(Estimator(large.model, EXACT), None, gravity), large.model)
     for k in range(3):
@@ -176,7 +176,7 @@ def test_memory_is_bounded_while_the_base_moves_on(large, gravity, pressed):
 
 
 def test_many_poses_of_a_turning_base_stay_consistent(large):
-    """More poses than keyframes: those too far apart are dropped, not mixed."""
+    """With more poses than keyframes, distant keyframes are dropped and not merged."""
     world = np.array([9.81, 0.0, 0.0])
     feed = Feed(Tracker(large.estimator(), None, world), large.model)
     codes = []
@@ -192,7 +192,7 @@ def test_many_poses_of_a_turning_base_stay_consistent(large):
 
 
 def test_free_readings_anchor_the_bias(large, gravity, pressed, free):
-    """A bias of two steps since the tare: with a second of free readings it is known, and the point is known better."""
+    """A second of free readings determines a bias of two steps and reduces the covariance of the point."""
     wrenches, Ts = pressed
     priors = replace(EXACT, drift_steps=2.0)
     rng = np.random.default_rng(3)
@@ -224,7 +224,7 @@ def test_free_readings_anchor_the_bias(large, gravity, pressed, free):
 def test_light_touches_do_not_spoil_what_free_readings_know_of_the_bias(
     large, gravity, exact_sources, pressed, free
 ):
-    """A touch is detected some readings late; those must not count as free ones."""
+    """A touch is detected some readings late; these readings must not be used as free ones."""
     _, Ts = pressed
     touches, _ = presses(exact_sources, 0.08, 1.57, [2e-3])
     feed = Feed(Tracker(large.estimator(), replace(EXACT, drift_steps=3.0), gravity), large.model)

@@ -1,4 +1,4 @@
-"""Error sources and covariance: columns against other probes, the compiled posterior against numpy, known bounds."""
+"""Test error columns against changed probes, the compiled posterior against numpy, and known bounds."""
 
 import math
 from dataclasses import replace
@@ -72,7 +72,7 @@ def test_the_linear_covariance_is_that_of_the_formula(touch, tolerances, frictio
 
 @kernel
 def posterior_at(lin, touch, D, wrench, noise, friction, cov, whiten, scratch, gain, fits):
-    """Covariances of one touch as linearised; the kernel's own parts have no entry from Python."""
+    """Return the covariances of one linearised touch; the inner kernels cannot be called from Python."""
     jacobian, r, by_s = np.zeros((8, 5)), np.zeros(8), np.zeros(5)
     by_s[0] = 1.0
     measurement_covariance(noise, D, cov)
@@ -84,7 +84,7 @@ def posterior_at(lin, touch, D, wrench, noise, friction, cov, whiten, scratch, g
 
 @pytest.mark.parametrize("touch", TOUCHES)
 def test_the_compiled_posterior_is_the_formula_to_rounding(touch, large, gravity):
-    """At one and the same linearisation, with every source."""
+    """Both use the same linearisation and all error sources."""
     sources = sources_of(large.model, gravity, Tolerances())
     true, friction = settle(sources, unknowns(large.model, touch)), 0.6
     noise = large.model.noise_base() + sources.drift
@@ -141,7 +141,7 @@ def test_published_bounds_of_single_touches(fraction, force_mN, bounds, large, g
 
 
 def true_reading(model, gravity, touch, own, turn, root, tared):
-    """Wrench, touched and centreline point in the modelled base frame of a probe that is off, (12,).
+    """Return wrench, touched and centreline point of a perturbed probe in the base frame of the model, (12,).
 
     Args:
         touch: (s, φ, f_n, a_1, a_2) of the modelled probe; s keeps its place over the length.
@@ -175,7 +175,7 @@ def true_reading(model, gravity, touch, own, turn, root, tared):
 
 
 def assert_columns(by_hand, column, allowed, name, moment=2e-9):
-    """Of wrench and touched point as allowed, of the centreline point as the parabola allows."""
+    """Compare columns: wrench and touched point to `allowed`, the centreline point to the error of its parabola."""
     for rows, share in (
         (slice(0, 3), allowed),
         (slice(3, 6), allowed),
@@ -191,7 +191,7 @@ def assert_columns(by_hand, column, allowed, name, moment=2e-9):
 @pytest.mark.parametrize("tared", [True, False])
 @pytest.mark.parametrize("touch", TOUCHES)
 def test_error_columns_are_differences_of_other_probes(touch, tared, large):
-    """Every source but root and gain. Without a root, whose reach goes with the base radius."""
+    """All sources but root and gain. The probe has no bonded root, whose reach depends on the base radius."""
     model = replace(large.model, rod=replace(large.model.rod, rigid_length=0.0))
     gravity = np.array([9.0, 1.0, -3.0])
     sources = sources_of(model, gravity, replace(Tolerances(), tared=tared))
@@ -244,7 +244,7 @@ def test_a_gain_scales_one_channel_of_what_the_sensor_reads_since_its_zero(tared
 
 
 def test_a_tare_takes_away_what_the_free_probe_shows(large, gravity):
-    """The free probe's own columns are zero; a tare in another pose leaves the difference."""
+    """The error columns of the free probe are zero; after a tare in another pose they are the difference."""
     model = large.model
     sources = sources_of(model, gravity, Tolerances())
     free = model.rod.solve(gravity)
@@ -294,7 +294,7 @@ def test_an_old_tare_is_trusted_less(age, large, gravity, touched):
 
 
 def test_the_covariance_of_a_light_touch_is_continuous_in_the_reading(large, gravity):
-    """A node of the curvature may lie on either end of the probe, where rounding decides on which side."""
+    """A node of the curvature correction may be at an end of the probe, on either side of it by rounding."""
     rng, estimator, compared = np.random.default_rng(11), large.estimator(), 0
     std = np.sqrt(np.diag(large.model.noise_base()))
     for _ in range(150):

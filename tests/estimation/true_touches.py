@@ -1,4 +1,4 @@
-"""Touches of known place and force: settled by the estimator's own rod, and presses of one fixed point."""
+"""Touches of known place and force, solved by the rod of the estimator, and presses of one fixed point."""
 
 from typing import NamedTuple
 
@@ -14,12 +14,12 @@ EXACT = Tolerances.none()
 
 
 class TrueTouch(NamedTuple):
-    """A settled touch with its first-order model.
+    """A converged touch with its first-order model.
 
     Attributes:
         touch: unknowns, dead loads and tip, (TOUCH,).
         lin: linearisation, (ROWS, 1 + 5 + 7 + K).
-        D: one standard deviation of each error source as it moves wrench, touched and centreline point, (12, J).
+        D: change of wrench, touched and centreline point by one standard deviation of each error source, (12, J).
     """
 
     touch: Array
@@ -48,12 +48,12 @@ class TrueTouch(NamedTuple):
 
 
 def sources_of(model: ProbeModel, gravity: Array, tolerances: Tolerances = EXACT) -> ErrorSources:
-    """Error sources under one gravity, tared there."""
+    """Return the error sources after a tare under the same gravity."""
     return ErrorSources.of(model, tolerances, gravity, model.rod.solve(gravity))
 
 
 def settle(sources: ErrorSources, y: Array, steps: int = 4) -> TrueTouch | None:
-    """The touch with unknowns y = (s, φ, f_n, a_1, a_2), loaded in steps; None where the probe does not hold it."""
+    """Solve a touch with y = (s, φ, f_n, a_1, a_2) in load steps; return None without an equilibrium."""
     touch = np.zeros(TOUCH)
     touch[:5] = y
     touch[TIP:] = sources.model.rod.solve(sources.gravity).tip
@@ -75,7 +75,7 @@ def presses(
     ratios: tuple[float, float] = (0.0, 0.0),
     slide: float = 0.0,
 ) -> tuple[list[TrueTouch], Array]:
-    """Touches of the world's origin with the base unturned, and the poses (k, 4, 4) that bring it there.
+    """Return touches of the origin by a base without rotation, and the poses of the base, (k, 4, 4).
 
     Args:
         slide: how far the contact moves along the probe from one touch to the next [m].
@@ -89,5 +89,5 @@ def presses(
 
 
 def wrenches_of(touches: list[TrueTouch]) -> Array:
-    """Base wrenches, (k, 6)."""
+    """Return the base wrenches, (k, 6)."""
     return np.array([touch.wrench for touch in touches])

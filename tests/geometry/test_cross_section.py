@@ -1,4 +1,4 @@
-"""Sections other than full and round: their properties from their definitions, by quadrature and by limits."""
+"""Test sections other than solid round ones by quadrature of the definitions and in limits."""
 
 import math
 
@@ -10,9 +10,9 @@ from probedesign.core.errors import InputError
 from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
 
 EXACT = 1e-12
-"""Relative: closed forms against closed forms."""
+"""Relative tolerance of two closed forms."""
 QUADRATURE = 1e-9
-"""Relative; `dblquad` is asked for ten times less."""
+"""Relative tolerance; the tolerance of `dblquad` is ten times smaller."""
 
 SECTIONS = [
     FULL_ROUND,

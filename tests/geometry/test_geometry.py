@@ -1,4 +1,4 @@
-"""Geometry and sections: the radius that everything else is made of."""
+"""Test the radius of the profile and the properties of sections."""
 
 import math
 
@@ -10,13 +10,13 @@ from probedesign.design.sensor_catalog import NANO17
 from probedesign.geometry import ProbeGeometry, build_geometry, flange_for
 
 EXACT = 1e-12
-"""Relative: a handful of roundings of double precision."""
+"""Relative tolerance for a few roundings in double precision."""
 
 
 def geometry_of(
     shape="cone", length=150.0, base=12.0, tip=2.0, profile=None, bore_ratio=None, flatness=None
 ) -> ProbeGeometry:
-    """Geometry of a probe by its dimensions [mm]."""
+    """Return the geometry of a probe with given dimensions [mm]."""
     probe = {"shape": shape, "length_mm": length, "base_d_mm": base, "tip_d_mm": tip, "profile_mm": profile}
     probe["section"] = "hollow" if bore_ratio else "elliptic" if flatness else "round"
     probe |= {"bore_ratio": bore_ratio, "flatness": flatness}
@@ -102,7 +102,7 @@ def test_fingerprint_sees_a_hundredth_of_a_millimetre(change):
 
 
 def test_fingerprint_of_a_round_probe_never_changes():
-    """Printed and frozen probes carry it: that of the large probe, as written before there were other sections."""
+    """The fingerprint of the large probe, which printed parts and frozen probes have, has not changed."""
     assert geometry_of().fingerprint == "dbfe02e41516"
     assert geometry_of(flatness=1.0).fingerprint == "dbfe02e41516"  # it is the same body
 

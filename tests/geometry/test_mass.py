@@ -1,4 +1,4 @@
-"""Mass properties against textbook solids, against quadrature, and under change of frame."""
+"""Test mass properties against textbook solids and quadrature, and under changes of the frame."""
 
 import math
 
@@ -16,22 +16,22 @@ from probedesign.geometry.mass import NOTHING, MassProperties, combined, flange_
 
 DENSITY = 1010.0
 EXACT = 1e-12
-"""Relative: closed forms against closed forms, a few dozen roundings of double precision."""
+"""Relative tolerance of two closed forms, for a few dozen roundings in double precision."""
 QUADRATURE = 1e-9
-"""Relative: what `quad` is asked for."""
+"""Relative tolerance of `quad`."""
 
 radii = st.floats(1e-4, 0.03)
 heights = st.floats(1e-3, 0.4)
 
 
 def body(*knots_mm: tuple[float, float], section: CrossSection = FULL_ROUND) -> ProbeGeometry:
-    """A geometry by its (s, radius) [mm]."""
+    """Return a geometry with given (s, radius) [mm]."""
     s, r = np.array(knots_mm).T * 1e-3
     return ProbeGeometry(s, r, Flange(0.02, 0.003), section)
 
 
 def by_quadrature(geometry: ProbeGeometry) -> MassProperties:
-    """The flexible part from its definition: a stack of discs, each with its own moments."""
+    """Integrate the mass properties of the flexible part over discs."""
 
     def moment(power_of_r: int, power_of_z: int, z0: float = 0.0) -> float:
         def f(z: float) -> float:
@@ -151,14 +151,14 @@ def test_a_body_cut_in_two_is_the_same_body(r1, r2, height, cut):
 
 @given(radii, radii, heights)
 def test_inertia_is_that_of_a_true_body(r1, r2, height):
-    """Positive, and no principal moment larger than the sum of the others."""
+    """The moments are positive, and none is larger than the sum of the others."""
     principal = np.linalg.eigvalsh(frustum(r1, r2, height, 0.0, DENSITY).inertia)
     assert principal[0] > 0
     assert principal[2] <= (principal[0] + principal[1]) * (1 + EXACT)
 
 
 def test_parallel_axes_against_quadrature_about_the_base():
-    """About the base, ∫(r⁴/4 + r² z²) is another integral than about the centre."""
+    """The integral ∫(r⁴/4 + r² z²) about the base agrees with the parallel-axis theorem."""
     geometry = body((0.0, 6.0), (150.0, 1.0))
 
     def disc(z: float) -> float:
@@ -230,7 +230,7 @@ def test_the_flange_hangs_below_the_base():
 
 
 def test_the_flange_has_the_bore_of_a_hollow_probe():
-    """As wide as at s = 0 down to the underside; a flattened probe has a whole round flange."""
+    """The bore of the flange has its width at s = 0; the flange of a flattened probe is round."""
     knots = ((0.0, 6.0), (150.0, 1.0))
     whole = flange_part(body(*knots), DENSITY)
     holed = flange_part(body(*knots, section=CrossSection(bore_ratio=0.5)), DENSITY)

@@ -1,4 +1,4 @@
-"""The rounded tip: frusta about a sphere, counted by the mechanics as they are drawn, and touched without nonsense."""
+"""Test the rounded tip: frusta around a sphere, equal in mechanics and CAD, and estimates of touches on it."""
 
 import math
 
@@ -79,7 +79,7 @@ def test_a_blunt_tip_stays_what_it_was() -> None:
 
 
 def test_the_least_feature_is_that_of_the_flank() -> None:
-    """The end of a sphere is no thin wire: what must print is as wide as the tip."""
+    """The print check uses the width of the tip, not that of the end of the sphere."""
     assert build_geometry(design_of()).thinnest == pytest.approx(2e-3, rel=0.03)
 
 
@@ -110,7 +110,7 @@ STUBBY = {"length_mm": 60.0, "base_d_mm": 12.0, "tip_d_mm": 6.0}
 def test_a_touch_of_the_round_end_is_located_at_the_centre_of_its_sphere(
     body: dict[str, object], force_N: float, lean_deg: float
 ) -> None:
-    """All normals of the end meet the axis there."""
+    """All normals of the spherical end intersect the axis at its centre."""
     probe = build_probe(design_of(**body))
     s, lean = 1e-3 * sphere(body)[0], math.radians(lean_deg)
     eq = probe.solve()
@@ -131,7 +131,7 @@ def test_a_touch_of_the_round_end_is_located_at_the_centre_of_its_sphere(
 
 
 def test_a_load_beyond_the_flank_is_no_touch() -> None:
-    """It passes the round end's centre at nearly its radius, which takes a friction beyond any prior: not located."""
+    """The line of action passes the centre at nearly the radius, which needs friction far beyond the prior."""
     probe = build_probe(design_of())
     eq = probe.solve(s_contact=probe.length, force_base=(0.0, 0.05, 0.0))
     assert eq.ok  # the rod holds it, and thin as it is there, nothing jumps
@@ -142,7 +142,7 @@ def test_a_load_beyond_the_flank_is_no_touch() -> None:
 
 
 def test_what_is_predicted_at_the_tip_is_a_touch_of_the_flank() -> None:
-    """A facet's slope must not turn up as the lean of a push: there the blunt probe feels the same."""
+    """The slope of a facet must not appear as an inclination of the force; the blunt probe has the same reading."""
     rounded, blunt = (build_probe(design_of(tip)) for tip in ("rounded", "blunt"))
     tip = predict_touch(rounded.estimator(), 1.0, 0.005, "+y")
     same = predict_touch(blunt.estimator(), rounded.geometry.flank_end / blunt.length, 0.005, "+y")

@@ -1,4 +1,4 @@
-"""What is cut into the parts: an alphabet that reads, characters that keep apart, weights that are exact."""
+"""Test the engraving: legible characters, distances between them and exact masses."""
 
 from itertools import combinations
 
@@ -56,7 +56,7 @@ def test_edges_enclose_the_cut_cells_and_never_meet_at_a_corner(character: str) 
 
 
 def sampled(engraving: Engraving, fine: int = 40) -> tuple[float, np.ndarray, np.ndarray]:
-    """Area, mean (x, y) and ∫ r rᵀ of the cut cells about the axis, by small squares, however turned."""
+    """Integrate area, mean (x, y) and ∫ r rᵀ of the engraved cells about the axis for any rotation by small squares."""
     at = (np.arange(fine) + 0.5) / fine
     points = []
     for character, azimuth in zip(engraving.text, engraving.azimuths, strict=True):

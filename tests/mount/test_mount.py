@@ -1,4 +1,4 @@
-"""The mount without CAD: its closed forms, its screws, and that the light install suffices."""
+"""Test closed forms and screws of the mount, and that it needs no CAD packages."""
 
 import subprocess
 import sys
@@ -32,7 +32,7 @@ def adapter_of(design: Design) -> SensorAdapter:
 def moments(
     width_at: Callable[[np.ndarray], np.ndarray], x0: float, x1: float
 ) -> tuple[float, float, float, float]:
-    """Area, mean x, ∫x² about the mean and ∫y² of a shape as tall as `width_at(x)`, by fine strips."""
+    """Integrate area, mean x, ∫x² about the mean and ∫y² of a shape with height `width_at(x)` by strips."""
     edges = np.linspace(x0, x1, 200_001)
     x, dx = (edges[1:] + edges[:-1]) / 2, edges[1] - edges[0]
     w = width_at(x)
@@ -124,7 +124,7 @@ def test_the_mount_mass_is_the_sum_of_its_parts() -> None:
     ("base_d", "computed"), [(4.0, -0.319), (8.0, -0.239), (12.0, -0.177), (20.0, -0.099)]
 )
 def test_the_exported_flange_yields_as_computed(base_d: float, computed: float) -> None:
-    """Own finite elements, docs/decisions/0006: lip stuck, plate without friction under the middle."""
+    """Finite elements of docs/decisions/0006: lip bonded, plate without friction under the middle."""
     geometry = build_geometry(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 2.0"))
     assert exported_root_radii(geometry) == pytest.approx(computed, abs=3e-3)  # what the fit leaves
 
@@ -146,12 +146,12 @@ def test_the_mount_mass_needs_no_cad() -> None:
 
 BASES = np.arange(3.0, 25.01, 0.5)
 LEAST_WALL = 0.4e-3
-"""Of a wall supported on both sides, rigid resin (Formlabs' design guide for rigid resins; not of this printer)."""
+"""Minimum thickness of a wall supported on both sides (Formlabs' design guide for rigid resins, another printer)."""
 
 
 @pytest.mark.parametrize("base_d", BASES)
 def test_no_wall_of_the_adapter_is_too_thin_to_print(base_d: float) -> None:
-    """Holes are circles, a nut's pocket the circle around it; where both are cut at one height, they keep apart."""
+    """Holes and the circumscribed circles of nut pockets do not intersect at any common height."""
     a = adapter_of(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 1.2"))
     recess_r, rim_r = a.recess_d / 2, a.body_d / 2
     nuts = np.array(a.p_ring_screws)

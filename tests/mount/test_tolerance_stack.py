@@ -1,4 +1,4 @@
-"""Tolerance stacks: their sums, and that the mount holds at every corner of all designs."""
+"""Test tolerance stacks: their sums, and that the mount fits at every corner for all designs."""
 
 import itertools
 from dataclasses import replace
@@ -80,7 +80,7 @@ def test_a_lip_that_cannot_be_clamped_is_one_line(mount: str, text: str) -> None
 
 
 def test_accepted_parts_never_let_a_screw_break_the_sensor() -> None:
-    """Any screw within its tolerance, through any floor that is accepted, with the error of the calipers."""
+    """Screws within tolerance fit through every accepted floor, including the error of the calipers."""
     a, plate = adapters_of(12.0, "")
     floors = [row for row in measurements(a, plate) if "thickness under each head" in row.what]
     assert len(floors) == 2
@@ -95,7 +95,7 @@ def test_accepted_parts_never_let_a_screw_break_the_sensor() -> None:
 
 
 def test_the_glued_flange_yields_less_and_a_bonded_face_less_still() -> None:
-    """`python -m benchmarks clamp`; the three designs with their tapers."""
+    """Results of `python -m benchmarks clamp` for the three designs with their tapers."""
     for base_d, clamped, glued in ((12.0, -0.175, -0.111), (8.0, -0.237, -0.193), (5.0, -0.297, -0.279)):
         geometry = build_geometry(parse_design(
             f'schema = 1\nname = "x"\n[probe]\nlength_mm = 100.0\nbase_d_mm = {base_d}\ntip_d_mm = 1.5\n'))  # fmt: skip

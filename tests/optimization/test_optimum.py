@@ -164,7 +164,7 @@ def test_infeasible_limits_are_named(large):
 
 
 def test_the_estimator_has_the_predicted_error(large):
-    """All causes and friction drawn: 24 draws give their RMS to 1/√(2·24) = 14 %; three of those."""
+    """With all error sources drawn, 24 draws determine the RMS to 1/√(2·24) = 14 %; the tolerance is three of these."""
     for task in (replace(TASK, fractions=(0.6,)), Task((0.03,), 1, fractions=(0.6,))):
         found = confirm(large, task, 24, 1, quiet, workers=1)
         assert found.drawn == 24 and found.located >= 20
@@ -239,7 +239,7 @@ def test_limits_read_as_written():
 
 
 def test_an_unwritable_output_is_refused_before_the_search(tmp_path, capsys):
-    """A search takes a minute; its answer must have a place before."""
+    """The output folder is checked before the search, which takes a minute."""
     (tmp_path / "file").write_text("")
     assert run(["optimize", str(LARGE), "--out", str(tmp_path / "file/best.toml")]) == 2
     err = capsys.readouterr().err
@@ -247,7 +247,7 @@ def test_an_unwritable_output_is_refused_before_the_search(tmp_path, capsys):
 
 
 def test_a_hollow_body_prints_as_it_is_written(large):
-    """It lies at a rule of printing; rounding the dimensions does not break it."""
+    """The optimum is at a print rule, and rounded dimensions still satisfy it."""
     tables = design_dict(large)
     tables["probe"] |= {"section": "hollow", "bore_ratio": 0.5, "tip_d_mm": 4.0}
     search = OptimizationProblem(check_design(tables), ("cone", "section"), replace(TASK, fractions=(0.7,)))

@@ -1,4 +1,4 @@
-"""Plans of campaigns: what is proposed, what intervals are expected, and that identify reaches them."""
+"""Test plans of campaigns: proposed tests, expected intervals, and agreement with `identify`."""
 
 import json
 import math
@@ -65,7 +65,7 @@ def test_the_marks_lie_r_tan_alpha_beyond_the_line_of_the_force(bench):
 
 
 def test_more_tests_never_widen_an_interval_of_one_parameter(design):
-    """Information adds up: with E alone requested nothing else is freed on the way."""
+    """Information is additive; with E alone requested no other parameter is estimated."""
     found = pipeline.plan(design, 100.0, ("E",), STAGE, 0)
     stds = [one.expected[0].std_of_print for one in found.tests if one.expected[0].std_of_print is not None]
     assert len(stds) > 5 and np.all(np.diff(stds) <= 1e-9)

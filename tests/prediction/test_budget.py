@@ -1,4 +1,4 @@
-"""The error budget: its sums and limits, and that the real estimator errs as stated in drawn samples."""
+"""Test the error budget: its sums and limits, and the errors of the estimator in drawn samples."""
 
 import json
 from dataclasses import fields, replace
@@ -39,7 +39,7 @@ def large():
 
 
 def only(**some):
-    """Tolerances with a few causes alone."""
+    """Return tolerances with a few error sources only."""
     return replace(Tolerances.none(), **some)
 
 
@@ -49,7 +49,7 @@ def surface_rod(large):
 
 
 def budget(large, known, touch=TOUCH, friction=None):
-    """RMS by cause [mm] of one touch."""
+    """Return the RMS error of one touch by error source [mm]."""
     estimator = Estimator(large.model, known)
     return predict_touch(
         estimator if friction is None else estimator.with_friction(friction), *touch
@@ -112,7 +112,7 @@ def test_the_causes_add_up_and_none_exceeds_the_total(large, friction):
 
 
 def test_larger_tolerances_give_larger_errors(large):
-    """A posterior covariance grows with every prior."""
+    """A posterior covariance increases with every prior covariance."""
     names = [f.name for f in fields(Tolerances) if f.name not in ("tared", "youngs_modulus_by_diameter")]
     twice = Tolerances(**{name: 2.0 * getattr(Tolerances(), name) for name in names})
     once, more = (
@@ -172,7 +172,7 @@ def test_clocking_does_not_matter_for_a_round_probe(large):
     ],
 )
 def test_one_error_source_gives_the_error_of_the_budget(large, some, cause):
-    """Readings without noise of samples in which one thing alone is drawn, and no friction."""
+    """Return readings without noise and friction of samples with one error source drawn."""
     model, n = replace(large.model, friction=0.0), 8
     known = only(**some)
     samples = PrintSamples.draw(model, known, n, 1)
@@ -189,7 +189,7 @@ def test_one_error_source_gives_the_error_of_the_budget(large, some, cause):
 
 
 def test_coverage_of_the_95_percent_ellipsoids(large):
-    """All causes and friction drawn from the priors, at two places: a small sample of the coverage."""
+    """Check the coverage at two places with all error sources and friction drawn from their priors."""
     n = 150
     samples = PrintSamples.draw(large.model, large.tolerances, n, 3)
     for fraction in (0.4, 0.7):

@@ -1,4 +1,4 @@
-"""The budget of fused touches: its sums and limits, that the real fusion errs as it states; workspace; tables."""
+"""Test the budget of fused touches: sums, limits, agreement with the fusion; workspace and tables."""
 
 import csv
 import io
@@ -34,18 +34,18 @@ def prediction(large):
 
 
 def only(**some):
-    """Tolerances with a few causes alone."""
+    """Return tolerances with a few error sources only."""
     return replace(Tolerances.none(), **some)
 
 
 def of(large, known, touch=TOUCH, schedule=None):
-    """The fused condition of one touch."""
+    """Return the fused condition of one touch."""
     place, force, side = touch
     return predict(large.model, (place,), (force,), (side,), known, schedule or PressSchedule()).fused[0]
 
 
 def press_of(estimator, schedule, touch=TOUCH):
-    """The model's own touches of one condition."""
+    """Return the touches of the model for one condition."""
     place, force, side = touch
     steps = touches_of(estimator, [(place, side)], schedule.forces(force))
     touches = np.array([step.touch[0] for step in steps.values()])
@@ -97,7 +97,7 @@ def test_the_causes_add_up_and_none_exceeds_the_total(prediction):
                         ({"diameter_mm": 0.05}, "diameter"), ({"walk_steps": 0.3}, "drift"),
                         ({"stiffness_scatter": 0.02}, "stiffness scatter")])  # fmt: skip
 def test_a_single_error_source_adds_its_share_to_the_noise(large, some, cause):
-    """Where one cause outweighs the noise, its share is nearly all that it adds to the noise's own covariance."""
+    """If one error source dominates the noise, its share is nearly what it adds to the covariance of the noise."""
     found = of(replace_friction(large, 0.0), only(**some))
     alone = of(replace_friction(large, 0.0), Tolerances.none())
     assert {name for name, rms in found.budget_mm.items() if rms > 0.03 * found.predicted_error_mm} <= {
@@ -136,7 +136,7 @@ def test_more_touches_and_more_channels_reduce_the_error(large):
 
 
 def test_error_and_coverage_of_drawn_fused_touches(large):
-    """All causes and friction drawn: RMS against the prediction, and the coverage, of a small sample."""
+    """Check RMS error and coverage of a small sample with all error sources and friction drawn."""
     n, known = 40, large.tolerances
     samples = PrintSamples.draw(large.model, known, n, 4)
     answers = locate_draws(samples, 0.7, 0.01, np.pi / 2, PressSchedule(), np.random.default_rng(6))

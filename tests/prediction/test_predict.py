@@ -1,4 +1,4 @@
-"""The predicted error is the estimator's own covariance, scales as it must, and refuses nonsense."""
+"""Test that the predicted error is the covariance of the estimator, its scaling, and invalid input."""
 
 import json
 from dataclasses import replace
@@ -108,7 +108,7 @@ def test_five_touches_give_the_bounds_computed_independently(large, fraction, fo
     ("fraction", "force", "direction"), [(0.4, 0.1, "+y"), (0.6, 0.02, "+x"), (0.8, 0.05, "-x")]
 )
 def test_the_prediction_is_the_covariance_of_the_estimator(large, fraction, force, direction):
-    """Noise, all error sources and friction: what `estimate` states of a reading of that very touch."""
+    """With noise, all error sources and friction the prediction equals the covariance of `estimate` for that touch."""
     estimator = large.estimator()
     found = predict_touch(estimator, fraction, force, direction)
     touch = touches_of(estimator, [(fraction, direction)], [force])[force]
@@ -135,7 +135,7 @@ def test_no_cause_exceeds_the_total(prediction):
 
 
 def test_the_error_by_friction_is_largest_near_the_tip(large):
-    """At 0.95 L what the direction of the force leaves open is what the frictionless model only seemed to know."""
+    """At 0.95 L most of the error is due to the free direction of the force, which the frictionless model ignores."""
     with_, without = (
         predict_touch(large.estimator().with_friction(mu), 0.95, 0.02, "+y") for mu in (0.6, 0.0)
     )
@@ -188,7 +188,7 @@ def test_the_noise_alone_is_proportional_to_the_noise(large):
 
 
 def test_the_lever_arm_is_as_uncertain_as_the_force(large):
-    """σ_s ≈ s σ_F/F where the moment is read sharply: the bound that no single touch can beat."""
+    """σ_s ≈ s σ_F/F for an exact moment is the lower bound for a single touch."""
     found = predict_touch(Estimator(large.model, Tolerances.none()), 0.4, 0.02, "+y")
     noise = large.model.noise
     wanted = 0.4 * large.length * noise.force / 0.02
@@ -199,7 +199,7 @@ def test_the_lever_arm_is_as_uncertain_as_the_force(large):
 
 
 def test_compliances_are_those_of_pressing_on(large):
-    """Against the independent solver of a force at the deformed surface."""
+    """The result agrees with the independent solver of a force at the deformed surface."""
     h, force, s = 1e-4, 0.05, 0.5 * large.length
     low, high = (
         solve_surface_force(large.rod, large.model.gravity_base, s, -np.pi / 2, f, mode="reference")
@@ -239,7 +239,7 @@ def test_a_touch_that_buckles_the_probe_has_no_numbers(large):
 
 
 def made_of(youngs_mpa):
-    """The large probe of another material."""
+    """Return the large probe with another material."""
     tables = design_dict(load_design(DESIGNS / "large.toml"))
     tables["material"] |= {"youngs_modulus_mpa": youngs_mpa, "shear_modulus_mpa": youngs_mpa / 3.0}
     return build_probe(check_design(tables)).predict(fractions=(0.5, 1.0), directions=("+x", "-x"))

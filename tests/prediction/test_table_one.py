@@ -1,4 +1,4 @@
-"""The paper's table: its data, its probes, and a prediction with one setting for all of it."""
+"""Test the data and probes of the paper's table and a prediction with one setting for all rows."""
 
 import json
 from pathlib import Path
@@ -35,7 +35,7 @@ def test_the_data_are_those_of_the_tests():
 
 
 def test_most_rows_are_within_a_factor_of_two(table):
-    """The targets that were set beforehand: 18 of 23 rows, and a rank correlation of 0.85."""
+    """The targets, set in advance, are 18 of 23 rows and a rank correlation of 0.85."""
     assert len(table.rows) == 23
     assert table.score.within >= 18 and table.score.rank_correlation >= 0.85
     for row in table.rows:
@@ -56,7 +56,7 @@ def test_a_row_without_a_frictionless_equilibrium_has_no_prediction_but_an_expla
 
 
 def test_the_simple_laws_reach_what_is_stated_of_them():
-    """2.25 mm and the lever law with two fitted constants, scored here without the module's own code."""
+    """The scores of a constant 2.25 mm and of the lever law agree with an independent computation."""
     rows = [{key: value for key, value in row.items() if key != "probe"} for row in measured()]
     force, fraction, length, seen = (
         np.array([float(row[key]) for row in rows])
@@ -75,7 +75,7 @@ def test_the_simple_laws_reach_what_is_stated_of_them():
 
 
 def test_the_model_is_better_than_laws_without_mechanics(table):
-    """On probes that no constant was fitted to; on the large probe it knows no more than the lever law."""
+    """The model is better on probes without fitted constants; on the large probe it equals the lever law."""
     model, lever, constant = table.comparison.left_out
     assert [one.constants for one in (model, lever, constant)] == [1, 2, 1]
     assert model.within > lever.within > constant.within

@@ -71,7 +71,7 @@ MATERIALS = {
 
 
 class Refusal(Exception):
-    """Of one call, with PreForm's own words."""
+    """Response of one call, with the wording of PreForm."""
 
     def __init__(self, status: int, code: str, message: str) -> None:
         super().__init__(message)
@@ -124,11 +124,11 @@ class FakePreForm:
 
     @property
     def calls(self) -> list[str]:
-        """What was asked, without the questions how far an operation is."""
+        """The requests, without those for the progress of an operation."""
         return [f"{method} {path}" for method, path, _ in self.diary if not path.startswith("/operations")]
 
     def body(self, last: str) -> Any:
-        """Of the last request to a path that ends so."""
+        """Return the body of the last request to a path with this ending."""
         return [body for _, path, body in self.diary if path.rstrip("/").endswith(last)][-1]
 
     def _handler(self) -> type[BaseHTTPRequestHandler]:

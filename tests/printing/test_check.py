@@ -1,4 +1,4 @@
-"""The print check: each rule finds what it is for, its number is right, and its remedy works."""
+"""Test the print check: each rule detects its problem, its number is correct, and its remedy works."""
 
 import json
 import math
@@ -28,7 +28,7 @@ def design_of(length=150.0, base=12.0, tip=2.0, profile=None, print_="", **more)
 
 
 def found(design, rule, what=""):
-    """The worst finding of a rule on the probe whose text holds `what`."""
+    """Return the most severe finding of a rule on the probe whose text contains `what`."""
     rank = ("ok", "warning", "error").index
     findings = [
         f for f in check_print(design).findings if (f.rule, f.part) == (rule, "probe") and what in f.what
@@ -165,7 +165,7 @@ def test_a_swelling_profile_overhangs_by_its_angle(out, severity):
 
 
 def test_a_bore_overhangs_where_it_narrows():
-    """Inside, what narrows looks down; outside it does not. The bore's radius shrinks by half of the body's."""
+    """A narrowing bore is an overhang, a narrowing outside is not. The bore narrows half as much as the body."""
     profile = [[0.0, 12.0], [40.0, 12.0], [41.0, 6.0], [80.0, 6.0]]
     assert found(design_of(length=80, profile=profile), "overhang").severity == "ok"
     hollow = design_of(length=80, profile=profile, section="hollow", bore_ratio=0.5)

@@ -43,7 +43,7 @@ tip_d_mm = 2.0
 
 
 def tetrahedron(size) -> bytes:
-    """The least closed body of that extent, as a binary STL."""
+    """Return the smallest closed body of that extent as binary STL."""
     corners = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], dtype=float) * size
     faces = np.zeros(4, STL_RECORD)
     faces["v"] = corners[[(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)]]
@@ -52,7 +52,7 @@ def tetrahedron(size) -> bytes:
 
 @pytest.fixture
 def place(tmp_path, monkeypatch):
-    """A design and an export of it that needs no CAD."""
+    """Return a design and an export of it that needs no CAD."""
     monkeypatch.chdir(tmp_path)
     Path("thin.toml").write_text(DESIGN)
     folder = tmp_path / "exports" / "thin"
@@ -77,7 +77,7 @@ def fake(place):
 
 
 def prepared(fake, place, order=PrintOrder(), timeout_s=5.0, operation_s=20.0, on_progress=None):  # noqa: B008  # immutable
-    """What the command does, with quick timeouts."""
+    """Run the command with short timeouts."""
     server = PreForm(
         connection_to(fake.url, timeout_s),
         operation_s,
@@ -421,7 +421,7 @@ def stops_half_way(handler):
 
 
 def drips(handler):
-    """A byte of header every now and then, for ever: no timeout of a single read ever strikes."""
+    """The server sends a byte of header at intervals without end, so no single read times out."""
     try:
         handler.wfile.write(b"HTTP/1.1 200 OK\r\nX: ")
         while True:
@@ -529,7 +529,7 @@ def test_ids_that_lead_elsewhere_are_refused(fake, place, answer):
     [
         ({"status": "PAUSED"}, "its answer to the import of probe: status"),
         ({"status": "IN_PROGRESS", "progress": float("nan")}, "progress"),
-        ({"status": "FAILED"}, "PreForm fails at the import of probe: it does not say why"),
+        ({"status": "FAILED"}, "PreForm fails at the import of probe: no reason stated"),
         (
             {"status": "FAILED", "result": {"error": {"message": "The mesh is empty"}}},
             "of probe: The mesh is empty$",
@@ -572,7 +572,7 @@ def test_an_operation_that_fails_passes_on_preforms_words(fake, place, step):
 
 
 def forgets(handler):
-    """The upload is accepted, and its outcome is never reported."""
+    """The upload is accepted, but its result is never reported."""
     handler.fake.faults["operations"] = lambda _: handler.fake.operations.clear()
 
 

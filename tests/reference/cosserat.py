@@ -1,20 +1,20 @@
-"""A second Cosserat rod, in plain numpy, to judge the package's own rod and its estimators by.
+"""Solve the Cosserat rod in numpy, independently of the package, as a reference for its rod and its estimators.
 
-The same mechanics as docs/decisions/0001 and 0006 solved another way: section quaternions and moments in section axes,
-the classical Runge-Kutta scheme on a graded grid from the tip to the base, and Newton's method on the tip's
-orientation with columns by finite differences, for many rods at once. With the state (p, q, m), m in section axes,
+The mechanics is that of docs/decisions/0001 and 0006 with another method: quaternions and moments in section axes, the
+classical Runge–Kutta scheme on a graded grid from the tip to the base, and Newton's method for the orientation of the
+tip with derivatives by finite differences, for many rods at once. With the state (p, q, m), m in section axes,
 
     p' = R v,   q' = q (0, u)/2,   m' = -u × m - v × Rᵀn,   n = F [s ≤ s_c] + ρ V(s) g
     v = (n₁/(k G A), n₂/(k G A), 1 + e + e² + c₅ f B),   e = n₃/(E A),   B = r² (m₁² + m₂²)/(E I)²
     u = (f β m₁/(E I), f β m₂/(E I), m₃/(G J)),   β = 1 + 3 e + c₄ B,   f(s) = 1 - depth (1 - s/reach)³
 
 The force F acts at the point x = p(s_c) + r(s_c) R(s_c) e(φ) of the deformed surface, so that m jumps there by its
-couple (x - p) × F. The surface frame there is the one of the section: with α the half-angle of the cone,
+couple (x - p) × F. The frame of the surface moves with the section: with α the half-angle of the cone,
 
     inward normal -(cos α e + sin α t),   circumferential e'(φ),   along cos α t - sin α e
 
-Only full round, straight rods. Functions for users take and give one case a row; inside, cases come last
-(`round_rods.py`).
+Only straight rods with solid round sections are supported. The public functions have one case per row; internally
+the cases are the last axis (`round_rods.py`).
 """
 
 from collections.abc import Callable, Sequence
@@ -32,39 +32,39 @@ from tests.reference.round_rods import (
     integrate,
     matrices,
     rotate,
+    rotated_by,
     surface_axes,
-    turned,
 )
 
 COARSE, FINE = 8, 32
-"""Steps between two places where the equations change; FINE keeps wrench and points within 1e-6 relative
+"""Steps between two discontinuities; with FINE the relative error of wrench and points is below 1e-6
 (test_cosserat.py)."""
 CHUNK = 400
-"""Cases solved at once, so that the arrays stay in the cache."""
+"""Cases solved at once; their arrays fit the cache."""
 STEP = 1e-7
-"""Of finite differences, over the scale of each unknown."""
-TURN = 0.4
-"""Largest turn of the tip in one iteration [rad]."""
+"""Step of finite differences over the scale of each unknown."""
+MAX_ROTATION = 0.4
+"""Largest rotation of the tip in one iteration [rad]."""
 CONVERGED = 1e-10
-"""Of the residuals, in radians and lengths of the rod."""
+"""Largest residual at convergence [rad or lengths of the rod]."""
 
 
 @dataclass(frozen=True)
 class Touches:
-    """Solved touches, a row each; rows that are not `ok` are NaN.
+    """Solved touches, one per row; rows that are not `ok` are NaN.
 
     Attributes:
-        ok: found, and stable under the force as a dead load, (n,).
-        s, phi: touched place: arclength [m] and angle about the section [rad], (n,).
-        force: on the probe, base axes [N], (n, 3).
-        surface_force: the same along inward normal, circumference and length [N], (n, 3).
+        ok: whether the solution converged and is stable under the force as a dead load, (n,).
+        s, phi: place of the touch, arclength [m] and angle about the section [rad], (n,).
+        force: on the probe in base axes [N], (n, 3).
+        surface_force: components of the force along inward normal, circumference and length [N], (n, 3).
         wrench: of the probe on its mount about the base's origin [N, N·m], (n, 6).
         p_surface: touched point of the surface, base axes [m], (n, 3).
         p_centre: centre of the touched section [m], (n, 3).
         frame: columns inward normal, circumferential and along the surface, (n, 3, 3).
         R: orientation of the touched section, (n, 3, 3).
-        tip: quaternion of the tip's section (w, x, y, z), the start for a neighbour, (n, 4).
-        residual: largest residual left [rad or lengths of the rod], (n,).
+        tip: quaternion of the tip's section (w, x, y, z), the initial value for a neighbouring touch, (n, 4).
+        residual: largest residual [rad or lengths of the rod], (n,).
     """
 
     ok: Array
@@ -81,7 +81,7 @@ class Touches:
     residual: Array
 
     def take(self, rows: ArrayLike) -> "Touches":
-        """Return these rows, which may repeat."""
+        """Return the touches of the given rows, which may repeat."""
         return Touches(*(getattr(self, entry.name)[np.asarray(rows)] for entry in fields(self)))
 
 
@@ -89,22 +89,22 @@ class Touches:
 
 
 Problem = Callable[[Probes, Array, Array], tuple[Load, Callable[[Ends], Array]]]
-"""From rods, unknowns beside the tip's turn (j, m) and the case of each column (m,): the load, and what else must be
-zero, (j, m)."""
+"""Function of rods, unknowns other than the rotation of the tip, (j, m), and the case of each column, (m,). It returns
+the load and the function of the additional residuals, (j, m)."""
 
 
 def _columns(probes: Probes, tip: Array, z: Array, scale: Array, problem: Problem, steps: int,
              rows: Array) -> tuple[Array, Array, Ends]:  # fmt: skip
-    """Residuals (k, n) and their derivatives (n, k, k) by turn of the tip and unknowns over their scale."""
+    """Return residuals (k, n) and their derivatives (n, k, k) by rotation of the tip and scaled unknowns."""
     k, n = 3 + len(z), len(probes)
     many, which = np.tile(np.arange(n), k + 1), np.tile(rows, k + 1)
-    turns, moved = np.zeros((3, k + 1, n)), np.repeat(z[:, None], k + 1, axis=1)
+    rotations, stepped = np.zeros((3, k + 1, n)), np.repeat(z[:, None], k + 1, axis=1)
     for j in range(3):
-        turns[j, j + 1] = STEP
+        rotations[j, j + 1] = STEP
     for j in range(len(z)):
-        moved[j, j + 4] += STEP * scale[j]
-    found, ends = _residual(probes.take(many), turned(tip[:, many], turns.reshape(3, -1)),
-                            moved.reshape(len(z), (k + 1) * n), problem, steps, which)  # fmt: skip
+        stepped[j, j + 4] += STEP * scale[j]
+    found, ends = _residual(probes.take(many), rotated_by(tip[:, many], rotations.reshape(3, -1)),
+                            stepped.reshape(len(z), (k + 1) * n), problem, steps, which)  # fmt: skip
     table = found.reshape(k, k + 1, n)
     jacobian = (table[:, 1:] - table[:, :1]) / STEP
     first = Ends(*(getattr(ends, entry.name)[..., :n] for entry in fields(Ends)))
@@ -113,16 +113,16 @@ def _columns(probes: Probes, tip: Array, z: Array, scale: Array, problem: Proble
 
 def _residual(probes: Probes, tip: Array, z: Array, problem: Problem, steps: int, rows: Array
               ) -> tuple[Array, Ends]:  # fmt: skip
-    """The base's turn away from the identity [rad], then what else must be zero."""
+    """Return the rotation of the base relative to the clamp [rad] and the additional residuals, (k, n)."""
     load, more = problem(probes, z, rows)
     ends = integrate(probes, tip, load, steps)
-    turn = 2.0 * np.where(ends.q[0] < 0.0, -1.0, 1.0) * ends.q[1:]
-    return np.concatenate([turn, more(ends)]), ends
+    rotation = 2.0 * np.where(ends.q[0] < 0.0, -1.0, 1.0) * ends.q[1:]
+    return np.concatenate([rotation, more(ends)]), ends
 
 
 def _newton(probes: Probes, tip: Array, z: Array, scale: Array, problem: Problem, steps: int, iterations: int,
             rows: Array) -> tuple[Array, Array, Array, Array]:  # fmt: skip
-    """Newton's method with fresh columns; returns tip, unknowns, last Jacobians and largest residuals."""
+    """Apply Newton's method; return tip, unknowns, last Jacobians and largest residuals."""
     jacobian, worst = np.empty(0), np.full(len(probes), np.inf)
     for _ in range(iterations):
         found, jacobian, _ends = _columns(probes, tip, z, scale, problem, steps, rows)
@@ -134,34 +134,34 @@ def _newton(probes: Probes, tip: Array, z: Array, scale: Array, problem: Problem
 
 
 def _stepped(tip: Array, z: Array, scale: Array, jacobian: Array, found: Array) -> tuple[Array, Array]:
-    """Take one step, shortened where the tip would turn far or an unknown move by more than half its scale."""
+    """Take a Newton step with limits for the rotation of the tip and, at half their scale, for the unknowns."""
     good = np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(found).all(axis=0)
     safe = np.where(good[:, None, None], jacobian, np.eye(len(found)))
     safe = safe + 1e-14 * np.eye(len(found))
     step = -np.linalg.solve(safe, np.where(good, found, 0.0).T[:, :, None])[:, :, 0].T
-    size = np.maximum(np.abs(step[:3]).max(axis=0) / TURN, 1.0)
+    size = np.maximum(np.abs(step[:3]).max(axis=0) / MAX_ROTATION, 1.0)
     if len(z):
         size = np.maximum(size, np.abs(step[3:]).max(axis=0) / 0.5)
     step = step / size
-    return turned(tip, step[:3]), z + step[3:] * scale
+    return rotated_by(tip, step[:3]), z + step[3:] * scale
 
 
 def _polished(probes: Probes, tip: Array, z: Array, scale: Array, problem: Problem, jacobian: Array, rows: Array
               ) -> tuple[Array, Array, Ends, Array, Load]:  # fmt: skip
-    """Repeat on the fine grid with the columns of the coarse one; the last residuals are of what is returned."""
-    for turn in range(8):
+    """Iterate on the fine grid with the Jacobian of the coarse one; the residuals are those of the returned values."""
+    for iteration in range(8):
         found, ends = _residual(probes, tip, z, problem, FINE, rows)
         worst = np.abs(found).max(axis=0)
         near = worst < 1e-2
-        if turn == 7 or not (near & (worst > CONVERGED)).any():
+        if iteration == 7 or not (near & (worst > CONVERGED)).any():
             break
-        moved = _stepped(tip, z, scale, jacobian, found)
-        tip, z = np.where(near, moved[0], tip), np.where(near, moved[1], z)
+        new = _stepped(tip, z, scale, jacobian, found)
+        tip, z = np.where(near, new[0], tip), np.where(near, new[1], z)
     return tip, z, ends, worst, problem(probes, z, rows)[0]
 
 
 def _stable(probes: Probes, tip: Array, ends: Ends, load: Load) -> Array:
-    """Whether the Jacobian by the tip's turn under the dead load has kept its sign, (n,)."""
+    """Return whether the Jacobian by the rotation of the tip under the dead load has a positive determinant, (n,)."""
     dead = replace(load, force=ends.force, couple=cross(ends.arm, ends.force) + load.couple,
                    arm=np.zeros_like(load.arm), local=False)  # fmt: skip
     none = np.zeros((0, len(probes)))
@@ -180,7 +180,7 @@ def _rows_of(load: Load, rows: Array) -> Load:
 
 
 def _touches(probes: Probes, tip: Array, ends: Ends, load: Load, worst: Array) -> Touches:
-    """What is found, a row a case."""
+    """Return the solutions as touches."""
     ok = (worst < 100.0 * CONVERGED) & _stable(probes, tip, ends, load)
     axes = [rotate(ends.touch_q, a) for a in surface_axes(probes, load.s, load.phi)]
     frame = np.stack(axes, axis=-1).transpose(1, 0, 2)
@@ -199,7 +199,7 @@ def _chunked(n: int, solve: Callable[[Array], Touches]) -> Touches:
     return Touches(*(np.concatenate([getattr(p, e.name) for p in parts]) for e in fields(Touches)))
 
 
-# What users call
+# Public functions
 
 
 def solve(
@@ -215,22 +215,22 @@ def solve(
     start: Array | None = None,
     loads: int = 6,
 ) -> Touches:
-    """Solve the equilibria under forces at given places of the probe.
+    """Solve the equilibria under forces at given places of the probes.
 
     Args:
         probes: n rods.
-        gravity: base axes [m/s²], (3,) or (n, 3).
+        gravity: in base axes [m/s²], (3,) or (n, 3).
         s, phi: place of the force: arclength [m] and angle about the section [rad], numbers or (n,).
         force: on the probe [N], (3,) or (n, 3).
-        axes: "base" for a force along base axes, "surface" for one along inward normal, circumference and length
-            of the deformed surface.
+        axes: "base" for force components along base axes, "surface" for components along inward normal,
+            circumference and length of the deformed surface.
         on_surface: whether the force acts on the surface, with its couple, or on the centreline.
-        couple: one more couple there, base axes [N·m], (3,) or (n, 3).
-        start: `tip` of neighbours, (n, 4); from the unloaded rod in `loads` steps without it.
-        loads: steps in which gravity and force grow.
+        couple: additional couple at s in base axes [N·m], (3,) or (n, 3).
+        start: `tip` of neighbouring solutions, (n, 4); None to start from the unloaded rods in `loads` steps.
+        loads: number of steps in which gravity and force increase.
 
     Returns:
-        The touches. With a force of zero they are the free probes.
+        The touches; with a force of zero they are the probes without contact.
     """
     n = len(probes)
     whole = Load(_vectors(gravity, n), _numbers(s, n), _numbers(phi, n), _vectors(force, n), _vectors(couple, n),
@@ -271,23 +271,23 @@ def press(
     sticks: bool = False,
     moves: int = 4,
 ) -> Touches:
-    """Solve touches of given points: where on the probe, and with which force.
+    """Solve touches of given points for the place on the probe and the force.
 
-    Without sticking, the force is Fₙ (normal + a₁ circumferential + a₂ along) with given a₁, a₂, and (s, φ, Fₙ) are
-    found; sticking, (s, φ) stay those of `start` and the force is found. In both the touched point of the deformed
-    surface lies at the point given.
+    Without sticking, the force is Fₙ (normal + a₁ circumferential + a₂ along) with given a₁, a₂, and the unknowns are
+    (s, φ, Fₙ). With sticking, (s, φ) are those of `start` and the force is unknown. In both cases the touched point of
+    the deformed surface is at the given point.
 
     Args:
         probes: n rods.
-        gravity: base axes [m/s²], (3,) or (n, 3).
-        point: of the object, base axes [m], (n, 3).
-        start: touches of points nearby, to follow from.
-        friction: (a₁, a₂), (2,) or (n, 2); of no account if it sticks.
-        sticks: whether the material point stays.
-        moves: steps in which the object moves from the start's touched point to `point`.
+        gravity: in base axes [m/s²], (3,) or (n, 3).
+        point: of the object in base axes [m], (n, 3).
+        start: touches of nearby points to start from.
+        friction: (a₁, a₂), (2,) or (n, 2); ignored with sticking.
+        sticks: whether the touched material point stays the same.
+        moves: number of steps in which the object moves from the touched point of `start` to `point`.
 
     Returns:
-        The touches; not ok where none is found, the probe pulls, or the touch leaves the flank.
+        The touches; not ok without a solution, if the force pulls, or if the touch leaves the flank.
     """
     n = len(probes)
     goal = _vectors(point, n)
@@ -334,7 +334,7 @@ def press(
 
 
 def _vectors(value: ArrayLike, n: int) -> Array:
-    """(3,) or (n, 3) as (3, n)."""
+    """Return vectors (3,) or (n, 3) as (3, n)."""
     return np.broadcast_to(np.asarray(value, dtype=float), (n, 3)).T.copy()
 
 
@@ -343,7 +343,7 @@ def _numbers(value: ArrayLike, n: int) -> Array:
 
 
 Variant = tuple[Probes, Array, Array, Array, Array]
-"""Rods, gravity (n, 3), s, phi (n,) and force in the surface frame (n, 3) of touches that are changed a little."""
+"""Rods, gravity (n, 3), s, phi (n,) and force in the surface frame (n, 3) of slightly changed touches."""
 
 
 def differences(
@@ -351,14 +351,14 @@ def differences(
 ) -> tuple[Array, Array]:
     """Return how base wrench and touched point change from solved touches to nearby ones, to first order.
 
-    One integration a variant from the tip as it is, and the tip's turn by the implicit function theorem. On a grid
-    between the coarse and the fine one: the error is a share of 1e-4 of the difference.
+    Each variant is integrated once from the unchanged tip, and the rotation of the tip follows from the implicit
+    function theorem. The grid is between the coarse and the fine one; the relative error of the difference is 1e-4.
 
     Args:
         probes: n rods.
-        gravity: base axes [m/s²], (3,) or (n, 3).
-        touches: solved, the same n.
-        variants: j of them.
+        gravity: in base axes [m/s²], (3,) or (n, 3).
+        touches: solved touches of these rods.
+        variants: j changed touches.
 
     Returns:
         Changes of the wrench [N, N·m], (n, 6, j), and of the touched point [m], (n, 3, j); not divided by a step.
@@ -377,24 +377,25 @@ def _differences(probes: Probes, gravity: Array, touches: Touches, variants: Seq
     n, count = len(probes), 4 + len(variants)
     tip = np.nan_to_num(touches.tip.T, nan=0.5)
     own: Variant = (probes, gravity.T, touches.s, touches.phi, touches.surface_force)
-    # The touch itself, with its tip turned about each axis, and the variants, in one integration.
+    # One integration has the touch itself, the touch with its tip rotated about each axis, and the variants.
     every = [own] * 4 + list(variants)
     rods = Probes.joined([v[0] for v in every])
     g, force = (np.concatenate([np.asarray(v[i]) for v in every]).T for i in (1, 4))
     s, phi = (np.concatenate([np.asarray(v[i]) for v in every]) for i in (2, 3))
-    turns = np.zeros((3, count, n))
-    turns[:, 1:4] = STEP * np.eye(3)[:, :, None]
+    rotations = np.zeros((3, count, n))
+    rotations[:, 1:4] = STEP * np.eye(3)[:, :, None]
     load = Load(g, s, phi, np.nan_to_num(force), np.zeros((3, count * n)), np.ones(count * n), True)
-    turn, ends = _residual(rods, turned(np.tile(tip, count), turns.reshape(3, -1)), np.zeros((0, count * n)),
-                           lambda *_: (load, lambda ends: np.zeros((0, count * n))), 2 * COARSE,
-                           np.arange(count * n))  # fmt: skip
-    found = np.concatenate([turn, ends.force + rods.mass * g, ends.m, ends.touch_p + ends.arm])
+    tips = rotated_by(np.tile(tip, count), rotations.reshape(3, -1))
+    rotation, ends = _residual(rods, tips, np.zeros((0, count * n)),
+                               lambda *_: (load, lambda ends: np.zeros((0, count * n))), 2 * COARSE,
+                               np.arange(count * n))  # fmt: skip
+    found = np.concatenate([rotation, ends.force + rods.mass * g, ends.m, ends.touch_p + ends.arm])
     found = found.reshape(12, count, n) - found.reshape(12, count, n)[:, :1]
-    by_turn = found[:, 1:4] / STEP
-    jacobian = by_turn[:3].transpose(2, 0, 1)
+    by_rotation = found[:, 1:4] / STEP
+    jacobian = by_rotation[:3].transpose(2, 0, 1)
     good = np.isfinite(jacobian).all(axis=(1, 2)) & (np.abs(np.linalg.det(np.nan_to_num(jacobian))) > 0.0)
     inverse = np.linalg.inv(np.where(good[:, None, None], jacobian, np.eye(3)))
     change = found[:, 4:]
     back = -np.einsum("nij,jvn->ivn", inverse, change[:3])
-    total = (change[3:] + np.einsum("rjn,jvn->rvn", by_turn[3:], back)).transpose(2, 0, 1)
+    total = (change[3:] + np.einsum("rjn,jvn->rvn", by_rotation[3:], back)).transpose(2, 0, 1)
     return total[:, :6], total[:, 6:]

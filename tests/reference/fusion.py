@@ -1,9 +1,9 @@
-"""Touches of one fixed point by one dense least-squares problem in numpy: the oracle of `fusion_kernel.py`.
+"""Solve touches of one fixed point as one dense least-squares problem in numpy, the reference of `fusion_kernel.py`.
 
-Unknown are the touched point X (3), the error sources m (J, unit priors), the friction that all touches share (2, unit
-priors), the first value of the bias and its steps in units of their standard deviations (6 a reading), and of every
-touch its own unknowns y (5) and stiffness e.
-Nothing is eliminated: all rows of all poses stand in one matrix.
+The unknowns are the touched point X (3), the error sources m (J, unit priors), the friction that is common to all
+touches (2, unit priors), the first value of the bias and its steps in units of their standard deviations (6 for each
+reading), and for each touch its own unknowns y (5) and stiffness e. No unknown is eliminated: one matrix has the rows
+of all poses.
 """
 
 import math
@@ -19,16 +19,17 @@ WRENCH, POINT, CENTRE = slice(0, 6), slice(6, 9), slice(9, 12)
 
 @dataclass(frozen=True)
 class LinearPose:
-    """One reading, linearised.
+    """Linearised reading at one pose.
 
     Attributes:
-        lin: values and derivatives by the touch, (12, 6); D: error columns, (12, J). Of a reading without contact the
-            free probe's wrench stands in the first column and the derivatives count for nothing.
-        ratios: of friction where it was linearised, (2,).
-        wrench: read at the base, (6,).
+        lin: values and derivatives by the touch, (12, 6). For a reading without contact the first column has the wrench
+            of the free probe and the derivatives are ignored.
+        D: error columns, (12, J).
+        ratios: friction ratios at the linearisation point, (2,).
+        wrench: measured at the base, (6,).
         T: pose of the base, (4, 4).
-        whiten: of the channels that count, (m, m).
-        ramp: how far creep has gone.
+        whiten: whitening matrix of the channels, (m, m).
+        ramp: progress of creep, 0 to 1.
         touched: whether there was contact.
     """
 
@@ -43,15 +44,16 @@ class LinearPose:
 
 
 class Priors(NamedTuple):
-    """What is common to all rows.
+    """Priors and channels of all rows.
 
     Attributes:
-        channels: (m, 6); bias: channels by the bias in steps, (m, 6).
-        friction: standard deviation of the ratio; inf: none.
+        channels: map of the base wrench to the channels, (m, 6).
+        bias: map of the bias in steps to the channels, (m, 6).
+        friction: standard deviation of the friction ratio; inf for none.
         common_friction: share of its variance that is common to all touches.
-        robot: of the base's place at each pose [m].
-        start, walk: of the bias at the first reading and of its step to the next, in steps.
-        scatter, creep: columns of D that are each touch's own, and that grow by the ramp; -1: none.
+        robot: standard deviation of the base position at each pose [m].
+        start, walk: standard deviations of the bias at the first reading and of its steps [steps].
+        scatter, creep: columns of D that are independent at each touch, and that grow by the ramp; -1 for none.
     """
 
     channels: Array
@@ -66,13 +68,13 @@ class Priors(NamedTuple):
 
 
 class DenseSolution(NamedTuple):
-    """Least squares of all rows.
+    """Least-squares solution.
 
     Attributes:
         x: X, m, common friction and the bias of the last reading, (3 + J + 2 + 6,), as `solve_reduced` has them.
-        cov: of X, (3, 3).
-        chi2: least misfit squared, priors included.
-        own: step of the touch and stiffness at each pose, (k, 6); NaN where free.
+        cov: covariance of X, (3, 3).
+        chi2: minimum of χ², including the priors.
+        own: change of the touch and stiffness at each pose, (k, 6); NaN without contact.
         centre, cov_centre: mean of the centreline points in the world (3,) and its covariance (3, 3).
     """
 
@@ -85,7 +87,7 @@ class DenseSolution(NamedTuple):
 
 
 def common(D: Array, pose: LinearPose, priors: Priors) -> Array:
-    """Error columns that all poses share."""
+    """Return the error columns that all poses have in common."""
     shared = D.copy()
     if priors.creep >= 0:
         shared[:, priors.creep] *= pose.ramp
@@ -95,12 +97,13 @@ def common(D: Array, pose: LinearPose, priors: Priors) -> Array:
 
 
 def solve(poses: list[LinearPose], priors: Priors, step: tuple[int, float] | None = None) -> DenseSolution:
-    """The least-squares solution by a QR factorisation of the scaled matrix.
+    """Solve by a QR factorisation of the scaled matrix.
 
     Args:
-        poses, priors: of the readings.
-        step: the first pose at which the object is elsewhere, and the standard deviation of its step on each axis
-            [m]; None: it does not move.
+        poses: linearised readings.
+        priors: priors and channels.
+        step: first pose after a motion of the object and the standard deviation of the motion on each axis [m]; None
+            if it does not move.
     """
     k, J = len(poses), poses[0].D.shape[1]
     first_friction, first_bias = 3 + J, 3 + J + 2
@@ -127,9 +130,7 @@ def solve(poses: list[LinearPose], priors: Priors, step: tuple[int, float] | Non
         if pose.touched:
             A[:, own] = to @ _own(pose, WRENCH, priors)
         add(A, to @ (pose.wrench - pose.lin[WRENCH, 0]))
-        add(
-            np.eye(n)[own.start + 5], np.zeros(1)
-        )  # the prior on e; without a scatter and where free it is zero
+        add(np.eye(n)[own.start + 5], np.zeros(1))  # prior of e; without scatter or contact e is zero
         if not pose.touched:
             add(np.eye(n)[own.start : own.start + 5], np.zeros(5))
             continue
@@ -170,12 +171,12 @@ def solve(poses: list[LinearPose], priors: Priors, step: tuple[int, float] | Non
         row[:, own] = R @ _own(pose, CENTRE, priors)
         centre += (pose.T[:3, 3] + R @ pose.lin[CENTRE, 0] + row @ z) / touched.sum()
         by += row / touched.sum()
-    spread = by @ inverse
+    root = by @ inverse
     x = np.concatenate([z[:first_bias], bias])
-    return DenseSolution(x, inverse[:3] @ inverse[:3].T, chi2, steps, centre, spread @ spread.T)
+    return DenseSolution(x, inverse[:3] @ inverse[:3].T, chi2, steps, centre, root @ root.T)
 
 
 def _own(pose: LinearPose, rows: slice, priors: Priors) -> Array:
-    """Derivatives by a pose's own unknowns, (n, 6)."""
+    """Return the derivatives by the unknowns of one pose, (n, 6)."""
     by_e = pose.D[rows, priors.scatter] if priors.scatter >= 0 else np.zeros(rows.stop - rows.start)
     return np.column_stack([pose.lin[rows, 1:6], by_e])

@@ -1,6 +1,6 @@
-"""The equations of `cosserat.py`: round rods, and their integration from the tip to the base.
+"""Integrate the equations of `cosserat.py` for round rods from the tip to the base.
 
-Components come first and cases last, so that every operation is on whole rows.
+Arrays have the components first and the cases last, so that operations are on whole rows.
 """
 
 from collections.abc import Sequence
@@ -15,20 +15,20 @@ from probedesign.rod.rod import Rod
 Array = NDArray[Any]
 
 ROOT_CENTRE = 0.375
-"""Centre of the compliance that a bonded root lacks, in base radii. Source: docs/decisions/0006."""
+"""Centre of the missing compliance of a bonded root, in base radii. Source: docs/decisions/0006."""
 C4, C5 = 0.369, 0.374
-"""Finite bending of a neo-Hookean round section. Source: docs/decisions/0006."""
+"""Coefficients of finite bending of a neo-Hookean round section. Source: docs/decisions/0006."""
 
 
 @dataclass(frozen=True)
 class Probes:
-    """n full round rods with equally many knots.
+    """n straight rods with solid round sections and equal numbers of knots.
 
     Attributes:
-        s: knots [m], (K, n).
-        radius: at the knots [m], (K, n).
-        E, G, density, shear: Young's and shear modulus [Pa], [kg/m³], shear coefficient, (n,).
-        missing: bending compliance that the root lacks, as a length of rigid rod [m], (n,).
+        s: arclengths of the knots [m], (K, n).
+        radius: radii at the knots [m], (K, n).
+        E, G, density, shear: Young's and shear modulus [Pa], density [kg/m³] and shear coefficient, (n,).
+        missing: missing bending compliance of the root as a length of rigid rod [m], (n,).
         finite: 1 with finite strain, 0 without, (n,).
     """
 
@@ -43,7 +43,7 @@ class Probes:
 
     @classmethod
     def of(cls, rods: Rod | Sequence[Rod]) -> "Probes":
-        """Return the same rods, from their definitions alone."""
+        """Return rods of the package in this form."""
         rods = [rods] if isinstance(rods, Rod) else list(rods)
         assert all(rod.factors == (1.0, 1.0, 1.0, 1.0) and rod.rest_curvature is None for rod in rods)
 
@@ -55,31 +55,31 @@ class Probes:
 
     @classmethod
     def joined(cls, parts: Sequence["Probes"]) -> "Probes":
-        """Return the rods of all parts, one after the other."""
+        """Concatenate the rods of all parts."""
         return cls(*(np.concatenate([getattr(part, e.name) for part in parts], axis=-1) for e in fields(cls)))
 
     def __len__(self) -> int:
         return self.E.shape[-1]
 
     def take(self, rows: ArrayLike) -> "Probes":
-        """Return the rods of these rows, which may repeat."""
+        """Return the rods of the given rows, which may repeat."""
         return Probes(*(getattr(self, entry.name)[..., np.asarray(rows)] for entry in fields(self)))
 
     @property
     def length(self) -> Array:
-        """[m], (n,)."""
+        """Length of the rods [m], (n,)."""
         return self.s[-1]
 
     @property
     def root(self) -> tuple[Array, Array]:
-        """Depth and reach [m] of f(s), (n,) each; reach 0 for none."""
-        least = 5.0 * ROOT_CENTRE * self.radius[0]
-        reach = np.where(self.missing == 0.0, 0.0, np.maximum(least, 4.0 * self.missing / 0.9))
+        """Depth and reach [m] of f(s), (n,) each; the reach is 0 without a missing compliance."""
+        min_reach = 5.0 * ROOT_CENTRE * self.radius[0]
+        reach = np.where(self.missing == 0.0, 0.0, np.maximum(min_reach, 4.0 * self.missing / 0.9))
         depth = np.divide(4.0 * self.missing, reach, out=np.zeros_like(reach), where=reach > 0.0)
         return depth, reach
 
     def frustum(self, s: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Return lower and upper knot [m], radius there [m], and the volume beyond the upper one [m³], (n,) each."""
+        """Return the knots around s [m], their radii [m] and the volume beyond the upper knot [m³], (n,) each."""
         K, n = self.s.shape
         i = np.zeros(n, dtype=int)
         for k in range(1, K - 1):
@@ -91,18 +91,18 @@ class Probes:
         return self.s[i, at], self.s[i + 1, at], r[i, at], r[i + 1, at], beyond[i + 1, at]
 
     def radius_at(self, s: Array) -> Array:
-        """Radius at s [m], (n,)."""
+        """Return the radius at s [m], (n,)."""
         low, high, r0, r1, _ = self.frustum(s)
         return r0 + (r1 - r0) * (s - low) / (high - low)
 
     def taper_at(self, s: Array) -> Array:
-        """tan α = -dr/ds at s, (n,)."""
+        """Return tan α = -dr/ds at s, (n,)."""
         low, high, r0, r1, _ = self.frustum(s)
         return (r0 - r1) / (high - low)
 
     @property
     def mass(self) -> Array:
-        """[kg], (n,)."""
+        """Mass of the rods [kg], (n,)."""
         r, h = self.radius, np.diff(self.s, axis=0)
         return self.density * (np.pi / 3.0 * h * (r[:-1] ** 2 + r[:-1] * r[1:] + r[1:] ** 2)).sum(axis=0)
 
@@ -112,12 +112,15 @@ class Probes:
 
 @dataclass
 class Load:
-    """What acts on n rods; vectors have components first.
+    """Loads of n rods; vectors have their components first.
 
     Attributes:
-        gravity: (3, n). s, phi: (n,). force: (3, n), along base axes, or in the surface frame if `local`.
-        couple: one more dead couple at s [N·m], (3, n).
-        arm: 1 where the force acts on the surface, 0 on the centreline, (n,).
+        gravity: in base axes [m/s²], (3, n).
+        s, phi: place of the force, arclength [m] and angle [rad], (n,).
+        force: in base axes, or in the frame of the surface if `local` [N], (3, n).
+        couple: additional dead couple at s [N·m], (3, n).
+        arm: 1 if the force acts on the surface, 0 if on the centreline, (n,).
+        local: whether the force is in the frame of the surface.
     """
 
     gravity: Array
@@ -131,7 +134,7 @@ class Load:
 
 @dataclass
 class Ends:
-    """Where an integration arrives: base's quaternion and moment, and the touch seen from the base's point."""
+    """Result of an integration: quaternion, moment and point of the base, and the touch relative to that point."""
 
     q: Array
     m: Array
@@ -143,7 +146,7 @@ class Ends:
 
 
 def integrate(probes: Probes, tip: Array, load: Load, steps: int) -> Ends:
-    """Integrate from the tip, whose section is `tip` (4, n), to the base."""
+    """Integrate to the base from the tip, whose section has the orientation `tip`, (4, n)."""
     n = len(probes)
     zero = np.zeros(n)
     inner = np.stack([*probes.s[1:-1], probes.root[1], load.s])
@@ -167,7 +170,7 @@ def integrate(probes: Probes, tip: Array, load: Load, steps: int) -> Ends:
 
 
 def _push(probes: Probes, q: Array, load: Load) -> tuple[Array, Array]:
-    """Force in base axes and arm from the section's centre to where it acts."""
+    """Return the force in base axes [N] and its arm from the centre of the section [m]."""
     e = np.stack([np.cos(load.phi), np.sin(load.phi), np.zeros(len(probes))])
     arm = rotate(q, e) * (load.arm * probes.radius_at(load.s))
     if not load.local:
@@ -178,7 +181,7 @@ def _push(probes: Probes, q: Array, load: Load) -> tuple[Array, Array]:
 
 
 def surface_axes(probes: Probes, s: Array, phi: Array) -> tuple[Array, Array, Array]:
-    """Inward normal, circumferential and along, in section axes, (3, n) each."""
+    """Return inward normal, circumferential and longitudinal tangent in section axes, (3, n) each."""
     tan = probes.taper_at(s)
     cosine = 1.0 / np.sqrt(1.0 + tan * tan)
     sine, zero = tan * cosine, np.zeros_like(s)
@@ -189,7 +192,7 @@ def surface_axes(probes: Probes, s: Array, phi: Array) -> tuple[Array, Array, Ar
 
 def _segment(probes: Probes, p: Array, q: Array, m: Array, start: Array, end: Array, force: Array,
              gravity: Array, steps: int) -> tuple[Array, Array, Array]:  # fmt: skip
-    """RK4 over a piece without jumps, with steps in proportion to the radius."""
+    """Integrate by RK4 over a segment without discontinuities, with steps proportional to the radius."""
     if not (start > end).any():
         return p, q, m
     middle = 0.5 * (start + end)
@@ -236,13 +239,13 @@ def _segment(probes: Probes, p: Array, q: Array, m: Array, start: Array, end: Ar
 
 
 def _slopes(q: Array, m: Array, medium: tuple[Array, ...]) -> tuple[Array, Array, Array]:
-    """p', q', m' of the module's docstring."""
+    """Return p', q', m' of the equations in `cosserat.py`."""
     f, bend, twist, shear, stretch, large, finite, n_base = medium
     n = rotate_back(q, n_base)
     e, B = stretch * n[2], large * (m[0] * m[0] + m[1] * m[1])
-    yields = f * bend * (1.0 + finite * 3.0 * e + C4 * B)
+    compliance = f * bend * (1.0 + finite * 3.0 * e + C4 * B)
     u, v = np.empty_like(m), np.empty_like(m)
-    u[0], u[1], u[2] = yields * m[0], yields * m[1], twist * m[2]
+    u[0], u[1], u[2] = compliance * m[0], compliance * m[1], twist * m[2]
     v[0], v[1], v[2] = shear * n[0], shear * n[1], 1.0 + e + finite * e * e + C5 * f * B
     w, x, y, z = q
     dq = 0.5 * np.stack([
@@ -253,6 +256,7 @@ def _slopes(q: Array, m: Array, medium: tuple[Array, ...]) -> tuple[Array, Array
 
 
 def cross(a: Array, b: Array) -> Array:
+    """Return a × b, (3, n)."""
     found = np.empty_like(b)
     found[0] = a[1] * b[2] - a[2] * b[1]
     found[1] = a[2] * b[0] - a[0] * b[2]
@@ -261,20 +265,20 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def rotate(q: Array, v: Array) -> Array:
-    """R(q) v, for quaternions of length one up to the scheme's own error."""
+    """Return R(q) v; the norm of q may differ from 1 by the error of the integration."""
     w, axis = q[0], q[1:]
     twice = 2.0 * cross(axis, v)
     return v + w * twice + cross(axis, twice)
 
 
 def rotate_back(q: Array, v: Array) -> Array:
-    """R(q)ᵀ v."""
+    """Return R(q)ᵀ v."""
     twice = 2.0 * cross(q[1:], v)
     return v - q[0] * twice + cross(q[1:], twice)
 
 
-def turned(q: Array, by: Array) -> Array:
-    """q followed by a turn about its own axes by the vector `by` [rad], (4, n)."""
+def rotated_by(q: Array, by: Array) -> Array:
+    """Return q followed by a rotation about its own axes by the vector `by` [rad], (4, n)."""
     angle = np.sqrt((by * by).sum(axis=0))
     x, y, z = 0.5 * np.sinc(angle / (2.0 * np.pi)) * by
     w, (a, b, c, d) = np.cos(0.5 * angle), q
@@ -283,7 +287,7 @@ def turned(q: Array, by: Array) -> Array:
 
 
 def matrices(q: Array) -> Array:
-    """R(q), (n, 3, 3)."""
+    """Return R(q), (n, 3, 3)."""
     return np.stack([rotate(q, np.tile(e[:, None], q.shape[1])) for e in np.eye(3)], axis=-1).transpose(
         1, 0, 2
     )

@@ -1,4 +1,4 @@
-"""Solve the paper's equations 1 and 2 by shooting from the base, in numpy and scipy: the oracle of the compiled rod.
+"""Solve the paper's equations 1 and 2 by shooting from the base, in numpy and scipy: the reference of the compiled rod.
 
 It shares nothing with `probedesign.rod.kernels` except the rod's dimensions: the full frame R and the force n are
 integrated, the unknown is the moment at the base and the condition is the moment at the tip. Signs are the standard

@@ -1,7 +1,6 @@
-"""One contact at a point of the deformed surface, by repeated solves of the rod: the oracle of the compiled one.
+"""Solve one contact on the deformed surface by repeated solves of the rod, the reference of the compiled solver.
 
-The model is that of `probedesign/estimation/surface_contact_kernel.py`, spelled out with names; derivatives are central
-differences.
+The model is that of `probedesign/estimation/surface_contact_kernel.py`; derivatives are central differences.
 """
 
 from dataclasses import dataclass, replace
@@ -15,7 +14,7 @@ from probedesign.rod.rod import Rod
 
 @dataclass(frozen=True)
 class SurfaceTouch:
-    """Unknowns of a touch: s [m], φ [rad], normal force [N] and ratios of friction around and along."""
+    """Unknowns of a touch: s [m], φ [rad], normal force [N] and friction ratios around and along."""
 
     s: float
     phi: float
@@ -24,14 +23,14 @@ class SurfaceTouch:
     along: float = 0.0
 
     def moved(self, j: int, by: float) -> "SurfaceTouch":
-        """The touch with its j-th unknown changed."""
+        """Return the touch with its j-th unknown changed."""
         name = ("s", "phi", "normal", "around", "along")[j]
         return replace(self, **{name: getattr(self, name) + by})
 
 
 @dataclass(frozen=True)
 class SolvedTouch:
-    """Base wrench, touched point, nearest point of the centreline to the line of action, and force [SI]."""
+    """Base wrench, touched point, point of the centreline nearest to the line of action, and force, in SI units."""
 
     wrench: Array
     p_surface: Array
@@ -43,24 +42,24 @@ class SolvedTouch:
 
 
 def solve_touch(rod: Rod, gravity: Array, touch: SurfaceTouch) -> SolvedTouch:
-    """Fixed-point iteration on the force and the couple until they agree with the bent section.
+    """Solve a touch by fixed-point iteration on force and couple until they agree with the bent section.
 
-    Where friction turns the section further than it turned the force, whole steps go astray: half, a quarter, ... of
-    them are then taken.
+    The iteration diverges if a rotation of the force rotates the section by a larger angle. The steps are therefore
+    halved every 80 iterations.
     """
     tan = rod.taper_at(touch.s)
     alpha = np.arctan(tan)
     r = float(rod.radius_at(touch.s))
     tip, R = None, np.eye(3)
     force = couple = np.zeros(3)
-    for turn in range(400):
+    for iteration in range(400):
         e = np.cos(touch.phi) * R[:, 0] + np.sin(touch.phi) * R[:, 1]
         t, around = R[:, 2], np.cross(R[:, 2], e)
         normal = np.cos(alpha) * e + np.sin(alpha) * t
         along = np.cos(alpha) * t - np.sin(alpha) * e
         wanted = touch.normal * (-normal + touch.around * around + touch.along * along)
         done = np.abs(wanted - force).max() <= 1e-15 + 1e-13 * np.abs(wanted).max()
-        share = 0.5 ** (turn // 80)
+        share = 0.5 ** (iteration // 80)
         force = force + share * (wanted - force)
         couple = couple + share * (np.cross(r * e, wanted) - couple)
         eq = rod.solve(gravity, force, touch.s, couple=couple, mode="reference", guess=tip)
@@ -78,11 +77,11 @@ def solve_touch(rod: Rod, gravity: Array, touch: SurfaceTouch) -> SolvedTouch:
 
 
 def derivatives(rod: Rod, gravity: Array, touch: SurfaceTouch) -> Array:
-    """Of [wrench, p_surface, p_contact] by the unknowns, (12, 5), by central differences."""
+    """Return the derivatives of [wrench, p_surface, p_contact] by the unknowns, (12, 5)."""
     steps = (1e-6, 1e-5, 1e-5 * max(touch.normal, 1e-3), 1e-5, 1e-5)
     columns = []
     for j, h in enumerate(steps):
-        high, low = (solve_touch(rod, gravity, touch.moved(j, way)) for way in (h, -h))
-        rows = [np.concatenate([of.wrench, of.p_surface, of.p_contact]) for of in (high, low)]
+        high, low = (solve_touch(rod, gravity, touch.moved(j, step)) for step in (h, -h))
+        rows = [np.concatenate([one.wrench, one.p_surface, one.p_contact]) for one in (high, low)]
         columns.append((rows[0] - rows[1]) / (2.0 * h))
     return np.array(columns).T

@@ -1,4 +1,4 @@
-"""The reference rod against the package's rod, and its presses against themselves."""
+"""Compare the reference rod with the rod of the package, and its presses with solves of the same touches."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ PROFILE = Rod(
 RODS = {
     "large": LARGE,
     "linear": Rod(LARGE.s, LARGE.radius, 2.32e6, 0.761e6, 1010.0),
-    "yielding root": Rod(
+    "compliant root": Rod(
         LARGE.s, LARGE.radius, 2.32e6, 0.761e6, 1010.0, rigid_length=-1.5e-3, finite_strain=True
     ),
     "cylinder": Rod(np.array([0.0, 0.1]), np.array([2e-3, 2e-3]), 2.32e6, 0.761e6, 1010.0),
@@ -27,7 +27,7 @@ RODS = {
 
 
 def drawn(rod, n, rng):
-    """Touches anywhere on the surface with forces of any direction that bend the rod by up to about a radian."""
+    """Draw touches on the surface with forces of any direction that bend the rod by up to about 1 rad."""
     s = rng.uniform(0.2, 1.0, n) * rod.length
     stiffness = rod.youngs_modulus * np.pi / 4.0 * rod.radius[0] ** 3 * rod.radius_at(s) / s**2
     direction = rng.normal(size=(n, 3))
@@ -36,7 +36,7 @@ def drawn(rod, n, rng):
 
 
 @pytest.mark.parametrize("rod", RODS.values(), ids=RODS)
-def test_a_force_on_the_surface_is_that_of_the_package_with_its_couple(rod):
+def test_a_force_on_the_surface_agrees_with_the_rod_under_force_and_couple(rod):
     n = 10
     s, phi, force = drawn(rod, n, np.random.default_rng(0))
     found = solve(Probes.of([rod] * n), GRAVITY, s, phi, force)
@@ -52,7 +52,7 @@ def test_a_force_on_the_surface_is_that_of_the_package_with_its_couple(rod):
     assert found.ok.sum() >= 9
 
 
-def test_without_friction_it_is_the_contact_of_the_package():
+def test_without_friction_it_agrees_with_the_contact_of_the_package():
     s, force = 0.7 * LARGE.length, 0.02
     touch = solve_frictionless(LARGE, GRAVITY, s, np.pi / 2.0, force, "reference")
     e = -touch.equilibrium.R_at(touch.equilibrium.s_contact).T @ touch.force_base
@@ -61,7 +61,7 @@ def test_without_friction_it_is_the_contact_of_the_package():
     on = s + LARGE.radius_at(s) * tan / (1.0 + tan * tan)
     assert abs(LARGE.radius_at(on) * tan + s - on) < 1e-9
     found = solve(Probes.of(LARGE), GRAVITY, on, np.arctan2(e[1], e[0]), (force, 0.0, 0.0), axes="surface")
-    # Between the two sections the rod bends, by 1e-3 rad over 0.1 mm; the normal goes with it.
+    # Between the two sections, 0.1 mm apart, the rod and its normal rotate by 1e-3 rad.
     assert_allclose(found.wrench[0], touch.equilibrium.wrench_base, atol=2e-3 * force)
 
 
@@ -89,5 +89,5 @@ def test_a_sticking_touch_keeps_its_place_on_the_probe():
     found = press(probes, GRAVITY, goal, first, sticks=True)
     assert found.ok.all() and found.s[0] == first.s[0] and found.phi[0] == first.phi[0]
     assert_allclose(found.p_surface, goal, atol=1e-9)
-    # Bent further without sliding, the rod is drawn out, so that the touch pulls it back towards the base.
+    # Bending without sliding stretches the rod, so that the touch pulls it towards the base.
     assert found.surface_force[0, 2] < -0.1 * found.surface_force[0, 0]

@@ -19,12 +19,12 @@ PROFILE = Rod(
 """Two breaks of the taper, a shear coefficient and a rigid root."""
 
 RODS = {"cone": CONE, "rooted": ROOTED_CONE, "cylinder": CYLINDER, "profile": PROFILE}
-"""Round and straight: turned about its axis each is the same rod."""
+"""Round and straight rods, which are invariant under rotation about their axis."""
 
 FLAT = CrossSection(flatness=0.7).factors
 TUBE = CrossSection(bore_ratio=0.6).factors
 CURVATURE = np.array([[6.0, -4.0, 5.0], [-4.0, 8.0, 20.0], [0.0, 6.0, -8.0], [10.0, 0.0, 2.0]])
-"""At the knots of the profile [1/m]: unloaded, its tip leans by 28° and its sections turn by up to 42°."""
+"""Curvature and twist at the profile's knots [1/m]; unloaded, the tip tilts by 28°, sections rotate by up to 42°."""
 
 YIELDING = replace(CONE, rigid_length=-1.5e-3)
 """A root softer than the rod."""
@@ -33,7 +33,7 @@ HOLLOW = replace(CONE, factors=TUBE)
 ELLIPTIC = replace(CONE, factors=FLAT)
 CURVED = replace(PROFILE, rest_curvature=CURVATURE)
 EVERYTHING = replace(PROFILE, factors=FLAT, rest_curvature=CURVATURE, rigid_length=-3e-3)
-"""All that a rod with finite strain cannot have."""
+"""Options that a rod with finite strain cannot have."""
 
 MORE_RODS = {
     "yielding": YIELDING, "finite": FINITE, "hollow": HOLLOW, "elliptic": ELLIPTIC, "curved": CURVED,
@@ -43,13 +43,13 @@ ALL_RODS = RODS | MORE_RODS
 
 
 def turned(angle, vector):
-    """A vector turned about z by an angle [rad]."""
+    """Return a vector rotated about z by an angle [rad]."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ np.asarray(vector, dtype=float)
 
 
 def bending_force(rod, s_contact, strength):
-    """The force [N] whose moment at the base turns the rod to s_contact by about `strength` rad.
+    """Return the force [N] whose moment at the base rotates the rod at s_contact by about `strength` rad.
 
     strength = F s² / (E I(0) r(s)/r(0)), exact for a cone bent little; I that of the softer way.
     """
@@ -59,7 +59,7 @@ def bending_force(rod, s_contact, strength):
 
 
 def rest_shape(rod, s):
-    """Curvature and twist of the unloaded rod at s [1/m], (j, 3)."""
+    """Return curvature and twist of the unloaded rod at s [1/m], (j, 3)."""
     if rod.rest_curvature is None:
         return np.zeros((len(s), 3))
     return np.stack([np.interp(s, rod.s, column) for column in rod.rest_curvature.T], axis=1)

@@ -1,4 +1,4 @@
-"""Fast against reference, and what may be asked of an equilibrium between its nodes."""
+"""Compare the fast mode with the reference mode, and the equilibrium between its nodes."""
 
 import numpy as np
 import pytest

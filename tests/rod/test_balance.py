@@ -1,4 +1,4 @@
-"""Every part of the bent rod is in balance: the equations between nodes, and the whole about its base."""
+"""Test the equilibrium equations between nodes and of the whole rod about its base."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def solved(rod_name, load_name):
 
 
 def integral(f, low, high):
-    """∫ f ds over [low, high] by Gauss-Legendre; f of (j,) gives (j, 3)."""
+    """Return ∫ f ds over [low, high] by Gauss–Legendre quadrature; f maps (j,) to (j, 3)."""
     s = low + (high - low) * (NODES + 1.0) / 2.0
     return (high - low) / 2.0 * (WEIGHTS @ f(s))
 
@@ -130,7 +130,7 @@ def test_the_root_lacks_its_rigid_length(rigid_length):
 
 
 def test_the_root_turns_the_rod_less_by_its_rigid_length():
-    """Little bent: what the root takes from the tip's turn is m(0)/(E I) times the rigid length, but for its taper."""
+    """At small bending the root reduces the tip rotation by m(0)/(E I) times the rigid length, except for taper."""
     force, rigid = 1e-6, 0.12 * CYLINDER.radius[0]
     slope = [
         replace(CYLINDER, rigid_length=x).solve(force=(force, 0, 0), mode="reference").tip_tangent[0]

@@ -1,4 +1,4 @@
-"""Many equilibria at once: each the one that `Rod.solve` finds, whoever its neighbours and whatever the threads."""
+"""Test that batches have the equilibria of `Rod.solve` for any neighbours and number of threads."""
 
 from dataclasses import replace
 
@@ -12,12 +12,12 @@ from probedesign.rod.batch import solve_batch
 
 GRAVITY = np.array([3.0, 4.0, -8.0])
 RODS = (PROFILE, CURVED, EVERYTHING)
-"""With equally many knots."""
+"""Rods with equal numbers of knots."""
 CASES = 40
 
 
 def cases(rods, count=CASES, hopeless=True):
-    """Loads of every kind and the rod of each, every eighth beyond what the rod can bear."""
+    """Return loads of all kinds and the rod of each; every eighth load has no equilibrium."""
     rng = np.random.default_rng(5)
     which = rng.integers(len(rods), size=count)
     s_c = np.array([rng.uniform(0.05, 1.0) * rods[k].length for k in which])
@@ -160,7 +160,7 @@ def test_cases_that_do_not_fit_are_refused(rods, change, message):
 
 
 def test_a_rod_of_another_kind_beside_it_changes_nothing():
-    """Round rods go the shorter way through the kernels even in one call with others."""
+    """Round rods use the faster kernels even in one call with others."""
     given = cases((PROFILE,), hopeless=False)
     alone = solve_batch(PROFILE, **given)
     mixed = solve_batch([PROFILE, replace(EVERYTHING, density=1.0)], **given)

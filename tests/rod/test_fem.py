@@ -1,4 +1,4 @@
-"""The rod against three-dimensional finite elements of the printed cones, base face bonded rigid."""
+"""Compare the rod with 3-D finite elements of the printed cones, base face bonded rigid."""
 
 import json
 from pathlib import Path
@@ -13,7 +13,7 @@ RIGID_RADII = 0.12
 
 
 def differences(case, rigid_radii, finite_strain):
-    """Worst centreline error over the tip's deflection, and the base moment's error over itself."""
+    """Return the largest centreline error over the tip's deflection, and the relative error of the base moment."""
     radius = np.array([case["base_d_m"], case["tip_d_m"]]) / 2.0
     rod = Rod(
         s=np.array([0.0, case["length_m"]]),

@@ -30,7 +30,7 @@ def rod_of(case, rigid_radii=RIGID_RADII):
 
 
 def touched(case, rigid_radii=RIGID_RADII, couple=True):
-    """The rod's equilibrium under the force at the touched point of its own deformed surface, and that point."""
+    """Return the equilibrium under the force at the touched point of the rod's deformed surface, and that point."""
     rod, s, force = rod_of(case, rigid_radii), case["s_contact_m"], np.array(case["force_base_N"])
     r, phi = rod.radius_at(s), case["phi_rad"]
     arm = r * np.array([np.cos(phi), np.sin(phi), 0.0])
@@ -45,7 +45,7 @@ def touched(case, rigid_radii=RIGID_RADII, couple=True):
 
 
 def differences(case, rigid_radii=RIGID_RADII, couple=True):
-    """Distances of the touched point and of the centreline's point [m], and the base moment's relative error."""
+    """Return the errors of touched point and centreline point [m] and the relative error of the base moment."""
     eq, surface = touched(case, rigid_radii, couple)
     moment = np.array(case["wrench_base"][3:])
     return (

@@ -23,7 +23,7 @@ SIDE = np.array([math.cos(0.4), math.sin(0.4), 0.0])
 
 
 def approach(rod, fraction=0.5, depth=0.5, offset=0.2, line=False, gravity=GRAVITY):
-    """(point, travel, direction or None) of an object that comes `depth` radii into the free rod's flank."""
+    """Return point, travel and direction or None of an object that moves `depth` radii into the free rod's flank."""
     free = rod.solve(gravity, mode="reference")
     s = fraction * rod.length
     R, r = free.R_at(s), float(rod.radius_at(s))
@@ -34,7 +34,7 @@ def approach(rod, fraction=0.5, depth=0.5, offset=0.2, line=False, gravity=GRAVI
 
 
 def followed(solver, first, point, steps=12):
-    """The contacts at even steps of a straight path, the first of them left out."""
+    """Return the contacts at equal steps of a straight path without the first."""
     contacts, start = [first], first.object_point
     for i in range(1, steps + 1):
         contacts.append(solver.advance(contacts[-1], start + i / steps * (np.asarray(point) - start)))
@@ -42,7 +42,7 @@ def followed(solver, first, point, steps=12):
 
 
 def surface_point(rod, contact):
-    """x, N of the bent body at the contact's material point, from shape and radius alone; of a knot's blend no use."""
+    """Return point and normal of the bent body at the material point, from shape and radius; not for blends."""
     R, r = contact.equilibrium.R_at(contact.s), float(rod.radius_at(contact.s))
     e = math.cos(contact.angle) * R[:, 0] + math.sin(contact.angle) * R[:, 1]
     alpha = math.atan(rod.taper_at(contact.s))
@@ -144,7 +144,7 @@ def led_along(solver, steps=40, step=5e-8):
 
 
 def drag(contact):
-    """Part of the force along the rod over the normal force, positive towards the tip."""
+    """Return the force along the rod over the normal force, positive towards the tip."""
     t = contact.equilibrium.R_at(contact.s)[:, 2]
     return float(contact.tangential_force_base @ t) / contact.normal_force
 
@@ -194,7 +194,7 @@ def test_sticking_is_path_independent():
 
 
 def test_steps_of_the_path_hardly_matter():
-    """The slide's direction turns on the way; what halving the steps changes is of first order in them, and small."""
+    """The direction of sliding rotates during the motion; halving the steps has a small, first-order effect."""
     point, travel, _ = approach(CONE)
     solver = CoulombSolver(CONE, 0.5, "reference")
     first = solver.touch(GRAVITY, point, travel)
@@ -204,7 +204,7 @@ def test_steps_of_the_path_hardly_matter():
 
 
 def test_a_round_probe_has_no_preferred_side():
-    """Turned about z with gravity and object, everything turns along; 1e-8 of the force is the solver's."""
+    """A rotation about z of rod, gravity and object rotates the solution; the tolerance is 1e-8 of the force."""
     point, travel, d = approach(CONE, line=True)
     solver = CoulombSolver(CONE, 0.5, "reference")
     here = solver.press(GRAVITY, point, travel, d)
@@ -246,7 +246,7 @@ def test_an_edge_may_roll_without_sliding():
 
 
 def test_gravity_may_turn_while_it_touches():
-    """The base turns about x: the same end whether the turn comes in one piece or two, as long as it sticks."""
+    """A rotation of the base about x in one step or in two has the same result as long as the contact sticks."""
     point, travel, _ = approach(CONE)
     solver = CoulombSolver(CONE, math.inf, "reference")
     begun = solver.press(GRAVITY, point, travel)

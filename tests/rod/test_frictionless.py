@@ -1,4 +1,4 @@
-"""A frictionless contact: the push is normal to the bent surface, and its derivatives are exact."""
+"""Test the frictionless contact: the force is normal to the bent surface and the derivatives are exact."""
 
 import math
 
@@ -11,7 +11,7 @@ from probedesign.rod.contact import solve_frictionless
 GRAVITY = (9.81, 0.0, 0.0)
 RODS = {"cone": CONE, "rooted": ROOTED_CONE, "cylinder": CYLINDER, "profile": PROFILE}
 STRENGTH = 0.4
-"""Of the bending [rad]; at 0.6 the profile, pushed up by its tip against gravity, swings to the side."""
+"""Bending angle [rad]; at 0.6 the profile, pushed up at its tip against gravity, buckles sideways."""
 PLACES = [(0.2, 0.0), (0.5, 2.0), (0.8, -1.0), (1.0, math.pi)]
 
 
@@ -21,7 +21,7 @@ def pushed(rod, fraction, angle, strength=STRENGTH, mode="reference"):
 
 
 def outward_normal(rod, s, angle, R):
-    """Of the bent frustum at s, at an angle about its axis: turned out of the section towards the tip."""
+    """Return the normal of the bent frustum at s, at an angle about its axis, tilted towards the tip."""
     alpha = math.atan(rod.taper_at(s))
     out = math.cos(angle) * R[:, 0] + math.sin(angle) * R[:, 1]
     return math.cos(alpha) * out + math.sin(alpha) * R[:, 2]

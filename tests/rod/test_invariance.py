@@ -1,4 +1,4 @@
-"""What must hold whatever the numbers: turning, scaling, symmetry, and frames that are frames."""
+"""Test invariance under rotation and scaling, symmetry, and orthonormal frames."""
 
 from dataclasses import replace
 
@@ -12,7 +12,7 @@ GRAVITY = np.array([3.0, 4.0, -8.0])
 
 
 def sideways(rod, fraction=0.6, strength=0.8):
-    """A force [N] that bends the rod well, and where it acts."""
+    """Return a force [N] that bends the rod considerably, and its place."""
     return bending_force(rod, fraction * rod.length, strength) * np.array(
         [1.0, 0.5, -0.3]
     ), fraction * rod.length
@@ -116,7 +116,7 @@ def test_frames_are_frames(rod, mode):
 
 @pytest.mark.parametrize("rod", RODS.values(), ids=RODS)
 def test_no_torsion_without_a_moment_about_the_axis(rod):
-    """A straight round rod loaded on its centreline carries no twist, so its frames do not turn about it."""
+    """A straight round rod loaded on its centreline has no twist, so its frames do not rotate about the axis."""
     force, s_c = sideways(rod)
     eq = rod.solve(GRAVITY, force, s_c, mode="reference")
     torsion = np.einsum("ki,ki->k", eq.m_base, eq.R_base[:, :, 2])

@@ -1,4 +1,4 @@
-"""The rod pressed against a fixed point or line: statics, geometry, energy and derivatives of what is found."""
+"""Test the rod pressed against a fixed point or line: statics, geometry, energy and derivatives."""
 
 import math
 from dataclasses import replace
@@ -15,16 +15,16 @@ from probedesign.rod.rod import Rod
 GRAVITY = np.array([6.0, 5.0, -6.0])
 RODS = {"cone": CONE, "rooted": ROOTED_CONE, "cylinder": CYLINDER, "profile": PROFILE}
 SIDE = np.array([math.cos(0.4), math.sin(0.4), 0.0])
-"""From which the flank is pressed."""
+"""Directions from which the flank is pressed."""
 LEAN = 0.7
-"""Of an edge against the rim's plane [rad]."""
+"""Angle of an edge to the plane of the rim [rad]."""
 FLANK = [(name, fraction) for name in RODS for fraction in (0.2, 0.5, 0.85)]
 
 
 def flank_press(
     rod, fraction, depth, line=False, offset=0.2, gravity=GRAVITY, mode="reference", moved=(0, 0, 0)
 ):
-    """Pressed by `depth` radii at a fraction of the free rod, so many radii beside its axis."""
+    """Press at a fraction of the free rod by `depth` radii, at a distance from its axis in radii."""
     free = rod.solve(gravity, mode="reference")
     s = fraction * rod.length
     R, r = free.R_at(s), float(rod.radius_at(s))
@@ -39,7 +39,7 @@ def flank_press(
 
 
 def tip_press(rod, offset, depth, line=False, gravity=GRAVITY, mode="reference", moved=(0, 0, 0)):
-    """Pressed by `depth` radii on the flat end, so many radii beside its middle, or by an edge on its rim."""
+    """Press on the flat end by `depth` radii, at a distance from its centre in radii, or by an edge on its rim."""
     free = rod.solve(gravity, mode="reference")
     R, r = free.R_at(rod.length), rod.radius[-1]
     normal = R @ ([math.cos(LEAN), 0.0, math.sin(LEAN)] if line else [0.0, 0.0, 1.0])
@@ -68,7 +68,7 @@ def pressed(name, **more):
 
 
 def surface_normal(rod, press):
-    """Outward, of the bent body at the touched section, and the circle's point there."""
+    """Return the outward normal of the bent body at the touched section and the point of its circle."""
     eq, s = press.equilibrium, press.s_contact
     R = eq.R_at(s)
     out = -(math.cos(press.angle) * R[:, 0] + math.sin(press.angle) * R[:, 1])
@@ -90,7 +90,7 @@ def test_the_base_bears_the_contact_and_the_weight(name):
 
 
 def nodes_of(rod, breaks=()):
-    """Gauss points and weights over the rod, which breaks at its knots, where its root ends and more."""
+    """Return Gauss points and weights over the rod, with breaks at knots, the end of the root and given places."""
     x, w = np.polynomial.legendre.leggauss(10)
     even = np.linspace(0.0, rod.length, 31)
     ends = np.unique(np.concatenate([rod.s, [max(rod.root[1], 0.0)], even, breaks]))
@@ -99,7 +99,7 @@ def nodes_of(rod, breaks=()):
 
 
 def weight_moment(rod, press):
-    """What gravity alone does to the base: [force; moment]."""
+    """Return the wrench of gravity alone on the base, [force; moment]."""
     s, w = nodes_of(rod, [press.s_contact])
     mass = w * rod.density * math.pi * rod.radius_at(s) ** 2
     return np.concatenate([mass.sum() * GRAVITY, np.cross(mass @ press.equilibrium.p_at(s), GRAVITY)])
@@ -200,7 +200,7 @@ def test_in_its_plane_an_edge_across_it_is_a_point(name):
 
 
 def energy(rod, press):
-    """Elastic and of the weight [J]: ∫ (m - t (m·t))²/(2 E I) + (m·t)²/(2 G J) - ρ A g·p ds, inextensible."""
+    """Return the energy [J]: ∫ (m - t (m·t))²/(2 E I) + (m·t)²/(2 G J) - ρ A g·p ds, inextensible."""
     s, w = nodes_of(rod, [press.s_contact])
     y, p = press.equilibrium.states_at(s), press.equilibrium.p_at(s)
     t, m = y[:, 0:3], y[:, 3:6]
@@ -368,7 +368,7 @@ def test_a_cone_pressed_on_its_end_bows_out_from_under_the_point():
 
 @pytest.mark.parametrize("fraction", [0.36, 0.5])
 def test_over_the_knots_of_a_profile_the_press_goes_on(fraction):
-    """The profile swells, so an edge that slides outwards meets a groove and a ridge."""
+    """The radius of the profile increases in places, so an edge that slides outwards meets a groove and a ridge."""
     rod = Rod(np.array([0.0, 0.05, 0.07, 0.12]), np.array([4e-3, 2e-3, 2.5e-3, 1.5e-3]), 1e6, 0.3e6, 1100.0)
     seen, last = set(), None
     for depth in np.linspace(1e-4, 0.05, 25):

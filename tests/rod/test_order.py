@@ -1,4 +1,4 @@
-"""The step's coefficients are those of a pair of orders 6 and 5: pure quadrature, and the error seen on a rod."""
+"""Test the order of the integration pair, 6 and 5, by quadrature and on a rod."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def test_quadrature_holds_up_to_the_order_and_no_further(weights, order):
 
 @pytest.mark.parametrize(("weights", "order"), [(steps.B, 6), (steps.B_LOW, 5)])
 def test_one_step_of_growth_is_its_taylor_sum(weights, order):
-    """y' = y: b A^(k-1) 1 = 1/k!, the chain of conditions that quadrature does not see."""
+    """Test the conditions b A^(k-1) 1 = 1/k! of y' = y, which quadrature does not include."""
     chain, factorial = np.ones(8), 1.0
     square = steps.A
     for k in range(1, order + 1):

@@ -20,7 +20,7 @@ A. G. Greenhill, Proc. Cambridge Phil. Soc. 4 (1881) 65-73."""
 
 
 def upright(weight):
-    """The elastica upright under a weight per length [N/m]."""
+    """Return the upright elastica under a weight per length [N/m]."""
     g = weight / (ELASTICA.density * np.pi * ELASTICA.radius[0] ** 2)
     return ELASTICA.solve((0, 0, -g))
 
@@ -82,7 +82,7 @@ ROUND_OR_NOT = {
     ],
 )
 def test_a_flat_column_gives_way_about_its_softer_axis(factors, share, result, mode):
-    """Euler's load with the smaller I; 2 is the load of the stiffer way, 9 the second critical one."""
+    """The critical load has the smaller I; 2 is that of the stiffer direction, 9 the second critical one."""
     rod = replace(ELASTICA, factors=factors)
     eq = rod.solve(force=(0, 0, -share * min(factors[1:3]) * EULER), mode=mode)
     assert eq.result == result

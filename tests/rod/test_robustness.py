@@ -1,4 +1,4 @@
-"""Random rods over the whole working envelope, started cold: solved, at rest, and on the branch from no load."""
+"""Test random rods over the working envelope from a cold start: solved, in equilibrium, and on the unloaded branch."""
 
 from itertools import pairwise
 
@@ -52,7 +52,7 @@ def test_of_twenty_thousand_all_but_one_in_a_thousand_are_solved():
 
 
 def test_the_base_moment_is_that_of_force_and_weight_on_the_bent_rod():
-    """M = p_c × F + ∫ p × ρ A g ds: equilibrium of the whole, which no step of the solve looks at."""
+    """M = p_c × F + ∫ p × ρ A g ds: equilibrium of the whole rod, which the solver does not use."""
     rods, gravity, force, s = random_cases(FOLLOWED, 1)
     for rod, g, F, at in zip(rods, gravity, force, s, strict=True):
         eq = rod.solve(g, F, at)
@@ -71,7 +71,7 @@ def test_the_base_moment_is_that_of_force_and_weight_on_the_bent_rod():
 
 
 def test_the_answer_is_the_end_of_the_path_from_no_load():
-    """Followed in a hundred small steps, each from the last one's answer and from nowhere else."""
+    """Follow the equilibrium in a hundred small steps, each started only from the one before."""
     rods, gravity, force, s = random_cases(FOLLOWED, 2)
     followed = 0
     for rod, g, F, at in zip(rods, gravity, force, s, strict=True):

@@ -1,4 +1,4 @@
-"""Rods that are not round, not full or not straight: beam theory, the shape at rest, and where they are round."""
+"""Test rods that are not round, solid or straight: beam theory, shape at rest, and limits of round rods."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ LITTLE = 1e-7
 
 
 def deflections(rod, s_c):
-    """Of a cylinder at its contact by a unit force along x and y, linear theory: s³/(3 E I) + s/(k G A)."""
+    """Return the compliance of a cylinder at its contact along x and y in linear theory: s³/(3 E I) + s/(k G A)."""
     A, I_xx, I_yy = np.array(rod.factors[:3]) * np.pi * rod.radius[0] ** np.array([2, 4, 4]) / [1.0, 4.0, 4.0]
     shear = s_c / (rod.shear_coefficient * rod.shear_modulus * A)
     return s_c**3 / (3.0 * rod.youngs_modulus * np.array([I_yy, I_xx])) + shear
@@ -38,7 +38,7 @@ def test_a_small_push_moves_each_way_by_its_own_stiffness(factors, fraction, ang
 
 
 def test_a_flat_rod_gives_way_towards_its_softer_side():
-    """Bent well, too, it leaves the plane of the push towards y, the way it is thin."""
+    """Also at large bending the rod leaves the plane of the force towards y, its thin direction."""
     eq = ELLIPTIC.solve(force=bending_force(ELLIPTIC, 0.1, 0.5) * np.array([1.0, 1.0, 0.0]), s_contact=0.1)
     x, y, _z = eq.p_contact_base
     assert y > 1.5 * x > 0.0
@@ -77,7 +77,7 @@ def test_a_load_turned_by_a_right_angle_turns_the_answer_if_the_section_turns_to
 
 @pytest.mark.parametrize("angle", [0.4, -2.0])
 def test_a_round_curved_rod_turned_about_its_axis_is_the_same_rod(angle):
-    """Curvature at rest and load turned together turn the answer, whatever axes the section has."""
+    """Rotating curvature at rest and load together rotates the solution for any axes of the section."""
     rest = EVERYTHING.rest_curvature
     rod = replace(PROFILE, rest_curvature=rest)
     other = replace(PROFILE, rest_curvature=np.array([turned(angle, u) for u in rest]))
@@ -107,7 +107,7 @@ def test_no_curvature_and_no_flatness_are_the_round_rod_to_the_bit(mode):
     "almost", [{"factors": (1.0, 1.0, 1.0 + 1e-15, 1.0)}, {"rest_curvature": np.full((4, 3), 1e-14)}]
 )
 def test_hardly_flat_or_curved_is_the_round_rod(almost):
-    """The two ways to solve, with section axes and without, give one answer."""
+    """The solvers with and without section axes agree."""
     plain = PROFILE.solve(*LOAD, mode="reference", columns="all")
     other = replace(PROFILE, **almost).solve(*LOAD, mode="reference", columns="all")
     s = np.linspace(0.0, PROFILE.length, 9)
@@ -124,7 +124,7 @@ def test_hardly_flat_or_curved_is_the_round_rod(almost):
 
 
 def helix(u, s):
-    """Centreline of an unloaded rod with the same curvature and twist all along, (j, 3): e_z turned by u s, summed."""
+    """Return the centreline of an unloaded rod with constant curvature and twist, (j, 3), by summation."""
     k, z = np.linalg.norm(u), np.array([0.0, 0.0, 1.0])
     axis = u / k
     along = axis * axis[2]
@@ -190,7 +190,7 @@ def test_arc_deflection_matches_castigliano():
 @pytest.mark.parametrize("gravity", [(2.0, 0.5, -9.6), (5.0, 5.0, -6.0), (0.1, -9.0, 4.0)])
 @pytest.mark.parametrize("factors", [(1.0, 1.0, 1.0, 1.0), FLAT], ids=["round", "flat"])
 def test_a_thin_rod_that_hangs_over_is_stable(factors, gravity, modulus):
-    """Everything beyond the clamp hangs from it: nothing can buckle, however far the tip has turned round."""
+    """The rod hangs from the clamp, so it cannot buckle at any rotation of the tip."""
     rod = Rod(np.array([0.0, 0.15]), np.array([1e-3, 1e-3]), modulus, 0.33 * modulus, 1000.0, factors=factors)
     eq = rod.solve(gravity)
     assert eq.result == "ok" and eq.margin > 0.5

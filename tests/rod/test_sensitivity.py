@@ -1,4 +1,4 @@
-"""Exact sensitivities against central differences: base wrench, contact, centreline; by load, rod and base pose."""
+"""Compare sensitivities with central differences: base wrench, contact, centreline; by load, rod and base pose."""
 
 from dataclasses import replace
 
@@ -41,11 +41,11 @@ CASES = {
     "everything": (EVERYTHING, 0.5, (0.02, 0.01, 0.03)),
 }
 PLACES = np.array([0.05, 0.3, 0.53, 0.7, 0.95, 1.0])
-"""Of the centreline, in lengths: on both sides of every contact, and where the root ends within a step."""
+"""Places on the centreline over the length: on both sides of every contact, and at the end of the root."""
 
 
 def problem(case):
-    """Rod, gravity, force, couple and s_contact of a case."""
+    """Return rod, gravity, force, couple and s_contact of a case."""
     rod, fraction, couple = CASES[case]
     s_c = fraction * rod.length
     force = bending_force(rod, s_c, 0.8) * np.array([0.6, -0.7, 0.4])
@@ -67,13 +67,13 @@ def kind_of(name):
 
 
 def size_of(name, rod, force):
-    """What the parameter is measured in."""
+    """Return the scale of the parameter."""
     F, L = np.linalg.norm(force), rod.length
     return {"force": F, "s_contact": L, "couple": F * L, "gravity": 9.81, "log": 1.0}[kind_of(name)]
 
 
 def moved(name, h, rod, gravity, force, couple, s_c):
-    """The problem with one parameter moved by h."""
+    """Return the problem with one parameter changed by h."""
     if name.startswith("log_diameter"):
         grown = rod.radius.copy()
         grown[int(name[13:]) if name[13:] else slice(None)] *= np.exp(h)
@@ -93,24 +93,24 @@ def moved(name, h, rod, gravity, force, couple, s_c):
 
 
 def frame_of(eq):
-    """[tangent, x axis, position, y axis] at the contact, (12,)."""
+    """Return [tangent, x axis, position, y axis] at the contact, (12,)."""
     R = eq.R_at(eq.s_contact)
     return np.concatenate([R[:, 2], R[:, 0], eq.p_contact_base, R[:, 1]])
 
 
 def measured(eq, rod):
-    """All that has a derivative: base wrench, contact, centreline."""
+    """Return all quantities with derivatives: base wrench, contact, centreline."""
     return np.concatenate([eq.wrench_base, frame_of(eq), eq.p_at(PLACES * rod.length).ravel()])
 
 
 def claimed(eq, rod):
-    """The derivatives of the same, (6 + 12 + 3 · places, k)."""
+    """Return their derivatives, (6 + 12 + 3 · places, k)."""
     d = eq.sensitivity
     return np.vstack([d.d_wrench, d.d_contact, np.vstack(list(eq.d_p_at(PLACES * rod.length)))])
 
 
 def differences(at, h):
-    """Richardson's two central differences."""
+    """Return Richardson's extrapolation of two central differences."""
     return (8.0 * (at(h) - at(-h)) - (at(2 * h) - at(-2 * h))) / (12.0 * h)
 
 
@@ -153,7 +153,7 @@ BY_POSE = ("cone", "rooted", "elliptic", "curved at rest", "everything")
 
 @pytest.mark.parametrize("case", BY_POSE)
 def test_a_base_that_moves_under_loads_fixed_in_the_world(case):
-    """Base at x0 turned by R_b: in its axes force, couple and gravity are R_bᵀ times what they are in the world."""
+    """A base at x0 with rotation R_b has force, couple and gravity R_bᵀ times those of the world."""
     rod, gravity, force, couple, s_c = problem(case)
 
     def at(pose):

@@ -1,4 +1,4 @@
-"""The rod against closed forms, published tables and converged solutions: every entry of data/truth.json."""
+"""Compare the rod with closed forms, published tables and converged solutions, every entry of data/truth.json."""
 
 import json
 from pathlib import Path
@@ -41,7 +41,7 @@ def solve(entry):
 
 
 def assert_as_expected(entry, found):
-    """Within the entry's tolerance, relative to the length, to 1 for a direction, to its own size for a load."""
+    """Compare within the entry's tolerance relative to the length, to 1 for a direction, to its size for a load."""
     for key, wanted in entry["expected"].items():
         if key.startswith("p_"):
             size = entry["length_m"]

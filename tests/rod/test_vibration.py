@@ -1,4 +1,4 @@
-"""First natural frequency against closed forms."""
+"""Compare the first natural frequency with closed forms."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The node of ROS 2, with a stand-in for rclpy: what it publishes is what a recording contains."""
+"""Test the ROS 2 node with a substitute for rclpy: it publishes what a recording contains."""
 
 import base64
 import json
@@ -40,7 +40,7 @@ def estimator():
 
 @pytest.fixture(scope="module")
 def ros():
-    """The package and the stand-in on the path, without the modules afterwards."""
+    """Put the package and the substitute on the path and remove their modules afterwards."""
     before, path = set(sys.modules), sys.path[:]
     sys.path[:0] = [str(ROOT / "tests" / "ros2_stub"), str(ROS / "probedesign_ros")]
     import probedesign_ros.node as node
@@ -93,7 +93,7 @@ def a_run(node, estimator, record=None, seconds=4):
 
 
 START = 1_800_000_000
-"""A wall clock that stands still [s]."""
+"""A constant wall clock [s]."""
 
 
 def test_messages_equal_those_of_the_recording(node, estimator, tmp_path, monkeypatch):
@@ -234,7 +234,7 @@ def test_every_command_is_a_service(ros, node):
 
 
 def test_services_have_the_results_of_the_run(ros):
-    """The same refusal as everywhere: there is one execution."""
+    """A refused service has the same message as in all inputs, because commands have one implementation."""
     commands, ended = CommandQueue(), threading.Event()
     commands.register("mark", lambda command: f"mark: {command.text}")
     inputs = DatagramInput("udp://:0", commands, lambda line: None)

@@ -21,7 +21,7 @@ def simulated_tests(model, **options):
 
 
 def test_only_touches_have_friction(model):
-    """Tests of the free probe stay as they are; a touch's force leaves the normal by its own friction."""
+    """Friction does not change tests of the free probe; it inclines the force of each touch independently."""
     plain, rough = (simulated_tests(model, friction=mu) for mu in (0.0, 0.6))
     for one, other in zip(plain, rough, strict=True):
         if one.p_surface_base is None:
@@ -51,7 +51,7 @@ def _bench(model, flaws: bool):
 
 
 def test_lengths_of_the_reference_have_its_scale(model):
-    """Distances from the stated base are longer by the drawn fraction; a bench without flaws measures exactly."""
+    """Distances from the stated base are longer by the drawn fraction, and exact without errors of the bench."""
     points = np.array([[0.0, 0.0, 0.1], [0.01, 0.02, 0.15]])
     exact, flawed = _bench(model, False), _bench(model, True)
     T = flawed.T_world_true

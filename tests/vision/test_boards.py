@@ -43,7 +43,7 @@ def pair(distortion=LENS):
 
 
 def problem(cameras, rng, std_px=0.1, count=8, scale=1.0, stated=None, relative=(), tilt=0.5):
-    """Views of the board in the world's placement and in others, as exact cameras see them, with noise."""
+    """Return views of the board by exact cameras with noise, in the placement of the world frame and in others."""
     views = []
     for number in range(count + 1):
         T = placement(rng.uniform(-tilt, tilt, 3), rng.uniform(-0.04, 0.04, 3)) if number else WORLD
@@ -127,7 +127,7 @@ def test_the_pair_agrees_with_opencv():
 
 
 def test_the_stated_covariance_is_that_of_the_errors():
-    """Of markers seen exactly, so that all of their error is the calibration's, its scale included."""
+    """Return errors of exactly observed markers, which are due to the calibration and its scale."""
     rng, true, square = np.random.default_rng(4), pair(), []
     marker = MARKERS[7:8]
     for _ in range(20):
@@ -142,7 +142,7 @@ def test_the_stated_covariance_is_that_of_the_errors():
 
 
 def test_errors_that_cameras_share_count_once():
-    """A rotation of both cameras about the world's axes moves a marker and contradicts no pixel."""
+    """A rotation of both cameras about the world axes moves a marker without changing a pixel."""
     true, marker = pair(()), MARKERS[7:8]
     common = np.zeros((11, 1))
     tilted = []

@@ -1,4 +1,4 @@
-"""What an estimate costs."""
+"""Time of an estimate."""
 
 from collections.abc import Callable
 from functools import partial
@@ -7,7 +7,7 @@ from itertools import count
 import numpy as np
 
 from benchmarks.cases import GRAVITY, TABLE_I
-from benchmarks.timing import interleaved, print_table, shown
+from benchmarks.timing import format_seconds, interleaved, print_table
 from benchmarks.touches import paper_models, presses, touch
 from probedesign.core.frames import Array
 from probedesign.estimation.estimator import Estimator
@@ -25,7 +25,7 @@ def report() -> None:
     }
     for force, fraction in TABLE_I:
         one = touch(model, GRAVITY, fraction * model.rod.length, np.pi / 2, force)
-        assert one is not None, "the paper's touches of the large probe are held"
+        assert one is not None, "the large probe has an equilibrium under these touches of the paper"
         name, wrench = f"{force:g} N at {fraction:g} L", one.wrench
         near = estimator.estimate(wrench, GRAVITY)
         calls[f"{name}, ml, cold"] = partial(estimator.estimate, wrench, GRAVITY)
@@ -34,19 +34,19 @@ def report() -> None:
         )
         calls[f"{name}, force–moment"] = partial(estimator.estimate, wrench, GRAVITY, method="force_moment")
     pressed = presses(model, GRAVITY, 0.7 * model.rod.length, np.pi / 2, np.linspace(2e-3, 1e-2, 5))
-    assert pressed is not None, "so light a press is held"
+    assert pressed is not None, "the large probe has an equilibrium under a light press"
     calls["fuse, five touches"] = partial(estimator.fuse, pressed.wrenches, pressed.Ts, GRAVITY)
-    calls["tracker, one reading more of five touches"] = _tracking(estimator, pressed.wrenches, pressed.Ts)
+    calls["tracker, one more reading after five touches"] = _tracking(estimator, pressed.wrenches, pressed.Ts)
     seconds = interleaved(calls, ROUNDS)
     print_table(
-        f"What an answer costs, large probe, a call from Python. Median of {ROUNDS} interleaved rounds",
-        ["reading", "time", "a second"],
-        [[name, shown(t), f"{1.0 / t:.0f}"] for name, t in seconds.items()],
+        f"Time of one call from Python, large probe. Median of {ROUNDS} interleaved rounds",
+        ["call", "time", "calls per second"],
+        [[name, format_seconds(t), f"{1.0 / t:.0f}"] for name, t in seconds.items()],
     )
 
 
 def _tracking(estimator: Estimator, wrenches: Array, Ts: Array) -> Callable[[], object]:
-    """An update of a tracker that has seen five touches."""
+    """Return a call that updates a tracker after five touches."""
     tracker, ticks = Tracker(estimator, gravity_world=GRAVITY), count(1)
     for wrench, T in zip(wrenches, Ts, strict=True):
         for _ in range(36):

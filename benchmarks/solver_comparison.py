@@ -1,0 +1,221 @@
+"""Time and error of the compiled rod and of other solvers for equilibria of the paper's large probe."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from importlib.util import find_spec
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.cases import GRAVITY, Load, paper_loads
+from benchmarks.kernel_profile import COPIES, NEIGHBOUR, NODES, Request, solver
+from benchmarks.peers.collocation import solve_by_bvp
+from benchmarks.peers.shooting import shoot_rk45
+from benchmarks.timing import format_seconds, interleaved, print_table, two_digits, value_range
+from probedesign.core.frames import Array
+from probedesign.rod.rod import Rod
+
+ROUNDS = 9
+STATIONS = 31
+"""Stations at which centrelines are compared."""
+ROD, KERNEL = "Rod.solve", "kernel of Rod.solve, with the shape"
+TARGETS = {"RK45 shooting": 5000.0, "solve_bvp": 500.0, "Exudyn": 1000.0}
+"""Target of the time over that of the kernel, by the first words of the method's row."""
+EXUDYN_ELEMENTS = (25, 50, 100, 200, 1600)
+"""200 elements have an error of about 1 µm, and 1600 about that of `Rod.solve`."""
+REBUILT_ELEMENTS = 200
+"""Elements of the row that includes building the model."""
+ELASTICA = {"documented clamp, 100 elements": (100, 0.0), "clamp at the middle of the first element, 50": (50, 0.5),
+            "clamp at the middle of the first element, 100": (100, 0.5)}  # fmt: skip
+
+CALLS = ("cold", "from a neighbouring load", "the same with the Jacobian by force and s_contact",
+         "the same with all derivatives")  # fmt: skip
+
+Centreline = tuple[Array, Array]
+"""Stations [m], (k,), and points of the centreline [m], (k, 3)."""
+
+
+class Method(NamedTuple):
+    """A solver of one case.
+
+    Attributes:
+        timed: the call to time.
+        centreline: the call that returns its centreline.
+        copies: number of solves in the timed call.
+    """
+
+    timed: Callable[[], object]
+    centreline: Callable[[], Centreline]
+    copies: int = 1
+
+
+class Measurement(NamedTuple):
+    """Median time [s] and largest distance from the converged centreline [m] of one method for one case."""
+
+    seconds: float
+    error: float
+
+
+def methods(rod: Rod, load: Load) -> dict[str, Method | None]:
+    """Return all methods by name; None where a package is not installed."""
+    return {**by_rod(rod, load), **by_scipy(rod, load), **by_exudyn(rod, load), **by_elastica(rod, load)}
+
+
+def by_rod(rod: Rod, load: Load) -> dict[str, Method]:
+    """Return the methods with the compiled rod from a cold start."""
+    s = np.linspace(0.0, rod.length, STATIONS)
+    fast = partial(rod.solve, GRAVITY, load.force, load.s)
+    reference = partial(rod.solve, GRAVITY, load.force, load.s, mode="reference")
+    return {
+        KERNEL: Method(solver(rod, load, Request(room=NODES)), lambda: (s, fast().p_at(s)), COPIES),
+        ROD: Method(fast, lambda: (s, fast().p_at(s))),
+        'Rod.solve(mode="reference")': Method(reference, lambda: (s, reference().p_at(s))),
+    }
+
+
+def by_scipy(rod: Rod, load: Load) -> dict[str, Method]:
+    """Return shooting with the default tolerance of RK45 and with one for an error below 1 µm, and collocation."""
+    s = np.linspace(0.0, rod.length, STATIONS)
+    case = (rod, GRAVITY, load.force, load.s, s)
+    solvers = {
+        "RK45 shooting, rtol 1e-3": partial(shoot_rk45, *case, 1e-3),
+        "RK45 shooting, rtol 1e-5": partial(shoot_rk45, *case, 1e-5),
+        "solve_bvp, tol 1e-3": partial(solve_by_bvp, *case, 1e-3),
+    }
+    return {name: Method(solver, lambda solver=solver: (s, solver())) for name, solver in solvers.items()}
+
+
+def by_exudyn(rod: Rod, load: Load) -> dict[str, Method | None]:
+    """Return beam elements without the time to build the model, and once with it, as a new s_contact requires."""
+    if find_spec("exudyn") is None:
+        return {"Exudyn": None}
+    from benchmarks.peers import exudyn
+
+    rows: dict[str, Method | None] = {}
+    for count in EXUDYN_ELEMENTS:
+        solver = partial(exudyn.solve, exudyn.build(rod, GRAVITY, load.force, load.s, count))
+        rows[f"Exudyn, {count} elements"] = Method(solver, solver)
+
+    def with_building() -> Centreline:
+        return exudyn.solve(exudyn.build(rod, GRAVITY, load.force, load.s, REBUILT_ELEMENTS))
+
+    return {**rows, f"Exudyn, {REBUILT_ELEMENTS} elements, model built": Method(with_building, with_building)}
+
+
+def by_elastica(rod: Rod, load: Load) -> dict[str, Method | None]:
+    """Return dynamic relaxation to the equilibrium."""
+    if find_spec("elastica") is None:
+        return {"PyElastica": None}
+    from benchmarks.peers.pyelastica import relax
+
+    rows: dict[str, Method | None] = {}
+    for name, (elements, behind) in ELASTICA.items():
+        solver = partial(relax, rod, GRAVITY, load.force, load.s, elements, behind)
+        rows[f"PyElastica, {name}"] = Method(solver, solver)
+    return rows
+
+
+def measure(rod: Rod, load: Load) -> dict[str, Measurement | None]:
+    """Measure all methods for one case."""
+    truth = rod.solve(GRAVITY, load.force, load.s, mode="reference")
+    solvers = methods(rod, load)
+    seconds = interleaved({name: method.timed for name, method in solvers.items() if method}, ROUNDS)
+    found: dict[str, Measurement | None] = {}
+    for name, method in solvers.items():
+        found[name] = None
+        if method:
+            s, p = method.centreline()
+            found[name] = Measurement(
+                seconds[name] / method.copies, float(np.linalg.norm(p - truth.p_at(s), axis=1).max())
+            )
+    return found
+
+
+def compare(rod: Rod) -> list[dict[str, Measurement | None]]:
+    """Measure all methods for all loads."""
+    return [measure(rod, load) for load in paper_loads(rod)]
+
+
+def print_comparison(found: Sequence[dict[str, Measurement | None]]) -> None:
+    """Print times, errors and ratios."""
+    print_table(
+        f"One equilibrium of the large probe, cold, range over {len(found)} loads of the paper. "
+        f"Medians of up to {ROUNDS} interleaved rounds",
+        ["method", "time", "error [µm]", f"time / {ROD}", "time / kernel", "target of time / kernel"],
+        [row(name, found) for name in found[0]],
+    )
+    print("  error: largest distance from the converged centreline (Rod.solve in reference mode, "
+          "itself within 1e-11 L of tests/reference/shooting.py; tests/rod/test_shooting.py)\n"
+          "  target: for every load, and only for methods whose error is not below that of Rod.solve")  # fmt: skip
+
+
+def row(name: str, found: Sequence[dict[str, Measurement | None]]) -> list[str]:
+    """Return the row of one method."""
+    measured = [m for case in found if (m := case[name])]
+    if not measured:
+        return [name, "not installed: pip install '.[bench]'", "", "", "", ""]
+    target = next((times for start, times in TARGETS.items() if name.startswith(start)), None)
+    over_kernel = ratios(name, found, KERNEL)
+    verdict = ""
+    if target:
+        reached = eligible(name, found) and min(over_kernel) >= target
+        verdict = f"≥ {target:g}: {'reached' if reached else 'missed'}"
+    return [
+        name,
+        value_range([m.seconds for m in measured], format_seconds),
+        value_range(
+            [m.error for m in measured],
+            lambda error: "< 0.001" if error < 1e-9 else two_digits(error / 1e-6),
+        ),
+        value_range(ratios(name, found, ROD), two_digits),
+        value_range(over_kernel, two_digits),
+        verdict,
+    ]
+
+
+def ratios(name: str, found: Sequence[dict[str, Measurement | None]], reference: str) -> list[float]:
+    """Return the time of a method over that of a reference method for every case."""
+    pairs = [(case[name], case[reference]) for case in found]
+    return [a.seconds / b.seconds for a, b in pairs if a and b]
+
+
+def eligible(name: str, found: Sequence[dict[str, Measurement | None]]) -> bool:
+    """Return whether the error of a method is nowhere below that of `Rod.solve`."""
+    pairs = [(case[name], case[ROD]) for case in found]
+    return all(rod.error <= other.error for other, rod in pairs if other and rod)
+
+
+def most_accurate(start: str, found: Sequence[dict[str, Measurement | None]]) -> str | None:
+    """Return the eligible method with the smallest error whose name has this start, or None."""
+    names = [
+        name
+        for name, measured in found[0].items()
+        if measured and name.startswith(start) and eligible(name, found)
+    ]
+    return min(names, key=lambda name: max(m.error for case in found if (m := case[name])), default=None)
+
+
+def calls_from_python(rod: Rod) -> dict[str, float]:
+    """Return the time of calls from Python [s] for the slowest of the loads."""
+    slowest = dict.fromkeys(CALLS, 0.0)
+    for load in paper_loads(rod):
+        neighbour = rod.solve(GRAVITY, NEIGHBOUR * load.force, load.s).tip
+        case = (GRAVITY, load.force, load.s)
+        calls = (
+            partial(rod.solve, *case),
+            partial(rod.solve, *case, guess=neighbour),
+            partial(rod.solve, *case, guess=neighbour, columns="load"),
+            partial(rod.solve, *case, guess=neighbour, columns="all"),
+        )
+        seconds = interleaved(dict(zip(CALLS, calls, strict=True)), ROUNDS)
+        slowest = {name: max(slowest[name], seconds[name]) for name in CALLS}
+    return slowest
+
+
+def print_calls(slowest: dict[str, float]) -> None:
+    """Print the times of calls from Python."""
+    print_table(
+        f"One call from Python. Median of {ROUNDS} interleaved rounds, slowest of the loads",
+        ["Rod.solve", "time"],
+        [[name, format_seconds(seconds)] for name, seconds in slowest.items()],
+    )
