@@ -17,6 +17,7 @@ from probedesign.design.schema import MAX_DIAMETER_MM, MIN_DIAMETER_MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.geometry import flange_for
 from probedesign.mount import max_ring_passage_d
+from probedesign.optimization.displacement import displacement_metric
 from probedesign.optimization.objective import Task, detectable_mN, predict_task, side_of
 from probedesign.prediction.predict import tip_sag
 from probedesign.printing import check as limits
@@ -279,6 +280,8 @@ INFEASIBLE = {"error_mm": 1e3, "worst_error_mm": 1e3, "sensor_use": 10.0, "slide
             "reach_mm": 1e-3, "critical_load": 0.1, "buckling_margin": 0.1, "natural_frequency_Hz": 1e-3,
             "detectable_mN": 1e6, "thinnest_mm": 1e-3}  # fmt: skip
 """Metrics of a design that buckles: values that no optimiser accepts."""
+_NO_FIGURE = 1e6
+"""Force or load of a crash of a design that buckles."""
 
 
 @dataclass
@@ -333,7 +336,8 @@ class DesignEvaluator:
         return self.metrics(x)["error_mm"] < INFEASIBLE["error_mm"]
 
     def _evaluate(self, x: Array) -> dict[str, float]:
-        found = {**INFEASIBLE, "length_mm": self.space.length_mm(x), "mass_g": 1e3}
+        found = {**INFEASIBLE, **dict.fromkeys((name for name in self.limited if "@" in name), _NO_FIGURE)}
+        found |= {"length_mm": self.space.length_mm(x), "mass_g": 1e3}
         try:
             probe = self.probe(x)
             model = probe.model
@@ -354,6 +358,10 @@ class DesignEvaluator:
             found["natural_frequency_Hz"] = frequency if math.isfinite(frequency) else 1e-3
         if "detectable_mN" in self.limited:
             found["detectable_mN"] = detectable_mN(model, task) or INFEASIBLE["detectable_mN"]
+        overload = self.space.start.sensor_model.overload
+        for name in self.limited:
+            if "@" in name:
+                found[name] = displacement_metric(name, model, task, overload) or _NO_FIGURE
         free = probe.rod.solve(model.gravity_base)
         if free.ok:
             tip = free.p_at(probe.length)
