@@ -20,9 +20,10 @@ from probedesign.cad.exploded_view import (
 )
 from probedesign.cad.kernel import mass_properties
 from probedesign.cad.mesh import Mesh
-from probedesign.cad.model import CadModel, CadPart, ScrewGroup
+from probedesign.cad.model import CadModel, CadPart
 from probedesign.cad.part_drawings import part_drawings
 from probedesign.cad.render import render_body, render_png
+from probedesign.cad.solids import ScrewGroup
 from probedesign.cad.svg import Svg
 from probedesign.core.units import MM, MPA
 from probedesign.design.catalog import ALUMINIUM, RIGID_RESIN

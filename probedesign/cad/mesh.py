@@ -65,11 +65,21 @@ class Mesh:
         return Mesh(self.vertices * np.array(factors, dtype=np.float32), self.triangles)
 
 
-def tessellate(shape: cq.Shape) -> Mesh:
-    """Return the triangles of a solid, the same on every run."""
+def tessellate(
+    shape: cq.Shape,
+    linear_mm: float = LINEAR_TOLERANCE_MM,
+    angular_rad: float = ANGULAR_TOLERANCE_RAD,
+) -> Mesh:
+    """Return the triangles of a shape, the same on every run.
+
+    Args:
+        shape: one or several solids, in millimetres.
+        linear_mm: largest distance of a facet from its surface [mm].
+        angular_rad: largest angle between adjacent facets [rad].
+    """
     fresh = shape.copy()  # a copy has no coarser mesh from earlier use
     wanted = IMeshTools_Parameters()
-    wanted.Deflection, wanted.Angle = LINEAR_TOLERANCE_MM, ANGULAR_TOLERANCE_RAD
+    wanted.Deflection, wanted.Angle = linear_mm, angular_rad
     # Between rulings a facet is as accurate as its edge; checking its interior takes a minute on an elliptic probe.
     wanted.ControlSurfaceDeflection = False
     BRepMesh_IncrementalMesh(fresh.wrapped, wanted)

@@ -46,6 +46,28 @@ def design_dict(design: Design) -> dict[str, Any]:
     return tables
 
 
+_OF_A_PRINT = ("diameter_mm", "diameter_share", "diameter_scatter_mm")
+"""Keys of `[tolerances]` that `measured` writes for one print."""
+
+
+def as_new_print(tables: dict[str, Any], before: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Return the tables of a changed design without what was measured on the print of the former one.
+
+    Args:
+        tables: of the changed design.
+        before: of the former one. Tables with its `[probe]` are returned unchanged, and tolerances that differ from its
+            own are kept. None: both are one design of which a new print is made.
+    """
+    probe, tolerances = tables["probe"], tables.get("tolerances", {})
+    if not isinstance(probe, dict) or not isinstance(tolerances, dict):  # the check of the design refuses it
+        return tables
+    if not probe.get("measured") or (before is not None and probe == before["probe"]):
+        return tables
+    former = tolerances if before is None else before.get("tolerances", {})
+    kept = {k: v for k, v in tolerances.items() if k not in _OF_A_PRINT or v != former.get(k)}
+    return {**tables, "probe": {k: v for k, v in probe.items() if k != "measured"}, "tolerances": kept}
+
+
 @dataclass(frozen=True)
 class DesignSpace:
     """Designs that differ from a start in their flexible part alone.
@@ -192,7 +214,7 @@ class DesignSpace:
             probe |= {"shape": "profile", "profile_mm": profile}
         if "section" in self.free:
             probe[self.ratio_key] = round(float(self.ratio(x) or 0.0), 4)
-        return data
+        return as_new_print(data)
 
     def design(self, x: Array, digits: int = DIGITS) -> Design:
         """Return the design of a point.

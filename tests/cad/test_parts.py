@@ -23,9 +23,8 @@ from probedesign.cad.model import (
     build_cad,
     build_parts,
     overlaps,
-    probe_solid,
-    screw_groups,
 )
+from probedesign.cad.solids import probe_solid, screw_groups
 from probedesign.cad.verify import blocked_tools, verify
 from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.core.frames import Array, pose, rotation_z

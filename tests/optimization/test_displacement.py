@@ -36,7 +36,7 @@ def elastica():
 
 @pytest.mark.parametrize(("load", "deflection"), [(1.0, 0.30172), (2.0, 0.49346), (5.0, 0.71379)])
 def test_the_force_at_a_deflection_is_that_of_the_elastica(elastica, load, deflection):
-    """P L²/EI by deflection/L of the tip: table of Mattiasson, Int. J. Numer. Methods Eng. 17 (1981) 145, five digits."""
+    """P L²/EI by deflection/L of the tip: table of Mattiasson, IJNME 17 (1981) 145, five digits."""
     rod, EI = elastica
     pushed = push(rod, NO_GRAVITY, (0.0, 1.0, 0.0), deflection * rod.length)
     assert pushed.ok
