@@ -299,6 +299,7 @@ def test_a_flange_of_the_users_own() -> None:
             "[10.0, 180.0]",
             r"bolt_azimuths_deg .* mm from the pin's slot, at least 5\.35 mm",
         ),
+        ("face_d_mm = 45.0", "face_d_mm = 35.0", r"face_d_mm = 35 .* at least 40 mm"),
         ("[20.0, 2.0]", "[12.0, 2.0]", r"spigot_mm = 12 .* at least 17\.7 mm, or none"),
     ],
 )
