@@ -306,7 +306,7 @@ def test_doctor_reports_what_is_installed(capsys):
     report = json.loads(capsys.readouterr().out)
     versions = {package["name"]: package["version"] for package in report["packages"]}
     assert report["ok"] and versions["numpy"] == metadata.version("numpy")
-    assert {"scipy", "numba", "cadquery", "trimesh", "lib3mf", "matplotlib"} <= versions.keys()
+    assert {"scipy", "numba", "cadquery", "lib3mf", "matplotlib"} <= versions.keys()
 
 
 def without(monkeypatch, *names: str) -> None:

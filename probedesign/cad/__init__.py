@@ -33,7 +33,7 @@ def export_parts(
     Raises:
         InputError: the folder cannot be written, or the mount cannot clamp the probe.
         CheckFailedError: a part disagrees with its closed form; nothing is written.
-        MissingDependencyError: CadQuery, trimesh or lib3mf is not installed.
+        MissingDependencyError: CadQuery or lib3mf is not installed.
     """
     with _kernel():
         from probedesign.cad.export import export_parts as export
@@ -54,7 +54,7 @@ def export_part(design: Design, part: str, out: Path | None = None) -> dict[str,
     Raises:
         InputError: the file cannot be written, or belongs to an export of another design.
         CheckFailedError: the part is not one valid solid, or its mesh is not closed.
-        MissingDependencyError: CadQuery, trimesh or lib3mf is not installed.
+        MissingDependencyError: CadQuery or lib3mf is not installed.
     """
     with _kernel():
         from probedesign.cad.single_part import export_part as export
@@ -74,7 +74,7 @@ def export_coupon(design: Design, out: Path | None = None) -> dict[str, Any]:
     Raises:
         InputError: the folder cannot be written, or a sheet there was filled in.
         CheckFailedError: a part disagrees with its closed form; nothing is written.
-        MissingDependencyError: CadQuery or trimesh is not installed.
+        MissingDependencyError: CadQuery is not installed.
     """
     with _kernel():
         from probedesign.cad.coupon import export_coupon as export
@@ -139,6 +139,7 @@ def assembly(design: Design, **changed: "cq.Workplane") -> "cq.Assembly":
     """
     with _kernel():
         from probedesign.cad.workplanes import assembly as build
+    design.sensor_model.check_holes_known()
     return build(design, changed)
 
 
@@ -161,16 +162,18 @@ def export_changed(design: Design, out: Path, **changed: "cq.Workplane") -> dict
     Raises:
         InputError: as `assembly`, or no part is given, or the folder cannot be written.
         CheckFailedError: a check fails; nothing is written.
-        MissingDependencyError: CadQuery or trimesh is not installed.
+        MissingDependencyError: CadQuery is not installed.
     """
     with _kernel():
         from probedesign.cad.changed import export_changed as export
+    design.sensor_model.check_holes_known()
     return export(design, changed, out)
 
 
 def _part(design: Design, part: str) -> "cq.Workplane":
     with _kernel():
         from probedesign.cad.workplanes import part_workplane
+    design.sensor_model.check_holes_known()
     return part_workplane(design, part)
 
 

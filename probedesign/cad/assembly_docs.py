@@ -20,12 +20,14 @@ from probedesign.cad.exploded_view import (
 )
 from probedesign.cad.kernel import mass_properties
 from probedesign.cad.mesh import Mesh
-from probedesign.cad.model import CadModel, CadPart, ScrewGroup
+from probedesign.cad.model import CadModel, CadPart
 from probedesign.cad.part_drawings import part_drawings
 from probedesign.cad.render import render_body, render_png
+from probedesign.cad.solids import ScrewGroup
 from probedesign.cad.svg import Svg
 from probedesign.core.units import MM, MPA
 from probedesign.design.catalog import ALUMINIUM, RIGID_RESIN
+from probedesign.geometry.mass import combined
 from probedesign.mount.flange_adapter import CENTRING_PIN_D, CENTRING_PIN_LENGTH
 from probedesign.mount.tolerance_stack import CALIPERS, measurements, tolerance_stacks
 from probedesign.reports.html_page import html_document
@@ -267,14 +269,23 @@ def _tightening() -> str:
 
 def _frames(model: CadModel) -> str:
     height = model.adapter.T_sensor_base[2, 3] / MM
-    mass = sum(body.mass for body in model.bodies.values())
+    carried = combined(model.bodies.values())
+    sensor = model.design.sensor_model
+    if sensor.overload is None:
+        overload = "Its overload is not known"
+    else:
+        force, moment = (
+            " / ".join(f"{x:g}" for x in part) for part in (sensor.overload[:3], sensor.overload[3:])
+        )
+        overload = f"On one axis at a time it survives {force} N and {moment} N·m"
     return (
         "<h2>Where the probe's base is</h2>"
         "<p>The base of the flexible part (s = 0, the origin of the base frame) lies on the sensor's axis, "
         f"<b>{height:.2f} mm above the tool face</b>. Its axes are the sensor's: z out of the tool face towards the "
         "tip, x through the dowel hole at 0°, shown by the clocking mark of the flange and by the flat on the "
-        f"adapter's rim. {1e3 * mass:.3g} g are mounted on the sensor, the probe included. The manifest and the frozen "
-        "probe contain the numbers.</p>"
+        f"adapter's rim. {1e3 * carried.mass:.3g} g are mounted on the sensor, the probe included, with their centre "
+        f"of mass {carried.p_com[2] / MM:.1f} mm above the tool face; the sensor itself weighs "
+        f"{1e3 * sensor.interface.mass:.3g} g. {overload}. The manifest and the frozen probe contain the numbers.</p>"
     )
 
 

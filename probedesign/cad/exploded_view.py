@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from probedesign.cad.model import ScrewGroup
 from probedesign.cad.render import (
     OrthographicCamera,
     RenderBody,
@@ -16,6 +15,7 @@ from probedesign.cad.render import (
     render_bodies,
     render_png,
 )
+from probedesign.cad.solids import ScrewGroup
 from probedesign.cad.svg import Svg
 from probedesign.core.units import MM
 from probedesign.design.sensors import DowelPattern

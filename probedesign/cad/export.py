@@ -26,7 +26,8 @@ from probedesign.geometry.mass import MassProperties, combined
 from probedesign.mount import exported_root_radii
 from probedesign.mount.root import ROOT_STD
 from probedesign.mount.tolerance_stack import measurements, tolerance_stacks
-from probedesign.printing.check import check_print, is_compensated, print_scale
+from probedesign.printing.check import check_print
+from probedesign.printing.scale import is_compensated, print_scale
 
 SCHEMA = 1
 
@@ -91,6 +92,7 @@ def model_record(model: CadModel, files: dict[str, dict[str, Any]], findings: Fi
         "T_sensor_base": _pose(model.adapter.T_sensor_base),
         "T_sensor_robotflange": _pose(model.plate.T_sensor_robotflange),
         "mass": _mass(model),
+        "sensor": _sensor(model),
         "screws": [use.as_record() for use in model.screws],
         "verification": findings,
         "intersections_m3": model.shared_volumes,
@@ -121,6 +123,20 @@ def _mass(model: CadModel) -> dict[str, Any]:
         "bodies": {name: _body(body) for name, body in bodies.items()},
         "rigid": _body(rigid),
         "whole": _body(combined([bodies["flexible"], rigid])),
+    }
+
+
+def _sensor(model: CadModel) -> dict[str, Any]:
+    sensor = model.design.sensor_model
+    return {
+        "frame": "sensor; the centre of mass is at half height unless the sensor file states it",
+        "product": sensor.product,
+        "source": sensor.source,
+        "assumed": list(sensor.assumed),
+        "mass_kg": sensor.interface.mass,
+        "p_com_m": list(sensor.interface.p_com),
+        "overload_N": None if sensor.overload is None else list(sensor.overload[:3]),
+        "overload_Nm": None if sensor.overload is None else list(sensor.overload[3:]),
     }
 
 

@@ -5,16 +5,20 @@ arrays of pixels.
 """
 
 import io
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import trimesh
 from numba import njit
 from numpy.typing import NDArray
 from PIL import Image
+from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
+from vtkmodules.vtkCommonCore import vtkPoints
+from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
+from vtkmodules.vtkFiltersCore import vtkPolyDataNormals
 
-from probedesign.cad.mesh import Mesh
+from probedesign.cad.mesh import Mesh, tessellate
 from probedesign.cad.model import CadPart
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
@@ -201,15 +205,29 @@ class RenderBody:
 def render_body(part: CadPart, mesh: Mesh | None = None) -> RenderBody:
     """Return a part at its position, from its own mesh if given."""
     if mesh is None:
-        # From a copy: a shape keeps its facets, and the kernel would then measure them instead of its surfaces.
-        points, faces = part.shape.copy().tessellate(COARSE_MM, COARSE_RAD)
-        surface = trimesh.Trimesh([p.toTuple() for p in points], faces)
-    else:
-        surface = trimesh.Trimesh(mesh.vertices.astype(float), mesh.triangles)
-    smooth = trimesh.graph.smooth_shade(surface, angle=SMOOTH_RAD)
+        mesh = tessellate(part.shape, COARSE_MM, COARSE_RAD)
     R, p = part.T_sensor_part[:3, :3], part.T_sensor_part[:3, 3] / MM
-    corners, normals = smooth.vertices[smooth.faces], smooth.vertex_normals[smooth.faces]
+    corners, normals = _smooth_shaded(mesh)
     return RenderBody(corners @ R.T + p, normals @ R.T, part.color)
+
+
+def _smooth_shaded(mesh: Mesh) -> tuple[Array, Array]:
+    """Return the corners [mm] and the normals of each triangle, (m, 3, 3); edges sharper than `SMOOTH_RAD` stay."""
+    points, cells, surface = vtkPoints(), vtkCellArray(), vtkPolyData()
+    points.SetData(numpy_to_vtk(mesh.vertices, deep=True))
+    cells.SetData(3, numpy_to_vtkIdTypeArray(mesh.triangles.ravel(), deep=True))
+    surface.SetPoints(points)
+    surface.SetPolys(cells)
+    shading = vtkPolyDataNormals()
+    shading.SetInputData(surface)
+    shading.SetFeatureAngle(math.degrees(SMOOTH_RAD))
+    shading.ConsistencyOff()  # triangles are counter-clockwise from outside already
+    shading.Update()
+    shaded = shading.GetOutput()
+    triangles = vtk_to_numpy(shaded.GetPolys().GetConnectivityArray()).reshape(-1, 3)
+    vertices = vtk_to_numpy(shaded.GetPoints().GetData()).astype(float)
+    normals = vtk_to_numpy(shaded.GetPointData().GetNormals()).astype(float)
+    return vertices[triangles], normals[triangles]
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from probedesign.cad.title_block import engraving_note, titled_sheet
 from probedesign.core.units import MM
 from probedesign.design.catalog import CUSTOM
 from probedesign.mount.engraving import XY
-from probedesign.mount.flange_adapter import CENTRING_PIN_D, TIE_SLOT
+from probedesign.mount.flange_adapter import CENTRING_PIN_D, TIE_APART, TIE_SLOT
 from probedesign.mount.sensor_adapter import (
     DOWEL_SLOT,
     PEG_D,
@@ -124,7 +124,9 @@ def flange_adapter_sheet(model: CadModel, part: CadPart) -> Sheet:
         above.append(Holes(p.p_centring_pins, d, f"⌀{_mm(d)}{fit} down to z = {_mm(bottom)}"))
         fits.append(_pin_fit(CENTRING_PIN_D, milled))
     radial, across = TIE_SLOT
-    above.append(Holes(p.p_tie_slots, across, f"slot {_mm(radial)} × {_mm(across)} through", False))
+    beside = float(np.hypot(*np.mean(p.p_tie_slots, axis=0)))
+    tie = f"slot {_mm(radial)} × {_mm(across)} through, at {_mm(beside)} along {number(p.cable_deg)}°"
+    above.append(Holes(p.p_tie_slots, across, f"{tie}, {_mm(TIE_APART)} apart across", False))
     if width:
         below.append(Holes([(reach, 0.0)], 0.0, slot, False))
         fits.append(f"slot {_mm(width)} takes a pin of {_mm(p.robot.pin_d)}")
@@ -181,7 +183,7 @@ def _disc(
         section.viewing_arrow((rim + 3.0 / scale, low), "B")
     middle = section.at((0.0, low))[1] + STACK * len(bottoms) + 9.0 + 26.0 + scale * rim
     _plans(sheet, part, holes, (rim, scale, middle))
-    text = [f"{label}  {hole.text}" for label, hole in _numbered([*holes[0], *holes[1]])]
+    text = [f"{label}: {hole.text}" for label, hole in _numbered([*holes[0], *holes[1]])]
     sheet.note((EDGE + 6.0, BOTTOM - 5.0 * (len(text) + len(notes))), [*text, *notes])
     return sheet
 

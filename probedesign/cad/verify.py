@@ -20,16 +20,8 @@ from probedesign.cad.kernel import (
     revolved,
 )
 from probedesign.cad.mesh import MESH_LIMIT, Mesh, package_objects, read_back
-from probedesign.cad.model import (
-    CadModel,
-    CadPart,
-    ScrewGroup,
-    box_of,
-    boxes_meet,
-    cable_sector,
-    clearance_volumes,
-    shared_volume,
-)
+from probedesign.cad.model import CadModel, CadPart, volume_inside
+from probedesign.cad.solids import ScrewGroup, cable_sector, clearance_volumes
 from probedesign.core.errors import CheckFailedError
 from probedesign.core.frames import pose
 from probedesign.core.units import MM
@@ -57,8 +49,6 @@ def blocked_tools(
         By name, the volume [m³] of earlier parts in the corridors of the fastener and of its key; zero if it is free.
     """
     corridors = {use.name: screw_corridors(use) for use in screws} | _part_corridors(parts, adapter)
-    shapes = {name: part.placed for name, part in parts.items()}
-    boxes = {name: box_of(shape) for name, shape in shapes.items()}
     centring_pins = len(parts["centring_pins"].shape.Solids()) if "centring_pins" in parts else 0
     found: dict[str, float] = {}
     present = ["sensor"]
@@ -67,9 +57,7 @@ def blocked_tools(
         for name in step.parts:
             if name in corridors and name not in found:
                 corridor = cq.Compound.makeCompound(corridors[name])
-                box = box_of(corridor)
-                near = [other for other in there if boxes_meet(box, boxes[other])]
-                found[name] = sum(shared_volume(corridor, shapes[other]) for other in near)
+                found[name] = volume_inside(corridor, [parts[other] for other in there])
             if name not in there:  # the adapter comes with its nuts and pins
                 there.append(name)
         present += [name for name in step.parts if name not in present]
@@ -244,9 +232,8 @@ def room_findings(model: CadModel) -> Findings:
     """Return what parts share with each other, with the sensor's clearance and with its cable's sector."""
     mount = [part for part in model.parts.values() if part.name != "sensor"]
     sensor = model.design.sensor_model.interface
-    sector = cable_sector(sensor)
-    in_sector = sum(shared_volume(sector, part.placed) for part in mount)
-    in_air = sum(shared_volume(air, part.placed) for air in clearance_volumes(sensor) for part in mount)
+    in_sector = volume_inside(cable_sector(sensor), mount)
+    in_air = sum(volume_inside(air, mount) for air in clearance_volumes(sensor))
     wide = ("probe", "sensor_adapter", "clamp_ring", "ring_screws", "ring_nuts")
     lowest = min(model.parts[name].placed.BoundingBox().zmin for name in wide) * MM
     return {

@@ -176,6 +176,8 @@ def _check_room(sensor: SensorModel, robot: RobotFlange, options: MountOptions) 
     for wrong, key, value, allowed in (
         (robot.bolt_circle_d < circle, "bolt_circle_d_mm", f"{robot.bolt_circle_d / MM:g}",
          f"at least {circle / MM:g} mm, or heads touch the sensor"),
+        (robot.face_d < robot.bolt_circle_d + bolt.nominal_d, "face_d_mm", f"{robot.face_d / MM:g}",
+         f"at least {(robot.bolt_circle_d + bolt.nominal_d) / MM:g} mm, or the threads lie outside of the face"),
         (robot.max_bolt_entry < entry - _NANO, "max_bolt_entry_mm", f"{robot.max_bolt_entry / MM:g}",
          f"at least {entry / MM:g} mm, or the thread is too short"),
         (robot.max_bolt_entry > longest + _NANO, "max_bolt_entry_mm", f"{robot.max_bolt_entry / MM:g}",

@@ -20,6 +20,7 @@ from probedesign.optimization.design_space import (
     FreeParameter,
     finite_differences,
 )
+from probedesign.optimization.displacement import CRASH, FORCE, MAX_DISTANCE_MM, split_metric
 from probedesign.optimization.objective import Task
 
 Goal = Literal["error-at-force", "force-for-error"]
@@ -37,11 +38,13 @@ LIMITED_METRICS = (
     "buckling_margin",
     "natural_frequency_Hz",
     "print_warnings",
+    FORCE,
+    CRASH,
 )
 """Metrics that may be limited. `buckling_margin` is the critical load over the task's force; `print_warnings` can only
-be excluded."""
+be excluded; `force_mN` and `crash_use` have a distance, as in `force_mN@10mm`."""
 NO_WARNINGS = "print_warnings"
-_LIMIT = re.compile(r"\s*([A-Za-z_]+)\s*(<=|>=)\s*(\S+)\s*")
+_LIMIT = re.compile(r"\s*([A-Za-z_]+)(@\S+?)?\s*(<=|>=)\s*(\S+)\s*")
 
 
 @dataclass(frozen=True)
@@ -49,7 +52,7 @@ class Limit:
     """A bound on a metric.
 
     Attributes:
-        metric: one of `LIMITED_METRICS`.
+        metric: one of `LIMITED_METRICS`, with its distance if it has one.
         is_upper: whether it is an upper bound.
         value: in the unit at the end of the metric's name.
     """
@@ -70,7 +73,7 @@ class Limit:
 
 
 def parse_limit(text: str) -> Limit:
-    """Parse a limit such as `sag_mm<=60` or `reach_mm>=100`.
+    """Parse a limit such as `sag_mm<=60`, `reach_mm>=100` or `force_mN@10mm<=50`.
 
     Raises:
         InputError: the text is not a limit, or the metric is unknown.
@@ -80,9 +83,21 @@ def parse_limit(text: str) -> Limit:
         raise InputError(
             f"--subject-to {text!r}: write FIGURE<=NUMBER or FIGURE>=NUMBER, such as 'sag_mm<=60'"
         )
-    figure, sign, number = match.groups()
+    figure, at, sign, number = match.groups()
     if figure not in LIMITED_METRICS:
         raise unknown_name("--subject-to", figure, LIMITED_METRICS)
+    if at is not None or figure in (FORCE, CRASH):
+        if figure not in (FORCE, CRASH):
+            raise InputError(
+                f"--subject-to {text!r}: {figure} has no distance; write '{figure}{sign}{number}'"
+            )
+        distance = split_metric(f"{figure}{at or ''}")[1]
+        if not 0.0 < distance <= MAX_DISTANCE_MM:
+            raise InputError(
+                f"--subject-to {text!r}: write the distance, up to {MAX_DISTANCE_MM:g} mm, as in "
+                f"'{figure}@10mm{sign}{number}'"
+            )
+        figure = f"{figure}@{distance:g}mm"
     try:
         value = float(number)
     except ValueError:
@@ -311,8 +326,13 @@ class OptimizationProblem:
         if self.error_mm is not None and not 0.0 < self.error_mm <= 1e3:
             raise InputError(f"--error-mm {self.error_mm:g} must lie in (0, 1000]")
         check_limits([*self.all_limits])
-        length_mm = self.start.probe.length_mm
+        length_mm, sensor = self.start.probe.length_mm, self.start.sensor_model
         for limit in self.limits:
+            if split_metric(limit.metric)[0] == CRASH and sensor.overload is None:
+                raise InputError(
+                    f"--subject-to {limit.text}: the overload of the sensor {sensor.name!r} is not known; "
+                    "write overload_N and overload_Nm into a sensor file of your own"
+                )
             if limit.metric == "length_mm" and "length" not in self.free and limit.margin(length_mm) < 0.0:
                 raise InputError(
                     f"--subject-to {limit.text}: the length stays {length_mm:g} mm; name it too: --over ... length"

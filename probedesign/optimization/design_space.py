@@ -17,6 +17,7 @@ from probedesign.design.schema import MAX_DIAMETER_MM, MIN_DIAMETER_MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.geometry import flange_for
 from probedesign.mount import max_ring_passage_d
+from probedesign.optimization.displacement import displacement_metric
 from probedesign.optimization.objective import Task, detectable_mN, predict_task, side_of
 from probedesign.prediction.predict import tip_sag
 from probedesign.printing import check as limits
@@ -43,6 +44,28 @@ def design_dict(design: Design) -> dict[str, Any]:
     """Return the tables of a design's file as plain data."""
     tables: dict[str, Any] = design.model_dump(by_alias=True, exclude_none=True, mode="json")
     return tables
+
+
+_OF_A_PRINT = ("diameter_mm", "diameter_share", "diameter_scatter_mm")
+"""Keys of `[tolerances]` that `measured` writes for one print."""
+
+
+def as_new_print(tables: dict[str, Any], before: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Return the tables of a changed design without what was measured on the print of the former one.
+
+    Args:
+        tables: of the changed design.
+        before: of the former one. Tables with its `[probe]` are returned unchanged, and tolerances that differ from its
+            own are kept. None: both are one design of which a new print is made.
+    """
+    probe, tolerances = tables["probe"], tables.get("tolerances", {})
+    if not isinstance(probe, dict) or not isinstance(tolerances, dict):  # the check of the design refuses it
+        return tables
+    if not probe.get("measured") or (before is not None and probe == before["probe"]):
+        return tables
+    former = tolerances if before is None else before.get("tolerances", {})
+    kept = {k: v for k, v in tolerances.items() if k not in _OF_A_PRINT or v != former.get(k)}
+    return {**tables, "probe": {k: v for k, v in probe.items() if k != "measured"}, "tolerances": kept}
 
 
 @dataclass(frozen=True)
@@ -191,7 +214,7 @@ class DesignSpace:
             probe |= {"shape": "profile", "profile_mm": profile}
         if "section" in self.free:
             probe[self.ratio_key] = round(float(self.ratio(x) or 0.0), 4)
-        return data
+        return as_new_print(data)
 
     def design(self, x: Array, digits: int = DIGITS) -> Design:
         """Return the design of a point.
@@ -279,6 +302,8 @@ INFEASIBLE = {"error_mm": 1e3, "worst_error_mm": 1e3, "sensor_use": 10.0, "slide
             "reach_mm": 1e-3, "critical_load": 0.1, "buckling_margin": 0.1, "natural_frequency_Hz": 1e-3,
             "detectable_mN": 1e6, "thinnest_mm": 1e-3}  # fmt: skip
 """Metrics of a design that buckles: values that no optimiser accepts."""
+_NO_FIGURE = 1e6
+"""Force or load of a crash of a design that buckles."""
 
 
 @dataclass
@@ -333,7 +358,8 @@ class DesignEvaluator:
         return self.metrics(x)["error_mm"] < INFEASIBLE["error_mm"]
 
     def _evaluate(self, x: Array) -> dict[str, float]:
-        found = {**INFEASIBLE, "length_mm": self.space.length_mm(x), "mass_g": 1e3}
+        found = {**INFEASIBLE, **dict.fromkeys((name for name in self.limited if "@" in name), _NO_FIGURE)}
+        found |= {"length_mm": self.space.length_mm(x), "mass_g": 1e3}
         try:
             probe = self.probe(x)
             model = probe.model
@@ -354,6 +380,10 @@ class DesignEvaluator:
             found["natural_frequency_Hz"] = frequency if math.isfinite(frequency) else 1e-3
         if "detectable_mN" in self.limited:
             found["detectable_mN"] = detectable_mN(model, task) or INFEASIBLE["detectable_mN"]
+        overload = self.space.start.sensor_model.overload
+        for name in self.limited:
+            if "@" in name:
+                found[name] = displacement_metric(name, model, task, overload) or _NO_FIGURE
         free = probe.rod.solve(model.gravity_base)
         if free.ok:
             tip = free.p_at(probe.length)

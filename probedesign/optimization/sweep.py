@@ -17,7 +17,7 @@ from probedesign.core.files import write_atomically
 from probedesign.core.parallel import Journal, OnProgress, Record, fingerprint, ignore_sigint, start_method
 from probedesign.design import Design, check_design
 from probedesign.design.diagnostics import known_keys
-from probedesign.optimization.design_space import design_dict
+from probedesign.optimization.design_space import as_new_print, design_dict
 from probedesign.optimization.objective import METRICS, Task, design_metrics
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def grid_points(axes: list[GridAxis]) -> list[dict[str, Any]]:
 
 
 def with_values(base: dict[str, Any], point: dict[str, Any]) -> dict[str, Any]:
-    """Return the tables of a design file with some keys changed.
+    """Return the tables of a design file with some keys changed; a changed shape has no measured diameters.
 
     Raises:
         InputError: a key lies in something that is not a table.
@@ -96,7 +96,7 @@ def with_values(base: dict[str, Any], point: dict[str, Any]) -> dict[str, Any]:
             if not isinstance(inner, dict):
                 raise InputError(f"{key}: {table} is a value, not a table; name a key such as probe.tip_d_mm")
         inner[last] = value
-    return data
+    return as_new_print(data, base)
 
 
 def numbers_of(what: str, text: str) -> tuple[float | int, ...]:

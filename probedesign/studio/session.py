@@ -18,7 +18,7 @@ from probedesign.design.catalog import RESINS, find
 from probedesign.design.io import default_tip_d_mm, material_keys, sensor_keys
 from probedesign.design.sensor_catalog import SENSORS
 from probedesign.design.sensors import DEFAULT_SENSOR
-from probedesign.optimization.design_space import design_dict
+from probedesign.optimization.design_space import as_new_print, design_dict
 from probedesign.optimization.sweep import with_values
 from probedesign.prediction.predict import FORCES_N
 
@@ -227,12 +227,12 @@ _ENDS = ("probe.length_mm", "probe.base_d_mm", "probe.tip_d_mm")
 
 def _with_keys(data: dict[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the tables of a design with some keys changed, and the keys that follow from them."""
-    order = {key: i for i, key in enumerate(_FIRST)}
+    before, order = data, {key: i for i, key in enumerate(_FIRST)}
     for key in sorted(
         values, key=lambda key: len(_FIRST) + (key == _LAST) if key not in order else order[key]
     ):
         data = _with_key(data, key, values[key])
-    return data
+    return as_new_print(data, before)
 
 
 def _with_key(data: dict[str, Any], key: str, value: Any) -> dict[str, Any]:

@@ -26,10 +26,11 @@ from probedesign.cad.assembly_docs import RESIN_PRESSURE, assembly_page, bill_of
 from probedesign.cad.drawing import EDGE, HEIGHT, WIDTH
 from probedesign.cad.exploded_view import DOWN, EXPLOSION, assembly_steps
 from probedesign.cad.mesh import platform_positions, read_back
-from probedesign.cad.model import CadModel, build_cad, clamp_ring_solid, overlaps
+from probedesign.cad.model import CadModel, build_cad, overlaps
 from probedesign.cad.part_drawings import part_drawings
 from probedesign.cad.projection import FRONT, cut, seen
 from probedesign.cad.render import BACKGROUND, OrthographicCamera, RenderBody, fit_view, render_bodies
+from probedesign.cad.solids import clamp_ring_solid
 from probedesign.cad.svg import Svg
 from probedesign.core.errors import InputError
 from probedesign.core.frames import pose
@@ -112,21 +113,15 @@ def test_exploded_parts_do_not_overlap(large: CadModel) -> None:
                 assert high < onto[0]
             elif move.onto != "probe":  # what slips over the probe is drawn around it
                 assert low > onto[1]
-    translated = {
-        name: large.parts[name].placed.moved(
-            type(large.parts[name].placed.location())((0.0, 0.0, body.span[0] - bodies[name].span[0]))
+    moved = {
+        name: replace(
+            part,
+            T_sensor_part=pose(p=[0.0, 0.0, 1e-3 * (apart[name].span[0] - bodies[name].span[0])])
+            @ part.T_sensor_part,
         )
-        for name, body in apart.items()
+        for name, part in large.parts.items()
     }
-    parts = {name: _Placed(shape) for name, shape in translated.items()}
-    assert max(overlaps(parts).values(), default=0.0) == 0.0  # type: ignore[arg-type]  # reads `placed` only
-
-
-class _Placed:
-    """What `overlaps` takes of a part."""
-
-    def __init__(self, shape: Any) -> None:
-        self.placed = shape
+    assert max(overlaps(moved).values(), default=0.0) == 0.0
 
 
 # ---- pictures

@@ -336,7 +336,7 @@ def test_a_target_that_cannot_be_written_is_one_line(
     assert file.read_text() == "mine" and list(tmp_path.iterdir()) == [file]
 
 
-@pytest.mark.parametrize("package", ["cadquery", "trimesh", "lib3mf", "PIL"])
+@pytest.mark.parametrize("package", ["cadquery", "lib3mf", "PIL"])
 def test_a_missing_package_is_one_line(
     make_design: Callable[..., Design], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
 ) -> None:

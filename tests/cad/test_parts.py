@@ -23,9 +23,8 @@ from probedesign.cad.model import (
     build_cad,
     build_parts,
     overlaps,
-    probe_solid,
-    screw_groups,
 )
+from probedesign.cad.solids import probe_solid, screw_groups
 from probedesign.cad.verify import blocked_tools, verify
 from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.core.frames import Array, pose, rotation_z
@@ -300,6 +299,7 @@ def test_a_flange_of_the_users_own() -> None:
             "[10.0, 180.0]",
             r"bolt_azimuths_deg .* mm from the pin's slot, at least 5\.35 mm",
         ),
+        ("face_d_mm = 45.0", "face_d_mm = 35.0", r"face_d_mm = 35 .* at least 40 mm"),
         ("[20.0, 2.0]", "[12.0, 2.0]", r"spigot_mm = 12 .* at least 17\.7 mm, or none"),
     ],
 )

@@ -17,7 +17,7 @@ import cadquery as cq
 
 from probedesign.cad import assembly, export_changed, flange_adapter, probe_solid, sensor_adapter
 from probedesign.core.errors import CheckFailedError, InputError
-from probedesign.design import parse_design
+from probedesign.design import check_design, parse_design
 from probedesign.design.io import render_design, write_design
 
 EXAMPLE = Path(__file__).parents[2] / "examples/changed_adapter.py"
@@ -25,6 +25,22 @@ LARGE = parse_design(
     'schema = 1\nname = "large"\n[probe]\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n'
 )
 FLANGE = LARGE.robot_flange
+
+
+def test_parts_for_assumed_holes_are_refused(tmp_path: Path) -> None:
+    """As `export` refuses them."""
+    tables = LARGE.model_dump(by_alias=True, exclude_none=True, mode="json")
+    assumed = check_design({**tables, "sensor": {"model": "rft40"}})
+    with pytest.raises(InputError):
+        assumed.sensor_model.check_holes_known()
+    for build in (
+        lambda: flange_adapter(assumed),
+        lambda: assembly(assumed),
+        lambda: export_changed(assumed, tmp_path / "out", flange_adapter=flange_adapter(LARGE)),
+    ):
+        with pytest.raises(InputError):
+            build()
+    assert not (tmp_path / "out").exists()
 
 
 def test_tags_of_the_probe_are_base_plane_and_tip() -> None:

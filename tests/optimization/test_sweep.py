@@ -9,11 +9,11 @@ import pytest
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.core.parallel import Journal
-from probedesign.design import load_design
+from probedesign.design import check_design, load_design
+from probedesign.optimization.design_space import DesignSpace, design_dict
 from probedesign.optimization.objective import METRICS, Task
 from probedesign.optimization.sweep import (
     _write_tables,
-    design_dict,
     evaluate_point,
     grid_points,
     parse_axis,
@@ -159,3 +159,19 @@ def test_an_unreachable_scheduler_is_refused(tmp_path, capsys, monkeypatch):
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and "tcp://127.0.0.1:9: does not respond" in err
     assert not (tmp_path / "new").exists()
+
+
+def test_measured_diameters_hold_for_their_print_only():
+    """A changed dimension is that of another print, with the tolerances of its resin; a stated one is kept."""
+    tables = design_dict(load_design(LARGE))
+    tables["probe"]["measured"] = ["base_d_mm", "tip_d_mm"]
+    tables["tolerances"] |= {"diameter_mm": 0.02, "diameter_scatter_mm": 0.03, "length_mm": 0.2}
+    same = with_values(tables, {"probe.base_d_mm": tables["probe"]["base_d_mm"], "contact.friction": 0.3})
+    assert same["probe"]["measured"] and same["tolerances"] == tables["tolerances"]
+    other = with_values(tables, {"probe.base_d_mm": 11.0, "tolerances.diameter_mm": 0.05})
+    assert "measured" not in other["probe"]
+    kept = {k: v for k, v in tables["tolerances"].items() if not k.startswith("diameter")}
+    assert other["tolerances"] == {**kept, "diameter_mm": 0.05}
+    space = DesignSpace.of(check_design(tables), ("cone",))
+    best = space.design(space.x_of(space.start))
+    assert not best.probe.measured and best.tolerances.diameter_mm is None

@@ -1,0 +1,337 @@
+"""Solids of the printed parts, screws, nuts and pins, and the volumes around the sensor; in millimetres."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import cadquery as cq
+
+from probedesign.cad.kernel import (
+    block,
+    cylinder,
+    engraving_cuts,
+    frusta,
+    hexagon,
+    placed,
+    revolved,
+    round_slot,
+    single_solid,
+)
+from probedesign.core.errors import CheckFailedError
+from probedesign.core.frames import Array, pose
+from probedesign.core.units import MM
+from probedesign.design.catalog import SocketScrew
+from probedesign.design.sensors import CableExit, ScrewPattern, SensorInterface
+from probedesign.geometry import ProbeGeometry
+from probedesign.mount import (
+    FlangeAdapter,
+    SensorAdapter,
+)
+from probedesign.mount.engraving import XY
+from probedesign.mount.flange_adapter import CENTRING_PIN_D, CENTRING_PIN_LENGTH, TIE_SLOT
+from probedesign.mount.sensor_adapter import DOWEL_SLOT, PEG_D, RING_VENT_HEIGHT, VENT_WIDTH, on_circle
+
+MIN_CLEARANCE = 0.5 * MM
+"""Minimum clearance to the sensor's body and cable: a contact across the split line would bypass the strain gauges."""
+SECTOR_REACH = 31.5 * MM
+"""Distance from the sensor's body up to which the cable's sector is checked; it exceeds every part of the mount."""
+
+
+@dataclass(frozen=True)
+class ScrewGroup:
+    """Equal screws that fasten one part to another; lengths [m], positions in the sensor frame.
+
+    Attributes:
+        name: of the group.
+        into: the part or thread that they enter.
+        screw: dimensions of the standard.
+        length: under the head.
+        grip: thickness between head and thread.
+        entry_limits: minimum and maximum allowed entry.
+        points: (x, y) of each.
+        seat: z of the face under the heads.
+        up: whether the screws point to +z.
+    """
+
+    name: str
+    into: str
+    screw: SocketScrew
+    length: float
+    grip: float
+    entry_limits: tuple[float, float]
+    points: tuple[XY, ...]
+    seat: float
+    up: bool
+
+    @property
+    def entry(self) -> float:
+        """Return the depth of thread engagement [m]."""
+        return self.length - self.grip
+
+    def check(self) -> None:
+        """Check that the length is a stock length and the entry within its limits.
+
+        Raises:
+            CheckFailedError: names the screw, its entry and the allowed range.
+        """
+        low, high = self.entry_limits
+        if not low - 1e-9 <= self.entry <= high + 1e-9:  # a nanometre for round-off of sums
+            raise CheckFailedError(
+                f"{self.name}: {self.screw.thread}×{self.length / MM:g} would enter {self.into} by "
+                f"{self.entry / MM:.2f} mm; allowed {low / MM:g} to {high / MM:g} mm"
+            )
+        if not any(abs(self.length - n * MM) < 1e-9 for n in self.screw.stock_mm):
+            raise CheckFailedError(
+                f"{self.name}: {self.screw.thread}×{self.length / MM:g} is not a stock length"
+            )
+
+    def as_record(self) -> dict[str, Any]:
+        """Return the record of the manifest, in millimetres."""
+        return {
+            "name": self.name,
+            "screw": f"ISO 4762 {self.screw.thread}x{self.length / MM:g}",
+            "count": len(self.points),
+            "into": self.into,
+            "length_mm": round(self.length / MM, 6),
+            "grip_mm": round(self.grip / MM, 6),
+            "entry_mm": round(self.entry / MM, 6),
+            "entry_allowed_mm": [round(limit / MM, 6) for limit in self.entry_limits],
+        }
+
+
+def screw_groups(a: SensorAdapter, plate: FlangeAdapter) -> list[ScrewGroup]:
+    """Return all screws of the assembly, checked.
+
+    Raises:
+        CheckFailedError: a screw enters too little or too deep.
+    """
+    T, robot, tool, mounting = plate.T_sensor_robotflange, plate.robot, a.tool, plate.mounting
+    bolt = robot.screw
+    ring_grip = a.ring_thickness + a.nut_roof  # with the ring pressed onto the wall
+    nut = (a.options.nut.height, a.nut_slot_z[1] - a.ring_hole_bottom)
+    thread = (0.8 * bolt.nominal_d, robot.max_bolt_entry)  # 0.8 d of thread engagement suffices in aluminium
+    uses = [
+        ScrewGroup("sensor_adapter_screws", "sensor tool side", tool.screw, tool.length, tool.grip,
+                   (tool.min_entry, tool.max_entry), a.p_tool_screws, tool.grip, up=False),
+        ScrewGroup("ring_screws", "nuts in the sensor adapter", a.ring_screw, a.ring_screw_length, ring_grip,
+                   nut, a.p_ring_screws, a.ring_top, up=False),
+        ScrewGroup("mounting_screws", "sensor mounting side", mounting.screw, mounting.length, mounting.grip,
+                   (mounting.min_entry, mounting.max_entry), _in_frame(plate.p_mounting_screws, T),
+                   float(T[2, 3]) + plate.counterbore_top, up=True),
+        ScrewGroup("robot_bolts", "robot flange", bolt, robot.bolt_length, plate.plate_top,
+                   thread, _in_frame(plate.p_bolts, T), float(T[2, 3]) + plate.plate_top, up=False),
+    ]  # fmt: skip
+    for use in uses:
+        use.check()
+    return uses
+
+
+def screw_solids(use: ScrewGroup) -> cq.Compound:
+    """Return the screws as solids, in millimetres in the sensor frame; threads drawn at their pitch diameter."""
+    return cq.Compound.makeCompound([_screw(use, p) for p in use.points])
+
+
+def nut_solids(a: SensorAdapter) -> cq.Compound:
+    """Return the nuts at the top of their slots, two sides along the slot."""
+    nut, screw = a.options.nut, a.ring_screw
+    z = (a.nut_slot_z[1] - nut.height, a.nut_slot_z[1])
+    return cq.Compound.makeCompound(
+        [
+            single_solid(hexagon(nut.af, *z, p, 30.0).cut(cylinder(screw.pitch_d, *z, p)))
+            for p in a.p_ring_screws
+        ]
+    )
+
+
+def centring_pin_solids(plate: FlangeAdapter) -> cq.Compound:
+    """Return the pins around the sensor's body, in millimetres in the sensor frame, on the bottom of their holes."""
+    T, bottom = plate.T_sensor_robotflange, plate.centring_hole[1]
+    z = float(T[2, 3]) + bottom
+    points = _in_frame(plate.p_centring_pins, T)
+    return cq.Compound.makeCompound([cylinder(CENTRING_PIN_D, z, z + CENTRING_PIN_LENGTH, p) for p in points])
+
+
+def _screw(use: ScrewGroup, p: XY) -> cq.Solid:
+    s, seat = use.screw, use.seat
+    axis = 1.0 if use.up else -1.0  # from head to point
+    top = seat - axis * s.head_height
+    head = cylinder(s.head_d, *_between(seat, top), p)
+    shank = cylinder(s.pitch_d, *_between(seat, seat + axis * use.length), p)
+    socket = hexagon(s.socket_af, *_between(top, top + axis * s.socket_depth), p)
+    return single_solid(head.fuse(shank).cut(socket))
+
+
+def _between(a: float, b: float) -> tuple[float, float]:
+    return min(a, b), max(a, b)
+
+
+def _in_frame(points: Iterable[XY], T_a_b: Array) -> tuple[XY, ...]:
+    """Return points (x, y) of frame b in frame a; the z axes are parallel."""
+    R, t = T_a_b[:2, :2], T_a_b[:2, 3]
+    return tuple((float(q[0]), float(q[1])) for q in (R @ p + t for p in points))
+
+
+def probe_solid(geometry: ProbeGeometry, adapter: SensorAdapter) -> cq.Solid:
+    """Return the flexible part and its flange in one solid.
+
+    Args:
+        geometry: of the probe.
+        adapter: its peg passes through the flange, where the hole at +x is the clocking mark; it also defines the
+            engraving of the lip.
+
+    Returns:
+        The solid in millimetres in the base frame: flexible part above z = 0, flange below.
+    """
+    mark = cylinder(adapter.peg_hole_d, -geometry.flange.thickness, 0.0, (adapter.peg_x, 0.0))
+    body = _turned(geometry) if geometry.cross_section.full_round else _ruled(geometry)
+    return single_solid(body.cut(mark, *engraving_cuts(adapter.on_flange)))
+
+
+def _turned(geometry: ProbeGeometry) -> cq.Shape:
+    rim, underside = geometry.flange.diameter / 2, -geometry.flange.thickness
+    taper = _taper(geometry)
+    return revolved([(0.0, underside), (rim, underside), (rim, 0.0), *taper, (0.0, geometry.length)])
+
+
+def _ruled(geometry: ProbeGeometry) -> cq.Shape:
+    """Loft a body of any cross-section.
+
+    A hollow one is not revolved: the kernel confuses a cone of a thin bore with a cylinder, and meshes it with hundreds
+    of thousands of triangles.
+    """
+    section, taper = geometry.cross_section, _taper(geometry)
+    disc = cylinder(geometry.flange.diameter, -geometry.flange.thickness, 0.0)
+    body = disc.fuse(frusta(taper, section.flatness))
+    if not section.hollow:
+        return body
+    # Open from tip to underside, so that resin drains at both ends.
+    bore = [(section.bore_ratio * r, s) for r, s in taper]
+    return body.cut(frusta([(geometry.bore_radius, -geometry.flange.thickness), *bore]))
+
+
+def _taper(geometry: ProbeGeometry) -> list[XY]:
+    """Return (radius, s) at the knots [m]."""
+    return [(float(r), float(s)) for s, r in zip(geometry.s, geometry.radius, strict=True)]
+
+
+def sensor_adapter_solid(a: SensorAdapter) -> cq.Solid:
+    """Return the sensor adapter, in millimetres in the sensor frame: its foot rests on the tool face, z = 0."""
+    foot, cone, rim, recess = a.foot_d / 2, a.cone_d / 2, a.body_d / 2, a.recess_d / 2
+    outline = [
+        (0.0, 0.0), (foot, 0.0), (foot, a.foot_height), (cone, a.foot_height), (rim, a.cone_top),
+        (rim, a.body_top), (recess, a.body_top), (recess, a.floor), (0.0, a.floor),
+    ]  # fmt: skip
+    hole_d, (slot_z0, slot_z1) = a.ring_screw.clearance_d, a.nut_slot_z
+    circle = a.ring_circle_d / 2
+    holes = [
+        block((a.mark_x, rim), (-rim, rim), (a.cone_top, a.body_top)),
+        block((a.peg_x, a.mark_x), (-VENT_WIDTH / 2, VENT_WIDTH / 2), (a.floor, a.body_top)),
+        *(cylinder(a.tool.screw.clearance_d, 0.0, a.tool.grip, p) for p in a.p_tool_screws),
+        *(cylinder(a.tool.screw.counterbore_d, a.tool.grip, a.floor, p) for p in a.p_tool_screws),
+        *(_dowel_hole(a, number) for number in range(len(a.p_dowels))),
+        *(cylinder(hole_d, slot_z1, a.body_top, p) for p in a.p_ring_screws),
+        *(cylinder(hole_d, a.ring_hole_bottom, slot_z0, p) for p in a.p_ring_screws),
+        *(round_slot(a.nut_slot_width, (circle - a.nut_slot_reach, 1.2 * rim), a.nut_slot_z, (0.0, 0.0),
+                     math.degrees(math.atan2(p[1], p[0]))) for p in a.p_ring_screws),
+        *engraving_cuts(a.on_wall),
+    ]  # fmt: skip
+    peg = cylinder(PEG_D, a.floor, a.peg_top, (a.peg_x, 0.0))
+    return single_solid(revolved(outline).cut(*holes).fuse(peg))
+
+
+def _dowel_hole(a: SensorAdapter, number: int) -> cq.Solid:
+    slot_deg, p, half = a.dowel_slot_deg(number), a.p_dowels[number], DOWEL_SLOT / 2
+    if slot_deg is None:
+        return cylinder(a.dowel_d, 0.0, a.dowel_depth, p)
+    return round_slot(a.dowel_d, (-half, half), (0.0, a.dowel_depth), p, slot_deg, both_ends=True)
+
+
+def clamp_ring_solid(a: SensorAdapter) -> cq.Solid:
+    """Return the clamp ring, in millimetres in its own frame: underside at z = 0, which lies on the base plane."""
+    bore, top = a.ring_bore_d / 2, a.ring_bore_top_d / 2
+    height = a.ring_thickness
+    body = cylinder(a.body_d, 0.0, height).cut(
+        revolved([(0.0, 0.0), (bore, 0.0), (top, height), (0.0, height)]),
+        *(cylinder(a.ring_screw.clearance_d, 0.0, height, p) for p in a.p_ring_screws),
+        block((0.0, a.body_d), (-a.ring_vent_width / 2, a.ring_vent_width / 2), (0.0, RING_VENT_HEIGHT)),
+        *engraving_cuts(a.on_ring),
+    )
+    return single_solid(body)
+
+
+def flange_adapter_solid(a: FlangeAdapter) -> cq.Solid:
+    """Return the flange adapter, in millimetres in the robot flange's frame: spigot below z = 0, flat top."""
+    spigot_d, spigot_height = a.robot.spigot
+    width, length = a.robot.pin_slot
+    reach, screw, top = a.robot.bolt_circle_d / 2, a.mounting.screw, a.plate_top
+    body = cylinder(a.plate_d, 0.0, top)
+    if spigot_height:
+        body = body.fuse(cylinder(spigot_d, -spigot_height, 0.0))
+    radial, tangential = (side / 2 for side in TIE_SLOT)
+    holes = [
+        *(cylinder(a.robot.screw.clearance_d, 0.0, top, p) for p in a.p_bolts),
+        *(cylinder(screw.counterbore_d, -spigot_height, a.counterbore_top, p) for p in a.p_mounting_screws),
+        *(cylinder(screw.clearance_d, a.counterbore_top, top, p) for p in a.p_mounting_screws),
+        _turned_to(block(*a.cable_pocket), a.cable_deg),
+        *(cylinder(a.centring_hole[0], a.centring_hole[1], top, p) for p in a.p_centring_pins),
+        *(_turned_to(block((-radial, radial), (-tangential, tangential), (0.0, top)), a.cable_deg, p)
+          for p in a.p_tie_slots),
+        *engraving_cuts(a.on_plate),
+    ]  # fmt: skip
+    if width:
+        sides = (reach - length / 2, reach + length / 2), (-width / 2, width / 2)
+        holes.append(block(*sides, (0.0, a.plate_top)))
+    return single_solid(body.cut(*holes))
+
+
+def _turned_to(shape: cq.Solid, azimuth_deg: float, p: XY = (0.0, 0.0)) -> cq.Shape:
+    """Return a shape turned about z and moved to p [m]."""
+    turned = shape.rotate((0, 0, 0), (0, 0, 1), azimuth_deg)
+    return placed(turned, pose(p=[*p, 0.0]))
+
+
+def sensor_envelope(sensor: SensorInterface) -> cq.Shape:
+    """Return the sensor's body with its holes and its cable's exit, in the sensor frame."""
+    h, cable, dowels = sensor.height, sensor.cable, sensor.dowels
+    low, high = cable.heights
+    exit_block = block((0.0, cable.reach), (-cable.width / 2, cable.width / 2), (low - h, high - h))
+    return cylinder(sensor.body_d, -h, 0.0).fuse(_at_cable(exit_block, cable)).cut(
+        *_threads(sensor.tool, -sensor.tool.max_entry, 0.0),
+        *_threads(sensor.mounting, -h, sensor.mounting.max_entry - h),
+        *(cylinder(dowels.diameter, -dowels.depth, 0.0, p) for p in on_circle(dowels.circle_d, dowels.azimuths_deg)),
+    )  # fmt: skip
+
+
+def _threads(pattern: ScrewPattern, z0: float, z1: float) -> list[cq.Solid]:
+    d, points = pattern.screw.nominal_d, on_circle(pattern.bolt_circle_d, pattern.azimuths_deg)
+    return [cylinder(d, z0, z1, p) for p in points]
+
+
+def _at_cable(shape: cq.Shape, cable: CableExit, turn_deg: float = 0.0) -> cq.Shape:
+    """Return a shape that is drawn about +x turned to the cable."""
+    return shape.rotate((0, 0, 0), (0, 0, 1), cable.azimuth_deg + turn_deg)
+
+
+def clearance_volumes(sensor: SensorInterface) -> list[cq.Shape]:
+    """Return the volumes around the sensor's body, tool face and cable exit that must stay empty."""
+    h, r, cable, gap = sensor.height, sensor.body_d / 2, sensor.cable, MIN_CLEARANCE
+    # The centring pins touch the mounting side only, below the cable's free height.
+    shell = cylinder(2 * (r + gap), cable.free_height - h, gap).cut(
+        cylinder(2 * r, cable.free_height - h, gap)
+    )
+    side, (low, high) = cable.width / 2 + gap, cable.heights
+    # Within the rim no part lies above the mounting face; from there the clearance is measured obliquely.
+    inward = math.sqrt(max(gap**2 - low**2, 0.0))
+    exit_room = block((r - inward, cable.reach + gap), (-side, side), (low - gap - h, high + gap - h))
+    return [shell, _at_cable(exit_room, cable)]
+
+
+def cable_sector(sensor: SensorInterface) -> cq.Shape:
+    """Return the sector around the cable that only the sensor may occupy, in the sensor frame."""
+    cable, z = sensor.cable, -sensor.height
+    wedge = cq.Solid.makeCylinder(
+        (sensor.body_d / 2 + SECTOR_REACH) / MM, cable.free_height / MM, cq.Vector(0, 0, z / MM),
+        angleDegrees=2 * cable.half_width_deg,
+    )  # fmt: skip
+    return _at_cable(wedge, cable, -cable.half_width_deg).cut(cylinder(sensor.body_d, z, 0.0))
