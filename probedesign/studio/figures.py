@@ -160,15 +160,15 @@ _COMPLETE: dict[Design, DesignFigures] = {}
 _MAX_KEPT = 16
 
 
-def preview(design: Design, forces_N: tuple[float, ...]) -> DesignFigures:
+def preview(probe: Probe, forces_N: tuple[float, ...]) -> DesignFigures:
     """Return what follows a slider: single touches, sag, mass, frequency, print check.
 
     Args:
-        design: a valid design.
+        probe: of a valid design.
         forces_N: forces whose errors are drawn; those of the summary are added.
     """
     forces = tuple(sorted({*forces_N, HEADLINE_FORCE_N}))
-    return _figures(design, PREVIEWED, forces, True)
+    return _figures(probe, PREVIEWED, forces, True)
 
 
 def complete(design: Design, on_progress: OnProgress = quiet) -> DesignFigures:
@@ -179,7 +179,7 @@ def complete(design: Design, on_progress: OnProgress = quiet) -> DesignFigures:
         on_progress: as in `predict`; an exception that it raises ends the prediction.
     """
     if design not in _COMPLETE:
-        found = _figures(design, FRACTIONS, FORCES_N, False, on_progress)
+        found = _figures(build_probe(design), FRACTIONS, FORCES_N, False, on_progress)
         while len(_COMPLETE) >= _MAX_KEPT:
             _COMPLETE.pop(next(iter(_COMPLETE)))
         _COMPLETE[design] = found
@@ -187,15 +187,14 @@ def complete(design: Design, on_progress: OnProgress = quiet) -> DesignFigures:
 
 
 def _figures(
-    design: Design,
+    probe: Probe,
     fractions: tuple[float, ...],
     forces_N: tuple[float, ...],
     only_single: bool,
     on_progress: OnProgress = quiet,
 ) -> DesignFigures:
-    probe = build_probe(design)
     model = probe.model
-    found = check_print(design, layers=False)
+    found = check_print(probe.design, layers=False)
     return DesignFigures(
         probe,
         predict(model, fractions, forces_N, only_single=only_single, on_progress=on_progress),
@@ -241,33 +240,37 @@ def _rgb(colour: str) -> tuple[int, int, int]:
 
 @dataclass(frozen=True)
 class DrawnTouch:
-    """One touch as the sensor reads it, and as it is located.
+    """One touch as the sensor reads it.
 
     Attributes:
         contact: the equilibrium.
         s: arclength of the touched section [m].
         p_surface: touched point [m], (3,).
         normal: direction of the push at it, (3,).
-        estimate: from the reading without noise, with its covariance.
     """
 
     contact: FrictionlessContact
     s: float
     p_surface: Array
     normal: Array
-    estimate: Estimate
 
 
 def drawn_touch(probe: Probe, touch: StudioTouch) -> DrawnTouch | None:
-    """Return the touch; None where the probe buckles under it."""
+    """Return the touch; None where the probe buckles under it or under its own weight."""
     model = probe.model
+    if not model.rod.solve(model.gravity_base).ok:
+        return None
     s, found = _touched(probe, touch)
     if found.result != "ok":
         return None
     normal = found.force_base / np.linalg.norm(found.force_base)
     r = float(model.rod.radius_at(s)) * math.cos(math.atan(model.rod.taper_at(s)))
-    estimate = probe.estimator().estimate(found.equilibrium.wrench_base)
-    return DrawnTouch(found, s, found.equilibrium.p_contact_base - r * normal, normal, estimate)
+    return DrawnTouch(found, s, found.equilibrium.p_contact_base - r * normal, normal)
+
+
+def located(probe: Probe, drawn: DrawnTouch) -> Estimate:
+    """Return the touch as it is located from its reading without noise, with its covariance."""
+    return probe.estimator().estimate(drawn.contact.equilibrium.wrench_base)
 
 
 def _touched(probe: Probe, touch: StudioTouch) -> tuple[float, FrictionlessContact]:

@@ -11,6 +11,7 @@ import viser
 from numpy.typing import NDArray
 
 from probedesign.core.frames import Array
+from probedesign.estimation.estimate import Estimate
 from probedesign.live.outputs.drawing import BentShape, centreline, ellipsoid
 from probedesign.live.view.page import (
     ARROW,
@@ -32,6 +33,8 @@ from probedesign.studio.session import StudioTouch, knots_of
 SEGMENTS, RINGS, RING_POINTS = 20, 3, 20
 """Coloured segments of the drawn probe, rings of each, points of a ring: without a GPU, the triangles of the probe take
 half of a frame's time."""
+EDGES = np.linspace(0.0, 1.0, SEGMENTS + 1)
+"""Fractions of the length between which the segments are."""
 KNOT_COLOUR = (38, 84, 124)
 GHOST_RINGS, GHOST_COLOUR = 40, (120, 126, 132)
 """Rings and colour of a pinned probe."""
@@ -58,6 +61,7 @@ class StudioScene:
         """
         self._on_change, self._scene = on_change, scene
         self._shown: tuple[Probe, DrawnTouch | None, BentShape] | None = None
+        self._stands = False  # the probe does not buckle
         self._grabbed = (
             0.0,
             np.zeros(3),
@@ -100,35 +104,49 @@ class StudioScene:
         self._parts: list[viser.MeshHandle] = []
         self._parts_of = ""
 
-    def show(
-        self, figures: DesignFigures, drawn: DrawnTouch | None, touch: StudioTouch, pinned: Sequence[Probe]
+    def show_shape(
+        self, probe: Probe, drawn: DrawnTouch | None, touch: StudioTouch, pinned: Sequence[Probe]
     ) -> None:
         """Draw a probe, its mount and a touch, and pinned probes under the same touch as grey shadows.
 
         Args:
-            figures: of the probe.
+            probe: the probe; its colours remain those of `show_errors`.
             drawn: the touch; None where the probe buckles under it.
             touch: its values.
             pinned: probes to compare.
         """
-        probe = figures.probe
         model = probe.model
         self._base.wxyz = quaternion(level_rotation(model.gravity_base))
         eq = drawn.contact.equilibrium if drawn else model.rod.solve(model.gravity_base)
         bent = _bent(eq, probe)
-        self._shown = probe, drawn, bent
+        self._shown, self._stands = (probe, drawn, bent), eq.ok
         self._length = max(one.length for one in (probe, *pinned))
-        edges = np.linspace(0.0, 1.0, SEGMENTS + 1)
-        colours = segment_colours(figures, edges, 1e-3 * touch.force_mN)
-        for mesh, vertices, colour in zip(
-            self._segments, _segments(bent, probe, edges), colours, strict=True
-        ):
+        for mesh, vertices in zip(self._segments, _segments(bent, probe, EDGES), strict=True):
             mesh.vertices = vertices
-            mesh.color = colour if eq.ok else STALE_COLOUR  # grey: it buckles
         self._show_knots(bent, probe)
         self._show_touch(drawn, touch)
         self._show_parts(probe)
         self._show_ghosts(pinned, touch)
+
+    def show_errors(self, figures: DesignFigures, estimate: Estimate | None, touch: StudioTouch) -> None:
+        """Colour the probe by its predicted error, and draw the covariance of the touch.
+
+        Args:
+            figures: of the probe that is drawn.
+            estimate: of the touch that is drawn; None without one.
+            touch: its values.
+        """
+        colours = segment_colours(figures, EDGES, 1e-3 * touch.force_mN)
+        for mesh, colour in zip(self._segments, colours, strict=True):
+            now = colour if self._stands else STALE_COLOUR  # grey: it buckles
+            if mesh.color != now:
+                mesh.color = now
+        self._spread.visible = estimate is not None and estimate.ok
+        if estimate is not None and estimate.ok:
+            half_axes, axes = ellipsoid(estimate.cov_surface_base)
+            self._spread.position = UNIT * estimate.p_surface_base
+            self._spread.scale = tuple(UNIT * np.maximum(half_axes, MIN_HALF_AXIS))
+            self._spread.wxyz = quaternion(axes)
 
     def _show_ghosts(self, pinned: Sequence[Probe], touch: StudioTouch) -> None:
         """Draw the pinned probes; each has a mesh of its own."""
@@ -158,20 +176,14 @@ class StudioScene:
                 node.visible, node.position = True, UNIT * (point + 0.5 * diameter * side)
 
     def _show_touch(self, drawn: DrawnTouch | None, touch: StudioTouch) -> None:
-        located = drawn is not None and drawn.estimate.ok
         self._contact.visible = self._force.visible = self._end.visible = drawn is not None
-        self._spread.visible = located
         if drawn is None:
+            self._spread.visible = False
             return
         self._contact.position = UNIT * drawn.p_surface
         tail = drawn.p_surface - arrow_length(touch.force_mN) * drawn.normal
         self._force.points = (UNIT * np.array([[tail, drawn.p_surface]])).astype(np.float32)
         self._end.position = UNIT * tail
-        if located:
-            half_axes, axes = ellipsoid(drawn.estimate.cov_surface_base)
-            self._spread.position = UNIT * drawn.estimate.p_surface_base
-            self._spread.scale = tuple(UNIT * np.maximum(half_axes, MIN_HALF_AXIS))
-            self._spread.wxyz = quaternion(axes)
 
     def _show_parts(self, probe: Probe) -> None:
         """Draw sensor, flange and adapter when they have changed."""
