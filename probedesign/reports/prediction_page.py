@@ -144,13 +144,15 @@ def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence
         estimator: of the same probe.
         more: further sections at the end.
     """
-    sag = prediction.tip_sag_mm
+    sag, fused = prediction.tip_sag_mm, prediction.fused_headline
+    fused_mm = fused.predicted_error_mm
     sags = "it buckles under its own weight" if sag is None else f"the tip sags by {sag:.3g} mm"
     about = [
         f"{prediction.mass_g:.3g} g, flexible part; {sags}, as mounted",
         f"geometry {prediction.fingerprint}; noise {prediction.noise_force_mN:.3g} mN and "
         f"{prediction.noise_moment_Nmm:.3g} N·mm per reading and channel",
         f"assumed: {', '.join(prediction.assumptions) or 'nothing'}; standard deviations at the end",
+        f"{fused.label}, fused: {'not located' if fused_mm is None else f'{fused_mm:.2g} mm RMS'}",
         f"fused: {prediction.pressing.text}",
     ]
     sections = [

@@ -137,15 +137,13 @@ class DesignFigures:
 
     def _complete_rows(self) -> list[Figure]:
         p = self.prediction
-        fused = [c for c in shown(p.fused, SHOWN_N) if c.contact_fraction == HEADLINE_FRACTION]
-        errors = [c.predicted_error_mm for c in fused]
         reach = [r for r in p.reach if r.contact_fraction == HEADLINE_FRACTION]
         weakest = min(reach, key=lambda r: r.greatest_force_N or 0.0)
         force = None if weakest.greatest_force_N is None else 1e3 * weakest.greatest_force_N
         at = f"at {HEADLINE_FRACTION:g} L"
-        touches = f"{p.pressing.touches} touches fused, {1e3 * SHOWN_N:g} mN {at}"
+        fused = p.fused_headline
         return [
-            Figure(touches, _largest(errors), "mm", "worst direction"),
+            Figure(fused.label, fused.predicted_error_mm, "mm", "fused"),
             Figure(f"largest force {at}", force, "mN", LIMITS[weakest.limit][0], False),
         ]
 

@@ -202,7 +202,7 @@ def test_compare_puts_designs_side_by_side(tmp_path, capsys):
     designs = json.loads(capsys.readouterr().out)["designs"]
     page = out.read_text(encoding="utf-8")
     assert assert_whole(page).seen["svg"] == page.count('<svg role="img" aria-label="') > 1
-    row = re.search(r"<td>error_mm</td><td>(.*?)</td><td>(.*?)</td>", page)
+    row = re.search(r"<td>error of the task, RMS \[mm\]</td><td>(.*?)</td><td>(.*?)</td>", page)
     assert [float(cell) for cell in row.groups()] == pytest.approx([d["error_mm"] for d in designs], rel=1e-3)
 
 
@@ -220,7 +220,7 @@ def test_compare_replaces_its_page_and_nothing_else(tmp_path, capsys):
         assert captured.out == "" and captured.err.count("\n") == 1 and "is not an HTML page" in captured.err
     assert design.read_bytes() == (DESIGNS / "large.toml").read_bytes()
     assert run(["compare", *files, "--out", str(page), *places]) == 0
-    assert "error_mm" in page.read_text(encoding="utf-8")
+    assert "error of the task" in page.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("count", [1, 7])

@@ -85,5 +85,5 @@ SCRIPT = """
 """Follows the browser's colour scheme, and marks all values as old when the server has not renewed them for a while.
 
 A tablet draws one pixel of the scene for each of the page: viser reports the width of the scene in drawn pixels, from
-which the panels are arranged. A browser without a GPU draws without antialiasing, which takes a third of a frame's time.
+which the panels are arranged. A browser without a GPU draws without antialiasing, a third of a frame's time.
 """
