@@ -4,6 +4,7 @@
 adds the other positions, fused touches, the largest force and the workspace, and follows when the hand rests.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,8 +29,8 @@ from probedesign.prediction.predict import (
 )
 from probedesign.printing.check import check_print
 from probedesign.probe import Probe, build_probe
-from probedesign.reports.chart import COLOURS, DASHES, ORDERED, Chart, ChartAxis
-from probedesign.reports.prediction_page import LEVELS_MM, LIMITS, budget_chart, error_level
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, line_colours
+from probedesign.reports.prediction_charts import LEVELS_MM, LIMITS, budget_chart, error_level
 from probedesign.rod.contact import FrictionlessContact, solve_frictionless
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.vibration import natural_frequency
@@ -298,10 +299,10 @@ def error_chart(
     lines += [curves[0] for _, found in others for curves in found.values()]
     values = [value for _, errors in lines for value in errors]
     chart = Chart(_PLACE, ChartAxis.spanning("contact error, RMS [mm]", values, log=True))
-    for i, (force, ((x, total), (_, noise))) in enumerate(by_force.items()):
-        colour = ORDERED[round((len(ORDERED) - 2) * i / max(len(by_force) - 1, 1))]
+    drawn = zip(by_force.items(), line_colours(len(by_force)), itertools.cycle(MARKS), strict=False)
+    for (force, ((x, total), (_, noise))), colour, mark in drawn:
         chart.line(x, noise, colour, "1 4", width=1.4)
-        chart.line(x, total, colour, "", "o", f"{1e3 * force:g} mN")
+        chart.line(x, total, colour, "", mark, f"{1e3 * force:g} mN")
         for (_, found), dashes in zip(others, DASHES[1:], strict=False):
             if force in found:
                 chart.line(*found[force][0], colour, dashes, width=1.6)
