@@ -231,7 +231,8 @@ class StudioPage:
             )  # fmt: skip
         with tabs.add_tab("Save"):
             self._save_tab(gui)
-        self._panel = charts = gui.add_panel()
+        self._stacked, self._panel = False, gui.add_panel()
+        charts = self._panel
         with charts.add_tab("Error"):
             self._charts = {"error": gui.add_html(""), "summary": gui.add_html("")}
         with charts.add_tab("Budget"):
@@ -277,14 +278,25 @@ class StudioPage:
         )
 
     def _lay_out(self, client: viser.ClientHandle) -> None:
-        """Fit the camera of a browser; on a narrow screen, put the charts below the controls."""
+        """Fit the camera of a browser; on a narrow screen, put the charts below the controls.
+
+        All tabs share the arrangement: the last one that was opened decides.
+        """
         width, height = client.camera.image_width, max(client.camera.image_height, 1)
         scene = float(width)  # of the window: the panels are not there yet
         if width > PHONE_WIDTH:
             scene -= CONTROLS_WIDTH + CHARTS_WIDTH
-            if scene < MIN_SCENE_WIDTH:
-                self._panel.dock_below(self._server.gui.main_panel)
+            narrow = scene < MIN_SCENE_WIDTH
+            if narrow:
                 scene += CHARTS_WIDTH
+            if narrow is not self._stacked:
+                self._stacked = narrow
+                if narrow:
+                    self._panel.dock_below(self._server.gui.main_panel)
+                else:
+                    self._panel.dock_left()
+                    self._panel.set_width(CHARTS_WIDTH)
+                    self._server.gui.main_panel.set_width(CONTROLS_WIDTH)  # it took that of the charts
         self._scene.set_camera(client.camera, scene / height)
 
     # Reactions

@@ -41,9 +41,11 @@ GHOST_RINGS, GHOST_COLOUR = 40, (120, 126, 132)
 MAX_KNOTS = 12
 """Number of diameters of a profile that can be dragged; a profile with more is changed in its file."""
 FIELD_OF_VIEW = math.radians(40.0)
-DISTANCE, SHOWN_WIDTH, MAX_GROWTH = 2.35, 1.3, 1.25
-"""Distance of the camera and width of the scene at least [lengths of the probe], and the change of the length that the
-camera follows."""
+MOUNT_LENGTH = 0.03
+"""Length behind the base that is seen as well: sensor and adapters [m]."""
+DISTANCE, SHOWN_WIDTH, MAX_GROWTH = 1.95, 1.3, 1.25
+"""Distance of the camera and width of the scene at least [lengths of probe and mount], and the change of the probe's
+length that the camera follows."""
 MIN_FRACTION, MAX_FORCE_MN, MIN_FORCE_MN = 0.05, 200.0, 0.5
 """Range of the touch that is drawn."""
 
@@ -238,8 +240,9 @@ class StudioScene:
             side = side / np.linalg.norm(side) if np.linalg.norm(side) > 0.2 else np.array([0.0, -1.0, 0.0])
             direction = 2.2 * side + np.array([0.0, 0.0, 0.7]) + 0.4 * along
         tangent = math.tan(0.5 * FIELD_OF_VIEW)
-        distance = UNIT * self._length * max(DISTANCE, 0.5 * SHOWN_WIDTH / (tangent * max(aspect, 0.1)))
-        middle = UNIT * 0.45 * self._length * along
+        whole = self._length + MOUNT_LENGTH
+        distance = UNIT * whole * max(DISTANCE, 0.5 * SHOWN_WIDTH / (tangent * max(aspect, 0.1)))
+        middle = UNIT * (0.5 * whole - MOUNT_LENGTH) * along
         camera.fov = FIELD_OF_VIEW
         camera.position = middle + distance * direction / np.linalg.norm(direction)
         camera.look_at = middle  # last: the position moves it too
