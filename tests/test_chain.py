@@ -91,6 +91,9 @@ def test_deploy_replaces_frozen_probes_only(workplace, capsys):
     assert (workplace / "designs/a.toml").read_bytes() == before
     assert run(["deploy", "designs/a.toml", "--out", "a.probe.json"]) == 0
     assert run(["deploy", "designs/a.toml", "--out", "a.probe.json"]) == 0  # a frozen probe
+    for _ in range(2):  # a new folder, and one that exists
+        assert run(["deploy", "designs/a.toml", "--out", "dep"]) == 0
+        assert [file.name for file in Path("dep").iterdir()] == ["a.probe.json"]
 
 
 def test_demo_does_not_replace_an_edited_design(workplace, capsys):

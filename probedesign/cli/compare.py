@@ -54,15 +54,19 @@ def compare(
             file = out or EXPORTS / f"compare-{'-'.join(one.design.name for one in compared)}.html"
             write_atomically(file, comparison_page(compared, task))
     if as_json:
-        document = [{"name": one.design.name, **one.metrics.as_dict()} for one in compared]
+        document = [
+            {"name": one.design.name, **one.metrics.as_dict(), "fused_headline": one.fused}
+            for one in compared
+        ]
         best = {name: best_design(compared, name) for name in METRICS}
         print_json({"task": task, "designs": document, "best": best, "page": file})
         return
     table = comparison_table(compared)
+    wide = max(len(row[0]) for row in table.rows)
     print(comparison_verdict(compared))
     print(task.text)
     for row in (table.head, *table.rows):
-        print(f"  {row[0]:<16}" + "".join(f"{cell:>18}" for cell in row[1:]))
+        print(f"  {row[0]:<{wide}}" + "".join(f"{cell:>18}" for cell in row[1:]))
     print(f"wrote {file}" if file else "no page was written")
 
 

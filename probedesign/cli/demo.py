@@ -117,7 +117,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     import numpy as np
 
     from probedesign import pipeline
-    from probedesign.reports.prediction_page import probe_chart
+    from probedesign.reports.prediction_charts import probe_chart
     from probedesign.reports.recording_page import recording_page
     from probedesign.reports.replay import STYLE, replay_element
 

@@ -21,7 +21,7 @@ def deploy(
 
     Args:
         design: the design file.
-        out: output file. Default: exports/NAME/NAME.probe.json.
+        out: output file, or a folder for NAME.probe.json. Default: exports/NAME.
         as_json: print one JSON document.
     """
     from probedesign import pipeline
@@ -46,12 +46,20 @@ def deploy(
 def write_bundle(probe: "Probe", out: Path | None) -> Path:
     """Write the frozen probe and return its file, which may replace a frozen probe only.
 
+    Args:
+        probe: to freeze.
+        out: a file, or a folder: one that exists, or a name without a suffix. None: the folder of the design's exports.
+
     Raises:
         InputError: another file has that name, or the parts exported beside it have another geometry.
     """
     from probedesign.frozen_probe import check_manifest, check_replaceable, write_frozen
 
-    path = EXPORTS / probe.design.name / f"{probe.design.name}.probe.json" if out is None else out
+    name, path = probe.design.name, out
+    if path is None:
+        path = EXPORTS / name / f"{name}.probe.json"
+    elif path.is_dir() or not path.suffix:
+        path /= f"{name}.probe.json"
     check_replaceable(path)
     manifest = path.parent / "manifest.json"
     if manifest.exists():

@@ -234,6 +234,39 @@ class FusedForceThresholds:
     force_mN_for_5_mm: float | None
 
 
+@dataclass(frozen=True)
+class FusedHeadline:
+    """The figure by which fused touches are compared: their error at one position, in the worst direction.
+
+    Attributes:
+        touches: number of touches of one point, in equal steps of the force.
+        force_N: normal force of the last touch.
+        contact_fraction: arclength of the touched section over the length.
+        predicted_error_mm: RMS distance by all error sources; None if touches of any direction are not located.
+    """
+
+    touches: int
+    force_N: float
+    contact_fraction: float
+    predicted_error_mm: float | None
+
+    @property
+    def label(self) -> str:
+        """Return the condition in words."""
+        where = f"{1e3 * self.force_N:g} mN at {self.contact_fraction:g} L"
+        return f"{self.touches} touches up to {where}, worst direction"
+
+
+def fused_headline_of(
+    conditions: Sequence[FusedCondition], touches: int, contact_fraction: float
+) -> FusedHeadline:
+    """Return the headline of a grid of fused touches at one position."""
+    here = [c for c in conditions if (c.contact_fraction, c.force_N) == (contact_fraction, SHOWN_N)]
+    errors = [c.predicted_error_mm for c in here if c.predicted_error_mm is not None]
+    worst = max(errors) if errors and len(errors) == len(here) else None
+    return FusedHeadline(touches, SHOWN_N, contact_fraction, worst)
+
+
 def fused_reach(conditions: Sequence[FusedCondition]) -> tuple[FusedForceThresholds, ...]:
     """Return the force thresholds of fused touches at each position."""
     lines = dict.fromkeys((c.contact_fraction, c.direction) for c in conditions)

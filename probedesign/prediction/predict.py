@@ -20,11 +20,14 @@ from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.budget import CAUSES
 from probedesign.prediction.fused import (
     FUSED_CAUSES,
+    SHOWN_N,
     FusedCondition,
     FusedForceThresholds,
+    FusedHeadline,
     PressSchedule,
     forces_of,
     fused_conditions,
+    fused_headline_of,
     fused_reach,
 )
 from probedesign.prediction.touches import DIRECTIONS, Touches, check_grid, touches_of
@@ -220,14 +223,25 @@ class Prediction(Tabular):
             f"The largest error source is {largest}, with {shares[largest]:.0%} of the variance."
         )
 
+    @property
+    def fused_headline(self) -> FusedHeadline:
+        """The error of fused touches up to `SHOWN_N` at the position of the verdict."""
+        return fused_headline_of(self.fused, self.pressing.touches, HEADLINE_FRACTION)
+
     def as_dict(self) -> dict[str, Any]:
         """Return plain data for JSON; every key ends in its unit."""
         return {
             "schema": 1,
             "verdict": self.verdict,
+            "fused_headline": asdict(self.fused_headline),
             **asdict(self),
             "tolerance_sources": self.tolerances.sources(self.resin),
         }
+
+
+def fused_headline(model: ProbeModel) -> FusedHeadline:
+    """Return `Prediction.fused_headline` of a probe without the rest of its prediction."""
+    return predict(model, (HEADLINE_FRACTION,), (SHOWN_N,)).fused_headline
 
 
 def predict(

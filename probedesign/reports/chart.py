@@ -22,6 +22,7 @@ Color Universal Design, 2008."""
 ORDERED = ("#440154", "#443983", "#31688e", "#21918c", "#35b779", "#90d743", "#fde725")
 """Ordered colours from low to high, for colour-blind readers and in grey.
 Source: viridis, S. van der Walt, N. Smith, 2015."""
+_LINES_TO = 3.5  # of `ORDERED`: lighter colours have a contrast below 3 on white paper (WCAG 2.2, 1.4.11)
 DASHES = ("", "7 4", "2 3", "9 3 2 3", "5 2", "1 2", "12 4")
 _NO_LINE = "0 99"  # dashes of a legend entry that shows a marker only
 MARKS = "osd^vx+"
@@ -141,6 +142,17 @@ def _even_ticks(low: float, high: float) -> tuple[float, ...]:
     step = next(k * power for k in (1.0, 2.0, 5.0, 10.0) if k * power >= 0.999 * raw)
     first = math.ceil(low / step - 1e-9)
     return tuple(round(k * step, 12) for k in range(first, math.floor(high / step + 1e-9) + 1))
+
+
+def line_colours(n: int) -> list[str]:
+    """Return ordered colours of n lines, the first one darkest."""
+    found = []
+    for place in (_LINES_TO * i / max(n - 1, 1) for i in range(n)):
+        k = int(place)
+        one, two = ([int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in ORDERED[k : k + 2])
+        mixed = (round(a + (place - k) * (b - a)) for a, b in zip(one, two, strict=True))
+        found.append("#" + "".join(f"{value:02x}" for value in mixed))
+    return found
 
 
 class LegendEntry(NamedTuple):

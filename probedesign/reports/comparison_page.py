@@ -1,7 +1,7 @@
 """Comparison of several designs: one table, and charts with common axes."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +12,7 @@ from probedesign.core.units import MM, format_value
 from probedesign.design import Design
 from probedesign.optimization.objective import (
     COMPARED_FRACTIONS,
+    DETECTION_FRACTION,
     METRICS,
     DesignMetrics,
     Task,
@@ -19,8 +20,8 @@ from probedesign.optimization.objective import (
     design_metrics,
     predict_task,
 )
-from probedesign.prediction.fused import MAX_TOUCHES, PressSchedule
-from probedesign.prediction.predict import Prediction
+from probedesign.prediction.fused import MAX_TOUCHES, FusedHeadline, PressSchedule
+from probedesign.prediction.predict import Prediction, fused_headline
 from probedesign.probe import build_probe
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
@@ -31,6 +32,21 @@ SIDE = "+y"
 NEUTRAL = ("length_mm", "thinnest_mm")
 """Metrics of which neither a larger nor a smaller value is better."""
 LARGER_IS_BETTER = ("reach_mm",)
+LABELS = {
+    "error_mm": "error of the task, RMS [mm]",
+    "worst_error_mm": "largest error of the task [mm]",
+    "detectable_mN": f"detected at {DETECTION_FRACTION:g} L from [mN]",
+    "sag_mm": "sag of the tip [mm]",
+    "reach_mm": "distance from base to tip [mm]",
+    "sensor_use": "used fraction of the sensor's range",
+    "slide_mm": "slide of the object along the probe [mm]",
+    "mass_g": "mass of the flexible part [g]",
+    "length_mm": "length [mm]",
+    "thinnest_mm": "smallest diameter or wall [mm]",
+    "print_errors": "errors of the print check",
+    "print_warnings": "warnings of the print check",
+}
+"""Names of the metrics in the table."""
 FORCES_N = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
 
 
@@ -44,6 +60,7 @@ class ComparedDesign:
         along: its touches at `COMPARED_FRACTIONS`.
         by_force: error over the task's positions at each of `FORCES_N` [m]; infinite where the probe buckles.
         prediction: for pushes across gravity with the task's force.
+        fused: its error of fused touches as `predict` reports it, whatever the task.
     """
 
     design: Design
@@ -51,6 +68,7 @@ class ComparedDesign:
     along: TaskErrors
     by_force: tuple[float, ...]
     prediction: Prediction
+    fused: FusedHeadline
 
 
 def compare(designs: Sequence[Design], task: Task) -> list[ComparedDesign]:
@@ -80,8 +98,9 @@ def _compared(design: Design, task: Task) -> ComparedDesign:
         task, fractions=COMPARED_FRACTIONS, forces_N=(task.force_N,), gravities=task.gravities[:1]
     )
     return ComparedDesign(
-        design, design_metrics(design, task), predict_task(model, along, slipping=False), rms, prediction
-    )
+        design, design_metrics(design, task), predict_task(model, along, slipping=False), rms, prediction,
+        fused_headline(model),
+    )  # fmt: skip
 
 
 def best_design(compared: Sequence[ComparedDesign], metric: str) -> str | None:
@@ -89,11 +108,17 @@ def best_design(compared: Sequence[ComparedDesign], metric: str) -> str | None:
 
     No metric prefers a length or a thickness, and values that are printed alike are equal.
     """
-    values = {one.design.name: getattr(one.metrics, metric) for one in compared}
-    known = {name: value for name, value in values.items() if value is not None}
-    if metric in NEUTRAL or not known:
+    if metric in NEUTRAL:
         return None
-    choose = max if metric in LARGER_IS_BETTER else min
+    values = {one.design.name: getattr(one.metrics, metric) for one in compared}
+    return _best(values, max if metric in LARGER_IS_BETTER else min)
+
+
+def _best(values: Mapping[str, float | None], choose: Callable[..., str]) -> str | None:
+    """Return the name of the smallest or largest value; None if there is none or another one is printed alike."""
+    known = {name: value for name, value in values.items() if value is not None}
+    if not known:
+        return None
     best = choose(known, key=lambda name: known[name])
     alike = [name for name, value in known.items() if format_value(value) == format_value(known[best])]
     return best if len(alike) == 1 else None
@@ -103,12 +128,15 @@ def comparison_table(compared: Sequence[ComparedDesign]) -> HtmlTable:
     """Return one row per metric, one column per design, and the best of them."""
     rows = [
         [
-            name,
+            LABELS[name],
             *(format_value(getattr(one.metrics, name)) for one in compared),
             best_design(compared, name) or "-",
         ]
         for name in METRICS
     ]
+    fused = {one.design.name: one.fused.predicted_error_mm for one in compared}
+    label = f"error of {compared[0].fused.label} [mm]"
+    rows.insert(1, [label, *map(format_value, fused.values()), _best(fused, min) or "-"])
     return HtmlTable(["", *(one.design.name for one in compared), "best"], rows)
 
 
@@ -139,11 +167,6 @@ def comparison_page(compared: Sequence[ComparedDesign], task: Task) -> bytes:
                lambda one: (COMPARED_FRACTIONS, _in_mm(one.along.errors)), _PLACE, _ERROR),
         _lines("Error by force", "As before, over the task's positions, by the largest force.", compared,
                lambda one: ([1e3 * f for f in FORCES_N], _in_mm(one.by_force)), force, _ERROR),
-        _lines("Error of fused touches",
-               f"{compared[0].prediction.pressing.text}, up to {1e3 * task.force_N:g} mN, all error sources included, "
-               "pushed sideways.", compared,
-               lambda one: _rows(one.prediction.fused, lambda c: c.predicted_error_mm if c.result == "ok" else None),
-               _PLACE, _ERROR),
         _lines("Detection limit", "Force detected with probability 0.5 at one false alarm an hour.", compared,
                lambda one: _rows(one.prediction.detection, lambda d: d.detectable_force_mN), _PLACE,
                "smallest detectable force [mN]"),

@@ -26,7 +26,7 @@ from probedesign.prediction.predict import Prediction, condition_rows, worst
 from probedesign.probe import Probe
 from probedesign.reports.chart import COLOURS, DASHES, Chart, ChartAxis
 from probedesign.reports.identification_page import residual_chart
-from probedesign.reports.prediction_page import STATIONS, error_chart, flanks
+from probedesign.reports.prediction_charts import STATIONS, error_chart, flanks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -16,7 +16,7 @@ function index(time) {  // of the last frame that is not later
 }
 function body(time, i) {  // centreline between two frames
   const a = frames[i], b = frames[Math.min(i + 1, frames.length - 1)];
-  if (!a.p || !b.p) return a.p;
+  if (!a.p || !b.p || a.free) return a.p;
   const share = b.t > a.t ? (time - a.t) / (b.t - a.t) : 0;
   return a.p.map((p, k) => p.map((value, j) => value + share * (b.p[k][j] - value)));
 }
@@ -37,7 +37,7 @@ function paint({pen, at, scale, ink, near}) {
   if (line) {
     const corners = tube(line);
     pen.beginPath(); corners.forEach(([x, y], k) => k ? pen.lineTo(x, y) : pen.moveTo(x, y)); pen.closePath();
-    pen.fillStyle = frame.p ? "rgba(86,160,211,0.75)" : "rgba(128,128,128,0.5)"; pen.fill();
+    pen.fillStyle = frame.free ? "rgba(128,128,128,0.5)" : "rgba(86,160,211,0.75)"; pen.fill();
     pen.strokeStyle = "#2a6fa0"; pen.lineWidth = 1; pen.stroke();
   }
   if (contact && !behind) touch(contact);

@@ -114,9 +114,10 @@ def _frame(estimator: Estimator, row: Row, gravity: Array, view: Array, arrow: f
         size = 1e3 * float(np.linalg.norm(force))
         s, std = float(row["s_contact_mm"]), float(row["std_s_mm"])
         frame["text"] += f", {size:.3g} mN at s = {s:.1f} ± {std:.2g} mm; RMS error {rms:.2g} mm"
-    free = not ok and row["result"] != "no_contact"  # touched somewhere: its shape is not known
-    known = shape.ok and not free
-    frame["p"] = _rounded(shape.p_at(np.linspace(0.0, rod.length, STATIONS)) @ view.T) if known else None
+    if not ok and row["result"] != "no_contact":  # touched somewhere: grey, in its shape without a touch
+        frame["free"] = True
+        frame["text"] += "; drawn without the touch"
+    frame["p"] = _rounded(shape.p_at(np.linspace(0.0, rod.length, STATIONS)) @ view.T) if shape.ok else None
     true = _vector(row, "true_p_surface_base_{}_mm")
     if np.isfinite(true).all():
         frame["true"] = _rounded(view @ true * MM)

@@ -109,8 +109,12 @@ def heat_map(records: Sequence[Record], keys: Sequence[str], low: float, high: f
 
 
 def _legend(chart: Chart, low: float, high: float) -> None:
-    """Add the colours of the smallest and the largest error to the legend."""
-    chart.legend += [LegendEntry(f"{low:.3g} mm", ORDERED[-1]), LegendEntry(f"{high:.3g} mm", ORDERED[0])]
+    """Add all colours to the legend, each with the largest error that has it."""
+    steps = len(ORDERED)
+    chart.legend += [
+        LegendEntry(f"≤ {low * (high / low) ** (k / steps):.2g} mm", ORDERED[-k])
+        for k in range(1, steps + 1 if high > low else 2)
+    ]
 
 
 def parallel_coordinates(records: Sequence[Record], keys: Sequence[str], low: float, high: float) -> Chart:

@@ -4,6 +4,7 @@
 adds the other positions, fused touches, the largest force and the workspace, and follows when the hand rests.
 """
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,8 +29,8 @@ from probedesign.prediction.predict import (
 )
 from probedesign.printing.check import check_print
 from probedesign.probe import Probe, build_probe
-from probedesign.reports.chart import COLOURS, DASHES, ORDERED, Chart, ChartAxis
-from probedesign.reports.prediction_page import LEVELS_MM, LIMITS, budget_chart, error_level
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, line_colours
+from probedesign.reports.prediction_charts import LEVELS_MM, LIMITS, budget_chart, error_level
 from probedesign.rod.contact import FrictionlessContact, solve_frictionless
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.vibration import natural_frequency
@@ -137,15 +138,13 @@ class DesignFigures:
 
     def _complete_rows(self) -> list[Figure]:
         p = self.prediction
-        fused = [c for c in shown(p.fused, SHOWN_N) if c.contact_fraction == HEADLINE_FRACTION]
-        errors = [c.predicted_error_mm for c in fused]
         reach = [r for r in p.reach if r.contact_fraction == HEADLINE_FRACTION]
         weakest = min(reach, key=lambda r: r.greatest_force_N or 0.0)
         force = None if weakest.greatest_force_N is None else 1e3 * weakest.greatest_force_N
         at = f"at {HEADLINE_FRACTION:g} L"
-        touches = f"{p.pressing.touches} touches fused, {1e3 * SHOWN_N:g} mN {at}"
+        fused = p.fused_headline
         return [
-            Figure(touches, _largest(errors), "mm", "worst direction"),
+            Figure(fused.label, fused.predicted_error_mm, "mm", "fused"),
             Figure(f"largest force {at}", force, "mN", LIMITS[weakest.limit][0], False),
         ]
 
@@ -160,15 +159,15 @@ _COMPLETE: dict[Design, DesignFigures] = {}
 _MAX_KEPT = 16
 
 
-def preview(design: Design, forces_N: tuple[float, ...]) -> DesignFigures:
+def preview(probe: Probe, forces_N: tuple[float, ...]) -> DesignFigures:
     """Return what follows a slider: single touches, sag, mass, frequency, print check.
 
     Args:
-        design: a valid design.
+        probe: of a valid design.
         forces_N: forces whose errors are drawn; those of the summary are added.
     """
     forces = tuple(sorted({*forces_N, HEADLINE_FORCE_N}))
-    return _figures(design, PREVIEWED, forces, True)
+    return _figures(probe, PREVIEWED, forces, True)
 
 
 def complete(design: Design, on_progress: OnProgress = quiet) -> DesignFigures:
@@ -179,7 +178,7 @@ def complete(design: Design, on_progress: OnProgress = quiet) -> DesignFigures:
         on_progress: as in `predict`; an exception that it raises ends the prediction.
     """
     if design not in _COMPLETE:
-        found = _figures(design, FRACTIONS, FORCES_N, False, on_progress)
+        found = _figures(build_probe(design), FRACTIONS, FORCES_N, False, on_progress)
         while len(_COMPLETE) >= _MAX_KEPT:
             _COMPLETE.pop(next(iter(_COMPLETE)))
         _COMPLETE[design] = found
@@ -187,15 +186,14 @@ def complete(design: Design, on_progress: OnProgress = quiet) -> DesignFigures:
 
 
 def _figures(
-    design: Design,
+    probe: Probe,
     fractions: tuple[float, ...],
     forces_N: tuple[float, ...],
     only_single: bool,
     on_progress: OnProgress = quiet,
 ) -> DesignFigures:
-    probe = build_probe(design)
     model = probe.model
-    found = check_print(design, layers=False)
+    found = check_print(probe.design, layers=False)
     return DesignFigures(
         probe,
         predict(model, fractions, forces_N, only_single=only_single, on_progress=on_progress),
@@ -241,33 +239,37 @@ def _rgb(colour: str) -> tuple[int, int, int]:
 
 @dataclass(frozen=True)
 class DrawnTouch:
-    """One touch as the sensor reads it, and as it is located.
+    """One touch as the sensor reads it.
 
     Attributes:
         contact: the equilibrium.
         s: arclength of the touched section [m].
         p_surface: touched point [m], (3,).
         normal: direction of the push at it, (3,).
-        estimate: from the reading without noise, with its covariance.
     """
 
     contact: FrictionlessContact
     s: float
     p_surface: Array
     normal: Array
-    estimate: Estimate
 
 
 def drawn_touch(probe: Probe, touch: StudioTouch) -> DrawnTouch | None:
-    """Return the touch; None where the probe buckles under it."""
+    """Return the touch; None where the probe buckles under it or under its own weight."""
     model = probe.model
+    if not model.rod.solve(model.gravity_base).ok:
+        return None
     s, found = _touched(probe, touch)
     if found.result != "ok":
         return None
     normal = found.force_base / np.linalg.norm(found.force_base)
     r = float(model.rod.radius_at(s)) * math.cos(math.atan(model.rod.taper_at(s)))
-    estimate = probe.estimator().estimate(found.equilibrium.wrench_base)
-    return DrawnTouch(found, s, found.equilibrium.p_contact_base - r * normal, normal, estimate)
+    return DrawnTouch(found, s, found.equilibrium.p_contact_base - r * normal, normal)
+
+
+def located(probe: Probe, drawn: DrawnTouch) -> Estimate:
+    """Return the touch as it is located from its reading without noise, with its covariance."""
+    return probe.estimator().estimate(drawn.contact.equilibrium.wrench_base)
 
 
 def _touched(probe: Probe, touch: StudioTouch) -> tuple[float, FrictionlessContact]:
@@ -297,10 +299,10 @@ def error_chart(
     lines += [curves[0] for _, found in others for curves in found.values()]
     values = [value for _, errors in lines for value in errors]
     chart = Chart(_PLACE, ChartAxis.spanning("contact error, RMS [mm]", values, log=True))
-    for i, (force, ((x, total), (_, noise))) in enumerate(by_force.items()):
-        colour = ORDERED[round((len(ORDERED) - 2) * i / max(len(by_force) - 1, 1))]
+    drawn = zip(by_force.items(), line_colours(len(by_force)), itertools.cycle(MARKS), strict=False)
+    for (force, ((x, total), (_, noise))), colour, mark in drawn:
         chart.line(x, noise, colour, "1 4", width=1.4)
-        chart.line(x, total, colour, "", "o", f"{1e3 * force:g} mN")
+        chart.line(x, total, colour, "", mark, f"{1e3 * force:g} mN")
         for (_, found), dashes in zip(others, DASHES[1:], strict=False):
             if force in found:
                 chart.line(*found[force][0], colour, dashes, width=1.6)

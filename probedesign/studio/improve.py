@@ -75,7 +75,7 @@ class Improvement:
             was = "not located" if before is None else f"{before:.3g} mm"
             now = "not located" if after is None else f"{after:.3g} mm"
             limited = ", ".join(found.active_constraints)
-            self.text = f"{self._problem.task.touches_text}: {was} before, {now} after" + (
+            self.text = f"{self._problem.task.text}: {was} before, {now} after" + (
                 f"; limited by {limited}" if limited else ""
             )
             self.design = found.design

@@ -21,9 +21,11 @@ import viser
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import Design
+from probedesign.estimation.estimate import Estimate
 from probedesign.live.view.access import protect
 from probedesign.live.view.page import LoopbackServer
 from probedesign.prediction.table_one import PROBES, paper_design
+from probedesign.probe import build_probe
 from probedesign.reports.chart import Chart
 from probedesign.studio import actions
 from probedesign.studio.controls import DesignControls
@@ -36,6 +38,7 @@ from probedesign.studio.figures import (
     drawn_touch,
     error_chart,
     fused_chart,
+    located,
     preview,
     styled,
     summary_table,
@@ -71,7 +74,8 @@ class StudioPage:
         self._requests: queue.Queue[Callable[[], None]] = queue.Queue()
         self._latest: dict[str, Any] = {}
         self._lock = threading.Lock()
-        self.figures = preview(session.design, self._forces)
+        self._probe = build_probe(session.design)
+        self.figures = preview(self._probe, self._forces)
         self._drawn: DrawnTouch | None = None
         self._complete = self._searching = False
         self._stopped = threading.Event()
@@ -81,7 +85,8 @@ class StudioPage:
         self._host = host
         self._controls()
         self._scene = StudioScene(self._server.scene, self.move)
-        self._show()
+        self._show_shape()
+        self._show_figures()
         self._scene.set_camera(self._server.initial_camera)
         self._server.on_client_connect(self._lay_out)
         self._thread = threading.Thread(target=self._work, name="studio", daemon=True)
@@ -181,7 +186,7 @@ class StudioPage:
             if not self._complete:
                 self.figures = complete(self.session.design, self._yield)
                 self._complete = True
-                self._show()
+                self._show_figures()
         except _RequestWaitsError:
             self._searching = self._improve.search is not None
 
@@ -191,11 +196,16 @@ class StudioPage:
             raise _RequestWaitsError
 
     def _refresh(self, moved: bool = True) -> None:
-        """Compute and show what follows from a change; `moved`: the design or the forces may have changed."""
+        """Compute and show what follows from a change; `moved`: the design or the forces may have changed.
+
+        All is computed before a browser draws: both share the processor where there is no GPU.
+        """
         if moved:
-            self.figures = preview(self.session.design, self._forces)
+            self._probe = build_probe(self.session.design)
+            self.figures = preview(self._probe, self._forces)
             self._complete = False
-        self._show()
+        self._show_shape()
+        self._show_figures()
 
     # Controls
 
@@ -221,7 +231,8 @@ class StudioPage:
             )  # fmt: skip
         with tabs.add_tab("Save"):
             self._save_tab(gui)
-        self._panel = charts = gui.add_panel()
+        self._stacked, self._panel = False, gui.add_panel()
+        charts = self._panel
         with charts.add_tab("Error"):
             self._charts = {"error": gui.add_html(""), "summary": gui.add_html("")}
         with charts.add_tab("Budget"):
@@ -267,14 +278,25 @@ class StudioPage:
         )
 
     def _lay_out(self, client: viser.ClientHandle) -> None:
-        """Fit the camera of a browser; on a narrow screen, put the charts below the controls."""
+        """Fit the camera of a browser; on a narrow screen, put the charts below the controls.
+
+        All tabs share the arrangement: the last one that was opened decides.
+        """
         width, height = client.camera.image_width, max(client.camera.image_height, 1)
         scene = float(width)  # of the window: the panels are not there yet
         if width > PHONE_WIDTH:
             scene -= CONTROLS_WIDTH + CHARTS_WIDTH
-            if scene < MIN_SCENE_WIDTH:
-                self._panel.dock_below(self._server.gui.main_panel)
+            narrow = scene < MIN_SCENE_WIDTH
+            if narrow:
                 scene += CHARTS_WIDTH
+            if narrow is not self._stacked:
+                self._stacked = narrow
+                if narrow:
+                    self._panel.dock_below(self._server.gui.main_panel)
+                else:
+                    self._panel.dock_left()
+                    self._panel.set_width(CHARTS_WIDTH)
+                    self._server.gui.main_panel.set_width(CONTROLS_WIDTH)  # it took that of the charts
         self._scene.set_camera(client.camera, scene / height)
 
     # Reactions
@@ -296,12 +318,12 @@ class StudioPage:
 
     def _pin(self) -> None:
         self.session.pin()
-        self._show()
+        self._refresh(moved=False)
 
     def _unpin(self) -> None:
         if self.session.pinned:
             self.session.unpin(self.session.pinned[-1].label)
-        self._show()
+        self._refresh(moved=False)
 
     def _press(self, action: actions.Action, _: Any) -> None:
         self._request(partial(self._act, action))
@@ -322,18 +344,31 @@ class StudioPage:
 
     # Show
 
-    def _show(self) -> None:
-        """Show the whole state in one update."""
-        touch = self.session.touch
-        self._drawn = None if self.figures.buckles else drawn_touch(self.figures.probe, touch)
+    def _show_shape(self) -> None:
+        """Show the bent probe and the touch in one update."""
+        session = self.session
+        self._drawn = drawn_touch(self._probe, session.touch)
+        others = [build_probe(pin.design) for pin in session.pinned if pin.design != session.design]
+        with self._server.atomic():
+            self._scene.show_shape(self._probe, self._drawn, session.touch, others)
+        self._server.flush()
+
+    def _show_figures(self) -> None:
+        """Show controls, charts and tables, then colours and the located touch.
+
+        The first update changes nothing of the scene: a browser shows it without waiting for a frame of the scene.
+        """
         pinned = [(pin, complete(pin.design)) for pin in self.session.pinned]
         with self._lock:
             waiting = set(self._latest)
         with self._server.atomic():
             self._design_controls.show(waiting)
-            others = [other.probe for pin, other in pinned if pin.design != self.session.design]
-            self._scene.show(self.figures, self._drawn, touch, others)
             self._show_text(pinned)
+        self._server.flush()
+        estimate = located(self._probe, self._drawn) if self._drawn else None
+        with self._server.atomic():
+            self._scene.show_errors(self.figures, estimate, self.session.touch)
+            self._touch_text.content = styled(_touch_html(estimate))
             if self._complete and self._scene.is_out_of_frame:
                 turned = self._scene.has_turned
                 for client in self._server.get_clients().values():
@@ -369,18 +404,17 @@ class StudioPage:
         dotted = "<p class=note>Solid: all error sources. Dotted: an exact probe. Dashed: pinned designs.</p>"
         dotted += colour_legend(session.touch.force_mN)
         self._charts["summary"].content = styled(dotted + summary_table(figures, pinned) + check)
-        self._touch_text.content = styled(self._touch_html())
         self._command.value = session.command_line
 
-    def _touch_html(self) -> str:
-        drawn = self._drawn
-        if drawn is None:
-            return '<div class="bad">The probe buckles under this touch.</div>'
-        estimate = drawn.estimate
-        if not estimate.ok:
-            return f'<div class="bad">The reading is not located: {escape(estimate.result)}.</div>'
-        rms = math.sqrt(float(np.trace(estimate.cov_surface_base))) / MM
-        return (
-            f"<table><tr><td>located</td><td>s = {estimate.s_contact / MM:.1f} ± {estimate.std_s / MM:.1f} mm</td></tr>"
-            f"<tr><td>error</td><td>{rms:.2g} mm RMS, all error sources</td></tr></table>"
-        )
+
+def _touch_html(estimate: Estimate | None) -> str:
+    """Return how well a touch is located as HTML; None where the probe buckles under it."""
+    if estimate is None:
+        return '<div class="bad">The probe buckles under this touch.</div>'
+    if not estimate.ok:
+        return f'<div class="bad">The reading is not located: {escape(estimate.result)}.</div>'
+    rms = math.sqrt(float(np.trace(estimate.cov_surface_base))) / MM
+    return (
+        f"<table><tr><td>located</td><td>s = {estimate.s_contact / MM:.1f} ± {estimate.std_s / MM:.1f} mm</td></tr>"
+        f"<tr><td>error</td><td>{rms:.2g} mm RMS, all error sources</td></tr></table>"
+    )

@@ -11,6 +11,7 @@ import viser
 from numpy.typing import NDArray
 
 from probedesign.core.frames import Array
+from probedesign.estimation.estimate import Estimate
 from probedesign.live.outputs.drawing import BentShape, centreline, ellipsoid
 from probedesign.live.view.page import (
     ARROW,
@@ -32,15 +33,19 @@ from probedesign.studio.session import StudioTouch, knots_of
 SEGMENTS, RINGS, RING_POINTS = 20, 3, 20
 """Coloured segments of the drawn probe, rings of each, points of a ring: without a GPU, the triangles of the probe take
 half of a frame's time."""
+EDGES = np.linspace(0.0, 1.0, SEGMENTS + 1)
+"""Fractions of the length between which the segments are."""
 KNOT_COLOUR = (38, 84, 124)
 GHOST_RINGS, GHOST_COLOUR = 40, (120, 126, 132)
 """Rings and colour of a pinned probe."""
 MAX_KNOTS = 12
 """Number of diameters of a profile that can be dragged; a profile with more is changed in its file."""
 FIELD_OF_VIEW = math.radians(40.0)
-DISTANCE, SHOWN_WIDTH, MAX_GROWTH = 2.35, 1.3, 1.25
-"""Distance of the camera and width of the scene at least [lengths of the probe], and the change of the length that the
-camera follows."""
+MOUNT_LENGTH = 0.03
+"""Length behind the base that is seen as well: sensor and adapters [m]."""
+DISTANCE, SHOWN_WIDTH, MAX_GROWTH = 1.95, 1.3, 1.25
+"""Distance of the camera and width of the scene at least [lengths of probe and mount], and the change of the probe's
+length that the camera follows."""
 MIN_FRACTION, MAX_FORCE_MN, MIN_FORCE_MN = 0.05, 200.0, 0.5
 """Range of the touch that is drawn."""
 
@@ -58,6 +63,7 @@ class StudioScene:
         """
         self._on_change, self._scene = on_change, scene
         self._shown: tuple[Probe, DrawnTouch | None, BentShape] | None = None
+        self._stands = False  # the probe does not buckle
         self._grabbed = (
             0.0,
             np.zeros(3),
@@ -100,35 +106,49 @@ class StudioScene:
         self._parts: list[viser.MeshHandle] = []
         self._parts_of = ""
 
-    def show(
-        self, figures: DesignFigures, drawn: DrawnTouch | None, touch: StudioTouch, pinned: Sequence[Probe]
+    def show_shape(
+        self, probe: Probe, drawn: DrawnTouch | None, touch: StudioTouch, pinned: Sequence[Probe]
     ) -> None:
         """Draw a probe, its mount and a touch, and pinned probes under the same touch as grey shadows.
 
         Args:
-            figures: of the probe.
+            probe: the probe; its colours remain those of `show_errors`.
             drawn: the touch; None where the probe buckles under it.
             touch: its values.
             pinned: probes to compare.
         """
-        probe = figures.probe
         model = probe.model
         self._base.wxyz = quaternion(level_rotation(model.gravity_base))
         eq = drawn.contact.equilibrium if drawn else model.rod.solve(model.gravity_base)
         bent = _bent(eq, probe)
-        self._shown = probe, drawn, bent
+        self._shown, self._stands = (probe, drawn, bent), eq.ok
         self._length = max(one.length for one in (probe, *pinned))
-        edges = np.linspace(0.0, 1.0, SEGMENTS + 1)
-        colours = segment_colours(figures, edges, 1e-3 * touch.force_mN)
-        for mesh, vertices, colour in zip(
-            self._segments, _segments(bent, probe, edges), colours, strict=True
-        ):
+        for mesh, vertices in zip(self._segments, _segments(bent, probe, EDGES), strict=True):
             mesh.vertices = vertices
-            mesh.color = colour if eq.ok else STALE_COLOUR  # grey: it buckles
         self._show_knots(bent, probe)
         self._show_touch(drawn, touch)
         self._show_parts(probe)
         self._show_ghosts(pinned, touch)
+
+    def show_errors(self, figures: DesignFigures, estimate: Estimate | None, touch: StudioTouch) -> None:
+        """Colour the probe by its predicted error, and draw the covariance of the touch.
+
+        Args:
+            figures: of the probe that is drawn.
+            estimate: of the touch that is drawn; None without one.
+            touch: its values.
+        """
+        colours = segment_colours(figures, EDGES, 1e-3 * touch.force_mN)
+        for mesh, colour in zip(self._segments, colours, strict=True):
+            now = colour if self._stands else STALE_COLOUR  # grey: it buckles
+            if mesh.color != now:
+                mesh.color = now
+        self._spread.visible = estimate is not None and estimate.ok
+        if estimate is not None and estimate.ok:
+            half_axes, axes = ellipsoid(estimate.cov_surface_base)
+            self._spread.position = UNIT * estimate.p_surface_base
+            self._spread.scale = tuple(UNIT * np.maximum(half_axes, MIN_HALF_AXIS))
+            self._spread.wxyz = quaternion(axes)
 
     def _show_ghosts(self, pinned: Sequence[Probe], touch: StudioTouch) -> None:
         """Draw the pinned probes; each has a mesh of its own."""
@@ -158,20 +178,14 @@ class StudioScene:
                 node.visible, node.position = True, UNIT * (point + 0.5 * diameter * side)
 
     def _show_touch(self, drawn: DrawnTouch | None, touch: StudioTouch) -> None:
-        located = drawn is not None and drawn.estimate.ok
         self._contact.visible = self._force.visible = self._end.visible = drawn is not None
-        self._spread.visible = located
         if drawn is None:
+            self._spread.visible = False
             return
         self._contact.position = UNIT * drawn.p_surface
         tail = drawn.p_surface - arrow_length(touch.force_mN) * drawn.normal
         self._force.points = (UNIT * np.array([[tail, drawn.p_surface]])).astype(np.float32)
         self._end.position = UNIT * tail
-        if located:
-            half_axes, axes = ellipsoid(drawn.estimate.cov_surface_base)
-            self._spread.position = UNIT * drawn.estimate.p_surface_base
-            self._spread.scale = tuple(UNIT * np.maximum(half_axes, MIN_HALF_AXIS))
-            self._spread.wxyz = quaternion(axes)
 
     def _show_parts(self, probe: Probe) -> None:
         """Draw sensor, flange and adapter when they have changed."""
@@ -226,8 +240,9 @@ class StudioScene:
             side = side / np.linalg.norm(side) if np.linalg.norm(side) > 0.2 else np.array([0.0, -1.0, 0.0])
             direction = 2.2 * side + np.array([0.0, 0.0, 0.7]) + 0.4 * along
         tangent = math.tan(0.5 * FIELD_OF_VIEW)
-        distance = UNIT * self._length * max(DISTANCE, 0.5 * SHOWN_WIDTH / (tangent * max(aspect, 0.1)))
-        middle = UNIT * 0.45 * self._length * along
+        whole = self._length + MOUNT_LENGTH
+        distance = UNIT * whole * max(DISTANCE, 0.5 * SHOWN_WIDTH / (tangent * max(aspect, 0.1)))
+        middle = UNIT * (0.5 * whole - MOUNT_LENGTH) * along
         camera.fov = FIELD_OF_VIEW
         camera.position = middle + distance * direction / np.linalg.norm(direction)
         camera.look_at = middle  # last: the position moves it too

@@ -186,6 +186,7 @@ def test_the_replay_shows_the_shapes_and_points_of_the_estimates(recorded):
     assert np.linalg.det(view) == pytest.approx(1.0)
     for frame, row in zip(data["frames"], recorded.rows, strict=True):
         assert ("contact" in frame) == (row["result"] == "ok")
+        assert frame["p"] is not None and ("free" in frame) == (row["result"] not in ("ok", "no_contact"))
         if row["result"] != "ok":
             continue
         p = np.array([row[f"p_surface_base_{axis}_mm"] for axis in "xyz"])

@@ -1,9 +1,9 @@
 """Report pages and charts: complete, without network access, and consistent with the data."""
 
+import itertools
 import json
 import math
 import re
-import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,8 +21,8 @@ from probedesign.reports.chart import Chart, ChartAxis
 from probedesign.reports.comparison_page import best_design
 from probedesign.reports.html_page import ReportFigure, html_document
 from probedesign.reports.prediction_page import prediction_page
+from tests.reports.page_checks import browser
 
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 DESIGNS = Path(__file__).parents[2] / "designs"
 
 
@@ -117,36 +117,34 @@ def test_the_best_design_of_a_metric_is_named_unless_values_are_printed_alike():
     assert best_design(alike, "error_mm") is None
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
-@pytest.mark.parametrize("width", [360, 1280])
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_prediction_page_fits_a_browser(width, scheme, tmp_path):
+def test_the_prediction_page_fits_a_browser(tmp_path):
     """No horizontal scrolling, no error, no request; the pointer finds the values of a dot; tables open."""
-    from playwright.sync_api import sync_playwright
-
     probe = build_probe(load_design(DESIGNS / "small.toml"))
     prediction = probe.predict(fractions=(0.4, 0.8), forces_N=(0.01, 0.02), directions=("+y",))
     file = tmp_path / "prediction.html"
     file.write_bytes(prediction_page(prediction, probe.estimator()))
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = browser.new_context(viewport={"width": width, "height": 740}, color_scheme=scheme).new_page()
-        faults, requests = [], []
-        page.on("console", lambda message: faults.append(message.text))
-        page.on("pageerror", lambda error: faults.append(str(error)))
-        page.on("request", lambda request: requests.append(request.url))
-        page.goto(file.as_uri())
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
-        assert (
-            f"{prediction.conditions[0].predicted_error_mm:.3g}"
-            in page.locator("svg title").first.text_content()
-        )
-        assert not page.locator("details table").first.is_visible()
-        page.locator("summary").first.click()
-        assert page.locator("details table").first.is_visible()
-        assert page.locator(".verdict").inner_text() == prediction.verdict
-        assert not faults and requests == [file.as_uri()]
-        browser.close()
+    with browser() as running:
+        for width, scheme in itertools.product((360, 1280), ("light", "dark")):
+            page = running.new_context(
+                viewport={"width": width, "height": 740}, color_scheme=scheme
+            ).new_page()
+            faults, requests = [], []
+            page.on("console", lambda message, faults=faults: faults.append(message.text))
+            page.on("pageerror", lambda error, faults=faults: faults.append(str(error)))
+            page.on("request", lambda request, requests=requests: requests.append(request.url))
+            page.goto(file.as_uri())
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+            assert (
+                f"{prediction.conditions[0].predicted_error_mm:.3g}"
+                in page.locator("svg title").first.text_content()
+            )
+            for folded in ("svg", "table"):
+                assert not page.locator(f"details {folded}").first.is_visible()
+                page.locator(f"details:has({folded}) summary").first.click()
+                assert page.locator(f"details {folded}").first.is_visible()
+            assert page.locator(".verdict").inner_text() == prediction.verdict
+            assert not faults and requests == [file.as_uri()]
+            page.context.close()
 
 
 @pytest.mark.parametrize(
@@ -202,7 +200,7 @@ def test_compare_puts_designs_side_by_side(tmp_path, capsys):
     designs = json.loads(capsys.readouterr().out)["designs"]
     page = out.read_text(encoding="utf-8")
     assert assert_whole(page).seen["svg"] == page.count('<svg role="img" aria-label="') > 1
-    row = re.search(r"<td>error_mm</td><td>(.*?)</td><td>(.*?)</td>", page)
+    row = re.search(r"<td>error of the task, RMS \[mm\]</td><td>(.*?)</td><td>(.*?)</td>", page)
     assert [float(cell) for cell in row.groups()] == pytest.approx([d["error_mm"] for d in designs], rel=1e-3)
 
 
@@ -220,7 +218,7 @@ def test_compare_replaces_its_page_and_nothing_else(tmp_path, capsys):
         assert captured.out == "" and captured.err.count("\n") == 1 and "is not an HTML page" in captured.err
     assert design.read_bytes() == (DESIGNS / "large.toml").read_bytes()
     assert run(["compare", *files, "--out", str(page), *places]) == 0
-    assert "error_mm" in page.read_text(encoding="utf-8")
+    assert "error of the task" in page.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("count", [1, 7])

@@ -12,6 +12,7 @@ from probedesign.studio.figures import (
     PREVIEWED,
     complete,
     drawn_touch,
+    located,
     preview,
     segment_colours,
     summary_table,
@@ -24,7 +25,7 @@ from probedesign.studio.session import PinnedDesign, Session, StudioTouch
 def test_the_preview_has_the_numbers_of_predict(name):
     design = paper_design(name)
     full = build_probe(design).predict()
-    quick = preview(design, FORCES_N).prediction
+    quick = preview(build_probe(design), FORCES_N).prediction
     assert quick.verdict == full.verdict
     at_every = [c for c in full.conditions if c.contact_fraction in PREVIEWED]
     for a, b in zip(quick.conditions, at_every, strict=True):
@@ -59,8 +60,13 @@ def test_a_buckled_probe_has_figures_and_no_touch():
     changes = {"probe.base_d_mm": 3.0, "probe.tip_d_mm": 2.0, "mount.gravity_base_m_s2": [0.0, 0.0, -9.81],
                "probe.length_mm": 200.0}  # fmt: skip
     assert session.change(changes, now=0.0), session.refused
-    figures = preview(session.design, (0.01,))
-    assert figures.buckles and math.isnan(figures.frequency) and "buckles" in figures.prediction.verdict
+    figures = preview(build_probe(session.design), (0.01,))
+    assert (
+        figures.buckles
+        and drawn_touch(figures.probe, StudioTouch()) is None
+        and math.isnan(figures.frequency)
+        and "buckles" in figures.prediction.verdict
+    )
     assert any(row.value is None for row in figures.summary())
 
 
@@ -68,14 +74,16 @@ def test_a_buckled_probe_has_figures_and_no_touch():
 def test_the_drawn_touch_is_located_where_it_is_drawn(angle):
     probe = build_probe(paper_design("large"))
     drawn = drawn_touch(probe, StudioTouch(0.7, angle, 20.0))
-    assert drawn is not None and drawn.estimate.ok
+    assert drawn is not None
+    estimate = located(probe, drawn)
+    assert estimate.ok
     # The estimator of the same rod; the linearised surface of the drawing differs by a thousandth of the radius.
-    assert drawn.estimate.p_surface_base == pytest.approx(drawn.p_surface, abs=2e-5)
+    assert estimate.p_surface_base == pytest.approx(drawn.p_surface, abs=2e-5)
     assert np.linalg.norm(drawn.normal) == pytest.approx(1.0, abs=1e-12)
 
 
 def test_the_colour_of_a_segment_is_that_of_its_error():
-    figures = preview(paper_design("large"), (0.01,))
+    figures = preview(build_probe(paper_design("large")), (0.01,))
     edges = np.linspace(0.0, 1.0, 21)
     colours = segment_colours(figures, edges, 0.01)
     errors = {

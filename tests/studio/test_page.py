@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -17,14 +18,42 @@ from probedesign.cli.main import run
 from probedesign.live.outputs.drawing import centreline
 from probedesign.live.view.page import UNIT, level_rotation
 from probedesign.prediction.table_one import paper_design
-from probedesign.studio.page import StudioPage
+from probedesign.studio.page import CHARTS_WIDTH, CONTROLS_WIDTH, StudioPage
 from probedesign.studio.session import Session, knots_of
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
 """A browser without a GPU, and as root in a container."""
+TABLET = {"device_scale_factor": 2, "has_touch": True, "is_mobile": True}
+"""Two drawn pixels for each of the page."""
 PATIENCE = 120_000
 """A page drawn by a busy processor is slow, and no test is about that [ms]."""
+
+
+@pytest.fixture(scope="module")
+def browser():
+    if CHROMIUM is None:
+        pytest.skip("no Chromium")
+    playwright = pytest.importorskip("playwright.sync_api")
+    with playwright.sync_playwright() as driver:
+        running = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
+        yield running
+        running.close()
+
+
+@contextmanager
+def opened(browser, page, width=1280, height=720, **options):
+    """Open the studio in a tab; yields it and what its console reports as errors."""
+    context = browser.new_context(viewport={"width": width, "height": height}, **options)
+    tab, faults = context.new_page(), []
+    tab.set_default_timeout(PATIENCE)
+    tab.on("console", lambda message: faults.append(message.text) if message.type == "error" else None)
+    tab.on("pageerror", lambda error: faults.append(str(error)))
+    try:
+        tab.goto(page.url)
+        yield tab, faults
+    finally:
+        context.close()
 
 
 @pytest.fixture
@@ -35,26 +64,13 @@ def page(tmp_path, monkeypatch):
     served.stop()
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
-def test_two_tabs_show_one_state_without_errors(page):
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
-        tabs, faults = [], []
-        for size in ((1280, 720), (820, 1180)):
-            tab = browser.new_page(viewport={"width": size[0], "height": size[1]})
-            tab.set_default_timeout(PATIENCE)
-            tab.on(
-                "console", lambda message: faults.append(message.text) if message.type == "error" else None
-            )
-            tab.on("pageerror", lambda error: faults.append(str(error)))
-            tab.goto(page.url)
-            tabs.append(tab)
+def test_two_tabs_show_one_state_without_errors(page, browser):
+    """One of a screen, and one of a tablet with two pixels for each of the page."""
+    with opened(browser, page) as (wide, one), opened(browser, page, 820, 1180, **TABLET) as (narrow, two):
+        tabs = wide, narrow
         for tab in tabs:
             tab.wait_for_selector("text=/One reading of 10 mN is located/")
-        length = tabs[0].get_by_role("textbox").nth(0)
-        assert length.is_visible()
+        assert wide.get_by_role("textbox").nth(0).is_visible()
         page.move("probe.length_mm", 60.0)
         page.settle()
         for tab in tabs:
@@ -64,27 +80,33 @@ def test_two_tabs_show_one_state_without_errors(page):
         for tab in tabs:
             tab.wait_for_selector("text=/Not applied: .*tip_d_mm/")
         assert page.session.design.probe.length_mm == 60.0 and page.session.design.probe.tip_d_mm == 1.5
-        tabs[0].get_by_role("button", name="undo").click()
-        tabs[1].wait_for_function("() => [...document.querySelectorAll('input')].some(i => i.value === '50')")
+        wide.get_by_role("button", name="undo").click()
+        narrow.wait_for_function("() => [...document.querySelectorAll('input')].some(i => i.value === '50')")
         assert page.session.design == paper_design("small")
-        browser.close()
-    assert not [fault for fault in faults if "favicon" not in fault]
+        assert not [fault for fault in one + two if "favicon" not in fault]
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
-def test_a_knot_of_a_profile_is_dragged_with_the_pointer(page):
+def test_the_scene_has_what_the_panels_leave(page, browser):
+    """The charts are below the controls where they would leave too little, however the tab before was arranged."""
+    wide = (1280, 720), {}, CONTROLS_WIDTH + CHARTS_WIDTH
+    narrow = (820, 1180), TABLET, CONTROLS_WIDTH
+    for size, options, panels in (wide, narrow, wide):
+        with opened(browser, page, *size, **options) as (tab, _):
+            tab.wait_for_selector("text=/One reading of 10 mN is located/")
+            # Edges and handles of the panels take some pixels.
+            tab.wait_for_function(
+                "wide => Math.abs([...document.querySelectorAll('canvas')].at(-1).clientWidth - wide) < 20",
+                arg=size[0] - panels,
+            )
+
+
+def test_a_knot_of_a_profile_is_dragged_with_the_pointer(page, browser):
     """The pointer goes out from the knot across the probe to three times the radius: the diameter becomes as large."""
-    from playwright.sync_api import sync_playwright
-
     page.move("probe.shape", "profile")
     page.settle()
     index, _, d = knots_of(page.session.design)[1]
     others = {i: other for i, _, other in knots_of(page.session.design) if i != index}
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
-        tab = browser.new_page(viewport={"width": 1280, "height": 720})
-        tab.set_default_timeout(PATIENCE)
-        tab.goto(page.url)
+    with opened(browser, page) as (tab, _):
         tab.wait_for_selector("text=/One reading of 10 mN is located/")
         tab.wait_for_timeout(3000)  # the scene is drawn after the panels
         start, end = (knot_on_screen(page, tab, 1, stretch) for stretch in (1.0, 3.0))
@@ -96,7 +118,6 @@ def test_a_knot_of_a_profile_is_dragged_with_the_pointer(page):
         tab.mouse.up()
         tab.wait_for_timeout(500)
         page.settle()
-        browser.close()
     diameters = {i: d for i, _, d in knots_of(page.session.design)}
     # A pixel is 0.13 mm of radius. The pointer moves in a plane through the front of the mark, 1.6 mm nearer to the
     # camera than its centre, whose distance is 12 cm, and faces it: the camera stands 20 degrees above the section.
@@ -121,15 +142,8 @@ def knot_on_screen(page, tab, i, stretch):
     ) * np.array([off @ right, off @ down])
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
-def test_the_buttons_write_what_the_commands_write(page, tmp_path):
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
-        tab = browser.new_page(viewport={"width": 1280, "height": 720})
-        tab.set_default_timeout(PATIENCE)
-        tab.goto(page.url)
+def test_the_buttons_write_what_the_commands_write(page, browser, tmp_path):
+    with opened(browser, page) as (tab, _):
         tab.get_by_role("tab", name="Save").click()
         tab.get_by_role("button", name="Save the design").click()
         tab.wait_for_selector("text=/wrote designs.small.toml/")
@@ -137,7 +151,6 @@ def test_the_buttons_write_what_the_commands_write(page, tmp_path):
         tab.wait_for_selector("text=/exists already/")
         tab.get_by_role("button", name="Deploy the estimator").click()
         tab.wait_for_selector("text=/wrote exports.small.small.probe.json/")
-        browser.close()
     assert run(["check", "designs/small.toml"]) == 0
     assert (tmp_path / "exports/small/small.probe.json").exists()
 

@@ -53,6 +53,21 @@ SCRIPT = """
     query.set('darkMode', '');
     history.replaceState(null, '', location.pathname + '?' + query.toString());
   }
+  if (matchMedia('(pointer: coarse)').matches && !query.has('fixedDpr')) {
+    query.set('fixedDpr', '1');
+    history.replaceState(null, '', location.pathname + '?' + query.toString());
+  }
+  var context = HTMLCanvasElement.prototype.getContext, software = null;
+  HTMLCanvasElement.prototype.getContext = function (kind, options) {
+    if (kind !== 'webgl2') return context.call(this, kind, options);
+    if (software === null) {
+      var gl = context.call(document.createElement('canvas'), kind);
+      var named = gl && gl.getExtension('WEBGL_debug_renderer_info');
+      software = !!named && /swiftshader|llvmpipe|software/i.test(gl.getParameter(named.UNMASKED_RENDERER_WEBGL));
+      if (gl) gl.getExtension('WEBGL_lose_context').loseContext();
+    }
+    return context.call(this, kind, software ? Object.assign({}, options, {antialias: false}) : options);
+  };
   var beat = null, since = Date.now(), bar = null;
   setInterval(function () {
     var found = document.querySelector('[data-beat]'), now = Date.now();
@@ -67,4 +82,8 @@ SCRIPT = """
   }, 500);
 })();
 """.replace("LOST_SECONDS", str(LOST_SECONDS))
-"""Follows the browser's colour scheme, and marks all values as old when the server has not renewed them for a while."""
+"""Follows the browser's colour scheme, and marks all values as old when the server has not renewed them for a while.
+
+A tablet draws one pixel of the scene for each of the page: viser reports the width of the scene in drawn pixels, from
+which the panels are arranged. A browser without a GPU draws without antialiasing, a third of a frame's time.
+"""

@@ -1,0 +1,324 @@
+"""Charts of a prediction, for its page, the studio and notebooks."""
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
+from probedesign.estimation.estimator import Estimator
+from probedesign.prediction.fused import FusedCondition
+from probedesign.prediction.predict import (
+    CAUSE_GROUPS,
+    HEADLINE_FORCE_N,
+    Condition,
+    Prediction,
+    shares_of,
+    worst,
+)
+from probedesign.prediction.touches import DIRECTIONS
+from probedesign.prediction.workspace import STEPS, Workspace
+from probedesign.reports.chart import (
+    COLOURS,
+    DASHES,
+    MARKS,
+    ORDERED,
+    Chart,
+    ChartAxis,
+    LegendEntry,
+    line_colours,
+)
+from probedesign.rod.contact import solve_frictionless
+
+Cell = Condition | FusedCondition
+_FILL = (*COLOURS, "#F0E442")
+"""Including Okabe and Ito's eighth colour."""
+_MIN_LABELLED = 0.09  # smallest share with space for its number
+LEVELS_MM = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
+"""Errors at which the colour of the map changes."""
+RESULT_LABELS = {"too_light": "faint", "unobservable": "faint", "no_contact": "—", "out_of_range": "range"}
+TOUCHES = ((0.4, 0.05), (0.6, 0.03), (0.8, 0.02))
+"""Contact fraction and force [N] of the touches whose shapes are drawn."""
+LIMITS = {"gives_way": ("buckling", "o"), "sensor": ("sensor's range", "s"), "slips_off": ("slips off", "v"),
+          "none": ("no limit found", "d")}  # fmt: skip
+"""Text and marker of each limit of the force."""
+STATIONS = 81
+"""Points of a centreline that is drawn."""
+_PLACE = "contact position, fraction of the length"
+
+
+def _along(label: str, values: Sequence[float], high: float = 1.05) -> Chart:
+    """Return an empty chart of positive values along the probe, with a logarithmic axis."""
+    x = ChartAxis(_PLACE, 0.0, high, ticks=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0))
+    return Chart(x, ChartAxis.spanning(label, values, log=True))
+
+
+def _number(value: float | None, unit: float = 1.0) -> float:
+    return math.nan if value is None else unit * value
+
+
+def error_chart(prediction: Prediction) -> Chart:
+    """Return the error of one reading along the probe by force: a line for the worst direction, a band for all."""
+    located = [c for c in prediction.conditions if c.result == "ok" and c.predicted_error_mm is not None]
+    forces = sorted({c.force_N for c in located})
+    chart = _along(
+        "predicted contact error, RMS [mm]", [_number(c.predicted_error_mm) for c in located], 1.02
+    )
+    for force, colour, mark in zip(forces, line_colours(len(forces)), itertools.cycle(MARKS), strict=False):
+        errors: dict[float, list[float]] = {}
+        for c in located:
+            if c.force_N == force:
+                errors.setdefault(c.contact_fraction, []).append(_number(c.predicted_error_mm))
+        low, high = ([f(e) for e in errors.values()] for f in (min, max))
+        there, back = zip(errors, low, strict=True), reversed([*zip(errors, high, strict=True)])
+        chart.area([*there, *back], colour, 0.25)
+        chart.line(list(errors), high, colour, mark=mark, name=f"{1e3 * force:g} mN")
+    return chart
+
+
+def detection_chart(prediction: Prediction) -> Chart:
+    """Return the smallest detectable force along the probe, one line per direction."""
+    felt = [d for d in prediction.detection if d.detectable_force_mN is not None]
+    chart = _along("smallest detectable force [mN]", [_number(d.detectable_force_mN) for d in felt], 1.02)
+    directions = list(dict.fromkeys(d.direction for d in prediction.detection))
+    for side, colour, dashes in zip(directions, COLOURS, DASHES, strict=False):
+        rows = [d for d in felt if d.direction == side]
+        forces = [_number(d.detectable_force_mN) for d in rows]
+        chart.line([d.contact_fraction for d in rows], forces, colour, dashes, "o", f"pushed along {side}")
+    return chart
+
+
+def force_chart(prediction: Prediction) -> Chart:
+    """Return the forces for detection, for given accuracies by one reading or by fused touches, and the limit."""
+    k, found = prediction.pressing.touches, dict[str, tuple[list[float], list[float]]]()
+    lines: list[tuple[str, Sequence[Any], str]] = [
+        ("detected", prediction.detection, "detectable_force_mN"),
+        (f"2 mm, {k} fused", prediction.fused_reach, "force_mN_for_2_mm"),
+        ("5 mm, one", prediction.reach, "force_mN_for_5_mm"),
+        ("2 mm, one", prediction.reach, "force_mN_for_2_mm"),
+        ("1 mm, one", prediction.reach, "force_mN_for_1_mm"),
+        ("limit", prediction.reach, "greatest_force_N"),
+    ]
+    for name, rows, key in lines:
+        # The worst direction: the largest force that is needed, the smallest that is possible.
+        choose, unit = (max, 1.0) if "mN" in key else (min, 1e3)
+        places = sorted({row.contact_fraction for row in rows})
+        values = [[getattr(row, key) for row in rows if row.contact_fraction == place] for place in places]
+        found[name] = places, [math.nan if None in here else unit * choose(here) for here in values]
+    chart = _along("contact force [mN]", [v for _, forces in found.values() for v in forces])
+    for (name, (x, y)), colour, dashes, mark in zip(found.items(), COLOURS, DASHES, MARKS, strict=False):
+        chart.line(x, y, colour, dashes, mark, name)
+    return chart
+
+
+def limit_chart(prediction: Prediction) -> Chart:
+    """Return the maximum force by direction; its marker shows what limits it."""
+    reach = [row for row in prediction.reach if row.greatest_force_N is not None]
+    chart = _along("maximum force [mN]", [_number(row.greatest_force_N, 1e3) for row in reach])
+    sides = list(dict.fromkeys(row.direction for row in prediction.reach))
+    for side, colour, dashes in zip(sides, COLOURS, DASHES, strict=False):
+        for limit, mark in (("", ""), *((limit, mark) for limit, (_, mark) in LIMITS.items())):
+            rows = [row for row in reach if row.direction == side and limit in ("", row.limit)]
+            x, y = [r.contact_fraction for r in rows], [_number(r.greatest_force_N, 1e3) for r in rows]
+            if limit:
+                chart.points(x, y, colour, mark)
+            else:
+                chart.line(x, y, colour, dashes, name=f"along {side}")
+    for limit, (name, mark) in LIMITS.items():
+        if any(row.limit == limit for row in reach):
+            chart.points([], [], "#666", mark, name)
+    return chart
+
+
+def sensitivity_chart(prediction: Prediction) -> Chart:
+    """Return base moment and force per millimetre of indentation, at the smallest force along the last direction."""
+    smallest = min(c.force_N for c in prediction.conditions)
+    side = prediction.conditions[-1].direction
+    rows = [c for c in prediction.conditions if (c.force_N, c.direction) == (smallest, side)]
+    moments = [c.moment_per_mm_Nmm or math.nan for c in rows]
+    forces = [1e3 * (c.force_per_mm_N or math.nan) for c in rows]
+    chart = _along("sensitivity [N·mm/mm, mN/mm]", [*moments, *forces])
+    places = [c.contact_fraction for c in rows]
+    chart.line(places, moments, COLOURS[1], "", "o", "base moment [N·mm/mm]")
+    chart.line(places, forces, COLOURS[2], "7 4", "s", "force [mN/mm]")
+    return chart
+
+
+def budget_chart(conditions: Sequence[Cell]) -> Chart:
+    """Return the error budget: the share of each group of sources in the variance, as stacked bars.
+
+    Args:
+        conditions: one per contact position, with budgets.
+    """
+    y = ChartAxis("share of the variance [%]", 0.0, 106.0, ticks=(0.0, 20.0, 40.0, 60.0, 80.0, 100.0))
+    chart = Chart(ChartAxis.named(_PLACE, [f"{c.contact_fraction:g}" for c in conditions]), y)
+    for i, condition in enumerate(conditions, 1):
+        chart.text(i, 103.0, f"{condition.predicted_error_mm:.2g}", size=12.5)
+        bottom = 0.0
+        for share, colour in zip(shares_of(condition).values(), _FILL, strict=True):
+            chart.box((i - 0.42, i + 0.42), (bottom, bottom + 100.0 * share), colour)
+            if share >= _MIN_LABELLED:
+                chart.text(i, bottom + 50.0 * share, f"{100.0 * share:.0f}", on=colour)
+            bottom += 100.0 * share
+    chart.legend = [
+        LegendEntry(name, colour)
+        for name, colour in zip(CAUSE_GROUPS, _FILL, strict=True)
+        if any(shares_of(c)[name] > 0.0 for c in conditions)
+    ]
+    return chart
+
+
+def error_map(cells: Sequence[Cell], error: Callable[[Cell], float | None]) -> Chart:
+    """Return the error over contact position and force as a map: worst direction, or why there is no estimate.
+
+    Args:
+        cells: conditions of a whole grid.
+        error: returns the mapped error of a condition [mm].
+    """
+    places = sorted({c.contact_fraction for c in cells})
+    forces = sorted({c.force_N for c in cells})
+    chart = Chart(
+        ChartAxis.named(_PLACE, [f"{p:g}" for p in places]),
+        ChartAxis.named("contact force [mN]", [f"{1e3 * f:g}" for f in forces]),
+    )
+    for i, place in enumerate(places, 1):
+        for j, force in enumerate(forces, 1):
+            here = [c for c in cells if (c.contact_fraction, c.force_N) == (place, force)]
+            fill, words = _cell(here, error)
+            chart.box((i - 0.5, i + 0.5), (j - 0.5, j + 0.5), fill)
+            chart.text(i, j, words, size=12.5 if len(words) < 5 else 9.0, on=fill)
+    return chart
+
+
+def _cell(here: Sequence[Cell], error: Callable[[Cell], float | None]) -> tuple[str, str]:
+    """Return colour and text of a cell."""
+    bad = next((c.result for c in here if c.result != "ok"), None)
+    errors = [e for e in map(error, here) if e is not None]
+    if bad or not errors:
+        return "#e4e4e4", RESULT_LABELS.get(bad or "", "buckles")
+    largest = max(errors)
+    fill = ORDERED[error_level(largest)]
+    return fill, f"{largest:.2g}" if largest < 100 else f"{largest:.0f}"
+
+
+def probe_chart(prediction: Prediction, estimator: Estimator) -> Chart:
+    """Return the free probe to scale, seen along y; its colour is the error of one reading of the headline's force."""
+    model, free = estimator.model, estimator.free()
+    s = np.linspace(0.0, model.rod.length, STATIONS)
+    shape = free.p_at(s) if free.ok else np.outer(s, (0.0, 0.0, 1.0))  # buckled under its weight: undeformed
+    upper, lower = flanks(shape, model.rod.radius_at(s))
+    chart = Chart.side_view(np.insert(np.concatenate([upper, lower]), 1, 0.0, axis=1)[:, [2, 1, 0]], 0)
+    located = {
+        c.contact_fraction: c.predicted_error_mm for c in worst(prediction.conditions, HEADLINE_FORCE_N)
+    }
+    places = np.array(sorted({c.contact_fraction for c in prediction.conditions}))
+    fractions = s / model.rod.length
+    nearest = places[np.argmin(np.abs(places[:, None] - (fractions[1:] + fractions[:-1]) / 2.0), axis=0)]
+    errors = [located.get(float(place)) for place in nearest]
+    levels = [None if error is None else error_level(error) for error in errors]
+    ends = [0, *(i for i in range(1, len(levels)) if levels[i] != levels[i - 1]), len(levels)]
+    for i, j in pairwise(ends):
+        corners = np.concatenate([upper[i : j + 1], lower[i : j + 1][::-1]]).tolist()
+        level = levels[i]
+        chart.area([(a, b) for a, b in corners], "#999" if level is None else ORDERED[level], 1.0)
+    shown = {level for level in levels if level is not None}
+    outline = np.concatenate([upper, lower[::-1], upper[:1]])
+    chart.line(outline[:, 0], outline[:, 1], COLOURS[0], width=1.0)
+    chart.legend += [
+        LegendEntry(_level_label(level), ORDERED[level]) for level in sorted(shown, reverse=True)
+    ]
+    return chart
+
+
+def flanks(shape: Array, radius: Array) -> tuple[Array, Array]:
+    """Return both sides of a probe seen along y as points of z and x [mm], (n, 2) each.
+
+    Args:
+        shape: centreline [m], (n, 3).
+        radius: half-width along x at its points [m], (n,).
+    """
+    centre = shape[:, [2, 0]] / MM
+    along = np.gradient(centre, axis=0)
+    normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
+    reach = radius[:, None] / MM * normal
+    return centre + reach, centre - reach
+
+
+def error_level(error_mm: float) -> int:
+    """Return the index of an error's colour, the largest for the smallest error."""
+    return len(ORDERED) - 1 - sum(error_mm > limit for limit in LEVELS_MM)
+
+
+def _level_label(level: int) -> str:
+    above = len(ORDERED) - 1 - level  # number of limits that the error exceeds
+    if above == len(LEVELS_MM):
+        return f"over {LEVELS_MM[-1]:g} mm"
+    return f"up to {LEVELS_MM[above]:g} mm"
+
+
+def bending_chart(estimator: Estimator) -> Chart:
+    """Return the free probe and its shapes under touches along ±x, seen along y; x points downwards as gravity does."""
+    model, free = estimator.model, estimator.free()
+    s = np.linspace(0.0, model.rod.length, 60)
+    lines: list[tuple[Array, str, str, str]] = [(free.p_at(s), "#000000", "", "free")] if free.ok else []
+    dots: list[tuple[Array, str]] = []
+    for (fraction, force), colour, dashes in zip(TOUCHES, COLOURS[1:], DASHES, strict=False):
+        for side in ("-x", "+x"):
+            contact = solve_frictionless(
+                model.rod, model.gravity_base, fraction * model.rod.length, DIRECTIONS[side], force
+            )
+            if contact.result == "ok":
+                name = f"{1e3 * force:g} mN at {fraction:g}" if side == "-x" else ""
+                lines.append((contact.equilibrium.p_at(s), colour, dashes, name))
+                dots.append((contact.equilibrium.p_contact_base, colour))
+    shapes = np.concatenate([points for points, *_ in lines]) if lines else np.zeros((1, 3))
+    chart = Chart.side_view(shapes / MM, 0)
+    for points, colour, dashes, name in lines:
+        chart.line(points[:, 2] / MM, points[:, 0] / MM, colour, dashes, name=name, width=2.4)
+    for dot, colour in dots:
+        chart.points(dot[2] / MM, dot[0] / MM, colour, "o")
+    return chart
+
+
+def workspace_chart(workspace: Workspace, across: int) -> Chart:
+    """Return the positions that the centreline's contact point reaches when pushed from two sides, seen from the third.
+
+    Args:
+        workspace: of a prediction.
+        across: axis of the pushes: 0 for ±x, seen along y; 1 for ±y, seen along x.
+    """
+    sides = {f"{sign}{'xy'[across]}": colour for sign, colour in zip("+-", COLOURS[1:3], strict=True)}
+    sheets = {}
+    for side in sides:
+        paths = sorted((p for p in workspace.paths if p.direction == side), key=lambda p: p.contact_fraction)
+        sheets[side] = np.array([path.points for path in paths]).reshape(-1, STEPS, 3)
+    if across and not len(sheets["-y"]) and "-y" in (workspace.area_mm2 or {}):
+        sheets["-y"] = sheets["+y"] * np.array([1.0, -1.0, 1.0])
+    chart = Chart.side_view(
+        np.concatenate([*(s.reshape(-1, 3) for s in sheets.values()), np.zeros((1, 3))]), across
+    )
+    for side, colour in sides.items():
+        if not len(sheets[side]):
+            continue
+        # The swept area between neighbouring positions, the path of each, and its end at maximum force.
+        flat = np.concatenate([np.zeros((1, STEPS, 3)), sheets[side]])[:, :, [2, across]]
+        for low, high in pairwise(flat):
+            chart.area([*map(tuple, low.tolist()), *map(tuple, high[::-1].tolist())], colour, 0.16)
+        for path in flat[1:]:
+            chart.line(path[:, 0], path[:, 1], colour, width=1.0)
+        chart.line(flat[:, -1, 0], flat[:, -1, 1], colour, mark="o", name=f"pushed along {side}")
+    free = next((sheet[:, 0] for sheet in sheets.values() if len(sheet)), np.zeros((0, 3)))
+    chart.line([0.0, *free[:, 2]], [0.0, *free[:, across]], "#000000", name="free", width=2.6)
+    return chart
+
+
+def swept_text(workspace: Workspace) -> str:
+    """Return the swept areas and the swept volume as text."""
+    areas = ", ".join(f"{side} {1e-2 * area:.0f} cm²" for side, area in (workspace.area_mm2 or {}).items())
+    if workspace.volume_mm3 is None:
+        return f"Swept area: {areas}."
+    return f"Swept area: {areas}. Swept volume over all directions: {1e-3 * workspace.volume_mm3:.0f} cm³."
