@@ -1,29 +1,28 @@
-"""RDT: the protocol of the box over UDP (big-endian), a session with it through pynetft, and the sensor's clock.
+"""RDT: the protocol of the box over UDP (big-endian), a session with it, and the sensor's clock.
 
 Source: ATI, Net F/T Sensor System, installation and operation manual 9620-05-NET FT, the chapter on RDT and the table
 of the system status code. ATI, F/T Sensor, Ethernet Axia, manuals 9610-05-Ethernet Axia-09, tables 4.7 and 4.9, and
 9620-05-C-Ethernet Axia-02, table 5.7: an Axia has the same protocol, but another table.
 """
 
+import math
+import select
+import socket
 import struct
 import sys
 from collections import Counter
 from collections.abc import Generator
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import chain, islice
-from time import monotonic, sleep
-from typing import TYPE_CHECKING, Any, NamedTuple
+from time import monotonic, sleep, time_ns
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.live.sources.source import STALE_TIME
-
-if TYPE_CHECKING:
-    from pynetft import Client
 
 
 RDT_PORT = 49152
@@ -147,19 +146,27 @@ def fault_of(status: int, table: StatusTable = NET_BOX) -> str:
     return f"{', '.join(texts) or 'unknown fault'} (status 0x{status:08x})"
 
 
-QUEUE_SIZE = 1 << 16
-"""Maximum number of queued records: 9 s."""
 MAX_RECORDS_AT_ONCE = 700
 """Maximum number of records read at once: 0.1 s."""
 GATHER_TIME = 0.001
 """Time in which records are gathered, if there is time [s]: waking up for a record costs more than reading it."""
-RENEW_AFTER = 0.5
-"""Time after which a client that rejects all records, as after a restart of the box, is replaced [s]."""
-RECONNECT_DELAY = 0.010
-"""Delay before a new request after the end of a session [s]; pynetft ends it with every sample of a faulty status."""
+REQUEST_INTERVAL = 0.5
+"""Minimum interval between requests for the stream [s]."""
 SWITCH_INTERVAL = 1e-4
 """Thread switch interval of the interpreter while streaming [s]. Each read releases the interpreter; another computing
 thread would keep it for Python's usual 5 ms, longer than the interval between records."""
+BUFFER_BYTES = 1 << 22
+"""Size of the socket's buffer that is requested of the system [bytes]."""
+BYTES_PER_RECORD = 768
+"""Memory that Linux counts for one record in the buffer [bytes]: measured, 277 records fill 212,992 bytes."""
+MIN_BUFFERED_TIME = 0.25
+"""Duration of the stream below which a smaller buffer is reported [s]: the longest pauses of a busy desktop."""
+MAX_MISSING = 4096
+"""Maximum number of lost records that are remembered, to recognise them if they arrive late."""
+SO_TIMESTAMPNS, SO_RXQ_OVFL = 35, 40
+"""Options of Linux, without names in Python: each datagram comes with its time of arrival by the wall clock, and with
+the number of datagrams that did not fit into the buffer."""
+MAX_DATAGRAM, ANCILLARY_BYTES = 2048, 128
 
 
 @dataclass(frozen=True)
@@ -187,112 +194,196 @@ class RdtRecords:
 
 
 class RdtSession:
-    """Reads the records of one box with pynetft, and replaces a client that rejects all records.
+    """Streams the records of one box, and requests the stream again when it is silent.
+
+    All waiting datagrams are read in one pass. Arrival is stated by the system, where that is Linux, so that it does
+    not depend on how late they are read; elsewhere it is the time of reading.
 
     Attributes:
-        counts: number of records received, lost, late, doubled, malformed, dropped by the queue.
+        counts: number of records received, lost, late, doubled, malformed, and dropped by the socket's buffer.
+        buffer_bytes: size of the socket's buffer that the system granted [bytes].
     """
 
     def __init__(self, name: str, host: str, port: int) -> None:
-        """Prepare a session with the box at a host and RDT port; nothing streams yet. `name` is for messages.
+        """Open a socket to the box at a host and RDT port; nothing streams yet. `name` is for messages.
 
         Raises:
-            MissingDependencyError: pynetft is not installed.
+            InputError: the host is unknown.
         """
         self.counts: Counter[str] = Counter()
-        self._name, self._host, self._port = name, host, port
-        self._client, self._closed = self._new_client(), Counter[str]()
+        self._sequence = SequenceMonitor(self.counts)
+        self._requested, self._received = -math.inf, -math.inf
+        try:
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+            link = socket.socket(*found[:3])
+            link.connect(found[4])  # from then on the system accepts datagrams of this address only
+        except OSError as error:
+            raise InputError(f"{name}: {error.strerror or error}") from None
+        link.setblocking(False)
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
+        self.buffer_bytes = link.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+        if sys.platform == "linux":
+            link.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+            link.setsockopt(socket.SOL_SOCKET, SO_RXQ_OVFL, 1)
+        self._link = link
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A note if the system granted a buffer that is shorter than the pauses of a busy computer."""
+        buffered = self.buffer_bytes / BYTES_PER_RECORD / SAMPLES_PER_SECOND
+        if buffered >= MIN_BUFFERED_TIME:
+            return ()
+        return (
+            f"the system grants a buffer of {1e3 * buffered:.0f} ms of records; longer pauses of this computer lose "
+            f"records. On Linux: sysctl -w net.core.rmem_max={BUFFER_BYTES}",
+        )
 
     def records(self) -> Generator[RdtRecords, None, None]:
-        """Yield records as they arrive; none after each `STALE_TIME` without one.
-
-        Raises:
-            InputError: pynetft has stopped.
-        """
-        from pynetft import NetFTError
-
-        received, renewed, usual = 0, monotonic(), sys.getswitchinterval()
+        """Yield new records as they arrive; none after each `STALE_TIME` without one."""
+        usual = sys.getswitchinterval()
         sys.setswitchinterval(min(usual, SWITCH_INTERVAL))
-        self._client.start()
         try:
+            self._request()
+            last = monotonic()
             while True:
                 started = monotonic()
-                records = drain(self._client)
-                yield records
+                records = self._read()
                 if len(records):
+                    last = started
+                    yield records
                     sleep(max(0.0, started + GATHER_TIME - monotonic()))
-                    continue
-                received_now = self._received_count()
-                if received_now > received and monotonic() - renewed > RENEW_AFTER:
-                    self._renew()
-                    renewed, received_now = monotonic(), 0
-                received = received_now
-        except NetFTError as error:
-            raise InputError(f"{self._name}: pynetft has stopped: {error}") from None
+                elif started - last > STALE_TIME:
+                    if started - self._requested > REQUEST_INTERVAL:
+                        self._request()
+                    last = started
+                    yield records
+                else:
+                    select.select([self._link], [], [], last + STALE_TIME - started + GATHER_TIME)
         finally:
             sys.setswitchinterval(usual)
-            self._client.stop()
-            self.count()
+            self._send(Request(STOP))
+            self._link.close()
 
-    def count(self) -> None:
-        """Update the counts."""
-        health = self._client.health()
-        self.counts = self._closed + Counter(
-            received=health.received_count,
-            lost=health.lost_count - health.out_of_order_count,
-            late=health.out_of_order_count,
-            doubled=health.duplicate_count,
-            malformed=health.malformed_count,
-            dropped=health.python_queue_dropped_count,
+    def _request(self) -> None:
+        """Request the stream, whose records are counted from one again."""
+        self._requested = monotonic()
+        self._sequence.restart()
+        self._send(Request(REALTIME))
+
+    def _send(self, request: Request) -> None:
+        with suppress(OSError):  # the box is off or the network is down: the silence is reported
+            self._link.send(request.packed())
+
+    def _read(self) -> RdtRecords:
+        """Return the new records among the datagrams that wait."""
+        datagrams: list[bytes] = []
+        ancillary: list[list[tuple[int, int, bytes]]] = []
+        with suppress(OSError):  # nothing waits, or the system reports that the box is off
+            while len(datagrams) < MAX_RECORDS_AT_ONCE:
+                datagram, extra = self._receive()
+                if len(datagram) == RECORD.size:
+                    datagrams.append(datagram)
+                    ancillary.append(extra)
+                else:
+                    self.counts["malformed"] += 1
+        table = np.frombuffer(b"".join(datagrams), dtype=RECORDS)
+        self.counts["received"] += len(table)
+        received = self._arrival(ancillary)
+        new = self._sequence.accept(table["rdt"].astype(np.int64), table["ft"].astype(np.int64))
+        records = RdtRecords(
+            table["ft"].astype(np.int64), table["status"].astype(np.int64), received, table["counts"].astype(np.int64)
         )
+        return records if new is None else records[new]
 
-    def _received_count(self) -> int:
-        """Return the number of records that pynetft has received, delivered or not."""
-        health = self._client.health()
-        if health.state.value == "faulted":
-            raise InputError(f"{self._name}: pynetft has stopped: {health.last_error}")
-        return health.received_count
+    def _receive(self) -> tuple[bytes, list[tuple[int, int, bytes]]]:
+        """Return a datagram that waits, and what the system states about it."""
+        if sys.platform == "win32":
+            return self._link.recv(MAX_DATAGRAM), []
+        return self._link.recvmsg(MAX_DATAGRAM, ANCILLARY_BYTES)[:2]
 
-    def _renew(self) -> None:
-        self._client.stop()
-        self.count()
-        self._closed = self.counts
-        self._client = self._new_client()
-        self._client.start()
+    def _arrival(self, ancillary: list[list[tuple[int, int, bytes]]]) -> Array:
+        """Return the arrival of datagrams by `time.monotonic` [s], (n,), and count those that were dropped.
 
-    def _new_client(self) -> "Client":
-        """Return a client that delivers counts: pynetft does not know tool transforms, so counts are converted here."""
-        try:
-            from pynetft import Calibration, Client, Config, ForceUnit, TorqueUnit
-        except ImportError:
-            raise MissingDependencyError.of_extra("netft://", "pynetft", "live") from None
-        config = Config(
-            sensor_host=self._host,
-            rdt_port=self._port,
-            receive_timeout=2.0 * STALE_TIME,
-            reconnect_initial_delay=RECONNECT_DELAY,
-            reconnect_max_delay=0.5,
-            deliver_samples_with_error_status=True,
-            calibration_override=Calibration(1.0, 1.0, ForceUnit.NEWTON, TorqueUnit.NEWTON_METER),
-        )
-        return Client(config, queue_size=QUEUE_SIZE)
+        The system states it by the wall clock, which may be set at any time: the arrival is neither before that of the
+        last datagram nor after now.
+        """
+        now = monotonic()
+        if not ancillary:
+            return np.empty(0)
+        times = b"".join(data for extra in ancillary for _, kind, data in extra if kind == SO_TIMESTAMPNS)
+        for _, kind, data in ancillary[-1]:
+            if kind == SO_RXQ_OVFL:
+                self.counts["dropped"] = int.from_bytes(data[:4], sys.byteorder)
+        if len(times) != TIMESPEC.itemsize * len(ancillary):
+            received = np.full(len(ancillary), now)
+        else:
+            stamps = np.frombuffer(times, dtype=TIMESPEC)
+            ages = time_ns() - (stamps["s"] * 1_000_000_000 + stamps["ns"])
+            received = np.maximum.accumulate(np.clip(now - 1e-9 * ages, self._received, now))
+        self._received = float(received[-1])
+        return received
 
 
-def drain(client: "Client") -> RdtRecords:
-    """Return all records in the client's queue; if it is empty, those that arrive within `STALE_TIME`.
+TIMESPEC = np.dtype([("s", np.int64), ("ns", np.int64)])
+"""A time of the system on 64-bit computers."""
 
-    Raises:
-        pynetft.NetFTError: the client has stopped with a fault.
+
+class SequenceMonitor:
+    """Counts lost, late and doubled records by `rdt_sequence`, and selects those that are new.
+
+    A record is late if it was counted as lost before, and doubled if it was not. A stream that is counted from one again,
+    with samples that are newer, is another stream.
     """
-    rows: list[tuple[int, ...]] = []
-    queued = chain(
-        islice(client.samples(STALE_TIME), 1), islice(client.samples(0.0), MAX_RECORDS_AT_ONCE - 1)
-    )
-    with suppress(TimeoutError):  # the queue is empty
-        for sample in queued:
-            rows.append((sample.ft_sequence, sample.status, sample.received_at_ns, *sample.raw_wrench))
-    table = np.array(rows, dtype=np.int64).reshape(-1, 9)
-    return RdtRecords(table[:, 0], table[:, 1], np.asarray(1e-9 * table[:, 2]), table[:, 3:])
+
+    def __init__(self, counts: Counter[str]) -> None:
+        """Start before the first record; `counts` is updated."""
+        self._counts = counts
+        self._last: tuple[int, int] | None = None
+        self._missing: dict[int, None] = {}
+
+    def restart(self) -> None:
+        """Accept the next record, whatever its number."""
+        self._last = None
+        self._missing.clear()
+
+    def accept(self, rdt: NDArray[np.int64], ft: NDArray[np.int64]) -> NDArray[np.bool_] | None:
+        """Return which of n records are new by their numbers, (n,); None if all are.
+
+        A sample that is repeated is not new.
+        """
+        if not len(rdt):
+            return None
+        before = self._last
+        if before is not None and (steps(rdt, before[0]) == 1).all() and (steps(ft, before[1]) != 0).all():
+            self._last = int(rdt[-1]), int(ft[-1])
+            return None
+        return np.array([self._is_new(*pair) for pair in zip(rdt.tolist(), ft.tolist(), strict=True)])
+
+    def _is_new(self, rdt: int, ft: int) -> bool:
+        if self._last is None:
+            self._last = rdt, ft
+            return True
+        step, newer = _signed(rdt - self._last[0]), _signed(ft - self._last[1])
+        if step <= 0 and newer <= 0:
+            late = rdt in self._missing
+            self._counts["late" if late else "doubled"] += 1
+            if late:
+                del self._missing[rdt]
+                self._counts["lost"] -= 1
+            return False
+        if step > 1:
+            self._counts["lost"] += step - 1
+            for number in range(max(1, step - MAX_MISSING), step):
+                self._missing[(self._last[0] + number) % WRAP] = None
+            while len(self._missing) > MAX_MISSING:
+                del self._missing[next(iter(self._missing))]
+        self._last = rdt, ft
+        return newer != 0
+
+
+def _signed(difference: int) -> int:
+    """Return the difference of two 32-bit counters, positive if the first is ahead."""
+    return (difference + WRAP // 2) % WRAP - WRAP // 2
 
 
 WRAP = 1 << 32
