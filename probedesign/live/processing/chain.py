@@ -147,6 +147,11 @@ class Chain:
         """Every touch so far."""
         return self._contacts.contacts
 
+    @property
+    def n_missing(self) -> int:
+        """Number of readings that complete the next mean."""
+        return self.samples - self._batches.pending if self.samples else 1
+
     def process(self, block: Block) -> Iterator[EstimateUpdate]:
         """Yield the estimates that a block completes."""
         if len(block) == 0:

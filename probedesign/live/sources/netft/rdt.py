@@ -24,7 +24,6 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.live.sources.source import STALE_TIME
 
-
 RDT_PORT = 49152
 HTTP_PORT = 80
 PAGE = "/netftapi2.xml"
@@ -148,8 +147,10 @@ def fault_of(status: int, table: StatusTable = NET_BOX) -> str:
 
 MAX_RECORDS_AT_ONCE = 700
 """Maximum number of records read at once: 0.1 s."""
-GATHER_TIME = 0.001
-"""Time in which records are gathered, if there is time [s]: waking up for a record costs more than reading it."""
+GATHER_TIME, MAX_GATHER_TIME = 0.001, 0.010
+"""Least and largest time in which records are gathered [s]: waking up for a record costs more than reading it."""
+MIN_SLEEP = 0.0003
+"""Least time of one sleep while records are gathered [s], two records."""
 REQUEST_INTERVAL = 0.5
 """Minimum interval between requests for the stream [s]."""
 SWITCH_INTERVAL = 1e-4
@@ -193,26 +194,42 @@ class RdtRecords:
         return RdtRecords(self.ft_sequence[part], self.status[part], self.received[part], self.counts[part])
 
 
+NO_RECORDS = RdtRecords(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), np.empty((0, 6), np.int64))
+Ancillary = list[tuple[int, int, bytes]]
+"""What the system states about a datagram: level, kind and content."""
+
+
 class RdtSession:
     """Streams the records of one box, and requests the stream again when it is silent.
 
-    All waiting datagrams are read in one pass. Arrival is stated by the system, where that is Linux, so that it does
-    not depend on how late they are read; elsewhere it is the time of reading.
+    It sleeps until as many records are due as are wanted, and reads and decodes them together. Arrival is stated by the
+    system, where that is Linux, so that it does not depend on how late they are read; elsewhere it is the time of
+    reading.
 
     Attributes:
+        wanted: number of records that are used together.
         counts: number of records received, lost, late, doubled, malformed, and dropped by the socket's buffer.
         buffer_bytes: size of the socket's buffer that the system granted [bytes].
     """
 
-    def __init__(self, name: str, host: str, port: int) -> None:
-        """Open a socket to the box at a host and RDT port; nothing streams yet. `name` is for messages.
+    def __init__(self, name: str, host: str, port: int, rate: float = SAMPLES_PER_SECOND) -> None:
+        """Open a socket to the box at a host and RDT port; nothing streams yet.
+
+        Args:
+            name: name of the source, for messages.
+            host: host of the box.
+            port: its RDT port.
+            rate: records a second.
 
         Raises:
             InputError: the host is unknown.
         """
+        self.wanted = 1
         self.counts: Counter[str] = Counter()
         self._sequence = SequenceMonitor(self.counts)
-        self._requested, self._received = -math.inf, -math.inf
+        self._rate, self._requested, self._received = rate, -math.inf, -math.inf
+        self._datagrams: list[bytes] = []
+        self._ancillary: list[Ancillary] = []
         try:
             found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             link = socket.socket(*found[:3])
@@ -244,21 +261,26 @@ class RdtSession:
         sys.setswitchinterval(min(usual, SWITCH_INTERVAL))
         try:
             self._request()
-            last = monotonic()
+            last = started = monotonic()  # the last new record; the first that was gathered
             while True:
-                started = monotonic()
-                records = self._read()
-                if len(records):
-                    last = started
-                    yield records
-                    sleep(max(0.0, started + GATHER_TIME - monotonic()))
-                elif started - last > STALE_TIME:
-                    if started - self._requested > REQUEST_INTERVAL:
+                if not self._datagrams:
+                    started = monotonic()
+                self._receive_waiting()
+                now, n = monotonic(), len(self._datagrams)
+                missing = max(self.wanted, self._rate * GATHER_TIME) - n
+                if n and (missing < 1.0 or now - started > MAX_GATHER_TIME):
+                    if len(records := self._decoded()):
+                        last = now
+                        yield records
+                elif n:
+                    sleep(min(max(missing / self._rate, MIN_SLEEP), MAX_GATHER_TIME))
+                elif now - last <= STALE_TIME:
+                    select.select([self._link], [], [], last + STALE_TIME - now + MIN_SLEEP)
+                if now - last > STALE_TIME:
+                    if now - self._requested > REQUEST_INTERVAL:
                         self._request()
-                    last = started
-                    yield records
-                else:
-                    select.select([self._link], [], [], last + STALE_TIME - started + GATHER_TIME)
+                    last = now
+                    yield NO_RECORDS
         finally:
             sys.setswitchinterval(usual)
             self._send(Request(STOP))
@@ -274,52 +296,50 @@ class RdtSession:
         with suppress(OSError):  # the box is off or the network is down: the silence is reported
             self._link.send(request.packed())
 
-    def _read(self) -> RdtRecords:
-        """Return the new records among the datagrams that wait."""
-        datagrams: list[bytes] = []
-        ancillary: list[list[tuple[int, int, bytes]]] = []
+    def _receive_waiting(self) -> None:
+        """Read the datagrams that wait."""
         with suppress(OSError):  # nothing waits, or the system reports that the box is off
-            while len(datagrams) < MAX_RECORDS_AT_ONCE:
-                datagram, extra = self._receive()
+            while len(self._datagrams) < MAX_RECORDS_AT_ONCE:
+                datagram, ancillary = self._receive()
                 if len(datagram) == RECORD.size:
-                    datagrams.append(datagram)
-                    ancillary.append(extra)
+                    self._datagrams.append(datagram)
+                    self._ancillary.append(ancillary)
                 else:
                     self.counts["malformed"] += 1
-        table = np.frombuffer(b"".join(datagrams), dtype=RECORDS)
-        self.counts["received"] += len(table)
-        received = self._arrival(ancillary)
-        new = self._sequence.accept(table["rdt"].astype(np.int64), table["ft"].astype(np.int64))
-        records = RdtRecords(
-            table["ft"].astype(np.int64), table["status"].astype(np.int64), received, table["counts"].astype(np.int64)
-        )
-        return records if new is None else records[new]
 
-    def _receive(self) -> tuple[bytes, list[tuple[int, int, bytes]]]:
+    def _receive(self) -> tuple[bytes, Ancillary]:
         """Return a datagram that waits, and what the system states about it."""
         if sys.platform == "win32":
             return self._link.recv(MAX_DATAGRAM), []
         return self._link.recvmsg(MAX_DATAGRAM, ANCILLARY_BYTES)[:2]
 
-    def _arrival(self, ancillary: list[list[tuple[int, int, bytes]]]) -> Array:
+    def _decoded(self) -> RdtRecords:
+        """Return the new records among the datagrams that were gathered."""
+        table = np.frombuffer(b"".join(self._datagrams), dtype=RECORDS)
+        rdt, ft, status = (table[name].astype(np.int64) for name in ("rdt", "ft", "status"))
+        records = RdtRecords(ft, status, self._arrival(self._ancillary), table["counts"].astype(np.int64))
+        self._datagrams, self._ancillary = [], []
+        self.counts["received"] += len(table)
+        new = self._sequence.accept(rdt, ft)
+        return records if new is None else records[new]
+
+    def _arrival(self, ancillary: list[Ancillary]) -> Array:
         """Return the arrival of datagrams by `time.monotonic` [s], (n,), and count those that were dropped.
 
         The system states it by the wall clock, which may be set at any time: the arrival is neither before that of the
         last datagram nor after now.
         """
-        now = monotonic()
-        if not ancillary:
-            return np.empty(0)
-        times = b"".join(data for extra in ancillary for _, kind, data in extra if kind == SO_TIMESTAMPNS)
         for _, kind, data in ancillary[-1]:
             if kind == SO_RXQ_OVFL:
                 self.counts["dropped"] = int.from_bytes(data[:4], sys.byteorder)
-        if len(times) != TIMESPEC.itemsize * len(ancillary):
-            received = np.full(len(ancillary), now)
-        else:
+        times = b"".join(data for extra in ancillary for _, kind, data in extra if kind == SO_TIMESTAMPNS)
+        now = monotonic()
+        if len(times) == TIMESPEC.itemsize * len(ancillary):
             stamps = np.frombuffer(times, dtype=TIMESPEC)
-            ages = time_ns() - (stamps["s"] * 1_000_000_000 + stamps["ns"])
-            received = np.maximum.accumulate(np.clip(now - 1e-9 * ages, self._received, now))
+            ages = 1e-9 * (time_ns() - (stamps["s"] * 1_000_000_000 + stamps["ns"]))
+            received = np.maximum.accumulate(np.clip(now - ages, self._received, now))
+        else:
+            received = np.full(len(ancillary), now)
         self._received = float(received[-1])
         return received
 
@@ -331,8 +351,8 @@ TIMESPEC = np.dtype([("s", np.int64), ("ns", np.int64)])
 class SequenceMonitor:
     """Counts lost, late and doubled records by `rdt_sequence`, and selects those that are new.
 
-    A record is late if it was counted as lost before, and doubled if it was not. A stream that is counted from one again,
-    with samples that are newer, is another stream.
+    A record is late if it was counted as lost before, and doubled if it was not. A stream that is counted from one
+    again, with samples that are newer, is another stream.
     """
 
     def __init__(self, counts: Counter[str]) -> None:

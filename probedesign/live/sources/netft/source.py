@@ -241,7 +241,7 @@ class NetFTSource:
         self._page, self._check = (host, int(parameters["http"])), parameters["check_s"]
         self._gravity, self._log = model.gravity_base, log
         self.configuration: NetFTConfiguration = fetch_configuration(*self._page)
-        self._session = RdtSession(self._name, host, port)
+        self._session = RdtSession(self._name, host, port, self.configuration.rate)
         self.title = f"{self._name}, {self.configuration.product}"
         self.notes = self.configuration.notes + _range_note(self.configuration, model)
         axia = "axia" in self.configuration.product.lower()  # assumed: the manual does not list the names
@@ -250,6 +250,10 @@ class NetFTSource:
         self._clock_rate = parameters["clock_hz"]
         self.notes += (f"its status codes are decoded as those of a sensor of type {self._table.kind}",)
         self.counts: Counter[str] = Counter()
+
+    def expect(self, readings: int) -> None:
+        """Gather this number of readings to a block; see `GatheringSource`."""
+        self._session.wanted = readings
 
     def __iter__(self) -> Generator[Block, None, None]:
         with ConfigurationMonitor(*self._page, self.configuration, self._check) as monitor:
