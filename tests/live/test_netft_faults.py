@@ -18,7 +18,7 @@ from probedesign.live.sources.source import STALE_TIME, open_source
 from probedesign.simulation.netft_box import OFFSET, FaultInjector
 from tests.live.peers import LOAD, Reader, box, close, mean_of
 
-pytest.importorskip("pynetft")
+
 
 
 def test_loss_disorder_and_rubbish_are_counted_and_change_no_reading(estimator):

@@ -198,7 +198,12 @@ def take_tare(
         raise InputError(f"{label}has {len(readings)} readings; a tare needs {MIN_READINGS}")
     if fault := next((reading.fault for reading in readings if reading.fault), ""):
         raise InputError(f"{label}has readings with a fault: {fault}")
-    excess = np.array([reading.wrench_sensor - _free_wrench(reading, estimator) for reading in readings])
+    free: dict[bytes, Array] = {}  # by gravity, which is mostly the same
+    for reading in readings:
+        if (key := reading.gravity_base.tobytes()) not in free:
+            free[key] = _free_wrench(reading, estimator)
+    wrenches = np.array([reading.wrench_sensor for reading in readings])
+    excess = wrenches - np.array([free[reading.gravity_base.tobytes()] for reading in readings])
     bias, std = excess.mean(axis=0), excess.std(axis=0, ddof=1)
     noise = estimator.model.noise.std
     if (std > MAX_SCATTER * noise).any():
