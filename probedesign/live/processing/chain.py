@@ -242,6 +242,7 @@ class Chain:
         if math.isinf(self._rate):
             self._log("the source's clock does not advance: phases and filter are off")
             return True
+        self.scheduler.set_period(self.samples / self._rate)
         if self._options.filter_hz is not None:
             self._low_pass = LowPass(self._options.filter_hz, self._rate)
             delay = 1e3 * self._low_pass.delay
