@@ -217,7 +217,7 @@ def test_what_is_no_fault(text):
 
 
 def test_simulate_and_live_meet(bundle, estimator, capsys, monkeypatch):
-    """The whole way: a scene of the rod, over the wire, tared and located, also where the tests keep the machine busy."""
+    """The whole way: a scene of the rod, over the wire, tared and located, also where tests keep the machine busy."""
     monkeypatch.setattr("probedesign.live.processing.chain.MAX_AGE", 10.0)
     from probedesign.simulation.robot import BaseMotion
     from probedesign.simulation.scenes import press_scene
