@@ -277,14 +277,19 @@ class ViewerPage:
         """Create all objects, invisible if their content is unknown."""
         scene, setup = self._server.scene, self._setup
         scene.set_up_direction("+z")
-        scene.configure_default_lights(True, cast_shadow=True)
+        # Reflections of an environment and shadows take nine tenths of a frame's time in a browser without a GPU.
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(True, cast_shadow=False)
+        scene.add_light_hemisphere("/sky", ground_color=(150, 150, 150), intensity=2.5)
         self._base = scene.add_frame("/base", show_axes=False)
         for part in setup.parts:
             colour, name = PART_COLOURS.get(part.name, METAL), f"/base/{part.name}"
-            scene.add_mesh_simple(name, UNIT * part.vertices, part.faces, color=colour, flat_shading=True)
+            scene.add_mesh_simple(
+                name, UNIT * part.vertices, part.faces, color=colour, flat_shading=True, cast_shadow=False
+            )
         free = UNIT * setup.tube.vertices(setup.free)
         self._probe = scene.add_mesh_simple(
-            "/base/probe", free, setup.tube.faces, color=PROBE, opacity=0.42, side="double"
+            "/base/probe", free, setup.tube.faces, color=PROBE, opacity=0.42, side="double", cast_shadow=False
         )
         self._contact = scene.add_icosphere(
             "/contact", UNIT * 1.5e-3, CONTACT, visible=False, cast_shadow=False
@@ -314,7 +319,7 @@ class ViewerPage:
         low = float(min(p[:, 2].min(), -0.04)) - 0.25 * length
         self._server.scene.add_grid(
             "/floor", UNIT * 0.6, UNIT * 0.6, cell_size=UNIT * 0.01, section_size=UNIT * 0.05,
-            cell_color=(150, 156, 162), section_color=(124, 132, 140), plane_opacity=0.0, shadow_opacity=0.2,
+            cell_color=(150, 156, 162), section_color=(124, 132, 140), plane_opacity=0.0, shadow_opacity=0.0,
             position=(0.0, 0.0, UNIT * low),
         )  # fmt: skip
         along = T[:, 2]
