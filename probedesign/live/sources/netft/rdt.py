@@ -276,7 +276,7 @@ class RdtSession:
                     sleep(min(max(missing / self._rate, MIN_SLEEP), MAX_GATHER_TIME))
                 elif now - last <= STALE_TIME:
                     select.select([self._link], [], [], last + STALE_TIME - now + MIN_SLEEP)
-                if now - last > STALE_TIME:
+                if now - last > STALE_TIME and not self._datagrams:
                     if now - self._requested > REQUEST_INTERVAL:
                         self._request()
                     last = now
@@ -299,7 +299,7 @@ class RdtSession:
     def _receive_waiting(self) -> None:
         """Read the datagrams that wait."""
         with suppress(OSError):  # nothing waits, or the system reports that the box is off
-            while len(self._datagrams) < MAX_RECORDS_AT_ONCE:
+            for _ in range(MAX_RECORDS_AT_ONCE):
                 datagram, ancillary = self._receive()
                 if len(datagram) == RECORD.size:
                     self._datagrams.append(datagram)
