@@ -334,14 +334,15 @@ class ViewerPage:
         camera.position = self._middle + UNIT * length * DISTANCE * self._direction
 
     def _frame(self, client: viser.ClientHandle) -> None:
-        """Move the camera of a browser so far away that the whole probe fits into its width.
+        """Move the camera of a browser so far away that the whole probe fits between the panels.
 
         On a small screen, whose lower part the panel covers, the probe is in the upper part.
         """
-        aspect = client.camera.aspect if client.camera.image_height else 1.0
-        tangent, length = math.tan(0.5 * FIELD_OF_VIEW), float(self._setup.tube.s[-1])
-        distance = UNIT * length * max(DISTANCE, 0.5 * SHOWN_WIDTH / (tangent * aspect))
         small = client.camera.image_width <= SMALL_WIDTH
+        panels = 0.0 if small else STATUS_WIDTH + CHARTS_WIDTH  # they open later
+        aspect = max(client.camera.image_width - panels, 1.0) / max(client.camera.image_height, 1)
+        tangent, length = math.tan(0.5 * FIELD_OF_VIEW), float(self._setup.tube.s[-1])
+        distance = UNIT * length * max(DISTANCE, 0.5 * SHOWN_WIDTH / (tangent * max(aspect, 0.1)))
         shift = np.array([0.0, 0.0, 0.5 * tangent * distance]) if small else np.zeros(3)
         client.camera.position = self._middle - shift + distance * self._direction
         client.camera.look_at = self._middle - shift  # last: the position moves it too
