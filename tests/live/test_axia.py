@@ -6,7 +6,8 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.live.sources.netft import rdt
-from probedesign.live.sources.netft.rdt import AXIA, NET_BOX, RATE_PERIOD, RateMonitor, fault_of
+from probedesign.live.sources.netft.counters import RATE_PERIOD, RateMonitor
+from probedesign.live.sources.netft.rdt import AXIA, NET_BOX, fault_of
 from probedesign.live.sources.source import open_source
 from probedesign.simulation.netft_box import NATIVE
 from tests.live.peers import Reader, box

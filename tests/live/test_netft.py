@@ -16,7 +16,9 @@ import pytest
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.live.sources.netft import rdt
-from probedesign.live.sources.netft.rdt import RECORD, RECORDS, RdtSession, Request, SequenceMonitor
+from probedesign.live.sources.netft.counters import SequenceMonitor
+from probedesign.live.sources.netft.rdt import RECORD, RECORDS, Request
+from probedesign.live.sources.netft.session import RdtSession
 from probedesign.live.sources.source import open_source
 from probedesign.simulation.netft_box import NATIVE, OFFSET, SimulatedNetFT, SimulatedTransducer, parse_faults
 from tests.live.peers import LOAD, box, close, mean_of, taken, until

@@ -19,20 +19,17 @@ from probedesign.live.sources.netft.configuration import (
     NetFTConfiguration,
     fetch_configuration,
 )
+from probedesign.live.sources.netft.counters import RateMonitor, SensorClock, steps
 from probedesign.live.sources.netft.rdt import (
     AXIA,
     HTTP_PORT,
     NET_BOX,
     RDT_PORT,
     SAMPLES_PER_SECOND,
-    RateMonitor,
-    RdtRecords,
-    RdtSession,
-    SensorClock,
     StatusTable,
     fault_of,
-    steps,
 )
+from probedesign.live.sources.netft.session import RdtRecords, RdtSession
 from probedesign.live.sources.source import STALE_TIME, DropoutMonitor, SourceParameter, parse_parameters
 
 COUNT_INTERVAL = 1.0
