@@ -15,6 +15,9 @@ from probedesign.cli.options import JsonOutput, Method, Tare
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
+    from probedesign.estimation.estimator import Estimator
+    from probedesign.live.outputs.options import OutputOptions
+    from probedesign.live.processing.control import ProcessingOptions
     from probedesign.live.processing.estimates import EstimateUpdate
 
 
@@ -100,15 +103,9 @@ def live(
     """
     from probedesign import pipeline
     from probedesign.live.datagrams import parse_listen_address
-    from probedesign.live.outputs.foxglove import parse_foxglove_address
     from probedesign.live.outputs.options import OutputOptions
     from probedesign.live.outputs.recording import SplitLimits
-    from probedesign.live.outputs.sinks import SinkGroup, StderrSink
-    from probedesign.live.poses.base_poses import open_poses
-    from probedesign.live.processing.command_inputs import open_inputs
-    from probedesign.live.processing.control import CommandQueue, ProcessingOptions, parse_tare
-    from probedesign.live.run import warm_up
-    from probedesign.live.sources.source import open_source
+    from probedesign.live.processing.control import ProcessingOptions, parse_tare
 
     window, zero = parse_tare(tare_s, tare)
     processing = ProcessingOptions(
@@ -117,30 +114,67 @@ def live(
     estimator = pipeline.load_estimator(bundle, manifest, exact_model, friction)
     settings = {
         "source": source,
-        "tare_s": tare_s or "",
-        "tare": tare or "",
-        "average": "" if average is None else str(average),
-        "rate_hz": f"{rate_hz:g}",
-        "exact_model": str(exact_model).lower(),
+        "tare_s": tare_s,
+        "tare": tare,
+        "average": average,
+        "rate_hz": rate_hz,
+        "exact_model": exact_model,
         "method": method,
-        "friction": f"{estimator.model.friction:g}",
-        "filter_hz": "" if filter_hz is None else f"{filter_hz:g}",
+        "friction": estimator.model.friction,
+        "filter_hz": filter_hz,
         "pose": pose,
-        "pose_latency_ms": f"{pose_latency_ms:g}",
-        "gravity_world": gravity_world or "",
+        "pose_latency_ms": pose_latency_ms,
+        "gravity_world": gravity_world,
     }
-    live_table = not (lines or as_json) and _is_terminal()
-    page = (view_host, view_port) if view else None
-    server = None if foxglove is False else parse_foxglove_address("" if foxglove is True else foxglove)
-    split = SplitLimits.of_options(split_mb, split_minutes)
-    outputs = OutputOptions(record, force, publish, page, live_table, bundle.parent, settings, split, server,
-                            open_ and _is_terminal())  # fmt: skip
+    outputs = OutputOptions(
+        record=record,
+        force=force,
+        publish=publish,
+        page=(view_host, view_port) if view else None,
+        terminal=not (lines or as_json) and _is_terminal(),
+        parts_folder=bundle.parent,
+        metadata={name: _setting_text(value) for name, value in settings.items()},
+        split=SplitLimits.of_options(split_mb, split_minutes),
+        foxglove=_server_address(foxglove),
+        open_browser=open_ and _is_terminal(),
+    )
     outputs.check(source)
     if control is not None:
         parse_listen_address(f"--control {control}")  # before anything is compiled
+    _run(estimator, processing, outputs, source, (pose, pose_latency_ms, gravity_world), control, as_json)
+
+
+def _run(
+    estimator: "Estimator",
+    processing: "ProcessingOptions",
+    outputs: "OutputOptions",
+    source: str,
+    pose: tuple[str, float, str | None],
+    control: str | None,
+    as_json: bool,
+) -> None:
+    """Open the source, poses and outputs, print the estimates until the end, and close everything.
+
+    Args:
+        estimator: estimator of the probe.
+        processing: how readings are processed.
+        outputs: outputs that the user selected.
+        source: specification of the source.
+        pose: poses of the base, their latency [ms], and gravity in world axes.
+        control: address at which commands are received.
+        as_json: print JSON.
+    """
+    from probedesign import pipeline
+    from probedesign.live.outputs.sinks import SinkGroup, StderrSink
+    from probedesign.live.poses.base_poses import open_poses
+    from probedesign.live.processing.command_inputs import open_inputs
+    from probedesign.live.processing.control import CommandQueue
+    from probedesign.live.run import warm_up
+    from probedesign.live.sources.source import open_source
+
     with closing(SinkGroup(StderrSink())) as sinks, ExitStack() as inputs, interrupt_on_termination():
         opened_source = open_source(source, estimator.model, sinks.log)
-        poses = open_poses(pose, pose_latency_ms, gravity_world, sinks.log)
+        poses = open_poses(*pose, sinks.log)
         publisher = outputs.publisher(estimator.model, sinks.log)
         warm_up(estimator, sinks.log, fusing=True)
         sinks.log(f"{opened_source.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
@@ -148,15 +182,29 @@ def live(
             sinks.log(note)
         commands = CommandQueue()
         outputs.connect(sinks, commands, estimator, opened_source, poses, publisher)
-        for command_input in open_inputs(commands, sinks.log, control, keys=live_table):
+        for command_input in open_inputs(commands, sinks.log, control, keys=outputs.terminal):
             inputs.enter_context(closing(command_input))
         updates = pipeline.live(estimator, opened_source, processing, sinks.log, sinks, commands, poses)
-        source_ended = _print(updates, sinks.log, as_json, live_table)
+        source_ended = _print(updates, sinks.log, as_json, outputs.terminal)
         sinks.on_end()
-        if view and source_ended and _is_terminal():
+        if outputs.page is not None and source_ended and _is_terminal():
             sinks.log("the run ended; the page stays open until Ctrl-C")
             with suppress(KeyboardInterrupt):
                 Event().wait()
+
+
+def _setting_text(value: object) -> str:
+    """Return the value of an option as a recording states it; empty if it is not given."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _server_address(foxglove: str | bool) -> tuple[str, int] | None:
+    """Return host and port of the Foxglove server; None without one."""
+    from probedesign.live.outputs.foxglove import parse_foxglove_address
+
+    return None if foxglove is False else parse_foxglove_address("" if foxglove is True else foxglove)
 
 
 def _print(

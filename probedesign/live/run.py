@@ -40,7 +40,7 @@ from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, Row, 
 from probedesign.live.processing.plausibility import ClockMonitor
 from probedesign.live.recordings.csv import gaps_in
 from probedesign.live.sources.replay import OpenRecording, RecordingOptions, open_recording
-from probedesign.live.sources.source import Source
+from probedesign.live.sources.source import GatheringSource, Source
 from probedesign.rod.contact import solve_frictionless
 from probedesign.simulation.rod_and_sensor import safe_force
 
@@ -71,7 +71,8 @@ def estimate_stream(
             blocks: Iterator[Block] = (
                 stream if options.seconds is None else limit_duration(stream, options.seconds)
             )
-            for update in islice(_updates(chain, blocks, log, sink, commands), options.count):
+            expect = source.expect if isinstance(source, GatheringSource) else None
+            for update in islice(_updates(chain, blocks, log, sink, commands, expect), options.count):
                 if sink is not None:
                     sink.on_estimate(update)
                 yield update
@@ -82,9 +83,14 @@ def estimate_stream(
 
 
 def _updates(
-    chain: Chain, blocks: Iterator[Block], log: Log, sink: Sink | None, commands: CommandQueue | None
+    chain: Chain,
+    blocks: Iterator[Block],
+    log: Log,
+    sink: Sink | None,
+    commands: CommandQueue | None,
+    expect: Callable[[int], None] | None,
 ) -> Iterator[EstimateUpdate]:
-    """Yield estimates block by block and execute commands in between."""
+    """Yield estimates block by block, execute commands in between, and state how many readings are expected next."""
     commands = commands or CommandQueue()
     commands.register("tare", lambda command: chain.take_tare())
     commands.register("mark", lambda command: f"mark: {command.text}")
@@ -98,6 +104,8 @@ def _updates(
                 return
         if commands.execute(log):
             return
+        if expect is not None:
+            expect(chain.n_missing)
     yield from chain.finish()
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.live.sources.netft import rdt
-from probedesign.live.sources.netft.rdt import AXIA, NET_BOX, RATE_PERIOD, RateMonitor, fault_of
+from probedesign.live.sources.netft.counters import RATE_PERIOD, RateMonitor, SensorClock
+from probedesign.live.sources.netft.rdt import AXIA, NET_BOX, fault_of
 from probedesign.live.sources.source import open_source
 from probedesign.simulation.netft_box import NATIVE
 from tests.live.peers import Reader, box
@@ -99,4 +99,4 @@ def test_a_stated_rate_scales_the_time(estimator):
         reader.more(1400)
     first, last = reader.readings[0], reader.readings[-1]
     assert last.time - first.time == pytest.approx(2.0 * (last.received - first.received), abs=0.4)
-    assert rdt.SensorClock(3500.0).restarts == 0
+    assert SensorClock(3500.0).restarts == 0

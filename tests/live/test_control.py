@@ -147,6 +147,16 @@ def test_a_reading_that_is_too_old_is_skipped_and_counted(monkeypatch):
     ]
 
 
+def test_the_newest_reading_is_not_skipped(monkeypatch):
+    """Of readings every 50 ms, one that is 30 ms late is still the newest."""
+    kept = EstimateScheduler(100.0, print)
+    kept.set_period(0.05)
+    monkeypatch.setattr(due, "monotonic", lambda: 7.0 + 0.03)
+    assert kept.is_due(replace(READING, received=7.0))
+    monkeypatch.setattr(due, "monotonic", lambda: 7.0 + 0.06)
+    assert not kept.is_due(replace(READING, time=1.0, received=7.0))
+
+
 def test_many_skipped_estimates_are_reported_at_once_and_at_their_end(monkeypatch):
     """A span with none left out, one with twice as many as are not reported, one with none."""
     n = round(REPORT_PERIOD * 100.0)

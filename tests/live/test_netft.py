@@ -3,10 +3,12 @@
 import json
 import re
 import socket
-from collections import namedtuple
+import sys
+import time
+from collections import Counter
+from contextlib import closing
 from dataclasses import replace
 from itertools import islice, pairwise
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,12 +16,12 @@ import pytest
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.live.sources.netft import rdt
-from probedesign.live.sources.netft.rdt import RECORD, RECORDS, RdtSession, Request, drain
+from probedesign.live.sources.netft.counters import SequenceMonitor
+from probedesign.live.sources.netft.rdt import RECORD, RECORDS, Request
+from probedesign.live.sources.netft.session import RdtSession
 from probedesign.live.sources.source import open_source
 from probedesign.simulation.netft_box import NATIVE, OFFSET, SimulatedNetFT, SimulatedTransducer, parse_faults
 from tests.live.peers import LOAD, box, close, mean_of, taken, until
-
-pynetft = pytest.importorskip("pynetft")
 
 # units and frames
 
@@ -64,6 +66,7 @@ def test_a_sensor_of_another_calibration_is_noted(estimator, ranges, noted):
 
 def test_pynetft_reads_the_same_from_our_box(estimator):
     """An independent client, with its own reading of the page."""
+    pynetft = pytest.importorskip("pynetft")
     with box(estimator) as peer:
         config = pynetft.Config(sensor_host="127.0.0.1", rdt_port=peer.address[1], http_port=peer.http_port)
         with pynetft.Client(config, queue_size=8192) as client:
@@ -215,8 +218,9 @@ def test_what_is_no_fault(text):
 # the commands
 
 
-def test_simulate_and_live_meet(bundle, estimator, capsys):
-    """The whole way: a scene of the rod, over the wire, tared and located."""
+def test_simulate_and_live_meet(bundle, estimator, capsys, monkeypatch):
+    """The whole way: a scene of the rod, over the wire, tared and located, also where tests keep the machine busy."""
+    monkeypatch.setattr("probedesign.live.processing.chain.MAX_AGE", 10.0)
     from probedesign.simulation.robot import BaseMotion
     from probedesign.simulation.scenes import press_scene
 
@@ -304,36 +308,80 @@ def test_simulate_refuses(bundle, capsys, options, expected):
     assert expected in err and err.count("\n") == 1 and out == ""
 
 
-class PublicClient:
-    """A client with pynetft's public iterator, and nothing else: any access to a private name fails."""
-
-    def __init__(self, samples):
-        self.waiting = list(samples)
-
-    def samples(self, timeout):
-        while self.waiting:
-            yield self.waiting.pop(0)
-        raise TimeoutError
+# the session
 
 
-def test_records_are_read_through_the_public_iterator_of_pynetft():
-    sample = namedtuple("sample", "ft_sequence status received_at_ns raw_wrench")
-    client = PublicClient(sample(7 + i, 0, 10**9 * (1 + i), (i, 0, 0, 0, 0, -i)) for i in range(3))
-    records = drain(client)
-    assert records.ft_sequence.tolist() == [7, 8, 9] and records.received.tolist() == [1.0, 2.0, 3.0]
-    assert records.counts[:, 5].tolist() == [0, -1, -2]
-    assert len(drain(client)) == 0
+def accepted(records, cut=0):
+    """Which of (rdt, ft) are new, and the counts; in two parts."""
+    counts = Counter()
+    monitor = SequenceMonitor(counts)
+    new = []
+    for part in (records[:cut], records[cut:]):
+        table = np.array(part, dtype=np.int64).reshape(-1, 2)
+        chosen = monitor.accept(table[:, 0], table[:, 1])
+        new += [True] * len(table) if chosen is None else chosen.tolist()
+    return new, counts
 
 
-def test_a_client_that_has_stopped_ends_the_run(monkeypatch):
-    names = ("received", "lost", "out_of_order", "duplicate", "malformed", "python_queue_dropped")
-    health = SimpleNamespace(**{f"{name}_count": 0 for name in names})
-    client = SimpleNamespace(start=lambda: None, stop=lambda: None, health=lambda: health)
+@pytest.mark.parametrize("cut", range(8))
+def test_lost_late_and_doubled_records_are_told_apart(cut):
+    """Three is lost, four is late and six comes twice."""
+    new, counts = accepted([(i, 100 + i) for i in (1, 2, 5, 6, 6, 4, 4, 7)], cut)
+    assert new == [True, True, True, True, False, False, False, True]
+    assert (counts["lost"], counts["late"], counts["doubled"]) == (1, 1, 2)
 
-    def samples(timeout):
-        raise pynetft.NetFTError("socket closed")
 
-    client.samples = samples
-    monkeypatch.setattr(RdtSession, "_new_client", lambda session: client)
-    with pytest.raises(InputError, match="netft://box: pynetft has stopped: socket closed"):
-        next(RdtSession("netft://box", "127.0.0.1", 49152).records())
+@pytest.mark.parametrize("cut", range(5))
+def test_record_numbers_overflow_without_a_loss(cut):
+    numbers = [2**32 - 2, 2**32 - 1, 0, 1]
+    new, counts = accepted([(n, n) for n in numbers], cut)
+    assert all(new) and not +counts
+
+
+def test_a_stream_that_is_counted_from_one_again_is_no_loss():
+    new, counts = accepted([(500, 9000), (501, 9001), (1, 9100), (2, 9101)])
+    assert all(new) and not +counts
+
+
+def test_a_repeated_sample_is_not_new():
+    """The box runs on and its sensor does not."""
+    new, counts = accepted([(1, 7), (2, 8), (3, 8), (4, 8), (5, 9)])
+    assert new == [True, True, False, False, True] and not +counts
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the system states the arrival on Linux")
+def test_the_arrival_does_not_depend_on_how_late_records_are_read():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer:
+        peer.bind(("127.0.0.1", 0))
+        session = RdtSession("netft://box", *peer.getsockname())
+        records = session.records()
+        with closing(records):
+            assert len(next(records)) == 0  # the request is sent, and nothing has come
+            _, client = peer.recvfrom(64)
+            before = time.monotonic()
+            for i in range(3):
+                peer.sendto(RECORD.pack(1 + i, 7 + i, 0, *[0] * 6), client)
+            after = time.monotonic()
+            time.sleep(0.1)
+            received = next(batch for batch in records if len(batch)).received
+    # the wall clock, by which the system states it, is steered by less than a millisecond in this time
+    assert (received >= before - 1e-3).all() and (received <= after + 1e-3).all()
+    assert (np.diff(received) >= 0.0).all()
+
+
+@pytest.mark.parametrize(("granted", "noted"), [(212_992, 1), (8 << 20, 0)])
+def test_a_small_buffer_of_the_system_is_noted(granted, noted):
+    session = RdtSession("netft://box", "127.0.0.1", 49152)
+    session.buffer_bytes = granted
+    assert len(session.notes) == noted
+
+
+def test_as_many_readings_as_are_expected_come_together(estimator):
+    """A mean takes 36; a block is not smaller, unless gathering takes too long."""
+    with box(estimator) as peer:
+        source = open_source(peer.source, estimator.model)
+        source.expect(36)
+        with closing(iter(source)) as stream:
+            blocks = [next(stream) for _ in range(30)]
+    sizes = [len(block) for block in blocks if len(block)]
+    assert np.median(sizes) >= 36

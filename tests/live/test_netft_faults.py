@@ -1,24 +1,21 @@
 """`netft://` against the simulated box over real sockets, with faults of the network and the box."""
 
 import socket
-import sys
 from itertools import islice
 
 import numpy as np
 import pytest
 
-from probedesign.core.errors import MissingDependencyError
 from probedesign.live.processing.blocks import Block, averaged
 from probedesign.live.processing.control import ProcessingOptions, TareWindow
 from probedesign.live.processing.estimates import locate
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.netft import rdt
-from probedesign.live.sources.netft.rdt import RECORD, SensorClock
+from probedesign.live.sources.netft.counters import SensorClock
+from probedesign.live.sources.netft.rdt import RECORD
 from probedesign.live.sources.source import STALE_TIME, open_source
 from probedesign.simulation.netft_box import OFFSET, FaultInjector
 from tests.live.peers import LOAD, Reader, box, close, mean_of
-
-pytest.importorskip("pynetft")
 
 
 def test_loss_disorder_and_rubbish_are_counted_and_change_no_reading(estimator):
@@ -44,7 +41,6 @@ def test_the_clock_passes_the_end_of_its_32_bits(estimator):
 
 
 def test_a_storm_of_rubbish_is_survived(estimator):
-    """pynetft ends its session after ten in a row and asks again."""
     with box(estimator) as peer, Reader(peer, estimator) as reader:
         for _ in range(50):
             peer.send(b"rubbish")
@@ -85,7 +81,7 @@ def test_a_restart_is_survived_marked_and_not_mixed(estimator):
 
 
 def test_a_restart_soon_after_power_up_is_survived(estimator):
-    """pynetft takes a clock that goes back within its first 65536 samples for late records and refuses them all."""
+    """A counter that goes back a little is no late record."""
     with box(estimator, initial_samples=20000) as peer, Reader(peer, estimator) as reader:
         peer.restart(0.2)
         reader.has_logged("previous tare is kept")
@@ -167,8 +163,6 @@ def test_a_restart_with_another_configuration_ends_the_run_before_a_reading(esti
 
 
 def test_a_saturated_sample_is_no_reading_to_estimate_from(estimator):
-    """pynetft ends its session with each such sample and asks again, so that they come a few a second; that is not
-    silence."""
     with box(estimator) as peer, Reader(peer, estimator) as reader:
         peer.saturate()
         reader.wait(lambda: sum(bool(r.fault) for r in reader.readings) > 10)
@@ -203,14 +197,6 @@ def test_datagrams_from_another_address_are_not_read(estimator):
         reader.more()
     assert max(abs(r.wrench_sensor[0]) for r in reader.readings) < 1.0
     assert reader.source.counts["restarts"] == 0
-
-
-def test_pynetft_is_missing(estimator, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pynetft", None)
-    with pytest.raises(
-        MissingDependencyError, match=r"netft:// needs pynetft: pip install 'probedesign\[live\]'"
-    ):
-        open_source("netft://192.0.2.1", estimator.model)
 
 
 # the clock

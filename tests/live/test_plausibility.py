@@ -96,7 +96,6 @@ def test_a_healthy_sensor_has_no_fault(estimator, free, tmp_path):
 def test_frozen_values_and_a_leap_of_the_counter_at_the_wire(estimator, tmp_path):
     """The sequence numbers run on in the first, and leap by three seconds in the second. A replay has the same faults,
     although a recording contains no arrival."""
-    pytest.importorskip("pynetft")
     recorded, by_time = McapRecorder(tmp_path / "faults.mcap", estimator.model), {}
     model, lines, faults, leapt = estimator.model, [], [], 0
     still = model.to_sensor(estimator.free().wrench_base, model.gravity_base)

@@ -11,7 +11,6 @@ import pytest
 from probedesign.live.sources.source import open_source
 from tests.live.peers import until
 
-pytest.importorskip("pynetft")
 fake = pytest.importorskip("fake_sensor", reason="pynetft's source package is not on PYTHONPATH")
 
 COUNTS = (250_000, -500_000, 1_000_000, 2_000, -3_000, 4_000)

@@ -5,6 +5,7 @@ import math
 from collections import Counter
 from dataclasses import replace
 from io import StringIO
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -435,3 +436,33 @@ def test_the_label_of_a_contact_extends_toward_the_middle_of_the_view(estimator,
         page.stop()
     # The first view has the root on one side and the tip on the other.
     assert anchors == ["bottom-left", "bottom-center", "bottom-right"]
+
+
+@pytest.mark.parametrize(("width", "height"), [(1100, 650), (1280, 720), (1920, 1080), (390, 844)])
+def test_the_whole_probe_is_framed_between_the_panels(estimator, tmp_path, width, height):
+    """The size is that of the window, which the panels of a large screen then make narrower."""
+    pytest.importorskip("viser")
+    from viser.transforms import SO3
+
+    from probedesign.live.view import page as view_page
+
+    page = view_page.ViewerPage(
+        scene_setup(estimator, tmp_path, "127.0.0.1", 8123, lambda line: None), lambda name, text: None
+    )
+    camera = SimpleNamespace(image_width=width, image_height=height, aspect=width / height)
+    try:
+        page._frame(SimpleNamespace(camera=camera))
+        vertices = np.asarray(page._probe.vertices) @ SO3(np.asarray(page._base.wxyz)).as_matrix().T
+    finally:
+        page.stop()
+    forward = np.asarray(camera.look_at) - camera.position
+    forward /= np.linalg.norm(forward)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    off = vertices - camera.position
+    panels = view_page.STATUS_WIDTH + view_page.CHARTS_WIDTH if width > view_page.SMALL_WIDTH else 0.0
+    half = np.tan(0.5 * view_page.FIELD_OF_VIEW)
+    assert (np.abs(off @ right) < half * (width - panels) / height * (off @ forward)).all()
+    up = np.cross(right, forward)
+    lowest = 0.0 if width <= view_page.SMALL_WIDTH else -half  # a sheet covers the lower half of a telephone
+    assert (off @ up > lowest * (off @ forward)).all() and (off @ up < half * (off @ forward)).all()

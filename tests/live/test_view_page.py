@@ -125,7 +125,7 @@ def test_a_name_that_was_bound_to_this_machine_is_refused(view):
 @pytest.mark.parametrize("encoding", ["gzip", "identity"])
 def test_the_page_has_title_and_icon_of_the_project_and_refuses_frames(view, encoding):
     response, body = ask(view.url, **{"Accept-Encoding": encoding})
-    assert b"<title>large " in body and b"Viser</title>" not in body
+    assert b"<title>probedesign large " in body and b"Viser</title>" not in body
     assert body.count(b'rel="icon"') == 1 and b"%23ec9242" in body
     assert "frame-ancestors 'none'" in response.getheader("Content-Security-Policy")
     assert response.getheader("X-Frame-Options") == "DENY"
@@ -327,7 +327,7 @@ def test_the_page_fits_its_screen(view, tab):
             return inside and (least == 0 or min(left for left, _ in boxes) - max(charts, default=0) >= least)
 
         assert_eventually(fits)
-    assert tab.title().startswith("large ")
+    assert tab.title().startswith("probedesign large ")
 
 
 def test_a_browser_that_is_cut_off_shows_no_value_as_current(view, tab):

@@ -147,6 +147,11 @@ class Chain:
         """Every touch so far."""
         return self._contacts.contacts
 
+    @property
+    def n_missing(self) -> int:
+        """Number of readings that complete the next mean."""
+        return self.samples - self._batches.pending if self.samples else 1
+
     def process(self, block: Block) -> Iterator[EstimateUpdate]:
         """Yield the estimates that a block completes."""
         if len(block) == 0:
@@ -237,6 +242,7 @@ class Chain:
         if math.isinf(self._rate):
             self._log("the source's clock does not advance: phases and filter are off")
             return True
+        self.scheduler.set_period(self.samples / self._rate)
         if self._options.filter_hz is not None:
             self._low_pass = LowPass(self._options.filter_hz, self._rate)
             delay = 1e3 * self._low_pass.delay

@@ -198,7 +198,12 @@ def take_tare(
         raise InputError(f"{label}has {len(readings)} readings; a tare needs {MIN_READINGS}")
     if fault := next((reading.fault for reading in readings if reading.fault), ""):
         raise InputError(f"{label}has readings with a fault: {fault}")
-    excess = np.array([reading.wrench_sensor - _free_wrench(reading, estimator) for reading in readings])
+    free: dict[bytes, Array] = {}  # by gravity, which is mostly the same
+    for reading in readings:
+        if (key := reading.gravity_base.tobytes()) not in free:
+            free[key] = _free_wrench(reading, estimator)
+    wrenches = np.array([reading.wrench_sensor for reading in readings])
+    excess = wrenches - np.array([free[reading.gravity_base.tobytes()] for reading in readings])
     bias, std = excess.mean(axis=0), excess.std(axis=0, ddof=1)
     noise = estimator.model.noise.std
     if (std > MAX_SCATTER * noise).any():
@@ -387,9 +392,9 @@ def register_recording(commands: CommandQueue, recordings: Recordings) -> None:
 MAX_AGE = 0.012
 """Maximum age of a reading that is still located [s].
 
-An older reading is skipped because newer ones follow in the queue: readings that no contact explains take longest to
-process and would delay all later ones. It is still recorded, monitored and fused. Such a reading takes about 8 ms, so
-its estimate is available within 20 ms."""
+An older reading is skipped where a newer one has arrived: its estimate would be replaced at once, and delay all later
+ones. It is still recorded, monitored and fused. A reading that no contact explains takes longest, about 8 ms, so every
+estimate is available within 20 ms."""
 
 REPORT_PERIOD, MAX_SKIPPED_SHARE = 5.0, 0.05
 """Reporting period by the source's clock [s], and the fraction of skipped estimates that is reported at once."""
@@ -401,14 +406,19 @@ class EstimateScheduler:
     Attributes:
         n_due: number of estimates that were due.
         n_skipped: number of due estimates that were skipped because their reading was too old.
+        max_age: age from which a reading is skipped [s].
     """
 
     def __init__(self, rate: float, log: Log, max_age: float = MAX_AGE) -> None:
         """Start with nothing due; `rate` is a maximum [Hz], `max_age` [s] is infinite if no consumer waits."""
-        self._max_age, self._log = max_age, log
+        self.max_age, self._log = max_age, log
         self._period, self._next = 1.0 / rate, -math.inf
         self.n_due = self.n_skipped = 0
         self._start, self._reported, self._overloaded = -math.inf, (0, 0), False
+
+    def set_period(self, period: float) -> None:
+        """State the interval between readings [s]: the newest reading is never skipped, however late it is."""
+        self.max_age = max(self.max_age, period)
 
     def is_due(self, reading: WrenchReading, ready: float = -math.inf) -> bool:
         """Return whether the reading is to be located.
@@ -423,7 +433,7 @@ class EstimateScheduler:
         if reading.time - self._start > REPORT_PERIOD:
             self._report(reading.time)
         # The age is NaN, and so never too large, without hardware.
-        skipped = monotonic() - max(reading.received, ready) > self._max_age
+        skipped = monotonic() - max(reading.received, ready) > self.max_age
         self.n_due, self.n_skipped = self.n_due + 1, self.n_skipped + skipped
         return not skipped
 
@@ -432,7 +442,7 @@ class EstimateScheduler:
         if self.n_skipped:
             self._log(
                 f"{self.n_skipped} of {self.n_due} estimates were skipped: each was more than "
-                f"{1e3 * self._max_age:g} ms late, with newer readings queued"
+                f"{1e3 * self.max_age:.3g} ms late, with newer readings queued"
             )
 
     def _report(self, time: float) -> None:
@@ -443,7 +453,7 @@ class EstimateScheduler:
         if overloaded and not self._overloaded:
             self._log(
                 f"{n_skipped} of {n_due} estimates skipped in {REPORT_PERIOD:g} s: each was more than "
-                f"{1e3 * self._max_age:g} ms late; reduce --rate-hz"
+                f"{1e3 * self.max_age:.3g} ms late; reduce --rate-hz"
             )
         elif self._overloaded and not overloaded:
             self._log("estimates are on time again")

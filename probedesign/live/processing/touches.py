@@ -13,6 +13,7 @@ change; nothing moves and readings are collected. Three tests distinguish the ph
 
 import math
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -28,7 +29,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tracker import Tracker
 from probedesign.live import Log
 from probedesign.live.poses.base_poses import MIN_REPORTED, BasePoses, LatencyCheck
-from probedesign.live.processing.blocks import AveragedBatch
+from probedesign.live.processing.blocks import AveragedBatch, joined
 from probedesign.live.processing.control import Tare
 
 Phase = Literal["", "free", "moving", "touching", "settled", "released"]
@@ -304,7 +305,7 @@ class TouchMonitor:
         if gap > self._period:
             self._detector.rest(gap)
         self._last = batch.reading.time
-        excess = self._excess(batch, tare)
+        excess = self._excess(batch.block.wrench_sensor, gravity, tare)
         mean, decisions = excess.mean(axis=0), self._detector.run(excess)
         phase = self._phases.next("lost" if "lost" in decisions else decisions[-1], mean, T_world_base)
         fused = self._fused(decisions, mean + free.wrench_base, T_world_base, batch.reading.time)
@@ -330,13 +331,18 @@ class TouchMonitor:
         They provide the oscillation of the probe and the drift of the bias since their mean.
         """
         if batches:
-            self._detector.calibrate(np.concatenate([self._excess(batch, tare) for batch in batches]))
+            groups = [list(g) for _, g in groupby(batches, key=lambda b: b.reading.gravity_base.tobytes())]
+            excess = [
+                self._excess(joined([b.block for b in g]).wrench_sensor, g[0].reading.gravity_base, tare)
+                for g in groups
+            ]
+            self._detector.calibrate(np.concatenate(excess))
 
-    def _excess(self, batch: AveragedBatch, tare: Tare | None) -> Array:
-        """Return the samples at the base minus the free probe's wrench [N, N·m], (n, 6)."""
-        gravity, bias = batch.reading.gravity_base, 0.0 if tare is None else tare.bias_sensor
-        samples = self._estimator.model.to_base(batch.block.wrench_sensor - bias, gravity)
-        return samples - self._estimator.free(gravity).wrench_base
+    def _excess(self, wrench_sensor: Array, gravity_base: Array, tare: Tare | None) -> Array:
+        """Return samples (n, 6) under one gravity at the base minus the free probe's wrench [N, N·m], (n, 6)."""
+        bias = 0.0 if tare is None else tare.bias_sensor
+        samples = self._estimator.model.to_base(wrench_sensor - bias, gravity_base)
+        return samples - self._estimator.free(gravity_base).wrench_base
 
     def on_interruption(self) -> None:
         """Handle missing readings between the last batch and the next."""

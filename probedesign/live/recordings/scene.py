@@ -22,6 +22,8 @@ PROBE, SENSOR, CONTACT = (0.93, 0.57, 0.26, 0.6), (0.24, 0.25, 0.28, 1.0), (0.91
 """Colours: red, green, blue, opacity."""
 N_PRIMITIVES = 8
 """Kinds of primitives of an entity, in the order arrows, cubes, spheres, cylinders, lines, triangles, texts, models."""
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+"""Quaternion of the axes of the entity's frame."""
 ARROWS, SPHERES, CYLINDERS, TRIANGLES = 0, 2, 3, 5
 
 
@@ -49,7 +51,9 @@ class SceneEncoder:
             for kind in range(N_PRIMITIVES):
                 scene.pack("I", kind == TRIANGLES)
                 if kind == TRIANGLES:
-                    _pose(scene, np.eye(4)).array(self._tube.vertices(shape), "<f8").pack("d", *PROBE)
+                    scene.pack("d", 0.0, 0.0, 0.0, *UPRIGHT).array(self._tube.vertices(shape), "<f8").pack(
+                        "d", *PROBE
+                    )
                     scene.pack("I", 0).array(self._faces, "<u4")
         if marker is not None:
             _begin(scene, "contact", "world" if marker.in_world else "base", stamp, CONTACT_LIFETIME)
@@ -71,7 +75,7 @@ class SceneEncoder:
         for kind in range(N_PRIMITIVES):
             scene.pack("I", kind == CYLINDERS)
             if kind == CYLINDERS:
-                _pose(scene, pose(p=(0.0, 0.0, -0.5 * self._height)))
+                scene.pack("d", 0.0, 0.0, -0.5 * self._height, *UPRIGHT)
                 scene.pack("d", self._body_d, self._body_d, self._height, 1.0, 1.0, *SENSOR)
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pkgutil import resolve_name
 from time import monotonic
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 from urllib.parse import parse_qsl
 
 from probedesign.core.errors import InputError, ProbeDesignError
@@ -33,6 +33,14 @@ class Source(Protocol):
 
         While a sensor is silent, it yields blocks without readings.
         """
+
+
+@runtime_checkable
+class GatheringSource(Protocol):
+    """A source that waits until the readings that are used together have arrived, instead of waking up for each few."""
+
+    def expect(self, readings: int) -> None:
+        """State how many readings complete the next mean."""
 
 
 SOURCES = {

@@ -277,14 +277,19 @@ class ViewerPage:
         """Create all objects, invisible if their content is unknown."""
         scene, setup = self._server.scene, self._setup
         scene.set_up_direction("+z")
-        scene.configure_default_lights(True, cast_shadow=True)
+        # Reflections of an environment and shadows take nine tenths of a frame's time in a browser without a GPU.
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(True, cast_shadow=False)
+        scene.add_light_hemisphere("/sky", ground_color=(150, 150, 150), intensity=2.5)
         self._base = scene.add_frame("/base", show_axes=False)
         for part in setup.parts:
             colour, name = PART_COLOURS.get(part.name, METAL), f"/base/{part.name}"
-            scene.add_mesh_simple(name, UNIT * part.vertices, part.faces, color=colour, flat_shading=True)
+            scene.add_mesh_simple(
+                name, UNIT * part.vertices, part.faces, color=colour, flat_shading=True, cast_shadow=False
+            )
         free = UNIT * setup.tube.vertices(setup.free)
         self._probe = scene.add_mesh_simple(
-            "/base/probe", free, setup.tube.faces, color=PROBE, opacity=0.42, side="double"
+            "/base/probe", free, setup.tube.faces, color=PROBE, opacity=0.42, side="double", cast_shadow=False
         )
         self._contact = scene.add_icosphere(
             "/contact", UNIT * 1.5e-3, CONTACT, visible=False, cast_shadow=False
@@ -314,7 +319,7 @@ class ViewerPage:
         low = float(min(p[:, 2].min(), -0.04)) - 0.25 * length
         self._server.scene.add_grid(
             "/floor", UNIT * 0.6, UNIT * 0.6, cell_size=UNIT * 0.01, section_size=UNIT * 0.05,
-            cell_color=(150, 156, 162), section_color=(124, 132, 140), plane_opacity=0.0, shadow_opacity=0.2,
+            cell_color=(150, 156, 162), section_color=(124, 132, 140), plane_opacity=0.0, shadow_opacity=0.0,
             position=(0.0, 0.0, UNIT * low),
         )  # fmt: skip
         along = T[:, 2]
@@ -329,14 +334,15 @@ class ViewerPage:
         camera.position = self._middle + UNIT * length * DISTANCE * self._direction
 
     def _frame(self, client: viser.ClientHandle) -> None:
-        """Move the camera of a browser so far away that the whole probe fits into its width.
+        """Move the camera of a browser so far away that the whole probe fits between the panels.
 
         On a small screen, whose lower part the panel covers, the probe is in the upper part.
         """
-        aspect = client.camera.aspect if client.camera.image_height else 1.0
-        tangent, length = math.tan(0.5 * FIELD_OF_VIEW), float(self._setup.tube.s[-1])
-        distance = UNIT * length * max(DISTANCE, 0.5 * SHOWN_WIDTH / (tangent * aspect))
         small = client.camera.image_width <= SMALL_WIDTH
+        panels = 0.0 if small else STATUS_WIDTH + CHARTS_WIDTH  # they open later
+        aspect = max(client.camera.image_width - panels, 1.0) / max(client.camera.image_height, 1)
+        tangent, length = math.tan(0.5 * FIELD_OF_VIEW), float(self._setup.tube.s[-1])
+        distance = UNIT * length * max(DISTANCE, 0.5 * SHOWN_WIDTH / (tangent * max(aspect, 0.1)))
         shift = np.array([0.0, 0.0, 0.5 * tangent * distance]) if small else np.zeros(3)
         client.camera.position = self._middle - shift + distance * self._direction
         client.camera.look_at = self._middle - shift  # last: the position moves it too

@@ -151,7 +151,7 @@ def scene_setup(
     tube = TubeMesh(model.rod.s, model.rod.radius, model.cross_section.flatness)
     free = BentShape(eq.s, eq.p_base, eq.R_base)
     return SceneSetup(
-        f"{model.name} {model.fingerprint}", host, port, tube, free, tuple(parts), model.gravity_base, note,
+        f"probedesign {model.name} {model.fingerprint}", host, port, tube, free, tuple(parts), model.gravity_base, note,
         token,
     )  # fmt: skip
 

@@ -19,20 +19,17 @@ from probedesign.live.sources.netft.configuration import (
     NetFTConfiguration,
     fetch_configuration,
 )
+from probedesign.live.sources.netft.counters import RateMonitor, SensorClock, steps
 from probedesign.live.sources.netft.rdt import (
     AXIA,
     HTTP_PORT,
     NET_BOX,
     RDT_PORT,
     SAMPLES_PER_SECOND,
-    RateMonitor,
-    RdtRecords,
-    RdtSession,
-    SensorClock,
     StatusTable,
     fault_of,
-    steps,
 )
+from probedesign.live.sources.netft.session import RdtRecords, RdtSession
 from probedesign.live.sources.source import STALE_TIME, DropoutMonitor, SourceParameter, parse_parameters
 
 COUNT_INTERVAL = 1.0
@@ -42,7 +39,7 @@ REPORT_INTERVAL = 10.0
 
 COUNTERS = {
     "lost": "lost", "late": "late and rejected", "doubled": "duplicated", "malformed": "malformed",
-    "faults": "with a fault", "dropped": "dropped because reading was too slow", "interruptions": "interruptions",
+    "faults": "with a fault", "dropped": "lost because this computer read too slowly", "interruptions": "interruptions",
     "restarts": "restarts",
 }  # fmt: skip
 """Texts of the counters, in the order of the summary."""
@@ -119,9 +116,10 @@ class RecordDecoder:
     def count(self) -> None:
         """Update the counts."""
         self._counted = monotonic()
-        self._session.count()
         for name, count in self._session.counts.items():
             self.counts[name] = count
+        # what did not fit into the buffer is missing in the numbers of the records, too
+        self.counts["lost"] = max(self.counts["lost"] - self.counts["dropped"], 0)
 
     def _report_losses(self) -> None:
         """Report the increase of the counters since the last report, at limited frequency."""
@@ -233,22 +231,26 @@ class NetFTSource:
 
         Raises:
             InputError: the address or a parameter is invalid, or no box responds.
-            MissingDependencyError: pynetft is not installed.
         """
         host, port = _address(target)
         parameters, texts = parse_parameters("netft:", query, PARAMETERS, TEXT_PARAMETERS)
         self._name = f"netft://{host}:{port}"
-        self._session = RdtSession(self._name, host, port)  # checks dependencies before any request
         self._page, self._check = (host, int(parameters["http"])), parameters["check_s"]
         self._gravity, self._log = model.gravity_base, log
         self.configuration: NetFTConfiguration = fetch_configuration(*self._page)
+        self._session = RdtSession(self._name, host, port, self.configuration.rate)
         self.title = f"{self._name}, {self.configuration.product}"
         self.notes = self.configuration.notes + _range_note(self.configuration, model)
         axia = "axia" in self.configuration.product.lower()  # assumed: the manual does not list the names
         self._table = STATUS_TABLES[texts["sensor"] or ("axia" if axia else "netbox")]
+        self.notes += self._session.notes
         self._clock_rate = parameters["clock_hz"]
         self.notes += (f"its status codes are decoded as those of a sensor of type {self._table.kind}",)
         self.counts: Counter[str] = Counter()
+
+    def expect(self, readings: int) -> None:
+        """Gather this number of readings to a block; see `GatheringSource`."""
+        self._session.wanted = readings
 
     def __iter__(self) -> Generator[Block, None, None]:
         with ConfigurationMonitor(*self._page, self.configuration, self._check) as monitor:
