@@ -32,11 +32,11 @@ import llvmlite.binding
 import numba
 import numpy as np
 from numba.core import config
-from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
 from probedesign.core.errors import InputError
 from probedesign.core.files import write_atomically
+from probedesign.rod.kernels.linked import rebuild
 
 PACKAGE = Path(__file__).parents[2]
 BUILT = PACKAGE / "_compiled"
@@ -82,6 +82,8 @@ class KernelCache:
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Save a compiled function. A folder that cannot be written costs one line, and later processes their time."""
         _progress.finish()
+        for environment in compiled._find_referenced_environments():
+            compiled.library.codegen.set_env(environment.env_name, environment)  # of what was linked into it
         try:
             if not (compiled.lifted or compiled.library.has_dynamic_globals):
                 self._save(self._file(signature, compiled_for()), dumps(compiled._reduce()))
@@ -109,7 +111,7 @@ class KernelCache:
             for folder in folders():
                 content = _read(folder / file)
                 if content is not None:
-                    return CompileResult._rebuild(target, *pickle.loads(content))
+                    return rebuild(target, pickle.loads(content))
         return None
 
     def _save(self, file: Path, content: bytes) -> None:
@@ -171,7 +173,8 @@ def content_digest(dispatcher: Any) -> str:
     """Return the digest of all that a kernel's machine code follows from, but types, compiler and processor."""
     function = dispatcher.py_func
     options = getattr(dispatcher, "targetoptions", {})
-    key = function, tuple(f"{name} {options[name]!r}" for name in sorted(options))
+    compiler = getattr(getattr(dispatcher, "_compiler", None), "pipeline_class", type(None)).__name__
+    key = function, (compiler, *(f"{name} {options[name]!r}" for name in sorted(options)))
     if key not in _digests:
         _digests[key] = function.__qualname__  # where it calls itself
         digest = _DIGEST(f"{key[1]}".encode())
