@@ -12,12 +12,16 @@ Places, in the order in which they are searched:
 2. `_compiled` in the installed package, which comes with a wheel;
 3. a folder of the user for this installation.
 
-What is compiled is saved in the first of them that can be written.
+What is compiled is saved in the first of them that can be written. The first process that compiles starts two
+others, which compile the kernels of the estimator meanwhile.
 """
 
+import atexit
 import hashlib
+import multiprocessing
 import os
 import pickle
+import subprocess
 import sys
 import tempfile
 import time
@@ -75,6 +79,7 @@ class KernelCache:
                 found = self._load(signature, target)
         if found is None:
             _progress.start(self.name)
+            _compile_beside()
         else:
             self._unlock()
         return found
@@ -167,6 +172,24 @@ def _lock(file: Path) -> Any:
     except (ImportError, OSError):
         return None
     return lock
+
+
+@cache
+def _compile_beside() -> None:
+    """Compile the kernels of the estimator in processes that end with this one, while it compiles those of the rod.
+
+    Nearly every command needs them next. What is still missing then, this process compiles.
+    """
+    folder = writable_folder()
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if only is not None or folder is None or cores < 2 or multiprocessing.parent_process() is not None:
+        return
+    path = os.pathsep.join(filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH"))))
+    quiet = {name: subprocess.DEVNULL for name in ("stdin", "stdout", "stderr")}
+    for parts in (("fit", "detector"), ("columns",)):
+        command = [sys.executable, "-P", "-m", f"{PACKAGE.name}.precompile", str(folder), *parts]
+        with suppress(OSError):
+            atexit.register(subprocess.Popen(command, env=os.environ | {"PYTHONPATH": path}, **quiet).kill)
 
 
 def content_digest(dispatcher: Any) -> str:
