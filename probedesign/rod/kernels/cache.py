@@ -185,11 +185,19 @@ def _compile_beside() -> None:
     if only is not None or folder is None or cores < 2 or multiprocessing.parent_process() is not None:
         return
     path = os.pathsep.join(filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH"))))
-    quiet = {name: subprocess.DEVNULL for name in ("stdin", "stdout", "stderr")}
+    quiet = subprocess.DEVNULL
     for parts in (("fit", "detector"), ("columns",)):
         command = [sys.executable, "-P", "-m", f"{PACKAGE.name}.precompile", str(folder), *parts]
         with suppress(OSError):
-            atexit.register(subprocess.Popen(command, env=os.environ | {"PYTHONPATH": path}, **quiet).kill)
+            helper = subprocess.Popen(
+                command, stdin=quiet, stdout=quiet, stderr=quiet, env=os.environ | {"PYTHONPATH": path}
+            )
+            atexit.register(_end, helper)
+
+
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    process.kill()
+    process.wait()  # its processor time counts as that of this process
 
 
 def content_digest(dispatcher: Any) -> str:
