@@ -84,8 +84,9 @@ def sweep(
 ) -> None:
     """Evaluate every combination of values of some keys of a design.
 
-    Writes sweep.jsonl during the run, then sweep.csv, sweep.parquet and a page, sweep.html. The same command resumes
-    an interrupted sweep. An invalid design is a row with the reason. Needs the extra 'sweep'. More: docs/search.md.
+    Writes sweep.jsonl during the run, then sweep.csv and a page, sweep.html. The same command resumes an interrupted
+    sweep. An invalid design is a row with the reason. --scheduler and sweep.parquet need the extra 'sweep'. More:
+    docs/search.md.
 
     Args:
         design: the design file with the values of all other keys.
@@ -103,7 +104,7 @@ def sweep(
         raise InputError(f"--workers {workers} must lie in 1 ... 1024")
     if scheduler is None:
         # before the slow imports, so that they overlap
-        start_forkserver(("distributed", "probedesign.optimization.sweep"))
+        start_forkserver(("probedesign.optimization.sweep",))
 
     from probedesign.design import load_design
     from probedesign.optimization import sweep as grid
