@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 
 from probedesign.core.errors import InputError
-from probedesign.core.files import check_regular, is_plain_name, write_atomically
+from probedesign.core.files import check_regular, file_in, is_plain_name, write_atomically
 from probedesign.core.frames import Array, is_pose
 from probedesign.design.catalog import ELASTIC_FRICTION, Provenance, Quantity
 from probedesign.design.sensors import DEFAULT_SENSOR, NANO17_BODY, Noise
@@ -269,7 +269,7 @@ def load_estimator(path: str | Path, manifest: str | Path | None = None, *, exac
     """Return the estimator of a frozen probe.
 
     Args:
-        path: `NAME.probe.json`.
+        path: `NAME.probe.json`, or a folder with one such file.
         manifest: of the printed parts, to check against; if None, a `manifest.json` beside the file is checked.
         exact: take probe, mount, bench and bias as exactly known, so that the sensor's noise and the prior on friction
             alone remain; otherwise all error sources of the tolerances of the probe are included.
@@ -282,7 +282,11 @@ def load_estimator(path: str | Path, manifest: str | Path | None = None, *, exac
 
 def load_model(path: str | Path, manifest: str | Path | None = None) -> ProbeModel:
     """Return the model of a frozen probe; see `load_estimator` for arguments and errors."""
-    path = Path(path)
+    path = file_in(Path(path), "*.probe.json", "frozen probe")
+    if path.suffix == ".toml":
+        raise InputError(
+            f"{path}: is a design; freeze it with: probedesign deploy {path}, and give the file it writes"
+        )
     data = _read_json(path, "frozen probe")
     _check_identity(data, path)
     try:

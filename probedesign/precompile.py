@@ -1,7 +1,8 @@
-"""`python -m probedesign.precompile FOLDER`: compile the kernels into a folder, in several processes.
+"""`python -m probedesign.precompile FOLDER [PART ...]`: compile the kernels into a folder, in several processes.
 
-The build of a wheel runs it. The parts below are independent; where two of them use the same kernel, one process
-compiles it and the other waits (`rod.kernels.cache`), so that there are as many processes as parts.
+The build of a wheel runs it for all parts, and the first process that compiles runs it for some of them
+(`rod.kernels.cache`). The parts below are independent; where two of them use the same kernel, one process compiles it
+and the other waits, so that there are as many processes as parts.
 """
 
 import os
@@ -121,13 +122,15 @@ def precompile(folder: Path) -> dict[str, float]:
 
 
 def main(arguments: list[str]) -> int:
-    """Compile a part into a folder, or all of them."""
+    """Compile the named parts into a folder, one after the other, or all of them in a process each."""
     folder = Path(arguments[0]).absolute()
     if len(arguments) > 1:
         from probedesign import build_probe, parse_design
 
         cache.only = folder
-        PARTS[arguments[1]](build_probe(parse_design(DESIGN)))
+        probe = build_probe(parse_design(DESIGN))
+        for part in arguments[1:]:
+            PARTS[part](probe)
     else:
         spent = precompile(folder)
         print(f"{spent['functions']} functions compiled in {spent['wall_s']:.0f} s, "

@@ -24,8 +24,8 @@ def main() -> int:
         if status:
             return status
     print("== tests", flush=True)
-    # A worker a core; a file stays with one of them, and with it what its tests share.
-    shared = ["-n", "auto", "--dist", "loadfile"]
+    # A worker a core; a file stays with one of them, and with it what its tests share. The longest come first.
+    shared = ["-n", "auto", "--dist", "loadfile", "--no-loadscope-reorder"]
     return subprocess.run([sys.executable, "-m", "pytest", *shared, *sys.argv[1:]], cwd=ROOT).returncode
 
 

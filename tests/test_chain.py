@@ -34,6 +34,26 @@ def workplace(tmp_path, monkeypatch):
     return tmp_path
 
 
+def test_a_project_has_one_folder_of_exports_and_others_have_their_own(workplace, monkeypatch):
+    assert run(["new", "a", "--length", "150", "--base-d", "12"]) == 0
+    written = workplace / "exports/a/a.probe.json"
+    for within, design in (
+        ("designs", "a.toml"),
+        (".", "designs/a.toml"),
+        ("below/more", "../../designs/a.toml"),
+    ):
+        (workplace / within).mkdir(parents=True, exist_ok=True)
+        monkeypatch.chdir(workplace / within)
+        assert run(["deploy", design]) == 0
+        written.unlink()
+        assert within == "." or not (workplace / within / "exports").exists()
+    (workplace / "elsewhere/designs").mkdir(parents=True)
+    (workplace / "designs/a.toml").rename(workplace / "elsewhere/designs/a.toml")
+    monkeypatch.chdir(workplace / "below")
+    assert run(["deploy", "../elsewhere/designs/a.toml"]) == 0
+    assert (workplace / "below/exports/a/a.probe.json").exists()
+
+
 def test_design_predict_deploy_and_live(workplace, capsys):
     assert run(["new", "a", "--length", "150", "--base-d", "12"]) == 0
     assert run(["predict", "designs/a.toml", "--no-plots"]) == 0

@@ -309,6 +309,22 @@ def test_doctor_reports_what_is_installed(capsys):
     assert {"scipy", "numba", "cadquery", "lib3mf", "matplotlib"} <= versions.keys()
 
 
+def test_doctor_looks_for_every_package_that_all_installs():
+    required = [line.partition(";") for line in metadata.requires("probedesign")]
+    every = {
+        requirement.strip() for requirement, _, marker in required if re.search("extra == .all.", marker)
+    }
+    assert every == {package["requirement"] for package in doctor.examine()["packages"] if package["extra"]}
+
+
+def test_doctor_names_what_has_no_wheel_on_arm(monkeypatch):
+    monkeypatch.setattr(doctor.platform, "system", lambda: "Linux")
+    monkeypatch.setattr(doctor.platform, "machine", lambda: "aarch64")
+    without(monkeypatch, "lib3mf", "matplotlib")
+    notes = {missing["extra"]: missing["note"] for missing in doctor.examine()["missing"]}
+    assert "lib3mf" in notes["cad"] and notes["plots"] is None
+
+
 def without(monkeypatch, *names: str) -> None:
     """Make the named packages appear not to be installed."""
     installed = metadata.version

@@ -473,11 +473,9 @@ def test_a_huge_file_is_refused(path):
         load_model(huge(path))
 
 
-def test_no_file_and_a_folder_are_refused(tmp_path):
+def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(InputError, match="no such"):
         load_model(tmp_path / "none.json")
-    with pytest.raises(InputError, match="cannot be read"):
-        load_model(tmp_path)
 
 
 # Against the printed parts
@@ -528,3 +526,18 @@ def test_running_imports_nothing_of_the_design_side(module):
     loaded = set(done.stdout.split())
     assert "probedesign" in loaded
     assert not loaded & {"pydantic", "cadquery", "OCP", "matplotlib", "tomlkit", "trimesh"}
+
+
+def test_a_folder_with_one_frozen_probe_is_accepted(frozen, path):
+    with pytest.raises(InputError, match="no frozen probe"):
+        load_model(path.parent)
+    path.write_text(json.dumps(frozen))
+    assert load_model(path.parent).fingerprint == load_model(path).fingerprint
+    path.with_name("other.probe.json").write_text(json.dumps(frozen))
+    with pytest.raises(InputError, match=r"large\.probe\.json, other\.probe\.json"):
+        load_model(path.parent)
+
+
+def test_a_design_in_the_place_of_a_frozen_probe_is_refused_with_the_command():
+    with pytest.raises(InputError, match="probedesign deploy"):
+        load_model(DESIGNS / "large.toml")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from probedesign.cli.console import plural, print_json, print_note, show_progress
-from probedesign.cli.options import EXPORTS, JsonOutput, TaskOptions
+from probedesign.cli.options import JsonOutput, TaskOptions, exports_of
 from probedesign.core.errors import InputError
 from probedesign.core.files import write_atomically
 from probedesign.core.units import format_value
@@ -51,7 +51,8 @@ def compare(
             check_page_target(out)
         compared = side_by_side([load_design(path) for path in designs], task)
         if page:
-            file = out or EXPORTS / f"compare-{'-'.join(one.design.name for one in compared)}.html"
+            name = f"compare-{'-'.join(one.design.name for one in compared)}.html"
+            file = out or exports_of(designs[0]) / name
             write_atomically(file, comparison_page(compared, task))
     if as_json:
         document = [
@@ -87,8 +88,9 @@ def sweep(
 ) -> None:
     """Evaluate every combination of values of some keys of a design.
 
-    Writes sweep.jsonl during the run, then sweep.csv, sweep.parquet and a page, sweep.html. The same command resumes
-    an interrupted sweep. An invalid design is a row with the reason. Needs the extra 'sweep'. More: docs/search.md.
+    Writes sweep.jsonl during the run, then sweep.csv and a page, sweep.html. The same command resumes an interrupted
+    sweep. An invalid design is a row with the reason. --scheduler and sweep.parquet need the extra 'sweep'. More:
+    docs/search.md.
 
     Args:
         design: the design file with the values of all other keys.
@@ -106,7 +108,7 @@ def sweep(
         raise InputError(f"--workers {workers} must lie in 1 ... 1024")
     if scheduler is None:
         # before the slow imports, so that they overlap
-        start_forkserver(("distributed", "probedesign.optimization.sweep"))
+        start_forkserver(("probedesign.optimization.sweep",))
 
     from probedesign.design import load_design
     from probedesign.optimization import sweep as grid
@@ -119,7 +121,7 @@ def sweep(
     try:
         with show_progress() as on_progress:
             start = load_design(design)
-            folder, count = out or EXPORTS / start.name / "sweep", workers or os.cpu_count() or 1
+            folder, count = out or exports_of(design) / start.name / "sweep", workers or os.cpu_count() or 1
             swept = grid.sweep(start, axes, task, folder, scheduler, count, on_progress)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(

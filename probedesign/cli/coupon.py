@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from probedesign.cli.console import print_json
-from probedesign.cli.options import JsonOutput
+from probedesign.cli.options import JsonOutput, exports_of
 
 
 def coupon(design: Path, /, *, out: Path | None = None, as_json: JsonOutput = False) -> None:
@@ -17,7 +17,8 @@ def coupon(design: Path, /, *, out: Path | None = None, as_json: JsonOutput = Fa
     from probedesign import pipeline
     from probedesign.design import load_design
 
-    manifest = pipeline.export_coupon(load_design(design), out)
+    drawn = load_design(design)
+    manifest = pipeline.export_coupon(drawn, out or exports_of(design) / drawn.name / "coupon")
     if as_json:
         print_json(manifest)
         return

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from probedesign.cli.console import print_json, show_progress
-from probedesign.cli.options import EXPORTS, JsonOutput
+from probedesign.cli.options import JsonOutput, exports_of
 
 if TYPE_CHECKING:
     from probedesign.probe import Probe
@@ -29,8 +29,9 @@ def deploy(
 
     with show_progress("freezing the probe"):
         probe = pipeline.load_probe(design)
-        path = write_bundle(probe, out)
-        identified = EXPORTS / probe.design.name / "identification/identification.json"
+        exports = exports_of(design) / probe.design.name
+        path = write_bundle(probe, out or exports)
+        identified = exports / "identification/identification.json"
         unapplied = design_diff(probe.design, probe.geometry.fingerprint, identified)
     if as_json:
         print_json({"file": path, "identified_apart": unapplied})
@@ -43,23 +44,20 @@ def deploy(
         )
 
 
-def write_bundle(probe: "Probe", out: Path | None) -> Path:
+def write_bundle(probe: "Probe", path: Path) -> Path:
     """Write the frozen probe and return its file, which may replace a frozen probe only.
 
     Args:
         probe: to freeze.
-        out: a file, or a folder: one that exists, or a name without a suffix. None: the folder of the design's exports.
+        path: a file, or a folder: one that exists, or a name without a suffix.
 
     Raises:
         InputError: another file has that name, or the parts exported beside it have another geometry.
     """
     from probedesign.frozen_probe import check_manifest, check_replaceable, write_frozen
 
-    name, path = probe.design.name, out
-    if path is None:
-        path = EXPORTS / name / f"{name}.probe.json"
-    elif path.is_dir() or not path.suffix:
-        path /= f"{name}.probe.json"
+    if path.is_dir() or not path.suffix:
+        path /= f"{probe.design.name}.probe.json"
     check_replaceable(path)
     manifest = path.parent / "manifest.json"
     if manifest.exists():

@@ -14,16 +14,19 @@ ENABLES = {
     "": "everything",
     "plots": "plots of predict",
     "notebook": "plots and data frames of results in a notebook",
-    "sweep": "sweep: grids of designs, on many machines",
+    "sweep": "sweep --scheduler: grids of designs on several machines, tables as Parquet",
     "optimize": "Pareto fronts of optimize",
     "cad": "export: STL, STEP and 3MF of the parts to print",
     "live": "live with a Net F/T box, MCAP recordings, ROS 2 bags",
+    "msgpack": "live with datagrams in MessagePack",
     "daq": "live with a sensor at a National Instruments card",
     "view": "studio and live --view: the probe in the browser",
     "foxglove": "live --foxglove: the server for Foxglove and PlotJuggler",
     "vision": "markers and board: photographs, calibration files",
 }
-"""Features that each extra enables; "" is for the required packages."""
+"""Features that each extra of `all` enables; "" is for the required packages."""
+NO_WHEEL_ON_ARM = {"cad": "lib3mf"}
+"""Package of an extra that PyPI has no wheel of for Linux on ARM (aarch64, Python 3.11). Source: pypi.org, 2026-11."""
 
 
 def doctor(*, as_json: JsonOutput = False) -> int:
@@ -87,8 +90,8 @@ def _remedy(extra: str, missing: list[dict[str, str | None]]) -> dict[str, Any]:
 
 
 def _no_wheel(extra: str) -> str | None:
-    if extra == "cad" and (platform.system(), platform.machine()) == ("Linux", "aarch64"):
-        return "CadQuery has no wheel for Linux on ARM; run export on another machine"
+    if extra in NO_WHEEL_ON_ARM and (platform.system(), platform.machine()) == ("Linux", "aarch64"):
+        return f"{NO_WHEEL_ON_ARM[extra]} has no wheel for Linux on ARM; use another machine, or build it"
     return None
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from probedesign.cli.console import print_json, print_step, print_table
-from probedesign.cli.options import JsonOutput
+from probedesign.cli.options import JsonOutput, exports_of
 
 USES = {".3mf": "print", ".stl": "print", ".step": "CAD", ".html": "view", ".svg": "view", ".png": "view",
         ".csv": "record", ".json": "record"}  # fmt: skip
@@ -30,8 +30,10 @@ def export(
     from probedesign import pipeline
     from probedesign.design import load_design
 
+    drawn = load_design(design)
+    folder = out or exports_of(design) / drawn.name
     if only is not None:
-        written = pipeline.export_part(load_design(design), only, out)
+        written = pipeline.export_part(drawn, only, folder)
         if as_json:
             print_json(written)
         else:
@@ -39,7 +41,7 @@ def export(
                 f"wrote {written['file']}: {1e6 * written['volume_m3']:.3g} cm³, geometry {written['fingerprint']}"
             )
         return
-    manifest = pipeline.export(load_design(design), out, print_step)
+    manifest = pipeline.export(drawn, folder, print_step)
     if as_json:
         print_json(manifest)
     else:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from probedesign.cli.console import json_bytes, plural, print_json, print_table, show_progress, write_files
-from probedesign.cli.options import EXPORTS, JsonOutput
+from probedesign.cli.options import JsonOutput, exports_of
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite
 
@@ -63,7 +63,7 @@ def identify(
         start = load_design(design)
         names = check_requested(names)
         found = pipeline.identify(start, read_campaign(data), names, accept)
-        place = EXPORTS / start.name / "identification" if folder is None else folder
+        place = exports_of(design) / start.name / "identification" if folder is None else folder
         files = write_files(place, _files(found, page))
     if not as_json:
         _print(found)

@@ -3,6 +3,7 @@
 The field names are the names of the options and the docstrings below them are their help texts.
 """
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -22,7 +23,22 @@ if TYPE_CHECKING:
     from probedesign.optimization.objective import Task
 
 EXPORTS = Path("exports")
-"""Default folder of the files: exports/NAME."""
+"""Default folder of the files: exports/NAME in the working directory; see `exports_of`."""
+
+
+def exports_of(design: Path) -> Path:
+    """Return the default folder of the files of a design: `exports` of its project.
+
+    A project is the folder that contains `designs`. Within it, all commands have one folder, wherever they are called;
+    elsewhere it is that of the working directory.
+    """
+    here, folder = Path.cwd(), Path(os.path.abspath(design)).parent
+    project = folder.parent
+    if folder.name == "designs" and here != project and here.is_relative_to(project):
+        return Path(os.path.relpath(project / EXPORTS))
+    return EXPORTS
+
+
 JsonOutput = Annotated[bool, Parameter(name="--json")]
 """The option --json of a command."""
 Method = Literal["ml", "force_moment", "paper"]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from probedesign.cli.console import json_bytes, print_json, print_table, show_progress, write_files
-from probedesign.cli.options import EXPORTS, JsonOutput
+from probedesign.cli.options import JsonOutput, exports_of
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.files import check_folder
 from probedesign.core.units import format_value
@@ -80,7 +80,7 @@ def predict(
     schedule = PressSchedule(touches, None if forces_too else "sensor")
     with show_progress() as on_progress:
         probe = pipeline.load_probe(design)
-        folder = EXPORTS / probe.design.name if out is None else out
+        folder = exports_of(design) / probe.design.name if out is None else out
         check_folder(folder)
         on_progress("predicting", None)
         prediction = pipeline.predict(probe, schedule)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from probedesign.cli.console import plural, print_json, print_table, show_progress
-from probedesign.cli.options import EXPORTS, JsonOutput
+from probedesign.cli.options import JsonOutput, exports_of
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def print_job(
     order = job.PrintOrder(parts, folder, server_folder, material, save_form, send, force)
     with show_progress() as on_progress:
         connection = connection_to(preform)
-        exported = job.load_job(drawn, folder or EXPORTS / drawn.name, parts)
+        exported = job.load_job(drawn, folder or exports_of(design) / drawn.name, parts)
         places = job.path_mapping(exported.folder, server_folder, connection.local, connection.url)
         if save_form is not None:
             order = replace(order, form_file=job.check_form_file(save_form, places, force))

@@ -124,6 +124,23 @@ def check_regular(path: Path) -> None:
         raise InputError(f"{path}: is a device, pipe or socket; name a file")
 
 
+def file_in(path: Path, pattern: str, what: str) -> Path:
+    """Return the file that a path means: itself, or the one file of a folder that matches a pattern.
+
+    Raises:
+        InputError: the folder has no such file, or several.
+    """
+    if not path.is_dir():
+        return path
+    found = sorted(path.glob(pattern))
+    if len(found) != 1:
+        names = ", ".join(file.name for file in found[:5])
+        raise InputError(
+            f"{path}: is a folder with {f'several: {names}' if found else f'no {what}'}; give the file"
+        )
+    return found[0]
+
+
 def check_overwrite(path: Path, force: bool) -> None:
     """Check that a file or folder may be written: it does not exist, or its replacement was requested.
 

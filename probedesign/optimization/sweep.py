@@ -1,4 +1,4 @@
-"""Parameter sweep: a grid of designs, computed by dask workers and recorded result by result."""
+"""Parameter sweep: a grid of designs, computed by processes of this machine or by dask workers, recorded one by one."""
 
 import csv
 import io
@@ -6,15 +6,17 @@ import itertools
 import json
 import math
 from collections.abc import Iterator
-from contextlib import contextmanager
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from probedesign.core.errors import InputError, MissingDependencyError, unknown_name
 from probedesign.core.files import write_atomically
-from probedesign.core.parallel import Journal, OnProgress, Record, fingerprint, ignore_sigint, start_method
+from probedesign.core.parallel import Journal, OnProgress, Record, fingerprint, process_map
 from probedesign.design import Design, check_design
 from probedesign.design.diagnostics import known_keys
 from probedesign.optimization.design_space import as_new_print, design_dict
@@ -132,6 +134,8 @@ def _value(text: str) -> Any:
 
 PROGRESS = "sweep.jsonl"
 SCHEDULER_TIMEOUT_S = 10.0
+_Chunk = list[tuple[int, dict[str, Any]]]
+"""Number and varied keys of some designs."""
 _CHUNK = 8
 """Designs that a worker takes at a time: half a second of work, so little is lost on interruption."""
 
@@ -162,37 +166,44 @@ def sweep(
     design: Design, axes: list[GridAxis], task: Task, folder: Path, scheduler: str | None, workers: int,
     on_progress: OnProgress,
 ) -> SweepResult:  # fmt: skip
-    """Compute the points that the folder does not contain yet, then write sweep.csv and sweep.parquet.
+    """Compute the points that the folder does not contain yet, then write sweep.csv.
+
+    Where pyarrow is installed, the same table is also written as sweep.parquet.
 
     Args:
         design: source of the keys that do not vary.
         axes: the keys that vary.
         task: by which the designs are judged.
         folder: for sweep.jsonl, with which a later run resumes, and the tables.
-        scheduler: address of a dask scheduler; None for a cluster on this machine.
-        workers: number of its processes.
+        scheduler: address of a dask scheduler; None for processes of this machine.
+        workers: their number.
         on_progress: receives the current step and the completed fraction.
 
     Raises:
-        InputError: the grid is invalid, the scheduler does not respond, or the folder contains another sweep.
-        MissingDependencyError: dask or pyarrow is not installed.
+        InputError: the grid is invalid, the scheduler does not respond, a process was ended from outside, or the folder
+            contains another sweep.
+        MissingDependencyError: there is a scheduler, and dask is not installed.
     """
     grid, base = grid_points(axes), design_dict(design)
-    if find_spec("pyarrow") is None:
-        raise _missing("pyarrow")
     request = {"schema": 1, "name": design.name, "design": fingerprint(base), "task": _plain(task),
              "vary": {axis.key: list(axis.values) for axis in axes}}  # fmt: skip
     journal = Journal.open(folder / PROGRESS, request)
     missing = [i for i in range(len(grid)) if i not in journal.results]
     if missing:
-        with _client(scheduler, min(workers, -(-len(missing) // _CHUNK)), on_progress) as client, \
-                journal.appending() as appender:  # fmt: skip
-            for done, record in enumerate(_computed(client, base, grid, missing, task), 1):
+        points = [(i, grid[i]) for i in missing]
+        chunks = [points[start : start + _CHUNK] for start in range(0, len(points), _CHUNK)]
+        reached = nullcontext() if scheduler is None else _client(scheduler, on_progress)
+        with reached as client, journal.appending() as appender:
+            if client is None:
+                records = _computed_here(base, task, chunks, workers, on_progress)
+            else:
+                records = _computed_by_dask(client, base, task, chunks)
+            for done, record in enumerate(records, 1):
                 appender.add(record)
                 on_progress(f"sweep: {len(journal.results)} of {len(grid)} designs", done / len(missing))
-    records = [journal.results[i] for i in range(len(grid))]
-    files = _write_tables(records, [axis.key for axis in axes], folder)
-    return SweepResult(records, len(missing), files, journal.notes)
+    found = [journal.results[i] for i in range(len(grid))]
+    files = _write_tables(found, [axis.key for axis in axes], folder)
+    return SweepResult(found, len(missing), files, journal.notes)
 
 
 def evaluate_point(base: dict[str, Any], number: int, point: dict[str, Any], task: Task) -> Record:
@@ -218,21 +229,38 @@ def _without_metrics(number: int, point: dict[str, Any], result: str, reason: st
     return {"point": number, **point, "result": result, "reason": reason, **dict.fromkeys(METRICS)}
 
 
-def _evaluate_chunk(
-    base: dict[str, Any], chunk: list[tuple[int, dict[str, Any]]], task: Task
-) -> list[Record]:
+def _evaluate_chunk(base: dict[str, Any], task: Task, chunk: _Chunk) -> list[Record]:
     return [evaluate_point(base, number, point, task) for number, point in chunk]
 
 
-def _computed(
-    client: "Client", base: dict[str, Any], grid: list[dict[str, Any]], missing: list[int], task: Task
+def _computed_here(
+    base: dict[str, Any], task: Task, chunks: list[_Chunk], workers: int, on_progress: OnProgress
 ) -> Iterator[Record]:
-    """Yield records in the order of completion."""
+    """Yield the records that processes of this machine compute, in the order of completion.
+
+    Raises:
+        InputError: a process was ended from outside.
+    """
+    count = min(workers, len(chunks))
+    on_progress(f"starting {count} workers", None)
+    evaluate = partial(_evaluate_chunk, base, task)
+    try:
+        for _, records in process_map(evaluate, chunks, count, preload=("probedesign.optimization.sweep",)):
+            yield from records
+    except BrokenProcessPool:
+        raise InputError(
+            f"a worker of --workers {count} was ended, perhaps for lack of memory; all results are kept. Run the same "
+            "command again with fewer workers to resume"
+        ) from None
+
+
+def _computed_by_dask(
+    client: "Client", base: dict[str, Any], task: Task, chunks: list[_Chunk]
+) -> Iterator[Record]:
+    """Yield the records that the workers of a scheduler compute, in the order of completion."""
     from distributed import as_completed
 
-    points = [(i, grid[i]) for i in missing]
-    chunks = [points[start : start + _CHUNK] for start in range(0, len(points), _CHUNK)]
-    futures = [client.submit(_evaluate_chunk, base, chunk, task, pure=False) for chunk in chunks]
+    futures = [client.submit(_evaluate_chunk, base, task, chunk, pure=False) for chunk in chunks]
     by_key = {future.key: chunk for future, chunk in zip(futures, chunks, strict=True)}
     for future in as_completed(futures):
         error = future.exception() if future.status == "error" else None
@@ -245,8 +273,8 @@ def _computed(
 
 
 @contextmanager
-def _client(scheduler: str | None, workers: int, on_progress: OnProgress) -> Iterator["Client"]:
-    """Connect to a scheduler, or start worker processes on this machine.
+def _client(scheduler: str, on_progress: OnProgress) -> Iterator["Client"]:
+    """Connect to a scheduler.
 
     Raises:
         InputError: the scheduler does not respond.
@@ -254,33 +282,21 @@ def _client(scheduler: str | None, workers: int, on_progress: OnProgress) -> Ite
     """
     try:
         import dask
-        from distributed import Client, LocalCluster
+        from distributed import Client
     except ModuleNotFoundError as error:
-        raise _missing(error.name) from None
-    settings = {
-        "distributed.worker.daemon": True, "distributed.worker.multiprocessing-method": start_method(),
-        "distributed.comm.timeouts.connect": SCHEDULER_TIMEOUT_S,
-    }  # fmt: skip
-    with dask.config.set(settings):
-        if scheduler is not None:
-            on_progress(f"reaching {scheduler}", None)
-            how = "start one with: dask scheduler, or omit --scheduler"
-            try:
-                client = Client(scheduler, timeout=SCHEDULER_TIMEOUT_S)
-            except OSError:
-                reason = f"does not respond within {SCHEDULER_TIMEOUT_S:g} s"
-                raise InputError(f"--scheduler {scheduler}: {reason}; {how}") from None
-            except (ValueError, TypeError) as error:
-                raise InputError(f"--scheduler {scheduler}: {error}; {how}") from None
-            with client:
-                _await_workers(client, scheduler)
-                yield client
-            return
-        on_progress(f"starting {workers} workers", None)
-        local = {"threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
-        with ignore_sigint():
-            made = LocalCluster(n_workers=workers, **local)
-        with made as cluster, Client(cluster) as client:
+        raise MissingDependencyError.of_extra("sweep", str(error.name), "sweep") from None
+    with dask.config.set({"distributed.comm.timeouts.connect": SCHEDULER_TIMEOUT_S}):
+        on_progress(f"reaching {scheduler}", None)
+        how = "start one with: dask scheduler, or omit --scheduler"
+        try:
+            client = Client(scheduler, timeout=SCHEDULER_TIMEOUT_S)
+        except OSError:
+            reason = f"does not respond within {SCHEDULER_TIMEOUT_S:g} s"
+            raise InputError(f"--scheduler {scheduler}: {reason}; {how}") from None
+        except (ValueError, TypeError) as error:
+            raise InputError(f"--scheduler {scheduler}: {error}; {how}") from None
+        with client:
+            _await_workers(client, scheduler)
             yield client
 
 
@@ -302,29 +318,27 @@ def _plain(task: Task) -> dict[str, Any]:
     return asdict(task) | lists | {"gravities": [list(gravity) for gravity in task.gravities]}
 
 
-def _missing(name: str | None) -> MissingDependencyError:
-    return MissingDependencyError.of_extra("sweep", str(name), "sweep")
-
-
 def _write_tables(records: list[Record], keys: list[str], folder: Path) -> list[Path]:
-    """Write the same table twice: CSV for people, Parquet for programs."""
-    import pyarrow as pa
-    from pyarrow import parquet
-
+    """Write the same table twice: CSV for people, Parquet for programs where pyarrow is installed."""
     columns = ["point", *keys, "result", "reason", *METRICS]
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
     writer.writerows(records)
+    files = [folder / "sweep.csv", folder / PROGRESS]
+    write_atomically(files[0], text.getvalue().encode())
+    if find_spec("pyarrow") is None:
+        return files
+    import pyarrow as pa
+    from pyarrow import parquet
+
     rows = {name: _column([record[name] for record in records]) for name in columns}
     kinds = {name: pa.float64() for name in METRICS} | {"point": pa.int64()}
     table = pa.table({name: pa.array(values, kinds.get(name)) for name, values in rows.items()})
     packed = io.BytesIO()
     parquet.write_table(table, packed)
-    files = [folder / "sweep.csv", folder / "sweep.parquet"]
-    write_atomically(files[0], text.getvalue().encode())
-    write_atomically(files[1], packed.getvalue())
-    return [*files, folder / PROGRESS]
+    write_atomically(folder / "sweep.parquet", packed.getvalue())
+    return [files[0], folder / "sweep.parquet", files[1]]
 
 
 def _column(values: list[Any]) -> list[Any]:

@@ -1,6 +1,8 @@
 """Parameter sweep: grid, journal, resumption after an interruption, invalid designs."""
 
 import json
+import sys
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.core.parallel import Journal
 from probedesign.design import check_design, load_design
+from probedesign.optimization import sweep
 from probedesign.optimization.design_space import DesignSpace, design_dict
 from probedesign.optimization.objective import METRICS, Task
 from probedesign.optimization.sweep import (
@@ -131,7 +134,6 @@ def test_results_of_another_sweep_and_corrupt_lines_are_refused_unchanged(tmp_pa
 
 def test_a_sweep_resumes(tmp_path, capsys):
     """Two workers, one lost record, one design that cannot be: nothing is computed twice."""
-    pytest.importorskip("distributed")
     parquet = pytest.importorskip("pyarrow.parquet")
     command = ["sweep", str(LARGE), "--vary", "probe.tip_d_mm=2,13", "--vary", "probe.base_d_mm=7:12:5",
                "--places", "0.8:0.8:1", "--workers", "1", "--out", str(tmp_path), "--json"]  # fmt: skip
@@ -149,9 +151,49 @@ def test_a_sweep_resumes(tmp_path, capsys):
     assert [row["error_mm"] for row in table] == [p["error_mm"] for p in first["points"]]
 
 
+def test_without_the_extra_a_sweep_writes_its_csv_and_no_scheduler_is_reached(tmp_path, capsys, monkeypatch):
+    for name in ("dask", "distributed", "pyarrow"):
+        monkeypatch.setitem(sys.modules, name, None)  # importing it fails
+    monkeypatch.setattr(sweep, "find_spec", lambda _: None)
+    command = [
+        "sweep",
+        str(LARGE),
+        "--vary",
+        "probe.tip_d_mm=13,14",
+        "--workers",
+        "1",
+        "--out",
+        str(tmp_path),
+    ]
+    assert run(command) == 0
+    assert (tmp_path / "sweep.csv").exists() and not (tmp_path / "sweep.parquet").exists()
+    assert run([*command[:-1], str(tmp_path / "other"), "--scheduler", "tcp://127.0.0.1:9"]) == 2
+    assert "pip install" in capsys.readouterr().err
+
+
+def test_a_worker_that_is_killed_is_one_line_and_loses_nothing(tmp_path, capsys, monkeypatch):
+    def broken(*_, **__):
+        yield 0, [sweep.evaluate_point({}, 0, {"probe.tip_d_mm": 13}, Task())]
+        raise BrokenProcessPool
+
+    monkeypatch.setattr(sweep, "process_map", broken)
+    command = [
+        "sweep",
+        str(LARGE),
+        "--vary",
+        "probe.tip_d_mm=13,14",
+        "--workers",
+        "2",
+        "--out",
+        str(tmp_path),
+    ]
+    assert run(command) == 2
+    assert "fewer workers" in capsys.readouterr().err
+    assert len((tmp_path / "sweep.jsonl").read_text().splitlines()) == 2  # the request and one result
+
+
 def test_an_unreachable_scheduler_is_refused(tmp_path, capsys, monkeypatch):
     pytest.importorskip("distributed")
-    pytest.importorskip("pyarrow")
     monkeypatch.setattr("probedesign.optimization.sweep.SCHEDULER_TIMEOUT_S", 1.0)
     command = ["sweep", str(LARGE), "--vary", "probe.tip_d_mm=2,3", "--out", str(tmp_path / "new"),
                "--scheduler", "tcp://127.0.0.1:9"]  # fmt: skip

@@ -37,7 +37,8 @@ def package(tmp_path: Path) -> Path:
         (root / "probedesign" / name).mkdir(parents=True)
     for name in ("", "core", "rod"):
         (root / "probedesign" / name / "__init__.py").write_text("")
-    for name in ("core/files.py", "core/errors.py", "rod/kernels/__init__.py", "rod/kernels/cache.py"):
+    for name in ("core/files.py", "core/errors.py", "rod/kernels/__init__.py", "rod/kernels/cache.py",
+                 "rod/kernels/linked.py"):  # fmt: skip
         shutil.copy(cache.PACKAGE / name, root / "probedesign" / name)
     (root / "probedesign/rod/kernels/one.py").write_text(INNER)
     (root / "probedesign/rod/kernels/two.py").write_text(OUTER)
@@ -147,3 +148,21 @@ def test_the_digest_of_every_kernel_is_that_of_another_process():
         for seed in ("1", "2")
     }  # fmt: skip
     assert len(found) == 1 and "[]" not in found.pop()
+
+
+@pytest.mark.slow
+def test_a_process_that_compiles_computes_the_bits_of_one_that_loads(tmp_path):
+    """Each kernel has its own copies of what it calls, so results do not depend on what was compiled before it."""
+    code = (
+        "import probedesign; from probedesign.precompile import DESIGN;"
+        "probe = probedesign.build_probe(probedesign.parse_design(DESIGN));"
+        "eq = probe.solve(gravity_base=(9.81, 0.0, 0.0), s_contact=0.1, force_base=(0.01, 0.002, 0.0));"
+        "c = probe.estimator().estimate(eq.wrench_base);"
+        "print(eq.p_base.tobytes().hex(), c.force_base.tobytes().hex(), c.cov_surface_base.tobytes().hex())"
+    )
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-c", code]
+    first, second = (
+        subprocess.check_output(command, env=environment, cwd=cache.PACKAGE.parent) for _ in range(2)
+    )
+    assert first == second

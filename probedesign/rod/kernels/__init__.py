@@ -5,7 +5,8 @@ all outputs and evaluates the finished sweep; `lanes` and `lane_sweep` integrate
 register has lanes. `newton` finds the section of the tip, and `solve` runs many cases through it for callers in Python.
 All of it works on flat arrays, records and tuples and allocates nothing: the caller provides the memory.
 
-This module has the decorators that compile the kernels: once, without Python objects. `cache` keeps what is compiled.
+This module has the decorators that compile the kernels: once, without Python objects. `linked` has their compilers,
+and `cache` keeps what is compiled.
 """
 
 from collections.abc import Callable
@@ -14,10 +15,12 @@ from typing import Any
 from numba import njit
 
 from probedesign.rod.kernels.cache import KernelCache
+from probedesign.rod.kernels.linked import compilers
 
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
 """Division by zero gives inf or NaN, which the step control refuses; products and sums may be fused, not reordered."""
 _INTERNAL: dict[str, Any] = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_KERNEL_COMPILER, _INNER_COMPILER = compilers()
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -36,7 +39,8 @@ def inlined(function: Callable[..., Any]) -> Any:
 
 
 def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Any:
-    dispatcher = njit(nogil=True, **options)(function)
+    compiler = _INNER_COMPILER if "no_cpython_wrapper" in options else _KERNEL_COMPILER
+    dispatcher = njit(nogil=True, pipeline_class=compiler, **options)(function)
     if dispatcher is not function:  # NUMBA_DISABLE_JIT returns the function
         dispatcher._cache = KernelCache(dispatcher)
     return dispatcher

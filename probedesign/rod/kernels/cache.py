@@ -12,12 +12,16 @@ Places, in the order in which they are searched:
 2. `_compiled` in the installed package, which comes with a wheel;
 3. a folder of the user for this installation.
 
-What is compiled is saved in the first of them that can be written.
+What is compiled is saved in the first of them that can be written. The first process that compiles starts two
+others, which compile the kernels of the estimator meanwhile.
 """
 
+import atexit
 import hashlib
+import multiprocessing
 import os
 import pickle
+import subprocess
 import sys
 import tempfile
 import time
@@ -32,11 +36,11 @@ import llvmlite.binding
 import numba
 import numpy as np
 from numba.core import config
-from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
 from probedesign.core.errors import InputError
 from probedesign.core.files import write_atomically
+from probedesign.rod.kernels.linked import rebuild
 
 PACKAGE = Path(__file__).parents[2]
 BUILT = PACKAGE / "_compiled"
@@ -75,6 +79,7 @@ class KernelCache:
                 found = self._load(signature, target)
         if found is None:
             _progress.start(self.name)
+            _compile_beside()
         else:
             self._unlock()
         return found
@@ -82,6 +87,8 @@ class KernelCache:
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Save a compiled function. A folder that cannot be written costs one line, and later processes their time."""
         _progress.finish()
+        for environment in compiled._find_referenced_environments():
+            compiled.library.codegen.set_env(environment.env_name, environment)  # of what was linked into it
         try:
             if not (compiled.lifted or compiled.library.has_dynamic_globals):
                 self._save(self._file(signature, compiled_for()), dumps(compiled._reduce()))
@@ -109,7 +116,7 @@ class KernelCache:
             for folder in folders():
                 content = _read(folder / file)
                 if content is not None:
-                    return CompileResult._rebuild(target, *pickle.loads(content))
+                    return rebuild(target, pickle.loads(content))
         return None
 
     def _save(self, file: Path, content: bytes) -> None:
@@ -167,11 +174,38 @@ def _lock(file: Path) -> Any:
     return lock
 
 
+@cache
+def _compile_beside() -> None:
+    """Compile the kernels of the estimator in processes that end with this one, while it compiles those of the rod.
+
+    Nearly every command needs them next. What is still missing then, this process compiles.
+    """
+    folder = writable_folder()
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if only is not None or folder is None or cores < 2 or multiprocessing.parent_process() is not None:
+        return
+    path = os.pathsep.join(filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH"))))
+    quiet = subprocess.DEVNULL
+    for parts in (("fit", "detector"), ("columns",)):
+        command = [sys.executable, "-P", "-m", f"{PACKAGE.name}.precompile", str(folder), *parts]
+        with suppress(OSError):
+            helper = subprocess.Popen(
+                command, stdin=quiet, stdout=quiet, stderr=quiet, env=os.environ | {"PYTHONPATH": path}
+            )
+            atexit.register(_end, helper)
+
+
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    process.kill()
+    process.wait()  # its processor time counts as that of this process
+
+
 def content_digest(dispatcher: Any) -> str:
     """Return the digest of all that a kernel's machine code follows from, but types, compiler and processor."""
     function = dispatcher.py_func
     options = getattr(dispatcher, "targetoptions", {})
-    key = function, tuple(f"{name} {options[name]!r}" for name in sorted(options))
+    compiler = getattr(getattr(dispatcher, "_compiler", None), "pipeline_class", type(None)).__name__
+    key = function, (compiler, *(f"{name} {options[name]!r}" for name in sorted(options)))
     if key not in _digests:
         _digests[key] = function.__qualname__  # where it calls itself
         digest = _DIGEST(f"{key[1]}".encode())
