@@ -10,16 +10,16 @@ import numpy as np
 from probedesign.campaigns import Campaign, Test
 from probedesign.campaigns.campaign import TESTS, WRENCHES
 from probedesign.campaigns.checks import check_probe
+from probedesign.core.csv_tables import Frame
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.identification import result
-from probedesign.identification.contradiction import explaining_mistakes, likely_causes
+from probedesign.identification.contradiction import explaining_mistakes, likely_causes, widened
 from probedesign.identification.fit_checks import (
     LABELS,
-    PriorTest,
     UnobservableDirection,
     bad_tests,
     check_priors,
@@ -90,7 +90,12 @@ def data_of(campaign: Campaign, model: ProbeModel, flange_volume: float) -> Iden
     notes = list(campaign.notes)
     order, seconds = _epochs(campaign, notes)
     common = CommonParameters(
-        model, Tolerances.of(model), campaign.std_base, campaign.std_tilt, tuple(np.diff(seconds).tolist())
+        model,
+        Tolerances.of(model),
+        campaign.std_base,
+        campaign.std_tilt,
+        tuple(np.diff(seconds).tolist()),
+        _frame(campaign),
     )
     held_out = sum(test.use == "validate" for test in campaign.tests)
     if held_out:
@@ -115,6 +120,11 @@ def data_of(campaign: Campaign, model: ProbeModel, flange_volume: float) -> Iden
         flange = flange_volume if weighing.of == "probe" else 0.0
         mass = MassMeasurement(weighing.mass, weighing.std, flange)
     return IdentificationData(common, tuple(tests), mass, str(campaign.folder), tuple(notes))
+
+
+def _frame(campaign: Campaign) -> Frame:
+    """Return the frame that wrenches.csv states."""
+    return next((test.frame for test in campaign.tests if len(test.wrenches)), "base")
 
 
 def _epochs(campaign: Campaign, notes: list[str]) -> tuple[dict[str, int], Array]:
@@ -239,9 +249,10 @@ def identify(
     rejected = rejected_priors(priors)
     why = inconsistency(blocks, off, found.noise, data.tests) or (str(rejected[0]) if rejected else "")
     quantile = result.student_quantile(found)
-    widening = _widening(found, rejected) if why and accept else 1.0
+    causes = likely_causes(found, priors) if why else ()
+    used = widened(found, causes) if why and accept else found
     numbers, correlation, correlated = result.identified_numbers(
-        found, identified, unobservable, names, quantile, widening
+        used, identified, unobservable, names, quantile
     )
     numbers = result.with_caveats(numbers)
     whole = Identification(
@@ -249,33 +260,25 @@ def identify(
         sum(len(block.r) for block in blocks), problem.size, numbers, correlation, correlated,
         found.noise, quantile,
         tuple(Outlier(block.test, block.kind, block.item, distance) for block, distance in off),
-        result.error_budget(found, identified),
+        result.error_budget(used, identified),
         (*data.notes, *(one.description for one in unobservable), *outlier_notes(blocks, off), *_remarks(found)),
         result.residuals_of(found), time.perf_counter() - begun,
     )  # fmt: skip
     if not why:
         return whole
-    causes = likely_causes(found, priors)
-    whole = replace(whole, why=why, likely_causes=causes, seconds=time.perf_counter() - begun)
+    # where a cause is found it is the reason; what the contradiction was noticed by is a note
+    reason = f"likely cause: {causes[0]}" if causes else why
+    noticed = (f"noticed by: {why}",) if causes else ()
+    whole = replace(whole, why=reason, likely_causes=causes, notes=(*noticed, *whole.notes))
     if not accept:
-        return whole.as_inconsistent(why)
-    note = f"accepted although inconsistent: {why}; all standard deviations are {widening:.3g} times as large"
+        return whole.as_inconsistent(reason)
+    widening = result.widening(used, identified)
+    note = (f"accepted although inconsistent: {reason}; standard deviations are up to {widening:.3g} times as large, "
+            "by the residuals and by what the likely causes would change")  # fmt: skip
     unfinished = (
         () if found.result == "ok" else ("the search ended before it converged: its numbers may be off",)
     )
     return replace(whole, result="accepted", widening=widening, notes=(note, *unfinished, *whole.notes))
-
-
-def _widening(found: Fit, rejected: Sequence[PriorTest]) -> float:
-    """Return the factor on the standard deviations of a contradictory fit: the RMS of all residuals with full weight
-    over their noise, and at least that of a rejected prior. Source: R. T. Birge, Phys. Rev. 40, 1932, 207."""
-    point = found.point
-    squares = sum(block.squared_distance / found.scales.get(block.kind, 1.0) ** 2 for block in point.blocks)
-    freedom = sum(
-        len(block.r) - float(np.trace(hat)) for block, hat in zip(point.blocks, found.absorbed, strict=True)
-    )
-    ratios = [one.deviation / math.sqrt(one.freedom) for one in rejected]
-    return max(1.0, math.sqrt(squares / max(freedom, 1.0)), *ratios)
 
 
 def _problem(data: IdentificationData, requested: Sequence[str]) -> LeastSquaresProblem:
