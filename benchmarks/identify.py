@@ -47,7 +47,7 @@ def _without(*names: str) -> dict[str, float]:
 BENCHES = {
     "none": Flaws(stated=PERFECT),
     "friction 0–0.5": Flaws(friction=0.5, stated=PERFECT),
-    "stiffness differs by 2 % from test to test (1 % stated)": Flaws(
+    "stiffness differs by 2 % from test to test (not stated)": Flaws(
         stiffness_scatter=0.02, stated=_without("stiffness_scatter")
     ),
     "gain 1 % of each channel": Flaws(gain=0.01, stated=PERFECT | {"gain": 0.01}),

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from probedesign.campaigns.manifest import LENGTH_SCALE, WEIGHT_STD, WRIST
 from probedesign.core.frames import Array, pose, wrench_map
 from probedesign.core.units import MM
 from probedesign.estimation.error_sources import parameters_of, turns_of
@@ -18,13 +19,11 @@ from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.identification.identify import IdentificationData
 from probedesign.identification.parameters import (
     DEGREE,
-    LENGTH_SCALE,
     POISSON,
     POISSON_STD,
-    WRIST,
     CommonParameters,
 )
-from probedesign.identification.residuals import WEIGHT_STD, MeasuredTest
+from probedesign.identification.residuals import MeasuredTest
 from probedesign.identification.whole_probe import MassMeasurement
 from probedesign.prediction.monte_carlo import perturbed_rod
 from probedesign.prediction.touches import DIRECTIONS

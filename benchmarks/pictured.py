@@ -119,7 +119,7 @@ def _dots(model: ProbeModel, look: RenderStyle) -> tuple[Array, Array]:
     """Of the dots of one bent probe in two photographs: errors (n, 2) and what is stated (n,) [px]."""
     world = GroundTruth.draw(model, CampaignPlan(seed=BENT), np.random.default_rng(BENT))
     sight, state = StereoRig(world), world.tests()[STATE]
-    tube, dots = sight.tube(state.equilibrium), sight.dots(state.equilibrium)
+    tube, dots = sight.tube(state), sight.dots(state)
     errors, stds = [], []
     with tempfile.TemporaryDirectory() as folder:
         for camera in sight.cameras:

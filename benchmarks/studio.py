@@ -13,13 +13,13 @@ from probedesign.studio.session import Session
 
 MOVES = 60
 """Moves of a slider for each probe."""
-ARGUMENTS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
-"""A browser without a GPU, which draws on the processor."""
+ARGUMENTS = ["--enable-unsafe-swiftshader", "--no-sandbox"]
+"""A browser without a GPU: it draws WebGL on the processor, and composes the page as it does by default."""
 WATCH = """() => { window.seen = []; let last = ''; new MutationObserver(() => {
   const text = [...document.querySelectorAll('svg')].map(svg => svg.outerHTML.length + svg.textContent).join();
   if (text === last) return;
   last = text;
-  const entry = [0, document.body.innerText];
+  const entry = [0, [...document.querySelectorAll('.st table')].map(table => table.textContent).join()];
   requestAnimationFrame(() => requestAnimationFrame(() => { entry[0] = Date.now(); window.seen.push(entry) }));
 }).observe(document.body, {childList: true, subtree: true, characterData: true, attributes: true}) }"""
 """Collects the time of the second frame after each change of a chart: by then it and the shape were drawn."""

@@ -23,7 +23,7 @@ from probedesign.cad.mesh import Mesh
 from probedesign.cad.model import CadModel, CadPart, ScrewGroup
 from probedesign.cad.part_drawings import part_drawings
 from probedesign.cad.render import render_body, render_png
-from probedesign.cad.sheet import Svg
+from probedesign.cad.svg import Svg
 from probedesign.core.units import MM, MPA
 from probedesign.design.catalog import ALUMINIUM, RIGID_RESIN
 from probedesign.mount.flange_adapter import CENTRING_PIN_D, CENTRING_PIN_LENGTH
@@ -320,7 +320,7 @@ def build_documents(model: CadModel, meshes: Mapping[str, Mesh]) -> Documents:
     seat = float(model.adapter.T_sensor_base[2, 3]) / MM
     exploded = exploded_svg(bodies, labels, f"{model.design.name}: exploded view", seat)
     files = {f"{part.name}.png": render_png([bodies[part.name]], PART_SIZE) for part in model.printed}
-    files |= {f"{name}.svg": sheet for name, sheet in part_drawings(model).items()}
+    files |= part_drawings(model)
     files["assembly.png"] = render_png(list(bodies.values()), ASSEMBLY_SIZE)
     files["exploded.svg"] = bytes(exploded)
     files["bill_of_materials.csv"] = bill_csv(bill)

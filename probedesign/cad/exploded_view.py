@@ -16,7 +16,7 @@ from probedesign.cad.render import (
     render_bodies,
     render_png,
 )
-from probedesign.cad.sheet import Svg
+from probedesign.cad.svg import Svg
 from probedesign.core.units import MM
 from probedesign.design.sensors import DowelPattern
 

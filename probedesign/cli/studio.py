@@ -18,6 +18,9 @@ def studio(
     /,
     *,
     set_: Annotated[list[str] | None, Parameter(name="--set", negative=(), consume_multiple=False)] = None,
+    touch: str | None = None,
+    forces_mN: Annotated[str | None, Parameter(name="--forces-mN")] = None,
+    pin: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=False)] = None,
     host: str = "127.0.0.1",
     port: int = 8085,
     open_: Annotated[bool, Parameter(name="--open", negative="--no-open")] = True,
@@ -29,6 +32,9 @@ def studio(
     Args:
         design: the design file, or one of the paper's probes: large, medium or small.
         set_: KEY=VALUE with a key of the design file, as the studio shows it under "Save"; repeat the option for more.
+        touch: PLACE,DEGREES,MILLINEWTONS of the touch that is drawn, such as 0.8,90,10.
+        forces_mN: the forces whose errors are drawn, such as 5,10.
+        pin: keys of a design that is pinned, as an inline table of TOML; repeat the option for more.
         host: address of the page; only this machine can open it.
         port: TCP port; the next free port is used.
         open_: open the page in a browser.
@@ -46,10 +52,13 @@ def studio(
         on_progress("loading the design", None)
         found = _design(design, set_ or [])
         on_progress("predicting (the first run compiles the rod and the estimator, about a minute)", None)
+        from probedesign.optimization.design_space import design_dict
         from probedesign.studio.page import StudioPage
         from probedesign.studio.session import Session
 
-        page = StudioPage(Session(found, source=design), host, port)
+        session = Session(found, source=design, start=design_dict(_design(design, [])))
+        session.restore(touch, forces_mN, pin or [])
+        page = StudioPage(session, host, port)
     try:
         print(f"studio: {page.url}  (Ctrl-C ends it)", flush=True)
         if open_ and not webbrowser.open(page.url):

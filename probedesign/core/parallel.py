@@ -21,6 +21,12 @@ from probedesign.core.errors import InputError
 Record = dict[str, Any]
 OnProgress = Callable[[str, float | None], None]
 """Receives the name of the current step and the completed fraction, None where that is unknown."""
+
+
+def quiet(_step: str, _share: float | None) -> None:
+    """Show no progress."""
+
+
 T = TypeVar("T")
 R = TypeVar("R")
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}

@@ -22,6 +22,7 @@ TIP_RATIO, MIN_TIP_D_MM = 6.0, 2.0
 leaves a margin for thin prints (assumed)."""
 
 COMMENTS = {
+    "date": "of the design, on the drawings",
     "probe.shape": "cone | cylinder | profile",
     "probe.length_mm": "of the flexible part, base to tip",
     "probe.profile_mm": 's, diameter; only for shape = "profile"',
@@ -210,7 +211,7 @@ def _tables(design: Design) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield the tables of the design file in order, without the keys that the design does not set."""
     document = design.model_dump(by_alias=True)
     top = {key: value for key, value in document.items() if not isinstance(value, dict)}
-    yield "", top
+    yield "", {key: value for key, value in top.items() if value is not None}
     for table, values in document.items():
         if table in top:
             continue

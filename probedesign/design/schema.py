@@ -4,6 +4,7 @@ The tables check types, ranges and their own consistency; `Design` checks the ta
 returns the quantities in SI units with their provenance.
 """
 
+import datetime
 import math
 from typing import Annotated, Literal, Self
 
@@ -352,6 +353,7 @@ class Design(Table, Displayed):
 
     schema_version: Literal[1] = Field(alias="schema")
     name: str
+    date: str | None = None
     probe: ProbeTable
     material: MaterialTable = MaterialTable()
     sensor: SensorTable = SensorTable()
@@ -365,6 +367,14 @@ class Design(Table, Displayed):
     def _plain(cls, value: str) -> str:
         check_name(value)
         return value
+
+    @field_validator("date")
+    @classmethod
+    def _calendar_date(cls, value: str | None) -> str | None:
+        try:
+            return None if value is None else datetime.date.fromisoformat(value).isoformat()
+        except ValueError:
+            raise Inconsistent("date", f'= {value!r} is not a date; write it as "2026-01-31"') from None
 
     @model_validator(mode="after")
     def _root_fits(self) -> Self:

@@ -173,19 +173,28 @@ def rounding_height_mm(before: Knot, tip: Knot) -> float:
     return tip[1] / 2.0 * math.cos(_half_angle(before, tip))
 
 
+def rounding_radius_mm(before: Knot, tip: Knot) -> float:
+    """Return the radius of the rounding's sphere [mm], which touches the last frustum and the end plane.
+
+    R = r cos α/(1 - sin α), with r the tip's radius and α the taper's half-angle; arguments of `rounding_height_mm`.
+    """
+    alpha = _half_angle(before, tip)
+    return tip[1] / 2.0 * math.cos(alpha) / (1.0 - math.sin(alpha))
+
+
 def rounded(knots: tuple[Knot, ...]) -> tuple[Knot, ...]:
     """Return the knots (s, diameter) [mm] of a body with a round end of the same length.
 
-    The sphere touches the last frustum all around and the end plane: R = r cos α/(1 - sin α). The frusta are those
+    The sphere touches the last frustum all around and the end plane. The frusta are those
     of a regular polygon about it: every facet touches the sphere, the first is the flank itself, the last the flat
     end; no corner deviates by more than `DEVIATION_MM`.
 
     Args:
         knots: of the blunt body; its last frustum is at least `rounding_height_mm` long.
     """
-    before, (length, d) = knots[-2], knots[-1]
+    before, length = knots[-2], knots[-1][0]
     alpha = _half_angle(before, knots[-1])
-    R = d / 2.0 * math.cos(alpha) / (1.0 - math.sin(alpha))
+    R = rounding_radius_mm(before, knots[-1])
     turn = math.pi / 2.0 - alpha  # of the normal, from the flank's to the end's
     widest = 2.0 * math.acos(1.0 / (1.0 + DEVIATION_MM / R))
     count = min(max(math.ceil(turn / widest), 2), _MAX_FACETS)

@@ -10,6 +10,7 @@ import numpy as np
 from probedesign.campaigns import Campaign, Test
 from probedesign.campaigns.campaign import TESTS, WRENCHES
 from probedesign.campaigns.checks import check_probe
+from probedesign.campaigns.manifest import WRIST
 from probedesign.core.csv_tables import Frame
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
@@ -31,7 +32,6 @@ from probedesign.identification.fit_checks import (
 from probedesign.identification.parameters import (
     DEFAULT,
     LOG_E,
-    WRIST,
     CommonParameters,
     check_requested,
     columns_of,

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from probedesign.campaigns.manifest import LENGTH_SCALE
 from probedesign.core.csv_tables import Frame
 from probedesign.core.errors import InputError, unknown_name
 from probedesign.core.frames import Array, pose, wrench_map
@@ -31,9 +32,6 @@ if TYPE_CHECKING:
     from probedesign.identification.residuals import SolvedTest, WithJacobian
 
 DEGREE = math.pi / 180.0
-WRIST = 0.1
-"""Distance over which a robot's or a stage's repeatability becomes a rotation of the base [m]. Assumed: that of the
-base from the last axis."""
 DEFAULT = ("E", "G")
 """Parameters identified unless others are requested: those of the paper."""
 ROOT_STEP = 0.02
@@ -51,8 +49,6 @@ Covers 1 % of density, 2 % of area and the change of the sag by a third of E (as
 
 MAX_EXPONENT = 700.0
 """Of a factor in a report: the end of an interval that is not bounded stays a finite number."""
-LENGTH_SCALE = 0.005
-"""Standard deviation of the length scale of the reference, relative. Assumed: 0.5 mm on a box of 100 mm."""
 POISSON, POISSON_STD = 0.49, 0.01
 """Poisson's ratio of an elastomer and its standard deviation. Source: R. H. Pritchard, P. Lava, D. Debruyne,
 E. M. Terentjev, Soft Matter 9, 2013, 6037: 0.49 to 0.5 for unfilled elastomers at small strain. The standard deviation
@@ -64,6 +60,10 @@ MAX_ROOT_DEVIATION = 1.2
 state a tolerance. A normal prior that is off by k of its standard deviations and contributes the fraction w of the
 information leaves P(|√w k + √(1-w) z| < 1.96) in the 95 % interval: at least 94 % for any w up to k = 1.2, and 75 %
 at k = 2 and w = 1/2."""
+ORDINARY_SCATTER, MIN_SCATTER = 0.02, 1e-4
+"""Standard deviation of the stiffness from test to test on an ordinary bench, relative (assumed), and the smallest one
+that is used. Residuals of 16 touches do not reveal that a scatter is twice as large as stated, so a prior that is too
+small makes the intervals of E too small."""
 IMPLIED = ("G", "root")
 """Parameters that are estimated and reported with E although they are not requested: a probe's stiffness is that of all
 three together."""
@@ -357,6 +357,13 @@ class CommonParameters:
             return stated
         design = float(rod.rigid_length / rod.radius[0])
         return max(stated, max(abs(design - root) for root in KNOWN_ROOTS) / MAX_ROOT_DEVIATION)
+
+    @property
+    def stiffness_std(self) -> float:
+        """Standard deviation of the stiffness from test to test, relative: the tolerance, or `ORDINARY_SCATTER` where
+        that is the assumed default, because how a bench rests the probe between tests is then not known."""
+        stated = self.tolerances.stiffness_scatter
+        return max(stated if stated != Tolerances.stiffness_scatter else ORDINARY_SCATTER, MIN_SCATTER)
 
     @property
     def mount_rotation_std(self) -> Array:

@@ -6,7 +6,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from probedesign.campaigns.manifest import WEIGHT_STD
 from probedesign.core.frames import Array, inverse, skew, wrench_map
 from probedesign.core.statistics import whiten
 from probedesign.identification.parameters import (
@@ -26,14 +28,10 @@ from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.kernels import equations
 from probedesign.rod.rod import Rod
 
-WEIGHT_STD = 0.005
-"""Standard deviation of a known load, relative. Assumed: 5 mg on a weight of a gram."""
 MIN_FRICTION = 1e-3
 """Smallest prior standard deviation of the friction ratio, as in `probedesign.estimation`."""
 SCALE, CREEP = PARAMETERS["length_scale"].columns.start, PARAMETERS["creep"].columns.start
 GAIN, BIAS = PARAMETERS["gain"].columns, PARAMETERS["bias"].columns
-MIN_SCATTER = 1e-4
-"""Smallest standard deviation of a test's stiffness, relative: a tolerance of 0 is taken for this one."""
 _TANGENT_STEP = 1e-5  # of arclength, for the rotation of a section by a difference of its tangent [m]
 
 
@@ -231,10 +229,10 @@ class SolvedTest:
         if "weight" in self.measured.nuisance:
             yield self._own("weights", "weight", WEIGHT_STD)
         if "stiffness" in self.measured.nuisance:
-            scatter = max(self.values.common.tolerances.stiffness_scatter, MIN_SCATTER)
-            yield self._own("stiffness", "stiffness", scatter)
+            yield self._own("stiffness", "stiffness", self.values.common.stiffness_std)
         if "pose" in self.measured.nuisance:
-            yield self._pose()
+            measured = self.measured
+            yield self._own("poses", "pose", np.repeat([measured.std_turn, measured.std_place], 3))
         if np.isfinite(self.measured.sag):
             yield self._sag()
 
@@ -319,7 +317,7 @@ class SolvedTest:
         return origin + scale * from_origin, J, scale * (R @ self.nuisance_jacobian(vector))
 
     def _wrench(self) -> ResidualBlock:
-        X = self.values.mount_wrench_map
+        measured, common, X = self.measured, self.values.common, self.values.mount_wrench_map
         by_root = self._by_root(lambda eq: eq.wrench_base)
         vector = self.vector(self.eq.wrench_base, self.sensitivity.d_wrench, by_root)
         modelled = X @ vector.value
@@ -329,19 +327,18 @@ class SolvedTest:
         J[3:, MOUNT_ROTATION] -= skew(modelled[3:] - arm @ modelled[:3]) + arm @ f
         J[3:, MOUNT_OFFSET] -= f
         # gain and bias of the sensor, whose reading includes the weight between base and sensor
-        model, common = self.values.common.model, self.values.common
-        to_sensor, to_base = wrench_map(model.T_sensor_base), wrench_map(inverse(model.T_sensor_base))
-        reading = model.to_sensor(modelled, self.measured.gravity_base)
+        to_sensor = wrench_map(common.model.T_sensor_base)
+        to_base = wrench_map(inverse(common.model.T_sensor_base))
+        reading = common.model.to_sensor(modelled, measured.gravity_base)
         gain = to_base * self.values.x[GAIN]  # to_base @ diag(gain)
         by_wrench = np.eye(6) + gain @ to_sensor
         J, J_nuisance = by_wrench @ J, by_wrench @ J_nuisance
         J[:, GAIN] += to_base * reading
         J[:, BIAS] += np.eye(6)
-        J[:, common.walk_columns(self.measured.epoch)] += common.walk_modes[:, : 6 * self.measured.epoch]
-        modelled = modelled + gain @ reading + self.values.bias(self.measured.epoch)
-        assert self.measured.wrench_base is not None and self.measured.cov_wrench is not None
-        residual = self.measured.wrench_base - modelled
-        return self._block("wrenches", 0, residual, J, J_nuisance, self.measured.cov_wrench)
+        J[:, common.walk_columns(measured.epoch)] += common.walk_modes[:, : 6 * measured.epoch]
+        modelled = modelled + gain @ reading + self.values.bias(measured.epoch)
+        assert measured.wrench_base is not None and measured.cov_wrench is not None
+        return self._block("wrenches", 0, measured.wrench_base - modelled, J, J_nuisance, measured.cov_wrench)
 
     def _markers(self) -> Iterator[ResidualBlock]:
         measured = self.measured
@@ -356,11 +353,9 @@ class SolvedTest:
         residual = measured.p_markers_world - modelled
         J_nuisance = self._with_own_pose(J, J_nuisance)
         W = whiten(measured.cov_markers)
-        whitened, J, J_nuisance = (W @ residual[:, :, None])[:, :, 0], -W @ J, -W @ J_nuisance
+        r, J, J_nuisance = (W @ residual[:, :, None])[:, :, 0], -W @ J, -W @ J_nuisance
         for i, number in enumerate(measured.marker_numbers):
-            yield ResidualBlock(
-                measured.name, "markers", number, whitened[i], J[i], J_nuisance[i], residual[i]
-            )
+            yield ResidualBlock(measured.name, "markers", number, r[i], J[i], J_nuisance[i], residual[i])
 
     def _surface_offset(self, s: Array, side: float) -> tuple[Array, Array]:
         """Return vectors from the axis to the surface on one side, (m, 3), and their derivatives, (m, 3, k).
@@ -390,30 +385,15 @@ class SolvedTest:
         cov = measured.std_touch**2 * np.eye(3)
         return self._block("touches", 0, measured.p_touch_world - modelled, J, J_nuisance, cov)
 
-    def _own(self, kind: str, name: str, std: float, stated: float = 0.0) -> ResidualBlock:
-        """Return the residual of a nuisance parameter from its stated value."""
+    def _own(self, kind: str, name: str, std: ArrayLike, stated: float = 0.0) -> ResidualBlock:
+        """Return the residual of nuisance parameters from their stated value."""
         at = self.measured.nuisance[name]
-        J_nuisance = np.zeros((1, self.measured.nuisance_size))
-        J_nuisance[:, at] = 1.0
-        J = np.zeros((1, self.values.common.size))
-        return self._block(kind, 0, stated - self.nuisance[at], J, J_nuisance, np.array([[std**2]]))
-
-    def _pose(self) -> ResidualBlock:
-        """Return the residual of the test's own error of the base pose from zero."""
-        at = self.measured.nuisance["pose"]
-        std = np.repeat([self.measured.std_turn, self.measured.std_place], 3)
-        J_nuisance = np.zeros((6, self.measured.nuisance_size))
-        J_nuisance[:, at] = -np.diag(1.0 / std)
-        own = self.nuisance[at]
-        return ResidualBlock(
-            self.measured.name,
-            "poses",
-            0,
-            -own / std,
-            np.zeros((6, self.values.common.size)),
-            J_nuisance,
-            -own,
-        )
+        residual = stated - self.nuisance[at]
+        inverse = 1.0 / np.broadcast_to(std, residual.shape)
+        J_nuisance = np.zeros((len(residual), self.measured.nuisance_size))
+        J_nuisance[:, at] = -np.diag(inverse)
+        J = np.zeros((len(residual), self.values.common.size))
+        return ResidualBlock(self.measured.name, kind, 0, inverse * residual, J, J_nuisance, residual)
 
     def _friction(self, std: float) -> ResidualBlock:
         """Return the residual of a force without tangential parts."""

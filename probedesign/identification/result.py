@@ -57,8 +57,8 @@ class Identified:
         name: of the parameter or its component: E, tilt_x.
         words: what it is.
         unit: of all values below; empty for plain factors.
-        result: "identified"; "inferred" if it follows from E and a prior rather than from the tests; or "not_told" if
-            it is not observable: then `value` is the design's and there is no interval.
+        result: "identified"; "inferred" if it follows from E and a prior rather than from the tests; or
+            "not_observable": then `value` is the design's and there is no interval.
         value: conditional on the design's diameters, which the frozen probe uses, even where those are requested too.
         std: standard deviation, which includes all errors of the bench.
         low, high: 95 % interval.
@@ -74,7 +74,7 @@ class Identified:
     name: str
     words: str
     unit: str
-    result: Literal["identified", "inferred", "not_told"]
+    result: Literal["identified", "inferred", "not_observable"]
     value: float
     design: float
     std: float | None = None
@@ -98,6 +98,20 @@ class Identified:
     def identified(self) -> bool:
         """Whether the tests determine it."""
         return self.result == "identified"
+
+    @property
+    def change(self) -> str:
+        """Change from the design with its 95 % interval: of a factor or a property of the material in percent, else in
+        the unit. Empty where there is none, and for poses, which the design does not state."""
+        owner = OWNER[COMPONENTS.index(self.name)]
+        if self.low is None or self.high is None or not (owner.logarithm or owner.design_key):
+            return ""
+        ends = (self.value, self.low, self.high)
+        if owner.logarithm:
+            change, low, high = (f"{100.0 * (end / self.design - 1.0):+.1f}" for end in ends)
+            return f"{change} % ({low} ... {high} %)"
+        change, low, high = (f"{end - self.design:+.2g}" for end in ends)
+        return f"{change} ({low} ... {high}) {self.unit}".rstrip()
 
 
 @dataclass(frozen=True)
@@ -220,7 +234,7 @@ class Identification(Tabular):
     def as_inconsistent(self, why: str) -> "Identification":
         """Return the result without numbers, intervals or error budget, for the reason given."""
         found = tuple(
-            Identified(one.name, one.words, one.unit, "not_told", one.design, one.design,
+            Identified(one.name, one.words, one.unit, "not_observable", one.design, one.design,
                        why=one.why or "the tests contradict the design, or each other")
             for one in self.found
         )  # fmt: skip
@@ -295,7 +309,7 @@ def identified_numbers(
         owner, name = OWNER[column], COMPONENTS[column]
         if owner.name in why:
             design = owner.design_value(rod)
-            found.append(Identified(name, owner.labels[name], owner.unit, "not_told", design, design,
+            found.append(Identified(name, owner.labels[name], owner.unit, "not_observable", design, design,
                                     why=why[owner.name]))  # fmt: skip
         elif fit.point.problem.active[column]:
             one = _identified(fit, column, quantile)

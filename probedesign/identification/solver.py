@@ -4,7 +4,6 @@ SciPy's `least_squares` has robust losses of single residuals only; here a block
 scale of its kind is estimated with it, which is why the steps are taken here.
 """
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -104,14 +103,6 @@ class LeastSquaresProblem:
         """Number of all unknowns, nuisance parameters of the tests included."""
         return self.n_active + sum(test.nuisance_size for test in self.tests)
 
-    @cached_property
-    def nuisance_slices(self) -> dict[str, slice]:
-        """Position of each test's nuisance parameters among the unknowns, by its name."""
-        ends = itertools.accumulate((test.nuisance_size for test in self.tests), initial=self.n_active)
-        return {
-            test.name: slice(a, b) for test, (a, b) in zip(self.tests, itertools.pairwise(ends), strict=True)
-        }
-
 
 @dataclass(frozen=True)
 class Linearization:
@@ -143,25 +134,6 @@ class Linearization:
     def loss(self, scales: dict[str, float]) -> float:
         """Return the loss with the prior's share."""
         return robust_loss(self.blocks, scales) + 0.5 * float(self.prior_residual @ self.prior_residual)
-
-    def block_jacobian(self, block: ResidualBlock) -> Array:
-        """Return derivatives of one block by all unknowns, (k, size)."""
-        J = np.zeros((len(block.r), self.problem.size))
-        J[:, : self.problem.n_active] = block.J[:, self.problem.active]
-        if block.test in self.problem.nuisance_slices:
-            J[:, self.problem.nuisance_slices[block.test]] = block.J_nuisance
-        return J
-
-    def system(self, weight: Array) -> tuple[Array, Array]:
-        """Return the weighted Jacobian (n, size) and residuals (n,), priors first."""
-        std = self.problem.prior[self.problem.active]
-        prior = np.zeros((self.problem.n_active, self.problem.size))
-        prior[:, : self.problem.n_active] = np.diag(np.where(np.isinf(std), 0.0, 1.0 / std))
-        rows, values = [prior], [self.prior_residual]
-        for block, w in zip(self.blocks, weight, strict=True):
-            rows.append(np.sqrt(w) * self.block_jacobian(block))
-            values.append(np.sqrt(w) * block.r)
-        return np.concatenate(rows), np.concatenate(values)
 
     @cached_property
     def _blocks_of_tests(self) -> list[list[int]]:

@@ -130,7 +130,7 @@ def flange_adapter_for(
         cable_deg=cable_deg,
         cable_pocket=pocket,
         p_centring_pins=pins,
-        centring_hole=(CENTRING_PIN_D + 0.1 * MM, plate_top - (CENTRING_PIN_LENGTH - CENTRING_ABOVE)),
+        centring_hole=(CENTRING_PIN_D + options.pin_play, plate_top - (CENTRING_PIN_LENGTH - CENTRING_ABOVE)),
         p_tie_slots=_tie_slots(rim, cable_deg),
         p_mounting_screws=on_circle(mounting.bolt_circle_d, (a - dowel_deg for a in mounting.azimuths_deg)),
         p_bolts=on_circle(robot.bolt_circle_d, robot.bolt_azimuths_deg),

@@ -74,6 +74,8 @@ VENT_WIDTH = 2.0 * MM
 """Of the notches at +X through the recess's wall and across the ring's underside: on the platform, resin and air pass
 through them, and they show the clocking."""
 RING_VENT_HEIGHT = 0.6 * MM
+PRINTED_PIN_PLAY = 0.1 * MM
+"""On the diameter: a hole prints undersize by as much, which makes a press or slip fit (assumed)."""
 PIN_TOLERANCE = 0.25 * MM
 """Tolerance ± of a dowel pin's length, ISO 2338."""
 PIN_ROOM = 0.1 * MM
@@ -112,6 +114,11 @@ class MountOptions:
     def tolerance(self) -> float:
         """Return the tolerance ± of a length of a rigid part [m]."""
         return MILLED_TOLERANCE if self.milled else PRINT_TOLERANCE
+
+    @property
+    def pin_play(self) -> float:
+        """Return by how much a pin's hole is wider than the pin [m]: none for a milled one, H7 for a pin h8."""
+        return 0.0 if self.milled else PRINTED_PIN_PLAY
 
     @property
     def density(self) -> float:
@@ -304,7 +311,7 @@ def sensor_adapter_for(
         body_top=body_top,
         recess_d=recess_d,
         mark_x=mark_x,
-        dowel_d=dowels.diameter + 0.1 * MM,  # prints undersize by as much: a press or slip fit
+        dowel_d=dowels.diameter + options.pin_play,
         dowel_depth=dowels.pin_length - dowels.depth + PIN_TOLERANCE + options.tolerance + PIN_ROOM,
         p_dowels=on_circle(dowels.circle_d, dowels.azimuths_deg),
         peg_top=body_top - PEG_BELOW_RING,

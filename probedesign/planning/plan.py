@@ -20,7 +20,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS
-from probedesign.identification.fit_checks import unobservable_direction
+from probedesign.identification.fit_checks import conditional_estimate, unobservable_direction
 from probedesign.identification.identify import TEST_SECONDS, data_of
 from probedesign.identification.parameters import (
     OWNER,
@@ -29,7 +29,7 @@ from probedesign.identification.parameters import (
     columns_of,
 )
 from probedesign.identification.residuals import ResidualBlock
-from probedesign.identification.solver import LeastSquaresProblem, Linearization, linearize
+from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, linearize
 from probedesign.identification.starting_values import start_nuisance
 from probedesign.identification.whole_probe import MassMeasurement
 from probedesign.planning.candidates import TOUCH_PLACES, Bench, CandidateTest, Instruments, SetUp
@@ -263,14 +263,8 @@ class Information:
     def _intervals(
         self, point: Linearization, names: Sequence[str], determined: Sequence[str]
     ) -> tuple[ExpectedInterval, ...]:
-        rows, _ = point.system(np.ones(len(point.blocks)))
-        size = np.linalg.norm(rows, axis=0)
-        scale = 1.0 / np.where(size > 0.0, size, 1.0)
-        inverse = np.linalg.pinv(np.linalg.qr(rows * scale, mode="r"))
-        cov = scale[:, None] * (inverse @ inverse.T) * scale
+        fit = Fit("ok", point, {}, (), 0)  # as designed, with every reading at full weight
         active = np.flatnonzero(point.problem.active)
-        printed = np.arange(point.problem.common.size)[point.problem.common.print_columns]
-        given = np.flatnonzero(np.isin(active, [*printed, columns_of(["diameters"])[0]]))
         found, quantile = [], float(norm.ppf(0.5 + LEVEL / 2.0))
         for label, column in zip(_components(names), columns_of(names), strict=True):
             owner = OWNER[column]
@@ -278,18 +272,11 @@ class Information:
                 found.append(_unknown(label))
                 continue
             i = int(np.searchsorted(active, column))
-            of_print = float(cov[i, i])
-            alone = of_print
-            if i not in given and len(given):
-                across = cov[i, given]
-                alone -= float(across @ np.linalg.solve(cov[np.ix_(given, given)], across))
-            std, rod = math.sqrt(max(alone, 0.0)), self.bench.model.rod
+            (_, std, _), of_print = conditional_estimate(fit, column), math.sqrt(fit.cov[i, i])
+            rod, unit = self.bench.model.rod, 1.0 if owner.logarithm else owner.scale
             low, high = (owner.reported(rod, sign * quantile * std) for sign in (-1.0, 1.0))
-            unit = 1.0 if owner.logarithm else owner.scale
             found.append(
-                ExpectedInterval(
-                    label, owner.unit, unit * std, low, high, unit * math.sqrt(of_print), owner.logarithm
-                )
+                ExpectedInterval(label, owner.unit, unit * std, low, high, unit * of_print, owner.logarithm)
             )
         return tuple(found)
 

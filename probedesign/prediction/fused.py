@@ -21,6 +21,7 @@ import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose
+from probedesign.core.parallel import OnProgress, quiet
 from probedesign.core.statistics import UNIFORM_STD
 from probedesign.core.units import MM
 from probedesign.estimation.error_sources import CAUSES as SOURCES
@@ -268,6 +269,7 @@ def fused_conditions(
     touches: Mapping[float, Touches],
     forces_N: Sequence[float],
     schedule: PressSchedule,
+    on_progress: OnProgress = quiet,
 ) -> tuple[FusedCondition, ...]:
     """Predict all lines at each largest force.
 
@@ -276,15 +278,18 @@ def fused_conditions(
         touches: by force, at least those of `forces_of`.
         forces_N: largest forces [N].
         schedule: how the touches are made.
+        on_progress: receives the step and its share before each condition.
     """
     places = list(dict.fromkeys(place for place, _ in lines))
-    return tuple(
-        _condition(line, [touches[f] for f in schedule.forces(force)], i, force, schedule)
-        for place in places
-        for force in forces_N
-        for i, line in enumerate(lines)
-        if line[0] == place
-    )
+    found = []
+    for k, place in enumerate(places):
+        for force in forces_N:
+            pressed = [touches[f] for f in schedule.forces(force)]
+            for i, line in enumerate(lines):
+                if line[0] == place:
+                    on_progress("fused touches", k / len(places))
+                    found.append(_condition(line, pressed, i, force, schedule))
+    return tuple(found)
 
 
 def _condition(

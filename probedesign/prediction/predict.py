@@ -12,6 +12,7 @@ import numpy as np
 
 from probedesign.core.frames import Array
 from probedesign.core.notebook import Tabular
+from probedesign.core.parallel import OnProgress, quiet
 from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
@@ -237,6 +238,7 @@ def predict(
     tolerances: Tolerances | None = None,
     pressing: PressSchedule = PRESSING,
     only_single: bool = False,
+    on_progress: OnProgress = quiet,
 ) -> Prediction:
     """Predict sensitivity and contact error over a grid of touches.
 
@@ -253,6 +255,8 @@ def predict(
         pressing: how the fused touches of one point are made.
         only_single: leave out fused touches, force thresholds and workspace, for a preview within tens of
             milliseconds.
+        on_progress: receives the step and its share some tens of times a second; an exception that it raises ends the
+            prediction.
 
     Raises:
         InputError: a fraction, force or direction is out of range.
@@ -274,7 +278,7 @@ def predict(
     if estimator.free().ok:
         pressed = () if only_single else forces_of(pressing, forces_N)
         ladder, ends = ((), []) if only_single else (LADDER_N, ends)
-        touches = touches_of(estimator, lines + ends, (_WEAK_N, *ladder, *forces_N, *pressed))
+        touches = touches_of(estimator, lines + ends, (_WEAK_N, *ladder, *forces_N, *pressed), on_progress)
         for force in forces_N:
             for line, condition in zip(lines, conditions_of(touches[force], lines), strict=True):
                 conditions[(*line, force)] = condition
@@ -283,7 +287,7 @@ def predict(
         else:
             reach = force_thresholds(lines + ends, {f: touches[f] for f in LADDER_N}, end)[: len(lines)]
             limits = [row.greatest_force_N for row in reach]
-            fused = fused_conditions(lines, touches, forces_N, pressing)
+            fused = fused_conditions(lines, touches, forces_N, pressing, on_progress)
             workspace = workspace_of(reach, touches, model.gravity_base)
         detection = tuple(
             _detection(touches[_WEAK_N], i, line, limit)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
+from probedesign.core.parallel import OnProgress, quiet
 from probedesign.estimation import surface_contact_kernel as kernel
 from probedesign.estimation.error_sources import FINE, NOTHING, ErrorSources
 from probedesign.estimation.estimator import Estimator
@@ -304,7 +305,10 @@ class Touches:
 
 
 def touches_of(
-    estimator: Estimator, lines: Sequence[tuple[float, str]], forces_N: Sequence[float]
+    estimator: Estimator,
+    lines: Sequence[tuple[float, str]],
+    forces_N: Sequence[float],
+    on_progress: OnProgress = quiet,
 ) -> dict[float, Touches]:
     """Solve all lines at all forces.
 
@@ -312,6 +316,7 @@ def touches_of(
         estimator: of a probe with a stable free equilibrium.
         lines: contact fraction (arclength of the touched section over the length) and direction of each.
         forces_N: normal forces [N], in any order.
+        on_progress: receives the step and its share before each line.
 
     Returns:
         Touches by force.
@@ -327,6 +332,7 @@ def touches_of(
     D = np.full((m, n, 12, len(sources.names)), np.nan)
     max_stable_force = np.zeros((m, n))
     for i, (fraction, direction) in enumerate(lines):
+        on_progress("touches", i / n)
         # An object that pushes towards +x touches the side at -x.
         press = on.begin_press(fraction * model.rod.length, DIRECTIONS[direction] + math.pi)
         for j, force in enumerate(forces):

@@ -59,19 +59,25 @@ def identification_page(found: Identification) -> bytes:
 
 
 def verdict(found: Identification) -> str:
-    """Return the result of an identification in one sentence."""
+    """Return the result of an identification, one sentence for each number."""
     if not found.valid:
         return f"No number is identified: {found.why or found.result}."
-    known = [one for one in found.found if one.identified]
-    if not known:
+    if not any(one.identified for one in found.found):
         return "The tests determine none of the requested numbers."
-    first = known[0]
-    unit = f" {first.unit}" if first.unit else ""
-    others = f"; {', '.join(one.name for one in known[1:])} as well" if known[1:] else ""
-    return (
-        f"{first.name} is {first.value:.4g}{unit}, with a 95 % interval of {first.low:.4g} to {first.high:.4g}{unit} "
-        f"(design: {first.design:.4g}{unit}){others}."
+    return " ".join(f"{_sentence(one)}." for one in found.found)
+
+
+def _sentence(one: Identified) -> str:
+    """Return what a number is and how far it is from the design, or that it is not observable."""
+    unit = f" {one.unit}" if one.unit else ""
+    if one.result == "not_observable":
+        return f"{one.name} is not observable in these tests and stays at the design's {one.design:.4g}{unit}"
+    text = (
+        f"{one.name} is {one.value:.4g}{unit}, with a 95 % interval of {one.low:.4g} to {one.high:.4g}{unit}"
     )
+    if one.change:
+        text += f" (design {one.design:.4g}{unit}, change {one.change})"
+    return text if one.identified else f"{text}; {one.why}"
 
 
 def _table(found: Identification) -> HtmlTable:
@@ -81,6 +87,7 @@ def _table(found: Identification) -> HtmlTable:
         "95 % interval",
         f"with {found.dimensions}",
         "design",
+        "change",
         "description",
     ]
     return HtmlTable(head, [_row(one) for one in found.found], worded=True)
@@ -88,11 +95,11 @@ def _table(found: Identification) -> HtmlTable:
 
 def _row(one: Identified) -> list[str]:
     design = f"{one.design:.4g} {one.unit}"
-    if one.result == "not_told":
-        return [one.name, "not identifiable", "", "", design, one.why]
+    if one.result == "not_observable":
+        return [one.name, "not observable", "", "", design, "", one.why]
     ends = ((one.low, one.high), (one.low_of_print, one.high_of_print))
     intervals = [f"{a:.4g} ... {b:.4g}" for a, b in ends]
-    return [one.name, f"{one.value:.4g} {one.unit}", *intervals, design, one.why or one.words]
+    return [one.name, f"{one.value:.4g} {one.unit}", *intervals, design, one.change, one.why or one.words]
 
 
 def residual_chart(found: Identification) -> Chart:

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from probedesign.rod.rod import Rod
 
@@ -18,10 +18,10 @@ more, so that a few iterations suffice."""
 def natural_frequency(rod: Rod, gravity: ArrayLike = (0.0, 0.0, 0.0)) -> float:
     """Return the first natural frequency of bending about the straight rod [Hz].
 
-    The eigenvalue problem of ω² of the Euler–Bernoulli beam in its curvatures κ: with the deflection w = A κ and the
-    slope w' = B κ,
+    The eigenvalue problem of ω² of the Euler–Bernoulli beam in the slopes θ at the ends of its elements: with the
+    curvature D θ, the slope M θ and the deflection C θ in their middles,
 
-        (E I / f + Bᵀ T B) κ = ω² Aᵀ ρ A_s A κ,
+        (Dᵀ E I / f D + Mᵀ T M) θ = ω² Cᵀ ρ A_s C θ,
 
     where f is the rod's root factor and T(s) the tension by the weight beyond s. Shear, rotary inertia, damping and
     the sag across the axis are neglected. The softer axis counts.
@@ -41,19 +41,22 @@ def natural_frequency(rod: Rod, gravity: ArrayLike = (0.0, 0.0, 0.0)) -> float:
     soft = np.ones_like(s) if reach <= 0.0 else 1.0 - depth * np.clip(1.0 - s / reach, 0.0, None) ** 3
     stiffness = rod.youngs_modulus * min(xx, yy) * np.pi / 4.0 * r**4 / soft
     mass = rod.density * area * np.pi * r**2 * ds
-    slope = np.where(s[:, None] > s, ds, 0.0) + np.diag(ds / 2.0)
-    beyond = np.cumsum(mass[::-1])[::-1] - mass / 2.0
-    tension = float(np.asarray(gravity, dtype=float)[2]) * beyond * ds
+    tension = float(np.asarray(gravity, dtype=float)[2]) * (np.cumsum(mass[::-1])[::-1] - mass / 2.0) * ds
+    # The slope is 0 at the clamped end. K is tridiagonal: row 0 holds its diagonal, row 1 what is beside it.
+    own, beside = stiffness / ds + tension / 4.0, tension / 4.0 - stiffness / ds
+    K = np.array([own + np.append(own[1:], 0.0), np.append(beside[1:], 0.0)])
     try:
-        K = cho_factor(np.diag(stiffness * ds) + slope.T @ (tension[:, None] * slope), lower=True)
+        factor = cholesky_banded(K, lower=True)
     except np.linalg.LinAlgError:  # K is not positive definite: the weight buckles the rod
         return math.nan
-    arm = np.clip(s[:, None] - s, 0.0, None) * ds  # w at the middle of i by the curvature of j
-    curvature, largest = np.ones(len(s)), 0.0
+    h = float(ds[0])
+    slope, largest = np.ones(len(s)), 0.0
     for _ in range(_MAX_ITERATIONS):
-        curvature = cho_solve(K, arm.T @ (mass * (arm @ curvature)))
-        before, largest = largest, float(np.abs(curvature).max())  # of a vector whose largest entry was 1
-        curvature /= largest
+        deflection = h * np.append(0.0, np.cumsum(slope)[:-1])
+        force = mass * deflection
+        slope = cho_solve_banded((factor, True), h * np.append(np.cumsum(force[:0:-1])[::-1], 0.0))
+        before, largest = largest, float(np.abs(slope).max())  # of a vector whose largest entry was 1
+        slope /= largest
         if abs(largest - before) < _TOLERANCE * largest:
             break
     return 1.0 / (2.0 * math.pi * math.sqrt(largest))

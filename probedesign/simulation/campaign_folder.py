@@ -189,7 +189,7 @@ def _tests(truth: GroundTruth, tests: list[SimulatedTest], rng: np.random.Genera
         elif test.p_surface_base is not None:
             if truth.plan.kind == "stage":
                 s = _known(test.s_contact + rng.normal() * std, std)
-            place = truth.to_world(test.p_surface_base) + rng.normal(size=3) * std
+            place = test.bench.to_world(test.p_surface_base) + rng.normal(size=3) * std
             contact, spread = [f"{value / MM:.4f}" for value in place], f"{std / MM:g}"
         sag = ["", ""]
         if test.name == "hang-1":
@@ -208,8 +208,8 @@ def _known(value: float, std: float) -> list[str]:
 def _sag(truth: GroundTruth, test: SimulatedTest) -> float:
     """Return the displacement of the tip along gravity from the straight probe [m]."""
     length = truth.rod.length
-    tip = test.equilibrium.p_at(length) - np.array([0.0, 0.0, length])
-    return float(tip @ truth.gravity_base / np.linalg.norm(truth.gravity_base))
+    tip, down = test.equilibrium.p_at(length) - np.array([0.0, 0.0, length]), test.bench.gravity_base
+    return (1.0 + truth.flaws.length_scale) * float(tip @ down / np.linalg.norm(down))
 
 
 def _wrenches(truth: GroundTruth, tests: list[SimulatedTest], rng: np.random.Generator) -> str:
@@ -241,7 +241,7 @@ def _markers(
         rows = ["test,marker,x_world_mm,y_world_mm,z_world_mm"]
         for test in tests:
             s = np.minimum(rig.marker_s, rig.truth.rod.length)
-            on_axis = rig.truth.to_world(test.equilibrium.p_at(s))
+            on_axis = test.bench.to_world(test.equilibrium.p_at(s))
             seen = on_axis + rng.normal(size=on_axis.shape) * plan.marker_noise
             rows += [f"{test.name},{i},{_row(p / MM, 4)}" for i, p in enumerate(seen, 1)]
         return {"markers.csv": "\n".join(rows) + "\n"}
@@ -290,19 +290,22 @@ def _truth(truth: GroundTruth, tests: list[SimulatedTest]) -> str:
         "root_rigid_radii": rod.rigid_length / float(rod.radius[0]),
         "gain": truth.flaws.gain.tolist(),
         "creep": truth.flaws.creep,
+        "length_scale": truth.flaws.length_scale,
         "T_world_base": truth.T_world_true.tolist(),
         "gravity_world_m_s2": truth.gravity_world.tolist(),
-        "tests": {test.name: _true_test(truth, test) for test in tests},
+        "tests": {test.name: _true_test(test) for test in tests},
     }
     return json.dumps(document, indent=1) + "\n"
 
 
-def _true_test(truth: GroundTruth, test: SimulatedTest) -> dict[str, object]:
-    eq, R = test.equilibrium, truth.T_world_true[:3, :3]
+def _true_test(test: SimulatedTest) -> dict[str, object]:
+    eq, truth = test.equilibrium, test.bench
+    R = truth.T_world_true[:3, :3]
     force = R @ eq.load[0:3]
     touched = bool(force.any())
     surface = test.p_surface_base
     return {
+        "T_world_base": truth.T_world_true.tolist(),
         "force_world_N": force.tolist(),
         "s_contact_mm": test.s_contact / MM if touched else None,
         "friction": test.friction if surface is not None else None,

@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from probedesign.campaigns.manifest import LENGTH_SCALE, WEIGHT_STD, WRIST
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose, wrench_map
 from probedesign.core.units import MM
@@ -158,6 +159,10 @@ class BenchFlaws:
         creep: relative loss of stiffness from the first test to the last.
         stiffness_scatter: standard deviation of the stiffness of each loaded test, relative.
         drift_steps, walk_steps: of the sensor's bias, as in `Tolerances`.
+        length_scale: relative error of the lengths that the reference measures.
+        std_pose: standard deviation of the base's position in each test, on each axis [m], and of its rotation times
+            `WRIST`.
+        std_weight: standard deviation of each known load, relative.
     """
 
     friction: float
@@ -167,15 +172,20 @@ class BenchFlaws:
     stiffness_scatter: float
     drift_steps: float
     walk_steps: float
+    length_scale: float
+    std_pose: float
+    std_weight: float
 
     @classmethod
     def draw(cls, model: ProbeModel, plan: CampaignPlan, tolerances: Tolerances) -> "BenchFlaws":
         """Draw the flaws of a plan's bench."""
         rng, t = np.random.default_rng([plan.seed, 4]), tolerances if plan.flaws else Tolerances.none()
         own = 0.0 if plan.exact or not plan.flaws else min(model.friction, MAX_FRICTION)
+        bench = float(plan.flaws and not plan.exact)
         return cls(own if plan.friction is None else plan.friction, t.gain * rng.normal(size=6),
                    t.root_radii * rng.normal(), t.creep * rng.normal(), t.stiffness_scatter, tolerances.drift_steps,
-                   t.walk_steps)  # fmt: skip
+                   t.walk_steps, bench * LENGTH_SCALE * rng.normal(), t.robot_mm * MM,
+                   bench * WEIGHT_STD)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,6 +194,7 @@ class SimulatedTest:
 
     Attributes:
         name: of the test.
+        bench: probe, poses and gravity during the test.
         equilibrium: of the true probe in its true base.
         p_surface_base: touched point [m], (3,); None for free probes and weights.
         direction: of the push of a touch.
@@ -194,6 +205,7 @@ class SimulatedTest:
     """
 
     name: str
+    bench: "GroundTruth"
     equilibrium: Equilibrium
     p_surface_base: Array | None
     direction: str
@@ -253,26 +265,31 @@ class GroundTruth:
         """Return every test: free, weights, touches, free again; refuse a probe that has no stable equilibrium."""
         weights = planned_weights(self.model) if self.plan.kind == "cameras" else []
         touches = planned_touches(self.model)
-        rods = iter(self._rods(len(weights) + len(touches)))
-        found = [self._free("hang-1", next(rods))]
+        benches = iter(self._benches(len(weights) + len(touches)))
+        found = [next(benches)._free("hang-1")]
         for i, (fraction, newtons) in enumerate(weights, 1):
-            found.append(self._loaded(f"weight-{i}", next(rods), fraction, newtons))
+            found.append(next(benches)._loaded(f"weight-{i}", fraction, newtons))
         for i, touch in enumerate(touches, 1):
-            found.append(self._touched(f"touch-{i:02d}", next(rods), *touch))
-        return [*found, self._free("hang-2", next(rods))]
+            found.append(next(benches)._touched(f"touch-{i:02d}", *touch))
+        return [*found, next(benches)._free("hang-2")]
 
-    def _rods(self, loaded: int) -> list[Rod]:
-        """Return the probe of each test, whose stiffness creeps and scatters; the first and the last are free."""
-        scatter = self.flaws.stiffness_scatter * np.random.default_rng([self.plan.seed, 5]).normal(
-            size=loaded
-        )
-        own = np.concatenate([[0.0], scatter, [0.0]])
+    def _benches(self, loaded: int) -> list["GroundTruth"]:
+        """Return the truth during each test: the stiffness creeps and scatters, and each pose has an error of its own;
+        the first and the last are free."""
+        rng, rod = np.random.default_rng([self.plan.seed, 5]), self.rod
+        own = np.concatenate([[0.0], self.flaws.stiffness_scatter * rng.normal(size=loaded), [0.0]])
         factors = np.exp(own - self.flaws.creep * (np.linspace(0.0, 1.0, loaded + 2) - 0.5)).tolist()
-        rod = self.rod
-        return [
-            replace(rod, youngs_modulus=f * rod.youngs_modulus, shear_modulus=f * rod.shear_modulus)
-            for f in factors
-        ]
+        found = []
+        for f in factors:
+            shift, turn = self.flaws.std_pose * rng.normal(size=(2, 3)) / [[1.0], [WRIST]]
+            T = self.T_world_base @ _displacement(shift, turn) @ np.linalg.inv(self.T_world_base)
+            softer = replace(rod, youngs_modulus=f * rod.youngs_modulus, shear_modulus=f * rod.shear_modulus)
+            found.append(
+                replace(
+                    self, rod=softer, T_world_mount=T @ self.T_world_mount, T_world_true=T @ self.T_world_true
+                )
+            )
+        return found
 
     @property
     def gravity_base(self) -> Array:
@@ -280,24 +297,33 @@ class GroundTruth:
         return np.asarray(self.T_world_true[:3, :3].T @ self.gravity_world)
 
     def to_world(self, points_base: Array) -> Array:
-        """Return points of the true base's frame in the world [m], (..., 3)."""
-        return np.asarray(points_base @ self.T_world_true[:3, :3].T + self.T_world_true[:3, 3])
+        """Return points of the true base's frame in the world as the reference measures it [m], (..., 3).
 
-    def _free(self, name: str, rod: Rod) -> SimulatedTest:
-        return self._test(name, rod.solve(self.gravity_base), None, "", np.zeros(3))
+        Its lengths have the error `length_scale`, from the stated position of the base on.
+        """
+        p_world = points_base @ self.T_world_true[:3, :3].T + self.T_world_true[:3, 3]
+        return np.asarray(p_world + self.flaws.length_scale * (p_world - self.T_world_base[:3, 3]))
 
-    def _loaded(self, name: str, rod: Rod, fraction: float, newtons: float) -> SimulatedTest:
+    def _free(self, name: str) -> SimulatedTest:
+        return self._test(name, self.rod.solve(self.gravity_base), None, "", np.zeros(3))
+
+    def _loaded(self, name: str, fraction: float, newtons: float) -> SimulatedTest:
         """Return a weight on a thread around the probe, a dead force on its axis, halved until the probe is stable."""
-        down = self.gravity_world / np.linalg.norm(self.gravity_world)
+        rng = np.random.default_rng([self.plan.seed, 6, int(name.rsplit("-", 1)[1])])
+        pull = (
+            (1.0 + self.flaws.std_weight * rng.normal())
+            * self.gravity_world
+            / np.linalg.norm(self.gravity_world)
+        )
         for _ in range(MAX_HALVINGS):
-            force_base = self.T_world_true[:3, :3].T @ (newtons * down)
-            eq = rod.solve(self.gravity_base, force_base, fraction * rod.length)
+            force_base = self.T_world_true[:3, :3].T @ (newtons * pull)
+            eq = self.rod.solve(self.gravity_base, force_base, fraction * self.rod.length)
             if eq.ok:
                 break
             newtons /= 2.0
         return self._test(name, eq, None, "", np.array([0.0, 0.0, -newtons]))
 
-    def _touched(self, name: str, rod: Rod, fraction: float, newtons: float, direction: str) -> SimulatedTest:
+    def _touched(self, name: str, fraction: float, newtons: float, direction: str) -> SimulatedTest:
         """Return a touch, halved until the probe is stable.
 
         With friction the force lies within Coulomb's cone, its tangential part uniform in the circle of radius μ F_n.
@@ -308,9 +334,9 @@ class GroundTruth:
             mu = draw_friction(self.flaws.friction, self.plan.friction_spread, rng)
             size, turn = mu * math.sqrt(rng.random()), 2.0 * math.pi * rng.random()
             ratios = (size * math.cos(turn), size * math.sin(turn))
-        s, angle = fraction * rod.length, DIRECTIONS[direction]
+        s, angle = fraction * self.rod.length, DIRECTIONS[direction]
         for _ in range(MAX_HALVINGS):
-            found = solve_contact(rod, self.gravity_base, s, angle, newtons, ratios)
+            found = solve_contact(self.rod, self.gravity_base, s, angle, newtons, ratios)
             if found.result == "ok":
                 break
             newtons /= 2.0
@@ -335,8 +361,9 @@ class GroundTruth:
         mount_true = np.linalg.inv(self.T_world_mount) @ self.T_world_true
         wrench_mount = wrench_map(mount_true) @ eq.wrench_base
         gravity_mount = self.T_world_mount[:3, :3].T @ self.gravity_world
-        return SimulatedTest(name, eq, surface, direction, weight, self.model.to_sensor(wrench_mount, gravity_mount),
-                     eq.s_contact if s_contact is None else s_contact, friction)  # fmt: skip
+        reading = self.model.to_sensor(wrench_mount, gravity_mount)
+        s = eq.s_contact if s_contact is None else s_contact
+        return SimulatedTest(name, self, eq, surface, direction, weight, reading, s, friction)
 
 
 def pose_under_gravity(gravity_base: Array) -> Array:

@@ -16,7 +16,6 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import cKDTree
 
 from probedesign.core.frames import Array
-from probedesign.rod.equilibrium import Equilibrium
 from probedesign.simulation.ground_truth import GroundTruth, SimulatedTest, marker_arclengths
 from probedesign.vision import require_opencv
 from probedesign.vision.camera import Camera
@@ -395,30 +394,31 @@ class StereoRig:
             found.append(Camera.looking(name, p, centre, FOCAL_PX, SIZE_PX, lens))
         return found[0], found[1]
 
-    def tube(self, eq: Equilibrium) -> SurfaceTube:
+    def tube(self, test: SimulatedTest) -> SurfaceTube:
         """Return the surface of the bent probe in the world."""
         s = np.linspace(0.0, self.truth.rod.length, 400)
         radius = self.truth.rod.radius_at(s)
-        return SurfaceTube(self.truth.to_world(eq.p_at(s)), 2.0 * radius)
+        return SurfaceTube(test.bench.to_world(test.equilibrium.p_at(s)), 2.0 * radius)
 
-    def dots(self, eq: Equilibrium) -> PaintedDots:
+    def dots(self, test: SimulatedTest) -> PaintedDots:
         """Return the dots on the bent probe."""
-        _, outward, radius = self._sections(eq)
+        _, outward, radius = self._sections(test)
         return PaintedDots(self.marker_s, outward, np.minimum(2.0 * DOT_RATIO * radius, MAX_DOT))
 
     def markers(self, test: SimulatedTest) -> Array:
         """Return the true positions of the markers in the world [m], (k, 3)."""
-        centre, outward, radius = self._sections(test.equilibrium)
+        centre, outward, radius = self._sections(test)
         return np.asarray(centre + radius[:, None] * outward)
 
-    def _sections(self, eq: Equilibrium) -> tuple[Array, Array, Array]:
+    def _sections(self, test: SimulatedTest) -> tuple[Array, Array, Array]:
         """Return the centres of the marked sections, the direction to their side, and the distance of the surface."""
         s = np.minimum(self.marker_s, self.truth.rod.length)
+        eq, bench = test.equilibrium, test.bench
         R = eq.R_at(s)
         outward = R[:, :, 0] * math.cos(self.side) + R[:, :, 1] * math.sin(self.side)
         radius = self.truth.rod.radius_at(s)
         radius *= self.truth.model.cross_section.reach(self.side)
-        return self.truth.to_world(eq.p_at(s)), outward @ self.truth.T_world_true[:3, :3].T, radius
+        return bench.to_world(eq.p_at(s)), outward @ bench.T_world_true[:3, :3].T, radius
 
 
 def take_photographs(
@@ -434,7 +434,7 @@ def take_photographs(
     folder.mkdir()
     total = len(tests) * len(rig.cameras)
     for i, test in enumerate(tests):
-        tube, dots = rig.tube(test.equilibrium), rig.dots(test.equilibrium)
+        tube, dots = rig.tube(test), rig.dots(test)
         for k, camera in enumerate(rig.cameras):
             number = i * len(rig.cameras) + k
             on_progress("photographs", number / total)

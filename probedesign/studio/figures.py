@@ -7,12 +7,12 @@ adds the other positions, fused touches, the largest force and the workspace, an
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from html import escape
 
 import numpy as np
 
 from probedesign.core.frames import Array
+from probedesign.core.parallel import OnProgress, quiet
 from probedesign.design import Design
 from probedesign.estimation.estimate import Estimate
 from probedesign.prediction.fused import SHOWN_N, shown
@@ -29,8 +29,9 @@ from probedesign.prediction.predict import (
 from probedesign.printing.check import check_print
 from probedesign.probe import Probe, build_probe
 from probedesign.reports.chart import COLOURS, DASHES, ORDERED, Chart, ChartAxis
-from probedesign.reports.prediction_page import LIMITS, budget_chart, error_level
+from probedesign.reports.prediction_page import LEVELS_MM, LIMITS, budget_chart, error_level
 from probedesign.rod.contact import FrictionlessContact, solve_frictionless
+from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.vibration import natural_frequency
 from probedesign.studio.session import PinnedDesign, StudioTouch
 
@@ -38,10 +39,15 @@ _PLACE = ChartAxis(
     "contact position, fraction of the length", 0.0, 1.02, ticks=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 )
 STYLE = """<style>.st table{border-collapse:collapse;font-size:12.5px;width:100%}
+.st .chips{display:flex;flex-wrap:wrap;gap:2px 10px;margin:4px 0;font-size:12px}
+.st .chips i{display:inline-block;width:12px;height:12px;margin-right:4px;vertical-align:-1px}
+[data-mantine-color-scheme=dark] .st svg{filter:invert(1) hue-rotate(180deg)}
+[data-mantine-color-scheme=dark] .st svg text[style]{fill:var(--dark)}
+[data-mantine-color-scheme=dark] .st .better{color:#6fd39b}[data-mantine-color-scheme=dark] .st .worse{color:#ff9a92}
 .st td,.st th{text-align:left;padding:2px 8px 2px 0;vertical-align:top;font-variant-numeric:tabular-nums}
 .st .better{color:#1b7f4b}.st .worse{color:#b3261e}.st svg{width:100%;height:auto;display:block;background:#fff}
 .st .bad{background:#b3261e;color:#fff;border-radius:6px;padding:6px 10px}
-.st .note{color:#75808b;font-size:12px}</style>"""
+.st .note{color:light-dark(#5b6570,#a9b2bb);font-size:12px}</style>"""
 """Style of the texts, tables and charts of the page."""
 PREVIEWED = FRACTIONS[1::2]
 """Contact positions that follow a slider, the one of the summary among them."""
@@ -150,6 +156,10 @@ def _largest(values: Sequence[float | None]) -> float | None:
     return max(known) if known and len(known) == len(values) else None
 
 
+_COMPLETE: dict[Design, DesignFigures] = {}
+_MAX_KEPT = 16
+
+
 def preview(design: Design, forces_N: tuple[float, ...]) -> DesignFigures:
     """Return what follows a slider: single touches, sag, mass, frequency, print check.
 
@@ -161,21 +171,34 @@ def preview(design: Design, forces_N: tuple[float, ...]) -> DesignFigures:
     return _figures(design, PREVIEWED, forces, True)
 
 
-@lru_cache(maxsize=16)
-def complete(design: Design) -> DesignFigures:
-    """Return all figures of `probedesign predict`."""
-    return _figures(design, FRACTIONS, FORCES_N, False)
+def complete(design: Design, on_progress: OnProgress = quiet) -> DesignFigures:
+    """Return all figures of `probedesign predict`; those of the last designs are kept.
+
+    Args:
+        design: a valid design.
+        on_progress: as in `predict`; an exception that it raises ends the prediction.
+    """
+    if design not in _COMPLETE:
+        found = _figures(design, FRACTIONS, FORCES_N, False, on_progress)
+        while len(_COMPLETE) >= _MAX_KEPT:
+            _COMPLETE.pop(next(iter(_COMPLETE)))
+        _COMPLETE[design] = found
+    return _COMPLETE[design]
 
 
 def _figures(
-    design: Design, fractions: tuple[float, ...], forces_N: tuple[float, ...], only_single: bool
+    design: Design,
+    fractions: tuple[float, ...],
+    forces_N: tuple[float, ...],
+    only_single: bool,
+    on_progress: OnProgress = quiet,
 ) -> DesignFigures:
     probe = build_probe(design)
     model = probe.model
     found = check_print(design, layers=False)
     return DesignFigures(
         probe,
-        predict(model, fractions, forces_N, only_single=only_single),
+        predict(model, fractions, forces_N, only_single=only_single, on_progress=on_progress),
         not only_single,
         natural_frequency(probe.rod, model.gravity_base),
         tuple(f"{finding.severity}: {finding.message}" for finding in (*found.errors, *found.warnings)),
@@ -199,6 +222,17 @@ def segment_colours(figures: DesignFigures, edges: Array, force_N: float) -> lis
         error = located.get(float(places[np.argmin(np.abs(places - middle))]))
         found.append(NOT_LOCATED if error is None else _rgb(ORDERED[error_level(error)]))
     return found
+
+
+def colour_legend(force_mN: float) -> str:
+    """Return the legend of `segment_colours` as HTML: the error of a touch of a force [mN] at that place."""
+    bounds = [f"≤ {level:g}" for level in LEVELS_MM] + [f"> {LEVELS_MM[-1]:g} mm"]
+    chips = [
+        (ORDERED[error_level(level)], text) for level, text in zip((*LEVELS_MM, 1e9), bounds, strict=True)
+    ]
+    chips.append((f"rgb{NOT_LOCATED}", "not located"))
+    items = "".join(f'<span><i style="background:{colour}"></i>{text}</span>' for colour, text in chips)
+    return f"<div class=note>Colour of the probe: error of {force_mN:g} mN there</div><div class=chips>{items}</div>"
 
 
 def _rgb(colour: str) -> tuple[int, int, int]:
@@ -227,15 +261,26 @@ class DrawnTouch:
 def drawn_touch(probe: Probe, touch: StudioTouch) -> DrawnTouch | None:
     """Return the touch; None where the probe buckles under it."""
     model = probe.model
-    s = min(touch.fraction * probe.length, model.rod.flank_end)
-    force = 1e-3 * touch.force_mN
-    found = solve_frictionless(model.rod, model.gravity_base, s, math.radians(touch.angle_deg), force)
+    s, found = _touched(probe, touch)
     if found.result != "ok":
         return None
     normal = found.force_base / np.linalg.norm(found.force_base)
     r = float(model.rod.radius_at(s)) * math.cos(math.atan(model.rod.taper_at(s)))
     estimate = probe.estimator().estimate(found.equilibrium.wrench_base)
     return DrawnTouch(found, s, found.equilibrium.p_contact_base - r * normal, normal, estimate)
+
+
+def _touched(probe: Probe, touch: StudioTouch) -> tuple[float, FrictionlessContact]:
+    """Return the arclength of the touched section [m], and the equilibrium."""
+    model, force = probe.model, 1e-3 * touch.force_mN
+    s = min(touch.fraction * probe.length, model.rod.flank_end)
+    return s, solve_frictionless(model.rod, model.gravity_base, s, math.radians(touch.angle_deg), force)
+
+
+def touched_shape(probe: Probe, touch: StudioTouch) -> Equilibrium:
+    """Return the shape of a probe under the touch; without it where it buckles under the touch."""
+    contact = _touched(probe, touch)[1]
+    return contact.equilibrium if contact.result == "ok" else probe.rod.solve(probe.model.gravity_base)
 
 
 # Charts and tables
@@ -307,7 +352,9 @@ def budget_figure(figures: DesignFigures) -> Chart | None:
     return budget_chart(rows) if rows else None
 
 
-def summary_table(figures: DesignFigures, pinned: Sequence[tuple[PinnedDesign, DesignFigures]]) -> str:
+def summary_table(
+    figures: DesignFigures, pinned: Sequence[tuple[PinnedDesign, DesignFigures]], label: str = "this design"
+) -> str:
     """Return the figures as an HTML table, with the pinned designs and the difference to each."""
     rows = figures.summary()
     others = [(pin.label, {row.name: row for row in other.summary()}) for pin, other in pinned]
@@ -316,7 +363,7 @@ def summary_table(figures: DesignFigures, pinned: Sequence[tuple[PinnedDesign, D
     for row in rows:
         cells = "".join(_difference(row, found.get(row.name)) for _, found in others)
         body += f"<tr><td>{escape(row.name)}</td><td>{escape(row.text)}</td>{cells}</tr>"
-    return f"<table><tr><th></th><th>this design</th>{head}</tr>{body}</table>"
+    return f"<table><tr><th></th><th>{escape(label)}</th>{head}</tr>{body}</table>"
 
 
 def _difference(now: Figure, then: Figure | None) -> str:

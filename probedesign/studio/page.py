@@ -9,7 +9,7 @@ import math
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from functools import partial
 from html import escape
@@ -21,17 +21,17 @@ import viser
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.design.catalog import RESINS
-from probedesign.design.sensor_catalog import SENSORS
 from probedesign.live.view.access import protect
-from probedesign.live.view.page import UNIT, LoopbackServer, level_rotation
-from probedesign.prediction.predict import FORCES_N
+from probedesign.live.view.page import LoopbackServer
 from probedesign.prediction.table_one import PROBES, paper_design
 from probedesign.reports.chart import Chart
 from probedesign.studio import actions
+from probedesign.studio.controls import DesignControls
 from probedesign.studio.figures import (
+    DesignFigures,
     DrawnTouch,
     budget_figure,
+    colour_legend,
     complete,
     drawn_touch,
     error_chart,
@@ -40,12 +40,21 @@ from probedesign.studio.figures import (
     styled,
     summary_table,
 )
+from probedesign.studio.improve import ImproveTab
 from probedesign.studio.scene import StudioScene
-from probedesign.studio.session import MOUNTINGS, Session, StudioTouch, knots_of, mounting_of, with_knots
+from probedesign.studio.session import MOUNTINGS, PinnedDesign, Session, StudioTouch, with_knots
 
 TITLE = "probedesign studio"
 REST_SECONDS = 0.35
 """Time without a change after which everything is predicted."""
+CONTROLS_WIDTH, CHARTS_WIDTH, MIN_SCENE_WIDTH = 310.0, 360.0, 300.0
+"""Widths of the panels, and of the scene below which the panels share one side [px]."""
+PHONE_WIDTH = 576
+"""Width up to which viser arranges the panels itself [px]."""
+
+
+class _RequestWaitsError(Exception):
+    """A request ends what is computed while the hand rests."""
 
 
 class StudioPage:
@@ -61,10 +70,10 @@ class StudioPage:
         self.session = session
         self._requests: queue.Queue[Callable[[], None]] = queue.Queue()
         self._latest: dict[str, Any] = {}
-        self._lock, self._setting = threading.Lock(), False
+        self._lock = threading.Lock()
         self.figures = preview(session.design, self._forces)
         self._drawn: DrawnTouch | None = None
-        self._complete = False
+        self._complete = self._searching = False
         self._stopped = threading.Event()
         protect(TITLE, token="")
         with redirect_stdout(io.StringIO()):  # viser prints a banner
@@ -73,7 +82,8 @@ class StudioPage:
         self._controls()
         self._scene = StudioScene(self._server.scene, self.move)
         self._show()
-        self._set_camera()
+        self._scene.set_camera(self._server.initial_camera)
+        self._server.on_client_connect(self._lay_out)
         self._thread = threading.Thread(target=self._work, name="studio", daemon=True)
         self._thread.start()
 
@@ -152,8 +162,8 @@ class StudioPage:
         """Carry out requests; predict everything when there were none for a while."""
         while not self._stopped.is_set():
             try:
-                busy = self._improvement is not None and self._improvement.running
-                request = self._requests.get(timeout=None if self._complete and not busy else REST_SECONDS)
+                at_rest = self._complete and not self._searching
+                request = self._requests.get(timeout=None if at_rest else REST_SECONDS)
             except queue.Empty:
                 self._rest()
                 continue
@@ -163,12 +173,22 @@ class StudioPage:
                 self._say(str(error).replace("--force", "the box 'replace existing files'"), bad=True)
 
     def _rest(self) -> None:
-        """Predict everything once the hand rests, and draw the path of a search."""
-        self._show_improvement()
-        if not self._complete:
-            self._complete = True
-            self.figures = complete(self.session.design)
-            self._show()
+        """Predict everything once the hand rests, and draw the path of a search; the next request ends both."""
+        try:
+            if self._searching:
+                self._searching = self._improve.running  # before the last state is shown
+                self._improve.show(lambda design: complete(design, self._yield))
+            if not self._complete:
+                self.figures = complete(self.session.design, self._yield)
+                self._complete = True
+                self._show()
+        except _RequestWaitsError:
+            self._searching = self._improve.search is not None
+
+    def _yield(self, _step: str, _share: float | None) -> None:
+        """End what is computed if a request waits."""
+        if not self._requests.empty():
+            raise _RequestWaitsError
 
     def _refresh(self, moved: bool = True) -> None:
         """Compute and show what follows from a change; `moved`: the design or the forces may have changed."""
@@ -181,25 +201,27 @@ class StudioPage:
 
     def _controls(self) -> None:
         gui = self._server.gui
-        gui.configure_theme(
-            show_logo=False, show_share_button=False, control_width="large", brand_color=(38, 84, 124)
-        )
+        self._theme(dark=False)
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(310.0)
+        gui.main_panel.set_width(CONTROLS_WIDTH)
         self._status = gui.add_html("")
-        self._handles: dict[str, Any] = {}
+        self._design_controls = DesignControls(gui, self.session, self.move)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Probe"):
-            self._probe_controls(gui)
+            self._probe_tab(gui)
         with tabs.add_tab("Bench"):
-            self._bench_controls(gui)
+            self._design_controls.add_bench()
         with tabs.add_tab("Touch"):
-            self._touch_controls(gui)
+            self._touch_tab(gui)
         with tabs.add_tab("Improve"):
-            self._improve_controls(gui)
+            self._improve = ImproveTab(
+                gui, lambda: self._request(self._start_search),
+                lambda design: self._request(lambda: self._accept(design)),
+                lambda: self._request(self._improve.drop),
+            )  # fmt: skip
         with tabs.add_tab("Save"):
-            self._save_controls(gui)
-        charts = gui.add_panel()
+            self._save_tab(gui)
+        self._panel = charts = gui.add_panel()
         with charts.add_tab("Error"):
             self._charts = {"error": gui.add_html(""), "summary": gui.add_html("")}
         with charts.add_tab("Budget"):
@@ -207,105 +229,22 @@ class StudioPage:
         with charts.add_tab("Fused"):
             self._charts["fused"] = gui.add_html("")
         charts.dock_left()
-        charts.set_width(360.0)
+        charts.set_width(CHARTS_WIDTH)
 
-    def _bind(self, key: str, handle: Any, value: Callable[[Any], Any] = lambda value: value) -> None:
-        """Connect a control to a key of the design or of the touch."""
-        self._handles[key] = handle
-
-        def changed(_: Any) -> None:
-            if not self._setting:
-                self.move(key, value(handle.value))
-
-        handle.on_update(changed)
-
-    def _slider(
-        self, gui: viser.GuiApi, key: str, label: str, low: float, high: float, step: float, value: float
-    ) -> None:
-        low, high = min(low, value), max(high, value)
-        self._bind(key, gui.add_slider(label, low, high, step, value))
-
-    def _probe_controls(self, gui: viser.GuiApi) -> None:
-        design = self.session.design
+    def _probe_tab(self, gui: viser.GuiApi) -> None:
         preset = gui.add_dropdown("preset", ("-", *PROBES), initial_value="-")
         preset.on_update(lambda _: self._preset(preset))
         steps = gui.add_button_group("changes", ("undo", "redo"))
         steps.on_click(lambda _: self._request(lambda: self._step(steps.value)))
-        probe = design.probe
-        self._bind(
-            "probe.shape",
-            gui.add_dropdown("shape", ("cone", "cylinder", "profile"), initial_value=probe.shape),
-        )
-        self._slider(gui, "probe.length_mm", "length [mm]", 20.0, 250.0, 1.0, probe.length_mm)
-        self._slider(gui, "probe.base_d_mm", "base diameter [mm]", 2.0, 20.0, 0.1, probe.base_d_mm)
-        self._slider(
-            gui, "probe.tip_d_mm", "tip diameter [mm]", 1.0, 12.0, 0.1, probe.tip_d_mm or probe.base_d_mm
-        )
-        self._knots = gui.add_folder("profile: diameters between [mm]", visible=False)
-        self._knot_sliders: list[Any] = []
-        self._bind(
-            "probe.section",
-            gui.add_dropdown("section", ("round", "hollow", "elliptic"), initial_value=probe.section),
-        )
-        self._slider(
-            gui, "probe.bore_ratio", "bore over outer diameter", 0.1, 0.9, 0.01, probe.bore_ratio or 0.5
-        )
-        self._slider(gui, "probe.flatness", "flatness, y over x", 0.2, 1.0, 0.01, probe.flatness or 0.7)
-        self._bind("probe.tip", gui.add_dropdown("tip", ("blunt", "rounded"), initial_value=probe.tip))
-        self._bind(
-            "material.resin", gui.add_dropdown("resin", tuple(RESINS), initial_value=design.material.resin)
-        )
-        self._slider(gui, "material.youngs_modulus_mpa", "E [MPa]", 0.2, 10.0, 0.01,
-                     design.youngs_modulus.value / 1e6)  # fmt: skip
+        self._design_controls.add_probe()
 
-    def _bench_controls(self, gui: viser.GuiApi) -> None:
-        design = self.session.design
-        known = (design.sensor_model, *SENSORS.values())
-        calibrations = tuple(dict.fromkeys(c.name for sensor in known for c in sensor.calibrations))
-        self._bind(
-            "sensor.calibration",
-            gui.add_dropdown("calibration", calibrations, initial_value=design.calibration.name),
-        )
-        self._bind(
-            "sensor.averaging_samples",
-            gui.add_slider("samples in one reading", 1, 1000, 1, design.sensor.averaging_samples),
-        )
-        mounted = gui.add_dropdown("probe points", (*MOUNTINGS, "other"),
-                                   initial_value=mounting_of(design.mount.gravity_base_m_s2))  # fmt: skip
-        self._bind("mounting", mounted)
-        vector = gui.add_vector3("gravity in base axes [m/s²]", design.mount.gravity_base_m_s2, step=0.01)
-        self._bind("mount.gravity_base_m_s2", vector, list)
-        self._slider(gui, "mount.root_rigid_radii", "root, rigid base radii", -0.5, 0.5, 0.01,
-                     design.mount.root_rigid_radii)  # fmt: skip
-        self._slider(gui, "contact.friction", "friction", 0.0, 1.5, 0.05, min(design.friction.value, 1.5))
-        shown = [gui.add_checkbox(f"{1e3 * f:g} mN", 1e3 * f in self.session.forces_mN) for f in FORCES_N]
-        for box in shown:
-            box.on_update(lambda _: self._choose_forces(shown))
-
-    def _touch_controls(self, gui: viser.GuiApi) -> None:
-        touch = self.session.touch
-        self._slider(gui, "touch.fraction", "place, fraction of the length", 0.05, 1.0, 0.01, touch.fraction)
-        self._slider(gui, "touch.angle_deg", "direction [deg]", -180.0, 180.0, 1.0, touch.angle_deg)
-        self._slider(gui, "touch.force_mN", "force [mN]", 0.5, 200.0, 0.5, touch.force_mN)
+    def _touch_tab(self, gui: viser.GuiApi) -> None:
+        self._design_controls.add_touch()
         gui.add_markdown("Drag the red point along the probe, or the end of its arrow: its direction is that of the "
                          "force, and it grows with the logarithm of the force.")  # fmt: skip
         self._touch_text = gui.add_html("")
 
-    def _improve_controls(self, gui: viser.GuiApi) -> None:
-        self._goal = gui.add_slider("force of the task [mN]", 1.0, 50.0, 0.5, 5.0)
-        self._touches = gui.add_slider("fused touches of the task", 1, 8, 1, 5)
-        self._free = gui.add_dropdown("what may change", tuple(actions.FREE))
-        self._sag = gui.add_slider("largest tip sag [mm]", 1.0, 120.0, 1.0, 60.0)
-        start = gui.add_button("Improve from here", color="green")
-        start.on_click(lambda _: self._improve())
-        self._path = gui.add_html("")
-        self._accept = gui.add_button("Accept the result", visible=False, color="green")
-        self._accept.on_click(lambda _: self._request(self._take))
-        self._drop = gui.add_button("Drop the result", visible=False)
-        self._drop.on_click(lambda _: self._request(self._discard))
-        self._improvement: actions.Improvement | None = None
-
-    def _save_controls(self, gui: viser.GuiApi) -> None:
+    def _save_tab(self, gui: viser.GuiApi) -> None:
         pin = gui.add_button("Pin this design", icon=viser.Icon.PINNED)
         pin.on_click(lambda _: self._request(self._pin))
         unpin = gui.add_button("Remove the last pin")
@@ -315,6 +254,28 @@ class StudioPage:
         for label, action in actions.ACTIONS.items():
             gui.add_button(label).on_click(partial(self._press, action))
         self._command: Any = gui.add_text("command that restores this state", "", multiline=True)
+        dark = gui.add_checkbox("dark page", False)
+        dark.on_update(lambda _: self._theme(dark.value))
+
+    def _theme(self, dark: bool) -> None:
+        self._server.gui.configure_theme(
+            show_logo=False,
+            show_share_button=False,
+            control_width="large",
+            brand_color=(38, 84, 124),
+            dark_mode=dark,
+        )
+
+    def _lay_out(self, client: viser.ClientHandle) -> None:
+        """Fit the camera of a browser; on a narrow screen, put the charts below the controls."""
+        width, height = client.camera.image_width, max(client.camera.image_height, 1)
+        scene = float(width)  # of the window: the panels are not there yet
+        if width > PHONE_WIDTH:
+            scene -= CONTROLS_WIDTH + CHARTS_WIDTH
+            if scene < MIN_SCENE_WIDTH:
+                self._panel.dock_below(self._server.gui.main_panel)
+                scene += CHARTS_WIDTH
+        self._scene.set_camera(client.camera, scene / height)
 
     # Reactions
 
@@ -333,19 +294,14 @@ class StudioPage:
         if self.session.undo() if name == "undo" else self.session.redo():
             self._refresh()
 
-    def _choose_forces(self, boxes: list[Any]) -> None:
-        if not self._setting:
-            chosen = tuple(1e3 * f for f, box in zip(FORCES_N, boxes, strict=True) if box.value)
-            self.move("forces", chosen or (10.0,))
-
     def _pin(self) -> None:
         self.session.pin()
-        self._show_text()
+        self._show()
 
     def _unpin(self) -> None:
         if self.session.pinned:
             self.session.unpin(self.session.pinned[-1].label)
-        self._show_text()
+        self._show()
 
     def _press(self, action: actions.Action, _: Any) -> None:
         self._request(partial(self._act, action))
@@ -355,100 +311,42 @@ class StudioPage:
         self._say("working ...")
         self._say(action(actions.checked(design), self._replace.value))
 
-    def _improve(self) -> None:
+    def _start_search(self) -> None:
         """Start a search in a thread of its own; its path is drawn as it goes."""
-        if self._improvement is not None and self._improvement.running:
-            return
-        self._improvement = actions.Improvement(
-            self.session.design, actions.FREE[self._free.value], 1e-3 * self._goal.value, int(self._touches.value),
-            self._sag.value, lambda: self._request(self._show_improvement),
-        )  # fmt: skip
+        self._improve.start(self.session.design)
+        self._searching = True
 
-    def _show_improvement(self) -> None:
-        found = self._improvement
-        if found is None:
-            return
-        chart = found.chart()
-        text = f'<div class="note">{escape(found.text)}</div>'
-        self._path.content = styled(text + ("" if chart is None else chart.svg().decode()))
-        self._accept.visible = self._drop.visible = found.design is not None
-
-    def _take(self) -> None:
-        if self._improvement is not None and self._improvement.design is not None:
-            design, self._improvement = self._improvement.design, None
-            self._path.content, self._accept.visible, self._drop.visible = "", False, False
-            self._load(design)
-
-    def _discard(self) -> None:
-        self._improvement = None
-        self._path.content, self._accept.visible, self._drop.visible = "", False, False
+    def _accept(self, design: Design) -> None:
+        self._improve.drop()
+        self._load(design)
 
     # Show
 
     def _show(self) -> None:
         """Show the whole state in one update."""
-        self._drawn = None if self.figures.buckles else drawn_touch(self.figures.probe, self.session.touch)
+        touch = self.session.touch
+        self._drawn = None if self.figures.buckles else drawn_touch(self.figures.probe, touch)
+        pinned = [(pin, complete(pin.design)) for pin in self.session.pinned]
+        with self._lock:
+            waiting = set(self._latest)
         with self._server.atomic():
-            self._show_controls()
-            self._scene.show(self.figures, self._drawn, self.session.touch)
-            self._show_text()
+            self._design_controls.show(waiting)
+            others = [other.probe for pin, other in pinned if pin.design != self.session.design]
+            self._scene.show(self.figures, self._drawn, touch, others)
+            self._show_text(pinned)
+            if self._complete and self._scene.is_out_of_frame:
+                turned = self._scene.has_turned
+                for client in self._server.get_clients().values():
+                    camera = client.camera
+                    off = np.asarray(camera.position) - np.asarray(camera.look_at)
+                    self._scene.set_camera(camera, camera.aspect, None if turned else off)
+                self._scene.set_camera(self._server.initial_camera)
         self._server.flush()
-
-    def _show_controls(self) -> None:
-        """Set the controls to the state; what a design does not use is hidden."""
-        design, probe = self.session.design, self.session.design.probe
-        values = {
-            "probe.shape": probe.shape, "probe.length_mm": probe.length_mm, "probe.base_d_mm": probe.base_d_mm,
-            "probe.tip_d_mm": probe.tip_d_mm, "probe.section": probe.section, "probe.bore_ratio": probe.bore_ratio,
-            "probe.flatness": probe.flatness, "probe.tip": probe.tip, "material.resin": design.material.resin,
-            "material.youngs_modulus_mpa": design.youngs_modulus.value / 1e6,
-            "sensor.calibration": design.calibration.name,
-            "sensor.averaging_samples": design.sensor.averaging_samples,
-            "mounting": mounting_of(design.mount.gravity_base_m_s2),
-            "mount.gravity_base_m_s2": tuple(design.mount.gravity_base_m_s2),
-            "mount.root_rigid_radii": design.mount.root_rigid_radii,
-            "contact.friction": min(design.friction.value, 1.5),
-            **{f"touch.{key}": value for key, value in vars(self.session.touch).items()},
-        }  # fmt: skip
-        self._setting = True
-        try:
-            with self._lock:
-                waiting = set(self._latest)
-            for key, value in values.items():
-                handle = self._handles[key]
-                handle.visible = value is not None  # hidden where the design does not use it
-                if (
-                    value is not None
-                    and key not in waiting
-                    and not self.session.refused
-                    and handle.value != value
-                ):
-                    handle.value = value
-            self._show_knots()
-        finally:
-            self._setting = False
-
-    def _show_knots(self) -> None:
-        """Show a slider for each interior diameter of a profile."""
-        knots = knots_of(self.session.design)
-        self._knots.visible = bool(knots)
-        if len(knots) != len(self._knot_sliders):
-            for handle in self._knot_sliders:
-                handle.remove()
-            self._knot_sliders = []
-            with self._knots:
-                for index, s, d in knots:
-                    slider = self._server.gui.add_slider(f"at {s / MM:.0f} mm", 1.0, 20.0, 0.1, d / MM)
-                    self._bind(f"knot.{index}", slider)
-                    self._knot_sliders.append(slider)
-        for slider, (_, _, d) in zip(self._knot_sliders, knots, strict=True):
-            if slider.value != d / MM:
-                slider.value = d / MM
 
     def _say(self, text: str, bad: bool = False) -> None:
         self._status.content = styled(f'<div class="{"bad" if bad else "note"}">{escape(text)}</div>')
 
-    def _show_text(self) -> None:
+    def _show_text(self, pinned: Sequence[tuple[PinnedDesign, DesignFigures]]) -> None:
         """Update texts, tables and charts."""
         session, figures = self.session, self.figures
         if session.refused:
@@ -457,7 +355,6 @@ class StudioPage:
             self._say("The probe buckles under its own weight as mounted.", bad=True)
         else:
             self._say(figures.prediction.verdict)
-        pinned = [(pin, complete(pin.design)) for pin in session.pinned]
         lines = "".join(f"<li>{escape(text)}</li>" for text in figures.findings)
         check = f"<ul>{lines}</ul>" if lines else "<p class=note>Print check: no errors, no warnings.</p>"
         charts: dict[str, Chart | None] = {
@@ -470,6 +367,7 @@ class StudioPage:
                 "nothing is located" if chart is None else chart.svg().decode()
             )
         dotted = "<p class=note>Solid: all error sources. Dotted: an exact probe. Dashed: pinned designs.</p>"
+        dotted += colour_legend(session.touch.force_mN)
         self._charts["summary"].content = styled(dotted + summary_table(figures, pinned) + check)
         self._touch_text.content = styled(self._touch_html())
         self._command.value = session.command_line
@@ -486,15 +384,3 @@ class StudioPage:
             f"<table><tr><td>located</td><td>s = {estimate.s_contact / MM:.1f} ± {estimate.std_s / MM:.1f} mm</td></tr>"
             f"<tr><td>error</td><td>{rms:.2g} mm RMS, all error sources</td></tr></table>"
         )
-
-    def _set_camera(self) -> None:
-        """Place the camera beside and slightly above the probe."""
-        T, length = level_rotation(self.figures.probe.model.gravity_base), self.figures.probe.length
-        along = T[:, 2]
-        side = np.cross(along, (0.0, 0.0, 1.0))
-        side = side / np.linalg.norm(side) if np.linalg.norm(side) > 0.2 else np.array([0.0, -1.0, 0.0])
-        middle = UNIT * 0.45 * length * along
-        camera = self._server.initial_camera
-        camera.fov = math.radians(40.0)
-        camera.look_at = middle
-        camera.position = middle + UNIT * length * (2.2 * side + np.array([0.0, 0.0, 0.7]) + 0.4 * along)

@@ -1,7 +1,7 @@
 """The studio in three dimensions: the bent probe coloured by its error, its mount, and a touch that can be dragged."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -25,14 +25,22 @@ from probedesign.live.view.page import (
 )
 from probedesign.live.view.scene import rigid_parts
 from probedesign.probe import Probe
-from probedesign.studio.figures import DesignFigures, DrawnTouch, segment_colours
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.studio.figures import DesignFigures, DrawnTouch, segment_colours, touched_shape
 from probedesign.studio.session import StudioTouch, knots_of
 
-SEGMENTS, RINGS, RING_POINTS = 20, 4, 28
-"""Coloured segments of the drawn probe, rings of each, points of a ring."""
+SEGMENTS, RINGS, RING_POINTS = 20, 3, 20
+"""Coloured segments of the drawn probe, rings of each, points of a ring: without a GPU, the triangles of the probe take
+half of a frame's time."""
 KNOT_COLOUR = (38, 84, 124)
+GHOST_RINGS, GHOST_COLOUR = 40, (120, 126, 132)
+"""Rings and colour of a pinned probe."""
 MAX_KNOTS = 12
 """Number of diameters of a profile that can be dragged; a profile with more is changed in its file."""
+FIELD_OF_VIEW = math.radians(40.0)
+DISTANCE, SHOWN_WIDTH, MAX_GROWTH = 2.35, 1.3, 1.25
+"""Distance of the camera and width of the scene at least [lengths of the probe], and the change of the length that the
+camera follows."""
 MIN_FRACTION, MAX_FORCE_MN, MIN_FORCE_MN = 0.05, 200.0, 0.5
 """Range of the touch that is drawn."""
 
@@ -60,9 +68,9 @@ class StudioScene:
         scene.configure_default_lights(True, cast_shadow=False)
         scene.add_light_hemisphere("/sky", ground_color=(150, 150, 150), intensity=2.5)
         self._base = scene.add_frame("/base", show_axes=False)
-        nothing, faces = np.zeros((RINGS * RING_POINTS + 1, 3)), _segment_faces()
+        nothing, faces = np.zeros((RINGS * RING_POINTS + 1, 3)), _tube_faces(RINGS)
         self._segments = [
-            scene.add_mesh_simple(f"/base/probe/{i}", nothing, faces, color=STALE_COLOUR, side="double")
+            scene.add_mesh_simple(f"/base/probe/{i}", nothing, faces, color=STALE_COLOUR, cast_shadow=False)
             for i in range(SEGMENTS)
         ]
         self._contact = scene.add_icosphere("/base/contact", UNIT * 1.8e-3, CONTACT, cast_shadow=False)
@@ -83,31 +91,62 @@ class StudioScene:
         ]
         for i, node in enumerate(self._knots):
             node.on_drag(lambda event, i=i: self._drag_knot(i, event))  # type: ignore[misc]  # viser: any event
+        self._length = 1.0  # of the longest probe [m]
+        self._framed = (
+            1.0,
+            np.array([0.0, 0.0, 1.0]),
+        )  # length [m] and direction of the probe that the camera fits
+        self._ghosts: list[viser.MeshHandle] = []
         self._parts: list[viser.MeshHandle] = []
         self._parts_of = ""
 
-    def show(self, figures: DesignFigures, drawn: DrawnTouch | None, touch: StudioTouch) -> bool:
-        """Draw a probe, its mount and a touch; return whether the mount changed, for the camera."""
+    def show(
+        self, figures: DesignFigures, drawn: DrawnTouch | None, touch: StudioTouch, pinned: Sequence[Probe]
+    ) -> None:
+        """Draw a probe, its mount and a touch, and pinned probes under the same touch as grey shadows.
+
+        Args:
+            figures: of the probe.
+            drawn: the touch; None where the probe buckles under it.
+            touch: its values.
+            pinned: probes to compare.
+        """
         probe = figures.probe
         model = probe.model
         self._base.wxyz = quaternion(level_rotation(model.gravity_base))
         eq = drawn.contact.equilibrium if drawn else model.rod.solve(model.gravity_base)
-        if eq.ok:
-            bent = BentShape(eq.s, eq.p_base, eq.R_base)
-        else:  # it buckles: drawn straight and grey
-            s = np.linspace(0.0, probe.length, 30)
-            bent = BentShape(s, np.outer(s, [0.0, 0.0, 1.0]), np.tile(np.eye(3), (30, 1, 1)))
+        bent = _bent(eq, probe)
         self._shown = probe, drawn, bent
+        self._length = max(one.length for one in (probe, *pinned))
         edges = np.linspace(0.0, 1.0, SEGMENTS + 1)
         colours = segment_colours(figures, edges, 1e-3 * touch.force_mN)
         for mesh, vertices, colour in zip(
             self._segments, _segments(bent, probe, edges), colours, strict=True
         ):
             mesh.vertices = vertices
-            mesh.color = colour if eq.ok else STALE_COLOUR
+            mesh.color = colour if eq.ok else STALE_COLOUR  # grey: it buckles
         self._show_knots(bent, probe)
         self._show_touch(drawn, touch)
-        return self._show_parts(probe)
+        self._show_parts(probe)
+        self._show_ghosts(pinned, touch)
+
+    def _show_ghosts(self, pinned: Sequence[Probe], touch: StudioTouch) -> None:
+        """Draw the pinned probes; each has a mesh of its own."""
+        while len(self._ghosts) > len(pinned):
+            self._ghosts.pop().remove()
+        for i, probe in enumerate(pinned):
+            vertices = _tube(
+                _bent(touched_shape(probe, touch), probe), probe, np.linspace(0.0, 1.0, GHOST_RINGS)
+            )
+            if i < len(self._ghosts):
+                self._ghosts[i].vertices = vertices
+            else:
+                self._ghosts.append(
+                    self._scene.add_mesh_simple(
+                        f"/base/pinned/{i}", vertices, _tube_faces(GHOST_RINGS), color=GHOST_COLOUR, opacity=0.35,
+                        cast_shadow=False,
+                    )
+                )  # fmt: skip
 
     def _show_knots(self, bent: BentShape, probe: Probe) -> None:
         knots = knots_of(probe.design)[:MAX_KNOTS]
@@ -134,12 +173,12 @@ class StudioScene:
             self._spread.scale = tuple(UNIT * np.maximum(half_axes, MIN_HALF_AXIS))
             self._spread.wxyz = quaternion(axes)
 
-    def _show_parts(self, probe: Probe) -> bool:
-        """Draw sensor, flange and adapter when they have changed; return whether they have."""
+    def _show_parts(self, probe: Probe) -> None:
+        """Draw sensor, flange and adapter when they have changed."""
         model = probe.model
         key = f"{model.flange} {model.sensor} {model.gravity_base}"
         if key == self._parts_of:
-            return False
+            return
         self._parts_of = key
         for part in self._parts:
             part.remove()
@@ -151,7 +190,50 @@ class StudioScene:
             )
             for part in found
         ]  # fmt: skip
-        return True
+
+    # Camera
+
+    @property
+    def has_turned(self) -> bool:
+        """Whether the probe points elsewhere than when the camera was placed."""
+        if self._shown is None:
+            return False
+        along = level_rotation(self._shown[0].model.gravity_base)[:, 2]
+        return bool(along @ self._framed[1] < math.cos(math.radians(15.0)))
+
+    @property
+    def is_out_of_frame(self) -> bool:
+        """Whether length or direction of the probe have changed much since the camera was placed."""
+        if self._shown is None:
+            return False
+        grown = self._length / self._framed[0]
+        return self.has_turned or not 1.0 / MAX_GROWTH < grown < MAX_GROWTH
+
+    def set_camera(self, camera: Any, aspect: float = 1.0, direction: Array | None = None) -> None:
+        """Place a camera so that the whole probe is seen.
+
+        Args:
+            camera: of a browser, or the initial one of all.
+            aspect: width of the scene over its height.
+            direction: from the probe to the camera; beside and slightly above the probe if None.
+        """
+        if self._shown is None:
+            return
+        probe = self._shown[0]
+        along = level_rotation(probe.model.gravity_base)[:, 2]
+        if direction is None:
+            side = np.cross(along, (0.0, 0.0, 1.0))
+            side = side / np.linalg.norm(side) if np.linalg.norm(side) > 0.2 else np.array([0.0, -1.0, 0.0])
+            direction = 2.2 * side + np.array([0.0, 0.0, 0.7]) + 0.4 * along
+        tangent = math.tan(0.5 * FIELD_OF_VIEW)
+        distance = UNIT * self._length * max(DISTANCE, 0.5 * SHOWN_WIDTH / (tangent * max(aspect, 0.1)))
+        middle = UNIT * 0.45 * self._length * along
+        camera.fov = FIELD_OF_VIEW
+        camera.position = middle + distance * direction / np.linalg.norm(direction)
+        camera.look_at = middle  # last: the position moves it too
+        self._framed = self._length, along
+
+    # Drags
 
     def _in_base(self, event: Any) -> Array | None:
         """Return the pointer in base axes [m]; None before anything was drawn."""
@@ -207,30 +289,40 @@ def force_of_arrow(length: float) -> float:
     return float(10.0 ** (length / (0.5 * ARROW) - 1.0))
 
 
-def _segment_faces() -> NDArray[np.uint32]:
-    """Return the triangles of one segment: its side and, about its last vertex, the disc at its end."""
+def _bent(eq: Equilibrium, probe: Probe) -> BentShape:
+    """Return the shape of an equilibrium; straight where the probe buckles."""
+    if eq.ok:
+        return BentShape(eq.s, eq.p_base, eq.R_base)
+    s = np.linspace(0.0, probe.length, 30)
+    return BentShape(s, np.outer(s, [0.0, 0.0, 1.0]), np.tile(np.eye(3), (30, 1, 1)))
+
+
+def _tube_faces(rings: int) -> NDArray[np.uint32]:
+    """Return the triangles of a tube: its side and, about its last vertex, the disc at its end."""
     ring = np.arange(RING_POINTS)
     after = (ring + 1) % RING_POINTS
-    first = RING_POINTS * np.arange(RINGS - 1)[:, None]
+    first = RING_POINTS * np.arange(rings - 1)[:, None]
     a, b = first + ring, first + after
     side = np.stack([a, b, b + RING_POINTS, a, b + RING_POINTS, a + RING_POINTS], axis=-1).reshape(-1, 3)
-    last = (RINGS - 1) * RING_POINTS
-    disc = np.stack([last + ring, last + after, np.full(RING_POINTS, RINGS * RING_POINTS)], axis=1)
+    last = (rings - 1) * RING_POINTS
+    disc = np.stack([last + ring, last + after, np.full(RING_POINTS, rings * RING_POINTS)], axis=1)
     return np.concatenate([side, disc]).astype(np.uint32)
 
 
 def _segments(shape: BentShape, probe: Probe, edges: Array) -> list[NDArray[np.float32]]:
-    """Return the vertices of the segments in scene units."""
+    """Return the vertices of the segments between fractions of the length."""
+    return [_tube(shape, probe, np.linspace(low, high, RINGS)) for low, high in pairwise(edges)]
+
+
+def _tube(shape: BentShape, probe: Probe, fractions: Array) -> NDArray[np.float32]:
+    """Return the vertices of the rings at fractions of the length, and of the last centre, in scene units."""
     geometry = probe.geometry
     angle = np.linspace(0.0, 2.0 * np.pi, RING_POINTS, endpoint=False)
     flatness = probe.design.probe.flatness or 1.0
-    found = []
-    for low, high in pairwise(edges):
-        s = np.linspace(low, high, RINGS) * probe.length
-        p, x, y = centreline(shape, s)
-        r = np.interp(s, geometry.s, geometry.radius)[:, None, None]
-        rings = p[:, None] + r * (
-            np.cos(angle)[:, None] * x[:, None] + flatness * np.sin(angle)[:, None] * y[:, None]
-        )
-        found.append((UNIT * np.vstack([rings.reshape(-1, 3), p[-1:]])).astype(np.float32))
-    return found
+    s = fractions * probe.length
+    p, x, y = centreline(shape, s)
+    r = np.interp(s, geometry.s, geometry.radius)[:, None, None]
+    rings = p[:, None] + r * (
+        np.cos(angle)[:, None] * x[:, None] + flatness * np.sin(angle)[:, None] * y[:, None]
+    )
+    return (UNIT * np.vstack([rings.reshape(-1, 3), p[-1:]])).astype(np.float32)

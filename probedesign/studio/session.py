@@ -3,6 +3,7 @@
 Every change passes through `Session.change`, which checks it as a design file is checked. Nothing here draws.
 """
 
+import json
 import shlex
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -19,11 +20,14 @@ from probedesign.design.sensor_catalog import SENSORS
 from probedesign.design.sensors import DEFAULT_SENSOR
 from probedesign.optimization.design_space import design_dict
 from probedesign.optimization.sweep import with_values
+from probedesign.prediction.predict import FORCES_N
 
 MAX_STEPS = 200
 """Number of changes that can be undone."""
 MERGE_SECONDS = 1.0
 """Changes of the same key within this time are undone together: one drag of a slider."""
+DEFAULT_FORCES_MN = (2.0, 5.0, 10.0, 20.0, 50.0)
+"""Contact forces whose errors are drawn at the start."""
 MAX_PINNED = 4
 """Number of pinned designs that a chart distinguishes beside the current one."""
 MOUNTINGS = {
@@ -70,22 +74,23 @@ class Session:
         pinned: designs kept for comparison.
         refused: why the last change was refused, in one line; empty if it was accepted.
         source: design file or preset from which the session started.
+        start: its tables, from which the command line is written; those of `design` if empty.
     """
 
     design: Design
     source: str = "large"
+    start: dict[str, Any] = field(default_factory=dict)
     touch: StudioTouch = StudioTouch()
-    forces_mN: tuple[float, ...] = (2.0, 5.0, 10.0, 20.0, 50.0)
+    forces_mN: tuple[float, ...] = DEFAULT_FORCES_MN
     pinned: list[PinnedDesign] = field(default_factory=list)
     refused: str = ""
-    _start: dict[str, Any] = field(default_factory=dict)
     _undo: list[Design] = field(default_factory=list)
     _redo: list[Design] = field(default_factory=list)
     _last: tuple[str, float] = ("", 0.0)
 
     def __post_init__(self) -> None:
-        """Remember the design from which the command line is written."""
-        self._start = self._start or design_dict(self.design)
+        """Start from the design itself if no other is given."""
+        self.start = self.start or design_dict(self.design)
 
     def change(self, values: Mapping[str, Any], now: float) -> bool:
         """Change keys of the design; return whether the result is a valid design, which is then the current one.
@@ -95,10 +100,7 @@ class Session:
             now: time of the change [s]; changes of the same keys shortly after each other are undone together.
         """
         try:
-            data = design_dict(self.design)
-            for key, value in values.items():
-                data = _with_key(data, key, value)
-            changed = check_design(data)
+            changed = check_design(_with_keys(design_dict(self.design), values))
         except InputError as error:
             self.refused = str(error)
             return False
@@ -150,10 +152,56 @@ class Session:
 
     @property
     def command_line(self) -> str:
-        """Return the command that starts a studio with this design."""
-        changed = changes(self._start, design_dict(self.design))
-        options = [f"--set {shlex.quote(f'{key}={_text(value)}')}" for key, value in changed.items()]
-        return " ".join(["probedesign studio", shlex.quote(self.source), *options])
+        """Return the command that starts a studio with this state."""
+        changed = changes(self.start, design_dict(self.design))
+        words = [f"--set {shlex.quote(f'{key}={_text(value)}')}" for key, value in changed.items()]
+        if self.touch != StudioTouch():
+            words.append(f"--touch={','.join(f'{value:g}' for value in vars(self.touch).values())}")
+        if self.forces_mN != DEFAULT_FORCES_MN:
+            words.append(f"--forces-mN {','.join(f'{force:g}' for force in self.forces_mN)}")
+        for pin in self.pinned:
+            changed = changes(self.start, design_dict(pin.design))
+            table = ", ".join(f"{key} = {_text(value)}" for key, value in changed.items())
+            words.append(f"--pin {shlex.quote(f'{{{table}}}')}")
+        return " ".join(["probedesign studio", shlex.quote(self.source), *words])
+
+    def restore(self, touch: str | None, forces: str | None, pins: Sequence[str]) -> None:
+        """Set touch, forces and pinned designs as `command_line` writes them.
+
+        Args:
+            touch: place, direction [deg] and force [mN].
+            forces: contact forces [mN] whose errors are drawn.
+            pins: keys of each design that differ from the start, as an inline table of TOML.
+
+        Raises:
+            InputError: a text cannot be read, or a design is not valid.
+        """
+        if touch is not None:
+            found = _numbers("--touch", touch, "PLACE,DEGREES,MILLINEWTONS such as 0.8,90,10")
+            if len(found) != 3 or not (
+                0.05 <= found[0] <= 1.0 and abs(found[1]) <= 180.0 and 0.5 <= found[2] <= 200.0
+            ):
+                raise InputError(
+                    f"--touch {touch!r}: write place (0.05 ... 1), direction (-180 ... 180 degrees) and force "
+                    "(0.5 ... 200 mN), such as 0.8,90,10"
+                )
+            self.touch = StudioTouch(*found)
+        if forces is not None:
+            known = tuple(round(1e3 * force, 6) for force in FORCES_N)
+            chosen = _numbers("--forces-mN", forces, "some of the drawn forces, such as 5,10")
+            if not set(chosen) <= set(known) or not chosen:
+                names = ", ".join(f"{force:g}" for force in known)
+                raise InputError(f"--forces-mN {forces!r}: choose from {names}")
+            self.forces_mN = tuple(sorted(set(chosen)))
+        if len(pins) > MAX_PINNED:
+            raise InputError(f"--pin: {len(pins)} designs; at most {MAX_PINNED} are shown")
+        current = self.design
+        try:
+            for text in pins:
+                self.design = check_design(_with_keys(self.start, changes({}, _table(text))))
+                self.pin()
+        finally:
+            self.design = current
 
 
 def _with_calibration(sensor: dict[str, Any], name: str) -> dict[str, Any]:
@@ -171,8 +219,28 @@ def _with_calibration(sensor: dict[str, Any], name: str) -> dict[str, Any]:
     return {key: value for key, value in sensor.items() if key != "own"} | sensor_keys(name)
 
 
+_FIRST = ("probe.shape", "probe.section", "material.resin", "sensor.model", "sensor.calibration")
+"""Keys that choose something by its name; others follow from them, unless they are given too."""
+_LAST = "probe.profile_mm"
+_ENDS = ("probe.length_mm", "probe.base_d_mm", "probe.tip_d_mm")
+
+
+def _with_keys(data: dict[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the tables of a design with some keys changed, and the keys that follow from them."""
+    order = {key: i for i, key in enumerate(_FIRST)}
+    for key in sorted(
+        values, key=lambda key: len(_FIRST) + (key == _LAST) if key not in order else order[key]
+    ):
+        data = _with_key(data, key, values[key])
+    return data
+
+
 def _with_key(data: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
     """Return the tables of a design with one key changed, and the keys that follow from it."""
+    if (key in _FIRST and not isinstance(value, str)) or (
+        key in _ENDS and not isinstance(value, float | int)
+    ):
+        return with_values(data, {key: value})  # the check of the design refuses it
     match key:
         case "material.resin":
             data = deepcopy(data)
@@ -180,6 +248,9 @@ def _with_key(data: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
             data["material"] = {**data["material"], **material_keys(resin)}
             data["contact"] = {"friction": resin.friction.value}
             return data
+        case "sensor.model":
+            sensor = {k: v for k, v in data["sensor"].items() if k != "own"}
+            return {**data, "sensor": sensor | sensor_keys(value)}
         case "sensor.calibration":
             return {**data, "sensor": _with_calibration(data["sensor"], value)}
         case "probe.shape":
@@ -243,10 +314,39 @@ def changes(start: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") 
 
 
 def _text(value: Any) -> str:
-    """Return a value as `--set` reads it: TOML."""
+    """Return a value of a design file as TOML."""
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_text, value))}]"
-    return f"{value:.10g}" if isinstance(value, float) else str(value)
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key} = {_text(one)}' for key, one in value.items())}}}"
+    return f"{value:.10g}" if isinstance(value, float) else json.dumps(value)
+
+
+def _table(text: str) -> dict[str, Any]:
+    """Return an inline table of TOML.
+
+    Raises:
+        InputError: the text is none.
+    """
+    try:
+        found = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"--pin {text!r} is not an inline table of TOML: {error}") from None
+    if not isinstance(found, dict):
+        raise InputError(f"--pin {text!r} is not an inline table, such as '{{probe.length_mm = 140}}'")
+    return found
+
+
+def _numbers(option: str, text: str, form: str) -> tuple[float, ...]:
+    """Return numbers with commas between them.
+
+    Raises:
+        InputError: the text has something else.
+    """
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"{option} {text!r} cannot be read; write {form}") from None
 
 
 def with_options(design: Design, options: Sequence[str]) -> Design:
@@ -255,7 +355,7 @@ def with_options(design: Design, options: Sequence[str]) -> Design:
     Raises:
         InputError: an option is not KEY=VALUE, or the design is not valid.
     """
-    data = design_dict(design)
+    values = {}
     for option in options:
         key, equals, text = option.partition("=")
         if not equals or not key.strip():
@@ -264,8 +364,8 @@ def with_options(design: Design, options: Sequence[str]) -> Design:
             value = tomllib.loads(f"value = {text}")["value"]
         except tomllib.TOMLDecodeError:
             value = text.strip()
-        data = with_values(data, {key.strip(): value})
-    return check_design(data)
+        values[key.strip()] = value
+    return check_design(_with_keys(design_dict(design), values))
 
 
 def mounting_of(gravity: Sequence[float]) -> str:

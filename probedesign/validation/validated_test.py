@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from probedesign.campaigns.campaign import Campaign, Test
+from probedesign.campaigns.manifest import LENGTH_SCALE
 from probedesign.core.frames import Array, inverse
 from probedesign.core.units import MM
 from probedesign.estimation.estimate import Estimate
@@ -87,7 +88,7 @@ def contact_error(
     if estimate is None or not estimate.ok:
         return None
     if contact is not None:
-        own = cov_by_base_pose(campaign, contact) + max(test.std_contact, MIN_REFERENCE_STD) ** 2 * np.eye(3)
+        own = cov_of_reference(campaign, contact) + max(test.std_contact, MIN_REFERENCE_STD) ** 2 * np.eye(3)
         return ContactError(estimate.p_surface_base - contact, estimate.cov_surface_base + own, own)
     if not math.isnan(test.s_contact):
         reference = np.array([[max(test.std_s, MIN_REFERENCE_STD) ** 2]])
@@ -96,11 +97,13 @@ def contact_error(
     return None
 
 
-def cov_by_base_pose(campaign: Campaign, p_base: Array) -> Array:
-    """Return the covariance of points of the base frame by the uncertainty of its pose [m²], (..., 3) → (..., 3, 3)."""
+def cov_of_reference(campaign: Campaign, p_base: Array) -> Array:
+    """Return the covariance of points of the base frame by the uncertainty of its pose and of the reference's length
+    scale [m²], (..., 3) → (..., 3, 3)."""
     squared = np.einsum("...i,...i->...", p_base, p_base)[..., None, None] * np.eye(3)
-    lever = squared - p_base[..., :, None] * p_base[..., None, :]
-    return np.asarray(campaign.std_base**2 * np.eye(3) + campaign.std_tilt**2 * lever)
+    along = p_base[..., :, None] * p_base[..., None, :]
+    pose = campaign.std_base**2 * np.eye(3) + campaign.std_tilt**2 * (squared - along)
+    return np.asarray(pose + LENGTH_SCALE**2 * along)
 
 
 def predicted_error(model: ProbeModel, fraction: float, force: float, push_direction: str) -> float:
@@ -336,7 +339,7 @@ def _markers(
         return none, none, none, np.zeros((0, 3, 3))
     R = T_base_world[:3, :3]
     measured = test.markers.p_world @ R.T + T_base_world[:3, 3]
-    cov = R @ test.markers.cov_world @ R.T + cov_by_base_pose(campaign, measured)
+    cov = R @ test.markers.cov_world @ R.T + cov_of_reference(campaign, measured)
     if shape is None:
         return measured, none, none, cov
     s = np.minimum(campaign.marker_s[test.markers.numbers], model.rod.length)

@@ -17,18 +17,23 @@ import pytest
 
 pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip install 'probedesign[cad]'")
 
+import ezdxf
+import ezdxf.units
 import trimesh
 from PIL import Image
 
 from probedesign.cad.assembly_docs import RESIN_PRESSURE, assembly_page, bill_of_materials, hand_torque
+from probedesign.cad.drawing import EDGE, HEIGHT, WIDTH
 from probedesign.cad.exploded_view import DOWN, EXPLOSION, assembly_steps
 from probedesign.cad.mesh import platform_positions, read_back
 from probedesign.cad.model import CadModel, build_cad, clamp_ring_solid, overlaps
 from probedesign.cad.part_drawings import part_drawings
+from probedesign.cad.projection import FRONT, cut, seen
 from probedesign.cad.render import BACKGROUND, OrthographicCamera, RenderBody, fit_view, render_bodies
-from probedesign.cad.sheet import FRONT, HEIGHT, WIDTH, Svg, cut, seen
+from probedesign.cad.svg import Svg
+from probedesign.core.errors import InputError
 from probedesign.core.frames import pose
-from probedesign.design import Design
+from probedesign.design import Design, parse_design
 from probedesign.mount.engraving import Engraving
 from probedesign.mount.sensor_adapter import RING_VENT_HEIGHT
 from tests.reports.page_checks import browser, check_page, sheets
@@ -186,8 +191,9 @@ def words_of(svg: bytes) -> list[str]:
 
 
 def test_drawings_show_the_dimensions(large: CadModel) -> None:
-    words = {name: words_of(sheet) for name, sheet in part_drawings(large).items()}
-    assert {"150", "3", "⌀19", "⌀12 at s = 0", "(⌀7) at s = 75", "⌀2 at s = 150"} <= set(words["probe"])
+    files = part_drawings(large)
+    words = {name: words_of(files[f"{name}.svg"]) for name in PRINTED}
+    assert {"150", "3", "⌀19", "⌀12 at s = 0", "(⌀7 at s = 75)", "⌀2 at s = 150"} <= set(words["probe"])
     a = large.adapter
     for d in (a.foot_d, a.recess_d, a.body_d):
         assert f"⌀{1e3 * d:g}" in words["sensor_adapter"]
@@ -202,17 +208,17 @@ def test_drawings_show_the_dimensions(large: CadModel) -> None:
 
 def test_dimension_lines_have_their_length(large: CadModel) -> None:
     """On the probe's sheet, scale 1 : 1: lines of 150, 19 and 3 mm of paper."""
-    root = ET.fromstring(part_drawings(large)["probe"])
+    root = ET.fromstring(part_drawings(large)["probe.svg"])
     assert "1 : 1" in [element.text for element in root.iter(f"{SVG}text")]
     lengths = []
     for path in root.iter(f"{SVG}path"):
-        numbers = [float(n) for n in re.findall(r"-?[\d.]+", path.get("d", ""))]
-        if len(numbers) == 4:
-            lengths.append(np.hypot(numbers[2] - numbers[0], numbers[3] - numbers[1]))
+        for line in path.get("d", "").split("M")[1:]:
+            numbers = [float(n) for n in re.findall(r"-?[\d.]+", line)]
+            if len(numbers) == 4:
+                lengths.append(np.hypot(numbers[2] - numbers[0], numbers[3] - numbers[1]))
     for wanted in (150.0, 19.0, 3.0):
-        assert (
-            min(abs(length - wanted) for length in lengths) < 2e-3
-        )  # a thousandth of a millimetre is written
+        # A thousandth of a millimetre is written.
+        assert min(abs(length - wanted) for length in lengths) < 2e-3
 
 
 def test_edges_are_those_of_the_solid(large: CadModel) -> None:
@@ -245,20 +251,27 @@ ODD = {
 
 
 @pytest.mark.parametrize("probe", ODD.values(), ids=ODD)
-def test_drawings_stay_on_the_paper(make_design: Callable[..., Design], probe: str) -> None:
+def test_drawings_stay_in_their_frame(make_design: Callable[..., Design], probe: str) -> None:
     for name, sheet in part_drawings(build_cad(make_design(probe))).items():
+        if not name.endswith(".svg"):
+            continue
         root = ET.fromstring(sheet)
         for element in root.iter():
             for x, y in _points(element):
-                assert 0.0 <= x <= WIDTH and 0.0 <= y <= HEIGHT, (name, ET.tostring(element)[:200])
-        notes = [e for e in root.iter(f"{SVG}text") if " at s = " in (e.text or "")]
+                assert EDGE <= x <= WIDTH - EDGE and EDGE <= y <= HEIGHT - EDGE, (
+                    name,
+                    ET.tostring(element)[:200],
+                )
+        notes = [
+            e for e in root.iter(f"{SVG}text") if " at s = " in (e.text or "") and "–" not in (e.text or "")
+        ]
         heights = sorted(float(e.get("y", "")) for e in notes)
         assert all(b - a > 3.0 for a, b in pairwise(heights))  # no note on another
 
 
 def _points(element: ET.Element) -> list[tuple[float, float]]:
     """Corners of a path, ends of a text of the usual width."""
-    if element.tag == f"{SVG}path" and element.get("stroke-width") != "0.18":
+    if element.tag == f"{SVG}path" and "H" not in element.get("d", ""):  # the hatch has a tile of its own
         numbers = [float(n) for n in re.findall(r"-?[\d.]+", element.get("d", ""))]
         return list(zip(numbers[::2], numbers[1::2], strict=True))
     if element.tag == f"{SVG}text" and not element.get("transform"):
@@ -267,6 +280,83 @@ def _points(element: ET.Element) -> list[tuple[float, float]]:
         left = {"start": x, "middle": x - wide / 2, "end": x - wide}[element.get("text-anchor", "start")]
         return [(left, y), (left + wide, y)]
     return []
+
+
+def test_the_title_block_is_complete(
+    large: CadModel, exported: Exported, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Revision, mass, scale, date and projection; the date is the design's or that of the sources."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1767225600")  # 2026-01-01 UTC
+    dated = replace(large, design=large.design.model_copy(update={"date": "2025-12-24"}))
+    for model, date in ((large, "2026-01-01"), (dated, "2025-12-24")):
+        for name in ("probe", "sensor_adapter"):
+            words = words_of(part_drawings(model)[f"{name}.svg"])
+            grams = 1e3 * exported[1]["parts"][name]["mass_kg"]
+            assert {date, large.geometry.fingerprint, f"{grams:.3g} g", "first angle, ISO 5456-2"} <= set(
+                words
+            )
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
+    with pytest.raises(InputError, match="SOURCE_DATE_EPOCH = 'yesterday'"):
+        part_drawings(large)
+
+
+def test_sections_datums_and_fits_of_odd_designs() -> None:
+    """A hollow probe is cut lengthwise, an elliptic one across; a rounded tip and a fillet have their radii; milled
+    holes for pins have a fit and its nominal diameter, engraved parts their depth."""
+
+    def drawn(probe: str, mount: str = "") -> dict[str, str]:
+        text = f'schema = 1\nname = "odd"\n[probe]\n{probe}\n[mount]\nrobot_flange = "iso-9409-1-50-4-m6"\n{mount}'
+        files = part_drawings(build_cad(parse_design(text)))
+        return {name: "\n".join(words_of(files[f"{name}.svg"])) for name in PRINTED}
+
+    sizes = "length_mm = 100.0\nbase_d_mm = 10.0\n"
+    hollow = drawn(f"{sizes}tip_d_mm = 4.0\nsection = 'hollow'\nbore_ratio = 0.5")["probe"]
+    assert "C–C" in hollow and "D–D at s = 50" in hollow and "⌀7 / bore 3.5 at s = 50" in hollow
+    # A cylinder rounded with its own radius, R = r; and a fillet.
+    text = drawn(f"{sizes}tip_d_mm = 10.0\ntip = 'rounded'\nbase_fillet_mm = 1.5", 'adapters = "milled"')
+    assert "R5," in text["probe"] and "fillet R1.5" in text["probe"] and "0.4 deep" in text["probe"]
+    assert "⌀2 H7" in text["sensor_adapter"] and "⌀2 H7" in text["flange_adapter"]
+    assert "⌀31.3 h9" in text["flange_adapter"] and "ISO 2768-1" in text["flange_adapter"]
+    elliptic = drawn(f"{sizes}tip_d_mm = 4.0\nsection = 'elliptic'\nflatness = 0.6")["probe"]
+    assert "D–D at s = 50" in elliptic and "7 × 4.2 at s = 50" in elliptic and "C–C" not in elliptic
+
+
+def test_dxf_is_sound_and_measures_the_part(large: CadModel, make_design: Callable[..., Design]) -> None:
+    """ezdxf's audit finds nothing, every kind of line is on its layer, and a dimension's value, which a CAD program
+    measures between its points, is that of the part; the outline of the main views is the part's own, 1 : 1."""
+    files = part_drawings(large)
+    for name in PRINTED:
+        document = ezdxf.read(io.StringIO(files[f"{name}.dxf"].decode()))
+        assert not document.audit().errors and document.units == ezdxf.units.MM
+        layers = Counter(entity.dxf.layer for entity in document.modelspace())
+        assert {"OUTLINE", "CENTRE", "DIMENSIONS", "SYMBOLS", "FRAME", "TEXT"} <= set(
+            layers
+        ) and "0" not in layers
+        assert (layers["HATCH"] > 0) == (name != "probe")
+    a = large.adapter
+    measured = _measured(files["sensor_adapter.dxf"])
+    for wanted in (a.foot_d, a.recess_d, a.body_d, a.foot_height, a.floor, a.body_top):
+        assert min(abs(1e3 * wanted - value) for value in measured) < 1e-5  # a nanometre is written
+    ring = ezdxf.read(io.StringIO(files["clamp_ring.dxf"].decode())).modelspace()
+    drawn = [p[0] for line in ring.query('LWPOLYLINE[layer=="OUTLINE"]') for p in line.get_points()]
+    assert np.ptp(drawn) == pytest.approx(1e3 * a.body_d, abs=0.02)  # arcs are drawn with 48 points
+    # A view at another scale than the main ones.
+    elliptic = "length_mm = 100.0\nbase_d_mm = 10.0\ntip_d_mm = 4.0\nsection = 'elliptic'\nflatness = 0.6"
+    measured = _measured(part_drawings(build_cad(make_design(elliptic)))["probe.dxf"])
+    assert min(abs(4.2 - value) for value in measured) < 1e-5
+
+
+def _measured(dxf: bytes) -> list[float]:
+    dimensions = ezdxf.read(io.StringIO(dxf.decode())).modelspace().query("DIMENSION")
+    return [d.get_measurement() * d.override()["dimlfac"] for d in dimensions]
+
+
+def test_drawings_are_the_same_bytes_twice(large: CadModel) -> None:
+    first = part_drawings(large)
+    assert part_drawings(large) == first
+    pdf = first["drawings.pdf"]
+    assert pdf.startswith(b"%PDF-") and pdf.rstrip().endswith(b"%%EOF")
+    assert len(re.findall(rb"/Type /Page\b", pdf)) == len(PRINTED)
 
 
 # ---- the page

@@ -38,6 +38,9 @@ from probedesign.geometry import flange_for
 from probedesign.geometry.mass import combined
 from probedesign.mount import flange_adapter_for, mount_part_masses, sensor_adapter_for
 from probedesign.mount.engraving import Engraving
+from probedesign.mount.tolerance_stack import tolerance_stacks
+from probedesign.printing.check import check_print
+from tests.cad.conftest import LARGE
 
 Meshes = tuple[dict[str, Mesh], dict[str, bytes]]
 PROFILE = (
@@ -470,6 +473,81 @@ def test_grid_of_sections(
 ) -> None:
     model = build_cad(make_design("length_mm = {}\nbase_d_mm = {}\ntip_d_mm = {}\n".format(*sizes) + section))
     assert all(f["ok"] for f in verify(model, *meshed(model)).values())
+
+
+def random_design(seed: int) -> str:
+    """A design file with every choice of probe, sensor and mount drawn at random, within what soft resin can print."""
+    rng = np.random.default_rng(seed)
+    section = rng.choice(["round", "hollow", "elliptic"])
+    length = round(float(rng.uniform(30.0, 165.0)), 1)  # what a Form 3 holds
+    tip_d = round(float(rng.uniform(2.0, 6.0)) + (3.0 if section == "hollow" else 0.0), 1)
+    base_d = round(max(tip_d, 0.06 * length) + float(rng.uniform(0.0, 10.0)), 1)
+    probe = [
+        f"length_mm = {length}",
+        f"base_d_mm = {base_d}",
+        f"tip_d_mm = {tip_d}",
+        f'section = "{section}"',
+    ]
+    if section == "hollow":
+        probe.append(f"bore_ratio = {rng.uniform(0.2, 0.5):.2f}")
+    else:
+        probe.append(f'tip = "{rng.choice(["blunt", "rounded"])}"')
+    if section == "elliptic":
+        probe.append(f"flatness = {rng.uniform(0.8, 1.0):.2f}")
+    elif rng.random() < 0.5:
+        probe.append(f"base_fillet_mm = {rng.uniform(0.3, 1.5):.1f}")
+    if rng.random() < 0.3:
+        middle = round((base_d + tip_d) / 2 + float(rng.uniform(-0.5, 0.5)), 1)
+        profile = f"[[0.0, {base_d}], [{length / 2:.1f}, {middle}], [{length}, {tip_d}]]"
+        probe += ['shape = "profile"', f"profile_mm = {profile}"]
+    mount = [
+        f'robot_flange = "{rng.choice(["iso-9409-1-50-4-m6", "iso-9409-1-31.5-4-m5"])}"',
+        f'ring_screw = "{rng.choice(["M2", "M3"])}"',
+        f'adapters = "{rng.choice(["printed", "milled"])}"',
+        f'hold = "{rng.choice(["clamped", "glued"])}"',
+        f"flange_thickness_mm = {rng.uniform(3.0, 5.0):.1f}",
+        f"flange_lip_mm = {rng.uniform(3.5, 5.0):.1f}",
+    ]
+    sensor = rng.choice(["nano17", "nano17-e"])
+    return "\n".join([
+        f'schema = 1\nname = "random-{seed}"\n[probe]', *probe, f'[sensor]\nmodel = "{sensor}"\n[mount]', *mount,
+    ])  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(24))
+def test_random_designs(seed: int) -> None:
+    """Closed, exact, free of interference, printable, and clamping at every corner of the tolerance stacks."""
+    check_all(parse_design(random_design(seed)))
+
+
+FIXED = {
+    "large": LARGE,
+    "medium": "length_mm = 100.0\nbase_d_mm = 8.0\ntip_d_mm = 2.0",
+    "small": "length_mm = 50.0\nbase_d_mm = 5.0\ntip_d_mm = 1.5",
+    "cylinder": "length_mm = 80.0\nbase_d_mm = 6.0\ntip_d_mm = 6.0",
+    "profile": PROFILE,
+    "hollow": HOLLOW + "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 6.0",
+    "elliptic": ELLIPTIC + "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 4.0",
+    "rounded": ROUNDED + "base_fillet_mm = 1.0\n" + LARGE,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("probe", FIXED.values(), ids=FIXED)
+def test_fixed_designs(make_design: Callable[..., Design], probe: str) -> None:
+    check_all(make_design(probe))
+
+
+def check_all(design: Design) -> None:
+    model = build_cad(design)
+    assert all(
+        f["ok"] for f in verify(model, *meshed(model)).values()
+    )  # solids, meshes, overlap, access, stacks
+    for stack in tolerance_stacks(model.adapter, model.plate):
+        assert stack.ok, stack.name
+    # Errors include supports on a face with a dimension.
+    assert [f.message for f in check_print(design).findings if f.severity == "error"] == []
 
 
 def test_a_bore_is_open_from_tip_to_underside(make_design: Callable[..., Design]) -> None:

@@ -178,7 +178,7 @@ def test_stiffness_alone_does_not_separate_E_and_diameters(stage: Campaign, mode
                    for t in _dead_loads(model, 1e-9))  # fmt: skip
     other = identify(replace(weightless, tests=trials), ("E", "diameters"))
     diameters = next(one for one in other.found if one.name == "diameters")
-    assert diameters.result == "not_told"
+    assert diameters.result == "not_observable"
     assert "E·diameters^4" in diameters.why
     assert other.of("E") is not None
 
@@ -202,7 +202,7 @@ def test_E_is_conditional_on_the_designs_diameters(
 def test_sag_alone_determines_E_over_density(model: ProbeModel) -> None:
     other = identify(_sagging(model, None), ("E", "density"))
     density = next(one for one in other.found if one.name == "density")
-    assert density.result == "not_told" and "E/density" in density.why
+    assert density.result == "not_observable" and "E/density" in density.why
 
 
 def test_weighing_determines_the_density(model: ProbeModel) -> None:

@@ -67,3 +67,12 @@ def test_what_follows_from_a_prior_is_written_as_such(model: ProbeModel) -> None
     assert changes["material", "shear_modulus_mpa"].note.startswith("E/G by a prior")
     assert changes["material.provenance", "shear_modulus_mpa"].text == '"assumed"'
     assert changes["material.provenance", "youngs_modulus_mpa"].text == '"identified"'
+
+
+def test_a_change_is_that_of_value_and_interval_from_the_design() -> None:
+    """Moduli in percent, the root in base radii; a number without an interval, or a pose, has none."""
+    E = Identified("E", "", "MPa", "identified", 2.2, 2.0, std=0.05, low=2.1, high=2.3)
+    root = Identified("root", "", "", "inferred", -0.18, 0.12, std=0.1, low=-0.38, high=0.02)
+    assert E.change == "+10.0 % (+5.0 ... +15.0 %)" and root.change == "-0.3 (-0.5 ... -0.1)"
+    assert replace(E, result="not_observable", low=None, high=None).change == ""
+    assert Identified("tilt_x", "", "deg", "identified", 0.1, 0.0, std=0.1, low=-0.1, high=0.3).change == ""

@@ -59,7 +59,7 @@ def fused(probe):
 @pytest.fixture
 def identification():
     modulus = Identified("E", "Young's modulus", "MPa", "identified", 2.5, 2.32, 0.02, 2.46, 2.54)
-    tilt = Identified("tilt_x", "tilt", "deg", "not_told", 0.0, 0.0, why="the <tests> hang")
+    tilt = Identified("tilt_x", "tilt", "deg", "not_observable", 0.0, 0.0, why="the <tests> hang")
     residuals = tuple(
         Residual(test, "markers", 1, 10.0, (0.1, 0.0, 0.1), 1.1, 1.0) for test in ("hang", "weight")
     )

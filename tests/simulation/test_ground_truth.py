@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from probedesign.campaigns.manifest import LENGTH_SCALE, WEIGHT_STD
 from probedesign.core.errors import InputError
 from probedesign.prediction.table_one import paper_design
 from probedesign.probe import build_probe
@@ -42,3 +43,36 @@ def test_invalid_friction_is_refused():
         CampaignPlan(friction=-0.5)
     with pytest.raises(InputError, match=r"--friction-spread 2 must lie in 0 \.\.\. 1"):
         CampaignPlan(friction_spread=2.0)
+
+
+def _bench(model, flaws: bool):
+    plan = CampaignPlan("cameras", 4, flaws=flaws, friction=0.0)
+    return GroundTruth.draw(model, plan, np.random.default_rng(4))
+
+
+def test_lengths_of_the_reference_have_its_scale(model):
+    """Distances from the stated base are longer by the drawn fraction; a bench without flaws measures exactly."""
+    points = np.array([[0.0, 0.0, 0.1], [0.01, 0.02, 0.15]])
+    exact, flawed = _bench(model, False), _bench(model, True)
+    T = flawed.T_world_true
+    true = points @ T[:3, :3].T + T[:3, 3] - flawed.T_world_base[:3, 3]
+    scale = 1.0 + flawed.flaws.length_scale
+    assert exact.flaws.length_scale == 0.0 and abs(flawed.flaws.length_scale) < 4 * LENGTH_SCALE
+    assert flawed.to_world(points) - flawed.T_world_base[:3, 3] == pytest.approx(scale * true, abs=1e-15)
+
+
+def test_each_test_has_its_own_pose_and_each_weight_its_own_error(model):
+    """The repeatability of 0.01 mm moves each base, and a weight pulls with another force than the stated one."""
+    exact, flawed = _bench(model, False).tests(), _bench(model, True).tests()
+    for tests, differ in ((exact, False), (flawed, True)):
+        places = np.array([one.bench.T_world_true[:3, 3] for one in tests])
+        assert (len(np.unique(places, axis=0)) == len(tests)) == differ
+        assert (
+            np.abs(places - places[0]).max() < 6 * np.sqrt(2.0) * 1e-5
+        )  # six standard deviations of a difference
+        weights = [one for one in tests if one.weight is not None and one.weight.any()]
+        ratios = np.array(
+            [np.linalg.norm(one.equilibrium.load[:3]) / np.linalg.norm(one.weight) for one in weights]
+        )
+        assert (len(np.unique(np.round(ratios, 9))) == len(weights)) == differ
+        assert np.abs(ratios - 1.0).max() < (4 * WEIGHT_STD if differ else 1e-9)

@@ -1,0 +1,189 @@
+"""The search of `optimize` in the studio: its task and limits, its path, and what the result gains and loses."""
+
+import math
+import threading
+from collections.abc import Callable
+from html import escape
+from typing import Any
+
+import viser
+
+from probedesign.core.errors import InputError
+from probedesign.design import Design
+from probedesign.optimization.constraints import Limit, OptimizationProblem, parse_limit
+from probedesign.optimization.design_space import INFEASIBLE, FreeParameter
+from probedesign.optimization.objective import FRACTIONS, Task
+from probedesign.reports.chart import COLOURS, Chart, ChartAxis
+from probedesign.studio.figures import DesignFigures, styled, summary_table
+from probedesign.studio.session import MOUNTINGS, PinnedDesign
+
+FREE: dict[str, tuple[FreeParameter, ...]] = {
+    "cone": ("cone",),
+    "taper": ("taper",),
+    "cone and length": ("cone", "length"),
+}
+"""What a search may change, by its name on the page."""
+AS_MOUNTED, ALL_MOUNTINGS = "as mounted", ", ".join(MOUNTINGS)
+
+
+class Improvement:
+    """A search for a better design from a start, in a thread of its own.
+
+    Attributes:
+        start: the design to improve.
+        design: the result; None while it runs, and if nothing satisfies the limits.
+        text: state of the search in one line.
+    """
+
+    def __init__(
+        self, start: Design, free: tuple[FreeParameter, ...], task: Task, limits: tuple[Limit, ...]
+    ) -> None:
+        """Start the search.
+
+        Args:
+            start: the design to improve.
+            free: what of it may change.
+            task: what it is improved for.
+            limits: on its metrics.
+        """
+        self.start = start
+        self.design: Design | None = None
+        self.text = "searching"
+        self._problem = OptimizationProblem(start, free, task, "error-at-force", None, limits)
+        self._thread = threading.Thread(target=self._search, name="improve", daemon=True)
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether the search has not ended."""
+        return self._thread.is_alive()
+
+    def wait(self) -> None:
+        """Wait until the search has ended."""
+        self._thread.join()
+
+    def _search(self) -> None:
+        from probedesign.optimization.optimum import optimum
+
+        name = f"{self.start.name.removesuffix('-best')}-best"
+        try:
+            found = optimum(self._problem, name, self._progress)
+        except InputError as error:
+            self.text = str(error)
+        else:
+            before, after = found.before.error_mm, found.after.error_mm
+            was = "not located" if before is None else f"{before:.3g} mm"
+            now = "not located" if after is None else f"{after:.3g} mm"
+            limited = ", ".join(found.active_constraints)
+            self.text = f"{self._problem.task.touches_text}: {was} before, {now} after" + (
+                f"; limited by {limited}" if limited else ""
+            )
+            self.design = found.design
+
+    def _progress(self, step: str, _: float | None) -> None:
+        self.text = step
+
+    def chart(self) -> Chart | None:
+        """Return the errors of the evaluated designs in order; None before the second."""
+        found = self._problem.problem.evaluator.errors_mm
+        path = [error if error < INFEASIBLE["error_mm"] else math.nan for error in found]
+        if sum(map(math.isfinite, path)) < 2:
+            return None
+        chart = Chart(
+            ChartAxis("evaluated designs", 0.0, float(len(path))),
+            ChartAxis.spanning("error of the task [mm]", path, log=True),
+        )
+        chart.line(range(1, len(path) + 1), path, COLOURS[1])
+        return chart
+
+
+class ImproveTab:
+    """Controls of the search, its path and its result."""
+
+    def __init__(self, gui: viser.GuiApi, on_start: Callable[[], None], on_accept: Callable[[Design], None],
+                 on_drop: Callable[[], None]) -> None:  # fmt: skip
+        """Add the controls; the callbacks are called in a thread of the page."""
+        self._force: Any = gui.add_slider("force of the task [mN]", 1.0, 50.0, 0.5, 5.0)
+        self._touches: Any = gui.add_slider("fused touches of the task", 1, 8, 1, 5)
+        self._places: Any = gui.add_multi_slider(
+            "places, fractions of the length", 0.1, 1.0, 0.1, (FRACTIONS[0], FRACTIONS[-1])
+        )
+        self._mounting: Any = gui.add_dropdown("probe points", (AS_MOUNTED, ALL_MOUNTINGS))
+        self._free: Any = gui.add_dropdown("what may change", tuple(FREE))
+        self._sag: Any = gui.add_slider("largest tip sag [mm]", 1.0, 120.0, 1.0, 60.0)
+        self._length: Any = gui.add_slider("largest length [mm]", 20.0, 250.0, 1.0, 200.0)
+        self._margin: Any = gui.add_slider("largest force over the task's, at least", 1.0, 50.0, 1.0, 4.0)
+        self._printable: Any = gui.add_checkbox("no warnings of the print check", True)
+        start = gui.add_button("Improve from here", color="green")
+        start.on_click(lambda _: on_start())
+        self._path: Any = gui.add_html("")
+        self._accept: Any = gui.add_button("Accept the result", visible=False, color="green")
+        self._accept.on_click(lambda _: self._accepted(on_accept))
+        self._drop: Any = gui.add_button("Drop the result", visible=False)
+        self._drop.on_click(lambda _: on_drop())
+        self.search: Improvement | None = None
+
+    @property
+    def task(self) -> Task:
+        """Return the chosen task."""
+        low, high = self._places.value
+        steps = range(round(10.0 * low), round(10.0 * high) + 1)
+        gravities = () if self._mounting.value == AS_MOUNTED else tuple(MOUNTINGS.values())
+        return Task(
+            forces_N=(1e-3 * self._force.value,), touches=int(self._touches.value),
+            fractions=tuple(k / 10.0 for k in steps), gravities=gravities,
+        )  # fmt: skip
+
+    @property
+    def limits(self) -> tuple[Limit, ...]:
+        """Return the chosen limits."""
+        texts = [
+            f"sag_mm<={self._sag.value:g}",
+            f"buckling_margin>={self._margin.value:g}",
+        ]
+        if "length" in FREE[self._free.value]:
+            texts.append(f"length_mm<={self._length.value:g}")
+        if self._printable.value:
+            texts.append("print_warnings<=0")
+        return tuple(map(parse_limit, texts))
+
+    @property
+    def running(self) -> bool:
+        """Whether a search runs."""
+        return self.search is not None and self.search.running
+
+    def start(self, design: Design) -> None:
+        """Start a search from a design; a search that runs goes on instead.
+
+        Raises:
+            InputError: the task or the limits contradict the design.
+        """
+        if not self.running:
+            self.search = Improvement(design, FREE[self._free.value], self.task, self.limits)
+
+    def drop(self) -> None:
+        """Forget the search and its result."""
+        self.search = None
+        self._path.content, self._accept.visible, self._drop.visible = "", False, False
+
+    def show(self, complete: Callable[[Design], DesignFigures]) -> None:
+        """Show the path of the search, and its result beside its start.
+
+        Args:
+            complete: returns all figures of a design.
+        """
+        found = self.search
+        if found is None:
+            return
+        chart, design = found.chart(), found.design
+        content = f'<div class="note">{escape(found.text)}</div>'
+        content += "" if chart is None else chart.svg().decode()
+        if design is not None:
+            start = PinnedDesign("start", found.start)
+            content += summary_table(complete(design), [(start, complete(found.start))], "result")
+        self._path.content = styled(content)
+        self._accept.visible = self._drop.visible = design is not None
+
+    def _accepted(self, on_accept: Callable[[Design], None]) -> None:
+        if self.search is not None and self.search.design is not None:
+            on_accept(self.search.design)
