@@ -88,7 +88,7 @@ class WidenedFit(Fit):
 
     The covariance is multiplied by the square of the Birge ratio, the RMS of all residuals with their robust weights,
     and the spread of the answers is added: the mean square by which the likely causes move the numbers, weighted by
-    their probabilities. No standard deviation exceeds that of the prior, or the limit of use where there is none.
+    their probabilities. No standard deviation exceeds that of the prior.
     Sources: R. T. Birge, Phys. Rev. 40, 1932, 207; J. A. Hoeting and others, Statistical Science 14, 1999, 382.
 
     Attributes:
@@ -115,13 +115,7 @@ def widened(fit: Fit, causes: Sequence["LikelyCause"]) -> WidenedFit:
     for share, cause in zip(shares, causes, strict=True):
         move = np.array([cause.moves.get(COMPONENTS[c], 0.0) if c < PRINT else 0.0 for c in active])
         cov = cov + share * np.outer(move, move)
-    limits = problem.prior[active].copy()
-    for i, column in enumerate(active):
-        if np.isinf(limits[i]):
-            owner = OWNER[column]
-            limit = PARAMETERS["E"].max_std if owner.name == "G" else owner.max_std
-            limits[i] = np.inf if limit is None else limit
-    size = np.maximum(np.sqrt(np.diag(cov)) / limits, 1.0)
+    size = np.maximum(np.sqrt(np.diag(cov)) / problem.prior[active], 1.0)
     return WidenedFit(
         fit.result, fit.point, fit.scales, fit.noise, fit.iterations, fit, cov / np.outer(size, size)
     )

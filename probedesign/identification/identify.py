@@ -100,7 +100,7 @@ def data_of(campaign: Campaign, model: ProbeModel, flange_volume: float) -> Iden
     held_out = sum(test.use == "validate" for test in campaign.tests)
     if held_out:
         notes.append(f"held out for validate by use in {TESTS}: {held_out} of {len(campaign.tests)} tests")
-    tests = []
+    tests, unplaced = [], list[str]()
     for test in campaign.tests:
         if test.use == "validate":
             continue
@@ -110,10 +110,15 @@ def data_of(campaign: Campaign, model: ProbeModel, flange_volume: float) -> Iden
             ramp = (seconds[epoch] - seconds[0]) / max(seconds[-1] - seconds[0], 1.0) - 0.5
             measured = replace(measured, epoch=epoch, creep_ramp=float(ramp))
         why = _unusable(measured)
+        if not why and test.p_contact_world is None and np.isfinite([test.std_contact, test.s_contact]).all():
+            unplaced.append(test.name)
         if why:
             notes.append(f"{test.name}: not used: {why}")
         else:
             tests.append(measured)
+    if unplaced:
+        notes.append(f"{', '.join(unplaced)}: contact_x/y/z_world_mm is empty; only s_contact_mm ± std_s_mm is used, "
+                     "to which friction adds μ r")  # fmt: skip
     weighing = campaign.weighing
     mass = None
     if weighing is not None:
@@ -251,6 +256,9 @@ def identify(
     quantile = result.student_quantile(found)
     causes = likely_causes(found, priors) if why else ()
     used = widened(found, causes) if why and accept else found
+    lost = result.beyond_limits(used, identified) if used is not found else ()
+    identified = tuple(name for name in identified if name not in [one.name for one in lost])
+    unobservable += lost
     numbers, correlation, correlated = result.identified_numbers(
         used, identified, unobservable, names, quantile
     )
@@ -270,8 +278,8 @@ def identify(
     reason = f"likely cause: {causes[0]}" if causes else why
     noticed = (f"noticed by: {why}",) if causes else ()
     whole = replace(whole, why=reason, likely_causes=causes, notes=(*noticed, *whole.notes))
-    if not accept:
-        return whole.as_inconsistent(reason)
+    if not accept or not identified:
+        return whole.as_inconsistent("; ".join([reason, *(one.description for one in lost)]))
     widening = result.widening(used, identified)
     note = (f"accepted although inconsistent: {reason}; standard deviations are up to {widening:.3g} times as large, "
             "by the residuals and by what the likely causes would change")  # fmt: skip

@@ -57,8 +57,8 @@ class Identified:
         name: of the parameter or its component: E, tilt_x.
         words: what it is.
         unit: of all values below; empty for plain factors.
-        result: "identified"; "inferred" if it follows from E and a prior rather than from the tests; or
-            "not_observable": then `value` is the design's and there is no interval.
+        result: "identified"; "inferred" if it follows from E and a prior rather than from the tests; "not_observable",
+            or "withheld" because the tests contradict each other: then `value` is the design's, without an interval.
         value: conditional on the design's diameters, which the frozen probe uses, even where those are requested too.
         std: standard deviation, which includes all errors of the bench.
         low, high: 95 % interval.
@@ -74,7 +74,7 @@ class Identified:
     name: str
     words: str
     unit: str
-    result: Literal["identified", "inferred", "not_observable"]
+    result: Literal["identified", "inferred", "not_observable", "withheld"]
     value: float
     design: float
     std: float | None = None
@@ -98,6 +98,16 @@ class Identified:
     def identified(self) -> bool:
         """Whether the tests determine it."""
         return self.result == "identified"
+
+    @property
+    def estimated(self) -> bool:
+        """Whether it has a value of its own with an interval: by the tests, or by E and a prior."""
+        return self.result in ("identified", "inferred")
+
+    @property
+    def state(self) -> str:
+        """Why there is no value, in words; empty where there is one."""
+        return {"not_observable": "not observable in these tests", "withheld": "withheld"}.get(self.result, "")
 
     @property
     def change(self) -> str:
@@ -234,8 +244,8 @@ class Identification(Tabular):
     def as_inconsistent(self, why: str) -> "Identification":
         """Return the result without numbers, intervals or error budget, for the reason given."""
         found = tuple(
-            Identified(one.name, one.words, one.unit, "not_observable", one.design, one.design,
-                       why=one.why or "the tests contradict the design, or each other")
+            Identified(one.name, one.words, one.unit, "withheld", one.design, one.design,
+                       why="the tests contradict the design, or each other")
             for one in self.found
         )  # fmt: skip
         return replace(self, result="inconsistent", found=found, correlation=self.correlation[:0, :0],
@@ -307,13 +317,13 @@ def identified_numbers(
     found = []
     for column in columns_of([*requested, *implied]):
         owner, name = OWNER[column], COMPONENTS[column]
-        if owner.name in why:
+        if owner.name in why and not (owner.name in IMPLIED and "E" in identified):
             design = owner.design_value(rod)
             found.append(Identified(name, owner.labels[name], owner.unit, "not_observable", design, design,
                                     why=why[owner.name]))  # fmt: skip
         elif fit.point.problem.active[column]:
             one = _identified(fit, column, quantile)
-            reason = _prior_of(fit, owner.name, owner.name in requested)
+            reason = _prior_of(fit, owner.name, owner.name in identified) or why.get(owner.name, "")
             found.append(replace(one, result="inferred", why=reason) if reason else one)
     cov = cov_conditional(fit, columns)
     std = np.sqrt(np.diag(cov))
@@ -426,6 +436,20 @@ def widening(fit: Fit, names: Sequence[str]) -> float:
         return 1.0
     at = [_at(fit, column) for column in columns_of(names)]
     return max(1.0, float(np.sqrt(np.diag(fit.cov)[at] / np.diag(fit.stated.cov)[at]).max()))
+
+
+def beyond_limits(fit: Fit, names: Sequence[str]) -> tuple[UnobservableDirection, ...]:
+    """Return the parameters whose standard deviation exceeds its limit of use, as after the acceptance of a
+    contradiction."""
+    found = []
+    for name in names:
+        limit, at = PARAMETERS[name].max_std, [_at(fit, column) for column in columns_of([name])]
+        std = float(np.sqrt(np.diag(fit.cov)[at]).max())
+        if limit is not None and std > limit:
+            text = (f"{name}: the contradiction leaves a standard deviation of {PARAMETERS[name].format_std(std)} "
+                    f"(limit {PARAMETERS[name].format_std(limit)})")  # fmt: skip
+            found.append(UnobservableDirection(name, text))
+    return tuple(found)
 
 
 def with_caveats(numbers: Sequence[Identified]) -> tuple[Identified, ...]:

@@ -161,7 +161,7 @@ def checklist(plan: Plan, folder: str) -> list[tuple[str, list[str]]]:
     each.append(
         "A test that failed or was not made: leave its row without readings; identify then ignores it."
     )
-    names = ",".join(name for name in plan.names if not (name == "diameters" and "calipers" in kinds))
+    names = ",".join(plan.identified)
     after = [
         f"probedesign identify DESIGN {folder} --for {names} --out IDENTIFIED.toml",
         "probedesign deploy IDENTIFIED.toml --out PROBE.probe.json",
