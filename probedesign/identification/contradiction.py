@@ -25,7 +25,13 @@ from probedesign.identification.fit_checks import DIMENSIONS, LABELS, PriorTest
 from probedesign.identification.mistakes import exchanged, mistakes
 from probedesign.identification.parameters import COMPONENTS, OWNER, PARAMETERS, PRINT
 from probedesign.identification.residuals import MeasuredTest, ResidualBlock
-from probedesign.identification.robust_loss import READING_KINDS, ROBUST_KINDS, median_scales, weights
+from probedesign.identification.robust_loss import (
+    READING_KINDS,
+    REJECTION_CHANCE,
+    ROBUST_KINDS,
+    median_scales,
+    weights,
+)
 from probedesign.identification.solver import (
     Fit,
     LeastSquaresProblem,
@@ -141,7 +147,7 @@ def likely_causes(fit: Fit, priors: Sequence[PriorTest]) -> tuple[LikelyCause, .
         priors: tests of the priors against the rest of the data.
     """
     seeds = _outlying(fit.point)
-    pairs = _exchangeable(fit.point, seeds)
+    pairs = [pair for pair, _, _ in _exchangeable(fit.point, seeds)]
     wanted = {name for pair in pairs for name in pair} | set(seeds)
     wanted |= {test.name for test in _some(fit.point.problem.tests)}
     solved = [test for test in fit.point.tests if test.measured.name in wanted]
@@ -176,14 +182,28 @@ def _outlying(point: Linearization) -> list[str]:
     return sorted(far, key=lambda name: -far[name])[:MAX_SEEDS]
 
 
-def _exchangeable(point: Linearization, seeds: Sequence[str]) -> list[tuple[str, str]]:
-    """Return the pairs of tests, one of them outlying, that agree best with the fit after an exchange of readings.
+def exchange_hints(point: Linearization, seeds: Sequence[str]) -> list[str]:
+    """Return notes on tests, one of `seeds` among them, whose readings are exchanged, by the χ² of both."""
+    hints = []
+    for (a, b), before, after in _exchangeable(point, seeds):
+        values = sum(len(block.r) for block in point.blocks if block.test in (a, b))
+        if after < chi2.isf(REJECTION_CHANCE, values) < before:
+            hints.append(f"{a} and {b}: their readings may be exchanged: χ² of both falls from {before:.4g} to "
+                         f"{after:.4g} that way; check wrenches.csv, or their places in tests.csv")  # fmt: skip
+    return hints
+
+
+def _exchangeable(
+    point: Linearization, seeds: Sequence[str]
+) -> list[tuple[tuple[str, str], float, float]]:
+    """Return the pairs of tests, one of them outlying, that agree best with the fit after an exchange of readings, and
+    the χ² of both before and after it.
 
     Only the unknowns of the two tests are fitted to them, by one linear step.
     """
     common, tests = point.problem.common, {test.name: test for test in point.problem.tests}
     before = {name: _own_loss([block for block in point.blocks if block.test == name]) for name in tests}
-    saved: dict[tuple[str, str], float] = {}
+    found = list[tuple[tuple[str, str], float, float]]()
     for a, b in combinations((name for name, test in tests.items() if test.wrench_base is not None), 2):
         if a not in seeds and b not in seeds:
             continue
@@ -192,8 +212,9 @@ def _exchangeable(point: Linearization, seeds: Sequence[str]) -> list[tuple[str,
         alone = linearize(problem, point.values, start_nuisance(pair, point.values.rod))
         if alone.ok:
             after = sum(_own_loss([block for block in alone.blocks if block.test == name]) for name in (a, b))
-            saved[a, b] = before[a] + before[b] - after
-    return [pair for pair in sorted(saved, key=lambda pair: -saved[pair])[:MAX_PAIRS] if saved[pair] > 0.0]
+            found.append(((a, b), before[a] + before[b], after))
+    found.sort(key=lambda one: one[2] - one[1])
+    return [one for one in found[:MAX_PAIRS] if one[2] < one[1]]
 
 
 def _own_loss(blocks: Sequence[ResidualBlock]) -> float:

@@ -18,7 +18,12 @@ from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.identification import result
-from probedesign.identification.contradiction import explaining_mistakes, likely_causes, widened
+from probedesign.identification.contradiction import (
+    exchange_hints,
+    explaining_mistakes,
+    likely_causes,
+    widened,
+)
 from probedesign.identification.fit_checks import (
     LABELS,
     UnobservableDirection,
@@ -29,6 +34,7 @@ from probedesign.identification.fit_checks import (
     rejected_priors,
     unobservable_direction,
 )
+from probedesign.identification.mistakes import gravity_read, pose_words
 from probedesign.identification.parameters import (
     DEFAULT,
     LOG_E,
@@ -36,7 +42,7 @@ from probedesign.identification.parameters import (
     check_requested,
     columns_of,
 )
-from probedesign.identification.residuals import MeasuredTest
+from probedesign.identification.residuals import MeasuredTest, ResidualBlock
 from probedesign.identification.result import Identification, Outlier
 from probedesign.identification.robust_loss import outliers
 from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, fit
@@ -240,6 +246,7 @@ def identify(
     _check_counts(data, names)
     found, identified, unobservable = _search(data, names, start)
     off = outliers(found.point.blocks, found.scales)
+    hints = _hints(found, off)
     left_out = bad_tests(found.point.blocks, off)
     if left_out and len(left_out) <= max(1, int(MAX_LEFT_OUT * len(data.tests))):
         counts = {name: sum(block.test == name for block, _ in off) for name in left_out}
@@ -254,7 +261,8 @@ def identify(
     rejected = rejected_priors(priors)
     why = inconsistency(blocks, off, found.noise, data.tests) or (str(rejected[0]) if rejected else "")
     quantile = result.student_quantile(found)
-    causes = likely_causes(found, priors) if why else ()
+    causes = likely_causes(found, priors) if why or found.result != "ok" else ()
+    why = why or ("the search did not converge" if causes else "")
     used = widened(found, causes) if why and accept else found
     lost = result.beyond_limits(used, identified) if used is not found else ()
     identified = tuple(name for name in identified if name not in [one.name for one in lost])
@@ -269,7 +277,8 @@ def identify(
         found.noise, quantile,
         tuple(Outlier(block.test, block.kind, block.item, distance) for block, distance in off),
         result.error_budget(used, identified),
-        (*data.notes, *(one.description for one in unobservable), *outlier_notes(blocks, off), *_remarks(found)),
+        (*data.notes, *hints, *(one.description for one in unobservable), *outlier_notes(blocks, off),
+         *_remarks(found)),
         result.residuals_of(found), time.perf_counter() - begun,
     )  # fmt: skip
     if not why:
@@ -287,6 +296,18 @@ def identify(
         () if found.result == "ok" else ("the search ended before it converged: its numbers may be off",)
     )
     return replace(whole, result="accepted", widening=widening, notes=(note, *unfinished, *whole.notes))
+
+
+def _hints(found: Fit, off: Sequence[tuple[ResidualBlock, float]]) -> tuple[str, ...]:
+    """Return what may be wrong with single outlying tests, which are no contradiction: exchanged readings, or a hang in
+    another pose."""
+    tests = {test.name: test for test in found.point.problem.tests}
+    wrong = [name for name in dict.fromkeys(block.test for block, _ in off) if name in tests]
+    touched = [name for name in wrong if not tests[name].free and tests[name].wrench_base is not None]
+    common = found.point.problem.common
+    turned = (tests[name] for name in wrong if tests[name].free)
+    return (*(exchange_hints(found.point, touched) if touched else ()),
+            *(pose_words(test) for test in turned if gravity_read(common, test) is not None))  # fmt: skip
 
 
 def _problem(data: IdentificationData, requested: Sequence[str]) -> LeastSquaresProblem:

@@ -103,9 +103,14 @@ def _of_poses(common: CommonParameters, tests: Sequence[MeasuredTest]) -> Iterat
     for test in free:
         gravity = gravity_read(common, test)
         if gravity is not None:
-            words = (f"pose: {test.name} hung in another orientation than its pose states; write the six columns "
-                     "base_x_world_mm ... base_rz_world_deg of this test in tests.csv")  # fmt: skip
-            yield Mistake("pose", words, partial(_turned, common, gravity={test.name: gravity}), len(free))
+            change = partial(_turned, common, gravity={test.name: gravity})
+            yield Mistake("pose", f"pose: {pose_words(test)}", change, len(free))
+
+
+def pose_words(test: MeasuredTest) -> str:
+    """Return what to do about a free test that hung in another pose."""
+    return (f"{test.name} hung in another orientation than its pose states; write the six columns "
+            "base_x_world_mm ... base_rz_world_deg of this test in tests.csv")  # fmt: skip
 
 
 def gravity_read(common: CommonParameters, test: MeasuredTest) -> Array | None:

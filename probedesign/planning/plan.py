@@ -347,7 +347,7 @@ def make_plan(
         chosen = choice.best(free, minutes - reserved - between * hang.minutes)
         away, mounted = ([one for one in _ordered(chosen) if (one.test is None) is off] for off in (True, False))
         mounted += validation
-        needed = (len(mounted) - 1) // HANG_EVERY
+        needed = max(len(mounted) - 1, 0) // HANG_EVERY
     return _scheduled(information, (*away, *_with_hangs(hang, mounted, needed)), tuple(names), minutes)
 
 
