@@ -25,13 +25,7 @@ from probedesign.identification.fit_checks import DIMENSIONS, LABELS, PriorTest
 from probedesign.identification.mistakes import exchanged, mistakes
 from probedesign.identification.parameters import COMPONENTS, OWNER, PARAMETERS, PRINT
 from probedesign.identification.residuals import MeasuredTest, ResidualBlock
-from probedesign.identification.robust_loss import (
-    READING_KINDS,
-    REJECTION_CHANCE,
-    ROBUST_KINDS,
-    median_scales,
-    weights,
-)
+from probedesign.identification.robust_loss import READING_KINDS, ROBUST_KINDS, median_scales, weights
 from probedesign.identification.solver import (
     Fit,
     LeastSquaresProblem,
@@ -56,8 +50,12 @@ MAX_LOSS = 2.0
 """Loss over its median for normal noise up to which a mistake explains tests that have no equilibrium otherwise: noise
 three times as large as stated (assumed)."""
 
-MAX_SEEDS, MAX_PAIRS = 4, 2
-"""Outlying tests whose readings may be exchanged with those of another test, and pairs that are fitted."""
+MAX_SEEDS, MAX_PAIRS, MAX_OWN_STEPS = 4, 2, 4
+"""Outlying tests whose readings may be exchanged with those of another test, pairs that are fitted, and steps of their
+own unknowns."""
+HINT_SHARE = 0.1
+"""χ² after over before an exchange of readings up to which it is noted: what the fit absorbed of the wrong readings,
+such as a walk of the bias, remains (assumed)."""
 MIN_GAIN = 1.0
 """Logarithm of the odds from which on a cause is listed (assumed)."""
 MAX_SCALE = 1000.0
@@ -186,44 +184,54 @@ def exchange_hints(point: Linearization, seeds: Sequence[str]) -> list[str]:
     """Return notes on tests, one of `seeds` among them, whose readings are exchanged, by the χ² of both."""
     hints = []
     for (a, b), before, after in _exchangeable(point, seeds):
-        values = sum(len(block.r) for block in point.blocks if block.test in (a, b))
-        if after < chi2.isf(REJECTION_CHANCE, values) < before:
+        if after < HINT_SHARE * before:
             hints.append(f"{a} and {b}: their readings may be exchanged: χ² of both falls from {before:.4g} to "
                          f"{after:.4g} that way; check wrenches.csv, or their places in tests.csv")  # fmt: skip
     return hints
 
 
-def _exchangeable(
-    point: Linearization, seeds: Sequence[str]
-) -> list[tuple[tuple[str, str], float, float]]:
+def _exchangeable(point: Linearization, seeds: Sequence[str]) -> list[tuple[tuple[str, str], float, float]]:
     """Return the pairs of tests, one of them outlying, that agree best with the fit after an exchange of readings, and
     the χ² of both before and after it.
 
-    Only the unknowns of the two tests are fitted to them, by one linear step.
+    Only the unknowns of the two tests are fitted to them: by one linear step to select the pairs, then by more.
     """
     common, tests = point.problem.common, {test.name: test for test in point.problem.tests}
-    before = {name: _own_loss([block for block in point.blocks if block.test == name]) for name in tests}
+    before = dict.fromkeys(tests, 0.0)
+    for block in point.blocks:
+        if block.test:
+            before[block.test] += block.squared_distance
     found = list[tuple[tuple[str, str], float, float]]()
     for a, b in combinations((name for name, test in tests.items() if test.wrench_base is not None), 2):
         if a not in seeds and b not in seeds:
             continue
         pair = exchanged(common, tests[a], tests[b])
-        problem = replace(point.problem, tests=pair, mass=None)
-        alone = linearize(problem, point.values, start_nuisance(pair, point.values.rod))
-        if alone.ok:
-            after = sum(_own_loss([block for block in alone.blocks if block.test == name]) for name in (a, b))
-            found.append(((a, b), before[a] + before[b], after))
+        found.append(((a, b), before[a] + before[b], sum(_own_loss(point, one, 1) for one in pair)))
     found.sort(key=lambda one: one[2] - one[1])
-    return [one for one in found[:MAX_PAIRS] if one[2] < one[1]]
+    refined = []
+    for (a, b), now, _ in found[:MAX_PAIRS]:
+        after = sum(_own_loss(point, one, MAX_OWN_STEPS) for one in exchanged(common, tests[a], tests[b]))
+        if after < now:
+            refined.append(((a, b), now, after))
+    return sorted(refined, key=lambda one: one[2] - one[1])
 
 
-def _own_loss(blocks: Sequence[ResidualBlock]) -> float:
-    """Return the χ² of one test at given common parameters, after a linear step of its own unknowns."""
-    r, B = np.concatenate([one.r for one in blocks]), np.concatenate([one.J_nuisance for one in blocks])
-    if B.shape[1]:
+def _own_loss(point: Linearization, test: MeasuredTest, steps: int) -> float:
+    """Return the χ² of one test at the common parameters of a fit, after linear steps of its own unknowns; infinite
+    without an equilibrium."""
+    problem = replace(point.problem, tests=(test,), mass=None)
+    nuisance, bounds = start_nuisance((test,), point.values.rod)[0], problem.nuisance_bounds[0]
+    loss, last = np.inf, None
+    for _ in range(steps):
+        last = linearize(problem, point.values, [nuisance], last)
+        if not last.ok:
+            break
+        blocks = [block for block in last.blocks if block.test == test.name]
+        r, B = np.concatenate([one.r for one in blocks]), np.concatenate([one.J_nuisance for one in blocks])
         size = np.maximum(np.linalg.norm(B, axis=0), 1e-300)
-        r = r - (B / size) @ np.linalg.lstsq(B / size, r, rcond=None)[0]
-    return float(r @ r)
+        step = -np.linalg.lstsq(B / size, r, rcond=None)[0] / size if B.shape[1] else nuisance
+        loss, nuisance = float(np.sum((r + B @ step) ** 2)), np.clip(nuisance + step, *bounds)
+    return loss
 
 
 def _some(tests: Sequence[MeasuredTest]) -> tuple[MeasuredTest, ...]:

@@ -37,6 +37,7 @@ from probedesign.identification.fit_checks import (
 from probedesign.identification.mistakes import gravity_read, pose_words
 from probedesign.identification.parameters import (
     DEFAULT,
+    IMPLIED,
     LOG_E,
     CommonParameters,
     check_requested,
@@ -264,9 +265,10 @@ def identify(
     causes = likely_causes(found, priors) if why or found.result != "ok" else ()
     why = why or ("the search did not converge" if causes else "")
     used = widened(found, causes) if why and accept else found
-    lost = result.beyond_limits(used, identified) if used is not found else ()
-    identified = tuple(name for name in identified if name not in [one.name for one in lost])
-    unobservable += lost
+    if used is not found:
+        lost = result.beyond_limits(used, identified)
+        identified = tuple(name for name in identified if name not in [one.name for one in lost])
+        unobservable += [one for one in lost if "E" not in identified or one.name not in IMPLIED]
     numbers, correlation, correlated = result.identified_numbers(
         used, identified, unobservable, names, quantile
     )
@@ -277,7 +279,7 @@ def identify(
         found.noise, quantile,
         tuple(Outlier(block.test, block.kind, block.item, distance) for block, distance in off),
         result.error_budget(used, identified),
-        (*data.notes, *hints, *(one.description for one in unobservable), *outlier_notes(blocks, off),
+        (*data.notes, *(() if why else hints), *(one.description for one in unobservable), *outlier_notes(blocks, off),
          *_remarks(found)),
         result.residuals_of(found), time.perf_counter() - begun,
     )  # fmt: skip
@@ -287,8 +289,10 @@ def identify(
     reason = f"likely cause: {causes[0]}" if causes else why
     noticed = (f"noticed by: {why}",) if causes else ()
     whole = replace(whole, why=reason, likely_causes=causes, notes=(*noticed, *whole.notes))
-    if not accept or not identified:
-        return whole.as_inconsistent("; ".join([reason, *(one.description for one in lost)]))
+    if not accept:
+        return whole.as_inconsistent(reason)
+    if not identified:
+        return whole.as_inconsistent("; ".join([reason, *(one.description for one in unobservable)]))
     widening = result.widening(used, identified)
     note = (f"accepted although inconsistent: {reason}; standard deviations are up to {widening:.3g} times as large, "
             "by the residuals and by what the likely causes would change")  # fmt: skip

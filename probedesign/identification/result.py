@@ -107,7 +107,9 @@ class Identified:
     @property
     def state(self) -> str:
         """Why there is no value, in words; empty where there is one."""
-        return {"not_observable": "not observable in these tests", "withheld": "withheld"}.get(self.result, "")
+        return {"not_observable": "not observable in these tests", "withheld": "withheld"}.get(
+            self.result, ""
+        )
 
     @property
     def change(self) -> str:
@@ -317,7 +319,9 @@ def identified_numbers(
     found = []
     for column in columns_of([*requested, *implied]):
         owner, name = OWNER[column], COMPONENTS[column]
-        if owner.name in why and not (owner.name in IMPLIED and "E" in identified):
+        if owner.name in why and not (
+            owner.name in IMPLIED and "E" in identified
+        ):  # G and the root go with E
             design = owner.design_value(rod)
             found.append(Identified(name, owner.labels[name], owner.unit, "not_observable", design, design,
                                     why=why[owner.name]))  # fmt: skip

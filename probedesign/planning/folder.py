@@ -125,10 +125,11 @@ def checklist(plan: Plan, folder: str) -> list[tuple[str, list[str]]]:
         before.append("Weigh the printed probe with its flange, and write [weighing] in campaign.toml.")
     if "calipers" in kinds:
         std = plan.bench.instruments.calipers or 0.0
-        before.append("Measure the diameter at the base and at each mark twice, at a right angle, and write the readings "
-                      "into calipers.csv with the columns s_mm, diameter_mm and std_mm. Then `probedesign measured DESIGN "
-                      f"calipers.csv --calipers-std-mm {std / MM:g} --out MEASURED.toml`, which is used "
-                      "below, and remove fingerprint from campaign.toml: the measured geometry has another one.")  # fmt: skip
+        before.append("Measure the diameter at the base and at each mark twice, at a right angle, and write the "
+                      "readings into calipers.csv with the columns s_mm, diameter_mm and std_mm. Then `probedesign "
+                      f"measured DESIGN calipers.csv --calipers-std-mm {std / MM:g} --out MEASURED.toml`, which is "
+                      "used below, and remove fingerprint from campaign.toml: the measured geometry has another "
+                      "one.")  # fmt: skip
     mount = [
         "Zero the sensor before the probe is mounted. Switch it on half an hour before.",
         "Measure the pose of the base in the frame of the stage or cameras, and write [base] in campaign.toml. "

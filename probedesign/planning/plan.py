@@ -345,7 +345,9 @@ def make_plan(
     while needed > between:  # more hangs leave time for fewer tests, which need no more hangs
         between = needed
         chosen = choice.best(free, minutes - reserved - between * hang.minutes)
-        away, mounted = ([one for one in _ordered(chosen) if (one.test is None) is off] for off in (True, False))
+        away, mounted = (
+            [one for one in _ordered(chosen) if (one.test is None) is off] for off in (True, False)
+        )
         mounted += validation
         needed = max(len(mounted) - 1, 0) // HANG_EVERY
     return _scheduled(information, (*away, *_with_hangs(hang, mounted, needed)), tuple(names), minutes)

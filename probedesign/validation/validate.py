@@ -110,7 +110,9 @@ def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
     z = np.array([error.z for error in errors if error.dof == 3]).reshape(-1, 3)
     mean, std = (z.mean(axis=0), z.std(axis=0, ddof=1)) if len(z) > 1 else (z[0:0], z[0:0])
     level = NOMINAL if n >= MIN_TOUCHES else FEW_LEVEL
-    if binomtest(within, n).proportion_ci(level).high < NOMINAL or chi2.sf(ratio * dof, dof) < 0.5 * (1.0 - level):
+    if binomtest(within, n).proportion_ci(level).high < NOMINAL or chi2.sf(ratio * dof, dof) < 0.5 * (
+        1.0 - level
+    ):
         verdict = "too_small"
     elif chi2.cdf(ratio * dof, dof) < 0.5 * (1.0 - level):
         verdict = "conservative"

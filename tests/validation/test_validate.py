@@ -255,7 +255,9 @@ def test_small_and_empty_samples_are_reported(found):
     assert none.touches == 0 and none.verdict == "not_judged" and not none.words
 
 
-@pytest.mark.parametrize(("ratio", "verdict"), [(0.2, "too_few"), (0.02, "conservative"), (30.0, "too_small")])
+@pytest.mark.parametrize(
+    ("ratio", "verdict"), [(0.2, "too_few"), (0.02, "conservative"), (30.0, "too_small")]
+)
 def test_a_few_touches_are_judged_by_an_extreme_ratio_alone(found, ratio, verdict):
     """Three touches, 9 degrees of freedom: 1.8 and less has a chance of 0.6 %, 0.18 and less of one in a million."""
     three = [one for one in found.tests if one.measured][:3]
