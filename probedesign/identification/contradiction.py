@@ -25,7 +25,13 @@ from probedesign.identification.fit_checks import DIMENSIONS, LABELS, PriorTest
 from probedesign.identification.mistakes import exchanged, mistakes
 from probedesign.identification.parameters import COMPONENTS, OWNER, PARAMETERS, PRINT
 from probedesign.identification.residuals import MeasuredTest, ResidualBlock
-from probedesign.identification.robust_loss import READING_KINDS, ROBUST_KINDS, median_scales, weights
+from probedesign.identification.robust_loss import (
+    READING_KINDS,
+    REJECTION_CHANCE,
+    ROBUST_KINDS,
+    median_scales,
+    weights,
+)
 from probedesign.identification.solver import (
     Fit,
     LeastSquaresProblem,
@@ -53,9 +59,6 @@ three times as large as stated (assumed)."""
 MAX_SEEDS, MAX_PAIRS, MAX_OWN_STEPS = 4, 2, 4
 """Outlying tests whose readings may be exchanged with those of another test, pairs that are fitted, and steps of their
 own unknowns."""
-HINT_SHARE = 0.1
-"""χ² after over before an exchange of readings up to which it is noted: what the fit absorbed of the wrong readings,
-such as a walk of the bias, remains (assumed)."""
 MIN_GAIN = 1.0
 """Logarithm of the odds from which on a cause is listed (assumed)."""
 MAX_SCALE = 1000.0
@@ -181,13 +184,27 @@ def _outlying(point: Linearization) -> list[str]:
 
 
 def exchange_hints(point: Linearization, seeds: Sequence[str]) -> list[str]:
-    """Return notes on tests, one of `seeds` among them, whose readings are exchanged, by the χ² of both."""
-    hints = []
-    for (a, b), before, after in _exchangeable(point, seeds):
-        if after < HINT_SHARE * before:
-            hints.append(f"{a} and {b}: their readings may be exchanged: χ² of both falls from {before:.4g} to "
-                         f"{after:.4g} that way; check wrenches.csv, or their places in tests.csv")  # fmt: skip
-    return hints
+    """Return a note if an exchange of the readings of two tests, one of `seeds` among them, explains what is off."""
+    common, tests = point.problem.common, {test.name: test for test in point.problem.tests}
+    for (a, b), _, _ in _exchangeable(point, seeds[:MAX_SEEDS])[:1]:
+        pair = dict(zip((a, b), exchanged(common, tests[a], tests[b]), strict=True))
+        problem = replace(point.problem, tests=tuple(pair.get(name, test) for name, test in tests.items()))
+        nuisance = [
+            start_nuisance((pair[one.measured.name],), point.values.rod)[0]
+            if one.measured.name in pair
+            else one.nuisance
+            for one in point.tests
+        ]
+        start = linearize(problem, point.values, nuisance)
+        if not start.ok:
+            continue
+        stated, other = (minimise(one.problem, one, {}, MAX_FIT_ITERATIONS)[0] for one in (point, start))
+        gain = _cost(stated) - _cost(other) - np.log(len(tests) * (len(tests) - 1) / 2)
+        if gain > -np.log(REJECTION_CHANCE):
+            return [f"{a} and {b}: their readings may be exchanged: χ² of {len(tests)} tests falls from "
+                    f"{2.0 * stated.loss({}):.4g} to {2.0 * other.loss({}):.4g} that way; check wrenches.csv, or their "
+                    "places in tests.csv"]  # fmt: skip
+    return []
 
 
 def _exchangeable(point: Linearization, seeds: Sequence[str]) -> list[tuple[tuple[str, str], float, float]]:
