@@ -141,3 +141,19 @@ def test_a_contradiction_that_leaves_too_much_uncertainty_gives_no_number(
     found = identify(data_of(read_campaign(folder), model, 0.0), ("E",), accept=True)
     assert found.result == "inconsistent" and found.of("E") is None and "limit 30%" in found.why
     assert {one.result for one in found.found} == {"withheld"}
+
+
+def test_a_touch_without_its_place_is_noted(stage_folder: Path, model: ProbeModel, tmp_path: Path) -> None:
+    """`plan` writes s_contact_mm and std_contact_mm beforehand; the place itself was not filled in."""
+    folder = shutil.copytree(stage_folder, tmp_path / "data")
+    head, *rows = (folder / "tests.csv").read_text().splitlines()
+    at = [head.split(",").index(f"contact_{axis}_world_mm") for axis in "xyz"]
+    cells = [row.split(",") for row in rows]
+    for row in cells:
+        if row[0] == "touch-04":
+            for i in at:
+                row[i] = ""
+    (folder / "tests.csv").write_text("\n".join([head, *map(",".join, cells), ""]))
+    notes = data_of(read_campaign(folder), model, 0.0).notes
+    assert any(note.startswith("touch-04: ") and "s_contact_mm" in note for note in notes)
+    assert not any(note.startswith("touch-03") for note in notes)
