@@ -30,6 +30,7 @@ from probedesign.identification.robust_loss import (
     REJECTION_CHANCE,
     ROBUST_KINDS,
     median_scales,
+    outliers,
     weights,
 )
 from probedesign.identification.solver import (
@@ -147,8 +148,11 @@ def likely_causes(fit: Fit, priors: Sequence[PriorTest]) -> tuple[LikelyCause, .
         fit: of the contradictory tests.
         priors: tests of the priors against the rest of the data.
     """
-    seeds = _outlying(fit.point)
-    pairs = [pair for pair, _, _ in _exchangeable(fit.point, seeds)]
+    off = _outlying(fit)
+    seeds = off[:MAX_SEEDS]
+    # two exchanged tests do not make most others outlying; a fit to a wrong unit has slow equilibria besides
+    few = 2 * len(off) <= len(fit.point.problem.tests)
+    pairs = [pair for pair, _, _ in _exchangeable(fit.point, seeds)] if few else []
     wanted = {name for pair in pairs for name in pair} | set(seeds)
     wanted |= {test.name for test in _some(fit.point.problem.tests)}
     solved = [test for test in fit.point.tests if test.measured.name in wanted]
@@ -174,13 +178,9 @@ def explaining_mistakes(problem: LeastSquaresProblem) -> tuple[LikelyCause, ...]
     return tuple(sorted(_mistakes(some, None), key=lambda one: -one.gain))
 
 
-def _outlying(point: Linearization) -> list[str]:
-    """Return the tests with the farthest outlying readings."""
-    far: dict[str, float] = {}
-    for block, weight in zip(point.blocks, weights(point.blocks, {}), strict=True):
-        if block.kind in ROBUST_KINDS and weight < 1.0:
-            far[block.test] = max(far.get(block.test, 0.0), block.squared_distance)
-    return sorted(far, key=lambda name: -far[name])[:MAX_SEEDS]
+def _outlying(fit: Fit) -> list[str]:
+    """Return the tests with outlying readings, the farthest first."""
+    return list(dict.fromkeys(block.test for block, _ in outliers(fit.point.blocks, fit.scales)))
 
 
 def exchange_hints(point: Linearization, seeds: Sequence[str]) -> list[str]:

@@ -247,7 +247,7 @@ def identify(
     _check_counts(data, names)
     found, identified, unobservable = _search(data, names, start)
     off = outliers(found.point.blocks, found.scales)
-    hints = _hints(found, off)
+    first = found, off
     left_out = bad_tests(found.point.blocks, off)
     if left_out and len(left_out) <= max(1, int(MAX_LEFT_OUT * len(data.tests))):
         counts = {name: sum(block.test == name for block, _ in off) for name in left_out}
@@ -279,7 +279,8 @@ def identify(
         found.noise, quantile,
         tuple(Outlier(block.test, block.kind, block.item, distance) for block, distance in off),
         result.error_budget(used, identified),
-        (*data.notes, *(() if why else hints), *(one.description for one in unobservable), *outlier_notes(blocks, off),
+        (*data.notes, *(() if why else _hints(*first)), *(one.description for one in unobservable),
+         *outlier_notes(blocks, off),
          *_remarks(found)),
         result.residuals_of(found), time.perf_counter() - begun,
     )  # fmt: skip
