@@ -178,10 +178,18 @@ def identify(
 def plan(
     design: "Design", minutes: float, names: Sequence[str], instruments: "Instruments", held_out: int
 ) -> "Plan":
-    """Choose the tests of a campaign that determine the named parameters best in the time available [min]."""
+    """Choose the tests of a campaign that determine the named parameters best in the time available [min].
+
+    Raises:
+        InputError: the design names no sensor, or no plan is possible.
+    """
+    from probedesign.core.errors import InputError
     from probedesign.planning.plan import make_plan
     from probedesign.probe import build_probe
 
+    if "model" not in design.sensor.model_fields_set:
+        raise InputError(f"{design.name}: [sensor] names no model; a plan needs the noise and the load limits of the "
+                         'sensor on the bench, such as model = "nano17"')  # fmt: skip
     probe = build_probe(design)
     return make_plan(probe.model, _flange_volume(probe), minutes, names, instruments, held_out)
 

@@ -68,7 +68,12 @@ def check_probe(campaign: Campaign, model: ProbeModel) -> None:
                              "markers.s_mm in campaign.toml")  # fmt: skip
     for test in campaign.tests:
         if test.s_contact > longest:
-            _refuse(campaign, TESTS, test, f"s_contact_mm = {test.s_contact / MM:g} {beyond}; a wrong unit?")
+            _refuse(
+                campaign,
+                TESTS,
+                test,
+                f"s_contact_mm = {test.s_contact / MM:g} {beyond}; a wrong unit, or another probe?",
+            )
     for check in (_check_mass, _check_arclengths, _check_sag, _check_contacts, _check_marker_distances,
                   _check_known_forces, _check_range, _check_lever):  # fmt: skip
         check(campaign, model)

@@ -100,12 +100,18 @@ def find_all(
     by_name = {camera.name: camera for camera in cameras}
     cache, s, total = DetectionCache(folder), np.array(manifest.markers.s_mm) * MM, sum(map(len, taken))
     progress = (number / total for number in itertools.count())
+    first: dict[str, tuple[Path, tuple[int, ...]]] = {}
 
     def detect(one: Photograph) -> DetectedMarkers:
         """Return the markers of one photograph."""
         on_progress(f"dots of {one.path.name}", next(progress))
+        size = read_grey(one.path).shape[::-1]
         if one.camera in by_name:
-            _check_size(one, by_name[one.camera])
+            _check_size(one, size, by_name[one.camera])
+        path, other = first.setdefault(one.camera, (one.path, size))
+        if size != other:
+            raise InputError(f"{one.path}: has {size[0]} x {size[1]} px, but {path.name} of the same camera has "
+                             f"{other[0]} x {other[1]}; take all with one setting")  # fmt: skip
         base = base_side or by_name[one.camera].project(one.test.T_world_base[:3, 3])
         return cache.detect(one.path, s, base, dark)
 
@@ -128,13 +134,10 @@ def find_all(
     return tests, (*notes, *cached)
 
 
-def _check_size(one: Photograph, camera: Camera) -> None:
+def _check_size(one: Photograph, size_px: tuple[int, ...], camera: Camera) -> None:
     """Refuse a photograph of another size than the camera was calibrated for."""
-    if camera.size_px is None:
-        return
-    height, width = read_grey(one.path).shape
-    if (width, height) != camera.size_px:
-        raise InputError(f"{one.path}: has {width} x {height} px, but camera {camera.name} was calibrated for "
+    if camera.size_px is not None and size_px != camera.size_px:
+        raise InputError(f"{one.path}: has {size_px[0]} x {size_px[1]} px, but camera {camera.name} was calibrated for "
                          f"{camera.size_px[0]} x {camera.size_px[1]}; take both with one setting")  # fmt: skip
 
 

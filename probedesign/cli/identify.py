@@ -151,12 +151,14 @@ def _value(one: "Identified", dimensions: str) -> str:
         dimensions: uncertainty of the print's dimensions; the interval that includes it is added where it is wider.
     """
     value = f"{one.value:.4g} {one.unit or f'({one.words})'}"
-    if one.result == "not_observable":
-        return f"{value} (design value; not observable in these tests)"
+    if not one.estimated:
+        return f"{value} (design value; {one.state})"
     text = f"{value}, 95 % interval {one.low:.4g} ... {one.high:.4g}"
     assert one.std is not None and one.std_of_print is not None
     if one.std_of_print > 1.1 * one.std:
-        text += f" with the design's dimensions; {one.low_of_print:.4g} ... {one.high_of_print:.4g} with {dimensions}"
+        of_print = f"{one.value_of_print:.4g} {one.unit}".rstrip()
+        text += (f" with the design's dimensions; {of_print}, {one.low_of_print:.4g} ... {one.high_of_print:.4g} with "
+                 f"{dimensions}")  # fmt: skip
     if one.change:
         text += f"; {one.change} from the design's {one.design:.4g}"
     return text if one.identified else f"{text} ({one.why})"

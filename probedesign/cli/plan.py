@@ -66,6 +66,10 @@ def plan(
     )
     from probedesign.reports.plan_page import plan_page
 
+    if stage_mm == 0.0:
+        raise InputError(
+            "--stage-mm 0: a stage measures a place with a standard deviation above 0; --no-stage plans without a stage"
+        )
     names = check_requested([name for name in (part.strip() for part in for_.split(",")) if name])
     _check_numbers(minutes, held_out)
     instruments = _instruments(

@@ -39,7 +39,7 @@ def design_changes(found: Identification, design: Design, day: str) -> tuple[Cha
     if not found.valid:
         why = found.why or "the search did not converge"
         raise InputError(f"{found.data}: {found.result}: {why}; nothing is written")
-    numbers = [one for one in found.found if one.result != "not_observable" and one.name in IN_DESIGN]
+    numbers = [one for one in found.found if one.estimated and one.name in IN_DESIGN]
     if not any(one.identified for one in numbers):
         raise InputError(
             f"{found.data}: no number of a design is identified; use --for {', '.join(IN_DESIGN)}"

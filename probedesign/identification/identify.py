@@ -11,16 +11,21 @@ from probedesign.campaigns import Campaign, Test
 from probedesign.campaigns.campaign import TESTS, WRENCHES
 from probedesign.campaigns.checks import check_probe
 from probedesign.campaigns.manifest import WRIST
+from probedesign.core.csv_tables import Frame
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.identification import result
-from probedesign.identification.contradiction import explaining_mistakes, likely_causes
+from probedesign.identification.contradiction import (
+    exchange_hints,
+    explaining_mistakes,
+    likely_causes,
+    widened,
+)
 from probedesign.identification.fit_checks import (
     LABELS,
-    PriorTest,
     UnobservableDirection,
     bad_tests,
     check_priors,
@@ -29,14 +34,16 @@ from probedesign.identification.fit_checks import (
     rejected_priors,
     unobservable_direction,
 )
+from probedesign.identification.mistakes import gravity_read, pose_words
 from probedesign.identification.parameters import (
     DEFAULT,
+    IMPLIED,
     LOG_E,
     CommonParameters,
     check_requested,
     columns_of,
 )
-from probedesign.identification.residuals import MeasuredTest
+from probedesign.identification.residuals import MeasuredTest, ResidualBlock
 from probedesign.identification.result import Identification, Outlier
 from probedesign.identification.robust_loss import outliers
 from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, fit
@@ -90,12 +97,17 @@ def data_of(campaign: Campaign, model: ProbeModel, flange_volume: float) -> Iden
     notes = list(campaign.notes)
     order, seconds = _epochs(campaign, notes)
     common = CommonParameters(
-        model, Tolerances.of(model), campaign.std_base, campaign.std_tilt, tuple(np.diff(seconds).tolist())
+        model,
+        Tolerances.of(model),
+        campaign.std_base,
+        campaign.std_tilt,
+        tuple(np.diff(seconds).tolist()),
+        _frame(campaign),
     )
     held_out = sum(test.use == "validate" for test in campaign.tests)
     if held_out:
         notes.append(f"held out for validate by use in {TESTS}: {held_out} of {len(campaign.tests)} tests")
-    tests = []
+    tests, unplaced = [], list[str]()
     for test in campaign.tests:
         if test.use == "validate":
             continue
@@ -105,16 +117,26 @@ def data_of(campaign: Campaign, model: ProbeModel, flange_volume: float) -> Iden
             ramp = (seconds[epoch] - seconds[0]) / max(seconds[-1] - seconds[0], 1.0) - 0.5
             measured = replace(measured, epoch=epoch, creep_ramp=float(ramp))
         why = _unusable(measured)
+        if not why and test.p_contact_world is None and np.isfinite([test.std_contact, test.s_contact]).all():
+            unplaced.append(test.name)
         if why:
             notes.append(f"{test.name}: not used: {why}")
         else:
             tests.append(measured)
+    if unplaced:
+        notes.append(f"{', '.join(unplaced)}: contact_x/y/z_world_mm is empty; only s_contact_mm ± std_s_mm is used, "
+                     "to which friction adds μ r")  # fmt: skip
     weighing = campaign.weighing
     mass = None
     if weighing is not None:
         flange = flange_volume if weighing.of == "probe" else 0.0
         mass = MassMeasurement(weighing.mass, weighing.std, flange)
     return IdentificationData(common, tuple(tests), mass, str(campaign.folder), tuple(notes))
+
+
+def _frame(campaign: Campaign) -> Frame:
+    """Return the frame that wrenches.csv states."""
+    return next((test.frame for test in campaign.tests if len(test.wrenches)), "base")
 
 
 def _epochs(campaign: Campaign, notes: list[str]) -> tuple[dict[str, int], Array]:
@@ -225,6 +247,7 @@ def identify(
     _check_counts(data, names)
     found, identified, unobservable = _search(data, names, start)
     off = outliers(found.point.blocks, found.scales)
+    first = found, off
     left_out = bad_tests(found.point.blocks, off)
     if left_out and len(left_out) <= max(1, int(MAX_LEFT_OUT * len(data.tests))):
         counts = {name: sum(block.test == name for block, _ in off) for name in left_out}
@@ -239,9 +262,15 @@ def identify(
     rejected = rejected_priors(priors)
     why = inconsistency(blocks, off, found.noise, data.tests) or (str(rejected[0]) if rejected else "")
     quantile = result.student_quantile(found)
-    widening = _widening(found, rejected) if why and accept else 1.0
+    causes = likely_causes(found, priors) if why or found.result != "ok" else ()
+    why = why or ("the search did not converge" if causes else "")
+    used = widened(found, causes) if why and accept else found
+    if used is not found:
+        lost = result.beyond_limits(used, identified)
+        identified = tuple(name for name in identified if name not in [one.name for one in lost])
+        unobservable += [one for one in lost if "E" not in identified or one.name not in IMPLIED]
     numbers, correlation, correlated = result.identified_numbers(
-        found, identified, unobservable, names, quantile, widening
+        used, identified, unobservable, names, quantile
     )
     numbers = result.with_caveats(numbers)
     whole = Identification(
@@ -249,33 +278,41 @@ def identify(
         sum(len(block.r) for block in blocks), problem.size, numbers, correlation, correlated,
         found.noise, quantile,
         tuple(Outlier(block.test, block.kind, block.item, distance) for block, distance in off),
-        result.error_budget(found, identified),
-        (*data.notes, *(one.description for one in unobservable), *outlier_notes(blocks, off), *_remarks(found)),
+        result.error_budget(used, identified),
+        (*data.notes, *(() if why else _hints(*first)), *(one.description for one in unobservable),
+         *outlier_notes(blocks, off),
+         *_remarks(found)),
         result.residuals_of(found), time.perf_counter() - begun,
     )  # fmt: skip
     if not why:
         return whole
-    causes = likely_causes(found, priors)
-    whole = replace(whole, why=why, likely_causes=causes, seconds=time.perf_counter() - begun)
+    # where a cause is found it is the reason; what the contradiction was noticed by is a note
+    reason = f"likely cause: {causes[0]}" if causes else why
+    noticed = (f"noticed by: {why}",) if causes else ()
+    whole = replace(whole, why=reason, likely_causes=causes, notes=(*noticed, *whole.notes))
     if not accept:
-        return whole.as_inconsistent(why)
-    note = f"accepted although inconsistent: {why}; all standard deviations are {widening:.3g} times as large"
+        return whole.as_inconsistent(reason)
+    if not identified:
+        return whole.as_inconsistent("; ".join([reason, *(one.description for one in unobservable)]))
+    widening = result.widening(used, identified)
+    note = (f"accepted although inconsistent: {reason}; standard deviations are up to {widening:.3g} times as large, "
+            "by the residuals and by what the likely causes would change")  # fmt: skip
     unfinished = (
         () if found.result == "ok" else ("the search ended before it converged: its numbers may be off",)
     )
     return replace(whole, result="accepted", widening=widening, notes=(note, *unfinished, *whole.notes))
 
 
-def _widening(found: Fit, rejected: Sequence[PriorTest]) -> float:
-    """Return the factor on the standard deviations of a contradictory fit: the RMS of all residuals with full weight
-    over their noise, and at least that of a rejected prior. Source: R. T. Birge, Phys. Rev. 40, 1932, 207."""
-    point = found.point
-    squares = sum(block.squared_distance / found.scales.get(block.kind, 1.0) ** 2 for block in point.blocks)
-    freedom = sum(
-        len(block.r) - float(np.trace(hat)) for block, hat in zip(point.blocks, found.absorbed, strict=True)
-    )
-    ratios = [one.deviation / math.sqrt(one.freedom) for one in rejected]
-    return max(1.0, math.sqrt(squares / max(freedom, 1.0)), *ratios)
+def _hints(found: Fit, off: Sequence[tuple[ResidualBlock, float]]) -> tuple[str, ...]:
+    """Return what may be wrong with single outlying tests, which are no contradiction: exchanged readings, or a hang in
+    another pose."""
+    tests = {test.name: test for test in found.point.problem.tests}
+    wrong = [name for name in dict.fromkeys(block.test for block, _ in off) if name in tests]
+    touched = [name for name in wrong if not tests[name].free and tests[name].wrench_base is not None]
+    common = found.point.problem.common
+    turned = (tests[name] for name in wrong if tests[name].free)
+    return (*(exchange_hints(found.point, touched) if touched else ()),
+            *(pose_words(test) for test in turned if gravity_read(common, test) is not None))  # fmt: skip
 
 
 def _problem(data: IdentificationData, requested: Sequence[str]) -> LeastSquaresProblem:

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from probedesign.campaigns.manifest import LENGTH_SCALE
+from probedesign.core.csv_tables import Frame
 from probedesign.core.errors import InputError, unknown_name
 from probedesign.core.frames import Array, pose, wrench_map
 from probedesign.core.units import MM, MPA
@@ -301,6 +302,7 @@ class CommonParameters:
         tolerances: of probe, mount and gravity.
         std_base, std_tilt: standard deviations of the stated base pose [m, rad].
         walk_seconds: time from each test to the next, in the order of their `epoch` [s].
+        frame: of the columns of wrenches.csv.
     """
 
     model: ProbeModel
@@ -308,6 +310,7 @@ class CommonParameters:
     std_base: float
     std_tilt: float
     walk_seconds: tuple[float, ...] = ()
+    frame: Frame = "base"
 
     @cached_property
     def print_modes(self) -> Array:

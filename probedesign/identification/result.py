@@ -14,7 +14,7 @@ from scipy.stats import norm, t
 from probedesign.core.frames import Array
 from probedesign.core.notebook import Tabular
 from probedesign.core.units import MM
-from probedesign.identification.contradiction import LikelyCause
+from probedesign.identification.contradiction import LikelyCause, WidenedFit
 from probedesign.identification.fit_checks import UnobservableDirection, conditional_estimate, cov_conditional
 from probedesign.identification.parameters import (
     COMPONENTS,
@@ -42,6 +42,8 @@ DATA_SHARE = 0.5
 contain at least as much information on it as its prior."""
 MIN_CONTRIBUTION = 0.1
 """Of the standard deviation of a number: smaller contributions to it, 1 % of its variance, are not listed."""
+ACCEPTED = "accepted contradiction"
+"""Name of what the acceptance of a contradiction adds to an error budget."""
 JSON_NAMES = {
     "caveat": "doubt",
 }
@@ -55,8 +57,8 @@ class Identified:
         name: of the parameter or its component: E, tilt_x.
         words: what it is.
         unit: of all values below; empty for plain factors.
-        result: "identified"; "inferred" if it follows from E and a prior rather than from the tests; or
-            "not_observable": then `value` is the design's and there is no interval.
+        result: "identified"; "inferred" if it follows from E and a prior rather than from the tests; "not_observable",
+            or "withheld" because the tests contradict each other: then `value` is the design's, without an interval.
         value: conditional on the design's diameters, which the frozen probe uses, even where those are requested too.
         std: standard deviation, which includes all errors of the bench.
         low, high: 95 % interval.
@@ -72,7 +74,7 @@ class Identified:
     name: str
     words: str
     unit: str
-    result: Literal["identified", "inferred", "not_observable"]
+    result: Literal["identified", "inferred", "not_observable", "withheld"]
     value: float
     design: float
     std: float | None = None
@@ -96,6 +98,18 @@ class Identified:
     def identified(self) -> bool:
         """Whether the tests determine it."""
         return self.result == "identified"
+
+    @property
+    def estimated(self) -> bool:
+        """Whether it has a value of its own with an interval: by the tests, or by E and a prior."""
+        return self.result in ("identified", "inferred")
+
+    @property
+    def state(self) -> str:
+        """Why there is no value, in words; empty where there is one."""
+        return {"not_observable": "not observable in these tests", "withheld": "withheld"}.get(
+            self.result, ""
+        )
 
     @property
     def change(self) -> str:
@@ -198,7 +212,7 @@ class Identification(Tabular):
         seconds: computing time.
         why: what is inconsistent and what to check, where the tests contradict each other.
         likely_causes: of a contradiction, the likeliest first.
-        widening: factor on all standard deviations of a contradiction that was accepted; else 1.
+        widening: largest factor on a standard deviation, of a contradiction that was accepted; else 1.
         served: `campaigns.Test.digest` of the tests used, which a design keeps for `validate`.
     """
 
@@ -232,8 +246,8 @@ class Identification(Tabular):
     def as_inconsistent(self, why: str) -> "Identification":
         """Return the result without numbers, intervals or error budget, for the reason given."""
         found = tuple(
-            Identified(one.name, one.words, one.unit, "not_observable", one.design, one.design,
-                       why=one.why or "the tests contradict the design, or each other")
+            Identified(one.name, one.words, one.unit, "withheld", one.design, one.design,
+                       why="the tests contradict the design, or each other")
             for one in self.found
         )  # fmt: skip
         return replace(self, result="inconsistent", found=found, correlation=self.correlation[:0, :0],
@@ -294,11 +308,10 @@ def identified_numbers(
     unobservable: Sequence[UnobservableDirection],
     requested: Sequence[str],
     quantile: float,
-    widening: float = 1.0,
 ) -> tuple[tuple[Identified, ...], Array, tuple[str, ...]]:
     """Return every requested number and those that E implies, the correlation of the identified ones, and their names.
 
-    `quantile` is that of the intervals, in standard deviations, which are multiplied with `widening`.
+    `quantile` is that of the intervals, in standard deviations.
     """
     rod, columns = fit.point.problem.common.model.rod, columns_of(identified)
     why = {one.name: one.description for one in unobservable}
@@ -306,13 +319,15 @@ def identified_numbers(
     found = []
     for column in columns_of([*requested, *implied]):
         owner, name = OWNER[column], COMPONENTS[column]
-        if owner.name in why:
+        if owner.name in why and not (
+            owner.name in IMPLIED and "E" in identified
+        ):  # G and the root go with E
             design = owner.design_value(rod)
             found.append(Identified(name, owner.labels[name], owner.unit, "not_observable", design, design,
                                     why=why[owner.name]))  # fmt: skip
         elif fit.point.problem.active[column]:
-            one = _identified(fit, column, quantile, widening)
-            reason = _prior_of(fit, owner.name, owner.name in requested)
+            one = _identified(fit, column, quantile)
+            reason = _prior_of(fit, owner.name, owner.name in identified) or why.get(owner.name, "")
             found.append(replace(one, result="inferred", why=reason) if reason else one)
     cov = cov_conditional(fit, columns)
     std = np.sqrt(np.diag(cov))
@@ -343,14 +358,13 @@ def _at(fit: Fit, column: int) -> int:
     return int(np.count_nonzero(fit.point.problem.active[:column]))
 
 
-def _identified(fit: Fit, column: int, quantile: float, widening: float) -> Identified:
+def _identified(fit: Fit, column: int, quantile: float) -> Identified:
     """Return one number given the design's dimensions, and with uncertain dimensions."""
     parameter, name = OWNER[column], COMPONENTS[column]
     rod = fit.point.problem.common.model.rod
 
     def interval(x: float, std: float) -> tuple[float, float, float, float]:
         """Return value, standard deviation and ends of the interval in the reported unit."""
-        std *= widening
         value, low, high = (parameter.reported(rod, x + sign * quantile * std) for sign in (0.0, -1.0, 1.0))
         return value, value * std if parameter.logarithm else parameter.scale * std, low, high
 
@@ -392,8 +406,9 @@ def error_budget(fit: Fit, names: Sequence[str]) -> tuple[ErrorContribution, ...
 
     A fit is linear in the values its priors are about: an error of one standard deviation σ of prior j changes the
     number i by C_ij/σ_j, C the covariance with the design's dimensions. What these leave of C_ii is due to the readings
-    and the priors of single tests.
+    and the priors of single tests. What the acceptance of a contradiction adds to the variance is a term of its own.
     """
+    total, fit = fit, fit.stated if isinstance(fit, WidenedFit) else fit
     problem = fit.point.problem
     active = np.flatnonzero(problem.active)
     print_modes = range(problem.common.print_columns.start, problem.common.print_columns.stop)
@@ -411,10 +426,34 @@ def error_budget(fit: Fit, names: Sequence[str]) -> tuple[ErrorContribution, ...
             if isinstance(cause, str):
                 squares[cause] = squares.get(cause, 0.0) + float(value)
         squares["readings and single tests"] = max(float(cov[i, i]) - sum(squares.values()), 0.0)
+        variance = float(cov_conditional(total, [columns[i]])[0, 0])
+        squares[ACCEPTED] = max(variance - float(cov[i, i]), 0.0)
         for cause, value in sorted(squares.items(), key=lambda pair: -pair[1]):
-            if value > MIN_CONTRIBUTION**2 * cov[i, i]:
+            if value > MIN_CONTRIBUTION**2 * variance:
                 result.append(ErrorContribution(cause, name, 100.0 * math.sqrt(value)))
     return tuple(result)
+
+
+def widening(fit: Fit, names: Sequence[str]) -> float:
+    """Return the largest factor on a standard deviation of these parameters by the acceptance of a contradiction."""
+    if not isinstance(fit, WidenedFit):
+        return 1.0
+    at = [_at(fit, column) for column in columns_of(names)]
+    return max(1.0, float(np.sqrt(np.diag(fit.cov)[at] / np.diag(fit.stated.cov)[at]).max()))
+
+
+def beyond_limits(fit: Fit, names: Sequence[str]) -> tuple[UnobservableDirection, ...]:
+    """Return the parameters whose standard deviation exceeds its limit of use, as after the acceptance of a
+    contradiction."""
+    found = []
+    for name in names:
+        limit, at = PARAMETERS[name].max_std, [_at(fit, column) for column in columns_of([name])]
+        std = float(np.sqrt(np.diag(fit.cov)[at]).max())
+        if limit is not None and std > limit:
+            text = (f"{name}: the contradiction leaves a standard deviation of {PARAMETERS[name].format_std(std)} "
+                    f"(limit {PARAMETERS[name].format_std(limit)})")  # fmt: skip
+            found.append(UnobservableDirection(name, text))
+    return tuple(found)
 
 
 def with_caveats(numbers: Sequence[Identified]) -> tuple[Identified, ...]:

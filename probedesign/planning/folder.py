@@ -125,9 +125,11 @@ def checklist(plan: Plan, folder: str) -> list[tuple[str, list[str]]]:
         before.append("Weigh the printed probe with its flange, and write [weighing] in campaign.toml.")
     if "calipers" in kinds:
         std = plan.bench.instruments.calipers or 0.0
-        before.append("Measure the diameter at the base and at each mark twice, at a right angle. Write the diameters "
-                      f"into [probe] of the design and diameter_mm = {std / MM:g} into its [tolerances] before you "
-                      "freeze it.")  # fmt: skip
+        before.append("Measure the diameter at the base and at each mark twice, at a right angle, and write the "
+                      "readings into calipers.csv with the columns s_mm, diameter_mm and std_mm. Then `probedesign "
+                      f"measured DESIGN calipers.csv --calipers-std-mm {std / MM:g} --out MEASURED.toml`, which is "
+                      "used below, and remove fingerprint from campaign.toml: the measured geometry has another "
+                      "one.")  # fmt: skip
     mount = [
         "Zero the sensor before the probe is mounted. Switch it on half an hour before.",
         "Measure the pose of the base in the frame of the stage or cameras, and write [base] in campaign.toml. "
@@ -161,9 +163,9 @@ def checklist(plan: Plan, folder: str) -> list[tuple[str, list[str]]]:
     each.append(
         "A test that failed or was not made: leave its row without readings; identify then ignores it."
     )
-    names = ",".join(name for name in plan.names if not (name == "diameters" and "calipers" in kinds))
+    names, design = ",".join(plan.identified), "MEASURED.toml" if "calipers" in kinds else "DESIGN"
     after = [
-        f"probedesign identify DESIGN {folder} --for {names} --out IDENTIFIED.toml",
+        f"probedesign identify {design} {folder} --for {names} --out IDENTIFIED.toml",
         "probedesign deploy IDENTIFIED.toml --out PROBE.probe.json",
         f"probedesign validate PROBE.probe.json {folder}",
     ]

@@ -7,9 +7,10 @@ others as long as that increases it. Source: V. Fedorov, Theory of Optimal Exper
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,9 @@ MIN_GAIN = 0.01
 MAX_EXCHANGES = 10
 ENOUGH = 1.1
 """Ratio of a standard deviation to the final one from which on further tests are not necessary."""
+HANG_EVERY = 8
+"""Tests on the sensor between two free hangs at most: with 4 minutes each the bias has walked for half an hour
+(assumed)."""
 LEVEL = 0.95
 ORDER: tuple[SetUp, ...] = ("weighing", "calipers", "hang", "weight", "turned", "touch")
 """Measurements away from the sensor come first. The others keep one set-up after the other."""
@@ -124,15 +128,19 @@ class Plan:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the user, each one line."""
-        calipers = any(one.set_up == "calipers" for one in self.candidates)
         own: tuple[str, ...] = ()
-        if "diameters" in self.names and calipers:
-            own += (
-                "Diameters are measured by calipers and written into the design; leave them out of identify --for.",
-            )
+        if self.identified != self.names:
+            own += ("The calipers determine the diameters: write them into the design with `probedesign measured`, and "
+                    f"identify --for {','.join(self.identified)}.",)  # fmt: skip
         if assumed := ", ".join(self.bench.model.assumptions):
             own += (f"assumed of the design: {assumed}",)
         return (*self.unobservable, *own)
+
+    @property
+    def identified(self) -> tuple[str, ...]:
+        """Parameters that `identify` estimates from the tests: all but the diameters, where calipers measure them."""
+        calipers = any(one.set_up == "calipers" for one in self.candidates)
+        return tuple(name for name in self.names if not (name == "diameters" and calipers)) or self.names
 
     @property
     def candidates(self) -> tuple[CandidateTest, ...]:
@@ -317,7 +325,7 @@ def make_plan(
     bench = Bench(model, instruments or Instruments())
     candidates = bench.candidates()
     hang = candidates[0]
-    fixed = [hang.named("hang-1"), hang.named("hang-2")]
+    fixed = [hang.named("hang-1"), hang.named("hang-2")]  # before and after; others are between
     candidates = [*fixed, *candidates[1:]]
     if len(candidates) == len(fixed):
         raise InputError("no test is possible besides the free hang; name a stage, cameras, weights, a balance or "
@@ -331,11 +339,27 @@ def make_plan(
                          "give more time, or fewer touches with --held-out")  # fmt: skip
     information = Information(bench, tuple(candidates), flange_volume)
     free = [one for one in candidates[2:] if one not in for_validation]
-    chosen = _Choice(information, names, fixed).best(free, minutes - reserved)
+    choice = _Choice(information, names, fixed)
     validation = [replace(one, held_out=True) for one in sorted(for_validation, key=lambda one: one.mark)]
-    away, mounted = ([one for one in _ordered(chosen) if (one.test is None) is off] for off in (True, False))
-    ordered = (*away, fixed[0], *mounted, *validation, fixed[1])
-    return _scheduled(information, ordered, tuple(names), minutes)
+    between, needed = -1, 0
+    while needed > between:  # more hangs leave time for fewer tests, which need no more hangs
+        between = needed
+        chosen = choice.best(free, minutes - reserved - between * hang.minutes)
+        away, mounted = (
+            [one for one in _ordered(chosen) if (one.test is None) is off] for off in (True, False)
+        )
+        mounted += validation
+        needed = max(len(mounted) - 1, 0) // HANG_EVERY
+    return _scheduled(information, (*away, *_with_hangs(hang, mounted, needed)), tuple(names), minutes)
+
+
+def _with_hangs(hang: CandidateTest, tests: Sequence[CandidateTest], between: int) -> Iterator[CandidateTest]:
+    """Yield the tests in their order with a free hang before, after and at so many places between them, evenly."""
+    yield hang
+    ends = [round(len(tests) * k / (between + 1)) for k in range(between + 2)]
+    for start, end in pairwise(ends):
+        yield from tests[start:end]
+        yield hang
 
 
 def _scheduled(
@@ -347,9 +371,8 @@ def _scheduled(
         clock += one.minutes
         counts[one.set_up] += 1
         if one.test is not None:
-            fixed = one.name in ("hang-1", "hang-2")
-            name = one.name if fixed else f"{one.set_up}-{counts[one.set_up]:02d}"
-            one = one.named(name, one.held_out, 60.0 * clock)
+            number = f"{counts[one.set_up]:d}" if one.set_up == "hang" else f"{counts[one.set_up]:02d}"
+            one = one.named(f"{one.set_up}-{number}", one.held_out, 60.0 * clock)
         timed.append((one, clock))
     last = Information(
         information.bench, tuple(one for one, _ in timed), information.flange_volume, scheduled=True

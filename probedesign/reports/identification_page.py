@@ -70,8 +70,8 @@ def verdict(found: Identification) -> str:
 def _sentence(one: Identified) -> str:
     """Return what a number is and how far it is from the design, or that it is not observable."""
     unit = f" {one.unit}" if one.unit else ""
-    if one.result == "not_observable":
-        return f"{one.name} is not observable in these tests and stays at the design's {one.design:.4g}{unit}"
+    if not one.estimated:
+        return f"{one.name} is {one.state} and stays at the design's {one.design:.4g}{unit}"
     text = (
         f"{one.name} is {one.value:.4g}{unit}, with a 95 % interval of {one.low:.4g} to {one.high:.4g}{unit}"
     )
@@ -85,7 +85,7 @@ def _table(found: Identification) -> HtmlTable:
         "",
         "value",
         "95 % interval",
-        f"with {found.dimensions}",
+        f"with {found.dimensions}: value, 95 % interval",
         "design",
         "change",
         "description",
@@ -95,11 +95,11 @@ def _table(found: Identification) -> HtmlTable:
 
 def _row(one: Identified) -> list[str]:
     design = f"{one.design:.4g} {one.unit}"
-    if one.result == "not_observable":
-        return [one.name, "not observable", "", "", design, "", one.why]
-    ends = ((one.low, one.high), (one.low_of_print, one.high_of_print))
-    intervals = [f"{a:.4g} ... {b:.4g}" for a, b in ends]
-    return [one.name, f"{one.value:.4g} {one.unit}", *intervals, design, one.change, one.why or one.words]
+    if not one.estimated:
+        return [one.name, one.state, "", "", design, "", one.why]
+    own, of_print = f"{one.low:.4g} ... {one.high:.4g}", f"{one.low_of_print:.4g} ... {one.high_of_print:.4g}"
+    of_print = f"{one.value_of_print:.4g} {one.unit}".rstrip() + f", {of_print}"
+    return [one.name, f"{one.value:.4g} {one.unit}", own, of_print, design, one.change, one.why or one.words]
 
 
 def residual_chart(found: Identification) -> Chart:

@@ -45,9 +45,12 @@ EXPECTED_RESULTS = {
 MIN_TOUCHES = 20
 """Touches from which on the coverage can be judged: of 20, 15 to 20 within are compatible with correct covariances."""
 NOMINAL = 0.95
+FEW_LEVEL = 0.999
+"""Level of the intervals by which fewer than `MIN_TOUCHES` are judged: touches of one print share its errors, so of a
+few an interval of 95 % excludes the stated errors too often (assumed)."""
 VERDICTS = {
     "consistent": "The stated errors agree with the reference",
-    "too_few": "The stated errors agree with the reference so far, but the touches are too few to confirm them",
+    "too_few": "The touches are too few for a verdict on the stated errors",
     "too_small": "The stated errors are too small",
     "conservative": "The stated errors are larger than necessary",
     "not_judged": "The stated errors cannot be judged",
@@ -106,9 +109,12 @@ def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
     ratio_low, ratio_high = ratio / expected_high, ratio / expected_low
     z = np.array([error.z for error in errors if error.dof == 3]).reshape(-1, 3)
     mean, std = (z.mean(axis=0), z.std(axis=0, ddof=1)) if len(z) > 1 else (z[0:0], z[0:0])
-    if share.high < NOMINAL or ratio_low > 1.0:
+    level = NOMINAL if n >= MIN_TOUCHES else FEW_LEVEL
+    if binomtest(within, n).proportion_ci(level).high < NOMINAL or chi2.sf(ratio * dof, dof) < 0.5 * (
+        1.0 - level
+    ):
         verdict = "too_small"
-    elif ratio_high < 1.0:
+    elif chi2.cdf(ratio * dof, dof) < 0.5 * (1.0 - level):
         verdict = "conservative"
     else:
         verdict = "consistent" if n >= MIN_TOUCHES else "too_few"

@@ -135,6 +135,7 @@ class TaredReading:
         wrenches_base: [N, N·m], (n, 6).
         gravity_base: by the stated pose [m/s²], (3,).
         weights: of the free tests that it was tared by; empty without.
+        same_pose: whether these hung in the pose of the test, so that they absorb the errors of the probe's own weight.
         walked: time [s] over which the bias walks at random between the test and its tares, in effect.
     """
 
@@ -142,6 +143,7 @@ class TaredReading:
     gravity_base: Array
     weights: Array
     walked: float
+    same_pose: bool = True
 
     @property
     def tares(self) -> int:
@@ -251,18 +253,26 @@ def validate_test(campaign: Campaign, test: Test, estimator: Estimator, exact: b
 
 
 def tared_reading(campaign: Campaign, test: Test, estimator: Estimator) -> TaredReading:
-    """Return the readings of one test, tared by free tests with readings; a free test by the others."""
+    """Return the readings of one test, tared by free tests with readings; a free test by the others.
+
+    A free test in a pose of its own is tared by the free tests of other poses: they share the sensor's bias, and errors
+    of the probe's weight remain, each with the difference of the model in both poses.
+    """
     gravity, own = test.gravity_base, test.wrenches_base(estimator.model)
-    offsets, times = [], []
-    for other in campaign.tests:
-        if not other.free or not len(other.wrenches) or other is test:
-            continue
-        g = other.gravity_base
-        if g @ gravity >= SAME_GRAVITY * np.linalg.norm(g) * np.linalg.norm(gravity):
-            offsets.append(other.mean_wrench_base(estimator.model) - estimator.free(g).wrench_base)
-            times.append(other.time)
-    weights, walked = tare_weights(test.time, np.array(times))
-    return TaredReading(own - weights @ np.array(offsets) if offsets else own, gravity, weights, walked)
+    free = [one for one in campaign.tests if one.free and len(one.wrenches) and one is not test]
+    tares = [one for one in free if _same_gravity(one.gravity_base, gravity)]
+    same_pose = bool(tares) or not test.free
+    tares = tares if same_pose else free
+    offsets = [
+        one.mean_wrench_base(estimator.model) - estimator.free(one.gravity_base).wrench_base for one in tares
+    ]
+    weights, walked = tare_weights(test.time, np.array([one.time for one in tares]))
+    tared = own - weights @ np.array(offsets) if offsets else own
+    return TaredReading(tared, gravity, weights, walked, same_pose)
+
+
+def _same_gravity(a: Array, b: Array) -> bool:
+    return bool(a @ b >= SAME_GRAVITY * np.linalg.norm(a) * np.linalg.norm(b))
 
 
 def tare_weights(time: float, times: Array) -> tuple[Array, float]:
@@ -308,7 +318,7 @@ def campaign_tolerances(campaign: Campaign, model: ProbeModel, reading: TaredRea
     noise = squares / (model.averaging_samples * len(reading.wrenches_base))
     walked = known.walk_steps**2 * reading.walked / WALK_SECONDS
     drift = math.sqrt(known.drift_steps**2 * (1.0 + squares) + walked + noise)
-    return replace(known, gravity_deg=gravity_deg, drift_steps=drift, tared=True)
+    return replace(known, gravity_deg=gravity_deg, drift_steps=drift, tared=reading.same_pose)
 
 
 def _force_base(test: Test, reading: TaredReading, model: ProbeModel) -> Array:

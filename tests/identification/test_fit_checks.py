@@ -19,7 +19,8 @@ from probedesign.identification.starting_values import start_point
 
 
 def _with(data: IdentificationData, change: Callable[[MeasuredTest], MeasuredTest]) -> Identification:
-    return identify(replace(data, tests=tuple(change(trial) for trial in data.tests)), ("E",))
+    common = replace(data.common, frame="base")  # wrenches are changed about the base, as if written so
+    return identify(replace(data, common=common, tests=tuple(map(change, data.tests))), ("E",))
 
 
 def _assert_no_number(found: Identification) -> None:

@@ -98,16 +98,17 @@ def test_accept_is_harmless_where_nothing_is_contradictory(found, stage: Campaig
     assert accepted.of("E") == found.of("E")
 
 
-def test_a_contradiction_is_explained_and_can_be_accepted(stage: Campaign, model: ProbeModel) -> None:
-    """All moments have the opposite sign: that is the likeliest cause, and accepted numbers have wide intervals."""
+def test_a_contradiction_is_explained(stage: Campaign, model: ProbeModel) -> None:
+    """All moments have the opposite sign: that is the likeliest cause, and no E can be accepted with its limit."""
     data = _data(stage, model)
     flipped = tuple(
         replace(t, wrench_base=t.wrench_base * np.repeat([1.0, -1.0], 3)) for t in data.tests if not t.free
     )
-    other = identify(replace(data, tests=flipped), ("E",), accept=True)
-    assert other.result == "accepted" and other.likely_causes[0].name == "sign"
+    common = replace(data.common, frame="base")
+    other = identify(replace(data, common=common, tests=flipped), ("E",), accept=True)
+    assert other.result == "inconsistent" and other.likely_causes[0].name == "sign"
     assert "moments" in other.likely_causes[0].words
-    assert other.widening > 3.0 and other.of("E") is not None
+    assert other.of("E") is None and "limit" in other.why
 
 
 def test_merely_noisy_places_are_accepted(stage: Campaign, model: ProbeModel) -> None:

@@ -15,10 +15,12 @@ from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import load_design
+from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.force_moment import surface_point
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.planning.candidates import Bench, Instruments
-from probedesign.planning.folder import tables
-from probedesign.planning.plan import PREPARATION, Information, make_plan
+from probedesign.planning.folder import checklist_text, tables
+from probedesign.planning.plan import HANG_EVERY, PREPARATION, Information, make_plan
 from probedesign.reports.plan_page import plan_page
 from tests.reports.test_pages import assert_whole
 
@@ -241,3 +243,56 @@ def test_a_design_without_sensor_or_gravity_gives_one_line(tmp_path, monkeypatch
     assert run(["plan", "a.toml"]) == 2
     err = capsys.readouterr().err
     assert len(err.splitlines()) == 1 and not Path("data").exists()
+
+
+def test_no_stage_is_not_written_as_zero(call):
+    status, out, err = call("--stage-mm", "0")
+    assert status == 2 and not out and "--no-stage" in err and len(err.splitlines()) == 1
+
+
+def test_a_plan_needs_a_named_sensor(tmp_path, capsys):
+    """Its noise and load limits decide what is proposed; a default one may not bear it."""
+    text = LARGE.read_text()
+    start = text.index("[sensor]")
+    (tmp_path / "bare.toml").write_text(text[:start] + text[text.index("\n[", start) + 1 :])
+    assert run(["plan", str(tmp_path / "bare.toml"), str(tmp_path / "data")]) == 2
+    err = capsys.readouterr().err
+    assert "[sensor]" in err and len(err.splitlines()) == 1 and not (tmp_path / "data").exists()
+
+
+def test_hangs_lie_between_the_tests(plan, bench):
+    """The bias walks no longer than over eight tests unseen, also in a long plan."""
+    longer = make_plan(bench.model, 0.0, 240.0, ("E", "root"), STAGE, 4)
+    for one in (plan, longer):
+        mounted = [test.set_up for test in one.candidates if test.test is not None]
+        at = [i for i, kind in enumerate(mounted) if kind == "hang"]
+        assert at[0] == 0 and at[-1] == len(mounted) - 1
+        assert max(np.diff(at)) <= HANG_EVERY + 1
+    assert sum(test.set_up == "hang" for test in longer.candidates) > 3
+    assert longer.tests[-1].minutes <= 240.0
+
+
+def test_proposed_touches_are_located(bench):
+    """Each reading with noise and drift of one standard deviation is located, within the stated error."""
+    rng, estimator = np.random.default_rng(3), Estimator(bench.model)
+    touches = [one for one in bench.candidates() if one.set_up == "touch"]
+    std = np.sqrt(np.diag(bench.model.noise_base()))
+    drift = Tolerances.of(bench.model).drift_steps * math.sqrt(bench.model.averaging_samples)
+    located = 0
+    for one in touches:
+        wrench = one.test.wrenches[0] + drift * std * rng.normal(size=6)
+        located += estimator.estimate(wrench, one.test.gravity_base).ok
+    assert located >= 0.98 * len(touches) and len(touches) > 30
+    # the lightest touch near the tip, 5.4 mN at 138 mm, is not among them
+    assert not any(one.mark > 0.9 * bench.model.rod.length and one.displacement < 10 * MM for one in touches)
+
+
+def test_calipers_and_identify_share_one_recommendation(design):
+    """Where calipers determine the diameters, identify does not: note, sheet and property name the same parameters."""
+    found = pipeline.plan(design, 90.0, ("E", "diameters"), Instruments(), 2)
+    assert found.identified == ("E",)
+    assert "--for E " in checklist_text(found, "data") and any("--for E." in note for note in found.notes)
+    without = pipeline.plan(design, 90.0, ("E", "diameters"), replace(Instruments(), calipers=None), 2)
+    assert without.identified == ("E", "diameters") and "--for E,diameters " in checklist_text(
+        without, "data"
+    )

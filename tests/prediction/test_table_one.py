@@ -1,6 +1,7 @@
 """Test the data and probes of the paper's table and a prediction with one setting for all rows."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,17 @@ def test_the_model_is_better_than_laws_without_mechanics(table):
     beyond = table.comparison.beyond_lever
     # 5 % one-sided critical values of Spearman's: 0.36 of 22 rows, 0.71 of 7, 0.83 of 6
     assert beyond["all"] > 0.36 and beyond["small"] > 0.71 and abs(beyond["large"]) < 0.6
+
+
+def test_the_documents_state_the_score_of_the_command(table):
+    """The bold line of prediction.md, its table of left-out scores and the row of figures.md."""
+    stated = f"{table.score.within} of {len(table.rows)} rows"
+    for page in ("prediction.md", "figures.md"):
+        text = (ROOT / "docs" / page).read_text()
+        assert set(re.findall(r"\d+ of 23 rows", text)) <= {stated, "18 of 23 rows"} and stated in text
+    text = (ROOT / "docs/prediction.md").read_text()
+    for one in table.comparison.left_out:
+        assert f"| {one.setting} | {one.constants} | {one.within} of 23 | {one.typical_factor:.2f} |" in text
 
 
 def test_the_command_gives_the_same_table(table, capsys):

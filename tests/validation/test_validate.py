@@ -255,6 +255,38 @@ def test_small_and_empty_samples_are_reported(found):
     assert none.touches == 0 and none.verdict == "not_judged" and not none.words
 
 
+@pytest.mark.parametrize(
+    ("ratio", "verdict"), [(0.2, "too_few"), (0.02, "conservative"), (30.0, "too_small")]
+)
+def test_a_few_touches_are_judged_by_an_extreme_ratio_alone(found, ratio, verdict):
+    """Three touches, 9 degrees of freedom: 1.8 and less has a chance of 0.6 %, 0.18 and less of one in a million."""
+    three = [one for one in found.tests if one.measured][:3]
+    scaled = [
+        replace(one, contact_error=replace(one.contact_error, error=one.contact_error.error * math.sqrt(
+            ratio * 3 / one.contact_error.nees))) for one in three
+    ]  # fmt: skip
+    coverage = coverage_of(scaled, False)
+    assert coverage.touches == 3 and coverage.nees_ratio == pytest.approx(ratio)
+    assert coverage.verdict == verdict
+
+
+def test_a_hang_in_another_pose_is_tared_by_the_others(large, exact):
+    """The bias of the sensor, 20 standard deviations of a reading, is in all hangs; the probe is 0.5 % heavier."""
+    campaign = read_campaign(exact)
+    bias = 20.0 * np.sqrt(np.diag(large.noise_base()))
+    tests = [replace(one, wrenches=one.wrenches_base(large) + bias, frame="base") for one in campaign.tests]
+    hang = next(one for one in tests if one.free)
+    T = hang.T_world_base.copy()
+    T[:3, :3] = T[:3, :3] @ [[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]]
+    turned = replace(hang, name="turned-01", T_world_base=T)
+    reading = 1.005 * Estimator(large).free(turned.gravity_base).wrench_base + bias
+    turned = replace(turned, wrenches=np.tile(reading, (5, 1)))
+    found = validate(Estimator(large), replace(campaign, tests=(*tests, turned)))
+    one = next(one for one in found.tests if one.test.name == "turned-01")
+    assert one.result == "no_contact" and one.tares > 0
+    assert one not in found.unexpected
+
+
 def test_a_missing_tare_is_noted(large, made):
     campaign = read_campaign(made)
     tests = tuple(replace(t, wrenches=np.zeros((0, 6))) if t.free else t for t in campaign.tests)

@@ -126,3 +126,14 @@ def test_bad_photographs_are_refused_in_one_line(data, spoil, words, capsys):
     error = capsys.readouterr().err
     assert words in error and error.count("\n") == 1
     assert not (data / "pixels.csv").exists()
+
+
+def test_photographs_of_one_camera_have_one_size(data, capsys):
+    """Control points state no size: a photograph of another setting is compared with the camera's others."""
+    data.joinpath("tests.csv").write_text("test\nbent\nother\n")
+    images = data / "images"
+    shutil.copy(images / "bent-left.png", images / "other-left.png")
+    write_png(images / "other-right.png", read_grey(images / "bent-right.png")[:-40])
+    assert run(["markers", str(data), "--dots", "dark"]) == 2
+    error = capsys.readouterr().err
+    assert "other-right.png" in error and f"{SIZE[1]}" in error and error.count("\n") == 1
