@@ -3,13 +3,15 @@
 import base64
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from typing import Any
 
 import numpy as np
 
+from probedesign.cad.drawing import Sheet
+from probedesign.cad.drawing_files import dxf_bytes, pdf_bytes, svg_bytes
 from probedesign.cad.exploded_view import (
     AssemblyStep,
     PartLabel,
@@ -21,8 +23,9 @@ from probedesign.cad.exploded_view import (
 from probedesign.cad.kernel import mass_properties
 from probedesign.cad.mesh import Mesh
 from probedesign.cad.model import CadModel, CadPart
-from probedesign.cad.part_drawings import part_drawings
+from probedesign.cad.probe_drawing import probe_sheet
 from probedesign.cad.render import render_body, render_png
+from probedesign.cad.rigid_drawings import clamp_ring_sheet, flange_adapter_sheet, sensor_adapter_sheet
 from probedesign.cad.solids import ScrewGroup
 from probedesign.cad.svg import Svg
 from probedesign.core.units import MM, MPA
@@ -37,6 +40,13 @@ NUT_FACTOR = 0.2
 """Torque over preload and diameter, dry steel. Source: Shigley, Mechanical Engineering Design, table 8-15."""
 RESIN_PRESSURE = 20.0 * MPA
 """Permanent pressure under a screw's head: a third of a rigid resin's strength of about 60 MPa (assumed; it creeps)."""
+SHEETS: dict[str, Callable[[CadModel, CadPart], Sheet]] = {
+    "probe": probe_sheet,
+    "sensor_adapter": sensor_adapter_sheet,
+    "clamp_ring": clamp_ring_sheet,
+    "flange_adapter": flange_adapter_sheet,
+}
+PDF_FILE = "drawings.pdf"
 
 
 @dataclass(frozen=True)
@@ -337,3 +347,12 @@ def build_documents(model: CadModel, meshes: Mapping[str, Mesh]) -> Documents:
     files["bill_of_materials.csv"] = bill_csv(bill)
     files["assembly.html"] = assembly_page(model, bill, steps, exploded, step_pictures(bodies, steps, seat))
     return Documents(files, bill, [step.text for step in steps])
+
+
+def part_drawings(model: CadModel) -> dict[str, bytes]:
+    """Return the files of the drawings by name: an SVG and a DXF of each printed part, and a PDF with all sheets."""
+    sheets = {name: draw(model, model.parts[name]) for name, draw in SHEETS.items()}
+    files = {f"{name}.svg": svg_bytes(sheet) for name, sheet in sheets.items()}
+    files |= {f"{name}.dxf": dxf_bytes(sheet) for name, sheet in sheets.items()}
+    title = f"{model.design.name}: drawings of the parts, {model.geometry.fingerprint}"
+    return files | {PDF_FILE: pdf_bytes(list(sheets.values()), title)}

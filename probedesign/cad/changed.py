@@ -20,7 +20,7 @@ from probedesign.cad.verify import checked, mesh_findings, room_findings
 from probedesign.cad.workplanes import assembly_of_changed, changed_model
 from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.design import Design
-from probedesign.printing.scale import print_scale
+from probedesign.printing.check import print_scale
 
 
 def export_changed(design: Design, changed: Mapping[str, cq.Workplane], out: Path) -> dict[str, Any]:

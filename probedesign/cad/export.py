@@ -26,8 +26,7 @@ from probedesign.geometry.mass import MassProperties, combined
 from probedesign.mount import exported_root_radii
 from probedesign.mount.root import ROOT_STD
 from probedesign.mount.tolerance_stack import measurements, tolerance_stacks
-from probedesign.printing.check import check_print
-from probedesign.printing.scale import is_compensated, print_scale
+from probedesign.printing.check import check_print, is_compensated, print_scale
 
 SCHEMA = 1
 

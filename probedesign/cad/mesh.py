@@ -24,7 +24,7 @@ from probedesign.core.frames import Array
 from probedesign.core.stl import stl_corners
 from probedesign.core.units import MM
 from probedesign.design.catalog import RIGID_RESIN
-from probedesign.printing.scale import scale_note
+from probedesign.printing.check import scale_note
 
 LINEAR_TOLERANCE_MM = 0.01
 ANGULAR_TOLERANCE_RAD = 0.05

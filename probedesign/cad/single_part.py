@@ -14,7 +14,7 @@ from probedesign.core.files import write_atomically
 from probedesign.core.stl import stl_bytes
 from probedesign.design import Design
 from probedesign.geometry import build_geometry
-from probedesign.printing.scale import print_scale, scale_note
+from probedesign.printing.check import print_scale, scale_note
 
 
 def export_part(design: Design, part: str, out: Path | None) -> dict[str, Any]:

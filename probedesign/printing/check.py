@@ -38,7 +38,6 @@ from probedesign.printing.orientation import (
     OrientedPart,
     oriented_parts,
 )
-from probedesign.printing.scale import print_scale
 
 GUIDE = "Formlabs' design guide, Form 2, rigid resin"
 DOUBLED = f"twice {GUIDE}, for soft resin (assumed)"
@@ -291,6 +290,25 @@ def _apart(p: FlangeAdapter) -> float:
 def _reach(points: Iterable[XY]) -> float:
     """Return the distance of equal features from the axis [m]; 0 without any."""
     return max((math.hypot(*p) for p in points), default=0.0)
+
+
+AS_DRAWN = (1.0, 1.0, 1.0)
+
+
+def print_scale(design: Design, part: str) -> tuple[float, float, float]:
+    """Return the printed size over the drawn size, along x, y and z, of a printed part."""
+    return design.print_.scale if part == "probe" else design.print_.rigid_scale
+
+
+def is_compensated(design: Design) -> bool:
+    """Return whether any part is printed in another size than drawn."""
+    return any(print_scale(design, part) != AS_DRAWN for part in ("probe", "rigid parts"))
+
+
+def scale_note(design: Design, part: str) -> str:
+    """Return the note for a part's file; empty if the part is printed as drawn."""
+    scale = print_scale(design, part)
+    return "" if scale == AS_DRAWN else f" scaled {scale[0]:g} {scale[1]:g} {scale[2]:g}"
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from probedesign.core.stl import stl_corners
 from probedesign.design import Design
 from probedesign.design.diagnostics import quoted
 from probedesign.geometry import build_geometry
+from probedesign.printing.check import print_scale
 from probedesign.printing.preform_client import NoResponseError, PreForm, PreFormError, RefusedError
 from probedesign.printing.preform_settings import (
     Extent,
@@ -31,7 +32,6 @@ from probedesign.printing.preform_settings import (
     SceneModel,
     select_settings,
 )
-from probedesign.printing.scale import print_scale
 
 Parts = Literal["probe", "adapters"]
 PLAIN = re.compile(r"[A-Za-z0-9_-]+\.stl")

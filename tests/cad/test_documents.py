@@ -22,12 +22,17 @@ import ezdxf.units
 import trimesh
 from PIL import Image
 
-from probedesign.cad.assembly_docs import RESIN_PRESSURE, assembly_page, bill_of_materials, hand_torque
+from probedesign.cad.assembly_docs import (
+    RESIN_PRESSURE,
+    assembly_page,
+    bill_of_materials,
+    hand_torque,
+    part_drawings,
+)
 from probedesign.cad.drawing import EDGE, HEIGHT, WIDTH
 from probedesign.cad.exploded_view import DOWN, EXPLOSION, assembly_steps
 from probedesign.cad.mesh import platform_positions, read_back
 from probedesign.cad.model import CadModel, build_cad, overlaps
-from probedesign.cad.part_drawings import part_drawings
 from probedesign.cad.projection import FRONT, cut, seen
 from probedesign.cad.render import BACKGROUND, OrthographicCamera, RenderBody, fit_view, render_bodies
 from probedesign.cad.solids import clamp_ring_solid

@@ -30,7 +30,7 @@ from probedesign.geometry.mass import MassProperties, combined, flexible_part
 from probedesign.mount import mount_mass_properties, sensor_adapter_for
 from probedesign.printing.preform_job import load_job
 from probedesign.probe import build_probe
-from tests.cad.conftest import LARGE
+from tests.cad.conftest import LARGE, design_of
 
 FILES = {
     "probe.stl", "sensor_adapter.stl", "clamp_ring.stl", "flange_adapter.stl",
@@ -143,19 +143,25 @@ def matrix_of(place: cq.Location) -> np.ndarray:
     return np.array([[transform.Value(i, j) for j in range(1, 5)] for i in range(1, 4)])
 
 
-@pytest.mark.usefixtures("undocumented")
-@pytest.mark.parametrize(
-    ("section", "thickness"),
-    [('section = "hollow"\nbore_ratio = 0.5', 6.0), ('section = "elliptic"\nflatness = 0.6', 3.6)],
+@pytest.fixture(
+    scope="module",
+    params=['section = "hollow"\nbore_ratio = 0.5', 'section = "elliptic"\nflatness = 0.6'],
     ids=["hollow", "elliptic"],
 )
-def test_files_of_other_sections(
-    make_design: Callable[..., Design], tmp_path: Path, section: str, thickness: float
-) -> None:
-    cone = "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n"
-    manifest = export_parts(make_design(cone + section), tmp_path / "other")
+def other_section(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[str, Path, dict[str, Any]]:
+    """The probe with another section, exported: design, folder and manifest."""
+    probe = f"{LARGE}\n{request.param}"
+    folder = tmp_path_factory.mktemp("exports") / "other"
+    return probe, folder, export_parts(design_of(probe), folder)
+
+
+def test_files_of_other_sections(other_section: tuple[str, Path, dict[str, Any]]) -> None:
+    section, folder, manifest = other_section
+    thickness = 6.0 if "hollow" in section else 3.6
     assert all(finding["ok"] for finding in manifest["verification"].values())
-    mesh = trimesh.load(tmp_path / "other" / "probe.stl")
+    mesh = trimesh.load(folder / "probe.stl")
     assert mesh.is_watertight and mesh.is_winding_consistent
     above = mesh.vertices[mesh.vertices[:, 2] > -1e-3]
     near = above[np.hypot(above[:, 0], above[:, 1]) < 6.1]  # without the flange's rim
@@ -163,7 +169,7 @@ def test_files_of_other_sections(
     assert abs(near[:, :2]).max(axis=0) == pytest.approx([6.0, thickness], abs=1e-5)
     # A hollow body has a handle: its surface is that of a torus. The clocking mark is another one.
     assert mesh.euler_number == (2 - 2 * 2 if "hollow" in section else 2 - 2 * 1)
-    solids = cq.importers.importStep(str(tmp_path / "other" / "assembly.step")).solids().vals()
+    solids = cq.importers.importStep(str(folder / "assembly.step")).solids().vals()
     wanted = manifest["parts"]["probe"]["volume_m3"] * 1e9
     # STEP writes some fifteen digits; kernel and file agree to about 1e-12.
     assert min(abs(solid.Volume() / wanted - 1.0) for solid in solids) < 1e-9
@@ -178,6 +184,7 @@ rigid_scale_xy = 1.01
 """
 
 
+@pytest.mark.usefixtures("undocumented")
 def test_scale_compensation_reaches_the_files_to_print_and_nothing_else(
     make_design: Callable[..., Design], tmp_path: Path
 ) -> None:
@@ -229,14 +236,13 @@ def test_exports_are_reproducible(exported: Exported, tmp_path: Path) -> None:
         assert path.read_bytes() == (exported[0] / path.name).read_bytes(), path.name
 
 
-@pytest.mark.parametrize(
-    "section", ['section = "hollow"\nbore_ratio = 0.5', 'section = "elliptic"\nflatness = 0.6']
-)
-def test_other_sections_are_reproducible(tmp_path: Path, section: str) -> None:
+def test_other_sections_are_reproducible(
+    other_section: tuple[str, Path, dict[str, Any]], tmp_path: Path
+) -> None:
     """The kernel keeps one of two coincident vertices by its address, which differs between processes."""
-    probe = f"length_mm = 60.0\nbase_d_mm = 12.0\ntip_d_mm = 6.0\n{section}"
-    one, other = (exported_by_another_process(probe, tmp_path / seed, seed) for seed in ("1", "2"))
-    for path in one.iterdir():
+    probe, folder, _ = other_section
+    other = exported_by_another_process(probe, tmp_path / "again", seed="12345")
+    for path in folder.iterdir():
         assert path.read_bytes() == (other / path.name).read_bytes(), path.name
 
 

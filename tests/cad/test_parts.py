@@ -109,7 +109,7 @@ def test_parts_on_another_sensor_agree_with_their_closed_form(large: CadModel) -
     assert (tool.length, tool.grip) == (pytest.approx(8e-3), pytest.approx(3.5e-3))  # 8 - 4 - 0.29 - 0.15 mm
     assert a.floor == pytest.approx(tool.grip + screw.head_height + 0.2e-3)
     plate = flange_adapter_for(
-        replace(NANO17, interface=interface), replace(large.plate.robot, bolt_circle_d=70e-3)
+        replace(NANO17, interface=interface), replace(large.plate.robot, face_d=80e-3, bolt_circle_d=70e-3)
     )
     parts = build_parts(geometry, 1010.0, interface, a, plate, screw_groups(a, plate))
     assert max(overlaps(parts).values()) == 0.0

@@ -1,6 +1,5 @@
 """Result codes of a rod without an equilibrium, and the critical loads."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -146,22 +145,13 @@ HELPLESS = {
 }
 
 
-@pytest.fixture(scope="module")
-def compiled():
-    """Compile what such loads alone need."""
-    for mode in ("fast", "reference"):
-        CONE.solve(*next(iter(HOPELESS.values())), mode=mode, columns="all")
-
-
 @pytest.mark.parametrize("mode", ["fast", "reference"])
 @pytest.mark.parametrize("rod", HELPLESS.values(), ids=HELPLESS)
 @pytest.mark.parametrize("case", HOPELESS)
-def test_a_hopeless_load_gives_a_code_soon(case, rod, mode, compiled):
+def test_a_hopeless_load_gives_a_code(case, rod, mode):
+    """The number of steps of a solve is bounded, so that it ends for any load."""
     gravity, force, s_c = HOPELESS[case]
-    start = time.process_time()
     eq = rod.solve(gravity, force, s_c, mode=mode, columns="all")
-    # No clock judges speed here: ten seconds of this process' own time stand for a hang.
-    assert time.process_time() - start < 10.0
     if eq.ok:  # a sideways load of any size has its stable equilibrium: bent round and pulled straight
         assert np.isfinite(eq.wrench_base).all() and np.isfinite(eq.p_base).all()
     else:
