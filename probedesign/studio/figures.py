@@ -42,6 +42,7 @@ _PLACE = ChartAxis(
 STYLE = """<style>.st table{border-collapse:collapse;font-size:12.5px;width:100%}
 .st .chips{display:flex;flex-wrap:wrap;gap:2px 10px;margin:4px 0;font-size:12px}
 .st .chips i{display:inline-block;width:12px;height:12px;margin-right:4px;vertical-align:-1px}
+[data-mantine-color-scheme=dark] [role=tab][aria-selected=true]{color:#8cc4f0!important}
 [data-mantine-color-scheme=dark] .st svg{filter:invert(1) hue-rotate(180deg)}
 [data-mantine-color-scheme=dark] .st svg text[style]{fill:var(--dark)}
 [data-mantine-color-scheme=dark] .st .better{color:#6fd39b}[data-mantine-color-scheme=dark] .st .worse{color:#ff9a92}
