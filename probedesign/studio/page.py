@@ -297,7 +297,10 @@ class StudioPage:
                     self._panel.dock_left()
                     self._panel.set_width(CHARTS_WIDTH)
                     self._server.gui.main_panel.set_width(CONTROLS_WIDTH)  # it took that of the charts
-        for camera in (self._server.initial_camera, client.camera):  # a browser that moves panels takes the initial one
+        for camera in (
+            self._server.initial_camera,
+            client.camera,
+        ):  # a browser that moves panels takes the initial one
             self._scene.set_camera(camera, scene / height)
 
     # Reactions
