@@ -277,6 +277,15 @@ def test_new_refuses_bad_values_by_option_and_value_and_writes_nothing(workplace
     assert list(workplace.iterdir()) == []
 
 
+def test_new_writes_no_design_whose_mount_does_not_fit(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    status = run([*NEW, "--sensor", "mini40"])  # the bolts of the default robot flange are too close for it
+    captured = capsys.readouterr()
+    assert_refused(captured.out, captured.err, status)
+    assert "bolt_circle_d_mm = 50" in captured.err
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_new_replaces_a_file_only_with_force(workplace, capsys):
     assert run([*NEW, "mine"]) == 0
     before = Path("designs/mine.toml").read_bytes()

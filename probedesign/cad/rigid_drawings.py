@@ -67,14 +67,17 @@ def sensor_adapter_sheet(model: CadModel, part: CadPart) -> Sheet:
     ]  # fmt: skip
     z0, z1 = a.nut_slot_z
     inner = a.ring_circle_d / 2 - a.nut_slot_reach
-    slot = f"slot {_mm(a.nut_slot_width)} wide, z = {_mm(z0)} to {_mm(z1)}, round end about r = {_mm(inner)}"
+    size = f"{_mm(a.nut_slot_width)} wide, {_mm(z1 - z0)} high, {_mm(a.body_top - z1)} below the top"
+    slot = f"slot {size}, round end about r = {_mm(inner)}"
     second = f"the second a slot {_mm(a.dowel_d)} × {_mm(a.dowel_d + DOWEL_SLOT)} towards the first"
     fit = " H7" if a.options.milled else ""
     below = [
         Holes(a.p_ring_screws, a.nut_slot_width, slot),
         Holes(a.p_dowels, a.dowel_d, f"⌀{_mm(a.dowel_d)}{fit}, {_mm(a.dowel_depth)} deep, {second}"),
     ]
-    heights, tops = [a.foot_height, a.cone_top, a.floor, a.peg_top, a.body_top], [a.recess_d, a.body_d]
+    # What screws and clamp rely on is dimensioned by itself: the tolerance stack counts it as one length.
+    heights = [*_from_datum(a.foot_height, a.cone_top, a.peg_top, a.body_top), (a.floor, a.body_top)]
+    tops = [a.recess_d, a.body_d]
     notes = [
         "A: z = 0 rests on the sensor's tool face; positions are from A and from the axis",
         f"flat at x = {_mm(a.mark_x)} shows +x; underside at {UNDERSIDE_DEG:g}° to the horizontal",
@@ -100,7 +103,7 @@ def clamp_ring_sheet(model: CadModel, part: CadPart) -> Sheet:
         *engraving_note(a.on_ring, "the top"),
     ]
     tops, bottoms = _diameters([a.ring_bore_top_d, a.body_d]), _diameters([a.ring_bore_d])
-    return _disc(model, part, (0.0, top), [top], tops, bottoms, (above, []), notes)
+    return _disc(model, part, (0.0, top), _from_datum(top), tops, bottoms, (above, []), notes)
 
 
 def flange_adapter_sheet(model: CadModel, part: CadPart) -> Sheet:
@@ -115,7 +118,8 @@ def flange_adapter_sheet(model: CadModel, part: CadPart) -> Sheet:
         Holes(p.p_mounting_screws, screw.clearance_d, f"⌀{_mm(screw.clearance_d)} through"),
     ]
     slot = f"slot {_mm(width)} × {_mm(length)} through, middle at x = {_mm(reach)}: the robot's dowel pin"
-    bore = f"counterbore ⌀{_mm(screw.counterbore_d)} up to z = {_mm(p.counterbore_top)}"
+    grip = p.plate_top - p.counterbore_top
+    bore = f"counterbore ⌀{_mm(screw.counterbore_d)} from below, {_mm(grip)} of the plate above it"
     below = [Holes(p.p_mounting_screws, screw.counterbore_d, bore)]
     fits = []
     if p.p_centring_pins:
@@ -141,7 +145,7 @@ def flange_adapter_sheet(model: CadModel, part: CadPart) -> Sheet:
         *([f"fits: {'; '.join(fits)}"] if fits else []),
         *engraving_note(p.on_plate, "the top"),
     ]
-    heights = [-spigot, p.plate_top] if spigot else [p.plate_top]
+    heights = _from_datum(-spigot, p.plate_top) if spigot else _from_datum(p.plate_top)
     return _disc(model, part, (-spigot, p.plate_top), heights, [], bottoms, (above, below), notes)
 
 
@@ -151,17 +155,21 @@ def _pin_fit(diameter: float, milled: bool) -> str:
     return f"{pin} in {_mm(diameter)} H7" if milled else f"{pin}, by hand (assumed; drill if tight)"
 
 
+def _from_datum(*heights: float) -> list[tuple[float, float]]:
+    return [(min(0.0, h), max(0.0, h)) for h in heights]
+
+
 def _diameters(values: Sequence[float]) -> list[tuple[float, str]]:
     return [(value, "") for value in values]
 
 
 def _disc(
-    model: CadModel, part: CadPart, z: tuple[float, float], heights: Sequence[float],
+    model: CadModel, part: CadPart, z: tuple[float, float], heights: Sequence[tuple[float, float]],
     tops: Sequence[tuple[float, str]], bottoms: Sequence[tuple[float, str]],
     holes: tuple[list[Holes], list[Holes]], notes: list[str],
 ) -> Sheet:  # fmt: skip
-    """Return the sheet of a flat part; all in [m]: its lowest and highest z, heights and diameters, with their fits, to
-    dimension."""
+    """Return the sheet of a flat part; all in [m]: its lowest and highest z, and what is dimensioned: pairs of heights,
+    and diameters with their fits."""
     box = part.shape.BoundingBox()
     rim, low, high = max(box.xmax, -box.xmin, box.ymax), z[0] / MM, z[1] / MM
     scale = scale_for((2 * rim, high - low), (66.0, 60.0))
@@ -172,8 +180,8 @@ def _disc(
     section.section(faces)
     section.outline(edges)
     section.axis((0.0, low), (0.0, high))
-    for i, h in enumerate(sorted(heights), 1):
-        section.dimension_v(min(0.0, h / MM), max(0.0, h / MM), rim, STACK * i, _mm(abs(h)))
+    for i, (below, above) in enumerate(sorted(heights, key=lambda ends: ends[1] - ends[0]), 1):
+        section.dimension_v(below / MM, above / MM, rim, STACK * i, _mm(above - below))
     for diameters, v, side in ((tops, high, 1.0), (bottoms, low, -1.0)):
         for i, (d, fit) in enumerate(sorted(diameters), 1):
             section.dimension_u(-d / 2 / MM, d / 2 / MM, v, side * STACK * i, f"⌀{_mm(d)}{fit}")

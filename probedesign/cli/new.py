@@ -96,9 +96,9 @@ def new(
     except InputError as error:
         raise InputError(_in_options(str(error))) from None
     path = FOLDER / f"{design.name}.toml"
-    write_design(render_design(design, notes | root_notes), path, force)
     with show_progress("predicting its performance"):
-        figures = summary(design)
+        figures = summary(design)  # first: a design that fits no mount is not written
+    write_design(render_design(design, notes | root_notes), path, force)
     document = {"file": str(path), "name": design.name, "tip_d_mm": design.probe.blunt_mm[-1][1], **figures}
     if as_json:
         print_json(document)

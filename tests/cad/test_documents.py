@@ -197,7 +197,7 @@ def test_drawings_show_the_dimensions(large: CadModel) -> None:
     a = large.adapter
     for d in (a.foot_d, a.recess_d, a.body_d):
         assert f"⌀{1e3 * d:g}" in words["sensor_adapter"]
-    for height in (a.foot_height, a.floor, a.body_top):
+    for height in (a.foot_height, a.body_top - a.floor, a.body_top):
         assert f"{round(1e3 * height, 2):g}" in words["sensor_adapter"]
     assert {f"⌀{1e3 * a.ring_bore_d:g}", f"⌀{1e3 * a.ring_bore_top_d:g}"} <= set(words["clamp_ring"])
     assert any(w.endswith("on ⌀12.5 at 60°, 180°, 300°") for w in words["sensor_adapter"])
@@ -335,7 +335,7 @@ def test_dxf_is_sound_and_measures_the_part(large: CadModel, make_design: Callab
         assert (layers["HATCH"] > 0) == (name != "probe")
     a = large.adapter
     measured = _measured(files["sensor_adapter.dxf"])
-    for wanted in (a.foot_d, a.recess_d, a.body_d, a.foot_height, a.floor, a.body_top):
+    for wanted in (a.foot_d, a.recess_d, a.body_d, a.foot_height, a.body_top - a.floor, a.body_top):
         assert min(abs(1e3 * wanted - value) for value in measured) < 1e-5  # a nanometre is written
     ring = ezdxf.read(io.StringIO(files["clamp_ring.dxf"].decode())).modelspace()
     drawn = [p[0] for line in ring.query('LWPOLYLINE[layer=="OUTLINE"]') for p in line.get_points()]
