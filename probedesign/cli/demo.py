@@ -198,6 +198,21 @@ def _predict(probe: "Probe", prediction: "Prediction", folder: Path, skipped: li
     return {str(file): "predicted sensitivity and contact error" for file in files}
 
 
+PURPOSES = {
+    ".stl": "to print",
+    ".3mf": "to print",
+    ".step": "assembly of all parts",
+    ".html": "assembly instructions",
+    ".svg": "dimensioned drawing",
+    ".dxf": "dimensioned drawing",
+    ".pdf": "dimensioned drawings of all parts",
+    ".png": "preview",
+    ".csv": "parts to print and to buy",
+    ".json": "manifest with the results of all checks",
+}
+"""What a file of the parts is for, by its suffix."""
+
+
 def _export(probe: "Probe", folder: Path, skipped: list[str]) -> dict[str, str]:
     """Export the parts, and return the files; without CadQuery the reason is added to `skipped`."""
     from probedesign import pipeline
@@ -207,17 +222,7 @@ def _export(probe: "Probe", folder: Path, skipped: list[str]) -> dict[str, str]:
     except MissingDependencyError as error:
         skipped.append(str(error))
         return {}
-    purposes = {
-        ".stl": "to print",
-        ".3mf": "to print",
-        ".step": "assembly of all parts",
-        ".html": "assembly instructions",
-        ".svg": "dimensioned drawing",
-        ".png": "preview",
-        ".csv": "parts to print and to buy",
-        ".json": "manifest with the results of all checks",
-    }
-    files = {name: purposes[Path(name).suffix] for name in [*manifest["files"], "manifest.json"]}
+    files = {name: PURPOSES[Path(name).suffix] for name in [*manifest["files"], "manifest.json"]}
     files |= {name: "exploded view" for name in files if name.startswith("exploded")}
     return {str(folder / name): purpose for name, purpose in files.items()}
 

@@ -7,7 +7,7 @@ from probedesign.cli.console import print_json, print_step, print_table
 from probedesign.cli.options import JsonOutput, exports_of
 
 USES = {".3mf": "print", ".stl": "print", ".step": "CAD", ".html": "view", ".svg": "view", ".png": "view",
-        ".csv": "record", ".json": "record"}  # fmt: skip
+        ".dxf": "CAD", ".pdf": "view", ".csv": "record", ".json": "record"}  # fmt: skip
 """Use of a file by its suffix."""
 
 

@@ -22,6 +22,8 @@ from probedesign.cad.assembly_docs import Documents
 from probedesign.cad.kernel import location
 from probedesign.cad.model import CadModel
 from probedesign.cad.step import reproducible
+from probedesign.cli.demo import PURPOSES
+from probedesign.cli.export import USES
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.design import Design
 from probedesign.frozen_probe import freeze
@@ -42,6 +44,12 @@ FILES = {
 }  # fmt: skip
 
 Exported = tuple[Path, dict[str, Any]]
+
+
+def test_every_kind_of_file_has_a_stated_purpose() -> None:
+    """The commands state what each exported file is for."""
+    kinds = {Path(name).suffix for name in FILES}
+    assert kinds <= set(PURPOSES) and kinds <= set(USES)
 
 
 def test_files_and_their_digests(exported: Exported) -> None:
