@@ -4,12 +4,12 @@ from datetime import date
 from pathlib import Path
 
 from probedesign.cli.console import plural, print_json
-from probedesign.cli.options import JsonOutput
+from probedesign.cli.options import DesignFile, JsonOutput
 from probedesign.core.files import check_overwrite
 
 
 def measured(
-    design: Path,
+    design: DesignFile,
     calipers: Path,
     /,
     *,
@@ -21,7 +21,7 @@ def measured(
     """Write diameters measured with calipers and their uncertainty into a design, whose error budget shrinks.
 
     Args:
-        design: the design file.
+        design: the design file, or its name.
         calipers: CSV file with the columns s_mm, diameter_mm and std_mm (docs/parts.md); `coupon` writes an empty one.
         calipers_std_mm: standard deviation of the error that all readings share [mm].
         out: write a changed copy of the design to this file instead.
