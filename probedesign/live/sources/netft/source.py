@@ -131,18 +131,19 @@ class RecordDecoder:
 
     def _decode(self, records: RdtRecords) -> Generator[Block, None, None]:
         """Yield blocks of records, split where the stream was interrupted and where the fault changes."""
-        new, time, restarted = self._clock.times(records.ft_sequence, records.received)
-        records = records[new]
+        new, time, broken = self._clock.times(records.ft_sequence, records.received)
+        records = records if new.all() else records[new]
         if not len(records):
             return
         status = records.status
         if status.any():
             status = np.where(np.isin(status, self._table.harmless), 0, status)
         before = self._last if isfinite(self._last) else records.received[0]
-        broken = restarted | (steps(records.received, before) > STALE_TIME)
+        if records.received[-1] - before > STALE_TIME:
+            broken |= steps(records.received, before) > STALE_TIME
         broken[0] |= self._dropout.ongoing
-        cuts = np.flatnonzero(broken[1:] | (np.diff(status) != 0)) + 1
-        for start, end in pairwise([0, *cuts.tolist(), len(records)]):
+        cuts = [*(np.flatnonzero(broken[1:] | (np.diff(status) != 0)) + 1).tolist(), len(records)]
+        for start, end in pairwise([0, *cuts]):
             received = records.received[start:end]
             if broken[start]:
                 self._rate.reset()
