@@ -3,8 +3,7 @@
 import math
 import select
 import socket
-import sys
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Generator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -27,13 +26,13 @@ from probedesign.live.sources.source import STALE_TIME
 
 GATHER_TIME, MAX_GATHER_TIME = 0.001, 0.010
 """Least and largest time in which records are gathered [s]: waking up for a record costs more than reading it."""
-MIN_SLEEP = 0.0003
-"""Least time of one sleep while records are gathered [s], two records."""
+MIN_SLEEP = 0.0002
+"""Least time of one sleep while records are gathered [s]: a program or a switch that sends records in bursts needs less
+for one of them."""
+WINDOW = 128
+"""Number of readings together from which it is found when a record arrives at the earliest, 0.7 s of means."""
 REQUEST_INTERVAL = 0.5
 """Minimum interval between requests for the stream [s]."""
-SWITCH_INTERVAL = 1e-4
-"""Thread switch interval of the interpreter while streaming [s]. Each read releases the interpreter; another computing
-thread would keep it for Python's usual 5 ms, longer than the interval between records."""
 BUFFER_BYTES = 1 << 22
 """Size of the socket's buffer that is requested of the system [bytes]."""
 BYTES_PER_RECORD = 768
@@ -108,6 +107,7 @@ class RdtSession:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
         self.buffer_bytes = link.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
         self._link, self._receiver = link, open_receiver(link)
+        self._newest, self._delays = 0, deque[float](maxlen=WINDOW)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -122,24 +122,23 @@ class RdtSession:
 
     def records(self) -> Generator[RdtRecords, None, None]:
         """Yield new records as they arrive; none after each `STALE_TIME` without one."""
-        usual = sys.getswitchinterval()
-        sys.setswitchinterval(min(usual, SWITCH_INTERVAL))
         try:
             self._request()
             last = started = monotonic()  # the last new record; the first that was gathered
             while True:
-                if not self._receiver.count:
+                before = self._receiver.count
+                if not before:
                     started = monotonic()
                 self._receiver.read()
                 self.counts["malformed"] = self._receiver.malformed
                 now, n = monotonic(), self._receiver.count
-                missing = max(self.wanted, self._rate * GATHER_TIME) - n
-                if n and (missing < 1.0 or now - started > MAX_GATHER_TIME or n == MAX_RECORDS):
+                gathered = max(self.wanted, self._rate * GATHER_TIME)
+                if n and (n > gathered - 1.0 or now - started > MAX_GATHER_TIME or n == MAX_RECORDS):
                     if len(records := self._decoded()):
                         last = now
                         yield records
-                elif n and missing > self._rate * MIN_SLEEP:
-                    sleep(min(missing / self._rate, MAX_GATHER_TIME))
+                elif n > before:
+                    sleep(min(max(self._due(gathered) - now, MIN_SLEEP), MAX_GATHER_TIME))
                 elif now - last <= STALE_TIME:  # the next record, or the silence
                     select.select([self._link], [], [], last + STALE_TIME - now + MIN_SLEEP)
                 if now - last > STALE_TIME and not self._receiver.count:
@@ -148,14 +147,21 @@ class RdtSession:
                     last = now
                     yield NO_RECORDS
         finally:
-            sys.setswitchinterval(usual)
             self._send(Request(STOP))
             self._link.close()
+
+    def _due(self, gathered: float) -> float:
+        """Return when the last of so many records arrives at the earliest, by `time.monotonic` [s].
+
+        A box sends records as they are sampled, and a network or a busy program delays some of them.
+        """
+        return min(self._delays, default=-math.inf) + (self._newest + gathered) / self._rate
 
     def _request(self) -> None:
         """Request the stream, whose records are counted from one again."""
         self._requested = monotonic()
         self._sequence.restart()
+        self._delays.clear()
         self._send(Request(REALTIME))
 
     def _send(self, request: Request) -> None:
@@ -170,6 +176,8 @@ class RdtSession:
         self.counts["received"] += len(table)
         if dropped is not None:
             self.counts["dropped"] = dropped
+        self._newest = int(rdt[-1])
+        self._delays.append(float((records.received - rdt / self._rate).min()))
         new = self._sequence.accept(rdt, ft)
         return records if new is None else records[new]
 

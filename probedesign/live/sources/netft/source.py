@@ -13,6 +13,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log, split_address
+from probedesign.live.priority import prompt_estimates
 from probedesign.live.processing.blocks import Block, dropout_block
 from probedesign.live.sources.netft.configuration import (
     ConfigurationMonitor,
@@ -261,7 +262,9 @@ class NetFTSource:
             )  # fmt: skip
             self.counts = decoder.counts
             try:
-                with closing(decoder.blocks()) as blocks:
+                with prompt_estimates() as granted, closing(decoder.blocks()) as blocks:
+                    if granted:
+                        self._log(f"{self._name}: estimates have a real-time priority")
                     yield from blocks
             finally:
                 decoder.count()
