@@ -143,8 +143,9 @@ class RecordDecoder:
         if records.received[-1] - before > STALE_TIME:
             broken |= steps(records.received, before) > STALE_TIME
         broken[0] |= self._dropout.ongoing
-        cuts = [*(np.flatnonzero(broken[1:] | (np.diff(status) != 0)) + 1).tolist(), len(records)]
-        for start, end in pairwise([0, *cuts]):
+        uniform = not (broken.any() or status.any())
+        cuts = [] if uniform else (np.flatnonzero(broken[1:] | (np.diff(status) != 0)) + 1).tolist()
+        for start, end in pairwise([0, *cuts, len(records)]):
             received = records.received[start:end]
             if broken[start]:
                 self._rate.reset()
