@@ -1,7 +1,8 @@
 """Live over loopback: a simulated box in another process sends 7000 records a second to `netft://`.
 
-Box, reader and subscriber share one machine, as nobody runs them, so the processor time of each is printed. Then
-wrenches by UDP, one JSON object in each datagram, beside a loop that reads the same socket and does nothing else.
+Box, reader and subscriber share one machine, as nobody runs them, so the processor time of each is printed. A real box
+has a processor of its own: where the system allows it, the simulated one has a real-time priority above that of `live`.
+Then wrenches by UDP, one JSON object in each datagram, beside a loop that reads the same socket and does nothing else.
 """
 
 import gc
@@ -14,7 +15,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Generator, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -29,6 +30,7 @@ from probedesign.frozen_probe import load_estimator, write_frozen
 from probedesign.live.outputs.foxglove import FoxgloveSink
 from probedesign.live.outputs.recording import RecordingSink
 from probedesign.live.outputs.sinks import SinkGroup
+from probedesign.live.priority import ESTIMATES
 from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.control import CommandQueue, ProcessingOptions, TareWindow
 from probedesign.live.processing.estimates import EstimateUpdate
@@ -313,7 +315,11 @@ def _box(bundle: Path, *options: str) -> Iterator[Peer]:
     box = subprocess.Popen([*command, "--port", "0", "--http-port", "0"], stdout=subprocess.PIPE, text=True)
     try:
         assert box.stdout is not None
-        yield Peer(next(line.split('"')[1] for line in box.stdout if "netft://" in line), box.pid)
+        spec = next(line.split('"')[1] for line in box.stdout if "netft://" in line)
+        with suppress(OSError):  # not allowed, or no Linux
+            for thread in os.listdir(f"/proc/{box.pid}/task"):
+                os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(ESTIMATES + 1))
+        yield Peer(spec, box.pid)
     finally:
         box.terminate()
         box.wait()
