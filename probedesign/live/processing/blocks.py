@@ -217,8 +217,8 @@ def limit_duration(
         opened = clock() if opened is None else opened
         if len(block):
             start = float(block.time[0]) if start is None else start
-            inside = int(np.searchsorted(block.time - start, seconds))
-            if inside < len(block):
+            if block.time[-1] - start >= seconds:
+                inside = int(np.searchsorted(block.time - start, seconds))
                 if inside:
                     yield block[:inside]
                 return

@@ -107,8 +107,10 @@ def steps(values: NDArray[Any], before: float) -> NDArray[Any]:
 
 def ascending(values: NDArray[np.int64], before: float, largest: float) -> bool:
     """Return whether each of n numbers exceeds the one before it, the first `before`, by 1 to `largest`."""
-    differences = steps(values, before)
-    return bool(differences.min() > 0 and differences.max() <= largest)
+    if not 0 < values[0] - before <= largest:
+        return False
+    differences = values[1:] - values[:-1]
+    return not len(differences) or bool(differences.min() > 0 and differences.max() <= largest)
 
 
 class SensorClock:

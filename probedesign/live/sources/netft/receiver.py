@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from probedesign.core.frames import Array
-from probedesign.live.sources.netft.rdt import RECORD, RECORDS
+from probedesign.live.sources.netft.rdt import RECORD
 
 MAX_RECORDS = 700
 """Maximum number of records that are gathered: 0.1 s."""
@@ -32,12 +32,12 @@ class Datagrams(NamedTuple):
     """Records that were gathered.
 
     Attributes:
-        table: the records, of type `RECORDS`, (n,).
+        words: the records: numbers of record and sample, status, counts of the six channels, (n, 9).
         received: arrival by `time.monotonic` [s], (n,); not yet limited to the arrival of earlier ones.
         dropped: number of datagrams that the socket's buffer has dropped so far; None if it is not stated.
     """
 
-    table: NDArray[np.void]
+    words: NDArray[np.int64]
     received: Array
     dropped: int | None
 
@@ -88,10 +88,17 @@ class SingleReceiver:
 
     def take(self) -> Datagrams:
         """Return what was gathered; see `Receiver`."""
-        table = np.frombuffer(b"".join(self._datagrams), dtype=RECORDS)
+        rows = np.frombuffer(b"".join(self._datagrams), dtype=np.uint8).reshape(-1, RECORD.size)
         received = np.array(self._received)
         self._datagrams, self._received, self.count = [], [], 0
-        return Datagrams(table, received, None)
+        return Datagrams(_words(rows), received, None)
+
+
+def _words(rows: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Return the numbers of records in bytes, (n, 36); see `Datagrams`."""
+    words = rows.view(">i4").astype(np.int64)
+    words[:, :3] &= 0xFFFFFFFF  # without a sign
+    return words
 
 
 _HEADS = np.dtype([("name", "u8"), ("name_length", "u8"), ("parts", "u8"), ("n_parts", "u8"), ("control", "u8"),
@@ -152,19 +159,18 @@ class BatchReceiver:
     def take(self) -> Datagrams:
         """Return what was gathered; see `Receiver`."""
         n = self.count
-        table = self._rows[:n, : RECORD.size].copy().view(RECORDS)[:, 0]
+        words = _words(self._rows[:n, : RECORD.size])
         stated, control = self._control_lengths[:n], self._control[:n]
         now, wall = monotonic(), time_ns()
-        if (stated >= _STAMP_LENGTH).all() and (control["stamp_kind"] == SO_TIMESTAMPNS).all():
-            ages = 1e-9 * (wall - (control["s"] * 1_000_000_000 + control["ns"]))
-            received = now - ages
+        if stated.min() >= _STAMP_LENGTH and (control["stamp_kind"] == SO_TIMESTAMPNS).all():
+            received = now - 1e-9 * (wall - (control["s"] * 1_000_000_000 + control["ns"]))
         else:
             received = np.full(n, now)
         known = stated[-1] > _STAMP_LENGTH and control["dropped_kind"][-1] == SO_RXQ_OVFL
         dropped = int(control["dropped"][-1]) if known else None
         stated[:] = _CONTROL.itemsize
         self.count = 0
-        return Datagrams(table, received, dropped)
+        return Datagrams(words, received, dropped)
 
 
 def _batched_call() -> Any:

@@ -55,7 +55,7 @@ class RdtRecords:
     ft_sequence: NDArray[np.int64]
     status: NDArray[np.int64]
     received: Array
-    counts: Array
+    counts: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.ft_sequence)
@@ -65,7 +65,7 @@ class RdtRecords:
         return RdtRecords(self.ft_sequence[part], self.status[part], self.received[part], self.counts[part])
 
 
-NO_RECORDS = RdtRecords(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), np.empty((0, 6)))
+NO_RECORDS = RdtRecords(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), np.empty((0, 6), np.int64))
 
 
 class RdtSession:
@@ -170,14 +170,14 @@ class RdtSession:
 
     def _decoded(self) -> RdtRecords:
         """Return the new records among those that were gathered."""
-        table, received, dropped = self._receiver.take()
-        rdt, ft, status = (table[name].astype(np.int64) for name in ("rdt", "ft", "status"))
-        records = RdtRecords(ft, status, self._arrival(received), table["counts"].astype(float))
-        self.counts["received"] += len(table)
+        words, received, dropped = self._receiver.take()
+        rdt, ft = words[:, 0], words[:, 1]
+        records = RdtRecords(ft, words[:, 2], self._arrival(received), words[:, 3:])
+        self.counts["received"] += len(words)
         if dropped is not None:
             self.counts["dropped"] = dropped
         self._newest = int(rdt[-1])
-        self._delays.append(float((records.received - rdt / self._rate).min()))
+        self._delays.append(self._received - self._newest / self._rate)
         new = self._sequence.accept(rdt, ft)
         return records if new is None else records[new]
 
@@ -186,6 +186,6 @@ class RdtSession:
 
         The system states it by the wall clock, which may be set at any time.
         """
-        received = np.maximum.accumulate(np.clip(received, self._received, monotonic()))
+        received = np.maximum.accumulate(np.maximum(np.minimum(received, monotonic()), self._received))
         self._received = float(received[-1])
         return received
