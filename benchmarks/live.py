@@ -6,6 +6,7 @@ Then wrenches by UDP, one JSON object in each datagram, beside a loop that reads
 """
 
 import gc
+import math
 import os
 import resource
 import socket
@@ -139,7 +140,8 @@ def _rate(estimator: Estimator, box: Peer, seconds: float, folder: Path, view: b
     counts, parts = source.counts, [float(np.median(part)) for part in np.array_split(late, PARTS)]
     tenth = len(memory) // PARTS
     n_readings = counts["received"]
-    due = round((n_readings - 7000.0 * TARE.end) / AVERAGE)
+    used_readings = min(n_readings, int(7000.0 * seconds))
+    due = used_readings // AVERAGE - math.ceil(7000.0 * TARE.end / AVERAGE)
     lost = f"{counts['lost']} ({counts['lost'] / max(n_readings, 1):.3%})"
     rows = [
         ["records", str(n_readings), ""],
