@@ -129,7 +129,7 @@ def _rate(estimator: Estimator, box: Peer, seconds: float, folder: Path, view: b
             sinks.add(server)
             peers["the subscriber"] = others.enter_context(_subscriber(server.url))
         wall, cpu, collected = time.monotonic(), time.process_time(), gc.get_stats()[2]["collections"]
-        before = {name: _processor_time(pid) for name, pid in peers.items()}
+        before, stolen = {name: _processor_time(pid) for name, pid in peers.items()}, _stolen()
         for answer in estimate_stream(estimator, source, plan, print, sinks):
             published.append(1e3 * (time.monotonic() - answer.reading.received))
             late.append(1e3 * (answer.computed - answer.reading.received))
@@ -137,6 +137,7 @@ def _rate(estimator: Estimator, box: Peer, seconds: float, folder: Path, view: b
                 memory.append(_resident())
         wall, cpu = time.monotonic() - wall, time.process_time() - cpu
         used = {name: _processor_time(pid) - before[name] for name, pid in peers.items()}
+        stolen = _stolen() - stolen
     counts, parts = source.counts, [float(np.median(part)) for part in np.array_split(late, PARTS)]
     tenth = len(memory) // PARTS
     n_readings = counts["received"]
@@ -161,6 +162,7 @@ def _rate(estimator: Estimator, box: Peer, seconds: float, folder: Path, view: b
         ["wall, processor [s]", f"{wall:.1f}, {cpu:.1f} ({cpu / wall:.0%} of one core)", ""],
         ["processor per mean of records [ms]", f"{1e3 * cpu / (n_readings / AVERAGE):.2f}", ""],
         *([f"processor of {name}", f"{time_ / wall:.0%} of one core", ""] for name, time_ in used.items()),
+        ["processor time taken by the host of this machine", f"{stolen / wall:.1%} of one core", "none"],
         ["full collections of garbage", str(gc.get_stats()[2]["collections"] - collected), ""],
     ]  # fmt: skip
     title = f"live over loopback: {seconds:g} s of 7000 records/s, {AVERAGE} to an estimate, recorded, published by UDP"
@@ -305,6 +307,16 @@ def _processor_time(pid: int) -> float:
     except OSError:
         return float("nan")
     return sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
+
+
+def _stolen() -> float:
+    """Processor time that the host of a virtual machine has not given to it [s]; NaN where that is not stated."""
+    try:
+        # the eighth number of the first line, that of all processors
+        ticks = Path("/proc/stat").read_text().split(maxsplit=9)[8]
+    except OSError:
+        return float("nan")
+    return int(ticks) / os.sysconf("SC_CLK_TCK")
 
 
 def _resident() -> float:
