@@ -34,6 +34,8 @@ MIN_FORCE = 5.0
 normal where F is known to less than a fifth (tests/estimation/test_statistics.py)."""
 SAME_POSE = 1e-6
 """Difference of poses, in metres and in entries of the rotation, up to which they are one: far below any robot's."""
+MAX_AGED = 8
+"""Number of estimators of other variances of the bias that are cached: those of one touch after the other."""
 MIN_LEVER = 0.1
 """Change of the base moment with s, over the force, below which the place of a force is not observable."""
 
@@ -317,7 +319,7 @@ class Estimator:
         """Return the estimator for readings whose bias is known with a standard deviation in steps of the resolution.
 
         It is rounded up to `drift_steps` of the tolerances times a power of √2, and never below `drift_steps`, which
-        is assumed like the numbers that the bias is followed with. The last such estimator is cached.
+        is assumed like the numbers that the bias is followed with. Such estimators are cached.
         """
         least = self.priors.drift_steps
         if least == 0.0 or not steps > least:
@@ -327,7 +329,8 @@ class Estimator:
         if aged is None:
             tolerances = replace(self.priors, drift_steps=least * math.sqrt(2.0**doublings))
             aged = Estimator(self.model, tolerances, self._last_free)
-            self._last_aged.clear()
+            if len(self._last_aged) >= MAX_AGED:
+                self._last_aged.clear()
             self._last_aged[doublings] = aged
         return aged
 

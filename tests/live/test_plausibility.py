@@ -120,7 +120,8 @@ def test_frozen_values_and_a_leap_of_the_counter_at_the_wire(estimator, tmp_path
             if count == 120:
                 peer._zero -= 3.0
             leapt = leapt or count * any("leapt" in line for line in lines)
-            if count == 3000 or (leapt and count == leapt + 100):
+            # The hold of a quarter of a second counts by arrival, in which the box may send any number of them.
+            if count == 3000 or (leapt and count >= leapt + 100 and not any(faults[-10:])):
                 stream.close()
                 break
     assert any("frozen" in fault for fault in faults[20:70])

@@ -84,6 +84,8 @@ class OutputOptions:
             InputError: the file cannot be written, or an address cannot be used.
         """
         counts = partial(getattr, source, "counts", {})
+        if publisher is not None:
+            sinks.add(publisher)  # the first of them: a controller waits for it
         recordings = RecordingSink(
             self.record, estimator.model, sinks.log, self.force, self.metadata, self.split
         )
@@ -100,8 +102,6 @@ class OutputOptions:
             poses.on_pose = partial(_give_to_all, takers)
             if isinstance(publisher, RosPublisher):
                 publisher.follow(poses)
-        if publisher is not None:
-            sinks.add(publisher)
         if self.page is not None:
             sinks.add(
                 BrowserView(

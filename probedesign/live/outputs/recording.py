@@ -17,6 +17,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.outputs.sinks import Sink
 from probedesign.live.poses.track import TimedPose
+from probedesign.live.priority import yield_to_estimates
 from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.recordings import FileLock, part_path
@@ -147,6 +148,7 @@ class BackgroundWriter(Sink):
 
     def _work(self) -> None:
         """Run jobs until the end and flush periodically; after a failure only count them."""
+        yield_to_estimates()
         try:
             self._write()
         except Exception as error:  # a full disk or a bug: the run continues in both cases

@@ -169,18 +169,19 @@ def mean_reading(blocks: list[Block]) -> WrenchReading:
     The fault of any block becomes the fault of the mean. The true contact is free if it is free in any reading.
     """
     truths = [truth for block in blocks for truth in block.truths]
-    gravity = blocks[0].gravity_base  # the same object if it is constant
+    whole = joined(blocks)
+    gravity = whole.gravity_base  # the same object if it is constant
     if any(block.gravity_base is not gravity for block in blocks):
         rows = np.concatenate([np.tile(block.gravity_base, (len(block), 1)) for block in blocks])
         gravity = gravity if (rows == gravity).all() else np.asarray(rows.mean(axis=0))
     return WrenchReading(
-        float(np.concatenate([block.time for block in blocks]).mean()),
-        np.concatenate([block.wrench_sensor for block in blocks]).mean(axis=0),
+        float(whole.time.sum()) / len(whole),
+        whole.wrench_sensor.sum(axis=0) / len(whole),
         gravity,
         TrueContact(*(np.mean(values, axis=0) for values in zip(*truths, strict=True))) if truths else None,
         next((block.fault for block in blocks if block.fault), ""),
         blocks[-1].stretch,
-        float(blocks[-1].received[-1]),
+        float(whole.received[-1]),
     )
 
 
@@ -216,8 +217,8 @@ def limit_duration(
         opened = clock() if opened is None else opened
         if len(block):
             start = float(block.time[0]) if start is None else start
-            inside = int(np.searchsorted(block.time - start, seconds))
-            if inside < len(block):
+            if block.time[-1] - start >= seconds:
+                inside = int(np.searchsorted(block.time - start, seconds))
                 if inside:
                     yield block[:inside]
                 return
@@ -253,7 +254,8 @@ class BatchAverager:
         start = 0
         while self._count + len(block) - start >= self._samples:
             end = start + self._samples - self._count
-            yield _joined_batch([*self._pending, block[start:end]])
+            part = block if end - start == len(block) else block[start:end]
+            yield _joined_batch([*self._pending, part])
             self._pending, self._count, start = [], 0, end
         if start < len(block):
             self._pending.append(block[start:])
@@ -272,6 +274,8 @@ def _joined_batch(parts: list[Block]) -> AveragedBatch:
     if len(parts) == 1 and len(parts[0]) == 1:
         return AveragedBatch(parts[0], next(parts[0].readings()))
     reading = mean_reading(parts)
+    if len(parts) == 1:
+        return AveragedBatch(parts[0], reading)
     return AveragedBatch(
         replace(
             joined(parts), gravity_base=reading.gravity_base, fault=reading.fault, stretch=reading.stretch

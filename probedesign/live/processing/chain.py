@@ -30,9 +30,15 @@ from probedesign.live.processing.control import (
     TareCollector,
     TareWindow,
     describe_tare,
-    without_bias,
 )
-from probedesign.live.processing.estimates import EstimateUpdate, locate
+from probedesign.live.processing.estimates import (
+    NO_DRIFT,
+    UNKNOWN_POSE,
+    UNKNOWN_WRENCH,
+    EstimateUpdate,
+    locate,
+    wrench_without_bias,
+)
 from probedesign.live.processing.plausibility import FaultReport, PoseMonitor, SignalMonitor, TravelCheck
 from probedesign.live.processing.touches import Contact, ContactHistory, TouchMonitor, TouchState
 
@@ -307,14 +313,12 @@ class Chain:
             self._check_travel(reading, at_stop)
         self._phase_before = self._state.phase
         T = None if self._poses is None else self._poses.at(reading.time)
-        free_of_bias = without_bias(reading, self.tare).wrench_sensor
-        excess = np.zeros(6) if drift is None else drift.excess
-        wrench = self._estimator.model.to_base(free_of_bias, reading.gravity_base) - excess
+        excess = NO_DRIFT if drift is None else drift.excess
+        wrench = UNKNOWN_WRENCH
+        if not reading.fault:
+            wrench = wrench_without_bias(self._estimator.model, reading, self.tare) - excess
         stale = "pose" if self._poses is not None and T is None else ""
-        pose, wrench = (
-            np.full((4, 4), np.nan) if T is None else T,
-            np.full(6, np.nan) if reading.fault else wrench,
-        )
+        pose = UNKNOWN_POSE if T is None else T
         return EstimateUpdate(
             reading, estimate, *self._state, pose, wrench, monotonic(), stale, self.contacts, excess
         )

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 from time import monotonic
 from typing import Literal, NamedTuple, Protocol
@@ -232,13 +232,6 @@ def _free_wrench(reading: WrenchReading, estimator: Estimator) -> Array:
 def readings_in(window: TareWindow, readings: list[WrenchReading]) -> list[WrenchReading]:
     """Return the readings inside the window."""
     return [r for r in readings if window.start <= r.time - readings[0].time < window.end]
-
-
-def without_bias(reading: WrenchReading, tare: Tare | None) -> WrenchReading:
-    """Return the reading minus the bias; the reading itself if there is no tare."""
-    if tare is None:
-        return reading
-    return replace(reading, wrench_sensor=reading.wrench_sensor - tare.bias_sensor)
 
 
 def describe_tare(tare: Tare) -> str:

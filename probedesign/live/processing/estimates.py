@@ -11,9 +11,13 @@ from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.bias import KnownBias
 from probedesign.estimation.estimate import Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator, Method
+from probedesign.estimation.model import ProbeModel
 from probedesign.live.processing.blocks import WrenchReading
-from probedesign.live.processing.control import Tare, without_bias
+from probedesign.live.processing.control import Tare
 from probedesign.live.processing.touches import Contact, Phase
+
+UNKNOWN_POSE, UNKNOWN_WRENCH = np.full((4, 4), np.nan), np.full(6, np.nan)
+NO_DRIFT = np.zeros(6)
 
 
 @dataclass(frozen=True)
@@ -37,12 +41,12 @@ class EstimateUpdate:
     estimate: Estimate
     phase: Phase = ""
     fused: FusedEstimate | None = None
-    T_world_base: Array = field(default_factory=lambda: np.full((4, 4), np.nan))
-    wrench_base: Array = field(default_factory=lambda: np.full(6, np.nan))
+    T_world_base: Array = field(default_factory=UNKNOWN_POSE.copy)
+    wrench_base: Array = field(default_factory=UNKNOWN_WRENCH.copy)
     computed: float = float("nan")
     stale: str = ""
     contacts: tuple[Contact, ...] = ()
-    drift_base: Array = field(default_factory=lambda: np.zeros(6))
+    drift_base: Array = field(default_factory=NO_DRIFT.copy)
 
 
 def locate(
@@ -63,13 +67,18 @@ def locate(
     """
     if reading.fault or not estimator.model.in_range(reading.wrench_sensor):
         return Estimate("out_of_range")
-    reading = without_bias(reading, tare)
-    wrench_base = estimator.model.to_base(reading.wrench_sensor, reading.gravity_base)
+    wrench_base = wrench_without_bias(estimator.model, reading, tare)
     if drift is not None:
         wrench_base, estimator = wrench_base - drift.excess, estimator.with_drift(drift.steps)
     elif tare is not None:
         estimator = estimator.with_tare_age(abs(reading.time - tare.time))
     return estimator.estimate(wrench_base, reading.gravity_base, method=method)
+
+
+def wrench_without_bias(model: ProbeModel, reading: WrenchReading, tare: Tare | None) -> Array:
+    """Return the wrench at the base of a reading, without the bias of the tare, if one was taken [N, N·m], (6,)."""
+    wrench = reading.wrench_sensor if tare is None else reading.wrench_sensor - tare.bias_sensor
+    return model.to_base(wrench, reading.gravity_base)
 
 
 Row = dict[str, float | str]

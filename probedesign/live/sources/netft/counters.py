@@ -11,6 +11,8 @@ from probedesign.live.sources.netft.rdt import SAMPLES_PER_SECOND
 
 WRAP = 1 << 32
 """Both counters have 32 bits."""
+MAX_TICKS = 1 << 30
+"""Largest step of a counter that is surely forward; a larger one is examined."""
 MAX_MISSING = 4096
 """Maximum number of lost records that are remembered, to recognise them if they arrive late."""
 
@@ -34,14 +36,14 @@ class SequenceMonitor:
         self._missing.clear()
 
     def accept(self, rdt: NDArray[np.int64], ft: NDArray[np.int64]) -> NDArray[np.bool_] | None:
-        """Return which of n records are new by their numbers, (n,); None if all are.
+        """Return which of n records are new by their numbers, (n,).
 
         A sample that is repeated is not new.
         """
         if not len(rdt):
             return None
-        before = self._last
-        if before is not None and (steps(rdt, before[0]) == 1).all() and (steps(ft, before[1]) != 0).all():
+        last = self._last
+        if last is not None and ascending(rdt, last[0], 1) and ascending(ft, last[1], MAX_TICKS):
             self._last = int(rdt[-1]), int(ft[-1])
             return None
         return np.array([self._is_new(*pair) for pair in zip(rdt.tolist(), ft.tolist(), strict=True)])
@@ -103,6 +105,14 @@ def steps(values: NDArray[Any], before: float) -> NDArray[Any]:
     return differences
 
 
+def ascending(values: NDArray[np.int64], before: float, largest: float) -> bool:
+    """Return whether each of n numbers exceeds the one before it, the first `before`, by 1 to `largest`."""
+    if not 0 < values[0] - before <= largest:
+        return False
+    differences = values[1:] - values[:-1]
+    return not len(differences) or bool(differences.min() > 0 and differences.max() <= largest)
+
+
 class SensorClock:
     """Time since the first record by `ft_sequence` [s], a 32-bit counter that overflows, stops or restarts.
 
@@ -120,7 +130,12 @@ class SensorClock:
 
     def times(self, ft_sequence: NDArray[np.int64], received: Array) -> RecordTimes:
         """Return the times of consecutive records by sequence numbers and arrival by the host's clock [s], (n,)."""
-        new = np.ones(len(ft_sequence), dtype=bool)
+        n = len(ft_sequence)
+        new = np.ones(n, dtype=bool)
+        if n and self._last is not None and ascending(ft_sequence, self._last[0], MAX_LEAD * self._rate):
+            counted = ft_sequence + (self._ticks - self._last[0])
+            self._last, self._ticks = (int(ft_sequence[-1]), float(received[-1])), int(counted[-1])
+            return RecordTimes(new, counted / self._rate, np.zeros(n, dtype=bool))
         new[1:] = np.diff(ft_sequence) != 0
         if self._last is not None and len(new):
             new[0] = ft_sequence[0] != self._last[0]

@@ -3,12 +3,11 @@
 import math
 import select
 import socket
-import sys
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Generator
 from contextlib import suppress
 from dataclasses import dataclass
-from time import monotonic, sleep, time_ns
+from time import monotonic, sleep
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,35 +17,28 @@ from probedesign.core.frames import Array
 from probedesign.live.sources.netft.counters import SequenceMonitor
 from probedesign.live.sources.netft.rdt import (
     REALTIME,
-    RECORD,
-    RECORDS,
     SAMPLES_PER_SECOND,
     STOP,
     Request,
 )
+from probedesign.live.sources.netft.receiver import MAX_RECORDS, open_receiver
 from probedesign.live.sources.source import STALE_TIME
 
-MAX_RECORDS_AT_ONCE = 700
-"""Maximum number of records read at once: 0.1 s."""
 GATHER_TIME, MAX_GATHER_TIME = 0.001, 0.010
 """Least and largest time in which records are gathered [s]: waking up for a record costs more than reading it."""
-MIN_SLEEP = 0.0003
-"""Least time of one sleep while records are gathered [s], two records."""
+MIN_SLEEP = 0.0002
+"""Least time of one sleep while records are gathered [s]: a program or a switch that sends records in bursts needs less
+for one of them."""
+WINDOW = 128
+"""Number of readings together from which it is found when a record arrives at the earliest, 0.7 s of means."""
 REQUEST_INTERVAL = 0.5
 """Minimum interval between requests for the stream [s]."""
-SWITCH_INTERVAL = 1e-4
-"""Thread switch interval of the interpreter while streaming [s]. Each read releases the interpreter; another computing
-thread would keep it for Python's usual 5 ms, longer than the interval between records."""
 BUFFER_BYTES = 1 << 22
 """Size of the socket's buffer that is requested of the system [bytes]."""
 BYTES_PER_RECORD = 768
 """Memory that Linux counts for one record in the buffer [bytes]: measured, 277 records fill 212,992 bytes."""
 MIN_BUFFERED_TIME = 0.25
 """Duration of the stream below which a smaller buffer is reported [s]: the longest pauses of a busy desktop."""
-SO_TIMESTAMPNS, SO_RXQ_OVFL = 35, 40
-"""Options of Linux, without names in Python: each datagram comes with its time of arrival by the wall clock, and with
-the number of datagrams that did not fit into the buffer."""
-MAX_DATAGRAM, ANCILLARY_BYTES = 2048, 128
 
 
 @dataclass(frozen=True)
@@ -74,8 +66,6 @@ class RdtRecords:
 
 
 NO_RECORDS = RdtRecords(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), np.empty((0, 6), np.int64))
-Ancillary = list[tuple[int, int, bytes]]
-"""What the system states about a datagram: level, kind and content."""
 
 
 class RdtSession:
@@ -107,8 +97,6 @@ class RdtSession:
         self.counts: Counter[str] = Counter()
         self._sequence = SequenceMonitor(self.counts)
         self._rate, self._requested, self._received = rate, -math.inf, -math.inf
-        self._datagrams: list[bytes] = []
-        self._ancillary: list[Ancillary] = []
         try:
             found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             link = socket.socket(*found[:3])
@@ -118,10 +106,8 @@ class RdtSession:
         link.setblocking(False)
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
         self.buffer_bytes = link.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
-        if sys.platform == "linux":
-            link.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-            link.setsockopt(socket.SOL_SOCKET, SO_RXQ_OVFL, 1)
-        self._link = link
+        self._link, self._receiver = link, open_receiver(link)
+        self._newest, self._delays = 0, deque[float](maxlen=WINDOW)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -136,92 +122,70 @@ class RdtSession:
 
     def records(self) -> Generator[RdtRecords, None, None]:
         """Yield new records as they arrive; none after each `STALE_TIME` without one."""
-        usual = sys.getswitchinterval()
-        sys.setswitchinterval(min(usual, SWITCH_INTERVAL))
         try:
             self._request()
             last = started = monotonic()  # the last new record; the first that was gathered
             while True:
-                if not self._datagrams:
+                before = self._receiver.count
+                if not before:
                     started = monotonic()
-                self._receive_waiting()
-                now, n = monotonic(), len(self._datagrams)
-                missing = max(self.wanted, self._rate * GATHER_TIME) - n
-                if n and (missing < 1.0 or now - started > MAX_GATHER_TIME):
+                self._receiver.read()
+                self.counts["malformed"] = self._receiver.malformed
+                now, n = monotonic(), self._receiver.count
+                gathered = max(self.wanted, self._rate * GATHER_TIME)
+                if n and (n > gathered - 1.0 or now - started > MAX_GATHER_TIME or n == MAX_RECORDS):
                     if len(records := self._decoded()):
                         last = now
                         yield records
-                elif n:
-                    sleep(min(max(missing / self._rate, MIN_SLEEP), MAX_GATHER_TIME))
-                elif now - last <= STALE_TIME:
+                elif n > before:
+                    sleep(min(max(self._due(gathered) - now, MIN_SLEEP), MAX_GATHER_TIME))
+                elif now - last <= STALE_TIME:  # the next record, or the silence
                     select.select([self._link], [], [], last + STALE_TIME - now + MIN_SLEEP)
-                if now - last > STALE_TIME and not self._datagrams:
+                if now - last > STALE_TIME and not self._receiver.count:
                     if now - self._requested > REQUEST_INTERVAL:
                         self._request()
                     last = now
                     yield NO_RECORDS
         finally:
-            sys.setswitchinterval(usual)
             self._send(Request(STOP))
             self._link.close()
+
+    def _due(self, gathered: float) -> float:
+        """Return when the last of so many records arrives at the earliest, by `time.monotonic` [s].
+
+        A box sends records as they are sampled, and a network or a busy program delays some of them.
+        """
+        return min(self._delays, default=-math.inf) + (self._newest + gathered) / self._rate
 
     def _request(self) -> None:
         """Request the stream, whose records are counted from one again."""
         self._requested = monotonic()
         self._sequence.restart()
+        self._delays.clear()
         self._send(Request(REALTIME))
 
     def _send(self, request: Request) -> None:
         with suppress(OSError):  # the box is off or the network is down: the silence is reported
             self._link.send(request.packed())
 
-    def _receive_waiting(self) -> None:
-        """Read the datagrams that wait."""
-        with suppress(OSError):  # nothing waits, or the system reports that the box is off
-            for _ in range(MAX_RECORDS_AT_ONCE):
-                datagram, ancillary = self._receive()
-                if len(datagram) == RECORD.size:
-                    self._datagrams.append(datagram)
-                    self._ancillary.append(ancillary)
-                else:
-                    self.counts["malformed"] += 1
-
-    def _receive(self) -> tuple[bytes, Ancillary]:
-        """Return a datagram that waits, and what the system states about it."""
-        if sys.platform == "win32":
-            return self._link.recv(MAX_DATAGRAM), []
-        return self._link.recvmsg(MAX_DATAGRAM, ANCILLARY_BYTES)[:2]
-
     def _decoded(self) -> RdtRecords:
-        """Return the new records among the datagrams that were gathered."""
-        table = np.frombuffer(b"".join(self._datagrams), dtype=RECORDS)
-        rdt, ft, status = (table[name].astype(np.int64) for name in ("rdt", "ft", "status"))
-        records = RdtRecords(ft, status, self._arrival(self._ancillary), table["counts"].astype(np.int64))
-        self._datagrams, self._ancillary = [], []
-        self.counts["received"] += len(table)
+        """Return the new records among those that were gathered."""
+        words, received, dropped = self._receiver.take()
+        rdt, ft = words[:, 0], words[:, 1]
+        records = RdtRecords(ft, words[:, 2], self._arrival(received), words[:, 3:])
+        self.counts["received"] += len(words)
+        if dropped is not None:
+            self.counts["dropped"] = dropped
+        self._newest = int(rdt[-1])
+        self._delays.append(self._received - self._newest / self._rate)
         new = self._sequence.accept(rdt, ft)
         return records if new is None else records[new]
 
-    def _arrival(self, ancillary: list[Ancillary]) -> Array:
-        """Return the arrival of datagrams by `time.monotonic` [s], (n,), and count those that were dropped.
+    def _arrival(self, received: Array) -> Array:
+        """Return the arrival of datagrams, (n,), neither before that of the last ones nor after now.
 
-        The system states it by the wall clock, which may be set at any time: the arrival is neither before that of the
-        last datagram nor after now.
+        The system states it by the wall clock, which may be set at any time.
         """
-        for _, kind, data in ancillary[-1]:
-            if kind == SO_RXQ_OVFL:
-                self.counts["dropped"] = int.from_bytes(data[:4], sys.byteorder)
-        times = b"".join(data for extra in ancillary for _, kind, data in extra if kind == SO_TIMESTAMPNS)
-        now = monotonic()
-        if len(times) == TIMESPEC.itemsize * len(ancillary):
-            stamps = np.frombuffer(times, dtype=TIMESPEC)
-            ages = 1e-9 * (time_ns() - (stamps["s"] * 1_000_000_000 + stamps["ns"]))
-            received = np.maximum.accumulate(np.clip(now - ages, self._received, now))
-        else:
-            received = np.full(len(ancillary), now)
+        received = np.maximum.accumulate(np.maximum(np.minimum(received, monotonic()), self._received))
         self._received = float(received[-1])
         return received
-
-
-TIMESPEC = np.dtype([("s", np.int64), ("ns", np.int64)])
-"""A time of the system on 64-bit computers."""

@@ -13,6 +13,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log, split_address
+from probedesign.live.priority import prompt_estimates
 from probedesign.live.processing.blocks import Block, dropout_block
 from probedesign.live.sources.netft.configuration import (
     ConfigurationMonitor,
@@ -131,18 +132,20 @@ class RecordDecoder:
 
     def _decode(self, records: RdtRecords) -> Generator[Block, None, None]:
         """Yield blocks of records, split where the stream was interrupted and where the fault changes."""
-        new, time, restarted = self._clock.times(records.ft_sequence, records.received)
-        records = records[new]
+        new, time, broken = self._clock.times(records.ft_sequence, records.received)
+        records = records if new.all() else records[new]
         if not len(records):
             return
         status = records.status
         if status.any():
             status = np.where(np.isin(status, self._table.harmless), 0, status)
         before = self._last if isfinite(self._last) else records.received[0]
-        broken = restarted | (steps(records.received, before) > STALE_TIME)
+        if records.received[-1] - before > STALE_TIME:
+            broken |= steps(records.received, before) > STALE_TIME
         broken[0] |= self._dropout.ongoing
-        cuts = np.flatnonzero(broken[1:] | (np.diff(status) != 0)) + 1
-        for start, end in pairwise([0, *cuts.tolist(), len(records)]):
+        uniform = not (broken.any() or status.any())
+        cuts = [] if uniform else (np.flatnonzero(broken[1:] | (np.diff(status) != 0)) + 1).tolist()
+        for start, end in pairwise([0, *cuts, len(records)]):
             received = records.received[start:end]
             if broken[start]:
                 self._rate.reset()
@@ -260,7 +263,9 @@ class NetFTSource:
             )  # fmt: skip
             self.counts = decoder.counts
             try:
-                with closing(decoder.blocks()) as blocks:
+                with prompt_estimates() as granted, closing(decoder.blocks()) as blocks:
+                    if granted:
+                        self._log(f"{self._name}: estimates have a real-time priority")
                     yield from blocks
             finally:
                 decoder.count()
