@@ -3,6 +3,9 @@
 import pytest
 from hypothesis import settings
 
+from probedesign.cli.main import use_one_blas_thread
+
+use_one_blas_thread()  # as every command does, before numpy is imported: waiting threads take the other worker's core
 settings.register_profile("probedesign", deadline=None, max_examples=100, derandomize=True)
 settings.load_profile("probedesign")
 
