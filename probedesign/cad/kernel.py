@@ -7,10 +7,12 @@ import numpy as np
 from OCP.BRep import BRep_Tool
 from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge, BRepBuilderAPI_MakeVertex
 from OCP.BRepGProp import BRepGProp
+from OCP.BRepMesh import BRepMesh_IncrementalMesh
 from OCP.BRepTools import BRepTools
 from OCP.Geom import Geom_BezierCurve
 from OCP.gp import gp_Pnt
 from OCP.GProp import GProp_GProps
+from OCP.IMeshTools import IMeshTools_Parameters
 from OCP.TColgp import TColgp_Array1OfPnt
 from OCP.TColStd import TColStd_Array1OfReal
 
@@ -118,6 +120,23 @@ def location(T: Array) -> cq.Location:
     """Return a pose (4, 4) in metres as CadQuery's location."""
     origin = _vector((T[0, 3], T[1, 3]), T[2, 3])
     return cq.Location(cq.Plane(origin=origin, xDir=cq.Vector(*T[:3, 0]), normal=cq.Vector(*T[:3, 2])))
+
+
+def meshed(shape: cq.Shape, linear_mm: float, angular_rad: float) -> cq.Shape:
+    """Return a copy of a shape with facets, the same on every run.
+
+    Args:
+        shape: one or several solids, in millimetres.
+        linear_mm: largest distance of a facet from its surface [mm].
+        angular_rad: largest angle between adjacent facets [rad].
+    """
+    fresh = shape.copy()  # a copy has no coarser mesh from earlier use
+    wanted = IMeshTools_Parameters()
+    wanted.Deflection, wanted.Angle = linear_mm, angular_rad
+    # Between rulings a facet is as accurate as its edge; checking its interior takes a minute on an elliptic probe.
+    wanted.ControlSurfaceDeflection = False
+    BRepMesh_IncrementalMesh(fresh.wrapped, wanted)
+    return fresh
 
 
 def single_solid(shape: cq.Shape) -> cq.Solid:

@@ -18,7 +18,7 @@ from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
 from vtkmodules.vtkFiltersCore import vtkPolyDataNormals
 
-from probedesign.cad.mesh import Mesh, tessellate
+from probedesign.cad.mesh import Mesh, facets_of
 from probedesign.cad.model import CadPart
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
@@ -168,8 +168,6 @@ MARGIN = 0.03
 """Free margin, as a share of the picture's larger side."""
 PALE = 0.3
 """Share of its colour that a part mounted earlier keeps."""
-COARSE_MM, COARSE_RAD = 0.02, 0.3
-"""Tolerances of the facets of parts that are shown but not printed."""
 
 
 @dataclass(frozen=True)
@@ -202,13 +200,15 @@ class RenderBody:
         return float(z.min()), float(z.max())
 
 
-def render_body(part: CadPart, mesh: Mesh | None = None) -> RenderBody:
-    """Return a part at its position, from its own mesh if given."""
-    if mesh is None:
-        mesh = tessellate(part.shape, COARSE_MM, COARSE_RAD)
-    R, p = part.T_sensor_part[:3, :3], part.T_sensor_part[:3, 3] / MM
-    corners, normals = _smooth_shaded(mesh)
-    return RenderBody(corners @ R.T + p, normals @ R.T, part.color)
+def render_body(part: CadPart) -> RenderBody:
+    """Return a part at its position."""
+    corners, normals = _smooth_shaded(facets_of(part.displayed))
+    poses = part.Ts_sensor_piece.values()
+    return RenderBody(
+        np.concatenate([corners @ T[:3, :3].T + T[:3, 3] / MM for T in poses]),
+        np.concatenate([normals @ T[:3, :3].T for T in poses]),
+        part.color,
+    )
 
 
 def _smooth_shaded(mesh: Mesh) -> tuple[Array, Array]:

@@ -49,7 +49,7 @@ def blocked_tools(
         By name, the volume [m³] of earlier parts in the corridors of the fastener and of its key; zero if it is free.
     """
     corridors = {use.name: screw_corridors(use) for use in screws} | _part_corridors(parts, adapter)
-    centring_pins = len(parts["centring_pins"].shape.Solids()) if "centring_pins" in parts else 0
+    centring_pins = len(parts["centring_pins"].places) if "centring_pins" in parts else 0
     found: dict[str, float] = {}
     present = ["sensor"]
     for step in assembly_steps(screws, adapter.dowels, 0.0, centring_pins):
