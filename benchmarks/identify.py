@@ -10,8 +10,8 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import beta
 
+from benchmarks.error_statistics import proportion_interval
 from benchmarks.laboratory import CAMERAS, STAGE, Flaws, Truth, draw
 from benchmarks.timing import format_seconds, print_table
 from benchmarks.touches import paper_models
@@ -120,18 +120,12 @@ def _row(found: NDArray[np.float64]) -> list[str]:
 
 
 def _share(hits: int, n: int) -> str:
-    low, high = _interval(hits, n)
+    low, high = proportion_interval(hits, n)
     return f"{hits / max(n, 1):.1%} ({low:.0%} – {high:.0%})"
 
 
 def _rms(values: NDArray[np.float64]) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-def _interval(hits: int, n: int) -> Sequence[float]:
-    """Of a share, 95 %. Source: C. J. Clopper, E. S. Pearson, Biometrika 26, 1934."""
-    low = 0.0 if hits == 0 else float(beta.ppf(0.025, hits, n - hits + 1))
-    return low, 1.0 if hits == n else float(beta.ppf(0.975, hits + 1, n - hits))
 
 
 # gross errors

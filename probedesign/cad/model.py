@@ -26,6 +26,7 @@ from probedesign.cad.solids import (
     sensor_adapter_solid,
     sensor_envelope,
 )
+from probedesign.core.errors import CheckFailedError
 from probedesign.core.frames import Array, pose
 from probedesign.core.units import MM
 from probedesign.design import Design
@@ -40,6 +41,7 @@ from probedesign.mount import (
     mount_options,
     sensor_adapter_for,
 )
+from probedesign.mount.tolerance_stack import tolerance_stacks
 
 IN_SENSOR_FRAME = pose()
 COARSE_MM, COARSE_RAD = 0.02, 0.3
@@ -229,12 +231,19 @@ def printed_solid(design: Design, part: str) -> cq.Solid:
 
     Raises:
         InputError: the mount cannot clamp this probe.
-        CheckFailedError: a screw would enter too deep, or the part is not one valid solid.
+        CheckFailedError: a screw would enter too deep at the worst corner of the tolerances, or the part is not one
+            valid solid.
     """
     geometry, sensor, options = build_geometry(design), design.sensor_model, mount_options(design)
     plate = flange_adapter_for(sensor, design.robot_flange, geometry.fingerprint, design.name, options)
     adapter = sensor_adapter_for(geometry, sensor, design.name, options)
     screw_groups(adapter, plate)
+    for stack in tolerance_stacks(adapter, plate):
+        if not stack.ok:
+            raise CheckFailedError(
+                f"{stack.what}: {stack.outside / MM:.2g} mm beyond its limits at the worst corner of the tolerances; "
+                "check shows which, and nothing is written"
+            )
     match part:
         case "probe":
             return probe_solid(geometry, adapter)

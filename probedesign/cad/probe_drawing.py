@@ -59,7 +59,7 @@ def probe_sheet(model: CadModel, part: CadPart) -> Sheet:
 
 
 def _without_facets(model: CadModel, lines: Lines) -> Lines:
-    """Return edges without those between the facets of a rounded tip and of a fillet, which stand for one surface."""
+    """Return edges without those between the facets of a rounded tip and of a fillet, which approximate one surface."""
     g, probe = model.geometry, model.design.probe
     fillet = 0.0 if probe.base_fillet_mm is None else filleted(probe.blunt_mm, probe.base_fillet_mm)[1]
     inside = [(0.0, fillet), (g.flank_end / MM, g.length / MM)]

@@ -14,7 +14,7 @@ from probedesign.mount.engraving import DEPTH, HEIGHT, Engraving
 
 TOLERANCE = "±0.5 %, at least ±0.15 (assumed)"
 """Tolerance of a stereolithography print; the manufacturer publishes none for the soft resin."""
-MILLED = f"±{number(MILLED_TOLERANCE / MM)} (ISO 2768-1, fine)"
+MILLED = f"±{number(MILLED_TOLERANCE / MM)}, all lengths"
 DATE_VARIABLE = "SOURCE_DATE_EPOCH"
 """Environment variable with the time of the sources in seconds since 1970 (reproducible-builds.org)."""
 

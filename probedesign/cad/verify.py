@@ -249,15 +249,12 @@ def room_findings(model: CadModel) -> Findings:
 
 def _stacks(model: CadModel) -> Findings:
     """Return, for each tolerance stack, how far its worst case lies outside of its limits."""
-    findings: Findings = {}
-    for stack in tolerance_stacks(model.adapter, model.plate):
-        (low, high), (least, greatest) = stack.worst, stack.limits
-        outside = max(least - low, high - greatest, 0.0)
-        what = f"m outside the limits at the worst corner: {stack.what}"
-        findings[f"{stack.name}_worst_case"] = _finding(
-            outside, 1e-9, what
-        )  # a nanometre for round-off of sums
-    return findings
+    return {
+        f"{stack.name}_worst_case": _finding(
+            stack.outside, 0.0, f"m outside the limits at the worst corner: {stack.what}"
+        )
+        for stack in tolerance_stacks(model.adapter, model.plate)
+    }
 
 
 def _finding(measured: float, limit: float, what: str) -> dict[str, Any]:

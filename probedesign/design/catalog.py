@@ -227,7 +227,8 @@ NUTS = {"M2": Nut(4.0 * MM, 1.6 * MM), "M3": Nut(5.5 * MM, 2.4 * MM)}
 PRINT_TOLERANCE = 0.15 * MM
 """Tolerance ± of a printed length, or 0.5 % where that is more: none is published (assumed)."""
 MILLED_TOLERANCE = 0.05 * MM
-"""Tolerance ± of a milled length: ISO 2768-1, fine, up to 6 mm."""
+"""Tolerance ± of a milled length, which the drawings demand: ISO 2768-1, fine, states it up to 6 mm only (assumed to be
+held beyond, where that standard has 0.1 mm and more)."""
 MIN_GRIP = 3.0 * MM
 """Least resin under the head of a screw into a sensor [m] (assumed)."""
 STEEL_DENSITY = 7900.0

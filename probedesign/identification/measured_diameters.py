@@ -159,8 +159,15 @@ def fit_diameters(
         calipers_std_mm: standard deviation of the error that all readings share [mm].
 
     Raises:
-        InputError: a reading deviates more than the print's tolerance allows, or the standard deviation is not one.
+        InputError: a reading deviates more than the print's tolerance allows, the standard deviation is not one, or the
+            design has measured diameters already: as a prior, they would count their readings and the calipers' error
+            twice.
     """
+    if design.probe.measured:
+        raise InputError(
+            f"{design.name}: its diameters are measured already; put all readings of the print into one table and "
+            "apply it to the design as drawn, whose values the file keeps as comments"
+        )
     if not 0.0 <= calipers_std_mm <= 1.0:
         raise InputError(f"calipers_std_mm = {calipers_std_mm:g} must lie in 0 ... 1")
     s, drawn = (np.array(column) for column in zip(*design.probe.blunt_mm, strict=True))

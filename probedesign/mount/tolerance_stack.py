@@ -30,7 +30,7 @@ MIN_BOLT_THREADS = 0.6
 CALIPERS = 0.05 * MM
 """Uncertainty of a depth measured with calipers in a printed part (assumed)."""
 PRINTED, SCREWED = "print, ±0.5 %, at least ±0.15 mm (assumed)", "ISO 4759-1, js15"
-MILLED = "ISO 2768-1, fine"
+MILLED = "drawing, ±0.05 mm; ISO 2768-1, fine, up to 6 mm (assumed beyond)"
 
 
 @dataclass(frozen=True)
@@ -89,10 +89,16 @@ class Stack:
         return middle - half, middle + half
 
     @property
-    def ok(self) -> bool:
-        """Return whether the worst case lies within the limits, to a nanometre."""
+    def outside(self) -> float:
+        """Return how far the worst case lies outside of the limits [m]; 0 up to a nanometre, the round-off of sums."""
         (low, high), (least, greatest) = self.worst, self.limits
-        return low >= least - 1e-9 and high <= greatest + 1e-9
+        outside = max(least - low, high - greatest)
+        return outside if outside > 1e-9 else 0.0
+
+    @property
+    def ok(self) -> bool:
+        """Return whether the worst case lies within the limits."""
+        return self.outside == 0.0
 
     def as_record(self) -> dict[str, Any]:
         """Return the record of the manifest, in millimetres."""

@@ -30,6 +30,7 @@ from probedesign.mount import (
 from probedesign.mount.engraving import XY
 from probedesign.mount.flange_adapter import TIE_SLOT
 from probedesign.mount.sensor_adapter import PEG_D
+from probedesign.mount.tolerance_stack import tolerance_stacks
 from probedesign.printing.findings import Finding, Rule, Severity
 from probedesign.printing.orientation import (
     MAX_BRIDGE,
@@ -66,6 +67,7 @@ MIN_OVERHANG, MIN_SOFT_OVERHANG = 19.0, 45.0
 MIN_DRAIN_D = 3.5
 
 BUILD_VOLUME = Rule("build_volume", "mm", f"PreForm's build volumes; {PLATFORM_SETUP}", "high")
+STACK = Rule("tolerance_stack", "mm", "worst case of the tolerances that the drawings state", "high")
 SLENDERNESS = Rule(
     "slenderness", "1", f"about the wires of {GUIDE}; an error below half of it (assumed)", "low"
 )
@@ -196,6 +198,10 @@ def mount_findings(a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
             findings.append(WALL.at_least(part, what, thickness / MM, limit, remedy="make it thicker"))
         for what, d in holes.items():
             findings.append(OPEN_HOLE.at_least(part, what, d / MM, MIN_HOLE_D, remedy="make it wider"))
+    for stack in tolerance_stacks(a, plate):
+        what = f"{stack.what}, beyond its limits at the worst corner of the tolerances"
+        remedy = "change the sensor's or the mount's screws and lengths"
+        findings.append(STACK.at_most("mount", what, stack.outside / MM, 0.0, remedy))
     return findings
 
 

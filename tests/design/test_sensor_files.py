@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from probedesign import pipeline
-from probedesign.core.errors import InputError
+from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.design import check_design, load_design, parse_design
 from probedesign.design.catalog import CUSTOM
 from probedesign.design.io import render_design, write_design
@@ -48,6 +48,23 @@ def path(tmp_path):
     (tmp_path / "my" / "sensor.toml").write_text(record())
     (tmp_path / "design.toml").write_text(DESIGN)
     return tmp_path / "design.toml"
+
+
+def test_screws_that_may_enter_too_deep_are_found_and_nothing_is_written(path, tmp_path):
+    """M2x6 has ±0.24 mm, the print ±0.15 mm, and 0.2 mm may be sanded: no entry of 2.5 to 3.0 mm is certain."""
+    sensor = tmp_path / "my" / "sensor.toml"
+    sensor.write_text(record().replace("max_entry_mm = 3.5", "max_entry_mm = 3.0"))
+    findings = pipeline.check(load_design(path)).errors
+    assert {one.rule for one in findings} == {"tolerance_stack"} and len(
+        findings
+    ) == 2  # both sides of the sensor
+    assert all(
+        one.measured == pytest.approx(0.48, abs=0.1) for one in findings
+    )  # grips are in steps of 0.1 mm
+    pytest.importorskip("cadquery")
+    with pytest.raises(CheckFailedError):
+        pipeline.export_part(load_design(path), "sensor_adapter", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_known_sensors_are_complete_files():

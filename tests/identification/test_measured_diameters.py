@@ -169,8 +169,11 @@ def test_measured_design_has_the_diameters_and_a_smaller_budget(probe: str, tmp_
     touch = {"fractions": [0.8], "forces_N": [0.02], "directions": ["+y"]}
     budgets = [p.predict(**touch).conditions[0].budget_mm["diameter"] for p in (before, after)]
     assert budgets[1] < 0.5 * budgets[0]
-    # the same readings again are of the former geometry
+    # the same readings again are of the former geometry, and without it they would count twice
     assert run(["measured", str(out), str(calipers)]) == 2
+    calipers.write_text(f"s_mm,diameter_mm\n{rows}")
+    once = out.read_bytes()
+    assert run(["measured", str(out), str(calipers), "--force"]) == 2 and out.read_bytes() == once
 
 
 def test_tolerances_of_the_user_are_kept_without_force(tmp_path: Path) -> None:

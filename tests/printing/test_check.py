@@ -40,7 +40,8 @@ def found(design, rule, what=""):
 def test_the_papers_probes_print(name):
     check = check_print(load_design(DESIGNS / f"{name}.toml"))
     assert check.errors == [] and check.fits
-    assert {f.part for f in check.passed} == {"probe", "sensor_adapter", "clamp_ring", "flange_adapter"}
+    parts = {"probe", "sensor_adapter", "clamp_ring", "flange_adapter", "mount"}
+    assert {f.part for f in check.passed} == parts
     for finding in check.findings:
         assert finding.source and finding.unit in ("mm", "mm²", "mm³", "deg", "1")
         assert bool(finding.remedy) == (finding.severity != "ok")
