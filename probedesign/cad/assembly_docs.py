@@ -286,7 +286,9 @@ def _frames(model: CadModel) -> str:
         "tip, x through the dowel hole at 0°, shown by the clocking mark of the flange and by the flat on the "
         f"adapter's rim. {1e3 * carried.mass:.3g} g are mounted on the sensor, the probe included, with their centre "
         f"of mass {carried.p_com[2] / MM:.1f} mm above the tool face; the sensor itself weighs "
-        f"{1e3 * sensor.interface.mass:.3g} g. {overload}. The manifest and the frozen probe contain the numbers.</p>"
+        f"{1e3 * sensor.interface.mass:.3g} g. {overload}. The manifest and the frozen probe contain the numbers. "
+        "For CAD there is one STEP file of each printed part in its own frame and <code>assembly.step</code> in the "
+        "sensor's, in millimetres; <code>assembly.glb</code> is for viewers, in metres with y up.</p>"
     )
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from probedesign.cad.exchange import PRODUCT
 from probedesign.cad.kernel import (
-    cylinder,
     location,
     mass_properties,
     meshed,
@@ -206,8 +205,10 @@ class CadModel:
     def bodies(self) -> dict[str, MassProperties]:
         """Return the mass properties of everything beyond the tool face, from the solids, in the sensor frame."""
         probe, T = self.parts["probe"], self.adapter.T_sensor_base
-        above = cylinder(1.0, 0.0, 2 * self.geometry.length)  # 1 m wide: more than any probe
-        flexible, flange = probe.shape.intersect(above), probe.shape.cut(above)
+        # by the plane s = 0, 1 m wide: more than any probe
+        flange, flexible = sorted(
+            probe.shape.split(cq.Face.makePlane(1e3, 1e3)).Solids(), key=lambda solid: solid.Center().z
+        )
         return {
             "flexible": mass_properties(placed(flexible, T), probe.density),
             "flange": mass_properties(placed(flange, T), probe.density),

@@ -16,8 +16,8 @@ from probedesign.cad.kernel import (
     hexagon,
     mass_properties,
     placed,
-    section_properties,
     revolved,
+    section_properties,
 )
 from probedesign.cad.mesh import MESH_LIMIT, Mesh, package_objects, read_back
 from probedesign.cad.model import CadModel, CadPart, volume_inside

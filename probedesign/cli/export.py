@@ -1,14 +1,33 @@
 """`probedesign export`: write the parts to print."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from probedesign.cli.console import print_json, print_step, print_table
 from probedesign.cli.options import JsonOutput, exports_of
 
-USES = {".3mf": "print", ".stl": "print", ".step": "CAD", ".html": "view", ".svg": "view", ".png": "view",
-        ".dxf": "CAD", ".pdf": "view", ".csv": "record", ".json": "record"}  # fmt: skip
-"""Use of a file by its suffix."""
+
+class FileKind(NamedTuple):
+    """What a file of an export is used for, in one word, and what it is."""
+
+    use: str
+    purpose: str
+
+
+FILE_KINDS = {
+    ".3mf": FileKind("print", "to print"),
+    ".stl": FileKind("print", "to print"),
+    ".step": FileKind("CAD", "solids for CAD"),
+    ".dxf": FileKind("CAD", "dimensioned drawing"),
+    ".html": FileKind("view", "assembly instructions"),
+    ".glb": FileKind("view", "assembly of all parts, in metres"),
+    ".svg": FileKind("view", "dimensioned drawing"),
+    ".pdf": FileKind("view", "dimensioned drawings of all parts"),
+    ".png": FileKind("view", "preview"),
+    ".csv": FileKind("record", "parts to print and to buy"),
+    ".json": FileKind("record", "manifest with the results of all checks"),
+}
+"""The kind of a file by its suffix."""
 
 
 def export(
@@ -19,7 +38,7 @@ def export(
     only: Literal["probe", "sensor_adapter", "clamp_ring", "flange_adapter"] | None = None,
     as_json: JsonOutput = False,
 ) -> None:
-    """Write the parts to print: STL, STEP, 3MF and their manifest. Needs the extra 'cad'.
+    """Write the parts to print: STL, 3MF, STEP, GLB, drawings and their manifest. Needs the extra 'cad'.
 
     Args:
         design: the design file.
@@ -50,9 +69,9 @@ def export(
 
 def _print(manifest: dict[str, Any]) -> None:
     whole, checks = manifest["mass"]["whole"], manifest["verification"]
-    files: dict[str, list[str]] = {use: [] for use in dict.fromkeys(USES.values())}
+    files: dict[str, list[str]] = {kind.use: [] for kind in FILE_KINDS.values()}
     for name in (*manifest["files"], "manifest.json"):
-        files[USES.get(Path(name).suffix, "view")].append(name)
+        files[FILE_KINDS[Path(name).suffix].use].append(name)
     print(
         f"wrote {manifest['folder']}: {len(manifest['files']) + 1} files; assembly instructions: assembly.html"
     )

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 import scipy
+from numpy.typing import NDArray
 
 Mask = NDArray[np.bool_]
 Interior = Callable[[NDArray[np.float64], NDArray[np.float64], float], Mask]
