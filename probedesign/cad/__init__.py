@@ -1,6 +1,5 @@
 """Solids, meshes and files of a design: the only package that uses CadQuery, imported on demand."""
 
-import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -181,8 +180,6 @@ def _part(design: Design, part: str) -> "cq.Workplane":
 @contextmanager
 def _kernel() -> Iterator[None]:
     """Let the CAD kernel be imported, and report what is missing."""
-    collects = gc.isenabled()
-    gc.disable()  # CadQuery and VTK leave a million objects, which the collector would visit again and again
     try:
         with defer_sigint():  # Ctrl-C while the kernel loads would crash it
             yield
@@ -197,6 +194,3 @@ def _kernel() -> Iterator[None]:
         raise MissingDependencyError(
             f"CadQuery does not load: {error}; on Debian and Ubuntu: apt-get install libgl1 libexpat1"
         ) from None
-    finally:
-        if collects:
-            gc.enable()

@@ -106,10 +106,12 @@ def _shade(slopes, colours, depth, owner, triangle, fine, normal, sums):  # type
                         slant = max(abs(normal[y, x, 2]), abs(normal[v, u, 2]), 0.1)
                         step = abs(depth[y, x] - depth[v, u]) > STEP_PX * fine / slant
                         ink = ink or cos < CREASE_COS or step
-            light = 0.0
-            for k in range(3):
-                light += normal[y, x, k] * LIGHT[k]
-            light = AMBIENT + DIRECT * max(light, 0.0)
+            light = 1.0
+            if who != BACKGROUND and not ink:
+                light = AMBIENT
+                for k in range(3):
+                    light += DIRECT * normal[y, x, k] * LIGHT[k]
+                light = max(light, AMBIENT)
             for k in range(3):
                 value = INK
                 if not ink:

@@ -1,5 +1,8 @@
 """`probedesign export`: write the parts to print."""
 
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -52,7 +55,8 @@ def export(
     drawn = load_design(design)
     folder = out or exports_of(design) / drawn.name
     if only is not None:
-        written = pipeline.export_part(drawn, only, folder)
+        with _uncollected():
+            written = pipeline.export_part(drawn, only, folder)
         if as_json:
             print_json(written)
         else:
@@ -60,11 +64,24 @@ def export(
                 f"wrote {written['file']}: {1e6 * written['volume_m3']:.3g} cm³, geometry {written['fingerprint']}"
             )
         return
-    manifest = pipeline.export(drawn, folder, print_step)
+    with _uncollected():
+        manifest = pipeline.export(drawn, folder, print_step)
     if as_json:
         print_json(manifest)
     else:
         _print(manifest)
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Pause the garbage collector, which would visit the objects of CadQuery and VTK for a second and find nothing."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 def _print(manifest: dict[str, Any]) -> None:
