@@ -3,7 +3,7 @@
 import base64
 import csv
 import io
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from typing import Any
@@ -21,7 +21,6 @@ from probedesign.cad.exploded_view import (
     step_pictures,
 )
 from probedesign.cad.kernel import mass_properties
-from probedesign.cad.mesh import Mesh
 from probedesign.cad.model import CadModel, CadPart
 from probedesign.cad.probe_drawing import probe_sheet
 from probedesign.cad.render import render_body, render_png
@@ -31,7 +30,7 @@ from probedesign.cad.svg import Svg
 from probedesign.core.units import MM, MPA
 from probedesign.design.catalog import ALUMINIUM, RIGID_RESIN
 from probedesign.geometry.mass import combined
-from probedesign.mount.flange_adapter import CENTRING_PIN_D, CENTRING_PIN_LENGTH
+from probedesign.mount.flange_adapter import CENTRING_PIN_LENGTH
 from probedesign.mount.tolerance_stack import CALIPERS, measurements, tolerance_stacks
 from probedesign.reports.html_page import html_document
 
@@ -88,29 +87,21 @@ def bill_of_materials(model: CadModel) -> list[BillItem]:
 
 
 def _item(number: int, model: CadModel, part: CadPart) -> BillItem:
-    count, length, material, file, torque = len(part.shape.Solids()), None, STEEL, "", None
-    grams = (
-        float(f"{1e3 * mass_properties(part.shape, part.density).mass / count:.3g}") if part.density else None
-    )
+    count, length, material, file, torque = len(part.places), None, STEEL, "", None
+    what = part.standard
+    grams = float(f"{1e3 * mass_properties(part.shape, part.density).mass:.3g}") if part.density else None
     use = next((use for use in model.screws if use.name == part.name), None)
     if part.printed:
         file = f"{part.name}.stl"
         material = material_of(model, part.name)
         what = "milled" if material == ALUMINIUM else "printed"
     elif use is not None:
-        what, length = f"ISO 4762 {use.screw.thread}x{use.length / MM:g}", round(use.length / MM, 3)
-        torque = hand_torque(use)
-    elif part.name == "ring_nuts":
-        what = f"ISO 4032 {model.adapter.ring_screw.thread}"
+        length, torque = round(use.length / MM, 3), hand_torque(use)
     elif part.name == "centring_pins":
         length = CENTRING_PIN_LENGTH / MM
-        what = f"ISO 2338 {CENTRING_PIN_D / MM:g} h8x{length:g}"
     elif part.name == "dowel_pins":
-        d, length = model.adapter.dowels.diameter / MM, model.adapter.dowels.pin_length / MM
-        what = (
-            f"ISO 2338 {d:g} h8x{length:g}"  # h8 is a slip fit in the sensor's hole; m6 would be a press fit
-        )
-    else:
+        length = model.adapter.dowels.pin_length / MM
+    elif not part.standard:
         what, material = _sensor_text(model), ""
     return BillItem(number, part.name, count, what, length, material, grams, file, torque)
 
@@ -295,7 +286,9 @@ def _frames(model: CadModel) -> str:
         "tip, x through the dowel hole at 0°, shown by the clocking mark of the flange and by the flat on the "
         f"adapter's rim. {1e3 * carried.mass:.3g} g are mounted on the sensor, the probe included, with their centre "
         f"of mass {carried.p_com[2] / MM:.1f} mm above the tool face; the sensor itself weighs "
-        f"{1e3 * sensor.interface.mass:.3g} g. {overload}. The manifest and the frozen probe contain the numbers.</p>"
+        f"{1e3 * sensor.interface.mass:.3g} g. {overload}. The manifest and the frozen probe contain the numbers. "
+        "For CAD there is one STEP file of each printed part in its own frame and <code>assembly.step</code> in the "
+        "sensor's, in millimetres; <code>assembly.glb</code> is for viewers, in metres with y up.</p>"
     )
 
 
@@ -317,14 +310,9 @@ class Documents:
     steps: list[str]
 
 
-def build_documents(model: CadModel, meshes: Mapping[str, Mesh]) -> Documents:
-    """Return all documents of an export.
-
-    Args:
-        model: of the design.
-        meshes: of the printed parts, by name.
-    """
-    bodies = {name: render_body(part, meshes.get(name)) for name, part in model.parts.items()}
+def build_documents(model: CadModel) -> Documents:
+    """Return all documents of an export."""
+    bodies = {name: render_body(part) for name, part in model.parts.items()}
     bill = bill_of_materials(model)
     steps = assembly_steps(
         model.screws,

@@ -2,23 +2,21 @@
 
 import hashlib
 import os
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import cadquery as cq
 
-from probedesign.cad.export import SCHEMA, manifest_json, model_record
+from probedesign.cad.export import SCHEMA, cad_files, manifest_json, model_record
 from probedesign.cad.folder import MANIFEST, check_target, staged
 from probedesign.cad.kernel import mass_properties
 from probedesign.cad.mesh import tessellate
 from probedesign.cad.model import CadPart, printed_solid
 from probedesign.cad.single_part import part_stl
-from probedesign.cad.step import step_bytes
 from probedesign.cad.verify import checked, mesh_findings, room_findings
-from probedesign.cad.workplanes import assembly_of_changed, changed_model
-from probedesign.core.errors import CheckFailedError, InputError
+from probedesign.cad.workplanes import changed_model
+from probedesign.core.errors import InputError
 from probedesign.design import Design
 from probedesign.printing.check import print_scale
 
@@ -32,13 +30,10 @@ def export_changed(design: Design, changed: Mapping[str, cq.Workplane], out: Pat
     model = changed_model(design, changed)
     meshes = {name: tessellate(model.parts[name].shape) for name in changed}
     findings = checked(design.name, {**mesh_findings(model, meshes), **room_findings(model)})
-    assembled = assembly_of_changed(model, changed)
-    contents = {"assembly.step": step_bytes(assembled), "assembly.glb": _glb(assembled)}
+    contents = cad_files(model, changed)
     for name, mesh in meshes.items():
         scaled = mesh.scaled(print_scale(design, name))
         contents[f"{name}.stl"] = part_stl(design, name, scaled, model.geometry.fingerprint)
-        alone = cq.Assembly(model.parts[name].shape, name=name)
-        contents[f"{name}.step"] = step_bytes(alone)
     files = {
         name: {"sha256": hashlib.sha256(content).hexdigest(), "size_bytes": len(content)}
         for name, content in sorted(contents.items())
@@ -63,14 +58,3 @@ def _masses(design: Design, part: CadPart) -> dict[str, float]:
         "mass_kg": mass_properties(part.shape, part.density).mass,
         "mass_as_designed_kg": mass_properties(drawn, part.density).mass,
     }
-
-
-def _glb(assembled: cq.Assembly) -> bytes:
-    """Return the assembly as a binary glTF file."""
-    with tempfile.TemporaryDirectory() as scratch:
-        path = Path(scratch) / "assembly.glb"
-        assembled.export(str(path))
-        content = path.read_bytes() if path.is_file() else b""
-    if content[:4] != b"glTF":
-        raise CheckFailedError("assembly.glb: the kernel did not write it")
-    return content

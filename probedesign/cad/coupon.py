@@ -14,10 +14,11 @@ from typing import Any
 import cadquery as cq
 import numpy as np
 
+from probedesign.cad.exchange import step_bytes
 from probedesign.cad.folder import MANIFEST, check_target, listed_digests, staged
 from probedesign.cad.kernel import revolved
 from probedesign.cad.mesh import MESH_LIMIT, tessellate
-from probedesign.cad.step import step_bytes
+from probedesign.cad.title_block import drawing_date
 from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.core.stl import stl_bytes
 from probedesign.core.units import MM
@@ -66,7 +67,12 @@ def export_coupon(design: Design, out: Path | None) -> dict[str, Any]:
         contents[f"{name}.stl"] = stl_bytes(mesh.vertices[mesh.triangles], title)
         assembled.add(solid, name=name, loc=cq.Location(cq.Vector(x, 0.0, 0.0)))
         x += 2.0 * (steps[0] + 2.0 * FOOT_RIM_MM)
-    contents["coupon.step"] = step_bytes(assembled)
+    contents["coupon.step"] = step_bytes(
+        assembled,
+        "coupon.step",
+        f"{design.name}: coupons, geometry {fingerprint}, units mm",
+        drawing_date(design),
+    )
     manifest = {
         "name": design.name,
         "fingerprint": fingerprint,

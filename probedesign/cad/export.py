@@ -4,7 +4,7 @@ import hashlib
 import json
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +12,13 @@ import cadquery as cq
 import numpy as np
 
 from probedesign.cad.assembly_docs import Documents, bill_records, build_documents
+from probedesign.cad.exchange import glb_bytes, step_bytes
 from probedesign.cad.folder import MANIFEST, check_target, staged
 from probedesign.cad.kernel import mass_properties
 from probedesign.cad.mesh import read_back, tessellate, threemf_packages
 from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad
 from probedesign.cad.single_part import part_stl
-from probedesign.cad.step import step_bytes
+from probedesign.cad.title_block import drawing_date
 from probedesign.cad.verify import Findings, verify
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
@@ -176,20 +177,20 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
     progress("checking solids, slices and meshes against the formulae")
     findings = verify(model, meshes, packages)
     progress("rendering pictures and drawings")
-    documents = build_documents(model, meshes)
+    documents = build_documents(model)
     if is_compensated(design):  # verified as drawn, printed scaled
         meshes = {name: mesh.scaled(print_scale(design, name)) for name, mesh in meshes.items()}
         packages = threemf_packages(model, meshes)
         for content in packages.values():
             read_back(content)
     progress("writing")
+    cad = cad_files(model, [part.name for part in model.printed])
     stl = {
         f"{name}.stl": part_stl(design, name, mesh, model.geometry.fingerprint)
         for name, mesh in meshes.items()
     }
-    step = step_bytes(assembly_of(model.parts, design.name))
     with staged(folder) as staging:
-        contents = stl | packages | documents.files | {"assembly.step": step}
+        contents = stl | packages | documents.files | cad
         for name, content in contents.items():
             (staging / name).write_bytes(content)
         files = {
@@ -201,6 +202,27 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
         manifest["print_scale"] = {name: list(print_scale(design, name)) for name in meshes}
         (staging / MANIFEST).write_text(manifest_json(manifest), "utf-8")
     return {**manifest, "folder": str(folder)}
+
+
+def cad_files(model: CadModel, parts: Iterable[str]) -> dict[str, bytes]:
+    """Return the assembly as STEP and GLB, and the STEP file of each of these parts in its own frame."""
+    name, fingerprint, date = model.design.name, model.geometry.fingerprint, drawing_date(model.design)
+
+    def step(assembly: cq.Assembly, file: str, what: str) -> bytes:
+        return step_bytes(assembly, file, f"{name}: {what}, geometry {fingerprint}, units mm", date)
+
+    alone = {part: cq.Assembly(model.parts[part].shape, name=part, color=cq.Color(*model.parts[part].color))
+             for part in parts}  # fmt: skip
+    return {
+        "assembly.step": step(
+            assembly_of(model.parts, name), "assembly.step", "assembly in the sensor frame"
+        ),
+        "assembly.glb": glb_bytes(assembly_of(model.parts, name, displayed=True), "assembly.glb"),
+        **{
+            f"{part}.step": step(assembly, f"{part}.step", f"{part} in the {model.parts[part].frame} frame")
+            for part, assembly in alone.items()
+        },
+    }
 
 
 def manifest_json(manifest: dict[str, Any]) -> str:

@@ -14,10 +14,9 @@ import cadquery as cq
 import lib3mf
 import numpy as np
 from numpy.typing import NDArray
-from OCP.BRepMesh import BRepMesh_IncrementalMesh
-from OCP.IMeshTools import IMeshTools_Parameters
 from OCP.StlAPI import StlAPI_Writer
 
+from probedesign.cad.kernel import meshed
 from probedesign.cad.model import CadModel
 from probedesign.core.errors import CheckFailedError
 from probedesign.core.frames import Array
@@ -77,17 +76,16 @@ def tessellate(
         linear_mm: largest distance of a facet from its surface [mm].
         angular_rad: largest angle between adjacent facets [rad].
     """
-    fresh = shape.copy()  # a copy has no coarser mesh from earlier use
-    wanted = IMeshTools_Parameters()
-    wanted.Deflection, wanted.Angle = linear_mm, angular_rad
-    # Between rulings a facet is as accurate as its edge; checking its interior takes a minute on an elliptic probe.
-    wanted.ControlSurfaceDeflection = False
-    BRepMesh_IncrementalMesh(fresh.wrapped, wanted)
+    return facets_of(meshed(shape, linear_mm, angular_rad))
+
+
+def facets_of(shape: cq.Shape) -> Mesh:
+    """Return the facets that a shape has already, in millimetres."""
     # The kernel writes a file in a tenth of the time in which Python reads the points one by one.
     with tempfile.TemporaryDirectory() as scratch:
         file, writer = Path(scratch) / "mesh.stl", StlAPI_Writer()
         writer.ASCIIMode = False
-        if not writer.Write(fresh.wrapped, str(file)):
+        if not writer.Write(shape.wrapped, str(file)):
             raise CheckFailedError("the kernel did not mesh a part")
         points = stl_corners(file.read_bytes()).reshape(-1, 3)
     return _welded(points, np.arange(len(points)).reshape(-1, 3))

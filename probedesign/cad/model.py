@@ -8,21 +8,20 @@ from itertools import combinations
 import cadquery as cq
 import numpy as np
 
+from probedesign.cad.exchange import PRODUCT
 from probedesign.cad.kernel import (
-    cylinder,
     location,
     mass_properties,
+    meshed,
     placed,
 )
 from probedesign.cad.solids import (
     ScrewGroup,
-    centring_pin_solids,
     clamp_ring_solid,
+    fasteners,
     flange_adapter_solid,
-    nut_solids,
     probe_solid,
     screw_groups,
-    screw_solids,
     sensor_adapter_solid,
     sensor_envelope,
 )
@@ -44,6 +43,8 @@ from probedesign.mount import (
 from probedesign.mount.tolerance_stack import tolerance_stacks
 
 IN_SENSOR_FRAME = pose()
+COARSE_MM, COARSE_RAD = 0.02, 0.3
+"""Tolerances of the facets of pictures: 0.02 mm is a fifth of a pixel."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +53,14 @@ class CadPart:
 
     Attributes:
         name: as in the files.
-        shape: in millimetres in the part's own frame.
+        shape: in millimetres in the part's own frame; of a group, one piece.
         T_sensor_part: pose of that frame in the sensor frame, (4, 4).
         frame: name of that frame.
         density: [kg/m³]; zero for the sensor, whose mass is not part of the mount.
         color: (red, green, blue) 0 ... 1.
         printed: whether it has a mesh of its own.
+        standard: of a purchased piece, such as ISO 4762 M2x6; groups of one standard share their shape.
+        places: pose of each piece in the part's frame, (4, 4).
     """
 
     name: str
@@ -67,11 +70,27 @@ class CadPart:
     density: float
     color: tuple[float, float, float]
     printed: bool = True
+    standard: str = ""
+    places: tuple[Array, ...] = (IN_SENSOR_FRAME,)
+
+    @property
+    def Ts_sensor_piece(self) -> dict[str, Array]:
+        """Return the pose of each piece in the sensor frame by its name: of a group numbered from 1."""
+        poses = [self.T_sensor_part @ T for T in self.places]
+        if len(poses) == 1:
+            return {self.name: poses[0]}
+        return {f"{self.name}_{number}": T for number, T in enumerate(poses, 1)}
 
     @cached_property
     def placed(self) -> cq.Shape:
-        """Return the shape in the sensor frame."""
-        return placed(self.shape, self.T_sensor_part)
+        """Return the shape in the sensor frame: of a group, a compound of its pieces."""
+        pieces = [placed(self.shape, T) for T in self.Ts_sensor_piece.values()]
+        return pieces[0] if len(pieces) == 1 else cq.Compound.makeCompound(pieces)
+
+    @cached_property
+    def displayed(self) -> cq.Shape:
+        """Return a copy of the shape with the facets of pictures."""
+        return meshed(self.shape, COARSE_MM, COARSE_RAD)
 
     @cached_property
     def box(self) -> Array:
@@ -97,16 +116,11 @@ def build_parts(
         CadPart("flange_adapter", flange_adapter_solid(plate), plate.T_sensor_robotflange, "robotflange",
              rigid, grey),
     ]  # fmt: skip
-    bought = {use.name: screw_solids(use) for use in screws}
-    dowels, z = adapter.dowels, -adapter.dowels.depth
-    pins = [cylinder(dowels.diameter, z, z + dowels.pin_length, p) for p in adapter.p_dowels]
-    bought |= {"ring_nuts": nut_solids(adapter), "dowel_pins": cq.Compound.makeCompound(pins)}
-    if plate.p_centring_pins:
-        bought["centring_pins"] = centring_pin_solids(plate)
     loose = [
-        CadPart(name, shape, IN_SENSOR_FRAME, "sensor", STEEL_DENSITY, steel, printed=False)
-        for name, shape in bought.items()
-    ]
+        CadPart(group.name, group.solid, IN_SENSOR_FRAME, "sensor", STEEL_DENSITY, steel, printed=False,
+                standard=group.standard, places=group.poses)
+        for group in fasteners(adapter, plate, screws)
+    ]  # fmt: skip
     envelope = CadPart(
         "sensor", sensor_envelope(sensor), IN_SENSOR_FRAME, "sensor", 0.0, (0.6, 0.6, 0.65), False
     )
@@ -141,21 +155,20 @@ def boxes_meet(a: Array, b: Array) -> bool:
     return bool((a[0] <= b[1]).all() and (b[0] <= a[1]).all())
 
 
-def assembly_of(parts: dict[str, CadPart], name: str) -> cq.Assembly:
-    """Return the parts, named, coloured and placed, for a STEP file; screws of a group as separate solids.
+def assembly_of(parts: dict[str, CadPart], name: str, displayed: bool = False) -> cq.Assembly:
+    """Return the parts, named, coloured and placed; equal screws are instances of one shape.
 
-    Readers drop the colour of a compound, hence one solid per screw.
+    Args:
+        parts: by name.
+        name: of the assembly.
+        displayed: whether the shapes have the facets of pictures.
     """
-    assembly = cq.Assembly(name=name)
+    assembly, shapes = cq.Assembly(name=name), dict[str, cq.Shape]()
     for part in parts.values():
-        where, colour, solids = location(part.T_sensor_part), cq.Color(*part.color), part.shape.Solids()
-        if len(solids) == 1:
-            assembly.add(part.shape, name=part.name, color=colour, loc=where)
-            continue
-        group = cq.Assembly(name=part.name)
-        for number, solid in enumerate(solids, 1):
-            group.add(solid, name=f"{part.name}_{number}", color=colour)
-        assembly.add(group, name=part.name, loc=where)
+        product, colour = part.standard or part.name, cq.Color(*part.color)
+        shape = shapes.setdefault(product, part.displayed if displayed else part.shape)
+        for piece, T in part.Ts_sensor_piece.items():
+            assembly.add(shape, name=piece, color=colour, loc=location(T), metadata={PRODUCT: product})
     return assembly
 
 
@@ -192,8 +205,10 @@ class CadModel:
     def bodies(self) -> dict[str, MassProperties]:
         """Return the mass properties of everything beyond the tool face, from the solids, in the sensor frame."""
         probe, T = self.parts["probe"], self.adapter.T_sensor_base
-        above = cylinder(1.0, 0.0, 2 * self.geometry.length)  # 1 m wide: more than any probe
-        flexible, flange = probe.shape.intersect(above), probe.shape.cut(above)
+        # by the plane s = 0, 1 m wide: more than any probe
+        flange, flexible = sorted(
+            probe.shape.split(cq.Face.makePlane(1e3, 1e3)).Solids(), key=lambda solid: solid.Center().z
+        )
         return {
             "flexible": mass_properties(placed(flexible, T), probe.density),
             "flange": mass_properties(placed(flange, T), probe.density),

@@ -59,13 +59,13 @@ def cut(shape: cq.Shape) -> tuple[Lines, list[Lines]]:
     """
     box = shape.BoundingBox()
     reach = 2.0 * box.DiagonalLength
-    half = cq.Solid.makeBox(2 * reach, reach, 2 * reach, cq.Vector(-reach, 0.0, box.center.z - reach))
-    plane = cq.Face.makePlane(
-        2 * reach, 2 * reach, cq.Vector(0.0, 0.0, box.center.z), cq.Vector(0.0, -1.0, 0.0)
+    half = shape.intersect(
+        cq.Solid.makeBox(2 * reach, reach, 2 * reach, cq.Vector(-reach, 0.0, box.center.z - reach))
     )
-    faces = shape.intersect(plane).Faces()
-    loops = [[_loop(wire, [0, 2]) for wire in face.Wires()] for face in faces]
-    return seen(shape.intersect(half), FRONT), loops
+    faces = [
+        face for face in half.Faces() if face.Center().y < SAME_MM
+    ]  # of a half at y > 0: those in the plane
+    return seen(half, FRONT), [[_loop(wire, [0, 2]) for wire in face.Wires()] for face in faces]
 
 
 def cross_section(shape: cq.Shape, z: float) -> list[Lines]:

@@ -1,7 +1,6 @@
 """Shaded pictures of parts, rendered without a graphics card, a display or a driver.
 
-Bodies and a camera give a PNG, the same bytes on every run. Filling triangles is compiled; everything else operates on
-arrays of pixels.
+Bodies and a camera give a PNG, the same bytes on every run. Filling and shading of triangles are compiled.
 """
 
 import io
@@ -18,7 +17,7 @@ from vtkmodules.vtkCommonCore import vtkPoints
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
 from vtkmodules.vtkFiltersCore import vtkPolyDataNormals
 
-from probedesign.cad.mesh import Mesh, tessellate
+from probedesign.cad.mesh import Mesh, facets_of
 from probedesign.cad.model import CadPart
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
@@ -62,50 +61,62 @@ def rasterize(
     triangle = np.zeros((height, width), dtype=np.int32)
     planes, first, last = _planes(corners * fine)
     _fill(planes, first, last, owners, depth, owner, triangle)
-    drawn = owner != BACKGROUND
+    # normal at 0, its change along x and along y
+    slopes = np.einsum("tij,tik->tjk", planes[:, :2], normals[:, 1:] - normals[:, :1])
+    slopes[:, 0] += normals[:, 0]
     normal = np.zeros((height, width, 3), dtype=np.float32)
-    normal[drawn] = _normals(planes, normals, triangle, drawn)
-    light = AMBIENT + DIRECT * np.maximum(normal[drawn] @ np.array(LIGHT, dtype=np.float32), 0.0)
-    shaded = np.ones((height, width, 3), dtype=np.float32)
-    shaded[drawn] = np.minimum(light[:, None] * colours.astype(np.float32)[owner[drawn]], 1.0)
-    shaded[_outlines(depth, normal, owner, fine)] = INK
-    total = sum(shaded[i::fine, j::fine] for i in range(fine) for j in range(fine))
-    return np.round(255.0 / fine**2 * total).astype(np.uint8), owner[fine // 2 :: fine, fine // 2 :: fine]
+    sums = np.zeros((size[1], size[0], 3), dtype=np.float32)
+    _shade(slopes, colours, depth, owner, triangle, fine, normal, sums)
+    return np.round(255.0 / fine**2 * sums).astype(np.uint8), owner[fine // 2 :: fine, fine // 2 :: fine]
 
 
-def _normals(
-    planes: Array, normals: Array, triangle: NDArray[np.int32], drawn: NDArray[np.bool_]
-) -> NDArray[np.float32]:
-    """Interpolate the corners' normals at the drawn samples, (n, 3)."""
-    a = normals[:, 0]
-    shares = np.einsum(
-        "tij,tik->tjk", planes[:, :2], normals[:, 1:] - a[:, None]
-    )  # value at 0, along x, along y
-    shares[:, 0] += a
-    y, x = np.nonzero(drawn)
-    at = shares.astype(np.float32)[triangle[drawn]]
-    at[:, 0] += at[:, 1] * x[:, None].astype(np.float32) + at[:, 2] * y[:, None].astype(np.float32)
-    found: NDArray[np.float32] = at[:, 0]
-    return found
+@njit(cache=True, error_model="numpy")
+def _shade(slopes, colours, depth, owner, triangle, fine, normal, sums):  # type: ignore[no-untyped-def]  # numba infers the types
+    """Add the brightness of each sample to its pixel: shaded, an outline, or white paper.
 
-
-def _outlines(
-    depth: NDArray[np.float32], normal: NDArray[np.float32], owner: NDArray[np.int16], fine: int
-) -> NDArray[np.bool_]:
-    """Return the samples next to another body, another face or a depth step."""
-    ink = np.zeros(depth.shape, dtype=bool)
+    Args:
+        slopes: normal of each triangle at (0, 0) and its slopes along x and along y, (m, 3, 3).
+        colours: of each body, (n, 3).
+        depth, owner, triangle: of each sample, from `_fill`, (height, width).
+        fine: samples along each side of a pixel.
+        normal: of each sample, (height, width, 3); changed in place.
+        sums: of each pixel, (height / fine, width / fine, 3); changed in place.
+    """
+    height, width = owner.shape
+    for y in range(height):
+        for x in range(width):
+            if owner[y, x] != BACKGROUND:
+                t = triangle[y, x]
+                for k in range(3):
+                    normal[y, x, k] = slopes[t, 0, k] + slopes[t, 1, k] * x + slopes[t, 2, k] * y
     reach = max(1, fine // 2)
-    for near, far in (
-        (np.s_[:, :-reach], np.s_[:, reach:]),
-        (np.s_[:-reach], np.s_[reach:]),
-    ):
-        seen = (owner[near] != BACKGROUND) & (owner[near] == owner[far])
-        cos = np.einsum("yxk,yxk->yx", normal[near], normal[far])
-        slant = np.maximum(np.maximum(np.abs(normal[near][..., 2]), np.abs(normal[far][..., 2])), 0.1)
-        with np.errstate(invalid="ignore"):  # the background is infinitely far
-            step = np.abs(depth[near] - depth[far]) > STEP_PX * fine / slant
-        ink[near] |= (owner[near] != owner[far]) | (seen & ((cos < CREASE_COS) | step))
-    return ink
+    for y in range(height):
+        for x in range(width):
+            who = owner[y, x]
+            ink = False
+            for dy, dx in ((0, reach), (reach, 0)):  # next to another body, another face or a depth step
+                v, u = y + dy, x + dx
+                if v < height and u < width:
+                    if owner[v, u] != who:
+                        ink = True
+                    elif who != BACKGROUND:
+                        cos = 0.0
+                        for k in range(3):
+                            cos += normal[y, x, k] * normal[v, u, k]
+                        slant = max(abs(normal[y, x, 2]), abs(normal[v, u, 2]), 0.1)
+                        step = abs(depth[y, x] - depth[v, u]) > STEP_PX * fine / slant
+                        ink = ink or cos < CREASE_COS or step
+            light = 1.0
+            if who != BACKGROUND and not ink:
+                light = AMBIENT
+                for k in range(3):
+                    light += DIRECT * normal[y, x, k] * LIGHT[k]
+                light = max(light, AMBIENT)
+            for k in range(3):
+                value = INK
+                if not ink:
+                    value = 1.0 if who == BACKGROUND else min(light * colours[who, k], 1.0)
+                sums[y // fine, x // fine, k] += value
 
 
 @njit(cache=True, error_model="numpy")
@@ -168,8 +179,6 @@ MARGIN = 0.03
 """Free margin, as a share of the picture's larger side."""
 PALE = 0.3
 """Share of its colour that a part mounted earlier keeps."""
-COARSE_MM, COARSE_RAD = 0.02, 0.3
-"""Tolerances of the facets of parts that are shown but not printed."""
 
 
 @dataclass(frozen=True)
@@ -202,13 +211,15 @@ class RenderBody:
         return float(z.min()), float(z.max())
 
 
-def render_body(part: CadPart, mesh: Mesh | None = None) -> RenderBody:
-    """Return a part at its position, from its own mesh if given."""
-    if mesh is None:
-        mesh = tessellate(part.shape, COARSE_MM, COARSE_RAD)
-    R, p = part.T_sensor_part[:3, :3], part.T_sensor_part[:3, 3] / MM
-    corners, normals = _smooth_shaded(mesh)
-    return RenderBody(corners @ R.T + p, normals @ R.T, part.color)
+def render_body(part: CadPart) -> RenderBody:
+    """Return a part at its position."""
+    corners, normals = _smooth_shaded(facets_of(part.displayed))
+    poses = part.Ts_sensor_piece.values()
+    return RenderBody(
+        np.concatenate([corners @ T[:3, :3].T + T[:3, 3] / MM for T in poses]),
+        np.concatenate([normals @ T[:3, :3].T for T in poses]),
+        part.color,
+    )
 
 
 def _smooth_shaded(mesh: Mesh) -> tuple[Array, Array]:

@@ -3,9 +3,11 @@
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import cadquery as cq
+import numpy as np
 
 from probedesign.cad.kernel import (
     block,
@@ -19,9 +21,9 @@ from probedesign.cad.kernel import (
     single_solid,
 )
 from probedesign.core.errors import CheckFailedError
-from probedesign.core.frames import Array, pose
+from probedesign.core.frames import Array, pose, rotation_z
 from probedesign.core.units import MM
-from probedesign.design.catalog import SocketScrew
+from probedesign.design.catalog import Nut, SocketScrew
 from probedesign.design.sensors import CableExit, ScrewPattern, SensorInterface
 from probedesign.geometry import ProbeGeometry
 from probedesign.mount import (
@@ -86,11 +88,22 @@ class ScrewGroup:
                 f"{self.name}: {self.screw.thread}×{self.length / MM:g} is not a stock length"
             )
 
+    @property
+    def standard(self) -> str:
+        """Return the designation of one screw."""
+        return f"ISO 4762 {self.screw.thread}x{self.length / MM:g}"
+
+    @property
+    def poses(self) -> tuple[Array, ...]:
+        """Return the pose of each screw in the sensor frame: its seat at the origin, its head towards +z."""
+        turned = pose(np.diag([1.0, -1.0, -1.0]) if self.up else None)
+        return tuple(T @ turned for T in _upright(self.points, self.seat))
+
     def as_record(self) -> dict[str, Any]:
         """Return the record of the manifest, in millimetres."""
         return {
             "name": self.name,
-            "screw": f"ISO 4762 {self.screw.thread}x{self.length / MM:g}",
+            "screw": self.standard,
             "count": len(self.points),
             "into": self.into,
             "length_mm": round(self.length / MM, 6),
@@ -127,43 +140,62 @@ def screw_groups(a: SensorAdapter, plate: FlangeAdapter) -> list[ScrewGroup]:
     return uses
 
 
-def screw_solids(use: ScrewGroup) -> cq.Compound:
-    """Return the screws as solids, in millimetres in the sensor frame; threads drawn at their pitch diameter."""
-    return cq.Compound.makeCompound([_screw(use, p) for p in use.points])
+@dataclass(frozen=True)
+class Fasteners:
+    """A group of equal screws, nuts or pins.
+
+    Attributes:
+        name: of the group.
+        standard: of a piece, such as ISO 4762 M2x6.
+        solid: of a piece, in millimetres in its own frame; groups of one standard share it.
+        poses: of each piece in the sensor frame.
+    """
+
+    name: str
+    standard: str
+    solid: cq.Solid
+    poses: tuple[Array, ...]
 
 
-def nut_solids(a: SensorAdapter) -> cq.Compound:
-    """Return the nuts at the top of their slots, two sides along the slot."""
-    nut, screw = a.options.nut, a.ring_screw
-    z = (a.nut_slot_z[1] - nut.height, a.nut_slot_z[1])
-    return cq.Compound.makeCompound(
-        [
-            single_solid(hexagon(nut.af, *z, p, 30.0).cut(cylinder(screw.pitch_d, *z, p)))
-            for p in a.p_ring_screws
-        ]
-    )
+def fasteners(a: SensorAdapter, plate: FlangeAdapter, screws: list[ScrewGroup]) -> list[Fasteners]:
+    """Return all screws, nuts and pins of the assembly."""
+    d, length, nut = a.dowels.diameter, a.dowels.pin_length, a.options.nut
+    groups = [
+        *((use.name, use.standard, partial(_screw, use.screw, use.length), use.poses) for use in screws),
+        ("ring_nuts", f"ISO 4032 {a.ring_screw.thread}", partial(_nut, nut, a.ring_screw.pitch_d),
+         _upright(a.p_ring_screws, a.nut_slot_z[1] - nut.height)),
+        # h8 is a slip fit in the sensor's hole; m6 would be a press fit
+        ("dowel_pins", f"ISO 2338 {d / MM:g} h8x{length / MM:g}", partial(cylinder, d, 0.0, length),
+         _upright(a.p_dowels, -a.dowels.depth)),
+    ]  # fmt: skip
+    if plate.p_centring_pins:
+        T, pin = plate.T_sensor_robotflange, f"{CENTRING_PIN_D / MM:g} h8x{CENTRING_PIN_LENGTH / MM:g}"
+        poses = _upright(_in_frame(plate.p_centring_pins, T), float(T[2, 3]) + plate.centring_hole[1])
+        draw = partial(cylinder, CENTRING_PIN_D, 0.0, CENTRING_PIN_LENGTH)
+        groups.append(("centring_pins", f"ISO 2338 {pin}", draw, poses))
+    solids: dict[str, cq.Solid] = {}
+    for _, standard, draw, _ in groups:
+        if standard not in solids:
+            solids[standard] = draw()
+    return [Fasteners(name, standard, solids[standard], poses) for name, standard, _, poses in groups]
 
 
-def centring_pin_solids(plate: FlangeAdapter) -> cq.Compound:
-    """Return the pins around the sensor's body, in millimetres in the sensor frame, on the bottom of their holes."""
-    T, bottom = plate.T_sensor_robotflange, plate.centring_hole[1]
-    z = float(T[2, 3]) + bottom
-    points = _in_frame(plate.p_centring_pins, T)
-    return cq.Compound.makeCompound([cylinder(CENTRING_PIN_D, z, z + CENTRING_PIN_LENGTH, p) for p in points])
-
-
-def _screw(use: ScrewGroup, p: XY) -> cq.Solid:
-    s, seat = use.screw, use.seat
-    axis = 1.0 if use.up else -1.0  # from head to point
-    top = seat - axis * s.head_height
-    head = cylinder(s.head_d, *_between(seat, top), p)
-    shank = cylinder(s.pitch_d, *_between(seat, seat + axis * use.length), p)
-    socket = hexagon(s.socket_af, *_between(top, top + axis * s.socket_depth), p)
+def _screw(screw: SocketScrew, length: float) -> cq.Solid:
+    """Return a screw about z, its seat at z = 0 and its point below; the thread is drawn at its pitch diameter."""
+    head, shank = cylinder(screw.head_d, 0.0, screw.head_height), cylinder(screw.pitch_d, -length, 0.0)
+    socket = hexagon(screw.socket_af, screw.head_height - screw.socket_depth, screw.head_height, (0.0, 0.0))
     return single_solid(head.fuse(shank).cut(socket))
 
 
-def _between(a: float, b: float) -> tuple[float, float]:
-    return min(a, b), max(a, b)
+def _nut(nut: Nut, bore_d: float) -> cq.Solid:
+    """Return a nut about z on z = 0, two sides along x."""
+    z = (0.0, nut.height)
+    return single_solid(hexagon(nut.af, *z, (0.0, 0.0), 30.0).cut(cylinder(bore_d, *z)))
+
+
+def _upright(points: Iterable[XY], z: float) -> tuple[Array, ...]:
+    """Return poses at points of one height, each with x away from the axis."""
+    return tuple(pose(rotation_z(math.atan2(p[1], p[0])), [*p, z]) for p in points)
 
 
 def _in_frame(points: Iterable[XY], T_a_b: Array) -> tuple[XY, ...]:

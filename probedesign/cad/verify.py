@@ -16,8 +16,8 @@ from probedesign.cad.kernel import (
     hexagon,
     mass_properties,
     placed,
-    planar_section_properties,
     revolved,
+    section_properties,
 )
 from probedesign.cad.mesh import MESH_LIMIT, Mesh, package_objects, read_back
 from probedesign.cad.model import CadModel, CadPart, volume_inside
@@ -49,11 +49,11 @@ def blocked_tools(
         By name, the volume [m³] of earlier parts in the corridors of the fastener and of its key; zero if it is free.
     """
     corridors = {use.name: screw_corridors(use) for use in screws} | _part_corridors(parts, adapter)
-    centring_pins = len(parts["centring_pins"].shape.Solids()) if "centring_pins" in parts else 0
+    centring_pins = len(parts["centring_pins"].places) if "centring_pins" in parts else 0
     found: dict[str, float] = {}
     present = ["sensor"]
     for step in assembly_steps(screws, adapter.dowels, 0.0, centring_pins):
-        there = [move.onto for move in step.moves] if step.on_bench else present
+        there = list(dict.fromkeys(move.onto for move in step.moves)) if step.on_bench else present
         for name in step.parts:
             if name in corridors and name not in found:
                 corridor = cq.Compound.makeCompound(corridors[name])
@@ -181,7 +181,7 @@ def _sections(model: CadModel) -> Findings:
         "section_second_moment_yy": ProbeGeometry.second_moment_yy_at,
     }
     stations = _stations(geometry)
-    drawn = np.array([planar_section_properties(solid, s) for s in stations])
+    drawn = np.array([section_properties(solid, s) for s in stations])
     wanted = np.column_stack([formula(geometry, stations) for formula in formulae.values()])
     worst = np.abs(drawn / wanted - 1.0).max(axis=0)
     what = f"relative, worst of {STATIONS} slices of the solid"

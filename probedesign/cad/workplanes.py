@@ -26,11 +26,7 @@ def part_workplane(design: Design, part: str) -> cq.Workplane:
 
 def assembly(design: Design, changed: Mapping[str, cq.Workplane]) -> cq.Assembly:
     """Return all parts, placed in the sensor frame; see `probedesign.cad.assembly`."""
-    return assembly_of_changed(changed_model(design, changed), changed)
-
-
-def assembly_of_changed(model: CadModel, changed: Mapping[str, cq.Workplane]) -> cq.Assembly:
-    """Return the assembly of a model that contains changed parts; printed parts carry their tags."""
+    model = changed_model(design, changed)
     result = assembly_of(model.parts, model.design.name)
     for part in model.printed:
         kept = changed.get(part.name)

@@ -14,6 +14,7 @@ from cyclopts import Parameter
 
 from probedesign.cli.console import print_json, print_step, write_files
 from probedesign.cli.deploy import write_bundle
+from probedesign.cli.export import FILE_KINDS
 from probedesign.cli.options import EXPORTS, JsonOutput
 from probedesign.cli.predict import prediction_files
 from probedesign.core.errors import InputError, MissingDependencyError
@@ -37,6 +38,12 @@ SECTIONS = {
                 "probedesign explore {folder}/demo.probe.json --rehearse {folder}/rehearsal"),
 }  # fmt: skip
 """Heading and command of each section of the page."""
+PART_LINKS = (
+    ("assembly.html", "assembly instructions"),
+    ("assembly.step", "assembly for CAD"),
+    ("assembly.glb", "assembly for viewers"),
+)
+"""Files of the parts that the page links to."""
 TARE, AVERAGE = "0.5:3.5", 36
 """Time without contact at the start of a rehearsal, and samples of one reading, as in docs/exploring.md."""
 TOUCH = "force_mN=20&seconds=20&rate_hz=10&speed=max"
@@ -166,7 +173,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     made |= parts
     exploded = next((Path(name).name for name in parts if Path(name).name == "exploded.svg"), "")
     finish("export", "The parts to print, with drawings and assembly instructions." if parts else skipped[-1],
-           picture=exploded, links=[("assembly.html", "assembly instructions")] if parts else ())  # fmt: skip
+           picture=exploded, links=PART_LINKS if parts else ())  # fmt: skip
     print_step("touching a simulated card house")
     made |= _explore(bundle, folder, skipped)
     if (folder / "found/points.svg").exists():
@@ -198,21 +205,6 @@ def _predict(probe: "Probe", prediction: "Prediction", folder: Path, skipped: li
     return {str(file): "predicted sensitivity and contact error" for file in files}
 
 
-PURPOSES = {
-    ".stl": "to print",
-    ".3mf": "to print",
-    ".step": "assembly of all parts",
-    ".html": "assembly instructions",
-    ".svg": "dimensioned drawing",
-    ".dxf": "dimensioned drawing",
-    ".pdf": "dimensioned drawings of all parts",
-    ".png": "preview",
-    ".csv": "parts to print and to buy",
-    ".json": "manifest with the results of all checks",
-}
-"""What a file of the parts is for, by its suffix."""
-
-
 def _export(probe: "Probe", folder: Path, skipped: list[str]) -> dict[str, str]:
     """Export the parts, and return the files; without CadQuery the reason is added to `skipped`."""
     from probedesign import pipeline
@@ -222,7 +214,7 @@ def _export(probe: "Probe", folder: Path, skipped: list[str]) -> dict[str, str]:
     except MissingDependencyError as error:
         skipped.append(str(error))
         return {}
-    files = {name: PURPOSES[Path(name).suffix] for name in [*manifest["files"], "manifest.json"]}
+    files = {name: FILE_KINDS[Path(name).suffix].purpose for name in [*manifest["files"], "manifest.json"]}
     files |= {name: "exploded view" for name in files if name.startswith("exploded")}
     return {str(folder / name): purpose for name, purpose in files.items()}
 

@@ -1,14 +1,36 @@
 """`probedesign export`: write the parts to print."""
 
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from probedesign.cli.console import print_json, print_step, print_table
 from probedesign.cli.options import DesignFile, JsonOutput, exports_of
 
-USES = {".3mf": "print", ".stl": "print", ".step": "CAD", ".html": "view", ".svg": "view", ".png": "view",
-        ".dxf": "CAD", ".pdf": "view", ".csv": "record", ".json": "record"}  # fmt: skip
-"""Use of a file by its suffix."""
+
+class FileKind(NamedTuple):
+    """What a file of an export is used for, in one word, and what it is."""
+
+    use: str
+    purpose: str
+
+
+FILE_KINDS = {
+    ".3mf": FileKind("print", "to print"),
+    ".stl": FileKind("print", "to print"),
+    ".step": FileKind("CAD", "solids for CAD"),
+    ".dxf": FileKind("CAD", "dimensioned drawing"),
+    ".html": FileKind("view", "assembly instructions"),
+    ".glb": FileKind("view", "assembly of all parts, in metres"),
+    ".svg": FileKind("view", "dimensioned drawing"),
+    ".pdf": FileKind("view", "dimensioned drawings of all parts"),
+    ".png": FileKind("view", "preview"),
+    ".csv": FileKind("record", "parts to print and to buy"),
+    ".json": FileKind("record", "manifest with the results of all checks"),
+}
+"""The kind of a file by its suffix."""
 
 
 def export(
@@ -19,7 +41,7 @@ def export(
     only: Literal["probe", "sensor_adapter", "clamp_ring", "flange_adapter"] | None = None,
     as_json: JsonOutput = False,
 ) -> None:
-    """Write the parts to print: STL, STEP, 3MF and their manifest. Needs the extra 'cad'.
+    """Write the parts to print: STL, 3MF, STEP, GLB, drawings and their manifest. Needs the extra 'cad'.
 
     Args:
         design: the design file, or its name.
@@ -33,7 +55,8 @@ def export(
     drawn = load_design(design)
     folder = out or exports_of(design) / drawn.name
     if only is not None:
-        written = pipeline.export_part(drawn, only, folder)
+        with _uncollected():
+            written = pipeline.export_part(drawn, only, folder)
         if as_json:
             print_json(written)
         else:
@@ -41,18 +64,31 @@ def export(
                 f"wrote {written['file']}: {1e6 * written['volume_m3']:.3g} cm³, geometry {written['fingerprint']}"
             )
         return
-    manifest = pipeline.export(drawn, folder, print_step)
+    with _uncollected():
+        manifest = pipeline.export(drawn, folder, print_step)
     if as_json:
         print_json(manifest)
     else:
         _print(manifest)
 
 
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Pause the garbage collector, which would visit the objects of CadQuery and VTK for a second and find nothing."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
+
+
 def _print(manifest: dict[str, Any]) -> None:
     whole, checks = manifest["mass"]["whole"], manifest["verification"]
-    files: dict[str, list[str]] = {use: [] for use in dict.fromkeys(USES.values())}
+    files: dict[str, list[str]] = {kind.use: [] for kind in FILE_KINDS.values()}
     for name in (*manifest["files"], "manifest.json"):
-        files[USES.get(Path(name).suffix, "view")].append(name)
+        files[FILE_KINDS[Path(name).suffix].use].append(name)
     print(
         f"wrote {manifest['folder']}: {len(manifest['files']) + 1} files; assembly instructions: assembly.html"
     )

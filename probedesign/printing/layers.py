@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 Mask = NDArray[np.bool_]
 Interior = Callable[[NDArray[np.float64], NDArray[np.float64], float], Mask]
@@ -78,10 +78,10 @@ def examine_layers(
     islands = 0
     beyond = np.zeros(x.shape)  # overhang of each pixel of the layer below
     for below, solid, z, rise in zip(layers, layers[1:], tops[1:], np.diff(tops), strict=False):
-        distance, nearest = ndimage.distance_transform_edt(~below, return_indices=True)
+        distance, nearest = scipy.ndimage.distance_transform_edt(~below, return_indices=True)
         beyond = np.maximum(beyond - (rise - layer) * reach_of_layer / layer, 0.0)  # equal layers between
         beyond = np.maximum(beyond[tuple(nearest)] + distance * pixel - reach_of_layer, 0.0) * solid
-        parts, count = ndimage.label(solid)
+        parts, count = scipy.ndimage.label(solid)
         islands += count - len(np.unique(parts[solid & below]))
         hanging = beyond > pixel
         if not hanging.any():
@@ -90,7 +90,7 @@ def examine_layers(
         bridged = hanging & (span <= max_bridge)
         if bridged.any():
             bridge = max(bridge, float(span[bridged].max()))
-            to_bridge = ndimage.distance_transform_edt(~bridged) * pixel - reach_of_layer
+            to_bridge = scipy.ndimage.distance_transform_edt(~bridged) * pixel - reach_of_layer
             beyond = np.where(solid, np.minimum(beyond, np.maximum(to_bridge, 0.0)), 0.0)
         out = np.where(beyond > pixel, beyond + reach_of_layer, 0.0)
         longest = float(out.max())
@@ -140,16 +140,16 @@ def _largest_cup(volume: Mask, pixel: float) -> float:
         void = ~solid
         seeds = outside & void
         seeds[0, :] = seeds[-1, :] = seeds[:, 0] = seeds[:, -1] = True
-        outside = ndimage.binary_propagation(seeds, mask=void)
+        outside = scipy.ndimage.binary_propagation(seeds, mask=void)
         closed = void & ~outside
         if closed.any():
-            largest = max(largest, 2.0 * float(ndimage.distance_transform_edt(closed).max()) * pixel)
+            largest = max(largest, 2.0 * float(scipy.ndimage.distance_transform_edt(closed).max()) * pixel)
     return largest
 
 
 def _trapped(volume: Mask, thickness: NDArray[np.float64]) -> float:
     """Return the void that no way connects to the outside once the part is off the platform [pixels × mm]."""
     padded = np.pad(~volume, 1, constant_values=True)
-    labels, _ = ndimage.label(padded)
+    labels, _ = scipy.ndimage.label(padded)
     closed = (padded & (labels != labels[0, 0, 0]))[1:-1]
     return float(closed.sum(axis=(1, 2)) @ thickness)

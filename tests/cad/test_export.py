@@ -3,9 +3,12 @@
 import hashlib
 import json
 import os
+import re
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +22,10 @@ import trimesh
 
 from probedesign.cad import export_parts
 from probedesign.cad.assembly_docs import Documents
+from probedesign.cad.exchange import reproducible, step_bytes
 from probedesign.cad.kernel import location
 from probedesign.cad.model import CadModel
-from probedesign.cad.step import reproducible
-from probedesign.cli.demo import PURPOSES
-from probedesign.cli.export import USES
+from probedesign.cli.export import FILE_KINDS
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.design import Design
 from probedesign.frozen_probe import freeze
@@ -36,7 +38,8 @@ from tests.cad.conftest import LARGE, design_of
 
 FILES = {
     "probe.stl", "sensor_adapter.stl", "clamp_ring.stl", "flange_adapter.stl",
-    "assembly.step", "probe.3mf", "adapters.3mf", "manifest.json",
+    "probe.step", "sensor_adapter.step", "clamp_ring.step", "flange_adapter.step",
+    "assembly.step", "assembly.glb", "probe.3mf", "adapters.3mf", "manifest.json",
     "probe.svg", "sensor_adapter.svg", "clamp_ring.svg", "flange_adapter.svg", "drawings.pdf",
     "probe.dxf", "sensor_adapter.dxf", "clamp_ring.dxf", "flange_adapter.dxf",
     "probe.png", "sensor_adapter.png", "clamp_ring.png", "flange_adapter.png",
@@ -48,8 +51,7 @@ Exported = tuple[Path, dict[str, Any]]
 
 def test_every_kind_of_file_has_a_stated_purpose() -> None:
     """The commands state what each exported file is for."""
-    kinds = {Path(name).suffix for name in FILES}
-    assert kinds <= set(PURPOSES) and kinds <= set(USES)
+    assert {Path(name).suffix for name in FILES} == set(FILE_KINDS)
 
 
 def test_files_and_their_digests(exported: Exported) -> None:
@@ -126,23 +128,79 @@ def test_probe_stl_is_in_millimetres_in_the_base_frame(exported: Exported) -> No
     assert (radius <= cone + 1e-5).all()  # facets lie inside the cone, corners on it
 
 
-def test_step_holds_every_part_named_coloured_and_in_place(exported: Exported, large: CadModel) -> None:
+def test_step_has_one_product_per_part_and_its_instances_in_place(
+    exported: Exported, large: CadModel
+) -> None:
     """Read by the kernel's own reader of assemblies."""
-    read = cq.Assembly.importStep(str(exported[0] / "assembly.step"))
-    assert read.name == "large" and {child.name for child in read.children} == set(large.parts)
+    path = exported[0] / "assembly.step"
+    products = re.findall(r"= PRODUCT\(\s*'([^']*)'", path.read_text("ascii"))
+    assert products[0] == "large"
+    assert Counter(products[1:]) == Counter({part.standard or part.name for part in large.parts.values()})
+    assert "ISO 4762 M2x6" in products  # of three groups of screws
+    read = cq.Assembly.importStep(str(path))
+    placed = {name: (part, T) for part in large.parts.values() for name, T in part.Ts_sensor_piece.items()}
+    assert read.name == "large" and {child.name for child in read.children} == set(placed)
+    assert len(read.children) == sum(len(part.places) for part in large.parts.values())
     for child in read.children:
-        part = large.parts[child.name]
-        leaves = child.children or [child]  # of a group of screws, each one
-        solids = part.shape.Solids()
-        assert len(leaves) == len(solids)
-        assert np.allclose(matrix_of(child.loc), matrix_of(location(part.T_sensor_part)), atol=1e-9)
-        for leaf, solid in zip(leaves, solids, strict=True):
-            assert leaf.name.startswith(part.name)
-            assert leaf.color is not None
-            assert leaf.color.toTuple() == pytest.approx((*part.color, 1.0), abs=1e-6)  # single precision
-            # STEP writes some fifteen digits; kernel and file agree to about 1e-12.
-            assert leaf.obj.Volume() == pytest.approx(solid.Volume(), rel=1e-9)
-            assert leaf.obj.Center().toTuple() == pytest.approx(solid.Center().toTuple(), abs=1e-9)
+        part, T = placed[child.name]
+        # STEP writes some fifteen digits; kernel and file agree to about 1e-12.
+        assert np.allclose(matrix_of(child.loc), matrix_of(location(T)), atol=1e-9)
+        assert child.obj.Volume() == pytest.approx(part.shape.Volume(), rel=1e-9)
+        assert child.obj.Center().toTuple() == pytest.approx(part.shape.Center().toTuple(), abs=1e-9)
+        assert child.color.toTuple() == pytest.approx((*part.color, 1.0), abs=1e-6)  # single precision
+
+
+def test_step_of_a_part_is_its_solid_in_its_frame(exported: Exported, large: CadModel) -> None:
+    for part in large.printed:
+        path = exported[0] / f"{part.name}.step"
+        assert re.findall(r"= PRODUCT\(\s*'([^']*)'", path.read_text("ascii")) == [part.name]
+        (solid,) = cq.importers.importStep(str(path)).solids().vals()
+        assert solid.isValid()
+        volume = 1e9 * exported[1]["parts"][part.name]["volume_m3"]
+        assert solid.Volume() == pytest.approx(volume, rel=1e-9)  # some fifteen digits
+        assert solid.Center().toTuple() == pytest.approx(part.shape.Center().toTuple(), abs=1e-9)
+
+
+def test_step_header_names_file_design_program_and_date(exported: Exported, large: CadModel) -> None:
+    def header_of(content: bytes) -> tuple[list[str], str, list[str]]:
+        head = content.decode("ascii").partition("ENDSEC;")[0].replace("\n", "")
+        fields = [re.search(rf"{name}\((.*?)\);", head) for name in ("FILE_DESCRIPTION", "FILE_NAME")]
+        about, name = (re.findall(r"'([^']*)'", field[1]) for field in fields if field)
+        return about, name[1], [name[0], *name[2:]]
+
+    for file in ("assembly.step", "probe.step"):
+        about, time, (name, author, organization, translator, program, _) = header_of(
+            (exported[0] / file).read_bytes()
+        )
+        assert name == file and author and organization and "Open CASCADE" in translator
+        assert program == f"probedesign {version('probedesign')}"
+        assert about[0].startswith("large: ") and large.geometry.fingerprint in about[0]
+        assert time == "1970-01-01T00:00:00"  # the design has no date
+    ring = cq.Assembly(large.parts["clamp_ring"].shape, name="clamp_ring")
+    dated = step_bytes(ring, "ring.step", "a ring", "2026-01-31")
+    assert header_of(dated)[1] == "2026-01-31T00:00:00"
+
+
+def test_glb_is_in_metres_with_y_up(exported: Exported, large: CadModel) -> None:
+    """As the standard of glTF requires; nodes are named as the pieces and share the mesh of their product."""
+    scene = trimesh.load(exported[0] / "assembly.glb")
+    names = {name for part in large.parts.values() for name in part.Ts_sensor_piece}
+    assert names <= set(scene.graph.nodes_geometry)
+    boxes = np.array([part.box for part in large.parts.values()])
+    low, high = 1e-3 * boxes[:, 0].min(axis=0), 1e-3 * boxes[:, 1].max(axis=0)
+    # Facets lie inside by at most 0.02 mm, where their corners do not touch the box.
+    assert scene.bounds == pytest.approx(
+        np.array([[low[0], low[2], -high[1]], [high[0], high[2], -low[1]]]), abs=1e-4
+    )
+    T, geometry = scene.graph.get("clamp_ring")
+    mesh = scene.geometry[geometry].copy().apply_transform(T)
+    mesh.merge_vertices(merge_norm=True)
+    volume = exported[1]["parts"]["clamp_ring"]["volume_m3"]
+    assert mesh.is_watertight and mesh.volume == pytest.approx(volume, rel=0.01)  # coarse facets
+    assert mesh.bounds[0][1] == pytest.approx(large.adapter.T_sensor_base[2, 3], abs=1e-6)  # z is y
+    colour = np.array(scene.geometry[geometry].visual.material.baseColorFactor[:3]) / 255.0
+    srgb = np.array(large.parts["clamp_ring"].color)
+    assert colour == pytest.approx(((srgb + 0.055) / 1.055) ** 2.4, abs=0.01)  # linear, of 256 levels
 
 
 def matrix_of(place: cq.Location) -> np.ndarray:
@@ -281,8 +339,8 @@ def test_a_step_file_does_not_depend_on_the_order_in_which_the_kernel_writes_sty
         for n, shape, colour in ((100, 10, 103), (104, 20, 103))
     ]
     files = [
-        f"HEADER;\nFILE_NAME('x','{time}',(''));\n#9 = SHAPE();\n{one}#103 = RGB(0.5);\n{two}ENDSEC;\nEND;\n"
-        for time, (one, two) in (("2026-01-01T01:02:03", blocks), ("2027-02-03T04:05:06", swapped))
+        f"HEADER;\n#9 = SHAPE();\n{one}#103 = RGB(0.5);\n{two}ENDSEC;\nEND;\n"
+        for one, two in (blocks, swapped)
     ]
     assert reproducible(files[0]) == reproducible(files[1])
     assert reproducible(files[0]).count("#20") == 1 and "#9 = SHAPE" in reproducible(files[0])

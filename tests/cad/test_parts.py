@@ -159,7 +159,7 @@ def test_x_of_the_base_is_x_of_the_sensor_through_the_dowel(large: CadModel) -> 
     """From the sensor's dowel hole at 0° by the pin and the peg to the hole in the flange, all at +X of the sensor."""
     T = large.adapter.T_sensor_base
     assert T[:3, 0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-15)
-    sensor, pins, adapter = (large.parts[n].shape for n in ("sensor", "dowel_pins", "sensor_adapter"))
+    sensor, pins, adapter = (large.parts[n].placed for n in ("sensor", "dowel_pins", "sensor_adapter"))
     pin_at_x = next(pin for pin in pins.Solids() if filled(pin, at(0, 6.25, 1.0)))
     assert filled(pin_at_x, at(0, 6.25, -2.9)) and not filled(
         sensor, at(0, 6.25, -2.9)
@@ -317,9 +317,7 @@ def test_cable_leaves_midway_between_two_bolts(large: CadModel) -> None:
     for azimuth in np.linspace(125, 175, 11):
         for r in (8.6, 12.0, 20.0, 30.0):
             p = at(azimuth, r, -14.5 + 4.0)
-            assert not any(
-                filled(s, p, part.T_sensor_part) for part in everything for s in part.shape.Solids()
-            )
+            assert not any(filled(s, p) for part in everything for s in part.placed.Solids())
 
 
 # ---- screws
