@@ -15,7 +15,7 @@ from probedesign.core.units import MM
 from probedesign.design import Design, check_design
 from probedesign.design.schema import MAX_DIAMETER_MM, MIN_DIAMETER_MM
 from probedesign.estimation.model import ProbeModel
-from probedesign.geometry import flange_for
+from probedesign.geometry import flange_of
 from probedesign.mount import max_ring_passage_d
 from probedesign.optimization.displacement import MIN_FORCE, displacement_metric
 from probedesign.optimization.objective import Task, detectable_mN, predict_task, side_of
@@ -190,7 +190,7 @@ class DesignSpace:
             ) - 1.0
             rules["print rule hole"] = ratio * d / bore - 1.0
         if self.controls > 2:
-            flange = flange_for(d[0] * MM, self.start.sensor_model.interface.tool.face_d)
+            flange = flange_of(self.start, d[0] * MM)
             rules["room for the clamp ring"] = (max_ring_passage_d(flange) / MM - d) / limits.MIN_THICKNESS
         if self.controls == 2:
             rules["a cone that tapers"] = (d[:-1] - d[1:]) / limits.MIN_THICKNESS
