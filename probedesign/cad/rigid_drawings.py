@@ -15,7 +15,7 @@ from probedesign.cad.title_block import engraving_note, titled_sheet
 from probedesign.core.units import MM
 from probedesign.design.catalog import CUSTOM
 from probedesign.mount.engraving import XY
-from probedesign.mount.flange_adapter import CENTRING_PIN_D, TIE_APART, TIE_SLOT
+from probedesign.mount.flange_adapter import CENTRING_PIN_D, SPIGOT_PLAY, TIE_APART, TIE_SLOT
 from probedesign.mount.sensor_adapter import (
     DOWEL_SLOT,
     PEG_D,
@@ -24,9 +24,6 @@ from probedesign.mount.sensor_adapter import (
     UNDERSIDE_DEG,
     VENT_WIDTH,
 )
-
-SPIGOT_PLAY = 0.2 * MM
-"""Play of the spigot in the recess of a robot flange of the catalog."""
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,12 @@ CABLE_SIDE = 0.6 * MM
 CENTRING_DEG = (35.0, 125.0, 245.0)
 """Azimuths of the pins that centre the sensor's body, from the cable: between screws of the Nano17, clear of the
 cable's sector, and on all sides of the body."""
-CENTRING_PLAY = 0.05 * MM
-"""Radial play between a pin and the sensor's body."""
+SENSOR_BODY_TOLERANCE = 0.05 * MM
+"""Tolerance ± of the diameter of the sensor's body (assumed)."""
 CENTRING_PIN_D, CENTRING_PIN_LENGTH, CENTRING_ABOVE = 2.0 * MM, 6.0 * MM, 2.5 * MM
 """Stock pins, ISO 2338; their length above the plate stays far below the sensor's split line."""
+SPIGOT_PLAY = 0.2 * MM
+"""Play of the spigot in the recess of a robot flange of the catalog."""
 TIE_SLOT = (1.6 * MM, 3.2 * MM)
 """Radial and tangential width of a slot for a cable tie of 2.5 mm."""
 TIE_APART = 7.0 * MM
@@ -52,6 +54,7 @@ class FlangeAdapter:
         cable_deg: azimuth of the cable.
         p_centring_pins, centring_hole: pins around the sensor's body, none where bolts leave no room; diameter of
             their blind holes and z of the bottom, on which they stand.
+        body_d, free_height: diameter of the sensor's body, and height up to which pins may stand beside it.
         p_tie_slots: (x, y) of the slots for the cable tie.
         p_mounting_screws, p_bolts: (x, y) of the screws into the sensor and into the robot.
         on_plate: engraving around the pad; empty where it does not fit between pad and bolts.
@@ -66,11 +69,18 @@ class FlangeAdapter:
     cable_pocket: tuple[XY, XY, XY]
     p_centring_pins: tuple[XY, ...]
     centring_hole: XY
+    body_d: float
+    free_height: float
     p_tie_slots: tuple[XY, ...]
     p_mounting_screws: tuple[XY, ...]
     p_bolts: tuple[XY, ...]
     on_plate: Engraving
     T_sensor_robotflange: Array
+
+    @property
+    def centring_d(self) -> float:
+        """Return the diameter of the circle that the centring pins enclose [m]."""
+        return 2.0 * math.hypot(*self.p_centring_pins[0]) - CENTRING_PIN_D
 
     @property
     def counterbore_top(self) -> float:
@@ -80,7 +90,13 @@ class FlangeAdapter:
 
 def bolt_margin(robot: RobotFlange, length: float, options: MountOptions) -> float:
     """Return the margin [m] to the deepest allowed entry of a robot bolt: tolerances of bolt and plate."""
-    return robot.screw.length_tolerance(length) + options.tolerance
+    return robot.screw.length_tolerance(length) + options.tolerance + options.face_loss
+
+
+def centring_play(options: MountOptions) -> float:
+    """Return the radial play [m] with which the sensor's body passes between its pins at every corner of the
+    tolerances."""
+    return (options.tolerance + options.pin_play + SENSOR_BODY_TOLERANCE) / 2
 
 
 def flange_adapter_for(
@@ -109,7 +125,7 @@ def flange_adapter_for(
     cable, cable_deg = interface.cable, (robot.bolt_azimuths_deg[0] + robot.bolt_azimuths_deg[1]) / 2
     dowel_deg = cable.azimuth_deg - cable_deg
     reach, body_r = robot.bolt_circle_d / 2, interface.body_d / 2
-    pins_r = body_r + CENTRING_PLAY + CENTRING_PIN_D / 2
+    pins_r = body_r + centring_play(options) + CENTRING_PIN_D / 2
     room = pins_r + CENTRING_PIN_D / 2 + 0.3 * MM < reach - robot.screw.head_d / 2
     pins = on_circle(2 * pins_r, (cable_deg + a for a in CENTRING_DEG)) if room else ()
     pocket = (
@@ -131,6 +147,8 @@ def flange_adapter_for(
         cable_pocket=pocket,
         p_centring_pins=pins,
         centring_hole=(CENTRING_PIN_D + options.pin_play, plate_top - (CENTRING_PIN_LENGTH - CENTRING_ABOVE)),
+        body_d=interface.body_d,
+        free_height=interface.cable.free_height,
         p_tie_slots=_tie_slots(rim, cable_deg),
         p_mounting_screws=on_circle(mounting.bolt_circle_d, (a - dowel_deg for a in mounting.azimuths_deg)),
         p_bolts=on_circle(robot.bolt_circle_d, robot.bolt_azimuths_deg),

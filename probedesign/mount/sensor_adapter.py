@@ -60,7 +60,7 @@ THIN_WALL = 0.4 * MM
 ROOF = 1.0 * MM
 """Least thickness above a nut, which the screw presses against the ring."""
 NUT_PLAY = 0.2 * MM
-TIP_ROOM = 0.65 * MM
+TIP_ROOM = 0.85 * MM
 """Depth of the blind hole below the point of a ring screw: more than its tolerances."""
 HEAD_EDGE = 0.8 * MM  # ring outside a screw's head
 LETTER_EDGE = 0.8 * MM
@@ -80,8 +80,12 @@ PIN_TOLERANCE = 0.25 * MM
 """Tolerance ± of a dowel pin's length, ISO 2338."""
 PIN_ROOM = 0.1 * MM
 """Least room beyond a dowel pin's end, so that the pin never lifts the adapter off the tool face."""
-DOWEL_SLOT = 0.4 * MM
-"""Length of the second dowel's slot beyond its width: the tolerance of the distance between two printed holes."""
+DOWEL_SLOT = 0.6 * MM
+"""Length of the second dowel's slot beyond its width: it takes the tolerances of the slot and of the distance between
+the holes, in adapter and sensor."""
+FACE_LOSS = 0.2 * MM
+"""Material that a printed face may lose on the platform, where the first layers are compressed, by sanding, or below a
+head that settles (assumed: no number is published for the printers)."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +118,11 @@ class MountOptions:
     def tolerance(self) -> float:
         """Return the tolerance ± of a length of a rigid part [m]."""
         return MILLED_TOLERANCE if self.milled else PRINT_TOLERANCE
+
+    @property
+    def face_loss(self) -> float:
+        """Return what a face that was printed on the platform may lack [m]; milled faces lack nothing."""
+        return 0.0 if self.milled else FACE_LOSS
 
     @property
     def pin_play(self) -> float:
@@ -312,7 +321,12 @@ def sensor_adapter_for(
         recess_d=recess_d,
         mark_x=mark_x,
         dowel_d=dowels.diameter + options.pin_play,
-        dowel_depth=dowels.pin_length - dowels.depth + PIN_TOLERANCE + options.tolerance + PIN_ROOM,
+        dowel_depth=dowels.pin_length
+        - dowels.depth
+        + PIN_TOLERANCE
+        + options.tolerance
+        + options.face_loss
+        + PIN_ROOM,
         p_dowels=on_circle(dowels.circle_d, dowels.azimuths_deg),
         peg_top=body_top - PEG_BELOW_RING,
         peg_x=peg_x,
