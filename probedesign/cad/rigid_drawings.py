@@ -15,9 +15,8 @@ from probedesign.cad.title_block import engraving_note, titled_sheet
 from probedesign.core.units import MM
 from probedesign.design.catalog import CUSTOM
 from probedesign.mount.engraving import XY
-from probedesign.mount.flange_adapter import CENTRING_PIN_D, SPIGOT_PLAY, TIE_APART, TIE_SLOT
+from probedesign.mount.flange_adapter import CENTRING_PIN_D, TIE_APART, TIE_SLOT
 from probedesign.mount.sensor_adapter import (
-    DOWEL_SLOT,
     PEG_D,
     RING_VENT_HEIGHT,
     SLIP,
@@ -66,7 +65,7 @@ def sensor_adapter_sheet(model: CadModel, part: CadPart) -> Sheet:
     inner = a.ring_circle_d / 2 - a.nut_slot_reach
     size = f"{_mm(a.nut_slot_width)} wide, {_mm(z1 - z0)} high, {_mm(a.body_top - z1)} below the top"
     slot = f"slot {size}, round end about r = {_mm(inner)}"
-    second = f"the second a slot {_mm(a.dowel_d)} × {_mm(a.dowel_d + DOWEL_SLOT)} towards the first"
+    second = f"the second a slot {_mm(a.dowel_d)} × {_mm(a.dowel_d + a.dowel_slot)} towards the first"
     fit = " H7" if a.options.milled else ""
     below = [
         Holes(a.p_ring_screws, a.nut_slot_width, slot),
@@ -133,7 +132,7 @@ def flange_adapter_sheet(model: CadModel, part: CadPart) -> Sheet:
         fits.append(f"slot {_mm(width)} takes a pin of {_mm(p.robot.pin_d)}")
     bottoms = [(spigot_d, " h9" if milled else ""), (p.plate_d, "")] if spigot else [(p.plate_d, "")]
     if spigot and p.robot.name != CUSTOM:
-        fits.append(f"⌀{_mm(spigot_d)} enters ⌀{_mm(spigot_d + SPIGOT_PLAY)} H7")
+        fits.append(f"⌀{_mm(spigot_d)} enters ⌀{_mm(spigot_d + p.robot.spigot_play)} H7")
     (r0, r1), (v0, v1), (z0, z1) = p.cable_pocket
     notes = [
         f"A: z = 0 rests on the robot, {p.robot.source}; the sensor sits on the top face",

@@ -14,7 +14,7 @@ from probedesign.design.catalog import STEEL_DENSITY, SocketScrew
 from probedesign.geometry import ProbeGeometry
 from probedesign.geometry.mass import MassProperties, combined, flange_part, frustum
 from probedesign.mount.engraving import CELL, DEPTH, ROWS, XY, Engraving, cut_runs, glyph_width
-from probedesign.mount.sensor_adapter import DOWEL_SLOT, PEG_D, RING_VENT_HEIGHT, VENT_WIDTH, SensorAdapter
+from probedesign.mount.sensor_adapter import PEG_D, RING_VENT_HEIGHT, VENT_WIDTH, SensorAdapter
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
 
@@ -86,7 +86,7 @@ def _dowel_hole(a: SensorAdapter, number: int, density: float) -> MassProperties
     slot_deg, (x, y) = a.dowel_slot_deg(number), a.p_dowels[number]
     if slot_deg is None:
         return cylinder(a.dowel_d, 0.0, a.dowel_depth, density, (x, y))
-    r, half = a.dowel_d / 2, DOWEL_SLOT / 2
+    r, half = a.dowel_d / 2, a.dowel_slot / 2
     ends = [
         segment(r, 0.0, 0.0, a.dowel_depth, density).moved(pose(rotation_z(turn), [side, 0.0, 0.0]))
         for turn, side in ((0.0, half), (np.pi, -half))

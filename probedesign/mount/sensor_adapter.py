@@ -80,9 +80,8 @@ PIN_TOLERANCE = 0.25 * MM
 """Tolerance ± of a dowel pin's length, ISO 2338."""
 PIN_ROOM = 0.1 * MM
 """Least room beyond a dowel pin's end, so that the pin never lifts the adapter off the tool face."""
-DOWEL_SLOT = 0.6 * MM
-"""Length of the second dowel's slot beyond its width: it takes the tolerances of the slot and of the distance between
-the holes, in adapter and sensor."""
+SENSOR_HOLE_DISTANCE = 0.05 * MM
+"""Tolerance ± of the distance between the sensor's dowel holes (assumed)."""
 FACE_LOSS = 0.2 * MM
 """Material that a printed face may lose on the platform, where the first layers are compressed, by sanding, or below a
 head that settles (assumed: no number is published for the printers)."""
@@ -239,6 +238,20 @@ class SensorAdapter:
     def nut_roof(self) -> float:
         """Return the thickness between a nut and the ring [m]."""
         return self.body_top - self.nut_slot_z[1]
+
+    @property
+    def dowel_distance(self) -> float:
+        """Return the distance between the dowel holes [m]."""
+        return math.dist(*self.p_dowels)
+
+    @property
+    def dowel_slot(self) -> float:
+        """Return the length of the second dowel's slot beyond its width [m].
+
+        It takes the tolerances of the slot and of the distance between the holes, in adapter and sensor.
+        """
+        apart = length_tolerance(self.dowel_distance, self.options.milled) + SENSOR_HOLE_DISTANCE
+        return _up(2 * apart + self.options.tolerance)
 
     def dowel_slot_deg(self, number: int) -> float | None:
         """Return the direction of a dowel hole's slot in the sensor frame [deg]; None for a round hole."""

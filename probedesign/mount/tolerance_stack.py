@@ -17,24 +17,21 @@ from probedesign.mount.flange_adapter import (
     CENTRING_PIN_D,
     CENTRING_PIN_LENGTH,
     SENSOR_BODY_TOLERANCE,
-    SPIGOT_PLAY,
     FlangeAdapter,
 )
 from probedesign.mount.sensor_adapter import (
-    DOWEL_SLOT,
     MAX_SQUEEZE_SHARE,
     MIN_SQUEEZE,
     PEG_D,
     PIN_TOLERANCE,
     RING_CLEARANCE,
+    SENSOR_HOLE_DISTANCE,
     SensorAdapter,
     length_tolerance,
 )
 
 SENSOR_HOLE_TOLERANCE = 0.1 * MM
 """Tolerance ± of the depth of the sensor's dowel holes (assumed)."""
-SENSOR_HOLE_DISTANCE = 0.05 * MM
-"""Tolerance ± of the distance between the sensor's dowel holes (assumed)."""
 PIN_H8, PIN_M6, REAMED_H7, RECESS_H7 = -0.018 * MM, 0.012 * MM, 0.012 * MM, 0.025 * MM
 """Deviations by ISO 286-2: least of a pin h8 and greatest of a pin m6 and of a hole H7, of 3 to 6 mm (thinner ones
 deviate less), and greatest of a hole H7 of 30 to 50 mm."""
@@ -46,8 +43,9 @@ PEG_STRETCH = 0.2
 """Oversize of the peg in the flange's hole, relative: the resin stretches by several times that (assumed)."""
 MIN_PIN_HEIGHT = 1.0 * MM
 """Least height of a centring pin beside the sensor (assumed)."""
-MAX_CENTRING_PLAY = 1.0 * MM
-"""Greatest play of the sensor between its centring pins: half of it moves the base aside (assumed)."""
+MAX_CENTRING_PLAY = 1.0 * MM, 0.02
+"""Greatest play of the sensor between its centring pins and of the spigot, or this fraction of the diameter where it is
+more: half of it moves the base aside (assumed)."""
 MIN_BOLT_THREADS = 0.6
 """Least entry of a robot bolt at the worst corner, in diameters; at nominal size it is 0.8 (assumed)."""
 CALIPERS = 0.05 * MM
@@ -233,7 +231,7 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
 def _fits(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
     """Return the stacks across the axis: what centres and clocks the parts. All are on the diameter."""
     robot, dowels, milled = plate.robot, a.dowels, a.options.milled
-    apart = math.dist(a.p_dowels[0], a.p_dowels[1])
+    apart = a.dowel_distance
     rigid, soft = partial(_length, milled=milled), _length
 
     def hole_of_pin(d: float) -> StackItem:
@@ -250,7 +248,7 @@ def _fits(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
         """Return the play that lets a part turn by the greatest rotation, the pins that far apart."""
         return 2.0 * math.tan(math.radians(MAX_CLOCKING_DEG)) * radius
 
-    half_slot, shifted = (length_tolerance(x, milled) for x in (DOWEL_SLOT, apart))
+    half_slot, shifted = (length_tolerance(x, milled) for x in (a.dowel_slot, apart))
     stacks = [
         Stack(
             "flange_in_recess",
@@ -274,12 +272,12 @@ def _fits(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
             "dowel_slot",
             "room of the second dowel pin at the ends of its slot",
             (
-                StackItem("half the slot beyond its width", DOWEL_SLOT / 2, half_slot / 2, half_slot / 2,
+                StackItem("half the slot beyond its width", a.dowel_slot / 2, half_slot / 2, half_slot / 2,
                           MILLED if milled else PRINTED),
                 StackItem("distance of the holes in the adapter", 0.0, shifted, 0.0, MILLED if milled else PRINTED),
                 StackItem("distance of the sensor's holes", 0.0, SENSOR_HOLE_DISTANCE, 0.0, "assumed"),
             ),
-            (0.0, DOWEL_SLOT),
+            (0.0, a.dowel_slot),
         ),
     ]  # fmt: skip
     if plate.p_centring_pins:
@@ -295,7 +293,7 @@ def _fits(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
                     StackItem("play of the pins in their holes", 0.0, play, play, "assumed"),
                     StackItem("diameter of the body", -plate.body_d, body, body, "assumed"),
                 ),
-                (0.0, MAX_CENTRING_PLAY),
+                (0.0, max(MAX_CENTRING_PLAY[0], MAX_CENTRING_PLAY[1] * plate.body_d)),
             ),
             Stack(
                 "centring_pin_height",
@@ -318,9 +316,10 @@ def _fits(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
         limits = (0.0, turned(robot.bolt_circle_d / 2))
         stacks.append(Stack("robot_pin_fit", "play of the robot's dowel pin in its slot", slot, limits))
     if robot.spigot[0] > 0.0 and robot.name != CUSTOM:
-        spigot = (StackItem("diameter of the robot's recess", robot.spigot[0] + SPIGOT_PLAY, 0.0, RECESS_H7, "H7"),
+        recess_d = robot.spigot[0] + robot.spigot_play
+        spigot = (StackItem("diameter of the robot's recess", recess_d, 0.0, RECESS_H7, "H7"),
                   rigid("diameter of the spigot", -robot.spigot[0]))  # fmt: skip
-        limits = (0.0, MAX_CENTRING_PLAY)
+        limits = (0.0, max(MAX_CENTRING_PLAY[0], MAX_CENTRING_PLAY[1] * robot.spigot[0]))
         stacks.append(Stack("spigot_fit", "play of the spigot in the robot's recess", spigot, limits))
     return stacks
 
