@@ -9,9 +9,16 @@ import pytest
 from probedesign.core.errors import InputError
 from probedesign.design import parse_design
 from probedesign.design.catalog import SCREWS
+from probedesign.design.io import render_design
 from probedesign.geometry import build_geometry
 from probedesign.mount import flange_adapter_for, mount_options, sensor_adapter_for
-from probedesign.mount.root import ROOT_STD, exported_root_radii, stated_root_radii, with_computed_root
+from probedesign.mount.root import (
+    ROOT_STD,
+    exported_root_radii,
+    root_contradiction,
+    stated_root_radii,
+    with_computed_root,
+)
 from probedesign.mount.tolerance_stack import Stack, StackItem, measurements, tolerance_stacks
 
 
@@ -149,6 +156,24 @@ def test_the_glued_flange_yields_less_and_a_bonded_face_less_still() -> None:
         assert exported_root_radii(geometry) == pytest.approx(clamped, abs=5e-3)
         assert exported_root_radii(geometry, "glued") == pytest.approx(glued, abs=5e-3)
         assert exported_root_radii(geometry) < exported_root_radii(geometry, "glued") < 0.12
+
+
+def test_a_root_that_contradicts_the_hold_is_found() -> None:
+    text = 'schema = 1\nname = "x"\n[probe]\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n[mount]\n'
+
+    def found(mount: str) -> bool:
+        return root_contradiction(parse_design(text + mount)) != ""
+
+    new, _ = with_computed_root(parse_design(text), "clamped")
+    glued, _ = with_computed_root(parse_design(text), "glued")
+    assert not root_contradiction(new) and not root_contradiction(glued)
+    by_hand = parse_design(render_design(new).replace('hold = "clamped"', 'hold = "glued"'))
+    assert "-0.11" in root_contradiction(by_hand)
+    assert not found("")  # an old file: 0.12 is among the assumptions
+    assert found('hold = "glued"') and not found('hold = "glued"\nroot_rigid_radii = -0.11')
+    assert not found('hold = "glued"\nroot_rigid_radii = 0.0')  # the paper's rod
+    tolerance = "\n[tolerances]\nroot_radii = 0.05"
+    assert found("root_rigid_radii = 0.12" + tolerance) and not found("root_rigid_radii = -0.1" + tolerance)
 
 
 def test_a_new_design_states_the_computed_root_and_its_uncertainty() -> None:
