@@ -55,10 +55,12 @@ def sensor_adapter_sheet(model: CadModel, part: CadPart) -> Sheet:
     """Return the drawing of the sensor adapter."""
     a = model.adapter
     bore, room = a.tool.screw.clearance_d, a.tool.screw.counterbore_d
+    wider = a.roof_hole_d > a.ring_screw.clearance_d
+    above_nut = f", ⌀{_mm(a.roof_hole_d)} above the slot" if wider else ""
     above = [
         Holes(a.p_tool_screws, room, f"⌀{_mm(bore)} through, ⌀{_mm(room)} from z = {_mm(a.tool.grip)} up"),
         Holes(a.p_ring_screws, a.ring_screw.clearance_d,
-              f"⌀{_mm(a.ring_screw.clearance_d)} to z = {_mm(a.ring_hole_bottom)}"),
+              f"⌀{_mm(a.ring_screw.clearance_d)} to z = {_mm(a.ring_hole_bottom)}{above_nut}"),
         Holes([(a.peg_x, 0.0)], PEG_D, f"peg ⌀{_mm(PEG_D)} at x = {_mm(a.peg_x)}, top at z = {_mm(a.peg_top)}", False),
     ]  # fmt: skip
     z0, z1 = a.nut_slot_z

@@ -230,7 +230,7 @@ def sensor_adapter_solid(a: SensorAdapter) -> cq.Solid:
         *(cylinder(a.tool.screw.clearance_d, 0.0, a.tool.grip, p) for p in a.p_tool_screws),
         *(cylinder(a.tool.screw.counterbore_d, a.tool.grip, a.floor, p) for p in a.p_tool_screws),
         *(_dowel_hole(a, number) for number in range(len(a.p_dowels))),
-        *(cylinder(hole_d, slot_z1, a.body_top, p) for p in a.p_ring_screws),
+        *(cylinder(a.roof_hole_d, slot_z1, a.body_top, p) for p in a.p_ring_screws),
         *(cylinder(hole_d, a.ring_hole_bottom, slot_z0, p) for p in a.p_ring_screws),
         *(round_slot(a.nut_slot_width, (circle - a.nut_slot_reach, 1.2 * rim), a.nut_slot_z, (0.0, 0.0),
                      math.degrees(math.atan2(p[1], p[0]))) for p in a.p_ring_screws),

@@ -45,7 +45,8 @@ def sensor_adapter_interior(a: SensorAdapter, x: Array, y: Array, z: float) -> M
             start = a.ring_circle_d / 2 - a.nut_slot_reach
             solid &= np.hypot(np.minimum(u - start, 0.0), v) >= a.nut_slot_width / 2
     elif z >= a.ring_hole_bottom:
-        solid &= ~_near(x, y, a.p_ring_screws, a.ring_screw.clearance_d)
+        hole_d = a.roof_hole_d if z >= a.nut_slot_z[1] else a.ring_screw.clearance_d
+        solid &= ~_near(x, y, a.p_ring_screws, hole_d)
     if z >= a.floor:
         solid &= r >= a.recess_d / 2
         solid &= ~((np.abs(y) < VENT_WIDTH / 2) & (x > 0.0))

@@ -66,7 +66,7 @@ def _adapter_body(a: SensorAdapter, density: float) -> MassProperties:
         *(cylinder(a.tool.screw.clearance_d, 0.0, a.tool.grip, density, p) for p in a.p_tool_screws),
         *(cylinder(a.tool.screw.counterbore_d, a.tool.grip, a.floor, density, p) for p in a.p_tool_screws),
         *(_dowel_hole(a, number, density) for number in range(len(a.p_dowels))),
-        *(cylinder(screw.clearance_d, slot_z1, a.body_top, density, p) for p in a.p_ring_screws),
+        *(cylinder(a.roof_hole_d, slot_z1, a.body_top, density, p) for p in a.p_ring_screws),
         *(cylinder(screw.clearance_d, a.ring_hole_bottom, slot_z0, density, p) for p in a.p_ring_screws),
         *(_nut_slot(a, density, p) for p in a.p_ring_screws),
         engraving_mass(a.on_wall, density),

@@ -37,8 +37,10 @@ HEAD_SUNK = 0.2 * MM
 """A head lies this far below the face, so that it cannot dent the part that rests on it."""
 FOOT_HEIGHT = 0.6 * MM
 """Height of the foot's edge above the tool face: clearance to the sensor's body and its cable."""
+MAX_OVERHANG = 1.0 * MM
+"""Longest horizontal overhang that prints without supports. Source: Formlabs' design guide."""
 FOOT_LEDGE = 0.4 * MM
-"""Horizontal overhang at the foot's edge; up to 1 mm prints without supports (Formlabs' design guide)."""
+"""Horizontal overhang at the foot's edge."""
 UNDERSIDE_DEG = 22.0
 """Angle of the underside to the horizontal: from 19° it prints without supports (Formlabs' design guide)."""
 SLIP = 0.2 * MM  # on the diameter, rigid resin (assumed)
@@ -238,6 +240,22 @@ class SensorAdapter:
     def nut_roof(self) -> float:
         """Return the thickness between a nut and the ring [m]."""
         return self.body_top - self.nut_slot_z[1]
+
+    @property
+    def roof_hole_d(self) -> float:
+        """Return the diameter of a ring screw's hole above its nut [m]: so wide that the roof prints unsupported.
+
+        Beyond the hole's radius h along the slot, bridges of half length b cross it. The point of the hole's edge that
+        is farthest from a bridge and from the slot's side has the same distance m to both: (b - m)² + (h - m)² = h².
+        """
+        half, m = self.nut_slot_width / 2, MAX_OVERHANG
+        return max(self.ring_screw.clearance_d, _up(((half - m) ** 2 + m**2) / m))
+
+    @property
+    def roof_overhang(self) -> float:
+        """Return m of `roof_hole_d`, the horizontal overhang of a nut slot's roof [m]."""
+        half, h = self.nut_slot_width / 2, self.roof_hole_d / 2
+        return (half + h - math.sqrt((half + h) ** 2 - 2 * half**2)) / 2
 
     @property
     def dowel_distance(self) -> float:
