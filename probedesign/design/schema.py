@@ -334,6 +334,7 @@ class TolerancesTable(Table):
     diameter_mm: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     diameter_share: RelativeStd | None = None
     diameter_scatter_mm: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    bore_mm: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     length_mm: Annotated[float, Field(ge=0.0, le=5.0)] | None = None
     length_share: RelativeStd | None = None
     base_mm: Annotated[float, Field(ge=0.0, le=5.0)] | None = None
