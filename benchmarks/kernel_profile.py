@@ -5,13 +5,12 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from benchmarks.cases import GRAVITY, Load
 from benchmarks.flop_count import count, flops
 from benchmarks.timing import format_seconds, interleaved, print_table, value_range
 from probedesign.core.frames import Array
-from probedesign.rod.kernels import newton
+from probedesign.rod.kernels import kernel, newton
 from probedesign.rod.kernels.equations import ALL_COLUMNS, LOAD_COLUMNS, OK, frustum_of, rest_of
 from probedesign.rod.kernels.lane_sweep import tick
 from probedesign.rod.kernels.lanes import (
@@ -181,7 +180,7 @@ def measure(rod: Rod, loads: Sequence[Load]) -> dict[str, list[Work]]:
     return found
 
 
-@njit(error_model="numpy")
+@kernel
 def _solution_steps(trips: int, kinds: Any, body: Any, load: Any, work: Any, block: Any) -> None:
     """Integrate with steps of the given kinds, as in a sweep; the steps are too short to change the state much."""
     free, forced = kinds
@@ -200,7 +199,7 @@ def _solution_steps(trips: int, kinds: Any, body: Any, load: Any, work: Any, blo
             block[q] = block[WIDE * NEXT + q]
 
 
-@njit(error_model="numpy")
+@kernel
 def _newton_steps(trips: int, tips: bool, body: Any, lanes: Any) -> None:
     """Integrate with steps in all lanes, including the control of their size."""
     length, frustum = body.knots[-1], frustum_of(body, 0, False)
@@ -223,7 +222,7 @@ def _newton_steps(trips: int, tips: bool, body: Any, lanes: Any) -> None:
         tick(lanes, None, tips)
 
 
-@njit
+@kernel
 def _begin(work: Any, block: Any) -> None:
     work[:] = 0.0
     put(work, 0, (0.0, 0.0, 1.0))

@@ -13,7 +13,7 @@ from probedesign.rod.kernels.steps import WIDE
 
 Comparison = Sequence[dict[str, Measurement | None]]
 
-MAX_COLD, MAX_WARM, MAX_CALL = 30e-6, 12e-6, 60e-6
+MAX_COLD, MAX_WARM, MAX_CALL = 30e-6, 20e-6, 60e-6
 """Targets of the time of a cold solve, a warm solve and a call from Python [s]."""
 MIN_BATCH_RATE, LANES_GOAL = 100_000.0, 400_000.0
 """Target of the solutions per second on two cores, and long-term goal of SIMD lanes."""

@@ -404,3 +404,31 @@ def test_completion_is_installed_for_a_shell(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("SHELL", "/bin/bash")
     assert run(["--install-completion"]) == 0
     assert any("--length" in file.read_text() for file in tmp_path.rglob("probedesign"))
+
+
+def test_a_design_is_given_by_file_folder_or_name_and_a_frozen_probe_by_name(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run([*NEW, "--tip-d", "2"]) == 0
+    name = next(Path("designs").iterdir()).stem
+    for given in (f"designs/{name}.toml", "designs", name):
+        capsys.readouterr()
+        assert run(["check", given, "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["name"] == name
+    assert run(["deploy", name]) == 0
+    assert (tmp_path / "exports" / name / f"{name}.probe.json").exists()
+    assert run(["live", name, "--source", "sim:?speed=max&rate_hz=50&seconds=1", "--count", "1"]) == 0
+    (tmp_path / "designs/other.toml").write_text(Path(f"designs/{name}.toml").read_text())
+    capsys.readouterr()
+    for given in ("designs", "unknown"):
+        assert run(["check", given]) == 2
+        captured = capsys.readouterr()
+        assert_refused(captured.out, captured.err, 2)
+
+
+def test_predict_prints_one_screen_and_all_tables_on_request(tmp_path, capsys):
+    design = Path(__file__).parents[1] / "designs/large.toml"
+    arguments = ["predict", str(design), "--no-plots", "--out", str(tmp_path)]
+    assert run(arguments) == 0
+    brief = capsys.readouterr().out.splitlines()
+    assert run([*arguments, "--verbose"]) == 0
+    assert len(brief) <= 40 < len(capsys.readouterr().out.splitlines())  # a terminal shows 24 to 50 lines

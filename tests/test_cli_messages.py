@@ -36,6 +36,7 @@ measured designs/a.toml calipers.csv
 print designs/a.toml
 print designs/a.toml --timeout-s 0
 predict designs/a.toml --no-plots
+predict designs/a.toml --no-plots --verbose
 predict
 compare designs/a.toml designs/b.toml --at 0.8 --touches 1
 compare designs/a.toml designs/b.toml --out designs/a.toml

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from probedesign.cli.console import plural, print_json, print_table, show_progress
-from probedesign.cli.options import JsonOutput
+from probedesign.cli.options import DesignFile, JsonOutput
 from probedesign.core.units import MM, MPA
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def campaign(
-    design: Path,
+    design: DesignFile,
     out: Path,
     /,
     *,
@@ -42,7 +42,7 @@ def campaign(
     true values; no command reads it. See docs/measurements.md.
 
     Args:
-        design: the design file.
+        design: the design file, or its name.
         out: output folder.
         seed: seed of all drawn values.
         stage: touches at positions known to 0.05 mm, without cameras.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from probedesign.cli.console import plural, print_json, print_note, show_progress
-from probedesign.cli.options import JsonOutput, TaskOptions, exports_of
+from probedesign.cli.options import DesignFile, JsonOutput, TaskOptions, exports_of
 from probedesign.core.errors import InputError
 from probedesign.core.files import write_atomically
 from probedesign.core.units import format_value
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def compare(
-    designs: Annotated[list[Path], Parameter(consume_multiple=True)],
+    designs: Annotated[list[DesignFile], Parameter(consume_multiple=True)],
     /,
     *,
     out: Path | None = None,
@@ -28,7 +28,7 @@ def compare(
     """Compare several designs in a table and on a page with common axes.
 
     Args:
-        designs: two to six design files.
+        designs: two to six design files, or their names.
         out: HTML file of the page. Default: exports/compare-NAME-NAME.html.
         page: write the page.
         options: the task for which the designs are compared.
@@ -75,7 +75,7 @@ SHOWN = ("error_mm", "detectable_mN", "sag_mm", "print_errors")
 
 
 def sweep(
-    design: Path,
+    design: DesignFile,
     /,
     *,
     vary: Annotated[list[str], Parameter(negative=(), consume_multiple=False)],
@@ -93,7 +93,7 @@ def sweep(
     docs/search.md.
 
     Args:
-        design: the design file with the values of all other keys.
+        design: the design file, or its name, with the values of all other keys.
         vary: KEY=START:STOP:STEP or KEY=A,B,C with a key of the design file; repeat the option for more keys.
         out: output folder. Default: exports/NAME/sweep.
         scheduler: address of a dask scheduler, tcp://HOST:PORT. Default: processes on this machine.

@@ -3,14 +3,14 @@
 from pathlib import Path
 
 from probedesign.cli.console import print_json
-from probedesign.cli.options import JsonOutput, exports_of
+from probedesign.cli.options import DesignFile, JsonOutput, exports_of
 
 
-def coupon(design: Path, /, *, out: Path | None = None, as_json: JsonOutput = False) -> None:
+def coupon(design: DesignFile, /, *, out: Path | None = None, as_json: JsonOutput = False) -> None:
     """Write a stepped cone and a straight rod in the probe's resin, and sheets for diameters. Needs the extra 'cad'.
 
     Args:
-        design: the design file.
+        design: the design file, or its name.
         out: output folder. Default: exports/NAME/coupon.
         as_json: print the manifest instead of a summary.
     """

@@ -4,14 +4,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from probedesign.cli.console import print_json, show_progress
-from probedesign.cli.options import JsonOutput, exports_of
+from probedesign.cli.options import DesignFile, JsonOutput, exports_of
 
 if TYPE_CHECKING:
     from probedesign.probe import Probe
 
 
 def deploy(
-    design: Path,
+    design: DesignFile,
     /,
     *,
     out: Path | None = None,
@@ -20,7 +20,7 @@ def deploy(
     """Freeze the estimator of a design into one file.
 
     Args:
-        design: the design file.
+        design: the design file, or its name.
         out: output file, or a folder for NAME.probe.json. Default: exports/NAME.
         as_json: print one JSON document.
     """

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from probedesign.cli.console import print_json, print_note, show_progress
-from probedesign.cli.options import JsonOutput, Method, Tare
+from probedesign.cli.options import FrozenProbe, JsonOutput, Method, Tare
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, write_atomically
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def estimate(
-    bundle: Path,
+    bundle: FrozenProbe,
     recording: Path,
     /,
     *,
@@ -45,7 +45,7 @@ def estimate(
     printed instead. A row has a position only if its result is ok. See docs/live.md.
 
     Args:
-        bundle: the frozen probe, NAME.probe.json.
+        bundle: the frozen probe: NAME.probe.json, its folder, or NAME of exports/NAME.
         recording: MCAP, a ROS 2 bag, or CSV with named units; see docs/recording-format.md.
         out: output file, CSV.
         page: write a page with the touches, a replay in three dimensions and charts to this file.

@@ -11,7 +11,7 @@ from probedesign.cli.console import (
     show_progress,
     write_files,
 )
-from probedesign.cli.options import BaseOptions, JsonOutput, ReadingOptions, RehearsalOptions
+from probedesign.cli.options import BaseOptions, FrozenProbe, JsonOutput, ReadingOptions, RehearsalOptions
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, check_writable
 
@@ -32,7 +32,7 @@ ELLIPSOIDS = (
 
 
 def explore(
-    bundle: Path,
+    bundle: FrozenProbe,
     recording: Path | None = None,
     /,
     *,
@@ -52,7 +52,7 @@ def explore(
     .html (a 3D view) and .svg. How to press: docs/exploring.md.
 
     Args:
-        bundle: the frozen probe, NAME.probe.json.
+        bundle: the frozen probe: NAME.probe.json, its folder, or NAME of exports/NAME.
         recording: MCAP, a ROS 2 bag, or CSV with named units; see docs/recording-format.md.
         out: output folder.
         force: replace existing files.

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from probedesign.cli.console import print_json, print_step, print_table
-from probedesign.cli.options import JsonOutput, exports_of
+from probedesign.cli.options import DesignFile, JsonOutput, exports_of
 
 USES = {".3mf": "print", ".stl": "print", ".step": "CAD", ".html": "view", ".svg": "view", ".png": "view",
         ".dxf": "CAD", ".pdf": "view", ".csv": "record", ".json": "record"}  # fmt: skip
@@ -12,7 +12,7 @@ USES = {".3mf": "print", ".stl": "print", ".step": "CAD", ".html": "view", ".svg
 
 
 def export(
-    design: Path,
+    design: DesignFile,
     /,
     *,
     out: Path | None = None,
@@ -22,7 +22,7 @@ def export(
     """Write the parts to print: STL, STEP, 3MF and their manifest. Needs the extra 'cad'.
 
     Args:
-        design: the design file.
+        design: the design file, or its name.
         out: output folder. Default: exports/NAME.
         only: write the STL file of this part only.
         as_json: print the manifest instead of a summary.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from probedesign.cli.console import json_bytes, plural, print_json, print_table, show_progress, write_files
-from probedesign.cli.options import JsonOutput, exports_of
+from probedesign.cli.options import DesignFile, JsonOutput, exports_of
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite
 
@@ -21,7 +21,7 @@ MAX_CAUSES = 4
 
 
 def identify(
-    design: Path,
+    design: DesignFile,
     data: Path,
     /,
     *,
@@ -37,7 +37,7 @@ def identify(
     """Identify E, G and other parameters from tests of a print by least squares on the full rod model.
 
     Args:
-        design: the design file.
+        design: the design file, or its name.
         data: folder of the tests (docs/measurements.md).
         for_: comma-separated parameters: E, G, density, diameters, root, tilt, clocking, offset, gravity.
         write: write the identified values to the design file. Default: print the changes only.

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from probedesign.cli.console import interrupt_on_termination
-from probedesign.cli.options import JsonOutput, Method, Tare
+from probedesign.cli.options import FrozenProbe, JsonOutput, Method, Tare
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def live(
-    bundle: Path,
+    bundle: FrozenProbe,
     /,
     *,
     source: str,
@@ -61,7 +61,7 @@ def live(
     docs/live.md.
 
     Args:
-        bundle: the frozen probe, NAME.probe.json.
+        bundle: the frozen probe: NAME.probe.json, its folder, or NAME of exports/NAME.
         source: netft://HOST (a Net F/T box or an Axia), "daq://Dev1/ai0:5?cal=FILE" (a sensor at a DAQ card),
             replay:FILE (a recording), udp://:PORT (wrenches in JSON or MessagePack), ros2://TOPIC, or sim: (a simulated
             contact that moves along the probe).

@@ -4,12 +4,12 @@ from datetime import date
 from pathlib import Path
 
 from probedesign.cli.console import plural, print_json
-from probedesign.cli.options import JsonOutput
+from probedesign.cli.options import DesignFile, JsonOutput
 from probedesign.core.files import check_overwrite
 
 
 def measured(
-    design: Path,
+    design: DesignFile,
     calipers: Path,
     /,
     *,
@@ -23,7 +23,7 @@ def measured(
     The sheet of a coupon, coupon.csv, gives the scale of the next print instead: scale_xy of [print].
 
     Args:
-        design: the design file.
+        design: the design file, or its name.
         calipers: CSV file with the columns s_mm, diameter_mm and std_mm, or coupon.csv (docs/parts.md); `coupon` writes
             both, empty.
         calipers_std_mm: standard deviation of the error that all readings share [mm].

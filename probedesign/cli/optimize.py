@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from probedesign.cli.console import print_json, show_progress, write_files
-from probedesign.cli.options import JsonOutput, TaskOptions
+from probedesign.cli.options import DesignFile, JsonOutput, TaskOptions
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, check_writable
 from probedesign.core.units import format_value
@@ -29,7 +29,7 @@ Over = Literal["cone", "taper", "length", "section"]
 
 
 def optimize(
-    design: Path,
+    design: DesignFile,
     /,
     *,
     goal: Literal["error-at-force", "force-for-error"] = "error-at-force",
@@ -51,7 +51,7 @@ def optimize(
     docs/search.md.
 
     Args:
-        design: the design file of the start; keys that are not varied are copied from it.
+        design: the design file of the start, or its name; keys that are not varied are copied from it.
         goal: minimize the error at --force-N, or the force that reaches --error-mm.
         error_mm: error to be reached [mm], for force-for-error.
         subject_to: a constraint such as "sag_mm<=60"; repeat the option for more.

@@ -4,15 +4,16 @@ The field names are the names of the options and the docstrings below them are t
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from cyclopts import Parameter
+from cyclopts import Parameter, Token
 
 from probedesign.cli.console import show_progress
 from probedesign.core.errors import InputError
+from probedesign.core.files import file_in
 
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
@@ -39,6 +40,26 @@ def exports_of(design: Path) -> Path:
     return EXPORTS
 
 
+def _design_of(_type: object, tokens: Sequence[Token]) -> Path:
+    """Return the design file of an argument: the file, the one file of a folder, or NAME of designs/NAME.toml."""
+    given = Path(tokens[0].value)
+    if given.is_dir():
+        return file_in(given, "*.toml", "design")
+    named = (folder / f"{given}.toml" for folder in (Path("designs"), Path()))
+    return given if given.suffix or given.exists() else next((file for file in named if file.exists()), given)
+
+
+def _frozen_of(_type: object, tokens: Sequence[Token]) -> Path:
+    """Return the frozen probe of an argument: the file, its folder, or NAME of exports/NAME."""
+    given = Path(tokens[0].value)
+    exported = EXPORTS / given
+    return exported if not given.suffix and not given.exists() and exported.is_dir() else given
+
+
+DesignFile = Annotated[Path, Parameter(converter=_design_of)]
+"""Argument DESIGN of a command."""
+FrozenProbe = Annotated[Path, Parameter(converter=_frozen_of)]
+"""Argument BUNDLE of a command."""
 JsonOutput = Annotated[bool, Parameter(name="--json")]
 """The option --json of a command."""
 Method = Literal["ml", "force_moment", "paper"]

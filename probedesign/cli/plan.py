@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from probedesign.cli.console import json_bytes, print_json, show_progress
-from probedesign.cli.options import JsonOutput
+from probedesign.cli.options import DesignFile, JsonOutput
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def plan(
-    design: Path,
+    design: DesignFile,
     out: Path | None = None,
     /,
     *,
@@ -36,7 +36,7 @@ def plan(
     """Plan a campaign: tests, expected intervals after each, a sheet to print and an empty data folder.
 
     Args:
-        design: the design file.
+        design: the design file, or its name.
         out: data folder to write, with plan.html. Default: data/NAME.
         minutes: time available [min], preparation included.
         for_: comma-separated parameters, as of identify: E, G, density, diameters, root, tilt, clocking,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from probedesign.cli.console import json_bytes, print_json, print_table, show_progress, write_files
-from probedesign.cli.options import JsonOutput, exports_of
+from probedesign.cli.options import DesignFile, JsonOutput, exports_of
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.files import check_folder
 from probedesign.core.units import format_value
@@ -32,7 +32,7 @@ MARKS = {"too_light": "-", "unobservable": "-", "no_contact": ".", "out_of_range
 
 
 def predict(
-    design: Path | None = None,
+    design: DesignFile | None = None,
     /,
     *,
     out: Path | None = None,
@@ -42,12 +42,13 @@ def predict(
     forces_too: bool = False,
     table1: bool = False,
     plots: Annotated[bool | None, Parameter(negative="--no-plots")] = None,
+    verbose: bool = False,
     as_json: JsonOutput = False,
 ) -> None:
     """Predict sensitivity and contact error of a design; write prediction.json, .csv, .html and .png.
 
     Args:
-        design: the design file; none with --table1.
+        design: the design file, or its name; none with --table1.
         out: output folder. Default: exports/NAME.
         monte_carlo: check the error budget by this number of simulated estimates per condition. An interrupted run is
             resumed by the same command.
@@ -56,6 +57,7 @@ def predict(
         forces_too: fuse forces and moments. Default: the moments about the sensor's origin only.
         table1: predict the paper's Table I for its three probes, beside the measured values.
         plots: write page and picture. Default: the page, and the picture if matplotlib is installed.
+        verbose: print all tables: sensitivity, error budgets, force limits and workspace too.
         as_json: print one JSON document instead of tables.
     """
     from probedesign import pipeline
@@ -67,7 +69,15 @@ def predict(
             "predict needs a design file, such as designs/NAME.toml, or --table1 without a design file"
         )
     if design is None:
-        if (out, monte_carlo, seed, touches, forces_too, plots) != (None, None, 0, 5, False, None):
+        if (out, monte_carlo, seed, touches, forces_too, plots, verbose) != (
+            None,
+            None,
+            0,
+            5,
+            False,
+            None,
+            False,
+        ):
             raise InputError(
                 "--table1 has no other option than --json: it writes no files and fuses no touches"
             )
@@ -95,7 +105,9 @@ def predict(
     _print_properties(prediction)
     if root:
         print(f"warning: {root}")
-    print_tables(prediction)
+    print_tables(prediction, verbose)
+    if not verbose:
+        print("--verbose prints sensitivity, error budgets, force limits and workspace too")
     print("wrote", ", ".join(map(str, files)))
     if plots is None and not any(file.suffix == ".png" for file in files):
         print("no picture was written:", MissingDependencyError.of_extra("a plot", "matplotlib", "plots"))
@@ -147,27 +159,32 @@ def _print_properties(prediction: "Prediction") -> None:
     )
 
 
-def print_tables(prediction: "Prediction") -> None:
-    """Print the tables of a prediction: errors, sensitivity, error budgets, Monte Carlo, forces and workspace."""
-    from probedesign.prediction.predict import HEADLINE_FORCE_N
-
+def print_tables(prediction: "Prediction", verbose: bool = True) -> None:
+    """Print errors and Monte Carlo of a prediction; verbose: sensitivity, error budgets, forces and workspace too."""
     print("\nContact error of one reading [mm], RMS, worst direction, all error sources")
     print(_error_table(prediction, "predicted_error_mm"))
+    print(
+        "  - : detected, not located   . : not detected   ^ : beyond the sensor's range   / : the probe buckles"
+    )
+    if prediction.monte_carlo:
+        print("\nMonte Carlo, all error sources; * differs from the error budget by more than 10 %")
+        print(_monte_carlo_table(prediction))
+    if verbose:
+        _print_details(prediction)
+
+
+def _print_details(prediction: "Prediction") -> None:
+    from probedesign.prediction.predict import HEADLINE_FORCE_N
+
     print(
         "\nContact error of one reading [mm], sensor noise and friction prior only, for a probe that equals its model"
     )
     print(_error_table(prediction, "noise_error_mm"))
-    print(
-        "\n- : detected, not located   . : not detected   ^ : beyond the sensor's range   / : the probe buckles"
-    )
     print("\nSensitivity at the lightest force, worst direction")
     print(_sensitivity_table(prediction))
     _print_budget(prediction, prediction.conditions, HEADLINE_FORCE_N, "one reading at")
     _print_budget(prediction, prediction.fused, FUSED_BUDGET_FORCE_N, f"{prediction.pressing.text}, up to")
     print("  Tolerances are assumed unless the design states them: prediction.json, [tolerances].")
-    if prediction.monte_carlo:
-        print("\nMonte Carlo, all error sources; * differs from the error budget by more than 10 %")
-        print(_monte_carlo_table(prediction))
     print("\nForce limits and thresholds, full error budget, worst direction")
     print(_threshold_table(prediction))
     lightest = min((1e3 * c.force_N for c in prediction.fused), default=0.0)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from probedesign.cli.console import plural, print_json, print_table, show_progress
-from probedesign.cli.options import JsonOutput, exports_of
+from probedesign.cli.options import DesignFile, JsonOutput, exports_of
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from probedesign.printing.preform_job import PreparedJob
 
 
-def check(design: Path, /, *, as_json: JsonOutput = False) -> int:
+def check(design: DesignFile, /, *, as_json: JsonOutput = False) -> int:
     """Check a design against the rules of its printer and its resins, before any CAD.
 
     Exit status 1 if a rule finds an error; warnings do not change it. The rules, their sources and their confidence:
     docs/printing.md.
 
     Args:
-        design: the design file.
+        design: the design file, or its name.
         as_json: print one JSON document.
     """
     from probedesign import pipeline
@@ -55,7 +55,7 @@ def _print_check(found: "PrintCheck") -> None:
 
 
 def print_job(
-    design: Path,
+    design: DesignFile,
     /,
     *,
     preform: str = "http://localhost:44388",
@@ -76,7 +76,7 @@ def print_job(
     PreFormServer. Exit status 1 if the print check or PreForm's validation finds a problem. More: docs/printing.md.
 
     Args:
-        design: the design file.
+        design: the design file, or its name.
         preform: address of PreFormServer.
         parts: the probe in its soft resin, or the adapters in a rigid one.
         folder: folder of the export. Default: exports/NAME.

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from probedesign.cli.console import show_progress
+from probedesign.cli.options import FrozenProbe
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ MAX_SECONDS = 1e8
 
 
 def simulate(
-    bundle: Path,
+    bundle: FrozenProbe,
     /,
     *,
     host: str = "127.0.0.1",
@@ -43,7 +44,7 @@ def simulate(
     scenes: docs/live.md.
 
     Args:
-        bundle: the frozen probe, NAME.probe.json.
+        bundle: the frozen probe: NAME.probe.json, its folder, or NAME of exports/NAME.
         host: address on which the box is served. 0.0.0.0 is every network of this machine.
         port: UDP port of RDT; 0 lets the system choose.
         http_port: TCP port of netftapi2.xml; 0 lets the system choose.

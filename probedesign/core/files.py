@@ -30,7 +30,12 @@ def check_writable(path: Path) -> None:
 
 
 def write_atomically(
-    path: Path, content: bytes, *, replace: bool = True, check: Callable[[Path], None] | None = None
+    path: Path,
+    content: bytes,
+    *,
+    replace: bool = True,
+    check: Callable[[Path], None] | None = None,
+    durable: bool = True,
 ) -> None:
     """Write a temporary file beside the target, flush it to the disk and rename it over the target.
 
@@ -42,6 +47,8 @@ def write_atomically(
         content: of the file.
         replace: replace a file that exists.
         check: is called with the temporary file before the rename; what it raises leaves the target as it was.
+        durable: wait until the disk has it. Without, a power failure may damage it: for what is checked when it is
+            read, and can be made again.
 
     Raises:
         InputError: the file exists and must not be replaced, or it cannot be written.
@@ -52,8 +59,9 @@ def write_atomically(
         try:
             with temporary.open("xb") as file:
                 file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
+                if durable:
+                    file.flush()
+                    os.fsync(file.fileno())
             if check is not None:
                 check(temporary)
             if not replace:
@@ -61,7 +69,8 @@ def write_atomically(
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
-        _flush_folder(path.parent)
+        if durable:
+            _flush_folder(path.parent)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
 

@@ -126,7 +126,7 @@ class KernelCache:
             return
         path = folder / file
         try:
-            write_atomically(path, _DIGEST(content).digest() + content)
+            write_atomically(path, _DIGEST(content).digest() + content, durable=False)  # `_read` checks it
             for other in path.parent.glob(f"{self.name}-*{SUFFIX}"):
                 if other.name.split("-")[1] != self._content[:16]:
                     other.unlink(missing_ok=True)  # of a former version of this kernel
