@@ -58,7 +58,8 @@ def _wider_bore(rod: Rod) -> Array:
 
     With β the bore ratio and ε = δ/(β d) the relative change of the bore, bending and torsional stiffness change by
     -4 β⁴/(1 - β⁴) ε, which is that of a diameter changed by -β⁴/(1 - β⁴) ε at the same place; the mass changes by
-    -2 β²/(1 - β²) ε, whose rest is put into the density, averaged over the volume. A section without a bore has no row, (0, 4 + K).
+    -2 β²/(1 - β²) ε, whose rest is put into the density, averaged over the volume. A section without a
+    bore has no row, (0, 4 + K).
     """
     area, moment, other, _ = rod.factors
     found = np.zeros(4 + len(rod.s))
