@@ -96,7 +96,10 @@ def _item(number: int, model: CadModel, part: CadPart) -> BillItem:
         material = material_of(model, part.name)
         what = "milled" if material == ALUMINIUM else "printed"
     elif use is not None:
-        length, torque = round(use.length / MM, 3), hand_torque(use)
+        length = round(use.length / MM, 3)
+        nut, hole_d = model.adapter.options.nut, model.adapter.roof_hole_d
+        below_nut = np.sqrt(0.75) * nut.af**2 - np.pi / 4 * hole_d**2
+        torque = hand_torque(use, below_nut if use.name == "ring_screws" else np.inf)
     elif part.name == "centring_pins":
         length = CENTRING_PIN_LENGTH / MM
     elif part.name == "dowel_pins":
@@ -117,9 +120,15 @@ def _sensor_text(model: CadModel) -> str:
     return f"{model.design.sensor_model.product}, {model.design.calibration.name.upper()}"
 
 
-def hand_torque(use: ScrewGroup) -> float:
-    """Return the torque [N·m] that presses a head on its seat with `RESIN_PRESSURE`, rounded down to one digit."""
-    preload = RESIN_PRESSURE * np.pi / 4 * (use.screw.head_d**2 - use.screw.clearance_d**2)
+def hand_torque(use: ScrewGroup, below_nut: float = np.inf) -> float:
+    """Return the torque [N·m] that presses a head or a nut on its seat with `RESIN_PRESSURE`, one digit.
+
+    Args:
+        use: the screws.
+        below_nut: area on which a nut bears [m²]; infinite for a thread in metal.
+    """
+    below_head = np.pi / 4 * (use.screw.head_d**2 - use.screw.clearance_d**2)
+    preload = RESIN_PRESSURE * min(below_head, below_nut)
     torque = NUT_FACTOR * preload * use.screw.nominal_d
     digit = 10.0 ** np.floor(np.log10(torque))
     return float(f"{np.floor(torque / digit) * digit:.1g}")
@@ -215,7 +224,8 @@ def _measure(model: CadModel) -> str:
     )
     return (
         "<h2>Measure before the first screw</h2><p>In millimetres. The ranges leave room for the tolerance of the "
-        f"screws and {CALIPERS / MM:g} mm for the calipers on the side that destroys the sensor. Do not sand the foot "
+        f"screws and for the calipers: {CALIPERS / MM:g} mm for a reading, on the side that destroys the sensor and on "
+        "both sides of the lip's compression. Do not sand the foot "
         f"of the sensor adapter or the faces of the flange adapter.</p><table>{head}{rows}</table>"
     )
 

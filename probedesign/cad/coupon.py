@@ -137,7 +137,7 @@ def _check_sheets(folder: Path) -> None:
 def _coupon_sheet(design: Design, parts: dict[str, list[Disc]]) -> str:
     lines = [
         f"# coupons of {design.name}, {design.resin.product}: diameters along x and along y, at s above the foot",
-        "# scale_xy of [print] = mean of drawn over measured diameter: these parts are not scaled",
+        "# these parts are not scaled; probedesign measured DESIGN coupon.csv writes scale_xy of [print]",
         "part,s_mm,drawn_mm,diameter_x_mm,diameter_y_mm",
     ]
     for name, discs in parts.items():

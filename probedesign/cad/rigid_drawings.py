@@ -17,16 +17,12 @@ from probedesign.design.catalog import CUSTOM
 from probedesign.mount.engraving import XY
 from probedesign.mount.flange_adapter import CENTRING_PIN_D, TIE_APART, TIE_SLOT
 from probedesign.mount.sensor_adapter import (
-    DOWEL_SLOT,
     PEG_D,
     RING_VENT_HEIGHT,
     SLIP,
     UNDERSIDE_DEG,
     VENT_WIDTH,
 )
-
-SPIGOT_PLAY = 0.2 * MM
-"""Play of the spigot in the recess of a robot flange of the catalog."""
 
 
 @dataclass(frozen=True)
@@ -59,17 +55,19 @@ def sensor_adapter_sheet(model: CadModel, part: CadPart) -> Sheet:
     """Return the drawing of the sensor adapter."""
     a = model.adapter
     bore, room = a.tool.screw.clearance_d, a.tool.screw.counterbore_d
+    wider = a.roof_hole_d > a.ring_screw.clearance_d
+    above_nut = f", ⌀{_mm(a.roof_hole_d)} above the slot" if wider else ""
     above = [
         Holes(a.p_tool_screws, room, f"⌀{_mm(bore)} through, ⌀{_mm(room)} from z = {_mm(a.tool.grip)} up"),
         Holes(a.p_ring_screws, a.ring_screw.clearance_d,
-              f"⌀{_mm(a.ring_screw.clearance_d)} to z = {_mm(a.ring_hole_bottom)}"),
+              f"⌀{_mm(a.ring_screw.clearance_d)} to z = {_mm(a.ring_hole_bottom)}{above_nut}"),
         Holes([(a.peg_x, 0.0)], PEG_D, f"peg ⌀{_mm(PEG_D)} at x = {_mm(a.peg_x)}, top at z = {_mm(a.peg_top)}", False),
     ]  # fmt: skip
     z0, z1 = a.nut_slot_z
     inner = a.ring_circle_d / 2 - a.nut_slot_reach
     size = f"{_mm(a.nut_slot_width)} wide, {_mm(z1 - z0)} high, {_mm(a.body_top - z1)} below the top"
     slot = f"slot {size}, round end about r = {_mm(inner)}"
-    second = f"the second a slot {_mm(a.dowel_d)} × {_mm(a.dowel_d + DOWEL_SLOT)} towards the first"
+    second = f"the second a slot {_mm(a.dowel_d)} × {_mm(a.dowel_d + a.dowel_slot)} towards the first"
     fit = " H7" if a.options.milled else ""
     below = [
         Holes(a.p_ring_screws, a.nut_slot_width, slot),
@@ -136,7 +134,7 @@ def flange_adapter_sheet(model: CadModel, part: CadPart) -> Sheet:
         fits.append(f"slot {_mm(width)} takes a pin of {_mm(p.robot.pin_d)}")
     bottoms = [(spigot_d, " h9" if milled else ""), (p.plate_d, "")] if spigot else [(p.plate_d, "")]
     if spigot and p.robot.name != CUSTOM:
-        fits.append(f"⌀{_mm(spigot_d)} enters ⌀{_mm(spigot_d + SPIGOT_PLAY)} H7")
+        fits.append(f"⌀{_mm(spigot_d)} enters ⌀{_mm(spigot_d + p.robot.spigot_play)} H7")
     (r0, r1), (v0, v1), (z0, z1) = p.cable_pocket
     notes = [
         f"A: z = 0 rests on the robot, {p.robot.source}; the sensor sits on the top face",

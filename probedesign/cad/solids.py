@@ -32,7 +32,7 @@ from probedesign.mount import (
 )
 from probedesign.mount.engraving import XY
 from probedesign.mount.flange_adapter import CENTRING_PIN_D, CENTRING_PIN_LENGTH, TIE_SLOT
-from probedesign.mount.sensor_adapter import DOWEL_SLOT, PEG_D, RING_VENT_HEIGHT, VENT_WIDTH, on_circle
+from probedesign.mount.sensor_adapter import PEG_D, RING_VENT_HEIGHT, VENT_WIDTH, on_circle
 
 MIN_CLEARANCE = 0.5 * MM
 """Minimum clearance to the sensor's body and cable: a contact across the split line would bypass the strain gauges."""
@@ -262,7 +262,7 @@ def sensor_adapter_solid(a: SensorAdapter) -> cq.Solid:
         *(cylinder(a.tool.screw.clearance_d, 0.0, a.tool.grip, p) for p in a.p_tool_screws),
         *(cylinder(a.tool.screw.counterbore_d, a.tool.grip, a.floor, p) for p in a.p_tool_screws),
         *(_dowel_hole(a, number) for number in range(len(a.p_dowels))),
-        *(cylinder(hole_d, slot_z1, a.body_top, p) for p in a.p_ring_screws),
+        *(cylinder(a.roof_hole_d, slot_z1, a.body_top, p) for p in a.p_ring_screws),
         *(cylinder(hole_d, a.ring_hole_bottom, slot_z0, p) for p in a.p_ring_screws),
         *(round_slot(a.nut_slot_width, (circle - a.nut_slot_reach, 1.2 * rim), a.nut_slot_z, (0.0, 0.0),
                      math.degrees(math.atan2(p[1], p[0]))) for p in a.p_ring_screws),
@@ -273,7 +273,7 @@ def sensor_adapter_solid(a: SensorAdapter) -> cq.Solid:
 
 
 def _dowel_hole(a: SensorAdapter, number: int) -> cq.Solid:
-    slot_deg, p, half = a.dowel_slot_deg(number), a.p_dowels[number], DOWEL_SLOT / 2
+    slot_deg, p, half = a.dowel_slot_deg(number), a.p_dowels[number], a.dowel_slot / 2
     if slot_deg is None:
         return cylinder(a.dowel_d, 0.0, a.dowel_depth, p)
     return round_slot(a.dowel_d, (-half, half), (0.0, a.dowel_depth), p, slot_deg, both_ends=True)

@@ -27,5 +27,5 @@ def coupon(design: DesignFile, /, *, out: Path | None = None, as_json: JsonOutpu
     (rod_d, rod_length) = manifest["rod_mm"]
     print(f"  stepped cone: Ø {diameters} mm, {manifest['step_height_mm']:g} mm each")
     print(f"  straight rod: Ø {rod_d:g} mm, {rod_length:g} mm long")
-    print("  coupon.csv: drawn over measured diameter is scale_xy of [print]; the parts are not scaled")
+    print(f"  coupon.csv: diameters of these unscaled parts, for: probedesign measured {design} coupon.csv")
     print(f"  calipers.csv: diameters of the probe, for: probedesign measured {design} calipers.csv")

@@ -20,9 +20,12 @@ def measured(
 ) -> None:
     """Write diameters measured with calipers and their uncertainty into a design, whose error budget shrinks.
 
+    The sheet of a coupon, coupon.csv, gives the scale of the next print instead: scale_xy of [print].
+
     Args:
         design: the design file, or its name.
-        calipers: CSV file with the columns s_mm, diameter_mm and std_mm (docs/parts.md); `coupon` writes an empty one.
+        calipers: CSV file with the columns s_mm, diameter_mm and std_mm, or coupon.csv (docs/parts.md); `coupon` writes
+            both, empty.
         calipers_std_mm: standard deviation of the error that all readings share [mm].
         out: write a changed copy of the design to this file instead.
         force: replace tolerances that were set before, or the file of --out, which is kept as FILE.old.
@@ -31,12 +34,16 @@ def measured(
     from probedesign import pipeline
     from probedesign.design import load_design
     from probedesign.geometry import build_geometry
+    from probedesign.identification.coupon_scale import is_coupon_sheet
     from probedesign.identification.design_update import write_changes
     from probedesign.identification.measured_diameters import diameter_changes, read_calipers
 
     if out is not None:
         check_overwrite(out, force)
     start = load_design(design)
+    if is_coupon_sheet(calipers):
+        _write_scale(design, calipers, calipers_std_mm, out, force, as_json)
+        return
     found = pipeline.measure(start, read_calipers(calipers, start), calipers_std_mm)
     day = date.today().isoformat()
     changes = diameter_changes(found, start, day)
@@ -57,5 +64,34 @@ def measured(
             f"  note: the readings scatter by {found.scale:.1f} times their standard deviation, which was widened"
         )
     print(f"  the geometry is now {fingerprint}: deploy the probe again, with this design")
+    if kept is not None:
+        print(f"kept the former {out} as {kept}")
+
+
+def _write_scale(
+    design: Path, sheet: Path, calipers_std_mm: float, out: Path | None, force: bool, as_json: bool
+) -> None:
+    """Write the scale of the next print from the sheet of a coupon."""
+    from probedesign.identification.coupon_scale import fit_scale, read_coupon, scale_changes
+    from probedesign.identification.design_update import write_changes
+
+    found = fit_scale(*read_coupon(sheet), calipers_std_mm)
+    day = date.today().isoformat()
+    changes = scale_changes(found, day)
+    path, kept = write_changes(design, changes, day, out, force)
+    if as_json:
+        print_json({**found.as_dict(), "changes": changes, "design_written": path, "design_kept": kept})
+        return
+    print(
+        f"wrote {path}: scale_xy = {found.scale_xy:.4f} ± {found.std:.2g} of [print], from "
+        f"{plural(found.rows, 'place')} on the coupon"
+    )
+    print(f"  the diameters deviate from one scale by up to {found.left_mm:.3f} mm")
+    if found.has_offset:
+        print(
+            f"  note: all diameters are {found.offset_mm:+.3f} ± {found.offset_std_mm:.2g} mm off, whatever their "
+            "size, which a scale does not remove; measure the probe itself"
+        )
+    print("  export again: only the files to print change, and the tolerance of the diameters stays")
     if kept is not None:
         print(f"kept the former {out} as {kept}")

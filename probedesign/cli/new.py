@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from probedesign.design import Design
 
 FOLDER = Path("designs")
+DEFAULT_FLANGE = "iso-9409-1-50-4-m6"
 SUMMARY_TOUCH = (0.8, 0.010, "+y")
 """Fraction of the length, force [N] and direction of the touch that is reported: light, and near the tip."""
 OPTIONS = {
@@ -44,7 +45,7 @@ def new(
     flatness: float | None = None,
     resin: str = "elastic-50a",
     sensor: str = "nano17",
-    robot_flange: str = "iso-9409-1-50-4-m6",
+    robot_flange: str | None = None,
     friction: float | None = None,
     hold: Literal["clamped", "glued"] = "clamped",
     force: bool = False,
@@ -65,7 +66,8 @@ def new(
             along x.
         resin: a known resin, such as elastic-50a; an unknown name lists all.
         sensor: a known sensor, such as nano17, or one of its calibrations, such as si-12-0.12.
-        robot_flange: bolt pattern of the robot.
+        robot_flange: bolt pattern of the robot. Default: iso-9409-1-50-4-m6, or the smallest known one that leaves room
+            for the sensor.
         friction: standard deviation of the prior of tangential over normal contact force, 0 ... inf. Default: the
             resin's.
         hold: how the adapter holds the flange: clamped by the ring, or its underside glued as well. It determines
@@ -73,10 +75,12 @@ def new(
         force: replace an existing design file.
         as_json: print one JSON document.
     """
-    from probedesign.design.io import draft_design, render_design, write_design
+    from probedesign.design.io import draft_design, known_sensor, render_design, write_design
+    from probedesign.mount.flange_adapter import fitting_flanges
     from probedesign.mount.root import with_computed_root
 
     try:
+        fitting = fitting_flanges(known_sensor(sensor))
         design, notes = draft_design(
             name,
             shape=shape,
@@ -89,9 +93,18 @@ def new(
             flatness=flatness,
             resin=resin,
             sensor=sensor,
-            robot_flange=robot_flange,
+            robot_flange=robot_flange or next(iter(fitting), DEFAULT_FLANGE),
             friction=friction,
         )
+        hints = []
+        if robot_flange is None and design.mount.robot_flange != DEFAULT_FLANGE:
+            notes["mount.robot_flange"] = "the smallest known one with room for the sensor; set your robot's"
+            hints.append(f"took {design.mount.robot_flange}: {DEFAULT_FLANGE} has no room for this sensor")
+        if tables := ", ".join(design.sensor_model.assumed_shape):
+            hints.append(
+                f"before export, measure {tables}: enter them in [sensor.own.interface] of the file and remove them "
+                "from sensor.own.assumed"
+            )
         design, root_notes = with_computed_root(design, hold)
     except InputError as error:
         raise InputError(_in_options(str(error))) from None
@@ -104,6 +117,8 @@ def new(
         print_json(document)
     else:
         _print(document, tip_note=notes.get("probe.tip_d_mm"))
+        for hint in hints:
+            print(f"  {hint}")
 
 
 def summary(design: "Design") -> dict[str, Any]:

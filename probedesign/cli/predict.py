@@ -61,6 +61,7 @@ def predict(
         as_json: print one JSON document instead of tables.
     """
     from probedesign import pipeline
+    from probedesign.mount import root_contradiction
     from probedesign.prediction.fused import PressSchedule
 
     if (design is None) is not table1:
@@ -97,10 +98,13 @@ def predict(
         if monte_carlo is not None:
             prediction = pipeline.sample_prediction(probe, prediction, monte_carlo, seed, folder, on_progress)
         files = write_files(folder, prediction_files(probe, prediction, plots))
+    root = root_contradiction(probe.design)
     if as_json:
-        print_json(prediction.as_dict())
+        print_json({**prediction.as_dict(), "root_warning": root or None})
         return
     _print_properties(prediction)
+    if root:
+        print(f"warning: {root}")
     print_tables(prediction, verbose)
     if not verbose:
         print("--verbose prints sensitivity, error budgets, force limits and workspace too")

@@ -25,15 +25,18 @@ def check(design: DesignFile, /, *, as_json: JsonOutput = False) -> int:
     """
     from probedesign import pipeline
     from probedesign.design import load_design
+    from probedesign.mount import root_contradiction
 
-    found = pipeline.check(load_design(design))
+    checked = load_design(design)
+    found, root = pipeline.check(checked), root_contradiction(checked)
     if as_json:
         passed = [finding.as_record() for finding in found.passed]
-        print_json(
-            {"name": found.name, "fingerprint": found.fingerprint, **found.as_record(), "passed": passed}
-        )
+        record = {"name": found.name, "fingerprint": found.fingerprint, **found.as_record(), "passed": passed}
+        print_json(record | {"root_warning": root or None})
     else:
         _print_check(found)
+        if root:
+            print(f"\nwarning: {root}")
     return 1 if found.errors else 0
 
 

@@ -248,6 +248,7 @@ class RobotFlange:
         bolt_length: length of the stock screw for which the adapter is dimensioned.
         pin_slot: width and radial length of the slot for the dowel pin; zeros for none.
         spigot: diameter and height of the centring boss; zeros for none.
+        spigot_play: of the boss in the robot's recess, on the diameter.
         face_d: diameter of the flange's face.
         source: of the numbers.
     """
@@ -262,6 +263,7 @@ class RobotFlange:
     spigot: tuple[float, float]
     face_d: float
     source: str
+    spigot_play: float = 0.2 * MM
 
     @property
     def screw(self) -> SocketScrew:
@@ -275,26 +277,43 @@ class RobotFlange:
 
 
 def _iso_9409(
-    circle_mm: float, bolt: str, slot_mm: tuple[float, float], spigot_mm: tuple[float, float], face_mm: float
+    holes: str,
+    slot_mm: tuple[float, float],
+    spigot_mm: tuple[float, float],
+    face_mm: float,
+    entry_mm: float = 6.0,
 ) -> RobotFlange:
-    """Return a pattern of ISO 9409-1 with four bolts."""
-    source = f"ISO 9409-1-{circle_mm:g}-4-{bolt}"
+    """Return a pattern of ISO 9409-1 such as "50-4-M6". Of six holes every second takes a bolt, for the cable."""
+    circle, count, bolt = holes.split("-")
+    azimuths = (45.0, 135.0, 225.0, 315.0) if count == "4" else (30.0, 150.0, 270.0)
     slot, spigot = ((pair[0] * MM, pair[1] * MM) for pair in (slot_mm, spigot_mm))
     return RobotFlange(
-        source.lower().replace(" ", "-"), circle_mm * MM, (45.0, 135.0, 225.0, 315.0), bolt, 6.0 * MM, 12.0 * MM,
-        slot, spigot, face_mm * MM, source,
+        f"iso-9409-1-{holes.lower()}", float(circle) * MM, azimuths, bolt, entry_mm * MM,
+        (12.0 if bolt != "M8" else 16.0) * MM, slot, spigot, face_mm * MM, f"ISO 9409-1-{holes}",
     )  # fmt: skip
 
+
+_UNCHECKED = "azimuths of the holes, pin and depth of the threads assumed: compare them with your robot"
 
 ROBOT_FLANGES = {
     flange.name: flange
     for flange in (
         replace(
-            _iso_9409(50.0, "M6", (6.2, 9.0), (31.3, 4.0), 63.0), source="ISO 9409-1-50-4-M6 (UR, Franka)"
+            _iso_9409("50-4-M6", (6.2, 9.0), (31.3, 4.0), 63.0), source="ISO 9409-1-50-4-M6 (UR, Franka)"
         ),
         # Assumed: the thread depth of M5, which is not in our sources; the slot, by analogy with the 50 mm pattern.
         # The spigot is the Ø20 H7 recess less 0.2 mm, as for the 50 mm pattern.
-        _iso_9409(31.5, "M5", (5.2, 8.0), (19.8, 4.0), 40.0),
+        _iso_9409("31.5-4-M5", (5.2, 8.0), (19.8, 4.0), 40.0),
+        # Circle, recess and face: https://graspmonkey.de/en/blogs/news/iso-9409-1-die-schnittstelle-zwischen-roboter-
+        # und-werkzeug. That of 100 mm continues its series (assumed). The spigots end 0.5 mm above the recess's bottom.
+        *(
+            replace(flange, source=f"{flange.source}; {_UNCHECKED}", spigot_play=play * MM)
+            for play, flange in (
+                (0.2, _iso_9409("63-6-M6", (6.2, 9.0), (39.8, 3.5), 80.0)),
+                (0.3, _iso_9409("80-6-M8", (8.2, 11.0), (49.7, 4.5), 100.0, 8.0)),
+                (0.4, _iso_9409("100-6-M8", (8.2, 11.0), (62.6, 4.5), 125.0, 8.0)),
+            )
+        ),
     )
 }
 

@@ -14,7 +14,8 @@ from probedesign.core.units import MPA
 from probedesign.design.catalog import CUSTOM, RESINS, Quantity, Resin, find
 from probedesign.design.diagnostics import check_toml, quoted, read_text, read_toml
 from probedesign.design.schema import Design
-from probedesign.design.sensor_catalog import SENSORS, load_sensor
+from probedesign.design.sensor_catalog import FILES, SENSORS, load_sensor
+from probedesign.design.sensors import SensorModel
 
 COMMENT_COLUMN = 36
 TIP_RATIO, MIN_TIP_D_MM = 6.0, 2.0
@@ -99,6 +100,36 @@ def sensor_keys(choice: str) -> dict[str, str]:
     raise unknown_name("sensor.calibration", choice, known)
 
 
+def known_sensor(choice: str) -> SensorModel:
+    """Return the known sensor of that name, or with a calibration of that name.
+
+    Raises:
+        InputError: the name is neither.
+    """
+    return SENSORS[sensor_keys(choice)["model"]]
+
+
+def _sensor_tables(choice: str, notes: dict[str, str]) -> dict[str, Any]:
+    """Return `[sensor]`; a sensor whose holes are assumed is written out, with a note at each key to measure.
+
+    Args:
+        choice: name of a sensor or of a calibration.
+        notes: by key, for `render_design`; extended.
+    """
+    keys = sensor_keys(choice)
+    assumed = SENSORS[keys["model"]].assumed_shape
+    if not assumed:
+        return keys
+    record = load_sensor(FILES / f"{keys['model']}.toml")
+    tables = record.model_dump(exclude_none=True, mode="json")
+    for name in assumed:
+        inner = tables["interface"][name]
+        for key in [f"{name}.{last}" for last in inner] if isinstance(inner, dict) else [name]:
+            notes[f"sensor.own.interface.{key}"] = "assumed: measure it"
+    notes["sensor.own.assumed"] = "remove what you have measured; export needs the interface"
+    return {**keys, "model": CUSTOM, "own": tables}
+
+
 def material_keys(resin: Resin) -> dict[str, Any]:
     """Return `[material]` with the numbers of the resin written out, so that the file is complete by itself."""
     quantities = _quantities(resin)
@@ -176,7 +207,7 @@ def draft_design(
         "name": name,
         "probe": probe,
         "material": material_keys(material),
-        "sensor": sensor_keys(sensor),
+        "sensor": _sensor_tables(sensor, notes),
         "mount": {"robot_flange": robot_flange},
         "contact": {"friction": material.friction.value if friction is None else friction},
     }

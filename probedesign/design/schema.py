@@ -46,7 +46,8 @@ Diameter = Annotated[float, Field(ge=MIN_DIAMETER_MM, le=MAX_DIAMETER_MM)]
 RelativeStd = Annotated[float, Field(ge=0.0, le=0.5)]
 BoreRatio = Annotated[float, Field(ge=0.05, le=0.9)]
 Flatness = Annotated[float, Field(ge=0.2, le=1.0)]
-Scale = Annotated[float, Field(ge=0.9, le=1.1)]
+SCALE_RANGE = (0.9, 1.1)
+Scale = Annotated[float, Field(ge=SCALE_RANGE[0], le=SCALE_RANGE[1])]
 """Printed over drawn size. Resins shrink by a percent or two, so more than a tenth is a mistake (assumed)."""
 
 SECTION_KEYS = {
@@ -334,6 +335,7 @@ class TolerancesTable(Table):
     diameter_mm: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     diameter_share: RelativeStd | None = None
     diameter_scatter_mm: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    bore_mm: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     length_mm: Annotated[float, Field(ge=0.0, le=5.0)] | None = None
     length_share: RelativeStd | None = None
     base_mm: Annotated[float, Field(ge=0.0, le=5.0)] | None = None

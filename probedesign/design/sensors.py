@@ -219,17 +219,25 @@ class SensorModel:
     overload: tuple[float, ...] | None = None
     rate: float | None = None
 
+    @property
+    def assumed_shape(self) -> tuple[str, ...]:
+        """Return what of the interface is assumed and decides whether parts fit: tables, and keys of tables."""
+        tables = ("tool", "mounting", "dowels", "body_d_mm", "height_mm")
+        keys = [key.removeprefix("interface.") for key in self.assumed if key.startswith("interface.")]
+        return tuple(key for key in keys if key.partition(".")[0] in tables or key == "cable")
+
     def check_holes_known(self) -> None:
-        """Refuse a sensor with holes that are assumed as a whole: parts made for them are not known to fit.
+        """Refuse a sensor with an interface that is assumed: parts made for it are not known to fit.
 
         Raises:
             InputError: names the tables of the sensor file.
         """
-        assumed = [key for key in ("tool", "mounting", "dowels") if f"interface.{key}" in self.assumed]
+        assumed = self.assumed_shape
         if assumed:
             raise InputError(
-                f"sensor {self.name}: its holes are assumed (interface: {', '.join(assumed)}), so parts may not fit; "
-                "enter yours in a copy of its file, remove them from its 'assumed', and name the copy in sensor.file"
+                f"sensor {self.name}: {', '.join(assumed)} of its interface are assumed, so parts may not fit. Measure "
+                "them, enter them in [sensor.own.interface] of the design, and remove them from sensor.own.assumed; "
+                f"'probedesign new ... --sensor {self.name}' writes a design with these tables"
             )
 
     def calibration(self, name: str) -> Calibration:

@@ -19,8 +19,8 @@ from probedesign.estimation.tolerances import Tolerances
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
 
-CAUSES = ("noise", "drift", "E", "G", "density", "diameter", "diameter scatter", "length", "root", "base place",
-          "base tilt", "clocking", "gravity", "gain", "creep", "stiffness scatter")  # fmt: skip
+CAUSES = ("noise", "drift", "E", "G", "density", "diameter", "diameter scatter", "bore", "length", "root",
+          "base place", "base tilt", "clocking", "gravity", "gain", "creep", "stiffness scatter")  # fmt: skip
 """Of an error, in the order of the tables."""
 
 
@@ -46,10 +46,31 @@ def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[
         "density": t.density * unit[2:3],
         "diameter": (common @ unit[4:] + t.youngs_modulus_by_diameter * common[0] * unit[0])[None],
         "diameter scatter": (t.diameter_scatter_mm / diameters)[:, None] * unit[4:],
+        "bore": t.bore_mm * _wider_bore(rod),
         "length": length * unit[3:4],
         "creep": t.creep * softer,
         "stiffness scatter": t.stiffness_scatter * softer,
     }
+
+
+def _wider_bore(rod: Rod) -> Array:
+    """Return the change of log E, G, density, length and diameters that acts as a bore wider by 1 mm, (1, 4 + K).
+
+    With β the bore ratio and ε = δ/(β d) the relative change of the bore, bending and torsional stiffness change by
+    -4 β⁴/(1 - β⁴) ε, which is that of a diameter changed by -β⁴/(1 - β⁴) ε at the same place; the mass changes by
+    -2 β²/(1 - β²) ε, whose rest is put into the density, averaged over the volume. A section without a
+    bore has no row, (0, 4 + K).
+    """
+    area, moment, other, _ = rod.factors
+    found = np.zeros(4 + len(rod.s))
+    if area == 1.0 or moment != other:
+        return found[None][:0]
+    by_area, by_moment = (1.0 - area) / area, (1.0 - moment) / moment
+    widened = MM / (math.sqrt(1.0 - area) * 2.0 * rod.radius)
+    found[4:] = -by_moment * widened
+    volume = np.convolve(np.diff(rod.s), (0.5, 0.5)) * rod.radius**2
+    found[2] = -2.0 * (by_area - by_moment) * float(widened @ volume / volume.sum())
+    return found[None]
 
 
 def across(gravity: Array) -> Array:

@@ -29,6 +29,7 @@ SOURCES = {
     "diameter_mm": "assumed: no tolerance is published for {product}; half of ±0.15 mm",
     "diameter_share": "assumed: half of ±0.5 %, where that is more",
     "diameter_scatter_mm": "assumed: one pixel of a Form 3",
+    "bore_mm": "assumed, as the diameters: holes print narrower by an amount that is not published",
     "length_mm": "assumed, as the diameters",
     "length_share": "assumed, as the diameters",
     "base_mm": "assumed, as in fusion",
@@ -106,6 +107,7 @@ class Tolerances:
             for it is E·d⁴ that was measured; 0: E is known apart from them.
         diameter_mm, diameter_share: of all diameters together, the greater of millimetres and share of each.
         diameter_scatter_mm: of each knot's diameter for itself.
+        bore_mm: of the bore's diameter in all sections of a hollow probe together, the outer one being as it is.
         length_mm, length_share: of the length, the greater of both.
         base_mm: of the base's place, on each axis: on the sensor and, independently, as the robot reports it.
         tilt_deg: of the base about its x and its y axis.
@@ -141,6 +143,7 @@ class Tolerances:
     gain: float = 0.005
     stiffness_scatter: float = 0.01
     walk_steps: float = 0.2
+    bore_mm: float = 0.075
 
     def __post_init__(self) -> None:
         """Raise InputError if a standard deviation is negative or not finite, or the power is not finite."""

@@ -7,3 +7,4 @@ from probedesign.geometry.probe_geometry import Flange as Flange
 from probedesign.geometry.probe_geometry import ProbeGeometry as ProbeGeometry
 from probedesign.geometry.probe_geometry import build_geometry as build_geometry
 from probedesign.geometry.probe_geometry import flange_for as flange_for
+from probedesign.geometry.probe_geometry import flange_of as flange_of

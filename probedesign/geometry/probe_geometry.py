@@ -137,17 +137,22 @@ def flange_for(
     return Flange(max(base_d + 2 * lip, min_d), thickness)
 
 
+def flange_of(design: "Design", base_d: float) -> Flange:
+    """Return the flange that a design's mount gives to a probe of that base diameter [m]."""
+    mount = design.mount
+    thickness = FLANGE_THICKNESS if mount.flange_thickness_mm is None else mount.flange_thickness_mm * MM
+    lip = FLANGE_LIP if mount.flange_lip_mm is None else mount.flange_lip_mm * MM
+    return flange_for(base_d, design.sensor_model.interface.tool.face_d, thickness, lip)
+
+
 def build_geometry(design: "Design") -> ProbeGeometry:
     """Return the geometry of a design, in SI units."""
     knots = np.array(design.probe.knots_mm, dtype=float) * MM
     radius = knots[:, 1] / 2.0
-    mount = design.mount
-    thickness = FLANGE_THICKNESS if mount.flange_thickness_mm is None else mount.flange_thickness_mm * MM
-    lip = FLANGE_LIP if mount.flange_lip_mm is None else mount.flange_lip_mm * MM
     return ProbeGeometry(
         knots[:, 0],
         radius,
-        flange_for(2.0 * float(radius[0]), design.sensor_model.interface.tool.face_d, thickness, lip),
+        flange_of(design, 2.0 * float(radius[0])),
         design.probe.cross_section,
         None if design.probe.tip == "blunt" else design.probe.flank_end_mm * MM,
     )

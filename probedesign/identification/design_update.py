@@ -144,6 +144,8 @@ def _replaceable(change: Change, design: Design) -> bool:
     key = f"{change.table}.{change.key}"
     if change.table in ("probe", "material.provenance") or key == "material.identified_tests":
         return True
+    if key == "print.scale_xy":  # 1: no coupon was measured
+        return design.print_.scale_xy == 1.0
     if key == "mount.root_rigid_radii":  # the default and the value of `new` are assumed; any other was set
         default = type(design.mount).model_fields["root_rigid_radii"].default
         E_identified = design.material.provenance.youngs_modulus_mpa == "identified"

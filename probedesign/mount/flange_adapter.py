@@ -13,10 +13,10 @@ import numpy as np
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose, rotation_z
 from probedesign.core.units import MM
-from probedesign.design.catalog import RobotFlange
+from probedesign.design.catalog import CUSTOM, ROBOT_FLANGES, RobotFlange
 from probedesign.design.sensors import ScrewPattern, SensorModel
 from probedesign.mount.engraving import HEIGHT, XY, Engraving, engrave, free_arcs
-from probedesign.mount.sensor_adapter import MountOptions, on_circle
+from probedesign.mount.sensor_adapter import MountOptions, length_tolerance, on_circle
 
 CABLE_ROOM = 1.0 * MM
 """Depth of the pocket below the cable's exit, and 0.6 mm of it on every side: more than the 0.5 mm that are checked."""
@@ -24,8 +24,8 @@ CABLE_SIDE = 0.6 * MM
 CENTRING_DEG = (35.0, 125.0, 245.0)
 """Azimuths of the pins that centre the sensor's body, from the cable: between screws of the Nano17, clear of the
 cable's sector, and on all sides of the body."""
-CENTRING_PLAY = 0.05 * MM
-"""Radial play between a pin and the sensor's body."""
+SENSOR_BODY_TOLERANCE = 0.05 * MM
+"""Tolerance ± of the diameter of the sensor's body (assumed)."""
 CENTRING_PIN_D, CENTRING_PIN_LENGTH, CENTRING_ABOVE = 2.0 * MM, 6.0 * MM, 2.5 * MM
 """Stock pins, ISO 2338; their length above the plate stays far below the sensor's split line."""
 TIE_SLOT = (1.6 * MM, 3.2 * MM)
@@ -52,6 +52,7 @@ class FlangeAdapter:
         cable_deg: azimuth of the cable.
         p_centring_pins, centring_hole: pins around the sensor's body, none where bolts leave no room; diameter of
             their blind holes and z of the bottom, on which they stand.
+        body_d, free_height: diameter of the sensor's body, and height up to which pins may stand beside it.
         p_tie_slots: (x, y) of the slots for the cable tie.
         p_mounting_screws, p_bolts: (x, y) of the screws into the sensor and into the robot.
         on_plate: engraving around the pad; empty where it does not fit between pad and bolts.
@@ -66,11 +67,18 @@ class FlangeAdapter:
     cable_pocket: tuple[XY, XY, XY]
     p_centring_pins: tuple[XY, ...]
     centring_hole: XY
+    body_d: float
+    free_height: float
     p_tie_slots: tuple[XY, ...]
     p_mounting_screws: tuple[XY, ...]
     p_bolts: tuple[XY, ...]
     on_plate: Engraving
     T_sensor_robotflange: Array
+
+    @property
+    def centring_d(self) -> float:
+        """Return the diameter of the circle that the centring pins enclose [m]."""
+        return 2.0 * math.hypot(*self.p_centring_pins[0]) - CENTRING_PIN_D
 
     @property
     def counterbore_top(self) -> float:
@@ -80,7 +88,14 @@ class FlangeAdapter:
 
 def bolt_margin(robot: RobotFlange, length: float, options: MountOptions) -> float:
     """Return the margin [m] to the deepest allowed entry of a robot bolt: tolerances of bolt and plate."""
-    return robot.screw.length_tolerance(length) + options.tolerance
+    return robot.screw.length_tolerance(length) + options.tolerance + options.face_loss
+
+
+def centring_play(body_d: float, options: MountOptions) -> float:
+    """Return the radial play [m] with which the sensor's body passes between its pins at every corner of the
+    tolerances."""
+    play = options.pin_play + SENSOR_BODY_TOLERANCE
+    return (length_tolerance(1.02 * body_d, options.milled) + play) / 2  # the pins enclose up to 2 % more
 
 
 def flange_adapter_for(
@@ -102,14 +117,22 @@ def flange_adapter_for(
         InputError: the robot's flange leaves too little room.
     """
     options = options or MountOptions()
-    _check_room(sensor, robot, options)
+    problem = _no_room(sensor, robot, options)
+    if problem and robot.name == CUSTOM:
+        raise InputError(f"mount.flange.{problem}")
+    if problem:
+        others = ", ".join(fitting_flanges(sensor, options)) or "none that is known"
+        raise InputError(
+            f"mount.robot_flange = {robot.name!r} does not fit the sensor {sensor.name}: {problem}. What fits: "
+            f"{others}; describe another one in [mount.flange], with robot_flange = {CUSTOM!r}"
+        )
     interface, mounting = sensor.interface, sensor.interface.mounting
     plate_top = robot.bolt_length - (robot.max_bolt_entry - bolt_margin(robot, robot.bolt_length, options))
     # The cable bisects the first two bolts; the dowel's azimuth in the sensor frame follows.
     cable, cable_deg = interface.cable, (robot.bolt_azimuths_deg[0] + robot.bolt_azimuths_deg[1]) / 2
     dowel_deg = cable.azimuth_deg - cable_deg
     reach, body_r = robot.bolt_circle_d / 2, interface.body_d / 2
-    pins_r = body_r + CENTRING_PLAY + CENTRING_PIN_D / 2
+    pins_r = body_r + centring_play(interface.body_d, options) + CENTRING_PIN_D / 2
     room = pins_r + CENTRING_PIN_D / 2 + 0.3 * MM < reach - robot.screw.head_d / 2
     pins = on_circle(2 * pins_r, (cable_deg + a for a in CENTRING_DEG)) if room else ()
     pocket = (
@@ -131,6 +154,8 @@ def flange_adapter_for(
         cable_pocket=pocket,
         p_centring_pins=pins,
         centring_hole=(CENTRING_PIN_D + options.pin_play, plate_top - (CENTRING_PIN_LENGTH - CENTRING_ABOVE)),
+        body_d=interface.body_d,
+        free_height=interface.cable.free_height,
         p_tie_slots=_tie_slots(rim, cable_deg),
         p_mounting_screws=on_circle(mounting.bolt_circle_d, (a - dowel_deg for a in mounting.azimuths_deg)),
         p_bolts=on_circle(robot.bolt_circle_d, robot.bolt_azimuths_deg),
@@ -148,12 +173,14 @@ def _tie_slots(rim: float, cable_deg: float) -> tuple[XY, ...]:
     return tuple((r * c - side * s, r * s + side * c) for side in (-half, half))
 
 
-def _check_room(sensor: SensorModel, robot: RobotFlange, options: MountOptions) -> None:
-    """Refuse a bolt pattern that leaves too little space for the sensor, the screws or the cable.
+def fitting_flanges(sensor: SensorModel, options: MountOptions | None = None) -> list[str]:
+    """Return the names of the known robot flanges that leave room for a sensor, the usual one first."""
+    options = options or MountOptions()
+    return [name for name, robot in ROBOT_FLANGES.items() if not _no_room(sensor, robot, options)]
 
-    Raises:
-        InputError: names the design file's key, its value and the nearest allowed value.
-    """
+
+def _no_room(sensor: SensorModel, robot: RobotFlange, options: MountOptions) -> str:
+    """Return why a robot flange leaves no room: key, value and the nearest allowed value; empty if it does."""
     bolt, body_r, mounting = robot.screw, sensor.interface.body_d / 2, sensor.interface.mounting
     reach, head = robot.bolt_circle_d / 2, bolt.head_d / 2
     circle = 2 * (body_r + head + 0.5 * MM)
@@ -200,7 +227,8 @@ def _check_room(sensor: SensorModel, robot: RobotFlange, options: MountOptions) 
          f"a bolt {float(on_slot.min()) / MM:.3g} mm from the pin's slot, at least {slot_clear / MM:g} mm"),
     ):  # fmt: skip
         if wrong:
-            raise InputError(f"mount.flange.{key} = {value} leaves no room; {allowed}")
+            return f"{key} = {value} leaves no room; {allowed}"
+    return ""
 
 
 def _engraving(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from probedesign.core.frames import Array
 from probedesign.mount.engraving import XY
 from probedesign.mount.flange_adapter import TIE_SLOT, FlangeAdapter
-from probedesign.mount.sensor_adapter import DOWEL_SLOT, PEG_D, RING_VENT_HEIGHT, VENT_WIDTH, SensorAdapter
+from probedesign.mount.sensor_adapter import PEG_D, RING_VENT_HEIGHT, VENT_WIDTH, SensorAdapter
 
 Mask = NDArray[np.bool_]
 
@@ -37,7 +37,7 @@ def sensor_adapter_interior(a: SensorAdapter, x: Array, y: Array, z: float) -> M
         for number, p in enumerate(a.p_dowels):
             direction = a.dowel_slot_deg(number)
             u, v = _along(x, y, p, direction or 0.0)
-            half = 0.0 if direction is None else DOWEL_SLOT / 2
+            half = 0.0 if direction is None else a.dowel_slot / 2
             solid &= np.hypot(np.maximum(np.abs(u) - half, 0.0), v) >= a.dowel_d / 2
     if a.nut_slot_z[0] <= z < a.nut_slot_z[1]:
         for px, py in a.p_ring_screws:
@@ -45,7 +45,8 @@ def sensor_adapter_interior(a: SensorAdapter, x: Array, y: Array, z: float) -> M
             start = a.ring_circle_d / 2 - a.nut_slot_reach
             solid &= np.hypot(np.minimum(u - start, 0.0), v) >= a.nut_slot_width / 2
     elif z >= a.ring_hole_bottom:
-        solid &= ~_near(x, y, a.p_ring_screws, a.ring_screw.clearance_d)
+        hole_d = a.roof_hole_d if z >= a.nut_slot_z[1] else a.ring_screw.clearance_d
+        solid &= ~_near(x, y, a.p_ring_screws, hole_d)
     if z >= a.floor:
         solid &= r >= a.recess_d / 2
         solid &= ~((np.abs(y) < VENT_WIDTH / 2) & (x > 0.0))

@@ -14,7 +14,7 @@ from probedesign.design.catalog import STEEL_DENSITY, SocketScrew
 from probedesign.geometry import ProbeGeometry
 from probedesign.geometry.mass import MassProperties, combined, flange_part, frustum
 from probedesign.mount.engraving import CELL, DEPTH, ROWS, XY, Engraving, cut_runs, glyph_width
-from probedesign.mount.sensor_adapter import DOWEL_SLOT, PEG_D, RING_VENT_HEIGHT, VENT_WIDTH, SensorAdapter
+from probedesign.mount.sensor_adapter import PEG_D, RING_VENT_HEIGHT, VENT_WIDTH, SensorAdapter
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
 
@@ -66,7 +66,7 @@ def _adapter_body(a: SensorAdapter, density: float) -> MassProperties:
         *(cylinder(a.tool.screw.clearance_d, 0.0, a.tool.grip, density, p) for p in a.p_tool_screws),
         *(cylinder(a.tool.screw.counterbore_d, a.tool.grip, a.floor, density, p) for p in a.p_tool_screws),
         *(_dowel_hole(a, number, density) for number in range(len(a.p_dowels))),
-        *(cylinder(screw.clearance_d, slot_z1, a.body_top, density, p) for p in a.p_ring_screws),
+        *(cylinder(a.roof_hole_d, slot_z1, a.body_top, density, p) for p in a.p_ring_screws),
         *(cylinder(screw.clearance_d, a.ring_hole_bottom, slot_z0, density, p) for p in a.p_ring_screws),
         *(_nut_slot(a, density, p) for p in a.p_ring_screws),
         engraving_mass(a.on_wall, density),
@@ -86,7 +86,7 @@ def _dowel_hole(a: SensorAdapter, number: int, density: float) -> MassProperties
     slot_deg, (x, y) = a.dowel_slot_deg(number), a.p_dowels[number]
     if slot_deg is None:
         return cylinder(a.dowel_d, 0.0, a.dowel_depth, density, (x, y))
-    r, half = a.dowel_d / 2, DOWEL_SLOT / 2
+    r, half = a.dowel_d / 2, a.dowel_slot / 2
     ends = [
         segment(r, 0.0, 0.0, a.dowel_depth, density).moved(pose(rotation_z(turn), [side, 0.0, 0.0]))
         for turn, side in ((0.0, half), (np.pi, -half))

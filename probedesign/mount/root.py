@@ -1,5 +1,6 @@
 """Compliance of the probe's root in the exported mount, computed by finite elements."""
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -17,6 +18,8 @@ _MISSING: dict[Hold, tuple[float, ...]] = {
 }
 """`root_rigid_radii` by base radius over the flange's thickness. Source: `python -m benchmarks clamp`: linear finite
 elements of full round bases at ν = 0.49 with a flange of 3 mm."""
+_ROUNDING = 0.0051
+"""Error of a value that `new` rounded to two decimals."""
 ROOT_STD = 0.05
 """Standard deviation of these values [base radii]: friction below the flange moves the clamped one by that much, the
 other thicknesses and Poisson's ratios less; the squeezed lip is not modelled (assumed)."""
@@ -38,6 +41,37 @@ def exported_root_radii(geometry: ProbeGeometry, hold: Hold = "clamped") -> floa
 def stated_root_radii(design: Design) -> float:
     """Return the computed `root_rigid_radii` of a design to two decimals, as `new` writes it."""
     return round(exported_root_radii(build_geometry(design), design.mount.hold), 2)
+
+
+def root_contradiction(design: Design) -> str:
+    """Return why `root_rigid_radii` of a design contradicts its `hold`, in one sentence; empty if it does not.
+
+    The value of another hold contradicts, the default beside a stated hold, and a value that is further from the
+    computed one than two of its standard deviations, where the design states them. 0, the paper's rod, and a root that
+    may have been identified, do not.
+    """
+    mount, computed = design.mount, stated_root_radii(design)
+    stated, others = mount.root_rigid_radii, [hold for hold in _MISSING if hold != mount.hold]
+    geometry = build_geometry(design)
+    remedy = f"set it to {computed:g}, or change mount.hold"
+    off = abs(stated - computed)
+    for other in others:
+        of_other = exported_root_radii(geometry, other)
+        if abs(stated - of_other) <= _ROUNDING < off:
+            return (
+                f"mount.root_rigid_radii = {stated:g} is that of a {other} flange, but mount.hold is "
+                f"{mount.hold!r}; {remedy}"
+            )
+    if "root_rigid_radii" not in mount.model_fields_set and "hold" in mount.model_fields_set:
+        return f"mount.root_rigid_radii is not stated, so {stated:g} is used, of a base bonded at s = 0; {remedy}"
+    std = design.tolerances.root_radii
+    identified = design.material.provenance.youngs_modulus_mpa == "identified"
+    if std is None or stated == 0.0 or identified or off <= 2.0 * math.hypot(ROOT_STD, std):
+        return ""
+    return (
+        f"mount.root_rigid_radii = {stated:g}, but {computed:g} ± {ROOT_STD:g} is computed for the exported "
+        f"{mount.hold} flange; {remedy}, unless the probe is mounted in another way"
+    )
 
 
 def with_computed_root(design: Design, hold: Hold) -> tuple[Design, dict[str, str]]:

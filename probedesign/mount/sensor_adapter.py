@@ -37,8 +37,10 @@ HEAD_SUNK = 0.2 * MM
 """A head lies this far below the face, so that it cannot dent the part that rests on it."""
 FOOT_HEIGHT = 0.6 * MM
 """Height of the foot's edge above the tool face: clearance to the sensor's body and its cable."""
+MAX_OVERHANG = 1.0 * MM
+"""Longest horizontal overhang that prints without supports. Source: Formlabs' design guide."""
 FOOT_LEDGE = 0.4 * MM
-"""Horizontal overhang at the foot's edge; up to 1 mm prints without supports (Formlabs' design guide)."""
+"""Horizontal overhang at the foot's edge."""
 UNDERSIDE_DEG = 22.0
 """Angle of the underside to the horizontal: from 19° it prints without supports (Formlabs' design guide)."""
 SLIP = 0.2 * MM  # on the diameter, rigid resin (assumed)
@@ -60,7 +62,7 @@ THIN_WALL = 0.4 * MM
 ROOF = 1.0 * MM
 """Least thickness above a nut, which the screw presses against the ring."""
 NUT_PLAY = 0.2 * MM
-TIP_ROOM = 0.65 * MM
+TIP_ROOM = 0.85 * MM
 """Depth of the blind hole below the point of a ring screw: more than its tolerances."""
 HEAD_EDGE = 0.8 * MM  # ring outside a screw's head
 LETTER_EDGE = 0.8 * MM
@@ -80,8 +82,11 @@ PIN_TOLERANCE = 0.25 * MM
 """Tolerance ± of a dowel pin's length, ISO 2338."""
 PIN_ROOM = 0.1 * MM
 """Least room beyond a dowel pin's end, so that the pin never lifts the adapter off the tool face."""
-DOWEL_SLOT = 0.4 * MM
-"""Length of the second dowel's slot beyond its width: the tolerance of the distance between two printed holes."""
+SENSOR_HOLE_DISTANCE = 0.05 * MM
+"""Tolerance ± of the distance between the sensor's dowel holes (assumed)."""
+FACE_LOSS = 0.2 * MM
+"""Material that a printed face may lose on the platform, where the first layers are compressed, by sanding, or below a
+head that settles (assumed: no number is published for the printers)."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +119,11 @@ class MountOptions:
     def tolerance(self) -> float:
         """Return the tolerance ± of a length of a rigid part [m]."""
         return MILLED_TOLERANCE if self.milled else PRINT_TOLERANCE
+
+    @property
+    def face_loss(self) -> float:
+        """Return what a face that was printed on the platform may lack [m]; milled faces lack nothing."""
+        return 0.0 if self.milled else FACE_LOSS
 
     @property
     def pin_play(self) -> float:
@@ -231,6 +241,36 @@ class SensorAdapter:
         """Return the thickness between a nut and the ring [m]."""
         return self.body_top - self.nut_slot_z[1]
 
+    @property
+    def roof_hole_d(self) -> float:
+        """Return the diameter of a ring screw's hole above its nut [m]: so wide that the roof prints unsupported.
+
+        Beyond the hole's radius h along the slot, bridges of half length b cross it. The point of the hole's edge that
+        is farthest from a bridge and from the slot's side has the same distance m to both: (b - m)² + (h - m)² = h².
+        """
+        half, m = self.nut_slot_width / 2, MAX_OVERHANG
+        return max(self.ring_screw.clearance_d, _up(((half - m) ** 2 + m**2) / m))
+
+    @property
+    def roof_overhang(self) -> float:
+        """Return m of `roof_hole_d`, the horizontal overhang of a nut slot's roof [m]."""
+        half, h = self.nut_slot_width / 2, self.roof_hole_d / 2
+        return (half + h - math.sqrt((half + h) ** 2 - 2 * half**2)) / 2
+
+    @property
+    def dowel_distance(self) -> float:
+        """Return the distance between the dowel holes [m]."""
+        return math.dist(*self.p_dowels)
+
+    @property
+    def dowel_slot(self) -> float:
+        """Return the length of the second dowel's slot beyond its width [m].
+
+        It takes the tolerances of the slot and of the distance between the holes, in adapter and sensor.
+        """
+        apart = length_tolerance(self.dowel_distance, self.options.milled) + SENSOR_HOLE_DISTANCE
+        return _up(2 * apart + self.options.tolerance)
+
     def dowel_slot_deg(self, number: int) -> float | None:
         """Return the direction of a dowel hole's slot in the sensor frame [deg]; None for a round hole."""
         if number == 0:
@@ -312,7 +352,12 @@ def sensor_adapter_for(
         recess_d=recess_d,
         mark_x=mark_x,
         dowel_d=dowels.diameter + options.pin_play,
-        dowel_depth=dowels.pin_length - dowels.depth + PIN_TOLERANCE + options.tolerance + PIN_ROOM,
+        dowel_depth=dowels.pin_length
+        - dowels.depth
+        + PIN_TOLERANCE
+        + options.tolerance
+        + options.face_loss
+        + PIN_ROOM,
         p_dowels=on_circle(dowels.circle_d, dowels.azimuths_deg),
         peg_top=body_top - PEG_BELOW_RING,
         peg_x=peg_x,

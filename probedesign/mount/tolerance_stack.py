@@ -1,4 +1,4 @@
-"""Tolerance stacks of the mount: compression of the flange, entry of each screw, room beyond each pin.
+"""Tolerance stacks of the mount: compression of the flange, entry of each screw, room beyond each pin, and each fit.
 
 Each is a sum of dimensions with their tolerances. The worst case adds all tolerances; the root sum of squares (RSS)
 takes them as independent, each tolerance as three standard deviations, so that 0.27 % of all mounts lie
@@ -7,28 +7,49 @@ outside. Every stack must lie within its limits in the worst case.
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from probedesign.core.units import MM
-from probedesign.design.catalog import SocketScrew
+from probedesign.design.catalog import CUSTOM, SocketScrew
 from probedesign.design.sensors import ScrewPattern
-from probedesign.mount.flange_adapter import FlangeAdapter
+from probedesign.mount.flange_adapter import (
+    CENTRING_PIN_D,
+    CENTRING_PIN_LENGTH,
+    SENSOR_BODY_TOLERANCE,
+    FlangeAdapter,
+)
 from probedesign.mount.sensor_adapter import (
     MAX_SQUEEZE_SHARE,
     MIN_SQUEEZE,
+    PEG_D,
     PIN_TOLERANCE,
+    RING_CLEARANCE,
+    SENSOR_HOLE_DISTANCE,
     SensorAdapter,
     length_tolerance,
 )
 
-SANDING = 0.2 * MM
-"""Material that sanding the foot, or a head that settles in the resin, may remove below a head (assumed)."""
 SENSOR_HOLE_TOLERANCE = 0.1 * MM
 """Tolerance ± of the depth of the sensor's dowel holes (assumed)."""
+PIN_H8, PIN_M6, REAMED_H7, RECESS_H7 = -0.018 * MM, 0.012 * MM, 0.012 * MM, 0.025 * MM
+"""Deviations by ISO 286-2: least of a pin h8 and greatest of a pin m6 and of a hole H7, of 3 to 6 mm (thinner ones
+deviate less), and greatest of a hole H7 of 30 to 50 mm."""
+MAX_CLOCKING_DEG = 2.0
+"""Greatest rotation of a part in the play of its pins: four standard deviations of the clocking (assumed)."""
+SOFT_INTERFERENCE = 0.01
+"""Oversize of the flange in its recess, relative: it is pressed in by hand (assumed)."""
+PEG_STRETCH = 0.2
+"""Oversize of the peg in the flange's hole, relative: the resin stretches by several times that (assumed)."""
+MIN_PIN_HEIGHT = 1.0 * MM
+"""Least height of a centring pin beside the sensor (assumed)."""
+MAX_CENTRING_PLAY = 1.0 * MM, 0.02
+"""Greatest play of the sensor between its centring pins and of the spigot, or this fraction of the diameter where it is
+more: half of it moves the base aside (assumed)."""
 MIN_BOLT_THREADS = 0.6
 """Least entry of a robot bolt at the worst corner, in diameters; at nominal size it is 0.8 (assumed)."""
 CALIPERS = 0.05 * MM
-"""Uncertainty of a depth measured with calipers in a printed part (assumed)."""
+"""Uncertainty of a depth or thickness measured with calipers in a printed part (assumed)."""
 PRINTED, SCREWED = "print, ±0.5 %, at least ±0.15 mm (assumed)", "ISO 4759-1, js15"
 MILLED = "drawing, ±0.05 mm; ISO 2768-1, fine, up to 6 mm (assumed beyond)"
 
@@ -122,20 +143,24 @@ class Stack:
         }
 
 
+def _length(name: str, value: float, milled: bool = False) -> StackItem:
+    """Return a printed length, or a milled one, with the sign with which it counts [m]."""
+    tolerance = length_tolerance(abs(value), milled)
+    return StackItem(name, value, tolerance, tolerance, MILLED if milled else PRINTED)
+
+
 def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
     """Return the stacks of a mount."""
-
-    def rigid(name: str, value: float) -> StackItem:
-        tolerance = length_tolerance(abs(value), a.options.milled)
-        return StackItem(name, value, tolerance, tolerance, MILLED if a.options.milled else PRINTED)
-
-    def soft(name: str, value: float) -> StackItem:
-        tolerance = length_tolerance(abs(value))
-        return StackItem(name, value, tolerance, tolerance, PRINTED)
+    rigid, soft = partial(_length, milled=a.options.milled), _length
 
     def screw(dimensions: SocketScrew, length: float) -> StackItem:
         tolerance = dimensions.length_tolerance(length)
         return StackItem("length of the screw", length, tolerance, tolerance, SCREWED)
+
+    def loss(shortens: bool = False) -> StackItem:
+        lost = a.options.face_loss
+        below, above = (lost, 0.0) if shortens else (0.0, lost)
+        return StackItem("face compressed on the platform, sanded or settled", 0.0, below, above, "assumed")
 
     def into_sensor(name: str, side: str, pattern: ScrewPattern) -> Stack:
         return Stack(
@@ -144,7 +169,7 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
             (
                 screw(pattern.screw, pattern.length),
                 rigid("thickness under the head", -pattern.grip),
-                StackItem("foot sanded or head settled", 0.0, 0.0, SANDING, "assumed"),
+                loss(),
             ),
             (pattern.min_entry, pattern.max_entry),
         )
@@ -168,13 +193,18 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
                 screw(a.ring_screw, a.ring_screw_length),
                 rigid("thickness of the ring", -a.ring_thickness),
                 rigid("thickness above the nut", -a.nut_roof),
+                loss(),
             ),
             (nut.height, a.nut_slot_z[1] - a.ring_hole_bottom),
         ),
         Stack(
             "robot_bolts_entry",
             "entry of the bolts into the robot's flange",
-            (screw(robot.screw, robot.bolt_length), rigid("thickness of the plate", -plate.plate_top)),
+            (
+                screw(robot.screw, robot.bolt_length),
+                rigid("thickness of the plate", -plate.plate_top),
+                loss(),
+            ),
             (MIN_BOLT_THREADS * robot.screw.nominal_d, robot.max_bolt_entry),
         ),
         Stack(
@@ -190,10 +220,108 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
                 StackItem("depth of the sensor's hole", dowels.depth, hole, hole, "assumed"),
                 rigid("depth of the adapter's hole", a.dowel_depth),
                 StackItem("length of the pin", -dowels.pin_length, PIN_TOLERANCE, PIN_TOLERANCE, "ISO 2338"),
+                loss(shortens=True),
             ),
             (0.0, a.dowel_depth),
         ),
+        *_fits(a, plate),
     ]
+
+
+def _fits(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
+    """Return the stacks across the axis: what centres and clocks the parts. All are on the diameter."""
+    robot, dowels, milled = plate.robot, a.dowels, a.options.milled
+    apart = a.dowel_distance
+    rigid, soft = partial(_length, milled=milled), _length
+
+    def hole_of_pin(d: float) -> StackItem:
+        """Return the hole of a pin: reamed where milled; printed and, where it is tight, drilled to the pin's size."""
+        if milled:
+            return StackItem("diameter of the hole", d, 0.0, REAMED_H7, "H7")
+        return StackItem("diameter of the hole, drilled where it is tight", d, a.options.pin_play,
+                         length_tolerance(d), PRINTED)  # fmt: skip
+
+    def pin(d: float) -> StackItem:
+        return StackItem("diameter of the pin", -d, 0.0, -PIN_H8, "h8")
+
+    def turned(radius: float) -> float:
+        """Return the play that lets a part turn by the greatest rotation, the pins that far apart."""
+        return 2.0 * math.tan(math.radians(MAX_CLOCKING_DEG)) * radius
+
+    half_slot, shifted = (length_tolerance(x, milled) for x in (a.dowel_slot, apart))
+    stacks = [
+        Stack(
+            "flange_in_recess",
+            "play of the probe's flange in its recess",
+            (rigid("diameter of the recess", a.recess_d), soft("diameter of the flange", -a.flange.diameter)),
+            (-SOFT_INTERFERENCE * a.flange.diameter, 2 * RING_CLEARANCE),
+        ),
+        Stack(
+            "peg_fit",
+            "play of the clocking peg in the flange",
+            (soft("diameter of the hole", a.peg_hole_d), rigid("diameter of the peg", -PEG_D)),
+            (-PEG_STRETCH * PEG_D, turned(a.peg_x)),
+        ),
+        Stack(
+            "dowel_fit",
+            "play of a dowel pin in the sensor adapter",
+            (hole_of_pin(a.dowel_d), pin(dowels.diameter)),
+            (0.0, turned(apart / 2)),
+        ),
+        Stack(
+            "dowel_slot",
+            "room of the second dowel pin at the ends of its slot",
+            (
+                StackItem("half the slot beyond its width", a.dowel_slot / 2, half_slot / 2, half_slot / 2,
+                          MILLED if milled else PRINTED),
+                StackItem("distance of the holes in the adapter", 0.0, shifted, 0.0, MILLED if milled else PRINTED),
+                StackItem("distance of the sensor's holes", 0.0, SENSOR_HOLE_DISTANCE, 0.0, "assumed"),
+            ),
+            (0.0, a.dowel_slot),
+        ),
+    ]  # fmt: skip
+    if plate.p_centring_pins:
+        hole_d, bottom = plate.centring_hole
+        play, body = hole_d - CENTRING_PIN_D, SENSOR_BODY_TOLERANCE
+        stacks += [
+            Stack(
+                "centring_fit",
+                "play of the sensor's body between its pins",
+                (
+                    rigid("circle that the pins enclose", plate.centring_d),
+                    StackItem("diameter of the pins", 0.0, 0.0, -PIN_H8, "h8"),
+                    StackItem("play of the pins in their holes", 0.0, play, play, "assumed"),
+                    StackItem("diameter of the body", -plate.body_d, body, body, "assumed"),
+                ),
+                (0.0, max(MAX_CENTRING_PLAY[0], MAX_CENTRING_PLAY[1] * plate.body_d)),
+            ),
+            Stack(
+                "centring_pin_height",
+                "height of the centring pins beside the sensor",
+                (
+                    StackItem(
+                        "length of the pin", CENTRING_PIN_LENGTH, PIN_TOLERANCE, PIN_TOLERANCE, "ISO 2338"
+                    ),
+                    rigid("depth of the hole", bottom - plate.plate_top),
+                    StackItem(
+                        "face compressed on the platform or sanded", 0.0, 0.0, a.options.face_loss, "assumed"
+                    ),
+                ),
+                (MIN_PIN_HEIGHT, plate.free_height),
+            ),
+        ]
+    if robot.pin_d > 0.0:
+        slot = (rigid("width of the slot", robot.pin_slot[0]),
+                StackItem("diameter of the pin", -robot.pin_d, PIN_M6, 0.0, "m6"))  # fmt: skip
+        limits = (0.0, turned(robot.bolt_circle_d / 2))
+        stacks.append(Stack("robot_pin_fit", "play of the robot's dowel pin in its slot", slot, limits))
+    if robot.spigot[0] > 0.0 and robot.name != CUSTOM:
+        recess_d = robot.spigot[0] + robot.spigot_play
+        spigot = (StackItem("diameter of the robot's recess", recess_d, 0.0, RECESS_H7, "H7"),
+                  rigid("diameter of the spigot", -robot.spigot[0]))  # fmt: skip
+        limits = (0.0, max(MAX_CENTRING_PLAY[0], MAX_CENTRING_PLAY[1] * robot.spigot[0]))
+        stacks.append(Stack("spigot_fit", "play of the spigot in the robot's recess", spigot, limits))
+    return stacks
 
 
 @dataclass(frozen=True)
@@ -262,7 +390,7 @@ def measurements(a: SensorAdapter, plate: FlangeAdapter) -> list[Measurement]:
         Measurement(
             "flange minus recess: compression of the lip",
             a.squeeze,
-            (MIN_SQUEEZE, MAX_SQUEEZE_SHARE * flange),
+            (MIN_SQUEEZE + 2 * CALIPERS, MAX_SQUEEZE_SHARE * flange - 2 * CALIPERS),
             "less: the ring does not clamp, print the adapter again; more: the lip is overloaded",
         ),
     ]

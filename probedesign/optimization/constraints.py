@@ -20,7 +20,13 @@ from probedesign.optimization.design_space import (
     FreeParameter,
     finite_differences,
 )
-from probedesign.optimization.displacement import CRASH, FORCE, MAX_DISTANCE_MM, split_metric
+from probedesign.optimization.displacement import (
+    CRASH,
+    FORCE,
+    MAX_DISTANCE_MM,
+    MIN_FORCE,
+    split_metric,
+)
 from probedesign.optimization.objective import Task
 
 Goal = Literal["error-at-force", "force-for-error"]
@@ -66,6 +72,11 @@ class Limit:
         """Return the limit as it is written on the command line."""
         return f"{self.metric} {'<=' if self.is_upper else '>='} {self.value:g}"
 
+    @property
+    def figure(self) -> str:
+        """Return the name of the figure that is bounded: a lower limit on the force bounds the smallest one."""
+        return self.metric if self.is_upper else self.metric.replace(FORCE, MIN_FORCE)
+
     def margin(self, figure: float) -> float:
         """Return the distance to the bound relative to its value; negative where the limit is violated."""
         off = self.value - figure if self.is_upper else figure - self.value
@@ -105,6 +116,10 @@ def parse_limit(text: str) -> Limit:
     if figure == NO_WARNINGS:
         if sign != "<=" or value != 0.0:
             raise InputError(f"--subject-to {text!r}: a count cannot be limited; write '{NO_WARNINGS}<=0'")
+    elif figure.startswith(CRASH) and sign != "<=":
+        raise InputError(
+            f"--subject-to {text!r}: the load of a crash has an upper limit; write '{figure}<={number}'"
+        )
     elif not 0.0 < value < 1e9:
         raise InputError(f"--subject-to {text!r}: {number} must be a positive number")
     return Limit(figure, sign == "<=", value)
@@ -226,7 +241,7 @@ class NonlinearProgram:
 
     def _limit(self, limit: Limit) -> Constraint:
         # In logarithms: an error may be a hundred times too large, and SQP linearises the constraints.
-        sign, name, evaluator = (-1.0 if limit.is_upper else 1.0), limit.metric, self.evaluator
+        sign, name, evaluator = (-1.0 if limit.is_upper else 1.0), limit.figure, self.evaluator
         return Constraint(
             limit.text,
             lambda x: np.array([sign * np.log(evaluator.metrics(x)[name] / limit.value) - SPARE]),
@@ -258,7 +273,7 @@ class NonlinearProgram:
         """Return a message with the conflicting constraints at the least infeasible point."""
         nearest = min((self._least_infeasible(x0) for x0 in starts), key=self._max_violation)
         limit, conflicts = -_CONFLICT_SHARE * self._max_violation(nearest), []
-        metrics, of = self.evaluator.metrics(nearest), {limit.text: limit.metric for limit in self.limits}
+        metrics, of = self.evaluator.metrics(nearest), {limit.text: limit.figure for limit in self.limits}
         for c in self.constraints:
             if c.min_margin(nearest) <= limit:
                 conflicts.append(f"{c.text} (there {metrics[of[c.text]]:.4g})" if c.text in of else c.text)
@@ -357,5 +372,5 @@ class OptimizationProblem:
         max_load = 1.1 * max(
             [SAFETY_FACTOR, *margins]
         )  # beyond the limit, so that the constraint is smooth there
-        limited = frozenset(limit.metric for limit in limits)
+        limited = frozenset(limit.figure for limit in limits)
         return NonlinearProgram(DesignEvaluator(space, self.task, with_force, limited, max_load), limits)

@@ -15,9 +15,9 @@ from probedesign.core.units import MM
 from probedesign.design import Design, check_design
 from probedesign.design.schema import MAX_DIAMETER_MM, MIN_DIAMETER_MM
 from probedesign.estimation.model import ProbeModel
-from probedesign.geometry import flange_for
+from probedesign.geometry import flange_of
 from probedesign.mount import max_ring_passage_d
-from probedesign.optimization.displacement import displacement_metric
+from probedesign.optimization.displacement import MIN_FORCE, displacement_metric
 from probedesign.optimization.objective import Task, detectable_mN, predict_task, side_of
 from probedesign.prediction.predict import tip_sag
 from probedesign.printing import check as limits
@@ -190,7 +190,7 @@ class DesignSpace:
             ) - 1.0
             rules["print rule hole"] = ratio * d / bore - 1.0
         if self.controls > 2:
-            flange = flange_for(d[0] * MM, self.start.sensor_model.interface.tool.face_d)
+            flange = flange_of(self.start, d[0] * MM)
             rules["room for the clamp ring"] = (max_ring_passage_d(flange) / MM - d) / limits.MIN_THICKNESS
         if self.controls == 2:
             rules["a cone that tapers"] = (d[:-1] - d[1:]) / limits.MIN_THICKNESS
@@ -303,7 +303,7 @@ INFEASIBLE = {"error_mm": 1e3, "worst_error_mm": 1e3, "sensor_use": 10.0, "slide
             "detectable_mN": 1e6, "thinnest_mm": 1e-3}  # fmt: skip
 """Metrics of a design that buckles: values that no optimiser accepts."""
 _NO_FIGURE = 1e6
-"""Force or load of a crash of a design that buckles."""
+"""Force or load of a crash where a push does not reach its distance; its inverse is the smallest force."""
 
 
 @dataclass
@@ -358,7 +358,12 @@ class DesignEvaluator:
         return self.metrics(x)["error_mm"] < INFEASIBLE["error_mm"]
 
     def _evaluate(self, x: Array) -> dict[str, float]:
-        found = {**INFEASIBLE, **dict.fromkeys((name for name in self.limited if "@" in name), _NO_FIGURE)}
+        pushed = {
+            name: 1.0 / _NO_FIGURE if name.startswith(MIN_FORCE) else _NO_FIGURE
+            for name in self.limited
+            if "@" in name
+        }
+        found = {**INFEASIBLE, **pushed}
         found |= {"length_mm": self.space.length_mm(x), "mass_g": 1e3}
         try:
             probe = self.probe(x)
@@ -381,9 +386,8 @@ class DesignEvaluator:
         if "detectable_mN" in self.limited:
             found["detectable_mN"] = detectable_mN(model, task) or INFEASIBLE["detectable_mN"]
         overload = self.space.start.sensor_model.overload
-        for name in self.limited:
-            if "@" in name:
-                found[name] = displacement_metric(name, model, task, overload) or _NO_FIGURE
+        for name, unknown in pushed.items():
+            found[name] = displacement_metric(name, model, task, overload) or unknown
         free = probe.rod.solve(model.gravity_base)
         if free.ok:
             tip = free.p_at(probe.length)

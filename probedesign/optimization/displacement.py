@@ -5,17 +5,18 @@
 
 import itertools
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from probedesign.estimation.model import ProbeModel
-from probedesign.optimization.objective import Task, side_of
+from probedesign.optimization.objective import Task
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
 
-FORCE, CRASH = "force_mN", "crash_use"
-"""Names of the metrics, before the distance."""
+FORCE, MIN_FORCE, CRASH = "force_mN", "min_force_mN", "crash_use"
+"""Names of the metrics, before the distance. A lower limit on `FORCE` bounds `MIN_FORCE`, the smallest force."""
 MAX_DISTANCE_MM = 1000.0
 _TOLERANCE = 1e-6
 """Relative accuracy of the distance: that of the rod's fast integration."""
@@ -27,14 +28,43 @@ _MAX_SOLVES = 100
 CRASH_POLAR_DEG = (90.0, 45.0, 10.0)
 """Angles between the push of a crash and the line from tip to base. A push exactly along the axis of a straight rod has
 no preferred side to buckle to; 10° off, the rod bends aside as a real one does (assumed)."""
-CRASH_AZIMUTHS_DEG = (0.0, 90.0, 180.0, 270.0)
-"""Azimuths of the push from that of gravity."""
+AZIMUTHS_DEG = (0.0, 90.0, 180.0, 270.0)
+"""Azimuths of the pushes from that of gravity."""
+
+
+@dataclass(frozen=True)
+class Push:
+    """A push of a point of the rod by a distance.
+
+    Attributes:
+        result: "ok": the distance was reached; "snaps": the rod has no stable equilibrium beyond `last`;
+            "not_converged" or "unstable": no equilibrium was found beyond `last`, or none without the force.
+        last: the equilibrium at the distance, or the last one before it.
+    """
+
+    result: str
+    last: Equilibrium
+
+    @property
+    def ok(self) -> bool:
+        """Return whether the distance was reached."""
+        return self.result == "ok"
+
+    @property
+    def force(self) -> float:
+        """Return the magnitude of the force at `last` [N]."""
+        return float(np.linalg.norm(self.last.load[:3]))
 
 
 def push(
-    rod: Rod, gravity: ArrayLike, direction: ArrayLike, distance: float, s: float | None = None
-) -> Equilibrium:
-    """Return the equilibrium in which a dead force has moved its point of the centreline by a distance.
+    rod: Rod,
+    gravity: ArrayLike,
+    direction: ArrayLike,
+    distance: float,
+    s: float | None = None,
+    near: Equilibrium | None = None,
+) -> Push:
+    """Push a point of the centreline by a distance with a dead force.
 
     The force F e is increased from zero until e · (p(F) - p(0)) is the distance. This is the frictionless contact with
     a wall of the normal e: the point is free to slide along the wall.
@@ -45,19 +75,23 @@ def push(
         direction: e in base axes, (3,).
         distance: along e [m].
         s: arclength of the point [m]; the tip if None.
-
-    Returns:
-        The equilibrium; where the rod snaps before that distance, the last stable one. Its result is not "ok" where the
-        rod has no stable equilibrium without the force.
+        near: an equilibrium of the branch to follow, with the force to begin with; None for the branch of the free rod.
     """
     e = np.asarray(direction, dtype=float) / np.linalg.norm(direction)
-    here = rod.solve(gravity, np.zeros(3), s, columns="load")
-    if not here.ok:
-        return here
-    start, force, too_large = here.p_contact_base, 0.0, math.inf
+    free = rod.solve(gravity, np.zeros(3), s, columns="load")
+    if not free.ok:
+        return Push(free.result, free)
+    here, force, too_large, refusal = free, 0.0, math.inf, "not_converged"
+    if near is not None:
+        force = float(np.linalg.norm(near.load[:3]))
+        here = rod.solve(gravity, force * e, s, columns="load", guess=near.tip)
+        if not here.ok:
+            return Push(here.result, here)
     for _ in range(_MAX_SOLVES):
-        missing = distance - float(e @ (here.p_contact_base - start))
-        if abs(missing) <= _TOLERANCE * distance or here.sensitivity is None:
+        missing = distance - float(e @ (here.p_contact_base - free.p_contact_base))
+        if abs(missing) <= _TOLERANCE * distance:
+            return Push("ok", here)
+        if here.sensitivity is None:
             break
         moves = here.sensitivity.d_position[:, :3] @ e
         longest = _MAX_STEP * rod.length / float(np.linalg.norm(moves))
@@ -69,16 +103,21 @@ def push(
         ahead = rod.solve(gravity, (force + step) * e, s, columns="load", guess=here.tip)
         jump = np.inf if not ahead.ok else float(np.linalg.norm(ahead.p_contact_base - here.p_contact_base))
         if jump > 5.0 * _MAX_STEP * rod.length:  # no equilibrium, or one of another branch
-            too_large = force + step
+            if step < 0.0:  # the branch of `near` ends before the distance
+                return Push("snaps", here)
+            too_large, refusal = force + step, "not_converged" if ahead.result == "not_converged" else "snaps"
             continue
         here, force = ahead, force + step
-    return here
+    return Push(refusal, here)
 
 
-def force_at_deflection_mN(model: ProbeModel, task: Task, deflection_mm: float) -> float | None:
-    """Return the largest force at the task's positions when the probe is deflected there by a distance [mN].
+def forces_at_deflection_mN(
+    model: ProbeModel, task: Task, deflection_mm: float
+) -> tuple[float, float] | None:
+    """Return the smallest and the largest force when the probe is deflected by a distance [mN].
 
-    The probe is pushed across gravity, as in the task. Where it snaps before, the force is that at which it does.
+    The probe is pushed at each of the task's positions under each of its gravities, across its axis, in the directions
+    `AZIMUTHS_DEG`.
 
     Args:
         model: of the probe.
@@ -86,28 +125,28 @@ def force_at_deflection_mN(model: ProbeModel, task: Task, deflection_mm: float) 
         deflection_mm: displacement of the centreline along the force [mm].
 
     Returns:
-        The force; None where the free probe has no stable equilibrium.
+        The forces; None where a push does not reach the distance, because the probe snaps before or is not that long.
     """
     found = list[float]()
     for under in task.models(model):
-        phi = side_of(under.gravity_base)
-        aside = (math.cos(phi), math.sin(phi), 0.0)
-        for fraction in task.fractions:
-            pushed = push(
-                under.rod, under.gravity_base, aside, 1e-3 * deflection_mm, fraction * under.rod.length
-            )
+        down = math.atan2(under.gravity_base[1], under.gravity_base[0])
+        for fraction, azimuth in itertools.product(task.fractions, np.radians(AZIMUTHS_DEG)):
+            e = (math.cos(down + azimuth), math.sin(down + azimuth), 0.0)
+            pushed = push(under.rod, under.gravity_base, e, 1e-3 * deflection_mm, fraction * under.rod.length)
             if not pushed.ok:
                 return None
-            found.append(1e3 * float(np.linalg.norm(pushed.load[:3])))
-    return max(found)
+            found.append(1e3 * pushed.force)
+    return min(found), max(found)
 
 
 def crash_use(model: ProbeModel, task: Task, distance_mm: float, overload: ArrayLike) -> float | None:
     """Return the largest fraction of the sensor's overload that a crash of the tip takes.
 
     The base moves on by the distance after the tip has touched a frictionless wall; the wall's normal is the worst of
-    `CRASH_POLAR_DEG` and `CRASH_AZIMUTHS_DEG`. The overload of an axis counts as if no other were loaded, as data
-    sheets state it. Contact of the body beyond the tip, the impact and the strength of the resin are not included.
+    `CRASH_POLAR_DEG` and `AZIMUTHS_DEG`. Where the probe snaps before the distance, it comes to rest on the side to
+    which it bends by itself: both its load before the snap and that at the distance are counted. The overload of an
+    axis counts as if no other were loaded, as data sheets state it. Contact of the body beyond the tip, the impact and
+    the strength of the resin are not included.
 
     Args:
         model: of the probe.
@@ -116,20 +155,31 @@ def crash_use(model: ProbeModel, task: Task, distance_mm: float, overload: Array
         overload: load on one axis that the sensor survives [N, N·m], (6,).
 
     Returns:
-        The fraction; None where the free probe has no stable equilibrium.
+        The fraction; None where a push does not reach the distance in any way that was found.
     """
     limits, worst = np.asarray(overload, dtype=float), 0.0
     for under in task.models(model):
         g = under.gravity_base
         down = math.atan2(g[1], g[0])
-        for polar, azimuth in itertools.product(np.radians(CRASH_POLAR_DEG), np.radians(CRASH_AZIMUTHS_DEG)):
-            across, phi = math.sin(polar), down + azimuth
-            e = (across * math.cos(phi), across * math.sin(phi), -math.cos(polar))
-            pushed = push(under.rod, g, e, 1e-3 * distance_mm)
-            if not pushed.ok:
-                return None
-            load = np.abs(under.to_sensor(pushed.wrench_base, g))
-            worst = max(worst, float((load / limits).max()))
+        for polar in np.radians(CRASH_POLAR_DEG):
+            across = math.sin(polar)
+            directions = [
+                (across * math.cos(down + a), across * math.sin(down + a), -math.cos(polar))
+                for a in np.radians(AZIMUTHS_DEG)
+            ]
+            pushes = [push(under.rod, g, e, 1e-3 * distance_mm) for e in directions]
+            reached = next((pushed.last for pushed in pushes if pushed.ok), None)
+            for e, pushed in zip(directions, tuple(pushes), strict=True):
+                if pushed.ok:
+                    continue
+                if pushed.result != "snaps" or reached is None:
+                    return None
+                after = push(under.rod, g, e, 1e-3 * distance_mm, near=reached)
+                if not after.ok:
+                    return None
+                pushes.append(after)
+            loads = [np.abs(under.to_sensor(pushed.last.wrench_base, g)) for pushed in pushes]
+            worst = max(worst, *(float((load / limits).max()) for load in loads))
     return worst
 
 
@@ -143,8 +193,9 @@ def displacement_metric(name: str, model: ProbeModel, task: Task, overload: Arra
         overload: of the sensor [N, N·m], (6,); needed for `crash_use`.
     """
     metric, distance = split_metric(name)
-    if metric == FORCE:
-        return force_at_deflection_mN(model, task, distance)
+    if metric in (MIN_FORCE, FORCE):
+        forces = forces_at_deflection_mN(model, task, distance)
+        return None if forces is None else forces[metric == FORCE]
     assert overload is not None, "the problem rejects sensors without a known overload"
     return crash_use(model, task, distance, overload)
 

@@ -63,7 +63,7 @@ CAUSE_GROUPS = {
     "robot": ("robot",),
     "friction": ("friction",),
     "stiffness": ("E", "G", "creep", "stiffness scatter"),
-    "diameters": ("diameter", "diameter scatter", "length"),
+    "diameters": ("diameter", "diameter scatter", "bore", "length"),
     "mount": ("base place", "base tilt", "clocking", "root", "gain"),
     "weight": ("density", "gravity"),
 }

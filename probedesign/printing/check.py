@@ -193,6 +193,11 @@ def mount_findings(a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
         "sensor_adapter", "clocking peg, diameter over height", PEG_D / (a.peg_top - a.floor), GOOD_SLENDERNESS,
         remedy="make it thicker",
     )]  # fmt: skip
+    if not a.options.milled:  # by its dimensions: the raster of the layers is too coarse for it
+        findings.append(LAYER_OVERHANG.warn_above(
+            "sensor_adapter", "roof of a nut's slot beside the screw's hole", a.roof_overhang / MM, MAX_OVERHANG,
+            "take M2 screws",
+        ))  # fmt: skip
     for part, (walls, holes) in parts.items():
         for what, thickness, limit in walls:
             findings.append(WALL.at_least(part, what, thickness / MM, limit, remedy="make it thicker"))
@@ -226,14 +231,15 @@ Walls = list[tuple[str, float, float]]
 
 def _adapter_walls(a: SensorAdapter) -> Walls:
     ring, rim, recess = _reach(a.p_ring_screws), a.body_d / 2, a.recess_d / 2
+    roof_hole = a.roof_hole_d / 2
     hole, inner = a.ring_screw.clearance_d / 2, ring - a.nut_slot_reach - a.nut_slot_width / 2
     tool, dowel, foot = _reach(a.p_tool_screws), _reach(a.p_dowels), a.foot_d / 2
     # The cone below a ring screw's blind hole, and below the floor of a nut's slot at the rim.
     cone = a.foot_height + (ring + hole - a.cone_d / 2) * (a.cone_top - a.foot_height) / (rim - a.cone_d / 2)
     return [
         ("rim around the recess, at the flat", a.mark_x - recess, UNSUPPORTED_WALL),
-        ("between ring screw and recess", ring - hole - recess, SUPPORTED_WALL),
-        ("between ring screw and rim", rim - ring - hole, UNSUPPORTED_WALL),
+        ("between ring screw and recess", ring - roof_hole - recess, SUPPORTED_WALL),
+        ("between ring screw and rim", rim - ring - roof_hole, UNSUPPORTED_WALL),
         ("between nut slot and recess", inner - recess, SUPPORTED_WALL),
         ("above a nut", a.nut_roof, SUPPORTED_WALL),
         ("below a nut slot, at the rim", a.nut_slot_z[0] - a.cone_top, UNSUPPORTED_WALL),

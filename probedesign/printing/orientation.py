@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from probedesign.core.units import MM
 from probedesign.mount import FlangeAdapter, SensorAdapter
+from probedesign.mount import sensor_adapter as rigid
 from probedesign.mount.interior import (
     clamp_ring_interior,
     flange_adapter_interior,
@@ -15,13 +16,13 @@ from probedesign.mount.interior import (
 from probedesign.printing.layers import Interior, LayerReport, Mask, examine_layers
 
 Side = Literal["upright", "upside down"]
-MAX_OVERHANG = 1.0
-"""Longest horizontal overhang without supports [mm]. Source: Formlabs' design guide."""
+MAX_OVERHANG = rigid.MAX_OVERHANG / MM
+"""Longest horizontal overhang without supports [mm]."""
 MAX_BRIDGE = 10.0
 """Longest bridge without supports [mm]: about half of the guide's 21 mm for a beam 5 mm wide and 3 mm thick."""
 MAX_CUP_D = 10.0
 """Largest circle in a cup that the peel of a rigid resin stands [mm] (assumed)."""
-PIXEL, LAYER = 0.25, 0.1
+PIXEL, LAYER = 0.2, 0.1
 """Raster of the check [mm]."""
 
 

@@ -78,8 +78,14 @@ def load_job(design: Design, folder: Path, parts: Parts) -> PrintJob:
         parts: the probe in soft resin, or the rigid parts: two resins, two jobs.
 
     Raises:
-        InputError: the folder holds no export, one of another design, or files that were changed since.
+        InputError: the folder holds no export, one of another design, or files that were changed since; or the rigid
+            parts are milled.
     """
+    if parts == "adapters" and design.mount.adapters == "milled":
+        raise InputError(
+            "--parts adapters: mount.adapters is 'milled', so sensor adapter, clamp ring and flange adapter are made "
+            "from their drawings; --parts probe prints the probe"
+        )
     folder = Path(os.path.abspath(folder))
     manifest = _manifest(folder / "manifest.json")
     _check_same(design, manifest, folder)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from probedesign import pipeline
+from probedesign.cli.main import run
 from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.design import check_design, load_design, parse_design
 from probedesign.design.catalog import CUSTOM
@@ -201,6 +202,75 @@ def test_parts_for_assumed_holes_are_refused(name, tmp_path):
         lambda: pipeline.export(design, tmp_path / "out", lambda step: None),
         lambda: pipeline.export_part(design, "probe", tmp_path / "out"),
     ):
-        with pytest.raises(InputError, match="its holes are assumed"):
+        with pytest.raises(InputError, match="are assumed"):
             export()
     assert not (tmp_path / "out").exists()
+
+
+def filled(text: str) -> str:
+    """Return a design whose user has measured the interface: deeper dowel holes, and nothing of it assumed any more."""
+    lines = []
+    for line in text.splitlines():
+        if line.startswith("assumed = "):
+            values, _, _ = line.partition("#")
+            kept = [key for key in tomllib.loads(values)["assumed"] if not key.startswith("interface.")]
+            line = f"assumed = {kept}"
+        if line.startswith("depth_mm = "):
+            line = f"depth_mm = {float(line.split()[2]) + 0.5}"
+        lines.append(line)
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "gamma",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("nano25", "mini40", "rokubi", "rft40")),
+    ],
+)
+def test_a_known_sensor_is_measured_in_the_new_design_and_exported(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run(["new", "x", "--length", "100", "--base-d", "10", "--sensor", name]) == 0
+    path = tmp_path / "designs" / "x.toml"
+    design = load_design(path)
+    assert design.sensor_model == SENSORS[name] and design.sensor.model == CUSTOM
+    marked = [line for line in path.read_text().splitlines() if "assumed: measure it" in line]
+    assert any(line.startswith("bolt_circle_d_mm") for line in marked)
+    assert (
+        pipeline.check(design).errors == []
+    )  # the robot flange that was taken has room, and the stacks hold
+    with pytest.raises(InputError, match=r"tool, mounting, dowels, cable of its interface are assumed"):
+        pipeline.export_part(design, "sensor_adapter", tmp_path / "out")
+
+    path.write_text(filled(path.read_text()))
+    measured = load_design(path)
+    assert measured.sensor_model.assumed_shape == ()
+    interface = SENSORS[name].interface
+    assert measured.sensor_model.interface.dowels.depth == pytest.approx(interface.dowels.depth + 0.5e-3)
+    assert pipeline.check(measured).errors == []
+    probe = build_probe(measured)
+    write_frozen(probe.model, tmp_path / "a.probe.json")
+    vertices = _sensor_part(load_model(tmp_path / "a.probe.json")).vertices
+    assert np.hypot(*vertices[:, :2].T).max() == pytest.approx(interface.body_d / 2, abs=1e-9)
+    assert probe.predict(fractions=(0.5,), forces_N=(0.1,), directions=("+y",)).conditions[0].force_N == 0.1
+    pytest.importorskip("cadquery")
+    written = pipeline.export_part(measured, "flange_adapter", tmp_path / "out")
+    assert written["volume_m3"] > 0.0 and (tmp_path / "out" / "flange_adapter.stl").exists()
+
+
+def test_a_robot_flange_without_room_names_those_with_room(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    arguments = ["new", "x", "--length", "100", "--base-d", "10", "--sensor", "mini40"]
+    assert run([*arguments, "--robot-flange", "iso-9409-1-50-4-m6"]) == 2
+    message = capsys.readouterr().err
+    assert "iso-9409-1-63-6-m6" in message and "51 mm" in message and message.count("\n") == 1
+    assert not (tmp_path / "designs").exists()
+    assert run([*arguments, "--robot-flange", "iso-9409-1-63-6-m6"]) == 0
+
+
+def test_a_hole_that_is_still_assumed_is_refused(tmp_path):
+    text = (FILES / "nano17.toml").read_text()
+    text = text.replace("rate_hz", 'assumed = ["interface.dowels.depth_mm"]\nrate_hz', 1)
+    (tmp_path / "s.toml").write_text(text)
+    with pytest.raises(InputError, match=r"dowels\.depth_mm"):
+        load_sensor(tmp_path / "s.toml").sensor.check_holes_known()

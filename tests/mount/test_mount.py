@@ -21,7 +21,6 @@ from probedesign.mount import (
     sensor_adapter_for,
 )
 from probedesign.mount.mass import cylinder, hexagon, segment, strip, subtract
-from probedesign.mount.sensor_adapter import DOWEL_SLOT
 from tests.cad.conftest import design_of as make_design
 
 
@@ -162,7 +161,7 @@ def test_no_wall_of_the_adapter_is_too_thin_to_print(base_d: float) -> None:
     rise = (a.cone_top - a.foot_height) / (rim_r - a.cone_d / 2)
     cone_at_hole = a.foot_height + rise * (seats.max() + M2.clearance_d / 2 - a.cone_d / 2)
     walls = {
-        "screw to dowel": apart - M2.clearance_d / 2 - a.dowel_d / 2 - DOWEL_SLOT / 2,
+        "screw to dowel": apart - M2.clearance_d / 2 - a.dowel_d / 2 - a.dowel_slot / 2,
         "nut slot to flat": a.mark_x - nuts[:, 0].max() - a.nut_slot_width / 2,
         "nut slot to recess": inner_end - recess_r,
         "above a nut": a.nut_roof,

@@ -9,9 +9,16 @@ import pytest
 from probedesign.core.errors import InputError
 from probedesign.design import parse_design
 from probedesign.design.catalog import SCREWS
+from probedesign.design.io import render_design
 from probedesign.geometry import build_geometry
 from probedesign.mount import flange_adapter_for, mount_options, sensor_adapter_for
-from probedesign.mount.root import ROOT_STD, exported_root_radii, stated_root_radii, with_computed_root
+from probedesign.mount.root import (
+    ROOT_STD,
+    exported_root_radii,
+    root_contradiction,
+    stated_root_radii,
+    with_computed_root,
+)
 from probedesign.mount.tolerance_stack import Stack, StackItem, measurements, tolerance_stacks
 
 
@@ -91,6 +98,52 @@ def test_accepted_parts_never_let_a_screw_break_the_sensor() -> None:
         assert row.accept[0] < row.nominal < row.accept[1]
 
 
+def test_an_accepted_lip_is_clamped_whatever_the_calipers_read() -> None:
+    """Flange and recess are two readings, each 0.05 mm off: the lip is still compressed by 0.1 to 0.75 mm."""
+    row = next(row for row in measurements(*adapters_of(12.0, "")) if "compression" in row.what)
+    for reading, off in itertools.product(row.accept, (-0.1e-3, 0.1e-3)):
+        assert 0.1e-3 - 1e-9 <= reading + off <= 0.75e-3 + 1e-9
+    assert row.accept[0] < row.nominal < row.accept[1]
+
+
+def test_a_face_that_lost_material_lets_no_pin_bottom() -> None:
+    """The longest pin, the shallowest holes, and 0.2 mm off the foot: the adapter still rests on the sensor."""
+    a, plate = adapters_of(12.0, "")
+    assert a.dowel_depth - 0.15e-3 - 0.2e-3 + (3.0 - 0.1) * 1e-3 - 6.25e-3 == pytest.approx(0.0, abs=1e-9)
+    rooms = {
+        stack.name: stack for stack in tolerance_stacks(replace(a, dowel_depth=a.dowel_depth - 1e-4), plate)
+    }
+    assert not rooms["dowel_pin_room"].ok
+
+
+@pytest.mark.parametrize("mount", ["", 'adapters = "milled"'])
+def test_parts_that_do_not_fit_together_are_refused(mount: str) -> None:
+    """Each fit loses its play, or gains too much, in turn."""
+    a, plate = adapters_of(12.0, mount)
+
+    def broken(a, plate) -> set[str]:
+        return {stack.name for stack in tolerance_stacks(a, plate) if not stack.ok}
+
+    def pins(factor: float):
+        return replace(
+            plate, p_centring_pins=tuple((factor * x, factor * y) for x, y in plate.p_centring_pins)
+        )
+
+    assert broken(a, plate) == set()
+    assert broken(replace(a, recess_d=a.flange.diameter - 0.1e-3), plate) == {"flange_in_recess"}
+    assert broken(replace(a, peg_hole_d=a.peg_hole_d - 0.3e-3), plate) == {"peg_fit"}
+    assert broken(replace(a, dowel_d=a.dowels.diameter - 0.02e-3), plate) == {"dowel_fit"}
+    assert broken(replace(a, dowel_d=a.dowel_d + 0.4e-3), plate) == {"dowel_fit"}
+    assert broken(a, pins(0.99)) == {"centring_fit"}
+
+
+def test_the_slot_takes_the_distance_of_the_dowel_holes() -> None:
+    """Two printed holes are ±0.15 mm apart, the sensor's ±0.05 mm, and the slot may be 0.15 mm short."""
+    stack = stacks_of()["dowel_slot"]
+    assert stack.worst[0] == pytest.approx(0.5 * (0.6 - 0.15) * 1e-3 - 0.2e-3)
+    assert stack.ok
+
+
 # The root
 
 
@@ -103,6 +156,24 @@ def test_the_glued_flange_yields_less_and_a_bonded_face_less_still() -> None:
         assert exported_root_radii(geometry) == pytest.approx(clamped, abs=5e-3)
         assert exported_root_radii(geometry, "glued") == pytest.approx(glued, abs=5e-3)
         assert exported_root_radii(geometry) < exported_root_radii(geometry, "glued") < 0.12
+
+
+def test_a_root_that_contradicts_the_hold_is_found() -> None:
+    text = 'schema = 1\nname = "x"\n[probe]\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n[mount]\n'
+
+    def found(mount: str) -> bool:
+        return root_contradiction(parse_design(text + mount)) != ""
+
+    new, _ = with_computed_root(parse_design(text), "clamped")
+    glued, _ = with_computed_root(parse_design(text), "glued")
+    assert not root_contradiction(new) and not root_contradiction(glued)
+    by_hand = parse_design(render_design(new).replace('hold = "clamped"', 'hold = "glued"'))
+    assert "-0.11" in root_contradiction(by_hand)
+    assert not found("")  # an old file: 0.12 is among the assumptions
+    assert found('hold = "glued"') and not found('hold = "glued"\nroot_rigid_radii = -0.11')
+    assert not found('hold = "glued"\nroot_rigid_radii = 0.0')  # the paper's rod
+    tolerance = "\n[tolerances]\nroot_radii = 0.05"
+    assert found("root_rigid_radii = 0.12" + tolerance) and not found("root_rigid_radii = -0.1" + tolerance)
 
 
 def test_a_new_design_states_the_computed_root_and_its_uncertainty() -> None:

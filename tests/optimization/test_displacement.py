@@ -9,9 +9,10 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design
+from probedesign.optimization import displacement
 from probedesign.optimization.constraints import OptimizationProblem, parse_limit
 from probedesign.optimization.design_space import design_dict
-from probedesign.optimization.displacement import crash_use, force_at_deflection_mN, push
+from probedesign.optimization.displacement import crash_use, forces_at_deflection_mN, push
 from probedesign.optimization.objective import Task
 from probedesign.optimization.optimum import optimum
 from probedesign.probe import build_probe
@@ -41,15 +42,14 @@ def test_the_force_at_a_deflection_is_that_of_the_elastica(elastica, load, defle
     pushed = push(rod, NO_GRAVITY, (0.0, 1.0, 0.0), deflection * rod.length)
     assert pushed.ok
     # The last digit of the table, 5e-6, times the slope of the load, which is 19 at the largest deflection.
-    assert pushed.load[1] * rod.length**2 / EI == pytest.approx(load, abs=2e-4)
+    assert pushed.force * rod.length**2 / EI == pytest.approx(load, abs=2e-4)
 
 
 def test_a_small_push_is_linear_in_any_direction(elastica):
     rod, EI = elastica
     for phi in (0.0, 1.0, 2.5):
         pushed = push(rod, NO_GRAVITY, (math.cos(phi), math.sin(phi), 0.0), 1e-3 * rod.length)
-        force = float(np.linalg.norm(pushed.load[:3]))
-        assert force == pytest.approx(3.0 * EI / rod.length**3 * 1e-3 * rod.length, rel=1e-5)
+        assert pushed.force == pytest.approx(3.0 * EI / rod.length**3 * 1e-3 * rod.length, rel=1e-5)
 
 
 def test_a_push_beside_the_axis_bends_the_rod_aside(elastica):
@@ -59,9 +59,9 @@ def test_a_push_beside_the_axis_bends_the_rod_aside(elastica):
     euler = (math.pi / 2.0) ** 2 * EI / rod.length**2
     before, after = (push(rod, NO_GRAVITY, aside, share * rod.length) for share in (0.02, 0.3))
     assert before.ok and after.ok
-    assert 0.0 < np.linalg.norm(before.load[:3]) < np.linalg.norm(after.load[:3]) < euler
-    assert np.linalg.norm(after.load[:3]) > 0.9 * euler
-    travelled = np.dot(aside, after.p_contact_base - (0.0, 0.0, rod.length))
+    assert 0.0 < before.force < after.force < euler
+    assert after.force > 0.9 * euler
+    travelled = np.dot(aside, after.last.p_contact_base - (0.0, 0.0, rod.length))
     assert travelled == pytest.approx(0.3 * rod.length, rel=1e-5)
 
 
@@ -71,7 +71,67 @@ def test_the_straight_axis_is_pushed_up_to_eulers_load(elastica):
     pushed = push(rod, NO_GRAVITY, (0.0, 0.0, -1.0), 0.02 * rod.length)
     euler = (math.pi / 2.0) ** 2 * elastica[1] / rod.length**2
     # Compression and shear change the load by the strain at buckling, 0.1 %, times a few.
-    assert pushed.ok and -pushed.load[2] == pytest.approx(euler, rel=5e-3)
+    assert pushed.result == "snaps" and pushed.force == pytest.approx(euler, rel=5e-3)
+
+
+@pytest.mark.parametrize("polar", [math.pi / 2.0, math.radians(135.0)])
+def test_a_distance_beyond_the_rods_reach_has_no_force(elastica, polar):
+    """The tip cannot travel further than twice the length: whatever ends the search, the result is not "ok"."""
+    rod, _ = elastica
+    e = (math.sin(polar), 0.0, math.cos(polar))
+    assert not push(rod, NO_GRAVITY, e, 2.5 * rod.length).ok
+
+
+@pytest.mark.parametrize("solves", [1, 3])
+def test_an_unfinished_push_gives_no_load(large, monkeypatch, solves):
+    """The loads of the way are smaller than that at the distance, so they must not pass for it."""
+    model, overload = build_probe(large).model, large.sensor_model.overload
+    assert push(model.rod, model.gravity_base, (0.0, 1.0, 0.0), 0.05).ok
+    monkeypatch.setattr(displacement, "_MAX_SOLVES", solves)
+    assert push(model.rod, model.gravity_base, (0.0, 1.0, 0.0), 0.05).result == "not_converged"
+    assert forces_at_deflection_mN(model, TASK, 50.0) is None
+    assert crash_use(model, TASK, 50.0, overload) is None
+    limits = (parse_limit("crash_use@50mm<=1000"), parse_limit("force_mN@50mm>=1e-3"))
+    problem = OptimizationProblem(large, ("cone",), TASK, limits=limits).problem
+    x = problem.evaluator.space.x_of(large)
+    margins = [c.min_margin(x) for c in problem.constraints if c.text in {limit.text for limit in limits}]
+    assert len(margins) == 2 and max(margins) < 0.0
+
+
+def test_a_probe_that_snaps_in_a_crash_rests_on_its_own_side():
+    """The small probe, pushed 10° beside its axis against its sag, snaps before 30 mm; the crash goes on beyond."""
+    design = load_design(LARGE.with_name("small.toml"))
+    model, overload = build_probe(design).model, np.array(design.sensor_model.overload)
+    g, polar = model.gravity_base, math.radians(10.0)
+    along, against = ((sign * math.sin(polar), 0.0, -math.cos(polar)) for sign in (1.0, -1.0))
+    own, snapped = push(model.rod, g, along, 0.03), push(model.rod, g, against, 0.03)
+    assert own.ok and snapped.result == "snaps"
+    after = push(model.rod, g, against, 0.03, near=own.last)
+    free = model.rod.solve(g).p_at(model.rod.length)
+    assert after.ok and np.dot(against, after.last.p_contact_base - free) == pytest.approx(0.03, rel=1e-5)
+    assert after.force > snapped.force
+    loads = [np.abs(model.to_sensor(p.last.wrench_base, g)) / overload for p in (own, snapped, after)]
+    assert crash_use(model, TASK, 30.0, overload) >= max(load.max() for load in loads)
+
+
+def test_a_lower_limit_on_the_force_holds_in_every_direction(large):
+    """An elliptic probe is stiffest along x and softest along y: each limit bounds the force on its own side."""
+    tables = design_dict(large)
+    tables["probe"] |= {"section": "elliptic", "flatness": 0.6}
+    flat = check_design(tables)
+    model = build_probe(flat).model
+    low, high = forces_at_deflection_mN(model, TASK, 5.0)
+    s = TASK.fractions[0] * model.rod.length
+    by_axis = [push(model.rod, model.gravity_base, e, 0.005, s).force for e in np.eye(3)[:2]]
+    assert low <= 1e3 * by_axis[1] < 1e3 * by_axis[0] <= high
+    limits = [parse_limit(f"force_mN@5mm{sign}{(low + high) / 2.0:g}") for sign in ("<=", ">=")]
+    for limit, force in zip(limits, (high, low), strict=True):
+        problem = OptimizationProblem(flat, ("cone",), TASK, limits=(limit,)).problem
+        found = next(c for c in problem.constraints if c.text == limit.text)
+        x = problem.evaluator.space.x_of(flat)
+        # The dimensions of the point are not rounded, those of the design are: 1e-3 mm of 7 mm, to the fourth power.
+        assert problem.evaluator.metrics(x)[limit.figure] == pytest.approx(force, rel=1e-3)
+        assert found.min_margin(x) < 0.0
 
 
 def test_a_softer_print_pushes_and_crashes_in_proportion(large):
@@ -88,7 +148,7 @@ def test_a_softer_print_pushes_and_crashes_in_proportion(large):
     stiff = build_probe(check_design(tables)).model
     overload = (250.0, 250.0, 480.0, 1.6, 1.6, 1.8)
     for figure in (
-        lambda model: force_at_deflection_mN(model, TASK, 10.0),
+        lambda model: forces_at_deflection_mN(model, TASK, 10.0)[1],
         lambda model: crash_use(model, TASK, 20.0, overload),
     ):
         assert figure(stiff) == pytest.approx(2.0 * figure(soft), rel=1e-4)
@@ -114,7 +174,7 @@ def test_a_limit_with_a_distance_is_kept(large, text):
     def figure(design):
         model = build_probe(design).model
         if limit.metric.startswith("force"):
-            return force_at_deflection_mN(model, TASK, 10.0)
+            return forces_at_deflection_mN(model, TASK, 10.0)[1]
         return crash_use(model, TASK, 20.0, design.sensor_model.overload)
 
     assert limit.margin(figure(large)) < 0.0  # or the limit would not matter
@@ -124,7 +184,7 @@ def test_a_limit_with_a_distance_is_kept(large, text):
 
 @pytest.mark.parametrize(
     "text", ["force_mN<=5", "crash_use@<=1", "force_mN@5<=1", "force_mN@0mm<=1", "force_mN@nanmm<=1",
-             "crash_use@2000mm<=1", "force_mN@5mm<=0", "sag_mm@5mm<=3"]
+             "crash_use@2000mm<=1", "crash_use@20mm>=1", "force_mN@5mm<=0", "sag_mm@5mm<=3"]
 )  # fmt: skip
 def test_a_limit_with_a_wrong_distance_is_refused(text):
     with pytest.raises(InputError):

@@ -197,6 +197,18 @@ def test_a_design_that_the_clamp_ring_does_not_pass_is_infeasible(large):
     assert DesignEvaluator(space, TASK).is_stable(x)
 
 
+def test_a_wider_lip_lets_a_wider_probe_pass(large):
+    """The flange of a 12 mm base is 19 mm wide with a lip of 3.5 mm, and 24 mm with 6 mm."""
+    tables = design_dict(large)
+    tables["mount"]["flange_lip_mm"] = 6.0
+    wide = check_design(tables)
+    x = np.array([12.0, 16.0, 6.0, 4.0, 2.0])
+    for design, passes in ((large, False), (wide, True)):
+        space = DesignSpace.of(design, ("taper",))
+        assert (space.printable(x)["room for the clamp ring"].min() >= 0.0) == passes
+        assert DesignEvaluator(space, TASK).is_stable(x) is passes
+
+
 def test_a_start_that_buckles_is_improved(large):
     """A start that buckles has no gradient: the search begins with a thicker one."""
     limp = DesignSpace.of(large, ("cone",)).design(np.array([4.0, 1.5]))

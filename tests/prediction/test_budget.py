@@ -15,6 +15,7 @@ from probedesign.estimation.error_sources import parameters_of
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import SOURCES, Tolerances
+from probedesign.geometry.cross_section import CrossSection
 from probedesign.prediction.budget import CAUSES
 from probedesign.prediction.monte_carlo import (
     MonteCarloPlan,
@@ -129,6 +130,41 @@ def test_identified_E_is_correlated_with_the_diameters(large):
     for place in (0, -1):
         before, after = (rod.youngs_modulus * rod.radius[place] ** 4 for rod in (large.rod, other))
         assert after == pytest.approx(before, rel=1e-12)  # rounding
+
+
+def hollow(large, tip_d_mm: float):
+    tables = large.design.model_dump(by_alias=True, exclude_none=True, mode="json")
+    tables["probe"] |= {"section": "hollow", "bore_ratio": 0.6, "tip_d_mm": tip_d_mm}
+    return build_probe(check_design(tables))
+
+
+def test_a_wider_bore_bends_and_weighs_like_one(large):
+    """Against the exact section of a cylinder, by differences: the derivatives of the tip's place and of the weight."""
+    probe, widened = hollow(large, 12.0), 0.01
+    exact = replace(probe.rod, factors=CrossSection((7.2 + widened) / 12.0).factors)
+    row = parameters_of(probe.rod, only(bore_mm=widened))["bore"][0]
+    gravity, force = (9.81, 0.0, 0.0), (0.02, 0.01, 0.0)
+
+    def change(rod):
+        before, after = (one.solve(gravity, force, mode="reference") for one in (probe.rod, rod))
+        return after.p_at(rod.length) - before.p_at(rod.length), (after.wrench_base - before.wrench_base)[:3]
+
+    (moved, heavier), (moved_exact, heavier_exact) = change(perturbed_rod(probe.rod, row)), change(exact)
+    # Shear, 0.5 % of the bending of this thick tube, changes with the area: three times as much, relative to bending,
+    # of which the lost weight takes half back.
+    assert moved == pytest.approx(moved_exact, abs=0.03 * np.linalg.norm(moved_exact))
+    assert heavier == pytest.approx(heavier_exact, rel=5e-3, abs=1e-12)  # second order of 0.14 %
+    assert np.linalg.norm(moved_exact) > 5e-6
+
+
+def test_the_bore_is_a_cause_of_hollow_probes_alone(large):
+    assert budget(large, Tolerances())["bore"] == 0.0
+    probe = hollow(large, 6.0)
+    narrow, wide = (budget(probe, only(bore_mm=std))["bore"] for std in (0.05, 0.1))
+    assert narrow > 0.0 and wide == pytest.approx(2.0 * narrow, rel=5e-3)  # linear, where the error is small
+    # β⁴/(1 - β⁴) = 0.149 over β = 0.6: a quarter of the effect of the same deviation outside, and a little weight.
+    outer = budget(probe, only(diameter_mm=0.1, diameter_share=0.0))["diameter"]
+    assert 0.15 * outer < wide < 0.35 * outer
 
 
 def test_correlation_of_E_with_the_diameters_reduces_the_error(large):

@@ -745,3 +745,12 @@ def test_wrong_options_are_one_line(fake, place, capsys, options, message):
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.count("\n") == 1 and message in captured.err
     assert Path("there.form").read_text() == "mine" and fake.printed == []
+
+
+def test_milled_parts_are_not_printed(fake, place):
+    """No request reaches PreForm; the soft probe is printed as before."""
+    Path("thin.toml").write_text(DESIGN + '[mount]\nadapters = "milled"\n')
+    assert run(["print", "thin.toml", "--parts", "adapters", "--preform", fake.url]) == 2
+    with pytest.raises(InputError, match="milled"):
+        prepared(fake, place, PrintOrder("adapters"))
+    assert prepared(fake, place).parts == ("probe",)
