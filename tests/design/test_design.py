@@ -224,7 +224,7 @@ def test_an_endless_integer(digits):
         (
             '"iso-9409-1-50-4-m6"',
             '"iso-50"',
-            "did you mean 'iso-9409-1-50-4-m6'? known: iso-9409-1-31.5-4-m5",
+            "did you mean 'iso-9409-1-50-4-m6'? known: iso-9409-1-100-6-m8",
         ),
         ('"iso-9409-1-50-4-m6"', '"own"', "mount.flange is missing beside robot_flange = 'own'"),
         ("[print]", '[mount.flange]\nbolt = "M7"\n[print]', "mount.flange.bolt = 'M7' is not one of"),
