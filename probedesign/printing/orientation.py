@@ -1,7 +1,7 @@
 """Printing orientation of each rigid part: upright or upside down on the platform, whichever needs fewer supports."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, Literal
 
@@ -128,4 +128,21 @@ def oriented_parts(a: SensorAdapter, plate: FlangeAdapter) -> list[OrientedPart]
             ("its spigot" if spigot > 0.0 else "its face to the robot", "the sensor's seat"),
         ),
     ]  # fmt: skip
-    return [part.best for part in parts]
+    return [_examined_part(part, source) for part, source in zip(parts, [a, a, plate], strict=True)]
+
+
+def _examined_part(part: _RigidPart, source: SensorAdapter | FlangeAdapter) -> OrientedPart:
+    """Return the part in its better orientation, computed once for its dimensions."""
+    key = part.name + repr(
+        [getattr(source, one.name) for one in fields(source) if not one.name.startswith("on_")]
+    )
+    if key not in _examined:
+        if len(_examined) >= MAX_EXAMINED:
+            _examined.clear()
+        _examined[key] = part.best
+    return _examined[key]
+
+
+MAX_EXAMINED = 64
+_examined: dict[str, OrientedPart] = {}
+"""Parts by name and dimensions without engravings: designs of one mount differ in the probe alone."""
