@@ -128,7 +128,8 @@ def oriented_parts(a: SensorAdapter, plate: FlangeAdapter) -> list[OrientedPart]
             ("its spigot" if spigot > 0.0 else "its face to the robot", "the sensor's seat"),
         ),
     ]  # fmt: skip
-    return [_examined_part(part, source) for part, source in zip(parts, [a, a, plate], strict=True)]
+    sources: tuple[SensorAdapter | FlangeAdapter, ...] = (a, a, plate)
+    return [_examined_part(part, source) for part, source in zip(parts, sources, strict=True)]
 
 
 def _examined_part(part: _RigidPart, source: SensorAdapter | FlangeAdapter) -> OrientedPart:
