@@ -206,7 +206,9 @@ def test_pins_centre_the_sensor_on_the_plate_and_a_tie_takes_the_cable(large: Ca
     assert np.diff([*azimuths, azimuths[0] + 360.0]).max() < 180.0  # on all sides of the body
     for pin in pins:
         play = np.hypot(pin.Center().x, pin.Center().y) - 1.0 - 8.5
-        assert play == pytest.approx(0.05, abs=1e-6)  # the kernel's tolerance is 1e-7 mm
+        assert play == pytest.approx(
+            0.15, abs=1e-6
+        )  # 0 at the worst corner of the tolerances; kernel: 1e-7 mm
     assert large.shared_volumes["flange_adapter & centring_pins"] == 0.0
     plate = large.parts["flange_adapter"]
     x, y = (1e3 * v for v in large.plate.p_tie_slots[0])
@@ -286,7 +288,7 @@ def test_a_flange_of_the_users_own() -> None:
     ("given", "wrong", "text"),
     [
         ("36.0", "20.0", r"bolt_circle_d_mm = 20 .* at least 25 mm"),
-        ("entry_mm = 6.0", "entry_mm = 3.0", r"max_bolt_entry_mm = 3 .* at least 3\.7 mm"),
+        ("entry_mm = 6.0", "entry_mm = 3.0", r"max_bolt_entry_mm = 3 .* at least 3\.9 mm"),
         ("length_mm = 12.0", "length_mm = 11.0", r"bolt_length_mm = 11 .* M4 these will do: 10, 12"),
         ("[60.0, 180.0", "[60.0, 120.0", r"bolt_azimuths_deg .* at least 73° apart"),
         (
