@@ -279,7 +279,8 @@ def test_new_refuses_bad_values_by_option_and_value_and_writes_nothing(workplace
 
 def test_new_writes_no_design_whose_mount_does_not_fit(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    status = run([*NEW, "--sensor", "mini40"])  # the bolts of the default robot flange are too close for it
+    # the bolts of this robot flange are too close for the sensor
+    status = run([*NEW, "--sensor", "mini40", "--robot-flange", "iso-9409-1-50-4-m6"])
     captured = capsys.readouterr()
     assert_refused(captured.out, captured.err, status)
     assert "bolt_circle_d_mm = 50" in captured.err
@@ -406,10 +407,13 @@ def test_completion_is_installed_for_a_shell(tmp_path, monkeypatch, capsys):
     assert any("--length" in file.read_text() for file in tmp_path.rglob("probedesign"))
 
 
-def test_a_design_is_given_by_file_folder_or_name_and_a_frozen_probe_by_name(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("tip_d", ["2", "2.5"])  # the second gives a name with a dot
+def test_a_design_is_given_by_file_folder_or_name_and_a_frozen_probe_by_name(
+    tmp_path, monkeypatch, capsys, tip_d
+):
     monkeypatch.chdir(tmp_path)
-    assert run([*NEW, "--tip-d", "2"]) == 0
-    name = next(Path("designs").iterdir()).stem
+    assert run([*NEW, "--tip-d", tip_d]) == 0
+    name = f"cone-150x12x{tip_d}"
     for given in (f"designs/{name}.toml", "designs", name):
         capsys.readouterr()
         assert run(["check", given, "--json"]) == 0
@@ -417,6 +421,13 @@ def test_a_design_is_given_by_file_folder_or_name_and_a_frozen_probe_by_name(tmp
     assert run(["deploy", name]) == 0
     assert (tmp_path / "exports" / name / f"{name}.probe.json").exists()
     assert run(["live", name, "--source", "sim:?speed=max&rate_hz=50&seconds=1", "--count", "1"]) == 0
+    (tmp_path / "notes").mkdir()
+    monkeypatch.chdir(tmp_path / "notes")
+    assert run(["check", name]) == 0
+    assert (
+        run(["estimate", name, "none.csv"]) == 2 and "none.csv" in capsys.readouterr().err
+    )  # the probe was found
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "designs/other.toml").write_text(Path(f"designs/{name}.toml").read_text())
     capsys.readouterr()
     for given in ("designs", "unknown"):

@@ -26,7 +26,7 @@ def export_changed(design: Design, changed: Mapping[str, cq.Workplane], out: Pat
     if not changed:
         raise InputError("no part is given; name the changed ones, such as sensor_adapter=PART")
     folder = Path(os.path.abspath(out))
-    check_target(folder)
+    check_target(folder, "changed parts")
     model = changed_model(design, changed)
     meshes = {name: tessellate(model.parts[name].shape) for name in changed}
     findings = checked(design.name, {**mesh_findings(model, meshes), **room_findings(model)})
@@ -40,6 +40,7 @@ def export_changed(design: Design, changed: Mapping[str, cq.Workplane], out: Pat
     }
     manifest = {
         "schema": SCHEMA,
+        "kind": "changed parts",
         **model_record(model, files, findings),
         "changed": {name: _masses(design, model.parts[name]) for name in changed},
         "print_scale": {name: list(print_scale(design, name)) for name in changed},

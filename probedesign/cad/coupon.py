@@ -45,7 +45,7 @@ Disc = tuple[float, float, float]
 def export_coupon(design: Design, out: Path | None) -> dict[str, Any]:
     """Draw, check and write the coupons; see `probedesign.cad.export_coupon`."""
     folder = Path(os.path.abspath(out or Path("exports") / design.name / "coupon"))
-    check_target(folder)
+    check_target(folder, "coupon")
     _check_sheets(folder)
     fingerprint = build_geometry(design).fingerprint
     steps, (rod_d, rod_length) = coupon_steps_mm(design), coupon_rod_mm(design)
@@ -74,6 +74,7 @@ def export_coupon(design: Design, out: Path | None) -> dict[str, Any]:
         drawing_date(design),
     )
     manifest = {
+        "kind": "coupon",
         "name": design.name,
         "fingerprint": fingerprint,
         "resin": design.resin.name,
@@ -137,6 +138,7 @@ def _check_sheets(folder: Path) -> None:
 def _coupon_sheet(design: Design, parts: dict[str, list[Disc]]) -> str:
     lines = [
         f"# coupons of {design.name}, {design.resin.product}: diameters along x and along y, at s above the foot",
+        f"# resin: {design.resin.name}",
         "# these parts are not scaled; probedesign measured DESIGN coupon.csv writes scale_xy of [print]",
         "part,s_mm,drawn_mm,diameter_x_mm,diameter_y_mm",
     ]

@@ -50,6 +50,7 @@ def manifest_of(
     pin = f"dowel pin {a.dowels.diameter / MM:g}x{a.dowels.pin_length / MM:g} mm"
     return {
         "schema": SCHEMA,
+        "kind": "export",
         **model_record(model, files, findings),
         "bill_of_materials": bill_records(documents.bill),
         "tolerance_stacks": [stack.as_record() for stack in tolerance_stacks(a, model.plate)],

@@ -23,14 +23,24 @@ def listed_digests(folder: Path) -> dict[str, str]:
         return {}
 
 
-def check_target(folder: Path) -> None:
-    """Check, before any work, that a folder can be written or created."""
+def check_target(folder: Path, kind: str = "export") -> None:
+    """Check, before any work, that a folder can be written or created and does not hold files of another kind.
+
+    Args:
+        folder: to write to.
+        kind: `kind` of its manifest; one without it is of an export.
+    """
     nearest = next(path for path in (folder, *folder.parents) if path.exists())
     if not nearest.is_dir():
         inside = "" if nearest == folder else f"{folder}: "
         raise InputError(f"{inside}{nearest} is a file; name a folder to export into")
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise InputError(f"{folder}: cannot be written: no permission in {nearest}")
+    found = kind
+    with suppress(OSError, ValueError, AttributeError):
+        found = json.loads((folder / MANIFEST).read_text("utf-8")).get("kind", "export")
+    if found != kind:
+        raise InputError(f"{folder}: has files of another kind, '{found}'; name another folder")
 
 
 @contextmanager

@@ -49,14 +49,14 @@ def write_bundle(probe: "Probe", path: Path) -> Path:
 
     Args:
         probe: to freeze.
-        path: a file, or a folder: one that exists, or a name without a suffix.
+        path: a file, or a folder: one that exists, or a name that does not end in .json.
 
     Raises:
         InputError: another file has that name, or the parts exported beside it have another geometry.
     """
     from probedesign.frozen_probe import check_manifest, check_replaceable, write_frozen
 
-    if path.is_dir() or not path.suffix:
+    if path.is_dir() or (path.suffix != ".json" and not path.exists()):
         path /= f"{probe.design.name}.probe.json"
     check_replaceable(path)
     manifest = path.parent / "manifest.json"

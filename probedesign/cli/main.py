@@ -110,10 +110,12 @@ def read_settings() -> "tuple[dict[str, Any], str]":
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"{path}: cannot be read as TOML: {error}") from None
     for name, table in found.items():
-        if name not in COMMANDS or not isinstance(table, dict):
+        if not isinstance(table, dict):
             raise InputError(
-                f"{path}: [{name}] is not a command; use a table for each command, such as [live]"
+                f"{path}: {name} is not in a table; use a table for each command, such as [live]"
             )
+        if name not in COMMANDS:
+            raise InputError(f"{path}: [{name}] is not a command; see probedesign --help")
     return found, path
 
 

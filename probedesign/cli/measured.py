@@ -72,10 +72,11 @@ def _write_scale(
     design: Path, sheet: Path, calipers_std_mm: float, out: Path | None, force: bool, as_json: bool
 ) -> None:
     """Write the scale of the next print from the sheet of a coupon."""
+    from probedesign.design import load_design
     from probedesign.identification.coupon_scale import fit_scale, read_coupon, scale_changes
     from probedesign.identification.design_update import write_changes
 
-    found = fit_scale(*read_coupon(sheet), calipers_std_mm)
+    found = fit_scale(*read_coupon(sheet, load_design(design).resin.name), calipers_std_mm)
     day = date.today().isoformat()
     changes = scale_changes(found, day)
     path, kept = write_changes(design, changes, day, out, force)

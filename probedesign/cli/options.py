@@ -45,15 +45,21 @@ def _design_of(_type: object, tokens: Sequence[Token]) -> Path:
     given = Path(tokens[0].value)
     if given.is_dir():
         return file_in(given, "*.toml", "design")
-    named = (folder / f"{given}.toml" for folder in (Path("designs"), Path()))
-    return given if given.suffix or given.exists() else next((file for file in named if file.exists()), given)
+    return given if given.exists() else _in_project(Path("designs", f"{given}.toml"), given)
 
 
 def _frozen_of(_type: object, tokens: Sequence[Token]) -> Path:
     """Return the frozen probe of an argument: the file, its folder, or NAME of exports/NAME."""
     given = Path(tokens[0].value)
-    exported = EXPORTS / given
-    return exported if not given.suffix and not given.exists() and exported.is_dir() else given
+    return given if given.exists() else _in_project(EXPORTS / given, given)
+
+
+def _in_project(path: Path, default: Path) -> Path:
+    """Return a path relative to the working directory or the first folder above it that has it."""
+    for folder in (Path.cwd(), *Path.cwd().parents):
+        if (folder / path).exists():
+            return Path(os.path.relpath(folder / path))
+    return default
 
 
 DesignFile = Annotated[Path, Parameter(converter=_design_of)]

@@ -3,6 +3,7 @@
 import difflib
 import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -218,9 +219,7 @@ def _range_of(key: str, model: type[BaseModel]) -> str:
     """Return the text of the range of a bounded key."""
     table, _, last = key.rpartition(".")
     field = _fields(model, table).get(last)
-    metadata: list[Any] = [] if field is None else list(field.metadata)
-    for argument in get_args(field.annotation) if field is not None else ():
-        metadata += getattr(argument, "__metadata__", ())
+    metadata: list[Any] = [] if field is None else [*field.metadata, *_metadata(field.annotation)]
     flat = [m for item in metadata for m in (*getattr(item, "metadata", ()), item)]
     low = next((m.ge for m in flat if hasattr(m, "ge")), None)
     above = next((m.gt for m in flat if hasattr(m, "gt")), None)
@@ -229,6 +228,13 @@ def _range_of(key: str, model: type[BaseModel]) -> str:
     if above is not None:
         return f"above {above:g}, up to {upper}"
     return f"{'-inf' if low is None else f'{low:g}'} ... {upper}"
+
+
+def _metadata(annotation: Any) -> Iterator[Any]:
+    """Yield the bounds within an annotation, such as those of the items of a list."""
+    yield from getattr(annotation, "__metadata__", ())
+    for argument in get_args(annotation):
+        yield from _metadata(argument)
 
 
 def _line_of(key: str, text: str) -> int | None:

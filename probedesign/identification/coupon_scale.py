@@ -5,6 +5,7 @@ least squares, and 1/k is `scale_xy` of `[print]`, which compensates for the shr
 does not shrink with it, because one coupon does not show how much prints differ from each other.
 """
 
+import re
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -60,20 +61,33 @@ class CouponScale:
 
 def is_coupon_sheet(path: Path) -> bool:
     """Return whether a file is the sheet of a coupon: its header has the column of drawn diameters."""
+    if not path.is_file():
+        return False
     lines = read_lines(path, SCHEMA.what, SCHEMA.like)
     return any(name.strip().startswith("drawn") for name in lines.header)
 
 
-def read_coupon(path: Path) -> tuple[Array, Array, Array]:
+def read_coupon(path: Path, resin: str) -> tuple[Array, Array, Array]:
     """Read the sheet of a coupon.
+
+    Args:
+        path: of the sheet; a comment `# resin: NAME` states what the coupon was printed in.
+        resin: name of the resin of the probe.
 
     Returns:
         Drawn and mean measured diameter of each place with a reading [mm], and its number of readings, (n,) each.
 
     Raises:
-        InputError: the file cannot be used, or too few places have a reading.
+        InputError: the file cannot be used, is of another resin, or too few places have a reading.
     """
     rows = read_rows(path, SCHEMA)
+    for number, line in rows.lines.comments:
+        named = re.match(r"\s*#\s*resin\s*[:=]\s*(\S*)", line, re.IGNORECASE)
+        if named and named[1] != resin:
+            rows.lines.fail(
+                number,
+                f"the coupon is of {named[1]!r}, the design of {resin}; a shrinkage is that of one resin",
+            )
     values = rows.numbers("drawn", "diameter_x", "diameter_y") / MM
     for row in np.flatnonzero(~(values[:, 0] > 0.0) | (values[:, 1:] <= 0.0).any(axis=1))[:1]:
         rows.fail(int(row), "drawn_mm and the diameters must be positive; leave what was not measured empty")

@@ -142,8 +142,8 @@ def _check_fingerprint(rows: TableRows, fingerprint: str) -> None:
         if named and named[1].lower() != fingerprint:
             rows.lines.fail(
                 number,
-                f"the calipers are of geometry {named[1]!r}, the design has {fingerprint}; name the design of this "
-                "print, which a measurement may have changed since",
+                f"the calipers are of geometry {named[1]!r}, the design has {fingerprint}; name the design as it "
+                "was printed, without measured diameters",
             )
 
 

@@ -61,3 +61,13 @@ def test_sheet_that_was_filled_in_is_not_replaced(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="filled in"):
         export_coupon(CONE, folder)
     assert sheet.read_bytes() == filled and json.loads((folder / "manifest.json").read_bytes())["name"] == "p"
+
+
+def test_files_of_another_kind_are_not_replaced(tmp_path: Path) -> None:
+    """Each kind removes the files that the last of its kind left, which would be those of an export."""
+    for kind in ({"kind": "export"}, {}):
+        (tmp_path / "manifest.json").write_text(json.dumps({**kind, "files": {"probe.stl": {}}}), "utf-8")
+        (tmp_path / "probe.stl").write_bytes(b"solid")
+        with pytest.raises(InputError):
+            export_coupon(CONE, tmp_path)
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["manifest.json", "probe.stl"]

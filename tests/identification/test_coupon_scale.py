@@ -32,7 +32,7 @@ def sheet(folder: Path, measured: np.ndarray) -> Path:
 
 
 def test_a_shrunk_coupon_gives_the_scale_that_restores_the_drawn_size(tmp_path: Path) -> None:
-    found = fit_scale(*read_coupon(sheet(tmp_path, 0.985 * DRAWN)), 0.0)
+    found = fit_scale(*read_coupon(sheet(tmp_path, 0.985 * DRAWN), "elastic-50a"), 0.0)
     assert found.scale_xy * 0.985 == pytest.approx(1.0, abs=1e-4)  # the sheet has micrometres
     assert found.left_mm < 1e-3 and not found.has_offset
 
@@ -59,14 +59,22 @@ def test_an_offset_is_reported_apart() -> None:
 @pytest.mark.parametrize("measured", [0.5 * DRAWN, 10.0 * DRAWN, -DRAWN])
 def test_another_part_is_refused(tmp_path: Path, measured: np.ndarray) -> None:
     with pytest.raises(InputError):
-        fit_scale(*read_coupon(sheet(tmp_path, measured)), 0.02)
+        fit_scale(*read_coupon(sheet(tmp_path, measured), "elastic-50a"), 0.02)
 
 
 def test_an_empty_sheet_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "coupon.csv"
     path.write_text(f"{HEAD}\ncoupon_steps,4,12,,\ncoupon_rod,4,7,6.9,6.9\n", "utf-8")
     with pytest.raises(InputError, match="at least 3"):
-        read_coupon(path)
+        read_coupon(path, "elastic-50a")
+
+
+def test_a_coupon_of_another_resin_is_refused(tmp_path: Path) -> None:
+    path = sheet(tmp_path, 0.985 * DRAWN)
+    path.write_text(path.read_text("utf-8").replace("# coupons", "# resin: elastic-50a"), "utf-8")
+    assert len(read_coupon(path, "elastic-50a")[0]) == len(DRAWN)
+    with pytest.raises(InputError, match="silicone-40a"):
+        read_coupon(path, "silicone-40a")
 
 
 def test_the_command_writes_the_scale_and_leaves_the_geometry(tmp_path: Path, capsys) -> None:

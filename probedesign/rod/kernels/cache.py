@@ -316,9 +316,11 @@ def folders() -> list[Path]:
     if only is not None:
         return [only]
     chosen = os.environ.get("NUMBA_CACHE_DIR")
-    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    base = Path(
+        os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    )  # "~" stays without a home
     own = base / "probedesign" / _DIGEST(str(PACKAGE).encode()).hexdigest()[:16]
-    return [*([Path(chosen)] if chosen else []), BUILT, own]
+    return [*([Path(chosen)] if chosen else []), BUILT, *([own] if base.is_absolute() else [])]
 
 
 @cache
