@@ -12,6 +12,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
+from queue import Empty, SimpleQueue
 from time import monotonic, sleep
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -243,14 +244,13 @@ class StreamListener(DatagramReceiver, Generic[T]):
     counted, and each kind is reported once: invalid, another frame, another sender, time that decreases or jumps.
 
     Attributes:
-        arrived: set when a value is queued.
         frame: frame of the values, as the sender names it; may be empty.
     """
 
     def __init__(self, option: str, name: str, host: str, port: int, max_per_tick: int = 20) -> None:
         """Bind the port; see `DatagramReceiver`."""
         super().__init__(option, name, host, port, max_per_tick)
-        self.arrived = threading.Event()
+        self._arrived = SimpleQueue[None]()  # a signal within the wait of an Event can leave its lock held
         self._queue = Handover[tuple[float, T, int]]()
         self._session, self._sender, self.frame = 0, ("", 0), ""
         self._last: T | None = None
@@ -273,13 +273,19 @@ class StreamListener(DatagramReceiver, Generic[T]):
             return "jumping in time", f"time_s jumps by {step:.3g} s"
         return None
 
+    def wait(self, timeout: float) -> None:
+        """Return when a value is queued, or after the timeout [s]."""
+        with suppress(Empty):
+            self._arrived.get(timeout=timeout)
+
     def pop(self) -> list[tuple[float, T, int]]:
         """Return the values since the last call.
 
         Returns:
             Arrival by `time.monotonic` [s], value, and number of the sender's session, for each.
         """
-        self.arrived.clear()
+        with suppress(Empty):
+            self._arrived.get_nowait()
         return self._queue.take()
 
     @property
@@ -308,7 +314,8 @@ class StreamListener(DatagramReceiver, Generic[T]):
         self._last, self._last_arrival = value, now
         self.counts["taken"] += 1
         self._queue.append((now, value, self._session))
-        self.arrived.set()
+        if self._arrived.empty():
+            self._arrived.put(None)
 
     def _start_session(self, sender: tuple[str, int], frame: str) -> None:
         self._session += 1

@@ -104,8 +104,8 @@ class StudioPage:
 
     def wait(self) -> None:
         """Return when the page is stopped; a signal interrupts it."""
-        while not self._stopped.wait(0.5):
-            pass
+        while not self._stopped.is_set():  # a signal within Event.wait can leave the lock that set() needs
+            time.sleep(0.2)
 
     def stop(self) -> None:
         """Stop the server and the thread."""

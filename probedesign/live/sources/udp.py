@@ -204,7 +204,7 @@ class UdpSource:
 
     def _blocks(self, listener: WrenchListener) -> Generator[Block, None, None]:
         while True:
-            listener.arrived.wait(STALE_TIME)
+            listener.wait(STALE_TIME)
             started = monotonic()
             values = listener.pop()
             self._count(listener)
