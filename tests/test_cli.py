@@ -424,9 +424,10 @@ def test_a_design_is_given_by_file_folder_or_name_and_a_frozen_probe_by_name(
     (tmp_path / "notes").mkdir()
     monkeypatch.chdir(tmp_path / "notes")
     assert run(["check", name]) == 0
-    assert (
-        run(["estimate", name, "none.csv"]) == 2 and "none.csv" in capsys.readouterr().err
-    )  # the probe was found
+    for command in (["estimate", name, "none"], ["validate", name, "none"]):
+        capsys.readouterr()
+        assert run(command) == 2
+        assert name not in capsys.readouterr().err  # the probe was found
     monkeypatch.chdir(tmp_path)
     (tmp_path / "designs/other.toml").write_text(Path(f"designs/{name}.toml").read_text())
     capsys.readouterr()

@@ -2,10 +2,14 @@
 
 from datetime import date
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from probedesign.cli.console import plural, print_json
 from probedesign.cli.options import DesignFile, JsonOutput
 from probedesign.core.files import check_overwrite
+
+if TYPE_CHECKING:
+    from probedesign.identification.coupon_scale import CouponScale
 
 
 def measured(
@@ -34,7 +38,7 @@ def measured(
     from probedesign import pipeline
     from probedesign.design import load_design
     from probedesign.geometry import build_geometry
-    from probedesign.identification.coupon_scale import is_coupon_sheet
+    from probedesign.identification.coupon_scale import fit_scale, is_coupon_sheet, read_coupon
     from probedesign.identification.design_update import write_changes
     from probedesign.identification.measured_diameters import diameter_changes, read_calipers
 
@@ -42,7 +46,8 @@ def measured(
         check_overwrite(out, force)
     start = load_design(design)
     if is_coupon_sheet(calipers):
-        _write_scale(design, calipers, calipers_std_mm, out, force, as_json)
+        scale = fit_scale(*read_coupon(calipers, start.resin.name), calipers_std_mm)
+        _write_scale(design, scale, out, force, as_json)
         return
     found = pipeline.measure(start, read_calipers(calipers, start), calipers_std_mm)
     day = date.today().isoformat()
@@ -68,15 +73,11 @@ def measured(
         print(f"kept the former {out} as {kept}")
 
 
-def _write_scale(
-    design: Path, sheet: Path, calipers_std_mm: float, out: Path | None, force: bool, as_json: bool
-) -> None:
-    """Write the scale of the next print from the sheet of a coupon."""
-    from probedesign.design import load_design
-    from probedesign.identification.coupon_scale import fit_scale, read_coupon, scale_changes
+def _write_scale(design: Path, found: "CouponScale", out: Path | None, force: bool, as_json: bool) -> None:
+    """Write the scale of the next print, fitted to the sheet of a coupon."""
+    from probedesign.identification.coupon_scale import scale_changes
     from probedesign.identification.design_update import write_changes
 
-    found = fit_scale(*read_coupon(sheet, load_design(design).resin.name), calipers_std_mm)
     day = date.today().isoformat()
     changes = scale_changes(found, day)
     path, kept = write_changes(design, changes, day, out, force)

@@ -40,17 +40,15 @@ def exports_of(design: Path) -> Path:
     return EXPORTS
 
 
-def _design_of(_type: object, tokens: Sequence[Token]) -> Path:
+def design_file(given: Path) -> Path:
     """Return the design file of an argument: the file, the one file of a folder, or NAME of designs/NAME.toml."""
-    given = Path(tokens[0].value)
     if given.is_dir():
         return file_in(given, "*.toml", "design")
     return given if given.exists() else _in_project(Path("designs", f"{given}.toml"), given)
 
 
-def _frozen_of(_type: object, tokens: Sequence[Token]) -> Path:
+def frozen_probe(given: Path) -> Path:
     """Return the frozen probe of an argument: the file, its folder, or NAME of exports/NAME."""
-    given = Path(tokens[0].value)
     return given if given.exists() else _in_project(EXPORTS / given, given)
 
 
@@ -62,9 +60,16 @@ def _in_project(path: Path, default: Path) -> Path:
     return default
 
 
-DesignFile = Annotated[Path, Parameter(converter=_design_of)]
+def _path_of(resolve: Callable[[Path], Path]) -> Parameter:
+    def convert(_type: object, tokens: Sequence[Token]) -> Path:
+        return resolve(Path(tokens[0].value))
+
+    return Parameter(converter=convert)
+
+
+DesignFile = Annotated[Path, _path_of(design_file)]
 """Argument DESIGN of a command."""
-FrozenProbe = Annotated[Path, Parameter(converter=_frozen_of)]
+FrozenProbe = Annotated[Path, _path_of(frozen_probe)]
 """Argument BUNDLE of a command."""
 JsonOutput = Annotated[bool, Parameter(name="--json")]
 """The option --json of a command."""

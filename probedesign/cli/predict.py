@@ -69,15 +69,8 @@ def predict(
             "predict needs a design file, such as designs/NAME.toml, or --table1 without a design file"
         )
     if design is None:
-        if (out, monte_carlo, seed, touches, forces_too, plots, verbose) != (
-            None,
-            None,
-            0,
-            5,
-            False,
-            None,
-            False,
-        ):
+        given = out, monte_carlo, seed, touches, forces_too, plots, verbose
+        if given != (None, None, 0, 5, False, None, False):
             raise InputError(
                 "--table1 has no other option than --json: it writes no files and fuses no touches"
             )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from probedesign.cli.console import print_note, show_progress
+from probedesign.cli.options import design_file
 from probedesign.core.errors import InputError, require
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ def studio(
     Ctrl-C ends it. Nothing is written before a button is pressed. More: docs/studio.md.
 
     Args:
-        design: the design file, or one of the paper's probes: large, medium or small.
+        design: the design file, or its name, or one of the paper's probes: large, medium or small.
         set_: KEY=VALUE with a key of the design file, as the studio shows it under "Save"; repeat the option for more.
         touch: PLACE,DEGREES,MILLINEWTONS of the touch that is drawn, such as 0.8,90,10.
         forces_mN: the forces whose errors are drawn, such as 5,10.
@@ -76,5 +77,6 @@ def _design(name: str, changes: list[str]) -> "Design":
     from probedesign.prediction.table_one import PROBES, paper_design
     from probedesign.studio.session import with_options
 
-    found = paper_design(name) if name in PROBES and not Path(name).exists() else load_design(name)
+    file = design_file(Path(name))
+    found = paper_design(name) if name in PROBES and not file.exists() else load_design(file)
     return with_options(found, changes)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from probedesign.cli.console import json_bytes, print_json, print_note, show_progress, write_files
-from probedesign.cli.options import EXPORTS, JsonOutput
+from probedesign.cli.options import EXPORTS, JsonOutput, frozen_probe
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_writable
 from probedesign.core.units import format_value
@@ -30,8 +30,8 @@ def validate(
     Writes validation.json, .csv, .html and .png; for several probes also table1.csv. See docs/measurements.md.
 
     Args:
-        bundles_and_data: the frozen probe, NAME.probe.json, and the folder of a campaign; then the same of further
-            probes.
+        bundles_and_data: the frozen probe, NAME.probe.json or its name, and the folder of a campaign; then the same of
+            further probes.
         out: output folder; for several probes it has one folder each. Default: exports/NAME/validation.
         exact_model: treat probe, mount and bench as exactly known; sensor noise, drift of its bias and the friction
             prior remain. Default: all tolerances of BUNDLE.
@@ -78,7 +78,7 @@ def _pairs(paths: tuple[Path, ...]) -> list[tuple[Path, Path]]:
     if not paths or len(paths) % 2:
         raise InputError(f"{len(paths)} paths are given; validate needs pairs of a bundle and its data folder, "
                          "BUNDLE DATA")  # fmt: skip
-    return list(zip(paths[::2], paths[1::2], strict=True))
+    return [(frozen_probe(bundle), data) for bundle, data in zip(paths[::2], paths[1::2], strict=True)]
 
 
 def _files(report: "ValidationReport", plots: bool | None) -> Iterator[tuple[str, bytes]]:

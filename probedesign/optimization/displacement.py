@@ -195,7 +195,10 @@ def displacement_metric(name: str, model: ProbeModel, task: Task, overload: Arra
     metric, distance = split_metric(name)
     if metric in (MIN_FORCE, FORCE):
         forces = forces_at_deflection_mN(model, task, distance)
-        return None if forces is None else forces[metric == FORCE]
+        if forces is None:
+            return None
+        smallest, largest = forces
+        return smallest if metric == MIN_FORCE else largest
     assert overload is not None, "the problem rejects sensors without a known overload"
     return crash_use(model, task, distance, overload)
 

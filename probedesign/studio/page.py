@@ -297,10 +297,8 @@ class StudioPage:
                     self._panel.dock_left()
                     self._panel.set_width(CHARTS_WIDTH)
                     self._server.gui.main_panel.set_width(CONTROLS_WIDTH)  # it took that of the charts
-        for camera in (
-            self._server.initial_camera,
-            client.camera,
-        ):  # a browser that moves panels takes the initial one
+        # A browser that moves panels takes the initial camera.
+        for camera in (self._server.initial_camera, client.camera):
             self._scene.set_camera(camera, scene / height)
 
     # Reactions

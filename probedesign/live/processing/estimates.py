@@ -18,6 +18,8 @@ from probedesign.live.processing.touches import Contact, Phase
 
 UNKNOWN_POSE, UNKNOWN_WRENCH = np.full((4, 4), np.nan), np.full(6, np.nan)
 NO_DRIFT = np.zeros(6)
+for _shared in (UNKNOWN_POSE, UNKNOWN_WRENCH, NO_DRIFT):
+    _shared.setflags(write=False)
 
 
 @dataclass(frozen=True)

@@ -316,9 +316,8 @@ def folders() -> list[Path]:
     if only is not None:
         return [only]
     chosen = os.environ.get("NUMBA_CACHE_DIR")
-    base = Path(
-        os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    )  # "~" stays without a home
+    # Without a home, "~" stays and the path is relative.
+    base = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
     own = base / "probedesign" / _DIGEST(str(PACKAGE).encode()).hexdigest()[:16]
     return [*([Path(chosen)] if chosen else []), BUILT, *([own] if base.is_absolute() else [])]
 

@@ -36,7 +36,7 @@ class SequenceMonitor:
         self._missing.clear()
 
     def accept(self, rdt: NDArray[np.int64], ft: NDArray[np.int64]) -> NDArray[np.bool_] | None:
-        """Return which of n records are new by their numbers, (n,).
+        """Return which of n records are new by their numbers, (n,); None if all are.
 
         A sample that is repeated is not new.
         """
