@@ -1,8 +1,8 @@
 """`python -m probedesign.precompile FOLDER [PART ...]`: compile the kernels into a folder, in several processes.
 
 The build of a wheel runs it for all parts, and the first process that compiles runs it for some of them
-(`rod.kernels.cache`). The parts below are independent; where two of them use the same kernel, one process compiles it
-and the other waits, so that there are as many processes as parts.
+(`rod.kernels.cache`). Where two processes use the same kernel, one compiles it and the other waits, so that there are
+more processes than the two cores of a small machine.
 """
 
 import os
@@ -55,6 +55,21 @@ def _columns(probe: "Probe") -> None:
     _sources(probe).columns_at(np.zeros(TOUCH))
 
 
+def _touches(probe: "Probe") -> None:
+    from probedesign.estimation.surface_contact_kernel import (
+        ROWS,
+        TOUCH,
+        UNKNOWNS,
+        linearise_touch,
+        work_size,
+    )
+
+    linearise_touch(
+        probe.model.rod.body, probe.model.gravity_base, probe.model.mass, 1e-6, np.zeros(TOUCH), 0,
+        np.empty(work_size(0)), np.empty((ROWS, 1 + UNKNOWNS)),
+    )  # fmt: skip
+
+
 def _fit(probe: "Probe") -> None:
     from probedesign.estimation.contact_fit import FIT_SCRATCH
     from probedesign.estimation.multistart import FIT, MAX_STARTS, fit_contacts
@@ -87,12 +102,12 @@ PARTS: dict[str, Callable[["Probe"], None]] = {
     "rod": _rod,
     "fit": _fit,
     "columns": _columns,
+    "touches": _touches,
     "detector": _detector,
     "estimate": _estimate,
     "live": _live,
 }
-"""What compiles the kernels of one subject, by calling them. The last two wait for kernels of those before them, and
-compile what these lack."""
+"""What compiles the kernels of one subject, by calling them."""
 
 
 def precompile(folder: Path) -> dict[str, float]:
@@ -105,8 +120,8 @@ def precompile(folder: Path) -> dict[str, float]:
     if cache.BASELINE in cache.runs():
         environment |= {"NUMBA_CPU_NAME": cache.BASELINE, "NUMBA_CPU_FEATURES": ""}
     began, before = time.perf_counter(), os.times()
-    processes = [subprocess.Popen([sys.executable, "-m", __spec__.name, str(folder), part], env=environment)
-                 for part in PARTS]  # fmt: skip
+    processes = [subprocess.Popen([sys.executable, "-m", __spec__.name, str(folder), *parts], env=environment)
+                 for parts in (("rod", "estimate"), cache.BESIDE[0], (*cache.BESIDE[1], "live"))]  # fmt: skip
     failed = [process.args for process in processes if process.wait()]
     if failed:
         raise RuntimeError(f"{len(failed)} of {len(processes)} processes that compile the kernels failed")

@@ -57,6 +57,7 @@ class DetectorState(NamedTuple):
         state: the last code, and the index of the length that detected the contact, (2,).
         sums: running sums of whitened samples for each length, (k, 6); counts: number of parts in them, (k,).
         scatter: Cholesky factor of S for each length, (k, 6, 6); moments: what S is made from, (k, 6, 6).
+        scratch: of one sample, (3, 6).
     """
 
     whiten: Array
@@ -68,6 +69,7 @@ class DetectorState(NamedTuple):
     counts: Array
     scatter: Array
     moments: Array
+    scratch: Array
 
     @classmethod
     def fresh(cls, whiten: Array, thresholds: Array, released: float, prior_weight: float) -> "DetectorState":
@@ -75,7 +77,7 @@ class DetectorState(NamedTuple):
         lengths = len(thresholds)
         eye = np.tile(np.eye(6), (lengths, 1, 1))
         return cls(whiten, thresholds, released, prior_weight, np.zeros(2), np.zeros((lengths, 6)), np.zeros(lengths),
-                   eye.copy(), eye.copy())  # fmt: skip
+                   eye.copy(), eye.copy(), np.empty((3, 6)))  # fmt: skip
 
 
 @inner
@@ -118,6 +120,7 @@ def advance(
     counts,
     scatter,
     moments,
+    scratch,
     mean,
     cov,
     clock,
@@ -131,8 +134,7 @@ def advance(
         The code of the last one.
     """
     lengths = thresholds.shape[0]
-    white = np.empty(6)
-    z, y = np.empty(6), np.empty(6)
+    white, z, y = scratch[0], scratch[1], scratch[2]
     code = FREE
     for i in range(samples.shape[0]):
         clock[NOW] += constants[PERIOD]
@@ -159,9 +161,8 @@ def advance(
             # that, also at the end of a contact.
             root = np.sqrt(n * (1.0 + n * variance_now(cov, clock, constants) / constants[SAMPLE]))
             for a in range(6):
-                z[a] = sums[j, a] / root
+                z[a] = y[a] = sums[j, a] / root
             far = 0.0
-            y[:] = z
             forward(scatter[j], 6, y)
             for a in range(6):
                 far += y[a] * y[a]

@@ -383,7 +383,7 @@ def advance(touch, before, share, step, move):
     """Carry a touch along a share of a step, its dead loads and its tip with it.
 
     Args:
-        touch: filled, (TOUCH,); before: as it was linearised, (TOUCH,).
+        touch: filled, (TOUCH,); before: as it was linearised, (TOUCH,), which may be the same array.
         step: of the unknowns, (UNKNOWNS,); move: from `plan_move`.
     """
     for j in range(TOUCH):
@@ -393,14 +393,14 @@ def advance(touch, before, share, step, move):
     turn_tip(touch[TIP:], add(take(move, 6), share, take(move, 15)))
 
 
-@kernel
-def linearise_touch(body, gravity, mass, tol, touch, parameters, work, lin):
-    """Run `linearise` for callers in Python, after dead loads and tip of the touch have been made consistent.
+@inner
+def settle(body, gravity, mass, tol, touch, parameters, work, lin):
+    """Run `linearise` after dead loads and tip of the touch have been made consistent.
 
     Returns:
         Whether there is a stable equilibrium.
     """
-    size, before, step, move = 1.0, np.empty(TOUCH), np.zeros(UNKNOWNS), np.empty(MOVE)
+    size = 1.0
     for _ in range(30):  # converges quadratically, in a few sweeps, where there is an equilibrium near
         status, lack, margin, size = linearise(body, gravity, mass, tol, size, touch, parameters, work, lin)
         if status != OK or not lack < math.inf:
@@ -409,21 +409,27 @@ def linearise_touch(body, gravity, mass, tol, touch, parameters, work, lin):
         for q in range(3):
             off = max(off, abs(lin[LOADS + q, VALUE]))
             force = max(force, abs(touch[DEAD + q]))
-        before[:] = touch
-        plan_move(lin, step, move)
-        advance(touch, before, 1.0, step, move)
+        for q in range(6):
+            touch[DEAD + q] += lin[LOADS + q, VALUE]
+        turn_tip(touch[TIP:], take3(lin, LOADS + 6, VALUE))
         if lack <= CLAMPED and off <= 1e-4 * force:  # the step just taken leaves the square of that
             return margin > 0.0
     return False
 
 
 @kernel
-def move_touch(touch, lin, step):
+def linearise_touch(body, gravity, mass, tol, touch, parameters, work, lin):
+    """Run `settle` for callers in Python."""
+    return settle(body, gravity, mass, tol, touch, parameters, work, lin)
+
+
+@kernel
+def move_touch(touch, lin, step, move):
     """Run `advance` for callers in Python: carry a touch along a step of its unknowns from where it was linearised.
 
     Args:
         touch: moved in place, (TOUCH,); lin: its linearisation; step: of the unknowns, (UNKNOWNS,).
+        move: scratch, (MOVE,).
     """
-    before, move = touch.copy(), np.empty(MOVE)
     plan_move(lin, step, move)
-    advance(touch, before, 1.0, step, move)
+    advance(touch, touch, 1.0, step, move)

@@ -31,9 +31,9 @@ from probedesign.estimation.surface_contact_kernel import (
     S,
     advance,
     linearise,
-    linearise_touch,
     plan_move,
     radius_and_slope,
+    settle,
 )
 from probedesign.rod.kernels import inline_always, inner, kernel
 from probedesign.rod.kernels.equations import BEND_X, BEND_Y, OK
@@ -250,7 +250,10 @@ def posterior(lin, touch, J, whiten, D, by_s, work, gain, fit):
     fit.var_s = total
     _point_covariance(POINT, lin, J, whiten, D, C, W6, fit.cov_surface)
     _point_covariance(CENTRE, lin, J, whiten, D, C, W6, fit.cov_centre)
-    fit.cov_linear_surface[:], fit.cov_linear_centre[:] = fit.cov_surface, fit.cov_centre
+    for i in range(3):
+        for j in range(3):
+            fit.cov_linear_surface[i, j] = fit.cov_surface[i, j]
+            fit.cov_linear_centre[i, j] = fit.cov_centre[i, j]
     return True
 
 
@@ -464,13 +467,13 @@ def _add_bow(lin, row, v, low, high, cov):
 
 @kernel
 def columns_of(body, gravity, mass, tol, touch, sources, work, lin, D):
-    """Settle and linearise a touch and fill its error columns, see `linearise_touch` and `error_columns`.
+    """Settle and linearise a touch and fill its error columns, see `settle` and `error_columns`.
 
     Returns:
         Whether there is a stable equilibrium.
     """
     parameters = sources.own.shape[1] + 3
-    if not linearise_touch(body, gravity, mass, tol, touch, parameters, work, lin):
+    if not settle(body, gravity, mass, tol, touch, parameters, work, lin):
         return False
     error_columns(
         body, gravity, lin, sources.own, sources.turns, sources.root, sources.gain, sources.hanging,

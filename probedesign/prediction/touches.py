@@ -141,7 +141,7 @@ class ForceContinuation:
         """Take a step if the rod has an equilibrium there on the same branch, and return whether it has."""
         assert self.lin is not None
         ahead = self.touch.copy()
-        kernel.move_touch(ahead, self.lin, step)
+        kernel.move_touch(ahead, self.lin, step, np.empty(kernel.MOVE))
         predicted = ahead[TIP:].copy()
         lin = self.on.linearize(ahead)
         off = ahead[TIP:] - predicted

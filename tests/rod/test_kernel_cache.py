@@ -10,9 +10,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numba.core.errors import NumbaError
 
-from probedesign.rod.kernels import cache
+from probedesign.rod.kernels import cache, kernel
 
 INNER = "from probedesign.rod.kernels import inner\nFACTOR = 2.0\n\n@inner\ndef scaled(x):\n    return FACTOR * x\n"
 OUTER = (
@@ -166,3 +168,15 @@ def test_a_process_that_compiles_computes_the_bits_of_one_that_loads(tmp_path):
         subprocess.check_output(command, env=environment, cwd=cache.PACKAGE.parent) for _ in range(2)
     )
     assert first == second
+
+
+@kernel
+def _allocates(x):
+    copied = np.empty(2)
+    copied[:] = x
+    return copied[0]
+
+
+def test_a_kernel_that_allocates_memory_does_not_compile():
+    with pytest.raises(NumbaError):
+        _allocates(np.zeros(2))

@@ -174,6 +174,10 @@ def _lock(file: Path) -> Any:
     return lock
 
 
+BESIDE = ("fit", "detector"), ("columns", "touches")
+"""Parts of `precompile` for each of the processes that compile beside the first one, which compiles the rod."""
+
+
 @cache
 def _compile_beside() -> None:
     """Compile the kernels of the estimator in processes that end with this one, while it compiles those of the rod.
@@ -186,7 +190,7 @@ def _compile_beside() -> None:
         return
     path = os.pathsep.join(filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH"))))
     quiet = subprocess.DEVNULL
-    for parts in (("fit", "detector"), ("columns",)):
+    for parts in BESIDE:
         command = [sys.executable, "-P", "-m", f"{PACKAGE.name}.precompile", str(folder), *parts]
         with suppress(OSError):
             helper = subprocess.Popen(
