@@ -6,6 +6,7 @@ whose numba is another than that of the build.
 """
 
 import os
+import platform
 import subprocess
 import sys
 import tempfile
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+from packaging.tags import sys_tags
 
 BUILT = "probedesign/_compiled"
 
@@ -20,6 +22,19 @@ BUILT = "probedesign/_compiled"
 def is_on() -> bool:
     """Return whether the kernels are compiled with the wheel."""
     return os.environ.get("PROBEDESIGN_PRECOMPILE", "0") == "1"
+
+
+def wheel_tag() -> str:
+    """Return the tag of a wheel with kernels: this Python, this platform.
+
+    On Linux with glibc, llvmlite links the kernels when they are loaded, and to no library of the system: they run
+    where its own wheels do.
+    """
+    python = f"cp{sys.version_info.major}{sys.version_info.minor}"
+    libc, _ = platform.libc_ver()
+    if sys.platform == "linux" and libc == "glibc":
+        return f"{python}-{python}-manylinux_2_27_{platform.machine()}"
+    return next(str(tag) for tag in sys_tags())
 
 
 class PrecompileHook(BuildHookInterface[Any]):
@@ -44,7 +59,7 @@ class PrecompileHook(BuildHookInterface[Any]):
             for file in folder.glob("*/*.kernel"):
                 build_data["force_include"][str(file)] = f"{BUILT}/{file.relative_to(folder).as_posix()}"
             build_data["pure_python"] = False
-            build_data["infer_tag"] = True
+            build_data["tag"] = wheel_tag()
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
         """Remove the files that the wheel now contains."""

@@ -18,6 +18,7 @@ from probedesign.core.files import check_overwrite
 from probedesign.design import load_design
 from probedesign.rod.kernels import cache
 
+LARGE = Path(__file__).parents[1] / "designs/large.toml"
 NEW = ("new", "--length", "150", "--base-d", "12")
 
 
@@ -142,7 +143,7 @@ def test_error_is_one_line_and_a_status(monkeypatch, capsys, error, status, mess
     def app(arguments):
         raise error
 
-    monkeypatch.setattr(main, "build_app", lambda: app)
+    monkeypatch.setattr(main, "build_app", lambda _with_settings: app)
     monkeypatch.delenv(main.DEBUG, raising=False)
     assert run([]) == status
     captured = capsys.readouterr()
@@ -398,6 +399,36 @@ def test_a_wrong_settings_file_gives_one_line_that_names_it(text, tmp_path, monk
     assert (
         len(error.splitlines()) == 1 and "probedesign.toml" in error and not (tmp_path / "designs").exists()
     )
+    assert run(["new", "--help"]) == 0 == run(["--version"])
+
+
+@pytest.mark.parametrize("by_file", [True, False])
+def test_one_folder_for_the_files_of_all_designs_is_set_once(by_file, tmp_path, monkeypatch):
+    (tmp_path / "work/below").mkdir(parents=True)
+    monkeypatch.setenv("PROBEDESIGN_EXPORTS", "" if by_file else str(tmp_path / "work/prints"))
+    if by_file:
+        monkeypatch.delenv("PROBEDESIGN_EXPORTS")
+        (tmp_path / "work/probedesign.toml").write_text('exports = "prints"\n')
+    monkeypatch.chdir(tmp_path / "work/below")
+    assert run(NEW) == 0
+    assert run(["deploy", "cone-150x12x2"]) == 0
+    assert (tmp_path / "work/prints/cone-150x12x2/cone-150x12x2.probe.json").exists()
+    assert (
+        run(["live", "cone-150x12x2", "--source", "sim:?speed=max&rate_hz=50&seconds=1", "--count", "1"]) == 0
+    )
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("")
+    for command in (["predict", str(LARGE), "--out", "file/x"], ["--install-completion"]):
+        monkeypatch.setenv("HOME", str(tmp_path / "file"))
+        monkeypatch.setenv("SHELL", "/bin/bash")
+        capsys.readouterr()
+        assert run(command) == 2
+        captured = capsys.readouterr()
+        assert_refused(captured.out, captured.err, 2)
+        assert "file/x/" not in captured.err
 
 
 def test_completion_is_installed_for_a_shell(tmp_path, monkeypatch, capsys):
@@ -438,8 +469,7 @@ def test_a_design_is_given_by_file_folder_or_name_and_a_frozen_probe_by_name(
 
 
 def test_predict_prints_one_screen_and_all_tables_on_request(tmp_path, capsys):
-    design = Path(__file__).parents[1] / "designs/large.toml"
-    arguments = ["predict", str(design), "--no-plots", "--out", str(tmp_path)]
+    arguments = ["predict", str(LARGE), "--no-plots", "--out", str(tmp_path)]
     assert run(arguments) == 0
     brief = capsys.readouterr().out.splitlines()
     assert run([*arguments, "--verbose"]) == 0

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from probedesign.cli.console import plural, print_json, print_note, show_progress
-from probedesign.cli.options import DesignFile, JsonOutput, TaskOptions, exports_of
+from probedesign.cli.options import DesignFile, JsonOutput, TaskOptions
 from probedesign.core.errors import InputError
-from probedesign.core.files import write_atomically
+from probedesign.core.files import exports_of, write_atomically
 from probedesign.core.units import format_value
 
 if TYPE_CHECKING:

@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from probedesign.cli.console import print_json
-from probedesign.cli.options import DesignFile, JsonOutput, exports_of
+from probedesign.cli.options import DesignFile, JsonOutput
+from probedesign.core.files import exports_of
 
 
 def coupon(design: DesignFile, /, *, out: Path | None = None, as_json: JsonOutput = False) -> None:

@@ -15,9 +15,10 @@ from cyclopts import Parameter
 from probedesign.cli.console import print_json, print_step, write_files
 from probedesign.cli.deploy import write_bundle
 from probedesign.cli.export import FILE_KINDS
-from probedesign.cli.options import EXPORTS, JsonOutput
+from probedesign.cli.options import JsonOutput
 from probedesign.cli.predict import prediction_files
 from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.files import exports_of
 from probedesign.reports.demo_page import DemoSection, write_demo_page
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ def demo(
         open_: open the page with the results in a browser, if the output is a terminal.
         as_json: print one JSON document.
     """
-    folder = EXPORTS / NAME if out is None else out
+    folder = exports_of() / NAME if out is None else out
     show = open_ and not as_json and sys.stdout.isatty()
     result = run_demo(folder, force, webbrowser.open if show else lambda _: None)
     if as_json:

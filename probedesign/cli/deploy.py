@@ -4,7 +4,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from probedesign.cli.console import print_json, show_progress
-from probedesign.cli.options import DesignFile, JsonOutput, exports_of
+from probedesign.cli.options import DesignFile, JsonOutput
+from probedesign.core.files import exports_of
 
 if TYPE_CHECKING:
     from probedesign.probe import Probe

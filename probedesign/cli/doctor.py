@@ -103,8 +103,8 @@ def _numba_cache() -> dict[str, Any]:
         return {"folder": "", "writable": True, "processor": "no processor", "kernels": 0}
     places, chosen = cache.folders(), os.environ.get("NUMBA_CACHE_DIR")
     writable = [folder for folder in places if _is_writable(folder)]
-    ready = {
-        file.name
+    kernels = {
+        tuple(file.stem.split("-")[::2])  # function and types, whatever the version and the processor
         for folder in places
         for processor in cache.runs()
         for file in (folder / cache.version(processor)).glob(f"*{cache.SUFFIX}")
@@ -113,7 +113,7 @@ def _numba_cache() -> dict[str, Any]:
         "folder": str(places[0] if chosen or not writable else writable[0]),
         "writable": places[0] in writable if chosen else bool(writable),
         "processor": cache.runs()[-1],
-        "kernels": len(ready),
+        "kernels": len(kernels),
     }
 
 

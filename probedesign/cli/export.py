@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from probedesign.cli.console import print_json, print_step, print_table
-from probedesign.cli.options import DesignFile, JsonOutput, exports_of
+from probedesign.cli.options import DesignFile, JsonOutput
+from probedesign.core.files import exports_of
 
 
 class FileKind(NamedTuple):

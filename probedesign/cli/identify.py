@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from probedesign.cli.console import json_bytes, plural, print_json, print_table, show_progress, write_files
-from probedesign.cli.options import DesignFile, JsonOutput, exports_of
+from probedesign.cli.options import DesignFile, JsonOutput
 from probedesign.core.errors import InputError
-from probedesign.core.files import check_overwrite
+from probedesign.core.files import check_overwrite, exports_of
 
 if TYPE_CHECKING:
     from probedesign.design.io import Change

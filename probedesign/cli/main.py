@@ -57,18 +57,23 @@ ENVIRONMENT = "PROBEDESIGN_"
 """Prefix of the variables that set options, such as PROBEDESIGN_LIVE_SOURCE for --source of live."""
 SETTINGS = "probedesign.toml"
 """File in the working directory or a folder above it that sets options, a table for each command."""
+HELP = frozenset({"--help", "-h", "--version"})
 INTERRUPTED = 130
 """Exit status after SIGINT: 128 plus the number of the signal."""
 
 
-def build_app() -> "App":
-    """Return the command line application, to be called with a list of arguments."""
+def build_app(with_settings: bool = True) -> "App":
+    """Return the command line application, to be called with a list of arguments.
+
+    Args:
+        with_settings: read the settings file; help needs none, and must be there when the file is wrong.
+    """
     from importlib.metadata import version
 
     from cyclopts import App, Parameter
     from cyclopts.config import Dict, Env
 
-    settings, path = read_settings()
+    settings, path = read_settings() if with_settings else ({}, SETTINGS)
     app = App(
         name="probedesign",
         help="Design, fabricate and run soft conic probes that locate contacts from the wrench at their base.",
@@ -93,12 +98,15 @@ def build_app() -> "App":
 def read_settings() -> "tuple[dict[str, Any], str]":
     """Return the options of the settings file by command, and its path; nothing if there is no such file.
 
+    Its key `exports` becomes an environment variable, unless that is set: all commands and their helpers follow it.
+
     Raises:
         InputError: the file cannot be read, or has a table that is not a command.
     """
     import tomllib
 
     from probedesign.core.errors import InputError
+    from probedesign.core.files import EXPORTS_VARIABLE
 
     here = os.getcwd()
     while not os.path.isfile(path := os.path.join(here, SETTINGS)):
@@ -109,6 +117,11 @@ def read_settings() -> "tuple[dict[str, Any], str]":
             found = tomllib.load(file)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"{path}: cannot be read as TOML: {error}") from None
+    exports = found.pop("exports", None)
+    if isinstance(exports, str):
+        os.environ.setdefault(EXPORTS_VARIABLE, os.path.join(os.path.dirname(path), exports))
+    elif exports is not None:
+        raise InputError(f"{path}: exports = {exports!r} is not the path of a folder")
     for name, table in found.items():
         if not isinstance(table, dict):
             raise InputError(
@@ -150,11 +163,15 @@ def _run(arguments: list[str]) -> int:
     from probedesign.core.errors import InputError, MissingDependencyError
 
     try:
-        status = build_app()(arguments)
+        status = build_app(HELP.isdisjoint(arguments))(arguments)
         sys.stdout.flush()
         return status if isinstance(status, int) else 0
     except (CycloptsError, InputError, MissingDependencyError) as error:
         return _fail(str(error), 2)
+    except OSError as error:
+        if error.filename is None or error.strerror is None:
+            raise
+        return _fail(f"{error.filename}: {error.strerror}", 2)
 
 
 def _fail(message: str, status: int) -> int:

@@ -13,7 +13,7 @@ from cyclopts import Parameter, Token
 
 from probedesign.cli.console import show_progress
 from probedesign.core.errors import InputError
-from probedesign.core.files import file_in
+from probedesign.core.files import EXPORTS, chosen_exports, file_in
 
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
@@ -22,22 +22,6 @@ if TYPE_CHECKING:
     from probedesign.live.sources.source import Source
     from probedesign.mapping.touch_point import BasePoseUncertainty
     from probedesign.optimization.objective import Task
-
-EXPORTS = Path("exports")
-"""Default folder of the files: exports/NAME in the working directory; see `exports_of`."""
-
-
-def exports_of(design: Path) -> Path:
-    """Return the default folder of the files of a design: `exports` of its project.
-
-    A project is the folder that contains `designs`. Within it, all commands have one folder, wherever they are called;
-    elsewhere it is that of the working directory.
-    """
-    here, folder = Path.cwd(), Path(os.path.abspath(design)).parent
-    project = folder.parent
-    if folder.name == "designs" and here != project and here.is_relative_to(project):
-        return Path(os.path.relpath(project / EXPORTS))
-    return EXPORTS
 
 
 def design_file(given: Path) -> Path:
@@ -49,7 +33,10 @@ def design_file(given: Path) -> Path:
 
 def frozen_probe(given: Path) -> Path:
     """Return the frozen probe of an argument: the file, its folder, or NAME of exports/NAME."""
-    return given if given.exists() else _in_project(EXPORTS / given, given)
+    if given.exists():
+        return given
+    chosen = chosen_exports()
+    return _in_project(EXPORTS / given, given) if chosen is None else chosen / given
 
 
 def _in_project(path: Path, default: Path) -> Path:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from probedesign.cli.console import json_bytes, print_json, print_table, show_progress, write_files
-from probedesign.cli.options import DesignFile, JsonOutput, exports_of
+from probedesign.cli.options import DesignFile, JsonOutput
 from probedesign.core.errors import InputError, MissingDependencyError
-from probedesign.core.files import check_folder
+from probedesign.core.files import check_folder, exports_of
 from probedesign.core.units import format_value
 
 if TYPE_CHECKING:

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from probedesign.cli.console import plural, print_json, print_table, show_progress
-from probedesign.cli.options import DesignFile, JsonOutput, exports_of
+from probedesign.cli.options import DesignFile, JsonOutput
 from probedesign.core.errors import InputError
+from probedesign.core.files import exports_of
 
 if TYPE_CHECKING:
     from probedesign.printing.check import PrintCheck

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from probedesign.cli.console import json_bytes, print_json, print_note, show_progress, write_files
-from probedesign.cli.options import EXPORTS, JsonOutput, frozen_probe
+from probedesign.cli.options import JsonOutput, frozen_probe
 from probedesign.core.errors import InputError
-from probedesign.core.files import check_writable
+from probedesign.core.files import check_writable, exports_of
 from probedesign.core.units import format_value
 
 if TYPE_CHECKING:
@@ -52,7 +52,9 @@ def validate(
             check_names([estimator.model.name for estimator in estimators])
         for estimator, (_, data) in zip(estimators, pairs, strict=True):
             campaign, name = read_campaign(data), estimator.model.name
-            folder = EXPORTS / name / "validation" if out is None else out / name if len(pairs) > 1 else out
+            folder = (
+                exports_of() / name / "validation" if out is None else out / name if len(pairs) > 1 else out
+            )
             check_writable(folder / "validation.json")
             report = pipeline.validate(estimator, campaign, exact_model, on_progress, include_identified)
             on_progress("drawing", None)
@@ -63,7 +65,7 @@ def validate(
         reports = tuple(found)
         joined = MultiProbeReport(reports)
         if len(pairs) > 1:
-            files += write_files(out or EXPORTS, [("table1.csv", joined.csv())])
+            files += write_files(out or exports_of(), [("table1.csv", joined.csv())])
     if as_json:
         print_json(joined.as_dict() if len(pairs) > 1 else reports[0].as_dict())
         return

@@ -22,11 +22,17 @@ def check_writable(path: Path) -> None:
     Raises:
         InputError: its folder, or the nearest one that exists, is not writable.
     """
-    folder = next(parent for parent in path.absolute().parents if parent.exists())
+    _write_into(path.parent, path)
+
+
+def _write_into(folder: Path, target: Path) -> None:
+    """Make and remove a file in a folder, or in the nearest one above it that exists."""
+    start = folder.absolute()
+    existing = next(place for place in (start, *start.parents) if place.exists())
     try:
-        tempfile.TemporaryFile(dir=folder).close()
+        tempfile.TemporaryFile(dir=existing).close()
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+        raise InputError(f"{target}: cannot be written: {error.strerror}") from None
 
 
 def write_atomically(
@@ -107,7 +113,39 @@ def check_folder(folder: Path) -> None:
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; name a folder")
-    check_writable(folder / "file")
+    _write_into(folder, folder)
+
+
+EXPORTS = Path("exports")
+"""Folder of the written files, with a folder for each design, in a project; see `exports_of`."""
+EXPORTS_VARIABLE = "PROBEDESIGN_EXPORTS"
+"""Environment variable that names another folder for all designs."""
+
+
+def chosen_exports() -> Path | None:
+    """Return the folder for the files of all designs that the environment names, None without one."""
+    chosen = os.environ.get(EXPORTS_VARIABLE)
+    return Path(chosen) if chosen else None
+
+
+def exports_of(design: Path | None = None) -> Path:
+    """Return the default folder of the files of a design: `exports` of its project, unless the environment names one.
+
+    A project is the folder that contains `designs`. Within it, all commands have one folder, wherever they are called;
+    elsewhere it is that of the working directory.
+
+    Args:
+        design: the design file; None for files that belong to none.
+    """
+    chosen = chosen_exports()
+    if chosen is not None:
+        return chosen
+    if design is not None:
+        here, folder = Path.cwd(), Path(os.path.abspath(design)).parent
+        project = folder.parent
+        if folder.name == "designs" and here != project and here.is_relative_to(project):
+            return Path(os.path.relpath(project / EXPORTS))
+    return EXPORTS
 
 
 PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")

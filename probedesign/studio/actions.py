@@ -4,11 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.files import exports_of
 from probedesign.design import Design, check_design
 from probedesign.design.io import render_design, write_design
 from probedesign.optimization.design_space import design_dict
 
-DESIGNS, EXPORTS = Path("designs"), Path("exports")
+DESIGNS = Path("designs")
 
 
 def checked(design: Design) -> Design:
@@ -32,7 +33,7 @@ def export(design: Design, replace: bool) -> str:
     from probedesign import pipeline
 
     try:
-        manifest = pipeline.export(design, None, lambda _: None)
+        manifest = pipeline.export(design, exports_of() / design.name, lambda _: None)
     except MissingDependencyError as error:
         raise InputError(str(error)) from None
     return f"wrote {manifest['folder']}: {len(manifest['files']) + 1} files; open assembly.html"
@@ -43,7 +44,7 @@ def deploy(design: Design, replace: bool) -> str:
     from probedesign.frozen_probe import check_manifest, check_replaceable, write_frozen
     from probedesign.probe import build_probe
 
-    path = EXPORTS / design.name / f"{design.name}.probe.json"
+    path = exports_of() / design.name / f"{design.name}.probe.json"
     check_replaceable(path)
     model = build_probe(design).model
     manifest = path.parent / "manifest.json"
