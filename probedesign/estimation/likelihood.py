@@ -8,7 +8,7 @@ the force–moment method (`force_moment.py`). The fit itself is compiled (`cont
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,11 +118,15 @@ def _fit(problem: Problem, near: Array | None) -> NDArray[Any]:
     rows = np.empty(MAX_STARTS, dtype=FIT)
     if near is not None:
         rows["touch"][0] = near
+    try:
+        work, scratch = problem.sources.scratch.pop()
+    except IndexError:
+        work, scratch = np.empty(problem.sources.room), np.empty(1, dtype=FIT_SCRATCH)
     count = multistart.fit_contacts(
         model.rod.body, model.rod.flank_end, seen.gravity, model.mass, seen.wrench, problem.noise, problem.friction,
-        *problem.sources.arguments(), near is not None, np.empty(problem.sources.room),
-        np.empty(1, dtype=FIT_SCRATCH), rows,
+        *problem.sources.arguments(), near is not None, work, scratch, rows,
     )  # fmt: skip
+    problem.sources.scratch.append((work, scratch))
     return rows[:count]
 
 
@@ -154,9 +158,14 @@ _PULLED = 1e-3
 """Share of the force that is normal below which a fit has run into the wall that keeps contacts from pulling."""
 
 
+_FIELDS = FIT.names or ()
+
+
 def _candidate(problem: Problem, row: np.void) -> Candidate:
     """Return a fit, a row of `FIT`, as a candidate."""
-    model, touch = problem.sources.model, row["touch"]
+    model = problem.sources.model
+    fit = dict(zip(_FIELDS, cast("tuple[Any, ...]", row.item()), strict=True))  # faster than field by field
+    touch = fit["touch"]
     normal = float(touch[NORMAL])
 
     def shape() -> Equilibrium:
@@ -167,19 +176,19 @@ def _candidate(problem: Problem, row: np.void) -> Candidate:
         )  # fmt: skip
 
     return Candidate(
-        s_contact=min(max(float(row["s_contact"]), 0.0), model.rod.length),
-        std_s=math.sqrt(max(float(row["var_s"]), 0.0)),
-        p_contact_base=row["centre"],
-        p_surface_base=row["surface"],
-        force_base=row["force"],
-        cov_contact_base=row["cov_centre"],
-        cov_surface_base=row["cov_surface"],
+        s_contact=min(max(fit["s_contact"], 0.0), model.rod.length),
+        std_s=math.sqrt(max(fit["var_s"], 0.0)),
+        p_contact_base=fit["centre"],
+        p_surface_base=fit["surface"],
+        force_base=fit["force"],
+        cov_contact_base=fit["cov_centre"],
+        cov_surface_base=fit["cov_surface"],
         force_normal=normal,
         force_tangential=normal * math.hypot(touch[AROUND], touch[ALONG]),
-        chi2=float(row["chi2"]),
+        chi2=fit["chi2"],
         dof=dof_of(problem.friction),
-        lever=float(row["lever"]),
-        at_end=bool(row["status"] == AT_END),
+        lever=fit["lever"],
+        at_end=fit["status"] == AT_END,
         shape=shape,
         fit=row,
     )

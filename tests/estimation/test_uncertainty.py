@@ -73,13 +73,14 @@ def test_the_linear_covariance_is_that_of_the_formula(touch, tolerances, frictio
 @kernel
 def posterior_at(lin, touch, D, wrench, noise, friction, cov, whiten, scratch, gain, fits):
     """Return the covariances of one linearised touch; the inner kernels cannot be called from Python."""
-    jacobian, r, by_s = np.zeros((8, 5)), np.zeros(8), np.zeros(5)
-    by_s[0] = 1.0
+    work = scratch[0]
+    for i in range(5):
+        work.by_s[i] = i == 0
     measurement_covariance(noise, D, cov)
-    if not whitening(cov, np.empty((6, 6)), whiten):
+    if not whitening(cov, work.factor, whiten):
         return False
-    residuals(lin, touch, wrench, whiten, friction, jacobian, r)
-    return posterior(lin, touch, jacobian, whiten, D, by_s, scratch[0], gain, fits[0])
+    residuals(lin, touch, wrench, whiten, friction, work.J, work.r)
+    return posterior(lin, touch, work.J, whiten, D, work.by_s, work, gain, fits[0])
 
 
 @pytest.mark.parametrize("touch", TOUCHES)

@@ -71,6 +71,7 @@ class KernelCache:
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return the compiled function, None if it must be compiled; wait while another process compiles it."""
+        self._unlock()  # of an attempt that failed
         target.refresh()
         found = self._load(signature, target)
         if found is None:
