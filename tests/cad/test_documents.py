@@ -324,7 +324,9 @@ def test_sections_datums_and_fits_of_odd_designs() -> None:
     hollow = drawn(f"{sizes}tip_d_mm = 4.0\nsection = 'hollow'\nbore_ratio = 0.5")["probe"]
     assert "C–C" in hollow and "D–D at s = 50" in hollow and "⌀7 / bore 3.5 at s = 50" in hollow
     # A cylinder rounded with its own radius, R = r; and a fillet.
-    text = drawn(f"{sizes}tip_d_mm = 10.0\ntip = 'rounded'\nbase_fillet_mm = 1.5", 'adapters = "milled"', PRINTED)
+    text = drawn(
+        f"{sizes}tip_d_mm = 10.0\ntip = 'rounded'\nbase_fillet_mm = 1.5", 'adapters = "milled"', PRINTED
+    )
     assert "R5," in text["probe"] and "fillet R1.5" in text["probe"] and "0.4 deep" in text["probe"]
     assert "⌀2 H7" in text["sensor_adapter"] and "⌀2 H7" in text["flange_adapter"]
     assert "⌀31.3 h9" in text["flange_adapter"] and "±0.05, all lengths" in text["flange_adapter"]
