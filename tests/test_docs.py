@@ -1,4 +1,4 @@
-"""The docs are correct: commands and examples run, examples print the values in their comments, links lead to a place."""
+"""The docs are correct: commands and examples run, examples print the values in their comments, links resolve."""
 
 import json
 import re
