@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -26,25 +27,30 @@ def main() -> int:
         if status:
             return status
     print("== types and tests", flush=True)
-    # mypy takes most of a minute on one core where nothing is cached, while the tests use what others are there.
     # A worker a core; a file stays with one of them, and with it what its tests share. The longest come first.
     shared = ["-n", "auto", "--dist", "loadfile", "--no-loadscope-reorder"]
-    pytest, mypy = (
-        [sys.executable, "-m", *words] for words in (["pytest", *shared, *sys.argv[1:]], ["mypy"])
-    )
+    return _run_beside_types([sys.executable, "-m", "pytest", *shared, *sys.argv[1:]])
+
+
+def _run_beside_types(command: list[str]) -> int:
+    """Run a command while mypy, which uses one core for most of a minute where nothing is cached, checks the types."""
+    status, mypy = 0, [sys.executable, "-m", "mypy"]
     with (
         tempfile.TemporaryFile() as output,
         subprocess.Popen(mypy, cwd=ROOT, stdout=output, stderr=subprocess.STDOUT) as types,
-        subprocess.Popen(pytest, cwd=ROOT) as tests,
     ):
-        while tests.poll() is None and not types.poll():
-            time.sleep(0.2)
-        if types.wait():
-            tests.send_signal(signal.SIGINT)  # as Ctrl-C: it prints what it has found so far
-            tests.wait()
+        with suppress(subprocess.TimeoutExpired):
+            types.wait(5.0)  # enough where all is cached
+        if not types.returncode:
+            with subprocess.Popen(command, cwd=ROOT) as tests:
+                while tests.poll() is None and not types.poll():
+                    time.sleep(0.2)
+                if types.wait():
+                    tests.send_signal(signal.SIGINT)  # as Ctrl-C
+            status = tests.returncode
         output.seek(0)
         print(f"== types\n{output.read().decode()}", end="", flush=True)
-        return types.returncode or tests.returncode
+        return types.returncode or status
 
 
 def _module(command: list[str]) -> list[str]:
