@@ -1,8 +1,10 @@
-"""The examples of the docs print the values in their comments."""
+"""The docs are correct: commands and examples run, examples print the values in their comments, links resolve."""
 
+import json
 import re
 import shlex
 import shutil
+import tomllib
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
@@ -15,13 +17,19 @@ from probedesign.cli.main import run
 from probedesign.simulation import scenes
 
 ROOT = Path(__file__).parent.parent
+WITH_VALUES = ("mechanics", "estimation", "prediction", "stereo")
+"""Pages whose examples follow from each other and print values."""
 
 
-@pytest.mark.parametrize("page", ["mechanics", "estimation", "prediction", "stereo"])
+def blocks_of(page: Path, language: str) -> list[str]:
+    """Return the code blocks of a page in one language."""
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+
+
+@pytest.mark.parametrize("page", WITH_VALUES)
 def test_the_examples_print_the_values_in_their_comments(page, monkeypatch):
     monkeypatch.chdir(ROOT)
-    text = (ROOT / f"docs/{page}.md").read_text(encoding="utf-8")
-    code = "".join(re.findall(r"```python\n(.*?)```", text, re.DOTALL))
+    code = "".join(blocks_of(ROOT / f"docs/{page}.md", "python"))
     expected = re.findall(r"^print\(.*\) +# (.*)$", code, re.MULTILINE)
     assert len(expected) == code.count("print(") > 1
     printed, names = StringIO(), dict[str, Any]()
@@ -32,13 +40,18 @@ def test_the_examples_print_the_values_in_their_comments(page, monkeypatch):
 
 def commands_of(page: Path) -> list[list[str]]:
     """Return the probedesign commands of a page's shell blocks, in order."""
-    text = page.read_text(encoding="utf-8")
-    blocks = "\n".join(re.findall(r"```sh\n(.*?)```", text, re.DOTALL)).replace("\\\n", " ")
+    blocks = "\n".join(blocks_of(page, "sh")).replace("\\\n", " ")
     lines = [shlex.split(line, comments=True) for line in blocks.splitlines()]
     return [words[1:] for words in lines if words and words[0] == "probedesign"]
 
 
-PAGES = sorted(page for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")] if commands_of(page))
+def examples_of(page: Path) -> list[str]:
+    """Return the Python blocks of a page that run by themselves after its commands."""
+    return [] if page.stem in WITH_VALUES else blocks_of(page, "python")
+
+
+ALL_PAGES = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+PAGES = sorted(page for page in ALL_PAGES if commands_of(page) or examples_of(page))
 SLOW = {"search"}
 """Pages whose commands take minutes: searches and Monte Carlo checks."""
 
@@ -72,7 +85,7 @@ def run_once(tmp_path_factory):
     [pytest.param(page, marks=[pytest.mark.slow] * (page.stem in SLOW), id=page.stem) for page in PAGES],
 )
 def test_the_commands_of_a_page_run_in_order(page, run_once, tmp_path, monkeypatch, capsys):
-    """In a folder with nothing but the designs of the project."""
+    """In a folder with nothing but the designs of the project; then its examples of Python run."""
     pytest.importorskip("cadquery")
     shutil.copytree(ROOT / "designs", tmp_path / "designs")
     monkeypatch.chdir(tmp_path)
@@ -80,13 +93,23 @@ def test_the_commands_of_a_page_run_in_order(page, run_once, tmp_path, monkeypat
     for words in commands_of(page):
         status = run_once(words)
         assert status == 0, f"probedesign {shlex.join(words)}: {capsys.readouterr().err}"
-    examples = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+    for code in examples_of(page):
+        names = dict[str, Any]()
+        exec(code, names)
+        results = [
+            value.result for value in names.values() if isinstance(getattr(value, "result", None), str)
+        ]
+        assert set(results) <= {"ok"}
     if page.stem in ("README", "tutorial"):
-        assert examples
-        for code in examples:
-            names = dict[str, Any]()
-            exec(code, names)
-            assert names["c"].result == "ok"
+        assert results
+
+
+@pytest.mark.parametrize("page", ALL_PAGES, ids=lambda page: page.stem)
+def test_files_in_a_page_can_be_parsed(page):
+    for text in blocks_of(page, "toml"):
+        tomllib.loads(text)
+    for text in blocks_of(page, "json"):
+        json.loads(text)
 
 
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])

@@ -445,7 +445,10 @@ class SolvedTest:
 
 def _skews(a: Array) -> Array:
     """Return `skew` of each vector, (..., 3, 3)."""
-    return np.asarray(np.swapaxes(np.cross(a[..., None, :], np.eye(3)), -1, -2))
+    matrices = np.zeros((*a.shape, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        matrices[..., k, j], matrices[..., j, k] = a[..., i], -a[..., i]
+    return matrices
 
 
 def solve_test(

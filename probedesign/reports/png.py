@@ -13,11 +13,11 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.predict import Prediction
 from probedesign.reports.chart import COLOURS, ORDERED
 from probedesign.reports.prediction_page import prediction_figures
-from probedesign.reports.validation_page import error_size_chart, shape_chart
-from probedesign.validation.validate import ValidationReport
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from probedesign.validation.validate import ValidationReport
 
 COLUMNS, MAX_PICTURED = 3, 11
 """Shapes in a row, and in the whole picture of a validation; one more panel shows the errors."""
@@ -89,12 +89,15 @@ def draw_sweep(sweep: SweepSeries) -> bytes:
     return _png_bytes(figure)
 
 
-def draw_validation(validation: ValidationReport) -> bytes:
+def draw_validation(validation: "ValidationReport") -> bytes:
     """Return a PNG of a validation: shapes as the paper's figures 4 to 6, and errors against their prediction.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
     """
+    # Imported here, so that `predict` loads neither campaigns nor scipy.stats.
+    from probedesign.reports.validation_page import error_size_chart, shape_chart
+
     model, coverage = validation.estimator.model, validation.coverage
     shown = [t for t in validation.tests if t.shape is not None and t.kind != "free"]
     n = min(len(shown), MAX_PICTURED)

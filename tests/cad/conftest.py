@@ -1,11 +1,13 @@
 """One CAD model and one export, made once for all tests of the parts."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from probedesign.core.files import write_atomically
 from probedesign.design import Design, parse_design
 
 LARGE = "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0"
@@ -30,9 +32,13 @@ def large() -> Any:
 
 
 @pytest.fixture(scope="session")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """The same probe, exported: its folder and the manifest as returned."""
+def exported(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> tuple[Path, dict[str, Any]]:
+    """The same probe, exported: its folder and the manifest as returned. One worker makes it for all."""
     from probedesign.cad import export_parts
 
-    folder = tmp_path_factory.mktemp("exports") / "large"
-    return folder, export_parts(design_of(), folder)
+    base = tmp_path_factory.getbasetemp()
+    base = base if worker_id == "master" else base.parent
+    folder, returned = base / "exports" / "large", base / "large.json"
+    if not returned.exists():  # two workers at once would both make it, with the same bytes
+        write_atomically(returned, json.dumps(export_parts(design_of(), folder)).encode())
+    return folder, json.loads(returned.read_text("utf-8"))

@@ -24,12 +24,14 @@ from PIL import Image
 
 from probedesign.cad.assembly_docs import (
     RESIN_PRESSURE,
+    SHEETS,
     assembly_page,
     bill_of_materials,
     hand_torque,
     part_drawings,
 )
 from probedesign.cad.drawing import EDGE, HEIGHT, WIDTH
+from probedesign.cad.drawing_files import dxf_bytes, svg_bytes
 from probedesign.cad.exploded_view import DOWN, EXPLOSION, assembly_steps
 from probedesign.cad.mesh import platform_positions, read_back
 from probedesign.cad.model import CadModel, build_cad, overlaps
@@ -190,9 +192,19 @@ def words_of(svg: bytes) -> list[str]:
     return [element.text or "" for element in ET.fromstring(svg).iter(f"{SVG}text")]
 
 
-def test_drawings_show_the_dimensions(large: CadModel) -> None:
-    files = part_drawings(large)
-    words = {name: words_of(files[f"{name}.svg"]) for name in PRINTED}
+@pytest.fixture(scope="module")
+def drawings(large: CadModel) -> dict[str, bytes]:
+    """The files of the drawings by name."""
+    return part_drawings(large)
+
+
+def drawing(model: CadModel, name: str) -> bytes:
+    """The SVG of one part's drawing, without the files of the others."""
+    return svg_bytes(SHEETS[name](model, model.parts[name]))
+
+
+def test_drawings_show_the_dimensions(large: CadModel, drawings: dict[str, bytes]) -> None:
+    words = {name: words_of(drawings[f"{name}.svg"]) for name in PRINTED}
     assert {"150", "3", "⌀19", "⌀12 at s = 0", "(⌀7 at s = 75)", "⌀2 at s = 150"} <= set(words["probe"])
     a = large.adapter
     for d in (a.foot_d, a.recess_d, a.body_d):
@@ -206,9 +218,9 @@ def test_drawings_show_the_dimensions(large: CadModel) -> None:
         assert {large.geometry.fingerprint, "mm", f"{name}.stl"} <= set(words[name])
 
 
-def test_dimension_lines_have_their_length(large: CadModel) -> None:
+def test_dimension_lines_have_their_length(drawings: dict[str, bytes]) -> None:
     """On the probe's sheet, scale 1 : 1: lines of 150, 19 and 3 mm of paper."""
-    root = ET.fromstring(part_drawings(large)["probe.svg"])
+    root = ET.fromstring(drawings["probe.svg"])
     assert "1 : 1" in [element.text for element in root.iter(f"{SVG}text")]
     lengths = []
     for path in root.iter(f"{SVG}path"):
@@ -252,10 +264,9 @@ ODD = {
 
 @pytest.mark.parametrize("probe", ODD.values(), ids=ODD)
 def test_drawings_stay_in_their_frame(make_design: Callable[..., Design], probe: str) -> None:
-    for name, sheet in part_drawings(build_cad(make_design(probe))).items():
-        if not name.endswith(".svg"):
-            continue
-        root = ET.fromstring(sheet)
+    model = build_cad(make_design(probe))
+    for name in PRINTED:
+        root = ET.fromstring(drawing(model, name))
         for element in root.iter():
             for x, y in _points(element):
                 assert EDGE <= x <= WIDTH - EDGE and EDGE <= y <= HEIGHT - EDGE, (
@@ -290,7 +301,7 @@ def test_the_title_block_is_complete(
     dated = replace(large, design=large.design.model_copy(update={"date": "2025-12-24"}))
     for model, date in ((large, "2026-01-01"), (dated, "2025-12-24")):
         for name in ("probe", "sensor_adapter"):
-            words = words_of(part_drawings(model)[f"{name}.svg"])
+            words = words_of(drawing(model, name))
             grams = 1e3 * exported[1]["parts"][name]["mass_kg"]
             assert {date, large.geometry.fingerprint, f"{grams:.3g} g", "first angle, ISO 5456-2"} <= set(
                 words
@@ -304,16 +315,18 @@ def test_sections_datums_and_fits_of_odd_designs() -> None:
     """A hollow probe is cut lengthwise, an elliptic one across; a rounded tip and a fillet have their radii; milled
     holes for pins have a fit and its nominal diameter, engraved parts their depth."""
 
-    def drawn(probe: str, mount: str = "") -> dict[str, str]:
+    def drawn(probe: str, mount: str = "", parts: tuple[str, ...] = ("probe",)) -> dict[str, str]:
         text = f'schema = 1\nname = "odd"\n[probe]\n{probe}\n[mount]\nrobot_flange = "iso-9409-1-50-4-m6"\n{mount}'
-        files = part_drawings(build_cad(parse_design(text)))
-        return {name: "\n".join(words_of(files[f"{name}.svg"])) for name in PRINTED}
+        model = build_cad(parse_design(text))
+        return {name: "\n".join(words_of(drawing(model, name))) for name in parts}
 
     sizes = "length_mm = 100.0\nbase_d_mm = 10.0\n"
     hollow = drawn(f"{sizes}tip_d_mm = 4.0\nsection = 'hollow'\nbore_ratio = 0.5")["probe"]
     assert "C–C" in hollow and "D–D at s = 50" in hollow and "⌀7 / bore 3.5 at s = 50" in hollow
     # A cylinder rounded with its own radius, R = r; and a fillet.
-    text = drawn(f"{sizes}tip_d_mm = 10.0\ntip = 'rounded'\nbase_fillet_mm = 1.5", 'adapters = "milled"')
+    text = drawn(
+        f"{sizes}tip_d_mm = 10.0\ntip = 'rounded'\nbase_fillet_mm = 1.5", 'adapters = "milled"', PRINTED
+    )
     assert "R5," in text["probe"] and "fillet R1.5" in text["probe"] and "0.4 deep" in text["probe"]
     assert "⌀2 H7" in text["sensor_adapter"] and "⌀2 H7" in text["flange_adapter"]
     assert "⌀31.3 h9" in text["flange_adapter"] and "±0.05, all lengths" in text["flange_adapter"]
@@ -321,12 +334,13 @@ def test_sections_datums_and_fits_of_odd_designs() -> None:
     assert "D–D at s = 50" in elliptic and "7 × 4.2 at s = 50" in elliptic and "C–C" not in elliptic
 
 
-def test_dxf_is_sound_and_measures_the_part(large: CadModel, make_design: Callable[..., Design]) -> None:
+def test_dxf_is_sound_and_measures_the_part(
+    large: CadModel, drawings: dict[str, bytes], make_design: Callable[..., Design]
+) -> None:
     """ezdxf's audit finds nothing, every kind of line is on its layer, and a dimension's value, which a CAD program
     measures between its points, is that of the part; the outline of the main views is the part's own, 1 : 1."""
-    files = part_drawings(large)
     for name in PRINTED:
-        document = ezdxf.read(io.StringIO(files[f"{name}.dxf"].decode()))
+        document = ezdxf.read(io.StringIO(drawings[f"{name}.dxf"].decode()))
         assert not document.audit().errors and document.units == ezdxf.units.MM
         layers = Counter(entity.dxf.layer for entity in document.modelspace())
         assert {"OUTLINE", "CENTRE", "DIMENSIONS", "SYMBOLS", "FRAME", "TEXT"} <= set(
@@ -334,15 +348,16 @@ def test_dxf_is_sound_and_measures_the_part(large: CadModel, make_design: Callab
         ) and "0" not in layers
         assert (layers["HATCH"] > 0) == (name != "probe")
     a = large.adapter
-    measured = _measured(files["sensor_adapter.dxf"])
+    measured = _measured(drawings["sensor_adapter.dxf"])
     for wanted in (a.foot_d, a.recess_d, a.body_d, a.foot_height, a.body_top - a.floor, a.body_top):
         assert min(abs(1e3 * wanted - value) for value in measured) < 1e-5  # a nanometre is written
-    ring = ezdxf.read(io.StringIO(files["clamp_ring.dxf"].decode())).modelspace()
+    ring = ezdxf.read(io.StringIO(drawings["clamp_ring.dxf"].decode())).modelspace()
     drawn = [p[0] for line in ring.query('LWPOLYLINE[layer=="OUTLINE"]') for p in line.get_points()]
     assert np.ptp(drawn) == pytest.approx(1e3 * a.body_d, abs=0.02)  # arcs are drawn with 48 points
     # A view at another scale than the main ones.
     elliptic = "length_mm = 100.0\nbase_d_mm = 10.0\ntip_d_mm = 4.0\nsection = 'elliptic'\nflatness = 0.6"
-    measured = _measured(part_drawings(build_cad(make_design(elliptic)))["probe.dxf"])
+    model = build_cad(make_design(elliptic))
+    measured = _measured(dxf_bytes(SHEETS["probe"](model, model.parts["probe"])))
     assert min(abs(4.2 - value) for value in measured) < 1e-5
 
 
@@ -351,10 +366,9 @@ def _measured(dxf: bytes) -> list[float]:
     return [d.get_measurement() * d.override()["dimlfac"] for d in dimensions]
 
 
-def test_drawings_are_the_same_bytes_twice(large: CadModel) -> None:
-    first = part_drawings(large)
-    assert part_drawings(large) == first
-    pdf = first["drawings.pdf"]
+def test_drawings_are_the_same_bytes_twice(large: CadModel, drawings: dict[str, bytes]) -> None:
+    assert part_drawings(large) == drawings
+    pdf = drawings["drawings.pdf"]
     assert pdf.startswith(b"%PDF-") and pdf.rstrip().endswith(b"%%EOF")
     assert len(re.findall(rb"/Type /Page\b", pdf)) == len(PRINTED)
 

@@ -209,23 +209,25 @@ def matrix_of(place: cq.Location) -> np.ndarray:
     return np.array([[transform.Value(i, j) for j in range(1, 5)] for i in range(1, 4)])
 
 
-@pytest.fixture(
-    scope="module",
-    params=['section = "hollow"\nbore_ratio = 0.5', 'section = "elliptic"\nflatness = 0.6'],
-    ids=["hollow", "elliptic"],
-)
+PROBES = {
+    "large": LARGE,
+    "hollow": LARGE + '\nsection = "hollow"\nbore_ratio = 0.5',
+    "elliptic": LARGE + '\nsection = "elliptic"\nflatness = 0.6',
+}
+
+
+@pytest.fixture(scope="module", params=["hollow", "elliptic"])
 def other_section(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[str, Path, dict[str, Any]]:
-    """The probe with another section, exported: design, folder and manifest."""
-    probe = f"{LARGE}\n{request.param}"
+    """The probe with another section, exported: section, folder and manifest."""
     folder = tmp_path_factory.mktemp("exports") / "other"
-    return probe, folder, export_parts(design_of(probe), folder)
+    return request.param, folder, export_parts(design_of(PROBES[request.param]), folder)
 
 
 def test_files_of_other_sections(other_section: tuple[str, Path, dict[str, Any]]) -> None:
     section, folder, manifest = other_section
-    thickness = 6.0 if "hollow" in section else 3.6
+    thickness = 6.0 if section == "hollow" else 3.6
     assert all(finding["ok"] for finding in manifest["verification"].values())
     mesh = trimesh.load(folder / "probe.stl")
     assert mesh.is_watertight and mesh.is_winding_consistent
@@ -234,33 +236,23 @@ def test_files_of_other_sections(other_section: tuple[str, Path, dict[str, Any]]
     # Facets have their corners on the body, and one at each end of both axes; single precision.
     assert abs(near[:, :2]).max(axis=0) == pytest.approx([6.0, thickness], abs=1e-5)
     # A hollow body has a handle: its surface is that of a torus. The clocking mark is another one.
-    assert mesh.euler_number == (2 - 2 * 2 if "hollow" in section else 2 - 2 * 1)
+    assert mesh.euler_number == (2 - 2 * 2 if section == "hollow" else 2 - 2 * 1)
     solids = cq.importers.importStep(str(folder / "assembly.step")).solids().vals()
     wanted = manifest["parts"]["probe"]["volume_m3"] * 1e9
     # STEP writes some fifteen digits; kernel and file agree to about 1e-12.
     assert min(abs(solid.Volume() / wanted - 1.0) for solid in solids) < 1e-9
 
 
-SCALED = """length_mm = 60.0
-base_d_mm = 8.0
-[print]
-scale_xy = 1.02
-scale_z = 0.99
-rigid_scale_xy = 1.01
-"""
-
-
 @pytest.mark.usefixtures("undocumented")
 def test_scale_compensation_reaches_the_files_to_print_and_nothing_else(
-    make_design: Callable[..., Design], tmp_path: Path
+    exported: Exported, make_design: Callable[..., Design], tmp_path: Path
 ) -> None:
-    plain = make_design('shape = "cylinder"\n' + SCALED.partition("[print]")[0])
-    larger = make_design('shape = "cylinder"\n' + SCALED)
-    drawn, printed = (export_parts(d, tmp_path / n) for d, n in ((plain, "drawn"), (larger, "printed")))
+    scaled = f"{LARGE}\n[print]\nscale_xy = 1.02\nscale_z = 0.99\nrigid_scale_xy = 1.01\n"
+    (folder, drawn), printed = exported, export_parts(make_design(scaled), tmp_path / "printed")
     for name, factor in (("probe", (1.02, 1.02, 0.99)), ("clamp_ring", (1.01, 1.01, 1.0))):
-        a, b = (trimesh.load(tmp_path / folder / f"{name}.stl") for folder in ("drawn", "printed"))
-        # Single precision, and 60 mm long: 4e-6 mm.
-        assert b.bounds == pytest.approx(a.bounds * np.array(factor), abs=1e-5)
+        a, b = (trimesh.load(parent / f"{name}.stl") for parent in (folder, tmp_path / "printed"))
+        # Both are written in single precision, 150 mm to half of 1.5e-5 mm.
+        assert b.bounds == pytest.approx(a.bounds * np.array(factor), abs=2e-5)
         assert printed["print_scale"][name] == list(factor)
         assert b.is_watertight and b.is_winding_consistent
     assert (
@@ -270,7 +262,7 @@ def test_scale_compensation_reaches_the_files_to_print_and_nothing_else(
     )
     package = trimesh.load(tmp_path / "printed" / "probe.3mf", force="mesh")
     # On the plate, flange below; 3MF rounds to decimals.
-    assert package.bounds[1][2] - package.bounds[0][2] == pytest.approx(0.99 * 63.0, abs=1e-4)
+    assert package.bounds[1][2] - package.bounds[0][2] == pytest.approx(0.99 * 153.0, abs=1e-4)
     for untouched in ("fingerprint", "parts", "mass", "T_sensor_base", "screws", "verification"):
         assert printed[untouched] == drawn[untouched]
 
@@ -291,40 +283,44 @@ def test_print_accepts_the_export(exported: Exported, make_design: Callable[...,
     assert all(job.file(part).is_file() for job in (probe, adapters) for part in job.sizes)
 
 
-def test_exports_are_reproducible(exported: Exported, tmp_path: Path) -> None:
-    """In another process, with another seed of Python's hashes: every file, manifest included, has the same bytes.
+@pytest.fixture(scope="module")
+def exported_again(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The probes exported by another process with another seed of Python's hashes, a folder each.
 
     Nothing else is printed on stdout, which is reserved for `--json`: the kernel would print there.
     """
-    again = exported_by_another_process(LARGE, tmp_path / "again", seed="12345")
+    folder = tmp_path_factory.mktemp("again")
+    code = (
+        "import json, sys; from pathlib import Path; from tests.cad.conftest import design_of;"
+        "from probedesign.cad import export_parts;"
+        "progress = lambda step: print(step, file=sys.stderr);"
+        "[export_parts(design_of(probe), Path(sys.argv[1]) / name, progress)"
+        " for name, probe in json.loads(sys.argv[2]).items()]"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code, str(folder), json.dumps(PROBES)],
+        env={**os.environ, "PYTHONHASHSEED": "12345"}, cwd=Path(__file__).parents[2],
+        check=True, capture_output=True, text=True,
+    )  # fmt: skip
+    assert result.stdout == "" and result.stderr.splitlines().count("meshing") == len(PROBES)
+    return folder
+
+
+def test_exports_are_reproducible(exported: Exported, exported_again: Path) -> None:
+    """Every file, manifest included, has the same bytes."""
+    again = exported_again / "large"
     assert {path.name for path in again.iterdir()} == FILES
     for path in again.iterdir():
         assert path.read_bytes() == (exported[0] / path.name).read_bytes(), path.name
 
 
 def test_other_sections_are_reproducible(
-    other_section: tuple[str, Path, dict[str, Any]], tmp_path: Path
+    other_section: tuple[str, Path, dict[str, Any]], exported_again: Path
 ) -> None:
     """The kernel keeps one of two coincident vertices by its address, which differs between processes."""
-    probe, folder, _ = other_section
-    other = exported_by_another_process(probe, tmp_path / "again", seed="12345")
+    section, folder, _ = other_section
     for path in folder.iterdir():
-        assert path.read_bytes() == (other / path.name).read_bytes(), path.name
-
-
-def exported_by_another_process(probe: str, folder: Path, seed: str) -> Path:
-    code = (
-        "from pathlib import Path; from tests.cad.conftest import design_of;"
-        "from probedesign.cad import export_parts; import sys;"
-        "export_parts(design_of(sys.argv[2]), Path(sys.argv[1]), lambda step: print(step, file=sys.stderr))"
-    )
-    result = subprocess.run(
-        [sys.executable, "-c", code, str(folder), probe],
-        env={**os.environ, "PYTHONHASHSEED": seed}, cwd=Path(__file__).parents[2],
-        check=True, capture_output=True, text=True,
-    )  # fmt: skip
-    assert result.stdout == "" and "meshing" in result.stderr.splitlines()
-    return folder
+        assert path.read_bytes() == (exported_again / section / path.name).read_bytes(), path.name
 
 
 def test_a_step_file_does_not_depend_on_the_order_in_which_the_kernel_writes_styles() -> None:
@@ -352,6 +348,13 @@ def undocumented(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("probedesign.cad.export.build_documents", lambda *_: Documents({}, [], []))
 
 
+@pytest.fixture
+def drawn_before(undocumented: None, large: CadModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the drawing and the verification too, where the written folder alone is tested."""
+    monkeypatch.setattr("probedesign.cad.export.build_cad", lambda _: large)
+    monkeypatch.setattr("probedesign.cad.export.verify", lambda *_: {})
+
+
 def stop_at(step: str) -> Callable[[str], None]:
     def progress(text: str) -> None:
         if text == step:
@@ -360,7 +363,7 @@ def stop_at(step: str) -> Callable[[str], None]:
     return progress
 
 
-@pytest.mark.usefixtures("undocumented")
+@pytest.mark.usefixtures("drawn_before")
 @pytest.mark.parametrize("trouble", [KeyboardInterrupt, OSError(28, "No space left on device")])
 def test_interrupted_export_leaves_nothing(
     make_design: Callable[..., Design], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trouble: Any
@@ -377,7 +380,7 @@ def test_interrupted_export_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.usefixtures("undocumented")
+@pytest.mark.usefixtures("drawn_before")
 def test_foreign_files_and_an_older_export_survive(
     make_design: Callable[..., Design], tmp_path: Path
 ) -> None:

@@ -129,15 +129,19 @@ def test_a_hang_in_another_pose_than_stated_is_named(stage_folder: Path, model: 
 
 
 def test_a_contradiction_that_leaves_too_much_uncertainty_gives_no_number(
-    stage_folder: Path, model: ProbeModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    mistaken: tuple[str, Identification], stage_folder: Path, model: ProbeModel, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
     """With a widened deviation beyond the limit of E nothing is accepted, and the reason states both."""
     from probedesign.identification import identify as module
 
+    name, accepted = mistaken
+    change, frame, *_ = MISTAKES[name]
+    monkeypatch.setattr(module, "likely_causes", lambda *_: list(accepted.likely_causes))  # of the same files
     widened = module.widened
     monkeypatch.setattr(module, "widened", lambda fit, causes: replace(
         widened(fit, causes), widened=100.0 * widened(fit, causes).widened))  # fmt: skip
-    folder = _edited(stage_folder, tmp_path / "data", _opposite_fy)
+    folder = _edited(stage_folder, tmp_path / "data", change, frame)
     found = identify(data_of(read_campaign(folder), model, 0.0), ("E",), accept=True)
     assert found.result == "inconsistent" and found.of("E") is None and "limit 30%" in found.why
     assert {one.result for one in found.found} == {"withheld"}

@@ -280,6 +280,7 @@ def test_nothing_of_the_design_side_is_imported(bundle, recording, arguments):
         "cadquery",
         "matplotlib",
         "tomlkit",
+        "scipy.stats",
         "probedesign.design.schema",
         "probedesign.probe",
     )

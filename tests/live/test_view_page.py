@@ -268,9 +268,9 @@ def test_lines_of_json_stay_clean_beside_a_page(bundle, capfd):
     assert "viser" not in err and "view: http://127.0.0.1:" in err
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def tab(view):
-    """The page in a headless browser, as small as it may be: it is drawn by the processor."""
+    """The page in a headless browser, opened once: it is drawn by the processor."""
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     if CHROMIUM is None:
         pytest.skip("no Chromium or Chrome on the path to look at the page with")

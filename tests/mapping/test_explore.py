@@ -1,7 +1,9 @@
 """Tests of the command `explore` on a simulated run: results, files and refusals."""
 
 import csv
+import io
 import json
+from contextlib import redirect_stdout
 from dataclasses import replace
 
 import numpy as np
@@ -23,9 +25,17 @@ def arguments(probe, folder, *more, poses="poses.csv"):
 
 
 @pytest.fixture(scope="module")
-def found(probe, house, tmp_path_factory):
-    out = tmp_path_factory.mktemp("found")
-    assert run(arguments(probe, house[1], "--out", out)) == 0
+def explored(probe, house, tmp_path_factory):
+    """Return the folder that the command writes, and the JSON that it prints."""
+    out, printed = tmp_path_factory.mktemp("found"), io.StringIO()
+    with redirect_stdout(printed):
+        assert run(arguments(probe, house[1], "--out", out, "--json")) == 0
+    return out, json.loads(printed.getvalue())
+
+
+@pytest.fixture(scope="module")
+def found(explored):
+    out, _ = explored
     with (out / "points.csv").open() as file:
         return out, list(csv.DictReader(file))
 
@@ -83,9 +93,8 @@ def test_page_and_picture_need_no_network(found):
         assert "http" not in text.replace("http://www.w3.org/2000/svg", "") and "src=" not in text
 
 
-def test_json_agrees_with_the_table(probe, house, found, capsys):
-    assert run(arguments(probe, house[1], "--json")) == 0
-    document = json.loads(capsys.readouterr().out)
+def test_json_agrees_with_the_table(explored, found):
+    _, document = explored
     assert [point["x_world_mm"] for point in document["points"]] == pytest.approx(
         [place(row)[0] for row in found[1]]
     )
