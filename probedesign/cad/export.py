@@ -25,6 +25,7 @@ from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.geometry.mass import MassProperties, combined
 from probedesign.mount import exported_root_radii
+from probedesign.mount.clamping import clamp_force
 from probedesign.mount.root import ROOT_STD
 from probedesign.mount.tolerance_stack import measurements, tolerance_stacks
 from probedesign.printing.check import check_print, is_compensated, print_scale
@@ -53,6 +54,7 @@ def manifest_of(
         "kind": "export",
         **model_record(model, files, findings),
         "bill_of_materials": bill_records(documents.bill),
+        "clamp": clamp_force(a, model.plate, model.design.youngs_modulus.value).as_record(),
         "tolerance_stacks": [stack.as_record() for stack in tolerance_stacks(a, model.plate)],
         "measure_before_assembly": [row.as_record() for row in measurements(a, model.plate)],
         "also_needed": {
@@ -86,6 +88,7 @@ def model_record(model: CadModel, files: dict[str, dict[str, Any]], findings: Fi
             "density of the rigid parts",
             "density of the steel parts",
             "tolerance_stacks",
+            "clamp",
         ],
         "files": files,
         "parts": {part.name: _part(part) for part in model.printed},

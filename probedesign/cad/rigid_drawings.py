@@ -75,11 +75,13 @@ def sensor_adapter_sheet(model: CadModel, part: CadPart) -> Sheet:
     ]
     # What screws and clamp rely on is dimensioned by itself: the tolerance stack counts it as one length.
     heights = [*_from_datum(a.foot_height, a.cone_top, a.peg_top, a.body_top), (a.floor, a.body_top)]
-    tops = [a.recess_d, a.body_d]
+    tops = [a.land_d, a.recess_d, a.body_d]
     notes = [
         "A: z = 0 rests on the sensor's tool face; positions are from A and from the axis",
         f"flat at x = {_mm(a.mark_x)} shows +x; underside at {UNDERSIDE_DEG:g}° to the horizontal",
-        f"notch {_mm(VENT_WIDTH)} wide from the recess to the flat",
+        f"land ⌀{_mm(a.land_d)} carries the flange; the floor around it is {_mm(a.groove)} lower, down to "
+        f"z = {_mm(a.groove_floor)}",
+        f"notch {_mm(VENT_WIDTH)} wide from the recess to the flat, down to the groove's floor",
         f"fits: {_pin_fit(a.dowels.diameter, a.options.milled)}; ⌀{_mm(a.recess_d)} takes the probe's "
         f"flange ⌀{_mm(a.flange.diameter)} with {_mm(SLIP)} play",
         *engraving_note(a.on_wall, "the rim"),

@@ -184,6 +184,16 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
             (soft("thickness of the flange", flange.thickness), rigid("depth of the recess", -recess)),
             (MIN_SQUEEZE, MAX_SQUEEZE_SHARE * flange.thickness),
         ),
+        Stack(
+            "groove_room",
+            "room below the flange in the groove around the land",
+            (
+                rigid("depth of the groove", a.groove),
+                rigid("depth of the recess", recess),
+                soft("thickness of the flange", -flange.thickness),
+            ),
+            (0.0, recess),
+        ),
         into_sensor("sensor_adapter_screws_entry", "tool", a.tool),
         into_sensor("mounting_screws_entry", "mounting", plate.mounting),
         Stack(
@@ -376,7 +386,7 @@ def measurements(a: SensorAdapter, plate: FlangeAdapter) -> list[Measurement]:
     return [
         *rows,
         Measurement(
-            "sensor adapter: depth of the recess",
+            "sensor adapter: depth of the recess, down to the land in its middle",
             recess,
             (recess - rigid, recess + rigid),
             "decided by the difference below",

@@ -23,10 +23,8 @@ import trimesh
 from PIL import Image
 
 from probedesign.cad.assembly_docs import (
-    RESIN_PRESSURE,
     assembly_page,
     bill_of_materials,
-    hand_torque,
     part_drawings,
 )
 from probedesign.cad.drawing import EDGE, HEIGHT, WIDTH
@@ -40,6 +38,7 @@ from probedesign.cad.svg import Svg
 from probedesign.core.errors import InputError
 from probedesign.core.frames import pose
 from probedesign.design import Design, parse_design
+from probedesign.mount.clamping import RESIN_PRESSURE, hand_torque
 from probedesign.mount.engraving import Engraving
 from probedesign.mount.sensor_adapter import RING_VENT_HEIGHT
 from tests.reports.page_checks import browser, check_page, sheets
@@ -76,11 +75,11 @@ def test_hand_torque_limits_the_pressure_on_the_resin(large: CadModel) -> None:
     """Torque over diameter and nut factor is the preload; it presses the ring under the head."""
     for use in large.screws:
         d, hole = (2e-3, 2.4e-3) if use.screw.thread == "M2" else (6e-3, 6.6e-3)
-        preload = hand_torque(use) / (0.2 * d)
+        preload = hand_torque(use.screw) / (0.2 * d)
         pressure = preload / (np.pi / 4 * (use.screw.head_d**2 - hole**2))
         assert 0.5 * RESIN_PRESSURE < pressure <= RESIN_PRESSURE  # one digit, rounded down
     # A tenth of what M2 in steel takes, 0.3 N·m: a table for steel does not apply.
-    assert hand_torque(large.screws[0]) < 0.1
+    assert hand_torque(large.screws[0].screw) < 0.1
 
 
 # ---- order of assembly

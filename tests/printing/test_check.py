@@ -43,7 +43,7 @@ def test_the_papers_probes_print(name):
     parts = {"probe", "sensor_adapter", "clamp_ring", "flange_adapter", "mount"}
     assert {f.part for f in check.passed} == parts
     for finding in check.findings:
-        assert finding.source and finding.unit in ("mm", "mm²", "mm³", "deg", "1")
+        assert finding.source and finding.unit in ("mm", "mm²", "mm³", "deg", "N", "1")
         assert bool(finding.remedy) == (finding.severity != "ok")
 
 
