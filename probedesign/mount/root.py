@@ -22,8 +22,8 @@ _ROUNDING = 0.0051
 """Error of a value that `new` rounded to two decimals."""
 ROOT_STD = 0.05
 """Standard deviation of these values [base radii]: friction below the flange moves the clamped one by that much, the
-other thicknesses and Poisson's ratios less. The land, which supports only the inner part of the lip, moves them by 0.002
-(clamped) and 0.006 (glued); the squeezed lip is not modelled (assumed)."""
+other thicknesses and Poisson's ratios less. The land, which supports the inner part of the lip alone, moves them by
+0.002 (clamped) and 0.006 (glued); the squeezed lip is not modelled (assumed)."""
 
 
 def exported_root_radii(geometry: ProbeGeometry, hold: Hold = "clamped") -> float:
