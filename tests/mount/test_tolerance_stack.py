@@ -176,6 +176,27 @@ def test_a_root_that_contradicts_the_hold_is_found() -> None:
     assert found("root_rigid_radii = 0.12" + tolerance) and not found("root_rigid_radii = -0.1" + tolerance)
 
 
+@pytest.mark.parametrize("section", ["", 'section = "hollow"\nbore_ratio = 0.5\n'])
+def test_a_root_that_was_written_for_another_flange_is_found(section: str) -> None:
+    """Base radius over thickness decides: 4 mm instead of 3 mm is 0.045 base radii, one standard deviation."""
+    text = f'schema = 1\nname = "x"\n[probe]\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n{section}'
+    new, _ = with_computed_root(parse_design(text), "clamped")
+    written = render_design(new)
+    assert not root_contradiction(parse_design(written))
+
+    def changed(old: str, to: str) -> str:
+        assert old in written
+        return root_contradiction(parse_design(written.replace(old, to)))
+
+    assert "-0.22" in changed("[mount]\n", "[mount]\nflange_thickness_mm = 4.0\n")
+    assert "-0.24" in changed("base_d_mm = 12.0", "base_d_mm = 8.0")
+    assert not changed("base_d_mm = 12.0", "base_d_mm = 11.82")  # a print that shrank: still -0.18
+    before, own = ("root_radii = 0.05", "root_radii = 0.02") if not section else (
+        "[tolerances]\n", "[tolerances]\nroot_radii = 0.02\n")  # fmt: skip
+    assert before in written
+    assert not root_contradiction(parse_design(written.replace(before, own).replace("= -0.18", "= -0.14")))
+
+
 def test_a_new_design_states_the_computed_root_and_its_uncertainty() -> None:
     text = 'schema = 1\nname = "x"\n[probe]\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n'
     design, notes = with_computed_root(parse_design(text), "clamped")
