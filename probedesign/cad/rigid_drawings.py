@@ -13,7 +13,6 @@ from probedesign.cad.model import CadModel, CadPart
 from probedesign.cad.projection import ABOVE, BELOW, ViewDirection, cut, seen
 from probedesign.cad.title_block import engraving_note, titled_sheet
 from probedesign.core.units import MM
-from probedesign.design.catalog import CUSTOM
 from probedesign.mount.engraving import XY
 from probedesign.mount.flange_adapter import CENTRING_PIN_D, TIE_APART, TIE_SLOT
 from probedesign.mount.sensor_adapter import (
@@ -135,7 +134,7 @@ def flange_adapter_sheet(model: CadModel, part: CadPart) -> Sheet:
         below.append(Holes([(reach, 0.0)], 0.0, slot, False))
         fits.append(f"slot {_mm(width)} takes a pin of {_mm(p.robot.pin_d)}")
     bottoms = [(spigot_d, " h9" if milled else ""), (p.plate_d, "")] if spigot else [(p.plate_d, "")]
-    if spigot and p.robot.name != CUSTOM:
+    if spigot:
         fits.append(f"⌀{_mm(spigot_d)} enters ⌀{_mm(spigot_d + p.robot.spigot_play)} H7")
     (r0, r1), (v0, v1), (z0, z1) = p.cable_pocket
     notes = [

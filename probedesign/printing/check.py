@@ -207,8 +207,7 @@ def mount_findings(a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
             findings.append(OPEN_HOLE.at_least(part, what, d / MM, MIN_HOLE_D, remedy="make it wider"))
     for stack in tolerance_stacks(a, plate):
         what = f"{stack.what}, beyond its limits at the worst corner of the tolerances"
-        remedy = "change the sensor's or the mount's screws and lengths"
-        findings.append(STACK.at_most("mount", what, stack.outside / MM, 0.0, remedy))
+        findings.append(STACK.at_most("mount", what, stack.outside / MM, 0.0, stack.remedy))
     return findings
 
 

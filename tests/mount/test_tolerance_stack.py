@@ -1,6 +1,7 @@
 """Test tolerance stacks: their sums, and that the mount fits at every corner for all designs."""
 
 import itertools
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +20,7 @@ from probedesign.mount.root import (
     stated_root_radii,
     with_computed_root,
 )
-from probedesign.mount.tolerance_stack import Stack, StackItem, measurements, tolerance_stacks
+from probedesign.mount.tolerance_stack import Stack, StackItem, h7, measurements, tolerance_stacks
 
 
 def stacks_of(base_d: float = 12.0, mount: str = "") -> dict[str, Stack]:
@@ -135,6 +136,47 @@ def test_parts_that_do_not_fit_together_are_refused(mount: str) -> None:
     assert broken(replace(a, dowel_d=a.dowels.diameter - 0.02e-3), plate) == {"dowel_fit"}
     assert broken(replace(a, dowel_d=a.dowel_d + 0.4e-3), plate) == {"dowel_fit"}
     assert broken(a, pins(0.99)) == {"centring_fit"}
+
+
+def test_every_stack_names_a_key_that_changes_it() -> None:
+    for stack in tolerance_stacks(*adapters_of(12.0, "")):
+        assert stack.remedy.startswith("change ") and re.search(r"mount\.\w+|interface\.\w+", stack.remedy)
+
+
+OWN_FLANGE = (
+    'robot_flange = "own"\n[mount.flange]\nbolt = "M6"\nbolt_circle_d_mm = 80.0\n'
+    "bolt_azimuths_deg = [45.0, 135.0, 225.0, 315.0]\nmax_bolt_entry_mm = 6.0\nbolt_length_mm = 12.0\nface_d_mm = 100.0\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("spigot", "recess", "ok"),
+    [(31.3, None, True), (31.3, 31.5, True), (31.4, 31.5, False), (62.6, 63.0, True), (62.8, 63.0, False),
+     (62.8, None, False), (30.0, 31.5, False)],
+)  # fmt: skip
+def test_the_spigot_of_an_own_flange_must_fit_the_robot(
+    spigot: float, recess: float | None, ok: bool
+) -> None:
+    """A printed spigot is ±0.15 mm or ±0.5 %: 0.2 mm of play is enough at 31.3 mm, and not at 62.8 mm."""
+    more = f"spigot_mm = [{spigot}, 3.0]\n" + ("" if recess is None else f"recess_d_mm = {recess}\n")
+    a, plate = adapters_of(12.0, OWN_FLANGE + more)
+    stack = next(stack for stack in tolerance_stacks(a, plate) if stack.name == "spigot_fit")
+    assert stack.ok == ok
+    tolerance = max(0.15, 0.005 * spigot)
+    play = (0.2 if recess is None else recess - spigot) * 1e-3
+    assert stack.worst[0] == pytest.approx(play - tolerance * 1e-3, abs=1e-9)
+
+
+def test_a_recess_that_does_not_take_the_spigot_is_refused() -> None:
+    for more in ("spigot_mm = [31.5, 3.0]\nrecess_d_mm = 31.5\n", "recess_d_mm = 31.5\n"):
+        with pytest.raises(InputError, match=r"mount\.flange\.recess_d_mm = 31\.5"):
+            adapters_of(12.0, OWN_FLANGE + more)
+
+
+def test_holes_h7_follow_the_standard() -> None:
+    """ISO 286-1, IT7: ranges up to and including their end."""
+    table = {2.0: 10, 6.0: 12, 20.0: 21, 30.0: 21, 31.5: 25, 50.0: 25, 63.0: 30, 100.0: 35}
+    assert {d: round(1e6 * h7(d * 1e-3)) for d in table} == table
 
 
 def test_the_slot_takes_the_distance_of_the_dowel_holes() -> None:
