@@ -202,8 +202,8 @@ def _measure(model: CadModel) -> str:
     )
     return (
         "<h2>Measure before the first screw</h2><p>In millimetres. The ranges leave room for the tolerance of the "
-        f"screws and for the calipers: {CALIPERS / MM:g} mm for a reading, on the side that destroys the sensor and on "
-        "both sides of the lip's compression. Do not sand the foot "
+        f"screws, for heads that settle, and for the calipers: {CALIPERS / MM:g} mm for a reading, on the side that "
+        "destroys the sensor and on both sides of the lip's compression. Do not sand the foot "
         f"of the sensor adapter or the faces of the flange adapter.</p><table>{head}{rows}</table>"
     )
 

@@ -88,9 +88,11 @@ PIN_ROOM = 0.1 * MM
 """Least room beyond a dowel pin's end, so that the pin never lifts the adapter off the tool face."""
 SENSOR_HOLE_DISTANCE = 0.05 * MM
 """Tolerance ± of the distance between the sensor's dowel holes (assumed)."""
-FACE_LOSS = 0.2 * MM
-"""Material that a printed face may lose on the platform, where the first layers are compressed, by sanding, or below a
-head that settles (assumed: no number is published for the printers)."""
+FACE_LOSS = 0.15 * MM
+"""Material that a printed face may lose on the platform, where the first layers are compressed, or by sanding (assumed:
+no number is published for the printers)."""
+SETTLING = 0.05 * MM
+"""Depth to which a screw's head settles in printed resin after it was tightened (assumed: the resin creeps)."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +130,11 @@ class MountOptions:
     def face_loss(self) -> float:
         """Return what a face that was printed on the platform may lack [m]; milled faces lack nothing."""
         return 0.0 if self.milled else FACE_LOSS
+
+    @property
+    def settling(self) -> float:
+        """Return by how much a screw's head may settle in the part below it [m]; milled parts do not yield."""
+        return 0.0 if self.milled else SETTLING
 
     @property
     def pin_play(self) -> float:

@@ -194,7 +194,9 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
     def loss(shortens: bool = False) -> StackItem:
         lost = a.options.face_loss
         below, above = (lost, 0.0) if shortens else (0.0, lost)
-        return StackItem("face compressed on the platform, sanded or settled", 0.0, below, above, "assumed")
+        return StackItem("face compressed on the platform or sanded", 0.0, below, above, "assumed")
+
+    settling = StackItem("head that settles in the resin", 0.0, 0.0, a.options.settling, "assumed")
 
     def into_sensor(name: str, side: str, pattern: ScrewPattern) -> Stack:
         return Stack(
@@ -204,6 +206,7 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
                 screw(pattern.screw, pattern.length),
                 rigid("thickness under the head", -pattern.grip),
                 loss(),
+                settling,
             ),
             (pattern.min_entry, pattern.max_entry),
         )
@@ -238,6 +241,7 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
                 rigid("thickness of the ring", -a.ring_thickness),
                 rigid("thickness above the nut", -a.nut_roof),
                 loss(),
+                settling,
             ),
             (nut.height, a.nut_slot_z[1] - a.ring_hole_bottom),
         ),
@@ -248,6 +252,7 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
                 screw(robot.screw, robot.bolt_length),
                 rigid("thickness of the plate", -plate.plate_top),
                 loss(),
+                settling,
             ),
             (MIN_BOLT_THREADS * robot.screw.nominal_d, robot.max_bolt_entry),
         ),
@@ -405,13 +410,16 @@ def measurements(a: SensorAdapter, plate: FlangeAdapter) -> list[Measurement]:
                 f"{part}: each {screw.thread}×{length / MM:g} in its hole, head pressed on its seat: its point beyond "
                 "the sensor's face",
                 length - pattern.grip,
-                (pattern.min_entry, pattern.max_entry - CALIPERS),
+                (pattern.min_entry, pattern.max_entry - CALIPERS - a.options.settling),
                 "more: do not use it, the sensor would be destroyed; less: the screw does not hold",
             ),
             Measurement(
                 f"{part}: thickness under each head of those screws",
                 pattern.grip,
-                (length + tolerance - pattern.max_entry + CALIPERS, length - tolerance - pattern.min_entry),
+                (
+                    length + tolerance - pattern.max_entry + CALIPERS + a.options.settling,
+                    length - tolerance - pattern.min_entry,
+                ),
                 "thinner: print it again; thicker: print it again, never take a longer screw",
             ),
         ]

@@ -55,7 +55,8 @@ def test_the_worst_case_is_the_worst_corner_and_rss_the_spread_of_random_parts()
 
 
 def test_the_screws_into_the_sensor_keep_their_limits_at_every_corner() -> None:
-    """An M2x6 measures 5.76 to 6.24 mm (ISO 4759-1), a printed floor ±0.15 mm, and 0.2 mm may be sanded off."""
+    """An M2x6 measures 5.76 to 6.24 mm (ISO 4759-1), a printed floor ±0.15 mm, of which 0.15 mm may be sanded off, and
+    its head settles by 0.05 mm."""
     for name in ("sensor_adapter_screws_entry", "mounting_screws_entry"):
         low, high = stacks_of()[name].worst
         assert (low, high) == (pytest.approx(2.51e-3), pytest.approx(3.49e-3))
@@ -88,13 +89,13 @@ def test_a_lip_that_cannot_be_clamped_is_one_line(mount: str, text: str) -> None
 
 
 def test_accepted_parts_never_let_a_screw_break_the_sensor() -> None:
-    """Screws within tolerance fit through every accepted floor, including the error of the calipers."""
+    """Screws within tolerance fit through every accepted floor, with the error of the calipers, and after settling."""
     a, plate = adapters_of(12.0, "")
     floors = [row for row in measurements(a, plate) if "thickness under each head" in row.what]
     assert len(floors) == 2
     for row in floors:
-        deepest = 6.24e-3 - (row.accept[0] - 0.05e-3)
-        assert deepest <= 3.5e-3 + 1e-9
+        deepest = 6.24e-3 - (row.accept[0] - 0.05e-3 - 0.05e-3)
+        assert deepest == pytest.approx(3.5e-3)
         assert 5.76e-3 - row.accept[1] >= 2.5e-3 - 1e-9
         assert row.accept[0] < row.nominal < row.accept[1]
 
@@ -108,9 +109,9 @@ def test_an_accepted_lip_is_clamped_whatever_the_calipers_read() -> None:
 
 
 def test_a_face_that_lost_material_lets_no_pin_bottom() -> None:
-    """The longest pin, the shallowest holes, and 0.2 mm off the foot: the adapter still rests on the sensor."""
+    """The longest pin, the shallowest holes, and 0.15 mm off the foot: the adapter still rests on the sensor."""
     a, plate = adapters_of(12.0, "")
-    assert a.dowel_depth - 0.15e-3 - 0.2e-3 + (3.0 - 0.1) * 1e-3 - 6.25e-3 == pytest.approx(0.0, abs=1e-9)
+    assert a.dowel_depth - 0.15e-3 - 0.15e-3 + (3.0 - 0.1) * 1e-3 - 6.25e-3 == pytest.approx(0.0, abs=1e-9)
     rooms = {
         stack.name: stack for stack in tolerance_stacks(replace(a, dowel_depth=a.dowel_depth - 1e-4), plate)
     }
@@ -145,7 +146,8 @@ def test_every_stack_names_a_key_that_changes_it() -> None:
 
 OWN_FLANGE = (
     'robot_flange = "own"\n[mount.flange]\nbolt = "M6"\nbolt_circle_d_mm = 80.0\n'
-    "bolt_azimuths_deg = [45.0, 135.0, 225.0, 315.0]\nmax_bolt_entry_mm = 6.0\nbolt_length_mm = 12.0\nface_d_mm = 100.0\n"
+    "bolt_azimuths_deg = [45.0, 135.0, 225.0, 315.0]\n"
+    "max_bolt_entry_mm = 6.0\nbolt_length_mm = 12.0\nface_d_mm = 100.0\n"
 )
 
 
