@@ -137,7 +137,7 @@ th, td { text-align: left; padding: 0.8mm 2mm; vertical-align: top; white-space:
   width: auto; height: auto; max-width: 100%; max-height: 245mm; margin: 0 auto }
 .steps { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(75mm, 100%), 1fr)); gap: 4mm }
 .step { border: 0.4pt solid var(--rule); padding: 3mm; break-inside: avoid }
-.step img { display: block; background: #fff; height: 58mm; max-width: 100%; object-fit: contain; margin: 0 auto 2mm }
+.step img { display: block; background: #fff; height: 55mm; max-width: 100%; object-fit: contain; margin: 0 auto 2mm }
 .step b { margin-right: 1.5mm }
 ul { margin: 1mm 0; padding-left: 5mm } .tools { columns: 2 75mm }
 @media print { body { font-size: 9.5pt } table { font-size: 8.5pt } }
@@ -250,8 +250,8 @@ def _tightening(model: CadModel) -> str:
     clamp = clamp_force(model.adapter, model.plate, model.design.youngs_modulus.value)
     low, high = clamp.range
     lip = (
-        f"To compress the flange's lip until the ring rests on the wall takes {clamp.nominal:.0f} N, {low:.0f} to "
-        f"{high:.0f} N with all tolerances; the ring's {clamp.screws} screws give {clamp.preload:.0f} N at that torque."
+        f"The ring needs {clamp.nominal:.0f} N to reach the wall, {low:.0f} to {high:.0f} N with all tolerances; its "
+        f"{clamp.screws} screws give {clamp.preload:.0f} N."
     )
     if high > clamp.preload:
         lip = (

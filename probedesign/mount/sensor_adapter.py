@@ -52,7 +52,8 @@ PEG_D = 1.9 * MM
 PEG_BELOW_RING = 0.4 * MM
 """From the peg's top up to the ring: more than both tolerances, so that the ring never rests on the peg."""
 RING_CLEARANCE = 0.5 * MM
-"""Radial clearance of the ring's bore to the probe at s = 0; the bore then widens by 45° to clear the bending probe."""
+"""Radial clearance of the ring's bore at s = 0 to a probe of up to 30 mm, more by the tolerance of a wider one; the
+bore then widens by 45° to clear the bending probe."""
 MIN_LIP = 1.5 * MM
 """Least width of the lip between the ring and the land."""
 LAND_RELIEF, MIN_RELIEF = 1.0 * MM, 0.5 * MM
@@ -176,6 +177,7 @@ class SensorAdapter:
         peg_hole_d: in the flange.
         flange: the probe's flange.
         squeeze: nominal compression of the flange's lip when the ring rests on the wall.
+        probe_d: greatest diameter of the probe, over which the ring passes.
         ring_bore_d, ring_bore_top_d, ring_thickness: of the clamp ring; its rim is `body_d`.
         ring_screw_length: a stock length under the head.
         ring_circle_d: of the ring's screws.
@@ -208,6 +210,7 @@ class SensorAdapter:
     peg_hole_d: float
     flange: Flange
     squeeze: float
+    probe_d: float
     ring_bore_d: float
     ring_bore_top_d: float
     ring_thickness: float
@@ -397,6 +400,7 @@ def sensor_adapter_for(
         peg_hole_d=peg_hole_d,
         flange=flange,
         squeeze=squeeze,
+        probe_d=2.0 * float(geometry.radius.max()),
         ring_bore_d=bore_d,
         ring_bore_top_d=min(bore_d + 2 * options.ring_thickness, head_clear_d),
         ring_thickness=options.ring_thickness,
@@ -452,20 +456,24 @@ def _squeeze(flange: Flange, options: MountOptions) -> float:
 
 def _ring_bore_d(geometry: ProbeGeometry) -> float:
     """Return the narrowest diameter of the ring's bore [m]: the ring passes over the tip and the widest section."""
-    bore_d = 2.0 * (float(geometry.radius.max()) + RING_CLEARANCE)
-    max_d = max_ring_passage_d(geometry.flange)
-    if bore_d - 2 * RING_CLEARANCE > max_d:
+    probe_d, max_d = 2.0 * float(geometry.radius.max()), max_ring_passage_d(geometry.flange)
+    if probe_d > max_d:
         raise InputError(
-            f"probe.profile_mm: {(bore_d - 2 * RING_CLEARANCE) / MM:g} mm at its widest, "
-            f"so the clamp ring cannot pass; at most {max_d / MM:g} mm "
-            f"with a base of {2 * geometry.base_radius / MM:g} mm"
+            f"probe.profile_mm: {probe_d / MM:g} mm at its widest, so the clamp ring cannot pass; at most "
+            f"{max_d / MM:.4g} mm with a base of {2 * geometry.base_radius / MM:g} mm"
         )
-    return bore_d
+    return probe_d + 2 * RING_CLEARANCE + 2 * _beyond_least(probe_d)
+
+
+def _beyond_least(length: float) -> float:
+    """Return by how much the tolerance of a printed length exceeds that of a short one [m]."""
+    return length_tolerance(length) - PRINT_TOLERANCE
 
 
 def max_ring_passage_d(flange: Flange) -> float:
     """Return the largest probe diameter over which a ring passes that still clamps the flange [m]."""
-    return flange.diameter - 2 * (MIN_RELIEF + MIN_LIP + RING_CLEARANCE)
+    rest = flange.diameter - 2 * (MIN_RELIEF + MIN_LIP + RING_CLEARANCE)
+    return rest - 2 * _beyond_least(rest)
 
 
 def _land_d(geometry: ProbeGeometry, options: MountOptions, bore_d: float) -> float:

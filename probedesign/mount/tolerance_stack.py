@@ -42,6 +42,8 @@ SOFT_INTERFERENCE = 0.01
 """Oversize of the flange in its recess, relative: it is pressed in by hand (assumed)."""
 PEG_STRETCH = 0.2
 """Oversize of the peg in the flange's hole, relative: the resin stretches by several times that (assumed)."""
+RING_OFFSET = 0.2 * MM
+"""Offset of the clamp ring from the probe's axis after it was centred by eye: two fifths of the gap (assumed)."""
 MIN_PIN_HEIGHT = 1.0 * MM
 """Least height of a centring pin beside the sensor (assumed)."""
 MAX_CENTRING_PLAY = 1.0 * MM, 0.02
@@ -72,6 +74,7 @@ _KEYS = {
     "peg_below_ring": _LIP,
     "dowel_pin_room": "interface.dowels of the sensor: depth_mm or pin_length_mm",
     "flange_in_recess": f"mount.flange_lip_mm{_MILLED}",
+    "ring_gap": 'mount.adapters = "milled" and probe.base_d_mm',
     "peg_fit": f"mount.flange_lip_mm{_MILLED}",
     "dowel_fit": f"interface.dowels of the sensor: circle_d_mm{_MILLED}",
     "dowel_slot": f"interface.dowels of the sensor: circle_d_mm{_MILLED}",
@@ -306,6 +309,16 @@ def _fits(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
             (-SOFT_INTERFERENCE * a.flange.diameter, 2 * RING_CLEARANCE),
         ),
         Stack(
+            "ring_gap",
+            "gap between the ring, centred by eye, and the probe",
+            (
+                rigid("diameter of the ring's bore", a.ring_bore_d),
+                soft("diameter of the probe", -a.probe_d),
+                StackItem("twice the offset of the ring's centre", 0.0, *(2 * RING_OFFSET,) * 2, "by eye, assumed"),
+            ),
+            (0.0, a.flange.thickness),
+        ),
+        Stack(
             "peg_fit",
             "play of the clocking peg in the flange",
             (soft("diameter of the hole", a.peg_hole_d), rigid("diameter of the peg", -PEG_D)),
@@ -428,7 +441,7 @@ def measurements(a: SensorAdapter, plate: FlangeAdapter) -> list[Measurement]:
     return [
         *rows,
         Measurement(
-            "sensor adapter: depth of the recess, down to the land in its middle",
+            "sensor adapter: depth of the recess, to its land",
             recess,
             (recess - rigid, recess + rigid),
             "decided by the difference below",

@@ -29,7 +29,7 @@ from probedesign.cad.assembly_docs import (
 )
 from probedesign.cad.drawing import EDGE, HEIGHT, WIDTH
 from probedesign.cad.exploded_view import DOWN, EXPLOSION, assembly_steps
-from probedesign.cad.mesh import platform_positions, read_back
+from probedesign.cad.mesh import Mesh, package_objects, platform_positions, read_back
 from probedesign.cad.model import CadModel, build_cad, overlaps
 from probedesign.cad.projection import FRONT, cut, seen
 from probedesign.cad.render import BACKGROUND, OrthographicCamera, RenderBody, fit_view, render_bodies
@@ -424,6 +424,16 @@ def test_names_from_outside_are_escaped(make_design: Callable[..., Design], larg
 
 
 # ---- 3MF
+
+
+def test_milled_adapters_have_no_package_to_print(large: CadModel) -> None:
+    """Their drawings and STEP files are what a workshop needs."""
+    options = replace(large.adapter.options, milled=True)
+    milled = replace(large, adapter=replace(large.adapter, options=options))
+    triangle = Mesh(np.eye(3), np.array([[0, 1, 2]]))
+    meshes = dict.fromkeys(PRINTED, triangle)
+    assert set(package_objects(milled, meshes)) == {"probe.3mf"}
+    assert set(package_objects(large, meshes)) == {"probe.3mf", "adapters.3mf"}
 
 
 def test_packages_read_strictly_in_millimetres_and_side_by_side(exported: Exported) -> None:

@@ -188,6 +188,16 @@ def test_the_slot_takes_the_distance_of_the_dowel_holes() -> None:
     assert stack.ok
 
 
+@pytest.mark.parametrize("base_d", [0.5, 12.0, 30.0, 45.0, 60.0])
+def test_a_ring_centred_by_eye_never_touches_the_probe(base_d: float) -> None:
+    """Bore and base are ±0.15 mm or ±0.5 %, the ring 0.2 mm off the axis: 0.5 mm of gap, and more for wide probes."""
+    a, _ = adapters_of(base_d, "")
+    tolerance = 0.5 * max(0.15, 0.005 * base_d) + 0.5 * max(0.15, 0.005e3 * a.ring_bore_d)
+    nearest = 1e3 * (a.ring_bore_d - a.probe_d) / 2 - tolerance - 0.2
+    assert nearest >= -1e-9
+    assert stacks_of(base_d)["ring_gap"].worst[0] == pytest.approx(2e-3 * nearest, abs=1e-9)
+
+
 # The root
 
 
