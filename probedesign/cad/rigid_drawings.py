@@ -78,9 +78,8 @@ def sensor_adapter_sheet(model: CadModel, part: CadPart) -> Sheet:
     notes = [
         "A: z = 0 rests on the sensor's tool face; positions are from A and from the axis",
         f"flat at x = {_mm(a.mark_x)} shows +x; underside at {UNDERSIDE_DEG:g}° to the horizontal",
-        f"land ⌀{_mm(a.land_d)} carries the flange; the floor around it is {_mm(a.groove)} lower, down to "
-        f"z = {_mm(a.groove_floor)}",
-        f"notch {_mm(VENT_WIDTH)} wide from the recess to the flat, down to the groove's floor",
+        f"land ⌀{_mm(a.land_d)} below the flange, groove around it {_mm(a.groove)} deep to z = {_mm(a.groove_floor)}; "
+        f"notch {_mm(VENT_WIDTH)} wide from the groove to the flat",
         f"fits: {_pin_fit(a.dowels.diameter, a.options.milled)}; ⌀{_mm(a.recess_d)} takes the probe's "
         f"flange ⌀{_mm(a.flange.diameter)} with {_mm(SLIP)} play",
         *engraving_note(a.on_wall, "the rim"),

@@ -310,7 +310,7 @@ def _fits(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
         ),
         Stack(
             "ring_gap",
-            "gap between the ring, centred by eye, and the probe",
+            "gap between the ring, centred by eye, and the probe, on the diameter",
             (
                 rigid("diameter of the ring's bore", a.ring_bore_d),
                 soft("diameter of the probe", -a.probe_d),
