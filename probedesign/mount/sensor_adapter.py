@@ -457,7 +457,7 @@ def _squeeze(flange: Flange, options: MountOptions) -> float:
 def _ring_bore_d(geometry: ProbeGeometry) -> float:
     """Return the narrowest diameter of the ring's bore [m]: the ring passes over the tip and the widest section."""
     probe_d, max_d = 2.0 * float(geometry.radius.max()), max_ring_passage_d(geometry.flange)
-    if probe_d > max_d:
+    if probe_d > max_d + 1e-9:  # round-off of sums
         raise InputError(
             f"probe.profile_mm: {probe_d / MM:g} mm at its widest, so the clamp ring cannot pass; at most "
             f"{max_d / MM:.4g} mm with a base of {2 * geometry.base_radius / MM:g} mm"
