@@ -12,13 +12,12 @@ import cadquery as cq
 import numpy as np
 
 from probedesign.cad.assembly_docs import Documents, bill_records, build_documents
+from probedesign.cad.drawing import drawing_date
 from probedesign.cad.exchange import glb_bytes, step_bytes
 from probedesign.cad.folder import MANIFEST, check_target, staged
 from probedesign.cad.kernel import mass_properties
-from probedesign.cad.mesh import read_back, tessellate, threemf_packages
+from probedesign.cad.mesh import part_stl, read_back, tessellate, threemf_packages
 from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad
-from probedesign.cad.single_part import part_stl
-from probedesign.cad.title_block import drawing_date
 from probedesign.cad.verify import Findings, verify
 from probedesign.core.frames import Array
 from probedesign.core.units import MM

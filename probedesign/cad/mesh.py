@@ -20,8 +20,9 @@ from probedesign.cad.kernel import meshed
 from probedesign.cad.model import CadModel
 from probedesign.core.errors import CheckFailedError
 from probedesign.core.frames import Array
-from probedesign.core.stl import stl_corners
+from probedesign.core.stl import stl_bytes, stl_corners
 from probedesign.core.units import MM
+from probedesign.design import Design
 from probedesign.design.catalog import RIGID_RESIN
 from probedesign.printing.check import scale_note
 
@@ -230,3 +231,10 @@ def threemf_packages(model: CadModel, meshes: Mapping[str, Mesh]) -> dict[str, b
         )
         for file, objects in package_objects(model, meshes).items()
     }
+
+
+def part_stl(design: Design, part: str, mesh: Mesh, fingerprint: str) -> bytes:
+    """Return the STL file of a part, scaled already; its header states design and fingerprint."""
+    # An STL header must not begin with "solid", which marks a text file.
+    title = f"probedesign {fingerprint}{scale_note(design, part)} {design.name} {part}"
+    return stl_bytes(mesh.vertices[mesh.triangles], title)

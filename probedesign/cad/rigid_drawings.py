@@ -8,10 +8,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.cad.drawing import BOTTOM, EDGE, STACK, WIDTH, Sheet, SheetView, number, scale_for
+from probedesign.cad.drawing import (
+    BOTTOM,
+    EDGE,
+    STACK,
+    WIDTH,
+    Sheet,
+    SheetView,
+    engraving_note,
+    number,
+    scale_for,
+    titled_sheet,
+)
 from probedesign.cad.model import CadModel, CadPart
 from probedesign.cad.projection import ABOVE, BELOW, ViewDirection, cut, seen
-from probedesign.cad.title_block import engraving_note, titled_sheet
 from probedesign.core.units import MM
 from probedesign.mount.engraving import XY
 from probedesign.mount.flange_adapter import CENTRING_PIN_D, TIE_APART, TIE_SLOT
