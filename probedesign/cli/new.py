@@ -161,7 +161,7 @@ def _print(document: dict[str, Any], tip_note: str | None) -> None:
     expected = (
         f"{error:.2g} mm, {condition}"
         if error is not None
-        else f"none: the touch is not located ({condition.removeprefix('RMS, ')})"
+        else f"none, the touch is not located: {condition.removeprefix('RMS, ')}"
     )
     findings = document["print_check"]
     rows = {
