@@ -8,8 +8,6 @@ from dataclasses import asdict, dataclass
 from html import escape
 from typing import Any
 
-import numpy as np
-
 from probedesign.cad.drawing import Sheet
 from probedesign.cad.drawing_files import dxf_bytes, pdf_bytes, svg_bytes
 from probedesign.cad.exploded_view import (
@@ -25,20 +23,16 @@ from probedesign.cad.model import CadModel, CadPart
 from probedesign.cad.probe_drawing import probe_sheet
 from probedesign.cad.render import render_body, render_png
 from probedesign.cad.rigid_drawings import clamp_ring_sheet, flange_adapter_sheet, sensor_adapter_sheet
-from probedesign.cad.solids import ScrewGroup
 from probedesign.cad.svg import Svg
 from probedesign.core.units import MM, MPA
 from probedesign.design.catalog import ALUMINIUM, RIGID_RESIN
 from probedesign.geometry.mass import combined
+from probedesign.mount.clamping import NUT_FACTOR, RESIN_PRESSURE, clamp_force, hand_torque, ring_torque
 from probedesign.mount.flange_adapter import CENTRING_PIN_LENGTH
 from probedesign.mount.tolerance_stack import CALIPERS, measurements, tolerance_stacks
 from probedesign.reports.html_page import html_document
 
 STEEL = "stainless steel A2"
-NUT_FACTOR = 0.2
-"""Torque over preload and diameter, dry steel. Source: Shigley, Mechanical Engineering Design, table 8-15."""
-RESIN_PRESSURE = 20.0 * MPA
-"""Permanent pressure under a screw's head: a third of a rigid resin's strength of about 60 MPa (assumed; it creeps)."""
 SHEETS: dict[str, Callable[[CadModel, CadPart], Sheet]] = {
     "probe": probe_sheet,
     "sensor_adapter": sensor_adapter_sheet,
@@ -97,9 +91,7 @@ def _item(number: int, model: CadModel, part: CadPart) -> BillItem:
         what = "milled" if material == ALUMINIUM else "printed"
     elif use is not None:
         length = round(use.length / MM, 3)
-        nut, hole_d = model.adapter.options.nut, model.adapter.roof_hole_d
-        below_nut = np.sqrt(0.75) * nut.af**2 - np.pi / 4 * hole_d**2
-        torque = hand_torque(use, below_nut if use.name == "ring_screws" else np.inf)
+        torque = ring_torque(model.adapter) if use.name == "ring_screws" else hand_torque(use.screw)
     elif part.name == "centring_pins":
         length = CENTRING_PIN_LENGTH / MM
     elif part.name == "dowel_pins":
@@ -118,20 +110,6 @@ def material_of(model: CadModel, part: str) -> str:
 
 def _sensor_text(model: CadModel) -> str:
     return f"{model.design.sensor_model.product}, {model.design.calibration.name.upper()}"
-
-
-def hand_torque(use: ScrewGroup, below_nut: float = np.inf) -> float:
-    """Return the torque [N·m] that presses a head or a nut on its seat with `RESIN_PRESSURE`, one digit.
-
-    Args:
-        use: the screws.
-        below_nut: area on which a nut bears [m²]; infinite for a thread in metal.
-    """
-    below_head = np.pi / 4 * (use.screw.head_d**2 - use.screw.clearance_d**2)
-    preload = RESIN_PRESSURE * min(below_head, below_nut)
-    torque = NUT_FACTOR * preload * use.screw.nominal_d
-    digit = 10.0 ** np.floor(np.log10(torque))
-    return float(f"{np.floor(torque / digit) * digit:.1g}")
 
 
 def bill_records(bill: list[BillItem]) -> list[dict[str, Any]]:
@@ -159,7 +137,7 @@ th, td { text-align: left; padding: 0.8mm 2mm; vertical-align: top; white-space:
   width: auto; height: auto; max-width: 100%; max-height: 245mm; margin: 0 auto }
 .steps { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(75mm, 100%), 1fr)); gap: 4mm }
 .step { border: 0.4pt solid var(--rule); padding: 3mm; break-inside: avoid }
-.step img { display: block; background: #fff; height: 58mm; max-width: 100%; object-fit: contain; margin: 0 auto 2mm }
+.step img { display: block; background: #fff; height: 55mm; max-width: 100%; object-fit: contain; margin: 0 auto 2mm }
 .step b { margin-right: 1.5mm }
 ul { margin: 1mm 0; padding-left: 5mm } .tools { columns: 2 75mm }
 @media print { body { font-size: 9.5pt } table { font-size: 8.5pt } }
@@ -184,7 +162,7 @@ def assembly_page(
     """
     sections = [
         _warning(model), _measure(model),
-        "<h2>Parts</h2>", _parts(bill), _tightening(), _tools(model), _frames(model),
+        "<h2>Parts</h2>", _parts(bill), _tightening(model), _tools(model), _frames(model),
         f'<div class="exploded"><h2>Exploded view</h2>{exploded}</div>',
         '<h2>Steps</h2><div class="steps">', *map(_step, range(1, len(steps) + 1), steps, pictures), "</div>",
     ]  # fmt: skip
@@ -224,8 +202,8 @@ def _measure(model: CadModel) -> str:
     )
     return (
         "<h2>Measure before the first screw</h2><p>In millimetres. The ranges leave room for the tolerance of the "
-        f"screws and for the calipers: {CALIPERS / MM:g} mm for a reading, on the side that destroys the sensor and on "
-        "both sides of the lip's compression. Do not sand the foot "
+        f"screws, for heads that settle, and for the calipers: {CALIPERS / MM:g} mm for a reading, on the side that "
+        "destroys the sensor and on both sides of the lip's compression. Do not sand the foot "
         f"of the sensor adapter or the faces of the flange adapter.</p><table>{head}{rows}</table>"
     )
 
@@ -268,13 +246,25 @@ def _step(number: int, step: AssemblyStep, picture: bytes) -> str:
     )
 
 
-def _tightening() -> str:
+def _tightening(model: CadModel) -> str:
+    clamp = clamp_force(model.adapter, model.plate, model.design.youngs_modulus.value)
+    low, high = clamp.range
+    lip = (
+        f"The ring needs {clamp.nominal:.0f} N to reach the wall, {low:.0f} to {high:.0f} N with all tolerances; its "
+        f"{clamp.screws} screws give {clamp.preload:.0f} N."
+    )
+    if high > clamp.preload:
+        lip = (
+            f'<div class="warning"><strong>The ring may not close.</strong>{lip} Print the probe with a smaller '
+            "flange_lip_mm or a larger flange_thickness_mm, or take M3 screws; do not tighten further.</div>"
+        )
     return (
         "<h2>How tight</h2><p>By hand: the short arm of the key between two fingers, until the head sits; then no "
         f"further. Computed, not tested: at the torque of the table the head presses the resin with "
         f"{RESIN_PRESSURE / MPA:g} MPa, a third of its strength, since resin creeps (assumed), with a nut factor of "
-        f"{NUT_FACTOR:g} (dry steel, Shigley). Tighten crosswise in two rounds, and once more after a day. No thread "
-        "lock near the resin: some crack it (assumed).</p>"
+        f"{NUT_FACTOR:g} (dry steel, Shigley). {'' if high > clamp.preload else lip} Tighten crosswise in two rounds, "
+        "and once more after a day. No thread lock near the resin: some crack it (assumed).</p>"
+        f"{lip if high > clamp.preload else ''}"
     )
 
 

@@ -11,9 +11,8 @@ import cadquery as cq
 from probedesign.cad.export import SCHEMA, cad_files, manifest_json, model_record
 from probedesign.cad.folder import MANIFEST, check_target, staged
 from probedesign.cad.kernel import mass_properties
-from probedesign.cad.mesh import tessellate
+from probedesign.cad.mesh import part_stl, tessellate
 from probedesign.cad.model import CadPart, printed_solid
-from probedesign.cad.single_part import part_stl
 from probedesign.cad.verify import checked, mesh_findings, room_findings
 from probedesign.cad.workplanes import changed_model
 from probedesign.core.errors import InputError

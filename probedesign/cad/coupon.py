@@ -14,11 +14,11 @@ from typing import Any
 import cadquery as cq
 import numpy as np
 
+from probedesign.cad.drawing import drawing_date
 from probedesign.cad.exchange import step_bytes
 from probedesign.cad.folder import MANIFEST, check_target, listed_digests, staged
 from probedesign.cad.kernel import revolved
 from probedesign.cad.mesh import MESH_LIMIT, tessellate
-from probedesign.cad.title_block import drawing_date
 from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.core.stl import stl_bytes
 from probedesign.core.units import MM

@@ -1,17 +1,27 @@
 """Model of a technical drawing: one A4 sheet of views to scale, with dimensions, symbols and notes.
 
 Paper in millimetres, y down; first-angle projection (ISO 5456-2). A sheet is a list of items, which
-`drawing_files` writes as SVG, PDF and DXF.
+`drawing_files` writes as SVG, PDF and DXF. `titled_sheet` is the empty sheet of a part with its title block.
 """
 
+import datetime
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
+from probedesign.cad.kernel import mass_properties
+from probedesign.cad.model import CadModel, CadPart
 from probedesign.cad.projection import Lines
+from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
+from probedesign.core.units import MM
+from probedesign.design import Design
+from probedesign.design.catalog import ALUMINIUM, MILLED_TOLERANCE, RIGID_RESIN
+from probedesign.mount.engraving import DEPTH, Engraving
+from probedesign.mount.engraving import HEIGHT as LETTER_HEIGHT
 
 XY = tuple[float, float]
 Anchor = Literal["start", "middle", "end"]
@@ -414,3 +424,57 @@ class SheetView:
             Arrowhead(SYMBOLS, [foot, (foot[0] - 1.5, y + 2.4), (foot[0] + 1.5, y + 2.4)])
         )
         self.sheet.items.append(Text((foot[0], y + 9.5), letter))
+
+
+TOLERANCE = "±0.5 %, at least ±0.15 (assumed)"
+"""Tolerance of a stereolithography print; the manufacturer publishes none for the soft resin."""
+MILLED = f"±{number(MILLED_TOLERANCE / MM)}, all lengths"
+DATE_VARIABLE = "SOURCE_DATE_EPOCH"
+"""Environment variable with the time of the sources in seconds since 1970 (reproducible-builds.org)."""
+
+
+def titled_sheet(model: CadModel, part: CadPart, scale: float) -> Sheet:
+    """Return an empty sheet for a part at a scale."""
+    design, milled = model.design, part.name != "probe" and model.adapter.options.milled
+    resin = design.resin.name if part.name == "probe" else ALUMINIUM if milled else RIGID_RESIN
+    grams = 1e3 * mass_properties(part.shape, part.density).mass
+    sheet = Sheet(f"{design.name}: {part.name.replace('_', ' ')}", scale)
+    sheet.frame([
+        ("revision", model.geometry.fingerprint), ("material", resin), ("mass", f"{grams:.3g} g"),
+        ("file", f"{part.name}.stl"),
+        ("scale", scale_text(scale)), ("units", "mm"), ("frame", part.frame.replace("_", " ")),
+        ("date", drawing_date(design)),
+        ("tolerance", MILLED if milled else TOLERANCE), ("angles", "about +z from +x"),
+        ("edges", "broken, at most 0.2" if milled else "as printed"),
+        ("projection", "first angle, ISO 5456-2"),
+    ])  # fmt: skip
+    return sheet
+
+
+def drawing_date(design: Design) -> str:
+    """Return the date of a drawing: that of the design, or of SOURCE_DATE_EPOCH; empty without either, because equal
+    designs have equal files.
+
+    Raises:
+        InputError: SOURCE_DATE_EPOCH is not a number of seconds.
+    """
+    if design.date is not None:
+        return design.date
+    value = os.environ.get(DATE_VARIABLE)
+    if value is None:
+        return ""
+    try:
+        return datetime.datetime.fromtimestamp(int(value), datetime.UTC).date().isoformat()
+    except (ValueError, OverflowError, OSError):
+        raise InputError(
+            f"{DATE_VARIABLE} = {value!r} is not a number of seconds since 1970; unset it"
+        ) from None
+
+
+def engraving_note(engraving: Engraving, where: str) -> list[str]:
+    """Return the note on an engraving, or none if nothing is engraved."""
+    if not engraving.text:
+        return []
+    return [
+        f"engraved on {where}: {engraving.text}, {number(LETTER_HEIGHT / MM)} high, {number(DEPTH / MM)} deep"
+    ]

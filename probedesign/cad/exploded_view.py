@@ -125,8 +125,9 @@ def assembly_steps(
         AssemblyStep(f"{glue}lay the flange into the recess, its hole over the peg: peg and the flat on the rim are "
              "at +X",
              (Move(("probe",), "sensor_adapter", UP),)),
-        AssemblyStep(f"slip the clamp ring over the tip and screw it down with {of['ring_screws']} until it sits on "
-             "the wall", (Move(("clamp_ring",), "probe", UP), Move(("ring_screws",), "clamp_ring", UP))),
+        AssemblyStep("slip the clamp ring over the tip, with an even gap around the probe, and screw it down with "
+             f"{of['ring_screws']} until it sits on the wall",
+             (Move(("clamp_ring",), "probe", UP), Move(("ring_screws",), "clamp_ring", UP))),
     ]  # fmt: skip
 
 

@@ -12,19 +12,19 @@ import cadquery as cq
 import numpy as np
 
 from probedesign.cad.assembly_docs import Documents, bill_records, build_documents
+from probedesign.cad.drawing import drawing_date
 from probedesign.cad.exchange import glb_bytes, step_bytes
 from probedesign.cad.folder import MANIFEST, check_target, staged
 from probedesign.cad.kernel import mass_properties
-from probedesign.cad.mesh import read_back, tessellate, threemf_packages
+from probedesign.cad.mesh import part_stl, read_back, tessellate, threemf_packages
 from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad
-from probedesign.cad.single_part import part_stl
-from probedesign.cad.title_block import drawing_date
 from probedesign.cad.verify import Findings, verify
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.geometry.mass import MassProperties, combined
 from probedesign.mount import exported_root_radii
+from probedesign.mount.clamping import clamp_force
 from probedesign.mount.root import ROOT_STD
 from probedesign.mount.tolerance_stack import measurements, tolerance_stacks
 from probedesign.printing.check import check_print, is_compensated, print_scale
@@ -53,6 +53,7 @@ def manifest_of(
         "kind": "export",
         **model_record(model, files, findings),
         "bill_of_materials": bill_records(documents.bill),
+        "clamp": clamp_force(a, model.plate, model.design.youngs_modulus.value).as_record(),
         "tolerance_stacks": [stack.as_record() for stack in tolerance_stacks(a, model.plate)],
         "measure_before_assembly": [row.as_record() for row in measurements(a, model.plate)],
         "also_needed": {
@@ -86,6 +87,7 @@ def model_record(model: CadModel, files: dict[str, dict[str, Any]], findings: Fi
             "density of the rigid parts",
             "density of the steel parts",
             "tolerance_stacks",
+            "clamp",
         ],
         "files": files,
         "parts": {part.name: _part(part) for part in model.printed},

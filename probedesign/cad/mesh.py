@@ -20,8 +20,9 @@ from probedesign.cad.kernel import meshed
 from probedesign.cad.model import CadModel
 from probedesign.core.errors import CheckFailedError
 from probedesign.core.frames import Array
-from probedesign.core.stl import stl_corners
+from probedesign.core.stl import stl_bytes, stl_corners
 from probedesign.core.units import MM
+from probedesign.design import Design
 from probedesign.design.catalog import RIGID_RESIN
 from probedesign.printing.check import scale_note
 
@@ -204,13 +205,13 @@ def _rows(kind: Any, structs: Any, dtype: str) -> NDArray[Any]:
 
 
 def package_objects(model: CadModel, meshes: Mapping[str, Mesh]) -> dict[str, list[ThreemfObject]]:
-    """Return the objects of each package by file name."""
+    """Return the objects of each package by file name; milled adapters have none."""
     number = f"{model.design.name}-{model.geometry.fingerprint}"
     objects = [ThreemfObject(name, f"{number}-{name}", mesh) for name, mesh in meshes.items()]
-    return {
-        "probe.3mf": [piece for piece in objects if piece.name == "probe"],
-        "adapters.3mf": [piece for piece in objects if piece.name != "probe"],
-    }
+    packages = {"probe.3mf": [piece for piece in objects if piece.name == "probe"]}
+    if not model.adapter.options.milled:
+        packages["adapters.3mf"] = [piece for piece in objects if piece.name != "probe"]
+    return packages
 
 
 def threemf_packages(model: CadModel, meshes: Mapping[str, Mesh]) -> dict[str, bytes]:
@@ -230,3 +231,10 @@ def threemf_packages(model: CadModel, meshes: Mapping[str, Mesh]) -> dict[str, b
         )
         for file, objects in package_objects(model, meshes).items()
     }
+
+
+def part_stl(design: Design, part: str, mesh: Mesh, fingerprint: str) -> bytes:
+    """Return the STL file of a part, scaled already; its header states design and fingerprint."""
+    # An STL header must not begin with "solid", which marks a text file.
+    title = f"probedesign {fingerprint}{scale_note(design, part)} {design.name} {part}"
+    return stl_bytes(mesh.vertices[mesh.triangles], title)

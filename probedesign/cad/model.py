@@ -242,8 +242,8 @@ def printed_solid(design: Design, part: str) -> cq.Solid:
     for stack in tolerance_stacks(adapter, plate):
         if not stack.ok:
             raise CheckFailedError(
-                f"{stack.what}: {stack.outside / MM:.2g} mm beyond its limits at the worst corner of the tolerances; "
-                "check shows which, and nothing is written"
+                f"{design.name}: the {stack.what} is {stack.outside / MM:.2g} mm beyond its limits at the worst corner "
+                f"of the tolerances; {stack.remedy}"
             )
     match part:
         case "probe":

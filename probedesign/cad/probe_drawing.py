@@ -9,13 +9,14 @@ from probedesign.cad.drawing import (
     STACK,
     Sheet,
     SheetView,
+    engraving_note,
     number,
     scale_for,
     scale_text,
+    titled_sheet,
 )
 from probedesign.cad.model import CadModel, CadPart
 from probedesign.cad.projection import BELOW, FRONT, SAME_MM, Lines, cross_section, cut, seen
-from probedesign.cad.title_block import engraving_note, titled_sheet
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.geometry.probe_geometry import DEVIATION_MM, filleted, rounding_radius_mm

@@ -8,12 +8,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.cad.drawing import BOTTOM, EDGE, STACK, WIDTH, Sheet, SheetView, number, scale_for
+from probedesign.cad.drawing import (
+    BOTTOM,
+    EDGE,
+    STACK,
+    WIDTH,
+    Sheet,
+    SheetView,
+    engraving_note,
+    number,
+    scale_for,
+    titled_sheet,
+)
 from probedesign.cad.model import CadModel, CadPart
 from probedesign.cad.projection import ABOVE, BELOW, ViewDirection, cut, seen
-from probedesign.cad.title_block import engraving_note, titled_sheet
 from probedesign.core.units import MM
-from probedesign.design.catalog import CUSTOM
 from probedesign.mount.engraving import XY
 from probedesign.mount.flange_adapter import CENTRING_PIN_D, TIE_APART, TIE_SLOT
 from probedesign.mount.sensor_adapter import (
@@ -75,11 +84,12 @@ def sensor_adapter_sheet(model: CadModel, part: CadPart) -> Sheet:
     ]
     # What screws and clamp rely on is dimensioned by itself: the tolerance stack counts it as one length.
     heights = [*_from_datum(a.foot_height, a.cone_top, a.peg_top, a.body_top), (a.floor, a.body_top)]
-    tops = [a.recess_d, a.body_d]
+    tops = [a.land_d, a.recess_d, a.body_d]
     notes = [
         "A: z = 0 rests on the sensor's tool face; positions are from A and from the axis",
         f"flat at x = {_mm(a.mark_x)} shows +x; underside at {UNDERSIDE_DEG:g}° to the horizontal",
-        f"notch {_mm(VENT_WIDTH)} wide from the recess to the flat",
+        f"land ⌀{_mm(a.land_d)} below the flange, groove around it {_mm(a.groove)} deep to z = {_mm(a.groove_floor)}; "
+        f"notch {_mm(VENT_WIDTH)} wide from the groove to the flat",
         f"fits: {_pin_fit(a.dowels.diameter, a.options.milled)}; ⌀{_mm(a.recess_d)} takes the probe's "
         f"flange ⌀{_mm(a.flange.diameter)} with {_mm(SLIP)} play",
         *engraving_note(a.on_wall, "the rim"),
@@ -133,7 +143,7 @@ def flange_adapter_sheet(model: CadModel, part: CadPart) -> Sheet:
         below.append(Holes([(reach, 0.0)], 0.0, slot, False))
         fits.append(f"slot {_mm(width)} takes a pin of {_mm(p.robot.pin_d)}")
     bottoms = [(spigot_d, " h9" if milled else ""), (p.plate_d, "")] if spigot else [(p.plate_d, "")]
-    if spigot and p.robot.name != CUSTOM:
+    if spigot:
         fits.append(f"⌀{_mm(spigot_d)} enters ⌀{_mm(spigot_d + p.robot.spigot_play)} H7")
     (r0, r1), (v0, v1), (z0, z1) = p.cable_pocket
     notes = [

@@ -7,14 +7,13 @@ from typing import Any
 
 from probedesign.cad.folder import check_target, listed_digests
 from probedesign.cad.kernel import mass_properties
-from probedesign.cad.mesh import MESH_LIMIT, Mesh, tessellate
+from probedesign.cad.mesh import MESH_LIMIT, part_stl, tessellate
 from probedesign.cad.model import printed_solid
 from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.core.files import write_atomically
-from probedesign.core.stl import stl_bytes
 from probedesign.design import Design
 from probedesign.geometry import build_geometry
-from probedesign.printing.check import print_scale, scale_note
+from probedesign.printing.check import print_scale
 
 
 def export_part(design: Design, part: str, out: Path | None) -> dict[str, Any]:
@@ -45,10 +44,3 @@ def export_part(design: Design, part: str, out: Path | None) -> dict[str, Any]:
         "size_bytes": len(content),
         "print_scale": list(print_scale(design, part)),
     }
-
-
-def part_stl(design: Design, part: str, mesh: Mesh, fingerprint: str) -> bytes:
-    """Return the STL file of a part, scaled already; its header states design and fingerprint."""
-    # An STL header must not begin with "solid", which marks a text file.
-    title = f"probedesign {fingerprint}{scale_note(design, part)} {design.name} {part}"
-    return stl_bytes(mesh.vertices[mesh.triangles], title)

@@ -249,16 +249,17 @@ def _taper(geometry: ProbeGeometry) -> list[XY]:
 
 def sensor_adapter_solid(a: SensorAdapter) -> cq.Solid:
     """Return the sensor adapter, in millimetres in the sensor frame: its foot rests on the tool face, z = 0."""
-    foot, cone, rim, recess = a.foot_d / 2, a.cone_d / 2, a.body_d / 2, a.recess_d / 2
+    foot, cone, rim, recess, land = (d / 2 for d in (a.foot_d, a.cone_d, a.body_d, a.recess_d, a.land_d))
     outline = [
         (0.0, 0.0), (foot, 0.0), (foot, a.foot_height), (cone, a.foot_height), (rim, a.cone_top),
-        (rim, a.body_top), (recess, a.body_top), (recess, a.floor), (0.0, a.floor),
+        (rim, a.body_top), (recess, a.body_top), (recess, a.groove_floor), (land, a.groove_floor), (land, a.floor),
+        (0.0, a.floor),
     ]  # fmt: skip
     hole_d, (slot_z0, slot_z1) = a.ring_screw.clearance_d, a.nut_slot_z
     circle = a.ring_circle_d / 2
     holes = [
         block((a.mark_x, rim), (-rim, rim), (a.cone_top, a.body_top)),
-        block((a.peg_x, a.mark_x), (-VENT_WIDTH / 2, VENT_WIDTH / 2), (a.floor, a.body_top)),
+        block((a.vent_x, a.mark_x), (-VENT_WIDTH / 2, VENT_WIDTH / 2), (a.groove_floor, a.body_top)),
         *(cylinder(a.tool.screw.clearance_d, 0.0, a.tool.grip, p) for p in a.p_tool_screws),
         *(cylinder(a.tool.screw.counterbore_d, a.tool.grip, a.floor, p) for p in a.p_tool_screws),
         *(_dowel_hole(a, number) for number in range(len(a.p_dowels))),
@@ -268,7 +269,7 @@ def sensor_adapter_solid(a: SensorAdapter) -> cq.Solid:
                      math.degrees(math.atan2(p[1], p[0]))) for p in a.p_ring_screws),
         *engraving_cuts(a.on_wall),
     ]  # fmt: skip
-    peg = cylinder(PEG_D, a.floor, a.peg_top, (a.peg_x, 0.0))
+    peg = cylinder(PEG_D, a.groove_floor, a.peg_top, (a.peg_x, 0.0))
     return single_solid(revolved(outline).cut(*holes).fuse(peg))
 
 

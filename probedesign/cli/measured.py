@@ -68,6 +68,12 @@ def measured(
         print(
             f"  note: the readings scatter by {found.scale:.1f} times their standard deviation, which was widened"
         )
+    if found.prior_scale > 1.0:
+        worst = max(found.measured - found.drawn, key=abs)
+        print(
+            f"  note: the diameters are up to {worst:+.3f} mm off, more than the tolerance of the print explains; it "
+            f"was widened {found.prior_scale:.1f} times. Check the calipers, or print a coupon for scale_xy"
+        )
     print(f"  the geometry is now {fingerprint}: deploy the probe again, with this design")
     if kept is not None:
         print(f"kept the former {out} as {kept}")

@@ -157,7 +157,12 @@ def _in_options(message: str) -> str:
 def _print(document: dict[str, Any], tip_note: str | None) -> None:
     error = document["expected_error_mm"]
     fits = "fits" if document["fits_upright"] else "does not fit"
-    expected = "none" if error is None else f"{error:.2g} mm"
+    condition = document["expected_error_condition"]
+    expected = (
+        f"{error:.2g} mm, {condition}"
+        if error is not None
+        else f"none, the touch is not located: {condition.removeprefix('RMS, ')}"
+    )
     findings = document["print_check"]
     rows = {
         "mass": f"{document['mass_g']:.3g} g",
@@ -167,7 +172,7 @@ def _print(document: dict[str, Any], tip_note: str | None) -> None:
         "print": f"{fits} upright in a {document['printer']}; {document['thinnest_mm']:.3g} mm smallest diameter",
         "print check": f"{plural(findings['errors'], 'error')}, {plural(findings['warnings'], 'warning')}; "
         f"details: probedesign check {document['file']}",
-        "expected error": f"{expected}, {document['expected_error_condition']}",
+        "expected error": expected,
         "assumed": ", ".join(document["assumptions"]) or "nothing",
     }
     if tip_note:

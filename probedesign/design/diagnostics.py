@@ -1,5 +1,6 @@
 """Checks of TOML files against a pydantic model, with errors of one line: key, value, remedy, line of the file."""
 
+import datetime
 import difflib
 import re
 import tomllib
@@ -109,17 +110,32 @@ def first_problem(error: ValidationError, model: type[BaseModel], text: str) -> 
     """Return the line and the message of the first error; unknown keys first, since they explain missing ones."""
     details = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     detail = details[0]
-    key = ".".join(part for part in detail["loc"] if isinstance(part, str))
-    item = "".join(f", item {part + 1}" for part in detail["loc"] if isinstance(part, int))
+    key, table, item = _place_of(detail["loc"])
     cause = detail.get("ctx", {}).get("error")
     if isinstance(cause, Inconsistent):
-        key = cause.key if "." in cause.key else f"{key}.{cause.key}"
-        message = f"{key}{':' if cause.text.startswith('unknown') else ''} {cause.text}"
+        if "." in cause.key:
+            key = cause.key
+        elif key.rpartition(".")[2] != cause.key:  # else raised by the check of that key alone
+            key = f"{key}.{cause.key}".lstrip(".")
+        message = f"{key}{_of(table)}{':' if cause.text.startswith('unknown') else ''} {cause.text}"
     elif isinstance(cause, InputError):
         message = str(cause)
     else:
-        message = _explain(key, item, detail, model)
-    return _line_of(key, text), f"{one_line(message)}{_others(details)}"
+        message = _explain(key, f"{_of(table)}{item}", detail, model)
+    return _line_of(key, text, table), f"{one_line(message)}{_others(details)}"
+
+
+def _place_of(loc: tuple[int | str, ...]) -> tuple[str, int | None, str]:
+    """Return the dotted key of a place, the number of its table in a list of tables from 0, and its item in words."""
+    last = max((i for i, part in enumerate(loc) if isinstance(part, str)), default=-1)
+    table = next((part for part in loc[:last] if isinstance(part, int)), None)
+    item = "".join(f", item {int(part) + 1}" for part in loc[last + 1 :])
+    return ".".join(part for part in loc if isinstance(part, str)), table, item
+
+
+def _of(table: int | None) -> str:
+    """Return the words for a table in a list of tables."""
+    return "" if table is None else f" of table {table + 1}"
 
 
 def _others(details: list[Any]) -> str:
@@ -162,7 +178,7 @@ _WANTED = {
 def quoted(value: Any) -> str:
     """Return a value of the user for a message: text in quotes, special characters escaped, at most 60 characters."""
     try:
-        text = repr(value)
+        text = value.isoformat() if isinstance(value, datetime.date | datetime.time) else repr(value)
     except (RecursionError, ValueError):  # nested thousands deep; an integer of thousands of digits
         return "..."
     return text if len(text) <= 60 else text[:57] + "..."
@@ -237,17 +253,24 @@ def _metadata(annotation: Any) -> Iterator[Any]:
         yield from _metadata(argument)
 
 
-def _line_of(key: str, text: str) -> int | None:
-    """Return the line of a dotted key in a TOML text, or of its table; None if there is neither."""
+def _line_of(key: str, text: str, number: int | None = None) -> int | None:
+    """Return the line of a dotted key in a TOML text, or of its table; None if there is neither.
+
+    Args:
+        key: dotted.
+        text: of the file.
+        number: of the table from 0 where the key is in a list of tables, [[...]].
+    """
     table, _, last = key.rpartition(".")
     assignment = re.compile(rf"""\s*["']?{re.escape(last)}["']?\s*=""")
-    current, table_line = "", None
-    for number, line in enumerate(text.splitlines(), 1):
-        header = re.match(r"\s*\[\s*([^\[\]]+?)\s*\]", line)
+    current, table_line, seen = "", None, -1
+    for count, line in enumerate(text.splitlines(), 1):
+        header = re.match(r"\s*\[{1,2}\s*([^\[\]]+?)\s*\]", line)
         if header:
             current = header.group(1)
-            if current in (table, key):
-                table_line = number
-        elif current == table and assignment.match(line):
-            return number
+            seen += current == table
+            if current in (table, key) and number in (None, seen):
+                table_line = count
+        elif current == table and number in (None, seen) and assignment.match(line):
+            return count
     return table_line

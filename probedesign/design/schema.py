@@ -13,7 +13,7 @@ from pydantic import Field, field_validator, model_validator
 from probedesign.core.errors import InputError
 from probedesign.core.files import is_plain_name
 from probedesign.core.notebook import Displayed
-from probedesign.core.units import MM, MPA
+from probedesign.core.units import MPA
 from probedesign.design.catalog import (
     CUSTOM,
     PRINTERS,
@@ -27,6 +27,7 @@ from probedesign.design.catalog import (
     find,
 )
 from probedesign.design.diagnostics import FromArray, Inconsistent, Table, quoted
+from probedesign.design.flange_table import FlangeTable
 from probedesign.design.sensor_catalog import SENSORS, SensorRecord
 from probedesign.design.sensors import DEFAULT_SENSOR, Calibration, SensorModel
 from probedesign.geometry.cross_section import CrossSection
@@ -239,28 +240,6 @@ class SensorTable(Table):
         return self
 
 
-Millimetres = Annotated[float, Field(gt=0.0, le=300.0)]
-
-
-class FlangeTable(Table):
-    """`[mount.flange]`: a robot flange that is not in the catalog. Azimuths are measured from its dowel."""
-
-    bolt: Literal["M4", "M5", "M6", "M8"]
-    bolt_circle_d_mm: Millimetres
-    bolt_azimuths_deg: Annotated[tuple[float, ...], FromArray]
-    max_bolt_entry_mm: Millimetres
-    bolt_length_mm: Millimetres
-    face_d_mm: Millimetres
-    pin_slot_mm: Annotated[tuple[Millimetres, Millimetres] | None, FromArray] = None
-    spigot_mm: Annotated[tuple[Millimetres, Millimetres] | None, FromArray] = None
-
-    @model_validator(mode="after")
-    def _bolted(self) -> Self:
-        if not 2 <= len(self.bolt_azimuths_deg) <= 12:
-            raise Inconsistent("bolt_azimuths_deg", "needs 2 to 12 angles from the dowel")
-        return self
-
-
 class MountTable(Table):
     """`[mount]`: robot flange, gravity, compliance of the root, and how the flange is held.
 
@@ -420,16 +399,9 @@ class Design(Table, Displayed):
     def robot_flange(self) -> RobotFlange:
         """Return the robot flange of the catalog, or that of `[mount.flange]`."""
         custom = self.mount.flange
-        if custom is None:
-            return find(ROBOT_FLANGES, self.mount.robot_flange, "mount.robot_flange", CUSTOM)
-        slot, spigot = (
-            (pair[0] * MM, pair[1] * MM)
-            for pair in (custom.pin_slot_mm or (0, 0), custom.spigot_mm or (0, 0))
-        )
-        return RobotFlange(
-            CUSTOM, custom.bolt_circle_d_mm * MM, custom.bolt_azimuths_deg, custom.bolt, custom.max_bolt_entry_mm * MM,
-            custom.bolt_length_mm * MM, slot, spigot, custom.face_d_mm * MM, "design file, mount.flange",
-        )  # fmt: skip
+        if custom is not None:
+            return custom.record
+        return find(ROBOT_FLANGES, self.mount.robot_flange, "mount.robot_flange", CUSTOM)
 
     @property
     def printer(self) -> Printer:

@@ -1,12 +1,15 @@
 """Diameters of a print from calipers: least squares with the print's tolerance as prior, and their place in a design.
 
-The diameters d of the K knots have the prior N(d_drawn, c cᵀ + σ² I) of the design's tolerances: a deviation c of all
-knots together and a scatter σ of each for itself. A reading at s is y = A(s) d + o + e, linear between the knots, with
-an error e of its own and an error o of the calipers that all readings share. The posterior covariance C goes into the
-design as the least a² 1 1ᵀ + b² I that covers it, so that no direction becomes more certain than C.
+The diameters d of the K knots have the prior N(d₀, c cᵀ + ε² d₀ d₀ᵀ + σ² I), d₀ as drawn: of the design's tolerances
+a deviation c of all knots together and a scatter σ of each for itself, and a scale ε of the whole print, by which
+diameters that were not measured follow those that were. A reading at s is y = A(s) d + o + e, linear between the
+knots, with an error e of its own and an error o of the calipers that all readings share. The posterior covariance C
+goes into the design as the least a² 1 1ᵀ + b² I that covers it, so that no direction becomes more certain than C.
+Where readings contradict the prior, by the chi-square test of the least-squares knots, the prior's covariance is
+widened by that chi-square over its degrees of freedom.
 
-Source: normal linear model with known covariance; the scale of e is that of the residuals where they are greater
-(R. T. Birge, Physical Review 40 (1932) 207).
+Source: normal linear model with known covariance; the scale of e is that of the residuals where they are greater, and
+that of the prior likewise (R. T. Birge, Physical Review 40 (1932) 207).
 """
 
 import json
@@ -21,6 +24,7 @@ from scipy.optimize import minimize_scalar
 from probedesign.core.csv_tables import TableRows, TableSchema, read_rows
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
+from probedesign.core.statistics import max_chi2
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.design.io import Change
@@ -33,6 +37,11 @@ READING_STD_MM = 0.03
 CALIPERS_STD_MM = 0.02
 """Standard deviation of the error that all readings share [mm]: ±0.03 mm of digital calipers (DIN 862), and the force
 of the jaws on a soft resin. Assumed."""
+PRINT_SCALE_STD = 0.01
+"""Standard deviation of the scale of a whole print, relative. Assumed: the shrinkage of the resins is not published; a
+change of size by 2 % is taken as two standard deviations."""
+CONTRADICTION = 0.001
+"""Chance of the chi-square test below which the readings contradict the prior."""
 MAX_DEVIATIONS = 4.0
 """Standard deviations from the drawn diameter beyond which a reading is of another probe."""
 SCHEMA = TableSchema(
@@ -72,6 +81,7 @@ class MeasuredDiameters:
         cov: posterior covariance [mm²], (K, K); of a cylinder that of its one diameter, (1, 1).
         readings: number of readings.
         scale: factor on the readings' standard deviations; above 1 where they scatter more than stated.
+        prior_scale: factor on the prior's standard deviations; above 1 where the readings contradict it.
         before, after: standard deviations before and after: of all diameters together, and of each for itself [mm].
     """
 
@@ -81,6 +91,7 @@ class MeasuredDiameters:
     cov: Array
     readings: int
     scale: float
+    prior_scale: float
     before: tuple[float, float]
     after: tuple[float, float]
 
@@ -98,6 +109,7 @@ class MeasuredDiameters:
             "std_mm": self.std.tolist(),
             "readings": self.readings,
             "scale": self.scale,
+            "prior_scale": self.prior_scale,
             "diameter_mm": {"before": self.before[0], "after": self.after[0]},
             "diameter_scatter_mm": {"before": self.before[1], "after": self.after[1]},
         }
@@ -176,20 +188,32 @@ def fit_diameters(
     # a cylinder's one diameter is the mean of its knots, whose scatter the readings have as well
     A = np.ones((len(calipers.s), 1)) if one else _weights(s, calipers.s)
     x, c = (drawn[:1], common[:1]) if one else (drawn, common)
-    prior = np.outer(c, c) + (0.0 if one else scatter**2) * np.eye(len(x))
+    prior = (
+        np.outer(c, c) + PRINT_SCALE_STD**2 * np.outer(x, x) + (0.0 if one else scatter**2) * np.eye(len(x))
+    )
     own = calipers.std**2 + (scatter**2 if one else 0.0)
     scale = _scatter_of(A, calipers.diameter, np.sqrt(own))
     noise = np.diag(scale**2 * own) + calipers_std_mm**2
     deviation = calipers.diameter - A @ x
     stated = A @ prior @ A.T + np.diag(own) + calipers_std_mm**2  # not widened: another probe scatters, too
     _check_probe(calipers, deviation, np.sqrt(np.diag(stated)))
+    prior_scale = _contradiction(A, prior, noise, deviation)
+    prior = prior_scale**2 * prior
     gain = np.linalg.solve(A @ prior @ A.T + noise, A @ prior).T
     joseph = np.eye(len(x)) - gain @ A  # the form that stays positive
     cov = joseph @ prior @ joseph.T + gain @ noise @ gain.T
     together, each = (float(np.sqrt(cov[0, 0])), scatter) if one else covering(cov)
     measured = np.round((x + gain @ deviation) * np.ones(len(s)), 3)  # a design gets micrometres
     return MeasuredDiameters(
-        s, drawn, measured, cov, len(calipers.s), scale, (float(common.max()), scatter), (together, each)
+        s,
+        drawn,
+        measured,
+        cov,
+        len(calipers.s),
+        scale,
+        prior_scale,
+        (float(common.max()), scatter),
+        (together, each),
     )
 
 
@@ -204,6 +228,21 @@ def _scatter_of(A: Array, y: Array, std: Array) -> float:
     x, _, rank, _ = np.linalg.lstsq(W, y / std, rcond=None)
     free = len(y) - int(rank)
     return 1.0 if free < 1 else max(1.0, float(np.linalg.norm(W @ x - y / std)) / float(np.sqrt(free)))
+
+
+def _contradiction(A: Array, prior: Array, noise: Array, deviation: Array) -> float:
+    """Return the factor on the prior's standard deviations by which it agrees with the readings; 1 if it does.
+
+    The chi-square of all readings less that of their residuals about straight pieces is that of the knots, with as many
+    degrees of freedom as the readings determine.
+    """
+    L = np.linalg.cholesky(noise)
+    W, y = np.linalg.solve(L, A), np.linalg.solve(L, deviation)
+    x, _, rank, _ = np.linalg.lstsq(W, y, rcond=None)
+    residual = float(np.sum((W @ x - y) ** 2))
+    whole = float(deviation @ np.linalg.solve(A @ prior @ A.T + noise, deviation))
+    square = max(whole - residual, 0.0)
+    return float(np.sqrt(square / rank)) if square > max_chi2(int(rank), CONTRADICTION) else 1.0
 
 
 def _check_probe(calipers: Calipers, deviation: Array, std: Array) -> None:

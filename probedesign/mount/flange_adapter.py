@@ -87,8 +87,9 @@ class FlangeAdapter:
 
 
 def bolt_margin(robot: RobotFlange, length: float, options: MountOptions) -> float:
-    """Return the margin [m] to the deepest allowed entry of a robot bolt: tolerances of bolt and plate."""
-    return robot.screw.length_tolerance(length) + options.tolerance + options.face_loss
+    """Return the margin [m] to the deepest allowed entry of a robot bolt: tolerances of bolt and plate, and a head that
+    settles."""
+    return robot.screw.length_tolerance(length) + options.tolerance + options.face_loss + options.settling
 
 
 def centring_play(body_d: float, options: MountOptions) -> float:

@@ -33,6 +33,11 @@ def sensor_adapter_interior(a: SensorAdapter, x: Array, y: Array, z: float) -> M
         solid &= ~_near(x, y, a.p_tool_screws, a.tool.screw.clearance_d)
     elif z < a.floor:
         solid &= ~_near(x, y, a.p_tool_screws, a.tool.screw.counterbore_d)
+    if z >= a.groove_floor:
+        solid &= (r >= a.recess_d / 2) | ((r < a.land_d / 2) & (z < a.floor))
+        solid &= ~((np.abs(y) < VENT_WIDTH / 2) & (x > a.vent_x))
+        if z < a.peg_top:
+            solid |= _near(x, y, [(a.peg_x, 0.0)], PEG_D)
     if z < a.dowel_depth:
         for number, p in enumerate(a.p_dowels):
             direction = a.dowel_slot_deg(number)
@@ -47,11 +52,6 @@ def sensor_adapter_interior(a: SensorAdapter, x: Array, y: Array, z: float) -> M
     elif z >= a.ring_hole_bottom:
         hole_d = a.roof_hole_d if z >= a.nut_slot_z[1] else a.ring_screw.clearance_d
         solid &= ~_near(x, y, a.p_ring_screws, hole_d)
-    if z >= a.floor:
-        solid &= r >= a.recess_d / 2
-        solid &= ~((np.abs(y) < VENT_WIDTH / 2) & (x > 0.0))
-        if z < a.peg_top:
-            solid |= _near(x, y, [(a.peg_x, 0.0)], PEG_D)
     return solid
 
 

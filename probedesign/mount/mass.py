@@ -12,7 +12,7 @@ import numpy as np
 from probedesign.core.frames import pose, rotation_z
 from probedesign.design.catalog import STEEL_DENSITY, SocketScrew
 from probedesign.geometry import ProbeGeometry
-from probedesign.geometry.mass import MassProperties, combined, flange_part, frustum
+from probedesign.geometry.mass import NOTHING, MassProperties, combined, flange_part, frustum
 from probedesign.mount.engraving import CELL, DEPTH, ROWS, XY, Engraving, cut_runs, glyph_width
 from probedesign.mount.sensor_adapter import PEG_D, RING_VENT_HEIGHT, VENT_WIDTH, SensorAdapter
 
@@ -53,18 +53,24 @@ def _adapter_body(a: SensorAdapter, density: float) -> MassProperties:
     foot = cylinder(a.foot_d, 0.0, a.foot_height, density)
     cone = frustum(a.cone_d / 2, a.body_d / 2, a.cone_top - a.foot_height, a.foot_height, density)
     plate = cylinder(a.body_d, a.cone_top, a.body_top, density)
-    peg = cylinder(PEG_D, a.floor, a.peg_top, density, (a.peg_x, 0.0))
+    p_peg, land_z = (a.peg_x, 0.0), (a.groove_floor, a.floor)
+    peg = subtract(
+        cylinder(PEG_D, a.groove_floor, a.peg_top, density, p_peg),
+        [common_part(a.land_d, PEG_D, p_peg, land_z, density)],
+    )
     screw, (slot_z0, slot_z1) = a.ring_screw, a.nut_slot_z
-    half = VENT_WIDTH / 2
+    half, room_d = VENT_WIDTH / 2, a.tool.screw.counterbore_d
     voids = [
         cylinder(a.recess_d, a.floor, a.body_top, density),
+        subtract(cylinder(a.recess_d, *land_z, density), [cylinder(a.land_d, *land_z, density)]),
         segment(a.body_d / 2, a.mark_x, a.cone_top, a.body_top, density),
         subtract(  # the vent: from the recess's wall to the flat
-            prism_of_box((0.0, a.mark_x), (-half, half), (a.floor, a.body_top), density),
-            [strip(a.recess_d / 2, 0.0, half, a.floor, a.body_top, density)],
+            prism_of_box((0.0, a.mark_x), (-half, half), (a.groove_floor, a.body_top), density),
+            [strip(a.recess_d / 2, 0.0, half, a.groove_floor, a.body_top, density)],
         ),
         *(cylinder(a.tool.screw.clearance_d, 0.0, a.tool.grip, density, p) for p in a.p_tool_screws),
-        *(cylinder(a.tool.screw.counterbore_d, a.tool.grip, a.floor, density, p) for p in a.p_tool_screws),
+        *(cylinder(room_d, a.tool.grip, a.groove_floor, density, p) for p in a.p_tool_screws),
+        *(common_part(a.land_d, room_d, p, land_z, density) for p in a.p_tool_screws),
         *(_dowel_hole(a, number, density) for number in range(len(a.p_dowels))),
         *(cylinder(a.roof_hole_d, slot_z1, a.body_top, density, p) for p in a.p_ring_screws),
         *(cylinder(screw.clearance_d, a.ring_hole_bottom, slot_z0, density, p) for p in a.p_ring_screws),
@@ -72,6 +78,22 @@ def _adapter_body(a: SensorAdapter, density: float) -> MassProperties:
         engraving_mass(a.on_wall, density),
     ]
     return combined([subtract(combined([foot, cone, plate]), voids), peg])
+
+
+def common_part(d: float, hole_d: float, p: XY, z: XY, density: float) -> MassProperties:
+    """Return what an upright cylinder of diameter `hole_d` about p shares with one of diameter d about the axis.
+
+    Where the circles cross, the chord divides the shared area into one segment of each.
+    """
+    R, r, apart = d / 2, hole_d / 2, float(np.hypot(*p))
+    if apart <= R - r:
+        return cylinder(hole_d, *z, density, p)
+    if apart >= R + r:
+        return NOTHING
+    chord = (apart * apart + R * R - r * r) / (2 * apart)
+    inner = segment(r, apart - chord, *z, density).moved(pose(rotation_z(np.pi), [apart, 0.0, 0.0]))
+    both = combined([segment(R, chord, *z, density), inner])
+    return both.moved(pose(rotation_z(np.arctan2(p[1], p[0]))))
 
 
 def _nut_slot(a: SensorAdapter, density: float, p: XY) -> MassProperties:

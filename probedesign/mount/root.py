@@ -20,9 +20,13 @@ _MISSING: dict[Hold, tuple[float, ...]] = {
 elements of full round bases at ν = 0.49 with a flange of 3 mm."""
 _ROUNDING = 0.0051
 """Error of a value that `new` rounded to two decimals."""
+_NUMERICAL = 0.01
+"""Greatest difference of a value that `new` wrote from the one computed now: rounding, and the interpolation in base
+radius over thickness, 0.005 each."""
 ROOT_STD = 0.05
 """Standard deviation of these values [base radii]: friction below the flange moves the clamped one by that much, the
-other thicknesses and Poisson's ratios less; the squeezed lip is not modelled (assumed)."""
+other thicknesses and Poisson's ratios less. The land, which supports the inner part of the lip alone, moves them by
+0.002 (clamped) and 0.006 (glued); the squeezed lip is not modelled (assumed)."""
 
 
 def exported_root_radii(geometry: ProbeGeometry, hold: Hold = "clamped") -> float:
@@ -47,8 +51,10 @@ def root_contradiction(design: Design) -> str:
     """Return why `root_rigid_radii` of a design contradicts its `hold`, in one sentence; empty if it does not.
 
     The value of another hold contradicts, the default beside a stated hold, and a value that is further from the
-    computed one than two of its standard deviations, where the design states them. 0, the paper's rod, and a root that
-    may have been identified, do not.
+    computed one than its accuracy. That of a value which `new` wrote, with `hold` and without a standard deviation of
+    the user, is numerical: it differs where base, flange or thickness were changed afterwards. That of any other value
+    is two of its standard deviations, where the design states them. 0, the paper's rod, and a root that may have been
+    identified, do not contradict.
     """
     mount, computed = design.mount, stated_root_radii(design)
     stated, others = mount.root_rigid_radii, [hold for hold in _MISSING if hold != mount.hold]
@@ -65,8 +71,16 @@ def root_contradiction(design: Design) -> str:
     if "root_rigid_radii" not in mount.model_fields_set and "hold" in mount.model_fields_set:
         return f"mount.root_rigid_radii is not stated, so {stated:g} is used, of a base bonded at s = 0; {remedy}"
     std = design.tolerances.root_radii
-    identified = design.material.provenance.youngs_modulus_mpa == "identified"
-    if std is None or stated == 0.0 or identified or off <= 2.0 * math.hypot(ROOT_STD, std):
+    if stated == 0.0 or design.material.provenance.youngs_modulus_mpa == "identified":
+        return ""
+    if "hold" in mount.model_fields_set and std in (None, ROOT_STD):
+        if abs(stated - exported_root_radii(geometry, mount.hold)) <= _NUMERICAL:
+            return ""
+        return (
+            f"mount.root_rigid_radii = {stated:g}, but {computed:g} is computed for the {mount.hold} flange of this "
+            f"design; {remedy}, or state its standard deviation as tolerances.root_radii if you measured it"
+        )
+    if std is None or off <= 2.0 * math.hypot(ROOT_STD, std):
         return ""
     return (
         f"mount.root_rigid_radii = {stated:g}, but {computed:g} ± {ROOT_STD:g} is computed for the exported "

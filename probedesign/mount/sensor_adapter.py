@@ -52,8 +52,13 @@ PEG_D = 1.9 * MM
 PEG_BELOW_RING = 0.4 * MM
 """From the peg's top up to the ring: more than both tolerances, so that the ring never rests on the peg."""
 RING_CLEARANCE = 0.5 * MM
-"""Radial clearance of the ring's bore to the probe at s = 0; the bore then widens by 45° to clear the bending probe."""
+"""Radial clearance of the ring's bore at s = 0 to a probe of up to 30 mm, more by the tolerance of a wider one; the
+bore then widens by 45° to clear the bending probe."""
 MIN_LIP = 1.5 * MM
+"""Least width of the lip between the ring and the land."""
+LAND_RELIEF, MIN_RELIEF = 1.0 * MM, 0.5 * MM
+"""Outer width of the lip below which the floor lies lower, so that pressed resin has room, and the least of it where a
+bulge of the probe needs a wide ring (assumed; without room the lip of a wide flange needs thousands of newtons)."""
 RING_AZIMUTHS_DEG = (45.0, 135.0, 225.0, 315.0)
 WALL = 0.6 * MM
 """Between a nut's slot and the recess, and outside a hole."""
@@ -84,9 +89,11 @@ PIN_ROOM = 0.1 * MM
 """Least room beyond a dowel pin's end, so that the pin never lifts the adapter off the tool face."""
 SENSOR_HOLE_DISTANCE = 0.05 * MM
 """Tolerance ± of the distance between the sensor's dowel holes (assumed)."""
-FACE_LOSS = 0.2 * MM
-"""Material that a printed face may lose on the platform, where the first layers are compressed, by sanding, or below a
-head that settles (assumed: no number is published for the printers)."""
+FACE_LOSS = 0.15 * MM
+"""Material that a printed face may lose on the platform, where the first layers are compressed, or by sanding (assumed:
+no number is published for the printers)."""
+SETTLING = 0.05 * MM
+"""Depth to which a screw's head settles in printed resin after it was tightened (assumed: the resin creeps)."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +133,11 @@ class MountOptions:
         return 0.0 if self.milled else FACE_LOSS
 
     @property
+    def settling(self) -> float:
+        """Return by how much a screw's head may settle in the part below it [m]; milled parts do not yield."""
+        return 0.0 if self.milled else SETTLING
+
+    @property
     def pin_play(self) -> float:
         """Return by how much a pin's hole is wider than the pin [m]: none for a milled one, H7 for a pin h8."""
         return 0.0 if self.milled else PRINTED_PIN_PLAY
@@ -151,7 +163,9 @@ class SensorAdapter:
     Attributes:
         tool, dowels: the holes in the sensor's tool face.
         options: choices of the design.
-        floor: tool face to the flange's underside.
+        floor: tool face to the flange's underside, on which the land supports it.
+        land_d, groove: diameter of the land, the raised middle of the floor, and depth of the floor around it. The ring
+            presses the lip against the land only.
         foot_d, foot_height: the disc that rests on the tool face.
         cone_d, cone_top: diameter at which the underside's cone begins, at `foot_height`, and z where it meets the rim.
         body_d, body_top: the plate above the cone.
@@ -163,6 +177,7 @@ class SensorAdapter:
         peg_hole_d: in the flange.
         flange: the probe's flange.
         squeeze: nominal compression of the flange's lip when the ring rests on the wall.
+        probe_d: greatest diameter of the probe, over which the ring passes.
         ring_bore_d, ring_bore_top_d, ring_thickness: of the clamp ring; its rim is `body_d`.
         ring_screw_length: a stock length under the head.
         ring_circle_d: of the ring's screws.
@@ -177,6 +192,8 @@ class SensorAdapter:
     dowels: DowelPattern
     options: MountOptions
     floor: float
+    land_d: float
+    groove: float
     foot_d: float
     foot_height: float
     cone_d: float
@@ -193,6 +210,7 @@ class SensorAdapter:
     peg_hole_d: float
     flange: Flange
     squeeze: float
+    probe_d: float
     ring_bore_d: float
     ring_bore_top_d: float
     ring_thickness: float
@@ -210,6 +228,16 @@ class SensorAdapter:
     def T_sensor_base(self) -> Array:
         """Return the pose of the base frame in the sensor frame, (4, 4): along the axis, x axes parallel."""
         return pose(p=[0.0, 0.0, self.floor + self.flange.thickness])
+
+    @property
+    def groove_floor(self) -> float:
+        """Return z of the floor around the land [m]."""
+        return self.floor - self.groove
+
+    @property
+    def vent_x(self) -> float:
+        """Return the distance from the axis at which the notch through the recess's wall begins, in the groove [m]."""
+        return (self.land_d + self.recess_d) / 4
 
     @property
     def ring_screw(self) -> SocketScrew:
@@ -316,6 +344,8 @@ def sensor_adapter_for(
     roof = length - options.ring_thickness - nut.height - nut_slack(screw, length, options)
 
     bore_d = _ring_bore_d(geometry)
+    pin_beyond = dowels.pin_length - dowels.depth
+    dowel_depth = pin_beyond + PIN_TOLERANCE + options.tolerance + options.face_loss + PIN_ROOM
     body_d = circle_d + screw.head_d + 2 * HEAD_EDGE
     head_clear_d = circle_d - screw.counterbore_d  # the heads need a seat beside the bore
     foot_d, cone_d = tool.face_d, tool.face_d + 2 * FOOT_LEDGE
@@ -326,8 +356,17 @@ def sensor_adapter_for(
     wall = flange.thickness - squeeze
     slot_bottom = wall - roof - nut.height - NUT_PLAY
     hole_bottom = wall + options.ring_thickness - length - TIP_ROOM
-    lowest = max(cone_top + WALL - slot_bottom, cone_at_hole + THIN_WALL - hole_bottom)
+    land_d = _land_d(geometry, options, bore_d)
+    groove = _up(squeeze + length_tolerance(flange.thickness) + 2 * options.tolerance)
+    lowest = max(
+        cone_top + WALL - slot_bottom,
+        cone_at_hole + THIN_WALL - hole_bottom,
+        cone_top + WALL + groove,
+        dowel_depth + THIN_WALL + groove,
+    )
     floor = tool.grip + tool.screw.head_height + HEAD_SUNK
+    if tool.bolt_circle_d + tool.screw.counterbore_d > land_d:  # the heads lie below the groove as well
+        floor += groove
     floor = max(floor, _up(lowest))
     body_top = floor + wall
     peg_x, peg_hole_d = (flange.diameter - options.lip) / 2 - PEG_INWARD, PEG_D + 0.1 * MM
@@ -343,6 +382,8 @@ def sensor_adapter_for(
         dowels=dowels,
         options=options,
         floor=floor,
+        land_d=land_d,
+        groove=groove,
         foot_d=foot_d,
         foot_height=FOOT_HEIGHT,
         cone_d=cone_d,
@@ -352,18 +393,14 @@ def sensor_adapter_for(
         recess_d=recess_d,
         mark_x=mark_x,
         dowel_d=dowels.diameter + options.pin_play,
-        dowel_depth=dowels.pin_length
-        - dowels.depth
-        + PIN_TOLERANCE
-        + options.tolerance
-        + options.face_loss
-        + PIN_ROOM,
+        dowel_depth=dowel_depth,
         p_dowels=on_circle(dowels.circle_d, dowels.azimuths_deg),
         peg_top=body_top - PEG_BELOW_RING,
         peg_x=peg_x,
         peg_hole_d=peg_hole_d,
         flange=flange,
         squeeze=squeeze,
+        probe_d=2.0 * float(geometry.radius.max()),
         ring_bore_d=bore_d,
         ring_bore_top_d=min(bore_d + 2 * options.ring_thickness, head_clear_d),
         ring_thickness=options.ring_thickness,
@@ -419,17 +456,28 @@ def _squeeze(flange: Flange, options: MountOptions) -> float:
 
 def _ring_bore_d(geometry: ProbeGeometry) -> float:
     """Return the narrowest diameter of the ring's bore [m]: the ring passes over the tip and the widest section."""
-    bore_d = 2.0 * (float(geometry.radius.max()) + RING_CLEARANCE)
-    max_d = max_ring_passage_d(geometry.flange)
-    if bore_d - 2 * RING_CLEARANCE > max_d:
+    probe_d, max_d = 2.0 * float(geometry.radius.max()), max_ring_passage_d(geometry.flange)
+    if probe_d > max_d + 1e-9:  # round-off of sums
         raise InputError(
-            f"probe.profile_mm: {(bore_d - 2 * RING_CLEARANCE) / MM:g} mm at its widest, "
-            f"so the clamp ring cannot pass; at most {max_d / MM:g} mm "
-            f"with a base of {2 * geometry.base_radius / MM:g} mm"
+            f"probe.profile_mm: {probe_d / MM:g} mm at its widest, so the clamp ring cannot pass; at most "
+            f"{max_d / MM:.4g} mm with a base of {2 * geometry.base_radius / MM:g} mm"
         )
-    return bore_d
+    return probe_d + 2 * RING_CLEARANCE + 2 * _beyond_least(probe_d)
+
+
+def _beyond_least(length: float) -> float:
+    """Return by how much the tolerance of a printed length exceeds that of a short one [m]."""
+    return length_tolerance(length) - PRINT_TOLERANCE
 
 
 def max_ring_passage_d(flange: Flange) -> float:
     """Return the largest probe diameter over which a ring passes that still clamps the flange [m]."""
-    return flange.diameter - 2 * MIN_LIP - 2 * RING_CLEARANCE
+    rest = flange.diameter - 2 * (MIN_RELIEF + MIN_LIP + RING_CLEARANCE)
+    return rest - 2 * _beyond_least(rest)
+
+
+def _land_d(geometry: ProbeGeometry, options: MountOptions, bore_d: float) -> float:
+    """Return the diameter of the land that supports the lip [m]: independent of the sensor, whose tool face may widen
+    the flange."""
+    land_d = 2 * (geometry.base_radius + options.lip - LAND_RELIEF)
+    return max(land_d, min(bore_d + 2 * MIN_LIP, geometry.flange.diameter - 2 * MIN_RELIEF))

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any
 
 from probedesign.core.units import MM
-from probedesign.design.catalog import CUSTOM, SocketScrew
+from probedesign.design.catalog import SocketScrew
 from probedesign.design.sensors import ScrewPattern
 from probedesign.mount.flange_adapter import (
     CENTRING_PIN_D,
@@ -32,15 +32,18 @@ from probedesign.mount.sensor_adapter import (
 
 SENSOR_HOLE_TOLERANCE = 0.1 * MM
 """Tolerance ± of the depth of the sensor's dowel holes (assumed)."""
-PIN_H8, PIN_M6, REAMED_H7, RECESS_H7 = -0.018 * MM, 0.012 * MM, 0.012 * MM, 0.025 * MM
-"""Deviations by ISO 286-2: least of a pin h8 and greatest of a pin m6 and of a hole H7, of 3 to 6 mm (thinner ones
-deviate less), and greatest of a hole H7 of 30 to 50 mm."""
+PIN_H8, PIN_M6 = -0.018 * MM, 0.012 * MM
+"""Deviations by ISO 286-2: least of a pin h8 and greatest of a pin m6 of 3 to 6 mm; thinner ones deviate less."""
+_H7_MM = ((3.0, 0.010), (6.0, 0.012), (10.0, 0.015), (18.0, 0.018), (30.0, 0.021), (50.0, 0.025), (80.0, 0.030),
+          (120.0, 0.035), (180.0, 0.040), (250.0, 0.046), (315.0, 0.052))  # fmt: skip
 MAX_CLOCKING_DEG = 2.0
 """Greatest rotation of a part in the play of its pins: four standard deviations of the clocking (assumed)."""
 SOFT_INTERFERENCE = 0.01
 """Oversize of the flange in its recess, relative: it is pressed in by hand (assumed)."""
 PEG_STRETCH = 0.2
 """Oversize of the peg in the flange's hole, relative: the resin stretches by several times that (assumed)."""
+RING_OFFSET = 0.2 * MM
+"""Offset of the clamp ring from the probe's axis after it was centred by eye: two fifths of the gap (assumed)."""
 MIN_PIN_HEIGHT = 1.0 * MM
 """Least height of a centring pin beside the sensor (assumed)."""
 MAX_CENTRING_PLAY = 1.0 * MM, 0.02
@@ -52,6 +55,35 @@ CALIPERS = 0.05 * MM
 """Uncertainty of a depth or thickness measured with calipers in a printed part (assumed)."""
 PRINTED, SCREWED = "print, ±0.5 %, at least ±0.15 mm (assumed)", "ISO 4759-1, js15"
 MILLED = "drawing, ±0.05 mm; ISO 2768-1, fine, up to 6 mm (assumed beyond)"
+
+
+def h7(d: float) -> float:
+    """Return the greatest deviation [m] of a hole H7 of diameter d [m]; its least is zero. Source: ISO 286-1, IT7."""
+    return next(deviation for up_to, deviation in _H7_MM if d / MM <= up_to + 1e-6) * MM
+
+
+_LIP = "mount.squeeze_mm or mount.flange_thickness_mm"
+_MILLED = ', or set mount.adapters = "milled"'
+_KEYS = {
+    "lip_squeeze": _LIP,
+    "groove_room": _LIP,
+    "sensor_adapter_screws_entry": "interface.tool of the sensor: min_entry_mm, max_entry_mm or screw",
+    "mounting_screws_entry": "interface.mounting of the sensor: min_entry_mm, max_entry_mm or screw",
+    "ring_screws_entry": "mount.ring_screw",
+    "robot_bolts_entry": "mount.flange.bolt_length_mm or mount.flange.max_bolt_entry_mm",
+    "peg_below_ring": _LIP,
+    "dowel_pin_room": "interface.dowels of the sensor: depth_mm or pin_length_mm",
+    "flange_in_recess": f"mount.flange_lip_mm{_MILLED}",
+    "ring_gap": 'mount.adapters = "milled" and probe.base_d_mm',
+    "peg_fit": f"mount.flange_lip_mm{_MILLED}",
+    "dowel_fit": f"interface.dowels of the sensor: circle_d_mm{_MILLED}",
+    "dowel_slot": f"interface.dowels of the sensor: circle_d_mm{_MILLED}",
+    "centring_fit": f"interface.body_d_mm of the sensor{_MILLED}",
+    "centring_pin_height": "interface.cable of the sensor: free_height_mm",
+    "robot_pin_fit": "mount.flange.pin_slot_mm, or mount.robot_flange",
+    "spigot_fit": f"mount.flange.spigot_mm or mount.flange.recess_d_mm{_MILLED}",
+}
+"""Keys that change each stack."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +119,11 @@ class Stack:
     what: str
     items: tuple[StackItem, ...]
     limits: tuple[float, float]
+
+    @property
+    def remedy(self) -> str:
+        """Return what to change where the worst case lies outside of the limits, by the keys of design or sensor."""
+        return f"change {_KEYS[self.name]}"
 
     @property
     def nominal(self) -> float:
@@ -160,7 +197,9 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
     def loss(shortens: bool = False) -> StackItem:
         lost = a.options.face_loss
         below, above = (lost, 0.0) if shortens else (0.0, lost)
-        return StackItem("face compressed on the platform, sanded or settled", 0.0, below, above, "assumed")
+        return StackItem("face compressed on the platform or sanded", 0.0, below, above, "assumed")
+
+    settling = StackItem("head that settles in the resin", 0.0, 0.0, a.options.settling, "assumed")
 
     def into_sensor(name: str, side: str, pattern: ScrewPattern) -> Stack:
         return Stack(
@@ -170,6 +209,7 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
                 screw(pattern.screw, pattern.length),
                 rigid("thickness under the head", -pattern.grip),
                 loss(),
+                settling,
             ),
             (pattern.min_entry, pattern.max_entry),
         )
@@ -184,6 +224,16 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
             (soft("thickness of the flange", flange.thickness), rigid("depth of the recess", -recess)),
             (MIN_SQUEEZE, MAX_SQUEEZE_SHARE * flange.thickness),
         ),
+        Stack(
+            "groove_room",
+            "room below the flange in the groove around the land",
+            (
+                rigid("depth of the groove", a.groove),
+                rigid("depth of the recess", recess),
+                soft("thickness of the flange", -flange.thickness),
+            ),
+            (0.0, recess),
+        ),
         into_sensor("sensor_adapter_screws_entry", "tool", a.tool),
         into_sensor("mounting_screws_entry", "mounting", plate.mounting),
         Stack(
@@ -194,6 +244,7 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
                 rigid("thickness of the ring", -a.ring_thickness),
                 rigid("thickness above the nut", -a.nut_roof),
                 loss(),
+                settling,
             ),
             (nut.height, a.nut_slot_z[1] - a.ring_hole_bottom),
         ),
@@ -204,6 +255,7 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
                 screw(robot.screw, robot.bolt_length),
                 rigid("thickness of the plate", -plate.plate_top),
                 loss(),
+                settling,
             ),
             (MIN_BOLT_THREADS * robot.screw.nominal_d, robot.max_bolt_entry),
         ),
@@ -237,7 +289,7 @@ def _fits(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
     def hole_of_pin(d: float) -> StackItem:
         """Return the hole of a pin: reamed where milled; printed and, where it is tight, drilled to the pin's size."""
         if milled:
-            return StackItem("diameter of the hole", d, 0.0, REAMED_H7, "H7")
+            return StackItem("diameter of the hole", d, 0.0, h7(d), "H7")
         return StackItem("diameter of the hole, drilled where it is tight", d, a.options.pin_play,
                          length_tolerance(d), PRINTED)  # fmt: skip
 
@@ -255,6 +307,16 @@ def _fits(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
             "play of the probe's flange in its recess",
             (rigid("diameter of the recess", a.recess_d), soft("diameter of the flange", -a.flange.diameter)),
             (-SOFT_INTERFERENCE * a.flange.diameter, 2 * RING_CLEARANCE),
+        ),
+        Stack(
+            "ring_gap",
+            "gap between the ring, centred by eye, and the probe, on the diameter",
+            (
+                rigid("diameter of the ring's bore", a.ring_bore_d),
+                soft("diameter of the probe", -a.probe_d),
+                StackItem("twice the offset of the ring's centre", 0.0, *(2 * RING_OFFSET,) * 2, "by eye, assumed"),
+            ),
+            (0.0, a.flange.thickness),
         ),
         Stack(
             "peg_fit",
@@ -315,9 +377,9 @@ def _fits(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
                 StackItem("diameter of the pin", -robot.pin_d, PIN_M6, 0.0, "m6"))  # fmt: skip
         limits = (0.0, turned(robot.bolt_circle_d / 2))
         stacks.append(Stack("robot_pin_fit", "play of the robot's dowel pin in its slot", slot, limits))
-    if robot.spigot[0] > 0.0 and robot.name != CUSTOM:
+    if robot.spigot[0] > 0.0:
         recess_d = robot.spigot[0] + robot.spigot_play
-        spigot = (StackItem("diameter of the robot's recess", recess_d, 0.0, RECESS_H7, "H7"),
+        spigot = (StackItem("diameter of the robot's recess", recess_d, 0.0, h7(recess_d), "H7"),
                   rigid("diameter of the spigot", -robot.spigot[0]))  # fmt: skip
         limits = (0.0, max(MAX_CENTRING_PLAY[0], MAX_CENTRING_PLAY[1] * robot.spigot[0]))
         stacks.append(Stack("spigot_fit", "play of the spigot in the robot's recess", spigot, limits))
@@ -361,13 +423,16 @@ def measurements(a: SensorAdapter, plate: FlangeAdapter) -> list[Measurement]:
                 f"{part}: each {screw.thread}×{length / MM:g} in its hole, head pressed on its seat: its point beyond "
                 "the sensor's face",
                 length - pattern.grip,
-                (pattern.min_entry, pattern.max_entry - CALIPERS),
+                (pattern.min_entry, pattern.max_entry - CALIPERS - a.options.settling),
                 "more: do not use it, the sensor would be destroyed; less: the screw does not hold",
             ),
             Measurement(
                 f"{part}: thickness under each head of those screws",
                 pattern.grip,
-                (length + tolerance - pattern.max_entry + CALIPERS, length - tolerance - pattern.min_entry),
+                (
+                    length + tolerance - pattern.max_entry + CALIPERS + a.options.settling,
+                    length - tolerance - pattern.min_entry,
+                ),
                 "thinner: print it again; thicker: print it again, never take a longer screw",
             ),
         ]
@@ -376,7 +441,7 @@ def measurements(a: SensorAdapter, plate: FlangeAdapter) -> list[Measurement]:
     return [
         *rows,
         Measurement(
-            "sensor adapter: depth of the recess",
+            "sensor adapter: depth of the recess, to its land",
             recess,
             (recess - rigid, recess + rigid),
             "decided by the difference below",

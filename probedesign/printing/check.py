@@ -27,6 +27,7 @@ from probedesign.mount import (
     mount_options,
     sensor_adapter_for,
 )
+from probedesign.mount.clamping import clamp_force
 from probedesign.mount.engraving import XY
 from probedesign.mount.flange_adapter import TIE_SLOT
 from probedesign.mount.sensor_adapter import PEG_D
@@ -68,6 +69,7 @@ MIN_DRAIN_D = 3.5
 
 BUILD_VOLUME = Rule("build_volume", "mm", f"PreForm's build volumes; {PLATFORM_SETUP}", "high")
 STACK = Rule("tolerance_stack", "mm", "worst case of the tolerances that the drawings state", "high")
+CLAMP = Rule("clamp_force", "N", "Gent and Lindley 1959, compared with finite elements", "medium")
 SLENDERNESS = Rule(
     "slenderness", "1", f"about the wires of {GUIDE}; an error below half of it (assumed)", "low"
 )
@@ -190,7 +192,7 @@ def mount_findings(a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
         "flange_adapter": (_plate_walls(plate), {"sensor screw hole": screw.clearance_d} | bolt_hole),
     }
     findings = [SLENDERNESS.at_least(
-        "sensor_adapter", "clocking peg, diameter over height", PEG_D / (a.peg_top - a.floor), GOOD_SLENDERNESS,
+        "sensor_adapter", "clocking peg, diameter over height", PEG_D / (a.peg_top - a.groove_floor), GOOD_SLENDERNESS,
         remedy="make it thicker",
     )]  # fmt: skip
     if not a.options.milled:  # by its dimensions: the raster of the layers is too coarse for it
@@ -205,9 +207,20 @@ def mount_findings(a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
             findings.append(OPEN_HOLE.at_least(part, what, d / MM, MIN_HOLE_D, remedy="make it wider"))
     for stack in tolerance_stacks(a, plate):
         what = f"{stack.what}, beyond its limits at the worst corner of the tolerances"
-        remedy = "change the sensor's or the mount's screws and lengths"
-        findings.append(STACK.at_most("mount", what, stack.outside / MM, 0.0, remedy))
+        findings.append(STACK.at_most("mount", what, stack.outside / MM, 0.0, stack.remedy))
     return findings
+
+
+def clamp_findings(a: SensorAdapter, plate: FlangeAdapter, modulus: float) -> list[Finding]:
+    """Return the finding on the preload of the ring's screws: a warning where the tolerances of the lip's force reach
+    it, an error where its nominal force does; modulus E of the probe's resin [Pa]."""
+    clamp = clamp_force(a, plate, modulus)
+    more = "" if a.ring_screw.thread == "M3" else 'set mount.ring_screw = "M3", '
+    remedy = f"{more}reduce mount.flange_lip_mm, or increase mount.flange_thickness_mm"
+    what = (
+        f"preload of the ring's {clamp.screws} screws at {clamp.torque:g} N·m, to compress the flange's lip"
+    )
+    return [CLAMP.at_least("mount", what, clamp.preload, clamp.range[1], clamp.nominal, remedy)]
 
 
 def layer_findings(part: OrientedPart) -> list[Finding]:
@@ -250,7 +263,8 @@ def _adapter_walls(a: SensorAdapter) -> Walls:
             UNSUPPORTED_WALL,
         ),
         ("between dowel hole and edge of the foot", foot - dowel - a.dowel_d / 2, UNSUPPORTED_WALL),
-        ("over a dowel hole", a.floor - a.dowel_depth, SUPPORTED_WALL),
+        ("over a dowel hole", a.groove_floor - a.dowel_depth, SUPPORTED_WALL),
+        ("below the groove, at the notch", a.groove_floor - a.cone_top, UNSUPPORTED_WALL),
         ("under the heads of the sensor screws", a.tool.grip, SUPPORTED_WALL),
     ]
 
@@ -401,6 +415,7 @@ def check_print(design: Design, layers: bool = True) -> PrintCheck:
         findings.append(MOUNT.impossible("clamp_ring", str(error)))
     else:
         findings += [*flange_findings(a), *mount_findings(a, plate)]
+        findings += clamp_findings(a, plate, design.youngs_modulus.value)
         sx, _, sz = print_scale(design, "rigid parts")
         for part, width, height in (
             ("sensor_adapter", a.body_d, a.body_top),

@@ -22,7 +22,7 @@ class Finding:
         measured: its value in `unit`; None where the part could not be laid out.
         limit: the value it is compared with.
         bound: the side of the limit on which it must lie.
-        unit: mm, mm², mm³, deg or 1.
+        unit: mm, mm², mm³, deg, N or 1.
         remedy: the nearest change that meets the limit; empty if the finding is ok.
         source: of the limit.
         confidence: in the limit.

@@ -1,8 +1,7 @@
 """Printing orientation of each rigid part: upright or upside down on the platform, whichever needs fewer supports."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
-from functools import cached_property
+from dataclasses import dataclass
 from typing import Any, Literal
 
 from probedesign.core.units import MM
@@ -80,7 +79,7 @@ class _RigidPart:
     up: tuple[float, ...]
     faces: tuple[str, str]
 
-    @cached_property
+    @property
     def best(self) -> OrientedPart:
         """Return the part in its better orientation."""
         upright = self.oriented("upright")
@@ -128,22 +127,4 @@ def oriented_parts(a: SensorAdapter, plate: FlangeAdapter) -> list[OrientedPart]
             ("its spigot" if spigot > 0.0 else "its face to the robot", "the sensor's seat"),
         ),
     ]  # fmt: skip
-    sources: tuple[SensorAdapter | FlangeAdapter, ...] = (a, a, plate)
-    return [_examined_part(part, source) for part, source in zip(parts, sources, strict=True)]
-
-
-def _examined_part(part: _RigidPart, source: SensorAdapter | FlangeAdapter) -> OrientedPart:
-    """Return the part in its better orientation, computed once for its dimensions."""
-    key = part.name + repr(
-        [getattr(source, one.name) for one in fields(source) if not one.name.startswith("on_")]
-    )
-    if key not in _examined:
-        if len(_examined) >= MAX_EXAMINED:
-            _examined.clear()
-        _examined[key] = part.best
-    return _examined[key]
-
-
-MAX_EXAMINED = 64
-_examined: dict[str, OrientedPart] = {}
-"""Parts by name and dimensions without engravings: designs of one mount differ in the probe alone."""
+    return [part.best for part in parts]

@@ -23,17 +23,15 @@ import trimesh
 from PIL import Image
 
 from probedesign.cad.assembly_docs import (
-    RESIN_PRESSURE,
     SHEETS,
     assembly_page,
     bill_of_materials,
-    hand_torque,
     part_drawings,
 )
 from probedesign.cad.drawing import EDGE, HEIGHT, WIDTH
 from probedesign.cad.drawing_files import dxf_bytes, svg_bytes
 from probedesign.cad.exploded_view import DOWN, EXPLOSION, assembly_steps
-from probedesign.cad.mesh import platform_positions, read_back
+from probedesign.cad.mesh import Mesh, package_objects, platform_positions, read_back
 from probedesign.cad.model import CadModel, build_cad, overlaps
 from probedesign.cad.projection import FRONT, cut, seen
 from probedesign.cad.render import BACKGROUND, OrthographicCamera, RenderBody, fit_view, render_bodies
@@ -42,6 +40,7 @@ from probedesign.cad.svg import Svg
 from probedesign.core.errors import InputError
 from probedesign.core.frames import pose
 from probedesign.design import Design, parse_design
+from probedesign.mount.clamping import RESIN_PRESSURE, hand_torque
 from probedesign.mount.engraving import Engraving
 from probedesign.mount.sensor_adapter import RING_VENT_HEIGHT
 from tests.reports.page_checks import browser, check_page, sheets
@@ -78,11 +77,11 @@ def test_hand_torque_limits_the_pressure_on_the_resin(large: CadModel) -> None:
     """Torque over diameter and nut factor is the preload; it presses the ring under the head."""
     for use in large.screws:
         d, hole = (2e-3, 2.4e-3) if use.screw.thread == "M2" else (6e-3, 6.6e-3)
-        preload = hand_torque(use) / (0.2 * d)
+        preload = hand_torque(use.screw) / (0.2 * d)
         pressure = preload / (np.pi / 4 * (use.screw.head_d**2 - hole**2))
         assert 0.5 * RESIN_PRESSURE < pressure <= RESIN_PRESSURE  # one digit, rounded down
     # A tenth of what M2 in steel takes, 0.3 N·m: a table for steel does not apply.
-    assert hand_torque(large.screws[0]) < 0.1
+    assert hand_torque(large.screws[0].screw) < 0.1
 
 
 # ---- order of assembly
@@ -439,6 +438,16 @@ def test_names_from_outside_are_escaped(make_design: Callable[..., Design], larg
 
 
 # ---- 3MF
+
+
+def test_milled_adapters_have_no_package_to_print(large: CadModel) -> None:
+    """Their drawings and STEP files are what a workshop needs."""
+    options = replace(large.adapter.options, milled=True)
+    milled = replace(large, adapter=replace(large.adapter, options=options))
+    triangle = Mesh(np.eye(3), np.array([[0, 1, 2]]))
+    meshes = dict.fromkeys(PRINTED, triangle)
+    assert set(package_objects(milled, meshes)) == {"probe.3mf"}
+    assert set(package_objects(large, meshes)) == {"probe.3mf", "adapters.3mf"}
 
 
 def test_packages_read_strictly_in_millimetres_and_side_by_side(exported: Exported) -> None:

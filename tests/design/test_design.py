@@ -73,6 +73,14 @@ def test_the_papers_probes(name, length, assumed):
     assert design.friction.value == 0.6
 
 
+@pytest.mark.parametrize("value", ['"2026-13-40"', '"soon"', "2026-01-31", "5"])
+def test_a_bad_date_names_its_key_once_and_its_line(value: str) -> None:
+    text = f'schema = 1\nname = "x"\ndate = {value}\n[probe]\nlength_mm = 100.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n'
+    with pytest.raises(InputError, match=r"^design:3: date = ") as error:
+        parse_design(text)
+    assert value.strip('"') in str(error.value) and "\n" not in str(error.value)
+
+
 def test_a_named_resin_fills_what_is_not_given():
     design = check_design(
         {"schema": 1, "name": "r", "probe": {"shape": "cylinder", "length_mm": 80, "base_d_mm": 6}}

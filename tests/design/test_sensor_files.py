@@ -1,6 +1,8 @@
 """Test sensor files: SI units in all uses, and error messages of one line."""
 
+import re
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -170,6 +172,37 @@ def test_a_wrong_sensor_file_is_refused_in_one_line(path, old, new, message):
     assert message in str(error.value) and "sensor.toml" in str(error.value)
     assert "\n" not in str(error.value)
     assert sorted(path.parent.rglob("*")) == before
+
+
+def line_named(path: Path) -> str:
+    """The text of the line that the error of a sensor file names."""
+    with pytest.raises(InputError) as error:
+        load_sensor(path)
+    found = re.match(r".*\.toml:(\d+): (.*)$", str(error.value))
+    assert found, str(error.value)
+    return path.read_text().splitlines()[int(found[1]) - 1]
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("key", "value"), [("range_N", "[12.0, 12.0]"), ("range_N", "[12.0, -1.0, 17.0]"), ("name", '"a b"'),
+                       ("resolution_Nm", "5.0")],
+)  # fmt: skip
+def test_an_error_in_a_list_of_tables_names_its_line(
+    number: int, key: str, value: str, tmp_path: Path
+) -> None:
+    head, *tables = (FILES / "nano17.toml").read_text().split("[[calibrations]]")
+    tables[number] = re.sub(rf"(?m)^{key} = .*$", f"{key} = {value}", tables[number], count=1)
+    path = tmp_path / "sensor.toml"
+    path.write_text("[[calibrations]]".join([head, *tables]))
+    assert line_named(path) == f"{key} = {value}"
+
+
+def test_an_error_of_the_noise_names_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "sensor.toml"
+    for noise in ({"std": [1e-3, 1e-3]}, {"cov": [[1.0, 2.0]]}, {"std": [1e-3] * 5 + [-1.0]}):
+        path.write_text(record(**noise))
+        assert line_named(path).startswith(next(iter(noise)))
 
 
 @pytest.mark.parametrize(

@@ -132,9 +132,19 @@ def test_a_probe_too_wide_for_any_ring_is_refused() -> None:
     bulge = (
         'shape = "profile"\nlength_mm = 150.0\nbase_d_mm = 12.0\nprofile_mm = [[0, 12], [75, 16], [150, 2]]'
     )
-    with pytest.raises(InputError, match=r"profile_mm: 16 mm .* at most 15 mm") as error:
+    with pytest.raises(InputError, match=r"profile_mm: 16 mm .* at most 14 mm") as error:
         adapter_of(make_design(bulge))
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("base_d", [12.0, 18.5, 25.0])
+def test_the_widest_probe_that_the_message_allows_is_clamped(base_d: float) -> None:
+    """Between its ring and the land 1.5 mm of the lip remain."""
+    bulge = f"[[0.0, {base_d}], [75.0, {base_d + 2.0}], [150.0, 2.0]]"
+    a = adapter_of(make_design(
+        f'shape = "profile"\nlength_mm = 150.0\nbase_d_mm = {base_d}\nprofile_mm = {bulge}'))  # fmt: skip
+    assert (a.land_d - a.ring_bore_d) / 2 == pytest.approx(1.5e-3)
+    assert a.land_d <= a.flange.diameter - 1e-3 + 1e-9
 
 
 def test_the_mount_mass_needs_no_cad() -> None:
@@ -181,5 +191,6 @@ def test_no_wall_of_the_adapter_is_too_thin_to_print(base_d: float) -> None:
 def test_the_ring_presses_the_lip_all_around_and_clears_the_probe(base_d: float) -> None:
     a = adapter_of(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 1.2"))
     assert a.ring_bore_d / 2 - base_d / 2 * 1e-3 == pytest.approx(0.5e-3)
-    assert (a.flange.diameter - a.ring_bore_d) / 2 >= 3e-3 - 1e-9  # the clamped width
+    assert (a.land_d - a.ring_bore_d) / 2 == pytest.approx(2e-3)  # the clamped width
+    assert a.land_d < a.flange.diameter - 1e-3  # the resin that it displaces has room
     assert a.peg_x - a.peg_hole_d / 2 > base_d / 2 * 1e-3 + 0.6e-3  # the mark keeps off the flexible part

@@ -42,7 +42,7 @@ def test_the_papers_probes_print(name):
     parts = {"probe", "sensor_adapter", "clamp_ring", "flange_adapter", "mount"}
     assert {f.part for f in check.passed} == parts
     for finding in check.findings:
-        assert finding.source and finding.unit in ("mm", "mm²", "mm³", "deg", "1")
+        assert finding.source and finding.unit in ("mm", "mm²", "mm³", "deg", "N", "1")
         assert bool(finding.remedy) == (finding.severity != "ok")
 
 
@@ -51,7 +51,7 @@ def test_a_rounded_tip_is_no_thinner_than_where_it_begins():
         'schema = 1\nname = "x"\n[probe]\nshape = "cone"\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n'
         'tip = "rounded"\n'
     )
-    assert check_print(design).errors == []
+    assert check_print(design, layers=False).errors == []
 
 
 def test_a_flange_without_pin_and_spigot_has_no_walls_there():
@@ -61,7 +61,7 @@ def test_a_flange_without_pin_and_spigot_has_no_walls_there():
         "bolt_azimuths_deg = [45.0, 135.0, 225.0, 315.0]\nmax_bolt_entry_mm = 6.0\nbolt_length_mm = 12.0\n"
         "face_d_mm = 63.0\n"
     )
-    check = check_print(design)
+    check = check_print(design, layers=False)
     assert check.errors == []
     assert not any("pin slot" in f.what or "spigot" in f.what for f in check.findings)
 
@@ -77,8 +77,8 @@ def test_the_named_maximum_length_fits_and_a_millimetre_more_does_not(printer, s
     assert finding.severity == "error"
     assert finding.measured == pytest.approx(scale_z * 403 + 7)  # with flange, raft and supports
     longest = int(finding.remedy.split(" is ")[1].split(" mm")[0])
-    assert check_print(design_of(length=longest, print_=print_)).fits
-    assert not check_print(design_of(length=longest + 1, print_=print_)).fits
+    assert check_print(design_of(length=longest, print_=print_), layers=False).fits
+    assert not check_print(design_of(length=longest + 1, print_=print_), layers=False).fits
 
 
 def test_a_probe_too_long_names_the_smallest_printer_that_fits():
@@ -88,7 +88,7 @@ def test_a_probe_too_long_names_the_smallest_printer_that_fits():
         (300, "form-4l"),
     ):  # 210 mm is a form-4's height
         assert f"it fits a {printer}" in found(design_of(length=length), "build_volume", "height").remedy
-        assert check_print(design_of(length=length, print_=f'printer = "{printer}"')).fits
+        assert check_print(design_of(length=length, print_=f'printer = "{printer}"'), layers=False).fits
     assert "it fits no known printer" in found(design_of(length=400), "build_volume", "height").remedy
 
 
@@ -185,7 +185,7 @@ def test_a_hollow_probe_is_measured_at_its_thinnest():
 
 
 def test_a_full_probe_traps_nothing():
-    assert not [f for f in check_print(design_of()).findings if f.rule == "trapped_volume"]
+    assert not [f for f in check_print(design_of(), layers=False).findings if f.rule == "trapped_volume"]
 
 
 # The rigid parts
@@ -211,7 +211,7 @@ def test_the_rigid_parts_of_every_base_keep_their_rules(base, robot_flange):
 
 def test_a_probe_too_wide_for_the_ring_is_an_error():
     design = design_of(length=80, base=6, profile=[[0.0, 6.0], [40.0, 40.0], [80.0, 40.0]])
-    (finding,) = [f for f in check_print(design).findings if f.rule == "mount"]
+    (finding,) = [f for f in check_print(design, layers=False).findings if f.rule == "mount"]
     assert finding.severity == "error" and finding.measured is None
     assert "the clamp ring cannot pass; at most" in finding.message
     assert finding.as_record()["measured"] is None

@@ -19,6 +19,7 @@ from probedesign.core.errors import InputError
 from probedesign.design import load_design
 from probedesign.design.catalog import RESINS
 from probedesign.geometry import build_geometry
+from probedesign.printing import check
 from probedesign.printing import preform_client as client
 from probedesign.printing.check import HEIGHT_ABOVE_RAFT, RAFT_THICKNESS
 from probedesign.printing.preform_client import (
@@ -48,6 +49,22 @@ def tetrahedron(size) -> bytes:
     faces = np.zeros(4, STL_RECORD)
     faces["v"] = corners[[(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)]]
     return b"test".ljust(80) + np.uint32(4).tobytes() + faces.tobytes()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def examined_once():
+    """Examine the layers of each mount once: almost all tests here check and print the same one."""
+    examine, known = check.oriented_parts, {}
+
+    def oriented_parts(*mount):
+        key = repr(mount)
+        if key not in known:
+            known[key] = examine(*mount)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(check, "oriented_parts", oriented_parts)
+        yield
 
 
 @pytest.fixture

@@ -1,0 +1,104 @@
+"""Test the force that compresses the flange's lip, and that the ring's screws can give it."""
+
+import math
+
+import pytest
+
+from probedesign.design import Design, parse_design
+from probedesign.design.sensor_catalog import SENSORS
+from probedesign.geometry import build_geometry
+from probedesign.mount import flange_adapter_for, mount_options, sensor_adapter_for
+from probedesign.mount.clamping import (
+    MODEL_RANGE,
+    NUT_FACTOR,
+    ClampForce,
+    clamp_force,
+    hand_torque,
+    pad_force,
+)
+from probedesign.mount.flange_adapter import fitting_flanges
+from probedesign.printing.check import check_print
+
+E = 2.32e6
+
+
+def design_of(sensor: str = "nano17", base_d: float = 12.0, mount: str = "", resin: str = "") -> Design:
+    model = SENSORS[sensor]
+    return parse_design(
+        f'schema = 1\nname = "x"\n[probe]\nlength_mm = 100.0\nbase_d_mm = {base_d}\ntip_d_mm = 2.0\n{resin}\n[sensor]\n'
+        f'model = "{sensor}"\ncalibration = "{model.calibrations[0].name}"\n[mount]\n'
+        f'robot_flange = "{fitting_flanges(model)[0]}"\n{mount}\n'
+    )
+
+
+def clamp_of(design: Design) -> ClampForce:
+    options = mount_options(design)
+    a = sensor_adapter_for(build_geometry(design), design.sensor_model, options=options)
+    plate = flange_adapter_for(design.sensor_model, design.robot_flange, options=options)
+    return clamp_force(a, plate, design.youngs_modulus.value)
+
+
+def test_the_force_of_a_pad_is_that_of_gent_and_lindley() -> None:
+    """Of a thin ring little is added beside it: the apparent modulus of a long strip of the same shape factor."""
+    modulus, t, width = 1e6, 1e-3, 40e-3
+    mean = 200e-3
+    area = math.pi * mean * width
+    force = pad_force(modulus, mean - width, mean + width, t, 1e-9)
+    shape = width / (2 * t)
+    # The half thickness beside each edge makes the pad wider by t/w = 2.5 %, its S² greater by 5 %.
+    assert force / (area * 1e-6) == pytest.approx(modulus * (1 + 2 * shape**2), rel=0.06)
+    # (1/λ² - λ)/3 exceeds the strain: by its second order, 1 + ε.
+    assert pad_force(modulus, 0.1, 0.2, t, 0.1e-3) / pad_force(modulus, 0.1, 0.2, t, 1e-7) == pytest.approx(
+        1000.0 * (1 / 0.81 - 0.9) / 0.3, rel=1e-3
+    )
+    assert pad_force(modulus, 0.1, 0.2, t, 0.0) == pad_force(modulus, 0.1, 0.2, t, -1e-4) == 0.0
+    # Of one material: pressure depends on proportions only.
+    assert pad_force(E, 0.026, 0.034, 6e-3, 0.8e-3) == pytest.approx(
+        4 * pad_force(E, 0.013, 0.017, 3e-3, 0.4e-3)
+    )
+
+
+@pytest.mark.parametrize(
+    ("base_d", "slips", "sticks"),
+    [(5.0, 29.0, 60.0), (8.0, 38.0, 84.0), (12.0, 51.0, 126.0), (25.0, 101.0, 203.0), (12.0, 58.0, 100.0)],
+)  # the last one on a tool face of 40 mm, the others on a Nano17
+def test_finite_elements_lie_within_the_stated_range_of_the_formula(
+    base_d: float, slips: float, sticks: float
+) -> None:
+    """`python -m benchmarks clamp`: lip of a flange of 3 mm compressed by 0.4 mm, small strain, E = 2.32 MPa."""
+    bore_d, land_d = (base_d + 1.0) * 1e-3, (base_d + 5.0) * 1e-3
+    linear = pad_force(E, bore_d, land_d, 3e-3, 1e-9) * 0.4e6
+    low, high = MODEL_RANGE
+    # The finite elements are rounded to 1 N of at least 29 N.
+    assert low * linear * 0.98 <= slips < sticks <= high * linear * 1.02
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_the_default_mount_of_every_sensor_closes(sensor: str) -> None:
+    for base_d in (3.0, 5.0, 8.0, 12.0, 18.0, 25.0):
+        clamp = clamp_of(design_of(sensor, base_d))
+        assert 0.0 < clamp.range[0] < clamp.nominal < clamp.range[1] <= clamp.preload
+        # The lip is the same on every sensor, whatever the width of its tool face.
+        assert clamp.nominal == pytest.approx(clamp_of(design_of(base_d=base_d)).nominal)
+
+
+def test_the_preload_is_that_of_the_stated_torque() -> None:
+    clamp = clamp_of(design_of())
+    assert clamp.torque == hand_torque(mount_options(design_of()).ring_screw) == 0.05
+    assert clamp.preload == pytest.approx(4 * 0.05 / (NUT_FACTOR * 2e-3))
+
+
+def severity_of(design: Design) -> str:
+    (finding,) = [f for f in check_print(design, layers=False).findings if f.rule == "clamp_force"]
+    return finding.severity
+
+
+def test_a_lip_that_needs_more_than_the_screws_give_is_found_and_the_remedies_help() -> None:
+    stiff = '[material]\nresin = "flexible-80a"'
+    assert severity_of(design_of()) == "ok" and severity_of(design_of(resin=stiff)) == "warning"
+    assert severity_of(design_of(mount="flange_thickness_mm = 5.0", resin=stiff)) == "ok"
+    assert severity_of(design_of(base_d=30.0)) == "warning"
+    assert severity_of(design_of(base_d=30.0, mount='ring_screw = "M3"')) == "ok"
+    wide = design_of(mount="flange_lip_mm = 10.0")
+    assert severity_of(wide) == "error" and clamp_of(wide).nominal > clamp_of(wide).preload
+    assert severity_of(design_of(mount="flange_lip_mm = 4.0")) == "ok"
