@@ -55,24 +55,19 @@ class PrecompileHook(BuildHookInterface[Any]):
             return
         self._folder = tempfile.TemporaryDirectory(prefix="probedesign-kernels-")
         folder = Path(self._folder.name)
-        if self._compile(folder):
-            for file in folder.glob("*/*.kernel"):
-                build_data["force_include"][str(file)] = f"{BUILT}/{file.relative_to(folder).as_posix()}"
-            build_data["pure_python"] = False
-            build_data["tag"] = wheel_tag()
+        self._compile(folder)
+        for file in folder.glob("*/*.kernel"):
+            build_data["force_include"][str(file)] = f"{BUILT}/{file.relative_to(folder).as_posix()}"
+        build_data["pure_python"] = False
+        build_data["tag"] = wheel_tag()
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
         """Remove the files that the wheel now contains."""
         if self._folder is not None:
             self._folder.cleanup()
 
-    def _compile(self, folder: Path) -> bool:
-        """Return whether the kernels could be compiled; without them the wheel compiles at its first use."""
+    def _compile(self, folder: Path) -> None:
+        """Compile all kernels into a folder; the build fails with them."""
         self.app.display_info("compiling the kernels of rod and estimator")
         command = [sys.executable, "-m", "probedesign.precompile", str(folder)]
-        done = subprocess.run(
-            command, cwd=self.root, check=False, env={**os.environ, "PYTHONPATH": self.root}
-        )
-        if done.returncode:
-            self.app.display_warning("the kernels could not be compiled; they will be at the first use")
-        return done.returncode == 0
+        subprocess.run(command, cwd=self.root, check=True, env={**os.environ, "PYTHONPATH": self.root})

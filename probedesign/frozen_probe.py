@@ -333,7 +333,8 @@ def _check_identity(data: dict[str, Any], path: Path) -> None:
         raise InputError(f"{path}: not a frozen probe; make one with: probedesign deploy DESIGN")
     if data.get("schema") not in SCHEMAS:
         known = f"this version reads {SCHEMAS[0]} to {SCHEMA}"
-        raise InputError(f"{path}: schema {data.get('schema')} is not known here ({known})")
+        remedy = "upgrade probedesign, or deploy the probe again with this version"
+        raise InputError(f"{path}: schema {data.get('schema')} is not known here ({known}); {remedy}")
     body = {key: value for key, value in data.items() if key != "checksum"}
     if data.get("checksum") != _checksum(body):
         raise InputError(f"{path}: does not match its own checksum; it was altered or cut: deploy it again")
@@ -445,7 +446,8 @@ def _read_json(path: Path, what: str) -> dict[str, Any]:
         whole = path.stat().st_size <= _MAX_BYTES
         data = json.loads(path.read_text(encoding="utf-8")) if whole else None
     except FileNotFoundError:
-        raise InputError(f"{path}: no such {what}") from None
+        remedy = "; make it with: probedesign deploy DESIGN" if what == "frozen probe" else ""
+        raise InputError(f"{path}: no such {what}{remedy}") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     except (ValueError, RecursionError):

@@ -14,7 +14,7 @@ import pytest
 from probedesign.cli import doctor, main
 from probedesign.cli.main import COMMANDS, run
 from probedesign.core.errors import CheckFailedError, InputError, MissingDependencyError
-from probedesign.core.files import check_overwrite
+from probedesign.core.files import check_overwrite, exports_of
 from probedesign.design import load_design
 from probedesign.rod.kernels import cache
 
@@ -389,7 +389,16 @@ def test_options_come_from_the_settings_file_and_the_environment(tmp_path, monke
 
 
 @pytest.mark.parametrize(
-    "text", ["[[[", "[lvie]\na = 1", "[new]\nlenght = 1", "live = 3", '[new]\nlength = "long"']
+    "text",
+    [
+        "[[[",
+        'exports = ""',
+        "exports = 3",
+        "[lvie]\na = 1",
+        "[new]\nlenght = 1",
+        "live = 3",
+        '[new]\nlength = "long"',
+    ],
 )
 def test_a_wrong_settings_file_gives_one_line_that_names_it(text, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
@@ -408,7 +417,8 @@ def test_one_folder_for_the_files_of_all_designs_is_set_once(by_file, tmp_path, 
     monkeypatch.setenv("PROBEDESIGN_EXPORTS", "" if by_file else str(tmp_path / "work/prints"))
     if by_file:
         monkeypatch.delenv("PROBEDESIGN_EXPORTS")
-        (tmp_path / "work/probedesign.toml").write_text('exports = "prints"\n')
+        monkeypatch.setenv("HOME", str(tmp_path / "work"))
+        (tmp_path / "work/probedesign.toml").write_text('exports = "~/prints"\n')
     monkeypatch.chdir(tmp_path / "work/below")
     assert run(NEW) == 0
     assert run(["deploy", "cone-150x12x2"]) == 0
@@ -455,6 +465,10 @@ def test_a_design_is_given_by_file_folder_or_name_and_a_frozen_probe_by_name(
     (tmp_path / "notes").mkdir()
     monkeypatch.chdir(tmp_path / "notes")
     assert run(["check", name]) == 0
+    assert exports_of().resolve() == tmp_path / "exports"  # of the project, also without a design
+    monkeypatch.chdir(tmp_path / "exports")
+    assert run(["check", name]) == 0  # although a folder has this name
+    monkeypatch.chdir(tmp_path / "notes")
     for command in (["estimate", name, "none"], ["validate", name, "none"]):
         capsys.readouterr()
         assert run(command) == 2

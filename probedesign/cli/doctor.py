@@ -4,7 +4,6 @@ import os
 import platform
 import re
 from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 from probedesign.cli.console import print_json, print_table
@@ -101,25 +100,19 @@ def _numba_cache() -> dict[str, Any]:
         from probedesign.rod.kernels import cache
     except ImportError:  # numba is missing or does not run here
         return {"folder": "", "writable": True, "processor": "no processor", "kernels": 0}
-    places, chosen = cache.folders(), os.environ.get("NUMBA_CACHE_DIR")
-    writable = [folder for folder in places if _is_writable(folder)]
+    places, folder = cache.folders(), cache.writable_folder.__wrapped__()
     kernels = {
         tuple(file.stem.split("-")[::2])  # function and types, whatever the version and the processor
-        for folder in places
+        for place in places
         for processor in cache.runs()
-        for file in (folder / cache.version(processor)).glob(f"*{cache.SUFFIX}")
+        for file in (place / cache.version(processor)).glob(f"*{cache.SUFFIX}")
     }
     return {
-        "folder": str(places[0] if chosen or not writable else writable[0]),
-        "writable": places[0] in writable if chosen else bool(writable),
+        "folder": str(folder or ""),
+        "writable": folder == places[0] if os.environ.get("NUMBA_CACHE_DIR") else folder is not None,
         "processor": cache.runs()[-1],
         "kernels": len(kernels),
     }
-
-
-def _is_writable(folder: Path) -> bool:
-    existing = next(p for p in (folder, *folder.parents) if p.exists())
-    return existing.is_dir() and os.access(existing, os.W_OK)
 
 
 def _print(findings: dict[str, Any]) -> None:
@@ -130,10 +123,9 @@ def _print(findings: dict[str, Any]) -> None:
         rows[package["name"]] = (package["version"] or "missing") + extra
     print_table(rows)
     cache = findings["numba_cache"]
-    remedy = "" if cache["writable"] else ", which is not writable; set NUMBA_CACHE_DIR to a writable folder"
-    print(
-        f"compiled kernels: {cache['kernels']} for {cache['processor']}; new ones in {cache['folder']}{remedy}"
-    )
+    place = f"new ones in {cache['folder']}" if cache["folder"] else "new ones cannot be saved"
+    remedy = "" if cache["writable"] else "; set NUMBA_CACHE_DIR to a folder that can be written"
+    print(f"compiled kernels: {cache['kernels']} for {cache['processor']}; {place}{remedy}")
     for missing in findings["missing"]:
         note = f" ({missing['note']})" if missing["note"] else ""
         print(f"missing for {missing['needed_for']}{note}:\n  {missing['install']}")

@@ -57,7 +57,8 @@ ENVIRONMENT = "PROBEDESIGN_"
 """Prefix of the variables that set options, such as PROBEDESIGN_LIVE_SOURCE for --source of live."""
 SETTINGS = "probedesign.toml"
 """File in the working directory or a folder above it that sets options, a table for each command."""
-HELP = frozenset({"--help", "-h", "--version"})
+HELP = frozenset({"--help", "-h", "--version", "--install-completion"})
+"""Options that need no settings file."""
 INTERRUPTED = 130
 """Exit status after SIGINT: 128 plus the number of the signal."""
 
@@ -118,8 +119,9 @@ def read_settings() -> "tuple[dict[str, Any], str]":
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"{path}: cannot be read as TOML: {error}") from None
     exports = found.pop("exports", None)
-    if isinstance(exports, str):
-        os.environ.setdefault(EXPORTS_VARIABLE, os.path.join(os.path.dirname(path), exports))
+    if isinstance(exports, str) and exports:
+        place = os.path.join(os.path.dirname(path), os.path.expanduser(exports))
+        os.environ.setdefault(EXPORTS_VARIABLE, place)
     elif exports is not None:
         raise InputError(f"{path}: exports = {exports!r} is not the path of a folder")
     for name, table in found.items():
@@ -163,7 +165,7 @@ def _run(arguments: list[str]) -> int:
     from probedesign.core.errors import InputError, MissingDependencyError
 
     try:
-        status = build_app(HELP.isdisjoint(arguments))(arguments)
+        status = build_app(bool(arguments) and HELP.isdisjoint(arguments))(arguments)
         sys.stdout.flush()
         return status if isinstance(status, int) else 0
     except (CycloptsError, InputError, MissingDependencyError) as error:

@@ -26,9 +26,14 @@ if TYPE_CHECKING:
 
 def design_file(given: Path) -> Path:
     """Return the design file of an argument: the file, the one file of a folder, or NAME of designs/NAME.toml."""
-    if given.is_dir():
-        return file_in(given, "*.toml", "design")
-    return given if given.exists() else _in_project(Path("designs", f"{given}.toml"), given)
+    if given.is_file():
+        return given
+    named = _in_project(Path("designs", f"{given}.toml"), given)
+    if not given.is_dir():
+        return named
+    if named.is_file() and not any(given.glob("*.toml")):
+        return named  # the folder is that of its exports
+    return file_in(given, "*.toml", "design")
 
 
 def frozen_probe(given: Path) -> Path:

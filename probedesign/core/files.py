@@ -125,7 +125,7 @@ EXPORTS_VARIABLE = "PROBEDESIGN_EXPORTS"
 def chosen_exports() -> Path | None:
     """Return the folder for the files of all designs that the environment names, None without one."""
     chosen = os.environ.get(EXPORTS_VARIABLE)
-    return Path(chosen) if chosen else None
+    return Path(chosen).expanduser() if chosen else None
 
 
 def exports_of(design: Path | None = None) -> Path:
@@ -135,17 +135,19 @@ def exports_of(design: Path | None = None) -> Path:
     elsewhere it is that of the working directory.
 
     Args:
-        design: the design file; None for files that belong to none.
+        design: the design file; None for files that belong to none, which go to the project of the working directory.
     """
     chosen = chosen_exports()
     if chosen is not None:
         return chosen
-    if design is not None:
-        here, folder = Path.cwd(), Path(os.path.abspath(design)).parent
-        project = folder.parent
-        if folder.name == "designs" and here != project and here.is_relative_to(project):
-            return Path(os.path.relpath(project / EXPORTS))
-    return EXPORTS
+    here = Path.cwd()
+    if design is None:
+        projects = (folder for folder in (here, *here.parents) if any(folder.glob("designs/*.toml")))
+        project = next(projects, here)
+    else:
+        folder = Path(os.path.abspath(design)).parent
+        project = folder.parent if folder.name == "designs" and here.is_relative_to(folder.parent) else here
+    return EXPORTS if project == here else Path(os.path.relpath(project / EXPORTS))
 
 
 PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")

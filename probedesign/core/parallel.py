@@ -128,11 +128,12 @@ def process_map(
         yield from enumerate(map(function, tasks))
         return
     context = multiprocessing.get_context(start_method())
-    if preload and start_method() == "forkserver":
-        context.set_forkserver_preload(list(preload))
+    if preload:
+        start_forkserver(preload)
     with ProcessPoolExecutor(count, context, _initialize_worker, (initializer, initargs)) as pool:
-        futures = {pool.submit(function, task): i for i, task in enumerate(tasks)}
         try:
+            with defer_sigint():  # a worker that starts while this process ends prints a traceback
+                futures = {pool.submit(function, task): i for i, task in enumerate(tasks)}
             for future in as_completed(futures):
                 yield futures[future], future.result()
         except BaseException:

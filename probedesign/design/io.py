@@ -335,6 +335,8 @@ def load_design(path: str | Path) -> Design:
         InputError: the file cannot be read, is not TOML, or has a wrong value; one line.
     """
     path = Path(path)
+    if path.name.endswith(".probe.json"):
+        raise InputError(f"{path}: is a frozen probe; give the design file that it was deployed from")
     text = read_text(path, "design file", "make one with: probedesign new")
     return parse_design(text, str(path))
 

@@ -8,10 +8,8 @@ is fixed.
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from probedesign.core.frames import Array, inverse, wrench_map
 from probedesign.core.units import MM
@@ -233,11 +231,6 @@ class ErrorSources:
     def room(self) -> int:
         """Return how many numbers the compiled estimate works in."""
         return multistart.room_for(len(self.model.rod.s), len(self.names))
-
-    @cached_property
-    def scratch(self) -> list[tuple[Array, NDArray[Any]]]:
-        """Return memory of compiled estimates that have ended; the next ones take it. Threads do not share a piece."""
-        return []
 
 
 FINE = 5e-7

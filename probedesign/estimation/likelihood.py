@@ -6,6 +6,7 @@ the force–moment method (`force_moment.py`). The fit itself is compiled (`cont
 """
 
 import math
+from collections import defaultdict
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple, cast
@@ -112,21 +113,26 @@ def explains(place: Candidate) -> bool:
     return place.chi2 <= max_chi2(place.dof, MISFIT_CHANCE)
 
 
+_spare: dict[int, list[tuple[Array, NDArray[Any]]]] = defaultdict(list)
+"""Memory of fits that have ended, by its size, for the next ones; threads do not share a piece."""
+
+
 def _fit(problem: Problem, near: Array | None) -> NDArray[Any]:
     """Return what was fitted from one touch, or from every candidate along the probe: rows of `FIT`, (n,)."""
     model, seen = problem.sources.model, problem.seen
     rows = np.empty(MAX_STARTS, dtype=FIT)
     if near is not None:
         rows["touch"][0] = near
+    spare = _spare[problem.sources.room]
     try:
-        work, scratch = problem.sources.scratch.pop()
+        work, scratch = spare.pop()
     except IndexError:
         work, scratch = np.empty(problem.sources.room), np.empty(1, dtype=FIT_SCRATCH)
     count = multistart.fit_contacts(
         model.rod.body, model.rod.flank_end, seen.gravity, model.mass, seen.wrench, problem.noise, problem.friction,
         *problem.sources.arguments(), near is not None, work, scratch, rows,
     )  # fmt: skip
-    problem.sources.scratch.append((work, scratch))
+    spare.append((work, scratch))
     return rows[:count]
 
 

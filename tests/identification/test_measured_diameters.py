@@ -222,9 +222,7 @@ def test_measured_design_has_the_diameters_and_a_smaller_budget(probe: str, tmp_
     assert set(changed.probe.measured) >= {"base_d_mm"}
     before, after = build_probe(design), build_probe(changed)
     shift = 2e3 * (after.geometry.radius - before.geometry.radius)
-    assert (
-        (shift > 0.02) & (shift < 0.0605)
-    ).all()  # between the drawn size and the readings, in micrometres
+    assert ((shift > 0.02) & (shift < 0.0605)).all()  # [mm], between the drawn size and the readings
     assert after.tolerances.diameter_mm < 0.5 * before.tolerances.diameter_mm
     touch = {"fractions": [0.8], "forces_N": [0.02], "directions": ["+y"]}
     budgets = [p.predict(**touch).conditions[0].budget_mm["diameter"] for p in (before, after)]

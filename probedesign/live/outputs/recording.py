@@ -397,7 +397,8 @@ class RecordingSink(Sink):
         writer.close()
         first = recording.first_path
         files = f"{recording.path}" if first == recording.path else f"{first} ... {recording.path.name}"
-        return f"recorded {writer.readings} readings to {files}"
+        early = f"; it ended early: {writer.failure}" if writer.failure else ""
+        return f"recorded {writer.readings} readings to {files}{early}"
 
     def on_samples(self, block: Block) -> None:
         """Record readings; see `Sink`."""

@@ -94,6 +94,8 @@ class KernelCache:
             if not (compiled.lifted or compiled.library.has_dynamic_globals):
                 self._save(self._file(signature, compiled_for()), dumps(compiled._reduce()))
         finally:
+            if self._lock is not None:  # who waits for it finds the kernel
+                Path(self._lock.name).unlink(missing_ok=True)
             self._unlock()
 
     def flush(self) -> None:
