@@ -257,8 +257,7 @@ def lip_force(
 
 def lip_rows(compression: float = 0.4) -> list[list[str]]:
     """Return the table of the lip's force: the formula at small strain against finite elements."""
-    from probedesign.mount.clamping import pad_force
-    from probedesign.mount.sensor_adapter import LAND_RELIEF
+    from probedesign.mount.lip import LAND_RELIEF, pad_force
 
     rows = []
     for d, face_d, land in (*((d, 17.0, True) for d in (5.0, 8.0, 12.0, 25.0)), (12.0, 40.0, True),

@@ -83,13 +83,15 @@ def sensor_adapter_sheet(model: CadModel, part: CadPart) -> Sheet:
         Holes(a.p_dowels, a.dowel_d, f"⌀{_mm(a.dowel_d)}{fit}, {_mm(a.dowel_depth)} deep, {second}"),
     ]
     # What screws and clamp rely on is dimensioned by itself: the tolerance stack counts it as one length.
-    heights = [*_from_datum(a.foot_height, a.cone_top, a.peg_top, a.body_top), (a.floor, a.body_top)]
+    heights = [
+        *_from_datum(a.foot_height, a.cone_top, a.groove_floor, a.peg_top, a.body_top),
+        (a.floor, a.body_top),
+    ]
     tops = [a.land_d, a.recess_d, a.body_d]
     notes = [
         "A: z = 0 rests on the sensor's tool face; positions are from A and from the axis",
         f"flat at x = {_mm(a.mark_x)} shows +x; underside at {UNDERSIDE_DEG:g}° to the horizontal",
-        f"land ⌀{_mm(a.land_d)} below the flange, groove around it {_mm(a.groove)} deep to z = {_mm(a.groove_floor)}; "
-        f"notch {_mm(VENT_WIDTH)} wide from the groove to the flat",
+        f"groove around the land ⌀{_mm(a.land_d)}, with a notch {_mm(VENT_WIDTH)} wide to the flat",
         f"fits: {_pin_fit(a.dowels.diameter, a.options.milled)}; ⌀{_mm(a.recess_d)} takes the probe's "
         f"flange ⌀{_mm(a.flange.diameter)} with {_mm(SLIP)} play",
         *engraving_note(a.on_wall, "the rim"),

@@ -1,21 +1,13 @@
-"""Force that compresses the flange's lip until the ring rests on the wall, and the preload of the ring's screws.
-
-The lip between ring and land is a thin pad of rubber, which bulges more than it is compressed. By Gent and Lindley a
-pad that sticks to both plates has the apparent modulus E (1 + 2 S²), with S the loaded area over the area that is free
-to bulge, and at a stretch λ of its height the pressure E (1 + 2 S²) (1/λ² - λ)/3. For a ring of width w and thickness
-t, free at both edges, S = w/(2 t). Here soft resin lies beside both edges and impedes the bulging; S = (w + t)/(2 t),
-as if the pad were wider by half its thickness on each side, reproduces finite elements (`python -m benchmarks clamp`).
-
-Source: A. N. Gent, P. B. Lindley, The compression of bonded rubber blocks, Proc. Inst. Mech. Eng. 173, 111-122, 1959.
-"""
+"""The force that closes the clamp, the preload of the ring's screws, and the bending of the ring; see `lip`."""
 
 import math
 from dataclasses import dataclass
 from typing import Any
 
-from probedesign.core.units import MPA
+from probedesign.core.units import MM, MPA
 from probedesign.design.catalog import SocketScrew
 from probedesign.mount.flange_adapter import FlangeAdapter
+from probedesign.mount.lip import MAX_BENDING_SHARE, pad_force
 from probedesign.mount.sensor_adapter import SensorAdapter
 from probedesign.mount.tolerance_stack import tolerance_stacks
 
@@ -51,21 +43,6 @@ def ring_torque(a: SensorAdapter) -> float:
     return hand_torque(a.ring_screw, below_nut)
 
 
-def pad_force(modulus: float, inner_d: float, outer_d: float, thickness: float, compression: float) -> float:
-    """Return the force [N] that compresses a ring of rubber beside more rubber; zero without compression.
-
-    Args:
-        modulus: E [Pa].
-        inner_d, outer_d: of the ring [m].
-        thickness: uncompressed [m].
-        compression: of the thickness [m].
-    """
-    width, stretch = (outer_d - inner_d) / 2, 1.0 - max(compression, 0.0) / thickness
-    shape_factor = (width + thickness) / (2.0 * thickness)
-    area = math.pi / 4 * (outer_d**2 - inner_d**2)
-    return modulus * (1.0 + 2.0 * shape_factor**2) * (stretch**-2 - stretch) / 3.0 * area
-
-
 @dataclass(frozen=True)
 class ClampForce:
     """Force of the lip against the preload of the ring's screws [N].
@@ -76,6 +53,8 @@ class ClampForce:
         preload: of all screws of the ring together, at the torque of the bill of materials.
         torque: of one screw [N·m].
         screws: their number.
+        bending: of the ring's inner edge at the nominal force, with the rim clamped and simply supported [m].
+        squeeze: nominal compression of the lip between rigid parts [m].
     """
 
     nominal: float
@@ -83,6 +62,13 @@ class ClampForce:
     preload: float
     torque: float
     screws: int
+    bending: tuple[float, float]
+    squeeze: float
+
+    @property
+    def bending_share(self) -> float:
+        """Return the ring's bending, the mean of both supports, over the compression of the lip."""
+        return sum(self.bending) / 2.0 / self.squeeze
 
     def as_record(self) -> dict[str, Any]:
         """Return the record of the manifest."""
@@ -92,9 +78,11 @@ class ClampForce:
             "preload_N": round(self.preload, 1),
             "torque_Nm": self.torque,
             "screws": self.screws,
-            "closes": self.range[1] <= self.preload,
-            "source": "computed, not measured: Gent and Lindley 1959 and finite elements for the lip; preload from the "
-            f"torque with a nut factor of {NUT_FACTOR:g} (Shigley)",
+            "ring_bending_mm": [round(bending / MM, 3) for bending in self.bending],
+            "closes": self.range[1] <= self.preload
+            and self.bending_share <= MAX_BENDING_SHARE * (1.0 + 1e-9),
+            "source": "computed, not measured: Gent and Lindley 1959 and finite elements for the lip; Roark's formulas "
+            f"for the ring; preload from the torque with a nut factor of {NUT_FACTOR:g} (Shigley)",
         }
 
 
@@ -123,4 +111,6 @@ def clamp_force(a: SensorAdapter, plate: FlangeAdapter, modulus: float) -> Clamp
         preload=screws * torque / (NUT_FACTOR * a.ring_screw.nominal_d),
         torque=torque,
         screws=screws,
+        bending=a.ring_bending(nominal),
+        squeeze=squeeze.nominal,
     )

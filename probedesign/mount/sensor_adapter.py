@@ -29,6 +29,17 @@ from probedesign.design.catalog import (
 from probedesign.design.sensors import DowelPattern, ScrewPattern, SensorModel
 from probedesign.geometry import FLANGE_LIP, Flange, ProbeGeometry
 from probedesign.mount.engraving import XY, Engraving, engrave, free_arcs
+from probedesign.mount.lip import (
+    ALUMINIUM_MODULUS,
+    MIN_LIP,
+    MIN_RELIEF,
+    RIGID_MODULUS,
+    STIFF_RESIN,
+    land_diameter,
+    pad_force,
+    plate_bending,
+    stiff_thickness,
+)
 
 if TYPE_CHECKING:
     from probedesign.design import Design
@@ -54,11 +65,6 @@ PEG_BELOW_RING = 0.4 * MM
 RING_CLEARANCE = 0.5 * MM
 """Radial clearance of the ring's bore at s = 0 to a probe of up to 30 mm, more by the tolerance of a wider one; the
 bore then widens by 45° to clear the bending probe."""
-MIN_LIP = 1.5 * MM
-"""Least width of the lip between the ring and the land."""
-LAND_RELIEF, MIN_RELIEF = 1.0 * MM, 0.5 * MM
-"""Outer width of the lip below which the floor lies lower, so that pressed resin has room, and the least of it where a
-bulge of the probe needs a wide ring (assumed; without room the lip of a wide flange needs thousands of newtons)."""
 RING_AZIMUTHS_DEG = (45.0, 135.0, 225.0, 315.0)
 WALL = 0.6 * MM
 """Between a nut's slot and the recess, and outside a hole."""
@@ -105,12 +111,14 @@ class MountOptions:
         lip: radial width of the flange under the clamp ring [m].
         squeeze: nominal compression of the lip [m]; None for the least that the tolerances allow.
         milled: whether the rigid parts are milled from aluminium instead of printed.
+        lip_modulus: E of the flange that the ring's thickness is chosen for [Pa].
     """
 
     ring_screw: SocketScrew = M2
     lip: float = FLANGE_LIP
     squeeze: float | None = None
     milled: bool = False
+    lip_modulus: float = STIFF_RESIN
 
     @property
     def nut(self) -> Nut:
@@ -118,9 +126,14 @@ class MountOptions:
         return NUTS[self.ring_screw.thread]
 
     @property
-    def ring_thickness(self) -> float:
-        """Return the thickness of the clamp ring [m], by which the nuts lie above the adapter's underside."""
+    def min_ring_thickness(self) -> float:
+        """Return the least thickness of the clamp ring [m]: a wide one is thicker."""
         return (2.5 if self.ring_screw is M2 else 4.0) * MM
+
+    @property
+    def modulus(self) -> float:
+        """Return E of the rigid parts [Pa]."""
+        return ALUMINIUM_MODULUS if self.milled else RIGID_MODULUS
 
     @property
     def tolerance(self) -> float:
@@ -153,7 +166,8 @@ def mount_options(design: "Design") -> MountOptions:
     mount = design.mount
     lip = FLANGE_LIP if mount.flange_lip_mm is None else mount.flange_lip_mm * MM
     squeeze = None if mount.squeeze_mm is None else mount.squeeze_mm * MM
-    return MountOptions(SCREWS[mount.ring_screw], lip, squeeze, mount.adapters == "milled")
+    modulus = max(STIFF_RESIN, design.youngs_modulus.value)
+    return MountOptions(SCREWS[mount.ring_screw], lip, squeeze, mount.adapters == "milled", modulus)
 
 
 @dataclass(frozen=True)
@@ -243,6 +257,11 @@ class SensorAdapter:
     def ring_screw(self) -> SocketScrew:
         """Return the dimensions of the ring's screws."""
         return self.options.ring_screw
+
+    def ring_bending(self, force: float) -> tuple[float, float]:
+        """Return by how much the ring's inner edge bends under a force of the lip [m], see `lip.plate_bending`."""
+        load_d, modulus = (self.ring_bore_d + self.land_d) / 2, self.options.modulus
+        return plate_bending(modulus, self.ring_thickness, self.ring_bore_d, self.recess_d, load_d, force)
 
     @property
     def p_tool_screws(self) -> tuple[XY, ...]:
@@ -338,12 +357,18 @@ def sensor_adapter_for(
     # The nut's two inner corners, at (af/√12, af/2) from its axis, touch the slot's round end.
     reach = _up(nut.af / math.sqrt(12.0) - math.sqrt((width / 2) ** 2 - (nut.af / 2) ** 2))
     circle_d = _up(recess_d + 2 * (WALL + width / 2 + reach))
-    stock = [n * MM for n in screw.stock_mm]
-    needed = options.ring_thickness + ROOF + nut.height
-    length = next(n for n in stock if n >= needed + nut_slack(screw, n, options))
-    roof = length - options.ring_thickness - nut.height - nut_slack(screw, length, options)
-
     bore_d = _ring_bore_d(geometry)
+    land_d = land_diameter(2 * geometry.base_radius, options.lip, flange.diameter, bore_d, tool, WALL)
+    stock = [n * MM for n in screw.stock_mm]
+    thickest = stock[-1] - ROOF - nut.height - nut_slack(screw, stock[-1], options)
+    force = pad_force(options.lip_modulus, bore_d, land_d, flange.thickness, squeeze)
+    stiff = stiff_thickness(
+        options.modulus, options.min_ring_thickness, bore_d, recess_d, (bore_d + land_d) / 2, force, squeeze
+    )
+    ring_thickness = min(stiff, thickest)
+    needed = ring_thickness + ROOF + nut.height
+    length = next(n for n in stock if n >= needed + nut_slack(screw, n, options) - 1e-9)
+    roof = length - ring_thickness - nut.height - nut_slack(screw, length, options)
     pin_beyond = dowels.pin_length - dowels.depth
     dowel_depth = pin_beyond + PIN_TOLERANCE + options.tolerance + options.face_loss + PIN_ROOM
     body_d = circle_d + screw.head_d + 2 * HEAD_EDGE
@@ -355,8 +380,7 @@ def sensor_adapter_for(
     # From the floor up; a wide rim has a high cone, on which the floor must lie higher than its screws require.
     wall = flange.thickness - squeeze
     slot_bottom = wall - roof - nut.height - NUT_PLAY
-    hole_bottom = wall + options.ring_thickness - length - TIP_ROOM
-    land_d = _land_d(geometry, options, bore_d)
+    hole_bottom = wall + ring_thickness - length - TIP_ROOM
     groove = _up(squeeze + length_tolerance(flange.thickness) + 2 * options.tolerance)
     lowest = max(
         cone_top + WALL - slot_bottom,
@@ -402,8 +426,8 @@ def sensor_adapter_for(
         squeeze=squeeze,
         probe_d=2.0 * float(geometry.radius.max()),
         ring_bore_d=bore_d,
-        ring_bore_top_d=min(bore_d + 2 * options.ring_thickness, head_clear_d),
-        ring_thickness=options.ring_thickness,
+        ring_bore_top_d=min(bore_d + 2 * ring_thickness, head_clear_d),
+        ring_thickness=ring_thickness,
         ring_screw_length=length,
         ring_circle_d=circle_d,
         nut_slot_width=width,
@@ -412,7 +436,7 @@ def sensor_adapter_for(
         ring_hole_bottom=floor + hole_bottom,
         on_flange=engraved(peg_x, 0.0, (0.0,), peg_hole_d),
         on_wall=engraved(letters, body_top, (0.0, *RING_AZIMUTHS_DEG), screw.clearance_d),
-        on_ring=engraved(letters, options.ring_thickness, RING_AZIMUTHS_DEG, screw.head_d),
+        on_ring=engraved(letters, ring_thickness, RING_AZIMUTHS_DEG, screw.head_d),
     )
 
 
@@ -474,10 +498,3 @@ def max_ring_passage_d(flange: Flange) -> float:
     """Return the largest probe diameter over which a ring passes that still clamps the flange [m]."""
     rest = flange.diameter - 2 * (MIN_RELIEF + MIN_LIP + RING_CLEARANCE)
     return rest - 2 * _beyond_least(rest)
-
-
-def _land_d(geometry: ProbeGeometry, options: MountOptions, bore_d: float) -> float:
-    """Return the diameter of the land that supports the lip [m]: independent of the sensor, whose tool face may widen
-    the flange."""
-    land_d = 2 * (geometry.base_radius + options.lip - LAND_RELIEF)
-    return max(land_d, min(bore_d + 2 * MIN_LIP, geometry.flange.diameter - 2 * MIN_RELIEF))

@@ -19,7 +19,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.design.catalog import PRINTERS, Printer
-from probedesign.geometry import ProbeGeometry, build_geometry
+from probedesign.geometry import FLANGE_LIP, ProbeGeometry, build_geometry
 from probedesign.mount import (
     FlangeAdapter,
     SensorAdapter,
@@ -30,6 +30,7 @@ from probedesign.mount import (
 from probedesign.mount.clamping import clamp_force
 from probedesign.mount.engraving import XY
 from probedesign.mount.flange_adapter import TIE_SLOT
+from probedesign.mount.lip import MAX_BENDING_SHARE
 from probedesign.mount.sensor_adapter import PEG_D
 from probedesign.mount.tolerance_stack import tolerance_stacks
 from probedesign.printing.findings import Finding, Rule, Severity
@@ -69,6 +70,9 @@ MIN_DRAIN_D = 3.5
 
 BUILD_VOLUME = Rule("build_volume", "mm", f"PreForm's build volumes; {PLATFORM_SETUP}", "high")
 STACK = Rule("tolerance_stack", "mm", "worst case of the tolerances that the drawings state", "high")
+RING_BENDING = Rule(
+    "ring_bending", "mm", "Roark's formulas for annular plates, mean of two supports", "medium"
+)
 CLAMP = Rule("clamp_force", "N", "Gent and Lindley 1959, compared with finite elements", "medium")
 SLENDERNESS = Rule(
     "slenderness", "1", f"about the wires of {GUIDE}; an error below half of it (assumed)", "low"
@@ -216,11 +220,18 @@ def clamp_findings(a: SensorAdapter, plate: FlangeAdapter, modulus: float) -> li
     it, an error where its nominal force does; modulus E of the probe's resin [Pa]."""
     clamp = clamp_force(a, plate, modulus)
     more = "" if a.ring_screw.thread == "M3" else 'set mount.ring_screw = "M3", '
-    remedy = f"{more}reduce mount.flange_lip_mm, or increase mount.flange_thickness_mm"
+    narrower = "reduce mount.flange_lip_mm, " if a.options.lip > FLANGE_LIP else ""
+    remedy = f"{more}{narrower}or increase mount.flange_thickness_mm".removeprefix("or ")
     what = (
         f"preload of the ring's {clamp.screws} screws at {clamp.torque:g} N·m, to compress the flange's lip"
     )
-    return [CLAMP.at_least("mount", what, clamp.preload, clamp.range[1], clamp.nominal, remedy)]
+    return [
+        CLAMP.at_least("mount", what, clamp.preload, clamp.range[1], clamp.nominal, remedy),
+        RING_BENDING.warn_above(
+            "clamp_ring", "bending under the force of the lip, instead of compressing it", sum(clamp.bending) / 2 / MM,
+            MAX_BENDING_SHARE * clamp.squeeze / MM, 'set mount.adapters = "milled"',
+        ),
+    ]  # fmt: skip
 
 
 def layer_findings(part: OrientedPart) -> list[Finding]:
@@ -247,6 +258,7 @@ def _adapter_walls(a: SensorAdapter) -> Walls:
     roof_hole = a.roof_hole_d / 2
     hole, inner = a.ring_screw.clearance_d / 2, ring - a.nut_slot_reach - a.nut_slot_width / 2
     tool, dowel, foot = _reach(a.p_tool_screws), _reach(a.p_dowels), a.foot_d / 2
+    land = a.land_d / 2 - tool - a.tool.screw.counterbore_d / 2  # below zero its edge crosses the heads' room
     # The cone below a ring screw's blind hole, and below the floor of a nut's slot at the rim.
     cone = a.foot_height + (ring + hole - a.cone_d / 2) * (a.cone_top - a.foot_height) / (rim - a.cone_d / 2)
     return [
@@ -262,6 +274,7 @@ def _adapter_walls(a: SensorAdapter) -> Walls:
             foot - tool - a.tool.screw.clearance_d / 2,
             UNSUPPORTED_WALL,
         ),
+        *([("between a head's room and edge of the land", land, UNSUPPORTED_WALL)] if land >= 0.0 else []),
         ("between dowel hole and edge of the foot", foot - dowel - a.dowel_d / 2, UNSUPPORTED_WALL),
         ("over a dowel hole", a.groove_floor - a.dowel_depth, SUPPORTED_WALL),
         ("below the groove, at the notch", a.groove_floor - a.cone_top, UNSUPPORTED_WALL),

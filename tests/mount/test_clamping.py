@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from probedesign.design import Design, parse_design
@@ -14,9 +15,10 @@ from probedesign.mount.clamping import (
     ClampForce,
     clamp_force,
     hand_torque,
-    pad_force,
 )
 from probedesign.mount.flange_adapter import fitting_flanges
+from probedesign.mount.lip import MAX_BENDING_SHARE, MIN_LIP, MIN_RELIEF, pad_force, plate_bending
+from probedesign.mount.sensor_adapter import WALL
 from probedesign.printing.check import check_print
 
 E = 2.32e6
@@ -78,8 +80,47 @@ def test_the_default_mount_of_every_sensor_closes(sensor: str) -> None:
     for base_d in (3.0, 5.0, 8.0, 12.0, 18.0, 25.0):
         clamp = clamp_of(design_of(sensor, base_d))
         assert 0.0 < clamp.range[0] < clamp.nominal < clamp.range[1] <= clamp.preload
-        # The lip is the same on every sensor, whatever the width of its tool face.
-        assert clamp.nominal == pytest.approx(clamp_of(design_of(base_d=base_d)).nominal)
+        assert 0.0 < clamp.bending[0] < clamp.bending[1] < clamp.squeeze / 2
+        assert clamp.bending_share <= MAX_BENDING_SHARE and clamp.as_record()["closes"]
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_the_edge_of_the_land_leaves_no_blade_beside_the_heads(sensor: str) -> None:
+    """Where the edge crosses the room of a head, the corner between both circles is blunt; otherwise a wall is left."""
+    for base_d in np.arange(3.0, 26.0, 0.1):
+        design = design_of(sensor, float(base_d))
+        a = sensor_adapter_for(build_geometry(design), design.sensor_model, options=mount_options(design))
+        R, r, apart = a.land_d / 2, a.tool.screw.counterbore_d / 2, a.tool.bolt_circle_d / 2
+        assert (a.flange.diameter - a.land_d) / 2 >= MIN_RELIEF - 1e-9
+        assert a.land_d - a.ring_bore_d >= 2 * MIN_LIP - 1e-9
+        if apart + r <= R:
+            assert R - apart - r >= WALL - 1e-9
+        elif apart < R:
+            assert math.degrees(math.acos((R * R + r * r - apart * apart) / (2 * R * r))) > 30.0
+
+
+def test_the_bending_of_a_plate_is_that_of_textbooks() -> None:
+    """A plate with a tiny hole and the load near its middle bends as a full plate under a point load: the hole leaves
+    F a²/(16 π D) when clamped and (3 + ν)/(1 + ν) times as much when supported (Timoshenko, Theory of Plates and
+    Shells, articles 16 and 19), but for moments at the hole's edge, which vanish with the load on a circle of 2 %."""
+    E, t, a, force = 2.5e9, 2e-3, 0.05, 10.0
+    D = E * t**3 / 12 / (1 - 0.35**2)
+    point = force * a**2 / (16 * math.pi * D)
+    clamped, supported = plate_bending(E, t, 1e-5 * a, 2 * a, 0.04 * a, force)
+    assert clamped == pytest.approx(point, rel=0.02)
+    assert supported == pytest.approx((3.35 / 1.35) * point, rel=0.02)
+    twice = plate_bending(E, 2 * t, 0.4 * a, 2 * a, 0.5 * a, force)
+    assert twice == pytest.approx([x / 8 for x in plate_bending(E, t, 0.4 * a, 2 * a, 0.5 * a, force)])
+
+
+def test_a_ring_that_cannot_be_thick_enough_is_found_and_milling_mends_it() -> None:
+    stiff = "[material]\nyoungs_modulus_mpa = 20.0"
+
+    def bends(mount: str) -> str:
+        every = check_print(design_of("gamma", mount=mount, resin=stiff), layers=False).findings
+        return next(f.severity for f in every if f.rule == "ring_bending")
+
+    assert bends("") == "warning" and bends('adapters = "milled"') == "ok"
 
 
 def test_the_preload_is_that_of_the_stated_torque() -> None:
