@@ -1,5 +1,6 @@
 """The docs are correct: commands and examples run, examples print the values in their comments, links resolve."""
 
+import html
 import json
 import re
 import shlex
@@ -52,7 +53,7 @@ def examples_of(page: Path) -> list[str]:
 
 ALL_PAGES = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
 PAGES = sorted(page for page in ALL_PAGES if commands_of(page) or examples_of(page))
-SLOW = {"search"}
+SLOW = {"choosing"}
 """Pages whose commands take minutes: searches and Monte Carlo checks."""
 
 
@@ -151,3 +152,9 @@ def test_the_site_lists_every_page_and_every_public_name():
 def test_the_site_is_built_without_warnings(tmp_path):
     build = pytest.importorskip("sphinx.cmd.build")
     assert build.main(["-q", "-W", str(ROOT / "docs"), str(tmp_path)]) == 0
+    for page in (ROOT / "docs").glob("*.md"):
+        if page.stem != "README":
+            title = page.read_text(encoding="utf-8").splitlines()[0].removeprefix("# ").replace("`", "")
+            built = (tmp_path / f"{page.stem}.html").read_text(encoding="utf-8")
+            heading = re.search(r"<h1>(.*?)<a ", built, re.DOTALL)
+            assert heading and html.unescape(re.sub(r"<[^>]*>", "", heading[1])) == title
