@@ -1,16 +1,24 @@
-"""Time of the studio from the motion of a slider to new curves and a new shape in a browser."""
+"""Time of the studio from the motion of a slider to new curves and a new shape in a browser; picture of its page."""
 
 import shutil
 import statistics
+import tempfile
 import time
+from contextlib import chdir
+from pathlib import Path
 
 import numpy as np
 
 from benchmarks.timing import print_table
+from probedesign.cli.main import run
+from probedesign.design import load_design
+from probedesign.optimization.design_space import design_dict
 from probedesign.prediction.table_one import PROBES, paper_design
 from probedesign.studio.page import StudioPage
 from probedesign.studio.session import Session
 
+PICTURE = Path(__file__).parents[1] / "docs/pictures/studio.png"
+SIZE = {"width": 1280, "height": 720}
 MOVES = 60
 """Moves of a slider for each probe."""
 ARGUMENTS = ["--enable-unsafe-swiftshader", "--no-sandbox"]
@@ -26,7 +34,7 @@ WATCH = """() => { window.seen = []; let last = ''; new MutationObserver(() => {
 
 
 def report() -> None:
-    """Print the times of the computation and until the browser shows the result."""
+    """Print the times of the computation and until the browser shows the result, and take the picture."""
     from playwright.sync_api import sync_playwright
 
     rows = []
@@ -39,7 +47,7 @@ def report() -> None:
             if chromium:
                 with sync_playwright() as driver:
                     browser = driver.chromium.launch(executable_path=chromium, args=ARGUMENTS)
-                    tab = browser.new_page(viewport={"width": 1280, "height": 720})
+                    tab = browser.new_page(viewport=SIZE)
                     tab.goto(page.url)
                     tab.wait_for_selector("svg title", state="attached", timeout=120_000)
                     tab.wait_for_timeout(3000)
@@ -57,6 +65,30 @@ def report() -> None:
         "95th percentile",
     ]
     print_table(f"Time from the motion of a slider to new curves and shape, {MOVES} moves each", head, rows)
+    if chromium:
+        draw_page(chromium)
+
+
+def draw_page(chromium: str, picture: Path = PICTURE) -> None:
+    """Take the picture of the page with the design of the README, as `new --length 150 --base-d 12` writes it."""
+    from playwright.sync_api import sync_playwright
+
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        assert run(["new", "--length", "150", "--base-d", "12"]) == 0
+        design = load_design(Path("designs/cone-150x12x2.toml"))
+    page = StudioPage(Session(design, design.name, start=design_dict(design)), "127.0.0.1", 8095)
+    try:
+        with sync_playwright() as driver:
+            browser = driver.chromium.launch(executable_path=chromium, args=ARGUMENTS)
+            tab = browser.new_page(viewport=SIZE)
+            tab.goto(page.url)
+            tab.wait_for_selector("text=(fused)", timeout=120_000)
+            tab.locator(".mantine-Notification-closeButton").click()  # of the note that there is no GPU
+            tab.wait_for_timeout(5000)
+            tab.screenshot(path=picture)
+            browser.close()
+    finally:
+        page.stop()
 
 
 def _factors() -> "np.ndarray[tuple[int], np.dtype[np.float64]]":

@@ -10,9 +10,8 @@ root_doc = "index"
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
 exclude_patterns = ["README.md", "**/*.ipynb", "**/.ipynb_checkpoints"]
 myst_heading_anchors = 3
-myst_enable_extensions = ["colon_fence"]
-# Links to files of the repository, which are not pages of the site, are checked by tests/test_docs.py.
-suppress_warnings = ["myst.xref_missing", "myst.header"]
+myst_enable_extensions = ["colon_fence", "dollarmath"]
+suppress_warnings = ["myst.header"]
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
@@ -23,4 +22,5 @@ napoleon_use_ivar = True
 
 html_theme = "furo"
 html_title = "probedesign"
-html_static_path: list[str] = []
+html_static_path = ["static"]
+html_css_files = ["math.css"]

@@ -1,5 +1,6 @@
 """The docs are correct: commands and examples run, examples print the values in their comments, links resolve."""
 
+import html
 import json
 import re
 import shlex
@@ -38,21 +39,23 @@ def test_the_examples_print_the_values_in_their_comments(page, monkeypatch):
     assert printed.getvalue().splitlines() == expected
 
 
-def commands_of(page: Path) -> list[list[str]]:
-    """Return the probedesign commands of a page's shell blocks, in order."""
-    blocks = "\n".join(blocks_of(page, "sh")).replace("\\\n", " ")
-    lines = [shlex.split(line, comments=True) for line in blocks.splitlines()]
-    return [words[1:] for words in lines if words and words[0] == "probedesign"]
-
-
-def examples_of(page: Path) -> list[str]:
-    """Return the Python blocks of a page that run by themselves after its commands."""
-    return [] if page.stem in WITH_VALUES else blocks_of(page, "python")
+def steps_of(page: Path) -> list[list[str] | str]:
+    """Return the probedesign commands of a page and its Python blocks that run by themselves, in order."""
+    found: list[list[str] | str] = []
+    for language, block in re.findall(
+        r"```(sh|python)\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL
+    ):
+        if language == "sh":
+            lines = [shlex.split(line, comments=True) for line in block.replace("\\\n", " ").splitlines()]
+            found += [words[1:] for words in lines if words and words[0] == "probedesign"]
+        elif page.stem not in WITH_VALUES:
+            found.append(block)
+    return found
 
 
 ALL_PAGES = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
-PAGES = sorted(page for page in ALL_PAGES if commands_of(page) or examples_of(page))
-SLOW = {"search"}
+PAGES = sorted(page for page in ALL_PAGES if steps_of(page))
+SLOW = {"choosing"}
 """Pages whose commands take minutes: searches and Monte Carlo checks."""
 
 
@@ -85,21 +88,23 @@ def run_once(tmp_path_factory):
     [pytest.param(page, marks=[pytest.mark.slow] * (page.stem in SLOW), id=page.stem) for page in PAGES],
 )
 def test_the_commands_of_a_page_run_in_order(page, run_once, tmp_path, monkeypatch, capsys):
-    """In a folder with nothing but the designs of the project; then its examples of Python run."""
+    """In a folder with nothing but the designs of the project; its examples of Python run between them."""
     pytest.importorskip("cadquery")
     shutil.copytree(ROOT / "designs", tmp_path / "designs")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(scenes, "touch_targets", lambda: TOUCHES)
-    for words in commands_of(page):
-        status = run_once(words)
-        assert status == 0, f"probedesign {shlex.join(words)}: {capsys.readouterr().err}"
-    for code in examples_of(page):
+    results = []
+    for step in steps_of(page):
+        if isinstance(step, list):
+            status = run_once(step)
+            assert status == 0, f"probedesign {shlex.join(step)}: {capsys.readouterr().err}"
+            continue
         names = dict[str, Any]()
-        exec(code, names)
-        results = [
+        exec(step, names)
+        results += [
             value.result for value in names.values() if isinstance(getattr(value, "result", None), str)
         ]
-        assert set(results) <= {"ok"}
+    assert set(results) <= {"ok"}
     if page.stem in ("README", "tutorial"):
         assert results
 
@@ -140,9 +145,8 @@ def test_the_site_lists_every_page_and_every_public_name():
     """`sphinx-build -W` refuses a page that no table of contents lists; this needs no Sphinx."""
     index = (ROOT / "docs/index.md").read_text(encoding="utf-8")
     for page in (ROOT / "docs").glob("*.md"):
-        assert page.stem in ("README", "index") or re.search(rf"^{page.stem}$", index, re.MULTILINE), (
-            page.name
-        )
+        listed = re.search(rf"^(.* <)?{page.stem}>?$", index, re.MULTILINE)
+        assert page.stem in ("README", "index") or listed, page.name
     documented = re.findall(r"auto(?:class|function|exception):: (\w+)", (ROOT / "docs/api.md").read_text())
     assert sorted(documented) == sorted(probedesign.__all__)
 
@@ -151,3 +155,9 @@ def test_the_site_lists_every_page_and_every_public_name():
 def test_the_site_is_built_without_warnings(tmp_path):
     build = pytest.importorskip("sphinx.cmd.build")
     assert build.main(["-q", "-W", str(ROOT / "docs"), str(tmp_path)]) == 0
+    for page in (ROOT / "docs").glob("*.md"):
+        if page.stem != "README":
+            title = page.read_text(encoding="utf-8").splitlines()[0].removeprefix("# ").replace("`", "")
+            built = (tmp_path / f"{page.stem}.html").read_text(encoding="utf-8")
+            heading = re.search(r"<h1>(.*?)<a ", built, re.DOTALL)
+            assert heading and html.unescape(re.sub(r"<[^>]*>", "", heading[1])) == title

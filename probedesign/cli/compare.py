@@ -90,7 +90,7 @@ def sweep(
 
     Writes sweep.jsonl during the run, then sweep.csv and a page, sweep.html. The same command resumes an interrupted
     sweep. An invalid design is a row with the reason. --scheduler and sweep.parquet need the extra 'sweep'. More:
-    docs/search.md.
+    docs/choosing.md.
 
     Args:
         design: the design file, or its name, with the values of all other keys.

@@ -48,7 +48,7 @@ def optimize(
 
     The printing rules and the sensor's range are always constraints. Further constraints: METRIC<=NUMBER or
     METRIC>=NUMBER with error_mm, worst_error_mm, sag_mm, reach_mm, sensor_use, slide_mm, mass_g or length_mm. More:
-    docs/search.md.
+    docs/choosing.md.
 
     Args:
         design: the design file of the start, or its name; keys that are not varied are copied from it.
