@@ -102,7 +102,8 @@ def assembly_steps(
         else ""
     )
     plate = explosion(("centring_pins",) if centring_pins else ())[: 2 if centring_pins else 1]
-    glue = "spread a thin film of flexible cyanoacrylate on the land only, none in groove and notch or on screw heads, "
+    film = "spread a thin film of flexible cyanoacrylate on the land only, none in groove and notch or on screw heads, "
+    glue = film if glued else ""
     nut = next(use.screw.thread for use in screws if use.name == "ring_screws")
     of = {use.name: f"{len(use.points)} {use.screw.thread}x{use.length / MM:g}" for use in screws}
     pin = f", its own {pin_d / MM:g} mm dowel pin in the slot" if pin_d > 0.0 else ""
@@ -122,7 +123,7 @@ def assembly_steps(
              f"{of['sensor_adapter_screws']}, never longer",
              (Move(("sensor_adapter", "ring_nuts", "dowel_pins"), "sensor", UP),
               Move(("sensor_adapter_screws",), "sensor_adapter", UP))),
-        AssemblyStep(f"{glue if glued else ''}lay the flange into the recess, its hole over the peg: peg and the flat on the rim are "
+        AssemblyStep(f"{glue}lay the flange into the recess, its hole over the peg: peg and the flat on the rim are "
              "at +X",
              (Move(("probe",), "sensor_adapter", UP),)),
         AssemblyStep("slip the clamp ring over the tip, with an even gap around the probe, and screw it down with "

@@ -199,7 +199,7 @@ def _disc(
     section.caption("C–C, the plane y = 0", low, STACK * len(bottoms) + 9.0)
     if holes[1]:
         section.viewing_arrow((rim + 3.0 / scale, low), "B")
-    middle = section.at((0.0, low))[1] + STACK * len(bottoms) + 9.0 + 26.0 + scale * rim
+    middle = section.at((0.0, low))[1] + STACK * len(bottoms) + 9.0 + 20.0 + scale * rim
     _plans(sheet, part, holes, (rim, scale, middle))
     text = [f"{label}: {hole.text}" for label, hole in _numbered([*holes[0], *holes[1]])]
     sheet.note((EDGE + 6.0, BOTTOM - 5.0 * (len(text) + len(notes))), [*text, *notes])

@@ -1,5 +1,6 @@
 """`probedesign measured`: write diameters measured with calipers into a design."""
 
+import math
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -64,6 +65,9 @@ def measured(
     (common, scatter), (together, each) = found.before, found.after
     print(f"  tolerance of all diameters together: {together:.3f} mm (before: {common:.3f} mm); "
           f"of each for itself: {each:.3f} mm (before: {scatter:.3f} mm)")  # fmt: skip
+    if math.hypot(together, each) > math.hypot(common, scatter):
+        print("  note: where nothing was measured the tolerance is wider than before, because a print may be larger or "
+              "smaller as a whole by 1 % (assumed); measure near base and tip")  # fmt: skip
     if found.scale > 1.0:
         print(
             f"  note: the readings scatter by {found.scale:.1f} times their standard deviation, which was widened"

@@ -426,7 +426,7 @@ def sensor_adapter_for(
         squeeze=squeeze,
         probe_d=2.0 * float(geometry.radius.max()),
         ring_bore_d=bore_d,
-        ring_bore_top_d=min(bore_d + 2 * ring_thickness, head_clear_d),
+        ring_bore_top_d=min(bore_d + 2 * ring_thickness, head_clear_d, flange.diameter - 2 * RING_CLEARANCE),
         ring_thickness=ring_thickness,
         ring_screw_length=length,
         ring_circle_d=circle_d,

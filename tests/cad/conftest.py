@@ -1,5 +1,6 @@
 """One CAD model and one export, made once for all tests of the parts."""
 
+import fcntl
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -39,6 +40,8 @@ def exported(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> tuple[
     base = tmp_path_factory.getbasetemp()
     base = base if worker_id == "master" else base.parent
     folder, returned = base / "exports" / "large", base / "large.json"
-    if not returned.exists():  # two workers at once would both make it, with the same bytes
-        write_atomically(returned, json.dumps(export_parts(design_of(), folder)).encode())
+    with (base / "large.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not returned.exists():
+            write_atomically(returned, json.dumps(export_parts(design_of(), folder)).encode())
     return folder, json.loads(returned.read_text("utf-8"))
