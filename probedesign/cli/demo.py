@@ -129,7 +129,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     from probedesign.reports.recording_page import recording_page
     from probedesign.reports.replay import STYLE, replay_element
 
-    print_step("predicting (the first run compiles the rod and the estimator, about a minute)")
+    print_step("predicting (the first run compiles the rod and the estimator, half a minute)")
     probe = pipeline.load_probe(design)
     prediction = pipeline.predict(probe)
     made |= _predict(probe, prediction, folder, skipped)

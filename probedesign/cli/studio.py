@@ -52,7 +52,7 @@ def studio(
     with show_progress() as on_progress:
         on_progress("loading the design", None)
         found = _design(design, set_ or [])
-        on_progress("predicting (the first run compiles the rod and the estimator, about a minute)", None)
+        on_progress("predicting (the first run compiles the rod and the estimator, half a minute)", None)
         from probedesign.optimization.design_space import design_dict
         from probedesign.studio.page import StudioPage
         from probedesign.studio.session import Session
