@@ -9,7 +9,7 @@ from html import escape
 from typing import Any
 
 from probedesign.cad.drawing import Sheet
-from probedesign.cad.drawing_files import dxf_bytes, pdf_bytes, svg_bytes
+from probedesign.cad.drawing_files import Svg, dxf_bytes, pdf_bytes, svg_bytes
 from probedesign.cad.exploded_view import (
     AssemblyStep,
     PartLabel,
@@ -23,7 +23,6 @@ from probedesign.cad.model import CadModel, CadPart
 from probedesign.cad.probe_drawing import probe_sheet
 from probedesign.cad.render import render_body, render_png
 from probedesign.cad.rigid_drawings import clamp_ring_sheet, flange_adapter_sheet, sensor_adapter_sheet
-from probedesign.cad.svg import Svg
 from probedesign.core.units import MM, MPA
 from probedesign.design.catalog import ALUMINIUM, RIGID_RESIN
 from probedesign.geometry.mass import combined

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from probedesign.cad.drawing_files import Svg
 from probedesign.cad.render import (
     OrthographicCamera,
     RenderBody,
@@ -16,7 +17,6 @@ from probedesign.cad.render import (
     render_png,
 )
 from probedesign.cad.solids import ScrewGroup
-from probedesign.cad.svg import Svg
 from probedesign.core.units import MM
 from probedesign.design.sensors import DowelPattern
 

@@ -29,14 +29,13 @@ from probedesign.cad.assembly_docs import (
     part_drawings,
 )
 from probedesign.cad.drawing import EDGE, HEIGHT, WIDTH
-from probedesign.cad.drawing_files import dxf_bytes, svg_bytes
+from probedesign.cad.drawing_files import Svg, dxf_bytes, svg_bytes
 from probedesign.cad.exploded_view import DOWN, EXPLOSION, assembly_steps
 from probedesign.cad.mesh import Mesh, package_objects, platform_positions, read_back
 from probedesign.cad.model import CadModel, build_cad, overlaps
 from probedesign.cad.projection import FRONT, cut, seen
 from probedesign.cad.render import BACKGROUND, OrthographicCamera, RenderBody, fit_view, render_bodies
 from probedesign.cad.solids import clamp_ring_solid
-from probedesign.cad.svg import Svg
 from probedesign.core.errors import InputError
 from probedesign.core.frames import pose
 from probedesign.design import Design, parse_design

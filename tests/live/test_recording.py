@@ -142,7 +142,8 @@ def test_a_full_disk_ends_the_recording_and_not_the_run(estimator, tmp_path, mon
         n = len(time)
     assert n < 240 and bool(n) == bool(room)
     assert f"the file contains {n} readings" in line  # the counts are those of the file
-    assert log_lines[-1] == f"recorded {n} readings to {path}"
+    assert log_lines[-1].startswith(f"recorded {n} readings to {path}")
+    assert "No space left on device" in log_lines[-1]  # the last line states it, too
 
 
 def test_a_full_disk_when_nothing_is_there_yet(model, tmp_path, monkeypatch):
