@@ -49,9 +49,12 @@ def wrench_map(T_a_b: Array) -> Array:
 
 
 def skew(a: ArrayLike) -> Array:
-    """Return the matrix (3, 3) with skew(a) @ b = a × b."""
-    x, y, z = np.asarray(a, dtype=float)
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    """Return the matrix (3, 3) with skew(a) @ b = a × b, for each vector of (..., 3)."""
+    a = np.asarray(a, dtype=float)
+    matrices = np.zeros((*a.shape, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        matrices[..., k, j], matrices[..., j, k] = a[..., i], -a[..., i]
+    return matrices
 
 
 def is_pose(T: ArrayLike, tolerance: float = 1e-6) -> bool:

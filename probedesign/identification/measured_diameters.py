@@ -8,8 +8,8 @@ goes into the design as the least a² 1 1ᵀ + b² I that covers it, so that no 
 Where readings contradict the prior, by the chi-square test of the least-squares knots, the prior's covariance is
 widened by that chi-square over its degrees of freedom.
 
-Source: normal linear model with known covariance; the scale of e is that of the residuals where they are greater, and
-that of the prior likewise (R. T. Birge, Physical Review 40 (1932) 207).
+Source: normal linear model with known covariance; the scales of e and of the prior follow from the residuals where
+these are greater than stated (R. T. Birge, Physical Review 40 (1932) 207).
 """
 
 import json

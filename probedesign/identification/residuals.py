@@ -307,8 +307,8 @@ class SolvedTest:
         R, R_sensor, mount = T[:3, :3], R_stated @ values.T_base_error[:3, :3], values.T_mount_error
         turned = vector.value @ mount[:3, :3].T
         J = R @ self.jacobian(vector)
-        J[..., BASE_ROTATION] -= R_stated @ _skews((turned + mount[:3, 3]) @ values.T_base_error[:3, :3].T)
-        J[..., MOUNT_ROTATION] -= R_sensor @ _skews(turned)
+        J[..., BASE_ROTATION] -= R_stated @ skew((turned + mount[:3, 3]) @ values.T_base_error[:3, :3].T)
+        J[..., MOUNT_ROTATION] -= R_sensor @ skew(turned)
         J[..., BASE_OFFSET], J[..., MOUNT_OFFSET] = R_stated, R_sensor
         scale, origin = 1.0 + values.x[SCALE], self.measured.T_world_base[:3, 3]
         from_origin = vector.value @ R.T + (T[:3, 3] - origin)
@@ -441,14 +441,6 @@ class SolvedTest:
         if at is not None:
             J_nuisance[..., at] = J[..., BASE_POSE]
         return J_nuisance
-
-
-def _skews(a: Array) -> Array:
-    """Return `skew` of each vector, (..., 3, 3)."""
-    matrices = np.zeros((*a.shape, 3))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        matrices[..., k, j], matrices[..., j, k] = a[..., i], -a[..., i]
-    return matrices
 
 
 def solve_test(

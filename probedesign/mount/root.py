@@ -26,7 +26,8 @@ radius over thickness, 0.005 each."""
 ROOT_STD = 0.05
 """Standard deviation of these values [base radii]: friction below the flange moves the clamped one by that much, the
 other thicknesses and Poisson's ratios less. The land, which supports the inner part of the lip alone, moves them by
-0.002 (clamped) and 0.006 (glued); the squeezed lip is not modelled (assumed)."""
+0.006 at most (decision 0006); the rooms of the screw heads in it, which are not modelled, soften the root by an
+estimated 0.03. The squeezed lip is not modelled either (assumed)."""
 
 
 def exported_root_radii(geometry: ProbeGeometry, hold: Hold = "clamped") -> float:
