@@ -34,25 +34,15 @@ STEP_TOLERANCES = (1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-1
 
 
 class Batch(NamedTuple):
-    """Measurements of one set of cases; times in s.
+    """Measurements of one set of cases; times in s."""
 
-    Attributes:
-        shares: share of each result code.
-        seconds: kernel time of all cases by number of threads.
-        whole: time of `solve_batch` on all cores, including the conversion of rods, loads and results.
-        stacking: time of the conversion of rods and loads to arrays.
-        same: whether the results are bitwise equal for all numbers of threads.
-        alone: time of each of the first cases by itself, (SINGLE_CASES,).
-        curve: time of one thread over the number of cases.
-    """
-
-    shares: dict[str, float]
-    seconds: dict[int, float]
-    whole: float
-    stacking: float
-    same: bool
-    alone: Array
-    curve: CostCurve
+    shares: dict[str, float]  #: share of each result code.
+    seconds: dict[int, float]  #: kernel time of all cases by number of threads.
+    whole: float  #: time of `solve_batch` on all cores, including the conversion of rods, loads and results.
+    stacking: float  #: time of the conversion of rods and loads to arrays.
+    same: bool  #: whether the results are bitwise equal for all numbers of threads.
+    alone: Array  #: time of each of the first cases by itself, (SINGLE_CASES,).
+    curve: CostCurve  #: time of one thread over the number of cases.
 
     @property
     def rates(self) -> dict[int, float]:

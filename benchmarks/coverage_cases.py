@@ -14,35 +14,24 @@ SINGLE_SOURCES = tuple(source for source in ALL_SOURCES if source != "robot")
 
 @dataclass(frozen=True)
 class Case:
-    """One row of a table.
+    """One row of a table."""
 
-    Attributes:
-        group, name: title of the table and label of the row.
-        sources: error sources that are drawn.
-        friction: tangential over normal force, in a random direction; None draws it from the prior.
-        forces: smallest and largest force of a single touch [N].
-        std_factor: true over stated standard deviations.
-        place, newtons: of fused touches: place over the length and largest normal force [N]; 0 for single touches.
-        kind: "estimate", "moments", "all six" or "tracker".
-        sticks: whether the touched material point stays the same during a press.
-        anew: whether the direction of the friction is drawn anew at each touch of a press.
-        youngs_modulus: relative standard deviation stated for E and G of fused touches; None for the design's.
-        model_error: "" or a condition that no single contact within the priors explains: "stiffness" (E and G are
-            off), "pull" (a force away from the object), "moved" (the object moves), "bias" (the bias jumps).
-    """
-
-    group: str
+    group: str  #: group, name: title of the table and label of the row.
     name: str
-    sources: tuple[str, ...] = ()
-    friction: float | None = None
-    forces: tuple[float, float] = (2e-3, 1.0)
-    std_factor: float = 1.0
+    sources: tuple[str, ...] = ()  #: error sources that are drawn.
+    friction: float | None = None  #: tangential over normal force, in a random direction; None draws it from the prior.
+    forces: tuple[float, float] = (2e-3, 1.0)  #: smallest and largest force of a single touch [N].
+    std_factor: float = 1.0  #: true over stated standard deviations.
+    #: place, newtons: of fused touches: place over the length and largest normal force [N]; 0 for single touches.
     place: float = 0.0
     newtons: float = 0.0
-    kind: str = "estimate"
-    sticks: bool = False
-    anew: bool = False
+    kind: str = "estimate"  #: "estimate", "moments", "all six" or "tracker".
+    sticks: bool = False  #: whether the touched material point stays the same during a press.
+    anew: bool = False  #: whether the direction of the friction is drawn anew at each touch of a press.
+    #: relative standard deviation stated for E and G of fused touches; None for the design's.
     youngs_modulus: float | None = None
+    #: "" or a condition that no single contact within the priors explains: "stiffness" (E and G are off), "pull" (a
+    #: force away from the object), "moved" (the object moves), "bias" (the bias jumps).
     model_error: str = ""
 
 

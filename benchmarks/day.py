@@ -120,21 +120,13 @@ def _root(model: ProbeModel) -> Array:
 
 @dataclass(frozen=True)
 class Scheduled:
-    """A simulated touch.
+    """A simulated touch."""
 
-    Attributes:
-        begin: start time [s].
-        wrenches: readings without noise and bias at each pose, (k, 6).
-        places: positions of the base at each pose [m], (k, 3).
-        point: touched point in base axes at the last pose [m], (3,).
-        bound: bound of the RMS error of one reading with a fresh tare [m]; NaN for a press.
-    """
-
-    begin: float
-    wrenches: Array
-    places: Array
-    point: Array
-    bound: float
+    begin: float  #: start time [s].
+    wrenches: Array  #: readings without noise and bias at each pose, (k, 6).
+    places: Array  #: positions of the base at each pose [m], (k, 3).
+    point: Array  #: touched point in base axes at the last pose [m], (3,).
+    bound: float  #: bound of the RMS error of one reading with a fresh tare [m]; NaN for a press.
 
     @property
     def end(self) -> float:
@@ -144,23 +136,14 @@ class Scheduled:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of a touch.
+    """Result of a touch."""
 
-    Attributes:
-        time: start time [s].
-        single: whether it is a single touch.
-        result: code of the estimate of one reading, or of the fusion of a press; "missed" without a contact.
-        error: distance from the true point [m].
-        ratio: error over bound.
-        nees: normalised estimation error squared.
-    """
-
-    time: float
-    single: bool
-    result: str
-    error: float = math.nan
-    ratio: float = math.nan
-    nees: float = math.nan
+    time: float  #: start time [s].
+    single: bool  #: whether it is a single touch.
+    result: str  #: code of the estimate of one reading, or of the fusion of a press; "missed" without a contact.
+    error: float = math.nan  #: distance from the true point [m].
+    ratio: float = math.nan  #: error over bound.
+    nees: float = math.nan  #: normalised estimation error squared.
 
 
 def _schedule(model: ProbeModel, hours: float, rng: np.random.Generator) -> list[Scheduled]:

@@ -50,26 +50,17 @@ def nees(error: Array, cov: Array, min_std: float = 0.0) -> float:
 
 @dataclass
 class ErrorStatistics:
-    """Errors of estimates, collected one by one.
+    """Errors of estimates, collected one by one."""
 
-    Attributes:
-        min_std: smallest standard deviation of a point in any direction for its NEES [m], see `nees`.
-        results: number of estimates by result code.
-        squared_bounds: mean square error of the Cramér–Rao bound, of all estimates [m²].
-        squared_errors: of located estimates [m²].
-        squared_ratios: squared error over squared bound of located estimates.
-        nees: of located estimates.
-        beyond_3_std: number of located estimates with an error above three stated standard deviations.
-        powers: power of the best possible test for a model error, at one false positive in a hundred.
-    """
-
-    min_std: float = 0.0
-    results: Counter[str] = field(default_factory=Counter)
+    min_std: float = 0.0  #: smallest standard deviation of a point in any direction for its NEES [m], see `nees`.
+    results: Counter[str] = field(default_factory=Counter)  #: number of estimates by result code.
+    #: mean square error of the Cramér–Rao bound, of all estimates [m²].
     squared_bounds: list[float] = field(default_factory=list)
-    squared_errors: list[float] = field(default_factory=list)
-    squared_ratios: list[float] = field(default_factory=list)
-    nees: list[float] = field(default_factory=list)
-    beyond_3_std: int = 0
+    squared_errors: list[float] = field(default_factory=list)  #: of located estimates [m²].
+    squared_ratios: list[float] = field(default_factory=list)  #: squared error over squared bound of located estimates.
+    nees: list[float] = field(default_factory=list)  #: of located estimates.
+    beyond_3_std: int = 0  #: number of located estimates with an error above three stated standard deviations.
+    #: power of the best possible test for a model error, at one false positive in a hundred.
     powers: list[float] = field(default_factory=list)
 
     def add(self, result: str, error: Array, cov: Array, bound: float) -> None:

@@ -52,17 +52,11 @@ EXACT_ROTATION = ("--tilt-deg", "0", "--clocking-deg", "0")
 
 @dataclass(frozen=True)
 class PointErrors:
-    """Errors of the touched points of one run.
+    """Errors of the touched points of one run."""
 
-    Attributes:
-        error: distance from the true points [mm], NaN where a touch was not located, (n,).
-        nees: normalised estimation error squared, NaN where a touch was not located, (n,).
-        rows: position and covariance xx, xy, xz, yy, yz, zz of the located points [mm, mm²], (k, 9).
-    """
-
-    error: Array
-    nees: Array
-    rows: Array
+    error: Array  #: distance from the true points [mm], NaN where a touch was not located, (n,).
+    nees: Array  #: normalised estimation error squared, NaN where a touch was not located, (n,).
+    rows: Array  #: position and covariance xx, xy, xz, yy, yz, zz of the located points [mm, mm²], (k, 9).
 
 
 def report() -> None:

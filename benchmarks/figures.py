@@ -96,15 +96,10 @@ def draw_card_house(cards: Sequence[Array], located: Array, targets: Array) -> N
 
 
 class CostCurve(NamedTuple):
-    """Measured time over the size of a problem.
+    """Measured time over the size of a problem."""
 
-    Attributes:
-        amount: number of cases or steps, increasing, (k,).
-        seconds: time [s], (k,).
-    """
-
-    amount: Array
-    seconds: Array
+    amount: Array  #: number of cases or steps, increasing, (k,).
+    seconds: Array  #: time [s], (k,).
 
     @property
     def exponent(self) -> float:

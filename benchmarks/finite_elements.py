@@ -49,23 +49,15 @@ CONVERGENCE = (19, 30)
 
 @dataclass(frozen=True)
 class Touch:
-    """Definition of a touch; lengths in m, angles in rad, forces in N.
+    """Definition of a touch; lengths in m, angles in rad, forces in N."""
 
-    Attributes:
-        design: name of the design under designs/.
-        fraction: undeformed arclength over the length.
-        phi: angle of the touched generator about z, from x towards y, in the undeformed section.
-        gravity: in base axes [m/s²], (3,).
-        friction: tangential over normal force around the axis and along the generator towards the tip, (2,).
-        force: requested normal force; it is reduced until the probe bends by less than `MAX_BEND`.
-    """
-
-    design: str
-    fraction: float
-    phi: float
-    gravity: tuple[float, float, float]
+    design: str  #: name of the design under designs/.
+    fraction: float  #: undeformed arclength over the length.
+    phi: float  #: angle of the touched generator about z, from x towards y, in the undeformed section.
+    gravity: tuple[float, float, float]  #: in base axes [m/s²], (3,).
+    #: tangential over normal force around the axis and along the generator towards the tip, (2,).
     friction: tuple[float, float]
-    force: float
+    force: float  #: requested normal force; it is reduced until the probe bends by less than `MAX_BEND`.
 
 
 def touches() -> list[Touch]:

@@ -42,17 +42,11 @@ RESIDUAL = 1e-9
 
 @dataclass(frozen=True)
 class Fineness:
-    """Mesh density.
+    """Mesh density."""
 
-    Attributes:
-        square: elements along a side of the section's inner square.
-        rings: rings of elements around the square.
-        layer: height of the layers of elements [radii of the section].
-    """
-
-    square: int
-    rings: int
-    layer: float
+    square: int  #: elements along a side of the section's inner square.
+    rings: int  #: rings of elements around the square.
+    layer: float  #: height of the layers of elements [radii of the section].
 
 
 @dataclass(frozen=True)

@@ -133,22 +133,14 @@ def _rms(values: NDArray[np.float64]) -> float:
 
 @dataclass(frozen=True)
 class GrossError:
-    """A mistake in the data of a whole campaign.
+    """A mistake in the data of a whole campaign."""
 
-    Attributes:
-        words: what is wrong.
-        cause: name of the likely cause; empty if the campaign is to be accepted.
-        change: makes the mistake in a test.
-        change_all: makes it in all tests; None to change each by itself.
-        probe: design that the data are identified with.
-        cameras_only: whether it concerns markers.
-    """
-
-    words: str
-    cause: str
-    change: Callable[[MeasuredTest], MeasuredTest]
-    probe: str = PROBE
-    cameras_only: bool = False
+    words: str  #: what is wrong.
+    cause: str  #: name of the likely cause; empty if the campaign is to be accepted.
+    change: Callable[[MeasuredTest], MeasuredTest]  #: makes the mistake in a test.
+    probe: str = PROBE  #: design that the data are identified with.
+    cameras_only: bool = False  #: whether it concerns markers.
+    #: makes it in all tests; None to change each by itself.
     change_all: Callable[[Iterable[MeasuredTest]], Iterator[MeasuredTest]] | None = None
 
 

@@ -59,21 +59,13 @@ TRIPS = 1000
 
 
 class Request(NamedTuple):
-    """Options of a solve.
+    """Options of a solve."""
 
-    Attributes:
-        columns: number of derivatives.
-        room: number of nodes of the shape.
-        warm: whether the solve starts from a neighbouring load.
-        group: number of cases solved in SIMD lanes at once.
-        tol: tolerance of a step.
-    """
-
-    columns: int = 0
-    room: int = 0
-    warm: bool = False
-    group: int = 1
-    tol: float = TOLERANCES["fast"][0]
+    columns: int = 0  #: number of derivatives.
+    room: int = 0  #: number of nodes of the shape.
+    warm: bool = False  #: whether the solve starts from a neighbouring load.
+    group: int = 1  #: number of cases solved in SIMD lanes at once.
+    tol: float = TOLERANCES["fast"][0]  #: tolerance of a step.
 
 
 COLD = "cold: tip, base moment, contact"

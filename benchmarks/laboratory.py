@@ -42,29 +42,18 @@ ROWS = 20
 
 @dataclass(frozen=True)
 class Kind:
-    """Instruments and tests of a laboratory.
+    """Instruments and tests of a laboratory."""
 
-    Attributes:
-        name: name of the laboratory.
-        words: description of its accuracy.
-        touches: places over the length and forces [N]; each touch is repeated from every side.
-        sides: directions of the touches.
-        weights: places over the length and forces [N] of dead loads on threads.
-        hangs: number of tests of the free probe, between the touches.
-        marker: standard deviation of a marker on each axis [m]; 0 for no markers.
-        touch: standard deviation of the touched point on each axis [m].
-        s: standard deviation of its arclength [m].
-    """
-
-    name: str
-    words: str
+    name: str  #: name of the laboratory.
+    words: str  #: description of its accuracy.
+    #: places over the length and forces [N]; each touch is repeated from every side.
     touches: tuple[tuple[float, float], ...]
-    sides: tuple[str, ...]
-    weights: tuple[tuple[float, float], ...]
-    hangs: int
-    marker: float
-    touch: float
-    s: float
+    sides: tuple[str, ...]  #: directions of the touches.
+    weights: tuple[tuple[float, float], ...]  #: places over the length and forces [N] of dead loads on threads.
+    hangs: int  #: number of tests of the free probe, between the touches.
+    marker: float  #: standard deviation of a marker on each axis [m]; 0 for no markers.
+    touch: float  #: standard deviation of the touched point on each axis [m].
+    s: float  #: standard deviation of its arclength [m].
 
 
 CAMERAS = Kind("cameras", "markers to 3.6 mm", ((0.4, 0.2), (0.55, 0.1), (0.7, 0.06), (0.85, 0.04)),
@@ -79,30 +68,21 @@ MARKERS = np.linspace(10.0, 150.0, 15) * MM
 
 @dataclass(frozen=True)
 class Flaws:
-    """Errors of a bench in addition to the noise of its readings; the default has none.
+    """Errors of a bench in addition to the noise of its readings; the default has none."""
 
-    Attributes:
-        friction: largest friction coefficient. The coefficient of a campaign is uniform below it, and the tangential
-            force of each touch is uniform in the friction cone.
-        stiffness_scatter: relative standard deviation of the stiffness between touches.
-        gain: relative standard deviation of the gain of each channel of the sensor.
-        seconds: time between tests, over which the bias has a random walk [s]; 0 for a constant bias.
-        root: root_rigid_radii of the print; None for the design's value.
-        root_drawn: whether the root is drawn from its tolerance instead.
-        reference: whether length scale, weights, poses of tests and creep have errors drawn from their priors.
-        stated: tolerances by name that the design states for this bench.
-        independent: whether the true touches and the free probe are solved by the reference rod of `tests/reference`,
-            which shares no code with the package's; for laboratories without markers.
-    """
-
+    #: largest friction coefficient. The coefficient of a campaign is uniform below it, and the tangential force of each
+    #: touch is uniform in the friction cone.
     friction: float = 0.0
-    stiffness_scatter: float = 0.0
-    gain: float = 0.0
-    seconds: float = 0.0
-    root: float | None = None
-    root_drawn: bool = False
+    stiffness_scatter: float = 0.0  #: relative standard deviation of the stiffness between touches.
+    gain: float = 0.0  #: relative standard deviation of the gain of each channel of the sensor.
+    seconds: float = 0.0  #: time between tests, over which the bias has a random walk [s]; 0 for a constant bias.
+    root: float | None = None  #: root_rigid_radii of the print; None for the design's value.
+    root_drawn: bool = False  #: whether the root is drawn from its tolerance instead.
+    #: whether length scale, weights, poses of tests and creep have errors drawn from their priors.
     reference: bool = False
-    stated: dict[str, float] = field(default_factory=dict)
+    stated: dict[str, float] = field(default_factory=dict)  #: tolerances by name that the design states for this bench.
+    #: whether the true touches and the free probe are solved by the reference rod of `tests/reference`, which shares no
+    #: code with the package's; for laboratories without markers.
     independent: bool = False
 
 
@@ -111,23 +91,14 @@ FLAWLESS = Flaws()
 
 @dataclass(frozen=True)
 class Truth:
-    """True probe and bench of a campaign.
+    """True probe and bench of a campaign."""
 
-    Attributes:
-        rod: true rod.
-        factors: logarithms of the ratios of E, G, density, length and diameters to the design, (4 + K).
-        T_mount: true pose of the base relative to its stated pose, (4, 4).
-        T_seat: true pose of the base relative to its stated pose on the sensor, (4, 4).
-        gravity_base: in the true base frame [m/s²].
-        gravity_mount: in the stated base frame [m/s²].
-    """
-
-    rod: Rod
-    factors: Array
-    T_mount: Array
-    T_seat: Array
-    gravity_base: Array
-    gravity_mount: Array
+    rod: Rod  #: true rod.
+    factors: Array  #: logarithms of the ratios of E, G, density, length and diameters to the design, (4 + K).
+    T_mount: Array  #: true pose of the base relative to its stated pose, (4, 4).
+    T_seat: Array  #: true pose of the base relative to its stated pose on the sensor, (4, 4).
+    gravity_base: Array  #: in the true base frame [m/s²].
+    gravity_mount: Array  #: in the stated base frame [m/s²].
 
 
 def draw(model: ProbeModel, kind: Kind, seed: int, *, dimensions: bool = False, spread: float = 0.1,

@@ -83,17 +83,12 @@ class Peer(NamedTuple):
 
 @dataclass
 class Watched:
-    """A source, and when its blocks came.
+    """A source, and when its blocks came."""
 
-    Attributes:
-        source: whose blocks pass.
-        silences: from the last reading to the first block that tells silence, of each [s].
-        gaps: from the last reading before to the first after each [s].
-    """
-
-    source: NetFTSource
+    source: NetFTSource  #: whose blocks pass.
+    #: from the last reading to the first block that tells silence, of each [s].
     silences: list[float] = field(default_factory=list)
-    gaps: list[float] = field(default_factory=list)
+    gaps: list[float] = field(default_factory=list)  #: from the last reading before to the first after each [s].
 
     def __post_init__(self) -> None:
         self.title, self.notes = self.source.title, self.source.notes

@@ -22,19 +22,12 @@ SEED = 1
 
 @dataclass(frozen=True)
 class EvaluatedDesign:
-    """A design with its metrics.
+    """A design with its metrics."""
 
-    Attributes:
-        design: the design.
-        metrics: predicted with all error sources.
-        simulated: Monte Carlo result of the estimator.
-        seconds: time of the optimisation; 0 for the initial design.
-    """
-
-    design: Design
-    metrics: DesignMetrics
-    simulated: MonteCarloCheck
-    seconds: float
+    design: Design  #: the design.
+    metrics: DesignMetrics  #: predicted with all error sources.
+    simulated: MonteCarloCheck  #: Monte Carlo result of the estimator.
+    seconds: float  #: time of the optimisation; 0 for the initial design.
 
 
 def report() -> None:

@@ -43,13 +43,9 @@ SOURCES = {
 
 @dataclass(frozen=True)
 class PriorStds:
-    """Standard deviations of the error sources.
+    """Standard deviations of the error sources."""
 
-    Attributes:
-        by_name: standard deviation by field of `Tolerances`, in the unit of the field.
-    """
-
-    by_name: dict[str, float]
+    by_name: dict[str, float]  #: standard deviation by field of `Tolerances`, in the unit of the field.
 
     @classmethod
     def of(cls, model: ProbeModel) -> "PriorStds":
@@ -78,21 +74,13 @@ class PriorStds:
 
 @dataclass(frozen=True)
 class Perturbations:
-    """Assignment of the columns of z, independent standard normals, to the error sources.
+    """Assignment of the columns of z, independent standard normals, to the error sources."""
 
-    Attributes:
-        model: model of the probe as designed.
-        priors: standard deviations that z is multiplied by.
-        touches: number of touches of each sample.
-        slots: columns of z by error source.
-        size: number of columns.
-    """
-
-    model: ProbeModel
-    priors: PriorStds
-    touches: int = 1
-    slots: dict[str, slice] = field(default_factory=dict)
-    size: int = 0
+    model: ProbeModel  #: model of the probe as designed.
+    priors: PriorStds  #: standard deviations that z is multiplied by.
+    touches: int = 1  #: number of touches of each sample.
+    slots: dict[str, slice] = field(default_factory=dict)  #: columns of z by error source.
+    size: int = 0  #: number of columns.
 
     @classmethod
     def of(cls, model: ProbeModel, priors: PriorStds, touches: int = 1) -> "Perturbations":
@@ -192,28 +180,18 @@ class Perturbations:
 
 @dataclass(frozen=True)
 class ProbeSamples:
-    """n true probes with their mounts and sensors, for k touches each.
+    """n true probes with their mounts and sensors, for k touches each."""
 
-    Attributes:
-        perturbations: that they were computed from.
-        probes: rods as printed and mounted.
-        stiffness: factor on E and G at each touch, (n, k).
-        R, shift: rotation and displacement of the true bases in the model's base frame, (n, 3, 3) and [m], (n, 3).
-        gravity: in the axes of the true bases [m/s²], (n, 3).
-        gain: relative gain error of each channel, (n, 6).
-        drift: bias at the sensor's origin [N, N·m], (n, k, 6).
-        robot: position error of the base at each touch [m], (n, k, 3).
-    """
-
-    perturbations: Perturbations
-    probes: Probes
-    stiffness: Array
+    perturbations: Perturbations  #: that they were computed from.
+    probes: Probes  #: rods as printed and mounted.
+    stiffness: Array  #: factor on E and G at each touch, (n, k).
+    #: R, shift: rotation and displacement of the true bases in the model's base frame, (n, 3, 3) and [m], (n, 3).
     R: Array
     shift: Array
-    gravity: Array
-    gain: Array
-    drift: Array
-    robot: Array
+    gravity: Array  #: in the axes of the true bases [m/s²], (n, 3).
+    gain: Array  #: relative gain error of each channel, (n, 6).
+    drift: Array  #: bias at the sensor's origin [N, N·m], (n, k, 6).
+    robot: Array  #: position error of the base at each touch [m], (n, k, 3).
 
     def at_touch(self, k: int) -> Probes:
         """Return the rods with their stiffness at touch k."""

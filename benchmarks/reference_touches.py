@@ -25,22 +25,15 @@ SAME_POINT_STD = 1e-6
 
 @dataclass(frozen=True)
 class Readings:
-    """One touch of each of n probe samples.
+    """One touch of each of n probe samples."""
 
-    Attributes:
-        touches: solved touches, in the axes of the true bases.
-        wrench: reading without noise, about the model's base, (n, 6).
-        point: touched point of the surface in the model's base frame [m], (n, 3).
-        J, P: derivatives of reading and point by (s, φ, normal, circumferential, axial force), (n, 6, 5), (n, 3, 5).
-        D, Q: derivatives of reading and point by each perturbation, (n, 6, j), (n, 3, j).
-    """
-
-    touches: Touches
-    wrench: Array
-    point: Array
+    touches: Touches  #: solved touches, in the axes of the true bases.
+    wrench: Array  #: reading without noise, about the model's base, (n, 6).
+    point: Array  #: touched point of the surface in the model's base frame [m], (n, 3).
+    #: J, P: derivatives of reading and point by (s, φ, normal, circumferential, axial force), (n, 6, 5), (n, 3, 5).
     J: Array
     P: Array
-    D: Array
+    D: Array  #: D, Q: derivatives of reading and point by each perturbation, (n, 6, j), (n, 3, j).
     Q: Array
 
 
@@ -158,19 +151,12 @@ def position_rms(cov: Array) -> Array:
 
 @dataclass(frozen=True)
 class Presses:
-    """k touches of the world's origin by each of n probe samples whose base presses on without rotation.
+    """k touches of the world's origin by each of n probe samples whose base presses on without rotation."""
 
-    Attributes:
-        ok: whether all touches were solved, (n,).
-        readings: one for each touch.
-        places: position of the base as the robot reports it [m], (n, k, 3).
-        perturbations: of the samples.
-    """
-
-    ok: Array
-    readings: tuple[Readings, ...]
-    places: Array
-    perturbations: Perturbations
+    ok: Array  #: whether all touches were solved, (n,).
+    readings: tuple[Readings, ...]  #: one for each touch.
+    places: Array  #: position of the base as the robot reports it [m], (n, k, 3).
+    perturbations: Perturbations  #: of the samples.
 
     @property
     def wrenches(self) -> Array:

@@ -36,17 +36,11 @@ Centreline = tuple[Array, Array]
 
 
 class Method(NamedTuple):
-    """A solver of one case.
+    """A solver of one case."""
 
-    Attributes:
-        timed: the call to time.
-        centreline: the call that returns its centreline.
-        copies: number of solves in the timed call.
-    """
-
-    timed: Callable[[], object]
-    centreline: Callable[[], Centreline]
-    copies: int = 1
+    timed: Callable[[], object]  #: the call to time.
+    centreline: Callable[[], Centreline]  #: the call that returns its centreline.
+    copies: int = 1  #: number of solves in the timed call.
 
 
 class Measurement(NamedTuple):

@@ -32,23 +32,15 @@ MAX_BEND = 2.0
 
 @dataclass(frozen=True)
 class Touch:
-    """A frictionless touch with known truth.
+    """A frictionless touch with known truth."""
 
-    Attributes:
-        model: model of the probe.
-        gravity: in base axes [m/s²], (3,).
-        s, angle, force: arclength [m], angle about the section [rad] and normal force [N].
-        solved: solution in reference mode.
-        bound: Cramér–Rao bound of the RMS error of the touched point, from one reading without friction [m].
-    """
-
-    model: ProbeModel
-    gravity: Array
-    s: float
+    model: ProbeModel  #: model of the probe.
+    gravity: Array  #: in base axes [m/s²], (3,).
+    s: float  #: s, angle, force: arclength [m], angle about the section [rad] and normal force [N].
     angle: float
     force: float
-    solved: SurfaceForce
-    bound: float
+    solved: SurfaceForce  #: solution in reference mode.
+    bound: float  #: Cramér–Rao bound of the RMS error of the touched point, from one reading without friction [m].
 
     @property
     def wrench(self) -> Array:
@@ -143,19 +135,12 @@ def table_one() -> list[Touch]:
 
 @dataclass(frozen=True)
 class Presses:
-    """Touches of one point, the world's origin, with increasing force.
+    """Touches of one point, the world's origin, with increasing force."""
 
-    Attributes:
-        model: model of the probe.
-        gravity: in base axes, which are parallel to those of the world [m/s²], (3,).
-        touches: one for each pose.
-        Ts: poses of the base, (k, 4, 4).
-    """
-
-    model: ProbeModel
-    gravity: Array
-    touches: tuple[Touch, ...]
-    Ts: Array
+    model: ProbeModel  #: model of the probe.
+    gravity: Array  #: in base axes, which are parallel to those of the world [m/s²], (3,).
+    touches: tuple[Touch, ...]  #: one for each pose.
+    Ts: Array  #: poses of the base, (k, 4, 4).
 
     @property
     def wrenches(self) -> Array:

@@ -45,24 +45,16 @@ MAX_TEXT = 500
 
 
 class Field(NamedTuple):
-    """One value of the file.
+    """One value of the file."""
 
-    Attributes:
-        key: its place in the file, with the unit.
-        attribute: of `ProbeModel`, in SI units, or a value that `freeze` computes.
-        read: checks the value of the file and returns that of the model; its errors begin after the key. None: the
-            value is written for people and not read.
-        since: schema from which a file must have it.
-        default: value for an older file that lacks it.
-        assumed: such a default is listed among the assumptions of the probe.
-    """
-
-    key: str
-    attribute: str
+    key: str  #: its place in the file, with the unit.
+    attribute: str  #: of `ProbeModel`, in SI units, or a value that `freeze` computes.
+    #: checks the value of the file and returns that of the model; its errors begin after the key. None: the value is
+    #: written for people and not read.
     read: Callable[[Any], Any] | None
-    since: int = 1
-    default: Any = None
-    assumed: bool = False
+    since: int = 1  #: schema from which a file must have it.
+    default: Any = None  #: value for an older file that lacks it.
+    assumed: bool = False  #: such a default is listed among the assumptions of the probe.
 
 
 def _array(*shape: int) -> Callable[[Any], Array]:

@@ -31,15 +31,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Probe(Displayed):
-    """A probe as its design describes it, for mechanics and estimation.
+    """A probe as its design describes it, for mechanics and estimation."""
 
-    Attributes:
-        design: the design of the probe.
-        geometry: its geometry, which CAD builds as well.
-    """
-
-    design: Design
-    geometry: ProbeGeometry
+    design: Design  #: the design of the probe.
+    geometry: ProbeGeometry  #: its geometry, which CAD builds as well.
 
     @property
     def length(self) -> float:

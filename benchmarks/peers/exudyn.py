@@ -22,21 +22,13 @@ with contextlib.redirect_stdout(io.StringIO()):  # suppresses the message about 
 
 
 class Model(NamedTuple):
-    """Model of a cone.
+    """Model of a cone."""
 
-    Attributes:
-        s: arclengths of the nodes [m], (k,).
-        nodes: node numbers, k of them.
-        container: owner of the system; it must stay alive.
-        system: bodies and loads.
-        settings: settings of the solver.
-    """
-
-    s: Array
-    nodes: list[Any]
-    container: Any
-    system: Any
-    settings: Any
+    s: Array  #: arclengths of the nodes [m], (k,).
+    nodes: list[Any]  #: node numbers, k of them.
+    container: Any  #: owner of the system; it must stay alive.
+    system: Any  #: bodies and loads.
+    settings: Any  #: settings of the solver.
 
 
 def build(rod: Rod, gravity: Array, force: Array, s_contact: float, elements: int) -> Model:

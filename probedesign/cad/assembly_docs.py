@@ -43,29 +43,17 @@ PDF_FILE = "drawings.pdf"
 
 @dataclass(frozen=True)
 class BillItem:
-    """One line of the bill of materials; fields that do not apply are empty.
+    """One line of the bill of materials; fields that do not apply are empty."""
 
-    Attributes:
-        number: in the order of assembly, as in the exploded view.
-        name: as in the files.
-        quantity: how many.
-        what: description with the standard.
-        length_mm: of a screw under its head, or of a pin.
-        material: resin, steel or none.
-        mass_g: of one.
-        file: mesh to print.
-        tighten_Nm: maximum torque that the resin under the head allows.
-    """
-
-    number: int
-    name: str
-    quantity: int
-    what: str
-    length_mm: float | None = None
-    material: str = ""
-    mass_g: float | None = None
-    file: str = ""
-    tighten_Nm: float | None = None
+    number: int  #: in the order of assembly, as in the exploded view.
+    name: str  #: as in the files.
+    quantity: int  #: how many.
+    what: str  #: description with the standard.
+    length_mm: float | None = None  #: of a screw under its head, or of a pin.
+    material: str = ""  #: resin, steel or none.
+    mass_g: float | None = None  #: of one.
+    file: str = ""  #: mesh to print.
+    tighten_Nm: float | None = None  #: maximum torque that the resin under the head allows.
 
     @property
     def title(self) -> str:
@@ -296,17 +284,11 @@ PART_SIZE, ASSEMBLY_SIZE = (640, 640), (800, 1000)
 
 @dataclass(frozen=True)
 class Documents:
-    """The documents of an export.
+    """The documents of an export."""
 
-    Attributes:
-        files: by name.
-        bill: of materials.
-        steps: the instructions, in order.
-    """
-
-    files: dict[str, bytes]
-    bill: list[BillItem]
-    steps: list[str]
+    files: dict[str, bytes]  #: by name.
+    bill: list[BillItem]  #: of materials.
+    steps: list[str]  #: the instructions, in order.
 
 
 def build_documents(model: CadModel) -> Documents:

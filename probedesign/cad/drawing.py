@@ -48,17 +48,11 @@ STACK = 7.5
 
 @dataclass(frozen=True)
 class Pen:
-    """A kind of line, which is also its layer in a CAD file.
+    """A kind of line, which is also its layer in a CAD file."""
 
-    Attributes:
-        layer: name of the layer.
-        width: [mm], ISO 128.
-        dash: lengths of strokes and gaps [mm]; empty for a continuous line.
-    """
-
-    layer: str
-    width: float
-    dash: tuple[float, ...] = ()
+    layer: str  #: name of the layer.
+    width: float  #: [mm], ISO 128.
+    dash: tuple[float, ...] = ()  #: lengths of strokes and gaps [mm]; empty for a continuous line.
 
 
 OUTLINE = Pen("OUTLINE", 0.4)
@@ -121,20 +115,13 @@ class Text:
 
 @dataclass(frozen=True)
 class Dimension:
-    """A linear dimension.
+    """A linear dimension."""
 
-    Attributes:
-        a, b: ends of the dimension line, b to the right of or below a.
-        feet: the points of the outline that are measured, at a and at b.
-        words: the text.
-        scale: of its view.
-    """
-
-    a: XY
+    a: XY  #: a, b: ends of the dimension line, b to the right of or below a.
     b: XY
-    feet: tuple[XY, XY]
-    words: str
-    scale: float
+    feet: tuple[XY, XY]  #: the points of the outline that are measured, at a and at b.
+    words: str  #: the text.
+    scale: float  #: of its view.
 
     @property
     def upright(self) -> bool:
@@ -202,17 +189,11 @@ def number(value: float) -> str:
 
 @dataclass
 class Sheet:
-    """One A4 sheet with frame and title block.
+    """One A4 sheet with frame and title block."""
 
-    Attributes:
-        title: of the part.
-        scale: of its main views.
-        items: in the order in which they are drawn.
-    """
-
-    title: str
-    scale: float
-    items: list[Item] = field(default_factory=list)
+    title: str  #: of the part.
+    scale: float  #: of its main views.
+    items: list[Item] = field(default_factory=list)  #: in the order in which they are drawn.
 
     def frame(self, rows: Sequence[tuple[str, str]]) -> None:
         """Draw the frame and the title block with name and value of each field, and the symbol of the projection."""
@@ -270,17 +251,11 @@ def scale_text(scale: float) -> str:
 
 @dataclass(frozen=True)
 class SheetView:
-    """A view on a sheet with its dimensions; points of the part are (u, v) [mm], v up.
+    """A view on a sheet with its dimensions; points of the part are (u, v) [mm], v up."""
 
-    Attributes:
-        sheet: that it is drawn on.
-        origin: position of the part's origin on the paper.
-        scale: paper over part.
-    """
-
-    sheet: Sheet
-    origin: XY
-    scale: float
+    sheet: Sheet  #: that it is drawn on.
+    origin: XY  #: position of the part's origin on the paper.
+    scale: float  #: paper over part.
 
     def at(self, p: XY) -> XY:
         """Return a point of the part on paper."""

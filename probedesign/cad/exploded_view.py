@@ -25,34 +25,21 @@ UP, DOWN = 1, -1
 
 @dataclass(frozen=True)
 class Move:
-    """Parts that are mounted onto another part.
+    """Parts that are mounted onto another part."""
 
-    Attributes:
-        parts: names.
-        onto: the part that they are moved away from.
-        side: UP or DOWN along the sensor's z.
-    """
-
-    parts: tuple[str, ...]
-    onto: str
-    side: int
+    parts: tuple[str, ...]  #: names.
+    onto: str  #: the part that they are moved away from.
+    side: int  #: UP or DOWN along the sensor's z.
 
 
 @dataclass(frozen=True)
 class AssemblyStep:
-    """One step of the assembly.
+    """One step of the assembly."""
 
-    Attributes:
-        text: the instruction.
-        moves: of this step's parts, each onto a part that is present or moved before it.
-        on_bench: whether it is done on the bench, so that earlier parts are not shown.
-        seen_from_below: whether its picture is taken from below.
-    """
-
-    text: str
-    moves: tuple[Move, ...]
-    on_bench: bool = False
-    seen_from_below: bool = False
+    text: str  #: the instruction.
+    moves: tuple[Move, ...]  #: of this step's parts, each onto a part that is present or moved before it.
+    on_bench: bool = False  #: whether it is done on the bench, so that earlier parts are not shown.
+    seen_from_below: bool = False  #: whether its picture is taken from below.
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -147,15 +134,10 @@ Bodies = Mapping[str, RenderBody]
 
 @dataclass(frozen=True)
 class PartLabel:
-    """The label of a part.
+    """The label of a part."""
 
-    Attributes:
-        number: in the bill of materials.
-        lines: its name and its description.
-    """
-
-    number: int
-    lines: tuple[str, str]
+    number: int  #: in the bill of materials.
+    lines: tuple[str, str]  #: its name and its description.
 
 
 def exploded_bodies(bodies: Bodies, moves: Iterable[Move], seat: float) -> dict[str, RenderBody]:

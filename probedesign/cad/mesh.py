@@ -36,15 +36,10 @@ MESH_LIMIT = 5e-4
 
 @dataclass(frozen=True)
 class Mesh:
-    """A closed triangle mesh in millimetres, in its part's own frame.
+    """A closed triangle mesh in millimetres, in its part's own frame."""
 
-    Attributes:
-        vertices: (n, 3), each point once, single precision as an STL file holds them.
-        triangles: corners of each triangle, counter-clockwise from outside, (m, 3).
-    """
-
-    vertices: NDArray[np.float32]
-    triangles: NDArray[np.int64]
+    vertices: NDArray[np.float32]  #: (n, 3), each point once, single precision as an STL file holds them.
+    triangles: NDArray[np.int64]  #: corners of each triangle, counter-clockwise from outside, (m, 3).
 
     @property
     def volume(self) -> float:
@@ -108,17 +103,11 @@ BETWEEN_MM = 5.0
 
 @dataclass(frozen=True)
 class ThreemfObject:
-    """One object of a 3MF package.
+    """One object of a 3MF package."""
 
-    Attributes:
-        name: of the part.
-        part_number: of the object and of its build item.
-        mesh: in millimetres, in the part's own frame.
-    """
-
-    name: str
-    part_number: str
-    mesh: Mesh
+    name: str  #: of the part.
+    part_number: str  #: of the object and of its build item.
+    mesh: Mesh  #: in millimetres, in the part's own frame.
 
 
 def threemf_bytes(objects: Sequence[ThreemfObject], metadata: dict[str, str]) -> bytes:

@@ -49,29 +49,17 @@ COARSE_MM, COARSE_RAD = 0.02, 0.3
 
 @dataclass(frozen=True)
 class CadPart:
-    """One part, or one group of equal screws.
+    """One part, or one group of equal screws."""
 
-    Attributes:
-        name: as in the files.
-        shape: in millimetres in the part's own frame; of a group, one piece.
-        T_sensor_part: pose of that frame in the sensor frame, (4, 4).
-        frame: name of that frame.
-        density: [kg/m³]; zero for the sensor, whose mass is not part of the mount.
-        color: (red, green, blue) 0 ... 1.
-        printed: whether it has a mesh of its own.
-        standard: of a purchased piece, such as ISO 4762 M2x6; groups of one standard share their shape.
-        places: pose of each piece in the part's frame, (4, 4).
-    """
-
-    name: str
-    shape: cq.Shape
-    T_sensor_part: Array
-    frame: str
-    density: float
-    color: tuple[float, float, float]
-    printed: bool = True
-    standard: str = ""
-    places: tuple[Array, ...] = (IN_SENSOR_FRAME,)
+    name: str  #: as in the files.
+    shape: cq.Shape  #: in millimetres in the part's own frame; of a group, one piece.
+    T_sensor_part: Array  #: pose of that frame in the sensor frame, (4, 4).
+    frame: str  #: name of that frame.
+    density: float  #: [kg/m³]; zero for the sensor, whose mass is not part of the mount.
+    color: tuple[float, float, float]  #: (red, green, blue) 0 ... 1.
+    printed: bool = True  #: whether it has a mesh of its own.
+    standard: str = ""  #: of a purchased piece, such as ISO 4762 M2x6; groups of one standard share their shape.
+    places: tuple[Array, ...] = (IN_SENSOR_FRAME,)  #: pose of each piece in the part's frame, (4, 4).
 
     @property
     def Ts_sensor_piece(self) -> dict[str, Array]:
@@ -178,23 +166,14 @@ FASTENERS = ("sensor_adapter_screws", "ring_screws", "ring_nuts", "dowel_pins")
 
 @dataclass(frozen=True)
 class CadModel:
-    """A design with all its solids.
+    """A design with all its solids."""
 
-    Attributes:
-        design: the design file's content.
-        geometry: of the probe; the mechanics use the same one.
-        adapter: dimensions on the sensor's tool side.
-        plate: dimensions on the sensor's mounting side.
-        screws: every group of screws, entries checked.
-        parts: the solids by name.
-    """
-
-    design: Design
-    geometry: ProbeGeometry
-    adapter: SensorAdapter
-    plate: FlangeAdapter
-    screws: list[ScrewGroup]
-    parts: dict[str, CadPart]
+    design: Design  #: the design file's content.
+    geometry: ProbeGeometry  #: of the probe; the mechanics use the same one.
+    adapter: SensorAdapter  #: dimensions on the sensor's tool side.
+    plate: FlangeAdapter  #: dimensions on the sensor's mounting side.
+    screws: list[ScrewGroup]  #: every group of screws, entries checked.
+    parts: dict[str, CadPart]  #: the solids by name.
 
     @property
     def printed(self) -> list[CadPart]:

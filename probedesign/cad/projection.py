@@ -21,15 +21,10 @@ Lines = list[Array]
 
 @dataclass(frozen=True)
 class ViewDirection:
-    """A direction of view.
+    """A direction of view."""
 
-    Attributes:
-        eye: direction from the part to the eye.
-        right: direction drawn to the right.
-    """
-
-    eye: tuple[float, float, float]
-    right: tuple[float, float, float]
+    eye: tuple[float, float, float]  #: direction from the part to the eye.
+    right: tuple[float, float, float]  #: direction drawn to the right.
 
 
 FRONT = ViewDirection((0.0, -1.0, 0.0), (1.0, 0.0, 0.0))

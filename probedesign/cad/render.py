@@ -183,17 +183,11 @@ PALE = 0.3
 
 @dataclass(frozen=True)
 class RenderBody:
-    """The triangles of one part, for rendering.
+    """The triangles of one part, for rendering."""
 
-    Attributes:
-        corners: of its triangles in the sensor frame [mm], (m, 3, 3).
-        normals: outward unit normals there, (m, 3, 3).
-        colour: red, green, blue 0 ... 1.
-    """
-
-    corners: Array
-    normals: Array
-    colour: tuple[float, float, float]
+    corners: Array  #: of its triangles in the sensor frame [mm], (m, 3, 3).
+    normals: Array  #: outward unit normals there, (m, 3, 3).
+    colour: tuple[float, float, float]  #: red, green, blue 0 ... 1.
 
     def translated(self, height: float) -> "RenderBody":
         """Return the body moved along z [mm]."""
@@ -243,15 +237,10 @@ def _smooth_shaded(mesh: Mesh) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class OrthographicCamera:
-    """A camera without perspective that looks at the axis; z of the sensor frame points up.
+    """A camera without perspective that looks at the axis; z of the sensor frame points up."""
 
-    Attributes:
-        azimuth_deg: of the camera, about +z from +x.
-        elevation_deg: of the camera above the horizontal.
-    """
-
-    azimuth_deg: float = 70.0
-    elevation_deg: float = 22.0
+    azimuth_deg: float = 70.0  #: of the camera, about +z from +x.
+    elevation_deg: float = 22.0  #: of the camera above the horizontal.
 
     @property
     def axes(self) -> Array:
@@ -264,19 +253,12 @@ class OrthographicCamera:
 
 @dataclass(frozen=True)
 class ImageView:
-    """A camera with the position and scale of its image.
+    """A camera with the position and scale of its image."""
 
-    Attributes:
-        axes: of the camera.
-        centre: of the picture, along right and up [mm], (2,).
-        scale: [px/mm].
-        size: width and height [px].
-    """
-
-    axes: Array
-    centre: Array
-    scale: float
-    size: tuple[int, int]
+    axes: Array  #: of the camera.
+    centre: Array  #: of the picture, along right and up [mm], (2,).
+    scale: float  #: [px/mm].
+    size: tuple[int, int]  #: width and height [px].
 
     def pixels(self, points: Array) -> Array:
         """Return x to the right, y down and depth towards the eye [px] of points [mm] (..., 3)."""

@@ -36,19 +36,12 @@ from probedesign.mount.sensor_adapter import (
 
 @dataclass(frozen=True)
 class Holes:
-    """Equal holes, tagged in a view and described in the table.
+    """Equal holes, tagged in a view and described in the table."""
 
-    Attributes:
-        points: (x, y) of each [m].
-        size: largest diameter [m].
-        words: description of one hole.
-        on_circle: whether they form a hole circle that is drawn and dimensioned.
-    """
-
-    points: Sequence[XY]
-    size: float
-    words: str
-    on_circle: bool = True
+    points: Sequence[XY]  #: (x, y) of each [m].
+    size: float  #: largest diameter [m].
+    words: str  #: description of one hole.
+    on_circle: bool = True  #: whether they form a hole circle that is drawn and dimensioned.
 
     @property
     def text(self) -> str:

@@ -42,29 +42,17 @@ SECTOR_REACH = 31.5 * MM
 
 @dataclass(frozen=True)
 class ScrewGroup:
-    """Equal screws that fasten one part to another; lengths [m], positions in the sensor frame.
+    """Equal screws that fasten one part to another; lengths [m], positions in the sensor frame."""
 
-    Attributes:
-        name: of the group.
-        into: the part or thread that they enter.
-        screw: dimensions of the standard.
-        length: under the head.
-        grip: thickness between head and thread.
-        entry_limits: minimum and maximum allowed entry.
-        points: (x, y) of each.
-        seat: z of the face under the heads.
-        up: whether the screws point to +z.
-    """
-
-    name: str
-    into: str
-    screw: SocketScrew
-    length: float
-    grip: float
-    entry_limits: tuple[float, float]
-    points: tuple[XY, ...]
-    seat: float
-    up: bool
+    name: str  #: of the group.
+    into: str  #: the part or thread that they enter.
+    screw: SocketScrew  #: dimensions of the standard.
+    length: float  #: under the head.
+    grip: float  #: thickness between head and thread.
+    entry_limits: tuple[float, float]  #: minimum and maximum allowed entry.
+    points: tuple[XY, ...]  #: (x, y) of each.
+    seat: float  #: z of the face under the heads.
+    up: bool  #: whether the screws point to +z.
 
     @property
     def entry(self) -> float:
@@ -142,19 +130,12 @@ def screw_groups(a: SensorAdapter, plate: FlangeAdapter) -> list[ScrewGroup]:
 
 @dataclass(frozen=True)
 class Fasteners:
-    """A group of equal screws, nuts or pins.
+    """A group of equal screws, nuts or pins."""
 
-    Attributes:
-        name: of the group.
-        standard: of a piece, such as ISO 4762 M2x6.
-        solid: of a piece, in millimetres in its own frame; groups of one standard share it.
-        poses: of each piece in the sensor frame.
-    """
-
-    name: str
-    standard: str
-    solid: cq.Solid
-    poses: tuple[Array, ...]
+    name: str  #: of the group.
+    standard: str  #: of a piece, such as ISO 4762 M2x6.
+    solid: cq.Solid  #: of a piece, in millimetres in its own frame; groups of one standard share it.
+    poses: tuple[Array, ...]  #: of each piece in the sensor frame.
 
 
 def fasteners(a: SensorAdapter, plate: FlangeAdapter, screws: list[ScrewGroup]) -> list[Fasteners]:

@@ -18,22 +18,14 @@ from probedesign.vision.markers import SUFFIXES, read_grey
 
 @dataclass(frozen=True)
 class BoardPicture:
-    """One picture of the board.
+    """One picture of the board."""
 
-    Attributes:
-        path: of the file.
-        placement, camera: as its name has them.
-        numbers: of the detected corners (n,).
-        pixels: u, v [px], (n, 2).
-        size_px: width and height of the picture [px].
-    """
-
-    path: Path
-    placement: str
+    path: Path  #: of the file.
+    placement: str  #: placement, camera: as its name has them.
     camera: str
-    numbers: NDArray[np.intp]
-    pixels: Array
-    size_px: tuple[int, int]
+    numbers: NDArray[np.intp]  #: of the detected corners (n,).
+    pixels: Array  #: u, v [px], (n, 2).
+    size_px: tuple[int, int]  #: width and height of the picture [px].
 
     @property
     def usable(self) -> bool:

@@ -27,19 +27,12 @@ PUSH_DIRECTIONS = {
 
 @dataclass(frozen=True, eq=False)
 class Markers:
-    """Positions of the markers of one test.
+    """Positions of the markers of one test."""
 
-    Attributes:
-        numbers: indices of the campaign's markers, from 0, increasing, (m,).
-        p_world: [m], (m, 3).
-        cov_world: of each [m²], (m, 3, 3).
-        file: name of the table they are from.
-    """
-
-    numbers: NDArray[np.intp]
-    p_world: Array
-    cov_world: Array
-    file: str
+    numbers: NDArray[np.intp]  #: indices of the campaign's markers, from 0, increasing, (m,).
+    p_world: Array  #: [m], (m, 3).
+    cov_world: Array  #: of each [m²], (m, 3, 3).
+    file: str  #: name of the table they are from.
 
     def __len__(self) -> int:
         return len(self.numbers)
@@ -47,43 +40,26 @@ class Markers:
 
 @dataclass(frozen=True, eq=False)
 class Test:
-    """One state of the probe, hanging free or touched, and what was measured of it.
+    """One state of the probe, hanging free or touched, and what was measured of it."""
 
-    Attributes:
-        name: of the test.
-        T_world_base: pose of the base, (4, 4).
-        gravity_world: [m/s²], (3,).
-        force_world: known force of the object on the probe [N], (3,); zero for a free probe; None if not known.
-        s_contact: known arclength of the contact force on the axis [m]; NaN if not known.
-        std_s: standard deviation of s_contact [m].
-        p_contact_world: touched point of the surface by the reference [m], (3,); None if not measured.
-        std_contact: standard deviation of p_contact_world on each axis [m].
-        direction: of the push, as +y; empty if not given.
-        tip_sag: displacement of the tip along gravity from its undeformed place [m]; NaN if not measured.
-        std_sag: standard deviation of tip_sag [m].
-        wrenches: readings of the sensor without bias [N, N·m], (n, 6), n may be 0.
-        frame: of the wrenches: "sensor" (with the weight of what hangs between) or "base".
-        time: mean of its readings [s]; NaN if not given, or if time begins anew in each test.
-        markers: None if none were measured.
-        use: command that the test is for; empty for both.
-    """
-
-    name: str
-    T_world_base: Array
-    gravity_world: Array
+    name: str  #: of the test.
+    T_world_base: Array  #: pose of the base, (4, 4).
+    gravity_world: Array  #: [m/s²], (3,).
+    #: known force of the object on the probe [N], (3,); zero for a free probe; None if not known.
     force_world: Array | None
-    s_contact: float
-    std_s: float
-    p_contact_world: Array | None
-    std_contact: float
-    direction: str
-    tip_sag: float
-    std_sag: float
+    s_contact: float  #: known arclength of the contact force on the axis [m]; NaN if not known.
+    std_s: float  #: standard deviation of s_contact [m].
+    p_contact_world: Array | None  #: touched point of the surface by the reference [m], (3,); None if not measured.
+    std_contact: float  #: standard deviation of p_contact_world on each axis [m].
+    direction: str  #: of the push, as +y; empty if not given.
+    tip_sag: float  #: displacement of the tip along gravity from its undeformed place [m]; NaN if not measured.
+    std_sag: float  #: standard deviation of tip_sag [m].
+    #: readings of the sensor without bias [N, N·m], (n, 6), n may be 0.
     wrenches: Array = field(default_factory=lambda: np.zeros((0, 6)))
-    frame: Frame = "base"
-    markers: Markers | None = None
-    use: Use = ""
-    time: float = np.nan
+    frame: Frame = "base"  #: of the wrenches: "sensor" (with the weight of what hangs between) or "base".
+    markers: Markers | None = None  #: None if none were measured.
+    use: Use = ""  #: command that the test is for; empty for both.
+    time: float = np.nan  #: mean of its readings [s]; NaN if not given, or if time begins anew in each test.
 
     @property
     def free(self) -> bool:
@@ -141,48 +117,28 @@ class Test:
 
 @dataclass(frozen=True)
 class Weighing:
-    """Mass of the probe on a balance.
+    """Mass of the probe on a balance."""
 
-    Attributes:
-        mass: [kg].
-        std: standard deviation of the mass [kg].
-        of: "flexible", the soft part cut off at its base, or "probe", with its printed flange.
-    """
-
-    mass: float
-    std: float
+    mass: float  #: [kg].
+    std: float  #: standard deviation of the mass [kg].
+    #: "flexible", the soft part cut off at its base, or "probe", with its printed flange.
     of: Literal["flexible", "probe"]
 
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """Tests of one probe.
+    """Tests of one probe."""
 
-    Attributes:
-        name: of the probe's design.
-        fingerprint: of its geometry; None if the campaign does not state it.
-        T_world_base: pose of the base in tests without a pose of their own, (4, 4).
-        std_base: standard deviation of its position, on each axis [m].
-        std_tilt: of its rotation, about each axis [rad].
-        gravity_world: [m/s²], (3,).
-        marker_s: arclength of each marker, increasing [m], (k,).
-        marker_side: side of the section with the markers, from the base's x axis about z [rad]; None for markers on
-            the axis.
-        tests: in the order of their table.
-        weighing: None if it was not weighed.
-        folder: it was read from.
-        notes: lines for the user.
-    """
-
-    name: str
-    fingerprint: str | None
-    T_world_base: Array
-    std_base: float
-    std_tilt: float
-    gravity_world: Array
-    marker_s: Array
+    name: str  #: of the probe's design.
+    fingerprint: str | None  #: of its geometry; None if the campaign does not state it.
+    T_world_base: Array  #: pose of the base in tests without a pose of their own, (4, 4).
+    std_base: float  #: standard deviation of its position, on each axis [m].
+    std_tilt: float  #: of its rotation, about each axis [rad].
+    gravity_world: Array  #: [m/s²], (3,).
+    marker_s: Array  #: arclength of each marker, increasing [m], (k,).
+    #: side of the section with the markers, from the base's x axis about z [rad]; None for markers on the axis.
     marker_side: float | None
-    tests: tuple[Test, ...]
-    weighing: Weighing | None
-    folder: Path
-    notes: tuple[str, ...] = ()
+    tests: tuple[Test, ...]  #: in the order of their table.
+    weighing: Weighing | None  #: None if it was not weighed.
+    folder: Path  #: it was read from.
+    notes: tuple[str, ...] = ()  #: lines for the user.

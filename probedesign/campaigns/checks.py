@@ -287,17 +287,11 @@ def _check_lever(campaign: Campaign, model: ProbeModel) -> None:
 
 @dataclass(frozen=True)
 class MeasuredPush:
-    """Force on the probe by the readings of one loaded test.
+    """Force on the probe by the readings of one loaded test."""
 
-    Attributes:
-        test: which.
-        force: by the sensor, less weight and readings of the free probe, in base axes [N], (3,).
-        margin: for noise and drift [N].
-    """
-
-    test: Test
-    force: Array
-    margin: float
+    test: Test  #: which.
+    force: Array  #: by the sensor, less weight and readings of the free probe, in base axes [N], (3,).
+    margin: float  #: for noise and drift [N].
 
     def contradicts(self, known: Array) -> bool:
         """Return whether the force cannot be the known one [N], (3,)."""

@@ -34,34 +34,22 @@ Progress = Callable[[str, float | None], None]
 
 @dataclass(frozen=True)
 class Photograph:
-    """One photograph of a test.
+    """One photograph of a test."""
 
-    Attributes:
-        test: it shows.
-        camera: name of the camera.
-        path: of the file.
-    """
-
-    test: Test
-    camera: str
-    path: Path
+    test: Test  #: it shows.
+    camera: str  #: name of the camera.
+    path: Path  #: of the file.
 
 
 @dataclass(frozen=True)
 class PhotographedTest:
-    """Markers of one test in all its photographs.
+    """Markers of one test in all its photographs."""
 
-    Attributes:
-        photographs: one of each camera.
-        found: markers in each.
-        residual_px: root mean square of the reprojection errors [px]; NaN if the cameras are not calibrated.
-        problem: why it is left out; empty if it is not.
-    """
-
-    photographs: tuple[Photograph, ...]
-    found: tuple[DetectedMarkers, ...] = ()
+    photographs: tuple[Photograph, ...]  #: one of each camera.
+    found: tuple[DetectedMarkers, ...] = ()  #: markers in each.
+    #: root mean square of the reprojection errors [px]; NaN if the cameras are not calibrated.
     residual_px: float = math.nan
-    problem: str = ""
+    problem: str = ""  #: why it is left out; empty if it is not.
 
     @property
     def test(self) -> str:
@@ -223,15 +211,10 @@ def cache_key(photograph: Path, s: Array, base: Array | ImageSide, dark: bool | 
 
 @dataclass
 class DetectionCache:
-    """Finished photographs of a campaign.
+    """Finished photographs of a campaign."""
 
-    Attributes:
-        folder: of the campaign.
-        used: number of results that were taken from the cache.
-    """
-
-    folder: Path
-    used: int = 0
+    folder: Path  #: of the campaign.
+    used: int = 0  #: number of results that were taken from the cache.
     _done: dict[str, DetectedMarkers] = field(init=False)
 
     def __post_init__(self) -> None:

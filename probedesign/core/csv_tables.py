@@ -57,25 +57,15 @@ MAX_ROWS = 500_000
 
 @dataclass(frozen=True)
 class CsvLines:
-    """Non-empty lines of a CSV file.
+    """Non-empty lines of a CSV file."""
 
-    Attributes:
-        path: of the file.
-        header: names of the columns.
-        header_number: line of the file with the header.
-        rows: the lines after it.
-        numbers: line of the file of each row.
-        ends_whole: whether the file ends in a newline.
-        comments: lines that begin with #, each with its line of the file.
-    """
-
-    path: Path
-    header: list[str]
-    header_number: int
-    rows: list[str]
-    numbers: list[int]
-    ends_whole: bool
-    comments: list[tuple[int, str]]
+    path: Path  #: of the file.
+    header: list[str]  #: names of the columns.
+    header_number: int  #: line of the file with the header.
+    rows: list[str]  #: the lines after it.
+    numbers: list[int]  #: line of the file of each row.
+    ends_whole: bool  #: whether the file ends in a newline.
+    comments: list[tuple[int, str]]  #: lines that begin with #, each with its line of the file.
 
     def fail(self, number: int, problem: str) -> NoReturn:
         """Raise the error of one line of the file."""
@@ -179,21 +169,13 @@ def plain(text: str, max_length: int = 100) -> str:
 
 @dataclass(frozen=True)
 class Column:
-    """One column that is read.
+    """One column that is read."""
 
-    Attributes:
-        quantity: name of the quantity.
-        kind: of the quantity, a key of `UNITS` or a kind without unit.
-        index: its position in a row.
-        factor: to SI.
-        name: as the header spells it.
-    """
-
-    quantity: str
-    kind: str
-    index: int
-    factor: float
-    name: str
+    quantity: str  #: name of the quantity.
+    kind: str  #: of the quantity, a key of `UNITS` or a kind without unit.
+    index: int  #: its position in a row.
+    factor: float  #: to SI.
+    name: str  #: as the header spells it.
 
     @property
     def ceiling(self) -> float:
@@ -269,36 +251,23 @@ def _letters(unit: str) -> str:
 
 @dataclass(frozen=True)
 class TableSchema:
-    """Columns that a table may have.
+    """Columns that a table may have."""
 
-    Attributes:
-        what: name of such a table in messages.
-        kinds: kind of each quantity by its name in the header; "name", "word" and "number" have no unit.
-        required: quantities that must have a column.
-        like: example of a header, for messages.
-        aliases: other names of quantities.
-    """
-
-    what: str
+    what: str  #: name of such a table in messages.
+    #: kind of each quantity by its name in the header; "name", "word" and "number" have no unit.
     kinds: Mapping[str, str]
-    required: tuple[str, ...]
-    like: str
-    aliases: Mapping[str, str]
+    required: tuple[str, ...]  #: quantities that must have a column.
+    like: str  #: example of a header, for messages.
+    aliases: Mapping[str, str]  #: other names of quantities.
 
 
 @dataclass(frozen=True)
 class TableRows:
-    """Cells of one table, strict about what a spreadsheet may get wrong.
+    """Cells of one table, strict about what a spreadsheet may get wrong."""
 
-    Attributes:
-        lines: of the file.
-        columns: by quantity.
-        cells: text of each row's cells.
-    """
-
-    lines: CsvLines
-    columns: dict[str, Column]
-    cells: list[list[str]]
+    lines: CsvLines  #: of the file.
+    columns: dict[str, Column]  #: by quantity.
+    cells: list[list[str]]  #: text of each row's cells.
 
     def __len__(self) -> int:
         return len(self.cells)

@@ -160,20 +160,13 @@ class Journal:
     """A file of JSON lines: a header with the request, then one line per result.
 
     A result is on disk before it counts, so an interrupted run resumes without computing anything twice.
-
-    Attributes:
-        path: of the file.
-        request: what the results belong to; a file of another request is refused and left unchanged.
-        results: by the number of their point.
-        notes: repairs made while reading, one sentence each.
-        valid_bytes: length of the part with complete records.
     """
 
-    path: Path
-    request: Record
-    results: dict[int, Record]
-    notes: list[str]
-    valid_bytes: int
+    path: Path  #: of the file.
+    request: Record  #: what the results belong to; a file of another request is refused and left unchanged.
+    results: dict[int, Record]  #: by the number of their point.
+    notes: list[str]  #: repairs made while reading, one sentence each.
+    valid_bytes: int  #: length of the part with complete records.
 
     @classmethod
     def open(cls, path: Path, request: Record) -> "Journal":

@@ -43,29 +43,19 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Resin:
-    """A printable material.
+    """A printable material."""
 
-    Attributes:
-        name: as written in a design file.
-        product: name of the product, in messages and sources.
-        youngs_modulus: E at small strain [Pa].
-        shear_modulus: G [Pa]; independent of E on purpose (docs/decisions/0004).
-        density: cured [kg/m³].
-        friction: tangential over normal force of a touch [-], standard deviation of the prior per tangential direction.
-        density_tolerance_source: source of the relative standard deviation of the density, `Tolerances.density`.
-        preform_labels: labels in PreForm, the version first from which the properties were taken; empty if unknown.
-        cure: instruction for washing and curing.
-    """
-
-    name: str
-    product: str
-    youngs_modulus: Quantity
-    shear_modulus: Quantity
-    density: Quantity
+    name: str  #: as written in a design file.
+    product: str  #: name of the product, in messages and sources.
+    youngs_modulus: Quantity  #: E at small strain [Pa].
+    shear_modulus: Quantity  #: G [Pa]; independent of E on purpose (docs/decisions/0004).
+    density: Quantity  #: cured [kg/m³].
+    #: tangential over normal force of a touch [-], standard deviation of the prior per tangential direction.
     friction: Quantity
-    density_tolerance_source: str
+    density_tolerance_source: str  #: source of the relative standard deviation of the density, `Tolerances.density`.
+    #: labels in PreForm, the version first from which the properties were taken; empty if unknown.
     preform_labels: tuple[str, ...] = ()
-    cure: str = "wash and cure as the resin's data sheet says"
+    cure: str = "wash and cure as the resin's data sheet says"  #: instruction for washing and curing.
 
 
 ELASTIC_FRICTION = Quantity(
@@ -153,27 +143,17 @@ PRINTERS = {
 
 @dataclass(frozen=True)
 class SocketScrew:
-    """A socket head cap screw, ISO 4762; its shank is modelled as a cylinder of the thread's pitch diameter.
+    """A socket head cap screw, ISO 4762; its shank is modelled as a cylinder of the thread's pitch diameter."""
 
-    Attributes:
-        thread: its designation, such as "M2".
-        head_d, head_height: of the head [m].
-        socket_af, socket_depth: hexagon across flats and its depth [m].
-        pitch_d: pitch diameter of the thread [m].
-        clearance_d: of a through hole [m].
-        key_length: long arm of its hexagon key, standard series [m].
-        stock_mm: lengths in stock [mm].
-    """
-
-    thread: str
-    head_d: float
+    thread: str  #: its designation, such as "M2".
+    head_d: float  #: head_d, head_height: of the head [m].
     head_height: float
-    socket_af: float
+    socket_af: float  #: socket_af, socket_depth: hexagon across flats and its depth [m].
     socket_depth: float
-    pitch_d: float
-    clearance_d: float
-    key_length: float
-    stock_mm: tuple[int, ...]
+    pitch_d: float  #: pitch diameter of the thread [m].
+    clearance_d: float  #: of a through hole [m].
+    key_length: float  #: long arm of its hexagon key, standard series [m].
+    stock_mm: tuple[int, ...]  #: lengths in stock [mm].
 
     @property
     def nominal_d(self) -> float:
@@ -237,33 +217,19 @@ STEEL_DENSITY = 7900.0
 
 @dataclass(frozen=True)
 class RobotFlange:
-    """A pattern to which the flange adapter is bolted. Azimuths are measured from the dowel hole; lengths in metres.
+    """A pattern to which the flange adapter is bolted. Azimuths are measured from the dowel hole; lengths in metres."""
 
-    Attributes:
-        name: as written in a design file.
-        bolt_circle_d: of the tapped holes and of the dowel.
-        bolt_azimuths_deg: of the tapped holes, from the dowel.
-        bolt: thread name.
-        max_bolt_entry: largest depth to which a screw may enter the robot.
-        bolt_length: length of the stock screw for which the adapter is dimensioned.
-        pin_slot: width and radial length of the slot for the dowel pin; zeros for none.
-        spigot: diameter and height of the centring boss; zeros for none.
-        spigot_play: of the boss in the robot's recess, on the diameter.
-        face_d: diameter of the flange's face.
-        source: of the numbers.
-    """
-
-    name: str
-    bolt_circle_d: float
-    bolt_azimuths_deg: tuple[float, ...]
-    bolt: str
-    max_bolt_entry: float
-    bolt_length: float
-    pin_slot: tuple[float, float]
-    spigot: tuple[float, float]
-    face_d: float
-    source: str
-    spigot_play: float = 0.2 * MM
+    name: str  #: as written in a design file.
+    bolt_circle_d: float  #: of the tapped holes and of the dowel.
+    bolt_azimuths_deg: tuple[float, ...]  #: of the tapped holes, from the dowel.
+    bolt: str  #: thread name.
+    max_bolt_entry: float  #: largest depth to which a screw may enter the robot.
+    bolt_length: float  #: length of the stock screw for which the adapter is dimensioned.
+    pin_slot: tuple[float, float]  #: width and radial length of the slot for the dowel pin; zeros for none.
+    spigot: tuple[float, float]  #: diameter and height of the centring boss; zeros for none.
+    face_d: float  #: diameter of the flange's face.
+    source: str  #: of the numbers.
+    spigot_play: float = 0.2 * MM  #: of the boss in the robot's recess, on the diameter.
 
     @property
     def screw(self) -> SocketScrew:

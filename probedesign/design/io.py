@@ -393,19 +393,12 @@ _HEADER = re.compile(r"\s*\[\s*([^\[\]]+?)\s*\]\s*(#.*)?$")
 
 @dataclass(frozen=True)
 class Change:
-    """A new value of one key.
+    """A new value of one key."""
 
-    Attributes:
-        table: such as `material`.
-        key: in the table.
-        text: the value as TOML.
-        note: comment beside the value.
-    """
-
-    table: str
-    key: str
-    text: str
-    note: str = ""
+    table: str  #: such as `material`.
+    key: str  #: in the table.
+    text: str  #: the value as TOML.
+    note: str = ""  #: comment beside the value.
 
     @property
     def line(self) -> str:

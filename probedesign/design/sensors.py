@@ -23,18 +23,12 @@ NANO17_BODY = (17.0 * MM, 14.5 * MM)
 
 @dataclass(frozen=True)
 class Calibration:
-    """A calibration of a sensor; channels in the order Fx, Fy, Fz [N], Mx, My, Mz [N·m].
+    """A calibration of a sensor; channels in the order Fx, Fy, Fz [N], Mx, My, Mz [N·m]."""
 
-    Attributes:
-        name: as written in a design file.
-        wrench_range: largest absolute value of each channel, six numbers.
-        resolution: one step of each channel, six numbers.
-        sample_cov: covariance of one sample, six rows; None if it is not known.
-    """
-
-    name: str
-    wrench_range: tuple[float, ...]
-    resolution: tuple[float, ...]
+    name: str  #: as written in a design file.
+    wrench_range: tuple[float, ...]  #: largest absolute value of each channel, six numbers.
+    resolution: tuple[float, ...]  #: one step of each channel, six numbers.
+    #: covariance of one sample, six rows; None if it is not known.
     sample_cov: tuple[tuple[float, ...], ...] | None = None
 
     def noise(self, samples: int = 1) -> "Noise":
@@ -55,13 +49,9 @@ class Calibration:
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """White noise of one reading [force; moment].
+    """White noise of one reading [force; moment]."""
 
-    Attributes:
-        cov: covariance of the six channels [N, N·m], (6, 6).
-    """
-
-    cov: Array
+    cov: Array  #: covariance of the six channels [N, N·m], (6, 6).
 
     @classmethod
     def isotropic(cls, force: float, moment: float) -> "Noise":
@@ -95,23 +85,14 @@ class Noise:
 
 @dataclass(frozen=True)
 class ScrewPattern:
-    """Equal threaded holes on a bolt circle in one face of a sensor.
+    """Equal threaded holes on a bolt circle in one face of a sensor."""
 
-    Attributes:
-        face_d: diameter of the face [m].
-        bolt_circle_d: [m].
-        azimuths_deg: of the holes in the sensor frame.
-        screw: that fits.
-        min_entry: least useful depth of thread [m].
-        max_entry: longer screws destroy the sensor [m].
-    """
-
-    face_d: float
-    bolt_circle_d: float
-    azimuths_deg: tuple[float, ...]
-    screw: SocketScrew
-    min_entry: float
-    max_entry: float
+    face_d: float  #: diameter of the face [m].
+    bolt_circle_d: float  #: [m].
+    azimuths_deg: tuple[float, ...]  #: of the holes in the sensor frame.
+    screw: SocketScrew  #: that fits.
+    min_entry: float  #: least useful depth of thread [m].
+    max_entry: float  #: longer screws destroy the sensor [m].
 
     @property
     def length(self) -> float:
@@ -134,62 +115,40 @@ class ScrewPattern:
 
 @dataclass(frozen=True)
 class DowelPattern:
-    """Dowel holes in the tool face of a sensor, with azimuths in the sensor frame.
+    """Dowel holes in the tool face of a sensor, with azimuths in the sensor frame."""
 
-    Attributes:
-        diameter, depth: of a hole [m].
-        circle_d: of their centres [m].
-        azimuths_deg: of the holes.
-        pin_length: length of the stock pin in them [m].
-    """
-
-    diameter: float
+    diameter: float  #: diameter, depth: of a hole [m].
     depth: float
-    circle_d: float
-    azimuths_deg: tuple[float, ...]
-    pin_length: float
+    circle_d: float  #: of their centres [m].
+    azimuths_deg: tuple[float, ...]  #: of the holes.
+    pin_length: float  #: length of the stock pin in them [m].
 
 
 @dataclass(frozen=True)
 class CableExit:
-    """The cable's exit from a sensor, and the sector that is kept free for the cable.
+    """The cable's exit from a sensor, and the sector that is kept free for the cable."""
 
-    Attributes:
-        azimuth_deg: in the sensor frame.
-        half_width_deg, free_height: of the sector, on either side of the cable, and above the mounting face [m].
-        width, reach: of the exit's block, and its distance from the axis [m].
-        heights: of the block's lower and upper face above the mounting face [m].
-    """
-
-    azimuth_deg: float
+    azimuth_deg: float  #: in the sensor frame.
+    #: half_width_deg, free_height: of the sector, on either side of the cable, and above the mounting face [m].
     half_width_deg: float
     free_height: float
-    width: float
+    width: float  #: width, reach: of the exit's block, and its distance from the axis [m].
     reach: float
-    heights: tuple[float, float]
+    heights: tuple[float, float]  #: of the block's lower and upper face above the mounting face [m].
 
 
 @dataclass(frozen=True)
 class SensorInterface:
-    """The mechanical interface of a sensor: what mount, CAD and print rules need to know of it.
+    """The mechanical interface of a sensor: what mount, CAD and print rules need to know of it."""
 
-    Attributes:
-        body_d, height: of the body, from tool face to mounting face [m].
-        tool, mounting: threaded holes of both faces.
-        dowels: holes in the tool face.
-        cable: exit and free sector.
-        mass: without cable [kg].
-        p_com: centre of mass in the sensor frame [m], (3,).
-    """
-
-    body_d: float
+    body_d: float  #: body_d, height: of the body, from tool face to mounting face [m].
     height: float
-    tool: ScrewPattern
+    tool: ScrewPattern  #: tool, mounting: threaded holes of both faces.
     mounting: ScrewPattern
-    dowels: DowelPattern
-    cable: CableExit
-    mass: float
-    p_com: tuple[float, float, float]
+    dowels: DowelPattern  #: holes in the tool face.
+    cable: CableExit  #: exit and free sector.
+    mass: float  #: without cable [kg].
+    p_com: tuple[float, float, float]  #: centre of mass in the sensor frame [m], (3,).
 
 
 @dataclass(frozen=True)
@@ -198,26 +157,18 @@ class SensorModel:
 
     Its frame is right-handed, with the origin at the centre of the tool face, +X through the tool-side dowel hole at 0°
     and +Z out of the tool face.
-
-    Attributes:
-        name: as written in a design file.
-        product: maker and type, for documents.
-        interface: mechanical.
-        calibrations: the finest first.
-        source: of the numbers.
-        assumed: keys of the numbers without a source, as in a sensor file, such as `interface.tool.azimuths_deg`.
-        overload: load on one axis that the sensor survives [N, N·m], six numbers; None if it is not known.
-        rate: greatest sampling rate [Hz]; None if it is not known.
     """
 
-    name: str
-    product: str
-    interface: SensorInterface
-    calibrations: tuple[Calibration, ...]
-    source: str
+    name: str  #: as written in a design file.
+    product: str  #: maker and type, for documents.
+    interface: SensorInterface  #: mechanical.
+    calibrations: tuple[Calibration, ...]  #: the finest first.
+    source: str  #: of the numbers.
+    #: keys of the numbers without a source, as in a sensor file, such as `interface.tool.azimuths_deg`.
     assumed: tuple[str, ...] = ()
+    #: load on one axis that the sensor survives [N, N·m], six numbers; None if it is not known.
     overload: tuple[float, ...] | None = None
-    rate: float | None = None
+    rate: float | None = None  #: greatest sampling rate [Hz]; None if it is not known.
 
     @property
     def assumed_shape(self) -> tuple[str, ...]:

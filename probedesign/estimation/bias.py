@@ -35,21 +35,13 @@ Q, RAMP, DECAY, SAMPLE, PERIOD = 0, 1, 2, 3, 4
 
 
 class BiasState(NamedTuple):
-    """State of the filter; all of it is changed in place, also by the compiled contact test.
+    """State of the filter; all of it is changed in place, also by the compiled contact test."""
 
-    Attributes:
-        mean: bias at the base [N, N·m] and its rate [1/s], (2, 6).
-        cov: variance of the bias [steps²], covariance with its rate, variance of the rate [steps²/s²], (3,).
-        clock: time of the last sample, and time for which mean and covariance are given [s], (2,).
-        waiting: mean of the last block (6,), its number of samples, and the time of its middle [s], (8,).
-        constants: q² [steps²/s], σ² [steps²/s²], 1/τ [1/s], variance of a sample [steps²], and time from one to the
-            next [s], (5,).
-    """
-
-    mean: Array
-    cov: Array
-    clock: Array
-    waiting: Array
+    mean: Array  #: bias at the base [N, N·m] and its rate [1/s], (2, 6).
+    cov: Array  #: variance of the bias [steps²], covariance with its rate, variance of the rate [steps²/s²], (3,).
+    clock: Array  #: time of the last sample, and time for which mean and covariance are given [s], (2,).
+    waiting: Array  #: mean of the last block (6,), its number of samples, and the time of its middle [s], (8,).
+    #: q² [steps²/s], σ² [steps²/s²], 1/τ [1/s], variance of a sample [steps²], and time from one to the next [s], (5,).
     constants: Array
 
 
@@ -107,19 +99,12 @@ def add_block(mean, cov, clock, waiting, constants, block, count):
 
 
 class KnownBias(NamedTuple):
-    """What is known of the bias at one time.
+    """What is known of the bias at one time."""
 
-    Attributes:
-        excess: the bias at the base [N, N·m], (6,).
-        rate: its change [N/s, N·m/s], (6,).
-        steps: standard deviation in steps of the resolution.
-        steps_rate: covariance of bias and rate [steps²/s], and variance of the rate [steps²/s²].
-    """
-
-    excess: Array
-    rate: Array
-    steps: float
-    steps_rate: tuple[float, float]
+    excess: Array  #: the bias at the base [N, N·m], (6,).
+    rate: Array  #: its change [N/s, N·m/s], (6,).
+    steps: float  #: standard deviation in steps of the resolution.
+    steps_rate: tuple[float, float]  #: covariance of bias and rate [steps²/s], and variance of the rate [steps²/s²].
 
     def after(self, seconds: float) -> Array:
         """Return the bias expected after that time [N, N·m], (6,)."""

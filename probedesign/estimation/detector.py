@@ -46,29 +46,18 @@ STATE_NOW, DETECTED_BY = 0, 1
 
 
 class DetectorState(NamedTuple):
-    """State of the test between samples; arrays by length are in the order of `LENGTHS`, as many as are in use.
+    """State of the test between samples; arrays by length are in the order of `LENGTHS`, as many as are in use."""
 
-    Attributes:
-        whiten: of a sample, (6, 6).
-        thresholds: of T² for each length, (k,).
-        released: T² below which a touch is over.
-        prior_weight: weight of the identity in the covariances, and the number of means that they average over.
-        state: the last code, and the index of the length that detected the contact, (2,).
-        sums: running sums of whitened samples for each length, (k, 6); counts: number of parts in them, (k,).
-        scatter: Cholesky factor of S for each length, (k, 6, 6); moments: what S is made from, (k, 6, 6).
-        scratch: of one sample, (3, 6).
-    """
-
-    whiten: Array
-    thresholds: Array
-    released: float
-    prior_weight: float
-    state: Array
-    sums: Array
+    whiten: Array  #: of a sample, (6, 6).
+    thresholds: Array  #: of T² for each length, (k,).
+    released: float  #: T² below which a touch is over.
+    prior_weight: float  #: weight of the identity in the covariances, and the number of means that they average over.
+    state: Array  #: the last code, and the index of the length that detected the contact, (2,).
+    sums: Array  #: running sums of whitened samples for each length, (k, 6); counts: number of parts in them, (k,).
     counts: Array
-    scatter: Array
+    scatter: Array  #: Cholesky factor of S for each length, (k, 6, 6); moments: what S is made from, (k, 6, 6).
     moments: Array
-    scratch: Array
+    scratch: Array  #: of one sample, (3, 6).
 
     @classmethod
     def fresh(cls, whiten: Array, thresholds: Array, released: float, prior_weight: float) -> "DetectorState":
@@ -212,27 +201,18 @@ RELEASE_CHANCE = 1e-4
 
 @dataclass
 class Detector:
-    """Sequential contact test for samples as the sensor delivers them.
+    """Sequential contact test for samples as the sensor delivers them."""
 
-    Attributes:
-        model: the probe.
-        rate: of samples [Hz].
-        hours_between_alarms: mean time from one false alarm to the next while the probe is free [h].
-        samples: number of samples whose mean has the noise of the model; None: `averaging_samples`, as single samples
-            have it. For readings that are such means already, 1.
-        walk_steps: random walk of the bias in `WALK_SECONDS`, in steps of the resolution; that of the model's
-            tolerances if None.
-        start_steps: standard deviation of the bias at the first sample, in the same steps.
-        bias_filter: the bias, followed while the probe is free.
-    """
-
-    model: ProbeModel
-    rate: float = 7000.0
-    hours_between_alarms: float = 1.0
+    model: ProbeModel  #: the probe.
+    rate: float = 7000.0  #: of samples [Hz].
+    hours_between_alarms: float = 1.0  #: mean time from one false alarm to the next while the probe is free [h].
+    #: number of samples whose mean has the noise of the model; None: `averaging_samples`, as single samples have it.
+    #: For readings that are such means already, 1.
     samples: int | None = None
+    #: random walk of the bias in `WALK_SECONDS`, in steps of the resolution; that of the model's tolerances if None.
     walk_steps: float | None = None
-    start_steps: float = 0.0
-    bias_filter: BiasFilter = field(init=False, repr=False)
+    start_steps: float = 0.0  #: standard deviation of the bias at the first sample, in the same steps.
+    bias_filter: BiasFilter = field(init=False, repr=False)  #: the bias, followed while the probe is free.
     _state: DetectorState = field(init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -108,27 +108,16 @@ def _filtered(rows: dict[str, Array]) -> tuple[Array, tuple[str, ...]]:
 
 @dataclass(frozen=True)
 class ErrorSources:
-    """The error sources of a probe under one gravity, one standard deviation a column.
+    """The error sources of a probe under one gravity, one standard deviation a column."""
 
-    Attributes:
-        model: of the probe.
-        tolerances: how well it is known.
-        gravity: base axes [m/s²], (3,).
-        own: of the rod's own sources, log E and what follows it, (a, 4 + K).
-        turns: of the others, (b, 9), see `turns_of`, or (b, 12) with the displacement of the point alone [m].
-        names: the source of each of the J columns.
-        reference: wrench at the base at which the sensor reads zero, (6,).
-        still: columns of the free probe's reading, which a tare has taken away, (6, J).
-    """
-
-    model: ProbeModel
-    tolerances: Tolerances
-    gravity: Array
-    own: Array
-    turns: Array
-    names: tuple[str, ...]
-    reference: Array
-    still: Array
+    model: ProbeModel  #: of the probe.
+    tolerances: Tolerances  #: how well it is known.
+    gravity: Array  #: base axes [m/s²], (3,).
+    own: Array  #: of the rod's own sources, log E and what follows it, (a, 4 + K).
+    turns: Array  #: of the others, (b, 9), see `turns_of`, or (b, 12) with the displacement of the point alone [m].
+    names: tuple[str, ...]  #: the source of each of the J columns.
+    reference: Array  #: wrench at the base at which the sensor reads zero, (6,).
+    still: Array  #: columns of the free probe's reading, which a tare has taken away, (6, J).
 
     @classmethod
     def of(

@@ -49,40 +49,23 @@ def _nan(*shape: int) -> Array:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One touch that would explain a reading.
+    """One touch that would explain a reading."""
 
-    Attributes:
-        s_contact: arclength of `p_contact_base` [m].
-        std_s: its standard deviation [m].
-        p_contact_base: point of the centreline where the force's line of action comes nearest [m], (3,).
-        p_surface_base: the touched point of the surface [m], (3,).
-        force_base: [N], (3,).
-        cov_contact_base: covariance of p_contact_base [m²], (3, 3).
-        cov_surface_base: covariance of p_surface_base [m²], (3, 3).
-        force_normal: component of the force into the surface [N]; NaN where the method does not know the surface.
-        force_tangential: magnitude of the rest, the friction [N].
-        chi2: misfit, a χ² of `dof` degrees of freedom if it is the true touch.
-        dof: degrees of freedom.
-        lever: how much the base moment changes with s, over the force; 1 for a force across a straight probe.
-        shape: the probe touched there.
-        at_end: whether an end of the probe bounds the place.
-        fit: of the compiled fit, a record `multistart.FIT`; None for the force–moment method.
-    """
-
-    s_contact: float
-    std_s: float
-    p_contact_base: Array
-    p_surface_base: Array
-    force_base: Array
-    cov_contact_base: Array
-    cov_surface_base: Array
-    force_normal: float
-    force_tangential: float
-    chi2: float
-    dof: int
-    lever: float
-    shape: Callable[[], Equilibrium] = field(repr=False, compare=False)
-    at_end: bool = False
+    s_contact: float  #: arclength of `p_contact_base` [m].
+    std_s: float  #: its standard deviation [m].
+    p_contact_base: Array  #: point of the centreline where the force's line of action comes nearest [m], (3,).
+    p_surface_base: Array  #: the touched point of the surface [m], (3,).
+    force_base: Array  #: [N], (3,).
+    cov_contact_base: Array  #: covariance of p_contact_base [m²], (3, 3).
+    cov_surface_base: Array  #: covariance of p_surface_base [m²], (3, 3).
+    force_normal: float  #: component of the force into the surface [N]; NaN where the method does not know the surface.
+    force_tangential: float  #: magnitude of the rest, the friction [N].
+    chi2: float  #: misfit, a χ² of `dof` degrees of freedom if it is the true touch.
+    dof: int  #: degrees of freedom.
+    lever: float  #: how much the base moment changes with s, over the force; 1 for a force across a straight probe.
+    shape: Callable[[], Equilibrium] = field(repr=False, compare=False)  #: the probe touched there.
+    at_end: bool = False  #: whether an end of the probe bounds the place.
+    #: of the compiled fit, a record `multistart.FIT`; None for the force–moment method.
     fit: np.void | None = field(default=None, repr=False, compare=False)
 
     @property
@@ -131,41 +114,25 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Estimate(Tabular):
-    """Where a probe is touched. With any result but "ok" the position is NaN.
+    """Where a probe is touched. With any result but "ok" the position is NaN."""
 
-    Attributes:
-        result: one of `RESULTS`.
-        s_contact: arclength of the centreline point at which the force acts without a couple about it [m].
-        std_s: its standard deviation [m].
-        p_contact_base: that point of the centreline [m], (3,).
-        p_surface_base: the touched point of the surface [m], (3,).
-        force_base: what the object does to the probe [N], (3,).
-        cov_contact_base: covariance of p_contact_base [m²], (3, 3).
-        cov_surface_base: covariance of p_surface_base [m²], (3, 3).
-        force_normal: component of the force into the surface [N].
-        force_tangential: magnitude of the friction [N].
-        friction_ratio: tangential over normal force.
-        detection_chi2: how far the reading is from the free probe's, six degrees of freedom.
-        candidates: every touch that was considered, best first.
-        solve_shape: for `shape`.
-        solve_interval: for `s_interval_95`.
-    """
-
-    result: Result
+    result: Result  #: one of `RESULTS`.
+    #: arclength of the centreline point at which the force acts without a couple about it [m].
     s_contact: float = float("nan")
-    std_s: float = float("nan")
-    p_contact_base: Array = field(default_factory=lambda: _nan(3))
-    p_surface_base: Array = field(default_factory=lambda: _nan(3))
-    force_base: Array = field(default_factory=lambda: _nan(3))
-    cov_contact_base: Array = field(default_factory=lambda: _nan(3, 3))
-    cov_surface_base: Array = field(default_factory=lambda: _nan(3, 3))
-    force_normal: float = float("nan")
-    force_tangential: float = float("nan")
-    friction_ratio: float = float("nan")
-    detection_chi2: float = float("nan")
-    candidates: tuple[Candidate, ...] = ()
-    solve_shape: Callable[[], Equilibrium] | None = field(default=None, repr=False, compare=False)
+    std_s: float = float("nan")  #: its standard deviation [m].
+    p_contact_base: Array = field(default_factory=lambda: _nan(3))  #: that point of the centreline [m], (3,).
+    p_surface_base: Array = field(default_factory=lambda: _nan(3))  #: the touched point of the surface [m], (3,).
+    force_base: Array = field(default_factory=lambda: _nan(3))  #: what the object does to the probe [N], (3,).
+    cov_contact_base: Array = field(default_factory=lambda: _nan(3, 3))  #: covariance of p_contact_base [m²], (3, 3).
+    cov_surface_base: Array = field(default_factory=lambda: _nan(3, 3))  #: covariance of p_surface_base [m²], (3, 3).
+    force_normal: float = float("nan")  #: component of the force into the surface [N].
+    force_tangential: float = float("nan")  #: magnitude of the friction [N].
+    friction_ratio: float = float("nan")  #: tangential over normal force.
+    detection_chi2: float = float("nan")  #: how far the reading is from the free probe's, six degrees of freedom.
+    candidates: tuple[Candidate, ...] = ()  #: every touch that was considered, best first.
+    solve_shape: Callable[[], Equilibrium] | None = field(default=None, repr=False, compare=False)  #: for `shape`.
 
+    #: for `s_interval_95`.
     solve_interval: Callable[[], tuple[float, float]] | None = field(default=None, repr=False, compare=False)
 
     @cached_property
@@ -194,44 +161,35 @@ class FusedEstimate(Tabular):
     """One fixed point touched from several poses. With any result but "ok" the position is NaN.
 
     Attributes:
-        result: one of `estimate.RESULTS`.
-        p_surface_world: the touched point of the object, which does not move [m], (3,).
-        cov_surface_world: its covariance with every error source counted [m²], (3, 3).
-        p_contact_world: point of the centreline where the force's line of action comes nearest, the mean over the poses
-            [m], (3,).
-        cov_contact_world: its covariance [m²], (3, 3).
-        s_contact: arclength of that point at each pose, NaN where free [m], (k,).
-        force_base: at each pose [N], (k, 3).
-        force_normal, force_tangential: at each pose [N], NaN where free, (k,).
         friction_ratio: tangential over normal force at each pose, (k,).
-        stiffness, std_stiffness: factor on E, and its standard deviation.
-        chi2, dof: misfit of all readings and priors, and its degrees of freedom.
-        rms: root of the trace of cov_surface_world [m].
-        rms_without: the same if one group of error sources were gone: "stiffness", "bias" or "robot" [m].
-        rms_with: the same with "one more touch" like the last, a "further press" as far again, or the "stiffness" known
-            to half its standard deviation [m].
-        iterations: of Gauss-Newton.
-        candidates_world: touched point of every solution that explains the readings about as well, best first [m],
-            (j, 3).
     """
 
-    result: Result
+    result: Result  #: one of `estimate.RESULTS`.
+    #: the touched point of the object, which does not move [m], (3,).
     p_surface_world: Array = field(default_factory=lambda: _nan(3))
+    #: its covariance with every error source counted [m²], (3, 3).
     cov_surface_world: Array = field(default_factory=lambda: _nan(3, 3))
+    #: point of the centreline where the force's line of action comes nearest, the mean over the poses [m], (3,).
     p_contact_world: Array = field(default_factory=lambda: _nan(3))
-    cov_contact_world: Array = field(default_factory=lambda: _nan(3, 3))
+    cov_contact_world: Array = field(default_factory=lambda: _nan(3, 3))  #: its covariance [m²], (3, 3).
+    #: arclength of that point at each pose, NaN where free [m], (k,).
     s_contact: Array = field(default_factory=lambda: _nan(0))
-    force_base: Array = field(default_factory=lambda: _nan(0, 3))
+    force_base: Array = field(default_factory=lambda: _nan(0, 3))  #: at each pose [N], (k, 3).
+    #: force_normal, force_tangential: at each pose [N], NaN where free, (k,).
     force_normal: Array = field(default_factory=lambda: _nan(0))
     force_tangential: Array = field(default_factory=lambda: _nan(0))
-    stiffness: float = float("nan")
+    stiffness: float = float("nan")  #: stiffness, std_stiffness: factor on E, and its standard deviation.
     std_stiffness: float = float("nan")
-    chi2: float = float("nan")
+    chi2: float = float("nan")  #: chi2, dof: misfit of all readings and priors, and its degrees of freedom.
     dof: int = 0
-    rms: float = float("nan")
+    rms: float = float("nan")  #: root of the trace of cov_surface_world [m].
+    #: the same if one group of error sources were gone: "stiffness", "bias" or "robot" [m].
     rms_without: dict[str, float] = field(default_factory=dict)
+    #: the same with "one more touch" like the last, a "further press" as far again, or the "stiffness" known to half
+    #: its standard deviation [m].
     rms_with: dict[str, float] = field(default_factory=dict)
-    iterations: int = 0
+    iterations: int = 0  #: of Gauss-Newton.
+    #: touched point of every solution that explains the readings about as well, best first [m], (j, 3).
     candidates_world: Array = field(default_factory=lambda: _nan(0, 3))
 
     @property

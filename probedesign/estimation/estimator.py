@@ -48,14 +48,10 @@ class Estimator:
     friction, whose base wrench lies nearest to the reading, weighted by the sensor's noise and all error sources.
     "force_moment", the published one: the force by its equation 5, then the arclength where that force, of any
     direction, makes the measured moment.
-
-    Attributes:
-        model: the probe.
-        tolerances: standard deviations of the model's parameters; None: those of its design.
     """
 
-    model: ProbeModel
-    tolerances: Tolerances | None = None
+    model: ProbeModel  #: the probe.
+    tolerances: Tolerances | None = None  #: standard deviations of the model's parameters; None: those of its design.
     _last_free: dict[bytes, Equilibrium] = field(default_factory=dict, compare=False, repr=False)
     _last_sources: dict[bytes, ErrorSources] = field(default_factory=dict, compare=False, repr=False)
     _last_aged: dict[int, "Estimator"] = field(default_factory=dict, compare=False, repr=False)

@@ -93,18 +93,12 @@ def _curvature(linear: float, slope: float, last: float, way: float) -> float:
 class Scan:
     """Scan of one reading along the probe, made when it is first needed; it does not depend on the reading's
     covariance.
-
-    Attributes:
-        rod: of the probe.
-        gravity: base axes [m/s²], (3,).
-        force: base axes [N], (3,).
-        moment: measured, about the base [N·m], (3,).
     """
 
-    rod: Rod
-    gravity: Array
-    force: Array
-    moment: Array
+    rod: Rod  #: of the probe.
+    gravity: Array  #: base axes [m/s²], (3,).
+    force: Array  #: base axes [N], (3,).
+    moment: Array  #: measured, about the base [N·m], (3,).
 
     @classmethod
     def of(cls, rod: Rod, seen: Observation) -> "Scan":
@@ -192,23 +186,14 @@ NO_CAUSES = np.zeros((6, 0)), np.zeros((3, 0))
 
 @dataclass(frozen=True)
 class ContactCovariance:
-    """Propagation of wrench noise and model errors to the estimate.
+    """Propagation of wrench noise and model errors to the estimate."""
 
-    Attributes:
-        s_by_wrench: ds_contact/dwrench, (6,).
-        p_by_wrench: dp_contact/dwrench, (3, 6).
-        moment_misfit: covariance of the moment misfit M(s; F) - M for the true s [N²·m²], (3, 3).
-        noise: covariance of the reading's noise, (6, 6).
-        wrench: of the reading by each cause, one standard deviation a column, (6, j).
-        point: of the true point by the same [m], (3, j).
-    """
-
-    s_by_wrench: Array
-    p_by_wrench: Array
-    moment_misfit: Array
-    noise: Array
-    wrench: Array
-    point: Array
+    s_by_wrench: Array  #: ds_contact/dwrench, (6,).
+    p_by_wrench: Array  #: dp_contact/dwrench, (3, 6).
+    moment_misfit: Array  #: covariance of the moment misfit M(s; F) - M for the true s [N²·m²], (3, 3).
+    noise: Array  #: covariance of the reading's noise, (6, 6).
+    wrench: Array  #: of the reading by each cause, one standard deviation a column, (6, j).
+    point: Array  #: of the true point by the same [m], (3, j).
 
     @property
     def cov_wrench(self) -> Array:
@@ -334,15 +319,10 @@ X_AXIS, Y_AXIS = slice(3, 6), slice(9, 12)
 
 @dataclass(frozen=True)
 class Curve:
-    """Places that are consistent with one moment.
+    """Places that are consistent with one moment."""
 
-    Attributes:
-        points: of the centreline, in the world [m], (j, 3); NaN where no force makes the moment.
-        touches: that make the moment there, (TOUCH,) each, (j,).
-    """
-
-    points: Array
-    touches: tuple[Array | None, ...]
+    points: Array  #: of the centreline, in the world [m], (j, 3); NaN where no force makes the moment.
+    touches: tuple[Array | None, ...]  #: that make the moment there, (TOUCH,) each, (j,).
 
 
 def curve(rod: Rod, gravity: Array, moment: Array, T_world_base: Array) -> Curve:

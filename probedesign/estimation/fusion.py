@@ -68,61 +68,36 @@ def channels_of(model: ProbeModel, moments: MomentsAbout | None) -> Array:
 
 @dataclass(frozen=True)
 class Reading:
-    """One reading, or the mean of several, at one pose.
+    """One reading, or the mean of several, at one pose."""
 
-    Attributes:
-        wrench: at the base, after payload compensation, (6,).
-        cov: of its noise, (6, 6).
-        T_world_base: (4, 4).
-        gravity: base axes [m/s²], (3,).
-        touched: whether there was contact.
-        time: of the reading [s]; None: `WALK_SECONDS` after the one before.
-    """
-
-    wrench: Array
-    cov: Array
-    T_world_base: Array
-    gravity: Array
-    touched: bool
-    time: float | None = None
+    wrench: Array  #: at the base, after payload compensation, (6,).
+    cov: Array  #: of its noise, (6, 6).
+    T_world_base: Array  #: (4, 4).
+    gravity: Array  #: base axes [m/s²], (3,).
+    touched: bool  #: whether there was contact.
+    time: float | None = None  #: of the reading [s]; None: `WALK_SECONDS` after the one before.
 
 
 class Solution(NamedTuple):
-    """Result of one Gauss-Newton solve.
+    """Result of one Gauss-Newton solve."""
 
-    Attributes:
-        x: the common unknowns: touched point, error sources, bias, (n,).
-        cov: of the touched point [m²], (3, 3).
-        chi2: misfit, priors included.
-        touches: at every pose, (k, TOUCH); undefined for free poses.
-        iterations: how many.
-    """
-
-    x: Array
-    cov: Array
-    chi2: float
-    touches: Array
-    iterations: int
+    x: Array  #: the common unknowns: touched point, error sources, bias, (n,).
+    cov: Array  #: of the touched point [m²], (3, 3).
+    chi2: float  #: misfit, priors included.
+    touches: Array  #: at every pose, (k, TOUCH); undefined for free poses.
+    iterations: int  #: how many.
 
 
 @dataclass(frozen=True)
 class Fusion:
-    """Readings to be fused.
+    """Readings to be fused."""
 
-    Attributes:
-        model: the probe.
-        readings: in the order of time.
-        priors: standard deviations of the error sources.
-        channels: what of a wrench at the base counts, (m, 6): see `channels_of`.
-        gravity_world: gravity in the world [m/s²], (3,).
-        common_friction: share of the friction ratio's variance that all touches have in common, below 1.
-    """
-
-    model: ProbeModel
-    readings: tuple[Reading, ...]
-    priors: Tolerances
-    channels: Array
-    gravity_world: Array
+    model: ProbeModel  #: the probe.
+    readings: tuple[Reading, ...]  #: in the order of time.
+    priors: Tolerances  #: standard deviations of the error sources.
+    channels: Array  #: what of a wrench at the base counts, (m, 6): see `channels_of`.
+    gravity_world: Array  #: gravity in the world [m/s²], (3,).
+    #: share of the friction ratio's variance that all touches have in common, below 1.
     common_friction: float = COMMON_FRICTION
 
     @property

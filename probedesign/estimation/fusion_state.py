@@ -35,15 +35,10 @@ if TYPE_CHECKING:
 
 
 class PointConstraint(NamedTuple):
-    """A condition on the touched point X: axis · X = at, up to a standard deviation.
+    """A condition on the touched point X: axis · X = at, up to a standard deviation."""
 
-    Attributes:
-        axis: unit vector, (3,).
-        at, std: [m].
-    """
-
-    axis: Array
-    at: float
+    axis: Array  #: unit vector, (3,).
+    at: float  #: at, std: [m].
     std: float
 
 
@@ -55,34 +50,24 @@ MAX_COUNT = 1e9
 
 @dataclass
 class Keyframe:
-    """Mean of the readings of one pose, in a slot of the memory of a recursive fusion, with its linearised touch.
+    """Mean of the readings of one pose, in a slot of the memory of a recursive fusion, with its linearised touch."""
 
-    Attributes:
-        slot: row of the memory, in which T, touch, lin, D, local, reduced and x lie.
-        wrench, T, time: means.
-        sources: error sources under its gravity.
-        began, span: time of the first reading, and from it to the last one [s].
-        count: number of readings.
-        due: count at which the curvature is evaluated again.
-        known: whether it has been linearised.
-    """
-
-    slot: int
-    wrench: Array
+    slot: int  #: row of the memory, in which T, touch, lin, D, local, reduced and x lie.
+    wrench: Array  #: wrench, T, time: means.
     T: Array
     time: float
-    sources: ErrorSources
+    sources: ErrorSources  #: error sources under its gravity.
     touch: Array
     lin: Array
     D: Array
     local: Array
     reduced: Array
     x: Array
-    began: float
-    count: float = 1.0
+    began: float  #: began, span: time of the first reading, and from it to the last one [s].
+    count: float = 1.0  #: number of readings.
     span: float = 0.0
-    due: float = FIRST_CURVATURE
-    known: bool = False
+    due: float = FIRST_CURVATURE  #: count at which the curvature is evaluated again.
+    known: bool = False  #: whether it has been linearised.
 
     def take_in(self, wrench: Array, T: Array, time: float) -> None:
         """Take in one more reading of this pose; wrench, place and time are means."""
@@ -104,17 +89,11 @@ class Keyframe:
 
 
 class Forces(NamedTuple):
-    """Touches pose by pose; NaN where free, but for the force, which is zero there.
+    """Touches pose by pose; NaN where free, but for the force, which is zero there."""
 
-    Attributes:
-        s_contact: arclength of the contact [m], (k,).
-        force_base: on the probe [N], (k, 3).
-        force_normal, force_tangential: of it [N], (k,).
-    """
-
-    s_contact: Array
-    force_base: Array
-    force_normal: Array
+    s_contact: Array  #: arclength of the contact [m], (k,).
+    force_base: Array  #: on the probe [N], (k, 3).
+    force_normal: Array  #: force_normal, force_tangential: of it [N], (k,).
     force_tangential: Array
 
 

@@ -46,19 +46,12 @@ _ALIKE = 0.05
 
 @dataclass(eq=False)
 class Problem:
-    """What one reading is located from.
+    """What one reading is located from."""
 
-    Attributes:
-        sources: error sources under its gravity.
-        seen: the reading.
-        friction: prior standard deviation of the friction ratio.
-        noise: covariance of the reading by noise and drift, (6, 6).
-    """
-
-    sources: ErrorSources
-    seen: Observation
-    friction: float
-    noise: Array
+    sources: ErrorSources  #: error sources under its gravity.
+    seen: Observation  #: the reading.
+    friction: float  #: prior standard deviation of the friction ratio.
+    noise: Array  #: covariance of the reading by noise and drift, (6, 6).
 
     @cached_property
     def scan(self) -> Scan:
@@ -290,17 +283,13 @@ MAX_FRICTION = 1.0
 
 
 class _ForceFit(NamedTuple):
-    """Equilibrium under the fitted force, with the derivatives of the whitened misfit.
+    """Equilibrium under the fitted force, with the derivatives of the whitened misfit."""
 
-    Attributes:
-        eq, sensitivity: equilibrium and its derivatives by the load; force: on the centre of the sphere [N], (3,).
-        r, J: whitened misfit (6,) and its derivatives by the force (6, 3).
-    """
-
+    #: eq, sensitivity: equilibrium and its derivatives by the load; force: on the centre of the sphere [N], (3,).
     eq: Equilibrium
     sensitivity: Sensitivity
     force: Array
-    r: Array
+    r: Array  #: r, J: whitened misfit (6,) and its derivatives by the force (6, 3).
     J: Array
 
 

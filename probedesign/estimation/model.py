@@ -29,58 +29,38 @@ FULL_SCALE = 1e-3
 
 @dataclass(frozen=True)
 class ProbeModel(Displayed):
-    """One probe on one sensor.
+    """One probe on one sensor."""
 
-    Attributes:
-        name: of the design.
-        fingerprint: of the geometry that was printed.
-        flange: the disc below the base, which the fingerprint counts.
-        rod: the flexible part from s = 0, clamped.
-        gravity_base: default gravity in base axes [m/s²], (3,).
-        T_sensor_base: pose of the base in the sensor frame, (4, 4).
-        payload: mass properties of the rigid parts on the sensor below s = 0 (flange, adapter, screws), in the sensor
-            frame.
-        wrench_range: largest reading of each channel [N, N·m], (6,).
-        noise: covariance of one reading, the mean of averaging_samples samples.
-        averaging_samples: how many the noise is counted for.
-        material: E, G and density with where they come from.
-        assumptions: what of the design is assumed, for every report.
-        cross_section: which the fingerprint counts; the rod has its factors.
-        stiffness_spread: standard deviation of a common factor on E and G; None: by where E comes from.
-        creep_spread: standard deviation of how far it relaxes while touches are fused, relative.
-        tolerances: how well all of it is known; None: as `Tolerances.of` has it from the material.
-        friction: standard deviation of the tangential over the normal force of a touch, per tangential direction [-]:
-            t₁, t₂ ~ N(0, (friction Fₙ)²). 0 is the frictionless contact, inf leaves the direction of the force free.
-        friction_provenance, friction_source: where the friction comes from.
-        resin: name of the resin, for the sources of the tolerances; empty if unknown.
-        sensor: name of the sensor.
-        sensor_d, sensor_height: of its body, for the view [m].
-        identified_tests: `campaigns.Test.digest` of the tests that the parameters were identified from.
-    """
-
-    name: str
-    fingerprint: str
-    flange: Flange
-    rod: Rod
-    gravity_base: Array
-    T_sensor_base: Array
+    name: str  #: of the design.
+    fingerprint: str  #: of the geometry that was printed.
+    flange: Flange  #: the disc below the base, which the fingerprint counts.
+    rod: Rod  #: the flexible part from s = 0, clamped.
+    gravity_base: Array  #: default gravity in base axes [m/s²], (3,).
+    T_sensor_base: Array  #: pose of the base in the sensor frame, (4, 4).
+    #: mass properties of the rigid parts on the sensor below s = 0 (flange, adapter, screws), in the sensor frame.
     payload: MassProperties
-    wrench_range: Array
-    noise: Noise
-    averaging_samples: int = 1
-    material: dict[str, Quantity] = field(default_factory=dict)
-    assumptions: tuple[str, ...] = ()
-    cross_section: CrossSection = FULL_ROUND
+    wrench_range: Array  #: largest reading of each channel [N, N·m], (6,).
+    noise: Noise  #: covariance of one reading, the mean of averaging_samples samples.
+    averaging_samples: int = 1  #: how many the noise is counted for.
+    material: dict[str, Quantity] = field(default_factory=dict)  #: E, G and density with where they come from.
+    assumptions: tuple[str, ...] = ()  #: what of the design is assumed, for every report.
+    cross_section: CrossSection = FULL_ROUND  #: which the fingerprint counts; the rod has its factors.
+    #: standard deviation of a common factor on E and G; None: by where E comes from.
     stiffness_spread: float | None = None
-    creep_spread: float = 0.0
+    creep_spread: float = 0.0  #: standard deviation of how far it relaxes while touches are fused, relative.
+    #: how well all of it is known; None: as `Tolerances.of` has it from the material.
     tolerances: "Tolerances | None" = None
+    #: standard deviation of the tangential over the normal force of a touch, per tangential direction [-]: t₁, t₂ ~
+    #: N(0, (friction Fₙ)²). 0 is the frictionless contact, inf leaves the direction of the force free.
     friction: float = ELASTIC_FRICTION.value
+    #: friction_provenance, friction_source: where the friction comes from.
     friction_provenance: Provenance = ELASTIC_FRICTION.provenance
     friction_source: str = ELASTIC_FRICTION.source
-    resin: str = ""
-    sensor: str = DEFAULT_SENSOR
-    sensor_d: float = NANO17_BODY[0]
+    resin: str = ""  #: name of the resin, for the sources of the tolerances; empty if unknown.
+    sensor: str = DEFAULT_SENSOR  #: name of the sensor.
+    sensor_d: float = NANO17_BODY[0]  #: sensor_d, sensor_height: of its body, for the view [m].
     sensor_height: float = NANO17_BODY[1]
+    #: `campaigns.Test.digest` of the tests that the parameters were identified from.
     identified_tests: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -246,23 +226,14 @@ def covariance(model: ProbeModel, wrench: Array, readings: int = 1) -> Array:
 
 @dataclass(frozen=True)
 class Observation:
-    """A base wrench with its covariance.
+    """A base wrench with its covariance."""
 
-    Attributes:
-        wrench: [N, N·m], (6,).
-        whiten: lower triangular, with whitenᵀ whiten the inverse of its covariance, (6, 6).
-        gravity: base axes [m/s²], (3,).
-        weight: of the flexible part [N], (3,).
-        chi2: how far it is from the free probe's, six degrees of freedom.
-        sensor_chi2: how far the sensor's own reading is from zero, six degrees of freedom.
-    """
-
-    wrench: Array
-    whiten: Array
-    gravity: Array
-    weight: Array
-    chi2: float
-    sensor_chi2: float = math.inf
+    wrench: Array  #: [N, N·m], (6,).
+    whiten: Array  #: lower triangular, with whitenᵀ whiten the inverse of its covariance, (6, 6).
+    gravity: Array  #: base axes [m/s²], (3,).
+    weight: Array  #: of the flexible part [N], (3,).
+    chi2: float  #: how far it is from the free probe's, six degrees of freedom.
+    sensor_chi2: float = math.inf  #: how far the sensor's own reading is from zero, six degrees of freedom.
 
     @classmethod
     def of(cls, model: ProbeModel, window: Array, gravity: Array, free: Array) -> "Observation | None":

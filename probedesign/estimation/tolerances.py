@@ -56,23 +56,14 @@ def stiffness_spread(model: ProbeModel) -> float:
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Priors of a fusion in which the probe is known but for its stiffness: kept for one release, use `Tolerances`.
+    """Priors of a fusion in which the probe is known but for its stiffness: kept for one release, use `Tolerances`."""
 
-    Attributes:
-        stiffness: of E and of G, relative.
-        base_offset: of the base's place, the same at every pose, on each of the base's axes [m].
-        base_repeat: of the base's place at each pose for itself, on each axis [m].
-        bias_steps: of the sensor's bias at the first reading, in steps of its resolution.
-        bias_walk_steps: of the bias's step in `WALK_SECONDS`, in the same steps.
-        creep: of how far the stiffness has relaxed at the last reading, relative.
-    """
-
-    stiffness: float = ASSUMED_STIFFNESS
-    base_offset: float = 0.05e-3
-    base_repeat: float = 0.01e-3
-    bias_steps: float = 0.0
-    bias_walk_steps: float = 0.2
-    creep: float = 0.0
+    stiffness: float = ASSUMED_STIFFNESS  #: of E and of G, relative.
+    base_offset: float = 0.05e-3  #: of the base's place, the same at every pose, on each of the base's axes [m].
+    base_repeat: float = 0.01e-3  #: of the base's place at each pose for itself, on each axis [m].
+    bias_steps: float = 0.0  #: of the sensor's bias at the first reading, in steps of its resolution.
+    bias_walk_steps: float = 0.2  #: of the bias's step in `WALK_SECONDS`, in the same steps.
+    creep: float = 0.0  #: of how far the stiffness has relaxed at the last reading, relative.
 
     def __post_init__(self) -> None:
         """Raise InputError if a value is not a standard deviation."""
@@ -94,55 +85,43 @@ class Unknowns:
 
 @dataclass(frozen=True)
 class Tolerances:
-    """Standard deviations of the parameters of a probe model, each normal and independent of the others.
+    """Standard deviations of the parameters of a probe model, each normal and independent of the others."""
 
-    Attributes:
-        drift_steps: of the sensor's bias since a tare of a quarter of a minute ago, on each channel, in steps of its
-            resolution; `Estimator.with_tare_age` lets it grow with the root of time.
-        walk_steps: of the step that the bias takes in `WALK_SECONDS` between the readings of a fusion, in the same
-            steps; its variance grows with time.
-        youngs_modulus, shear_modulus, density: relative, each by itself.
-        youngs_modulus_by_diameter: no standard deviation: the power of the base diameter with which E goes where all
-            diameters are other than designed together. About -4 where E was identified with the design's diameters,
-            for it is E·d⁴ that was measured; 0: E is known apart from them.
-        diameter_mm, diameter_share: of all diameters together, the greater of millimetres and share of each.
-        diameter_scatter_mm: of each knot's diameter for itself.
-        bore_mm: of the bore's diameter in all sections of a hollow probe together, the outer one being as it is.
-        length_mm, length_share: of the length, the greater of both.
-        base_mm: of the base's place, on each axis: on the sensor and, independently, as the robot reports it.
-        tilt_deg: of the base about its x and its y axis.
-        clocking_deg: of the base about its z axis.
-        gravity_deg: of gravity's direction, about each of two axes across it.
-        root_radii: of the bending compliance that the base lacks, `root_rigid_radii`, in base radii.
-        gain: of the gain of each channel of the sensor by itself, relative.
-        creep: of how far the stiffness has relaxed at the reading, relative; of several touches at the last.
-        stiffness_scatter: of the stiffness at each touch for itself, relative; a single touch has it too.
-        robot_mm: of several touches, of the base's place at each for itself, on each axis; one touch does not see it.
-        tared: whether the sensor was tared with the probe free, as mounted: what the free probe's reading has of an
-            error is then gone.
-    """
-
+    #: of the sensor's bias since a tare of a quarter of a minute ago, on each channel, in steps of its resolution;
+    #: `Estimator.with_tare_age` lets it grow with the root of time.
     drift_steps: float = 0.2
-    youngs_modulus: float = 0.03
+    youngs_modulus: float = 0.03  #: youngs_modulus, shear_modulus, density: relative, each by itself.
     shear_modulus: float = 0.03
     density: float = 0.01
+    #: diameter_mm, diameter_share: of all diameters together, the greater of millimetres and share of each.
     diameter_mm: float = 0.075
     diameter_share: float = 0.0025
-    diameter_scatter_mm: float = 0.025
-    length_mm: float = 0.075
+    diameter_scatter_mm: float = 0.025  #: of each knot's diameter for itself.
+    length_mm: float = 0.075  #: length_mm, length_share: of the length, the greater of both.
     length_share: float = 0.0025
+    #: of the base's place, on each axis: on the sensor and, independently, as the robot reports it.
     base_mm: float = 0.05
-    tilt_deg: float = 0.2
-    clocking_deg: float = 0.5
-    gravity_deg: float = 0.2
+    tilt_deg: float = 0.2  #: of the base about its x and its y axis.
+    clocking_deg: float = 0.5  #: of the base about its z axis.
+    gravity_deg: float = 0.2  #: of gravity's direction, about each of two axes across it.
+    #: of how far the stiffness has relaxed at the reading, relative; of several touches at the last.
     creep: float = 0.01
+    #: of several touches, of the base's place at each for itself, on each axis; one touch does not see it.
     robot_mm: float = 0.01
+    #: whether the sensor was tared with the probe free, as mounted: what the free probe's reading has of an error is
+    #: then gone.
     tared: bool = True
+    #: no standard deviation: the power of the base diameter with which E goes where all diameters are other than
+    #: designed together. About -4 where E was identified with the design's diameters, for it is E·d⁴ that was measured;
+    #: 0: E is known apart from them.
     youngs_modulus_by_diameter: float = 0.0
-    root_radii: float = 0.15
-    gain: float = 0.005
-    stiffness_scatter: float = 0.01
+    root_radii: float = 0.15  #: of the bending compliance that the base lacks, `root_rigid_radii`, in base radii.
+    gain: float = 0.005  #: of the gain of each channel of the sensor by itself, relative.
+    stiffness_scatter: float = 0.01  #: of the stiffness at each touch for itself, relative; a single touch has it too.
+    #: of the step that the bias takes in `WALK_SECONDS` between the readings of a fusion, in the same steps; its
+    #: variance grows with time.
     walk_steps: float = 0.2
+    #: of the bore's diameter in all sections of a hollow probe together, the outer one being as it is.
     bore_mm: float = 0.075
 
     def __post_init__(self) -> None:

@@ -66,28 +66,19 @@ MAX_STEP = 0.1
 
 @dataclass
 class Tracker:
-    """Locates one fixed point of the world while the probe touches it, reading by reading.
+    """Locates one fixed point of the world while the probe touches it, reading by reading."""
 
-    Attributes:
-        estimator: of the probe.
-        priors: standard deviations of the error sources; those of the estimator if None.
-        gravity_world: [m/s²], (3,).
-        moments_only, moments_about: as in `Estimator.fuse`.
-        rate: of readings [Hz].
-        keyframes: kept at most.
-        samples: number of readings whose mean has the noise of the model: None for single samples of the sensor, 1 for
-            readings that are such means.
-        bias: the filter that follows the bias, if the contact test is outside; None: the tracker's own.
-    """
-
-    estimator: Estimator
-    priors: Tolerances | None = None
-    gravity_world: ArrayLike = (0.0, 0.0, -9.81)
-    moments_only: bool = False
+    estimator: Estimator  #: of the probe.
+    priors: Tolerances | None = None  #: standard deviations of the error sources; those of the estimator if None.
+    gravity_world: ArrayLike = (0.0, 0.0, -9.81)  #: [m/s²], (3,).
+    moments_only: bool = False  #: moments_only, moments_about: as in `Estimator.fuse`.
     moments_about: MomentsAbout = "sensor"
-    rate: float = 7000.0
-    keyframes: int = MAX_KEYFRAMES
+    rate: float = 7000.0  #: of readings [Hz].
+    keyframes: int = MAX_KEYFRAMES  #: kept at most.
+    #: number of readings whose mean has the noise of the model: None for single samples of the sensor, 1 for readings
+    #: that are such means.
     samples: int | None = None
+    #: the filter that follows the bias, if the contact test is outside; None: the tracker's own.
     bias: BiasFilter | None = None
     _kept: list[Keyframe] = field(default_factory=list, init=False, repr=False)
 

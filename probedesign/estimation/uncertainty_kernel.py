@@ -81,29 +81,19 @@ def _moved(lin, gravity, shift, turn, change, D, c):
 
 
 class SourceArrays(NamedTuple):
-    """Error sources as `error_columns` takes them, one standard deviation each.
+    """Error sources as `error_columns` takes them, one standard deviation each."""
 
-    Attributes:
-        own: of log E and what follows it, a source a row, (a, 4 + K).
-        turns: of the base's shift and turn and of gravity [m, rad, m/s²], a source a row, (b, 9); with three more
-            columns the displacement of the points that no reading shows [m].
-        root: of the length of rigid rod at the root [m].
-        gain: of the sensor's channels, relative, (6,).
-        hanging: wrench of what hangs on the sensor, by gravity, about the base, (6, 3).
-        sensor_from_base, base_from_sensor: carry wrenches, (6, 6).
-        reference: wrench at the base at which the sensor reads zero, (6,).
-        still: columns of the free probe's reading, which a tare has taken away, (6, J).
-    """
-
-    own: Array
+    own: Array  #: of log E and what follows it, a source a row, (a, 4 + K).
+    #: of the base's shift and turn and of gravity [m, rad, m/s²], a source a row, (b, 9); with three more columns the
+    #: displacement of the points that no reading shows [m].
     turns: Array
-    root: float
-    gain: Array
-    hanging: Array
-    sensor_from_base: Array
+    root: float  #: of the length of rigid rod at the root [m].
+    gain: Array  #: of the sensor's channels, relative, (6,).
+    hanging: Array  #: wrench of what hangs on the sensor, by gravity, about the base, (6, 3).
+    sensor_from_base: Array  #: sensor_from_base, base_from_sensor: carry wrenches, (6, 6).
     base_from_sensor: Array
-    reference: Array
-    still: Array
+    reference: Array  #: wrench at the base at which the sensor reads zero, (6,).
+    still: Array  #: columns of the free probe's reading, which a tare has taken away, (6, J).
 
 
 @inner

@@ -9,32 +9,20 @@ from probedesign.core.errors import InputError
 
 
 class Factors(NamedTuple):
-    """Ratios of the properties of a section to those of a full round section of the same width along x.
+    """Ratios of the properties of a section to those of a full round section of the same width along x."""
 
-    Attributes:
-        area: of A.
-        xx: of I_xx = ∫y² dA, the bending about the section's x axis.
-        yy: of I_yy = ∫x² dA.
-        torsion: of J.
-    """
-
-    area: float
-    xx: float
-    yy: float
-    torsion: float
+    area: float  #: of A.
+    xx: float  #: of I_xx = ∫y² dA, the bending about the section's x axis.
+    yy: float  #: of I_yy = ∫x² dA.
+    torsion: float  #: of J.
 
 
 @dataclass(frozen=True)
 class CrossSection:
-    """A section by its proportions; its radius is its half-width along x.
+    """A section by its proportions; its radius is its half-width along x."""
 
-    Attributes:
-        bore_ratio: inner over outer diameter; 0 is full.
-        flatness: diameter along y over diameter along x; 1 is round.
-    """
-
-    bore_ratio: float = 0.0
-    flatness: float = 1.0
+    bore_ratio: float = 0.0  #: inner over outer diameter; 0 is full.
+    flatness: float = 1.0  #: diameter along y over diameter along x; 1 is round.
 
     def __post_init__(self) -> None:
         if not (0.0 <= self.bore_ratio < 1.0 and 0.0 < self.flatness <= 1.0):

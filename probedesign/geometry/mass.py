@@ -12,19 +12,12 @@ from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
 
 @dataclass(frozen=True)
 class MassProperties:
-    """Mass properties of a body in some frame.
+    """Mass properties of a body in some frame."""
 
-    Attributes:
-        volume: [m³].
-        mass: [kg].
-        p_com: centre of mass in that frame [m], (3,).
-        inertia: about the centre of mass, in that frame's axes [kg·m²], (3, 3).
-    """
-
-    volume: float
-    mass: float
-    p_com: Array
-    inertia: Array
+    volume: float  #: [m³].
+    mass: float  #: [kg].
+    p_com: Array  #: centre of mass in that frame [m], (3,).
+    inertia: Array  #: about the centre of mass, in that frame's axes [kg·m²], (3, 3).
 
     def moved(self, T_a_b: Array) -> "MassProperties":
         """Return the properties in frame a of a body whose properties here are in frame b."""

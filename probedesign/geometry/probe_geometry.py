@@ -18,15 +18,10 @@ if TYPE_CHECKING:  # `live` runs without the design package
 
 @dataclass(frozen=True)
 class Flange:
-    """The disc below s = 0, printed in one piece with the flexible part.
+    """The disc below s = 0, printed in one piece with the flexible part."""
 
-    Attributes:
-        diameter: [m].
-        thickness: of the disc, which fills z in [-thickness, 0] of the base frame [m].
-    """
-
-    diameter: float
-    thickness: float
+    diameter: float  #: [m].
+    thickness: float  #: of the disc, which fills z in [-thickness, 0] of the base frame [m].
 
 
 @dataclass(frozen=True)
@@ -35,20 +30,14 @@ class ProbeGeometry:
 
     The flexible part is a stack of frusta between the knots; the flange hangs below z = 0. A bore runs
     through both.
-
-    Attributes:
-        s: knots along the axis, 0 ... length [m], (K,), increasing.
-        radius: at the knots [m], (K,), positive; of a flattened probe along x.
-        flange: the disc that is clamped in the adapter.
-        cross_section: full and round, hollow or flattened.
-        rounded_from: where the rounding of the tip begins [m], a knot; None for a blunt tip. It follows from
-            the knots, so the fingerprint does not include it.
     """
 
-    s: Array
-    radius: Array
-    flange: Flange
-    cross_section: CrossSection = FULL_ROUND
+    s: Array  #: knots along the axis, 0 ... length [m], (K,), increasing.
+    radius: Array  #: at the knots [m], (K,), positive; of a flattened probe along x.
+    flange: Flange  #: the disc that is clamped in the adapter.
+    cross_section: CrossSection = FULL_ROUND  #: full and round, hollow or flattened.
+    #: where the rounding of the tip begins [m], a knot; None for a blunt tip. It follows from the knots, so the
+    #: fingerprint does not include it.
     rounded_from: float | None = None
 
     @property

@@ -68,22 +68,14 @@ MAX_SCALE = 1000.0
 
 @dataclass(frozen=True)
 class LikelyCause:
-    """A likely cause of a contradiction.
+    """A likely cause of a contradiction."""
 
-    Attributes:
-        name: sign, unit, mount, camera, marker, probe, friction, stiffness, or the prior's name.
-        words: what is likely wrong, and what to check.
-        evidence: the number that speaks for it.
-        gain: logarithm of its odds against the tests and priors as stated.
-        explains: whether the tests agree with it.
-        moves: what it changes of each number: relative for a modulus, a density and diameters, in m or rad for a pose.
-    """
-
-    name: str
-    words: str
-    evidence: str
-    gain: float
-    explains: bool = False
+    name: str  #: sign, unit, mount, camera, marker, probe, friction, stiffness, or the prior's name.
+    words: str  #: what is likely wrong, and what to check.
+    evidence: str  #: the number that speaks for it.
+    gain: float  #: logarithm of its odds against the tests and priors as stated.
+    explains: bool = False  #: whether the tests agree with it.
+    #: what it changes of each number: relative for a modulus, a density and diameters, in m or rad for a pose.
     moves: dict[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
@@ -98,14 +90,10 @@ class WidenedFit(Fit):
     and the spread of the answers is added: the mean square by which the likely causes move the numbers, weighted by
     their probabilities. No standard deviation exceeds that of the prior.
     Sources: R. T. Birge, Phys. Rev. 40, 1932, 207; J. A. Hoeting and others, Statistical Science 14, 1999, 382.
-
-    Attributes:
-        stated: the fit.
-        widened: its covariance, larger, (n_active, n_active).
     """
 
-    stated: Fit
-    widened: Array
+    stated: Fit  #: the fit.
+    widened: Array  #: its covariance, larger, (n_active, n_active).
 
     @property
     def cov(self) -> Array:

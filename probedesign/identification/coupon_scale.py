@@ -32,22 +32,16 @@ SCHEMA = TableSchema(
 
 @dataclass(frozen=True)
 class CouponScale:
-    """Scale that compensates for the shrinkage of a coupon.
+    """Scale that compensates for the shrinkage of a coupon."""
 
-    Attributes:
-        scale_xy, std: drawn over measured size, and its standard deviation.
-        offset_mm, offset_std_mm: by how much all diameters are wider, whatever their size, beside the scale; a scale
-            does not remove it [mm].
-        left_mm: largest deviation of a diameter from the scaled one [mm].
-        rows: number of places with a reading.
-    """
-
-    scale_xy: float
+    scale_xy: float  #: scale_xy, std: drawn over measured size, and its standard deviation.
     std: float
+    #: offset_mm, offset_std_mm: by how much all diameters are wider, whatever their size, beside the scale; a scale
+    #: does not remove it [mm].
     offset_mm: float
     offset_std_mm: float
-    left_mm: float
-    rows: int
+    left_mm: float  #: largest deviation of a diameter from the scaled one [mm].
+    rows: int  #: number of places with a reading.
 
     @property
     def has_offset(self) -> bool:

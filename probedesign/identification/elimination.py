@@ -17,19 +17,13 @@ from probedesign.core.frames import Array
 
 @dataclass(frozen=True)
 class TestRows:
-    """Weighted rows of one test, or of the readings that belong to none.
-
-    Attributes:
-        A: derivatives by the common unknowns, (k, n).
-        B: by its own unknowns, (k, m).
-        r: residuals, (k,).
-    """
+    """Weighted rows of one test, or of the readings that belong to none."""
 
     __test__ = False  # no test of pytest
 
-    A: Array
-    B: Array
-    r: Array
+    A: Array  #: derivatives by the common unknowns, (k, n).
+    B: Array  #: by its own unknowns, (k, m).
+    r: Array  #: residuals, (k,).
 
     def eliminated(self, damping: float) -> "EliminatedRows":
         """Return the rows with the own unknowns eliminated, each damped by a fraction of its information; those without
@@ -48,21 +42,13 @@ class TestRows:
 
 @dataclass(frozen=True)
 class EliminatedRows:
-    """Rows of one test after an orthogonal transformation; the first m determine its own unknowns.
+    """Rows of one test after an orthogonal transformation; the first m determine its own unknowns."""
 
-    Attributes:
-        Q: orthogonal, of the test's own rows, (k, k + m).
-        R: upper triangular, (m, m).
-        A: transformed derivatives by the common unknowns, (k + m, n).
-        r: transformed residuals, (k + m,).
-        m: number of own unknowns.
-    """
-
-    Q: Array
-    R: Array
-    A: Array
-    r: Array
-    m: int
+    Q: Array  #: orthogonal, of the test's own rows, (k, k + m).
+    R: Array  #: upper triangular, (m, m).
+    A: Array  #: transformed derivatives by the common unknowns, (k + m, n).
+    r: Array  #: transformed residuals, (k + m,).
+    m: int  #: number of own unknowns.
 
     def own_step(self, step: Array) -> Array:
         """Return the step of the test's own unknowns after one of the common unknowns."""
@@ -74,19 +60,12 @@ class EliminatedRows:
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Normal equations of the common unknowns.
+    """Normal equations of the common unknowns."""
 
-    Attributes:
-        tests: eliminated rows, of readings that belong to no test last.
-        prior: information of the priors on each common unknown, (n,).
-        gradient_of_prior: their part of the gradient, (n,).
-        damping: fraction of its information that each unknown is damped by.
-    """
-
-    tests: Sequence[EliminatedRows]
-    prior: Array
-    gradient_of_prior: Array
-    damping: float
+    tests: Sequence[EliminatedRows]  #: eliminated rows, of readings that belong to no test last.
+    prior: Array  #: information of the priors on each common unknown, (n,).
+    gradient_of_prior: Array  #: their part of the gradient, (n,).
+    damping: float  #: fraction of its information that each unknown is damped by.
 
     @cached_property
     def information(self) -> Array:

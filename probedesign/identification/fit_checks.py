@@ -65,15 +65,10 @@ SINGLE_READINGS = {
 
 @dataclass(frozen=True)
 class UnobservableDirection:
-    """A combination of requested parameters that the tests do not determine.
+    """A combination of requested parameters that the tests do not determine."""
 
-    Attributes:
-        name: of the parameter that is left at the design value for it.
-        description: what is not observable, and what is instead.
-    """
-
-    name: str
-    description: str
+    name: str  #: of the parameter that is left at the design value for it.
+    description: str  #: what is not observable, and what is instead.
 
 
 def unobservable_direction(
@@ -167,17 +162,11 @@ def cov_conditional(fit: Fit, columns: Sequence[int]) -> Array:
 
 @dataclass(frozen=True)
 class OutlierCount:
-    """Outliers among some readings.
+    """Outliers among some readings."""
 
-    Attributes:
-        count: of all readings.
-        outliers: readings that noise does not explain.
-        farthest: largest distance of an outlier, in standard deviations.
-    """
-
-    count: int
-    outliers: int
-    farthest: float
+    count: int  #: of all readings.
+    outliers: int  #: readings that noise does not explain.
+    farthest: float  #: largest distance of an outlier, in standard deviations.
 
     @property
     def majority(self) -> bool:
@@ -341,23 +330,14 @@ def _listed(tests: Sequence[str]) -> str:
 
 @dataclass(frozen=True)
 class PriorTest:
-    """χ² test of a prior or a single reading against the rest of the data.
+    """χ² test of a prior or a single reading against the rest of the data."""
 
-    Attributes:
-        label: what is tested.
-        source: where it is stated.
-        chance: of so large a deviation.
-        deviation: Mahalanobis distance.
-        freedom: number of directions that are tested.
-        columns: of the prior in the parameter vector; empty for a single reading.
-    """
-
-    label: str
-    source: str
-    chance: float
-    deviation: float
-    freedom: int
-    columns: tuple[int, ...] = ()
+    label: str  #: what is tested.
+    source: str  #: where it is stated.
+    chance: float  #: of so large a deviation.
+    deviation: float  #: Mahalanobis distance.
+    freedom: int  #: number of directions that are tested.
+    columns: tuple[int, ...] = ()  #: of the prior in the parameter vector; empty for a single reading.
 
     @property
     def gain(self) -> float:

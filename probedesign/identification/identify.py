@@ -65,21 +65,13 @@ TEST_SECONDS = 60.0
 
 @dataclass(frozen=True)
 class IdentificationData:
-    """Tests of one probe as the fit uses them.
+    """Tests of one probe as the fit uses them."""
 
-    Attributes:
-        common: parameters that the tests share.
-        tests: usable tests.
-        mass: the weighing; None if there was none.
-        where: names the data in messages.
-        notes: lines for the user.
-    """
-
-    common: CommonParameters
-    tests: tuple[MeasuredTest, ...]
-    mass: MassMeasurement | None
-    where: str
-    notes: tuple[str, ...] = ()
+    common: CommonParameters  #: parameters that the tests share.
+    tests: tuple[MeasuredTest, ...]  #: usable tests.
+    mass: MassMeasurement | None  #: the weighing; None if there was none.
+    where: str  #: names the data in messages.
+    notes: tuple[str, ...] = ()  #: lines for the user.
 
 
 def data_of(campaign: Campaign, model: ProbeModel, flange_volume: float) -> IdentificationData:

@@ -55,43 +55,26 @@ SCHEMA = TableSchema(
 
 @dataclass(frozen=True)
 class Calipers:
-    """Measured diameters of one print; of an elliptic section along x.
+    """Measured diameters of one print; of an elliptic section along x."""
 
-    Attributes:
-        s: arclength of each reading [mm], (n,).
-        diameter: [mm], (n,).
-        std: of each reading by itself [mm], (n,).
-        places: file and line of each reading, for messages.
-    """
-
-    s: Array
-    diameter: Array
-    std: Array
-    places: tuple[str, ...]
+    s: Array  #: arclength of each reading [mm], (n,).
+    diameter: Array  #: [mm], (n,).
+    std: Array  #: of each reading by itself [mm], (n,).
+    places: tuple[str, ...]  #: file and line of each reading, for messages.
 
 
 @dataclass(frozen=True)
 class MeasuredDiameters:
-    """Diameters of the knots after a measurement.
+    """Diameters of the knots after a measurement."""
 
-    Attributes:
-        s: knots of the blunt body [mm], (K,).
-        drawn: diameters of the design [mm], (K,).
-        measured: posterior mean [mm], (K,).
-        cov: posterior covariance [mm²], (K, K); of a cylinder that of its one diameter, (1, 1).
-        readings: number of readings.
-        scale: factor on the readings' standard deviations; above 1 where they scatter more than stated.
-        prior_scale: factor on the prior's standard deviations; above 1 where the readings contradict it.
-        before, after: standard deviations before and after: of all diameters together, and of each for itself [mm].
-    """
-
-    s: Array
-    drawn: Array
-    measured: Array
-    cov: Array
-    readings: int
-    scale: float
-    prior_scale: float
+    s: Array  #: knots of the blunt body [mm], (K,).
+    drawn: Array  #: diameters of the design [mm], (K,).
+    measured: Array  #: posterior mean [mm], (K,).
+    cov: Array  #: posterior covariance [mm²], (K, K); of a cylinder that of its one diameter, (1, 1).
+    readings: int  #: number of readings.
+    scale: float  #: factor on the readings' standard deviations; above 1 where they scatter more than stated.
+    prior_scale: float  #: factor on the prior's standard deviations; above 1 where the readings contradict it.
+    #: before, after: standard deviations before and after: of all diameters together, and of each for itself [mm].
     before: tuple[float, float]
     after: tuple[float, float]
 

@@ -29,19 +29,12 @@ Change = Callable[[MeasuredTest], MeasuredTest]
 
 
 class Mistake(NamedTuple):
-    """A mistake in the data folder.
+    """A mistake in the data folder."""
 
-    Attributes:
-        name: sign, unit, frame, mount, camera, marker, exchange or pose.
-        words: what is likely wrong, and what to check.
-        change: undoes it in a test.
-        choices: number of mistakes of this kind among which it was selected.
-    """
-
-    name: str
-    words: str
-    change: Change
-    choices: int = 1
+    name: str  #: sign, unit, frame, mount, camera, marker, exchange or pose.
+    words: str  #: what is likely wrong, and what to check.
+    change: Change  #: undoes it in a test.
+    choices: int = 1  #: number of mistakes of this kind among which it was selected.
 
 
 def mistakes(

@@ -74,43 +74,30 @@ Jacobian = Callable[["SolvedTest", "WithJacobian"], Array]
 
 @dataclass(frozen=True)
 class Parameter:
-    """One entry of the parameter vector: its unit, prior, effect on the rod and derivative.
+    """One entry of the parameter vector: its unit, prior, effect on the rod and derivative."""
 
-    Attributes:
-        name: as `--for` requests it.
-        labels: component name → description, in the order of the vector.
-        prior: standard deviation of the components about zero [vector unit]; 0 fixes them at the design value.
-        jacobian: derivative of vectors of the solved rod in base axes; None where only the change of axes matters,
-            which `residuals` adds.
-        apply: the rod with the parameter at a value; None if the parameter does not change the rod.
-        logarithm: whether the vector has the logarithm of a factor on the design value.
-        bounds: smallest and largest value in the reported unit; those of a logarithm are `MAX_LOGARITHM`.
-        max_std: largest useful standard deviation [vector unit]; a parameter that is known worse is not reported.
-            None for a nuisance parameter, which cannot be requested.
-        unit: of reported values; empty for plain factors.
-        scale: reported unit per unit of the vector.
-        design_value: design value in the reported unit.
-        attribute: name of the property in `Rod`, `Design` and `Tolerances`; empty if the design has none.
-        design_key: key of the design file that holds the value; empty if the design has none.
-        prior_name: what the prior knowledge concerns; parameters of one name are tested together.
-        prior_source: where the prior value is stated.
-    """
-
-    name: str
-    labels: dict[str, str]
+    name: str  #: as `--for` requests it.
+    labels: dict[str, str]  #: component name → description, in the order of the vector.
+    #: standard deviation of the components about zero [vector unit]; 0 fixes them at the design value.
     prior: Callable[["CommonParameters"], ArrayLike]
+    #: derivative of vectors of the solved rod in base axes; None where only the change of axes matters, which
+    #: `residuals` adds.
     jacobian: Jacobian | None = None
+    #: the rod with the parameter at a value; None if the parameter does not change the rod.
     apply: Callable[[Rod, float], Rod] | None = None
-    logarithm: bool = False
+    logarithm: bool = False  #: whether the vector has the logarithm of a factor on the design value.
+    #: smallest and largest value in the reported unit; those of a logarithm are `MAX_LOGARITHM`.
     bounds: tuple[float, float] = (-math.inf, math.inf)
+    #: largest useful standard deviation [vector unit]; a parameter that is known worse is not reported. None for a
+    #: nuisance parameter, which cannot be requested.
     max_std: float | None = None
-    unit: str = ""
-    scale: float = 1.0
-    design_value: Callable[[Rod], float] = lambda rod: 0.0
-    attribute: str = ""
-    design_key: str = ""
-    prior_name: str = ""
-    prior_source: str = ""
+    unit: str = ""  #: of reported values; empty for plain factors.
+    scale: float = 1.0  #: reported unit per unit of the vector.
+    design_value: Callable[[Rod], float] = lambda rod: 0.0  #: design value in the reported unit.
+    attribute: str = ""  #: name of the property in `Rod`, `Design` and `Tolerances`; empty if the design has none.
+    design_key: str = ""  #: key of the design file that holds the value; empty if the design has none.
+    prior_name: str = ""  #: what the prior knowledge concerns; parameters of one name are tested together.
+    prior_source: str = ""  #: where the prior value is stated.
 
     @cached_property
     def columns(self) -> slice:
@@ -295,22 +282,14 @@ def columns_of(names: Sequence[str]) -> list[int]:
 
 @dataclass(frozen=True)
 class CommonParameters:
-    """The parameters that all tests of a campaign share, with their priors.
+    """The parameters that all tests of a campaign share, with their priors."""
 
-    Attributes:
-        model: of the probe as designed.
-        tolerances: of probe, mount and gravity.
-        std_base, std_tilt: standard deviations of the stated base pose [m, rad].
-        walk_seconds: time from each test to the next, in the order of their `epoch` [s].
-        frame: of the columns of wrenches.csv.
-    """
-
-    model: ProbeModel
-    tolerances: Tolerances
-    std_base: float
+    model: ProbeModel  #: of the probe as designed.
+    tolerances: Tolerances  #: of probe, mount and gravity.
+    std_base: float  #: std_base, std_tilt: standard deviations of the stated base pose [m, rad].
     std_tilt: float
-    walk_seconds: tuple[float, ...] = ()
-    frame: Frame = "base"
+    walk_seconds: tuple[float, ...] = ()  #: time from each test to the next, in the order of their `epoch` [s].
+    frame: Frame = "base"  #: of the columns of wrenches.csv.
 
     @cached_property
     def print_modes(self) -> Array:
@@ -431,15 +410,10 @@ class CommonParameters:
 
 @dataclass(frozen=True)
 class ParameterValues:
-    """Values of the parameter vector: the rod, the poses and the gravity that they imply.
+    """Values of the parameter vector: the rod, the poses and the gravity that they imply."""
 
-    Attributes:
-        common: the parameters.
-        x: the vector, (size,).
-    """
-
-    common: CommonParameters
-    x: Array
+    common: CommonParameters  #: the parameters.
+    x: Array  #: the vector, (size,).
 
     @cached_property
     def rod(self) -> Rod:

@@ -37,51 +37,30 @@ _TANGENT_STEP = 1e-5  # of arclength, for the rotation of a section by a differe
 
 @dataclass(frozen=True)
 class MeasuredTest:
-    """One state of the probe and what was measured of it, in SI; what was not measured is None or NaN.
+    """One state of the probe and what was measured of it, in SI; what was not measured is None or NaN."""
 
-    Attributes:
-        name: of the test.
-        T_world_base: pose of the base as stated, (4, 4).
-        gravity_world: [m/s²], (3,).
-        force_world: a known dead load [N], (3,); None for a touch whose force is not known.
-        s_contact: arclength of the load [m]: of the touched section, or of a dead load on the axis.
-        std_s: standard deviation of s_contact [m]; 0 if it is exact.
-        p_touch_world: touched point of the surface, or of the centreline under a dead load [m], (3,).
-        std_touch: standard deviation of p_touch_world on each axis [m].
-        wrench_base: mean reading, about the base [N, N·m], (6,).
-        cov_wrench: covariance of wrench_base, (6, 6).
-        marker_s: arclengths of the markers that were seen [m], (m,).
-        p_markers_world: [m], (m, 3).
-        cov_markers: (m, 3, 3).
-        marker_numbers: from 1 on, (m,).
-        marker_side: side of the section that carries them [rad]; None if they are on the axis.
-        sag: displacement of the tip along gravity from where it would be without weight [m].
-        std_sag: [m].
-        epoch: position among the tests in the order of time, for the walk of the sensor's bias.
-        std_place, std_turn: standard deviations of the pose of this test alone, on each axis [m, rad]; 0: it is exact.
-        creep_ramp: part of the creep that has passed since the middle of the campaign, -1/2 at the first test and 1/2
-            at the last.
-    """
-
-    name: str
-    T_world_base: Array
-    gravity_world: Array
-    force_world: Array | None
-    s_contact: float = np.nan
-    std_s: float = 0.0
+    name: str  #: of the test.
+    T_world_base: Array  #: pose of the base as stated, (4, 4).
+    gravity_world: Array  #: [m/s²], (3,).
+    force_world: Array | None  #: a known dead load [N], (3,); None for a touch whose force is not known.
+    s_contact: float = np.nan  #: arclength of the load [m]: of the touched section, or of a dead load on the axis.
+    std_s: float = 0.0  #: standard deviation of s_contact [m]; 0 if it is exact.
+    #: touched point of the surface, or of the centreline under a dead load [m], (3,).
     p_touch_world: Array | None = None
-    std_touch: float = np.nan
-    wrench_base: Array | None = None
-    cov_wrench: Array | None = None
-    marker_s: Array = field(default_factory=lambda: np.empty(0))
-    p_markers_world: Array = field(default_factory=lambda: np.empty((0, 3)))
-    cov_markers: Array = field(default_factory=lambda: np.empty((0, 3, 3)))
-    marker_numbers: tuple[int, ...] = ()
-    marker_side: float | None = None
-    sag: float = np.nan
-    std_sag: float = np.nan
-    epoch: int = 0
+    std_touch: float = np.nan  #: standard deviation of p_touch_world on each axis [m].
+    wrench_base: Array | None = None  #: mean reading, about the base [N, N·m], (6,).
+    cov_wrench: Array | None = None  #: covariance of wrench_base, (6, 6).
+    marker_s: Array = field(default_factory=lambda: np.empty(0))  #: arclengths of the markers that were seen [m], (m,).
+    p_markers_world: Array = field(default_factory=lambda: np.empty((0, 3)))  #: [m], (m, 3).
+    cov_markers: Array = field(default_factory=lambda: np.empty((0, 3, 3)))  #: (m, 3, 3).
+    marker_numbers: tuple[int, ...] = ()  #: from 1 on, (m,).
+    marker_side: float | None = None  #: side of the section that carries them [rad]; None if they are on the axis.
+    sag: float = np.nan  #: displacement of the tip along gravity from where it would be without weight [m].
+    std_sag: float = np.nan  #: [m].
+    epoch: int = 0  #: position among the tests in the order of time, for the walk of the sensor's bias.
+    #: part of the creep that has passed since the middle of the campaign, -1/2 at the first test and 1/2 at the last.
     creep_ramp: float = 0.0
+    #: std_place, std_turn: standard deviations of the pose of this test alone, on each axis [m, rad]; 0: it is exact.
     std_place: float = 0.0
     std_turn: float = 0.0
 
@@ -132,25 +111,15 @@ class MeasuredTest:
 
 
 class ResidualBlock(NamedTuple):
-    """Residuals that one reading makes.
+    """Residuals that one reading makes."""
 
-    Attributes:
-        test: its name.
-        kind: markers, wrenches, touches, places, sags, friction, weights, stiffness, poses, poisson or scales.
-        item: number of the marker in the test, from 1; 0 for the only one of its kind.
-        r: measured minus modelled, whitened, (k,).
-        J: derivatives of `r` by the parameter vector, (k, size).
-        J_nuisance: and by the test's nuisance parameters, (k, nuisance_size).
-        residual: measured minus modelled, in SI, (k,).
-    """
-
-    test: str
-    kind: str
-    item: int
-    r: Array
-    J: Array
-    J_nuisance: Array
-    residual: Array
+    test: str  #: its name.
+    kind: str  #: markers, wrenches, touches, places, sags, friction, weights, stiffness, poses, poisson or scales.
+    item: int  #: number of the marker in the test, from 1; 0 for the only one of its kind.
+    r: Array  #: measured minus modelled, whitened, (k,).
+    J: Array  #: derivatives of `r` by the parameter vector, (k, size).
+    J_nuisance: Array  #: and by the test's nuisance parameters, (k, nuisance_size).
+    residual: Array  #: measured minus modelled, in SI, (k,).
 
     @property
     def squared_distance(self) -> float:
@@ -159,49 +128,29 @@ class ResidualBlock(NamedTuple):
 
 
 class WithJacobian(NamedTuple):
-    """A vector of the solved rod in base axes with its derivatives; further axes first for several vectors.
+    """A vector of the solved rod in base axes with its derivatives; further axes first for several vectors."""
 
-    Attributes:
-        value: (3,), or (6,) for a wrench.
-        by_rod: by the parameters of the rod's sensitivities, (., k).
-        by_root: by root_rigid_radii, (.,).
-        by_angle: by the angle of the touched point, (.,).
-    """
-
-    value: Array
-    by_rod: Array
-    by_root: Array
-    by_angle: Array
+    value: Array  #: (3,), or (6,) for a wrench.
+    by_rod: Array  #: by the parameters of the rod's sensitivities, (., k).
+    by_root: Array  #: by root_rigid_radii, (.,).
+    by_angle: Array  #: by the angle of the touched point, (.,).
 
 
 @dataclass(frozen=True)
 class SolvedTest:
-    """A test solved at some parameter values.
+    """A test solved at some parameter values."""
 
-    Attributes:
-        measured: the test.
-        values: of the parameters.
-        nuisance: the test's own parameters, (measured.nuisance_size,).
-        rod: with these values, and the test's own stiffness.
-        eq: the equilibrium, with all sensitivities.
-        touch: of a touched probe; None for others.
-        root_solutions: with a root a step less and a step more, at the same couple; empty where its derivative is not
-            needed.
-        gravity_base: at these values [m/s²], (3,).
-        d_gravity: derivative of gravity in base axes by its two rotations, (3, 2).
-        ok: whether the rod has a stable equilibrium.
-    """
-
-    measured: MeasuredTest
-    values: ParameterValues
-    nuisance: Array
-    rod: Rod
-    eq: Equilibrium
-    touch: SurfaceTouch | None
+    measured: MeasuredTest  #: the test.
+    values: ParameterValues  #: of the parameters.
+    nuisance: Array  #: the test's own parameters, (measured.nuisance_size,).
+    rod: Rod  #: with these values, and the test's own stiffness.
+    eq: Equilibrium  #: the equilibrium, with all sensitivities.
+    touch: SurfaceTouch | None  #: of a touched probe; None for others.
+    #: with a root a step less and a step more, at the same couple; empty where its derivative is not needed.
     root_solutions: tuple[Equilibrium, ...]
-    gravity_base: Array
-    d_gravity: Array
-    ok: bool
+    gravity_base: Array  #: at these values [m/s²], (3,).
+    d_gravity: Array  #: derivative of gravity in base axes by its two rotations, (3, 2).
+    ok: bool  #: whether the rod has a stable equilibrium.
 
     @property
     def sensitivity(self) -> Sensitivity:

@@ -51,42 +51,31 @@ JSON_NAMES = {
 
 @dataclass(frozen=True)
 class Identified:
-    """One requested number.
+    """One requested number."""
 
-    Attributes:
-        name: of the parameter or its component: E, tilt_x.
-        words: what it is.
-        unit: of all values below; empty for plain factors.
-        result: "identified"; "inferred" if it follows from E and a prior rather than from the tests; "not_observable",
-            or "withheld" because the tests contradict each other: then `value` is the design's, without an interval.
-        value: conditional on the design's diameters, which the frozen probe uses, even where those are requested too.
-        std: standard deviation, which includes all errors of the bench.
-        low, high: 95 % interval.
-        design: design value; 0 for a pose.
-        value_of_print, std_of_print, low_of_print, high_of_print: the same with the diameters as uncertain as the
-            design's tolerances: of the material rather than of the probe.
-        by_diameter: power of the base diameter with which `value` changes if all diameters differ together; None if
-            the diameters are not estimated.
-        caveat: to be shown with the number; empty if there is none.
-        why: what the tests determine instead, where it is not observable, or what the value follows from.
-    """
-
-    name: str
-    words: str
-    unit: str
+    name: str  #: of the parameter or its component: E, tilt_x.
+    words: str  #: what it is.
+    unit: str  #: of all values below; empty for plain factors.
+    #: "identified"; "inferred" if it follows from E and a prior rather than from the tests; "not_observable", or
+    #: "withheld" because the tests contradict each other: then `value` is the design's, without an interval.
     result: Literal["identified", "inferred", "not_observable", "withheld"]
+    #: conditional on the design's diameters, which the frozen probe uses, even where those are requested too.
     value: float
-    design: float
-    std: float | None = None
-    low: float | None = None
+    design: float  #: design value; 0 for a pose.
+    std: float | None = None  #: standard deviation, which includes all errors of the bench.
+    low: float | None = None  #: low, high: 95 % interval.
     high: float | None = None
+    #: value_of_print, std_of_print, low_of_print, high_of_print: the same with the diameters as uncertain as the
+    #: design's tolerances: of the material rather than of the probe.
     value_of_print: float | None = None
     std_of_print: float | None = None
     low_of_print: float | None = None
     high_of_print: float | None = None
+    #: power of the base diameter with which `value` changes if all diameters differ together; None if the diameters are
+    #: not estimated.
     by_diameter: float | None = None
-    caveat: str = ""
-    why: str = ""
+    caveat: str = ""  #: to be shown with the number; empty if there is none.
+    why: str = ""  #: what the tests determine instead, where it is not observable, or what the value follows from.
 
     @property
     def relative_std(self) -> float:
@@ -128,19 +117,12 @@ class Identified:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A reading that noise does not explain; it has little weight.
+    """A reading that noise does not explain; it has little weight."""
 
-    Attributes:
-        test: its test.
-        kind: markers, wrenches, touches, stiffness or friction.
-        item: the marker's number; 0 for the others.
-        deviations: Mahalanobis distance.
-    """
-
-    test: str
-    kind: str
-    item: int
-    deviations: float
+    test: str  #: its test.
+    kind: str  #: markers, wrenches, touches, stiffness or friction.
+    item: int  #: the marker's number; 0 for the others.
+    deviations: float  #: Mahalanobis distance.
 
     @property
     def words(self) -> str:
@@ -153,90 +135,53 @@ class Outlier:
 
 @dataclass(frozen=True)
 class ErrorContribution:
-    """Part of the standard deviation of one number that one error source makes; their squares add up.
+    """Part of the standard deviation of one number that one error source makes; their squares add up."""
 
-    Attributes:
-        cause: the error source.
-        of: the number.
-        percent: standard deviation of the number due to it, relative to its value.
-    """
-
-    cause: str
-    of: str
-    percent: float
+    cause: str  #: the error source.
+    of: str  #: the number.
+    percent: float  #: standard deviation of the number due to it, relative to its value.
 
 
 @dataclass(frozen=True)
 class Residual:
-    """One reading against the fit.
+    """One reading against the fit."""
 
-    Attributes:
-        test, kind, item: which.
-        s_mm: arclength of a marker or a touch; None for the others.
-        off: measured minus modelled: mm, or N and N·m, or g.
-        deviations: Mahalanobis distance with the estimated noise, over the root of the number of its values.
-        weight: 1 for a reading with full weight.
-    """
-
-    test: str
+    test: str  #: test, kind, item: which.
     kind: str
     item: int
-    s_mm: float | None
-    off: tuple[float, ...]
-    deviations: float
-    weight: float
+    s_mm: float | None  #: arclength of a marker or a touch; None for the others.
+    off: tuple[float, ...]  #: measured minus modelled: mm, or N and N·m, or g.
+    deviations: float  #: Mahalanobis distance with the estimated noise, over the root of the number of its values.
+    weight: float  #: 1 for a reading with full weight.
 
 
 @dataclass(frozen=True)
 class Identification(Tabular):
-    """Identified numbers of one campaign.
+    """Identified numbers of one campaign."""
 
-    Attributes:
-        result: "ok"; "not_converged"; "inconsistent": the tests contradict the probe as designed, or each other; or
-            "accepted": the same, accepted by the user with widened intervals.
-        name: of the design.
-        fingerprint: of its geometry.
-        data: folder of the campaign.
-        tests: number of tests used.
-        numbers: number of measured values.
-        unknowns: number of unknowns.
-        found: the requested numbers.
-        correlation: of the identified numbers, in the order of `correlated`, given the design's diameters.
-        correlated: their names.
-        noise: of each kind of reading.
-        quantile: of the 95 % intervals, in standard deviations: Student's where noise was estimated.
-        outliers: readings that noise does not explain.
-        shifts: error budget of the moduli.
-        notes: lines for the user.
-        residuals: of every reading.
-        seconds: computing time.
-        why: what is inconsistent and what to check, where the tests contradict each other.
-        likely_causes: of a contradiction, the likeliest first.
-        widening: largest factor on a standard deviation, of a contradiction that was accepted; else 1.
-        served: `campaigns.Test.digest` of the tests used, which a design keeps for `validate`.
-    """
-
+    #: "ok"; "not_converged"; "inconsistent": the tests contradict the probe as designed, or each other; or "accepted":
+    #: the same, accepted by the user with widened intervals.
     result: str
-    name: str
-    fingerprint: str
-    data: str
-    tests: int
-    numbers: int
-    unknowns: int
-    found: tuple[Identified, ...]
-    correlation: Array
-    correlated: tuple[str, ...]
-    noise: tuple[NoiseScale, ...]
-    quantile: float
-    outliers: tuple[Outlier, ...]
-    shifts: tuple[ErrorContribution, ...]
-    notes: tuple[str, ...]
-    residuals: tuple[Residual, ...]
-    seconds: float
-    why: str = ""
-    likely_causes: tuple[LikelyCause, ...] = ()
-    widening: float = 1.0
-    served: tuple[str, ...] = ()
+    name: str  #: of the design.
+    fingerprint: str  #: of its geometry.
+    data: str  #: folder of the campaign.
+    tests: int  #: number of tests used.
+    numbers: int  #: number of measured values.
+    unknowns: int  #: number of unknowns.
+    found: tuple[Identified, ...]  #: the requested numbers.
+    correlation: Array  #: of the identified numbers, in the order of `correlated`, given the design's diameters.
+    correlated: tuple[str, ...]  #: their names.
+    noise: tuple[NoiseScale, ...]  #: of each kind of reading.
+    quantile: float  #: of the 95 % intervals, in standard deviations: Student's where noise was estimated.
+    outliers: tuple[Outlier, ...]  #: readings that noise does not explain.
+    shifts: tuple[ErrorContribution, ...]  #: error budget of the moduli.
+    notes: tuple[str, ...]  #: lines for the user.
+    residuals: tuple[Residual, ...]  #: of every reading.
+    seconds: float  #: computing time.
+    why: str = ""  #: what is inconsistent and what to check, where the tests contradict each other.
+    likely_causes: tuple[LikelyCause, ...] = ()  #: of a contradiction, the likeliest first.
+    widening: float = 1.0  #: largest factor on a standard deviation, of a contradiction that was accepted; else 1.
+    served: tuple[str, ...] = ()  #: `campaigns.Test.digest` of the tests used, which a design keeps for `validate`.
 
     @property
     def valid(self) -> bool:

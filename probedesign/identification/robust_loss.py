@@ -37,21 +37,13 @@ OUTLIER_CHANCE = 0.01
 
 @dataclass(frozen=True)
 class NoiseScale:
-    """Scatter of one kind of reading.
+    """Scatter of one kind of reading."""
 
-    Attributes:
-        kind: of readings.
-        groups: how many there are.
-        scale: standard deviation over the stated one; at least 1.
-        freedom: degrees of freedom of the scale, those of the stated value included.
-        measured: whether the residuals scatter significantly more than stated.
-    """
-
-    kind: str
-    groups: int
-    scale: float
-    freedom: float
-    measured: bool
+    kind: str  #: of readings.
+    groups: int  #: how many there are.
+    scale: float  #: standard deviation over the stated one; at least 1.
+    freedom: float  #: degrees of freedom of the scale, those of the stated value included.
+    measured: bool  #: whether the residuals scatter significantly more than stated.
 
 
 @cache

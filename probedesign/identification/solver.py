@@ -50,19 +50,12 @@ MAX_SCALE_ROUNDS = 4
 
 @dataclass(frozen=True)
 class LeastSquaresProblem:
-    """Tests, weighing and prior of one fit.
+    """Tests, weighing and prior of one fit."""
 
-    Attributes:
-        common: parameters that the tests share.
-        tests: the tests.
-        mass: the weighing; None if there was none.
-        prior: standard deviations of the parameter vector: infinite for requested parameters, 0 for fixed ones.
-    """
-
-    common: CommonParameters
-    tests: tuple[MeasuredTest, ...]
-    mass: MassMeasurement | None
-    prior: Array
+    common: CommonParameters  #: parameters that the tests share.
+    tests: tuple[MeasuredTest, ...]  #: the tests.
+    mass: MassMeasurement | None  #: the weighing; None if there was none.
+    prior: Array  #: standard deviations of the parameter vector: infinite for requested parameters, 0 for fixed ones.
 
     @cached_property
     def active(self) -> Array:
@@ -106,19 +99,12 @@ class LeastSquaresProblem:
 
 @dataclass(frozen=True)
 class Linearization:
-    """The campaign solved at some parameter values, with derivatives.
+    """The campaign solved at some parameter values, with derivatives."""
 
-    Attributes:
-        problem: the fit.
-        values: of the parameters.
-        tests: solved; none where the loads are absurd.
-        blocks: all residuals; empty where a test has no solution.
-    """
-
-    problem: LeastSquaresProblem
-    values: ParameterValues
-    tests: tuple[SolvedTest, ...]
-    blocks: tuple[ResidualBlock, ...]
+    problem: LeastSquaresProblem  #: the fit.
+    values: ParameterValues  #: of the parameters.
+    tests: tuple[SolvedTest, ...]  #: solved; none where the loads are absurd.
+    blocks: tuple[ResidualBlock, ...]  #: all residuals; empty where a test has no solution.
 
     @property
     def ok(self) -> bool:
@@ -244,21 +230,13 @@ def _collected(
 
 @dataclass(frozen=True)
 class Fit:
-    """Result of a search.
+    """Result of a search."""
 
-    Attributes:
-        result: "ok" or "not_converged".
-        point: linearization where it ended.
-        scales: noise scale of each kind over the stated noise.
-        noise: how the scales were estimated.
-        iterations: number of steps.
-    """
-
-    result: str
-    point: Linearization
-    scales: dict[str, float]
-    noise: tuple[NoiseScale, ...]
-    iterations: int
+    result: str  #: "ok" or "not_converged".
+    point: Linearization  #: linearization where it ended.
+    scales: dict[str, float]  #: noise scale of each kind over the stated noise.
+    noise: tuple[NoiseScale, ...]  #: how the scales were estimated.
+    iterations: int  #: number of steps.
 
     @cached_property
     def weight(self) -> Array:

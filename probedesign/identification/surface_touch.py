@@ -30,21 +30,13 @@ MIN_NORMAL = 1e-3
 
 @dataclass(frozen=True)
 class SurfaceTouch:
-    """A solved touch.
+    """A solved touch."""
 
-    Attributes:
-        rod: the rod.
-        eq: its equilibrium under force and couple, with all sensitivities.
-        force: on the rod [N], (3,).
-        angle: φ of the touched point about the tangent, from the section's x axis [rad].
-        root_axes: derivatives of the section's axes by root_rigid_radii, (3, 3); zeros where they are not needed.
-    """
-
-    rod: Rod
-    eq: Equilibrium
-    force: Array
-    angle: float
-    root_axes: Array
+    rod: Rod  #: the rod.
+    eq: Equilibrium  #: its equilibrium under force and couple, with all sensitivities.
+    force: Array  #: on the rod [N], (3,).
+    angle: float  #: φ of the touched point about the tangent, from the section's x axis [rad].
+    root_axes: Array  #: derivatives of the section's axes by root_rigid_radii, (3, 3); zeros where they are not needed.
 
     @cached_property
     def _weights(self) -> Array:

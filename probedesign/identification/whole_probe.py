@@ -10,17 +10,11 @@ from probedesign.identification.residuals import ResidualBlock
 
 @dataclass(frozen=True)
 class MassMeasurement:
-    """A weighing of the probe.
+    """A weighing of the probe."""
 
-    Attributes:
-        mass: measured [kg].
-        std: standard deviation of the mass [kg].
-        flange_volume: of printed material that was weighed with the flexible part, as drawn [m³].
-    """
-
-    mass: float
-    std: float
-    flange_volume: float
+    mass: float  #: measured [kg].
+    std: float  #: standard deviation of the mass [kg].
+    flange_volume: float  #: of printed material that was weighed with the flexible part, as drawn [m³].
 
     def block(self, values: ParameterValues) -> ResidualBlock:
         """Return its residual, which depends on the density and on all diameters."""

@@ -187,28 +187,19 @@ class RecordingEstimates:
     """Estimates of a recording.
 
     Attributes:
-        estimator: estimator used.
         recorded: the recording.
-        readings: number of readings in it.
-        missing_samples: number of samples missing in its gaps.
-        samples: number of readings averaged to one.
-        tare: bias subtracted from every reading, if a tare was requested.
-        rows: one row per reading or mean.
-        gravities: gravity in base axes at each row [m/s²], (3,).
-        notes: notes for the user, one line each.
-        method: method by which the readings were located.
     """
 
-    estimator: Estimator
+    estimator: Estimator  #: estimator used.
     recording: OpenRecording
-    readings: int
-    missing_samples: int
-    samples: int
-    tare: Tare | None
-    rows: list[Row]
-    gravities: list[Array]
-    notes: tuple[str, ...]
-    method: Method = "ml"
+    readings: int  #: number of readings in it.
+    missing_samples: int  #: number of samples missing in its gaps.
+    samples: int  #: number of readings averaged to one.
+    tare: Tare | None  #: bias subtracted from every reading, if a tare was requested.
+    rows: list[Row]  #: one row per reading or mean.
+    gravities: list[Array]  #: gravity in base axes at each row [m/s²], (3,).
+    notes: tuple[str, ...]  #: notes for the user, one line each.
+    method: Method = "ml"  #: method by which the readings were located.
 
     @property
     def counts(self) -> dict[str, int]:

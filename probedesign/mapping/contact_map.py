@@ -27,19 +27,12 @@ CHI2_95 = float(chdtri(3, 0.05))
 
 @dataclass(frozen=True)
 class MapPoint:
-    """A point of the world.
+    """A point of the world."""
 
-    Attributes:
-        p_world: on the surface of the object [m], (3,).
-        cov_world: with all error sources [m²], (3, 3).
-        cov_common: the part of it due to error sources common to all points [m²], (3, 3).
-        touches: touches of the point, in order of time.
-    """
-
-    p_world: Array
-    cov_world: Array
-    cov_common: Array
-    touches: tuple[LocatedTouch, ...]
+    p_world: Array  #: on the surface of the object [m], (3,).
+    cov_world: Array  #: with all error sources [m²], (3, 3).
+    cov_common: Array  #: the part of it due to error sources common to all points [m²], (3, 3).
+    touches: tuple[LocatedTouch, ...]  #: touches of the point, in order of time.
 
     @property
     def rms(self) -> float:
@@ -59,20 +52,13 @@ class MapPoint:
 
 @dataclass(frozen=True)
 class ContactMap:
-    """The points that a run has found.
+    """The points that a run has found."""
 
-    Attributes:
-        points: in order of their first touch.
-        unlocated: touches without a point, in order of time.
-        stiffness, std_stiffness: factor on E by all touches, and its standard deviation.
-        min_separation: distance below which points were not distinguished [m].
-    """
-
-    points: tuple[MapPoint, ...]
-    unlocated: tuple[LocatedTouch, ...]
-    stiffness: float
+    points: tuple[MapPoint, ...]  #: in order of their first touch.
+    unlocated: tuple[LocatedTouch, ...]  #: touches without a point, in order of time.
+    stiffness: float  #: stiffness, std_stiffness: factor on E by all touches, and its standard deviation.
     std_stiffness: float
-    min_separation: float
+    min_separation: float  #: distance below which points were not distinguished [m].
 
 
 _Group = tuple[ConditionalPoint, tuple[LocatedTouch, ...]]

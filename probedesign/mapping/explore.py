@@ -27,19 +27,12 @@ from probedesign.mapping.touch_point import LocatedTouch, locate_touch
 
 @dataclass
 class LoadedRecording:
-    """A recording as a source, read completely before it is processed.
+    """A recording as a source, read completely before it is processed."""
 
-    Attributes:
-        title: description in one line.
-        notes: what a user should know about it.
-        blocks: its readings.
-        recorded_from: source stated in the recording; empty if it states none.
-    """
-
-    title: str
-    notes: tuple[str, ...]
-    blocks: tuple[Block, ...]
-    recorded_from: str = ""
+    title: str  #: description in one line.
+    notes: tuple[str, ...]  #: what a user should know about it.
+    blocks: tuple[Block, ...]  #: its readings.
+    recorded_from: str = ""  #: source stated in the recording; empty if it states none.
 
     def __iter__(self) -> Generator[Block, None, None]:
         yield from self.blocks
@@ -124,23 +117,14 @@ some millimetres of travel."""
 
 @dataclass
 class Exploration:
-    """The touches of a run, located as they come, and their map.
+    """The touches of a run, located as they come, and their map."""
 
-    Attributes:
-        estimator: of the probe.
-        priors: standard deviations of the error sources; those of the estimator if None.
-        min_separation: as in `build_map` [m].
-        touches: touches so far, in order of time.
-        n_readings: number of readings.
-        n_without_pose: number of readings without a pose.
-    """
-
-    estimator: Estimator
-    priors: Tolerances | None = None
-    min_separation: float = MIN_SEPARATION
-    touches: list[LocatedTouch] = field(default_factory=list)
-    n_readings: int = 0
-    n_without_pose: int = 0
+    estimator: Estimator  #: of the probe.
+    priors: Tolerances | None = None  #: standard deviations of the error sources; those of the estimator if None.
+    min_separation: float = MIN_SEPARATION  #: as in `build_map` [m].
+    touches: list[LocatedTouch] = field(default_factory=list)  #: touches so far, in order of time.
+    n_readings: int = 0  #: number of readings.
+    n_without_pose: int = 0  #: number of readings without a pose.
     _low: Array = field(default_factory=lambda: np.full(3, np.inf))
     _high: Array = field(default_factory=lambda: np.full(3, -np.inf))
 

@@ -26,22 +26,14 @@ the force is close to the noise, and consecutive means may differ in their detec
 
 @dataclass
 class StationaryInterval:
-    """Consecutive readings at one pose.
+    """Consecutive readings at one pose."""
 
-    Attributes:
-        T_world_base: pose of the first reading, (4, 4).
-        gravity: gravity in base axes [m/s²], (3,).
-        start: time of the first reading [s].
-        end: time of the last reading [s].
-        n_readings: number of readings.
-        total: sum of the wrenches at the base, tare removed [N, N·m], (6,).
-    """
-
-    T_world_base: Array
-    gravity: Array
-    start: float
-    end: float
-    n_readings: int = 0
+    T_world_base: Array  #: pose of the first reading, (4, 4).
+    gravity: Array  #: gravity in base axes [m/s²], (3,).
+    start: float  #: time of the first reading [s].
+    end: float  #: time of the last reading [s].
+    n_readings: int = 0  #: number of readings.
+    #: sum of the wrenches at the base, tare removed [N, N·m], (6,).
     total: Array = field(default_factory=lambda: np.zeros(6))
 
     @classmethod
@@ -79,23 +71,14 @@ class StationaryInterval:
 
 @dataclass(frozen=True)
 class TouchSegment:
-    """The readings of one touch.
+    """The readings of one touch."""
 
-    Attributes:
-        number: number of the touch, from 1.
-        start: time of its detection [s].
-        free_before: free probe just before it; None if the base was not stationary.
-        intervals: stationary intervals in contact, in order of time.
-        free_after: free probe just after it; None if the base was not stationary.
-        refused: whether the poses of the base contradict it.
-    """
-
-    number: int
-    start: float
-    free_before: StationaryInterval | None
-    intervals: tuple[StationaryInterval, ...]
-    free_after: StationaryInterval | None
-    refused: bool = False
+    number: int  #: number of the touch, from 1.
+    start: float  #: time of its detection [s].
+    free_before: StationaryInterval | None  #: free probe just before it; None if the base was not stationary.
+    intervals: tuple[StationaryInterval, ...]  #: stationary intervals in contact, in order of time.
+    free_after: StationaryInterval | None  #: free probe just after it; None if the base was not stationary.
+    refused: bool = False  #: whether the poses of the base contradict it.
 
 
 class TouchSegmenter:

@@ -34,19 +34,12 @@ no longer lie near each other. Assumed; the `[tolerances]` of a design allow as 
 
 @dataclass(frozen=True)
 class BasePoseUncertainty:
-    """Standard deviations of the reported base pose, in the units of the command line.
+    """Standard deviations of the reported base pose, in the units of the command line."""
 
-    Attributes:
-        base_offset_mm: of the position, constant for all poses, on each axis.
-        base_repeat_mm: of the position at each pose, on each axis.
-        tilt_deg: of the rotation about the base's x and y axes, constant for all poses.
-        clocking_deg: of the rotation about its z axis, constant for all poses.
-    """
-
-    base_offset_mm: float = Tolerances.base_mm
-    base_repeat_mm: float = Tolerances.robot_mm
-    tilt_deg: float = Tolerances.tilt_deg
-    clocking_deg: float = Tolerances.clocking_deg
+    base_offset_mm: float = Tolerances.base_mm  #: of the position, constant for all poses, on each axis.
+    base_repeat_mm: float = Tolerances.robot_mm  #: of the position at each pose, on each axis.
+    tilt_deg: float = Tolerances.tilt_deg  #: of the rotation about the base's x and y axes, constant for all poses.
+    clocking_deg: float = Tolerances.clocking_deg  #: of the rotation about its z axis, constant for all poses.
 
     def __post_init__(self) -> None:
         """Raise InputError where a standard deviation is out of range."""
@@ -111,24 +104,15 @@ RESULT_MEANINGS: dict[str, str] = {
 
 @dataclass(frozen=True)
 class ConditionalPoint:
-    """The point of one or more touches, conditional on the common error sources.
+    """The point of one or more touches, conditional on the common error sources."""
 
-    Attributes:
-        mean: the point if all common error sources were zero [m], (3,).
-        sensitivity: derivative of the point by the common error sources in standard deviations of their priors [m],
-            (3, J).
-        cov: covariance of the point if the common error sources were known [m²], (3, 3).
-        information: on the common error sources, without their prior, (J, J).
-        information_vector: that information times the value that these touches indicate, (J,).
-        names: error source of each column, as `ErrorSources.names`.
-    """
-
-    mean: Array
+    mean: Array  #: the point if all common error sources were zero [m], (3,).
+    #: derivative of the point by the common error sources in standard deviations of their priors [m], (3, J).
     sensitivity: Array
-    cov: Array
-    information: Array
-    information_vector: Array
-    names: tuple[str, ...] = ()
+    cov: Array  #: covariance of the point if the common error sources were known [m²], (3, 3).
+    information: Array  #: on the common error sources, without their prior, (J, J).
+    information_vector: Array  #: that information times the value that these touches indicate, (J,).
+    names: tuple[str, ...] = ()  #: error source of each column, as `ErrorSources.names`.
 
     @classmethod
     def from_fusion(cls, state: FusionState, added: Array) -> "ConditionalPoint":
@@ -178,25 +162,15 @@ class ConditionalPoint:
 
 @dataclass(frozen=True)
 class LocatedTouch:
-    """A touch and its localisation.
+    """A touch and its localisation."""
 
-    Attributes:
-        segment: readings of the touch.
-        result: a key of `RESULT_MEANINGS`.
-        point: touched point of the object; None unless the result is "ok".
-        force: largest contact force of its intervals [N]; NaN unless ok.
-        direction: direction of that force on the probe in the world, unit vector, (3,).
-        s_contact: arclength of the contact at each interval [m], (k,).
-        rms: RMS error of the point by this touch alone [m].
-    """
-
-    segment: TouchSegment
-    result: str
-    point: ConditionalPoint | None = None
-    force: float = float("nan")
-    direction: Array | None = None
-    s_contact: Array | None = None
-    rms: float = float("nan")
+    segment: TouchSegment  #: readings of the touch.
+    result: str  #: a key of `RESULT_MEANINGS`.
+    point: ConditionalPoint | None = None  #: touched point of the object; None unless the result is "ok".
+    force: float = float("nan")  #: largest contact force of its intervals [N]; NaN unless ok.
+    direction: Array | None = None  #: direction of that force on the probe in the world, unit vector, (3,).
+    s_contact: Array | None = None  #: arclength of the contact at each interval [m], (k,).
+    rms: float = float("nan")  #: RMS error of the point by this touch alone [m].
 
 
 def locate_touch(

@@ -45,25 +45,16 @@ def ring_torque(a: SensorAdapter) -> float:
 
 @dataclass(frozen=True)
 class ClampForce:
-    """Force of the lip against the preload of the ring's screws [N].
+    """Force of the lip against the preload of the ring's screws [N]."""
 
-    Attributes:
-        nominal: force of the lip at the nominal compression.
-        range: its range with the tolerances of compression, E and formula, taken as independent.
-        preload: of all screws of the ring together, at the torque of the bill of materials.
-        torque: of one screw [N·m].
-        screws: their number.
-        bending: of the ring's inner edge at the nominal force, with the rim clamped and simply supported [m].
-        squeeze: nominal compression of the lip between rigid parts [m].
-    """
-
-    nominal: float
-    range: tuple[float, float]
-    preload: float
-    torque: float
-    screws: int
+    nominal: float  #: force of the lip at the nominal compression.
+    range: tuple[float, float]  #: its range with the tolerances of compression, E and formula, taken as independent.
+    preload: float  #: of all screws of the ring together, at the torque of the bill of materials.
+    torque: float  #: of one screw [N·m].
+    screws: int  #: their number.
+    #: of the ring's inner edge at the nominal force, with the rim clamped and simply supported [m].
     bending: tuple[float, float]
-    squeeze: float
+    squeeze: float  #: nominal compression of the lip between rigid parts [m].
 
     @property
     def bending_share(self) -> float:

@@ -128,19 +128,12 @@ def _corners(loop: list[tuple[int, int]]) -> Loop:
 
 @dataclass(frozen=True)
 class Engraving:
-    """Characters cut into an upward face, their tops away from the axis.
+    """Characters cut into an upward face, their tops away from the axis."""
 
-    Attributes:
-        text: the characters that are cut.
-        radius: distance of the characters' centres from the axis [m].
-        azimuths: of each character's centre [rad], (n,).
-        top: z of the face [m].
-    """
-
-    text: str
-    radius: float
-    azimuths: tuple[float, ...]
-    top: float
+    text: str  #: the characters that are cut.
+    radius: float  #: distance of the characters' centres from the axis [m].
+    azimuths: tuple[float, ...]  #: of each character's centre [rad], (n,).
+    top: float  #: z of the face [m].
 
     def outlines(self) -> Iterator[list[list[XY]]]:
         """Yield the polygons (x, y) [m] of each character, islands among them."""

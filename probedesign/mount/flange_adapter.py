@@ -42,38 +42,28 @@ HEAD_EDGE = 1.5 * MM  # plate outside a bolt's head
 
 @dataclass(frozen=True)
 class FlangeAdapter:
-    """Dimensions of the plate, in the robot flange's frame [m].
+    """Dimensions of the plate, in the robot flange's frame [m]."""
 
-    Attributes:
-        robot: the flange pattern.
-        mounting: the threaded holes in the sensor's mounting face.
-        plate_d, plate_top: the plate from the robot's face to `plate_top`.
-        cable_pocket: ranges of radius, of the distance across and of z, of the pocket below the cable's exit.
-        cable_deg: azimuth of the cable.
-        p_centring_pins, centring_hole: pins around the sensor's body, none where bolts leave no room; diameter of
-            their blind holes and z of the bottom, on which they stand.
-        body_d, free_height: diameter of the sensor's body, and height up to which pins may stand beside it.
-        p_tie_slots: (x, y) of the slots for the cable tie.
-        p_mounting_screws, p_bolts: (x, y) of the screws into the sensor and into the robot.
-        on_plate: engraving around the pad; empty where it does not fit between pad and bolts.
-        T_sensor_robotflange: pose of this frame in the sensor frame, (4, 4).
-    """
-
-    robot: RobotFlange
-    mounting: ScrewPattern
-    plate_d: float
+    robot: RobotFlange  #: the flange pattern.
+    mounting: ScrewPattern  #: the threaded holes in the sensor's mounting face.
+    plate_d: float  #: plate_d, plate_top: the plate from the robot's face to `plate_top`.
     plate_top: float
-    cable_deg: float
+    cable_deg: float  #: azimuth of the cable.
+    #: ranges of radius, of the distance across and of z, of the pocket below the cable's exit.
     cable_pocket: tuple[XY, XY, XY]
+    #: p_centring_pins, centring_hole: pins around the sensor's body, none where bolts leave no room; diameter of their
+    #: blind holes and z of the bottom, on which they stand.
     p_centring_pins: tuple[XY, ...]
     centring_hole: XY
+    #: body_d, free_height: diameter of the sensor's body, and height up to which pins may stand beside it.
     body_d: float
     free_height: float
-    p_tie_slots: tuple[XY, ...]
+    p_tie_slots: tuple[XY, ...]  #: (x, y) of the slots for the cable tie.
+    #: p_mounting_screws, p_bolts: (x, y) of the screws into the sensor and into the robot.
     p_mounting_screws: tuple[XY, ...]
     p_bolts: tuple[XY, ...]
-    on_plate: Engraving
-    T_sensor_robotflange: Array
+    on_plate: Engraving  #: engraving around the pad; empty where it does not fit between pad and bolts.
+    T_sensor_robotflange: Array  #: pose of this frame in the sensor frame, (4, 4).
 
     @property
     def centring_d(self) -> float:

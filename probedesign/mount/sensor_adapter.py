@@ -104,21 +104,13 @@ SETTLING = 0.05 * MM
 
 @dataclass(frozen=True)
 class MountOptions:
-    """Choices of `[mount]` that shape the adapters.
+    """Choices of `[mount]` that shape the adapters."""
 
-    Attributes:
-        ring_screw: of the clamp ring, M2 or M3.
-        lip: radial width of the flange under the clamp ring [m].
-        squeeze: nominal compression of the lip [m]; None for the least that the tolerances allow.
-        milled: whether the rigid parts are milled from aluminium instead of printed.
-        lip_modulus: E of the flange that the ring's thickness is chosen for [Pa].
-    """
-
-    ring_screw: SocketScrew = M2
-    lip: float = FLANGE_LIP
-    squeeze: float | None = None
-    milled: bool = False
-    lip_modulus: float = STIFF_RESIN
+    ring_screw: SocketScrew = M2  #: of the clamp ring, M2 or M3.
+    lip: float = FLANGE_LIP  #: radial width of the flange under the clamp ring [m].
+    squeeze: float | None = None  #: nominal compression of the lip [m]; None for the least that the tolerances allow.
+    milled: bool = False  #: whether the rigid parts are milled from aluminium instead of printed.
+    lip_modulus: float = STIFF_RESIN  #: E of the flange that the ring's thickness is chosen for [Pa].
 
     @property
     def nut(self) -> Nut:
@@ -172,68 +164,49 @@ def mount_options(design: "Design") -> MountOptions:
 
 @dataclass(frozen=True)
 class SensorAdapter:
-    """Dimensions of the adapter on the tool side, in the sensor frame [m].
+    """Dimensions of the adapter on the tool side, in the sensor frame [m]."""
 
-    Attributes:
-        tool, dowels: the holes in the sensor's tool face.
-        options: choices of the design.
-        floor: tool face to the flange's underside, on which the land supports it.
-        land_d, groove: diameter of the land, the raised middle of the floor, and depth of the floor around it. The ring
-            presses the lip against the land only.
-        foot_d, foot_height: the disc that rests on the tool face.
-        cone_d, cone_top: diameter at which the underside's cone begins, at `foot_height`, and z where it meets the rim.
-        body_d, body_top: the plate above the cone.
-        recess_d: diameter of the flange's seat, from `floor` up.
-        mark_x: distance of the +X flat from the axis.
-        dowel_d, dowel_depth, p_dowels: blind holes from below for the sensor's dowel pins; the first is round, the
-            second a slot that points to the first.
-        peg_top, peg_x: the clocking peg on the floor, at y = 0.
-        peg_hole_d: in the flange.
-        flange: the probe's flange.
-        squeeze: nominal compression of the flange's lip when the ring rests on the wall.
-        probe_d: greatest diameter of the probe, over which the ring passes.
-        ring_bore_d, ring_bore_top_d, ring_thickness: of the clamp ring; its rim is `body_d`.
-        ring_screw_length: a stock length under the head.
-        ring_circle_d: of the ring's screws.
-        nut_slot_width, nut_slot_z, nut_slot_reach: slots from the rim inward: width, lower and upper face, and the
-            distance of the round inner end's centre inward from the screw.
-        ring_hole_bottom: of the blind hole below each nut.
-        on_flange, on_wall, on_ring: engravings of the flange's lip (base frame), of the wall around the recess (sensor
-            frame) and of the ring's top (its own frame).
-    """
-
-    tool: ScrewPattern
+    tool: ScrewPattern  #: tool, dowels: the holes in the sensor's tool face.
     dowels: DowelPattern
-    options: MountOptions
-    floor: float
+    options: MountOptions  #: choices of the design.
+    floor: float  #: tool face to the flange's underside, on which the land supports it.
+    #: land_d, groove: diameter of the land, the raised middle of the floor, and depth of the floor around it. The ring
+    #: presses the lip against the land only.
     land_d: float
     groove: float
-    foot_d: float
+    foot_d: float  #: foot_d, foot_height: the disc that rests on the tool face.
     foot_height: float
+    #: cone_d, cone_top: diameter at which the underside's cone begins, at `foot_height`, and z where it meets the rim.
     cone_d: float
     cone_top: float
-    body_d: float
+    body_d: float  #: body_d, body_top: the plate above the cone.
     body_top: float
-    recess_d: float
-    mark_x: float
+    recess_d: float  #: diameter of the flange's seat, from `floor` up.
+    mark_x: float  #: distance of the +X flat from the axis.
+    #: dowel_d, dowel_depth, p_dowels: blind holes from below for the sensor's dowel pins; the first is round, the
+    #: second a slot that points to the first.
     dowel_d: float
     dowel_depth: float
     p_dowels: tuple[XY, ...]
-    peg_top: float
+    peg_top: float  #: peg_top, peg_x: the clocking peg on the floor, at y = 0.
     peg_x: float
-    peg_hole_d: float
-    flange: Flange
-    squeeze: float
-    probe_d: float
-    ring_bore_d: float
+    peg_hole_d: float  #: in the flange.
+    flange: Flange  #: the probe's flange.
+    squeeze: float  #: nominal compression of the flange's lip when the ring rests on the wall.
+    probe_d: float  #: greatest diameter of the probe, over which the ring passes.
+    ring_bore_d: float  #: ring_bore_d, ring_bore_top_d, ring_thickness: of the clamp ring; its rim is `body_d`.
     ring_bore_top_d: float
     ring_thickness: float
-    ring_screw_length: float
-    ring_circle_d: float
+    ring_screw_length: float  #: a stock length under the head.
+    ring_circle_d: float  #: of the ring's screws.
+    #: nut_slot_width, nut_slot_z, nut_slot_reach: slots from the rim inward: width, lower and upper face, and the
+    #: distance of the round inner end's centre inward from the screw.
     nut_slot_width: float
     nut_slot_z: tuple[float, float]
     nut_slot_reach: float
-    ring_hole_bottom: float
+    ring_hole_bottom: float  #: of the blind hole below each nut.
+    #: on_flange, on_wall, on_ring: engravings of the flange's lip (base frame), of the wall around the recess (sensor
+    #: frame) and of the ring's top (its own frame).
     on_flange: Engraving
     on_wall: Engraving
     on_ring: Engraving

@@ -88,37 +88,23 @@ _KEYS = {
 
 @dataclass(frozen=True)
 class StackItem:
-    """One dimension of a stack.
+    """One dimension of a stack."""
 
-    Attributes:
-        name: of the dimension.
-        value: nominal, with the sign with which it counts [m].
-        below, above: tolerances of the signed value, both positive [m].
-        source: of the tolerance.
-    """
-
-    name: str
-    value: float
-    below: float
+    name: str  #: of the dimension.
+    value: float  #: nominal, with the sign with which it counts [m].
+    below: float  #: below, above: tolerances of the signed value, both positive [m].
     above: float
-    source: str
+    source: str  #: of the tolerance.
 
 
 @dataclass(frozen=True)
 class Stack:
-    """A sum of dimensions with its limits [m].
+    """A sum of dimensions with its limits [m]."""
 
-    Attributes:
-        name: of the stack.
-        what: in words.
-        items: the dimensions.
-        limits: least and greatest allowed sum.
-    """
-
-    name: str
-    what: str
-    items: tuple[StackItem, ...]
-    limits: tuple[float, float]
+    name: str  #: of the stack.
+    what: str  #: in words.
+    items: tuple[StackItem, ...]  #: the dimensions.
+    limits: tuple[float, float]  #: least and greatest allowed sum.
 
     @property
     def remedy(self) -> str:
@@ -388,19 +374,12 @@ def _fits(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
 
 @dataclass(frozen=True)
 class Measurement:
-    """A dimension to measure before assembly, with its accepted range [m].
+    """A dimension to measure before assembly, with its accepted range [m]."""
 
-    Attributes:
-        what: the dimension.
-        nominal: as drawn.
-        accept: least and greatest accepted value.
-        otherwise: what to do with a part outside of it.
-    """
-
-    what: str
-    nominal: float
-    accept: tuple[float, float]
-    otherwise: str
+    what: str  #: the dimension.
+    nominal: float  #: as drawn.
+    accept: tuple[float, float]  #: least and greatest accepted value.
+    otherwise: str  #: what to do with a part outside of it.
 
     def as_record(self) -> dict[str, Any]:
         """Return the record of the manifest, in millimetres."""

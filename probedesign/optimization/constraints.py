@@ -55,17 +55,11 @@ _LIMIT = re.compile(r"\s*([A-Za-z_]+)(@\S+?)?\s*(<=|>=)\s*(\S+)\s*")
 
 @dataclass(frozen=True)
 class Limit:
-    """A bound on a metric.
+    """A bound on a metric."""
 
-    Attributes:
-        metric: one of `LIMITED_METRICS`, with its distance if it has one.
-        is_upper: whether it is an upper bound.
-        value: in the unit at the end of the metric's name.
-    """
-
-    metric: str
-    is_upper: bool
-    value: float
+    metric: str  #: one of `LIMITED_METRICS`, with its distance if it has one.
+    is_upper: bool  #: whether it is an upper bound.
+    value: float  #: in the unit at the end of the metric's name.
 
     @property
     def text(self) -> str:
@@ -151,17 +145,11 @@ conflicting."""
 
 
 class Constraint(NamedTuple):
-    """An inequality constraint: its margin must not be negative.
+    """An inequality constraint: its margin must not be negative."""
 
-    Attributes:
-        text: name for users.
-        margin: of a point, one number or several.
-        slope: derivatives of the margin.
-    """
-
-    text: str
-    margin: Callable[[Array], Array]
-    slope: Callable[[Array], Array]
+    text: str  #: name for users.
+    margin: Callable[[Array], Array]  #: of a point, one number or several.
+    slope: Callable[[Array], Array]  #: derivatives of the margin.
 
     def min_margin(self, x: Array) -> float:
         """Return the smallest margin."""
@@ -170,15 +158,10 @@ class Constraint(NamedTuple):
 
 @dataclass(frozen=True)
 class NonlinearProgram:
-    """The objective over a design space, with its constraints.
+    """The objective over a design space, with its constraints."""
 
-    Attributes:
-        evaluator: the design space with its task.
-        limits: on its metrics.
-    """
-
-    evaluator: DesignEvaluator
-    limits: tuple[Limit, ...]
+    evaluator: DesignEvaluator  #: the design space with its task.
+    limits: tuple[Limit, ...]  #: on its metrics.
 
     def objective(self, x: Array) -> float:
         """Return the logarithm of the error [mm], or of the force over the task's where the force is minimised."""
@@ -311,23 +294,14 @@ class NonlinearProgram:
 
 @dataclass(frozen=True)
 class OptimizationProblem:
-    """Statement of an optimisation.
+    """Statement of an optimisation."""
 
-    Attributes:
-        start: the design to improve.
-        free: what of it may change.
-        task: by which designs are judged.
-        goal: what is minimised.
-        error_mm: to be reached, for the goal "force-for-error".
-        limits: on metrics, in addition to the print rules and the sensor's range.
-    """
-
-    start: Design
-    free: tuple[FreeParameter, ...]
-    task: Task
-    goal: Goal = "error-at-force"
-    error_mm: float | None = None
-    limits: tuple[Limit, ...] = ()
+    start: Design  #: the design to improve.
+    free: tuple[FreeParameter, ...]  #: what of it may change.
+    task: Task  #: by which designs are judged.
+    goal: Goal = "error-at-force"  #: what is minimised.
+    error_mm: float | None = None  #: to be reached, for the goal "force-for-error".
+    limits: tuple[Limit, ...] = ()  #: on metrics, in addition to the print rules and the sensor's range.
 
     def __post_init__(self) -> None:
         """Raise InputError if the options contradict each other."""

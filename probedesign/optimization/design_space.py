@@ -74,16 +74,11 @@ class DesignSpace:
 
     A point x: control diameters [mm], evenly from base to tip; then, if they are free, the length [cm] and ten times
     the section's ratio. A free taper is the cubic spline through its control diameters, linear in them.
-
-    Attributes:
-        start: the design that the others differ from.
-        controls: number of control diameters; 2 is a cone, 0 leaves the diameters unchanged.
-        free: what varies.
     """
 
-    start: Design
-    controls: int
-    free: tuple[FreeParameter, ...]
+    start: Design  #: the design that the others differ from.
+    controls: int  #: number of control diameters; 2 is a cone, 0 leaves the diameters unchanged.
+    free: tuple[FreeParameter, ...]  #: what varies.
 
     @classmethod
     def of(cls, start: Design, free: tuple[FreeParameter, ...]) -> "DesignSpace":
@@ -308,21 +303,14 @@ _NO_FIGURE = 1e6
 
 @dataclass
 class DesignEvaluator:
-    """A design space with a task; each point is evaluated once.
+    """A design space with a task; each point is evaluated once."""
 
-    Attributes:
-        space: the design space.
-        task: by which designs are judged; its force is scaled by that of a point that has one.
-        with_force: whether the last coordinate of a point is the logarithm of the force over the task's.
-        limited: names of the metrics that are limited; what costs extra is computed for these alone.
-        max_load: largest factor of the critical load over the task's force that is of interest.
-    """
-
-    space: DesignSpace
-    task: Task
-    with_force: bool = False
+    space: DesignSpace  #: the design space.
+    task: Task  #: by which designs are judged; its force is scaled by that of a point that has one.
+    with_force: bool = False  #: whether the last coordinate of a point is the logarithm of the force over the task's.
+    #: names of the metrics that are limited; what costs extra is computed for these alone.
     limited: frozenset[str] = frozenset()
-    max_load: float = _MAX_LOAD
+    max_load: float = _MAX_LOAD  #: largest factor of the critical load over the task's force that is of interest.
     _cache: dict[bytes, dict[str, float]] = field(default_factory=dict)
 
     @property

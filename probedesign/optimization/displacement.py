@@ -34,16 +34,12 @@ AZIMUTHS_DEG = (0.0, 90.0, 180.0, 270.0)
 
 @dataclass(frozen=True)
 class Push:
-    """A push of a point of the rod by a distance.
+    """A push of a point of the rod by a distance."""
 
-    Attributes:
-        result: "ok": the distance was reached; "snaps": the rod has no stable equilibrium beyond `last`;
-            "not_converged" or "unstable": no equilibrium was found beyond `last`, or none without the force.
-        last: the equilibrium at the distance, or the last one before it.
-    """
-
+    #: "ok": the distance was reached; "snaps": the rod has no stable equilibrium beyond `last`; "not_converged" or
+    #: "unstable": no equilibrium was found beyond `last`, or none without the force.
     result: str
-    last: Equilibrium
+    last: Equilibrium  #: the equilibrium at the distance, or the last one before it.
 
     @property
     def ok(self) -> bool:

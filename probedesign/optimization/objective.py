@@ -33,42 +33,29 @@ Vector = tuple[float, float, float]
 
 
 class Case(NamedTuple):
-    """One position, force and gravity of a task.
+    """One position, force and gravity of a task."""
 
-    Attributes:
-        contact_fraction: arclength of the touched section over the length.
-        force_N: normal force; of several touches the largest.
-        gravity_base_m_s2: gravity in base axes.
-    """
-
-    contact_fraction: float
-    force_N: float
-    gravity_base_m_s2: Vector
+    contact_fraction: float  #: arclength of the touched section over the length.
+    force_N: float  #: normal force; of several touches the largest.
+    gravity_base_m_s2: Vector  #: gravity in base axes.
 
 
 @dataclass(frozen=True)
 class Task:
-    """How a probe is used: every combination of position, force and gravity is one case.
+    """How a probe is used: every combination of position, force and gravity is one case."""
 
-    Attributes:
-        forces_N: normal contact forces; of several touches the largest, the others are equal steps up to it.
-        touches: number of touches of one fixed point as the base presses on; 1 is a single reading.
-        moments_about: with several touches, the point whose moments alone are used; None: forces too.
-        base_repeat_mm: standard deviation of the base position at each touch, on each axis; None: the design's.
-        bias_walk_steps: walk of the bias between touches, in steps of resolution; None: the design's.
-        fractions: contact positions over the length.
-        gravities: in base axes [m/s²]; empty: that of the design's mount.
-        combine: "mean": the error is the RMS over the cases; "worst": the largest.
-    """
-
+    #: normal contact forces; of several touches the largest, the others are equal steps up to it.
     forces_N: tuple[float, ...] = (0.005,)
-    touches: int = 5
+    touches: int = 5  #: number of touches of one fixed point as the base presses on; 1 is a single reading.
+    #: with several touches, the point whose moments alone are used; None: forces too.
     moments_about: MomentsAbout | None = "sensor"
+    #: standard deviation of the base position at each touch, on each axis; None: the design's.
     base_repeat_mm: float | None = None
+    #: walk of the bias between touches, in steps of resolution; None: the design's.
     bias_walk_steps: float | None = None
-    fractions: tuple[float, ...] = FRACTIONS
-    gravities: tuple[Vector, ...] = ()
-    combine: Combine = "mean"
+    fractions: tuple[float, ...] = FRACTIONS  #: contact positions over the length.
+    gravities: tuple[Vector, ...] = ()  #: in base axes [m/s²]; empty: that of the design's mount.
+    combine: Combine = "mean"  #: "mean": the error is the RMS over the cases; "worst": the largest.
 
     def __post_init__(self) -> None:
         """Raise InputError if a value is out of range."""
@@ -156,53 +143,38 @@ _WEAK_N = 1e-6
 
 @dataclass(frozen=True)
 class TaskErrors:
-    """Predicted errors of the touches of a task.
+    """Predicted errors of the touches of a task."""
 
-    Attributes:
-        cases: of the task.
-        errors: RMS error of the touched point in each case, by all error sources [m]; infinite where the probe buckles.
-        sensor_use: largest fraction of a channel's range that a reading takes; infinite where the probe buckles.
-        slide: largest distance that the object slides along the probe while the base presses on along a straight line,
-            without friction [m]; 0 for single touches, infinite where it slips off or the probe buckles.
-    """
-
-    cases: tuple[Case, ...]
+    cases: tuple[Case, ...]  #: of the task.
+    #: RMS error of the touched point in each case, by all error sources [m]; infinite where the probe buckles.
     errors: tuple[float, ...]
-    sensor_use: float
+    sensor_use: float  #: largest fraction of a channel's range that a reading takes; infinite where the probe buckles.
+    #: largest distance that the object slides along the probe while the base presses on along a straight line, without
+    #: friction [m]; 0 for single touches, infinite where it slips off or the probe buckles.
     slide: float
 
 
 @dataclass(frozen=True)
 class DesignMetrics:
-    """Metrics of one design. Numbers that do not exist are None.
+    """Metrics of one design. Numbers that do not exist are None."""
 
-    Attributes:
-        error_mm: RMS distance between the estimated and the true touched point, by all error sources, over the task's
-            cases as the task combines them.
-        worst_error_mm: largest error of a case.
-        detectable_mN: force that one reading detects with probability 0.5 at 0.8 of the length, noise and drift
-            included (`Estimator.detectable`).
-        sag_mm: displacement of the tip along gravity, as mounted.
-        reach_mm: distance from the base to the tip of the free probe.
-        sensor_use: largest fraction of a channel's range in the task.
-        slide_mm: slide of the object along the probe in a straight press without friction; None for single touches and
-            where it slips off.
-        mass_g: of the flexible part.
-        length_mm, thinnest_mm: of the flexible part, undeformed.
-        print_errors, print_warnings: findings of the print rules, except for `SHARED_PARTS`.
-    """
-
+    #: RMS distance between the estimated and the true touched point, by all error sources, over the task's cases as the
+    #: task combines them.
     error_mm: float | None
-    worst_error_mm: float | None
+    worst_error_mm: float | None  #: largest error of a case.
+    #: force that one reading detects with probability 0.5 at 0.8 of the length, noise and drift included
+    #: (`Estimator.detectable`).
     detectable_mN: float | None
-    sag_mm: float | None
-    reach_mm: float | None
-    sensor_use: float | None
+    sag_mm: float | None  #: displacement of the tip along gravity, as mounted.
+    reach_mm: float | None  #: distance from the base to the tip of the free probe.
+    sensor_use: float | None  #: largest fraction of a channel's range in the task.
+    #: slide of the object along the probe in a straight press without friction; None for single touches and where it
+    #: slips off.
     slide_mm: float | None
-    mass_g: float
-    length_mm: float
+    mass_g: float  #: of the flexible part.
+    length_mm: float  #: length_mm, thinnest_mm: of the flexible part, undeformed.
     thinnest_mm: float
-    print_errors: int
+    print_errors: int  #: print_errors, print_warnings: findings of the print rules, except for `SHARED_PARTS`.
     print_warnings: int
 
     @property

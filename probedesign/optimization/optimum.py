@@ -45,45 +45,29 @@ _THICKER, _TIMES = 1.25, 8
 
 @dataclass(frozen=True)
 class WorseCase:
-    """A position and force at which the optimum has a larger error than the start.
+    """A position and force at which the optimum has a larger error than the start."""
 
-    Attributes:
-        contact_fraction: arclength of the touched section over the length.
-        force_N: normal force; of several touches the largest.
-        gravity_base_m_s2: gravity in base axes.
-        start_error_mm: RMS error of the start.
-        best_error_mm: of the optimum; None where it buckles.
-    """
-
-    contact_fraction: float
-    force_N: float
-    gravity_base_m_s2: Vector
-    start_error_mm: float
-    best_error_mm: float | None
+    contact_fraction: float  #: arclength of the touched section over the length.
+    force_N: float  #: normal force; of several touches the largest.
+    gravity_base_m_s2: Vector  #: gravity in base axes.
+    start_error_mm: float  #: RMS error of the start.
+    best_error_mm: float | None  #: of the optimum; None where it buckles.
 
 
 @dataclass(frozen=True)
 class Optimum:
-    """The best design found.
+    """The best design found."""
 
-    Attributes:
-        design: under its new name.
-        task: with the optimised force, where the force is minimised.
-        before, after: metrics of the start and of the optimum for that task.
-        active_constraints: names of the constraints that limit it.
-        n_evaluations: number of designs computed.
-        starts: result of each start: error [mm] or force over the task's; None where it is infeasible.
-        worse: cases in which the optimum has an error more than 1 % larger than the start, over positions and forces
-            around those of the task.
-    """
-
-    design: Design
-    task: Task
-    before: DesignMetrics
+    design: Design  #: under its new name.
+    task: Task  #: with the optimised force, where the force is minimised.
+    before: DesignMetrics  #: before, after: metrics of the start and of the optimum for that task.
     after: DesignMetrics
-    active_constraints: tuple[str, ...]
-    n_evaluations: int
+    active_constraints: tuple[str, ...]  #: names of the constraints that limit it.
+    n_evaluations: int  #: number of designs computed.
+    #: result of each start: error [mm] or force over the task's; None where it is infeasible.
     starts: tuple[float | None, ...]
+    #: cases in which the optimum has an error more than 1 % larger than the start, over positions and forces around
+    #: those of the task.
     worse: tuple[WorseCase, ...] = ()
 
 
@@ -181,22 +165,14 @@ _CHUNK = 10
 
 @dataclass(frozen=True)
 class MonteCarloCheck:
-    """Errors of drawn touches over all cases of a task.
+    """Errors of drawn touches over all cases of a task."""
 
-    Attributes:
-        rms_mm: RMS distance between the estimated and the true touched point, over all draws with a candidate.
-        standard_error_mm: of that RMS.
-        bound_mm: RMS of the predicted errors over the same cases.
-        located, drawn: number of draws with the result "ok", and of all draws.
-        inside: number of those located whose 95 % ellipsoid contains the true point.
-    """
-
-    rms_mm: float
-    standard_error_mm: float
-    bound_mm: float
-    located: int
+    rms_mm: float  #: RMS distance between the estimated and the true touched point, over all draws with a candidate.
+    standard_error_mm: float  #: of that RMS.
+    bound_mm: float  #: RMS of the predicted errors over the same cases.
+    located: int  #: located, drawn: number of draws with the result "ok", and of all draws.
     drawn: int
-    inside: int
+    inside: int  #: number of those located whose 95 % ellipsoid contains the true point.
 
 
 class _Chunk(NamedTuple):
@@ -279,15 +255,10 @@ _VARIABLES = ("base_d_mm", "tip_d_mm", "length_mm", "force_mN", "error_mm", "rea
 
 @dataclass(frozen=True)
 class ParetoFront:
-    """Designs of which none is better than another in all objectives.
+    """Designs of which none is better than another in all objectives."""
 
-    Attributes:
-        rows: one per design: `_VARIABLES`, by increasing error.
-        n_evaluations: number of designs computed.
-    """
-
-    rows: list[dict[str, float]]
-    n_evaluations: int
+    rows: list[dict[str, float]]  #: one per design: `_VARIABLES`, by increasing error.
+    n_evaluations: int  #: number of designs computed.
 
     def csv(self) -> bytes:
         """Return the front as a CSV table."""
@@ -378,21 +349,14 @@ def _evaluate(problem: NonlinearProgram, drawn: "Drawn") -> tuple[float, float, 
 
 @dataclass(frozen=True)
 class OptimizeResult:
-    """Result of `optimize`.
+    """Result of `optimize`."""
 
-    Attributes:
-        search: statement of the problem.
-        optimum: the best design.
-        confirmed: Monte Carlo check of start and optimum; None if not requested, or for a start that buckles.
-        front: Pareto front; None if not requested.
-        files: written.
-    """
-
-    search: OptimizationProblem
-    optimum: Optimum
+    search: OptimizationProblem  #: statement of the problem.
+    optimum: Optimum  #: the best design.
+    #: Monte Carlo check of start and optimum; None if not requested, or for a start that buckles.
     confirmed: tuple[MonteCarloCheck | None, MonteCarloCheck] | None
-    front: ParetoFront | None
-    files: tuple[Path, ...] = ()
+    front: ParetoFront | None  #: Pareto front; None if not requested.
+    files: tuple[Path, ...] = ()  #: written.
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""

@@ -32,15 +32,10 @@ _HOW = "write KEY=START:STOP:STEP or KEY=A,B,C"
 
 @dataclass(frozen=True)
 class GridAxis:
-    """One key that varies.
+    """One key that varies."""
 
-    Attributes:
-        key: of the design file, `table.key`.
-        values: that it takes.
-    """
-
-    key: str
-    values: tuple[Any, ...]
+    key: str  #: of the design file, `table.key`.
+    values: tuple[Any, ...]  #: that it takes.
 
 
 def parse_axis(text: str) -> GridAxis:
@@ -142,19 +137,12 @@ _CHUNK = 8
 
 @dataclass(frozen=True)
 class SweepResult:
-    """Result of a sweep.
+    """Result of a sweep."""
 
-    Attributes:
-        records: one per point, in the grid's order: point, the keys varied, result, reason, metrics.
-        computed: number of points computed by this run.
-        files: written.
-        notes: repairs of the journal.
-    """
-
-    records: list[Record]
-    computed: int
-    files: list[Path]
-    notes: list[str]
+    records: list[Record]  #: one per point, in the grid's order: point, the keys varied, result, reason, metrics.
+    computed: int  #: number of points computed by this run.
+    files: list[Path]  #: written.
+    notes: list[str]  #: repairs of the journal.
 
     @property
     def failed(self) -> list[Record]:

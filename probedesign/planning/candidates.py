@@ -66,24 +66,17 @@ TURNS = {"tip down": (0.0, 0.0, 1.0), "tip up": (0.0, 0.0, -1.0), "x down": (1.0
 
 @dataclass(frozen=True)
 class Instruments:
-    """What the bench has besides the force/torque sensor.
+    """What the bench has besides the force/torque sensor."""
 
-    Attributes:
-        stage: standard deviation of a place that a stage measures, on each axis [m]; None without a stage.
-        cameras: standard deviation of a marker, on each axis [m]; None without cameras or another reference.
-        weights: masses that can be hung [kg].
-        turnable: whether the base can be held in other orientations, with known poses.
-        balance: standard deviation of a weighing [kg]; None without a balance.
-        calipers: standard deviation of a measured diameter [m]; None without calipers.
-        std_base: standard deviations of the base pose in the frame of the reference [m, rad].
-    """
-
+    #: standard deviation of a place that a stage measures, on each axis [m]; None without a stage.
     stage: float | None = 0.05 * MM
+    #: standard deviation of a marker, on each axis [m]; None without cameras or another reference.
     cameras: float | None = None
-    weights: tuple[float, ...] = (0.5e-3, 1e-3, 2e-3, 5e-3)
-    turnable: bool = True
-    balance: float | None = 1e-5
-    calipers: float | None = 0.05 * MM
+    weights: tuple[float, ...] = (0.5e-3, 1e-3, 2e-3, 5e-3)  #: masses that can be hung [kg].
+    turnable: bool = True  #: whether the base can be held in other orientations, with known poses.
+    balance: float | None = 1e-5  #: standard deviation of a weighing [kg]; None without a balance.
+    calipers: float | None = 0.05 * MM  #: standard deviation of a measured diameter [m]; None without calipers.
+    #: standard deviations of the base pose in the frame of the reference [m, rad].
     std_base: tuple[float, float] = (0.2 * MM, math.radians(0.2))
 
     @property
@@ -94,27 +87,17 @@ class Instruments:
 
 @dataclass(frozen=True, eq=False)
 class CandidateTest:
-    """A test that could be made.
+    """A test that could be made."""
 
-    Attributes:
-        set_up: kind of the test.
-        test: as `campaigns.Test`, with the readings of the designed probe; None for a weighing and calipers.
-        shape: of the designed probe; None as well.
-        words: what to do, one line.
-        mass: of the weight [kg]; 0 without.
-        mark: arclength of the mark on the surface where the load acts [m]; NaN without a load.
-        displacement: of the touched point by the stage [m]; 0 for other tests.
-        held_out: whether it is for `validate`, and `identify` leaves it out.
-    """
-
-    set_up: SetUp
+    set_up: SetUp  #: kind of the test.
+    #: as `campaigns.Test`, with the readings of the designed probe; None for a weighing and calipers.
     test: Test | None
-    shape: Equilibrium | None
-    words: str
-    mass: float = 0.0
-    mark: float = math.nan
-    displacement: float = 0.0
-    held_out: bool = False
+    shape: Equilibrium | None  #: of the designed probe; None as well.
+    words: str  #: what to do, one line.
+    mass: float = 0.0  #: of the weight [kg]; 0 without.
+    mark: float = math.nan  #: arclength of the mark on the surface where the load acts [m]; NaN without a load.
+    displacement: float = 0.0  #: of the touched point by the stage [m]; 0 for other tests.
+    held_out: bool = False  #: whether it is for `validate`, and `identify` leaves it out.
 
     @property
     def name(self) -> str:
@@ -135,15 +118,10 @@ class CandidateTest:
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """The designed probe on a bench: makes candidates.
+    """The designed probe on a bench: makes candidates."""
 
-    Attributes:
-        model: of the probe as designed.
-        instruments: of the bench.
-    """
-
-    model: ProbeModel
-    instruments: Instruments
+    model: ProbeModel  #: of the probe as designed.
+    instruments: Instruments  #: of the bench.
     gravity_world: Array = field(init=False)
 
     def __post_init__(self) -> None:

@@ -56,59 +56,37 @@ ORDER: tuple[SetUp, ...] = ("weighing", "calipers", "hang", "weight", "turned", 
 
 @dataclass(frozen=True)
 class ExpectedInterval:
-    """Interval of a parameter that `identify` will state, expected before the tests.
+    """Interval of a parameter that `identify` will state, expected before the tests."""
 
-    Attributes:
-        name: of the parameter or its component.
-        unit: of the values; empty for plain factors.
-        std: standard deviation with the design's dimensions [unit], relative for a logarithm; None if the tests do
-            not determine the parameter.
-        low, high: ends of the 95 % interval about the design's value [unit]; None as well.
-        std_of_print: standard deviation with the dimensions as uncertain as they are after the tests.
-        relative: whether both standard deviations are relative.
-    """
-
-    name: str
-    unit: str
+    name: str  #: of the parameter or its component.
+    unit: str  #: of the values; empty for plain factors.
+    #: standard deviation with the design's dimensions [unit], relative for a logarithm; None if the tests do not
+    #: determine the parameter.
     std: float | None
-    low: float | None
+    low: float | None  #: low, high: ends of the 95 % interval about the design's value [unit]; None as well.
     high: float | None
-    std_of_print: float | None
-    relative: bool
+    std_of_print: float | None  #: standard deviation with the dimensions as uncertain as they are after the tests.
+    relative: bool  #: whether both standard deviations are relative.
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedTest:
-    """A test of a plan.
+    """A test of a plan."""
 
-    Attributes:
-        candidate: what to do.
-        minutes: since the start when it is done [min].
-        expected: intervals after it; the same as before for a test that is held out.
-    """
-
-    candidate: CandidateTest
-    minutes: float
-    expected: tuple[ExpectedInterval, ...]
+    candidate: CandidateTest  #: what to do.
+    minutes: float  #: since the start when it is done [min].
+    expected: tuple[ExpectedInterval, ...]  #: intervals after it; the same as before for a test that is held out.
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A plan of a campaign.
+    """A plan of a campaign."""
 
-    Attributes:
-        bench: the probe and its instruments.
-        names: requested parameters.
-        minutes: time available [min].
-        tests: in the order to be made.
-        unobservable: why a requested parameter is not determined, one line each.
-    """
-
-    bench: Bench
-    names: tuple[str, ...]
-    minutes: float
-    tests: tuple[PlannedTest, ...]
-    unobservable: tuple[str, ...]
+    bench: Bench  #: the probe and its instruments.
+    names: tuple[str, ...]  #: requested parameters.
+    minutes: float  #: time available [min].
+    tests: tuple[PlannedTest, ...]  #: in the order to be made.
+    unobservable: tuple[str, ...]  #: why a requested parameter is not determined, one line each.
 
     @property
     def expected(self) -> tuple[ExpectedInterval, ...]:
@@ -173,18 +151,12 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """Information of all candidates on the parameters.
+    """Information of all candidates on the parameters."""
 
-    Attributes:
-        bench: probe and instruments.
-        candidates: all of them.
-        flange_volume: of printed material that is weighed with the flexible part [m³].
-        scheduled: whether the candidates have their times: the bias then walks from one to the next, as in `identify`.
-    """
-
-    bench: Bench
-    candidates: tuple[CandidateTest, ...]
-    flange_volume: float
+    bench: Bench  #: probe and instruments.
+    candidates: tuple[CandidateTest, ...]  #: all of them.
+    flange_volume: float  #: of printed material that is weighed with the flexible part [m³].
+    #: whether the candidates have their times: the bias then walks from one to the next, as in `identify`.
     scheduled: bool = False
 
     @cached_property
@@ -416,17 +388,11 @@ def _spread(touches: list[CandidateTest], count: int) -> list[CandidateTest]:
 
 @dataclass(frozen=True, eq=False)
 class _Choice:
-    """Search for the tests with the largest determinant.
+    """Search for the tests with the largest determinant."""
 
-    Attributes:
-        information: of all candidates.
-        names: requested parameters.
-        fixed: tests that are made in any case.
-    """
-
-    information: Information
-    names: Sequence[str]
-    fixed: list[CandidateTest]
+    information: Information  #: of all candidates.
+    names: Sequence[str]  #: requested parameters.
+    fixed: list[CandidateTest]  #: tests that are made in any case.
 
     @cached_property
     def scale(self) -> Array:

@@ -27,55 +27,35 @@ fitted by hand to the whole table."""
 
 @dataclass(frozen=True)
 class AgreementScore:
-    """Agreement of a setting with the table.
+    """Agreement of a setting with the table."""
 
-    Attributes:
-        setting: name of the setting.
-        within: number of rows within a factor of two.
-        predicted: number of rows with a prediction.
-        rank_correlation: Spearman's, of the rows predicted; None for a constant.
-        typical_factor: exponential of the RMS of ln(predicted / measured), of the rows predicted.
-        constants: number of constants that were fitted to the table or assumed.
-    """
-
-    setting: str
-    within: int
-    predicted: int
-    rank_correlation: float | None
-    typical_factor: float
-    constants: int = 0
+    setting: str  #: name of the setting.
+    within: int  #: number of rows within a factor of two.
+    predicted: int  #: number of rows with a prediction.
+    rank_correlation: float | None  #: Spearman's, of the rows predicted; None for a constant.
+    typical_factor: float  #: exponential of the RMS of ln(predicted / measured), of the rows predicted.
+    constants: int = 0  #: number of constants that were fitted to the table or assumed.
 
 
 @dataclass(frozen=True, eq=False)
 class PublishedErrors:
-    """Conditions and measured errors of the rows of a table.
+    """Conditions and measured errors of the rows of a table."""
 
-    Attributes:
-        probes: name of the probe of each row.
-        s_mm: arclength of the contact, (n,).
-        force_mN: (n,).
-        measured_mm: contact error, (n,).
-    """
-
-    probes: tuple[str, ...]
-    s_mm: Array
-    force_mN: Array
-    measured_mm: Array
+    probes: tuple[str, ...]  #: name of the probe of each row.
+    s_mm: Array  #: arclength of the contact, (n,).
+    force_mN: Array  #: (n,).
+    measured_mm: Array  #: contact error, (n,).
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """The model beside the simple laws.
+    """The model beside the simple laws."""
 
-    Attributes:
-        fitted: model, lever and constant, with the constants stated or fitted to the whole table.
-        left_out: the same, each probe predicted with the constants fitted to the other two.
-        beyond_lever: rank correlation, by probe and over `all`, of measured with predicted error where both are
-            divided by the lever law's: above 0 the model knows something that the law does not.
-    """
-
+    #: model, lever and constant, with the constants stated or fitted to the whole table.
     fitted: tuple[AgreementScore, ...]
-    left_out: tuple[AgreementScore, ...]
+    left_out: tuple[AgreementScore, ...]  #: the same, each probe predicted with the constants fitted to the other two.
+    #: rank correlation, by probe and over `all`, of measured with predicted error where both are divided by the lever
+    #: law's: above 0 the model knows something that the law does not.
     beyond_lever: dict[str, float]
 
 

@@ -43,21 +43,13 @@ CAUSES = (*SOURCES, "friction")
 
 @dataclass(frozen=True)
 class ErrorBudget:
-    """Error budgets of n touches: NaN without a touch, infinite where a reading does not determine the position.
+    """Error budgets of n touches: NaN without a touch, infinite where a reading does not determine the position."""
 
-    Attributes:
-        cov: of the touched point [m²] by error source, (n, causes, 3, 3).
-        total: of the touched point by all error sources [m²], (n, 3, 3).
-        cov_centre: of the centreline point by all error sources [m²], (n, 3, 3).
-        cov_noise: of the touched point by sensor noise and the prior on friction alone [m²], (n, 3, 3).
-        std_s: standard deviation of s_contact by all error sources [m], (n,).
-    """
-
-    cov: Array
-    total: Array
-    cov_centre: Array
-    cov_noise: Array
-    std_s: Array
+    cov: Array  #: of the touched point [m²] by error source, (n, causes, 3, 3).
+    total: Array  #: of the touched point by all error sources [m²], (n, 3, 3).
+    cov_centre: Array  #: of the centreline point by all error sources [m²], (n, 3, 3).
+    cov_noise: Array  #: of the touched point by sensor noise and the prior on friction alone [m²], (n, 3, 3).
+    std_s: Array  #: standard deviation of s_contact by all error sources [m], (n,).
 
     @property
     def rms(self) -> Array:
@@ -92,27 +84,19 @@ def error_budget(touch: Array, lin: Array, D: Array, sources: ErrorSources, fric
 
 @dataclass(frozen=True)
 class _LinearizedTouches:
-    """Linearised touches, all of them valid.
+    """Linearised touches, all of them valid."""
 
-    Attributes:
-        H, X, X_centre: of wrench, touched point and centreline point by the touch, (n, 6, 5), (n, 3, 5), (n, 3, 5).
-        D, Q, Q_centre: of the same by the error sources, (n, 6, J), (n, 3, J), (n, 3, J).
-        noise: covariance of a reading by noise, (n, 6, 6).
-        drift: covariance by drift, (6, 6).
-        names: of the columns.
-        by_s: derivative of s_contact by the touch, (n, 5).
-    """
-
+    #: H, X, X_centre: of wrench, touched point and centreline point by the touch, (n, 6, 5), (n, 3, 5), (n, 3, 5).
     H: Array
     X: Array
     X_centre: Array
-    D: Array
+    D: Array  #: D, Q, Q_centre: of the same by the error sources, (n, 6, J), (n, 3, J), (n, 3, J).
     Q: Array
     Q_centre: Array
-    noise: Array
-    drift: Array
-    names: tuple[str, ...]
-    by_s: Array
+    noise: Array  #: covariance of a reading by noise, (n, 6, 6).
+    drift: Array  #: covariance by drift, (6, 6).
+    names: tuple[str, ...]  #: of the columns.
+    by_s: Array  #: derivative of s_contact by the touch, (n, 5).
 
     @classmethod
     def of(cls, touch: Array, lin: Array, D: Array, sources: ErrorSources) -> "_LinearizedTouches":

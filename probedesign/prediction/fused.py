@@ -40,15 +40,10 @@ MAX_TOUCHES = 20
 
 @dataclass(frozen=True)
 class PressSchedule:
-    """How several touches of one point are made and fused: the base presses on, in equal steps of the force.
+    """How several touches of one point are made and fused: the base presses on, in equal steps of the force."""
 
-    Attributes:
-        touches: number of touches of one fixed point of the world, the base oriented as in its mount.
-        moments_about: point whose moments alone are used; None: forces too.
-    """
-
-    touches: int = 5
-    moments_about: MomentsAbout | None = "sensor"
+    touches: int = 5  #: number of touches of one fixed point of the world, the base oriented as in its mount.
+    moments_about: MomentsAbout | None = "sensor"  #: point whose moments alone are used; None: forces too.
 
     def __post_init__(self) -> None:
         """Raise InputError if the number of touches is out of range."""
@@ -76,17 +71,12 @@ _SCATTER = "stiffness scatter"
 
 @dataclass(frozen=True)
 class FusedErrorBudget:
-    """Error budget of one point that is touched several times.
+    """Error budget of one point that is touched several times."""
 
-    Attributes:
-        cov: of the touched point in the world [m²] by error source, (causes, 3, 3), in the order of `FUSED_CAUSES`.
-        total: by all error sources, without the curvature [m²], (3, 3).
-        cov_noise: by sensor noise and the prior on friction, all else exactly known [m²], (3, 3).
-    """
-
+    #: of the touched point in the world [m²] by error source, (causes, 3, 3), in the order of `FUSED_CAUSES`.
     cov: Array
-    total: Array
-    cov_noise: Array
+    total: Array  #: by all error sources, without the curvature [m²], (3, 3).
+    cov_noise: Array  #: by sensor noise and the prior on friction, all else exactly known [m²], (3, 3).
 
     @property
     def rms(self) -> Array:
@@ -188,33 +178,23 @@ Line = tuple[float, str]
 
 @dataclass(frozen=True)
 class FusedCondition:
-    """Prediction for several touches of one point as the base presses on. Numbers that do not exist are None.
+    """Prediction for several touches of one point as the base presses on. Numbers that do not exist are None."""
 
-    Attributes:
-        contact_fraction: arclength of the touched section over length.
-        force_N: normal force of the last touch; the others are equal steps up to it.
-        direction: in which the object pushes.
-        touches: number of touches.
-        result: result code of `Estimator.fuse`; "gives_way" (buckled) and "out_of_range" refer to the last touch.
-        predicted_error_mm: RMS distance between true and estimated contact point, the touched point of the surface in
-            the world, by all error sources of `budget_mm`, to first order.
-        predicted_error_95_mm: radius that contains 95 % of the errors.
-        noise_error_mm: RMS distance by sensor noise and the prior on friction, all else exactly known.
-        noise_error_95_mm: its 95 % radius.
-        budget_mm: RMS distance by error source; the squares add up to that of predicted_error_mm.
-        total_error_mm, total_error_95_mm: the predicted errors under their former names.
-    """
-
-    contact_fraction: float
-    force_N: float
-    direction: str
-    touches: int
-    result: str
+    contact_fraction: float  #: arclength of the touched section over length.
+    force_N: float  #: normal force of the last touch; the others are equal steps up to it.
+    direction: str  #: in which the object pushes.
+    touches: int  #: number of touches.
+    result: str  #: result code of `Estimator.fuse`; "gives_way" (buckled) and "out_of_range" refer to the last touch.
+    #: RMS distance between true and estimated contact point, the touched point of the surface in the world, by all
+    #: error sources of `budget_mm`, to first order.
     predicted_error_mm: float | None = None
-    predicted_error_95_mm: float | None = None
+    predicted_error_95_mm: float | None = None  #: radius that contains 95 % of the errors.
+    #: RMS distance by sensor noise and the prior on friction, all else exactly known.
     noise_error_mm: float | None = None
-    noise_error_95_mm: float | None = None
+    noise_error_95_mm: float | None = None  #: its 95 % radius.
+    #: RMS distance by error source; the squares add up to that of predicted_error_mm.
     budget_mm: dict[str, float] | None = None
+    #: total_error_mm, total_error_95_mm: the predicted errors under their former names.
     total_error_mm: float | None = None
     total_error_95_mm: float | None = None
 
@@ -236,18 +216,12 @@ class FusedForceThresholds:
 
 @dataclass(frozen=True)
 class FusedHeadline:
-    """The figure by which fused touches are compared: their error at one position, in the worst direction.
+    """The figure by which fused touches are compared: their error at one position, in the worst direction."""
 
-    Attributes:
-        touches: number of touches of one point, in equal steps of the force.
-        force_N: normal force of the last touch.
-        contact_fraction: arclength of the touched section over the length.
-        predicted_error_mm: RMS distance by all error sources; None if touches of any direction are not located.
-    """
-
-    touches: int
-    force_N: float
-    contact_fraction: float
+    touches: int  #: number of touches of one point, in equal steps of the force.
+    force_N: float  #: normal force of the last touch.
+    contact_fraction: float  #: arclength of the touched section over the length.
+    #: RMS distance by all error sources; None if touches of any direction are not located.
     predicted_error_mm: float | None
 
     @property

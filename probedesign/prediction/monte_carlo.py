@@ -41,29 +41,17 @@ _PER_TOUCH = ("creep", "stiffness scatter")
 
 @dataclass(frozen=True)
 class PrintSample:
-    """One perturbed probe with its mount and sensor.
+    """One perturbed probe with its mount and sensor."""
 
-    Attributes:
-        model: the nominal probe, which the estimator uses.
-        rod: as printed, before it creeps.
-        gravity: in the true base frame [m/s²], (3,).
-        gravity_in_model: the same in the model's base frame.
-        R: rotation of the true base, (3, 3).
-        translation: of the true base [m], (3,).
-        gain: relative error of each channel of the sensor, (6,).
-        creep: change of the logarithm of the stiffness at the last of several touches.
-        tared: whether the sensor was tared with this probe free.
-    """
-
-    model: ProbeModel
-    rod: Rod
-    gravity: Array
-    gravity_in_model: Array
-    R: Array
-    translation: Array
-    gain: Array
-    creep: float
-    tared: bool
+    model: ProbeModel  #: the nominal probe, which the estimator uses.
+    rod: Rod  #: as printed, before it creeps.
+    gravity: Array  #: in the true base frame [m/s²], (3,).
+    gravity_in_model: Array  #: the same in the model's base frame.
+    R: Array  #: rotation of the true base, (3, 3).
+    translation: Array  #: of the true base [m], (3,).
+    gain: Array  #: relative error of each channel of the sensor, (6,).
+    creep: float  #: change of the logarithm of the stiffness at the last of several touches.
+    tared: bool  #: whether the sensor was tared with this probe free.
 
     @classmethod
     def draw(cls, model: ProbeModel, tolerances: Tolerances, rng: np.random.Generator) -> "PrintSample":
@@ -145,17 +133,11 @@ class PrintSample:
 
 @dataclass(frozen=True)
 class PrintSamples:
-    """Draws of everything that a prediction does not know, except noise.
+    """Draws of everything that a prediction does not know, except noise."""
 
-    Attributes:
-        model: of the nominal probe.
-        tolerances: standard deviations they were drawn with.
-        samples: the draws.
-    """
-
-    model: ProbeModel
-    tolerances: Tolerances
-    samples: tuple[PrintSample, ...]
+    model: ProbeModel  #: of the nominal probe.
+    tolerances: Tolerances  #: standard deviations they were drawn with.
+    samples: tuple[PrintSample, ...]  #: the draws.
 
     @classmethod
     def draw(cls, model: ProbeModel, tolerances: Tolerances, n: int, seed: int) -> "PrintSamples":
@@ -230,20 +212,13 @@ Touch = tuple[float, float, str, int]
 
 @dataclass(frozen=True)
 class MonteCarloPlan:
-    """Everything that the results of a Monte Carlo run depend on.
+    """Everything that the results of a Monte Carlo run depend on."""
 
-    Attributes:
-        model, tolerances: of the probe.
-        draws: print samples per condition.
-        seed: of all random numbers.
-        pressing: how several touches are made.
-    """
-
-    model: ProbeModel
+    model: ProbeModel  #: model, tolerances: of the probe.
     tolerances: Tolerances
-    draws: int
-    seed: int
-    pressing: PressSchedule = PRESSING
+    draws: int  #: print samples per condition.
+    seed: int  #: of all random numbers.
+    pressing: PressSchedule = PRESSING  #: how several touches are made.
 
     def __post_init__(self) -> None:
         """Raise InputError if the number of draws or the seed is out of range."""
@@ -287,17 +262,12 @@ class MonteCarloPlan:
 
 
 class DrawResult(NamedTuple):
-    """Result of the estimator for one draw.
+    """Result of the estimator for one draw."""
 
-    Attributes:
-        result: its code.
-        error: distance of the best candidate from the true touched point [m]; None where no candidate is counted.
-        inside: whether the true point lies in the estimator's 95 % ellipsoid.
-    """
-
-    result: str
+    result: str  #: its code.
+    #: distance of the best candidate from the true touched point [m]; None where no candidate is counted.
     error: float | None
-    inside: bool = False
+    inside: bool = False  #: whether the true point lies in the estimator's 95 % ellipsoid.
 
 
 def locate_draws(

@@ -74,43 +74,31 @@ _WEAK_N = 1e-6  # small enough for the response to be linear
 
 @dataclass(frozen=True)
 class Condition:
-    """Prediction for one touch. Numbers that do not exist are None.
+    """Prediction for one touch. Numbers that do not exist are None."""
 
-    Attributes:
-        contact_fraction: arclength of the touched section over length.
-        force_N: normal force.
-        direction: in which the object pushes, a key of `DIRECTIONS`.
-        result: result code of the estimator; "ok" is a located contact, "gives_way" a probe that buckles.
-        predicted_error_mm: RMS distance between true and estimated contact point, the touched point of the surface,
-            by all error sources of `budget_mm`.
-        predicted_error_95_mm: radius that contains 95 % of the errors.
-        noise_error_mm: RMS distance by sensor noise and the prior on friction, all else exactly known.
-        noise_error_95_mm: its 95 % radius.
-        std_s_mm: standard deviation of s_contact by all error sources.
-        deflection_mm: distance of the contact point from its place on the free probe.
-        moment_per_N_Nmm, force_per_N_N: derivative of the base's moment and force by the normal force.
-        moment_per_mm_Nmm, force_per_mm_N: the same by the indentation at constant s.
-        sensor_use: largest fraction of a channel's range that the reading takes.
-        budget_mm: RMS distance by error source; the squares add up to that of predicted_error_mm.
-        total_error_mm, total_error_95_mm: the predicted errors under their former names.
-    """
-
-    contact_fraction: float
-    force_N: float
-    direction: str
-    result: str
+    contact_fraction: float  #: arclength of the touched section over length.
+    force_N: float  #: normal force.
+    direction: str  #: in which the object pushes, a key of `DIRECTIONS`.
+    result: str  #: result code of the estimator; "ok" is a located contact, "gives_way" a probe that buckles.
+    #: RMS distance between true and estimated contact point, the touched point of the surface, by all error sources of
+    #: `budget_mm`.
     predicted_error_mm: float | None = None
-    predicted_error_95_mm: float | None = None
+    predicted_error_95_mm: float | None = None  #: radius that contains 95 % of the errors.
+    #: RMS distance by sensor noise and the prior on friction, all else exactly known.
     noise_error_mm: float | None = None
-    noise_error_95_mm: float | None = None
-    std_s_mm: float | None = None
-    deflection_mm: float | None = None
+    noise_error_95_mm: float | None = None  #: its 95 % radius.
+    std_s_mm: float | None = None  #: standard deviation of s_contact by all error sources.
+    deflection_mm: float | None = None  #: distance of the contact point from its place on the free probe.
+    #: moment_per_N_Nmm, force_per_N_N: derivative of the base's moment and force by the normal force.
     moment_per_N_Nmm: float | None = None
     force_per_N_N: float | None = None
+    #: moment_per_mm_Nmm, force_per_mm_N: the same by the indentation at constant s.
     moment_per_mm_Nmm: float | None = None
     force_per_mm_N: float | None = None
-    sensor_use: float | None = None
+    sensor_use: float | None = None  #: largest fraction of a channel's range that the reading takes.
+    #: RMS distance by error source; the squares add up to that of predicted_error_mm.
     budget_mm: dict[str, float] | None = None
+    #: total_error_mm, total_error_95_mm: the predicted errors under their former names.
     total_error_mm: float | None = None
     total_error_95_mm: float | None = None
 
@@ -129,76 +117,47 @@ class Detection:
 
 @dataclass(frozen=True)
 class MonteCarloResult:
-    """Monte Carlo result of one condition; None where nothing was located.
+    """Monte Carlo result of one condition; None where nothing was located."""
 
-    Attributes:
-        contact_fraction, force_N, direction: of the condition.
-        draws: number of print samples.
-        located: number of draws with the result "ok".
-        error_mm, error_95_mm: RMS distance and 95 % quantile of the best candidates, those with the result
-            "inconsistent" included.
-        standard_error_mm: of that RMS.
-        first_order_mm: predicted by the error budget.
-        differs: whether the two differ by more than a tenth and two standard errors.
-        inside: number of "ok" draws whose 95 % ellipsoid contains the true point.
-        touches: number of fused touches; 1 is a single reading.
-    """
-
-    contact_fraction: float
+    contact_fraction: float  #: contact_fraction, force_N, direction: of the condition.
     force_N: float
     direction: str
-    draws: int
-    located: int
+    draws: int  #: number of print samples.
+    located: int  #: number of draws with the result "ok".
+    #: error_mm, error_95_mm: RMS distance and 95 % quantile of the best candidates, those with the result
+    #: "inconsistent" included.
     error_mm: float | None
     error_95_mm: float | None
-    standard_error_mm: float | None
-    first_order_mm: float | None
-    differs: bool
-    touches: int = 1
-    inside: int = 0
+    standard_error_mm: float | None  #: of that RMS.
+    first_order_mm: float | None  #: predicted by the error budget.
+    differs: bool  #: whether the two differ by more than a tenth and two standard errors.
+    touches: int = 1  #: number of fused touches; 1 is a single reading.
+    inside: int = 0  #: number of "ok" draws whose 95 % ellipsoid contains the true point.
 
 
 @dataclass(frozen=True)
 class Prediction(Tabular):
-    """Predicted performance of a probe.
+    """Predicted performance of a probe."""
 
-    Attributes:
-        name, fingerprint: of the probe.
-        assumptions: assumed values of the design that the numbers depend on.
-        mass_g: of the flexible part.
-        tip_sag_mm: displacement of the tip along gravity.
-        noise_force_mN, noise_moment_Nmm: standard deviation of a reading's channels.
-        friction: prior standard deviation of tangential over normal force; None where the direction is free.
-        conditions: the grid.
-        detection: detection limits along the probe.
-        reach: force thresholds along the probe.
-        tolerances: standard deviations of the error sources, with the source of each number.
-        fused: the same grid, each point touched several times and fused.
-        fused_reach: force thresholds of fused touches.
-        pressing: how they are made.
-        workspace: reachable contact points with a fixed base.
-        monte_carlo: of the conditions that are located; empty if none was run.
-        resin: name of the resin; empty if unknown.
-    """
-
-    name: str
+    name: str  #: name, fingerprint: of the probe.
     fingerprint: str
-    assumptions: tuple[str, ...]
-    mass_g: float
-    tip_sag_mm: float | None
-    noise_force_mN: float
+    assumptions: tuple[str, ...]  #: assumed values of the design that the numbers depend on.
+    mass_g: float  #: of the flexible part.
+    tip_sag_mm: float | None  #: displacement of the tip along gravity.
+    noise_force_mN: float  #: noise_force_mN, noise_moment_Nmm: standard deviation of a reading's channels.
     noise_moment_Nmm: float
+    #: prior standard deviation of tangential over normal force; None where the direction is free.
     friction: float | None
-    conditions: tuple[Condition, ...]
-    detection: tuple[Detection, ...]
-    reach: tuple[ForceThresholds, ...]
-    tolerances: Tolerances
-    fused: tuple[FusedCondition, ...] = ()
-    fused_reach: tuple[FusedForceThresholds, ...] = ()
-    pressing: PressSchedule = PRESSING
-    workspace: Workspace = NO_WORKSPACE
-    monte_carlo: tuple[MonteCarloResult, ...] = ()
-    resin: str = ""
+    conditions: tuple[Condition, ...]  #: the grid.
+    detection: tuple[Detection, ...]  #: detection limits along the probe.
+    reach: tuple[ForceThresholds, ...]  #: force thresholds along the probe.
+    tolerances: Tolerances  #: standard deviations of the error sources, with the source of each number.
+    fused: tuple[FusedCondition, ...] = ()  #: the same grid, each point touched several times and fused.
+    fused_reach: tuple[FusedForceThresholds, ...] = ()  #: force thresholds of fused touches.
+    pressing: PressSchedule = PRESSING  #: how they are made.
+    workspace: Workspace = NO_WORKSPACE  #: reachable contact points with a fixed base.
+    monte_carlo: tuple[MonteCarloResult, ...] = ()  #: of the conditions that are located; empty if none was run.
+    resin: str = ""  #: name of the resin; empty if unknown.
 
     @property
     def verdict(self) -> str:

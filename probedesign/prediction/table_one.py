@@ -44,52 +44,33 @@ REFERENCES_MM = (0.0, 0.5, 0.7, 1.0, 1.3, 1.6, 2.0)
 
 @dataclass(frozen=True)
 class TableRow:
-    """One condition of the table.
+    """One condition of the table."""
 
-    Attributes:
-        probe, force_N, contact_fraction: of the condition.
-        measured_error_mm: as published.
-        predicted_error_mm: RMS by all error sources and the reference; None where the probe buckles without friction.
-        own_error_mm: the same without the reference.
-        noise_error_mm: by sensor noise alone.
-        largest_cause: the probe's largest error source.
-        within: whether predicted and measured error differ by a factor of two at most.
-        why: explanation of a larger difference, else empty.
-    """
-
-    probe: str
+    probe: str  #: probe, force_N, contact_fraction: of the condition.
     force_N: float
     contact_fraction: float
-    measured_error_mm: float
+    measured_error_mm: float  #: as published.
+    #: RMS by all error sources and the reference; None where the probe buckles without friction.
     predicted_error_mm: float | None
-    own_error_mm: float | None
-    noise_error_mm: float | None
-    largest_cause: str
-    within: bool
-    why: str
+    own_error_mm: float | None  #: the same without the reference.
+    noise_error_mm: float | None  #: by sensor noise alone.
+    largest_cause: str  #: the probe's largest error source.
+    within: bool  #: whether predicted and measured error differ by a factor of two at most.
+    why: str  #: explanation of a larger difference, else empty.
 
 
 @dataclass(frozen=True)
 class TableOne:
-    """The predicted table.
+    """The predicted table."""
 
-    Attributes:
-        rows: in the paper's order.
-        score: of these rows.
-        comparison: of these rows with simple laws.
-        reference_mm: RMS error of the stereo reference.
-        noise_force_mN, noise_moment_Nmm: of one reading.
-        by_reference: scores with other references.
-        by_diameter: scores with all diameters changed, and with the tip diameter alone changed.
-    """
-
-    rows: tuple[TableRow, ...]
-    score: AgreementScore
-    comparison: Comparison
-    reference_mm: float
-    noise_force_mN: float
+    rows: tuple[TableRow, ...]  #: in the paper's order.
+    score: AgreementScore  #: of these rows.
+    comparison: Comparison  #: of these rows with simple laws.
+    reference_mm: float  #: RMS error of the stereo reference.
+    noise_force_mN: float  #: noise_force_mN, noise_moment_Nmm: of one reading.
     noise_moment_Nmm: float
-    by_reference: tuple[AgreementScore, ...]
+    by_reference: tuple[AgreementScore, ...]  #: scores with other references.
+    #: scores with all diameters changed, and with the tip diameter alone changed.
     by_diameter: tuple[AgreementScore, ...]
 
     def as_dict(self) -> dict[str, Any]:

@@ -59,19 +59,12 @@ DIRECTIONS = {"+x": 0.0, "-x": math.pi, "+y": math.pi / 2, "-y": -math.pi / 2}
 
 @dataclass(frozen=True)
 class SurfaceRod:
-    """A rod under gravity whose surface is touched.
+    """A rod under gravity whose surface is touched."""
 
-    Attributes:
-        rod: the rod.
-        gravity: base axes [m/s²], (3,).
-        mass: of the flexible part [kg].
-        free: the equilibrium without contact.
-    """
-
-    rod: Rod
-    gravity: Array
-    mass: float
-    free: Equilibrium
+    rod: Rod  #: the rod.
+    gravity: Array  #: base axes [m/s²], (3,).
+    mass: float  #: of the flexible part [kg].
+    free: Equilibrium  #: the equilibrium without contact.
 
     def linearize(self, touch: Array) -> Array | None:
         """Solve a touch in place and return its linearisation.
@@ -210,24 +203,15 @@ class Touches:
     """Touches of n lines (a position and a direction each) at one normal force without friction.
 
     Rows are NaN where the probe buckles.
-
-    Attributes:
-        estimator: whose priors and friction the error budget includes.
-        sources: its error sources under the mount's gravity.
-        force_N: normal force [N].
-        touch: unknowns, dead loads and tip of each, (n, TOUCH).
-        lin: linearisations, (n, ROWS, 1 + UNKNOWNS + parameters), see `surface_contact_kernel`.
-        D: one standard deviation of each error source, (n, 12, J), see `ErrorSources.columns_at`.
-        max_stable_force: largest normal force up to this one with an equilibrium [N], (n,).
     """
 
-    estimator: Estimator
-    sources: ErrorSources
-    force_N: float
-    touch: Array
-    lin: Array
-    D: Array
-    max_stable_force: Array
+    estimator: Estimator  #: whose priors and friction the error budget includes.
+    sources: ErrorSources  #: its error sources under the mount's gravity.
+    force_N: float  #: normal force [N].
+    touch: Array  #: unknowns, dead loads and tip of each, (n, TOUCH).
+    lin: Array  #: linearisations, (n, ROWS, 1 + UNKNOWNS + parameters), see `surface_contact_kernel`.
+    D: Array  #: one standard deviation of each error source, (n, 12, J), see `ErrorSources.columns_at`.
+    max_stable_force: Array  #: largest normal force up to this one with an equilibrium [N], (n,).
 
     @cached_property
     def ok(self) -> NDArray[np.bool_]:

@@ -18,26 +18,20 @@ LADDER_N = tuple(float(f) for f in np.geomspace(5e-4, 12.0, 36))
 
 @dataclass(frozen=True)
 class ForceThresholds:
-    """Force limits and thresholds at one position and direction; None where there is no such force.
+    """Force limits and thresholds at one position and direction; None where there is no such force."""
 
-    Attributes:
-        contact_fraction, direction: where and in which direction.
-        force_mN_for_1_mm, force_mN_for_2_mm, force_mN_for_5_mm: smallest force at which the RMS error of one reading,
-            by all error sources, is no larger.
-        greatest_force_N: largest force that can be read.
-        limit: what limits it: "sensor", a channel is at its range; "gives_way", the probe buckles; "slips_off", an
-            object at constant distance from the base has reached the tip; "none" up to 12 N.
-        deflection_mm: of the touched point at that force.
-    """
-
-    contact_fraction: float
+    contact_fraction: float  #: contact_fraction, direction: where and in which direction.
     direction: str
+    #: force_mN_for_1_mm, force_mN_for_2_mm, force_mN_for_5_mm: smallest force at which the RMS error of one reading, by
+    #: all error sources, is no larger.
     force_mN_for_1_mm: float | None
     force_mN_for_2_mm: float | None
     force_mN_for_5_mm: float | None
-    greatest_force_N: float | None
+    greatest_force_N: float | None  #: largest force that can be read.
+    #: what limits it: "sensor", a channel is at its range; "gives_way", the probe buckles; "slips_off", an object at
+    #: constant distance from the base has reached the tip; "none" up to 12 N.
     limit: str
-    deflection_mm: float | None
+    deflection_mm: float | None  #: of the touched point at that force.
 
 
 def force_thresholds(
@@ -128,22 +122,14 @@ _MIRRORED = 1e-3
 
 @dataclass(frozen=True)
 class PressPath:
-    """Path of one point of the centreline that is pressed with increasing force in one direction.
+    """Path of one point of the centreline that is pressed with increasing force in one direction."""
 
-    Attributes:
-        contact_fraction, direction: where and in which direction.
-        greatest_force_N: largest force that can be read, as in `ForceThresholds`.
-        limit: what limits it.
-        pressed_mm: distance from the free position at that force.
-        x_mm, y_mm, z_mm: points in base axes, evenly spaced from zero to the largest force.
-    """
-
-    contact_fraction: float
+    contact_fraction: float  #: contact_fraction, direction: where and in which direction.
     direction: str
-    greatest_force_N: float
-    limit: str
-    pressed_mm: float
-    x_mm: tuple[float, ...]
+    greatest_force_N: float  #: largest force that can be read, as in `ForceThresholds`.
+    limit: str  #: what limits it.
+    pressed_mm: float  #: distance from the free position at that force.
+    x_mm: tuple[float, ...]  #: x_mm, y_mm, z_mm: points in base axes, evenly spaced from zero to the largest force.
     y_mm: tuple[float, ...]
     z_mm: tuple[float, ...]
 
@@ -155,17 +141,13 @@ class PressPath:
 
 @dataclass(frozen=True)
 class Workspace:
-    """Paths of all positions, and what they sweep.
+    """Paths of all positions, and what they sweep."""
 
-    Attributes:
-        paths: of every position and direction that can be touched.
-        area_mm2: of the sheet that the positions sweep together, by direction; overlapping parts count repeatedly.
-        volume_mm3: that they sweep when pushed from all around, interpolated smoothly between the directions;
-            overlapping parts count repeatedly. None where a direction across gravity is missing.
-    """
-
-    paths: tuple[PressPath, ...] = ()
+    paths: tuple[PressPath, ...] = ()  #: of every position and direction that can be touched.
+    #: of the sheet that the positions sweep together, by direction; overlapping parts count repeatedly.
     area_mm2: dict[str, float] | None = None
+    #: that they sweep when pushed from all around, interpolated smoothly between the directions; overlapping parts
+    #: count repeatedly. None where a direction across gravity is missing.
     volume_mm3: float | None = None
 
 

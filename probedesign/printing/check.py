@@ -352,23 +352,15 @@ def scale_note(design: Design, part: str) -> str:
 
 @dataclass(frozen=True)
 class PrintCheck:
-    """The findings of all rules on a design.
+    """The findings of all rules on a design."""
 
-    Attributes:
-        name: of the design.
-        fingerprint: of its geometry.
-        printer, resin: the rules depend on.
-        findings: one per rule and feature, passed ones included.
-        advice: for what no rule can measure.
-        oriented: the rigid parts in their printing orientation, where their layers were examined.
-    """
-
-    name: str
-    fingerprint: str
-    printer: str
+    name: str  #: of the design.
+    fingerprint: str  #: of its geometry.
+    printer: str  #: printer, resin: the rules depend on.
     resin: str
-    findings: tuple[Finding, ...]
-    advice: tuple[str, ...]
+    findings: tuple[Finding, ...]  #: one per rule and feature, passed ones included.
+    advice: tuple[str, ...]  #: for what no rule can measure.
+    #: the rigid parts in their printing orientation, where their layers were examined.
     oriented: tuple[OrientedPart, ...] = ()
 
     def _of(self, severity: Severity) -> list[Finding]:

@@ -12,33 +12,19 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Finding:
-    """The result of one rule on one part.
+    """The result of one rule on one part."""
 
-    Attributes:
-        rule: name of the rule.
-        part: of the export.
-        severity: `error` is not expected to print; `warning` may fail or print badly.
-        what: the measured feature.
-        measured: its value in `unit`; None where the part could not be laid out.
-        limit: the value it is compared with.
-        bound: the side of the limit on which it must lie.
-        unit: mm, mm², mm³, deg, N or 1.
-        remedy: the nearest change that meets the limit; empty if the finding is ok.
-        source: of the limit.
-        confidence: in the limit.
-    """
-
-    rule: str
-    part: str
-    severity: Severity
-    what: str
-    measured: float | None
-    limit: float | None
-    bound: Bound
-    unit: str
-    remedy: str
-    source: str
-    confidence: Confidence
+    rule: str  #: name of the rule.
+    part: str  #: of the export.
+    severity: Severity  #: `error` is not expected to print; `warning` may fail or print badly.
+    what: str  #: the measured feature.
+    measured: float | None  #: its value in `unit`; None where the part could not be laid out.
+    limit: float | None  #: the value it is compared with.
+    bound: Bound  #: the side of the limit on which it must lie.
+    unit: str  #: mm, mm², mm³, deg, N or 1.
+    remedy: str  #: the nearest change that meets the limit; empty if the finding is ok.
+    source: str  #: of the limit.
+    confidence: Confidence  #: in the limit.
 
     def as_record(self) -> dict[str, Any]:
         """Return the finding as a dictionary for JSON and the manifest; numbers to a nanometre."""

@@ -25,27 +25,16 @@ ALONG = ((1, 0), (0, 1), (1, 1), (1, -1))
 
 @dataclass(frozen=True)
 class LayerReport:
-    """What the layers of a part show, in millimetres.
+    """What the layers of a part show, in millimetres."""
 
-    Attributes:
-        overhang: longest horizontal overhang that nothing carries.
-        overhang_z: its height above the platform.
-        bridge: longest bridge, between two supported places.
-        hanging_area: largest area of a layer's overhangs that are longer than the limit [mm²].
-        datum_area: the same on faces that carry a dimension [mm²].
-        islands: number of places that begin in mid-air.
-        cup_d: diameter of the largest circle in a cup.
-        trapped: volume that is enclosed on all sides [mm³].
-    """
-
-    overhang: float
-    overhang_z: float
-    bridge: float
-    hanging_area: float
-    datum_area: float
-    islands: int
-    cup_d: float
-    trapped: float
+    overhang: float  #: longest horizontal overhang that nothing carries.
+    overhang_z: float  #: its height above the platform.
+    bridge: float  #: longest bridge, between two supported places.
+    hanging_area: float  #: largest area of a layer's overhangs that are longer than the limit [mm²].
+    datum_area: float  #: the same on faces that carry a dimension [mm²].
+    islands: int  #: number of places that begin in mid-air.
+    cup_d: float  #: diameter of the largest circle in a cup.
+    trapped: float  #: volume that is enclosed on all sides [mm³].
 
 
 def examine_layers(

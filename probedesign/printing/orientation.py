@@ -27,19 +27,12 @@ PIXEL, LAYER = 0.2, 0.1
 
 @dataclass(frozen=True)
 class OrientedPart:
-    """A rigid part on the platform.
+    """A rigid part on the platform."""
 
-    Attributes:
-        name: of the part.
-        side: which way it stands.
-        rests_on: the face on the platform.
-        report: of its layers.
-    """
-
-    name: str
-    side: Side
-    rests_on: str
-    report: LayerReport
+    name: str  #: of the part.
+    side: Side  #: which way it stands.
+    rests_on: str  #: the face on the platform.
+    report: LayerReport  #: of its layers.
 
     @property
     def z_direction(self) -> tuple[float, float, float]:

@@ -54,16 +54,11 @@ class NoResponseError(PreFormError):
 
 @dataclass(frozen=True)
 class Connection:
-    """The address of a PreForm server.
+    """The address of a PreForm server."""
 
-    Attributes:
-        host, port: of the machine where PreFormServer runs.
-        timeout_s: of one response, from request to last byte.
-    """
-
-    host: str
+    host: str  #: host, port: of the machine where PreFormServer runs.
     port: int = PORT
-    timeout_s: float = 60.0
+    timeout_s: float = 60.0  #: of one response, from request to last byte.
 
     @property
     def url(self) -> str:
@@ -239,19 +234,12 @@ def quiet(_step: str, _share: float | None) -> None:
 
 @dataclass(frozen=True)
 class PreForm:
-    """The API of a PreFormServer.
+    """The API of a PreFormServer."""
 
-    Attributes:
-        connection: to the server.
-        operation_s: timeout of one long operation; the server itself gives up after ten minutes.
-        poll_s: longest interval between progress queries.
-        on_progress: called with the name of each step and the share done, None where unknown.
-    """
-
-    connection: Connection
-    operation_s: float = 600.0
-    poll_s: float = 1.0
-    on_progress: OnProgress = quiet
+    connection: Connection  #: to the server.
+    operation_s: float = 600.0  #: timeout of one long operation; the server itself gives up after ten minutes.
+    poll_s: float = 1.0  #: longest interval between progress queries.
+    on_progress: OnProgress = quiet  #: called with the name of each step and the share done, None where unknown.
 
     def version(self) -> str:
         """Return the version of the API."""

@@ -39,25 +39,16 @@ PLAIN = re.compile(r"[A-Za-z0-9_-]+\.stl")
 
 @dataclass(frozen=True)
 class PrintJob:
-    """One build platform of one resin.
+    """One build platform of one resin."""
 
-    Attributes:
-        name: as the printer shows it.
-        product: name of the printer that the design asks for.
-        resin: of the design, or "rigid".
-        folder: of the export, absolute.
-        sizes: extent of each part's mesh along x, y and z [mm]; the file is the part's name with .stl.
-        upside_down: parts that are printed upside down.
-        on_platform: parts that stand on the platform without supports.
-    """
-
-    name: str
-    product: str
-    resin: str
-    folder: Path
+    name: str  #: as the printer shows it.
+    product: str  #: name of the printer that the design asks for.
+    resin: str  #: of the design, or "rigid".
+    folder: Path  #: of the export, absolute.
+    #: extent of each part's mesh along x, y and z [mm]; the file is the part's name with .stl.
     sizes: dict[str, Extent]
-    upside_down: frozenset[str] = frozenset()
-    on_platform: frozenset[str] = frozenset()
+    upside_down: frozenset[str] = frozenset()  #: parts that are printed upside down.
+    on_platform: frozenset[str] = frozenset()  #: parts that stand on the platform without supports.
 
     def stands(self, part: str) -> str:
         """Return how a part stands on the platform."""
@@ -167,15 +158,10 @@ def _size(path: Path, record: Any) -> Extent:
 
 @dataclass(frozen=True)
 class PathMapping:
-    """Map the export folder to its path on PreForm's machine.
+    """Map the export folder to its path on PreForm's machine."""
 
-    Attributes:
-        folder: local path, absolute.
-        server_folder: the same folder on PreForm's machine; None if PreForm runs locally.
-    """
-
-    folder: Path
-    server_folder: PurePath | None = None
+    folder: Path  #: local path, absolute.
+    server_folder: PurePath | None = None  #: the same folder on PreForm's machine; None if PreForm runs locally.
 
     def server_path(self, path: Path) -> str:
         """Return the path of an exported file on PreForm's machine."""
@@ -263,54 +249,32 @@ SIZE_TOLERANCE = 0.2
 
 @dataclass(frozen=True)
 class PrintOrder:
-    """The user's options for a print job.
+    """The user's options for a print job."""
 
-    Attributes:
-        parts: the probe, or the adapters.
-        folder: of the export; None for that of the design's name.
-        server_folder: the same folder as PreForm's machine names it.
-        material: PreForm's label or code, instead of the resin's default.
-        form_file: to which the job is saved.
-        printer: to which the job is sent; None sends nothing.
-        force: replace the form file, and send the job although validation found problems.
-    """
-
-    parts: Parts = "probe"
-    folder: Path | None = None
-    server_folder: str | None = None
-    material: str | None = None
-    form_file: str | None = None
-    printer: str | None = None
-    force: bool = False
+    parts: Parts = "probe"  #: the probe, or the adapters.
+    folder: Path | None = None  #: of the export; None for that of the design's name.
+    server_folder: str | None = None  #: the same folder as PreForm's machine names it.
+    material: str | None = None  #: PreForm's label or code, instead of the resin's default.
+    form_file: str | None = None  #: to which the job is saved.
+    printer: str | None = None  #: to which the job is sent; None sends nothing.
+    force: bool = False  #: replace the form file, and send the job although validation found problems.
 
 
 @dataclass(frozen=True)
 class PreparedJob:
-    """The outcome of a print job's preparation.
+    """The outcome of a print job's preparation."""
 
-    Attributes:
-        api: version.
-        selection: printer, material, setting.
-        parts: in the scene.
-        orientation: of each part, and whether it stands on supports or on the platform.
-        layer_count, volume_ml: of the whole job; None where PreForm gives no value.
-        print_time_s: estimated.
-        problems: found by validation; empty if there are none.
-        screenshot, form_file: files written.
-        sent_to, job_id: destination of the job; None if it was not sent.
-    """
-
-    api: str
-    selection: PrintSelection
-    parts: tuple[str, ...]
-    orientation: dict[str, str]
-    layer_count: int | None
+    api: str  #: version.
+    selection: PrintSelection  #: printer, material, setting.
+    parts: tuple[str, ...]  #: in the scene.
+    orientation: dict[str, str]  #: of each part, and whether it stands on supports or on the platform.
+    layer_count: int | None  #: layer_count, volume_ml: of the whole job; None where PreForm gives no value.
     volume_ml: float | None
-    print_time_s: float
-    problems: tuple[str, ...]
-    screenshot: str
+    print_time_s: float  #: estimated.
+    problems: tuple[str, ...]  #: found by validation; empty if there are none.
+    screenshot: str  #: screenshot, form_file: files written.
     form_file: str | None
-    sent_to: str | None
+    sent_to: str | None  #: sent_to, job_id: destination of the job; None if it was not sent.
     job_id: str | None
 
 

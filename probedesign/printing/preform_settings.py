@@ -153,17 +153,12 @@ RIGID = "rigid"
 
 @dataclass(frozen=True)
 class PrintSelection:
-    """The printer, material and setting of a scene.
+    """The printer, material and setting of a scene."""
 
-    Attributes:
-        printer, material, setting: as PreForm labels them.
-        scene_settings: the parameters that create the scene.
-    """
-
-    printer: str
+    printer: str  #: printer, material, setting: as PreForm labels them.
     material: str
     setting: str
-    scene_settings: dict[str, Any]
+    scene_settings: dict[str, Any]  #: the parameters that create the scene.
 
 
 def select_settings(

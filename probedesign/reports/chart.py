@@ -35,24 +35,15 @@ _SMALL = 6.0  # mean width of a letter in vertical tick labels
 
 @dataclass(frozen=True)
 class ChartAxis:
-    """One axis of a chart.
+    """One axis of a chart."""
 
-    Attributes:
-        label: with the unit.
-        low, high: its ends.
-        log: whether it is logarithmic.
-        ticks: values with a tick; chosen automatically if None.
-        names: labels of the ticks; their numbers if empty.
-        upright: of an x axis, whether its tick labels are small and vertical, for many of them.
-    """
-
-    label: str
-    low: float
+    label: str  #: with the unit.
+    low: float  #: low, high: its ends.
     high: float
-    log: bool = False
-    ticks: tuple[float, ...] | None = None
-    names: tuple[str, ...] = ()
-    upright: bool = False
+    log: bool = False  #: whether it is logarithmic.
+    ticks: tuple[float, ...] | None = None  #: values with a tick; chosen automatically if None.
+    names: tuple[str, ...] = ()  #: labels of the ticks; their numbers if empty.
+    upright: bool = False  #: of an x axis, whether its tick labels are small and vertical, for many of them.
 
     @classmethod
     def spanning(
@@ -199,20 +190,13 @@ class _Label(NamedTuple):
 
 @dataclass
 class Chart:
-    """Axes and the elements drawn in them, the first one lowest.
+    """Axes and the elements drawn in them, the first one lowest."""
 
-    Attributes:
-        x, y: the axes; y upwards unless `down`.
-        square: whether both axes have the same scale; the shorter axis is then extended at both ends.
-        down: whether y grows downwards.
-        legend: its entries.
-    """
-
-    x: ChartAxis
+    x: ChartAxis  #: x, y: the axes; y upwards unless `down`.
     y: ChartAxis
-    square: bool = False
-    down: bool = False
-    legend: list[LegendEntry] = field(default_factory=list)
+    square: bool = False  #: whether both axes have the same scale; the shorter axis is then extended at both ends.
+    down: bool = False  #: whether y grows downwards.
+    legend: list[LegendEntry] = field(default_factory=list)  #: its entries.
     _elements: list[_Line | _Area | _Rectangle | _Label] = field(default_factory=list)
 
     @classmethod

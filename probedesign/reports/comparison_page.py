@@ -52,23 +52,15 @@ FORCES_N = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
 
 @dataclass(frozen=True)
 class ComparedDesign:
-    """One of the compared designs.
+    """One of the compared designs."""
 
-    Attributes:
-        design: the design.
-        metrics: its metrics for the task.
-        along: its touches at `COMPARED_FRACTIONS`.
-        by_force: error over the task's positions at each of `FORCES_N` [m]; infinite where the probe buckles.
-        prediction: for pushes across gravity with the task's force.
-        fused: its error of fused touches as `predict` reports it, whatever the task.
-    """
-
-    design: Design
-    metrics: DesignMetrics
-    along: TaskErrors
+    design: Design  #: the design.
+    metrics: DesignMetrics  #: its metrics for the task.
+    along: TaskErrors  #: its touches at `COMPARED_FRACTIONS`.
+    #: error over the task's positions at each of `FORCES_N` [m]; infinite where the probe buckles.
     by_force: tuple[float, ...]
-    prediction: Prediction
-    fused: FusedHeadline
+    prediction: Prediction  #: for pushes across gravity with the task's force.
+    fused: FusedHeadline  #: its error of fused touches as `predict` reports it, whatever the task.
 
 
 def compare(designs: Sequence[Design], task: Task) -> list[ComparedDesign]:

@@ -16,26 +16,16 @@ _REFRESH = '<meta http-equiv="refresh" content="2">'
 
 @dataclass
 class DemoSection:
-    """One step of the demo.
+    """One step of the demo."""
 
-    Attributes:
-        heading: of the step.
-        command: the command that makes it.
-        text: what was made, or why it was not; empty while it is being made.
-        svg: a picture in the page.
-        html, style: an element of the page instead of a picture, and its style sheet.
-        picture: file of a picture beside the page.
-        links: files beside the page, with what they are.
-    """
-
-    heading: str
-    command: str
-    text: str = ""
-    svg: bytes = b""
-    html: str = ""
+    heading: str  #: of the step.
+    command: str  #: the command that makes it.
+    text: str = ""  #: what was made, or why it was not; empty while it is being made.
+    svg: bytes = b""  #: a picture in the page.
+    html: str = ""  #: html, style: an element of the page instead of a picture, and its style sheet.
     style: str = ""
-    picture: str = ""
-    links: Sequence[tuple[str, str]] = field(default_factory=tuple)
+    picture: str = ""  #: file of a picture beside the page.
+    links: Sequence[tuple[str, str]] = field(default_factory=tuple)  #: files beside the page, with what they are.
 
     def element(self) -> str:
         """Return the section as HTML; a picture links to the first file."""

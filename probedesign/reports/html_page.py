@@ -60,17 +60,11 @@ details p { color: var(--soft); font-size: 9.5pt }
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A figure of a report.
+    """A figure of a report."""
 
-    Attributes:
-        heading: the question that it answers.
-        caption: how to read it, and what it includes.
-        svg: the figure.
-    """
-
-    heading: str
-    caption: str
-    svg: bytes
+    heading: str  #: the question that it answers.
+    caption: str  #: how to read it, and what it includes.
+    svg: bytes  #: the figure.
 
 
 @dataclass(frozen=True)

@@ -38,15 +38,11 @@ MIN_VISIBLE = 0.02
 
 @dataclass(frozen=True)
 class MapScene:
-    """What page and picture show.
+    """What page and picture show."""
 
-    Attributes:
-        contact_map: its located points are shown.
-        truth: outlines of the touched objects, if a simulation states them [m], (k, 3) each, closed; the first side is
-            the touched edge.
-    """
-
-    contact_map: ContactMap
+    contact_map: ContactMap  #: its located points are shown.
+    #: outlines of the touched objects, if a simulation states them [m], (k, 3) each, closed; the first side is the
+    #: touched edge.
     truth: tuple[Array, ...] = ()
 
     @property
@@ -78,15 +74,10 @@ class MapScene:
 
 @dataclass(frozen=True)
 class ParallelProjection:
-    """A parallel projection of the world.
+    """A parallel projection of the world."""
 
-    Attributes:
-        azimuth: of the eye about the world's z axis, from where it looks along y [rad].
-        elevation: of the eye above the ground [rad].
-    """
-
-    azimuth: float = math.radians(28.0)
-    elevation: float = math.radians(22.0)
+    azimuth: float = math.radians(28.0)  #: of the eye about the world's z axis, from where it looks along y [rad].
+    elevation: float = math.radians(22.0)  #: of the eye above the ground [rad].
 
     @property
     def axes(self) -> Array:

@@ -41,17 +41,11 @@ _STYLE = "margin: 0.3em 0 0.3em 0.8em"
 
 @dataclass(frozen=True)
 class Summary:
-    """What a notebook shows of an object.
+    """What a notebook shows of an object."""
 
-    Attributes:
-        title: its kind and name.
-        rows: quantities and their values with units.
-        chart: draws the picture; None if there is none.
-    """
-
-    title: str
-    rows: Sequence[tuple[str, str]]
-    chart: Callable[[], Chart] | None = None
+    title: str  #: its kind and name.
+    rows: Sequence[tuple[str, str]]  #: quantities and their values with units.
+    chart: Callable[[], Chart] | None = None  #: draws the picture; None if there is none.
 
 
 def html_of(thing: object) -> str:

@@ -47,22 +47,14 @@ def draw_prediction(prediction: Prediction, estimator: Estimator) -> bytes:
 
 @dataclass(frozen=True)
 class SweepSeries:
-    """Estimates of a moving contact and the ground truth, each (n,); NaN without a contact or an estimate.
+    """Estimates of a moving contact and the ground truth, each (n,); NaN without a contact or an estimate."""
 
-    Attributes:
-        time_s: of each reading.
-        true_s_mm, s_mm: arclength of the contact, true and estimated.
-        std_s_mm: standard deviation of the estimate.
-        error_mm: distance between true and estimated contact point.
-        predicted_mm: RMS distance according to the estimate's covariance.
-    """
-
-    time_s: Array
-    true_s_mm: Array
+    time_s: Array  #: of each reading.
+    true_s_mm: Array  #: true_s_mm, s_mm: arclength of the contact, true and estimated.
     s_mm: Array
-    std_s_mm: Array
-    error_mm: Array
-    predicted_mm: Array
+    std_s_mm: Array  #: standard deviation of the estimate.
+    error_mm: Array  #: distance between true and estimated contact point.
+    predicted_mm: Array  #: RMS distance according to the estimate's covariance.
 
 
 def draw_sweep(sweep: SweepSeries) -> bytes:

@@ -48,20 +48,13 @@ _WORKSPACE, _BENDING = "Workspace", "Deflection and sensitivity"
 
 @dataclass(frozen=True)
 class PredictionFigure:
-    """A chart of a prediction.
+    """A chart of a prediction."""
 
-    Attributes:
-        chart: what is drawn.
-        heading, caption: on the page; a figure without a heading is not on the page.
-        panel: title in the PNG; a figure without one is not in the PNG.
-        group: heading under which it is folded away on the page; open if empty.
-    """
-
-    chart: Chart
-    heading: str = ""
+    chart: Chart  #: what is drawn.
+    heading: str = ""  #: heading, caption: on the page; a figure without a heading is not on the page.
     caption: str = ""
-    panel: str = ""
-    group: str = ""
+    panel: str = ""  #: title in the PNG; a figure without one is not in the PNG.
+    group: str = ""  #: heading under which it is folded away on the page; open if empty.
 
 
 def prediction_figures(prediction: Prediction, estimator: Estimator) -> Iterator[PredictionFigure]:

@@ -25,23 +25,15 @@ MAX_POINTS, MAX_MARKED, MAX_TOUCHES = 1500, 400, 60
 
 @dataclass(frozen=True)
 class RecordedTouch:
-    """Consecutive readings with a contact.
+    """Consecutive readings with a contact."""
 
-    Attributes:
-        start_s, end_s: time of its first and last reading.
-        readings, located: number of its readings, and of those with the result "ok".
-        s_mm: smallest and largest arclength of the located contacts; NaN if there is none.
-        force_mN: largest force of the located contacts.
-        rms_mm: median of their stated RMS errors.
-    """
-
-    start_s: float
+    start_s: float  #: start_s, end_s: time of its first and last reading.
     end_s: float
-    readings: int
+    readings: int  #: readings, located: number of its readings, and of those with the result "ok".
     located: int
-    s_mm: tuple[float, float]
-    force_mN: float
-    rms_mm: float
+    s_mm: tuple[float, float]  #: smallest and largest arclength of the located contacts; NaN if there is none.
+    force_mN: float  #: largest force of the located contacts.
+    rms_mm: float  #: median of their stated RMS errors.
 
     @property
     def words(self) -> str:

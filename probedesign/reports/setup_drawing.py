@@ -26,16 +26,11 @@ SENSOR, MOUNT = 0.10, 0.18
 
 @dataclass
 class _Canvas:
-    """Elements of the drawing, and its map from the world to pixels.
+    """Elements of the drawing, and its map from the world to pixels."""
 
-    Attributes:
-        origin, scale: of the map.
-        elements: SVG elements.
-    """
-
-    origin: Array
+    origin: Array  #: origin, scale: of the map.
     scale: float
-    elements: list[str] = field(default_factory=list)
+    elements: list[str] = field(default_factory=list)  #: SVG elements.
 
     @classmethod
     def fitting(cls, points: Array) -> "_Canvas":

@@ -25,29 +25,17 @@ MIN_CHUNK = 32
 
 @dataclass(frozen=True)
 class Batch:
-    """Equilibria of n cases in base axes; rows of numbers are NaN unless `result` is "ok".
+    """Equilibria of n cases in base axes; rows of numbers are NaN unless `result` is "ok"."""
 
-    Attributes:
-        result: "ok", "not_converged" or "unstable", (n,).
-        margin: stability margins, (n,).
-        residual: error of the tangent at the base [rad], (n,).
-        tip: the tip's section [tangent, x axis], (n, 6).
-        wrench_base: of the rod on its mount [N, N·m], (n, 6).
-        p_contact_base: where the force acts [m], (n, 3).
-        d_moment: derivatives of the base moment, (n, 3, k); k = 0 without columns.
-        d_contact: derivatives of the contact's [tangent, section x axis, position, section y axis], (n, 12, k).
-        frame: those four vectors, (n, 12); NaN without columns.
-    """
-
-    result: np.ndarray[tuple[int], np.dtype[np.str_]]
-    margin: Array
-    residual: Array
-    tip: Array
-    wrench_base: Array
-    p_contact_base: Array
-    d_moment: Array
-    d_contact: Array
-    frame: Array
+    result: np.ndarray[tuple[int], np.dtype[np.str_]]  #: "ok", "not_converged" or "unstable", (n,).
+    margin: Array  #: stability margins, (n,).
+    residual: Array  #: error of the tangent at the base [rad], (n,).
+    tip: Array  #: the tip's section [tangent, x axis], (n, 6).
+    wrench_base: Array  #: of the rod on its mount [N, N·m], (n, 6).
+    p_contact_base: Array  #: where the force acts [m], (n, 3).
+    d_moment: Array  #: derivatives of the base moment, (n, 3, k); k = 0 without columns.
+    d_contact: Array  #: derivatives of the contact's [tangent, section x axis, position, section y axis], (n, 12, k).
+    frame: Array  #: those four vectors, (n, 12); NaN without columns.
 
     def rows(self, of: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> "Batch":
         """Return the selected cases."""

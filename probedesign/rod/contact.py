@@ -24,19 +24,12 @@ _MIN_STEP = 1e-3  # of the magnitude: a smaller one means that the rod buckles
 
 @dataclass(frozen=True)
 class FrictionlessContact:
-    """An equilibrium under a force normal to the rod's own bent surface.
+    """An equilibrium under a force normal to the rod's own bent surface."""
 
-    Attributes:
-        result: "ok" or the code of the failed equilibrium.
-        equilibrium: with its sensitivity to force and s_contact.
-        force_base: of the object on the rod [N], (3,).
-        d_force: derivative of the force by (s_contact, angle, magnitude), (3, 3).
-    """
-
-    result: str
-    equilibrium: Equilibrium
-    force_base: Array
-    d_force: Array
+    result: str  #: "ok" or the code of the failed equilibrium.
+    equilibrium: Equilibrium  #: with its sensitivity to force and s_contact.
+    force_base: Array  #: of the object on the rod [N], (3,).
+    d_force: Array  #: derivative of the force by (s_contact, angle, magnitude), (3, 3).
 
     @property
     def sensitivity(self) -> Sensitivity:
@@ -163,19 +156,12 @@ _MAX_SURFACE_ITERATIONS = 15
 
 
 class SurfaceForce(NamedTuple):
-    """Equilibrium under a force that is given in the axes of the surface it acts on.
+    """Equilibrium under a force that is given in the axes of the surface it acts on."""
 
-    Attributes:
-        result: "ok", or the code of the failed equilibrium.
-        equilibrium: of the rod.
-        force_base: [N], (3,).
-        p_surface_base: point of the surface where it acts [m], (3,).
-    """
-
-    result: str
-    equilibrium: Equilibrium
-    force_base: Array
-    p_surface_base: Array
+    result: str  #: "ok", or the code of the failed equilibrium.
+    equilibrium: Equilibrium  #: of the rod.
+    force_base: Array  #: [N], (3,).
+    p_surface_base: Array  #: point of the surface where it acts [m], (3,).
 
 
 def solve_surface_force(
@@ -287,16 +273,11 @@ _BLEND = 0.005
 
 
 class SurfaceProfile(NamedTuple):
-    """Radius and taper of the surface along a rod, in rod lengths.
+    """Radius and taper of the surface along a rod, in rod lengths."""
 
-    Attributes:
-        s, radius: at the knots, (K,).
-        at_s, tan: knots of tan α, linear between them, (j,).
-    """
-
-    s: Array
+    s: Array  #: s, radius: at the knots, (K,).
     radius: Array
-    at_s: Array
+    at_s: Array  #: at_s, tan: knots of tan α, linear between them, (j,).
     tan: Array
 
     @classmethod

@@ -24,45 +24,29 @@ _REAL = 1e-6  # relative imaginary part of a double eigenvalue by rounding
 
 
 class StepFailure(NamedTuple):
-    """Reason why a step found no contact that continues the last one.
+    """Reason why a step found no contact that continues the last one."""
 
-    Attributes:
-        reason: "not_converged" or "unstable", of the rod or the contact; "pulls": the object would have to pull;
-            "slips": the contact is unstable; "far": it does not continue the last one; "edge": it leaves its piece of
-            the surface and has no equilibrium on the next.
-        ahead: for "edge", 1 towards the tip, -1 towards the base.
-    """
-
+    #: "not_converged" or "unstable", of the rod or the contact; "pulls": the object would have to pull; "slips": the
+    #: contact is unstable; "far": it does not continue the last one; "edge": it leaves its piece of the surface and has
+    #: no equilibrium on the next.
     reason: str
-    ahead: int = 0
+    ahead: int = 0  #: for "edge", 1 towards the tip, -1 towards the base.
 
 
 @dataclass(frozen=True)
 class SolvedContact:
-    """A solved contact of the rod with an object.
+    """A solved contact of the rod with an object."""
 
-    Attributes:
-        index, piece: of the surface.
-        part: fraction of the object's path.
-        x: unknowns, without dimension, (8,).
-        obstacle: the object.
-        equilibrium: of the rod under the contact.
-        state: of the surface's equations.
-        rates: derivatives of the unknowns by the object's position, without dimension, (8, 3).
-        stays: whether the contact is stable.
-        units: length [m] and force [N] that scale the numbers without dimension.
-    """
-
-    index: int
+    index: int  #: index, piece: of the surface.
     piece: SurfacePiece
-    part: float
-    x: Array
-    obstacle: Obstacle
-    equilibrium: Equilibrium
-    state: SurfaceState
-    rates: Array
-    stays: bool
-    units: tuple[float, float]
+    part: float  #: fraction of the object's path.
+    x: Array  #: unknowns, without dimension, (8,).
+    obstacle: Obstacle  #: the object.
+    equilibrium: Equilibrium  #: of the rod under the contact.
+    state: SurfaceState  #: of the surface's equations.
+    rates: Array  #: derivatives of the unknowns by the object's position, without dimension, (8, 3).
+    stays: bool  #: whether the contact is stable.
+    units: tuple[float, float]  #: length [m] and force [N] that scale the numbers without dimension.
 
     @property
     def sensitivity(self) -> Sensitivity:
@@ -140,19 +124,12 @@ class SolvedContact:
 
 @dataclass(frozen=True)
 class _Linear:
-    """Equations of a piece, linearised at a guess.
+    """Equations of a piece, linearised at a guess."""
 
-    Attributes:
-        piece: of the surface.
-        direction: of the line; None for a point.
-        inputs: of the equations: [8 unknowns, 12 of the frame, 3 of the point].
-        frame_by_unknowns: derivative of the frame by the unknowns, (12, 8).
-    """
-
-    piece: SurfacePiece
-    direction: Array | None
-    inputs: Array
-    frame_by_unknowns: Array
+    piece: SurfacePiece  #: of the surface.
+    direction: Array | None  #: of the line; None for a point.
+    inputs: Array  #: of the equations: [8 unknowns, 12 of the frame, 3 of the point].
+    frame_by_unknowns: Array  #: derivative of the frame by the unknowns, (12, 8).
 
     @property
     def misfit(self) -> Array:
@@ -212,21 +189,13 @@ class _Linear:
 
 @dataclass(frozen=True)
 class ContactSolver:
-    """Finds the contacts of a rod with an object.
+    """Finds the contacts of a rod with an object."""
 
-    Attributes:
-        rod: the rod.
-        gravity: in base axes [m/s²], (3,).
-        obstacle: the object.
-        pieces: of the rod's surface.
-        mode: "fast" or "reference".
-    """
-
-    rod: Rod
-    gravity: Array
-    obstacle: Obstacle
-    pieces: list[SurfacePiece]
-    mode: Mode
+    rod: Rod  #: the rod.
+    gravity: Array  #: in base axes [m/s²], (3,).
+    obstacle: Obstacle  #: the object.
+    pieces: list[SurfacePiece]  #: of the rod's surface.
+    mode: Mode  #: "fast" or "reference".
 
     def begun(self, free: Equilibrium, index: int, part: float, x: Array) -> SolvedContact:
         """Return the contact without force of the free rod, with unknowns `x` (8,)."""

@@ -18,22 +18,14 @@ class Sensitivity:
     """Exact first derivatives by `PARAMETERS` and each knot's log diameter, in base axes.
 
     With `columns` "load" or "contact" there are the first columns only.
-
-    Attributes:
-        d_moment: derivatives of the base moment, (3, k).
-        d_contact: derivatives of the contact's [tangent, section x axis, position, section y axis], (12, k).
-        frame: those four vectors, (12,).
-        turns: rotations of the tip's section about its own axes x, y and tangent, (3, k).
-        load: at which they are evaluated.
-        body: of the rod.
     """
 
-    d_moment: Array
-    d_contact: Array
-    frame: Array
-    turns: Array
-    load: Array
-    body: Body
+    d_moment: Array  #: derivatives of the base moment, (3, k).
+    d_contact: Array  #: derivatives of the contact's [tangent, section x axis, position, section y axis], (12, k).
+    frame: Array  #: those four vectors, (12,).
+    turns: Array  #: rotations of the tip's section about its own axes x, y and tangent, (3, k).
+    load: Array  #: at which they are evaluated.
+    body: Body  #: of the rod.
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -85,29 +77,20 @@ class Sensitivity:
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """A solved rod in base axes; every array is NaN or empty unless `result` is "ok".
+    """A solved rod in base axes; every array is NaN or empty unless `result` is "ok"."""
 
-    Attributes:
-        result: "ok", "not_converged" or "unstable".
-        margin: stability margin, the smallest determinant of the free tip's Jacobi fields along the rod; 1 unloaded, 0
-            where the second variation of the energy ceases to be positive (docs/decisions/0001).
-        residual: error of the tangent at the base [rad].
-        load: [force, gravity, tip moment, couple, s_c], (13,).
-        nodes: rows [s, t, m, p from the tip, d, columns], tip to base.
-        tip: the tip's section [tangent, x axis], (6,): the guess for a neighbouring load.
-        sensitivity: first derivatives; None without columns.
-    """
-
-    result: str
+    result: str  #: "ok", "not_converged" or "unstable".
+    #: stability margin, the smallest determinant of the free tip's Jacobi fields along the rod; 1 unloaded, 0 where the
+    #: second variation of the energy ceases to be positive (docs/decisions/0001).
     margin: float
-    residual: float
-    load: Array
-    nodes: Array
-    tip: Array
+    residual: float  #: error of the tangent at the base [rad].
+    load: Array  #: [force, gravity, tip moment, couple, s_c], (13,).
+    nodes: Array  #: rows [s, t, m, p from the tip, d, columns], tip to base.
+    tip: Array  #: the tip's section [tangent, x axis], (6,): the guess for a neighbouring load.
     y: Array
     contact: Array
     body: Body
-    sensitivity: Sensitivity | None
+    sensitivity: Sensitivity | None  #: first derivatives; None without columns.
 
     @property
     def ok(self) -> bool:

@@ -70,41 +70,25 @@ _MAX_SLIDE = 0.02
 
 @dataclass(frozen=True)
 class CoulombContact:
-    """Contact of the rod with an object under Coulomb friction; vectors are in base axes.
+    """Contact of the rod with an object under Coulomb friction; vectors are in base axes."""
 
-    Attributes:
-        result: "ok"; "no_contact": nothing is touched, or the contact was lost; "on_end": the object has come to the
-            tip's rim or flat end, or slid off the base end of the flank; "unstable": the rod snaps past the object;
-            "not_converged": no equilibrium was found. Numbers of the contact come only with "ok".
-        state: "stick" or "slip" in the last step; "" without contact.
-        equilibrium: of the rod; without contact, the free rod.
-        gravity: [m/s²], (3,).
-        friction: coefficient μ.
-        s: arclength of the touched material point [m].
-        angle: its φ about the tangent, from the section's x axis [rad].
-        way: λ, where on the edge the rod touches, from `object_point` [m]; 0 for a point.
-        object_point: of the object [m], (3,).
-        direction: of the edge, unit, (3,); None for a point.
-        force_base: of the object on the rod [N], (3,).
-        couple_base: of that force about the centreline at s [N·m], (3,).
-        normal: outward, unit, (3,).
-        slide: of the object over the rod in the last step of the path [m], (3,).
-    """
-
+    #: "ok"; "no_contact": nothing is touched, or the contact was lost; "on_end": the object has come to the tip's rim
+    #: or flat end, or slid off the base end of the flank; "unstable": the rod snaps past the object; "not_converged":
+    #: no equilibrium was found. Numbers of the contact come only with "ok".
     result: str
-    state: str
-    equilibrium: Equilibrium
-    gravity: Array
-    friction: float
-    s: float
-    angle: float
-    way: float
-    object_point: Array
-    direction: Array | None
-    force_base: Array
-    couple_base: Array
-    normal: Array
-    slide: Array
+    state: str  #: "stick" or "slip" in the last step; "" without contact.
+    equilibrium: Equilibrium  #: of the rod; without contact, the free rod.
+    gravity: Array  #: [m/s²], (3,).
+    friction: float  #: coefficient μ.
+    s: float  #: arclength of the touched material point [m].
+    angle: float  #: its φ about the tangent, from the section's x axis [rad].
+    way: float  #: λ, where on the edge the rod touches, from `object_point` [m]; 0 for a point.
+    object_point: Array  #: of the object [m], (3,).
+    direction: Array | None  #: of the edge, unit, (3,); None for a point.
+    force_base: Array  #: of the object on the rod [N], (3,).
+    couple_base: Array  #: of that force about the centreline at s [N·m], (3,).
+    normal: Array  #: outward, unit, (3,).
+    slide: Array  #: of the object over the rod in the last step of the path [m], (3,).
 
     @property
     def ok(self) -> bool:
@@ -141,17 +125,11 @@ class CoulombContact:
 
 @dataclass(frozen=True)
 class CoulombSolver:
-    """Follows the contact of a rod with an object under Coulomb friction.
+    """Follows the contact of a rod with an object under Coulomb friction."""
 
-    Attributes:
-        rod: the rod; its section must be round.
-        friction: coefficient μ ≥ 0; infinite for a contact that never slips.
-        mode: "fast" or "reference".
-    """
-
-    rod: Rod
-    friction: float
-    mode: Mode = "fast"
+    rod: Rod  #: the rod; its section must be round.
+    friction: float  #: coefficient μ ≥ 0; infinite for a contact that never slips.
+    mode: Mode = "fast"  #: "fast" or "reference".
 
     def __post_init__(self) -> None:
         """Raise InputError for a friction below 0 or a section that is not round."""

@@ -34,24 +34,17 @@ _MAX_DISTANCE = 1e6  # rod lengths: beyond, rounding of the path exceeds the tol
 
 @dataclass(frozen=True)
 class ObstacleContact:
-    """Contact of the rod with a fixed object.
+    """Contact of the rod with a fixed object."""
 
-    Attributes:
-        result: "ok"; "no_contact"; "unstable": on the path the rod buckled, it slips past the object or around it, or
-            would if the force kept its direction; "not_converged": no equilibrium was found, also where the object
-            meets the clamp.
-        way_touched: length of the path at the first contact [m]; NaN without one.
-        way_followed: length of the path up to which the contact was followed [m]; NaN without one. With "no_contact"
-            the object left the rod there.
-        equilibrium: of the rod under the contact with "ok", and of the free rod with "no_contact".
-        touch: the solved contact, without dimension, with "ok"; else None.
-    """
-
+    #: "ok"; "no_contact"; "unstable": on the path the rod buckled, it slips past the object or around it, or would if
+    #: the force kept its direction; "not_converged": no equilibrium was found, also where the object meets the clamp.
     result: str
-    way_touched: float
+    way_touched: float  #: length of the path at the first contact [m]; NaN without one.
+    #: length of the path up to which the contact was followed [m]; NaN without one. With "no_contact" the object left
+    #: the rod there.
     way_followed: float
-    equilibrium: Equilibrium
-    touch: SolvedContact | None
+    equilibrium: Equilibrium  #: of the rod under the contact with "ok", and of the free rod with "no_contact".
+    touch: SolvedContact | None  #: the solved contact, without dimension, with "ok"; else None.
 
     @property
     def lost(self) -> bool:
@@ -240,37 +233,23 @@ _MAX_SLIDE_RATE = 10.0  # velocity of the contact over that of the object, above
 
 
 class ContinuationResult(NamedTuple):
-    """Result of following a contact along the object's path.
+    """Result of following a contact along the object's path."""
 
-    Attributes:
-        result: "ok", "no_contact", "unstable" or "not_converged".
-        touched, reached: fraction of the path at the first contact and up to which it was followed.
-        touch: the last contact.
-    """
-
-    result: str
-    touched: float
+    result: str  #: "ok", "no_contact", "unstable" or "not_converged".
+    touched: float  #: touched, reached: fraction of the path at the first contact and up to which it was followed.
     reached: float
-    touch: SolvedContact
+    touch: SolvedContact  #: the last contact.
 
 
 @dataclass(frozen=True)
 class ContactContinuation:
-    """Follows the contact of a rod with an object along the object's path.
+    """Follows the contact of a rod with an object along the object's path."""
 
-    Attributes:
-        rod: the rod.
-        gravity: in base axes [m/s²], (3,).
-        obstacle: the object.
-        mode: "fast" or "reference".
-        judged: whether an unstable contact ends the path.
-    """
-
-    rod: Rod
-    gravity: Array
-    obstacle: Obstacle
-    mode: Mode
-    judged: bool
+    rod: Rod  #: the rod.
+    gravity: Array  #: in base axes [m/s²], (3,).
+    obstacle: Obstacle  #: the object.
+    mode: Mode  #: "fast" or "reference".
+    judged: bool  #: whether an unstable contact ends the path.
 
     def follow(self, free: Equilibrium, part: float, near: NearestPoint) -> ContinuationResult:
         """Follow the contact from its beginning on the free rod to the end of the path."""

@@ -48,37 +48,28 @@ class Rod:
 
     K_se = diag(k G A, k G A, E A), K_bt = diag(E I_xx, E I_yy, G J): the paper's equation 2 with a shear
     coefficient k, 1 in the paper.
-
-    Attributes:
-        s: knots, 0 ... length [m], (K,).
-        radius: at the knots, linear between them [m], (K,); half the width along the section's x axis.
-        youngs_modulus: E [Pa].
-        shear_modulus: G [Pa].
-        density: [kg/m³].
-        shear_coefficient: k.
-        rigid_length: missing bending compliance of a bonded root, as a length of rigid rod [m], distributed smoothly
-            over the first two base radii; negative for a compliant root.
-        inextensible: whether stretch and shear are excluded (Euler's elastica), for comparison with tables.
-        factors: A, I_xx, I_yy and J over those of a full round section of the same radius.
-        rest_curvature: of the unloaded rod at the knots, in section axes, the last one its twist [1/m], (K, 3);
-            linear between; none if None.
-        finite_strain: whether sections stiffen and stretch like neo-Hookean ones in large bending; full round
-            sections only.
-        rounded_from: arclength where the rounding of the tip begins [m]; None for a blunt tip. The normals of a round
-            end all meet the axis before it, so no frictionless contact acts beyond.
     """
 
-    s: Array
-    radius: Array
-    youngs_modulus: float
-    shear_modulus: float
-    density: float
-    shear_coefficient: float = 1.0
+    s: Array  #: knots, 0 ... length [m], (K,).
+    radius: Array  #: at the knots, linear between them [m], (K,); half the width along the section's x axis.
+    youngs_modulus: float  #: E [Pa].
+    shear_modulus: float  #: G [Pa].
+    density: float  #: [kg/m³].
+    shear_coefficient: float = 1.0  #: k.
+    #: missing bending compliance of a bonded root, as a length of rigid rod [m], distributed smoothly over the first
+    #: two base radii; negative for a compliant root.
     rigid_length: float = 0.0
+    #: whether stretch and shear are excluded (Euler's elastica), for comparison with tables.
     inextensible: bool = False
+    #: A, I_xx, I_yy and J over those of a full round section of the same radius.
     factors: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    #: of the unloaded rod at the knots, in section axes, the last one its twist [1/m], (K, 3); linear between; none if
+    #: None.
     rest_curvature: Array | None = None
+    #: whether sections stiffen and stretch like neo-Hookean ones in large bending; full round sections only.
     finite_strain: bool = False
+    #: arclength where the rounding of the tip begins [m]; None for a blunt tip. The normals of a round end all meet the
+    #: axis before it, so no frictionless contact acts beyond.
     rounded_from: float | None = None
 
     def __post_init__(self) -> None:

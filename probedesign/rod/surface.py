@@ -66,15 +66,10 @@ class SurfaceState(NamedTuple):
 
 
 class SurfacePiece:
-    """One piece of the surface; the defaults are those of the flat end and its rim.
+    """One piece of the surface; the defaults are those of the flat end and its rim."""
 
-    Attributes:
-        where: its public name.
-        beyond: whether its normals meet the axis beyond the tip.
-    """
-
-    where: ClassVar[Where] = "flank"
-    beyond: bool = False
+    where: ClassVar[Where] = "flank"  #: its public name.
+    beyond: bool = False  #: whether its normals meet the axis beyond the tip.
 
     @property
     def at_tip(self) -> bool:
@@ -108,21 +103,15 @@ class SurfacePiece:
 
 @dataclass(frozen=True)
 class Flank(SurfacePiece):
-    """A frustum; its place is the arclength where the normal meets the axis.
+    """A frustum; its place is the arclength where the normal meets the axis."""
 
-    Attributes:
-        low, high: ends of that arclength.
-        s0, r0: a section.
-        tan: tan α = -dr/ds.
-        beyond: where the normals meet the axis beyond the tip of a rod that swells towards it; the force then acts on
-            the tip's centre.
-    """
-
-    low: float
+    low: float  #: low, high: ends of that arclength.
     high: float
-    s0: float
+    s0: float  #: s0, r0: a section.
     r0: float
-    tan: float
+    tan: float  #: tan α = -dr/ds.
+    #: where the normals meet the axis beyond the tip of a rod that swells towards it; the force then acts on the tip's
+    #: centre.
     beyond: bool = False
 
     @property
@@ -160,15 +149,11 @@ class Edge(SurfacePiece):
     """The circle where two frusta meet; its place is the fraction of the normal's rotation from one to the other.
 
     At a ridge as in a groove, the normals of both frusta bound the direction of the force.
-
-    Attributes:
-        s, r: of the circle.
-        before, after: half-angles of the frusta [rad].
     """
 
-    s: float
+    s: float  #: s, r: of the circle.
     r: float
-    before: float
+    before: float  #: before, after: half-angles of the frusta [rad].
     after: float
 
     @property
@@ -203,16 +188,11 @@ class Edge(SurfacePiece):
 
 @dataclass(frozen=True)
 class Rim(SurfacePiece):
-    """The edge of the blunt tip; it has no place.
-
-    Attributes:
-        r: its radius.
-        before: half-angle of the flank that it ends [rad].
-    """
+    """The edge of the blunt tip; it has no place."""
 
     where: ClassVar[Where] = "rim"
-    r: float
-    before: float
+    r: float  #: its radius.
+    before: float  #: half-angle of the flank that it ends [rad].
 
     def equations(self, state: SurfaceState, direction: Array | None) -> Numbers:
         """Return the residuals: Q is on the rim and F in the plane through the axis."""
@@ -239,14 +219,10 @@ class Rim(SurfacePiece):
 
 @dataclass(frozen=True)
 class Face(SurfacePiece):
-    """The flat end; it has no place.
-
-    Attributes:
-        r: its radius.
-    """
+    """The flat end; it has no place."""
 
     where: ClassVar[Where] = "face"
-    r: float
+    r: float  #: its radius.
 
     def equations(self, state: SurfaceState, direction: Array | None) -> Numbers:
         """Return the residuals: Q is in the tip's plane and F along its normal."""
@@ -312,17 +288,11 @@ _MAX_STEPS = 100_000
 
 
 class Obstacle(NamedTuple):
-    """A point, or a straight line, that moves along a straight path.
+    """A point, or a straight line, that moves along a straight path."""
 
-    Attributes:
-        point: at the end of the path [m], (3,).
-        travel: from the start to the end of the path [m], (3,).
-        direction: unit vector of the line, (3,); None for a point.
-    """
-
-    point: Array
-    travel: Array
-    direction: Array | None
+    point: Array  #: at the end of the path [m], (3,).
+    travel: Array  #: from the start to the end of the path [m], (3,).
+    direction: Array | None  #: unit vector of the line, (3,); None for a point.
 
     def at(self, fraction: float) -> Array:
         """Return its position at a fraction, 0 to 1, of the path [m], (3,)."""
@@ -330,34 +300,21 @@ class Obstacle(NamedTuple):
 
 
 class NearestPoint(NamedTuple):
-    """Point of the rod's surface nearest to an object.
+    """Point of the rod's surface nearest to an object."""
 
-    Attributes:
-        distance: from the surface, negative inside [m].
-        s: arclength of that point [m].
-        on_end: whether it is on the flat end.
-        way: coordinate along the line [m].
-        flush: whether a line is parallel to the flat end.
-    """
-
-    distance: float
-    s: float
-    on_end: bool
-    way: float
-    flush: bool = False
+    distance: float  #: from the surface, negative inside [m].
+    s: float  #: arclength of that point [m].
+    on_end: bool  #: whether it is on the flat end.
+    way: float  #: coordinate along the line [m].
+    flush: bool = False  #: whether a line is parallel to the flat end.
 
 
 @dataclass(frozen=True)
 class FirstContactQuery:
-    """Distance between an object and a rod that only gravity bends.
+    """Distance between an object and a rod that only gravity bends."""
 
-    Attributes:
-        rod: the rod.
-        equilibrium: of the rod under gravity alone.
-    """
-
-    rod: Rod
-    equilibrium: Equilibrium
+    rod: Rod  #: the rod.
+    equilibrium: Equilibrium  #: of the rod under gravity alone.
 
     def first_contact(self, obstacle: Obstacle) -> tuple[float, NearestPoint] | None:
         """Return the fraction of the path at the first contact, and where it is; None without contact.

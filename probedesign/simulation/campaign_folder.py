@@ -45,17 +45,11 @@ TESTS_HEADER = (
 
 @dataclass(frozen=True, eq=False)
 class SimulatedCampaign:
-    """A simulated campaign that was written.
+    """A simulated campaign that was written."""
 
-    Attributes:
-        folder: of it.
-        files: names of its files.
-        tests: number of tests.
-    """
-
-    folder: Path
-    files: tuple[str, ...]
-    tests: int
+    folder: Path  #: of it.
+    files: tuple[str, ...]  #: names of its files.
+    tests: int  #: number of tests.
 
 
 def make_campaign(

@@ -47,38 +47,27 @@ MAX_HALVINGS = 12
 
 @dataclass(frozen=True)
 class CampaignPlan:
-    """How a simulated campaign is measured.
+    """How a simulated campaign is measured."""
 
-    Attributes:
-        kind: "cameras": free, with weights and touched, with markers, as in the paper; "stage": touched at places known
-            to a twentieth of a millimetre, without cameras.
-        seed: of all random numbers.
-        youngs_modulus, shear_modulus: of the true probe [Pa]; None draws them about the design's by its tolerances.
-        marker_noise: of markers by another reference, on each axis [m]; None for two cameras.
-        readings: of the sensor in each test, each the mean of the design's averaging_samples.
-        exact: the true probe is the design's and at the stated pose; only readings and pictures are noisy.
-        images: render photographs too.
-        calibration: of the cameras: by a box of control points, pictures of a board, or files of another program.
-        friction: median friction coefficient μ of touches; 0 is without friction. None: [contact] friction of the
-            design with flaws of the bench, else 0.
-        friction_spread: standard deviation of ln μ from test to test.
-        hold_out: mark every second touch as one for `validate`, which `identify` leaves out.
-        flaws: whether the bench has the flaws of the design's tolerances; an exact probe's has none.
-    """
-
+    #: "cameras": free, with weights and touched, with markers, as in the paper; "stage": touched at places known to a
+    #: twentieth of a millimetre, without cameras.
     kind: CampaignKind = "cameras"
-    seed: int = 0
+    seed: int = 0  #: of all random numbers.
+    #: youngs_modulus, shear_modulus: of the true probe [Pa]; None draws them about the design's by its tolerances.
     youngs_modulus: float | None = None
     shear_modulus: float | None = None
-    marker_noise: float | None = None
-    readings: int = 5
-    exact: bool = False
-    images: bool = False
+    marker_noise: float | None = None  #: of markers by another reference, on each axis [m]; None for two cameras.
+    readings: int = 5  #: of the sensor in each test, each the mean of the design's averaging_samples.
+    exact: bool = False  #: the true probe is the design's and at the stated pose; only readings and pictures are noisy.
+    images: bool = False  #: render photographs too.
+    #: of the cameras: by a box of control points, pictures of a board, or files of another program.
     calibration: CalibrationKind = "box"
+    #: median friction coefficient μ of touches; 0 is without friction. None: [contact] friction of the design with
+    #: flaws of the bench, else 0.
     friction: float | None = None
-    friction_spread: float = ASSUMED_SPREAD
-    hold_out: bool = False
-    flaws: bool = False
+    friction_spread: float = ASSUMED_SPREAD  #: standard deviation of ln μ from test to test.
+    hold_out: bool = False  #: mark every second touch as one for `validate`, which `identify` leaves out.
+    flaws: bool = False  #: whether the bench has the flaws of the design's tolerances; an exact probe's has none.
 
     def __post_init__(self) -> None:
         """Raise InputError where a number is out of range or two options exclude each other."""
@@ -150,31 +139,19 @@ def marker_arclengths(length: float) -> list[float]:
 
 @dataclass(frozen=True, eq=False)
 class BenchFlaws:
-    """What a bench does beside the noise of its readings, drawn from the tolerances.
+    """What a bench does beside the noise of its readings, drawn from the tolerances."""
 
-    Attributes:
-        friction: median friction coefficient of touches.
-        gain: relative error of each channel of the sensor, (6,).
-        root: error of root_rigid_radii, in base radii.
-        creep: relative loss of stiffness from the first test to the last.
-        stiffness_scatter: standard deviation of the stiffness of each loaded test, relative.
-        drift_steps, walk_steps: of the sensor's bias, as in `Tolerances`.
-        length_scale: relative error of the lengths that the reference measures.
-        std_pose: standard deviation of the base's position in each test, on each axis [m], and of its rotation times
-            `WRIST`.
-        std_weight: standard deviation of each known load, relative.
-    """
-
-    friction: float
-    gain: Array
-    root: float
-    creep: float
-    stiffness_scatter: float
-    drift_steps: float
+    friction: float  #: median friction coefficient of touches.
+    gain: Array  #: relative error of each channel of the sensor, (6,).
+    root: float  #: error of root_rigid_radii, in base radii.
+    creep: float  #: relative loss of stiffness from the first test to the last.
+    stiffness_scatter: float  #: standard deviation of the stiffness of each loaded test, relative.
+    drift_steps: float  #: drift_steps, walk_steps: of the sensor's bias, as in `Tolerances`.
     walk_steps: float
-    length_scale: float
+    length_scale: float  #: relative error of the lengths that the reference measures.
+    #: standard deviation of the base's position in each test, on each axis [m], and of its rotation times `WRIST`.
     std_pose: float
-    std_weight: float
+    std_weight: float  #: standard deviation of each known load, relative.
 
     @classmethod
     def draw(cls, model: ProbeModel, plan: CampaignPlan, tolerances: Tolerances) -> "BenchFlaws":
@@ -190,58 +167,33 @@ class BenchFlaws:
 
 @dataclass(frozen=True, eq=False)
 class SimulatedTest:
-    """Ground truth of one test.
+    """Ground truth of one test."""
 
-    Attributes:
-        name: of the test.
-        bench: probe, poses and gravity during the test.
-        equilibrium: of the true probe in its true base.
-        p_surface_base: touched point [m], (3,); None for free probes and weights.
-        direction: of the push of a touch.
-        weight: known force in the world, straight down [N], (3,); zero for a free probe, None for a touch.
-        wrench_sensor: reading of a perfect sensor [N, N·m], (6,).
-        s_contact: arclength where the force's line of action passes the axis [m].
-        friction: tangential over normal force of a touch.
-    """
-
-    name: str
-    bench: "GroundTruth"
-    equilibrium: Equilibrium
-    p_surface_base: Array | None
-    direction: str
-    weight: Array | None
-    wrench_sensor: Array
-    s_contact: float
-    friction: float = 0.0
+    name: str  #: of the test.
+    bench: "GroundTruth"  #: probe, poses and gravity during the test.
+    equilibrium: Equilibrium  #: of the true probe in its true base.
+    p_surface_base: Array | None  #: touched point [m], (3,); None for free probes and weights.
+    direction: str  #: of the push of a touch.
+    weight: Array | None  #: known force in the world, straight down [N], (3,); zero for a free probe, None for a touch.
+    wrench_sensor: Array  #: reading of a perfect sensor [N, N·m], (6,).
+    s_contact: float  #: arclength where the force's line of action passes the axis [m].
+    friction: float = 0.0  #: tangential over normal force of a touch.
 
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """Ground truth of a campaign: the probe as printed, its pose and gravity.
+    """Ground truth of a campaign: the probe as printed, its pose and gravity."""
 
-    Attributes:
-        model: of the probe as designed.
-        plan: of the campaign.
-        rod: as printed.
-        T_world_base: pose of the base as the campaign states it, (4, 4).
-        T_world_mount: true pose of that frame, (4, 4).
-        T_world_true: true pose of the base of the print, (4, 4).
-        stated_gravity: as the campaign states it [m/s²], (3,).
-        gravity_world: true gravity.
-        tolerances: from which it was drawn.
-        flaws: of the bench.
-    """
-
-    model: ProbeModel
-    plan: CampaignPlan
-    rod: Rod
-    T_world_base: Array
-    T_world_mount: Array
-    T_world_true: Array
-    stated_gravity: Array
-    gravity_world: Array
-    tolerances: Tolerances
-    flaws: BenchFlaws
+    model: ProbeModel  #: of the probe as designed.
+    plan: CampaignPlan  #: of the campaign.
+    rod: Rod  #: as printed.
+    T_world_base: Array  #: pose of the base as the campaign states it, (4, 4).
+    T_world_mount: Array  #: true pose of that frame, (4, 4).
+    T_world_true: Array  #: true pose of the base of the print, (4, 4).
+    stated_gravity: Array  #: as the campaign states it [m/s²], (3,).
+    gravity_world: Array  #: true gravity.
+    tolerances: Tolerances  #: from which it was drawn.
+    flaws: BenchFlaws  #: of the bench.
 
     @classmethod
     def draw(cls, model: ProbeModel, plan: CampaignPlan, rng: np.random.Generator) -> "GroundTruth":

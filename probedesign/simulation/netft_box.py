@@ -91,25 +91,16 @@ FAULT_EVENTS = ("stall", "restart", "stolen", "units", "saturate")
 
 @dataclass
 class FaultInjector:
-    """Probabilities of faults per packet, and events at given times.
+    """Probabilities of faults per packet, and events at given times."""
 
-    Attributes:
-        loss: packet not sent.
-        reorder: packet sent after the next one.
-        duplicate: packet sent twice.
-        garbage: packet preceded by a datagram of random length and content, shorter than a record.
-        short: packet truncated.
-        events: (time since the stream started [s], one of `FAULT_EVENTS`).
-        seed: seed of the random numbers.
-    """
-
-    loss: float = 0.0
-    reorder: float = 0.0
-    duplicate: float = 0.0
-    garbage: float = 0.0
-    short: float = 0.0
+    loss: float = 0.0  #: packet not sent.
+    reorder: float = 0.0  #: packet sent after the next one.
+    duplicate: float = 0.0  #: packet sent twice.
+    garbage: float = 0.0  #: packet preceded by a datagram of random length and content, shorter than a record.
+    short: float = 0.0  #: packet truncated.
+    #: (time since the stream started [s], one of `FAULT_EVENTS`).
     events: list[tuple[float, str]] = field(default_factory=list)
-    seed: int = 1
+    seed: int = 1  #: seed of the random numbers.
     _delayed: list[bytes] = field(default_factory=list, repr=False)
 
     def __post_init__(self) -> None:

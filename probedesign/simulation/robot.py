@@ -37,15 +37,10 @@ MOVE_TIME, PRESS_TIME, CYCLE_DWELL_TIME = 1.0, 1.5, 3.0
 
 @dataclass(frozen=True)
 class BaseMotion:
-    """Cyclic motion of the base: rest, then press, hold and retract for each object.
+    """Cyclic motion of the base: rest, then press, hold and retract for each object."""
 
-    Attributes:
-        model: the probe.
-        objects: objects in the order in which they are pressed.
-    """
-
-    model: ProbeModel
-    objects: tuple[PressedObject, ...]
+    model: ProbeModel  #: the probe.
+    objects: tuple[PressedObject, ...]  #: objects in the order in which they are pressed.
 
     @property
     def cycle_time(self) -> float:
@@ -122,29 +117,17 @@ STD_OFFSET_STEPS = 50.0
 
 @dataclass
 class SimulatedTrajectory:
-    """Trajectory of the base, linear between waypoints, with the wrench and the sensor bias at each of them.
+    """Trajectory of the base, linear between waypoints, with the wrench and the sensor bias at each of them."""
 
-    Attributes:
-        R_world_base: rotation of the base, which is constant, (3, 3).
-        wrench_free: wrench of the free probe at the base [N, N·m], (6,).
-        rng: random numbers of the bias.
-        time_scale: factor on all durations; sample and pose rates are divided by it.
-        bias_rate: random walk of the bias, in steps of the sensor's resolution per √s.
-        times: times of the waypoints [s].
-        positions: positions of the base reported by the robot [m], (3,) each.
-        wrenches: wrenches of the probe at its base [N, N·m], (6,) each.
-        biases: bias of the sensor, in steps of its resolution, (6,) each.
-    """
-
-    R_world_base: Array
-    wrench_free: Array
-    rng: np.random.Generator
-    time_scale: float = 1.0
-    bias_rate: float = WALK_STEPS
-    times: list[float] = field(default_factory=list)
-    positions: list[Array] = field(default_factory=list)
-    wrenches: list[Array] = field(default_factory=list)
-    biases: list[Array] = field(default_factory=list)
+    R_world_base: Array  #: rotation of the base, which is constant, (3, 3).
+    wrench_free: Array  #: wrench of the free probe at the base [N, N·m], (6,).
+    rng: np.random.Generator  #: random numbers of the bias.
+    time_scale: float = 1.0  #: factor on all durations; sample and pose rates are divided by it.
+    bias_rate: float = WALK_STEPS  #: random walk of the bias, in steps of the sensor's resolution per √s.
+    times: list[float] = field(default_factory=list)  #: times of the waypoints [s].
+    positions: list[Array] = field(default_factory=list)  #: positions of the base reported by the robot [m], (3,) each.
+    wrenches: list[Array] = field(default_factory=list)  #: wrenches of the probe at its base [N, N·m], (6,) each.
+    biases: list[Array] = field(default_factory=list)  #: bias of the sensor, in steps of its resolution, (6,) each.
 
     def __post_init__(self) -> None:
         """Start free in front of the house."""

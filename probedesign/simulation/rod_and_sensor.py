@@ -27,23 +27,14 @@ OUTERMOST = 0.95
 
 
 class RodContact(NamedTuple):
-    """A contact with the rod; all but `result` and `equilibrium` is meaningful only with result "ok".
+    """A contact with the rod; all but `result` and `equilibrium` is meaningful only with result "ok"."""
 
-    Attributes:
-        result: "ok" or the code of the equilibrium that was not found.
-        equilibrium: of the rod under the contact.
-        s_contact: arclength where the line of action of the force passes the centreline [m].
-        p_contact_base: point of the centreline there [m], (3,).
-        force_base: force of the object on the probe [N], (3,).
-        p_surface_base: touched point of the surface [m], (3,).
-    """
-
-    result: str
-    equilibrium: Equilibrium
-    s_contact: float
-    p_contact_base: Array
-    force_base: Array
-    p_surface_base: Array
+    result: str  #: "ok" or the code of the equilibrium that was not found.
+    equilibrium: Equilibrium  #: of the rod under the contact.
+    s_contact: float  #: arclength where the line of action of the force passes the centreline [m].
+    p_contact_base: Array  #: point of the centreline there [m], (3,).
+    force_base: Array  #: force of the object on the probe [N], (3,).
+    p_surface_base: Array  #: touched point of the surface [m], (3,).
 
 
 def solve_contact(

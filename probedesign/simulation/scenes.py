@@ -35,21 +35,13 @@ FIRST_STEP, DEPTH_TOLERANCE = 0.1 * MM, 1e-3 * MM
 
 @dataclass(frozen=True)
 class StraightPress:
-    """Press of a rod against a sharp point or an edge that approaches along a straight line, with Coulomb friction.
+    """Press of a rod against a sharp point or an edge that approaches along a straight line, with Coulomb friction."""
 
-    Attributes:
-        solver: of the contact.
-        gravity_base: gravity in base axes [m/s²], (3,).
-        start: point of the object before it travels, in base axes [m], (3,).
-        direction: of the base towards the object, so the object travels along its opposite, unit vector, (3,).
-        along: direction of the edge, (3,); None for a sharp point.
-    """
-
-    solver: CoulombSolver
-    gravity_base: Array
-    start: Array
-    direction: Array
-    along: Array | None
+    solver: CoulombSolver  #: of the contact.
+    gravity_base: Array  #: gravity in base axes [m/s²], (3,).
+    start: Array  #: point of the object before it travels, in base axes [m], (3,).
+    direction: Array  #: of the base towards the object, so the object travels along its opposite, unit vector, (3,).
+    along: Array | None  #: direction of the edge, (3,); None for a sharp point.
 
     def first_contact(self, max_travel: float) -> CoulombContact:
         """Return the first contact within a travel [m], which carries no force."""
@@ -112,17 +104,11 @@ N_KNOTS_BACK = 65
 
 @dataclass(frozen=True)
 class SceneObject:
-    """An object of a scene.
+    """An object of a scene."""
 
-    Attributes:
-        name: its name.
-        fraction: where it meets the free probe, as a fraction of the length.
-        tilt: for an edge, angle from the y axis in the base's xy plane [rad]; None for a sharp point.
-    """
-
-    name: str
-    fraction: float
-    tilt: float | None
+    name: str  #: its name.
+    fraction: float  #: where it meets the free probe, as a fraction of the length.
+    tilt: float | None  #: for an edge, angle from the y axis in the base's xy plane [rad]; None for a sharp point.
 
 
 SCENES = {
@@ -142,31 +128,18 @@ SCENES = {
 
 @dataclass(frozen=True)
 class PressedObject:
-    """An object and the wrench it causes, by the travel of the base.
+    """An object and the wrench it causes, by the travel of the base."""
 
-    Attributes:
-        obj: the object.
-        direction: direction of travel in base axes, (3,), unit vector.
-        point: point of the object at the start of the travel, in base axes [m], (3,).
-        travel: travel of the base [m], (k,), increasing.
-        wrench_base: wrench there [N, N·m], (k, 6).
-        s_contact: arclength of the touched section at the end of the travel [m].
-        force: force there [N].
-        friction: coefficient μ of this object.
-        travel_back: travel of the base during retraction [m], (j,), increasing.
-        wrench_back: wrench there [N, N·m], (j, 6).
-    """
-
-    obj: SceneObject
-    direction: Array
-    point: Array
-    travel: Array
-    wrench_base: Array
-    s_contact: float
-    force: float
-    friction: float
-    travel_back: Array
-    wrench_back: Array
+    obj: SceneObject  #: the object.
+    direction: Array  #: direction of travel in base axes, (3,), unit vector.
+    point: Array  #: point of the object at the start of the travel, in base axes [m], (3,).
+    travel: Array  #: travel of the base [m], (k,), increasing.
+    wrench_base: Array  #: wrench there [N, N·m], (k, 6).
+    s_contact: float  #: arclength of the touched section at the end of the travel [m].
+    force: float  #: force there [N].
+    friction: float  #: coefficient μ of this object.
+    travel_back: Array  #: travel of the base during retraction [m], (j,), increasing.
+    wrench_back: Array  #: wrench there [N, N·m], (j, 6).
 
     @property
     def summary(self) -> str:
@@ -270,18 +243,12 @@ SOURCE = "card house"
 
 @dataclass(frozen=True)
 class Card:
-    """A card of the house.
+    """A card of the house."""
 
-    Attributes:
-        name: its name.
-        start, end: ends of its front edge [m], (3,).
-        normal: unit normal of one of its sides, perpendicular to y, (3,).
-    """
-
-    name: str
-    start: Array
+    name: str  #: its name.
+    start: Array  #: start, end: ends of its front edge [m], (3,).
     end: Array
-    normal: Array
+    normal: Array  #: unit normal of one of its sides, perpendicular to y, (3,).
 
     @property
     def along(self) -> Array:
@@ -298,21 +265,13 @@ class Card:
 
 @dataclass(frozen=True)
 class TouchTarget:
-    """A point of a front edge to be touched.
+    """A point of a front edge to be touched."""
 
-    Attributes:
-        card: the touched card.
-        p_world: the point [m], (3,).
-        direction: direction of the push onto the card, unit vector, (3,).
-        fraction: place along the probe, as a fraction of its length.
-        repeated: whether the point is touched for the second time.
-    """
-
-    card: Card
-    p_world: Array
-    direction: Array
-    fraction: float
-    repeated: bool = False
+    card: Card  #: the touched card.
+    p_world: Array  #: the point [m], (3,).
+    direction: Array  #: direction of the push onto the card, unit vector, (3,).
+    fraction: float  #: place along the probe, as a fraction of its length.
+    repeated: bool = False  #: whether the point is touched for the second time.
 
 
 def _card(name: str, start: tuple[float, float], end: tuple[float, float]) -> Card:

@@ -37,17 +37,11 @@ _FINE = 3  # samples along each side of a pixel
 
 @dataclass(frozen=True, eq=False)
 class SimulatedBoard:
-    """A board in front of the cameras, printed with an error of its scale.
+    """A board in front of the cameras, printed with an error of its scale."""
 
-    Attributes:
-        rig: the cameras.
-        seed: of placements, scale and noise.
-        exact: the print has its nominal size.
-    """
-
-    rig: StereoRig
-    seed: int
-    exact: bool
+    rig: StereoRig  #: the cameras.
+    seed: int  #: of placements, scale and noise.
+    exact: bool  #: the print has its nominal size.
 
     def _rng(self, what: int) -> np.random.Generator:
         return np.random.default_rng([self.seed, 2, what])

@@ -51,26 +51,17 @@ PITCH = np.radians(5.0)
 
 @dataclass(frozen=True)
 class RunErrors:
-    """Standard deviations of the errors of a run that the estimator does not know.
+    """Standard deviations of the errors of a run that the estimator does not know."""
 
-    Attributes:
-        stiffness: of a common factor on E and G.
-        base_offset: of the base position, constant during the run, on each axis [m].
-        base_repeat: of the base position at each pose, on each axis [m].
-        bias_rate: random walk of the bias, in steps of the sensor's resolution per √s.
-        rotation: of base and sensor together about the base axes, constant during the run [rad], (3,). The poses do not
-            contain it; the robot is taught at the object by feel, so the presses are as firm as without it.
-        friction: median friction coefficient μ of the edges; 0 is without friction.
-        friction_spread: standard deviation of ln μ from touch to touch.
-    """
-
-    stiffness: float = 0.01
-    base_offset: float = 0.05e-3
-    base_repeat: float = 0.01e-3
-    bias_rate: float = WALK_STEPS
+    stiffness: float = 0.01  #: of a common factor on E and G.
+    base_offset: float = 0.05e-3  #: of the base position, constant during the run, on each axis [m].
+    base_repeat: float = 0.01e-3  #: of the base position at each pose, on each axis [m].
+    bias_rate: float = WALK_STEPS  #: random walk of the bias, in steps of the sensor's resolution per √s.
+    #: of base and sensor together about the base axes, constant during the run [rad], (3,). The poses do not contain
+    #: it; the robot is taught at the object by feel, so the presses are as firm as without it.
     rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    friction: float = ASSUMED_FRICTION
-    friction_spread: float = ASSUMED_SPREAD
+    friction: float = ASSUMED_FRICTION  #: median friction coefficient μ of the edges; 0 is without friction.
+    friction_spread: float = ASSUMED_SPREAD  #: standard deviation of ln μ from touch to touch.
 
     @classmethod
     def from_priors(
@@ -88,49 +79,29 @@ class RunErrors:
 
 @dataclass(frozen=True)
 class TrueTouch:
-    """Ground truth of one touch.
+    """Ground truth of one touch."""
 
-    Attributes:
-        target: the intended point.
-        start, end: times between which the base presses [s].
-        p_world: touched point, the mean over the poses [m], (3,).
-        force: largest force [N].
-        moment: largest moment of the contact about the base [N·m].
-        clearance: smallest distance between the probe beyond the contact and the card behind its edge [m].
-        wrenches_base: wrench at the base at each pose, without bias and noise [N, N·m], (k, 6).
-        Ts_world_base: poses reported by the robot, (k, 4, 4).
-        friction: friction coefficient μ of this touch.
-        friction_ratios: tangential over normal force at each pose, (k,).
-    """
-
-    target: TouchTarget
-    start: float
+    target: TouchTarget  #: the intended point.
+    start: float  #: start, end: times between which the base presses [s].
     end: float
-    p_world: Array
-    force: float
-    moment: float
-    clearance: float
-    wrenches_base: Array
-    Ts_world_base: Array
-    friction: float
-    friction_ratios: Array
+    p_world: Array  #: touched point, the mean over the poses [m], (3,).
+    force: float  #: largest force [N].
+    moment: float  #: largest moment of the contact about the base [N·m].
+    clearance: float  #: smallest distance between the probe beyond the contact and the card behind its edge [m].
+    wrenches_base: Array  #: wrench at the base at each pose, without bias and noise [N, N·m], (k, 6).
+    Ts_world_base: Array  #: poses reported by the robot, (k, 4, 4).
+    friction: float  #: friction coefficient μ of this touch.
+    friction_ratios: Array  #: tangential over normal force at each pose, (k,).
 
 
 @dataclass(frozen=True)
 class SimulatedRun:
-    """A simulated run through the card house.
+    """A simulated run through the card house."""
 
-    Attributes:
-        trajectory: motion of the base, with the true wrench.
-        touches: ground truth, in order of time.
-        wrench_free: wrench of the free probe at the base [N, N·m], (6,).
-        gravity_base: gravity in base axes [m/s²], (3,).
-    """
-
-    trajectory: SimulatedTrajectory
-    touches: tuple[TrueTouch, ...]
-    wrench_free: Array
-    gravity_base: Array
+    trajectory: SimulatedTrajectory  #: motion of the base, with the true wrench.
+    touches: tuple[TrueTouch, ...]  #: ground truth, in order of time.
+    wrench_free: Array  #: wrench of the free probe at the base [N, N·m], (6,).
+    gravity_base: Array  #: gravity in base axes [m/s²], (3,).
 
 
 def base_rotation(pitch: float = PITCH) -> Array:

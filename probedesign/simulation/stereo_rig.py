@@ -47,45 +47,28 @@ _MOUNT = 0.012  # length of the mount below the base [m]
 
 @dataclass(frozen=True)
 class PaintedDots:
-    """Dots painted on a tube.
+    """Dots painted on a tube."""
 
-    Attributes:
-        s: arclength of each centre from the tube's start [m], (m,).
-        outward_world: direction from the axis to its side, not necessarily a normal, (m, 3).
-        diameter: of each, measured along the surface [m], (m,).
-    """
-
-    s: Array
-    outward_world: Array
-    diameter: Array
+    s: Array  #: arclength of each centre from the tube's start [m], (m,).
+    outward_world: Array  #: direction from the axis to its side, not necessarily a normal, (m, 3).
+    diameter: Array  #: of each, measured along the surface [m], (m,).
 
 
 @dataclass(frozen=True)
 class RayHits:
-    """Intersections of rays with a tube; NaN where there are none.
+    """Intersections of rays with a tube; NaN where there are none."""
 
-    Attributes:
-        distance: from the rays' origin [m], (n,).
-        s: arclength [m], (n,).
-        normal_world: outward (n, 3).
-    """
-
-    distance: Array
-    s: Array
-    normal_world: Array
+    distance: Array  #: from the rays' origin [m], (n,).
+    s: Array  #: arclength [m], (n,).
+    normal_world: Array  #: outward (n, 3).
 
 
 @dataclass(frozen=True)
 class SurfaceTube:
-    """Surface of a bent probe: a tube about a polygon of points.
+    """Surface of a bent probe: a tube about a polygon of points."""
 
-    Attributes:
-        p_world: centreline from base to tip [m], dense enough that a chord is its arc, (k, 3).
-        diameter: there [m], (k,).
-    """
-
-    p_world: Array
-    diameter: Array
+    p_world: Array  #: centreline from base to tip [m], dense enough that a chord is its arc, (k, 3).
+    diameter: Array  #: there [m], (k,).
 
     @cached_property
     def s(self) -> Array:
@@ -198,34 +181,22 @@ def _intersect_cone(start: Array, rays: Array, axis: Array, radius: Array, slope
 
 @dataclass(frozen=True)
 class RenderStyle:
-    """Appearance of a photograph; greys 0 ... 1 are albedos.
+    """Appearance of a photograph; greys 0 ... 1 are albedos."""
 
-    Attributes:
-        probe, dot, background, mount: greys.
-        light_world: direction towards the lamp.
-        ambient: fraction of ambient light.
-        gloss: strength of the highlight.
-        mottle: unevenness of the probe and the background.
-        clutter: number of round dark objects in the background, which are not dots.
-        blur_px: standard deviation of the lens' blur [px].
-        noise: standard deviation of a dark pixel in grey levels of 255; a bright one has shot noise as well.
-        full_well: electrons of a white pixel, which determine the shot noise.
-        seed: of all random numbers.
-    """
-
-    probe: float = 0.75
+    probe: float = 0.75  #: probe, dot, background, mount: greys.
     dot: float = 0.12
     background: float = 0.28
     mount: float = 0.45
-    light_world: tuple[float, float, float] = (-0.3, -0.6, 0.75)
-    ambient: float = 0.45
-    gloss: float = 0.12
-    mottle: float = 0.03
-    clutter: int = 6
-    blur_px: float = 0.8
+    light_world: tuple[float, float, float] = (-0.3, -0.6, 0.75)  #: direction towards the lamp.
+    ambient: float = 0.45  #: fraction of ambient light.
+    gloss: float = 0.12  #: strength of the highlight.
+    mottle: float = 0.03  #: unevenness of the probe and the background.
+    clutter: int = 6  #: number of round dark objects in the background, which are not dots.
+    blur_px: float = 0.8  #: standard deviation of the lens' blur [px].
+    #: standard deviation of a dark pixel in grey levels of 255; a bright one has shot noise as well.
     noise: float = 1.5
-    full_well: float = 10_000.0
-    seed: int = 0
+    full_well: float = 10_000.0  #: electrons of a white pixel, which determine the shot noise.
+    seed: int = 0  #: of all random numbers.
 
 
 def render(
@@ -345,13 +316,9 @@ def exposed(picture: Array, style: RenderStyle, rng: np.random.Generator) -> Pic
 
 @dataclass(frozen=True, eq=False)
 class StereoRig:
-    """Two cameras, a box of control points and the markers of the probe.
+    """Two cameras, a box of control points and the markers of the probe."""
 
-    Attributes:
-        truth: what the cameras see.
-    """
-
-    truth: GroundTruth
+    truth: GroundTruth  #: what the cameras see.
 
     @cached_property
     def marker_s(self) -> Array:

@@ -59,21 +59,13 @@ NOT_LOCATED = (150, 150, 150)
 
 @dataclass(frozen=True)
 class Figure:
-    """One line of the summary.
+    """One line of the summary."""
 
-    Attributes:
-        name: of the quantity.
-        value: its number; None where there is none.
-        unit: of the number.
-        note: beside the value, such as what limits it.
-        smaller_is_better: None where no value is better.
-    """
-
-    name: str
-    value: float | None
-    unit: str
-    note: str = ""
-    smaller_is_better: bool | None = True
+    name: str  #: of the quantity.
+    value: float | None  #: its number; None where there is none.
+    unit: str  #: of the number.
+    note: str = ""  #: beside the value, such as what limits it.
+    smaller_is_better: bool | None = True  #: None where no value is better.
 
     @property
     def text(self) -> str:
@@ -84,21 +76,14 @@ class Figure:
 
 @dataclass(frozen=True)
 class DesignFigures:
-    """What is known of a design.
+    """What is known of a design."""
 
-    Attributes:
-        probe: the probe.
-        prediction: `predict` of it; without fused touches, force limits and workspace while `complete` is false.
-        complete: whether everything was predicted.
-        frequency: first natural frequency [Hz]; NaN where the weight buckles the straight probe.
-        findings: messages of the print check, errors first.
-    """
-
-    probe: Probe
+    probe: Probe  #: the probe.
+    #: `predict` of it; without fused touches, force limits and workspace while `complete` is false.
     prediction: Prediction
-    complete: bool
-    frequency: float
-    findings: tuple[str, ...]
+    complete: bool  #: whether everything was predicted.
+    frequency: float  #: first natural frequency [Hz]; NaN where the weight buckles the straight probe.
+    findings: tuple[str, ...]  #: messages of the print check, errors first.
 
     @property
     def buckles(self) -> bool:
@@ -240,19 +225,12 @@ def _rgb(colour: str) -> tuple[int, int, int]:
 
 @dataclass(frozen=True)
 class DrawnTouch:
-    """One touch as the sensor reads it.
+    """One touch as the sensor reads it."""
 
-    Attributes:
-        contact: the equilibrium.
-        s: arclength of the touched section [m].
-        p_surface: touched point [m], (3,).
-        normal: direction of the push at it, (3,).
-    """
-
-    contact: FrictionlessContact
-    s: float
-    p_surface: Array
-    normal: Array
+    contact: FrictionlessContact  #: the equilibrium.
+    s: float  #: arclength of the touched section [m].
+    p_surface: Array  #: touched point [m], (3,).
+    normal: Array  #: direction of the push at it, (3,).
 
 
 def drawn_touch(probe: Probe, touch: StudioTouch) -> DrawnTouch | None:

@@ -42,17 +42,11 @@ INTERIOR_KNOTS = (0.25, 0.5, 0.75)
 
 @dataclass(frozen=True)
 class StudioTouch:
-    """The touch that is drawn.
+    """The touch that is drawn."""
 
-    Attributes:
-        fraction: arclength of the touched section over the length.
-        angle_deg: direction of the push about the tangent, from the section's x axis.
-        force_mN: normal force.
-    """
-
-    fraction: float = 0.8
-    angle_deg: float = 90.0
-    force_mN: float = 10.0
+    fraction: float = 0.8  #: arclength of the touched section over the length.
+    angle_deg: float = 90.0  #: direction of the push about the tangent, from the section's x axis.
+    force_mN: float = 10.0  #: normal force.
 
 
 @dataclass(frozen=True)
@@ -65,25 +59,16 @@ class PinnedDesign:
 
 @dataclass
 class Session:
-    """The state of one studio. All browser tabs share it.
+    """The state of one studio. All browser tabs share it."""
 
-    Attributes:
-        design: the current design; always valid.
-        touch: the touch that is drawn.
-        forces_mN: contact forces whose errors are drawn.
-        pinned: designs kept for comparison.
-        refused: why the last change was refused, in one line; empty if it was accepted.
-        source: design file or preset from which the session started.
-        start: its tables, from which the command line is written; those of `design` if empty.
-    """
-
-    design: Design
-    source: str = "large"
+    design: Design  #: the current design; always valid.
+    source: str = "large"  #: design file or preset from which the session started.
+    #: its tables, from which the command line is written; those of `design` if empty.
     start: dict[str, Any] = field(default_factory=dict)
-    touch: StudioTouch = StudioTouch()
-    forces_mN: tuple[float, ...] = DEFAULT_FORCES_MN
-    pinned: list[PinnedDesign] = field(default_factory=list)
-    refused: str = ""
+    touch: StudioTouch = StudioTouch()  #: the touch that is drawn.
+    forces_mN: tuple[float, ...] = DEFAULT_FORCES_MN  #: contact forces whose errors are drawn.
+    pinned: list[PinnedDesign] = field(default_factory=list)  #: designs kept for comparison.
+    refused: str = ""  #: why the last change was refused, in one line; empty if it was accepted.
     _undo: list[Design] = field(default_factory=list)
     _redo: list[Design] = field(default_factory=list)
     _last: tuple[str, float] = ("", 0.0)

@@ -63,36 +63,26 @@ VERDICTS = {
 
 @dataclass(frozen=True)
 class Coverage:
-    """Coverage of the touches that were located and measured by the reference.
+    """Coverage of the touches that were located and measured by the reference."""
 
-    Attributes:
-        verdict: a key of `VERDICTS`.
-        sentence: the verdict with its numbers.
-        touches: number of them.
-        within: number within their 95 % ellipsoid.
-        low, high: 95 % interval of the coverage (Clopper and Pearson).
-        nees_ratio: mean squared error over the stated; 1 if the covariances are correct, more if they are too small.
-        ratio_low, ratio_high: 95 % interval of that ratio, if the errors of the touches are independent.
-        nees_low, nees_high: 95 % interval of that mean if the covariances are correct.
-        z_mean, z_std: of the errors over their standard deviations along the base's axes x, y, z; empty with less
-            than two touches.
-        words: further lines of the assessment.
-    """
-
-    verdict: str
-    sentence: str
-    touches: int = 0
-    within: int = 0
-    low: float = math.nan
+    verdict: str  #: a key of `VERDICTS`.
+    sentence: str  #: the verdict with its numbers.
+    touches: int = 0  #: number of them.
+    within: int = 0  #: number within their 95 % ellipsoid.
+    low: float = math.nan  #: low, high: 95 % interval of the coverage (Clopper and Pearson).
     high: float = math.nan
+    #: mean squared error over the stated; 1 if the covariances are correct, more if they are too small.
     nees_ratio: float = math.nan
+    #: ratio_low, ratio_high: 95 % interval of that ratio, if the errors of the touches are independent.
     ratio_low: float = math.nan
     ratio_high: float = math.nan
-    nees_low: float = math.nan
+    nees_low: float = math.nan  #: nees_low, nees_high: 95 % interval of that mean if the covariances are correct.
     nees_high: float = math.nan
+    #: z_mean, z_std: of the errors over their standard deviations along the base's axes x, y, z; empty with less than
+    #: two touches.
     z_mean: tuple[float, ...] = ()
     z_std: tuple[float, ...] = ()
-    words: tuple[str, ...] = ()
+    words: tuple[str, ...] = ()  #: further lines of the assessment.
 
 
 def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
@@ -156,15 +146,10 @@ def _of_weights(tests: Sequence[ValidatedTest]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class ErrorStatistics:
-    """Mean, RMS and largest of several errors.
+    """Mean, RMS and largest of several errors."""
 
-    Attributes:
-        count: number of them.
-        mean, rms, largest: None if there are none.
-    """
-
-    count: int
-    mean: float | None
+    count: int  #: number of them.
+    mean: float | None  #: mean, rms, largest: None if there are none.
     rms: float | None
     largest: float | None
 
@@ -179,23 +164,14 @@ class ErrorStatistics:
 
 @dataclass(frozen=True, eq=False)
 class ValidationReport:
-    """Result of a validation.
+    """Result of a validation."""
 
-    Attributes:
-        estimator: of the frozen probe.
-        campaign: the data.
-        exact: whether the probe was taken as exactly known.
-        tests: free ones first, then along the probe and from strong to weak, as Table I.
-        coverage: of the stated covariances, by the tests that are judged.
-        include_identified: whether tests that served the identification are judged as well.
-    """
-
-    estimator: Estimator
-    campaign: Campaign
-    exact: bool
-    tests: tuple[ValidatedTest, ...]
-    coverage: Coverage
-    include_identified: bool = False
+    estimator: Estimator  #: of the frozen probe.
+    campaign: Campaign  #: the data.
+    exact: bool  #: whether the probe was taken as exactly known.
+    tests: tuple[ValidatedTest, ...]  #: free ones first, then along the probe and from strong to weak, as Table I.
+    coverage: Coverage  #: of the stated covariances, by the tests that are judged.
+    include_identified: bool = False  #: whether tests that served the identification are judged as well.
 
     @property
     def judged(self) -> tuple[ValidatedTest, ...]:
@@ -369,13 +345,9 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class MultiProbeReport:
-    """Validations of several probes in one table, laid out as the paper's Table I.
+    """Validations of several probes in one table, laid out as the paper's Table I."""
 
-    Attributes:
-        validations: one per probe, in the order of the table.
-    """
-
-    validations: tuple[ValidationReport, ...]
+    validations: tuple[ValidationReport, ...]  #: one per probe, in the order of the table.
 
     def rows(self) -> list[dict[str, Any]]:
         """Return all loaded tests: by probe, along it, from strong to weak, as Table I."""

@@ -35,17 +35,11 @@ MIN_REFERENCE_STD = 1e-3 * MM
 
 @dataclass(frozen=True, eq=False)
 class ContactError:
-    """Error of an estimated contact against the reference, in the base frame.
+    """Error of an estimated contact against the reference, in the base frame."""
 
-    Attributes:
-        error: estimated minus measured [m]: of the point (3,), or of the arclength alone (1,).
-        cov: of estimate and reference together, as stated [m²], (d, d).
-        cov_reference: the reference's share, with the pose of the base [m²], (d, d).
-    """
-
-    error: Array
-    cov: Array
-    cov_reference: Array
+    error: Array  #: estimated minus measured [m]: of the point (3,), or of the arclength alone (1,).
+    cov: Array  #: of estimate and reference together, as stated [m²], (d, d).
+    cov_reference: Array  #: the reference's share, with the pose of the base [m²], (d, d).
 
     @property
     def size(self) -> float:
@@ -129,20 +123,13 @@ def predicted_error(model: ProbeModel, fraction: float, force: float, push_direc
 
 @dataclass(frozen=True, eq=False)
 class TaredReading:
-    """Readings of one test at the base, tared by free tests.
+    """Readings of one test at the base, tared by free tests."""
 
-    Attributes:
-        wrenches_base: [N, N·m], (n, 6).
-        gravity_base: by the stated pose [m/s²], (3,).
-        weights: of the free tests that it was tared by; empty without.
-        same_pose: whether these hung in the pose of the test, so that they absorb the errors of the probe's own weight.
-        walked: time [s] over which the bias walks at random between the test and its tares, in effect.
-    """
-
-    wrenches_base: Array
-    gravity_base: Array
-    weights: Array
-    walked: float
+    wrenches_base: Array  #: [N, N·m], (n, 6).
+    gravity_base: Array  #: by the stated pose [m/s²], (3,).
+    weights: Array  #: of the free tests that it was tared by; empty without.
+    walked: float  #: time [s] over which the bias walks at random between the test and its tares, in effect.
+    #: whether these hung in the pose of the test, so that they absorb the errors of the probe's own weight.
     same_pose: bool = True
 
     @property
@@ -153,50 +140,29 @@ class TaredReading:
 
 @dataclass(frozen=True, eq=False)
 class ValidatedTest:
-    """Estimate of one test beside the reference.
+    """Estimate of one test beside the reference."""
 
-    Attributes:
-        test: the test.
-        kind: free, with a known weight, or touched.
-        method: of the estimation.
-        result: of the estimate; "no_reading" if the sensor was not read.
-        estimate: None without readings.
-        shape: as estimated, of a free test as modelled; None if no contact was located.
-        force: on the probe [N]: as known, else by equation 5 from the readings; NaN if neither is available.
-        fraction: contact over length: known, else estimated; NaN if neither is available.
-        markers_base: as measured [m], (m, 3).
-        markers_hat: as estimated [m], (m, 3); empty without a shape.
-        markers_off: estimated ones relative to the shape's axis [m], (m, 3).
-        shape_rms: equation 6 [m]; NaN without shape or markers.
-        reference_rms: contribution of the reference's own errors [m].
-        contact_base: by the reference [m], (3,); None if not measured.
-        push_direction: of the object, as stated or by the force, a key of `DIRECTIONS`; empty if neither is available.
-        predicted: error that `predict` states for such a touch [m]; NaN for weights, which it does not predict.
-        contact_error: None if either side has no contact.
-        readings: number of readings.
-        tares: number of free tests that it was tared by.
-        served: whether the parameters of the frozen probe were identified from it, so that it proves nothing of them.
-    """
-
-    test: Test
-    kind: TestKind
-    method: Method
-    result: str
-    estimate: Estimate | None
-    shape: Equilibrium | None
-    force: float
-    fraction: float
-    markers_base: Array
-    markers_hat: Array
-    markers_off: Array
-    shape_rms: float
-    reference_rms: float
-    contact_base: Array | None
+    test: Test  #: the test.
+    kind: TestKind  #: free, with a known weight, or touched.
+    method: Method  #: of the estimation.
+    result: str  #: of the estimate; "no_reading" if the sensor was not read.
+    estimate: Estimate | None  #: None without readings.
+    shape: Equilibrium | None  #: as estimated, of a free test as modelled; None if no contact was located.
+    force: float  #: on the probe [N]: as known, else by equation 5 from the readings; NaN if neither is available.
+    fraction: float  #: contact over length: known, else estimated; NaN if neither is available.
+    markers_base: Array  #: as measured [m], (m, 3).
+    markers_hat: Array  #: as estimated [m], (m, 3); empty without a shape.
+    markers_off: Array  #: estimated ones relative to the shape's axis [m], (m, 3).
+    shape_rms: float  #: equation 6 [m]; NaN without shape or markers.
+    reference_rms: float  #: contribution of the reference's own errors [m].
+    contact_base: Array | None  #: by the reference [m], (3,); None if not measured.
+    #: of the object, as stated or by the force, a key of `DIRECTIONS`; empty if neither is available.
     push_direction: str
-    predicted: float
-    contact_error: ContactError | None
-    readings: int
-    tares: int
+    predicted: float  #: error that `predict` states for such a touch [m]; NaN for weights, which it does not predict.
+    contact_error: ContactError | None  #: None if either side has no contact.
+    readings: int  #: number of readings.
+    tares: int  #: number of free tests that it was tared by.
+    #: whether the parameters of the frozen probe were identified from it, so that it proves nothing of them.
     served: bool = False
 
     @property

@@ -37,12 +37,6 @@ POINT = 72.0 / 0.0254  # points of a PDF page in a metre
 class Board:
     """A chessboard with ArUco markers in its white squares.
 
-    Attributes:
-        squares: number of columns and rows.
-        square: side of a square [m].
-        marker: side of a marker [m].
-        dictionary: name of its markers' dictionary in OpenCV.
-
     Raises:
         InputError: no such board exists.
 
@@ -50,10 +44,10 @@ class Board:
         occlusion, Pattern Recognition 47, 2014; the board is OpenCV's `aruco::CharucoBoard`.
     """
 
-    squares: tuple[int, int]
-    square: float
-    marker: float
-    dictionary: str
+    squares: tuple[int, int]  #: number of columns and rows.
+    square: float  #: side of a square [m].
+    marker: float  #: side of a marker [m].
+    dictionary: str  #: name of its markers' dictionary in OpenCV.
 
     def __post_init__(self) -> None:
         """Check the numbers against each other."""

@@ -40,62 +40,38 @@ INTRINSIC = (0, 1, 3, 4)
 
 @dataclass(frozen=True)
 class BoardView:
-    """Corners of one placement of the board in one camera's picture.
+    """Corners of one placement of the board in one camera's picture."""
 
-    Attributes:
-        placement: name of the placement.
-        camera: name of the camera.
-        numbers: of the corners, rows of `Board.corners`, (n,).
-        pixels: u, v [px], (n, 2).
-        size_px: width and height of the picture [px].
-    """
-
-    placement: str
-    camera: str
-    numbers: NDArray[np.intp]
-    pixels: Array
-    size_px: tuple[int, int]
+    placement: str  #: name of the placement.
+    camera: str  #: name of the camera.
+    numbers: NDArray[np.intp]  #: of the corners, rows of `Board.corners`, (n,).
+    pixels: Array  #: u, v [px], (n, 2).
+    size_px: tuple[int, int]  #: width and height of the picture [px].
 
 
 @dataclass(frozen=True)
 class RelativePose:
-    """Pose of a camera relative to another, as a calibration file states it.
+    """Pose of a camera relative to another, as a calibration file states it."""
 
-    Attributes:
-        camera, other: names.
-        T_camera_other: maps the other's axes into the camera's, (4, 4).
-        std_rad: standard deviation of its rotation about each axis [rad].
-        std_m: of its translation along each axis [m].
-    """
-
-    camera: str
+    camera: str  #: camera, other: names.
     other: str
-    T_camera_other: Array
-    std_rad: float
-    std_m: float
+    T_camera_other: Array  #: maps the other's axes into the camera's, (4, 4).
+    std_rad: float  #: standard deviation of its rotation about each axis [rad].
+    std_m: float  #: of its translation along each axis [m].
 
 
 @dataclass(frozen=True)
 class BundleProblem:
-    """What the cameras are fitted to.
+    """What the cameras are fitted to."""
 
-    Attributes:
-        board: in the pictures.
-        views: of it.
-        world: name of the placement whose pose is known.
-        T_world_board: its pose there, (4, 4).
-        scale_std: relative standard deviation of the printed squares' size.
-        stated: cameras with intrinsic parameters, `cov` and `std_px` of a calibration file, by name.
-        relative: stated poses between cameras.
-    """
-
-    board: Board
-    views: tuple[BoardView, ...]
-    world: str
-    T_world_board: Array
-    scale_std: float
+    board: Board  #: in the pictures.
+    views: tuple[BoardView, ...]  #: of it.
+    world: str  #: name of the placement whose pose is known.
+    T_world_board: Array  #: its pose there, (4, 4).
+    scale_std: float  #: relative standard deviation of the printed squares' size.
+    #: cameras with intrinsic parameters, `cov` and `std_px` of a calibration file, by name.
     stated: Mapping[str, Camera]
-    relative: tuple[RelativePose, ...]
+    relative: tuple[RelativePose, ...]  #: stated poses between cameras.
 
 
 @dataclass(frozen=True)
@@ -247,19 +223,12 @@ def _placed(problem: BundleProblem, cameras: Mapping[str, Camera]) -> _State:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Least squares for given noise and outliers.
+    """Least squares for given noise and outliers."""
 
-    Attributes:
-        problem: of it.
-        views: of the problem.
-        inside: corners of each view that are used.
-        std: standard deviation of a corner in each camera [px].
-    """
-
-    problem: BundleProblem
-    views: tuple[BoardView, ...]
-    inside: tuple[NDArray[np.bool_], ...]
-    std: Mapping[str, float]
+    problem: BundleProblem  #: of it.
+    views: tuple[BoardView, ...]  #: of the problem.
+    inside: tuple[NDArray[np.bool_], ...]  #: corners of each view that are used.
+    std: Mapping[str, float]  #: standard deviation of a corner in each camera [px].
 
     def residuals(self, state: _State, view: BoardView) -> Array:
         """Return pixels minus projections of one picture [px], (n, 2)."""

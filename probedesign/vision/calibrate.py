@@ -41,19 +41,12 @@ MAX_FOCAL_STD = 0.2
 
 @dataclass(frozen=True)
 class ControlPoints:
-    """Points of known position and their pixels in one picture.
+    """Points of known position and their pixels in one picture."""
 
-    Attributes:
-        camera: its name.
-        labels: names of the points (n,).
-        points_world: [m], (n, 3).
-        pixels: u right, v down [px], (n, 2).
-    """
-
-    camera: str
-    labels: tuple[str, ...]
-    points_world: Array
-    pixels: Array
+    camera: str  #: its name.
+    labels: tuple[str, ...]  #: names of the points (n,).
+    points_world: Array  #: [m], (n, 3).
+    pixels: Array  #: u right, v down [px], (n, 2).
 
     def subset(self, chosen: NDArray[np.bool_]) -> "ControlPoints":
         """Return some of the points."""

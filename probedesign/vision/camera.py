@@ -35,34 +35,25 @@ class Camera:
 
     Source: D. C. Brown, Decentering distortion of lenses, Photogrammetric Engineering 32, 1966; coefficients as in
         OpenCV.
-
-    Attributes:
-        name: of the camera.
-        K: focal lengths, skew and principal point [px], upper triangular, (3, 3).
-        R_camera_world: rotation into the camera's axes, (3, 3).
-        p_world: its centre [m], (3,).
-        distortion: the first d of the coefficients k1, k2, p1, p2, k3, (d,).
-        cov: covariance of the parameters, (11 + d, 11 + d); zero for an exactly known camera.
-        common: factor of the errors that cameras calibrated together have in common, (11 + d, q): the parameters err
-            by common @ z, with the same z of independent standard normals for all of them. q = 0 if the camera was
-            calibrated on its own.
-        size_px: width and height of its pictures [px]; None if not known.
-        std_px: standard deviation of a control point's coordinate in the picture, from the residuals [px].
-        residuals_px: pixels of the control points minus their projections [px], outliers included, (n, 2).
-        outliers: names of the control points that do not fit with the others and were left out.
     """
 
-    name: str
-    K: Array
-    R_camera_world: Array
-    p_world: Array
+    name: str  #: of the camera.
+    K: Array  #: focal lengths, skew and principal point [px], upper triangular, (3, 3).
+    R_camera_world: Array  #: rotation into the camera's axes, (3, 3).
+    p_world: Array  #: its centre [m], (3,).
+    #: the first d of the coefficients k1, k2, p1, p2, k3, (d,).
     distortion: Array = field(default_factory=lambda: np.zeros(0))
+    #: covariance of the parameters, (11 + d, 11 + d); zero for an exactly known camera.
     cov: Array = field(default_factory=lambda: np.zeros((LINEAR, LINEAR)))
+    #: factor of the errors that cameras calibrated together have in common, (11 + d, q): the parameters err by common @
+    #: z, with the same z of independent standard normals for all of them. q = 0 if the camera was calibrated on its
+    #: own.
     common: Array = field(default_factory=lambda: np.zeros((LINEAR, 0)))
-    size_px: tuple[int, int] | None = None
-    std_px: float = 0.0
+    size_px: tuple[int, int] | None = None  #: width and height of its pictures [px]; None if not known.
+    std_px: float = 0.0  #: standard deviation of a control point's coordinate in the picture, from the residuals [px].
+    #: pixels of the control points minus their projections [px], outliers included, (n, 2).
     residuals_px: Array = field(default_factory=lambda: np.zeros((0, 2)))
-    outliers: tuple[str, ...] = ()
+    outliers: tuple[str, ...] = ()  #: names of the control points that do not fit with the others and were left out.
 
     @classmethod
     def looking(

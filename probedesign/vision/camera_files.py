@@ -44,32 +44,20 @@ PINHOLE = {"plumb_bob", "radtan", "none"}
 
 @dataclass(frozen=True)
 class StatedCalibration:
-    """Cameras as their files state them.
+    """Cameras as their files state them."""
 
-    Attributes:
-        cameras: with covariance, in the order of their names.
-        in_world: whether their poses are those in the world; else they are meaningless.
-        relative: poses between cameras.
-        notes: lines for the user.
-    """
-
-    cameras: tuple[Camera, ...]
-    in_world: bool
-    relative: tuple[RelativePose, ...]
-    notes: tuple[str, ...]
+    cameras: tuple[Camera, ...]  #: with covariance, in the order of their names.
+    in_world: bool  #: whether their poses are those in the world; else they are meaningless.
+    relative: tuple[RelativePose, ...]  #: poses between cameras.
+    notes: tuple[str, ...]  #: lines for the user.
 
 
 @dataclass(frozen=True)
 class _Document:
-    """Contents of one or more files.
+    """Contents of one or more files."""
 
-    Attributes:
-        name: of the files, for messages.
-        values: by key.
-    """
-
-    name: str
-    values: Mapping[str, Any]
+    name: str  #: of the files, for messages.
+    values: Mapping[str, Any]  #: by key.
 
     def fail(self, problem: str) -> InputError:
         return InputError(f"{self.name}: {problem}")

@@ -46,17 +46,11 @@ SINK, SOFT, GROUND, INK = 5, 6, slice(8, 14), slice(14, 16)  # among the fitted 
 
 @dataclass(frozen=True)
 class DetectedSpots:
-    """Round spots of a photograph, darker or lighter than their surroundings.
+    """Round spots of a photograph, darker or lighter than their surroundings."""
 
-    Attributes:
-        pixels: centres, to about half a pixel [px], (n, 2).
-        diameter_px: (n,).
-        dark: whether they are darker.
-    """
-
-    pixels: Array
-    diameter_px: Array
-    dark: bool
+    pixels: Array  #: centres, to about half a pixel [px], (n, 2).
+    diameter_px: Array  #: (n,).
+    dark: bool  #: whether they are darker.
 
 
 def detect_spots(grey: NDArray[np.uint8], dark: bool) -> DetectedSpots:
@@ -82,17 +76,11 @@ def detect_spots(grey: NDArray[np.uint8], dark: bool) -> DetectedSpots:
 
 @dataclass(frozen=True)
 class Dot:
-    """A fitted dot.
+    """A fitted dot."""
 
-    Attributes:
-        pixel: centre of the dot on the probe's surface [px], (2,).
-        std_px: standard deviation of a coordinate [px].
-        shape: matrix M with |M (x - centre)| = 1 on its outline [1/px], symmetric, (2, 2).
-    """
-
-    pixel: Array
-    std_px: float
-    shape: Array
+    pixel: Array  #: centre of the dot on the probe's surface [px], (2,).
+    std_px: float  #: standard deviation of a coordinate [px].
+    shape: Array  #: matrix M with |M (x - centre)| = 1 on its outline [1/px], symmetric, (2, 2).
 
     @property
     def diameter_px(self) -> float:

@@ -85,30 +85,19 @@ def write_png(path: Path, picture: NDArray[np.uint8]) -> None:
 
 @dataclass(frozen=True)
 class MarkerSequence:
-    """Spots in a row.
+    """Spots in a row."""
 
-    Attributes:
-        chosen: which spots, first to last, (k,).
-        cost: sum of squared changes of steps and sizes along it.
-    """
-
-    chosen: tuple[int, ...]
-    cost: float = 0.0
+    chosen: tuple[int, ...]  #: which spots, first to last, (k,).
+    cost: float = 0.0  #: sum of squared changes of steps and sizes along it.
 
 
 @dataclass(frozen=True)
 class SequenceSearch:
-    """Beam search for the row of dots among spots.
+    """Beam search for the row of dots among spots."""
 
-    Attributes:
-        spots: of the photograph.
-        s: arclength of the dots, first to last [m], (m,).
-        base: the projected base [px], (2,), or the side of the picture nearer to it.
-    """
-
-    spots: DetectedSpots
-    s: Array
-    base: Array | ImageSide
+    spots: DetectedSpots  #: of the photograph.
+    s: Array  #: arclength of the dots, first to last [m], (m,).
+    base: Array | ImageSide  #: the projected base [px], (2,), or the side of the picture nearer to it.
 
     @cached_property
     def _steps(self) -> Array:
@@ -181,19 +170,12 @@ class SequenceSearch:
 
 @dataclass(frozen=True)
 class DetectedMarkers:
-    """Dots of a probe in one photograph.
+    """Dots of a probe in one photograph."""
 
-    Attributes:
-        pixels: centres from base to tip [px], (m, 2).
-        std_px: standard deviation of a coordinate of each [px], (m,).
-        dots: the fitted dots, (m,).
-        dark: whether they are darker than the probe.
-    """
-
-    pixels: Array
-    std_px: Array
-    dots: tuple[Dot, ...]
-    dark: bool
+    pixels: Array  #: centres from base to tip [px], (m, 2).
+    std_px: Array  #: standard deviation of a coordinate of each [px], (m,).
+    dots: tuple[Dot, ...]  #: the fitted dots, (m,).
+    dark: bool  #: whether they are darker than the probe.
 
 
 def find_markers(

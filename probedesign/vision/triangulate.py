@@ -27,19 +27,12 @@ _ITERATIONS = 10  # Gauss-Newton from the midpoint of the rays is exact to round
 
 @dataclass(frozen=True)
 class MarkerObservations:
-    """Pixels of markers in the pictures of several cameras.
+    """Pixels of markers in the pictures of several cameras."""
 
-    Attributes:
-        cameras: (c,).
-        labels: names of the markers (m,).
-        pixels: u, v [px], NaN where not seen, (c, m, 2).
-        std_px: standard deviation of a coordinate [px], (c, m).
-    """
-
-    cameras: tuple[Camera, ...]
-    labels: tuple[str, ...]
-    pixels: Array
-    std_px: Array
+    cameras: tuple[Camera, ...]  #: (c,).
+    labels: tuple[str, ...]  #: names of the markers (m,).
+    pixels: Array  #: u, v [px], NaN where not seen, (c, m, 2).
+    std_px: Array  #: standard deviation of a coordinate [px], (c, m).
 
     @property
     def mask(self) -> NDArray[np.bool_]:
@@ -49,21 +42,15 @@ class MarkerObservations:
 
 @dataclass(frozen=True)
 class Triangulated:
-    """Positions of markers in space.
+    """Positions of markers in space."""
 
-    Attributes:
-        p_world: [m], (m, 3).
-        cov_world: covariance of each, by the noise in the pictures and the cameras' calibration [m²], (m, 3, 3). The
-            calibration's share is common to all markers of these cameras.
-        cov_noise: by the noise alone, independent between markers [m²], (m, 3, 3).
-        residual_px: pixel minus projection [px], NaN where not seen, (c, m, 2).
-        agreement: χ² of the residuals per degree of freedom, near one if the stated standard deviations hold, (m,).
-    """
-
-    p_world: Array
+    p_world: Array  #: [m], (m, 3).
+    #: covariance of each, by the noise in the pictures and the cameras' calibration [m²], (m, 3, 3). The calibration's
+    #: share is common to all markers of these cameras.
     cov_world: Array
-    cov_noise: Array
-    residual_px: Array
+    cov_noise: Array  #: by the noise alone, independent between markers [m²], (m, 3, 3).
+    residual_px: Array  #: pixel minus projection [px], NaN where not seen, (c, m, 2).
+    #: χ² of the residuals per degree of freedom, near one if the stated standard deviations hold, (m,).
     agreement: Array
 
 

@@ -14,17 +14,11 @@ EXACT = Tolerances.none()
 
 
 class TrueTouch(NamedTuple):
-    """A converged touch with its first-order model.
+    """A converged touch with its first-order model."""
 
-    Attributes:
-        touch: unknowns, dead loads and tip, (TOUCH,).
-        lin: linearisation, (ROWS, 1 + 5 + 7 + K).
-        D: change of wrench, touched and centreline point by one standard deviation of each error source, (12, J).
-    """
-
-    touch: Array
-    lin: Array
-    D: Array
+    touch: Array  #: unknowns, dead loads and tip, (TOUCH,).
+    lin: Array  #: linearisation, (ROWS, 1 + 5 + 7 + K).
+    D: Array  #: change of wrench, touched and centreline point by one standard deviation of each error source, (12, J).
 
     @property
     def wrench(self) -> Array:

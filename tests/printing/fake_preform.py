@@ -84,8 +84,8 @@ class FakePreForm:
     Attributes:
         diary: every request as (method, path without ids, body).
         scenes: that it holds.
-        faults: by the last part of a path, what to do instead of answering: a function of the handler that
-            returns whether it has answered.
+        faults: by the last part of a path, what to do instead of answering: a function of the handler that returns
+            whether it has answered.
         failing: by the last part of a path, an error with which its operation ends.
         validation: result of print validation for each model.
         polls: how often an operation is asked before it is done.

@@ -51,34 +51,20 @@ CONVERGED = 1e-10
 
 @dataclass(frozen=True)
 class Touches:
-    """Solved touches, one per row; rows that are not `ok` are NaN.
+    """Solved touches, one per row; rows that are not `ok` are NaN."""
 
-    Attributes:
-        ok: whether the solution converged and is stable under the force as a dead load, (n,).
-        s, phi: place of the touch, arclength [m] and angle about the section [rad], (n,).
-        force: on the probe in base axes [N], (n, 3).
-        surface_force: components of the force along inward normal, circumference and length [N], (n, 3).
-        wrench: of the probe on its mount about the base's origin [N, N·m], (n, 6).
-        p_surface: touched point of the surface, base axes [m], (n, 3).
-        p_centre: centre of the touched section [m], (n, 3).
-        frame: columns inward normal, circumferential and along the surface, (n, 3, 3).
-        R: orientation of the touched section, (n, 3, 3).
-        tip: quaternion of the tip's section (w, x, y, z), the initial value for a neighbouring touch, (n, 4).
-        residual: largest residual [rad or lengths of the rod], (n,).
-    """
-
-    ok: Array
-    s: Array
+    ok: Array  #: whether the solution converged and is stable under the force as a dead load, (n,).
+    s: Array  #: s, phi: place of the touch, arclength [m] and angle about the section [rad], (n,).
     phi: Array
-    force: Array
-    surface_force: Array
-    wrench: Array
-    p_surface: Array
-    p_centre: Array
-    frame: Array
-    R: Array
-    tip: Array
-    residual: Array
+    force: Array  #: on the probe in base axes [N], (n, 3).
+    surface_force: Array  #: components of the force along inward normal, circumference and length [N], (n, 3).
+    wrench: Array  #: of the probe on its mount about the base's origin [N, N·m], (n, 6).
+    p_surface: Array  #: touched point of the surface, base axes [m], (n, 3).
+    p_centre: Array  #: centre of the touched section [m], (n, 3).
+    frame: Array  #: columns inward normal, circumferential and along the surface, (n, 3, 3).
+    R: Array  #: orientation of the touched section, (n, 3, 3).
+    tip: Array  #: quaternion of the tip's section (w, x, y, z), the initial value for a neighbouring touch, (n, 4).
+    residual: Array  #: largest residual [rad or lengths of the rod], (n,).
 
     def take(self, rows: ArrayLike) -> "Touches":
         """Return the touches of the given rows, which may repeat."""

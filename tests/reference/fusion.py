@@ -19,70 +19,43 @@ WRENCH, POINT, CENTRE = slice(0, 6), slice(6, 9), slice(9, 12)
 
 @dataclass(frozen=True)
 class LinearPose:
-    """Linearised reading at one pose.
+    """Linearised reading at one pose."""
 
-    Attributes:
-        lin: values and derivatives by the touch, (12, 6). For a reading without contact the first column has the wrench
-            of the free probe and the derivatives are ignored.
-        D: error columns, (12, J).
-        ratios: friction ratios at the linearisation point, (2,).
-        wrench: measured at the base, (6,).
-        T: pose of the base, (4, 4).
-        whiten: whitening matrix of the channels, (m, m).
-        ramp: progress of creep, 0 to 1.
-        touched: whether there was contact.
-    """
-
+    #: values and derivatives by the touch, (12, 6). For a reading without contact the first column has the wrench of
+    #: the free probe and the derivatives are ignored.
     lin: Array
-    D: Array
-    ratios: Array
-    wrench: Array
-    T: Array
-    whiten: Array
-    ramp: float
-    touched: bool
+    D: Array  #: error columns, (12, J).
+    ratios: Array  #: friction ratios at the linearisation point, (2,).
+    wrench: Array  #: measured at the base, (6,).
+    T: Array  #: pose of the base, (4, 4).
+    whiten: Array  #: whitening matrix of the channels, (m, m).
+    ramp: float  #: progress of creep, 0 to 1.
+    touched: bool  #: whether there was contact.
 
 
 class Priors(NamedTuple):
-    """Priors and channels of all rows.
+    """Priors and channels of all rows."""
 
-    Attributes:
-        channels: map of the base wrench to the channels, (m, 6).
-        bias: map of the bias in steps to the channels, (m, 6).
-        friction: standard deviation of the friction ratio; inf for none.
-        common_friction: share of its variance that is common to all touches.
-        robot: standard deviation of the base position at each pose [m].
-        start, walk: standard deviations of the bias at the first reading and of its steps [steps].
-        scatter, creep: columns of D that are independent at each touch, and that grow by the ramp; -1 for none.
-    """
-
-    channels: Array
-    bias: Array
-    friction: float
-    common_friction: float
-    robot: float
-    start: float
+    channels: Array  #: map of the base wrench to the channels, (m, 6).
+    bias: Array  #: map of the bias in steps to the channels, (m, 6).
+    friction: float  #: standard deviation of the friction ratio; inf for none.
+    common_friction: float  #: share of its variance that is common to all touches.
+    robot: float  #: standard deviation of the base position at each pose [m].
+    start: float  #: start, walk: standard deviations of the bias at the first reading and of its steps [steps].
     walk: float
+    #: scatter, creep: columns of D that are independent at each touch, and that grow by the ramp; -1 for none.
     scatter: int
     creep: int
 
 
 class DenseSolution(NamedTuple):
-    """Least-squares solution.
+    """Least-squares solution."""
 
-    Attributes:
-        x: X, m, common friction and the bias of the last reading, (3 + J + 2 + 6,), as `solve_reduced` has them.
-        cov: covariance of X, (3, 3).
-        chi2: minimum of χ², including the priors.
-        own: change of the touch and stiffness at each pose, (k, 6); NaN without contact.
-        centre, cov_centre: mean of the centreline points in the world (3,) and its covariance (3, 3).
-    """
-
-    x: Array
-    cov: Array
-    chi2: float
-    own: Array
-    centre: Array
+    x: Array  #: X, m, common friction and the bias of the last reading, (3 + J + 2 + 6,), as `solve_reduced` has them.
+    cov: Array  #: covariance of X, (3, 3).
+    chi2: float  #: minimum of χ², including the priors.
+    own: Array  #: change of the touch and stiffness at each pose, (k, 6); NaN without contact.
+    centre: Array  #: centre, cov_centre: mean of the centreline points in the world (3,) and its covariance (3, 3).
     cov_centre: Array
 
 

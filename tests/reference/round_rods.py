@@ -22,24 +22,16 @@ C4, C5 = 0.369, 0.374
 
 @dataclass(frozen=True)
 class Probes:
-    """n straight rods with solid round sections and equal numbers of knots.
+    """n straight rods with solid round sections and equal numbers of knots."""
 
-    Attributes:
-        s: arclengths of the knots [m], (K, n).
-        radius: radii at the knots [m], (K, n).
-        E, G, density, shear: Young's and shear modulus [Pa], density [kg/m³] and shear coefficient, (n,).
-        missing: missing bending compliance of the root as a length of rigid rod [m], (n,).
-        finite: 1 with finite strain, 0 without, (n,).
-    """
-
-    s: Array
-    radius: Array
-    E: Array
+    s: Array  #: arclengths of the knots [m], (K, n).
+    radius: Array  #: radii at the knots [m], (K, n).
+    E: Array  #: E, G, density, shear: Young's and shear modulus [Pa], density [kg/m³] and shear coefficient, (n,).
     G: Array
     density: Array
     shear: Array
-    missing: Array
-    finite: Array
+    missing: Array  #: missing bending compliance of the root as a length of rigid rod [m], (n,).
+    finite: Array  #: 1 with finite strain, 0 without, (n,).
 
     @classmethod
     def of(cls, rods: Rod | Sequence[Rod]) -> "Probes":
@@ -112,24 +104,15 @@ class Probes:
 
 @dataclass
 class Load:
-    """Loads of n rods; vectors have their components first.
+    """Loads of n rods; vectors have their components first."""
 
-    Attributes:
-        gravity: in base axes [m/s²], (3, n).
-        s, phi: place of the force, arclength [m] and angle [rad], (n,).
-        force: in base axes, or in the frame of the surface if `local` [N], (3, n).
-        couple: additional dead couple at s [N·m], (3, n).
-        arm: 1 if the force acts on the surface, 0 if on the centreline, (n,).
-        local: whether the force is in the frame of the surface.
-    """
-
-    gravity: Array
-    s: Array
+    gravity: Array  #: in base axes [m/s²], (3, n).
+    s: Array  #: s, phi: place of the force, arclength [m] and angle [rad], (n,).
     phi: Array
-    force: Array
-    couple: Array
-    arm: Array
-    local: bool
+    force: Array  #: in base axes, or in the frame of the surface if `local` [N], (3, n).
+    couple: Array  #: additional dead couple at s [N·m], (3, n).
+    arm: Array  #: 1 if the force acts on the surface, 0 if on the centreline, (n,).
+    local: bool  #: whether the force is in the frame of the surface.
 
 
 @dataclass

@@ -48,25 +48,15 @@ class ShootingLoad:
 
 @dataclass(frozen=True)
 class ShootingEquilibrium:
-    """The bent rod at arclengths s, in base axes.
+    """The bent rod at arclengths s, in base axes."""
 
-    Attributes:
-        s: [m], (k,).
-        p: centreline [m], (k, 3).
-        R: sections' axes as columns, (k, 3, 3).
-        n: internal force [N], (k, 3); at s_contact itself the force is counted.
-        m: internal moment [N·m], (k, 3).
-        wrench_base: what the rod does to its mount [N, N·m], (6,).
-        misfit: what is left of the moment's condition at the tip [N·m].
-    """
-
-    s: Array
-    p: Array
-    R: Array
-    n: Array
-    m: Array
-    wrench_base: Array
-    misfit: float
+    s: Array  #: [m], (k,).
+    p: Array  #: centreline [m], (k, 3).
+    R: Array  #: sections' axes as columns, (k, 3, 3).
+    n: Array  #: internal force [N], (k, 3); at s_contact itself the force is counted.
+    m: Array  #: internal moment [N·m], (k, 3).
+    wrench_base: Array  #: what the rod does to its mount [N, N·m], (6,).
+    misfit: float  #: what is left of the moment's condition at the tip [N·m].
 
 
 def solve_by_shooting(

@@ -11,43 +11,26 @@ from probedesign.live.processing.estimates import EstimateUpdate
 
 @dataclass(frozen=True)
 class BentShape:
-    """The bent centreline at the nodes of its solution.
+    """The bent centreline at the nodes of its solution."""
 
-    Attributes:
-        s: arclengths, base to tip [m], (k,).
-        p_base: points [m], (k, 3).
-        R_base: section frames with columns x, y and tangent, (k, 3, 3).
-    """
-
-    s: Array
-    p_base: Array
-    R_base: Array
+    s: Array  #: arclengths, base to tip [m], (k,).
+    p_base: Array  #: points [m], (k, 3).
+    R_base: Array  #: section frames with columns x, y and tangent, (k, 3, 3).
 
 
 @dataclass(frozen=True)
 class ContactMarker:
-    """A located contact.
+    """A located contact."""
 
-    Attributes:
-        p_surface: touched point [m], (3,).
-        cov: its covariance [m²], (3, 3).
-        force: force of the object on the probe [N], (3,).
-        s, std_s: arclength and its standard deviation [m].
-        in_world: whether all this is in the world frame; otherwise in the base frame.
-        time: time by the source's clock [s].
-        number: number of the touch, from 1.
-        friction_ratio: tangential over normal force; NaN if unknown.
-    """
-
-    p_surface: Array
-    cov: Array
-    force: Array
-    s: float
+    p_surface: Array  #: touched point [m], (3,).
+    cov: Array  #: its covariance [m²], (3, 3).
+    force: Array  #: force of the object on the probe [N], (3,).
+    s: float  #: s, std_s: arclength and its standard deviation [m].
     std_s: float
-    in_world: bool
-    time: float
-    number: int
-    friction_ratio: float = float("nan")
+    in_world: bool  #: whether all this is in the world frame; otherwise in the base frame.
+    time: float  #: time by the source's clock [s].
+    number: int  #: number of the touch, from 1.
+    friction_ratio: float = float("nan")  #: tangential over normal force; NaN if unknown.
 
 
 RINGS, SIDES = 72, 36
@@ -56,21 +39,13 @@ RINGS, SIDES = 72, 36
 
 @dataclass(frozen=True)
 class TubeMesh:
-    """Closed mesh of a round or flattened probe around its bent centreline.
+    """Closed mesh of a round or flattened probe around its bent centreline."""
 
-    Attributes:
-        s: arclengths of the knots [m], (k,).
-        radius: half-width along the section's x axis at the knots, linear in between [m], (k,).
-        flatness: half-width along y divided by that along x.
-        rings: number of uniform rings; up to as many more are at knots of the radius.
-        sides: number of corners of a ring.
-    """
-
-    s: Array
-    radius: Array
-    flatness: float = 1.0
-    rings: int = RINGS
-    sides: int = SIDES
+    s: Array  #: arclengths of the knots [m], (k,).
+    radius: Array  #: half-width along the section's x axis at the knots, linear in between [m], (k,).
+    flatness: float = 1.0  #: half-width along y divided by that along x.
+    rings: int = RINGS  #: number of uniform rings; up to as many more are at knots of the radius.
+    sides: int = SIDES  #: number of corners of a ring.
 
     @cached_property
     def stations(self) -> Array:

@@ -22,31 +22,18 @@ from probedesign.live.view.sinks import BrowserView, TerminalView
 
 @dataclass(frozen=True)
 class OutputOptions:
-    """Outputs that the user selected.
+    """Outputs that the user selected."""
 
-    Attributes:
-        record: file to record to; None records nothing until it is requested during the run.
-        force: whether that file may be replaced.
-        publish: udp://HOST:PORT to which estimates are sent, or ros2://HOST:PORT of a node.
-        page: host and port of the page in the browser.
-        terminal: whether a live table is shown on the terminal.
-        parts_folder: folder of the exported parts, which the page shows.
-        metadata: options of the run, stored in the recording.
-        split: when a recording continues in a new file.
-        foxglove: host and port of the Foxglove server; None serves none.
-        open_browser: whether the page is shown in the user's browser.
-    """
-
-    record: Path | None
-    force: bool
-    publish: str | None
-    page: tuple[str, int] | None
-    terminal: bool
-    parts_folder: Path
-    metadata: Mapping[str, str]
-    split: SplitLimits = field(default_factory=SplitLimits)
-    foxglove: tuple[str, int] | None = None
-    open_browser: bool = False
+    record: Path | None  #: file to record to; None records nothing until it is requested during the run.
+    force: bool  #: whether that file may be replaced.
+    publish: str | None  #: udp://HOST:PORT to which estimates are sent, or ros2://HOST:PORT of a node.
+    page: tuple[str, int] | None  #: host and port of the page in the browser.
+    terminal: bool  #: whether a live table is shown on the terminal.
+    parts_folder: Path  #: folder of the exported parts, which the page shows.
+    metadata: Mapping[str, str]  #: options of the run, stored in the recording.
+    split: SplitLimits = field(default_factory=SplitLimits)  #: when a recording continues in a new file.
+    foxglove: tuple[str, int] | None = None  #: host and port of the Foxglove server; None serves none.
+    open_browser: bool = False  #: whether the page is shown in the user's browser.
 
     def check(self, source: str) -> None:
         """Refuse to replace an existing file unasked, or to replace the recording that is replayed.

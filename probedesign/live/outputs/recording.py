@@ -223,15 +223,10 @@ def open_recording_file(
 
 @dataclass(frozen=True)
 class SplitLimits:
-    """When a recording continues in a new file.
+    """When a recording continues in a new file."""
 
-    Attributes:
-        size: length of a file [bytes].
-        duration: duration of a file [s], by the computer's clock.
-    """
-
-    size: float = math.inf
-    duration: float = math.inf
+    size: float = math.inf  #: length of a file [bytes].
+    duration: float = math.inf  #: duration of a file [s], by the computer's clock.
 
     @classmethod
     def of_options(cls, megabytes: float | None, minutes: float | None) -> "SplitLimits":

@@ -36,7 +36,8 @@ class BasePoses:
         gravity_world: gravity vector in the world [m/s²], (3,).
         latency: delay of a pose's time stamp relative to a reading of the same instant [s].
         track: the poses by the wrench's clock, corrected for latency.
-        on_pose: callback for each pose, once and in order, as the readings reach it; a recording needs them for replay.
+        on_pose: callback for each pose, once and in order, as the readings reach it; a recording needs them for
+            replay.
     """
 
     def __init__(
@@ -218,12 +219,9 @@ class LatencyCheck:
     base's travel along its principal direction and the wrench along its own are compared with a time shift; the shift
     at which a parabola of the travel fits the wrench best is the remaining latency. The probe is assumed to follow
     without delay; a soft probe that creeps looks like poses that are early.
-
-    Attributes:
-        whiten: whitening matrix of one reading, (6, 6).
     """
 
-    whiten: Array
+    whiten: Array  #: whitening matrix of one reading, (6, 6).
     _readings: deque[tuple[float, Array, Array]] = field(default_factory=lambda: deque(maxlen=MAX_READINGS))
 
     def add(self, time: float, p_world_base: Array, wrench: Array) -> None:

@@ -101,15 +101,10 @@ def _lines(path: Path) -> list[tuple[int, str]]:
 
 
 class PoseStream(Protocol):
-    """Poses of the base that arrive during the run, by the robot's clock.
+    """Poses of the base that arrive during the run, by the robot's clock."""
 
-    Attributes:
-        title: one line that describes the poses.
-        notes: notes for the user, one line each.
-    """
-
-    title: str
-    notes: tuple[str, ...]
+    title: str  #: one line that describes the poses.
+    notes: tuple[str, ...]  #: notes for the user, one line each.
 
     def pop(self) -> list[tuple[float, TimedPose, int]]:
         """Return the poses since the last call.

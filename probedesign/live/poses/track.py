@@ -20,17 +20,11 @@ MAX_TIME = 1e11
 
 @dataclass(frozen=True)
 class TimedPose:
-    """Pose of the base at one time.
+    """Pose of the base at one time."""
 
-    Attributes:
-        time: time by any clock [s].
-        p: origin of the base in the world [m], three numbers.
-        q: orientation as a quaternion x, y, z, w, as received.
-    """
-
-    time: float
-    p: tuple[float, ...]
-    q: tuple[float, ...]
+    time: float  #: time by any clock [s].
+    p: tuple[float, ...]  #: origin of the base in the world [m], three numbers.
+    q: tuple[float, ...]  #: orientation as a quaternion x, y, z, w, as received.
 
 
 def timed_pose(time: float, p: Sequence[float], q: Sequence[float]) -> TimedPose:
@@ -107,15 +101,10 @@ MAX_POSES = 20_000
 
 @dataclass
 class PoseTrack:
-    """Poses of the base by one clock, with interpolation between them; never extrapolated.
+    """Poses of the base by one clock, with interpolation between them; never extrapolated."""
 
-    Attributes:
-        max_gap: maximum interval between neighbours that are interpolated [s].
-        max_poses: maximum number of poses that are kept.
-    """
-
-    max_gap: float = MAX_GAP
-    max_poses: float = math.inf
+    max_gap: float = MAX_GAP  #: maximum interval between neighbours that are interpolated [s].
+    max_poses: float = math.inf  #: maximum number of poses that are kept.
     _poses: list[TimedPose] = field(default_factory=list, repr=False)
     _times: list[float] = field(default_factory=list, repr=False)
 

@@ -16,19 +16,12 @@ from probedesign.core.frames import Array
 
 
 class TrueContact(NamedTuple):
-    """The true contact of a simulation; NaN while nothing touches.
+    """The true contact of a simulation; NaN while nothing touches."""
 
-    Attributes:
-        s_contact: arclength of the contact [m].
-        p_contact_base: contact point on the centreline [m], (3,).
-        force_base: force of the object on the probe [N], (3,).
-        p_surface_base: touched point of the surface [m], (3,).
-    """
-
-    s_contact: float
-    p_contact_base: Array
-    force_base: Array
-    p_surface_base: Array
+    s_contact: float  #: arclength of the contact [m].
+    p_contact_base: Array  #: contact point on the centreline [m], (3,).
+    force_base: Array  #: force of the object on the probe [N], (3,).
+    p_surface_base: Array  #: touched point of the surface [m], (3,).
 
 
 NO_CONTACT = TrueContact(float("nan"), np.full(3, np.nan), np.full(3, np.nan), np.full(3, np.nan))
@@ -37,24 +30,15 @@ NO_CONTACT = TrueContact(float("nan"), np.full(3, np.nan), np.full(3, np.nan), n
 
 @dataclass(frozen=True)
 class WrenchReading:
-    """One reading of the wrench sensor, raw or averaged.
+    """One reading of the wrench sensor, raw or averaged."""
 
-    Attributes:
-        time: time by the source's clock [s].
-        wrench_sensor: wrench in the sensor frame, bias included [N, N·m], (6,).
-        gravity_base: gravity vector in base axes [m/s²], (3,).
-        truth: the true contact, if the source provides it.
-        fault: description of a sensor fault; a reading with a fault is treated as out of range.
-        stretch: number of the uninterrupted stretch of readings; averages never span two stretches.
-        received: arrival time by `time.monotonic` [s]; NaN if the reading was not received from hardware.
-    """
-
-    time: float
-    wrench_sensor: Array
-    gravity_base: Array
-    truth: TrueContact | None = None
-    fault: str = ""
-    stretch: int = 0
+    time: float  #: time by the source's clock [s].
+    wrench_sensor: Array  #: wrench in the sensor frame, bias included [N, N·m], (6,).
+    gravity_base: Array  #: gravity vector in base axes [m/s²], (3,).
+    truth: TrueContact | None = None  #: the true contact, if the source provides it.
+    fault: str = ""  #: description of a sensor fault; a reading with a fault is treated as out of range.
+    stretch: int = 0  #: number of the uninterrupted stretch of readings; averages never span two stretches.
+    #: arrival time by `time.monotonic` [s]; NaN if the reading was not received from hardware.
     received: float = float("nan")
 
 
@@ -63,23 +47,15 @@ class Block:
     """n consecutive readings of one stretch, with one gravity vector and one fault or none.
 
     A block without readings reports that the sensor is silent; `fault` gives the reason.
-
-    Attributes:
-        time: times by the source's clock [s], (n,).
-        wrench_sensor: wrenches in the sensor frame, bias included [N, N·m], (n, 6).
-        gravity_base: gravity vector in base axes [m/s²], (3,).
-        received: arrival times by `time.monotonic` [s], (n,); NaN if not received from hardware.
-        fault: description of a fault that affects all of them; they are treated as out of range.
-        stretch: number of the uninterrupted stretch of readings.
-        truths: the true contact of each reading, if the source provides it; otherwise empty.
     """
 
-    time: Array
-    wrench_sensor: Array
-    gravity_base: Array
-    received: Array
-    fault: str = ""
-    stretch: int = 0
+    time: Array  #: times by the source's clock [s], (n,).
+    wrench_sensor: Array  #: wrenches in the sensor frame, bias included [N, N·m], (n, 6).
+    gravity_base: Array  #: gravity vector in base axes [m/s²], (3,).
+    received: Array  #: arrival times by `time.monotonic` [s], (n,); NaN if not received from hardware.
+    fault: str = ""  #: description of a fault that affects all of them; they are treated as out of range.
+    stretch: int = 0  #: number of the uninterrupted stretch of readings.
+    #: the true contact of each reading, if the source provides it; otherwise empty.
     truths: tuple[TrueContact, ...] = ()
 
     def __len__(self) -> int:

@@ -46,19 +46,12 @@ class TareWindow:
 
 @dataclass(frozen=True)
 class Tare:
-    """A sensor bias and the readings it was estimated from.
+    """A sensor bias and the readings it was estimated from."""
 
-    Attributes:
-        bias_sensor: bias to subtract from every reading, in the sensor frame [N, N·m], (6,).
-        readings: number of readings.
-        window: the window.
-        time: time of the last reading, by the source's clock [s].
-    """
-
-    bias_sensor: Array
-    readings: int
-    window: TareWindow
-    time: float
+    bias_sensor: Array  #: bias to subtract from every reading, in the sensor frame [N, N·m], (6,).
+    readings: int  #: number of readings.
+    window: TareWindow  #: the window.
+    time: float  #: time of the last reading, by the source's clock [s].
 
 
 class TareCollector:
@@ -245,31 +238,21 @@ def describe_tare(tare: Tare) -> str:
 
 @dataclass(frozen=True)
 class ProcessingOptions:
-    """Options for processing the readings of a source.
+    """Options for processing the readings of a source."""
 
-    Attributes:
-        window: window of the tare, in which the probe is free; None: see `zero`.
-        samples: number of readings averaged to one; None: as the noise of the first readings and their rate require.
-        rate: maximum number of estimates per second of the source's clock [Hz].
-        count: end after this many estimates.
-        seconds: end this long after the first reading [s].
-        filter_hz: cut-off frequency of the low-pass filter before each estimate; None does not filter.
-        method: method by which a single reading is located.
-        zero: zero of the sensor that is used without a tare window.
-        touches: whether touches are reported, and fused where poses are known.
-        estimates: whether contacts are located as readings arrive; otherwise only phases and touches are reported.
-    """
-
-    window: TareWindow | None = None
+    window: TareWindow | None = None  #: window of the tare, in which the probe is free; None: see `zero`.
+    #: number of readings averaged to one; None: as the noise of the first readings and their rate require.
     samples: int | None = 1
-    rate: float = math.inf
-    count: int | None = None
-    seconds: float | None = None
+    rate: float = math.inf  #: maximum number of estimates per second of the source's clock [Hz].
+    count: int | None = None  #: end after this many estimates.
+    seconds: float | None = None  #: end this long after the first reading [s].
+    #: cut-off frequency of the low-pass filter before each estimate; None does not filter.
     filter_hz: float | None = None
+    #: whether contacts are located as readings arrive; otherwise only phases and touches are reported.
     estimates: bool = True
-    method: Method = "ml"
-    zero: Zero = "checked"
-    touches: bool = True
+    method: Method = "ml"  #: method by which a single reading is located.
+    zero: Zero = "checked"  #: zero of the sensor that is used without a tare window.
+    touches: bool = True  #: whether touches are reported, and fused where poses are known.
 
     def __post_init__(self) -> None:
         """Check the numbers; raises InputError if one is not positive."""

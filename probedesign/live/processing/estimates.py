@@ -24,30 +24,19 @@ for _shared in (UNKNOWN_POSE, UNKNOWN_WRENCH, NO_DRIFT):
 
 @dataclass(frozen=True)
 class EstimateUpdate:
-    """One estimate and the state of the run at its time.
+    """One estimate and the state of the run at its time."""
 
-    Attributes:
-        reading: the averaged reading that was located, bias included.
-        estimate: estimate from this reading alone, in the base frame.
-        phase: phase of the touch: free, moving, touching, settled or released; empty if not monitored.
-        fused: touched point from all readings of this touch; None without fusion.
-        T_world_base: pose of the base, (4, 4); NaN if unknown.
-        wrench_base: wrench at the base without bias [N, N·m], (6,); NaN for a reading with a fault.
-        drift_base: drift of the bias since the tare, which `wrench_base` does not contain either [N, N·m], (6,).
-        computed: time at which the estimate was available, by `time.monotonic` [s].
-        stale: input that is too old or missing: "pose", or empty.
-        contacts: every touch so far, including the current one.
-    """
-
-    reading: WrenchReading
-    estimate: Estimate
-    phase: Phase = ""
-    fused: FusedEstimate | None = None
-    T_world_base: Array = field(default_factory=UNKNOWN_POSE.copy)
+    reading: WrenchReading  #: the averaged reading that was located, bias included.
+    estimate: Estimate  #: estimate from this reading alone, in the base frame.
+    phase: Phase = ""  #: phase of the touch: free, moving, touching, settled or released; empty if not monitored.
+    fused: FusedEstimate | None = None  #: touched point from all readings of this touch; None without fusion.
+    T_world_base: Array = field(default_factory=UNKNOWN_POSE.copy)  #: pose of the base, (4, 4); NaN if unknown.
+    #: wrench at the base without bias [N, N·m], (6,); NaN for a reading with a fault.
     wrench_base: Array = field(default_factory=UNKNOWN_WRENCH.copy)
-    computed: float = float("nan")
-    stale: str = ""
-    contacts: tuple[Contact, ...] = ()
+    computed: float = float("nan")  #: time at which the estimate was available, by `time.monotonic` [s].
+    stale: str = ""  #: input that is too old or missing: "pose", or empty.
+    contacts: tuple[Contact, ...] = ()  #: every touch so far, including the current one.
+    #: drift of the bias since the tare, which `wrench_base` does not contain either [N, N·m], (6,).
     drift_base: Array = field(default_factory=NO_DRIFT.copy)
 
 

@@ -151,25 +151,16 @@ MAX_CONTACTS = 1000
 
 @dataclass(frozen=True)
 class Contact:
-    """One touch.
+    """One touch."""
 
-    Attributes:
-        number: number of the touch, from 1.
-        start: time of detection [s].
-        end: time at which contact was lost [s]; NaN while it lasts.
-        settled: whether readings and base were stationary at any time during the touch.
-        fused: fused estimate, the last one while settled, or the last one of all if the touch never settled.
-        estimate: last located single-reading estimate, of settled readings if there are any.
-        refused: whether the poses of the base contradict the touch: then it has no point in the world.
-    """
-
-    number: int
-    start: float
-    end: float = math.nan
-    settled: bool = False
+    number: int  #: number of the touch, from 1.
+    start: float  #: time of detection [s].
+    end: float = math.nan  #: time at which contact was lost [s]; NaN while it lasts.
+    settled: bool = False  #: whether readings and base were stationary at any time during the touch.
+    #: fused estimate, the last one while settled, or the last one of all if the touch never settled.
     fused: FusedEstimate | None = None
-    estimate: Estimate | None = None
-    refused: bool = False
+    estimate: Estimate | None = None  #: last located single-reading estimate, of settled readings if there are any.
+    refused: bool = False  #: whether the poses of the base contradict the touch: then it has no point in the world.
 
     @property
     def ongoing(self) -> bool:

@@ -58,29 +58,17 @@ GAP = 1.5
 
 @dataclass(frozen=True)
 class Recording:
-    """Readings of a recording, in SI units.
+    """Readings of a recording, in SI units."""
 
-    Attributes:
-        time: time of each sample [s], (n,), not decreasing.
-        wrench: wrenches [N, N·m], (n, 6), about the origin and in the axes of `frame`.
-        frame: "sensor" or "base".
-        gravity_base: gravity vector in base axes [m/s²], (n, 3), if the file contains it.
-        gaps: number of intervals longer than 1.5 median intervals.
-        missing_samples: number of samples missing in the gaps.
-        dropped_lines: number of dropped lines: an incomplete line at the end.
-        notes: notes for the user about the above, one line each.
-        faults: fault of each reading, (n,), empty if none; empty if the file has no such column.
-    """
-
-    time: Array
-    wrench: Array
-    frame: Frame = "sensor"
-    gravity_base: Array | None = None
-    gaps: int = 0
-    missing_samples: int = 0
-    dropped_lines: int = 0
-    notes: tuple[str, ...] = ()
-    faults: tuple[str, ...] = ()
+    time: Array  #: time of each sample [s], (n,), not decreasing.
+    wrench: Array  #: wrenches [N, N·m], (n, 6), about the origin and in the axes of `frame`.
+    frame: Frame = "sensor"  #: "sensor" or "base".
+    gravity_base: Array | None = None  #: gravity vector in base axes [m/s²], (n, 3), if the file contains it.
+    gaps: int = 0  #: number of intervals longer than 1.5 median intervals.
+    missing_samples: int = 0  #: number of samples missing in the gaps.
+    dropped_lines: int = 0  #: number of dropped lines: an incomplete line at the end.
+    notes: tuple[str, ...] = ()  #: notes for the user about the above, one line each.
+    faults: tuple[str, ...] = ()  #: fault of each reading, (n,), empty if none; empty if the file has no such column.
 
 
 def read_recording(path: str | Path) -> Recording:

@@ -170,19 +170,12 @@ class McapBag:
 
 @dataclass(frozen=True)
 class RecoveryResult:
-    """Result of a recovery.
+    """Result of a recovery."""
 
-    Attributes:
-        path: path of the new file; None if the old file is not damaged.
-        messages: number of messages.
-        seconds: time from the first to the last message [s].
-        damage: description of the damage of the old file.
-    """
-
-    path: Path | None
-    messages: int
-    seconds: float
-    damage: str
+    path: Path | None  #: path of the new file; None if the old file is not damaged.
+    messages: int  #: number of messages.
+    seconds: float  #: time from the first to the last message [s].
+    damage: str  #: description of the damage of the old file.
 
 
 class _RecordCopier:

@@ -320,18 +320,12 @@ CLOCK_NAME, OFFSET_KEY = "probedesign_clock", "wall_minus_source_ns"
 
 @dataclass(frozen=True, eq=False)
 class Topic:
-    """A topic of our recordings.
+    """A topic of our recordings."""
 
-    Attributes:
-        name: name in ROS.
-        type: type of its messages.
-        schema: JSON Schema of the JSON in its strings; empty for other messages.
-        latched: whether a subscriber receives the last message even if it was sent before (transient local).
-    """
-
-    name: str
-    type: str
-    schema: dict[str, Any]
+    name: str  #: name in ROS.
+    type: str  #: type of its messages.
+    schema: dict[str, Any]  #: JSON Schema of the JSON in its strings; empty for other messages.
+    #: whether a subscriber receives the last message even if it was sent before (transient local).
     latched: bool = False
 
     @property

@@ -54,19 +54,12 @@ MAX_CONDITION = 100.0
 
 @dataclass(frozen=True)
 class GaugeCalibration:
-    """Calibration of one sensor.
+    """Calibration of one sensor."""
 
-    Attributes:
-        serial: serial number of the sensor.
-        part: name of the calibration, as SI-12-0.12.
-        matrix: wrench [N, N·m] per gauge voltage, about the centre of the tool face, (6, 6).
-        ranges: range of each channel [N, N·m], (6,).
-    """
-
-    serial: str
-    part: str
-    matrix: Array
-    ranges: Array
+    serial: str  #: serial number of the sensor.
+    part: str  #: name of the calibration, as SI-12-0.12.
+    matrix: Array  #: wrench [N, N·m] per gauge voltage, about the centre of the tool face, (6, 6).
+    ranges: Array  #: range of each channel [N, N·m], (6,).
 
     def wrench(self, volts: Array, zero: Array | float = 0.0) -> Array:
         """Return the wrench [N, N·m] of gauge voltages minus zero voltages [V], (6,) or (n, 6)."""
@@ -168,21 +161,13 @@ OVERRUN_CODES = (-200279, -200222, -200361, -200010)
 
 @dataclass(frozen=True)
 class GaugeSamples:
-    """n samples of the gauges; empty if none arrived.
+    """n samples of the gauges; empty if none arrived."""
 
-    Attributes:
-        volts: voltages [V], (n, 6).
-        start: time of the first sample since the acquisition started, by the card's clock [s].
-        rate: rate of the card's clock [Hz].
-        received: arrival of the last sample, by `time.monotonic` [s].
-        interrupted: whether samples are missing before these.
-    """
-
-    volts: Array
-    start: float
-    rate: float
-    received: float
-    interrupted: bool = False
+    volts: Array  #: voltages [V], (n, 6).
+    start: float  #: time of the first sample since the acquisition started, by the card's clock [s].
+    rate: float  #: rate of the card's clock [Hz].
+    received: float  #: arrival of the last sample, by `time.monotonic` [s].
+    interrupted: bool = False  #: whether samples are missing before these.
 
 
 class DaqCard:

@@ -38,42 +38,26 @@ MomentUnit = Literal["Nm", "Nmm"]
 
 @dataclass(frozen=True)
 class RecordingOptions:
-    """What to read of a bag, and how.
+    """What to read of a bag, and how."""
 
-    Attributes:
-        topic: topic of the wrenches; may be empty if there is only one, or for our own recordings.
-        frame: frame of a topic of another publisher.
-        moment_unit: moment unit that the publisher used, regardless of the standard.
-        other_probe: accept our own recordings of another probe.
-    """
-
-    topic: str = ""
-    frame: Frame | None = None
-    moment_unit: MomentUnit = "Nm"
-    other_probe: bool = False
+    topic: str = ""  #: topic of the wrenches; may be empty if there is only one, or for our own recordings.
+    frame: Frame | None = None  #: frame of a topic of another publisher.
+    moment_unit: MomentUnit = "Nm"  #: moment unit that the publisher used, regardless of the standard.
+    other_probe: bool = False  #: accept our own recordings of another probe.
 
 
 @dataclass(frozen=True)
 class OpenRecording:
-    """A recording, open for reading.
+    """A recording, open for reading."""
 
-    Attributes:
-        path: path of the recording.
-        description: its content in a few words.
-        frame: frame of its wrenches.
-        notes: notes for the user before it is read.
-        blocks: returns its readings, in the sensor frame.
-        missing: returns what is missing in it, as far as it was read.
-        source: source that was recorded, as stated in the recording; may be empty.
-    """
-
-    path: Path
-    description: str
-    frame: Frame
-    notes: tuple[str, ...]
-    blocks: Callable[[], Iterator[Block]]
+    path: Path  #: path of the recording.
+    description: str  #: its content in a few words.
+    frame: Frame  #: frame of its wrenches.
+    notes: tuple[str, ...]  #: notes for the user before it is read.
+    blocks: Callable[[], Iterator[Block]]  #: returns its readings, in the sensor frame.
+    #: returns what is missing in it, as far as it was read.
     missing: Callable[[], tuple[str, ...]] = field(default=lambda: ())
-    source: str = ""
+    source: str = ""  #: source that was recorded, as stated in the recording; may be empty.
 
 
 def open_recording(path: Path, model: ProbeModel, options: RecordingOptions | None = None) -> OpenRecording:

@@ -154,19 +154,12 @@ Wrenches = tuple[Array, Array]
 
 @dataclass(frozen=True)
 class RosWrenchTopic:
-    """A topic of wrenches.
+    """A topic of wrenches."""
 
-    Attributes:
-        bag: the bag.
-        channel: channel of the topic.
-        frame_id: frame of its first message.
-        unstamped: whether its headers have no time stamp, so that the time of recording is used.
-    """
-
-    bag: Bag
-    channel: BagTopic
-    frame_id: str
-    unstamped: bool
+    bag: Bag  #: the bag.
+    channel: BagTopic  #: channel of the topic.
+    frame_id: str  #: frame of its first message.
+    unstamped: bool  #: whether its headers have no time stamp, so that the time of recording is used.
 
     def wrenches(self) -> Iterator[Wrenches]:
         """Yield times and wrenches in blocks.

@@ -44,10 +44,9 @@ class SimulatedSource:
 
     Attributes:
         title: one line that describes the source.
-        notes: empty.
     """
 
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  #: empty.
 
     def __init__(self, model: ProbeModel, query: str = "") -> None:
         """Parse the parameters of `PARAMETERS`.

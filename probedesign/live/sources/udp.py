@@ -33,19 +33,12 @@ MAX_SEQUENCE = 1 << 63
 
 @dataclass(frozen=True)
 class WrenchDatagram:
-    """Content of one datagram.
+    """Content of one datagram."""
 
-    Attributes:
-        wrench: force and moment [N, N·m], (6,).
-        time: time by the sender's clock [s]; NaN without one.
-        sequence: number of the datagram; None without one.
-        fault: description of a sensor fault; empty without one.
-    """
-
-    wrench: Array
-    time: float = nan
-    sequence: int | None = None
-    fault: str = ""
+    wrench: Array  #: force and moment [N, N·m], (6,).
+    time: float = nan  #: time by the sender's clock [s]; NaN without one.
+    sequence: int | None = None  #: number of the datagram; None without one.
+    fault: str = ""  #: description of a sensor fault; empty without one.
 
 
 def parse_wrench(values: Mapping[str, Any]) -> WrenchDatagram:

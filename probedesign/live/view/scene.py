@@ -22,17 +22,11 @@ CYLINDER_SIDES = 48
 
 @dataclass(frozen=True)
 class RigidPart:
-    """A rigid part that moves with the base.
+    """A rigid part that moves with the base."""
 
-    Attributes:
-        name: name of the part.
-        vertices: points in base axes [m], (i, 3).
-        faces: triangles, (j, 3).
-    """
-
-    name: str
-    vertices: Array
-    faces: NDArray[np.integer]
+    name: str  #: name of the part.
+    vertices: Array  #: points in base axes [m], (i, 3).
+    faces: NDArray[np.integer]  #: triangles, (j, 3).
 
 
 def rigid_parts(model: ProbeModel, folder: Path) -> tuple[list[RigidPart], str]:
@@ -110,28 +104,17 @@ def _cylinder(name: str, diameter: float, low: float, high: float, T: Array) -> 
 
 @dataclass(frozen=True)
 class SceneSetup:
-    """Static content of the page.
+    """Static content of the page."""
 
-    Attributes:
-        title: title of the page.
-        host, port: address of the server; the next free port is used.
-        tube: mesh of the probe.
-        free: shape of the free probe.
-        parts: parts at its base.
-        gravity_base: gravity vector [m/s²], (3,).
-        note: note on what is drawn, if any.
-        token: secret that a browser must know; empty on an address of this machine only.
-    """
-
-    title: str
-    host: str
+    title: str  #: title of the page.
+    host: str  #: host, port: address of the server; the next free port is used.
     port: int
-    tube: TubeMesh
-    free: BentShape
-    parts: tuple[RigidPart, ...]
-    gravity_base: Array
-    note: str = ""
-    token: str = ""
+    tube: TubeMesh  #: mesh of the probe.
+    free: BentShape  #: shape of the free probe.
+    parts: tuple[RigidPart, ...]  #: parts at its base.
+    gravity_base: Array  #: gravity vector [m/s²], (3,).
+    note: str = ""  #: note on what is drawn, if any.
+    token: str = ""  #: secret that a browser must know; empty on an address of this machine only.
 
 
 CHART_SECONDS = 15.0

@@ -43,37 +43,24 @@ STRIP = ("time", "Fx", "Fy", "Fz", "Mx", "My", "Mz", "s", "std_s", "force")
 
 @dataclass(frozen=True)
 class Snapshot:
-    """State of a run at one time.
+    """State of a run at one time."""
 
-    Attributes:
-        time: time of the last estimate, by the source's clock [s].
-        age: time since the last estimate by the computer's clock [s]; NaN before the first.
-        result: result of the last estimate; empty before the first.
-        stale: whether probe and contact are not current: no recent reading or estimate, or the run has ended.
-        recording: what is recorded, if anything is.
-        status: the status lines.
-        shape: shape of the probe, if estimated.
-        marker: the contact, if the estimate is ok.
-        touches: best contact of each touch so far, the last ones.
-        T_world_base: pose of the base, (4, 4); NaN if unknown.
-        gravity_base: gravity vector [m/s²], (3,).
-        strip: rows of `STRIP` since the last snapshot, (j, 10).
-        events: last events, oldest first; similar ones are one.
-    """
-
-    time: float = 0.0
-    age: float = math.nan
-    result: str = ""
+    time: float = 0.0  #: time of the last estimate, by the source's clock [s].
+    age: float = math.nan  #: time since the last estimate by the computer's clock [s]; NaN before the first.
+    result: str = ""  #: result of the last estimate; empty before the first.
+    #: whether probe and contact are not current: no recent reading or estimate, or the run has ended.
     stale: bool = False
-    recording: str = ""
-    status: tuple[StatusLine, ...] = ()
-    shape: BentShape | None = None
-    marker: ContactMarker | None = None
-    touches: tuple[ContactMarker, ...] = ()
+    recording: str = ""  #: what is recorded, if anything is.
+    status: tuple[StatusLine, ...] = ()  #: the status lines.
+    shape: BentShape | None = None  #: shape of the probe, if estimated.
+    marker: ContactMarker | None = None  #: the contact, if the estimate is ok.
+    touches: tuple[ContactMarker, ...] = ()  #: best contact of each touch so far, the last ones.
+    #: pose of the base, (4, 4); NaN if unknown.
     T_world_base: Array = field(default_factory=lambda: np.full((4, 4), np.nan))
-    gravity_base: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
+    gravity_base: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))  #: gravity vector [m/s²], (3,).
+    #: rows of `STRIP` since the last snapshot, (j, 10).
     strip: Array = field(default_factory=lambda: np.empty((0, len(STRIP))))
-    events: tuple[Event, ...] = ()
+    events: tuple[Event, ...] = ()  #: last events, oldest first; similar ones are one.
 
 
 NEWTON_MM = 1e-3
@@ -82,34 +69,20 @@ NEWTON_MM = 1e-3
 
 @dataclass(frozen=True)
 class RunHealth:
-    """Condition of the run.
+    """Condition of the run."""
 
-    Attributes:
-        stale: no reading for longer than usual.
-        no_estimate: no estimate for longer than usual.
-        silent_for: time since the last reading [s].
-        rate, estimate_rate: readings and estimates per second.
-        fault: fault of the last readings.
-        n_readings: number of readings so far.
-        counts: counters of the source.
-        tare: last event on it; empty if there was none.
-        recording: what is recorded; empty if nothing is.
-        recording_failed: why the last recording ended by itself; empty if it did not.
-        ended: whether the source has ended.
-    """
-
-    stale: bool = False
-    no_estimate: bool = False
-    silent_for: float = float("nan")
-    rate: float = float("nan")
+    stale: bool = False  #: no reading for longer than usual.
+    no_estimate: bool = False  #: no estimate for longer than usual.
+    silent_for: float = float("nan")  #: time since the last reading [s].
+    rate: float = float("nan")  #: rate, estimate_rate: readings and estimates per second.
     estimate_rate: float = float("nan")
-    fault: str = ""
-    n_readings: int = 0
-    counts: Mapping[str, int] = field(default_factory=dict)
-    tare: str = ""
-    recording: str = ""
-    recording_failed: str = ""
-    ended: bool = False
+    fault: str = ""  #: fault of the last readings.
+    n_readings: int = 0  #: number of readings so far.
+    counts: Mapping[str, int] = field(default_factory=dict)  #: counters of the source.
+    tare: str = ""  #: last event on it; empty if there was none.
+    recording: str = ""  #: what is recorded; empty if nothing is.
+    recording_failed: str = ""  #: why the last recording ended by itself; empty if it did not.
+    ended: bool = False  #: whether the source has ended.
 
 
 def status_lines(

@@ -28,24 +28,14 @@ from probedesign.rod.kernels.linalg import add, cross, dot, minus, take, times
 
 
 class Body(NamedTuple):
-    """A rod as arrays, in SI units.
+    """A rod as arrays, in SI units."""
 
-    Attributes:
-        knots: arclengths where the taper changes [m], (K,).
-        radii: half-widths along the section's x axis at the knots [m], (K,).
-        volume_beyond: from each knot to the tip [m³], (K,).
-        volume_by_knot: its derivative by the logarithm of each knot's radius [m³], (K, K).
-        rest: curvature and twist of the unloaded rod at the knots, in section axes, linear between [1/m],
-            (3 K,).
-        constants: see the indices below, (12,).
-    """
-
-    knots: Array
-    radii: Array
-    volume_beyond: Array
-    volume_by_knot: Array
-    rest: Array
-    constants: Array
+    knots: Array  #: arclengths where the taper changes [m], (K,).
+    radii: Array  #: half-widths along the section's x axis at the knots [m], (K,).
+    volume_beyond: Array  #: from each knot to the tip [m³], (K,).
+    volume_by_knot: Array  #: its derivative by the logarithm of each knot's radius [m³], (K, K).
+    rest: Array  #: curvature and twist of the unloaded rod at the knots, in section axes, linear between [1/m], (3 K,).
+    constants: Array  #: see the indices below, (12,).
 
 
 BEND_X, BEND_Y, TWIST, SHEAR, STRETCH, DENSITY, CONE, GENERAL = range(8)

@@ -43,39 +43,22 @@ MAX_TEXT = 128  # of one value
 
 @dataclass(frozen=True)
 class NetFTConfiguration:
-    """Active configuration of a box, in its own units; tags of the page in brackets.
+    """Active configuration of a box, in its own units; tags of the page in brackets."""
 
-    Attributes:
-        product: product name [prodname].
-        name: name of the configuration [cfgnam].
-        force_unit: unit of force [scfgfu].
-        torque_unit: unit of torque [scfgtu].
-        counts_per_force: counts per force unit [cfgcpf].
-        counts_per_torque: counts per torque unit [cfgcpt].
-        ranges: range of each channel, in those units [cfgmr].
-        tool: displacement and rotation of the reported frame [cfgtfx].
-        length_unit: unit of the displacement [scfgtdu].
-        angle_unit: unit of the rotation [scfgtau].
-        rate: records per second [comrdtrate].
-        records: records per packet of buffered streaming [comrdtbsiz].
-        filter: number of the low-pass filter, 0 for none [setuserfilter].
-        bias: gauge counts that the box subtracts [setbias].
-    """
-
-    product: str
-    force_unit: str
-    torque_unit: str
-    counts_per_force: float
-    counts_per_torque: float
-    name: str = ""
-    ranges: tuple[float, ...] = ()
-    tool: tuple[float, ...] = (0.0,) * 6
-    length_unit: str = "mm"
-    angle_unit: str = "degrees"
-    rate: float = 7000.0
-    records: float = 1.0
-    filter: float = 0.0
-    bias: tuple[float, ...] = (0.0,) * 6
+    product: str  #: product name [prodname].
+    force_unit: str  #: unit of force [scfgfu].
+    torque_unit: str  #: unit of torque [scfgtu].
+    counts_per_force: float  #: counts per force unit [cfgcpf].
+    counts_per_torque: float  #: counts per torque unit [cfgcpt].
+    name: str = ""  #: name of the configuration [cfgnam].
+    ranges: tuple[float, ...] = ()  #: range of each channel, in those units [cfgmr].
+    tool: tuple[float, ...] = (0.0,) * 6  #: displacement and rotation of the reported frame [cfgtfx].
+    length_unit: str = "mm"  #: unit of the displacement [scfgtdu].
+    angle_unit: str = "degrees"  #: unit of the rotation [scfgtau].
+    rate: float = 7000.0  #: records per second [comrdtrate].
+    records: float = 1.0  #: records per packet of buffered streaming [comrdtbsiz].
+    filter: float = 0.0  #: number of the low-pass filter, 0 for none [setuserfilter].
+    bias: tuple[float, ...] = (0.0,) * 6  #: gauge counts that the box subtracts [setbias].
 
     def __post_init__(self) -> None:
         """Check units and numbers; raises InputError if one is unknown or impossible."""

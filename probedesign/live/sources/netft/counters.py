@@ -81,17 +81,11 @@ suspended program finds no old records."""
 
 
 class RecordTimes(NamedTuple):
-    """Times of n records.
+    """Times of n records."""
 
-    Attributes:
-        new: whether each record is a new sample, not a repeated one, (n,).
-        time: times of the k new samples [s], (k,).
-        restarted: whether the counter restarted before each new sample, (k,).
-    """
-
-    new: NDArray[np.bool_]
-    time: Array
-    restarted: NDArray[np.bool_]
+    new: NDArray[np.bool_]  #: whether each record is a new sample, not a repeated one, (n,).
+    time: Array  #: times of the k new samples [s], (k,).
+    restarted: NDArray[np.bool_]  #: whether the counter restarted before each new sample, (k,).
 
 
 def steps(values: NDArray[Any], before: float) -> NDArray[Any]:

@@ -57,17 +57,11 @@ HARMLESS = (*HEALTHY, LATCHED)
 
 
 class StatusTable(NamedTuple):
-    """Meaning of the status word of one kind of sensor.
+    """Meaning of the status word of one kind of sensor."""
 
-    Attributes:
-        kind: the kind, for messages.
-        texts: faults by bit; bit 31 is the summary.
-        harmless: status words that are not faults of the sample.
-    """
-
-    kind: str
-    texts: dict[int, str]
-    harmless: tuple[int, ...]
+    kind: str  #: the kind, for messages.
+    texts: dict[int, str]  #: faults by bit; bit 31 is the summary.
+    harmless: tuple[int, ...]  #: status words that are not faults of the sample.
 
 
 NET_BOX = StatusTable(

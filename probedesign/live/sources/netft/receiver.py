@@ -29,29 +29,18 @@ the number of datagrams that were dropped since the buffer was full, once there 
 
 
 class Datagrams(NamedTuple):
-    """Records that were gathered.
+    """Records that were gathered."""
 
-    Attributes:
-        words: the records: numbers of record and sample, status, counts of the six channels, (n, 9).
-        received: arrival by `time.monotonic` [s], (n,); not yet limited to the arrival of earlier ones.
-        dropped: number of datagrams that the socket's buffer has dropped so far; None if it is not stated.
-    """
-
-    words: NDArray[np.int64]
-    received: Array
-    dropped: int | None
+    words: NDArray[np.int64]  #: the records: numbers of record and sample, status, counts of the six channels, (n, 9).
+    received: Array  #: arrival by `time.monotonic` [s], (n,); not yet limited to the arrival of earlier ones.
+    dropped: int | None  #: number of datagrams that the socket's buffer has dropped so far; None if it is not stated.
 
 
 class Receiver(Protocol):
-    """Gathers the records that wait at a socket.
+    """Gathers the records that wait at a socket."""
 
-    Attributes:
-        count: number of records gathered.
-        malformed: number of datagrams so far that are no record.
-    """
-
-    count: int
-    malformed: int
+    count: int  #: number of records gathered.
+    malformed: int  #: number of datagrams so far that are no record.
 
     def read(self) -> None:
         """Read the datagrams that wait, up to `MAX_RECORDS` in all."""

@@ -43,19 +43,12 @@ MIN_BUFFERED_TIME = 0.25
 
 @dataclass(frozen=True)
 class RdtRecords:
-    """n records of the box, in the order of arrival.
+    """n records of the box, in the order of arrival."""
 
-    Attributes:
-        ft_sequence: sequence numbers of the sensor's samples, (n,).
-        status: status words, (n,).
-        received: arrival by `time.monotonic` [s], (n,).
-        counts: counts of the six channels, (n, 6).
-    """
-
-    ft_sequence: NDArray[np.int64]
-    status: NDArray[np.int64]
-    received: Array
-    counts: NDArray[np.int64]
+    ft_sequence: NDArray[np.int64]  #: sequence numbers of the sensor's samples, (n,).
+    status: NDArray[np.int64]  #: status words, (n,).
+    received: Array  #: arrival by `time.monotonic` [s], (n,).
+    counts: NDArray[np.int64]  #: counts of the six channels, (n, 6).
 
     def __len__(self) -> int:
         return len(self.ft_sequence)
