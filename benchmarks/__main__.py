@@ -22,9 +22,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--foxglove", action="store_true", help="live: with the server of live --foxglove")
     parser.add_argument("--draws", type=int, help="coverage: single touches in each row")
     parser.add_argument("--only", help="coverage: only rows whose name contains this text")
-    parser.add_argument(
-        "--bounds", action="store_true", help="coverage: print the bounds of one touch instead"
-    )
+    parser.add_argument("--bounds", action="store_true", help="coverage: print the bounds of one touch instead")
     parser.add_argument("--workers", type=int, help="coverage: number of processes, default 2")
     parser.add_argument("--json", action="store_true", help="coverage: print JSON")
     args = parser.parse_args(arguments)

@@ -161,9 +161,7 @@ def print_batches(found: dict[str, Batch]) -> None:
         [f"speed-up by {WIDE} SIMD lanes, on one core", *(f"× {b.gain:.2f}" for b in batches)],
     ]  # fmt: skip
     print_table(
-        f"{CASES:,} random cases, each cold, fast mode: tip, base moment, contact. Best of {ROUNDS}",
-        ["", *found],
-        rows,
+        f"{CASES:,} random cases, each cold, fast mode: tip, base moment, contact. Best of {ROUNDS}", ["", *found], rows
     )
 
 

@@ -59,9 +59,7 @@ def lines(ends: list[float], sharp: list[bool], cells: int, ratio: float) -> np.
     return np.concatenate([*pieces, [ends[-1]]])
 
 
-def missing_compliance(
-    base: ClampedBase, support: Support, poisson: float = POISSON, cells: int = 10
-) -> float:
+def missing_compliance(base: ClampedBase, support: Support, poisson: float = POISSON, cells: int = 10) -> float:
     """Return c of a base in base radii; it is positive if the base bends less than the rod."""
     from skfem import (  # fmt: skip
         Basis,
@@ -107,9 +105,7 @@ def missing_compliance(
     @BilinearForm
     def stiffness(u: Any, v: Any, w: Any) -> Any:
         a, b = strain(u, w.x), strain(v, w.x)
-        return (
-            2 * mu * w.x[0] * (sum(a[i] * b[i] for i in range(3)) + 2 * sum(a[i] * b[i] for i in range(3, 6)))
-        )
+        return 2 * mu * w.x[0] * (sum(a[i] * b[i] for i in range(3)) + 2 * sum(a[i] * b[i] for i in range(3, 6)))
 
     @BilinearForm
     def divergence(u: Any, q: Any, w: Any) -> Any:
@@ -120,15 +116,11 @@ def missing_compliance(
         return -p * q / lam * w.x[0]
 
     top_r = r0 - base.slope * top
-    end = FacetBasis(
-        mesh, u_basis.elem, facets=mesh.facets_satisfying(lambda x: np.isclose(x[1], top)), intorder=6
-    )
+    end = FacetBasis(mesh, u_basis.elem, facets=mesh.facets_satisfying(lambda x: np.isclose(x[1], top)), intorder=6)
 
     @LinearForm
     def moment(v: Any, w: Any) -> Any:
-        return (
-            v[2] * w.x[0] ** 2
-        )  # traction k r cos θ with k = 1 has the moment I; like all forms divided by π
+        return v[2] * w.x[0] ** 2  # traction k r cos θ with k = 1 has the moment I; like all forms divided by π
 
     B, f = asm(divergence, u_basis, p_basis), asm(moment, end)
     K = bmat([[asm(stiffness, u_basis), B.T], [B, asm(bulk, p_basis)]], "csr")
@@ -265,9 +257,7 @@ def lip_rows(compression: float = 0.4) -> list[list[str]]:
         base = base_of(d, 0.0, face_mm=face_d)
         land_r = d / 2 + 3.5 - 1e3 * LAND_RELIEF if land else base.flange_r - 1e-3
         tiny = 1e-6
-        formula = pad_force(
-            1e6 * YOUNGS_MODULUS, 2e-3 * base.bore_r, 2e-3 * land_r, 1e-3 * base.thickness, tiny * 1e-3
-        )
+        formula = pad_force(1e6 * YOUNGS_MODULUS, 2e-3 * base.bore_r, 2e-3 * land_r, 1e-3 * base.thickness, tiny * 1e-3)
         formula *= compression / tiny
         found = {
             (sticks, held): lip_force(base, land_r, compression, sticks, held)
@@ -318,11 +308,7 @@ def report() -> None:
         for d in (3.0, 6.0, 12.0, 25.0):
             base = base_of(d, 0.0, thickness)
             rows.append(
-                [
-                    f"{thickness:g}",
-                    f"{d:g}",
-                    *(f"{missing_compliance(base, support):.3f}" for support in SUPPORTS),
-                ]
+                [f"{thickness:g}", f"{d:g}", *(f"{missing_compliance(base, support):.3f}" for support in SUPPORTS)]
             )
     print_table("Other bases, cylinders", ["flange [mm]", "d [mm]", *SUPPORTS], rows)
     base = base_of(12.0, 0.0)
@@ -339,7 +325,5 @@ def report() -> None:
         print(f"  {support}: {description}")
     heads = ["d [mm]", "flange [mm]", "lip pressed [mm]", "formula", "slips", "slips, rim held", "sticks",
              "sticks, rim held", "sticks, play 0.1 mm"]  # fmt: skip
-    print_table(
-        "Force [N] of the lip, 3 mm thick, 0.4 mm compressed, E = 2.32 MPa, small strain", heads, lip_rows()
-    )
+    print_table("Force [N] of the lip, 3 mm thick, 0.4 mm compressed, E = 2.32 MPa, small strain", heads, lip_rows())
     print("  the last three rows: without a groove, the ring presses the whole lip")

@@ -214,12 +214,8 @@ def _best_powers(
     model, z = perturbations.model, np.zeros((len(phi), perturbations.size))
     estimator, samples = estimator_for(model, _stated_priors(case, model)), perturbations.samples(z)
     right = solve_presses(samples, z, case.place, phi, ratios, case.newtons, slide)
-    wrong = solve_presses(
-        _with_wrong_stiffness(case, samples), z, case.place, phi, ratios, case.newtons, slide
-    )
-    wrenches, places = _with_wrong_readings(
-        case, model, wrong.wrenches, wrong.places, np.random.default_rng(seed + 1)
-    )
+    wrong = solve_presses(_with_wrong_stiffness(case, samples), z, case.place, phi, ratios, case.newtons, slide)
+    wrenches, places = _with_wrong_readings(case, model, wrong.wrenches, wrong.places, np.random.default_rng(seed + 1))
     powers = []
     for i in np.flatnonzero(right.ok & wrong.ok):
         chi2_wrong, chi2_right = (
@@ -255,9 +251,7 @@ def _with_wrong_readings(case: Case, model: ProbeModel, wrenches: Array, places:
     after = (np.arange(TOUCHES) >= 3)[None, :, None]
     if case.model_error == "moved":
         # An error of the reported base position is equivalent to an opposite motion of the object.
-        return wrenches, places + after * OBJECT_STEP * direction / np.linalg.norm(
-            direction, axis=2, keepdims=True
-        )
+        return wrenches, places + after * OBJECT_STEP * direction / np.linalg.norm(direction, axis=2, keepdims=True)
     if case.model_error == "bias":
         step = np.sqrt(np.diag(model.noise.cov) * model.averaging_samples)
         jump = BIAS_STEPS * signs * step
@@ -268,9 +262,7 @@ def _with_wrong_readings(case: Case, model: ProbeModel, wrenches: Array, places:
 _NOMINAL_PRESSES: dict[Any, Presses] = {}
 
 
-def _fused_bound(
-    model: ProbeModel, stated: PriorStds, place: float, newtons: float, moments_only: bool
-) -> float:
+def _fused_bound(model: ProbeModel, stated: PriorStds, place: float, newtons: float, moments_only: bool) -> float:
     """Return the bound of the RMS error [m] for the probe as designed, over six directions of the touch.
 
     The friction has its prior, whose information is evaluated at the touch without friction, as in the table of bounds.

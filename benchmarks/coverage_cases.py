@@ -67,9 +67,7 @@ def fused_cases() -> list[Case]:
     at = partial(replace, of(name="", place=0.8, newtons=5e-3, kind="all six"))
     cases += [at(name=f"0.8 L, up to 5 mN, all six, friction {mu:g}, anew at each touch", friction=mu, anew=True)
               for mu in (0.3, 0.6)]  # fmt: skip
-    cases.append(
-        at(name="0.8 L, up to 5 mN, all six, friction 0.6, E to 0.5 %", friction=0.6, youngs_modulus=0.005)
-    )
+    cases.append(at(name="0.8 L, up to 5 mN, all six, friction 0.6, E to 0.5 %", friction=0.6, youngs_modulus=0.005))
     cases.append(at(name="0.8 L, up to 5 mN, all six, friction 0.3, sticks", friction=0.3, sticks=True))
     cases.append(at(name="0.8 L, up to 5 mN, tracker, friction 0.3", friction=0.3, kind="tracker"))
     every = at(group="Five touches of the large probe, 0.8 L, up to 5 mN, all six; friction drawn from the prior",
@@ -79,9 +77,7 @@ def fused_cases() -> list[Case]:
     cases.append(replace(every, name="all together", sources=ALL_SOURCES))
     cases.append(replace(every, name="all together, moments alone", sources=ALL_SOURCES, kind="moments"))
     cases.append(replace(every, name="all together, tracker", sources=ALL_SOURCES, kind="tracker"))
-    cases.append(
-        replace(every, name="all, true spread twice the stated", sources=ALL_SOURCES, std_factor=2.0)
-    )
+    cases.append(replace(every, name="all, true spread twice the stated", sources=ALL_SOURCES, std_factor=2.0))
     return cases
 
 

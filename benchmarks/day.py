@@ -95,15 +95,11 @@ def _false_alarms(hours: float) -> int:
     n, alarms, before = int(60.0 * RATE_OF_BOX), 0, "free"
     bias, sides = np.zeros(6), rng.choice([-1.0, 1.0], 6)
     for minute in range(round(60.0 * hours)):
-        walk = (
-            WALK / math.sqrt(RATE_OF_BOX) * np.cumsum(rng.standard_normal((n, 6), dtype=np.float32), axis=0)
-        )
+        walk = WALK / math.sqrt(RATE_OF_BOX) * np.cumsum(rng.standard_normal((n, 6), dtype=np.float32), axis=0)
         ramp = RAMP * (60.0 * minute + np.arange(n)[:, None] / RATE_OF_BOX) * sides
         steps = bias + walk
         bias = steps[-1]
-        states = np.array(
-            detector.run((steps + ramp + rng.standard_normal((n, 6), dtype=np.float32)) @ root.T)
-        )
+        states = np.array(detector.run((steps + ramp + rng.standard_normal((n, 6), dtype=np.float32)) @ root.T))
         touching = states == "contact"
         alarms += int((touching[1:] & ~touching[:-1]).sum() + (touching[0] and before != "contact"))
         before = str(states[-1])
@@ -161,9 +157,7 @@ def _schedule(model: ProbeModel, hours: float, rng: np.random.Generator) -> list
     perturbations, z, ratios, phi = drawn(1)
     samples = perturbations.samples(z)
     force = NEWTONS * np.column_stack([np.ones(n), ratios]) / np.sqrt(1.0 + (ratios**2).sum(axis=1))[:, None]
-    one = solve(
-        samples.at_touch(0), samples.gravity, PLACE * samples.probes.length, phi, force, axes="surface"
-    )
+    one = solve(samples.at_touch(0), samples.gravity, PLACE * samples.probes.length, phi, force, axes="surface")
     readings = evaluate_readings(samples, z, one, samples.free_wrench())
     bounds = position_rms(cramer_rao(readings, model.noise_base()))
     for i in np.flatnonzero(one.ok):
@@ -200,9 +194,7 @@ def _poses(model: ProbeModel, touches: list[Scheduled]) -> BasePoses:
     return BasePoses("stated", stated, max_gap=math.inf, gravity_world=model.gravity_base)
 
 
-def _blocks(
-    model: ProbeModel, touches: list[Scheduled], hours: float, rng: np.random.Generator
-) -> Iterator[Block]:
+def _blocks(model: ProbeModel, touches: list[Scheduled], hours: float, rng: np.random.Generator) -> Iterator[Block]:
     """Yield the readings of one period after the other; each is in the middle of the interval since the one before."""
     step = np.sqrt(np.diag(model.noise.cov) * model.averaging_samples)
     bias, sides, n = np.zeros(6), rng.choice([-1.0, 1.0], 6), int(PERIOD * RATE)
@@ -226,9 +218,7 @@ def _touches(hours: float) -> tuple[list[Outcome], int]:
     """Return the outcome of each touch and the number of contacts that belong to no touch."""
     model, rng = paper_models()["large"], np.random.default_rng(2)
     touches = _schedule(model, hours, rng)
-    chain = Chain(
-        Estimator(model), ProcessingOptions(TARE, 1, rate=2.0), _poses(model, touches), lambda line: None
-    )
+    chain = Chain(Estimator(model), ProcessingOptions(TARE, 1, rate=2.0), _poses(model, touches), lambda line: None)
     singles: dict[int, str] = {}
     contacts: dict[int, Contact] = {}
     for block in _blocks(model, touches, hours, rng):

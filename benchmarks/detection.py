@@ -23,9 +23,7 @@ def report() -> None:
         start = time.perf_counter()
         states = np.array(detector.run(samples))
         spent += time.perf_counter() - start
-        alarms += int(
-            ((states[1:] == "contact") & (states[:-1] != "contact")).sum() + (states[0] == "contact")
-        )
+        alarms += int(((states[1:] == "contact") & (states[:-1] != "contact")).sum() + (states[0] == "contact"))
     by_force = {
         place: model.rod.solve(GRAVITY, (0.0, 0.0, 0.0), place * model.rod.length, columns="load")
         for place in (0.2, 0.5, 0.9)

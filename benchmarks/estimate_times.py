@@ -29,9 +29,7 @@ def report() -> None:
         name, wrench = f"{force:g} N at {fraction:g} L", one.wrench
         near = estimator.estimate(wrench, GRAVITY)
         calls[f"{name}, ml, cold"] = partial(estimator.estimate, wrench, GRAVITY)
-        calls[f"{name}, ml, from a neighbour"] = partial(
-            estimator.estimate, 1.0001 * wrench, GRAVITY, near=near
-        )
+        calls[f"{name}, ml, from a neighbour"] = partial(estimator.estimate, 1.0001 * wrench, GRAVITY, near=near)
         calls[f"{name}, force–moment"] = partial(estimator.estimate, wrench, GRAVITY, method="force_moment")
     pressed = presses(model, GRAVITY, 0.7 * model.rod.length, np.pi / 2, np.linspace(2e-3, 1e-2, 5))
     assert pressed is not None, "the large probe has an equilibrium under a light press"

@@ -80,9 +80,7 @@ def print_singles() -> None:
             c = frictionless(one.model).estimate(with_noise(one.wrench[None], one.model, rng)[0], one.gravity)
             statistics.add(c.result, c.p_surface_base - one.p_surface, c.cov_surface_base, one.bound)
         rows.append([name, *_row(statistics)])
-    print_table(
-        f"One touch, method ml, {SINGLES} random probes each, bound below 5 mm", ["force", *HEAD], rows
-    )
+    print_table(f"One touch, method ml, {SINGLES} random probes each, bound below 5 mm", ["force", *HEAD], rows)
 
 
 def frictionless(model: ProbeModel) -> Estimator:
@@ -103,20 +101,14 @@ def print_fusions() -> None:
             rng, statistics = np.random.default_rng(2), ErrorStatistics()
             for pressed in islice(random_presses(decade, rng), FUSIONS):
                 fuse_drawn(pressed, PRIORS, moments_only, rng, statistics)
-            rows.append(
-                [f"{name}, {'moments alone' if moments_only else 'force and moment'}", *_row(statistics)]
-            )
+            rows.append([f"{name}, {'moments alone' if moments_only else 'force and moment'}", *_row(statistics)])
     title = (f"Five touches of a press, {FUSIONS} random probes each; stiffness 3 %, base position 0.05 mm and "
              "0.01 mm per touch, bias random walk 0.2 steps per touch")  # fmt: skip
     print_table(title, ["largest force", *HEAD], rows)
 
 
 def fuse_drawn(
-    pressed: Presses,
-    priors: Tolerances,
-    moments_only: bool,
-    rng: np.random.Generator,
-    statistics: ErrorStatistics,
+    pressed: Presses, priors: Tolerances, moments_only: bool, rng: np.random.Generator, statistics: ErrorStatistics
 ) -> FusedEstimate:
     """Fuse readings with all error sources drawn from their priors, and add the error to the statistics.
 
@@ -158,11 +150,7 @@ def print_large() -> None:
                 rng = np.random.default_rng(3)
                 statistics, rms = ErrorStatistics(), []
                 pressed = presses(
-                    model,
-                    GRAVITY,
-                    fraction * model.rod.length,
-                    math.pi / 2,
-                    np.linspace(0.2, 1.0, 5) * max_force,
+                    model, GRAVITY, fraction * model.rod.length, math.pi / 2, np.linspace(0.2, 1.0, 5) * max_force
                 )
                 if pressed is None:
                     continue
@@ -193,9 +181,7 @@ def print_table_one() -> None:
                 c = estimator.estimate(wrench, one.gravity, method=method)
                 errors[method].append(float(np.linalg.norm(c.candidates[0].p_surface_base - one.p_surface)))
         rms = {method: float(np.sqrt(np.mean(np.square(found)))) for method, found in errors.items()}
-        outliers = {
-            method: float(np.mean(np.array(found) > 5.0 * one.bound)) for method, found in errors.items()
-        }
+        outliers = {method: float(np.mean(np.array(found) > 5.0 * one.bound)) for method, found in errors.items()}
         place = one.s / one.model.rod.length
         drawn.append((one.model.name, one.force, place, one.bound, rms["ml"], rms["force_moment"]))
         rows.append([f"{one.model.name} {one.force:g} N at {place:.3g} L", f"{one.bound / MM:.2f}",

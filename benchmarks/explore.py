@@ -64,9 +64,7 @@ def report() -> None:
     model = replace(paper_models()["large"], stiffness_spread=0.01)
     with_rotation = RunErrors.from_priors(model, BasePoseUncertainty(), FRICTION)
     simulated = list(islice(_simulated_runs(model), FUSE_RUNS))
-    exact = [
-        _by_command(model, one, seed, EXACT_ROTATION) for seed, one in enumerate(simulated[:COMMAND_RUNS])
-    ]
+    exact = [_by_command(model, one, seed, EXACT_ROTATION) for seed, one in enumerate(simulated[:COMMAND_RUNS])]
     rotated = [
         _by_command(model, simulate_run(model, touch_targets(), np.random.default_rng(seed), with_rotation), seed)
         for seed in range(COMMAND_RUNS)
@@ -77,15 +75,7 @@ def report() -> None:
         "explore, orientation errors": rotated,
         "fuse, single touches": fused,
     }
-    head = [
-        "method",
-        "located",
-        f"within {TARGET_MM:g} mm",
-        "95 % interval",
-        "95th percentile",
-        "median",
-        "maximum",
-    ]
+    head = ["method", "located", f"within {TARGET_MM:g} mm", "95 % interval", "95th percentile", "median", "maximum"]
     title = f"Card house, {len(touch_targets())} touches of 25 points in each run, errors in mm"
     print_table(title, head, [[name, *_error_cells(found)] for name, found in methods.items()])
     print_table("Coverage of the 95 % ellipsoids",
@@ -98,10 +88,7 @@ def report() -> None:
                 [[f"{max(t.force for t in touches) / MILLINEWTON:.2f} mN",
                   f"{1e3 * max(t.moment for t in touches):.2f} N·mm",
                   f"{min(t.clearance for t in touches) / MM:.2f} mm"]])  # fmt: skip
-    cards, targets = (
-        [card.corners / MM for card in card_house()],
-        [target.p_world / MM for target in touch_targets()],
-    )
+    cards, targets = ([card.corners / MM for card in card_house()], [target.p_world / MM for target in touch_targets()])
     draw_card_house(cards, exact[0].rows, np.array(targets))
 
 
@@ -109,14 +96,10 @@ def _simulated_runs(model: ProbeModel) -> Iterator[SimulatedRun]:
     """Yield simulated runs without end, except those whose base position error makes a touch miss its edge."""
     for seed in count():
         with suppress(InputError):
-            yield simulate_run(
-                model, touch_targets(), np.random.default_rng(seed), RunErrors(friction=FRICTION)
-            )
+            yield simulate_run(model, touch_targets(), np.random.default_rng(seed), RunErrors(friction=FRICTION))
 
 
-def _by_command(
-    model: ProbeModel, simulated: SimulatedRun, seed: int, options: Sequence[str] = ()
-) -> PointErrors:
+def _by_command(model: ProbeModel, simulated: SimulatedRun, seed: int, options: Sequence[str] = ()) -> PointErrors:
     """Locate the points of a run with the command `explore` and options for the orientation errors of the base."""
     with tempfile.TemporaryDirectory() as folder:
         at = Path(folder)
@@ -130,10 +113,7 @@ def _by_command(
     names += [f"cov_world_{name}_mm2" for name in ("xx", "xy", "xz", "yy", "yz", "zz")]
     rows = np.array([[float(row[name]) for name in names] for row in found]).reshape(-1, 9)
     times = [float(row["time_s"]) for row in found]
-    truth, starts = (
-        np.array([t.p_world for t in simulated.touches]) / MM,
-        [t.start for t in simulated.touches],
-    )
+    truth, starts = (np.array([t.p_world for t in simulated.touches]) / MM, [t.start for t in simulated.touches])
     nearest = [int(np.argmin(np.abs(np.array(starts) - time))) for time in times]
     missing = max(sum(not t.target.repeated for t in simulated.touches) - len(found), 0)
     return _point_errors(rows, truth[nearest], missing)

@@ -38,9 +38,7 @@ def measure_export(folder: Path, *options: str) -> Run:
         RuntimeError: the export fails.
     """
     start = time.perf_counter()
-    process = subprocess.Popen(
-        [*COMMAND, *options, "--out", str(folder)], cwd=ROOT, stdout=subprocess.DEVNULL
-    )
+    process = subprocess.Popen([*COMMAND, *options, "--out", str(folder)], cwd=ROOT, stdout=subprocess.DEVNULL)
     _, status, usage = os.wait4(process.pid, 0)  # resource usage of this child only
     if status:
         raise RuntimeError(f"export ended with status {os.waitstatus_to_exitcode(status)}")

@@ -28,9 +28,7 @@ def draw_table_one(rows: Sequence[tuple[str, float, float, float, float, float]]
     ax.plot(bound, y, "|", color=GREY, ms=11, mew=2, label="bound")
     ax.plot(paper, y, "s", color=ORANGE, ms=5, label="paper's method")
     ax.plot(ml, y, "o", color=BLUE, ms=5, label="maximum likelihood")
-    ax.set_yticks(
-        y, [f"{name} {force * 1e3:g} mN at {place:.2g} L" for name, force, place, *_ in ordered], fontsize=8
-    )
+    ax.set_yticks(y, [f"{name} {force * 1e3:g} mN at {place:.2g} L" for name, force, place, *_ in ordered], fontsize=8)
     ax.set(xscale="log", xlabel="RMS error of one touch, sensor noise alone [mm]")
     ax.grid(True, axis="x", which="major", color="#dddddd", lw=0.6)
     ax.legend(frameon=False, loc="lower right")
@@ -46,9 +44,7 @@ def draw_fusion(drawn: dict[tuple[str, float], tuple[list[float], list[float]]])
     kinds = list(dict.fromkeys(kind for kind, _ in drawn))
     figure, axes = _figure(9.6, 3.4, len(kinds))
     for ax, kind in zip(axes, kinds, strict=True):
-        for key, color in zip(
-            [key for key in drawn if key[0] == kind], ("#9cc3e8", BLUE, "#0c2f57"), strict=False
-        ):
+        for key, color in zip([key for key in drawn if key[0] == kind], ("#9cc3e8", BLUE, "#0c2f57"), strict=False):
             errors, bounds = drawn[key]
             places = np.linspace(0.5, 0.9, 5)[: len(errors)]
             ax.plot(places, bounds, "-", color=color, lw=1.5)

@@ -63,13 +63,7 @@ class Touch:
 def touches() -> list[Touch]:
     """Return 60 touches that cover probes, places, directions, gravity and friction; no random numbers."""
     fractions = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
-    gravities = (
-        (9.81, 0.0, 0.0),
-        (0.0, 0.0, 9.81),
-        (9.81, 0.0, 0.0),
-        (0.0, 0.0, -9.81),
-        (5.664, -5.664, 5.664),
-    )
+    gravities = ((9.81, 0.0, 0.0), (0.0, 0.0, 9.81), (9.81, 0.0, 0.0), (0.0, 0.0, -9.81), (5.664, -5.664, 5.664))
     golden = 0.5 * (math.sqrt(5.0) - 1.0)
     cases = []
     for k in range(60):
@@ -152,11 +146,7 @@ def choose_force(touch: Touch, cone: Cone) -> tuple[Array, Equilibrium]:
                 if settled:
                     break
                 eq = solve_rod(cone, gravity, force, s, touch.phi)
-            if (
-                settled
-                and math.acos(min(1.0, float(eq.tip_tangent[2]))) <= MAX_BEND
-                and eq.margin >= MIN_MARGIN
-            ):
+            if settled and math.acos(min(1.0, float(eq.tip_tangent[2]))) <= MAX_BEND and eq.margin >= MIN_MARGIN:
                 return force, eq
         except ArithmeticError:
             pass

@@ -96,8 +96,7 @@ class _Records(list[SimpleNamespace]):
     def __init__(self, array: Any) -> None:
         self.shape = array.shape
         super().__init__(
-            SimpleNamespace(**{name: _counting_value(row[name]) for name in array.dtype.names})
-            for row in array
+            SimpleNamespace(**{name: _counting_value(row[name]) for name in array.dtype.names}) for row in array
         )
 
 

@@ -74,9 +74,7 @@ def _fused(pressed: Presses, wrenches: Array, Ts: Array, rng: np.random.Generato
     model = pressed.model
     estimator = Estimator(model)
     noisy = with_noise(wrenches, model, rng)
-    readings = tuple(
-        Reading(w, model.noise_base(), T, pressed.gravity, True) for w, T in zip(noisy, Ts, strict=True)
-    )
+    readings = tuple(Reading(w, model.noise_base(), T, pressed.gravity, True) for w, T in zip(noisy, Ts, strict=True))
     fusion = Fusion(model, readings, estimator.priors, channels_of(model, None), pressed.gravity)
     found = fusion.solutions()
     if isinstance(found, FusedEstimate):

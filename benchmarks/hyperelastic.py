@@ -232,9 +232,7 @@ def _butterfly(n: int, rings: int) -> tuple[Array, Array]:
     points = [np.array([x, y]) for y in ticks for x in ticks]
     quads = [[j * (n + 1) + i + o for o in (0, 1, n + 2, n + 1)] for j in range(n) for i in range(n)]
     there, back = range(n), range(n, 0, -1)
-    corners = (
-        [(i, 0) for i in there] + [(n, j) for j in there] + [(i, n) for i in back] + [(0, j) for j in back]
-    )
+    corners = [(i, 0) for i in there] + [(n, j) for j in there] + [(i, n) for i in back] + [(0, j) for j in back]
     rim = [j * (n + 1) + i for i, j in corners]
     for ring in range(rings):
         scale = 1.0 / (INNER + (1.0 - INNER) * ring / rings) * (INNER + (1.0 - INNER) * (ring + 1) / rings)
@@ -253,9 +251,7 @@ def _disc(square: Array, phi: float) -> Array:
     safe = np.where(flat, q[:, 0], q[:, 1])
     safe = np.where(safe == 0.0, 1.0, safe)
     quarter = 0.25 * np.pi * np.where(flat, q[:, 1], -q[:, 0]) / safe
-    theta = quarter + np.where(
-        flat, np.where(q[:, 0] < 0, np.pi, 0.0), np.where(q[:, 1] < 0, -0.5, 0.5) * np.pi
-    )
+    theta = quarter + np.where(flat, np.where(q[:, 0] < 0, np.pi, 0.0), np.where(q[:, 1] < 0, -0.5, 0.5) * np.pi)
     round_part = np.clip((size - INNER) / (1.0 - INNER), 0.0, 1.0)
     circle = np.stack([np.cos(theta), np.sin(theta)], axis=1)
     point = size[:, None] * ((1.0 - round_part)[:, None] * 0.85 * q + round_part[:, None] * circle)
@@ -287,9 +283,7 @@ class State:
     pressure: Array
 
 
-def equilibrium(
-    mesh: Mesh, gravity: Array, force: Array, state: State, limit: int = 40
-) -> tuple[State, Array, int]:
+def equilibrium(mesh: Mesh, gravity: Array, force: Array, state: State, limit: int = 40) -> tuple[State, Array, int]:
     """Solve for the deformed cone by Newton's method from a given state.
 
     Returns:

@@ -28,14 +28,7 @@ PRESSED = (0.6, 0.02)
 """Fraction of the length and newtons of the push that a stiffness is determined by."""
 FLANGE_ROOT = -0.18
 """root_rigid_radii that is computed for the exported flange (decision 0006); the design states 0.12."""
-PERFECT = {
-    "gain": 0.0,
-    "root_radii": 0.0,
-    "creep": 0.0,
-    "stiffness_scatter": 0.0,
-    "walk_steps": 0.0,
-    "robot_mm": 0.0,
-}
+PERFECT = {"gain": 0.0, "root_radii": 0.0, "creep": 0.0, "stiffness_scatter": 0.0, "walk_steps": 0.0, "robot_mm": 0.0}
 """Tolerances of a bench without flaws, as its design then states them."""
 
 
@@ -204,30 +197,18 @@ def _noisier(test: MeasuredTest, factor: float) -> MeasuredTest:
 GROSS = [
     GrossError("all wrenches with the opposite sign", "sign", partial(_scaled, factors=[-1.0] * 6)),
     GrossError("forces with the opposite sign", "sign", partial(_scaled, factors=[-1.0] * 3 + [1.0] * 3)),
-    GrossError(
-        "Fy with the opposite sign", "sign", partial(_scaled, factors=[1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
-    ),
-    GrossError(
-        "Mx with the opposite sign", "sign", partial(_scaled, factors=[1.0, 1.0, 1.0, -1.0, 1.0, 1.0])
-    ),
+    GrossError("Fy with the opposite sign", "sign", partial(_scaled, factors=[1.0, -1.0, 1.0, 1.0, 1.0, 1.0])),
+    GrossError("Mx with the opposite sign", "sign", partial(_scaled, factors=[1.0, 1.0, 1.0, -1.0, 1.0, 1.0])),
     GrossError("moments in N·mm in columns of N·m", "unit", partial(_scaled, factors=[1.0] * 3 + [1e3] * 3)),
     GrossError("forces in mN in columns of N", "unit", partial(_scaled, factors=[1e3] * 3 + [1.0] * 3)),
     GrossError("base rotated by 90 degrees about its axis", "mount", _turned),
-    GrossError(
-        "x of the reference mirrored", "camera", partial(_mapped, rows=[0, 1, 2], signs=[-1.0, 1.0, 1.0])
-    ),
-    GrossError(
-        "x and y of the reference exchanged",
-        "camera",
-        partial(_mapped, rows=[1, 0, 2], signs=[1.0, 1.0, 1.0]),
-    ),
+    GrossError("x of the reference mirrored", "camera", partial(_mapped, rows=[0, 1, 2], signs=[-1.0, 1.0, 1.0])),
+    GrossError("x and y of the reference exchanged", "camera", partial(_mapped, rows=[1, 0, 2], signs=[1.0, 1.0, 1.0])),
     GrossError("places in m in columns of mm", "unit", _in_metres),
     GrossError("markers 9 and 10 exchanged", "marker", _exchanged, cameras_only=True),
     GrossError("markers numbered too high by 1", "marker", _numbered_too_high, cameras_only=True),
     GrossError("raw sensor readings in the base's frame", "frame", _as_the_sensor_shows),
-    GrossError(
-        "readings of two touches exchanged", "exchange", lambda test: test, change_all=_with_two_exchanged
-    ),
+    GrossError("readings of two touches exchanged", "exchange", lambda test: test, change_all=_with_two_exchanged),
     GrossError("data of the medium probe", "probe", lambda test: test, "medium"),
     GrossError("none, but noise five times as large as stated", "", partial(_noisier, factor=5.0)),
 ]

@@ -48,9 +48,7 @@ Times = tuple[float, float]
 def run(command: list[str], folder: Path, **environment: str) -> tuple[Times, str]:
     """Run a command that must succeed; return its times, including its children, and its output."""
     began, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
-    clean = {
-        name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "PYTHONPATH"))
-    }
+    clean = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "PYTHONPATH"))}
     done = subprocess.run(command, cwd=folder, env=clean | environment, text=True, capture_output=True)
     if done.returncode:
         raise RuntimeError(f"{' '.join(command)}: {done.stderr[-2000:]}")
@@ -144,9 +142,7 @@ def sizes() -> list[list[str]]:
     rows = [["pip install .", f"{len(plain)}", f"{sum(map(size_of, plain)):.0f} MB", _largest(plain)]]
     for extra in (*sorted(set(ENABLES) - {""}), "all"):
         added = packages_of(extra) - plain
-        rows.append(
-            [f"[{extra}] adds", f"{len(added)}", f"{sum(map(size_of, added)):.0f} MB", _largest(added)]
-        )
+        rows.append([f"[{extra}] adds", f"{len(added)}", f"{sum(map(size_of, added)):.0f} MB", _largest(added)])
     return rows
 
 
@@ -166,11 +162,7 @@ def report() -> None:
     for precompile in ("1", "0"):
         with tempfile.TemporaryDirectory() as folder:
             rows += measure(Path(folder), precompile)
-    print_table(
-        "Fresh installation in a new environment: wall time (CPU time)",
-        ["step", "time", "target"],
-        rows,
-    )
+    print_table("Fresh installation in a new environment: wall time (CPU time)", ["step", "time", "target"], rows)
 
 
 if __name__ == "__main__":

@@ -13,19 +13,7 @@ from probedesign.core.frames import Array
 from probedesign.rod.kernels import kernel, newton
 from probedesign.rod.kernels.equations import ALL_COLUMNS, LOAD_COLUMNS, OK, frustum_of, rest_of
 from probedesign.rod.kernels.lane_sweep import tick
-from probedesign.rod.kernels.lanes import (
-    LENGTH,
-    SIZE,
-    STEP_BUDGET,
-    TIPS,
-    TOL,
-    WANTS_TIPS,
-    D,
-    H,
-    S,
-    T,
-    put_frustum,
-)
+from probedesign.rod.kernels.lanes import LENGTH, SIZE, STEP_BUDGET, TIPS, TOL, WANTS_TIPS, D, H, S, T, put_frustum
 from probedesign.rod.kernels.linalg import put, take
 from probedesign.rod.kernels.solve import LANES, SOLUTION, scratch_buffers, solve_cases
 from probedesign.rod.kernels.steps import (
@@ -106,10 +94,7 @@ def solver(rod: Rod, load: Load, request: Request, copies: int = COPIES) -> Call
     """
     loads = np.tile(rod.load(GRAVITY, load.force, load.s), (copies, 1))
     found, derivatives = np.empty(copies, dtype=SOLUTION), np.empty((copies, 15, request.columns + 1))
-    which, work = (
-        np.zeros(copies, dtype=np.int64),
-        scratch_buffers(request.columns, request.room, request.group),
-    )
+    which, work = (np.zeros(copies, dtype=np.int64), scratch_buffers(request.columns, request.room, request.group))
     neighbour = rod.solve(GRAVITY, NEIGHBOUR * load.force, load.s).tip
     start = newton.WARM_ONLY if request.warm else newton.COLD
     tips = found["tip"]
@@ -126,9 +111,7 @@ def solver(rod: Rod, load: Load, request: Request, copies: int = COPIES) -> Call
     return solve
 
 
-def counted(
-    rod: Rod, load: Array, request: Request, neighbour: Array | None = None
-) -> tuple[int, dict[str, int]]:
+def counted(rod: Rod, load: Array, request: Request, neighbour: Array | None = None) -> tuple[int, dict[str, int]]:
     """Return the operations of one solve and the calls of each function.
 
     Args:
@@ -148,26 +131,19 @@ def counted(
     which, tol = np.zeros(n, dtype=np.int64), request.tol
     done, calls = count(solve_cases, 0, n, rod.stacked, which, np.tile(load, (n, 1)),
                         rod.directed, start, False, tol, tol / 10.0, *work, found, derivatives)  # fmt: skip
-    return flops(done) // n, {
-        name: times if name in SIMULTANEOUS else times // n for name, times in calls.items()
-    }
+    return flops(done) // n, {name: times if name in SIMULTANEOUS else times // n for name, times in calls.items()}
 
 
 def measure(rod: Rod, loads: Sequence[Load]) -> dict[str, list[Work]]:
     """Return the work of each request for each load."""
     found: dict[str, list[Work]] = {name: [] for name in REQUESTS}
     for load in loads:
-        seconds = interleaved(
-            {name: solver(rod, load, request) for name, request in REQUESTS.items()}, ROUNDS
-        )
+        seconds = interleaved({name: solver(rod, load, request) for name, request in REQUESTS.items()}, ROUNDS)
         neighbour = rod.solve(GRAVITY, NEIGHBOUR * load.force, load.s).tip
         for name, request in REQUESTS.items():
             packed = rod.load(GRAVITY, load.force, load.s)
             found[name].append(
-                Work(
-                    seconds[name] / COPIES,
-                    *counted(rod, packed, request, neighbour if request.warm else None),
-                )
+                Work(seconds[name] / COPIES, *counted(rod, packed, request, neighbour if request.warm else None))
             )
     return found
 
@@ -229,11 +205,7 @@ def parts(rod: Rod, load: Load) -> dict[str, Part]:
     have the time of all lanes and the operations of one. Within a solve a step takes longer than in a loop of its own,
     probably because the decoded instructions of all kinds do not fit the cache.
     """
-    work, block, packed = (
-        np.empty(WORK),
-        np.empty(BLOCK),
-        rod.load(GRAVITY, load.force, load.s),
-    )
+    work, block, packed = (np.empty(WORK), np.empty(BLOCK), rod.load(GRAVITY, load.force, load.s))
     _begin(work, block)
     lanes = np.zeros(LANES)
     case = (rod.body, packed, work, block)
@@ -244,9 +216,7 @@ def parts(rod: Rod, load: Load) -> dict[str, Part]:
         "round": (_newton_steps, (False, rod.body, lanes)),
         "tips": (_newton_steps, (True, rod.body, lanes)),
     }
-    seconds = interleaved(
-        {name: partial(steps, TRIPS, *args) for name, (steps, args) in kinds.items()}, ROUNDS
-    )
+    seconds = interleaved({name: partial(steps, TRIPS, *args) for name, (steps, args) in kinds.items()}, ROUNDS)
     found = {
         name: Part(seconds[name] / TRIPS, flops(count(steps, 2, *args)[0]) - flops(count(steps, 1, *args)[0]))
         for name, (steps, args) in kinds.items()
@@ -302,9 +272,7 @@ def print_parts(work: Work, each: dict[str, Part], peaks: dict[str, float], name
         calls, part = work.calls.get(step, 0), each[step]
         if calls:
             left, operations = left - calls * part.seconds, operations - calls * part.operations
-            rows.append(
-                _part_row(kind, calls, calls * part.seconds, calls * part.operations, work.seconds, peak)
-            )
+            rows.append(_part_row(kind, calls, calls * part.seconds, calls * part.operations, work.seconds, peak))
     rows.append(_part_row("other", "", left, operations, work.seconds, peak))
     rows.append(_part_row("whole solve", "", work.seconds, work.operations, work.seconds, peak))
     print_table(
@@ -320,9 +288,7 @@ def print_parts(work: Work, each: dict[str, Part], peaks: dict[str, float], name
     )
 
 
-def _part_row(
-    kind: str, calls: object, seconds: float, operations: int, whole: float, peak: float
-) -> list[str]:
+def _part_row(kind: str, calls: object, seconds: float, operations: int, whole: float, peak: float) -> list[str]:
     rate = operations / max(seconds, 1e-12)
     return [
         kind, str(calls), format_seconds(seconds), f"{seconds / whole:.0%}", str(operations), f"{rate / 1e9:.1f}",

@@ -18,12 +18,7 @@ from probedesign.estimation.error_sources import parameters_of, turns_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.identification.identify import IdentificationData
-from probedesign.identification.parameters import (
-    DEGREE,
-    POISSON,
-    POISSON_STD,
-    CommonParameters,
-)
+from probedesign.identification.parameters import DEGREE, POISSON, POISSON_STD, CommonParameters
 from probedesign.identification.residuals import MeasuredTest
 from probedesign.identification.whole_probe import MassMeasurement
 from probedesign.prediction.monte_carlo import perturbed_rod
@@ -128,27 +123,18 @@ def draw(model: ProbeModel, kind: Kind, seed: int, *, dimensions: bool = False, 
 
 
 def _truth(
-    model: ProbeModel,
-    tolerances: Tolerances,
-    rng: np.random.Generator,
-    dimensions: bool,
-    spread: float,
-    flaws: Flaws,
+    model: ProbeModel, tolerances: Tolerances, rng: np.random.Generator, dimensions: bool, spread: float, flaws: Flaws
 ) -> Truth:
     K = len(model.rod.s)
     factors = np.zeros(4 + K)
-    sources = parameters_of(
-        model.rod, replace(tolerances, youngs_modulus=spread, creep=0.0, stiffness_scatter=0.0)
-    )
+    sources = parameters_of(model.rod, replace(tolerances, youngs_modulus=spread, creep=0.0, stiffness_scatter=0.0))
     for source, rows in sources.items():
         deviation = rng.normal(size=len(rows)) @ rows
         factors += deviation if dimensions or source not in DIMENSIONS else 0.0
     poisson = min(POISSON + POISSON_STD * rng.normal(), 0.4999)
     ratio = model.rod.youngs_modulus / model.rod.shear_modulus
     factors[1] = factors[0] + math.log(ratio / (2.0 * (1.0 + poisson)))
-    mounting = sum(
-        rng.normal(size=len(rows)) @ rows for rows in turns_of(model.gravity_base, tolerances).values()
-    )
+    mounting = sum(rng.normal(size=len(rows)) @ rows for rows in turns_of(model.gravity_base, tolerances).values())
     T_seat = pose(Rotation.from_rotvec(mounting[3:6]).as_matrix(), mounting[0:3])
     rotation, shift = STD_TILT * rng.normal(size=3), STD_BASE * rng.normal(size=3)
     T_mount = pose(Rotation.from_rotvec(rotation).as_matrix(), shift) @ T_seat
@@ -184,9 +170,7 @@ class _Bench:
 
     def tests(self) -> tuple[MeasuredTest, ...]:
         """Return the tests without the touches for which the true probe has no equilibrium."""
-        loads: list[tuple[str, float, float, str]] = [
-            ("weight", s, force, "") for s, force in self.kind.weights
-        ]
+        loads: list[tuple[str, float, float, str]] = [("weight", s, force, "") for s, force in self.kind.weights]
         loads += [("touch", s, force, side) for s, force in self.kind.touches for side in self.kind.sides]
         interval = math.ceil(len(loads) / max(self.kind.hangs - 1, 1))
         plan: list[tuple[str, float, float, str]] = []
@@ -209,11 +193,7 @@ class _Bench:
         )
         rod = replace(truth.rod, youngs_modulus=stiffness * truth.rod.youngs_modulus,
                       shear_modulus=stiffness * truth.rod.shear_modulus)  # fmt: skip
-        s, ratio, angle = (
-            fraction * rod.length,
-            self.mu * math.sqrt(rng.random()),
-            2.0 * math.pi * rng.random(),
-        )
+        s, ratio, angle = (fraction * rod.length, self.mu * math.sqrt(rng.random()), 2.0 * math.pi * rng.random())
         error = np.concatenate([rng.normal(size=3) / WRIST, rng.normal(size=3)]) * self.std_pose
         T = pose(Rotation.from_rotvec(error[:3]).as_matrix(), error[3:]) @ truth.T_mount
         gravity = T[:3, :3].T @ truth.gravity_mount
@@ -224,9 +204,7 @@ class _Bench:
             phi = DIRECTIONS[side] + math.pi
             if self.flaws.independent:
                 along, around = ratios
-                found = solve(
-                    Probes.of(rod), gravity, s, phi, (force, around * force, along * force), axes="surface"
-                )
+                found = solve(Probes.of(rod), gravity, s, phi, (force, around * force, along * force), axes="surface")
                 ok, wrench, surface = bool(found.ok[0]), found.wrench[0], found.p_surface[0]
             else:
                 touch = solve_surface_force(rod, gravity, s, phi, force, ratios)
@@ -274,6 +252,4 @@ class _Bench:
         points = points + self.kind.marker * self.rng.normal(size=points.shape)
         cov = np.tile(self.kind.marker**2 * np.eye(3), (len(MARKERS), 1, 1))
         numbers = tuple(range(1, len(MARKERS) + 1))
-        return replace(
-            test, marker_s=MARKERS, p_markers_world=points, cov_markers=cov, marker_numbers=numbers
-        )
+        return replace(test, marker_s=MARKERS, p_markers_world=points, cov_markers=cov, marker_numbers=numbers)

@@ -183,9 +183,7 @@ def _faults(estimator: Estimator, spec: str, seconds: float) -> None:
         ["free probe called free after it", f"{after['no_contact']} of {after.total()}", "all"],
         ["streams kept apart", "yes" if stretches == sorted(stretches) and stretches[-1] > 0 else "no", "yes"],
     ]  # fmt: skip
-    print_table(
-        f"the box restarts, then stalls, for {FAULT_DURATION:g} s each", ["", "measured", "target"], rows
-    )
+    print_table(f"the box restarts, then stalls, for {FAULT_DURATION:g} s each", ["", "measured", "target"], rows)
 
 
 DATAGRAM_RATES = (1000, 2000, 4000, 7000, 10_000)

@@ -56,13 +56,9 @@ def peaks() -> dict[str, float]:
     scalar_rate = partial(_rate, TRIPS, per_trip)
     vector_rate = partial(_rate, TRIPS // 100, per_sweep)
     return {
-        "scalar, separate multiply and add": scalar_rate(
-            partial(separate(_scalar_chains), TRIPS, SHRINK, SHIFT)
-        ),
+        "scalar, separate multiply and add": scalar_rate(partial(separate(_scalar_chains), TRIPS, SHRINK, SHIFT)),
         "scalar, fused multiply-add": scalar_rate(partial(fused(_scalar_chains), TRIPS, SHRINK, SHIFT)),
-        "SIMD, fused multiply-add": vector_rate(
-            partial(fused(_vector_chains), TRIPS // 100, x, SHRINK, SHIFT)
-        ),
+        "SIMD, fused multiply-add": vector_rate(partial(fused(_vector_chains), TRIPS // 100, x, SHRINK, SHIFT)),
     }
 
 

@@ -48,9 +48,7 @@ R_BOX_WORLD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 PHOTO_SEED, PHOTO_TEST = 3, 2
 """Seed of the campaign and index of the test in the photographs."""
-STYLES = tuple(
-    RenderStyle(blur_px=blur, noise=noise, seed=5) for blur, noise in ((0.8, 1.5), (0.8, 5.0), (1.4, 1.5))
-)
+STYLES = tuple(RenderStyle(blur_px=blur, noise=noise, seed=5) for blur, noise in ((0.8, 1.5), (0.8, 5.0), (1.4, 1.5)))
 
 
 def report() -> None:
@@ -97,11 +95,7 @@ def _calibrated(kind: CalibrationKind, seed: int) -> tuple[float, float, float]:
         squared.append(np.sum(error**2, axis=1))
         stated.append(np.trace(cov, axis1=1, axis2=2))
         nees.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(cov), error))
-    return (
-        float(np.mean(squared)),
-        float(np.mean(stated)),
-        float(np.mean(np.concatenate(nees) < CHI2_95)),
-    )
+    return (float(np.mean(squared)), float(np.mean(stated)), float(np.mean(np.concatenate(nees) < CHI2_95)))
 
 
 def _report_dots() -> None:
@@ -153,15 +147,11 @@ def pictured(data: IdentificationData, seed: int, *, common: bool = True) -> Ide
             the stated covariance, as identification assumes.
     """
     rng = np.random.default_rng(seed)
-    cameras = [
-        calibrate(c.name, BOX, c.project(BOX) + CLICK_PX * rng.normal(size=(20, 2))) for c in TRUE_CAMERAS
-    ]
+    cameras = [calibrate(c.name, BOX, c.project(BOX) + CLICK_PX * rng.normal(size=(20, 2))) for c in TRUE_CAMERAS]
     return replace(data, tests=tuple(_measured(test, cameras, common, rng) for test in data.tests))
 
 
-def _measured(
-    test: MeasuredTest, cameras: list[Camera], common: bool, rng: np.random.Generator
-) -> MeasuredTest:
+def _measured(test: MeasuredTest, cameras: list[Camera], common: bool, rng: np.random.Generator) -> MeasuredTest:
     points, cov = _triangulated(test.p_markers_world, cameras, common, rng)
     test = replace(test, p_markers_world=points, cov_markers=cov)
     if test.p_touch_world is None:
@@ -170,9 +160,7 @@ def _measured(
     return replace(test, p_touch_world=touch[0], std_touch=float(np.sqrt(np.trace(cov[0]) / 3)))
 
 
-def _triangulated(
-    p_world: Array, cameras: list[Camera], common: bool, rng: np.random.Generator
-) -> tuple[Array, Array]:
+def _triangulated(p_world: Array, cameras: list[Camera], common: bool, rng: np.random.Generator) -> tuple[Array, Array]:
     """Return points triangulated by the cameras and their stated covariances."""
     points = p_world @ R_BOX_WORLD.T
     pixels = np.array([c.project(points) + DOT_PX * rng.normal(size=(len(points), 2)) for c in TRUE_CAMERAS])

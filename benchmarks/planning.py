@@ -62,10 +62,7 @@ def _compare(label: str, design: Design, plan: Plan) -> list[list[str]]:
             truth = fill(Path(folder), plan, seed)
             identified = pipeline.identify(design, read_campaign(Path(folder)), NAMES)
         ok += identified.result == "ok"
-        true = {
-            "E": truth.rod.youngs_modulus / 1e6,
-            "root": truth.rod.rigid_length / float(truth.rod.radius[0]),
-        }
+        true = {"E": truth.rod.youngs_modulus / 1e6, "root": truth.rod.rigid_length / float(truth.rod.radius[0])}
         for name in NAMES:
             one = identified.of(name)
             if one is not None and one.value_of_print is not None and one.std_of_print is not None:
@@ -106,21 +103,14 @@ def fill(folder: Path, plan: Plan, seed: int, exact: bool = False) -> GroundTrut
         bias = drift * std * rng.normal(size=6)
         for i in range(READINGS):
             values = reading + bias + std * rng.normal(size=6)
-            wrenches.append(
-                ",".join([row["test"], f"{one.test.time + i:g}", *(f"{value:.8g}" for value in values)])
-            )
+            wrenches.append(",".join([row["test"], f"{one.test.time + i:g}", *(f"{value:.8g}" for value in values)]))
         if place is not None:
             measured = (T[:3, :3] @ place + T[:3, 3] + one.test.std_contact * rng.normal(size=3)) / MM
-            row |= {
-                f"contact_{axis}_world_mm": f"{value:.4f}"
-                for axis, value in zip("xyz", measured, strict=True)
-            }
+            row |= {f"contact_{axis}_world_mm": f"{value:.4f}" for axis, value in zip("xyz", measured, strict=True)}
         if plan.bench.instruments.cameras is not None:
             measured = points @ T[:3, :3].T + T[:3, 3]
             measured = (measured + plan.bench.instruments.cameras * rng.normal(size=measured.shape)) / MM
-            markers += [
-                f"{row['test']},{i},{p[0]:.4f},{p[1]:.4f},{p[2]:.4f}" for i, p in enumerate(measured, 1)
-            ]
+            markers += [f"{row['test']},{i},{p[0]:.4f},{p[1]:.4f},{p[2]:.4f}" for i, p in enumerate(measured, 1)]
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()

@@ -26,9 +26,7 @@ def report() -> None:
         exact = Estimator(model, Tolerances.none())
         for fraction, force, direction in TOUCHES:
             rng, phi = np.random.default_rng(7), DIRECTIONS[direction] + np.pi
-            wrenches, points = (
-                values[:, 0] for values in samples.simulate_touches(fraction, phi, (force,), rng)
-            )
+            wrenches, points = (values[:, 0] for values in samples.simulate_touches(fraction, phi, (force,), rng))
             read = wrenches + samples.draw_noise(DRAWS, 1, rng)[:, 0]
             columns = [_statistics(estimator, read, points) for estimator in (exact, exact.with_tolerances())]
             rows.append([f"{name}, {1e3 * force:g} mN at {fraction:g} L, {direction}",

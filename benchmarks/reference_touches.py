@@ -65,12 +65,8 @@ def evaluate_readings(
                  for i, e in enumerate(np.eye(3))]  # fmt: skip
     dw, dp = differences(probes, samples.gravity, touches, variants)
     over = np.stack(steps, axis=1)[:, None, :]
-    J = np.stack(
-        [samples.reading(touches.wrench + dw[:, :, i], free, k, bare) - wrench for i in range(5)], axis=2
-    )
-    P = np.stack(
-        [samples.point_in_nominal_frame(touches.p_surface + dp[:, :, i]) - point for i in range(5)], axis=2
-    )
+    J = np.stack([samples.reading(touches.wrench + dw[:, :, i], free, k, bare) - wrench for i in range(5)], axis=2)
+    P = np.stack([samples.point_in_nominal_frame(touches.p_surface + dp[:, :, i]) - point for i in range(5)], axis=2)
     D, Q = _error_columns(samples, z, touches, free, k, wrench, point, bare)
     return Readings(touches, wrench, point, J / over, P / over, D, Q)
 
@@ -134,9 +130,7 @@ def propagated_covariance(information: Array, P: Array) -> Array:
     known = values > 1e-12
     cov = np.einsum("nai,ni,nbi->nab", gain, known / np.where(known, values, 1.0), gain)
     missing = np.where(known[:, None, :], 0.0, gain)
-    cov[
-        (np.abs(missing) > 1e-3 * np.abs(gain).max(axis=(1, 2), initial=0.0)[:, None, None]).any(axis=(1, 2))
-    ] = np.inf
+    cov[(np.abs(missing) > 1e-3 * np.abs(gain).max(axis=(1, 2), initial=0.0)[:, None, None]).any(axis=(1, 2))] = np.inf
     cov[~good] = np.nan
     return cov
 

@@ -77,9 +77,7 @@ def batch_targets(batches: dict[str, Batch]) -> list[list[str]]:
         rows.append([f"{name}: solutions per second on {threads} threads", f"{rate:,.0f}", f"≥ {MIN_BATCH_RATE:,.0f}",
                      _verdict(rate >= MIN_BATCH_RATE)])  # fmt: skip
     best = max(max(found.rates.values()) for found in batches.values())
-    rows.append(
-        ["solutions per second with SIMD lanes", f"{best:,.0f}", f"goal {LANES_GOAL:,.0f}", "reported"]
-    )
+    rows.append(["solutions per second with SIMD lanes", f"{best:,.0f}", f"goal {LANES_GOAL:,.0f}", "reported"])
     return rows
 
 

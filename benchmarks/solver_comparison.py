@@ -157,10 +157,7 @@ def row(name: str, found: Sequence[dict[str, Measurement | None]]) -> list[str]:
     return [
         name,
         value_range([m.seconds for m in measured], format_seconds),
-        value_range(
-            [m.error for m in measured],
-            lambda error: "< 0.001" if error < 1e-9 else two_digits(error / 1e-6),
-        ),
+        value_range([m.error for m in measured], lambda error: "< 0.001" if error < 1e-9 else two_digits(error / 1e-6)),
         value_range(ratios(name, found, ROD), two_digits),
         value_range(over_kernel, two_digits),
         verdict,
@@ -182,9 +179,7 @@ def eligible(name: str, found: Sequence[dict[str, Measurement | None]]) -> bool:
 def most_accurate(start: str, found: Sequence[dict[str, Measurement | None]]) -> str | None:
     """Return the eligible method with the smallest error whose name has this start, or None."""
     names = [
-        name
-        for name, measured in found[0].items()
-        if measured and name.startswith(start) and eligible(name, found)
+        name for name, measured in found[0].items() if measured and name.startswith(start) and eligible(name, found)
     ]
     return min(names, key=lambda name: max(m.error for case in found if (m := case[name])), default=None)
 

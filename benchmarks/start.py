@@ -35,12 +35,7 @@ def report() -> None:
         first = {name: wall(command) for name, (command, _) in commands.items()}
         rounds = [{name: wall(command) for name, (command, _) in commands.items()} for _ in range(RUNS)]
     rows = [
-        [
-            name,
-            format_seconds(first[name]),
-            format_seconds(statistics.median(found[name] for found in rounds)),
-            target,
-        ]
+        [name, format_seconds(first[name]), format_seconds(statistics.median(found[name] for found in rounds)), target]
         for name, (_, target) in commands.items()
     ]
     print_table(

@@ -57,13 +57,7 @@ def report() -> None:
             rows.append(row)
         finally:
             page.stop()
-    head = [
-        "probe",
-        "computation, median",
-        "95th percentile",
-        "shown in the browser, median",
-        "95th percentile",
-    ]
+    head = ["probe", "computation, median", "95th percentile", "shown in the browser, median", "95th percentile"]
     print_table(f"Time from the motion of a slider to new curves and shape, {MOVES} moves each", head, rows)
     if chromium:
         draw_page(chromium)

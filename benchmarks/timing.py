@@ -12,10 +12,7 @@ import scipy
 
 
 def interleaved(
-    calls: Mapping[str, Callable[[], object]],
-    rounds: int,
-    min_round_s: float = 2e-3,
-    max_total_s: float = 2.0,
+    calls: Mapping[str, Callable[[], object]], rounds: int, min_round_s: float = 2e-3, max_total_s: float = 2.0
 ) -> dict[str, float]:
     """Return the median time of each call [s] over interleaved rounds.
 
@@ -73,8 +70,7 @@ def print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) 
     print(f"\n{title}")
     for row in [head, ["-" * w for w in widths], *rows]:
         first, *rest = (
-            cell.ljust(w) if i == 0 else cell.rjust(w)
-            for i, (cell, w) in enumerate(zip(row, widths, strict=True))
+            cell.ljust(w) if i == 0 else cell.rjust(w) for i, (cell, w) in enumerate(zip(row, widths, strict=True))
         )
         print("  " + "  ".join([first, *rest]))
 

@@ -24,12 +24,7 @@ from probedesign.validation.validate import validate
 from probedesign.validation.validated_test import ValidatedTest
 
 CAMPAIGNS = 150
-KINDS: tuple[tuple[CampaignKind, float], ...] = (
-    ("cameras", 0.0),
-    ("stage", 0.0),
-    ("cameras", 0.3),
-    ("stage", 0.3),
-)
+KINDS: tuple[tuple[CampaignKind, float], ...] = (("cameras", 0.0), ("stage", 0.0), ("cameras", 0.3), ("stage", 0.3))
 """Reference measurement, and median friction coefficient of the touches."""
 
 
@@ -39,9 +34,7 @@ def report() -> None:
     for kind, friction in KINDS:
         for name, model in paper_models().items():
             tests = [
-                test
-                for seed in range(CAMPAIGNS)
-                for test in _tests(model, CampaignPlan(kind, seed, friction=friction))
+                test for seed in range(CAMPAIGNS) for test in _tests(model, CampaignPlan(kind, seed, friction=friction))
             ]
             rows.append(
                 [
@@ -49,22 +42,11 @@ def report() -> None:
                     *_statistics([test for test in tests if test.kind == "touch"]),
                 ]
             )
-            for weight in sorted(
-                {test.test.name for test in tests if test.kind == "weight" and not friction}
-            ):
+            for weight in sorted({test.test.name for test in tests if test.kind == "weight" and not friction}):
                 here = [test for test in tests if test.test.name == weight]
                 mean = np.mean([[test.force / MILLINEWTON, test.fraction] for test in here], axis=0)
                 weights.append([f"{name}, {mean[0]:.3g} mN at {mean[1]:.1f} L", *_statistics(here)])
-    head = [
-        "probe, reference",
-        "touches",
-        "located",
-        "in 95 %",
-        "95 % interval",
-        "NEES/dof",
-        "RMS error",
-        "stated RMS",
-    ]
+    head = ["probe, reference", "touches", "located", "in 95 %", "95 % interval", "NEES/dof", "RMS error", "stated RMS"]
     print_table(f"Simulated campaigns, {CAMPAIGNS} probes each", head, rows)
     print_table("Weights of the campaigns without friction", ["probe, weight", "weights", *head[2:]], weights)
     _table_one()

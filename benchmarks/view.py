@@ -109,9 +109,7 @@ def _write(shot: bytes, picture: Path) -> None:
     """Write a screenshot with 256 colours, which halves its size."""
     from PIL import Image
 
-    Image.open(io.BytesIO(shot)).convert("RGB").quantize(256, dither=Image.Dither.NONE).save(
-        picture, optimize=True
-    )
+    Image.open(io.BytesIO(shot)).convert("RGB").quantize(256, dither=Image.Dither.NONE).save(picture, optimize=True)
 
 
 def free_port() -> int:

@@ -14,9 +14,7 @@ compares an estimator with a reference. Lengths are in metres, forces in newtons
 in its unit where that is another. Each name is imported when it is first used, so that `import probedesign` stays fast.
 """
 
-TYPE_CHECKING = (
-    False  # as in typing, whose import would delay the first Ctrl-C that ends a command in one line
-)
+TYPE_CHECKING = False  # as in typing, whose import would delay the first Ctrl-C that ends a command in one line
 if TYPE_CHECKING:
     from typing import Any
 
@@ -76,9 +74,7 @@ _MODULES = {
 """Names of each module."""
 _RENAMED = {"SensorModel": "Sensor"}
 _LOCATIONS = {
-    _RENAMED.get(name, name): (f"probedesign.{module}", name)
-    for module, names in _MODULES.items()
-    for name in names
+    _RENAMED.get(name, name): (f"probedesign.{module}", name) for module, names in _MODULES.items() for name in names
 } | {"Priors": ("probedesign.estimation.tolerances", "Tolerances")}
 """Module and attribute of each public name; `Priors` is a second name of `Tolerances`, the priors of an estimator."""
 __all__ = [

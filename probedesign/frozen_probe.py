@@ -85,9 +85,7 @@ def _number(lowest: float = -math.inf, highest: float = math.inf) -> Callable[[A
 def _read_name(value: Any) -> str:
     """A name becomes part of the names of recordings: a forged one must not lead out of their folder."""
     if not isinstance(value, str) or not is_plain_name(value):
-        raise InputError(
-            f"= {str(value)[:60]!a} is not a plain name; letters, digits, '-', '_' and '.' are allowed"
-        )
+        raise InputError(f"= {str(value)[:60]!a} is not a plain name; letters, digits, '-', '_' and '.' are allowed")
     return value
 
 
@@ -276,9 +274,7 @@ def load_model(path: str | Path, manifest: str | Path | None = None) -> ProbeMod
     """Return the model of a frozen probe; see `load_estimator` for arguments and errors."""
     path = file_in(Path(path), "*.probe.json", "frozen probe")
     if path.suffix == ".toml":
-        raise InputError(
-            f"{path}: is a design; freeze it with: probedesign deploy {path}, and give the file it writes"
-        )
+        raise InputError(f"{path}: is a design; freeze it with: probedesign deploy {path}, and give the file it writes")
     data = _read_json(path, "frozen probe")
     _check_identity(data, path)
     try:
@@ -334,9 +330,7 @@ def _check_identity(data: dict[str, Any], path: Path) -> None:
 
 def _model_of(data: dict[str, Any]) -> ProbeModel:
     """Return the model that the content of a file describes; the inverse of `freeze`."""
-    values = {
-        field.attribute: _value_of(data, field, field.read) for field in FIELDS if field.read is not None
-    }
+    values = {field.attribute: _value_of(data, field, field.read) for field in FIELDS if field.read is not None}
     unknown = set(data.get("tolerances") or {}) - {entry.name for entry in fields(Tolerances)}
     if unknown:
         raise InputError(f"tolerances: {', '.join(sorted(unknown))} is not known")
@@ -366,9 +360,7 @@ def _model_of(data: dict[str, Any]) -> ProbeModel:
     )
     geometry = ProbeGeometry(model.rod.s, model.rod.radius, model.flange, section)
     if geometry.fingerprint != model.fingerprint:
-        raise InputError(
-            f"fingerprint {model.fingerprint} is not that of the geometry ({geometry.fingerprint})"
-        )
+        raise InputError(f"fingerprint {model.fingerprint} is not that of the geometry ({geometry.fingerprint})")
     if model.averaging_samples < 1 or not (wrench_range > 0).all():
         raise InputError("sensor: ranges and averaging_samples must be positive")
     return model

@@ -106,12 +106,7 @@ def predict(probe: "Probe", pressing: "PressSchedule | None" = None) -> "Predict
 
 
 def sample_prediction(
-    probe: "Probe",
-    prediction: "Prediction",
-    draws: int,
-    seed: int,
-    checkpoint: Path | None,
-    on_progress: "OnProgress",
+    probe: "Probe", prediction: "Prediction", draws: int, seed: int, checkpoint: Path | None, on_progress: "OnProgress"
 ) -> "Prediction":
     """Return a prediction with a Monte Carlo check of each of its conditions.
 
@@ -122,11 +117,7 @@ def sample_prediction(
 
     plan = MonteCarloPlan(probe.model, probe.tolerances, draws, seed, prediction.pressing)
     results = run_monte_carlo(
-        plan,
-        prediction,
-        checkpoint,
-        lambda share: on_progress("Monte Carlo", share),
-        fused=shown(prediction.fused),
+        plan, prediction, checkpoint, lambda share: on_progress("Monte Carlo", share), fused=shown(prediction.fused)
     )
     return replace(prediction, monte_carlo=results)
 
@@ -158,9 +149,7 @@ def confirm(
     return before, run(best.design, best.task, draws, seed, on_progress)
 
 
-def identify(
-    design: "Design", campaign: "Campaign", names: Sequence[str], accept: bool = False
-) -> "Identification":
+def identify(design: "Design", campaign: "Campaign", names: Sequence[str], accept: bool = False) -> "Identification":
     """Estimate the named parameters of a printed probe from the measurements of a campaign.
 
     `accept` reports numbers with widened intervals where the tests contradict each other.
@@ -175,9 +164,7 @@ def identify(
     return replace(found, served=tuple(test.digest for test in campaign.tests if test.name in used))
 
 
-def plan(
-    design: "Design", minutes: float, names: Sequence[str], instruments: "Instruments", held_out: int
-) -> "Plan":
+def plan(design: "Design", minutes: float, names: Sequence[str], instruments: "Instruments", held_out: int) -> "Plan":
     """Choose the tests of a campaign that determine the named parameters best in the time available [min].
 
     Raises:
@@ -244,9 +231,7 @@ def validate(
     """Compare the estimates of a frozen probe with the reference of a campaign of its print."""
     from probedesign.validation.validate import validate as run
 
-    return run(
-        estimator, campaign, exact_model, include_identified, lambda share: on_progress("estimating", share)
-    )
+    return run(estimator, campaign, exact_model, include_identified, lambda share: on_progress("estimating", share))
 
 
 def estimate(

@@ -56,13 +56,7 @@ def _columns(probe: "Probe") -> None:
 
 
 def _touches(probe: "Probe") -> None:
-    from probedesign.estimation.surface_contact_kernel import (
-        ROWS,
-        TOUCH,
-        UNKNOWNS,
-        linearise_touch,
-        work_size,
-    )
+    from probedesign.estimation.surface_contact_kernel import ROWS, TOUCH, UNKNOWNS, linearise_touch, work_size
 
     linearise_touch(
         probe.model.rod.body, probe.model.gravity_base, probe.model.mass, 1e-6, np.zeros(TOUCH), 0,
@@ -128,10 +122,7 @@ def precompile(folder: Path) -> dict[str, float]:
     after = os.times()
     return {
         "wall_s": time.perf_counter() - began,
-        "processor_s": after.children_user
-        + after.children_system
-        - before.children_user
-        - before.children_system,
+        "processor_s": after.children_user + after.children_system - before.children_user - before.children_system,
         "functions": len(list(folder.glob(f"*/*{cache.SUFFIX}"))),
     }
 

@@ -100,11 +100,7 @@ class Probe(Displayed):
             wrench_range=np.array(calibration.wrench_range),
             noise=calibration.noise(d.sensor.averaging_samples),
             averaging_samples=d.sensor.averaging_samples,
-            material={
-                "youngs_modulus": d.youngs_modulus,
-                "shear_modulus": d.shear_modulus,
-                "density": d.density,
-            },
+            material={"youngs_modulus": d.youngs_modulus, "shear_modulus": d.shear_modulus, "density": d.density},
             assumptions=d.assumptions,
             friction=d.friction.value,
             friction_provenance=d.friction.provenance,

@@ -37,11 +37,7 @@ def workplace(tmp_path, monkeypatch):
 def test_a_project_has_one_folder_of_exports_and_others_have_their_own(workplace, monkeypatch):
     assert run(["new", "a", "--length", "150", "--base-d", "12"]) == 0
     written = workplace / "exports/a/a.probe.json"
-    for within, design in (
-        ("designs", "a.toml"),
-        (".", "designs/a.toml"),
-        ("below/more", "../../designs/a.toml"),
-    ):
+    for within, design in (("designs", "a.toml"), (".", "designs/a.toml"), ("below/more", "../../designs/a.toml")):
         (workplace / within).mkdir(parents=True, exist_ok=True)
         monkeypatch.chdir(workplace / within)
         assert run(["deploy", design]) == 0
@@ -94,9 +90,7 @@ def test_the_pipeline_is_the_whole_chain_and_writes_no_files(workplace):
     source = SimulatedSource(estimator.model, "force_mN=20&seconds=2&rate_hz=50&speed=max")
     readings = list(iter_readings(source))
     recording = workplace / "recording.csv"
-    write_recording(
-        recording, np.array([r.time for r in readings]), np.array([r.wrench_sensor for r in readings])
-    )
+    write_recording(recording, np.array([r.time for r in readings]), np.array([r.wrench_sensor for r in readings]))
     estimates = pipeline.estimate(estimator, recording, None, 5, "ml", False, RecordingOptions())
     assert len(estimates.rows) == len(readings) // 5
     source = SimulatedSource(estimator.model, "force_mN=20&seconds=2&rate_hz=50&speed=max")
@@ -163,13 +157,9 @@ def test_the_demo_page_is_there_at_once_and_ends_complete(workplace, monkeypatch
         raise MissingDependencyError.of_extra("export", "CadQuery", "cad")
 
     monkeypatch.setattr(cad, "export_parts", without_cad)
-    monkeypatch.setattr(
-        demo, "_explore", lambda bundle, folder, skipped: skipped.append("explore: left out") or {}
-    )
+    monkeypatch.setattr(demo, "_explore", lambda bundle, folder, skipped: skipped.append("explore: left out") or {})
     pages = []
-    result = demo.run_demo(
-        workplace / "d", False, lambda _: pages.append((workplace / "d/index.html").read_text())
-    )
+    result = demo.run_demo(workplace / "d", False, lambda _: pages.append((workplace / "d/index.html").read_text()))
     assert 'http-equiv="refresh"' in pages[0] and "being made" in pages[0]
     page = (workplace / "d/index.html").read_text()
     assert 'http-equiv="refresh"' not in page and "being made" not in page and 'id="replay"' in page

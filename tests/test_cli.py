@@ -228,9 +228,7 @@ def test_new_takes_every_option(workplace):
     assert design.contact.friction == float("inf")
 
 
-@pytest.mark.parametrize(
-    ("section", "key", "ratio"), [("hollow", "bore_ratio", 0.4), ("elliptic", "flatness", 0.6)]
-)
+@pytest.mark.parametrize(("section", "key", "ratio"), [("hollow", "bore_ratio", 0.4), ("elliptic", "flatness", 0.6)])
 def test_new_takes_every_section(workplace, section, key, ratio):
     assert run([*NEW, "--section", section, f"--{key.replace('_', '-')}", str(ratio)]) == 0
     design = load_design(f"designs/cone-150x12x2-{section}-{ratio}.toml")
@@ -322,9 +320,7 @@ def test_doctor_reports_what_is_installed(capsys):
 
 def test_doctor_looks_for_every_package_that_all_installs():
     required = [line.partition(";") for line in metadata.requires("probedesign")]
-    every = {
-        requirement.strip() for requirement, _, marker in required if re.search("extra == .all.", marker)
-    }
+    every = {requirement.strip() for requirement, _, marker in required if re.search("extra == .all.", marker)}
     assert every == {package["requirement"] for package in doctor.examine()["packages"] if package["extra"]}
 
 
@@ -390,24 +386,14 @@ def test_options_come_from_the_settings_file_and_the_environment(tmp_path, monke
 
 @pytest.mark.parametrize(
     "text",
-    [
-        "[[[",
-        'exports = ""',
-        "exports = 3",
-        "[lvie]\na = 1",
-        "[new]\nlenght = 1",
-        "live = 3",
-        '[new]\nlength = "long"',
-    ],
+    ["[[[", 'exports = ""', "exports = 3", "[lvie]\na = 1", "[new]\nlenght = 1", "live = 3", '[new]\nlength = "long"'],
 )
 def test_a_wrong_settings_file_gives_one_line_that_names_it(text, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "probedesign.toml").write_text(text)
     assert run(["new", "--base-d", "12"]) == 2
     error = capsys.readouterr().err
-    assert (
-        len(error.splitlines()) == 1 and "probedesign.toml" in error and not (tmp_path / "designs").exists()
-    )
+    assert len(error.splitlines()) == 1 and "probedesign.toml" in error and not (tmp_path / "designs").exists()
     assert run(["new", "--help"]) == 0 == run(["--version"])
 
 
@@ -423,9 +409,7 @@ def test_one_folder_for_the_files_of_all_designs_is_set_once(by_file, tmp_path, 
     assert run(NEW) == 0
     assert run(["deploy", "cone-150x12x2"]) == 0
     assert (tmp_path / "work/prints/cone-150x12x2/cone-150x12x2.probe.json").exists()
-    assert (
-        run(["live", "cone-150x12x2", "--source", "sim:?speed=max&rate_hz=50&seconds=1", "--count", "1"]) == 0
-    )
+    assert run(["live", "cone-150x12x2", "--source", "sim:?speed=max&rate_hz=50&seconds=1", "--count", "1"]) == 0
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch, capsys):
@@ -449,9 +433,7 @@ def test_completion_is_installed_for_a_shell(tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("tip_d", ["2", "2.5"])  # the second gives a name with a dot
-def test_a_design_is_given_by_file_folder_or_name_and_a_frozen_probe_by_name(
-    tmp_path, monkeypatch, capsys, tip_d
-):
+def test_a_design_is_given_by_file_folder_or_name_and_a_frozen_probe_by_name(tmp_path, monkeypatch, capsys, tip_d):
     monkeypatch.chdir(tmp_path)
     assert run([*NEW, "--tip-d", tip_d]) == 0
     name = f"cone-150x12x{tip_d}"

@@ -107,21 +107,13 @@ def replace_slow_and_local_parts(patch: pytest.MonkeyPatch) -> None:
     from probedesign.optimization.objective import METRICS
     from probedesign.printing import preform_job as job
 
-    good = {
-        "probe.length_mm": 100.0,
-        "error_mm": 14.4,
-        "detectable_mN": 0.28,
-        "sag_mm": 2.6,
-        "print_errors": 0,
-    }
+    good = {"probe.length_mm": 100.0, "error_mm": 14.4, "detectable_mN": 0.28, "sag_mm": 2.6, "print_errors": 0}
     bad = {"probe.length_mm": 120.0, "result": "refused", "reason": "too slender"}
     records = [
         dict.fromkeys(METRICS, 1.0) | {"point": 0, "result": "ok", "reason": ""} | good,
         dict.fromkeys(METRICS) | {"point": 1} | bad,
     ]
-    swept = sweep.SweepResult(
-        records, 1, [Path("sweep.csv"), Path("sweep.parquet")], ["a record was dropped"]
-    )
+    swept = sweep.SweepResult(records, 1, [Path("sweep.csv"), Path("sweep.parquet")], ["a record was dropped"])
     patch.setattr(sweep, "sweep", lambda *_: swept)
     selection = job.PrintSelection("Form 3", "Elastic 50A", "0.100 mm", {})
     prepared = job.PreparedJob(
@@ -154,9 +146,7 @@ def replace_slow_and_local_parts(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(platform, "system", lambda: "System")
     patch.setattr(metadata, "requires", lambda _: ["numpy>=2", "mcap>=1; extra == 'live'"])
     patch.setattr(
-        doctor,
-        "_numba_cache",
-        lambda: {"folder": "cache", "writable": False, "processor": "cpu", "kernels": 3},
+        doctor, "_numba_cache", lambda: {"folder": "cache", "writable": False, "processor": "cpu", "kernels": 3}
     )
 
 
@@ -216,9 +206,7 @@ def test_each_command_prints_the_words_of_the_transcript(tmp_path, monkeypatch):
 
 
 def test_the_transcript_has_a_success_and_a_refusal_of_each_command():
-    statuses = {
-        (block.split()[2], int(block.split()[-1])) for block in TRANSCRIPT.read_text("utf-8").split("\n\n")
-    }
+    statuses = {(block.split()[2], int(block.split()[-1])) for block in TRANSCRIPT.read_text("utf-8").split("\n\n")}
     assert statuses == {(name, status) for name in COMMANDS for status in (0, 2)}
 
 

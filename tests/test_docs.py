@@ -42,9 +42,7 @@ def test_the_examples_print_the_values_in_their_comments(page, monkeypatch):
 def steps_of(page: Path) -> list[list[str] | str]:
     """Return the probedesign commands of a page and its Python blocks that run by themselves, in order."""
     found: list[list[str] | str] = []
-    for language, block in re.findall(
-        r"```(sh|python)\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL
-    ):
+    for language, block in re.findall(r"```(sh|python)\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
         if language == "sh":
             lines = [shlex.split(line, comments=True) for line in block.replace("\\\n", " ").splitlines()]
             found += [words[1:] for words in lines if words and words[0] == "probedesign"]
@@ -84,8 +82,7 @@ def run_once(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    "page",
-    [pytest.param(page, marks=[pytest.mark.slow] * (page.stem in SLOW), id=page.stem) for page in PAGES],
+    "page", [pytest.param(page, marks=[pytest.mark.slow] * (page.stem in SLOW), id=page.stem) for page in PAGES]
 )
 def test_the_commands_of_a_page_run_in_order(page, run_once, tmp_path, monkeypatch, capsys):
     """In a folder with nothing but the designs of the project; its examples of Python run between them."""
@@ -101,9 +98,7 @@ def test_the_commands_of_a_page_run_in_order(page, run_once, tmp_path, monkeypat
             continue
         names = dict[str, Any]()
         exec(step, names)
-        results += [
-            value.result for value in names.values() if isinstance(getattr(value, "result", None), str)
-        ]
+        results += [value.result for value in names.values() if isinstance(getattr(value, "result", None), str)]
     assert set(results) <= {"ok"}
     if page.stem in ("README", "tutorial"):
         assert results

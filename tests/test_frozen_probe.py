@@ -164,9 +164,7 @@ def test_the_file_is_indented_and_states_provenance_and_stiffness(model, frozen,
     assert {m["provenance"] for m in frozen["material"].values()} <= {"assumed", "datasheet", "identified"}
     r = model.rod.radius_at(frozen["sections"]["s_m"])
     for key in ("EI_xx_Nm2", "EI_yy_Nm2"):
-        np.testing.assert_allclose(
-            frozen["sections"][key], model.rod.youngs_modulus * np.pi / 4.0 * r**4, rtol=1e-14
-        )
+        np.testing.assert_allclose(frozen["sections"][key], model.rod.youngs_modulus * np.pi / 4.0 * r**4, rtol=1e-14)
 
 
 def test_an_existing_file_is_replaced(model, path):
@@ -179,10 +177,7 @@ def test_an_existing_file_is_replaced(model, path):
 # Other sections
 
 
-SECTIONS = {
-    "hollow": 'section = "hollow"\nbore_ratio = 0.5\n',
-    "elliptic": 'section = "elliptic"\nflatness = 0.6\n',
-}
+SECTIONS = {"hollow": 'section = "hollow"\nbore_ratio = 0.5\n', "elliptic": 'section = "elliptic"\nflatness = 0.6\n'}
 
 
 def probe_with(section):
@@ -247,11 +242,7 @@ def test_a_friction_reads_back_and_leaves_the_geometry_alone(friction, written, 
     wanted = with_friction(friction)
     write_frozen(wanted, path)
     data = json.loads(path.read_text(), parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
-    assert data["contact"] == {
-        "friction": written,
-        "provenance": "assumed",
-        "source": "design file, contact.friction",
-    }
+    assert data["contact"] == {"friction": written, "provenance": "assumed", "source": "design file, contact.friction"}
     back = load_model(path)
     assert back.friction == wanted.friction == float(friction)
     assert back.fingerprint == model.fingerprint
@@ -260,8 +251,7 @@ def test_a_friction_reads_back_and_leaves_the_geometry_alone(friction, written, 
 
 
 @pytest.mark.parametrize(
-    "value",
-    [-0.1, -1e300, float("nan"), float("inf"), float("-inf"), True, None, "0.6", "-inf", "nan", [], {}],
+    "value", [-0.1, -1e300, float("nan"), float("inf"), float("-inf"), True, None, "0.6", "-inf", "nan", [], {}]
 )
 def test_a_friction_out_of_range_is_refused(value, frozen, path):
     data = copy.deepcopy(frozen)
@@ -312,14 +302,8 @@ def test_values_missing_in_an_older_file_take_their_default_and_are_listed_as_as
     known, default = Tolerances.of(back), Tolerances()
     new = ("root_radii", "gain", "stiffness_scatter", "walk_steps")
     assert [getattr(known, key) for key in new] == [getattr(default, key) for key in new]
-    assert back.assumptions == (
-        *written["assumptions"],
-        "contact.friction",
-        *(f"tolerances.{key}" for key in new),
-    )
-    for key, value in written.get(
-        "tolerances", {}
-    ).items():  # what was frozen stays, whatever today's default
+    assert back.assumptions == (*written["assumptions"], "contact.friction", *(f"tolerances.{key}" for key in new))
+    for key, value in written.get("tolerances", {}).items():  # what was frozen stays, whatever today's default
         assert getattr(known, key) == value
 
 
@@ -520,9 +504,7 @@ def test_different_geometries_have_different_fingerprints():
 )
 def test_running_imports_nothing_of_the_design_side(module):
     code = f"import sys, {module}; print(*{{name.split('.')[0] for name in sys.modules}})"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
-    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
     loaded = set(done.stdout.split())
     assert "probedesign" in loaded
     assert not loaded & {"pydantic", "cadquery", "OCP", "matplotlib", "tomlkit", "trimesh"}

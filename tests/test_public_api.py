@@ -70,9 +70,7 @@ def test_importing_the_package_loads_no_other_module_of_it():
 def test_no_public_name_loads_cad():
     loaded = modules_after("import probedesign\nfor name in probedesign.__all__: getattr(probedesign, name)")
     assert len(own(loaded)) > len(probedesign.__all__)
-    assert not {"cadquery", "OCP", "trimesh", "lib3mf", "matplotlib"} & {
-        name.split(".")[0] for name in loaded
-    }
+    assert not {"cadquery", "OCP", "trimesh", "lib3mf", "matplotlib"} & {name.split(".")[0] for name in loaded}
 
 
 def test_an_export_loads_no_mechanics_and_at_most_60_modules():
@@ -85,18 +83,13 @@ def test_an_export_loads_no_mechanics_and_at_most_60_modules():
 
 def test_an_estimator_loads_no_design_and_no_drawing():
     loaded = own(modules_after("import probedesign; probedesign.load_estimator"))
-    assert (
-        not {"probedesign.design.schema", "probedesign.probe", "probedesign.pipeline", "probedesign.cad"}
-        & loaded
-    )
+    assert not {"probedesign.design.schema", "probedesign.probe", "probedesign.pipeline", "probedesign.cad"} & loaded
     assert len(loaded) <= 60
 
 
 def test_one_estimate_runs_python_code_of_at_most_12_modules():
     """An estimate of a stream is one call of the kernels with little around it; compiled code does not count."""
-    probe = probedesign.build_probe(
-        probedesign.load_design(Path(__file__).parents[1] / "designs" / "large.toml")
-    )
+    probe = probedesign.build_probe(probedesign.load_design(Path(__file__).parents[1] / "designs" / "large.toml"))
     estimator, gravity = probe.estimator(), probe.design.mount.gravity_base_m_s2
     touched = solve_surface_force(probe.rod, gravity, 0.6 * probe.length, 0.3, 0.03, (0.2, -0.1))
     wrench = touched.equilibrium.wrench_base

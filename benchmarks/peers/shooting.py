@@ -21,9 +21,7 @@ def shoot_rk45(rod: Rod, gravity: Array, force: Array, s_contact: float, s: Arra
     """
     E, G, kG = rod.youngs_modulus, rod.shear_modulus, rod.shear_coefficient * rod.shear_modulus
     mass = rod.density * float(rod.body.volume_beyond[0])
-    size = np.array([1.0, 1.0, 1.0, rod.length, rod.length, rod.length]) * np.linalg.norm(
-        force + mass * gravity
-    )
+    size = np.array([1.0, 1.0, 1.0, rod.length, rod.length, rod.length]) * np.linalg.norm(force + mass * gravity)
 
     def rates(at: float, y: Array) -> Array:
         R, n, m = y[3:12].reshape(3, 3), y[12:15], y[15:18]
@@ -50,9 +48,7 @@ def shoot_rk45(rod: Rod, gravity: Array, force: Array, s_contact: float, s: Arra
         y = before.y[:, -1] - jump
         if s_contact == rod.length:
             return np.column_stack([before.y[:, : int((stations <= s_contact).sum())], y])
-        after = solve_ivp(
-            rates, (s_contact, rod.length), y, t_eval=_within(stations, s_contact, rod.length), **options
-        )
+        after = solve_ivp(rates, (s_contact, rod.length), y, t_eval=_within(stations, s_contact, rod.length), **options)
         return np.column_stack([before.y[:, : int((stations <= s_contact).sum())], after.y])
 
     def misfit(guess: Array) -> Array:

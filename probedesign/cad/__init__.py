@@ -17,9 +17,7 @@ def _quiet(_: str) -> None:
     """Ignore progress."""
 
 
-def export_parts(
-    design: Design, out: Path | None = None, progress: Callable[[str], None] = _quiet
-) -> dict[str, Any]:
+def export_parts(design: Design, out: Path | None = None, progress: Callable[[str], None] = _quiet) -> dict[str, Any]:
     """Build a design's parts, verify them, and write the files of one export.
 
     Args:

@@ -132,11 +132,7 @@ ul { margin: 1mm 0; padding-left: 5mm } .tools { columns: 2 75mm }
 
 
 def assembly_page(
-    model: CadModel,
-    bill: Sequence[BillItem],
-    steps: Sequence[AssemblyStep],
-    exploded: Svg,
-    pictures: Sequence[bytes],
+    model: CadModel, bill: Sequence[BillItem], steps: Sequence[AssemblyStep], exploded: Svg, pictures: Sequence[bytes]
 ) -> bytes:
     """Return the assembly page: one HTML file that needs no network and prints on A4.
 
@@ -228,8 +224,7 @@ def _step(number: int, step: AssemblyStep, picture: bytes) -> str:
     text = escape(step.text[0].upper() + step.text[1:])
     image = base64.b64encode(picture).decode()
     return (
-        f'<div class="step"><img alt="step {number}" src="data:image/png;base64,{image}">'
-        f"<b>{number}</b>{text}.</div>"
+        f'<div class="step"><img alt="step {number}" src="data:image/png;base64,{image}"><b>{number}</b>{text}.</div>'
     )
 
 
@@ -262,9 +257,7 @@ def _frames(model: CadModel) -> str:
     if sensor.overload is None:
         overload = "Its overload is not known"
     else:
-        force, moment = (
-            " / ".join(f"{x:g}" for x in part) for part in (sensor.overload[:3], sensor.overload[3:])
-        )
+        force, moment = (" / ".join(f"{x:g}" for x in part) for part in (sensor.overload[:3], sensor.overload[3:]))
         overload = f"On one axis at a time it survives {force} N and {moment} N·m"
     return (
         "<h2>Where the probe's base is</h2>"

@@ -68,10 +68,7 @@ def export_coupon(design: Design, out: Path | None) -> dict[str, Any]:
         assembled.add(solid, name=name, loc=cq.Location(cq.Vector(x, 0.0, 0.0)))
         x += 2.0 * (steps[0] + 2.0 * FOOT_RIM_MM)
     contents["coupon.step"] = step_bytes(
-        assembled,
-        "coupon.step",
-        f"{design.name}: coupons, geometry {fingerprint}, units mm",
-        drawing_date(design),
+        assembled, "coupon.step", f"{design.name}: coupons, geometry {fingerprint}, units mm", drawing_date(design)
     )
     manifest = {
         "kind": "coupon",
@@ -120,9 +117,7 @@ def _solid(name: str, discs: list[Disc]) -> cq.Solid:
     solid = revolved([(r * MM, z * MM) for r, z in outline])
     volume = sum(math.pi / 4.0 * d**2 * (high - low) for d, low, high in stack)
     if not solid.isValid() or abs(solid.Volume() / volume - 1.0) > CHECK_LIMIT:
-        raise CheckFailedError(
-            f"{name}: the solid is not valid, or differs from its volume of {volume:.6g} mm³"
-        )
+        raise CheckFailedError(f"{name}: the solid is not valid, or differs from its volume of {volume:.6g} mm³")
     return solid
 
 

@@ -199,9 +199,7 @@ class Sheet:
         """Draw the frame and the title block with name and value of each field, and the symbol of the projection."""
         left, right, bottom = EDGE, WIDTH - EDGE, HEIGHT - EDGE
         for y in (EDGE, BOTTOM):
-            self.items.append(
-                Strokes(FRAME, [[(left, y), (right, y), (right, bottom), (left, bottom), (left, y)]])
-            )
+            self.items.append(Strokes(FRAME, [[(left, y), (right, y), (right, bottom), (left, bottom), (left, y)]]))
         self.items.append(Text((left + 4, BOTTOM + 9), self.title, 5.0, "start", bold=True))
         for i, (name, value) in enumerate(rows):
             x, y = left + COLUMNS[i // ROWS], BOTTOM + 16.5 + 6.2 * (i % ROWS)
@@ -216,18 +214,12 @@ class Sheet:
         end = (x + half + 8.0, y)
         axes = [[(x - half - 1.5, y), (x + half + 1.5, y)], [(end[0] - 4.5, y), (end[0] + 4.5, y)],
                 [(end[0], y - 4.5), (end[0], y + 4.5)]]  # fmt: skip
-        self.items += [
-            Strokes(SYMBOLS, [[*cone, cone[0]]]),
-            Ring(SYMBOLS, end, small),
-            Ring(SYMBOLS, end, large),
-        ]
+        self.items += [Strokes(SYMBOLS, [[*cone, cone[0]]]), Ring(SYMBOLS, end, small), Ring(SYMBOLS, end, large)]
         self.items.append(Strokes(CENTRE, axes))
 
     def note(self, at: XY, lines: Sequence[str], size: float = TEXT) -> None:
         """Write lines of text, the first baseline at a point."""
-        self.items += [
-            Text((at[0], at[1] + 1.55 * size * i), line, size, "start") for i, line in enumerate(lines)
-        ]
+        self.items += [Text((at[0], at[1] + 1.55 * size * i), line, size, "start") for i, line in enumerate(lines)]
 
     def expanded(self) -> Iterator[Strokes | Arrowhead | Hatching | Ring | Text]:
         """Yield the items, dimensions as lines, arrows and text."""
@@ -368,9 +360,7 @@ class SheetView:
             self._add(SECTION, [[inner, outer]])
             self._add(SYMBOLS, [[(tip[0], y), tip]])
             self.sheet.items.append(arrowhead(tip, (0.0, towards), SYMBOLS))
-            self.sheet.items.append(
-                Text((tip[0] + 3.0 * side, tip[1] - 2.0 * towards + 1.1), letter, bold=True)
-            )
+            self.sheet.items.append(Text((tip[0] + 3.0 * side, tip[1] - 2.0 * towards + 1.1), letter, bold=True))
 
     def viewing_arrow(self, p: XY, letter: str) -> None:
         """Draw the arrow of a view from below, under a point, with its letter."""
@@ -383,21 +373,10 @@ class SheetView:
         """Draw the symbol of a datum on an extension of a horizontal face at p, `offset` to the left [mm of paper]."""
         x, y = self.at(p)
         foot = (x - offset, y)
-        box = [
-            (foot[0] - 2.4, y + 6.0),
-            (foot[0] + 2.4, y + 6.0),
-            (foot[0] + 2.4, y + 10.8),
-            (foot[0] - 2.4, y + 10.8),
-        ]
-        lines = [
-            [(x - EXTENSION_GAP, y), (foot[0] - 3.0, y)],
-            [(foot[0], y + 2.4), (foot[0], y + 6.0)],
-            [*box, box[0]],
-        ]
+        box = [(foot[0] - 2.4, y + 6.0), (foot[0] + 2.4, y + 6.0), (foot[0] + 2.4, y + 10.8), (foot[0] - 2.4, y + 10.8)]
+        lines = [[(x - EXTENSION_GAP, y), (foot[0] - 3.0, y)], [(foot[0], y + 2.4), (foot[0], y + 6.0)], [*box, box[0]]]
         self._add(SYMBOLS, lines)
-        self.sheet.items.append(
-            Arrowhead(SYMBOLS, [foot, (foot[0] - 1.5, y + 2.4), (foot[0] + 1.5, y + 2.4)])
-        )
+        self.sheet.items.append(Arrowhead(SYMBOLS, [foot, (foot[0] - 1.5, y + 2.4), (foot[0] + 1.5, y + 2.4)]))
         self.sheet.items.append(Text((foot[0], y + 9.5), letter))
 
 
@@ -441,15 +420,11 @@ def drawing_date(design: Design) -> str:
     try:
         return datetime.datetime.fromtimestamp(int(value), datetime.UTC).date().isoformat()
     except (ValueError, OverflowError, OSError):
-        raise InputError(
-            f"{DATE_VARIABLE} = {value!r} is not a number of seconds since 1970; unset it"
-        ) from None
+        raise InputError(f"{DATE_VARIABLE} = {value!r} is not a number of seconds since 1970; unset it") from None
 
 
 def engraving_note(engraving: Engraving, where: str) -> list[str]:
     """Return the note on an engraving, or none if nothing is engraved."""
     if not engraving.text:
         return []
-    return [
-        f"engraved on {where}: {engraving.text}, {number(LETTER_HEIGHT / MM)} high, {number(DEPTH / MM)} deep"
-    ]
+    return [f"engraved on {where}: {engraving.text}, {number(LETTER_HEIGHT / MM)} high, {number(DEPTH / MM)} deep"]

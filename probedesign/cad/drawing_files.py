@@ -120,11 +120,7 @@ def _draw_on_pdf(canvas: Canvas, item: Item) -> None:
             canvas.setFont(BOLD if bold else REGULAR, 0.92 * size)  # Vera is wider than the fonts of the SVG
             canvas.translate(at[0], HEIGHT - at[1])
             canvas.rotate(90.0 if turned else 0.0)
-            draw = {
-                "start": canvas.drawString,
-                "middle": canvas.drawCentredString,
-                "end": canvas.drawRightString,
-            }
+            draw = {"start": canvas.drawString, "middle": canvas.drawCentredString, "end": canvas.drawRightString}
             draw[anchor](0.0, 0.0, words.replace("⌀", "Ø"))  # the font has the letter only
             canvas.restoreState()
 
@@ -170,9 +166,7 @@ def dxf_bytes(sheet: Sheet) -> bytes:
     ezdxf.options.write_fixed_meta_data_for_testing = True  # no time of writing, no random identifier
     try:
         document = _dxf_document(sheet)
-        for kind in sorted(
-            document.entitydb.dxf_types_in_use()
-        ):  # ezdxf itself takes them in the order of a set
+        for kind in sorted(document.entitydb.dxf_types_in_use()):  # ezdxf itself takes them in the order of a set
             document.classes.add_class(kind)
         text = io.StringIO()
         document.write(text)
@@ -222,9 +216,7 @@ def _draw_in_dxf(space: Modelspace, item: Item, scale: float) -> None:
             space.add_solid([a, b, c, c], dxfattribs={"layer": pen.layer})
         case Hatching(loops):
             hatch = space.add_hatch(dxfattribs={"layer": HATCH.layer})
-            hatch.set_pattern_fill(
-                "ANSI31", scale=HATCH_APART / scale / 3.175
-            )  # the pattern's own spacing [mm]
+            hatch.set_pattern_fill("ANSI31", scale=HATCH_APART / scale / 3.175)  # the pattern's own spacing [mm]
             for loop in loops:
                 hatch.paths.add_polyline_path([at(p) for p in loop], is_closed=True)
         case Ring(pen, centre, r):
@@ -290,9 +282,7 @@ class Svg:
         """Draw a straight line from a to b."""
         self.polylines([[a, b]], width, colour, dash)
 
-    def polylines(
-        self, lines: Iterable[Iterable[XY]], width: float, colour: str = "#000", dash: str = ""
-    ) -> None:
+    def polylines(self, lines: Iterable[Iterable[XY]], width: float, colour: str = "#000", dash: str = "") -> None:
         """Draw lines of one style as one element."""
         path = "".join("M" + "L".join(f"{_n(x)} {_n(y)}" for x, y in line) for line in lines)
         dashes = {"stroke-dasharray": dash} if dash else {}
@@ -316,13 +306,7 @@ class Svg:
         self.area(loops, "url(#hatch)")
 
     def circle(
-        self,
-        centre: XY,
-        r: float,
-        fill: str = "none",
-        colour: str = "none",
-        width: float = 0.0,
-        dash: str = "",
+        self, centre: XY, r: float, fill: str = "none", colour: str = "none", width: float = 0.0, dash: str = ""
     ) -> None:
         """Draw a circle."""
         dashes = {"stroke-dasharray": dash} if dash else {}
@@ -330,13 +314,7 @@ class Svg:
                   fill=fill, stroke=colour)  # fmt: skip
 
     def text(
-        self,
-        at: XY,
-        words: str,
-        size: float,
-        anchor: str = "middle",
-        turned: bool = False,
-        bold: bool = False,
+        self, at: XY, words: str, size: float, anchor: str = "middle", turned: bool = False, bold: bool = False
     ) -> None:
         """Write text on a baseline at a point; `turned` reads from the right."""
         x, y = _n(at[0]), _n(at[1])

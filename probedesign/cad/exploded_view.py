@@ -8,14 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from probedesign.cad.drawing_files import Svg
-from probedesign.cad.render import (
-    OrthographicCamera,
-    RenderBody,
-    fit_view,
-    png_bytes,
-    render_bodies,
-    render_png,
-)
+from probedesign.cad.render import OrthographicCamera, RenderBody, fit_view, png_bytes, render_bodies, render_png
 from probedesign.cad.solids import ScrewGroup
 from probedesign.core.units import MM
 from probedesign.design.sensors import DowelPattern
@@ -154,11 +147,7 @@ def exploded_bodies(bodies: Bodies, moves: Iterable[Move], seat: float) -> dict[
         bottom, top = bodies[move.onto].span
         if move.onto == "probe":
             top = seat
-        away = (
-            bottom - GAP - max(s[1] for s in spans)
-            if move.side == DOWN
-            else top + GAP - min(s[0] for s in spans)
-        )
+        away = bottom - GAP - max(s[1] for s in spans) if move.side == DOWN else top + GAP - min(s[0] for s in spans)
         lifts |= dict.fromkeys(move.parts, lifts[move.onto] + away)
     return {name: body.translated(lifts[name]) for name, body in bodies.items()}
 
@@ -236,9 +225,7 @@ def _spread(wanted: Sequence[float], spacing: float, height: float) -> list[floa
     return [float(y) for y in placed]
 
 
-def _label(
-    svg: Svg, label: PartLabel, anchor: tuple[float, float], y: float, side: int, width: float
-) -> None:
+def _label(svg: Svg, label: PartLabel, anchor: tuple[float, float], y: float, side: int, width: float) -> None:
     inner = LABEL_WIDTH - 8.0 if side == 0 else LABEL_WIDTH + width + 8.0
     outward = -1.0 if side == 0 else 1.0
     svg.line((LABEL_WIDTH + anchor[0], anchor[1]), (inner, y), width=1.2, colour="#444")

@@ -44,9 +44,7 @@ def manifest_of(
         findings: of `verify`.
     """
     a, robot = model.adapter, model.plate.robot
-    robot_pin = (
-        {f"dowel pin of {robot.pin_d / MM:g} mm that the robot's flange takes": 1} if robot.pin_d else {}
-    )
+    robot_pin = {f"dowel pin of {robot.pin_d / MM:g} mm that the robot's flange takes": 1} if robot.pin_d else {}
     pin = f"dowel pin {a.dowels.diameter / MM:g}x{a.dowels.pin_length / MM:g} mm"
     return {
         "schema": SCHEMA,
@@ -188,10 +186,7 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
             read_back(content)
     progress("writing")
     cad = cad_files(model, [part.name for part in model.printed])
-    stl = {
-        f"{name}.stl": part_stl(design, name, mesh, model.geometry.fingerprint)
-        for name, mesh in meshes.items()
-    }
+    stl = {f"{name}.stl": part_stl(design, name, mesh, model.geometry.fingerprint) for name, mesh in meshes.items()}
     with staged(folder) as staging:
         contents = stl | packages | documents.files | cad
         for name, content in contents.items():
@@ -217,9 +212,7 @@ def cad_files(model: CadModel, parts: Iterable[str]) -> dict[str, bytes]:
     alone = {part: cq.Assembly(model.parts[part].shape, name=part, color=cq.Color(*model.parts[part].color))
              for part in parts}  # fmt: skip
     return {
-        "assembly.step": step(
-            assembly_of(model.parts, name), "assembly.step", "assembly in the sensor frame"
-        ),
+        "assembly.step": step(assembly_of(model.parts, name), "assembly.step", "assembly in the sensor frame"),
         "assembly.glb": glb_bytes(assembly_of(model.parts, name, displayed=True), "assembly.glb"),
         **{
             f"{part}.step": step(assembly, f"{part}.step", f"{part} in the {model.parts[part].frame} frame")

@@ -72,9 +72,7 @@ def hexagon(af: float, z0: float, z1: float, p: XY, turn_deg: float = 0.0) -> cq
     outline = cq.Workplane().polygon(6, 2 * af / np.sqrt(3.0) / MM).extrude((z1 - z0) / MM)
     azimuth = np.degrees(np.arctan2(p[1], p[0]))
     return single_solid(
-        outline.val()
-        .rotate((0, 0, 0), (0, 0, 1), azimuth + 30.0 + turn_deg)
-        .moved(cq.Location(_vector(p, z0)))
+        outline.val().rotate((0, 0, 0), (0, 0, 1), azimuth + 30.0 + turn_deg).moved(cq.Location(_vector(p, z0)))
     )
 
 

@@ -61,9 +61,7 @@ class Mesh:
 
 
 def tessellate(
-    shape: cq.Shape,
-    linear_mm: float = LINEAR_TOLERANCE_MM,
-    angular_rad: float = ANGULAR_TOLERANCE_RAD,
+    shape: cq.Shape, linear_mm: float = LINEAR_TOLERANCE_MM, angular_rad: float = ANGULAR_TOLERANCE_RAD
 ) -> Mesh:
     """Return the triangles of a shape, the same on every run.
 

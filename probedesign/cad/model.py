@@ -9,12 +9,7 @@ import cadquery as cq
 import numpy as np
 
 from probedesign.cad.exchange import PRODUCT
-from probedesign.cad.kernel import (
-    location,
-    mass_properties,
-    meshed,
-    placed,
-)
+from probedesign.cad.kernel import location, mass_properties, meshed, placed
 from probedesign.cad.solids import (
     ScrewGroup,
     clamp_ring_solid,
@@ -33,13 +28,7 @@ from probedesign.design.catalog import STEEL_DENSITY
 from probedesign.design.sensors import SensorInterface
 from probedesign.geometry import ProbeGeometry, build_geometry
 from probedesign.geometry.mass import MassProperties, combined
-from probedesign.mount import (
-    FlangeAdapter,
-    SensorAdapter,
-    flange_adapter_for,
-    mount_options,
-    sensor_adapter_for,
-)
+from probedesign.mount import FlangeAdapter, SensorAdapter, flange_adapter_for, mount_options, sensor_adapter_for
 from probedesign.mount.tolerance_stack import tolerance_stacks
 
 IN_SENSOR_FRAME = pose()
@@ -109,9 +98,7 @@ def build_parts(
                 standard=group.standard, places=group.poses)
         for group in fasteners(adapter, plate, screws)
     ]  # fmt: skip
-    envelope = CadPart(
-        "sensor", sensor_envelope(sensor), IN_SENSOR_FRAME, "sensor", 0.0, (0.6, 0.6, 0.65), False
-    )
+    envelope = CadPart("sensor", sensor_envelope(sensor), IN_SENSOR_FRAME, "sensor", 0.0, (0.6, 0.6, 0.65), False)
     return {part.name: part for part in [*printed, *loose, envelope]}
 
 

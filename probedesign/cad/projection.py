@@ -54,12 +54,8 @@ def cut(shape: cq.Shape) -> tuple[Lines, list[Lines]]:
     """
     box = shape.BoundingBox()
     reach = 2.0 * box.DiagonalLength
-    half = shape.intersect(
-        cq.Solid.makeBox(2 * reach, reach, 2 * reach, cq.Vector(-reach, 0.0, box.center.z - reach))
-    )
-    faces = [
-        face for face in half.Faces() if face.Center().y < SAME_MM
-    ]  # of a half at y > 0: those in the plane
+    half = shape.intersect(cq.Solid.makeBox(2 * reach, reach, 2 * reach, cq.Vector(-reach, 0.0, box.center.z - reach)))
+    faces = [face for face in half.Faces() if face.Center().y < SAME_MM]  # of a half at y > 0: those in the plane
     return seen(half, FRONT), [[_loop(wire, [0, 2]) for wire in face.Wires()] for face in faces]
 
 

@@ -35,12 +35,7 @@ AMBIENT, DIRECT = 0.58, 0.50
 
 
 def rasterize(
-    corners: Array,
-    normals: Array,
-    owners: NDArray[np.int64],
-    colours: Array,
-    size: tuple[int, int],
-    fine: int,
+    corners: Array, normals: Array, owners: NDArray[np.int64], colours: Array, size: tuple[int, int], fine: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.int16]]:
     """Render triangles on white.
 
@@ -288,9 +283,7 @@ def fit_view(
     return ImageView(camera.axes, (low + high) / 2, scale, (int(width), int(height)))
 
 
-def render_bodies(
-    bodies: Sequence[RenderBody], view: ImageView
-) -> tuple[NDArray[np.uint8], NDArray[np.int16]]:
+def render_bodies(bodies: Sequence[RenderBody], view: ImageView) -> tuple[NDArray[np.uint8], NDArray[np.int16]]:
     """Render the bodies in a view.
 
     Returns:

@@ -25,13 +25,7 @@ from probedesign.cad.projection import ABOVE, BELOW, ViewDirection, cut, seen
 from probedesign.core.units import MM
 from probedesign.mount.engraving import XY
 from probedesign.mount.flange_adapter import CENTRING_PIN_D, TIE_APART, TIE_SLOT
-from probedesign.mount.sensor_adapter import (
-    PEG_D,
-    RING_VENT_HEIGHT,
-    SLIP,
-    UNDERSIDE_DEG,
-    VENT_WIDTH,
-)
+from probedesign.mount.sensor_adapter import PEG_D, RING_VENT_HEIGHT, SLIP, UNDERSIDE_DEG, VENT_WIDTH
 
 
 @dataclass(frozen=True)
@@ -76,10 +70,7 @@ def sensor_adapter_sheet(model: CadModel, part: CadPart) -> Sheet:
         Holes(a.p_dowels, a.dowel_d, f"⌀{_mm(a.dowel_d)}{fit}, {_mm(a.dowel_depth)} deep, {second}"),
     ]
     # What screws and clamp rely on is dimensioned by itself: the tolerance stack counts it as one length.
-    heights = [
-        *_from_datum(a.foot_height, a.cone_top, a.groove_floor, a.peg_top, a.body_top),
-        (a.floor, a.body_top),
-    ]
+    heights = [*_from_datum(a.foot_height, a.cone_top, a.groove_floor, a.peg_top, a.body_top), (a.floor, a.body_top)]
     tops = [a.land_d, a.recess_d, a.body_d]
     notes = [
         "A: z = 0 rests on the sensor's tool face; positions are from A and from the axis",
@@ -205,9 +196,7 @@ def _plans(
     """Draw the views from above and, if it has holes to show, from below, at one height of the paper."""
     rim, scale, y = where
     labelled = _numbered([*holes[0], *holes[1]])
-    views: list[tuple[str, ViewDirection, list[tuple[str, Holes]]]] = [
-        ("from above", ABOVE, labelled[: len(holes[0])])
-    ]
+    views: list[tuple[str, ViewDirection, list[tuple[str, Holes]]]] = [("from above", ABOVE, labelled[: len(holes[0])])]
     if holes[1]:
         views.append(("B (from below)", BELOW, labelled[len(holes[0]) :]))
     for i, (name, side, tagged) in enumerate(views):

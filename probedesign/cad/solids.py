@@ -26,10 +26,7 @@ from probedesign.core.units import MM
 from probedesign.design.catalog import Nut, SocketScrew
 from probedesign.design.sensors import CableExit, ScrewPattern, SensorInterface
 from probedesign.geometry import ProbeGeometry
-from probedesign.mount import (
-    FlangeAdapter,
-    SensorAdapter,
-)
+from probedesign.mount import FlangeAdapter, SensorAdapter
 from probedesign.mount.engraving import XY
 from probedesign.mount.flange_adapter import CENTRING_PIN_D, CENTRING_PIN_LENGTH, TIE_SLOT
 from probedesign.mount.sensor_adapter import PEG_D, RING_VENT_HEIGHT, VENT_WIDTH, on_circle
@@ -72,9 +69,7 @@ class ScrewGroup:
                 f"{self.entry / MM:.2f} mm; allowed {low / MM:g} to {high / MM:g} mm"
             )
         if not any(abs(self.length - n * MM) < 1e-9 for n in self.screw.stock_mm):
-            raise CheckFailedError(
-                f"{self.name}: {self.screw.thread}×{self.length / MM:g} is not a stock length"
-            )
+            raise CheckFailedError(f"{self.name}: {self.screw.thread}×{self.length / MM:g} is not a stock length")
 
     @property
     def standard(self) -> str:
@@ -331,9 +326,7 @@ def clearance_volumes(sensor: SensorInterface) -> list[cq.Shape]:
     """Return the volumes around the sensor's body, tool face and cable exit that must stay empty."""
     h, r, cable, gap = sensor.height, sensor.body_d / 2, sensor.cable, MIN_CLEARANCE
     # The centring pins touch the mounting side only, below the cable's free height.
-    shell = cylinder(2 * (r + gap), cable.free_height - h, gap).cut(
-        cylinder(2 * r, cable.free_height - h, gap)
-    )
+    shell = cylinder(2 * (r + gap), cable.free_height - h, gap).cut(cylinder(2 * r, cable.free_height - h, gap))
     side, (low, high) = cable.width / 2 + gap, cable.heights
     # Within the rim no part lies above the mounting face; from there the clearance is measured obliquely.
     inward = math.sqrt(max(gap**2 - low**2, 0.0))

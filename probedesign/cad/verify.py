@@ -10,15 +10,7 @@ import cadquery as cq
 import numpy as np
 
 from probedesign.cad.exploded_view import assembly_steps
-from probedesign.cad.kernel import (
-    block,
-    cylinder,
-    hexagon,
-    mass_properties,
-    placed,
-    revolved,
-    section_properties,
-)
+from probedesign.cad.kernel import block, cylinder, hexagon, mass_properties, placed, revolved, section_properties
 from probedesign.cad.mesh import MESH_LIMIT, Mesh, package_objects, read_back
 from probedesign.cad.model import CadModel, CadPart, volume_inside
 from probedesign.cad.solids import ScrewGroup, cable_sector, clearance_volumes
@@ -35,9 +27,7 @@ CORRIDOR = 60.0 * MM
 """Length of the corridors of nuts and pins around the adapter, which lies free on the bench."""
 
 
-def blocked_tools(
-    parts: dict[str, CadPart], screws: list[ScrewGroup], adapter: SensorAdapter
-) -> dict[str, float]:
+def blocked_tools(parts: dict[str, CadPart], screws: list[ScrewGroup], adapter: SensorAdapter) -> dict[str, float]:
     """Return the obstruction of each group of screws, nuts and pins, and of the ring.
 
     Args:
@@ -81,8 +71,7 @@ def _part_corridors(parts: dict[str, CadPart], a: SensorAdapter) -> dict[str, li
     return {
         "ring_nuts": [_nut_corridor(a, p) for p in a.p_ring_screws],
         "dowel_pins": [
-            cylinder(a.dowels.diameter, -CORRIDOR, a.dowels.pin_length - a.dowels.depth, p)
-            for p in a.p_dowels
+            cylinder(a.dowels.diameter, -CORRIDOR, a.dowels.pin_length - a.dowels.depth, p) for p in a.p_dowels
         ],
         "clamp_ring": [ring],
     }
@@ -142,9 +131,7 @@ def checked(name: str, findings: Findings) -> Findings:
     Raises:
         CheckFailedError: names every finding that is not ok.
     """
-    failed = [
-        f"{n} = {f['measured']:.3g} (limit {f['limit']:.3g})" for n, f in findings.items() if not f["ok"]
-    ]
+    failed = [f"{n} = {f['measured']:.3g} (limit {f['limit']:.3g})" for n, f in findings.items() if not f["ok"]]
     if failed:
         raise CheckFailedError(f"{name}: the CAD model fails verification: {'; '.join(failed)}")
     return findings
@@ -202,9 +189,7 @@ def mesh_findings(model: CadModel, meshes: dict[str, Mesh]) -> Findings:
     findings: Findings = {}
     for name, mesh in meshes.items():
         missing = abs(mesh.volume / mass_properties(model.parts[name].shape, 1.0).volume - 1.0)
-        findings[f"{name}_mesh_closed"] = _flag(
-            mesh.closed, "watertight, consistent winding, outward normals"
-        )
+        findings[f"{name}_mesh_closed"] = _flag(mesh.closed, "watertight, consistent winding, outward normals")
         findings[f"{name}_mesh_volume"] = _finding(missing, MESH_LIMIT, "relative, to the solid")
     return findings
 
@@ -239,9 +224,7 @@ def room_findings(model: CadModel) -> Findings:
     return {
         "overlap": _finding(max(model.shared_volumes.values()), OVERLAP_LIMIT, "m³, worst pair of parts"),
         "cable_sector": _finding(in_sector, OVERLAP_LIMIT, "m³ of mount parts in the cable's sector"),
-        "air": _finding(
-            in_air, OVERLAP_LIMIT, "m³ of mount parts within 0.5 mm of the sensor's body and cable"
-        ),
+        "air": _finding(in_air, OVERLAP_LIMIT, "m³ of mount parts within 0.5 mm of the sensor's body and cable"),
         # A nanometre: the kernel pads bounding boxes by its tolerance of 1e-10 m.
         "below_tool_face": _finding(max(0.0, -lowest), 1e-9, "m that wide parts reach below the tool face"),
     }

@@ -44,8 +44,7 @@ def changed_model(design: Design, changed: Mapping[str, cq.Workplane]) -> CadMod
     solids = {name: solid_of(name, part) for name, part in changed.items()}
     model = build_cad(design)
     parts: dict[str, CadPart] = {
-        name: replace(part, shape=solids[name]) if name in solids else part
-        for name, part in model.parts.items()
+        name: replace(part, shape=solids[name]) if name in solids else part for name, part in model.parts.items()
     }
     return replace(model, parts=parts)
 
@@ -103,8 +102,6 @@ def _face_at(solid: cq.Shape, z: float) -> cq.Face:
     found = [
         face
         for face in solid.Faces()
-        if face.geomType() == "PLANE"
-        and abs(face.Center().z - z / MM) < FLAT
-        and abs(face.normalAt().z) > 1.0 - FLAT
+        if face.geomType() == "PLANE" and abs(face.Center().z - z / MM) < FLAT and abs(face.normalAt().z) > 1.0 - FLAT
     ]
     return max(found, key=lambda face: face.Area())

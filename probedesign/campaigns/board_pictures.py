@@ -64,22 +64,16 @@ def find_boards(
         on_progress(f"board in {file.name}", number / len(files))
         grey = read_grey(file)
         numbers, pixels = detect_board(grey, board)
-        pictures.append(
-            BoardPicture(file, placement, camera, numbers, pixels, (grey.shape[1], grey.shape[0]))
-        )
+        pictures.append(BoardPicture(file, placement, camera, numbers, pixels, (grey.shape[1], grey.shape[0])))
     used = [one for one in pictures if one.usable]
-    what = (
-        f"the board of {table.board.squares[0]} x {table.board.squares[1]} squares, {table.board.dictionary}"
-    )
+    what = f"the board of {table.board.squares[0]} x {table.board.squares[1]} squares, {table.board.dictionary}"
     if not used:
         raise InputError(f"{folder / BOARD_IMAGES}: no picture shows {what}; check squares and dictionary")
     for camera in table.names:
         if not any(one.camera == camera for one in used) and not table.calibration:
             raise InputError(f"{folder / BOARD_IMAGES}: no picture by camera {camera} shows {what}")
     if not any(one.placement == WORLD for one in used):
-        raise InputError(
-            f"{folder / BOARD_IMAGES}: no usable picture {WORLD}-CAMERA, which defines the world"
-        )
+        raise InputError(f"{folder / BOARD_IMAGES}: no usable picture {WORLD}-CAMERA, which defines the world")
     lines = [
         f"{one.placement},{one.camera},{number},{u:.4f},{v:.4f},{one.size_px[0]},{one.size_px[1]}"
         for one in used
@@ -107,9 +101,7 @@ def _files(folder: Path, table: CamerasTable) -> list[tuple[Path, str, str]]:
         camera = next((name for name in table.names if path.stem.lower().endswith(f"-{name}".lower())), None)
         placement = "" if camera is None else path.stem[: -len(camera) - 1]
         if camera is None or not placement:
-            raise InputError(
-                f"{path}: is not named PLACEMENT-CAMERA with one of the cameras {', '.join(table.names)}"
-            )
+            raise InputError(f"{path}: is not named PLACEMENT-CAMERA with one of the cameras {', '.join(table.names)}")
         if "," in placement or '"' in placement:
             raise InputError(f"{path}: rename it; a placement has letters, digits, - and _")
         placement = WORLD if placement.lower() == WORLD else placement
@@ -117,9 +109,7 @@ def _files(folder: Path, table: CamerasTable) -> list[tuple[Path, str, str]]:
             raise InputError(f"{path}: a second picture of placement {placement} by {camera}; keep one")
         found[placement, camera] = path
     if not found:
-        raise InputError(
-            f"{images}: has no pictures of the board; name them {WORLD}-CAMERA.png, 01-CAMERA.png ..."
-        )
+        raise InputError(f"{images}: has no pictures of the board; name them {WORLD}-CAMERA.png, 01-CAMERA.png ...")
     return [(path, placement, camera) for (placement, camera), path in found.items()]
 
 

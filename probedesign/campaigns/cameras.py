@@ -164,9 +164,7 @@ def _read_corners(path: Path, table: CamerasTable) -> tuple[BoardView, ...]:
     count = len(table.board.board().corners)
     for row, text in enumerate(texts):
         if not (text.isascii() and text.isdigit() and len(text) < 9 and int(text) < count):
-            rows.fail(
-                row, f"corner {text[:20]!r} is not one of the board, whose {count} corners count from 0"
-            )
+            rows.fail(row, f"corner {text[:20]!r} is not one of the board, whose {count} corners count from 0")
     uv, sizes = rows.required(*PIXEL), rows.required("width", "height")
     views = []
     for placement, name in dict.fromkeys(zip(placements, names, strict=True)):
@@ -174,14 +172,11 @@ def _read_corners(path: Path, table: CamerasTable) -> tuple[BoardView, ...]:
         width, height = sizes[own[0]]
         if not (sizes[own] == sizes[own[0]]).all() or width % 1 or height % 1 or min(width, height) < 1:
             rows.fail(
-                own[0],
-                f"the picture of placement {placement} by camera {name} has no single size in whole pixels",
+                own[0], f"the picture of placement {placement} by camera {name} has no single size in whole pixels"
             )
         for i in own:
             if not ((uv[i] >= -0.5) & (uv[i] <= sizes[i] - 0.5)).all():
-                rows.fail(
-                    i, f"pixel {uv[i, 0]:g}, {uv[i, 1]:g} lies outside the picture of {width:g} x {height:g}"
-                )
+                rows.fail(i, f"pixel {uv[i, 0]:g}, {uv[i, 1]:g} lies outside the picture of {width:g} x {height:g}")
         if len(own) >= MIN_CORNERS:
             numbers = np.array([int(texts[i]) for i in own], dtype=np.intp)
             views.append(BoardView(placement, name, numbers, uv[own], (int(width), int(height))))

@@ -16,12 +16,7 @@ from probedesign.estimation.model import ProbeModel
 Use = Literal["", "identify", "validate"]
 """Command that a test is for; empty for both."""
 TESTS, WRENCHES, MARKERS = "tests.csv", "wrenches.csv", "markers.csv"
-PUSH_DIRECTIONS = {
-    "+x": (1.0, 0.0, 0.0),
-    "-x": (-1.0, 0.0, 0.0),
-    "+y": (0.0, 1.0, 0.0),
-    "-y": (0.0, -1.0, 0.0),
-}
+PUSH_DIRECTIONS = {"+x": (1.0, 0.0, 0.0), "-x": (-1.0, 0.0, 0.0), "+y": (0.0, 1.0, 0.0), "-y": (0.0, -1.0, 0.0)}
 """Unit vectors in base axes."""
 
 

@@ -89,9 +89,7 @@ def _check_identity(campaign: Campaign, model: ProbeModel) -> None:
     if fingerprint is not None and fingerprint != model.fingerprint:
         raise InputError(f"{where}: fingerprint {fingerprint}, not {model.fingerprint} of {name}")
     if campaign.name != name and fingerprint is None:
-        raise InputError(
-            f"{where}: {campaign.name!r}, not {name!r}; if it is the same, correct probe in campaign.toml"
-        )
+        raise InputError(f"{where}: {campaign.name!r}, not {name!r}; if it is the same, correct probe in campaign.toml")
     if campaign.name != name:
         both = f"probe = {campaign.name!r}, and fingerprint {fingerprint} is that of {name!r}"
         raise InputError(f"{campaign.folder / MANIFEST}: {both}; correct the one that is wrong")
@@ -143,9 +141,7 @@ def check_marker_order(
         return
     reverse = np.concatenate([[0], np.arange(len(s) - 1, 0, -1)])
     if len(s) > 2 and (distance[np.ix_(reverse, reverse)] <= arc + margin).all():
-        raise InputError(
-            f"{where}: markers out of order: they count from the tip; marker 1 is nearest to the base"
-        )
+        raise InputError(f"{where}: markers out of order: they count from the tip; marker 1 is nearest to the base")
     i, j = np.unravel_index(int(np.argmax(excess)), excess.shape)
     first = "the base" if i == 0 else f"marker {markers.numbers[i - 1] + 1}"
     lie = f"{distance[i, j] / MM:.4g} mm apart, on the probe {arc[i, j] / MM:.4g}"
@@ -254,10 +250,7 @@ def _check_range(campaign: Campaign, model: ProbeModel) -> None:
     if 2 * len(beyond) > len(loaded):
         test, ratio = max(beyond, key=lambda pair: float(pair[1].max()))
         axis = int(np.argmax(ratio))
-        value, unit, wrong = (
-            ratio[axis] * model.wrench_range[axis],
-            *(("N", "mN") if axis < 3 else ("N·m", "N·mm")),
-        )
+        value, unit, wrong = (ratio[axis] * model.wrench_range[axis], *(("N", "mN") if axis < 3 else ("N·m", "N·mm")))
         _refuse(campaign, WRENCHES, test,
                 f"|{'FM'[axis // 3]}{'xyz'[axis % 3]}| = {value:.4g} {unit} exceeds the sensor's range, as in "
                 f"{len(beyond)} of {len(loaded)} tests; {wrong} in a column of {unit}?")  # fmt: skip
@@ -344,9 +337,7 @@ def _comparison(measured: Array, known: Array) -> str:
         return ("the opposite of what the sensor read; known forces act on the probe, and readings are what it does to "
                 "its mount: change the sign of one")  # fmt: skip
     if cosine < HALF:
-        return (
-            "in another direction than was read; check the base's rotation in campaign.toml, and the columns"
-        )
+        return "in another direction than was read; check the base's rotation in campaign.toml, and the columns"
     return f"{times}; are both in newtons?"
 
 

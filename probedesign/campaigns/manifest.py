@@ -70,9 +70,7 @@ class MarkersTable(Table):
             raise Inconsistent("markers.s_mm", f"needs 1 to {MAX_MARKERS} arclengths")
         for i, (a, b) in enumerate(zip(self.s_mm, self.s_mm[1:], strict=False), 2):
             if b <= a:
-                text = (
-                    f"item {i}: {b:g} does not increase after {a:g}; marker 1 is the one nearest to the base"
-                )
+                text = f"item {i}: {b:g} does not increase after {a:g}; marker 1 is the one nearest to the base"
                 raise Inconsistent("markers.s_mm", text)
         return self
 
@@ -122,9 +120,7 @@ class CamerasTable(Table):
                 raise Inconsistent("cameras.calibration", text)
         for key in ("length_unit", "reprojection_px"):
             if getattr(self, key) is not None and not self.calibration:
-                raise Inconsistent(
-                    f"cameras.{key}", "applies to calibration files, but cameras.calibration names none"
-                )
+                raise Inconsistent(f"cameras.{key}", "applies to calibration files, but cameras.calibration names none")
         if self.distortion is not None and self.calibration:
             text = "is that of the calibration files; remove the key"
             raise Inconsistent("cameras.distortion", text)

@@ -230,9 +230,7 @@ class DetectionCache:
         """Path of the file."""
         return self.folder / CACHE
 
-    def detect(
-        self, photograph: Path, s: Array, base: Array | ImageSide, dark: bool | None
-    ) -> DetectedMarkers:
+    def detect(self, photograph: Path, s: Array, base: Array | ImageSide, dark: bool | None) -> DetectedMarkers:
         """Return the markers of a photograph, see `find_markers`; appended to the file if it was not finished."""
         key = cache_key(photograph, s, base, dark)
         if key in self._done:

@@ -126,17 +126,13 @@ def read_campaign(path: str | Path) -> Campaign:
     )
 
 
-def _markers(
-    folder: Path, manifest: Manifest, tests: dict[str, int]
-) -> tuple[list[Markers | None], tuple[str, ...]]:
+def _markers(folder: Path, manifest: Manifest, tests: dict[str, int]) -> tuple[list[Markers | None], tuple[str, ...]]:
     """Return the markers of each test, from cameras or another reference, and notes."""
     measured = read_markers(folder, manifest, tests)
     located, notes = read_pixels(folder, manifest, tests)
     for name, test in tests.items():
         if measured[test] is not None and located[test] is not None:
-            raise InputError(
-                f"{folder}: test {name} has markers in {MARKERS} and in {PIXELS}; keep one of them"
-            )
+            raise InputError(f"{folder}: test {name} has markers in {MARKERS} and in {PIXELS}; keep one of them")
     return [a or b for a, b in zip(measured, located, strict=True)], notes
 
 
@@ -153,9 +149,7 @@ def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
     names = rows.texts("test")
     for row, name in enumerate(names):
         if not NAME.fullmatch(name):
-            rows.fail(
-                row, f"test {name[:40]!r} is not a valid name; use letters, digits, - and _, at most 64"
-            )
+            rows.fail(row, f"test {name[:40]!r} is not a valid name; use letters, digits, - and _, at most 64")
     rows.check_unique([(name,) for name in names], lambda row: f"test {names[row]}")
     force, loaded = rows.all_or_none(*FORCE)
     contact, seen = rows.all_or_none(*CONTACT)
@@ -176,9 +170,7 @@ def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
             rows.fail(i, f"use = {quote_input(uses[i])} is none of identify, validate; write one, or leave it empty "
                          "for both")  # fmt: skip
         if loaded[i] and not force[i].any() and (not np.isnan(s[i]) or seen[i]):
-            rows.fail(
-                i, f"{names[i]}: has a contact and force 0,0,0, which is a free probe; leave the force empty"
-            )
+            rows.fail(i, f"{names[i]}: has a contact and force 0,0,0, which is a free probe; leave the force empty")
     gravity = np.array(manifest.gravity.world_m_s2)
     return [
         Test(name, poses[i], gravity, force[i] if loaded[i] else None, float(s[i]), float(std_s[i]),
@@ -220,9 +212,7 @@ def indices_of_tests(rows: TableRows, names: dict[str, int]) -> NDArray[np.intp]
     return np.array(found, dtype=np.intp)
 
 
-def read_wrench_table(
-    folder: Path, tests: dict[str, int]
-) -> tuple[list[Array], list[float], Frame, tuple[str, ...]]:
+def read_wrench_table(folder: Path, tests: dict[str, int]) -> tuple[list[Array], list[float], Frame, tuple[str, ...]]:
     """Return readings of each test [N, N·m], (n, 6), the mean time of each [s], their frame, and notes on assumptions,
     from `wrenches.csv` if any.
 

@@ -45,12 +45,7 @@ def board(
     check_overwrite(out, force)
     write_atomically(out, writer(made))
     width, height = ((length + 2 * MARGIN) / MM for length in made.size)
-    table = {
-        "squares": list(squares),
-        "square_mm": square_mm,
-        "marker_mm": marker_mm,
-        "dictionary": dictionary,
-    }
+    table = {"squares": list(squares), "square_mm": square_mm, "marker_mm": marker_mm, "dictionary": dictionary}
     if as_json:
         print_json({"file": out, "width_mm": made.size[0] / MM, "height_mm": made.size[1] / MM, **table})
         return

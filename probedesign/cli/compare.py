@@ -36,12 +36,7 @@ def compare(
     """
     from probedesign.design import load_design
     from probedesign.optimization.objective import METRICS
-    from probedesign.reports.comparison_page import (
-        best_design,
-        comparison_page,
-        comparison_table,
-        comparison_verdict,
-    )
+    from probedesign.reports.comparison_page import best_design, comparison_page, comparison_table, comparison_verdict
     from probedesign.reports.comparison_page import compare as side_by_side
     from probedesign.reports.html_page import check_page_target
 
@@ -55,10 +50,7 @@ def compare(
             file = out or exports_of(designs[0]) / name
             write_atomically(file, comparison_page(compared, task))
     if as_json:
-        document = [
-            {"name": one.design.name, **one.metrics.as_dict(), "fused_headline": one.fused}
-            for one in compared
-        ]
+        document = [{"name": one.design.name, **one.metrics.as_dict(), "fused_headline": one.fused} for one in compared]
         best = {name: best_design(compared, name) for name in METRICS}
         print_json({"task": task, "designs": document, "best": best, "page": file})
         return
@@ -124,9 +116,7 @@ def sweep(
             folder, count = out or exports_of(design) / start.name / "sweep", workers or os.cpu_count() or 1
             swept = grid.sweep(start, axes, task, folder, scheduler, count, on_progress)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(
-            "interrupted; all results are kept. Run the same command again to resume"
-        ) from None
+        raise KeyboardInterrupt("interrupted; all results are kept. Run the same command again to resume") from None
     for note in swept.notes:
         print_note(note)
     page = folder / "sweep.html"

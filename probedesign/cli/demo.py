@@ -102,8 +102,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     made: dict[str, str] = {}
     skipped: list[str] = []
     sections = {
-        name: DemoSection(heading, command.format(folder=folder))
-        for name, (heading, command) in SECTIONS.items()
+        name: DemoSection(heading, command.format(folder=folder)) for name, (heading, command) in SECTIONS.items()
     }
 
     def finish(name: str, text: str, **content: Any) -> None:
@@ -142,9 +141,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     estimator = pipeline.load_estimator(bundle)
     recording, contacts = folder / "recording.csv", folder / "contacts.csv"
     estimates = _simulate(estimator, recording)
-    write_files(
-        folder, [(contacts.name, estimates.csv().encode()), ("touches.html", recording_page(estimates))]
-    )
+    write_files(folder, [(contacts.name, estimates.csv().encode()), ("touches.html", recording_page(estimates))])
     sweep = _sweep(estimates)
     made[str(recording)] = "a simulated recording: 20 mN, swept along the probe"
     made[str(contacts)] = "the located contacts, one estimate per row"
@@ -163,11 +160,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
         f"{result['error_mm']:.2f} mm RMS, predicted {result['predicted_mm']:.2f} mm.",
         html=replay_element(estimator, estimates.rows, estimates.gravities, SECTIONS["estimate"][0]),
         style=STYLE,
-        links=[
-            ("touches.html", "charts"),
-            (contacts.name, "located contacts"),
-            (recording.name, "the recording"),
-        ],
+        links=[("touches.html", "charts"), (contacts.name, "located contacts"), (recording.name, "the recording")],
     )
     print_step("building the parts")
     parts = _export(probe, folder, skipped)
@@ -188,11 +181,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
 
 def _check_folder(folder: Path, design: Path, text: str) -> None:
     """Refuse a folder that has other files than those of the demo."""
-    if (
-        folder.is_dir()
-        and any(folder.iterdir())
-        and not (design.is_file() and design.read_text("utf-8") == text)
-    ):
+    if folder.is_dir() and any(folder.iterdir()) and not (design.is_file() and design.read_text("utf-8") == text):
         raise InputError(
             f"{folder} has files that the demo did not write. --force replaces them; --out names another folder"
         )
@@ -273,9 +262,7 @@ def _simulate(estimator: "Estimator", recording: Path) -> "RecordingEstimates":
     from probedesign.live.sources.sim import SimulatedSource
 
     readings = list(iter_readings(SimulatedSource(estimator.model, TOUCH)))
-    write_recording(
-        recording, np.array([r.time for r in readings]), np.array([r.wrench_sensor for r in readings])
-    )
+    write_recording(recording, np.array([r.time for r in readings]), np.array([r.wrench_sensor for r in readings]))
     estimates = estimate_recording(estimator, recording)
     for row, reading in zip(estimates.rows, readings, strict=True):
         row |= true_values(reading)

@@ -11,13 +11,7 @@ if TYPE_CHECKING:
     from probedesign.probe import Probe
 
 
-def deploy(
-    design: DesignFile,
-    /,
-    *,
-    out: Path | None = None,
-    as_json: JsonOutput = False,
-) -> None:
+def deploy(design: DesignFile, /, *, out: Path | None = None, as_json: JsonOutput = False) -> None:
     """Freeze the estimator of a design into one file.
 
     Args:

@@ -95,9 +95,7 @@ def estimate(
     elif out is page is None:
         sys.stdout.write(estimates.csv())
     else:
-        print(
-            f"wrote {', '.join(str(file) for file in (out, page) if file)}: {describe_counts(estimates.counts)}"
-        )
+        print(f"wrote {', '.join(str(file) for file in (out, page) if file)}: {describe_counts(estimates.counts)}")
         _print_touches(touches_in(estimates.rows))
 
 
@@ -128,14 +126,7 @@ def _track(readings: "list[WrenchReading]") -> "Iterable[WrenchReading]":
     return track(readings, "estimating", console=Console(stderr=True), transient=True)
 
 
-def recover(
-    recording: Path,
-    /,
-    *,
-    out: Path | None = None,
-    force: bool = False,
-    as_json: JsonOutput = False,
-) -> None:
+def recover(recording: Path, /, *, out: Path | None = None, force: bool = False, as_json: JsonOutput = False) -> None:
     """Copy the intact parts of an MCAP recording that was cut off or is damaged into a new file.
 
     If a recorder is killed or the disk is full, the file has no end. replay and estimate read it up to there; other
@@ -152,9 +143,7 @@ def recover(
     require_mcap()
     from probedesign.live.recordings.mcap_read import recover as write_recovered
 
-    recovered = write_recovered(
-        recording, out or recording.with_name(f"{recording.stem}-recovered.mcap"), force
-    )
+    recovered = write_recovered(recording, out or recording.with_name(f"{recording.stem}-recovered.mcap"), force)
     if as_json:
         print_json(recovered)
         return

@@ -3,14 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from probedesign.cli.console import (
-    interrupt_on_termination,
-    plural,
-    print_json,
-    print_note,
-    show_progress,
-    write_files,
-)
+from probedesign.cli.console import interrupt_on_termination, plural, print_json, print_note, show_progress, write_files
 from probedesign.cli.options import BaseOptions, FrozenProbe, JsonOutput, ReadingOptions, RehearsalOptions
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, check_writable
@@ -84,9 +77,7 @@ def explore(
     priors = base_uncertainty.apply_to(estimator.priors)
     on_touch = _print_touch if recording is None else lambda touch: None
     with interrupt_on_termination():
-        exploration = pipeline.explore(
-            estimator, source, processing, poses, print_note, priors, apart, on_touch
-        )
+        exploration = pipeline.explore(estimator, source, processing, poses, print_note, priors, apart, on_touch)
     if exploration.n_without_pose:
         print_note(
             f"{exploration.n_without_pose} of {exploration.n_readings} readings have no base pose and are ignored"

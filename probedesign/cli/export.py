@@ -63,9 +63,7 @@ def export(
         if as_json:
             print_json(written)
         else:
-            print(
-                f"wrote {written['file']}: {1e6 * written['volume_m3']:.3g} cm³, geometry {written['fingerprint']}"
-            )
+            print(f"wrote {written['file']}: {1e6 * written['volume_m3']:.3g} cm³, geometry {written['fingerprint']}")
         return
     with _uncollected():
         manifest = pipeline.export(drawn, folder, print_step)
@@ -92,9 +90,7 @@ def _print(manifest: dict[str, Any], verbose: bool) -> None:
     files: dict[str, list[str]] = {kind.use: [] for kind in FILE_KINDS.values()}
     for name in (*manifest["files"], "manifest.json"):
         files[FILE_KINDS[Path(name).suffix].use].append(name)
-    print(
-        f"wrote {manifest['folder']}: {len(manifest['files']) + 1} files; assembly instructions: assembly.html"
-    )
+    print(f"wrote {manifest['folder']}: {len(manifest['files']) + 1} files; assembly instructions: assembly.html")
     print_table(
         {
             **{use: ", ".join(names) for use, names in files.items() if names},

@@ -78,13 +78,7 @@ def identify(
         refused = error
     if as_json:
         print_json(
-            {
-                **found.as_dict(),
-                "files": files,
-                "changes": changes,
-                "design_written": path,
-                "design_kept": backup,
-            }
+            {**found.as_dict(), "files": files, "changes": changes, "design_written": path, "design_kept": backup}
         )
     elif changes:
         _print_changes(changes, path, design)

@@ -108,9 +108,7 @@ def live(
     from probedesign.live.processing.control import ProcessingOptions, parse_tare
 
     window, zero = parse_tare(tare_s, tare)
-    processing = ProcessingOptions(
-        window, average, rate_hz, count, seconds, filter_hz, method=method, zero=zero
-    )
+    processing = ProcessingOptions(window, average, rate_hz, count, seconds, filter_hz, method=method, zero=zero)
     estimator = pipeline.load_estimator(bundle, manifest, exact_model, friction)
     settings = {
         "source": source,
@@ -208,10 +206,7 @@ def _server_address(foxglove: str | bool) -> tuple[str, int] | None:
 
 
 def _print(
-    updates: "Generator[EstimateUpdate, None, None]",
-    log: "Callable[[str], None]",
-    as_json: bool,
-    live_table: bool,
+    updates: "Generator[EstimateUpdate, None, None]", log: "Callable[[str], None]", as_json: bool, live_table: bool
 ) -> bool:
     """Print one line per estimate and, after the end or Ctrl-C, the number of estimates per result code.
 

@@ -126,9 +126,7 @@ def read_settings() -> "tuple[dict[str, Any], str]":
         raise InputError(f"{path}: exports = {exports!r} is not the path of a folder")
     for name, table in found.items():
         if not isinstance(table, dict):
-            raise InputError(
-                f"{path}: {name} is not in a table; use a table for each command, such as [live]"
-            )
+            raise InputError(f"{path}: {name} is not in a table; use a table for each command, such as [live]")
         if name not in COMMANDS:
             raise InputError(f"{path}: [{name}] is not a command; see probedesign --help")
     return found, path

@@ -69,9 +69,7 @@ def measured(
         print("  note: where nothing was measured the tolerance is wider than before, because a print may be larger or "
               "smaller as a whole by 1 % (assumed); measure near base and tip")  # fmt: skip
     if found.scale > 1.0:
-        print(
-            f"  note: the readings scatter by {found.scale:.1f} times their standard deviation, which was widened"
-        )
+        print(f"  note: the readings scatter by {found.scale:.1f} times their standard deviation, which was widened")
     if found.prior_scale > 1.0:
         worst = max(found.measured - found.drawn, key=abs)
         print(

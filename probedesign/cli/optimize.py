@@ -16,12 +16,7 @@ from probedesign.core.units import format_value
 if TYPE_CHECKING:
     from probedesign.core.parallel import OnProgress
     from probedesign.optimization.constraints import OptimizationProblem
-    from probedesign.optimization.optimum import (
-        MonteCarloCheck,
-        OptimizeResult,
-        Optimum,
-        ParetoFront,
-    )
+    from probedesign.optimization.optimum import MonteCarloCheck, OptimizeResult, Optimum, ParetoFront
 
 MAX_SHOWN_CASES = 6
 """Cases with a larger error than the start's that are printed."""
@@ -80,13 +75,7 @@ def optimize(
     )
     with show_progress() as on_progress:
         found = _run(
-            search,
-            out or Path("designs") / f"{start.name}-best.toml",
-            force,
-            confirm,
-            pareto,
-            seed,
-            on_progress,
+            search, out or Path("designs") / f"{start.name}-best.toml", force, confirm, pareto, seed, on_progress
         )
     if as_json:
         print_json(found.as_dict())
@@ -136,9 +125,7 @@ def _run(
 
 
 def _print(
-    found: "Optimum",
-    confirmed: "tuple[MonteCarloCheck | None, MonteCarloCheck] | None",
-    front: "ParetoFront | None",
+    found: "Optimum", confirmed: "tuple[MonteCarloCheck | None, MonteCarloCheck] | None", front: "ParetoFront | None"
 ) -> None:
     print(f"{found.design.name}: {found.task.text}")
     print(f"  {'':<16}{'start':>12}{'optimum':>12}")
@@ -154,9 +141,7 @@ def _print(
                   f"{one.bound_mm:.3g} mm; {one.located} of {one.drawn} located, {one.inside} of them "
                   "inside their 95 % ellipsoid")  # fmt: skip
     print(f"  active constraints: {', '.join(found.active_constraints) or 'none'}")
-    ranked = sorted(
-        found.worse, key=lambda row: (row.best_error_mm or math.inf) / row.start_error_mm, reverse=True
-    )
+    ranked = sorted(found.worse, key=lambda row: (row.best_error_mm or math.inf) / row.start_error_mm, reverse=True)
     for place in ranked[:MAX_SHOWN_CASES]:
         error = "buckles" if place.best_error_mm is None else f"{place.best_error_mm:.3g} mm"
         gravity = ",".join(f"{g:g}" for g in place.gravity_base_m_s2)

@@ -128,9 +128,7 @@ def _vector(text: str) -> tuple[float, float, float]:
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
-        raise InputError(
-            f"--gravity {text!r} cannot be read; write X,Y,Z in m/s², such as 9.81,0,0"
-        ) from None
+        raise InputError(f"--gravity {text!r} cannot be read; write X,Y,Z in m/s², such as 9.81,0,0") from None
     return x, y, z
 
 
@@ -257,9 +255,7 @@ class RehearsalOptions:
     friction_spread: float = 0.2
     """Standard deviation of the friction coefficient's logarithm from touch to touch."""
 
-    def write(
-        self, folder: Path, model: "ProbeModel", base: "BasePoseUncertainty", force: bool
-    ) -> tuple[Path, ...]:
+    def write(self, folder: Path, model: "ProbeModel", base: "BasePoseUncertainty", force: bool) -> tuple[Path, ...]:
         """Simulate the run, write its files and return them; the error of the base's pose is drawn from `base`.
 
         Raises:

@@ -55,15 +55,7 @@ def plan(
     from probedesign import pipeline
     from probedesign.design import load_design
     from probedesign.identification.parameters import check_requested
-    from probedesign.planning.folder import (
-        CHECKLIST,
-        PAGE,
-        PLAN,
-        check_target,
-        checklist_text,
-        tables,
-        write_folder,
-    )
+    from probedesign.planning.folder import CHECKLIST, PAGE, PLAN, check_target, checklist_text, tables, write_folder
     from probedesign.reports.plan_page import plan_page
 
     if stage_mm == 0.0:
@@ -72,9 +64,7 @@ def plan(
         )
     names = check_requested([name for name in (part.strip() for part in for_.split(",")) if name])
     _check_numbers(minutes, held_out)
-    instruments = _instruments(
-        stage_mm if stage else None, cameras_mm, weights_g, turn, balance_g, calipers_mm
-    )
+    instruments = _instruments(stage_mm if stage else None, cameras_mm, weights_g, turn, balance_g, calipers_mm)
     start = load_design(design)
     folder = Path("data") / start.name if out is None else out
     check_target(folder, force)
@@ -115,9 +105,7 @@ def _instruments(
         if value is None or value == 0.0:
             return None
         if not 1e-4 <= value <= high:
-            raise InputError(
-                f"--{option} {value:g} must lie in 0.0001 ... {high:g}, or be 0 without the instrument"
-            )
+            raise InputError(f"--{option} {value:g} must lie in 0.0001 ... {high:g}, or be 0 without the instrument")
         return value * unit
 
     weights = []
@@ -145,8 +133,6 @@ def _print(found: "Plan") -> None:
         print(f"  {one.minutes:>4.0f} {one.candidate.name:<12}" + "".join(f"{cell:>13}" for cell in cells)
               + f"  {one.candidate.words}{' For validate.' * one.candidate.held_out}")  # fmt: skip
     enough = found.enough
-    print(
-        f"  after {enough.candidate.name} ({enough.minutes:.0f} min) every interval is within 10 % of the final one"
-    )
+    print(f"  after {enough.candidate.name} ({enough.minutes:.0f} min) every interval is within 10 % of the final one")
     for note in found.notes:
         print(f"  note: {note}")

@@ -65,15 +65,11 @@ def predict(
     from probedesign.prediction.fused import PressSchedule
 
     if (design is None) is not table1:
-        raise InputError(
-            "predict needs a design file, such as designs/NAME.toml, or --table1 without a design file"
-        )
+        raise InputError("predict needs a design file, such as designs/NAME.toml, or --table1 without a design file")
     if design is None:
         given = out, monte_carlo, seed, touches, forces_too, plots, verbose
         if given != (None, None, 0, 5, False, None, False):
-            raise InputError(
-                "--table1 has no other option than --json: it writes no files and fuses no touches"
-            )
+            raise InputError("--table1 has no other option than --json: it writes no files and fuses no touches")
         with show_progress("predicting the paper's table"):
             table = pipeline.predict_table_one()
         if as_json:
@@ -156,9 +152,7 @@ def print_tables(prediction: "Prediction", verbose: bool = True) -> None:
     """Print errors and Monte Carlo of a prediction; verbose: sensitivity, error budgets, forces and workspace too."""
     print("\nContact error of one reading [mm], RMS, worst direction, all error sources")
     print(_error_table(prediction, "predicted_error_mm"))
-    print(
-        "  - : detected, not located   . : not detected   ^ : beyond the sensor's range   / : the probe buckles"
-    )
+    print("  - : detected, not located   . : not detected   ^ : beyond the sensor's range   / : the probe buckles")
     if prediction.monte_carlo:
         print("\nMonte Carlo, all error sources; * differs from the error budget by more than 10 %")
         print(_monte_carlo_table(prediction))
@@ -182,9 +176,7 @@ def _print_details(prediction: "Prediction") -> None:
     print(_threshold_table(prediction))
     lightest = min((1e3 * c.force_N for c in prediction.fused), default=0.0)
     if any(f.force_mN_for_2_mm == lightest for f in prediction.fused_reach):
-        print(
-            f"  Fused touches: {lightest:g} mN is the lightest force evaluated; the true threshold may be lower."
-        )
+        print(f"  Fused touches: {lightest:g} mN is the lightest force evaluated; the true threshold may be lower.")
     _print_workspace(prediction.workspace)
 
 
@@ -222,9 +214,7 @@ def _sensitivity_table(prediction: "Prediction") -> str:
     return "\n".join(lines)
 
 
-def _print_budget(
-    prediction: "Prediction", conditions: "Sequence[AnyCondition]", force_N: float, kind: str
-) -> None:
+def _print_budget(prediction: "Prediction", conditions: "Sequence[AnyCondition]", force_N: float, kind: str) -> None:
     """Print the error budget of the worst direction at each located place, for the force nearest to `force_N` [N]."""
     worst = _worst_directions(conditions, force_N)
     if not worst:
@@ -235,16 +225,13 @@ def _print_budget(
     places = sorted(worst)
     print("  s/L               " + "".join(f"{place:>7g}" for place in places))
     rows: dict[str, list[float | None]] = {
-        cause: [(worst[place].budget_mm or {})[cause] for place in places]
-        for cause in worst[places[0]].budget_mm or {}
+        cause: [(worst[place].budget_mm or {})[cause] for place in places] for cause in worst[places[0]].budget_mm or {}
     }
     rows["all"] = [worst[place].predicted_error_mm for place in places]
     rows["95 % radius"] = [worst[place].predicted_error_95_mm for place in places]
     for name, values in rows.items():
         print(f"  {name:<18}" + "".join(_small_cell(value, 7) for value in values))
-    missing = ", ".join(
-        f"{c:g}" for c in sorted({c.contact_fraction for c in prediction.conditions} - set(worst))
-    )
+    missing = ", ".join(f"{c:g}" for c in sorted({c.contact_fraction for c in prediction.conditions} - set(worst)))
     if missing:
         print(f"  Not located at this force: {missing}")
 

@@ -72,9 +72,7 @@ def simulate(
     transducer = SimulatedTransducer(model, motion.wrench_sensor, seed)
     with ExitStack() as stack:
         box = stack.enter_context(
-            SimulatedNetFT(
-                transducer, configuration, host=host, port=port, http_port=http_port, faults=faults
-            )
+            SimulatedNetFT(transducer, configuration, host=host, port=port, http_port=http_port, faults=faults)
         )
         if pose_to is not None:
             stack.enter_context(SimulatedRobot(motion, lambda: box.motion_time, pose_to))

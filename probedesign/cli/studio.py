@@ -46,9 +46,7 @@ def studio(
     from probedesign.live import LOOPBACK
 
     if host not in LOOPBACK:
-        raise InputError(
-            f"--host {host}: the studio is open to this machine only; use one of {', '.join(LOOPBACK)}"
-        )
+        raise InputError(f"--host {host}: the studio is open to this machine only; use one of {', '.join(LOOPBACK)}")
     with show_progress() as on_progress:
         on_progress("loading the design", None)
         found = _design(design, set_ or [])

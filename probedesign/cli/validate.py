@@ -52,15 +52,11 @@ def validate(
             check_names([estimator.model.name for estimator in estimators])
         for estimator, (_, data) in zip(estimators, pairs, strict=True):
             campaign, name = read_campaign(data), estimator.model.name
-            folder = (
-                exports_of() / name / "validation" if out is None else out / name if len(pairs) > 1 else out
-            )
+            folder = exports_of() / name / "validation" if out is None else out / name if len(pairs) > 1 else out
             check_writable(folder / "validation.json")
             report = pipeline.validate(estimator, campaign, exact_model, on_progress, include_identified)
             on_progress("drawing", None)
-            files += write_files(
-                folder, list(_files(report, plots))
-            )  # all or none, if a picture cannot be drawn
+            files += write_files(folder, list(_files(report, plots)))  # all or none, if a picture cannot be drawn
             found.append(report)
         reports = tuple(found)
         joined = MultiProbeReport(reports)

@@ -183,9 +183,7 @@ class Column:
         return CEILING[self.kind]
 
 
-def find_columns(
-    lines: CsvLines, kinds: Mapping[str, str], aliases: Mapping[str, str], like: str
-) -> dict[str, Column]:
+def find_columns(lines: CsvLines, kinds: Mapping[str, str], aliases: Mapping[str, str], like: str) -> dict[str, Column]:
     """Return the known columns of a header by quantity; others are left out.
 
     Args:
@@ -220,9 +218,7 @@ def _column(
     unit may be spelt freely: `Fx_N`, `Fx (N)`, `Mx [N·mm]`. `Fx` alone is recognised too, and refused without a unit.
     """
     lower = name.lower()
-    stems = [
-        k for k in (*kinds, *aliases) if lower.startswith(k) and not lower[len(k) : len(k) + 1].isalpha()
-    ]
+    stems = [k for k in (*kinds, *aliases) if lower.startswith(k) and not lower[len(k) : len(k) + 1].isalpha()]
     if not stems:
         return None
     stem = max(stems, key=len)
@@ -235,9 +231,7 @@ def _column(
     if factor is None:
         problem = f"unit {quote_input(unit)} is not known" if unit else "names no unit"
         endings = ", ".join(f"_{known}" for known in UNITS[kind])
-        lines.fail(
-            lines.header_number, f"column {quote_input(name)}: {problem}; end its name in one of {endings}"
-        )
+        lines.fail(lines.header_number, f"column {quote_input(name)}: {problem}; end its name in one of {endings}")
     return Column(quantity, kind, index, factor, name)
 
 
@@ -399,15 +393,11 @@ def _check_columns(lines: CsvLines, columns: dict[str, Column], schema: TableSch
         if index not in read and name and name.lower() not in NOTES:
             near = difflib.get_close_matches(name, schema.like.split(","), 1, 0.5)
             hint = f"did you mean {quote_input(near[0])}?" if near else f"known are {schema.like}"
-            lines.fail(
-                lines.header_number, f"column {quote_input(name)} is not known; {hint} (for free text: note)"
-            )
+            lines.fail(lines.header_number, f"column {quote_input(name)} is not known; {hint} (for free text: note)")
     missing = [name for name in schema.required if name not in columns]
     if missing:
         names = ", ".join(_spelt(name, schema) for name in missing)
-        lines.fail(
-            lines.header_number, f"columns are missing: {names}; the header must be like {schema.like}"
-        )
+        lines.fail(lines.header_number, f"columns are missing: {names}; the header must be like {schema.like}")
     for kind in ("length", "angle", "force", "moment"):
         alike = [column for column in columns.values() if column.kind == kind]
         for other in alike[1:]:

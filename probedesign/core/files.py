@@ -184,9 +184,7 @@ def file_in(path: Path, pattern: str, what: str) -> Path:
     found = sorted(path.glob(pattern))
     if len(found) != 1:
         names = ", ".join(file.name for file in found[:5])
-        raise InputError(
-            f"{path}: is a folder with {f'several: {names}' if found else f'no {what}'}; give the file"
-        )
+        raise InputError(f"{path}: is a folder with {f'several: {names}' if found else f'no {what}'}; give the file")
     return found[0]
 
 

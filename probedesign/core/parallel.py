@@ -185,9 +185,7 @@ class Journal:
         if records and records[0] != request:
             different = [key for key in request if records[0].get(key) != request[key]]
             what = f"other {', '.join(different)}" if different else "of another version"
-            raise InputError(
-                f"{path}: contains results of another sweep ({what}); name another folder with --out"
-            )
+            raise InputError(f"{path}: contains results of another sweep ({what}); name another folder with --out")
         if valid < len(content):
             notes.append(f"{path}: an incomplete record at the end was dropped; its design is computed again")
         results = {int(record["point"]): record for record in records[1:]}
@@ -254,7 +252,5 @@ def _complete_records(content: bytes, path: Path) -> tuple[list[Record], int]:
         valid += len(line)
     left = content[valid:].count(b"\n")
     if left > 1 or (content and not found and left):
-        raise InputError(
-            f"{path}: line {len(found) + 1} is not a record of a sweep; move the file away, or repair it"
-        )
+        raise InputError(f"{path}: line {len(found) + 1} is not a record of a sweep; move the file away, or repair it")
     return found, valid

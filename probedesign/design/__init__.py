@@ -14,13 +14,7 @@ if TYPE_CHECKING:
     from probedesign.design.schema import Design as Design
     from probedesign.design.schema import check_name as check_name
 
-_MODULES = {
-    "Design": "schema",
-    "check_name": "schema",
-    "check_design": "io",
-    "load_design": "io",
-    "parse_design": "io",
-}
+_MODULES = {"Design": "schema", "check_name": "schema", "check_design": "io", "load_design": "io", "parse_design": "io"}
 __all__ = ["Design", "check_design", "check_name", "load_design", "parse_design"]
 
 

@@ -243,11 +243,7 @@ class RobotFlange:
 
 
 def _iso_9409(
-    holes: str,
-    slot_mm: tuple[float, float],
-    spigot_mm: tuple[float, float],
-    face_mm: float,
-    entry_mm: float = 6.0,
+    holes: str, slot_mm: tuple[float, float], spigot_mm: tuple[float, float], face_mm: float, entry_mm: float = 6.0
 ) -> RobotFlange:
     """Return a pattern of ISO 9409-1 such as "50-4-M6". Of six holes every second takes a bolt, for the cable."""
     circle, count, bolt = holes.split("-")
@@ -264,9 +260,7 @@ _UNCHECKED = "azimuths of the holes, pin and depth of the threads assumed: compa
 ROBOT_FLANGES = {
     flange.name: flange
     for flange in (
-        replace(
-            _iso_9409("50-4-M6", (6.2, 9.0), (31.3, 4.0), 63.0), source="ISO 9409-1-50-4-M6 (UR, Franka)"
-        ),
+        replace(_iso_9409("50-4-M6", (6.2, 9.0), (31.3, 4.0), 63.0), source="ISO 9409-1-50-4-M6 (UR, Franka)"),
         # Assumed: the thread depth of M5, which is not in our sources; the slot, by analogy with the 50 mm pattern.
         # The spigot is the Ø20 H7 recess less 0.2 mm, as for the 50 mm pattern.
         _iso_9409("31.5-4-M5", (5.2, 8.0), (19.8, 4.0), 40.0),

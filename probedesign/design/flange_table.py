@@ -38,15 +38,9 @@ class FlangeTable(Table):
     @property
     def record(self) -> RobotFlange:
         """Return the flange in SI units; without the robot's recess that of a play of 0.2 mm is assumed."""
-        slot, spigot = (
-            (pair[0] * MM, pair[1] * MM) for pair in (self.pin_slot_mm or (0, 0), self.spigot_mm or (0, 0))
-        )
+        slot, spigot = ((pair[0] * MM, pair[1] * MM) for pair in (self.pin_slot_mm or (0, 0), self.spigot_mm or (0, 0)))
         flange = RobotFlange(
             CUSTOM, self.bolt_circle_d_mm * MM, self.bolt_azimuths_deg, self.bolt, self.max_bolt_entry_mm * MM,
             self.bolt_length_mm * MM, slot, spigot, self.face_d_mm * MM, "design file, mount.flange",
         )  # fmt: skip
-        return (
-            flange
-            if self.recess_d_mm is None
-            else replace(flange, spigot_play=self.recess_d_mm * MM - spigot[0])
-        )
+        return flange if self.recess_d_mm is None else replace(flange, spigot_play=self.recess_d_mm * MM - spigot[0])

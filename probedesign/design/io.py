@@ -180,9 +180,7 @@ def draft_design(
         InputError: a value is out of range or contradicts another.
     """
     material = find(RESINS, resin, "material.resin")
-    notes = {
-        f"material.{key}": f"{q.provenance}: {q.source}" for key, (q, _) in _quantities(material).items()
-    }
+    notes = {f"material.{key}": f"{q.provenance}: {q.source}" for key, (q, _) in _quantities(material).items()}
     source = material.friction.source if friction is None else "assumed until measured"
     notes["contact.friction"] = f"{COMMENTS['contact.friction']}; {source}"
     if tip_d_mm is None and shape != "cylinder":
@@ -232,9 +230,7 @@ def render_design(design: Design, notes: Mapping[str, str] | None = None) -> str
         for key, value in values.items():
             lines.append(_commented(f"{key} = {_toml(value)}", comments.get(f"{table}.{key}")))
         if table == "probe" and design.probe.profile_mm is None:
-            lines.append(
-                _commented(f"# profile_mm = {_toml(_example_profile(design))}", COMMENTS["probe.profile_mm"])
-            )
+            lines.append(_commented(f"# profile_mm = {_toml(_example_profile(design))}", COMMENTS["probe.profile_mm"]))
     return "\n".join(lines) + "\n"
 
 
@@ -263,14 +259,9 @@ def _nested(table: str, values: dict[str, Any]) -> Iterator[tuple[str, dict[str,
     """Yield a table and those in it, without empty values; the name of an item of a list is in brackets of its own."""
     inner = {key: value for key, value in values.items() if isinstance(value, dict)}
     lists = {
-        key: value
-        for key, value in values.items()
-        if isinstance(value, tuple) and value and isinstance(value[0], dict)
+        key: value for key, value in values.items() if isinstance(value, tuple) and value and isinstance(value[0], dict)
     }
-    yield (
-        table,
-        {k: v for k, v in values.items() if k not in inner and k not in lists and v is not None and v != ()},
-    )
+    yield (table, {k: v for k, v in values.items() if k not in inner and k not in lists and v is not None and v != ()})
     for key, value in inner.items():
         yield from _nested(f"{table}.{key}", value)
     for key, items in lists.items():

@@ -15,15 +15,7 @@ from pydantic import Field, field_validator, model_validator
 from probedesign.core.files import check_regular, is_plain_name
 from probedesign.core.units import GRAM, MM
 from probedesign.design.catalog import SCREWS
-from probedesign.design.diagnostics import (
-    FromArray,
-    Inconsistent,
-    Table,
-    known_keys,
-    parse_toml,
-    quoted,
-    read_text,
-)
+from probedesign.design.diagnostics import FromArray, Inconsistent, Table, known_keys, parse_toml, quoted, read_text
 from probedesign.design.sensors import (
     DEFAULT_SENSOR,
     CableExit,
@@ -57,9 +49,7 @@ def _check_holes(key: str, azimuths_deg: tuple[float, ...], fewest: int, most: i
     sorted_deg = sorted(a % 360.0 for a in azimuths_deg)
     gaps = np.diff([*sorted_deg, sorted_deg[0] + 360.0])
     if gaps.min() < apart_deg:
-        raise Inconsistent(
-            key, f"has holes {gaps.min():.3g}° apart, which overlap; at least {apart_deg:.3g}°"
-        )
+        raise Inconsistent(key, f"has holes {gaps.min():.3g}° apart, which overlap; at least {apart_deg:.3g}°")
 
 
 def _hole_deg(diameter: float, circle_d: float) -> float:
@@ -87,9 +77,7 @@ class ScrewTable(Table):
                 f"= {self.bolt_circle_d_mm:g} leaves the holes outside the face; at most {self.face_d_mm - d_mm:g}",
             )
         if self.min_entry_mm > self.max_entry_mm:
-            raise Inconsistent(
-                "min_entry_mm", f"= {self.min_entry_mm:g} is above max_entry_mm = {self.max_entry_mm:g}"
-            )
+            raise Inconsistent("min_entry_mm", f"= {self.min_entry_mm:g} is above max_entry_mm = {self.max_entry_mm:g}")
         return self
 
     @property
@@ -115,8 +103,7 @@ class DowelTable(Table):
         _check_holes("azimuths_deg", self.azimuths_deg, 2, 2, _hole_deg(self.diameter_mm, self.circle_d_mm))
         if self.pin_length_mm <= self.depth_mm:
             raise Inconsistent(
-                "pin_length_mm",
-                f"= {self.pin_length_mm:g} ends in its hole, {self.depth_mm:g} mm deep; take longer",
+                "pin_length_mm", f"= {self.pin_length_mm:g} ends in its hole, {self.depth_mm:g} mm deep; take longer"
             )
         return self
 
@@ -156,29 +143,21 @@ class InterfaceTable(Table):
         for key, face in (("tool", self.tool), ("mounting", self.mounting)):
             if face.face_d_mm > self.body_d_mm:
                 raise Inconsistent(
-                    f"interface.{key}.face_d_mm",
-                    f"= {face.face_d_mm:g} is wider than body_d_mm = {self.body_d_mm:g}",
+                    f"interface.{key}.face_d_mm", f"= {face.face_d_mm:g} is wider than body_d_mm = {self.body_d_mm:g}"
                 )
         if self.tool.max_entry_mm + self.mounting.max_entry_mm > self.height_mm:
-            raise Inconsistent(
-                "height_mm", f"= {self.height_mm:g} is less than the depths of the screws together"
-            )
+            raise Inconsistent("height_mm", f"= {self.height_mm:g} is less than the depths of the screws together")
         if self.cable.heights_mm[1] > self.height_mm:
-            raise Inconsistent(
-                "interface.cable.heights_mm", f"end above the tool face, height_mm = {self.height_mm:g}"
-            )
+            raise Inconsistent("interface.cable.heights_mm", f"end above the tool face, height_mm = {self.height_mm:g}")
         screw_d, dowels = SCREWS[self.tool.screw].nominal_d / MM, self.dowels
         if dowels.circle_d_mm + dowels.diameter_mm > self.tool.face_d_mm:
-            raise Inconsistent(
-                "dowels.circle_d_mm", f"= {dowels.circle_d_mm:g} leaves the holes outside the face"
-            )
+            raise Inconsistent("dowels.circle_d_mm", f"= {dowels.circle_d_mm:g} leaves the holes outside the face")
         bolts = _points(self.tool.bolt_circle_d_mm, self.tool.azimuths_deg)
         pins = _points(dowels.circle_d_mm, dowels.azimuths_deg)
         apart = float(np.abs(bolts[:, None] - pins[None]).min())
         if apart < (needed := (screw_d + dowels.diameter_mm) / 2.0):
             raise Inconsistent(
-                "interface.dowels.azimuths_deg",
-                f"has a hole {apart:.3g} mm from a screw's, at least {needed:g} mm",
+                "interface.dowels.azimuths_deg", f"has a hole {apart:.3g} mm from a screw's, at least {needed:g} mm"
             )
         return self
 
@@ -263,9 +242,7 @@ def _plain_name(value: str) -> str:
         ValueError: it is not a plain name.
     """
     if not is_plain_name(value):
-        raise Inconsistent(
-            "name", f"= {quoted(value)} is not a plain name; use letters, digits, '-', '_' and '.'"
-        )
+        raise Inconsistent("name", f"= {quoted(value)} is not a plain name; use letters, digits, '-', '_' and '.'")
     return value
 
 
@@ -300,8 +277,7 @@ class SensorRecord(Table):
             given = c.resolution_N is not None, c.resolution_Nm is not None
             if not all(given) and (any(given) or self.noise is None):
                 raise Inconsistent(
-                    "noise",
-                    f"is missing; calibration {c.name!r} has no complete resolution from which it could follow",
+                    "noise", f"is missing; calibration {c.name!r} has no complete resolution from which it could follow"
                 )
         if (self.overload_N is None) != (self.overload_Nm is None):
             raise Inconsistent("overload_N", "and overload_Nm belong together; give both or none")

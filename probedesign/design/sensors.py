@@ -98,9 +98,7 @@ class ScrewPattern:
     def length(self) -> float:
         """Return the shortest stock length that leaves `MIN_GRIP` under the head [m]."""
         stock = [n * MM for n in self.screw.stock_mm]
-        return min(
-            (n for n in stock if self._grip(n) >= MIN_GRIP - 1e-9), default=stock[-1]
-        )  # 1 nm for round-off
+        return min((n for n in stock if self._grip(n) >= MIN_GRIP - 1e-9), default=stock[-1])  # 1 nm for round-off
 
     @property
     def grip(self) -> float:

@@ -123,9 +123,7 @@ class BiasFilter:
         walk: variance of the bias after one second [steps²/s].
     """
 
-    def __init__(
-        self, walk_steps: float, start_steps: float, sample_variance: float, rate: float, block: int
-    ) -> None:
+    def __init__(self, walk_steps: float, start_steps: float, sample_variance: float, rate: float, block: int) -> None:
         """Start with a bias of zero, as after a tare.
 
         Args:
@@ -149,9 +147,7 @@ class BiasFilter:
         t = float(s.clock[NOW] - s.clock[AT])
         b, c, r = s.cov.tolist()
         variance = b + t * (2.0 * c + self.walk) + t * t * r
-        return KnownBias(
-            s.mean[BIAS] + t * s.mean[RATE], s.mean[RATE].copy(), math.sqrt(variance), (c + t * r, r)
-        )
+        return KnownBias(s.mean[BIAS] + t * s.mean[RATE], s.mean[RATE].copy(), math.sqrt(variance), (c + t * r, r))
 
     def rest(self, seconds: float) -> None:
         """Account for time without samples [s]."""

@@ -227,9 +227,7 @@ class Detector:
             walk / math.sqrt(WALK_SECONDS), self.start_steps, samples / averaging, self.rate, self.lengths[-1]
         )
         whiten = np.linalg.inv(np.linalg.cholesky(self.model.noise_base() * samples))
-        self._state = DetectorState.fresh(
-            whiten, self._thresholds(), float(chdtri(6, RELEASE_CHANCE)), PRIOR_WEIGHT
-        )
+        self._state = DetectorState.fresh(whiten, self._thresholds(), float(chdtri(6, RELEASE_CHANCE)), PRIOR_WEIGHT)
 
     @property
     def lengths(self) -> tuple[int, ...]:
@@ -256,9 +254,7 @@ class Detector:
         sample = np.ascontiguousarray(wrench, dtype=float)
         if sample.shape != (6,):
             raise InputError(f"wrench has shape {sample.shape}; it must be (6,)")
-        return _STATES[
-            int(advance(sample[None], *self._state, *self.bias_filter.state, np.empty(1, dtype=np.int64)))
-        ]
+        return _STATES[int(advance(sample[None], *self._state, *self.bias_filter.state, np.empty(1, dtype=np.int64)))]
 
     def run(self, wrenches: ArrayLike) -> list[Touching]:
         """Process many samples, (n, 6)."""
@@ -304,6 +300,4 @@ class Detector:
             raise InputError(f"samples = {samples} must be 1 or more")
         per_newton = self._state.whiten @ wrench_by_force
         longest = fitting[-1]
-        return math.sqrt(float(self._state.thresholds[longest]) / lengths[longest]) / float(
-            np.linalg.norm(per_newton)
-        )
+        return math.sqrt(float(self._state.thresholds[longest]) / lengths[longest]) / float(np.linalg.norm(per_newton))

@@ -74,9 +74,7 @@ class Estimator:
         for name, value in (("force_N", force_N), ("moment_Nm", moment_Nm)):
             if not 0.0 < value < np.inf:
                 raise InputError(f"{name} = {value} must be positive and finite")
-        return Estimator(
-            self.model.with_noise(Noise.isotropic(float(force_N), float(moment_Nm))), self.tolerances
-        )
+        return Estimator(self.model.with_noise(Noise.isotropic(float(force_N), float(moment_Nm))), self.tolerances)
 
     def with_tolerances(self, tolerances: Tolerances | None = None) -> "Estimator":
         """Return the estimator with other tolerances.
@@ -242,8 +240,7 @@ class Estimator:
             moments is None
             and contact.any()
             and not any(
-                self._exceeds(self._detection_chi2(w, free))
-                for w, free in zip(wrenches[contact], frees, strict=False)
+                self._exceeds(self._detection_chi2(w, free)) for w, free in zip(wrenches[contact], frees, strict=False)
             )
         ):
             return FusedEstimate("no_contact")
@@ -386,9 +383,7 @@ class Estimator:
         best = listed[0]
         result = self._result(listed, readings)
         if result != "ok":
-            return Estimate(
-                result, force_base=best.force_base, detection_chi2=detection_chi2, candidates=listed
-            )
+            return Estimate(result, force_base=best.force_base, detection_chi2=detection_chi2, candidates=listed)
         return Estimate(
             "ok", best.s_contact, best.std_s, best.p_contact_base, best.p_surface_base, best.force_base,
             best.cov_contact_base, best.cov_surface_base, best.force_normal, best.force_tangential,

@@ -212,9 +212,7 @@ class ContactCovariance:
         return np.asarray(self.p_by_wrench @ self.noise @ self.p_by_wrench.T + off @ off.T)
 
 
-def propagate(
-    sensitivity: Sensitivity, noise: Array, causes: tuple[Array, Array] = NO_CAUSES
-) -> ContactCovariance:
+def propagate(sensitivity: Sensitivity, noise: Array, causes: tuple[Array, Array] = NO_CAUSES) -> ContactCovariance:
     """Propagate covariances to the published estimate: force by equation 5, then s by least squares on the moment.
 
     With a = ∂M/∂s and B = ∂M/∂F along the equilibria, a reading off by (ε_F, ε_M) moves

@@ -22,9 +22,7 @@ from probedesign.estimation.force_moment import closest_approaches, curve
 from probedesign.estimation.fusion_state import GROUPS, FusionState, PointConstraint, result_of, without
 from probedesign.estimation.likelihood import Problem, locate
 from probedesign.estimation.model import Observation, ProbeModel
-from probedesign.estimation.surface_contact_kernel import (
-    TOUCH,
-)
+from probedesign.estimation.surface_contact_kernel import TOUCH
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.estimation.uncertainty_kernel import NODE, TAIL
 
@@ -136,13 +134,7 @@ class Fusion:
             if key not in known:
                 free = self.model.rod.solve(reading.gravity)
                 known[key] = ErrorSources.of(
-                    self.model,
-                    self.priors,
-                    reading.gravity,
-                    free,
-                    found[0] if found else None,
-                    axes @ R,
-                    posed=True,
+                    self.model, self.priors, reading.gravity, free, found[0] if found else None, axes @ R, posed=True
                 )
             found.append(known[key])
         return tuple(found)
@@ -218,11 +210,7 @@ class Fusion:
         if k == 1 or self.one_pose:
             yield singles
             return
-        curves = [
-            curve(self.model.rod, r.gravity, r.wrench[3:6], r.T_world_base)
-            for r in self.readings
-            if r.touched
-        ]
+        curves = [curve(self.model.rod, r.gravity, r.wrench[3:6], r.T_world_base) for r in self.readings if r.touched]
 
         def at(stations: tuple[int, ...]) -> list[Array]:
             touches = [of.touches[j] for of, j in zip(curves, stations, strict=True)]
@@ -244,9 +232,7 @@ class Fusion:
             if not reading.touched:
                 continue
             whiten = np.linalg.inv(np.linalg.cholesky(reading.cov))
-            seen = Observation(
-                reading.wrench, whiten, reading.gravity, self.model.mass * reading.gravity, math.inf
-            )
+            seen = Observation(reading.wrench, whiten, reading.gravity, self.model.mass * reading.gravity, math.inf)
             places = locate(Problem(sources, seen, self.model.friction, reading.cov + sources.drift))
             if not places or places[0].touch is None:
                 return []
@@ -313,9 +299,7 @@ class Fusion:
             return result
         # The bounds below are linear: the curvature is taken to scale with them.
         share = result.rms / linear if linear > 0.0 else 1.0
-        result = replace(
-            result, rms_without={of: share * state.rms(without(self.priors, of)) for of in GROUPS}
-        )
+        result = replace(result, rms_without={of: share * state.rms(without(self.priors, of)) for of in GROUPS})
         gains = {of: share * rms for of, rms in state.gains().items()} if result.ok else {}
         return replace(result, rms_with=gains)
 
@@ -345,11 +329,7 @@ class Fusion:
                 continue
             # With one side alone the cubic term is taken for zero.
             b = sum((off for _, off in aside), np.zeros(3)) / (3.0 * len(aside))
-            c = (
-                sum((side * off for side, off in aside), np.zeros(3)) / 18.0
-                if len(aside) == 2
-                else np.zeros(3)
-            )
+            c = sum((side * off for side, off in aside), np.zeros(3)) / 18.0 if len(aside) == 2 else np.zeros(3)
             both = np.outer(a, c)
             added += 3.0 * (both + both.T) + 3.0 * TAIL * np.outer(b, b) + 15.0 * np.outer(c, c)
         return added, added
@@ -366,9 +346,7 @@ class Fusion:
             found, touches = place, place.touches
             rise = max(place.chi2 - best.chi2, 0.25 * NODE**2)
             further = NODE / math.sqrt(rise)
-            if (
-                further < 1.02
-            ):  # below, the step is too small to make the stated error jump between neighbouring places
+            if further < 1.02:  # below, the step is too small to make the stated error jump between neighbouring places
                 break
             way *= further
         return found

@@ -237,9 +237,7 @@ class FusionState:
         """
         work, end = np.empty(60), self.fusion.model.rod.flank_end
         sizes = [
-            keyframe_kernel.step_keyframe(
-                self.touches[k], self.lin[k], self.local[k], x, share, max_step, end, work
-            )
+            keyframe_kernel.step_keyframe(self.touches[k], self.lin[k], self.local[k], x, share, max_step, end, work)
             for k, x in enumerate(self._xs)
             if self._touched[k]
         ]
@@ -376,8 +374,6 @@ class FusionState:
             return math.nan
         T = reading.T_world_base.copy()
         i = int(np.flatnonzero(fusion.touched)[-1])
-        T[:3, 3] += T[:3, :3] @ (
-            self.lin[i][POINT : POINT + 3, VALUE] - state.lin[-1][POINT : POINT + 3, VALUE]
-        )
+        T[:3, 3] += T[:3, :3] @ (self.lin[i][POINT : POINT + 3, VALUE] - state.lin[-1][POINT : POINT + 3, VALUE])
         state.fusion = replace(more, readings=(*fusion.readings, replace(reading, T_world_base=T)))
         return math.sqrt(max(float(np.trace(state.solved(fusion.priors)[2])), 0.0))

@@ -94,9 +94,7 @@ def _at_rounded_tip(problem: Problem, places: list[Candidate]) -> list[Candidate
     if end is None or not explains(end):
         return []
     near = (
-        abs(p.s_contact - end.s_contact) <= 3.0 * (p.std_s + end.std_s) and not p.at_end
-        for p in places
-        if explains(p)
+        abs(p.s_contact - end.s_contact) <= 3.0 * (p.std_s + end.std_s) and not p.at_end for p in places if explains(p)
     )
     return [] if any(near) else [end]
 
@@ -353,9 +351,7 @@ def _fit_force(problem: Problem, s: float, lean: float) -> _ForceFit | None:
         if not eq.ok or eq.sensitivity is None:
             return None
         if whiten is None:  # the error sources are taken at the first guess
-            whiten = np.linalg.inv(
-                np.linalg.cholesky(_covariance(problem, s, lean, force, eq, eq.sensitivity))
-            )
+            whiten = np.linalg.inv(np.linalg.cholesky(_covariance(problem, s, lean, force, eq, eq.sensitivity)))
         r = whiten @ (eq.wrench_base - seen.wrench)
         J = whiten @ eq.sensitivity.d_wrench[:, :3]
         if moved < _FORCE_CLOSE:

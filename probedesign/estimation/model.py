@@ -109,9 +109,7 @@ class ProbeModel(Displayed):
 
     def in_range(self, wrench_sensor: Array) -> bool:
         """Return whether a reading (6,) is possible: finite and within every channel's range."""
-        return bool(
-            np.isfinite(wrench_sensor).all() and (np.abs(wrench_sensor) <= self.saturation_limit).all()
-        )
+        return bool(np.isfinite(wrench_sensor).all() and (np.abs(wrench_sensor) <= self.saturation_limit).all())
 
     @cached_property
     def saturation_limit(self) -> Array:

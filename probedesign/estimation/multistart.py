@@ -184,9 +184,7 @@ def _settle(
     if bounded:
         return AT_END
     # Linearised at `before`; the last step is a thirtieth of a standard deviation.
-    add_curvature(
-        body, end, gravity, mass, wrench, white, friction, tol, before, lin, J, sweep_work, brief, work, row
-    )
+    add_curvature(body, end, gravity, mass, wrench, white, friction, tol, before, lin, J, sweep_work, brief, work, row)
     return FITTED
 
 
@@ -211,9 +209,7 @@ def fit_contacts(
     Returns:
         How many rows.
     """
-    sources = SourceArrays(
-        own, turns, root, gain, hanging, sensor_from_base, base_from_sensor, reference, still
-    )
+    sources = SourceArrays(own, turns, root, gain, hanging, sensor_from_base, base_from_sensor, reference, still)
     parameters, J = own.shape[1] + 3, still.shape[1]
     a = max(sweep_work_size(NO_PARAMETERS), sweep_work_size(parameters))
     b = a + ROWS * (1 + UNKNOWNS + parameters)

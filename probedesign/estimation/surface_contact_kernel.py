@@ -34,18 +34,7 @@ from probedesign.rod.kernels.equations import (
     S_CONTACT,
     frustum_at,
 )
-from probedesign.rod.kernels.linalg import (
-    add,
-    cross,
-    dot,
-    minus,
-    plus,
-    put3,
-    solve_square,
-    take,
-    take3,
-    times,
-)
+from probedesign.rod.kernels.linalg import add, cross, dot, minus, plus, put3, solve_square, take, take3, times
 from probedesign.rod.kernels.newton import turn_tip
 from probedesign.rod.kernels.steps import BLOCK, COLUMN, STATE, WIDE, M
 from probedesign.rod.kernels.steps import WORK as STEP_WORK
@@ -149,11 +138,7 @@ def _weight_by(body, gravity, parameter):
     rho = body.constants[DENSITY]
     whole = rho * body.volume_beyond[0]
     if parameter < 3:
-        return (
-            whole if parameter == 0 else 0.0,
-            whole if parameter == 1 else 0.0,
-            whole if parameter == 2 else 0.0,
-        )
+        return (whole if parameter == 0 else 0.0, whole if parameter == 1 else 0.0, whole if parameter == 2 else 0.0)
     if parameter == 5 or parameter == 6:
         return times(whole, gravity)
     if parameter >= OWN:

@@ -178,8 +178,7 @@ class Tolerances:
     def exact(self) -> bool:
         """Return whether a single reading has no model error."""
         return (
-            replace(self, robot_mm=0.0, walk_steps=0.0, tared=True, youngs_modulus_by_diameter=0.0)
-            == Tolerances.none()
+            replace(self, robot_mm=0.0, walk_steps=0.0, tared=True, youngs_modulus_by_diameter=0.0) == Tolerances.none()
         )
 
     def sources(self, resin: str = "") -> dict[str, str]:

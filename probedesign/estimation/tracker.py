@@ -23,12 +23,7 @@ from probedesign.estimation.detector import Detector, Touching
 from probedesign.estimation.error_sources import FINE, ErrorSources, across
 from probedesign.estimation.estimate import FusedEstimate, MomentsAbout, Result
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.fusion import (
-    COMMON_FRICTION,
-    Fusion,
-    Reading,
-    channels_of,
-)  # fmt: skip
+from probedesign.estimation.fusion import COMMON_FRICTION, Fusion, Reading, channels_of  # fmt: skip
 from probedesign.estimation.fusion_state import FIRST_CURVATURE, FusionState, Keyframe, result_of
 from probedesign.estimation.surface_contact_kernel import (
     ALONG,
@@ -181,9 +176,7 @@ class Tracker:
         if wrench.shape != (6,) or T.shape != (4, 4) or not self._time < time < math.inf:
             return FusedEstimate("out_of_range")
         to_sensor, payload, limit, _ = self.estimator.model.observation_map
-        if not keyframe_kernel.admit(
-            wrench, T, self._gravity_world, to_sensor, payload, limit, self._gravity
-        ):
+        if not keyframe_kernel.admit(wrench, T, self._gravity_world, to_sensor, payload, limit, self._gravity):
             return FusedEstimate("out_of_range")
         free = self.estimator.free(self._gravity)
         if not free.ok:
@@ -376,9 +369,7 @@ class Tracker:
         before, since, last = self._curvature[0], self._time - self._evaluated, self._kept[-1]
         if before == 0.0 or since < CURVATURE_SECONDS[0]:
             return before == 0.0
-        return (
-            last.count >= last.due or since > CURVATURE_SECONDS[1] or not 0.5 * before < size < 2.0 * before
-        )
+        return last.count >= last.due or since > CURVATURE_SECONDS[1] or not 0.5 * before < size < 2.0 * before
 
     def _evaluate_curvature(self, size: float) -> None:
         """Evaluate the curvature correction, and whether the object has moved, by the batch of the keyframes."""

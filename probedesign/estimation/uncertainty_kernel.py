@@ -355,9 +355,7 @@ def _offsets_beside(
     plan_move(lin, change, move)
     advance(at, touch, share, change, move)
     at[S] = min(max(at[S], 0.0), end)  # rounding
-    status, lack, _margin, _size = linearise(
-        body, gravity, mass, tol, 1.0, at, NO_PARAMETERS, sweep_work, brief
-    )
+    status, lack, _margin, _size = linearise(body, gravity, mass, tol, 1.0, at, NO_PARAMETERS, sweep_work, brief)
     if status != OK or not lack < math.inf:
         return False
     residuals(brief, at, wrench, whiten, friction, J, r)

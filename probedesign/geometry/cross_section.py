@@ -26,13 +26,9 @@ class CrossSection:
 
     def __post_init__(self) -> None:
         if not (0.0 <= self.bore_ratio < 1.0 and 0.0 < self.flatness <= 1.0):
-            raise InputError(
-                f"section: {self} is not a section: needs 0 <= bore_ratio < 1 and 0 < flatness <= 1"
-            )
+            raise InputError(f"section: {self} is not a section: needs 0 <= bore_ratio < 1 and 0 < flatness <= 1")
         if self.hollow and self.flat:
-            raise InputError(
-                f"section: {self} is both hollow and elliptic, which is not supported; choose one"
-            )
+            raise InputError(f"section: {self} is both hollow and elliptic, which is not supported; choose one")
 
     @property
     def hollow(self) -> bool:

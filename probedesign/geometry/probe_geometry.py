@@ -112,9 +112,7 @@ FLANGE_LIP = 3.5 * MM
 """Radial width under the clamp ring [m] (assumed)."""
 
 
-def flange_for(
-    base_d: float, min_d: float, thickness: float = FLANGE_THICKNESS, lip: float = FLANGE_LIP
-) -> Flange:
+def flange_for(base_d: float, min_d: float, thickness: float = FLANGE_THICKNESS, lip: float = FLANGE_LIP) -> Flange:
     """Return the flange of a probe of that base diameter [m].
 
     Args:

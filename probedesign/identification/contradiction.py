@@ -33,14 +33,7 @@ from probedesign.identification.robust_loss import (
     outliers,
     weights,
 )
-from probedesign.identification.solver import (
-    Fit,
-    LeastSquaresProblem,
-    Linearization,
-    linearize,
-    minimise,
-    reread,
-)
+from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, linearize, minimise, reread
 from probedesign.identification.starting_values import START_FACTORS, points_at, spread, start_nuisance
 
 MAX_REFINED = 5
@@ -112,9 +105,7 @@ def widened(fit: Fit, causes: Sequence["LikelyCause"]) -> WidenedFit:
         move = np.array([cause.moves.get(COMPONENTS[c], 0.0) if c < PRINT else 0.0 for c in active])
         cov = cov + share * np.outer(move, move)
     size = np.maximum(np.sqrt(np.diag(cov)) / problem.prior[active], 1.0)
-    return WidenedFit(
-        fit.result, fit.point, fit.scales, fit.noise, fit.iterations, fit, cov / np.outer(size, size)
-    )
+    return WidenedFit(fit.result, fit.point, fit.scales, fit.noise, fit.iterations, fit, cov / np.outer(size, size))
 
 
 def birge_ratio(fit: Fit) -> float:
@@ -250,9 +241,7 @@ def _cost(point: Linearization, scales: dict[str, float] | None = None) -> float
     """Return minus the logarithm of the evidence, up to a constant of all models."""
     scales = scales or {}
     std = point.problem.prior[point.problem.active]
-    noise = sum(
-        len(one.r) * np.log(scales.get(one.kind, 1.0)) for one in point.blocks if one.kind in ROBUST_KINDS
-    )
+    noise = sum(len(one.r) * np.log(scales.get(one.kind, 1.0)) for one in point.blocks if one.kind in ROBUST_KINDS)
     volume = point.normal_equations(weights(point.blocks, scales)).log_volume
     freedom = sum(_price(point.blocks, kind) for kind, scale in scales.items() if scale > 1.0)
     return float(point.loss(scales) + noise + np.log(std[np.isfinite(std)]).sum() + volume + freedom)
@@ -375,6 +364,4 @@ def _starts(problem: LeastSquaresProblem) -> list[Linearization]:
 
 def _same_load(a: MeasuredTest, b: MeasuredTest) -> bool:
     """Return whether two tests differ in what the reference measured alone, so that the rod is in the same state."""
-    return (
-        a.wrench_base is b.wrench_base and a.force_world is b.force_world and a.T_world_base is b.T_world_base
-    )
+    return a.wrench_base is b.wrench_base and a.force_world is b.force_world and a.T_world_base is b.T_world_base

@@ -79,8 +79,7 @@ def read_coupon(path: Path, resin: str) -> tuple[Array, Array, Array]:
         named = re.match(r"\s*#\s*resin\s*[:=]\s*(\S*)", line, re.IGNORECASE)
         if named and named[1] != resin:
             rows.lines.fail(
-                number,
-                f"the coupon is of {named[1]!r}, the design of {resin}; a shrinkage is that of one resin",
+                number, f"the coupon is of {named[1]!r}, the design of {resin}; a shrinkage is that of one resin"
             )
     values = rows.numbers("drawn", "diameter_x", "diameter_y") / MM
     for row in np.flatnonzero(~(values[:, 0] > 0.0) | (values[:, 1:] <= 0.0).any(axis=1))[:1]:

@@ -18,11 +18,7 @@ from probedesign.mount.root import stated_root_radii
 IN_DESIGN = {name: one for name, one in PARAMETERS.items() if one.design_key}
 """Parameters that a design file holds."""
 MATERIAL = {name: one for name, one in IN_DESIGN.items() if one.design_key.startswith("material.")}
-REPLACED_WITH_E = (
-    "material.stiffness_spread",
-    "tolerances.youngs_modulus_by_diameter",
-    "tolerances.root_radii",
-)
+REPLACED_WITH_E = ("material.stiffness_spread", "tolerances.youngs_modulus_by_diameter", "tolerances.root_radii")
 """Keys that an identification of E replaces as well, where E was not identified before."""
 
 
@@ -41,9 +37,7 @@ def design_changes(found: Identification, design: Design, day: str) -> tuple[Cha
         raise InputError(f"{found.data}: {found.result}: {why}; nothing is written")
     numbers = [one for one in found.found if one.estimated and one.name in IN_DESIGN]
     if not any(one.identified for one in numbers):
-        raise InputError(
-            f"{found.data}: no number of a design is identified; use --for {', '.join(IN_DESIGN)}"
-        )
+        raise InputError(f"{found.data}: no number of a design is identified; use --for {', '.join(IN_DESIGN)}")
     changes = [_value(one, found, day) for one in numbers]
     for one in numbers:
         if one.name in MATERIAL:
@@ -120,9 +114,7 @@ def write_changes(
     return out, kept
 
 
-def check_overwritable(
-    design: Design, text: str, changes: tuple[Change, ...], where: str, force: bool
-) -> None:
+def check_overwritable(design: Design, text: str, changes: tuple[Change, ...], where: str, force: bool) -> None:
     """Refuse to replace what someone set or identified before in a file's text, unless `force` is set.
 
     A material's value that is not identified yet is what an identification is for, and its uncertainty goes with it.
@@ -183,10 +175,5 @@ def design_diff(design: Design, fingerprint: str, file: Path) -> str:
                     text = f"{one['name']} {identified} {one['unit']}, where the design has {present}"
                     differences.append(text)
         return f"by {data['tests']} tests of {data['data']}, {', '.join(differences)}" if differences else ""
-    except (
-        OSError,
-        ValueError,
-        KeyError,
-        TypeError,
-    ):  # no identification was made, or another program's file
+    except (OSError, ValueError, KeyError, TypeError):  # no identification was made, or another program's file
         return ""

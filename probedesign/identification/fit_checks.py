@@ -79,18 +79,14 @@ def unobservable_direction(
     The limits are `Parameter.max_std`, over `tolerance`.
     """
     columns = columns_of(requested)
-    limits = np.array(
-        [PARAMETERS[name].max_std for name in requested for _ in PARAMETERS[name].labels], dtype=float
-    )
+    limits = np.array([PARAMETERS[name].max_std for name in requested for _ in PARAMETERS[name].labels], dtype=float)
     information = point.normal_equations(weight).marginal(_positions(point, columns))
     squares, vectors = np.linalg.eigh(information * np.outer(limits, limits))
     sizes, directions = np.sqrt(np.maximum(squares[::-1], 0.0)), vectors.T[::-1]
     if sizes[-1] * tolerance >= 1.0:
         return None
     direction = directions[-1] * limits  # in units of the parameters
-    by_name = {
-        name: [i for i, column in enumerate(columns) if OWNER[column].name == name] for name in requested
-    }
+    by_name = {name: [i for i, column in enumerate(columns) if OWNER[column].name == name] for name in requested}
     part = [name for name in requested if np.abs(directions[-1][by_name[name]]).max() > MIN_SHARE]
     std = float(np.linalg.norm(direction)) / max(float(sizes[-1]), 1e-12)
     components = {name: float(direction[by_name[name][0]]) for name in part}
@@ -113,9 +109,7 @@ def _description(components: dict[str, float], std: float) -> str:
         kept, fixed = names
         power = -components[kept] / components[fixed]
         text = "" if abs(abs(power) - 1.0) < 0.05 else f"^{abs(power):.1f}".removesuffix(".0")
-        return (
-            f"{kept} and {fixed}: these tests determine only {kept}{'/' if power < 0.0 else '·'}{fixed}{text}"
-        )
+        return f"{kept} and {fixed}: these tests determine only {kept}{'/' if power < 0.0 else '·'}{fixed}{text}"
     return f"{', '.join(names[:-1])} and {names[-1]}: these tests cannot separate them"
 
 
@@ -152,9 +146,7 @@ def cov_conditional(fit: Fit, columns: Sequence[int]) -> Array:
     active = np.flatnonzero(fit.point.problem.active)
     at, given = np.searchsorted(active, columns), np.flatnonzero(_of_print(fit, active))
     across = fit.cov[np.ix_(at, given)]
-    return np.asarray(
-        fit.cov[np.ix_(at, at)] - across @ np.linalg.solve(fit.cov[np.ix_(given, given)], across.T)
-    )
+    return np.asarray(fit.cov[np.ix_(at, at)] - across @ np.linalg.solve(fit.cov[np.ix_(given, given)], across.T))
 
 
 # consistency
@@ -207,11 +199,7 @@ def inconsistency(
     if every.too_many:
         return f"readings of all kinds: {every}; check units and the base's rotation in campaign.toml"
     for one in noise:
-        if (
-            one.measured
-            and one.kind in CHECKS
-            and (share := _unexplained(blocks, tests, one.kind)) > MAX_UNEXPLAINED
-        ):
+        if one.measured and one.kind in CHECKS and (share := _unexplained(blocks, tests, one.kind)) > MAX_UNEXPLAINED:
             return (f"{LABELS[one.kind]}: {share:.0%} of their RMS scatter is not explained by the probe as designed; "
                     f"check {CHECKS[one.kind]}")  # fmt: skip
         if one.kind == "markers" and one.scale > MAX_NOISE_SCALE:
@@ -269,9 +257,7 @@ def _unexplained(blocks: Sequence[ResidualBlock], tests: Sequence[MeasuredTest],
                 scatter + float(np.sum((values - values.mean(axis=0)) ** 2)),
                 off + float(np.sum(residuals**2)),
             )
-    return max(
-        (float(np.sqrt(off / scatter)) for scatter, off in ratios.values() if scatter > 0.0), default=0.0
-    )
+    return max((float(np.sqrt(off / scatter)) for scatter, off in ratios.values() if scatter > 0.0), default=0.0)
 
 
 def _value(test: MeasuredTest | None, block: ResidualBlock) -> Array | None:
@@ -295,9 +281,7 @@ def _neighbour_correlation(blocks: Sequence[ResidualBlock]) -> float:
     return products / squares if squares > 0.0 else 0.0
 
 
-def outlier_notes(
-    blocks: Sequence[ResidualBlock], outliers: Sequence[tuple[ResidualBlock, float]]
-) -> list[str]:
+def outlier_notes(blocks: Sequence[ResidualBlock], outliers: Sequence[tuple[ResidualBlock, float]]) -> list[str]:
     """Return a line for each kind of reading with more outliers than usual."""
     counts = {kind: _count(blocks, outliers, kind=kind) for kind in READING_KINDS}
     return [f"{LABELS[kind]}: {n}" for kind, n in counts.items() if n.outliers > GROSS_ERROR_RATE * n.count]
@@ -371,9 +355,9 @@ def _test_priors(fit: Fit) -> Iterator[PriorTest]:
     groups[DIMENSIONS, "what was printed: measure it, or increase the tolerances"] = list(
         range(problem.common.print_columns.start, problem.common.print_columns.stop)
     )
-    groups[
-        "drift of the sensor", "whether it was warm and whether it was zeroed between tests; and walk_steps"
-    ] = list(range(problem.common.print_columns.stop, problem.common.size))
+    groups["drift of the sensor", "whether it was warm and whether it was zeroed between tests; and walk_steps"] = list(
+        range(problem.common.print_columns.stop, problem.common.size)
+    )
     for (label, source), columns in groups.items():
         at = np.flatnonzero(np.isin(active, columns) & np.isfinite(std))
         if len(at):
@@ -388,15 +372,11 @@ def _test_single_readings(fit: Fit) -> Iterator[PriorTest]:
             yield from _tested(label.format(block.test), source, block.r, np.eye(len(hat)) - hat)
 
 
-def _tested(
-    label: str, source: str, r: Array, variance: Array, columns: Sequence[int] = ()
-) -> Iterator[PriorTest]:
+def _tested(label: str, source: str, r: Array, variance: Array, columns: Sequence[int] = ()) -> Iterator[PriorTest]:
     """Yield the χ² test along those directions that the rest of the data check, if there are any."""
     sizes, directions = np.linalg.eigh(0.5 * (variance + variance.T))
     checked = sizes > MIN_REDUNDANCY
     if checked.any():
         d2 = float(np.sum((directions.T @ r)[checked] ** 2 / sizes[checked]))
         freedom = int(checked.sum())
-        yield PriorTest(
-            label, source, float(chi2.sf(d2, freedom)), d2**0.5, freedom, tuple(map(int, columns))
-        )
+        yield PriorTest(label, source, float(chi2.sf(d2, freedom)), d2**0.5, freedom, tuple(map(int, columns)))

@@ -18,12 +18,7 @@ from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.identification import result
-from probedesign.identification.contradiction import (
-    exchange_hints,
-    explaining_mistakes,
-    likely_causes,
-    widened,
-)
+from probedesign.identification.contradiction import exchange_hints, explaining_mistakes, likely_causes, widened
 from probedesign.identification.fit_checks import (
     LABELS,
     UnobservableDirection,
@@ -35,14 +30,7 @@ from probedesign.identification.fit_checks import (
     unobservable_direction,
 )
 from probedesign.identification.mistakes import gravity_read, pose_words
-from probedesign.identification.parameters import (
-    DEFAULT,
-    IMPLIED,
-    LOG_E,
-    CommonParameters,
-    check_requested,
-    columns_of,
-)
+from probedesign.identification.parameters import DEFAULT, IMPLIED, LOG_E, CommonParameters, check_requested, columns_of
 from probedesign.identification.residuals import MeasuredTest, ResidualBlock
 from probedesign.identification.result import Identification, Outlier
 from probedesign.identification.robust_loss import outliers
@@ -147,13 +135,9 @@ def _epochs(campaign: Campaign, notes: list[str]) -> tuple[dict[str, int], Array
         times = TEST_SECONDS * positions
     elif not known.all():
         lost = ", ".join(test.name for test, is_known in zip(read, known, strict=True) if not is_known)
-        notes.append(
-            f"{lost}: no time_s in {WRENCHES}; the time between the neighbours in {TESTS} is assumed"
-        )
+        notes.append(f"{lost}: no time_s in {WRENCHES}; the time between the neighbours in {TESTS} is assumed")
         times = np.interp(positions, positions[known], times[known])
-    twins = [
-        test.name for test, time in zip(read, times, strict=True) if known.all() and (times == time).sum() > 1
-    ]
+    twins = [test.name for test, time in zip(read, times, strict=True) if known.all() and (times == time).sum() > 1]
     if twins:
         notes.append(f"{', '.join(twins)}: the same time_s in {WRENCHES}; no drift between them is assumed")
     ranks = np.argsort(times, kind="stable")
@@ -220,9 +204,7 @@ def _unusable(test: MeasuredTest) -> str:
     return ""
 
 
-def identify(
-    data: IdentificationData, names: Sequence[str] = DEFAULT, accept: bool = False
-) -> Identification:
+def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: bool = False) -> Identification:
     """Identify parameters by robust least squares on the full rod.
 
     Args:
@@ -261,9 +243,7 @@ def identify(
         lost = result.beyond_limits(used, identified)
         identified = tuple(name for name in identified if name not in [one.name for one in lost])
         unobservable += [one for one in lost if "E" not in identified or one.name not in IMPLIED]
-    numbers, correlation, correlated = result.identified_numbers(
-        used, identified, unobservable, names, quantile
-    )
+    numbers, correlation, correlated = result.identified_numbers(used, identified, unobservable, names, quantile)
     numbers = result.with_caveats(numbers)
     whole = Identification(
         found.result, data.common.model.name, data.common.model.fingerprint, data.where, len(data.tests),
@@ -289,9 +269,7 @@ def identify(
     widening = result.widening(used, identified)
     note = (f"accepted although inconsistent: {reason}; standard deviations are up to {widening:.3g} times as large, "
             "by the residuals and by what the likely causes would change")  # fmt: skip
-    unfinished = (
-        () if found.result == "ok" else ("the search ended before it converged: its numbers may be off",)
-    )
+    unfinished = () if found.result == "ok" else ("the search ended before it converged: its numbers may be off",)
     return replace(whole, result="accepted", widening=widening, notes=(note, *unfinished, *whole.notes))
 
 
@@ -362,8 +340,7 @@ def _solvable(data: IdentificationData, names: Sequence[str]) -> tuple[Identific
         if causes:
             raise InputError(f"{buckles}; likely cause: {causes[0]}")
         if start is None or all(
-            unobservable_direction(start, np.ones(len(start.blocks)), (name,), START_TOLERANCE)
-            for name in names
+            unobservable_direction(start, np.ones(len(start.blocks)), (name,), START_TOLERANCE) for name in names
         ):
             raise InputError(
                 f"{buckles}, and the others do not determine {', '.join(names)}; is it the right design, and are "

@@ -119,13 +119,10 @@ def read_calipers(path: Path, design: Design) -> Calipers:
     last = probe.flank_end_mm
     for row in np.flatnonzero((values[:, 0] < first) | (values[:, 0] > last))[:1]:
         rows.fail(
-            int(row),
-            f"s = {values[row, 0]:g} mm is not on the flank, {first:.4g} ... {last:.4g} mm from the base",
+            int(row), f"s = {values[row, 0]:g} mm is not on the flank, {first:.4g} ... {last:.4g} mm from the base"
         )
     for row in np.flatnonzero(values[:, 1] <= 0.0)[:1]:
-        rows.fail(
-            int(row), f"diameter = {values[row, 1]:g} mm is not positive; write the reading of the calipers"
-        )
+        rows.fail(int(row), f"diameter = {values[row, 1]:g} mm is not positive; write the reading of the calipers")
     std = np.where(np.isnan(std), READING_STD_MM, std)
     places = tuple(f"{path}:{number}" for number in rows.lines.numbers)
     return Calipers(values[:, 0], values[:, 1], std, places)
@@ -171,9 +168,7 @@ def fit_diameters(
     # a cylinder's one diameter is the mean of its knots, whose scatter the readings have as well
     A = np.ones((len(calipers.s), 1)) if one else _weights(s, calipers.s)
     x, c = (drawn[:1], common[:1]) if one else (drawn, common)
-    prior = (
-        np.outer(c, c) + PRINT_SCALE_STD**2 * np.outer(x, x) + (0.0 if one else scatter**2) * np.eye(len(x))
-    )
+    prior = np.outer(c, c) + PRINT_SCALE_STD**2 * np.outer(x, x) + (0.0 if one else scatter**2) * np.eye(len(x))
     own = calipers.std**2 + (scatter**2 if one else 0.0)
     scale = _scatter_of(A, calipers.diameter, np.sqrt(own))
     noise = np.diag(scale**2 * own) + calipers_std_mm**2
@@ -188,15 +183,7 @@ def fit_diameters(
     together, each = (float(np.sqrt(cov[0, 0])), scatter) if one else covering(cov)
     measured = np.round((x + gain @ deviation) * np.ones(len(s)), 3)  # a design gets micrometres
     return MeasuredDiameters(
-        s,
-        drawn,
-        measured,
-        cov,
-        len(calipers.s),
-        scale,
-        prior_scale,
-        (float(common.max()), scatter),
-        (together, each),
+        s, drawn, measured, cov, len(calipers.s), scale, prior_scale, (float(common.max()), scatter), (together, each)
     )
 
 
@@ -252,10 +239,7 @@ def covering(cov: Array) -> tuple[float, float]:
 
     most = float(np.diag(cov).max())
     found = minimize_scalar(
-        lambda square: square + rest(square),
-        bounds=(0.0, most),
-        method="bounded",
-        options={"xatol": 1e-9 * most},
+        lambda square: square + rest(square), bounds=(0.0, most), method="bounded", options={"xatol": 1e-9 * most}
     )
     square = float(found.x)
     return float(np.sqrt(square)), float(np.sqrt(rest(square)))

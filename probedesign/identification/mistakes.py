@@ -54,10 +54,7 @@ def mistakes(
             words = f"exchange: the readings of {a} and {b}; check wrenches.csv, or their places in tests.csv"
             other = {a: of[b], b: of[a]}
             yield Mistake(
-                "exchange",
-                words,
-                partial(_with_readings_of, common, other),
-                len(tests) * (len(tests) - 1) // 2,
+                "exchange", words, partial(_with_readings_of, common, other), len(tests) * (len(tests) - 1) // 2
             )
         yield from _of_poses(common, tests)
     for degrees in (90.0, 180.0, 270.0):
@@ -81,9 +78,7 @@ def _of_wrenches(common: CommonParameters) -> Iterator[Mistake]:
         words = f"unit: {which}; check the columns of wrenches.csv"
         yield Mistake("unit", words, partial(_scaled, common, factors=size))
     for degrees in (90.0, 180.0, 270.0):
-        words = (
-            f"mount: wrenches rotated by {degrees:g} degrees about z; check frame and clocking of the sensor"
-        )
+        words = f"mount: wrenches rotated by {degrees:g} degrees about z; check frame and clocking of the sensor"
         yield Mistake("mount", words, partial(_rotated_wrench, common, degrees=degrees))
     actual: Frame = "base" if common.frame == "sensor" else "sensor"
     words = f"frame: wrenches.csv states '# frame: {common.frame}', but its values are those of '# frame: {actual}'"
@@ -198,9 +193,7 @@ def _in_frame(actual: CommonParameters, stated: CommonParameters, test: Measured
     return test if test.wrench_base is None else _with_columns(actual, test, columns(stated, test))
 
 
-def _with_readings_of(
-    common: CommonParameters, others: Mapping[str, MeasuredTest], test: MeasuredTest
-) -> MeasuredTest:
+def _with_readings_of(common: CommonParameters, others: Mapping[str, MeasuredTest], test: MeasuredTest) -> MeasuredTest:
     """Return the test with the readings of another one."""
     other = others.get(test.name)
     if other is None:
@@ -208,9 +201,7 @@ def _with_readings_of(
     return replace(_with_columns(common, test, columns(common, other)), cov_wrench=other.cov_wrench)
 
 
-def exchanged(
-    common: CommonParameters, a: MeasuredTest, b: MeasuredTest
-) -> tuple[MeasuredTest, MeasuredTest]:
+def exchanged(common: CommonParameters, a: MeasuredTest, b: MeasuredTest) -> tuple[MeasuredTest, MeasuredTest]:
     """Return two tests with their readings exchanged."""
     others = {a.name: b, b.name: a}
     return _with_readings_of(common, others, a), _with_readings_of(common, others, b)
@@ -271,9 +262,7 @@ def _placed(test: MeasuredTest, matrix: Array) -> MeasuredTest:
 def _resized(test: MeasuredTest, factor: float) -> MeasuredTest:
     touch = test.p_touch_world
     return replace(
-        test,
-        p_markers_world=factor * test.p_markers_world,
-        p_touch_world=None if touch is None else factor * touch,
+        test, p_markers_world=factor * test.p_markers_world, p_touch_world=None if touch is None else factor * touch
     )
 
 

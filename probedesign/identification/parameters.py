@@ -367,9 +367,7 @@ class CommonParameters:
         free = self.model.rod.solve(self.model.gravity_base)
         if self.tolerances.tared and free.ok:
             force, moment = np.linalg.norm(free.wrench_base.reshape(2, 3), axis=1)
-            payload = np.linalg.norm(
-                (self.model.payload_by_gravity @ self.model.gravity_base).reshape(2, 3), axis=1
-            )
+            payload = np.linalg.norm((self.model.payload_by_gravity @ self.model.gravity_base).reshape(2, 3), axis=1)
             error = math.hypot(self.tolerances.gain, self.std_tilt)
             absorbed[:] = np.repeat(
                 [TARE_FRACTION * force + error * payload[0], TARE_FRACTION * moment + error * payload[1]], 3
@@ -402,9 +400,7 @@ class CommonParameters:
             std[columns_of(["G"])] = math.inf  # Poisson's ratio determines it with E, see `PoissonPrior`
         together = self.tolerances.diameter_mm > 0.0 or self.tolerances.diameter_share > 0.0
         if "diameters" in requested and together:
-            std[PRINT] = (
-                0.0  # the first print mode is the same factor on all diameters: one of the two is enough
-            )
+            std[PRINT] = 0.0  # the first print mode is the same factor on all diameters: one of the two is enough
         return std
 
 

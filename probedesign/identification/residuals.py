@@ -93,11 +93,7 @@ class MeasuredTest:
             "pose": 6 * (self.std_place > 0.0),
         }
         ends = np.cumsum(list(sizes.values())).tolist()
-        return {
-            name: slice(end - size, end)
-            for (name, size), end in zip(sizes.items(), ends, strict=True)
-            if size
-        }
+        return {name: slice(end - size, end) for (name, size), end in zip(sizes.items(), ends, strict=True) if size}
 
     @cached_property
     def nuisance_size(self) -> int:
@@ -230,9 +226,7 @@ class SolvedTest:
         R = (self.measured.T_world_base @ self.values.T_stated_base)[:3, :3]
         return np.asarray(R.T @ self.measured.force_world)
 
-    def vector(
-        self, value: Array, by_rod: Array, by_root: Array, by_angle: Array | None = None
-    ) -> WithJacobian:
+    def vector(self, value: Array, by_rod: Array, by_root: Array, by_angle: Array | None = None) -> WithJacobian:
         """Return a vector in base axes with its total derivatives, through the couple of a touch.
 
         The arguments are its value and its derivatives at a given couple.
@@ -244,9 +238,7 @@ class SolvedTest:
         couple_by_rod, couple_by_root, couple_by_angle = self.touch.couple_response
         total = by_rod + across @ couple_by_rod
         total[..., COUPLE_COLUMNS] = 0.0
-        return WithJacobian(
-            value, total, by_root + across @ couple_by_root, by_angle + across @ couple_by_angle
-        )
+        return WithJacobian(value, total, by_root + across @ couple_by_root, by_angle + across @ couple_by_angle)
 
     def in_world(self, vector: WithJacobian) -> tuple[Array, Array, Array]:
         """Return points of the rod in the world as the reference measures them, with derivatives by the parameter
@@ -349,9 +341,7 @@ class SolvedTest:
         assert self.touch is not None
         vector = self.vector(*self.touch.friction)
         cov = std**2 * np.eye(2)
-        return self._block(
-            "friction", 0, -vector.value, self.jacobian(vector), self.nuisance_jacobian(vector), cov
-        )
+        return self._block("friction", 0, -vector.value, self.jacobian(vector), self.nuisance_jacobian(vector), cov)
 
     def _sag(self) -> ResidualBlock:
         """Return the residual of the tip's displacement along gravity from the straight probe on the same base."""
@@ -375,9 +365,7 @@ class SolvedTest:
         less, more = map(value, self.root_solutions)
         return np.asarray((more - less) / (2.0 * ROOT_STEP))
 
-    def _block(
-        self, kind: str, item: int, residual: Array, J: Array, J_nuisance: Array, cov: Array
-    ) -> ResidualBlock:
+    def _block(self, kind: str, item: int, residual: Array, J: Array, J_nuisance: Array, cov: Array) -> ResidualBlock:
         """Return the whitened block; residuals are measured minus modelled, so the derivatives change their sign."""
         W, J_nuisance = whiten(cov), self._with_own_pose(J, J_nuisance)
         return ResidualBlock(self.measured.name, kind, item, W @ residual, -W @ J, -W @ J_nuisance,
@@ -393,11 +381,7 @@ class SolvedTest:
 
 
 def solve_test(
-    measured: MeasuredTest,
-    values: ParameterValues,
-    nuisance: Array,
-    last: SolvedTest | None = None,
-    root: bool = False,
+    measured: MeasuredTest, values: ParameterValues, nuisance: Array, last: SolvedTest | None = None, root: bool = False
 ) -> SolvedTest:
     """Solve one test at some parameter values and nuisance parameters, (measured.nuisance_size,).
 

@@ -44,9 +44,7 @@ MIN_CONTRIBUTION = 0.1
 """Of the standard deviation of a number: smaller contributions to it, 1 % of its variance, are not listed."""
 ACCEPTED = "accepted contradiction"
 """Name of what the acceptance of a contradiction adds to an error budget."""
-JSON_NAMES = {
-    "caveat": "doubt",
-}
+JSON_NAMES = {"caveat": "doubt"}
 
 
 @dataclass(frozen=True)
@@ -96,9 +94,7 @@ class Identified:
     @property
     def state(self) -> str:
         """Why there is no value, in words; empty where there is one."""
-        return {"not_observable": "not observable in these tests", "withheld": "withheld"}.get(
-            self.result, ""
-        )
+        return {"not_observable": "not observable in these tests", "withheld": "withheld"}.get(self.result, "")
 
     @property
     def change(self) -> str:
@@ -264,9 +260,7 @@ def identified_numbers(
     found = []
     for column in columns_of([*requested, *implied]):
         owner, name = OWNER[column], COMPONENTS[column]
-        if owner.name in why and not (
-            owner.name in IMPLIED and "E" in identified
-        ):  # G and the root go with E
+        if owner.name in why and not (owner.name in IMPLIED and "E" in identified):  # G and the root go with E
             design = owner.design_value(rod)
             found.append(Identified(name, owner.labels[name], owner.unit, "not_observable", design, design,
                                     why=why[owner.name]))  # fmt: skip
@@ -334,9 +328,7 @@ def residuals_of(fit: Fit) -> tuple[Residual, ...]:
             s = float(measured.marker_s[measured.marker_numbers.index(block.item)]) / MM
         elif block.kind in ("touches", "wrenches") and not tests[block.test].measured.free:
             s = tests[block.test].eq.s_contact / MM
-        unit = {"scales": 1e3, **dict.fromkeys(("markers", "touches", "places", "sags"), 1.0 / MM)}.get(
-            block.kind, 1.0
-        )
+        unit = {"scales": 1e3, **dict.fromkeys(("markers", "touches", "places", "sags"), 1.0 / MM)}.get(block.kind, 1.0)
         off = tuple(float(v) * unit for v in block.residual)
         distance = float(np.sqrt(block.squared_distance / len(block.r))) / scale
         found.append(Residual(block.test, block.kind, block.item, s, off, distance, float(weight) * scale**2))

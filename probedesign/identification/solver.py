@@ -13,26 +13,9 @@ from numpy.typing import NDArray
 
 from probedesign.core.frames import Array
 from probedesign.identification.elimination import NormalEquations, TestRows
-from probedesign.identification.parameters import (
-    LOG_G,
-    MAX_LOGARITHM,
-    CommonParameters,
-    ParameterValues,
-    columns_of,
-)
-from probedesign.identification.residuals import (
-    MeasuredTest,
-    ResidualBlock,
-    SolvedTest,
-    solve_test,
-)
-from probedesign.identification.robust_loss import (
-    NoiseScale,
-    median_scales,
-    noise_scales,
-    robust_loss,
-    weights,
-)
+from probedesign.identification.parameters import LOG_G, MAX_LOGARITHM, CommonParameters, ParameterValues, columns_of
+from probedesign.identification.residuals import MeasuredTest, ResidualBlock, SolvedTest, solve_test
+from probedesign.identification.robust_loss import NoiseScale, median_scales, noise_scales, robust_loss, weights
 from probedesign.identification.whole_probe import MassMeasurement, PoissonPrior
 
 MAX_ITERATIONS = 25
@@ -214,9 +197,7 @@ def reread(point: Linearization, tests: Sequence[MeasuredTest]) -> Linearization
     return _collected(replace(point.problem, tests=tuple(tests)), point.values, solved)
 
 
-def _collected(
-    problem: LeastSquaresProblem, values: ParameterValues, solved: Sequence[SolvedTest]
-) -> Linearization:
+def _collected(problem: LeastSquaresProblem, values: ParameterValues, solved: Sequence[SolvedTest]) -> Linearization:
     blocks = [block for test in solved for block in test.blocks()]
     if problem.mass is not None:
         blocks.append(problem.mass.block(values))
@@ -316,9 +297,7 @@ def minimise(
     return point, max_iterations, False
 
 
-def _moved(
-    problem: LeastSquaresProblem, point: Linearization, equations: NormalEquations
-) -> Linearization | None:
+def _moved(problem: LeastSquaresProblem, point: Linearization, equations: NormalEquations) -> Linearization | None:
     """Return the campaign after a step of all unknowns within their bounds; None if the rod has no solution."""
     step, own_steps, _ = equations.steps
     x = point.values.x.copy()

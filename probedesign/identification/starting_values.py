@@ -74,9 +74,7 @@ def _absurd(test: MeasuredTest, nuisance: Array, rod: Rod) -> bool:
     return not test.free and bool(np.linalg.norm(force) * s**2 > 2.0 * MAX_LOAD * stiffness)
 
 
-def solvable_tests(
-    problem: LeastSquaresProblem, free_E: bool
-) -> tuple[list[MeasuredTest], list[MeasuredTest]]:
+def solvable_tests(problem: LeastSquaresProblem, free_E: bool) -> tuple[list[MeasuredTest], list[MeasuredTest]]:
     """Split the tests into those with a stable equilibrium for some factor on E, and those without."""
     kept: list[MeasuredTest] = []
     lost: list[MeasuredTest] = []

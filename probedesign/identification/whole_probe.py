@@ -23,9 +23,7 @@ class MassMeasurement:
         J = np.zeros((1, values.common.size))
         J[0, PARAMETERS["density"].columns] = total
         J[0, PARAMETERS["diameters"].columns] = 2.0 * rod.mass
-        J[0, values.common.print_columns] = (
-            rod.density * rod.body.volume_by_knot[0] @ values.common.print_modes.T
-        )
+        J[0, values.common.print_columns] = rod.density * rod.body.volume_by_knot[0] @ values.common.print_modes.T
         residual = np.array([self.mass - total])
         return ResidualBlock("", "scales", 0, residual / self.std, -J / self.std, np.zeros((1, 0)), residual)
 

@@ -64,9 +64,7 @@ def find_quantity(values: Mapping[str, Any], quantity: str, kind: str) -> float 
     Raises:
         InputError: it is given in two units, or is not a finite number.
     """
-    units = (
-        {f"{quantity}_{unit}": factor for unit, factor in UNITS[kind].items()} if kind else {quantity: 1.0}
-    )
+    units = {f"{quantity}_{unit}": factor for unit, factor in UNITS[kind].items()} if kind else {quantity: 1.0}
     found = [name for name in units if name in values]
     if not found:
         return None
@@ -209,9 +207,7 @@ class DatagramReceiver(ABC):
         self.counts["bursts"] += 1
         if self.counts["bursts"] == MAX_BURSTS:
             rate = self._max_per_tick / TICK
-            self._messages.append(
-                f"{self._name}: more than {rate:.0f} datagrams a second; the system drops some"
-            )
+            self._messages.append(f"{self._name}: more than {rate:.0f} datagrams a second; the system drops some")
 
     def reject(self, kind: str, line: str) -> None:
         """Count a rejected datagram, and report the first of its kind."""
@@ -291,9 +287,7 @@ class StreamListener(DatagramReceiver, Generic[T]):
     @property
     def summary(self) -> str:
         """The counts in one line."""
-        refused = [
-            f"{n} {kind}" for kind, n in self.counts.items() if kind not in ("taken", "bursts", "lost")
-        ]
+        refused = [f"{n} {kind}" for kind, n in self.counts.items() if kind not in ("taken", "bursts", "lost")]
         lost = f", {self.counts['lost']} lost" if self.counts["lost"] else ""
         rejected = f", rejected: {', '.join(refused)}" if refused else ""
         return f"{self.counts['taken']} {self._name}{lost}{rejected}"

@@ -68,9 +68,7 @@ def estimate_stream(
     chain = Chain(estimator, options, poses, log)
     try:
         with closing(iter(source)) as stream:
-            blocks: Iterator[Block] = (
-                stream if options.seconds is None else limit_duration(stream, options.seconds)
-            )
+            blocks: Iterator[Block] = stream if options.seconds is None else limit_duration(stream, options.seconds)
             expect = source.expect if isinstance(source, GatheringSource) else None
             for update in islice(_updates(chain, blocks, log, sink, commands, expect), options.count):
                 if sink is not None:
@@ -293,16 +291,13 @@ def estimate_recording(
     chain = Chain(estimator, processing, None, lines.append, tare)
     updates = chain_updates(chain, blocks)
     rows = [
-        estimate_row(update.reading, update.estimate)
-        for _, update in zip(progress(readings), updates, strict=True)
+        estimate_row(update.reading, update.estimate) for _, update in zip(progress(readings), updates, strict=True)
     ]
     gaps, lost = gaps_in(time)
     gap = (f"{lost} samples are missing in {gaps} gaps",) if gaps else ()
     notes = (*dict.fromkeys((*recording.notes, *missing, *gap, *lines)), *_notes(len(time), samples, tare))
     gravities = [reading.gravity_base for reading in readings]
-    return RecordingEstimates(
-        estimator, recording, len(time), lost, samples, tare, rows, gravities, notes, method
-    )
+    return RecordingEstimates(estimator, recording, len(time), lost, samples, tare, rows, gravities, notes, method)
 
 
 def chain_updates(chain: Chain, blocks: Iterable[Block]) -> Iterator[EstimateUpdate]:
@@ -316,9 +311,7 @@ def _any_free(estimator: Estimator, readings: list[WrenchReading]) -> bool:
     """Return whether a reading agrees with the free probe without a tare."""
     model = estimator.model
     return any(
-        not estimator.detects(
-            model.to_base(reading.wrench_sensor, reading.gravity_base), reading.gravity_base
-        )
+        not estimator.detects(model.to_base(reading.wrench_sensor, reading.gravity_base), reading.gravity_base)
         for reading in readings
         if not reading.fault and estimator.free(reading.gravity_base).ok
     )

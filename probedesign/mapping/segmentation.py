@@ -158,9 +158,7 @@ class TouchSegmenter:
             before.add(update)
 
 
-def _latest_free(
-    newest: StationaryInterval | None, older: StationaryInterval | None
-) -> StationaryInterval | None:
+def _latest_free(newest: StationaryInterval | None, older: StationaryInterval | None) -> StationaryInterval | None:
     """Return the last interval of the free probe, or the one before it where that has hardly begun."""
     if older is not None and (newest is None or 2 * newest.n_readings < older.n_readings):
         return older

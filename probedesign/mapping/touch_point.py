@@ -48,9 +48,7 @@ class BasePoseUncertainty:
             largest = MAX_STD_MM if entry.name.endswith("_mm") else MAX_STD_DEG
             if not 0.0 <= value <= largest:
                 option = entry.name.replace("_", "-")
-                raise InputError(
-                    f"--{option} {value:g} is a standard deviation; it must lie in 0 ... {largest:g}"
-                )
+                raise InputError(f"--{option} {value:g} is a standard deviation; it must lie in 0 ... {largest:g}")
 
     @classmethod
     def from_model(cls, model: ProbeModel) -> "BasePoseUncertainty":
@@ -81,9 +79,7 @@ class BasePoseUncertainty:
     @property
     def notice(self) -> str:
         """Return the same line with the options that change it."""
-        return (
-            f"{self.summary}; change it with --base-offset-mm, --base-repeat-mm, --tilt-deg, --clocking-deg"
-        )
+        return f"{self.summary}; change it with --base-offset-mm, --base-repeat-mm, --tilt-deg, --clocking-deg"
 
 
 BIAS_STEPS = 0.5
@@ -173,9 +169,7 @@ class LocatedTouch:
     rms: float = float("nan")  #: RMS error of the point by this touch alone [m].
 
 
-def locate_touch(
-    segment: TouchSegment, estimator: Estimator, priors: Tolerances, gravity_world: Array
-) -> LocatedTouch:
+def locate_touch(segment: TouchSegment, estimator: Estimator, priors: Tolerances, gravity_world: Array) -> LocatedTouch:
     """Return the touch with its point, from a batch fusion of its intervals and of the free probe around them.
 
     Args:
@@ -203,9 +197,7 @@ def locate_touch(
         return LocatedTouch(segment, "not_converged")
     _chi2, _x, cov = state.solved(fusion.priors)
     point = ConditionalPoint.from_fusion(state, fused.cov_surface_world - cov)
-    if (
-        not np.linalg.eigvalsh(point.cov)[0] > 0.0
-    ):  # a direction is open, or the readings contradict each other
+    if not np.linalg.eigvalsh(point.cov)[0] > 0.0:  # a direction is open, or the readings contradict each other
         return LocatedTouch(segment, "not_converged")
     forces = np.linalg.norm(fused.force_base, axis=1)
     strongest = int(np.argmax(forces))
@@ -215,16 +207,10 @@ def locate_touch(
     return LocatedTouch(segment, "ok", point, float(forces[strongest]), direction, s_contact, fused.rms)
 
 
-def _fusion(
-    segment: TouchSegment, estimator: Estimator, priors: Tolerances, gravity_world: Array
-) -> Fusion | None:
+def _fusion(segment: TouchSegment, estimator: Estimator, priors: Tolerances, gravity_world: Array) -> Fusion | None:
     """Return the fusion; None if a wrench exceeds the sensor's range or the free probe has no stable equilibrium."""
     model = estimator.model
-    around = [
-        (segment.free_before, False),
-        *((one, True) for one in segment.intervals),
-        (segment.free_after, False),
-    ]
+    around = [(segment.free_before, False), *((one, True) for one in segment.intervals), (segment.free_after, False)]
     used = [(interval, contact) for interval, contact in around if interval is not None]
     for interval, _ in used:
         wrench_sensor = model.to_sensor(interval.wrench, interval.gravity)

@@ -70,8 +70,7 @@ class ClampForce:
             "torque_Nm": self.torque,
             "screws": self.screws,
             "ring_bending_mm": [round(bending / MM, 3) for bending in self.bending],
-            "closes": self.range[1] <= self.preload
-            and self.bending_share <= MAX_BENDING_SHARE * (1.0 + 1e-9),
+            "closes": self.range[1] <= self.preload and self.bending_share <= MAX_BENDING_SHARE * (1.0 + 1e-9),
             "source": "computed, not measured: Gent and Lindley 1959 and finite elements for the lip; Roark's formulas "
             f"for the ring; preload from the torque with a nut factor of {NUT_FACTOR:g} (Shigley)",
         }

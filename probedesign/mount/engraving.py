@@ -91,9 +91,7 @@ def cut_runs(character: str) -> list[Run]:
     """Return the cut cells as horizontal bars: first column, one past the last column, row from the bottom."""
     runs = []
     for row, cells in zip(reversed(range(ROWS)), glyph_of(character), strict=True):
-        edges = [
-            i for i in range(len(cells) + 1) if (cells[i : i + 1] == "#") != (i > 0 and cells[i - 1] == "#")
-        ]
+        edges = [i for i in range(len(cells) + 1) if (cells[i : i + 1] == "#") != (i > 0 and cells[i - 1] == "#")]
         runs += [(start, end, row) for start, end in zip(edges[::2], edges[1::2], strict=True)]
     return runs
 
@@ -185,8 +183,6 @@ def free_arcs(radius: float, azimuths: Sequence[float], clearance: float | Seque
     """
     clearances = np.broadcast_to(np.asarray(clearance, dtype=float), len(azimuths))
     margins = 2.0 * np.arcsin(clearances / 2.0 / radius)
-    around = sorted(
-        ((a % (2 * np.pi), float(m)) for a, m in zip(azimuths, margins, strict=True)), reverse=True
-    )
+    around = sorted(((a % (2 * np.pi), float(m)) for a, m in zip(azimuths, margins, strict=True)), reverse=True)
     ahead = [*around[1:], (around[0][0] - 2 * np.pi, around[0][1])]
     return [(a - m, b + n) for (a, m), (b, n) in zip(around, ahead, strict=True)]

@@ -90,11 +90,7 @@ def centring_play(body_d: float, options: MountOptions) -> float:
 
 
 def flange_adapter_for(
-    sensor: SensorModel,
-    robot: RobotFlange,
-    fingerprint: str = "",
-    name: str = "",
-    options: MountOptions | None = None,
+    sensor: SensorModel, robot: RobotFlange, fingerprint: str = "", name: str = "", options: MountOptions | None = None
 ) -> FlangeAdapter:
     """Return the plate for a sensor and a robot.
 
@@ -151,9 +147,7 @@ def flange_adapter_for(
         p_mounting_screws=on_circle(mounting.bolt_circle_d, (a - dowel_deg for a in mounting.azimuths_deg)),
         p_bolts=on_circle(robot.bolt_circle_d, robot.bolt_azimuths_deg),
         on_plate=_engraving(robot, fingerprint, name, plate_top, (body_r, pins, pocket, cable_deg)),
-        T_sensor_robotflange=pose(
-            rotation_z(np.radians(dowel_deg)), [0.0, 0.0, -interface.height - plate_top]
-        ),
+        T_sensor_robotflange=pose(rotation_z(np.radians(dowel_deg)), [0.0, 0.0, -interface.height - plate_top]),
     )
 
 

@@ -93,9 +93,7 @@ def stiff_thickness(
     return max(least, math.ceil(stiff / (0.5 * MM) - 1e-6) * 0.5 * MM)
 
 
-def land_diameter(
-    base_d: float, lip: float, flange_d: float, bore_d: float, heads: ScrewPattern, wall: float
-) -> float:
+def land_diameter(base_d: float, lip: float, flange_d: float, bore_d: float, heads: ScrewPattern, wall: float) -> float:
     """Return the diameter of the land that supports the lip [m].
 
     It does not follow the flange, which a tool face may widen. Its edge keeps a wall to the room of each head in it, or

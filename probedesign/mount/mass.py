@@ -19,9 +19,7 @@ from probedesign.mount.sensor_adapter import PEG_D, RING_VENT_HEIGHT, VENT_WIDTH
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(48)
 
 
-def mount_mass_properties(
-    geometry: ProbeGeometry, adapter: SensorAdapter, probe_density: float
-) -> MassProperties:
+def mount_mass_properties(geometry: ProbeGeometry, adapter: SensorAdapter, probe_density: float) -> MassProperties:
     """Return the mass properties of all rigid parts between the tool face and s = 0, in the sensor frame.
 
     Flange, adapter, clamp ring, screws, nuts and dowel pins; not the flexible part.
@@ -151,10 +149,7 @@ def _fasteners(a: SensorAdapter, density: float) -> list[MassProperties]:
     nut, top = a.options.nut, a.nut_slot_z[1]
     bottom = top - nut.height
     nuts = [
-        subtract(
-            hexagon(nut.af, bottom, top, density, p),
-            [cylinder(a.ring_screw.pitch_d, bottom, top, density, p)],
-        )
+        subtract(hexagon(nut.af, bottom, top, density, p), [cylinder(a.ring_screw.pitch_d, bottom, top, density, p)])
         for p in a.p_ring_screws
     ]
     pin_top = a.dowels.pin_length - a.dowels.depth

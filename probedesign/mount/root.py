@@ -101,9 +101,7 @@ def with_computed_root(design: Design, hold: Hold) -> tuple[Design, dict[str, st
     data = design.model_dump(by_alias=True, exclude_none=True, mode="json")
     data["mount"]["hold"] = hold
     data["mount"]["root_rigid_radii"] = stated_root_radii(check_design(data))
-    notes = {
-        "mount.root_rigid_radii": f"computed for the exported {hold} flange, not measured; 0.12: bonded at s = 0",
-    }
+    notes = {"mount.root_rigid_radii": f"computed for the exported {hold} flange, not measured; 0.12: bonded at s = 0"}
     if design.probe.cross_section.full_round and design.probe.base_fillet_mm is None:
         data["tolerances"]["root_radii"] = ROOT_STD
         notes["tolerances.root_radii"] = "computed: friction below the flange; docs/decisions/0006"

@@ -13,12 +13,7 @@ from typing import Any
 from probedesign.core.units import MM
 from probedesign.design.catalog import SocketScrew
 from probedesign.design.sensors import ScrewPattern
-from probedesign.mount.flange_adapter import (
-    CENTRING_PIN_D,
-    CENTRING_PIN_LENGTH,
-    SENSOR_BODY_TOLERANCE,
-    FlangeAdapter,
-)
+from probedesign.mount.flange_adapter import CENTRING_PIN_D, CENTRING_PIN_LENGTH, SENSOR_BODY_TOLERANCE, FlangeAdapter
 from probedesign.mount.sensor_adapter import (
     MAX_SQUEEZE_SHARE,
     MIN_SQUEEZE,
@@ -120,10 +115,7 @@ class Stack:
     def worst(self) -> tuple[float, float]:
         """Return the least and the greatest sum [m]."""
         nominal = self.nominal
-        return (
-            nominal - sum(item.below for item in self.items),
-            nominal + sum(item.above for item in self.items),
-        )
+        return (nominal - sum(item.below for item in self.items), nominal + sum(item.above for item in self.items))
 
     @property
     def rss(self) -> tuple[float, float]:
@@ -191,12 +183,7 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
         return Stack(
             name,
             f"entry of the screws into the sensor's {side} side",
-            (
-                screw(pattern.screw, pattern.length),
-                rigid("thickness under the head", -pattern.grip),
-                loss(),
-                settling,
-            ),
+            (screw(pattern.screw, pattern.length), rigid("thickness under the head", -pattern.grip), loss(), settling),
             (pattern.min_entry, pattern.max_entry),
         )
 
@@ -347,13 +334,9 @@ def _fits(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
                 "centring_pin_height",
                 "height of the centring pins beside the sensor",
                 (
-                    StackItem(
-                        "length of the pin", CENTRING_PIN_LENGTH, PIN_TOLERANCE, PIN_TOLERANCE, "ISO 2338"
-                    ),
+                    StackItem("length of the pin", CENTRING_PIN_LENGTH, PIN_TOLERANCE, PIN_TOLERANCE, "ISO 2338"),
                     rigid("depth of the hole", bottom - plate.plate_top),
-                    StackItem(
-                        "face compressed on the platform or sanded", 0.0, 0.0, a.options.face_loss, "assumed"
-                    ),
+                    StackItem("face compressed on the platform or sanded", 0.0, 0.0, a.options.face_loss, "assumed"),
                 ),
                 (MIN_PIN_HEIGHT, plate.free_height),
             ),

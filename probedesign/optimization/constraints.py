@@ -20,13 +20,7 @@ from probedesign.optimization.design_space import (
     FreeParameter,
     finite_differences,
 )
-from probedesign.optimization.displacement import (
-    CRASH,
-    FORCE,
-    MAX_DISTANCE_MM,
-    MIN_FORCE,
-    split_metric,
-)
+from probedesign.optimization.displacement import CRASH, FORCE, MAX_DISTANCE_MM, MIN_FORCE, split_metric
 from probedesign.optimization.objective import Task
 
 Goal = Literal["error-at-force", "force-for-error"]
@@ -85,17 +79,13 @@ def parse_limit(text: str) -> Limit:
     """
     match = _LIMIT.fullmatch(text)
     if match is None:
-        raise InputError(
-            f"--subject-to {text!r}: write FIGURE<=NUMBER or FIGURE>=NUMBER, such as 'sag_mm<=60'"
-        )
+        raise InputError(f"--subject-to {text!r}: write FIGURE<=NUMBER or FIGURE>=NUMBER, such as 'sag_mm<=60'")
     figure, at, sign, number = match.groups()
     if figure not in LIMITED_METRICS:
         raise unknown_name("--subject-to", figure, LIMITED_METRICS)
     if at is not None or figure in (FORCE, CRASH):
         if figure not in (FORCE, CRASH):
-            raise InputError(
-                f"--subject-to {text!r}: {figure} has no distance; write '{figure}{sign}{number}'"
-            )
+            raise InputError(f"--subject-to {text!r}: {figure} has no distance; write '{figure}{sign}{number}'")
         distance = split_metric(f"{figure}{at or ''}")[1]
         if not 0.0 < distance <= MAX_DISTANCE_MM:
             raise InputError(
@@ -111,9 +101,7 @@ def parse_limit(text: str) -> Limit:
         if sign != "<=" or value != 0.0:
             raise InputError(f"--subject-to {text!r}: a count cannot be limited; write '{NO_WARNINGS}<=0'")
     elif figure.startswith(CRASH) and sign != "<=":
-        raise InputError(
-            f"--subject-to {text!r}: the load of a crash has an upper limit; write '{figure}<={number}'"
-        )
+        raise InputError(f"--subject-to {text!r}: the load of a crash has an upper limit; write '{figure}<={number}'")
     elif not 0.0 < value < 1e9:
         raise InputError(f"--subject-to {text!r}: {number} must be a positive number")
     return Limit(figure, sign == "<=", value)
@@ -208,9 +196,7 @@ class NonlinearProgram:
             left = (1.0 - outermost) * metrics(x)["length_mm"] + _SLIP_ALLOWANCE_MM
             return np.array([np.log(left / metrics(x)["slide_mm"]) - SPARE])
 
-        return Constraint(
-            "does not slip off", margin, lambda x: finite_differences(margin, x, central=False).T
-        )
+        return Constraint("does not slip off", margin, lambda x: finite_differences(margin, x, central=False).T)
 
     @property
     def _buckling_constraint(self) -> Constraint:
@@ -285,9 +271,7 @@ class NonlinearProgram:
     def _slsqp(self, f: Callable[[Array], float], slope: Callable[[Array], Array], x0: Array,
                bounds: list[tuple[float, float]], constraints: list[dict[str, Any]]) -> Array:  # fmt: skip
         solve: Any = minimize  # its stubs have no overload for a list of constraints
-        solution = solve(
-            f, x0, jac=slope, method="SLSQP", bounds=bounds, constraints=constraints, options=_OPTIONS
-        )
+        solution = solve(f, x0, jac=slope, method="SLSQP", bounds=bounds, constraints=constraints, options=_OPTIONS)
         low, high = np.array(bounds).T
         return np.asarray(np.clip(solution.x, low, high))
 
@@ -343,8 +327,6 @@ class OptimizationProblem:
         """Return the problem over a design space, with the force as a variable or without."""
         limits = self.all_limits
         margins = [limit.value for limit in limits if limit.metric == "buckling_margin"]
-        max_load = 1.1 * max(
-            [SAFETY_FACTOR, *margins]
-        )  # beyond the limit, so that the constraint is smooth there
+        max_load = 1.1 * max([SAFETY_FACTOR, *margins])  # beyond the limit, so that the constraint is smooth there
         limited = frozenset(limit.figure for limit in limits)
         return NonlinearProgram(DesignEvaluator(space, self.task, with_force, limited, max_load), limits)

@@ -88,13 +88,9 @@ class DesignSpace:
             InputError: the section has nothing to vary, or both a cone and a taper are requested.
         """
         if "cone" in free and "taper" in free:
-            raise InputError(
-                "--over cone and --over taper contradict: a cone is one of the tapers; name one of them"
-            )
+            raise InputError("--over cone and --over taper contradict: a cone is one of the tapers; name one of them")
         if "section" in free and start.probe.section == "round":
-            raise InputError(
-                "--over section: a round section has nothing to vary; start from a hollow or elliptic one"
-            )
+            raise InputError("--over section: a round section has nothing to vary; start from a hollow or elliptic one")
         if "taper" in free and start.probe.tip == "rounded":
             raise InputError('--over taper: requires a blunt tip; start from tip = "blunt"')
         return cls(start, CONTROLS if "taper" in free else 2 if "cone" in free else 0, free)
@@ -180,9 +176,7 @@ class DesignSpace:
             "print rule overhang": (np.diff(s) - steepest * np.diff(d) / 2.0) / s[-1],
         }
         if hollow and ratio is not None:
-            rules["print rule wall"] = (1.0 - ratio) * d / 2.0 / (
-                limits.SOFT_FACTOR * limits.SUPPORTED_WALL
-            ) - 1.0
+            rules["print rule wall"] = (1.0 - ratio) * d / 2.0 / (limits.SOFT_FACTOR * limits.SUPPORTED_WALL) - 1.0
             rules["print rule hole"] = ratio * d / bore - 1.0
         if self.controls > 2:
             flange = flange_of(self.start, d[0] * MM)
@@ -347,9 +341,7 @@ class DesignEvaluator:
 
     def _evaluate(self, x: Array) -> dict[str, float]:
         pushed = {
-            name: 1.0 / _NO_FIGURE if name.startswith(MIN_FORCE) else _NO_FIGURE
-            for name in self.limited
-            if "@" in name
+            name: 1.0 / _NO_FIGURE if name.startswith(MIN_FORCE) else _NO_FIGURE for name in self.limited if "@" in name
         }
         found = {**INFEASIBLE, **pushed}
         found |= {"length_mm": self.space.length_mm(x), "mass_g": 1e3}

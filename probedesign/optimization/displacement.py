@@ -107,9 +107,7 @@ def push(
     return Push(refusal, here)
 
 
-def forces_at_deflection_mN(
-    model: ProbeModel, task: Task, deflection_mm: float
-) -> tuple[float, float] | None:
+def forces_at_deflection_mN(model: ProbeModel, task: Task, deflection_mm: float) -> tuple[float, float] | None:
     """Return the smallest and the largest force when the probe is deflected by a distance [mN].
 
     The probe is pushed at each of the task's positions under each of its gravities, across its axis, in the directions

@@ -73,9 +73,7 @@ class Task:
             raise InputError(f"fractions {list(self.fractions)} must lie in (0, 1]")
         for gravity in self.gravities:
             if len(gravity) != 3 or not all(abs(g) <= MAX_GRAVITY for g in gravity):
-                raise InputError(
-                    f"gravity {list(gravity)} must be three numbers within ±{MAX_GRAVITY:g} m/s²"
-                )
+                raise InputError(f"gravity {list(gravity)} must be three numbers within ±{MAX_GRAVITY:g} m/s²")
         if self.combine not in ("mean", "worst"):
             raise InputError(f"combine = {self.combine!r} is not known; known: mean, worst")
 

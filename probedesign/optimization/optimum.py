@@ -101,9 +101,7 @@ def _worse(start: Design, best: Design, task: Task) -> tuple[WorseCase, ...]:
     """Return the cases, at and around the task's, in which the optimum has a larger error than the start."""
     forces = tuple(sorted({factor * force for force in task.forces_N for factor in AROUND}))
     wide = replace(task, fractions=tuple(sorted({*COMPARED_FRACTIONS, *task.fractions})), forces_N=forces)
-    before, after = (
-        predict_task(build_probe(design).model, wide, slipping=False) for design in (start, best)
-    )
+    before, after = (predict_task(build_probe(design).model, wide, slipping=False) for design in (start, best))
     return tuple(
         WorseCase(*case, was / MM, now / MM if math.isfinite(now) else None)
         for case, was, now in zip(before.cases, before.errors, after.errors, strict=True)
@@ -135,9 +133,7 @@ def _solve(
 def _starts(problem: NonlinearProgram, designs: list[Design]) -> list[Array]:
     """Return the designs, and the first of them thinner, or shorter where its diameters are fixed."""
     space, found = problem.evaluator.space, list[Array]()
-    for design, factor in [(designs[0], factor) for factor in STARTS] + [
-        (design, 1.0) for design in designs[1:]
-    ]:
+    for design, factor in [(designs[0], factor) for factor in STARTS] + [(design, 1.0) for design in designs[1:]]:
         x = space.x_of(design)
         x[: space.controls or None] *= factor
         force = [float(np.log(FORCES[1]) / 2.0)] if problem.evaluator.with_force else []
@@ -237,8 +233,7 @@ def _errors(chunk: _Chunk) -> Array:
     side = side_of(model.gravity_base)
     results = locate_draws(samples, chunk.fraction, chunk.force, side, task.schedule, rng)
     rows = [
-        (math.nan if a.error is None else a.error, a.result == "ok", a.result == "ok" and a.inside)
-        for a in results
+        (math.nan if a.error is None else a.error, a.result == "ok", a.result == "ok" and a.inside) for a in results
     ]
     return np.array(rows, dtype=float)
 
@@ -309,9 +304,7 @@ def pareto_front(
                    callbacks=[lambda _, t: on_progress("Pareto front", (t.number + 1) / trials)])  # fmt: skip
     kept = {trial.values[0]: trial for trial in study.best_trials if trial.user_attrs["feasible"]}
     if not kept:
-        raise InputError(
-            f"none of {trials} designs satisfies every limit; evaluate more, or relax --subject-to"
-        )
+        raise InputError(f"none of {trials} designs satisfies every limit; evaluate more, or relax --subject-to")
     rows = [{name: float(t.user_attrs["row"][name]) for name in _VARIABLES} for t in kept.values()]
     return ParetoFront(sorted(rows, key=lambda row: row["error_mm"]), trials)
 

@@ -242,9 +242,7 @@ def _computed_here(
         ) from None
 
 
-def _computed_by_dask(
-    client: "Client", base: dict[str, Any], task: Task, chunks: list[_Chunk]
-) -> Iterator[Record]:
+def _computed_by_dask(client: "Client", base: dict[str, Any], task: Task, chunks: list[_Chunk]) -> Iterator[Record]:
     """Yield the records that the workers of a scheduler compute, in the order of completion."""
     from distributed import as_completed
 

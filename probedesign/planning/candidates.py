@@ -23,11 +23,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.rod.contact import solve_frictionless
 from probedesign.rod.equilibrium import Equilibrium
-from probedesign.simulation.ground_truth import (
-    BASE_POSITION,
-    marker_arclengths,
-    pose_under_gravity,
-)
+from probedesign.simulation.ground_truth import BASE_POSITION, marker_arclengths, pose_under_gravity
 
 SetUp = Literal["weighing", "calipers", "hang", "turned", "weight", "touch"]
 MINUTES: dict[SetUp, float] = {
@@ -261,10 +257,7 @@ class Bench:
         place, std_place = None, math.nan
         if force_world is None:
             assert self.instruments.std_place is not None
-            place, std_place = (
-                T[:3, :3] @ surface_point(self.model.rod, eq) + T[:3, 3],
-                self.instruments.std_place,
-            )
+            place, std_place = (T[:3, :3] @ surface_point(self.model.rod, eq) + T[:3, 3], self.instruments.std_place)
         std_s = math.nan if math.isnan(s) else STD_MARK
         test = Test(
             name, T, self.gravity_world, force_world, s, std_s, place, std_place, direction, math.nan, math.nan,

@@ -160,9 +160,7 @@ def checklist(plan: Plan, folder: str) -> list[tuple[str, list[str]]]:
     if held_out:
         each.append(f"{', '.join(held_out)}: measure them like the others. identify leaves them out, and validate "
                     "judges the probe by them.")  # fmt: skip
-    each.append(
-        "A test that failed or was not made: leave its row without readings; identify then ignores it."
-    )
+    each.append("A test that failed or was not made: leave its row without readings; identify then ignores it.")
     names, design = ",".join(plan.identified), "MEASURED.toml" if "calipers" in kinds else "DESIGN"
     after = [
         f"probedesign identify {design} {folder} --for {names} --out IDENTIFIED.toml",
@@ -175,9 +173,7 @@ def checklist(plan: Plan, folder: str) -> list[tuple[str, list[str]]]:
 
 def checklist_text(plan: Plan, folder: str) -> str:
     """Return the checklist as Markdown."""
-    summary = (
-        f"{len(plan.tests)} measurements in {plan.tests[-1].minutes:.0f} minutes; {PAGE} shows each set-up."
-    )
+    summary = f"{len(plan.tests)} measurements in {plan.tests[-1].minutes:.0f} minutes; {PAGE} shows each set-up."
     lines = [f"# Campaign of {plan.bench.model.name}", "", summary]
     for heading, steps in checklist(plan, folder):
         lines += ["", f"## {heading}", "", *(f"- [ ] {step}" for step in steps)]
@@ -197,17 +193,13 @@ def check_target(folder: Path, force: bool) -> None:
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return
     if not folder.is_dir() or not (folder / PLAN).is_file():
-        raise InputError(
-            f"{folder}: has no {PLAN}, so it is not a plan and is not replaced; name another folder"
-        )
+        raise InputError(f"{folder}: has no {PLAN}, so it is not a plan and is not replaced; name another folder")
     if not force:
         raise exists_already(folder)
     for name, empty in ((WRENCHES, WRENCH_HEADER), (MARKERS, ""), (PIXELS, ""), (IMAGES, "")):
         path = folder / name
         if path.exists() and (path.is_dir() or path.read_bytes().split() != empty.encode().split()):
-            raise InputError(
-                f"{folder}: {name} has measured values, which are not replaced; name another folder"
-            )
+            raise InputError(f"{folder}: {name} has measured values, which are not replaced; name another folder")
 
 
 def write_folder(folder: Path, contents: Sequence[tuple[str, bytes]], force: bool) -> list[Path]:

@@ -23,12 +23,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS
 from probedesign.identification.fit_checks import conditional_estimate, unobservable_direction
 from probedesign.identification.identify import TEST_SECONDS, data_of
-from probedesign.identification.parameters import (
-    OWNER,
-    PARAMETERS,
-    ParameterValues,
-    columns_of,
-)
+from probedesign.identification.parameters import OWNER, PARAMETERS, ParameterValues, columns_of
 from probedesign.identification.residuals import ResidualBlock
 from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, linearize
 from probedesign.identification.starting_values import start_nuisance
@@ -171,9 +166,7 @@ class Information:
             walked = common.tolerances.walk_steps**2 * TEST_SECONDS / WALK_SECONDS
             drift = walked * model.averaging_samples * model.noise_base()
             tests = tuple(
-                replace(
-                    test, epoch=0, cov_wrench=None if test.cov_wrench is None else test.cov_wrench + drift
-                )
+                replace(test, epoch=0, cov_wrench=None if test.cov_wrench is None else test.cov_wrench + drift)
                 for test in tests
             )
         problem = LeastSquaresProblem(common, tests, None, np.ones(common.size))
@@ -205,9 +198,7 @@ class Information:
         for column in (*columns_of(["diameters"]), *range(common.size)[common.print_columns]):
             x = np.zeros(common.size)
             x[column] = step
-            J[:, column] = (
-                -2.0 * (ParameterValues(common, x).rod.radius_at(s) - rod.radius_at(s)) / (step * std)
-            )
+            J[:, column] = -2.0 * (ParameterValues(common, x).rod.radius_at(s) - rod.radius_at(s)) / (step * std)
         return ResidualBlock("", "calipers", 0, np.zeros(len(s)), J, np.zeros((len(s), 0)), np.zeros(len(s)))
 
     def matrix(self, name: str, active: NDArray[np.intp]) -> Array:
@@ -255,9 +246,7 @@ class Information:
             (_, std, _), of_print = conditional_estimate(fit, column), math.sqrt(fit.cov[i, i])
             rod, unit = self.bench.model.rod, 1.0 if owner.logarithm else owner.scale
             low, high = (owner.reported(rod, sign * quantile * std) for sign in (-1.0, 1.0))
-            found.append(
-                ExpectedInterval(label, owner.unit, unit * std, low, high, unit * of_print, owner.logarithm)
-            )
+            found.append(ExpectedInterval(label, owner.unit, unit * std, low, high, unit * of_print, owner.logarithm))
         return tuple(found)
 
 
@@ -317,9 +306,7 @@ def make_plan(
     while needed > between:  # more hangs leave time for fewer tests, which need no more hangs
         between = needed
         chosen = choice.best(free, minutes - reserved - between * hang.minutes)
-        away, mounted = (
-            [one for one in _ordered(chosen) if (one.test is None) is off] for off in (True, False)
-        )
+        away, mounted = ([one for one in _ordered(chosen) if (one.test is None) is off] for off in (True, False))
         mounted += validation
         needed = max(len(mounted) - 1, 0) // HANG_EVERY
     return _scheduled(information, (*away, *_with_hangs(hang, mounted, needed)), tuple(names), minutes)
@@ -346,9 +333,7 @@ def _scheduled(
             number = f"{counts[one.set_up]:d}" if one.set_up == "hang" else f"{counts[one.set_up]:02d}"
             one = one.named(f"{one.set_up}-{number}", one.held_out, 60.0 * clock)
         timed.append((one, clock))
-    last = Information(
-        information.bench, tuple(one for one, _ in timed), information.flange_volume, scheduled=True
-    )
+    last = Information(information.bench, tuple(one for one, _ in timed), information.flange_volume, scheduled=True)
     done, why = list[CandidateTest](), tuple[str, ...]()
     intervals: tuple[ExpectedInterval, ...] = tuple(_unknown(label) for label in _components(names))
     tests = []
@@ -375,11 +360,7 @@ def _spread(touches: list[CandidateTest], count: int) -> list[CandidateTest]:
     for k in range(count):
         mark = marks[round((k + 0.5) / count * len(marks) - 0.5)]
         here = [one for one in touches if one.mark == mark and one not in found]
-        own = [
-            one
-            for one in here
-            if one.test is not None and one.test.direction == directions[k % len(directions)]
-        ]
+        own = [one for one in here if one.test is not None and one.test.direction == directions[k % len(directions)]]
         pool = sorted(own or here, key=lambda one: one.displacement)
         if pool:
             found.append(pool[k % len(pool)])

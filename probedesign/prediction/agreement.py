@@ -102,11 +102,7 @@ def compare(table: PublishedErrors, own_mm: Array, reference_mm: float) -> Compa
     model, by_lever = laws[0][1]((reference_mm,)), laws[1][1]((LEVER_MN, LEVER_REFERENCE_MM))
     known = np.isfinite(model)
     beyond = {
-        name: float(
-            spearmanr(
-                (table.measured_mm / by_lever)[rows & known], (model / by_lever)[rows & known]
-            ).statistic
-        )
+        name: float(spearmanr((table.measured_mm / by_lever)[rows & known], (model / by_lever)[rows & known]).statistic)
         for name, rows in {"all": known, **of}.items()
     }
     return Comparison(tuple(fitted), tuple(left_out), beyond)

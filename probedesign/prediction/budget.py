@@ -26,15 +26,7 @@ from probedesign.estimation.contact_fit import MIN_FRICTION
 from probedesign.estimation.error_sources import CAUSES as SOURCES
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.model import covariance
-from probedesign.estimation.surface_contact_kernel import (
-    ALONG,
-    BY_TOUCH,
-    CENTRE,
-    POINT,
-    UNKNOWNS,
-    VALUE,
-    S,
-)
+from probedesign.estimation.surface_contact_kernel import ALONG, BY_TOUCH, CENTRE, POINT, UNKNOWNS, VALUE, S
 from probedesign.rod.rod import Rod
 
 CAUSES = (*SOURCES, "friction")
@@ -133,9 +125,7 @@ class _LinearizedTouches:
 
     def _total(self, X: Array, Q: Array, root: Array, gain: Array) -> Array:
         own, cross = X @ root, X @ gain @ self.D @ np.swapaxes(Q, 1, 2)
-        return np.asarray(
-            own @ np.swapaxes(own, 1, 2) + Q @ np.swapaxes(Q, 1, 2) - cross - np.swapaxes(cross, 1, 2)
-        )
+        return np.asarray(own @ np.swapaxes(own, 1, 2) + Q @ np.swapaxes(Q, 1, 2) - cross - np.swapaxes(cross, 1, 2))
 
     def _parts(self, gain: Array) -> list[tuple[str, Array]]:
         """Return each source's covariance of the touched point, given its gain on the reading, (n, 3, 6)."""

@@ -126,9 +126,7 @@ class LinearizedPresses:
         """Return the wrenches at the base without noise, (k, 6)."""
         return np.array([reading.wrench for reading in self.fusion.readings])
 
-    def cov(
-        self, priors: Tolerances | None = None, D: Array | None = None, friction: float | None = None
-    ) -> Array:
+    def cov(self, priors: Tolerances | None = None, D: Array | None = None, friction: float | None = None) -> Array:
         """Return the covariance of the touched point to first order [m²], (3, 3).
 
         Args:
@@ -231,9 +229,7 @@ class FusedHeadline:
         return f"{self.touches} touches up to {where}, worst direction"
 
 
-def fused_headline_of(
-    conditions: Sequence[FusedCondition], touches: int, contact_fraction: float
-) -> FusedHeadline:
+def fused_headline_of(conditions: Sequence[FusedCondition], touches: int, contact_fraction: float) -> FusedHeadline:
     """Return the headline of a grid of fused touches at one position."""
     here = [c for c in conditions if (c.contact_fraction, c.force_N) == (contact_fraction, SHOWN_N)]
     errors = [c.predicted_error_mm for c in here if c.predicted_error_mm is not None]
@@ -299,9 +295,7 @@ def fused_conditions(
     return tuple(found)
 
 
-def _condition(
-    line: Line, touches: Sequence[Touches], i: int, force: float, schedule: PressSchedule
-) -> FusedCondition:
+def _condition(line: Line, touches: Sequence[Touches], i: int, force: float, schedule: PressSchedule) -> FusedCondition:
     """Predict one condition, the i-th line of touches in the order of time, the last one of a force [N]."""
     found = FusedCondition(line[0], force, line[1], schedule.touches, "gives_way")
     if not all(of.ok[i] for of in touches):

@@ -112,10 +112,7 @@ class PrintSample:
         """Return the reading at the model's base, without noise, of a wrench (6,) at the true base."""
         model = self.model
         seen = self._in_nominal_frame(wrench)
-        to_sensor, base_from_sensor = (
-            wrench_map(model.T_sensor_base),
-            wrench_map(inverse(model.T_sensor_base)),
-        )
+        to_sensor, base_from_sensor = (wrench_map(model.T_sensor_base), wrench_map(inverse(model.T_sensor_base)))
         if self.tared:
             zero = self._in_nominal_frame(free.wrench_base)
             at = model.rod.solve(model.gravity_base).wrench_base
@@ -357,9 +354,7 @@ def run_monte_carlo(
     left, saved = {name: touch for name, touch in wanted.items() if name not in done}, time.monotonic()
     try:
         names = list(left)
-        computed = process_map(
-            _sample_in_worker, left.values(), workers, _initialize, (plan,), preload=[__name__]
-        )
+        computed = process_map(_sample_in_worker, left.values(), workers, _initialize, (plan,), preload=[__name__])
         for i, row in computed:
             done[names[i]] = row
             progress(len(done) / max(len(wanted), 1))
@@ -367,9 +362,7 @@ def run_monte_carlo(
                 _save_checkpoint(path, done)
                 saved = time.monotonic()
     except KeyboardInterrupt:
-        kept = (
-            f"; {len(done)} of {len(wanted)} conditions are saved, the same command resumes" if path else ""
-        )
+        kept = f"; {len(done)} of {len(wanted)} conditions are saved, the same command resumes" if path else ""
         raise KeyboardInterrupt(f"interrupted{kept}") from None
     finally:
         if path and done:
@@ -393,9 +386,7 @@ def _sample_in_worker(touch: Touch) -> dict[str, Any]:
     return plan.sample_condition(touch, samples)
 
 
-def _result(
-    plan: MonteCarloPlan, condition: Condition | FusedCondition, row: dict[str, Any]
-) -> MonteCarloResult:
+def _result(plan: MonteCarloPlan, condition: Condition | FusedCondition, row: dict[str, Any]) -> MonteCarloResult:
     first, error = condition.predicted_error_mm, row["error"]
     differs = False
     if error is not None and first is not None:

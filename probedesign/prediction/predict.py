@@ -31,13 +31,7 @@ from probedesign.prediction.fused import (
     fused_reach,
 )
 from probedesign.prediction.touches import DIRECTIONS, Touches, check_grid, touches_of
-from probedesign.prediction.workspace import (
-    LADDER_N,
-    ForceThresholds,
-    Workspace,
-    force_thresholds,
-    workspace_of,
-)
+from probedesign.prediction.workspace import LADDER_N, ForceThresholds, Workspace, force_thresholds, workspace_of
 from probedesign.rod.equilibrium import Equilibrium
 
 __all__ = [
@@ -304,19 +298,13 @@ def worst(conditions: Sequence[Condition], force_N: float) -> list[Condition]:
 def shares_of(condition: Condition | FusedCondition) -> dict[str, float]:
     """Return the shares of the variance by group of error sources."""
     budget = condition.budget_mm or {}
-    squares = {
-        name: sum(budget.get(cause, 0.0) ** 2 for cause in causes) for name, causes in CAUSE_GROUPS.items()
-    }
+    squares = {name: sum(budget.get(cause, 0.0) ** 2 for cause in causes) for name, causes in CAUSE_GROUPS.items()}
     whole = sum(squares.values()) or 1.0
     return {name: square / whole for name, square in squares.items()}
 
 
 def predict_touch(
-    estimator: Estimator,
-    fraction: float,
-    force_N: float,
-    direction: str,
-    tolerances: Tolerances | None = None,
+    estimator: Estimator, fraction: float, force_N: float, direction: str, tolerances: Tolerances | None = None
 ) -> Condition:
     """Predict one condition; see `predict`."""
     if not estimator.free().ok:
@@ -355,9 +343,7 @@ def conditions_of(touches: Touches, lines: Sequence[tuple[float, str]]) -> list[
                for row in (touches.budget.rms / MM).tolist()]  # fmt: skip
     rows = zip(lines, touches.results(), values, budgets, strict=False)
     return [
-        Condition(
-            place, touches.force_N, side, result, **dict(zip(columns, row, strict=True)), budget_mm=budget
-        )
+        Condition(place, touches.force_N, side, result, **dict(zip(columns, row, strict=True)), budget_mm=budget)
         for (place, side), result, row, budget in rows
     ]
 
@@ -401,9 +387,7 @@ def condition_rows(prediction: Prediction) -> tuple[list[str], list[dict[str, An
     first = ["contact_fraction", "force_N", "direction", "touches", "result"]
     sources = {cause: f"budget_{cause.replace(' ', '_')}_mm" for cause in FUSED_CAUSES}
     rows = []
-    for row in [{"touches": 1, **asdict(c)} for c in prediction.conditions] + [
-        *map(asdict, prediction.fused)
-    ]:
+    for row in [{"touches": 1, **asdict(c)} for c in prediction.conditions] + [*map(asdict, prediction.fused)]:
         budget = row.pop("budget_mm") or {}
         rows.append(row | {sources[cause]: value for cause, value in budget.items()})
     known = {*first, *sources.values()}

@@ -23,14 +23,7 @@ from probedesign.design.catalog import ELASTIC_50A
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.prediction.agreement import (
-    FACTOR,
-    AgreementScore,
-    Comparison,
-    PublishedErrors,
-    agreement,
-    compare,
-)
+from probedesign.prediction.agreement import FACTOR, AgreementScore, Comparison, PublishedErrors, agreement, compare
 from probedesign.prediction.budget import CAUSES, unweighted_error_budget
 from probedesign.prediction.touches import DIRECTIONS, touches_of
 
@@ -78,9 +71,7 @@ class TableOne:
         return {"schema": 1, **asdict(self)}
 
 
-def table_one(
-    models: dict[str, tuple[ProbeModel, Tolerances]], reference_mm: float = REFERENCE_MM
-) -> TableOne:
+def table_one(models: dict[str, tuple[ProbeModel, Tolerances]], reference_mm: float = REFERENCE_MM) -> TableOne:
     """Predict the table.
 
     Args:
@@ -117,9 +108,7 @@ def measured() -> tuple[dict[str, str], ...]:
     return tuple(csv.DictReader(line for line in io.StringIO(text) if not line.startswith("#")))
 
 
-def _row(
-    model: ProbeModel, tolerances: Tolerances, row_data: dict[str, str], reference_mm: float
-) -> TableRow:
+def _row(model: ProbeModel, tolerances: Tolerances, row_data: dict[str, str], reference_mm: float) -> TableRow:
     force, fraction = float(row_data["force_N"]), float(row_data["contact_fraction"])
     lines = [(fraction, direction) for direction in DIRECTIONS]
     touches = touches_of(Estimator(model, tolerances), lines, [force])[force]

@@ -289,10 +289,7 @@ class Touches:
 
 
 def touches_of(
-    estimator: Estimator,
-    lines: Sequence[tuple[float, str]],
-    forces_N: Sequence[float],
-    on_progress: OnProgress = quiet,
+    estimator: Estimator, lines: Sequence[tuple[float, str]], forces_N: Sequence[float], on_progress: OnProgress = quiet
 ) -> dict[float, Touches]:
     """Solve all lines at all forces.
 

@@ -151,9 +151,7 @@ class Workspace:
     volume_mm3: float | None = None
 
 
-def workspace_of(
-    reach: Sequence[ForceThresholds], touches: Mapping[float, Touches], gravity: Array
-) -> Workspace:
+def workspace_of(reach: Sequence[ForceThresholds], touches: Mapping[float, Touches], gravity: Array) -> Workspace:
     """Compute the workspace from touches at all forces.
 
     Args:

@@ -20,13 +20,7 @@ from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.design.catalog import PRINTERS, Printer
 from probedesign.geometry import FLANGE_LIP, ProbeGeometry, build_geometry
-from probedesign.mount import (
-    FlangeAdapter,
-    SensorAdapter,
-    flange_adapter_for,
-    mount_options,
-    sensor_adapter_for,
-)
+from probedesign.mount import FlangeAdapter, SensorAdapter, flange_adapter_for, mount_options, sensor_adapter_for
 from probedesign.mount.clamping import clamp_force
 from probedesign.mount.engraving import XY
 from probedesign.mount.flange_adapter import TIE_SLOT
@@ -34,13 +28,7 @@ from probedesign.mount.lip import MAX_BENDING_SHARE
 from probedesign.mount.sensor_adapter import PEG_D
 from probedesign.mount.tolerance_stack import tolerance_stacks
 from probedesign.printing.findings import Finding, Rule, Severity
-from probedesign.printing.orientation import (
-    MAX_BRIDGE,
-    MAX_CUP_D,
-    MAX_OVERHANG,
-    OrientedPart,
-    oriented_parts,
-)
+from probedesign.printing.orientation import MAX_BRIDGE, MAX_CUP_D, MAX_OVERHANG, OrientedPart, oriented_parts
 
 GUIDE = "Formlabs' design guide, Form 2, rigid resin"
 DOUBLED = f"twice {GUIDE}, for soft resin (assumed)"
@@ -53,9 +41,7 @@ HEIGHT_ABOVE_RAFT = 5.0
 RAFT_MARGIN = 5.0
 SUPPORT_HEIGHT = RAFT_THICKNESS + HEIGHT_ABOVE_RAFT
 """Raft and supports below the base and around it (assumed); `print` requests the first two from PreForm."""
-PLATFORM_SETUP = (
-    f"raft {RAFT_THICKNESS:g} mm, supports {HEIGHT_ABOVE_RAFT:g} mm, margin {RAFT_MARGIN:g} mm (assumed)"
-)
+PLATFORM_SETUP = f"raft {RAFT_THICKNESS:g} mm, supports {HEIGHT_ABOVE_RAFT:g} mm, margin {RAFT_MARGIN:g} mm (assumed)"
 
 SUPPORTED_WALL, UNSUPPORTED_WALL, MIN_HOLE_D = 0.4, 0.6, 0.5
 """Formlabs' limits for rigid resin: wall supported on two or more sides, wall supported on one side, open hole."""
@@ -70,21 +56,15 @@ MIN_DRAIN_D = 3.5
 
 BUILD_VOLUME = Rule("build_volume", "mm", f"PreForm's build volumes; {PLATFORM_SETUP}", "high")
 STACK = Rule("tolerance_stack", "mm", "worst case of the tolerances that the drawings state", "high")
-RING_BENDING = Rule(
-    "ring_bending", "mm", "Roark's formulas for annular plates, mean of two supports", "medium"
-)
+RING_BENDING = Rule("ring_bending", "mm", "Roark's formulas for annular plates, mean of two supports", "medium")
 CLAMP = Rule("clamp_force", "N", "Gent and Lindley 1959, compared with finite elements", "medium")
-SLENDERNESS = Rule(
-    "slenderness", "1", f"about the wires of {GUIDE}; an error below half of it (assumed)", "low"
-)
+SLENDERNESS = Rule("slenderness", "1", f"about the wires of {GUIDE}; an error below half of it (assumed)", "low")
 SMALLEST_FEATURE = Rule("smallest_feature", "mm", "assumed: nothing is published for soft resin", "low")
 WALL = Rule("wall", "mm", GUIDE, "medium")
 SOFT_WALL = Rule("wall", "mm", DOUBLED, "low")
 OPEN_HOLE = Rule("hole", "mm", GUIDE, "medium")
 SOFT_HOLE = Rule("hole", "mm", DOUBLED, "low")
-NO_OVERHANG = Rule(
-    "overhang", "deg", f"{GUIDE}; a warning below {MIN_SOFT_OVERHANG:g} for soft resin (assumed)", "low"
-)
+NO_OVERHANG = Rule("overhang", "deg", f"{GUIDE}; a warning below {MIN_SOFT_OVERHANG:g} for soft resin (assumed)", "low")
 TRAPPED_VOLUME = Rule("trapped_volume", "mm", f"drain hole of {GUIDE}", "medium")
 LAYER_OVERHANG = Rule("overhang", "mm", "Formlabs' design guide: 1 mm, or 19° to the horizontal", "medium")
 LAYER_BRIDGE = Rule("bridge", "mm", "half of the 21 mm of Formlabs' design guide (assumed)", "low")
@@ -95,9 +75,7 @@ ENCLOSED = Rule("enclosed_volume", "mm³", "resin cannot drain", "high")
 MOUNT = Rule("mount", "mm", "the adapter's own dimensions", "high")
 
 
-def size_findings(
-    part: str, printer: Printer, width: float, height: float, remedy: str = ""
-) -> list[Finding]:
+def size_findings(part: str, printer: Printer, width: float, height: float, remedy: str = "") -> list[Finding]:
     """Return the findings on width and height [mm] of a part, as printed.
 
     Args:
@@ -188,10 +166,7 @@ def mount_findings(a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
     screw, slot = plate.mounting.screw, plate.robot.pin_slot[0]
     bolt_hole = {"bolt hole": plate.robot.screw.clearance_d} | ({"pin slot": slot} if slot > 0.0 else {})
     parts = {
-        "sensor_adapter": (
-            _adapter_walls(a),
-            {"screw hole": a.ring_screw.clearance_d, "dowel hole": a.dowel_d},
-        ),
+        "sensor_adapter": (_adapter_walls(a), {"screw hole": a.ring_screw.clearance_d, "dowel hole": a.dowel_d}),
         "clamp_ring": (_ring_walls(a), {"screw hole": a.ring_screw.clearance_d}),
         "flange_adapter": (_plate_walls(plate), {"sensor screw hole": screw.clearance_d} | bolt_hole),
     }
@@ -222,9 +197,7 @@ def clamp_findings(a: SensorAdapter, plate: FlangeAdapter, modulus: float) -> li
     more = "" if a.ring_screw.thread == "M3" else 'set mount.ring_screw = "M3", '
     narrower = "reduce mount.flange_lip_mm, " if a.options.lip > FLANGE_LIP else ""
     remedy = f"{more}{narrower}or increase mount.flange_thickness_mm".removeprefix("or ")
-    what = (
-        f"preload of the ring's {clamp.screws} screws at {clamp.torque:g} N·m, to compress the flange's lip"
-    )
+    what = f"preload of the ring's {clamp.screws} screws at {clamp.torque:g} N·m, to compress the flange's lip"
     return [
         CLAMP.at_least("mount", what, clamp.preload, clamp.range[1], clamp.nominal, remedy),
         RING_BENDING.warn_above(
@@ -269,11 +242,7 @@ def _adapter_walls(a: SensorAdapter) -> Walls:
         ("above a nut", a.nut_roof, SUPPORTED_WALL),
         ("below a nut slot, at the rim", a.nut_slot_z[0] - a.cone_top, UNSUPPORTED_WALL),
         ("below a ring screw's hole", a.ring_hole_bottom - cone, SUPPORTED_WALL),
-        (
-            "between sensor screw and edge of the foot",
-            foot - tool - a.tool.screw.clearance_d / 2,
-            UNSUPPORTED_WALL,
-        ),
+        ("between sensor screw and edge of the foot", foot - tool - a.tool.screw.clearance_d / 2, UNSUPPORTED_WALL),
         *([("between a head's room and edge of the land", land, UNSUPPORTED_WALL)] if land >= 0.0 else []),
         ("between dowel hole and edge of the foot", foot - dowel - a.dowel_d / 2, UNSUPPORTED_WALL),
         ("over a dowel hole", a.groove_floor - a.dowel_depth, SUPPORTED_WALL),
@@ -311,11 +280,7 @@ def _plate_walls(p: FlangeAdapter) -> Walls:
             if p.p_centring_pins and p.centring_hole[1] < p.counterbore_top
             else []
         ),
-        *(
-            [("between a head's room and edge of the spigot", spigot, SUPPORTED_WALL)]
-            if robot.spigot[0] > 0.0
-            else []
-        ),
+        *([("between a head's room and edge of the spigot", spigot, SUPPORTED_WALL)] if robot.spigot[0] > 0.0 else []),
         ("under the heads of the sensor screws", p.mounting.grip, SUPPORTED_WALL),
     ]
 

@@ -106,9 +106,7 @@ def _spans(hanging: Mask, supported: Mask, limit: float) -> NDArray[np.float64]:
     return np.where(hanging, best, np.inf)
 
 
-def _steps(
-    hanging: Mask, supported: Mask, sign: int, direction: tuple[int, int], limit: int
-) -> NDArray[np.float64]:
+def _steps(hanging: Mask, supported: Mask, sign: int, direction: tuple[int, int], limit: int) -> NDArray[np.float64]:
     """Return the number of steps from each hanging pixel through material to a supported one; infinite if none."""
     found = np.full(hanging.shape, np.inf)
     reached = supported.copy()

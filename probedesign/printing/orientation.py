@@ -7,11 +7,7 @@ from typing import Any, Literal
 from probedesign.core.units import MM
 from probedesign.mount import FlangeAdapter, SensorAdapter
 from probedesign.mount import sensor_adapter as rigid
-from probedesign.mount.interior import (
-    clamp_ring_interior,
-    flange_adapter_interior,
-    sensor_adapter_interior,
-)
+from probedesign.mount.interior import clamp_ring_interior, flange_adapter_interior, sensor_adapter_interior
 from probedesign.printing.layers import Interior, LayerReport, Mask, examine_layers
 
 Side = Literal["upright", "upside down"]
@@ -89,9 +85,7 @@ class _RigidPart:
             return (z - low if upright else high - z) / MM
 
         def inside(x, y, z):  # type: ignore[no-untyped-def]
-            return self.interior(
-                x * MM, (y if upright else -y) * MM, low + z * MM if upright else high - z * MM
-            )
+            return self.interior(x * MM, (y if upright else -y) * MM, low + z * MM if upright else high - z * MM)
 
         interior: Interior = inside
         datums = tuple(height(z) for z in (self.down if upright else self.up))

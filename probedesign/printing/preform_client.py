@@ -73,9 +73,7 @@ class Connection:
         except ValueError:
             return self.host.lower() == "localhost"
 
-    def request(
-        self, what: str, method: str, path: str, body: dict[str, Any] | None = None
-    ) -> dict[str, Any]:
+    def request(self, what: str, method: str, path: str, body: dict[str, Any] | None = None) -> dict[str, Any]:
         """Send one request and return its response.
 
         Args:
@@ -100,22 +98,16 @@ class Connection:
             raise PreFormError(f"{self.url} is not PreForm: its answer to {what} is no JSON object")
         message = error_message(answer)
         if message is None:
-            raise PreFormError(
-                one_line(f"{self.url} answers {what} with {status} {reason}; is that PreForm?")
-            )
+            raise PreFormError(one_line(f"{self.url} answers {what} with {status} {reason}; is that PreForm?"))
         raise RefusedError(one_line(f"PreForm refuses {what}: {message}"))
 
-    def _exchange(
-        self, what: str, method: str, path: str, body: dict[str, Any] | None
-    ) -> tuple[int, str, bytes]:
+    def _exchange(self, what: str, method: str, path: str, body: dict[str, Any] | None) -> tuple[int, str, bytes]:
         http = self._connected()
         late = Event()
         try:
             with _deadline(http.sock, self.timeout_s, late):
                 payload = None if body is None else json.dumps(body).encode()
-                http.request(
-                    method, path, payload, {"Content-Type": "application/json", "Connection": "close"}
-                )
+                http.request(method, path, payload, {"Content-Type": "application/json", "Connection": "close"})
                 response = http.getresponse()
                 return response.status, response.reason, self._read(what, response, late)
         except (OSError, HTTPException) as error:
@@ -133,18 +125,14 @@ class Connection:
             http.close()
             reason = getattr(error, "strerror", None) or str(error) or "no response"
             raise NoResponseError(
-                one_line(
-                    f"{self.url}: no server responds ({reason}); start it: PreFormServer --port {self.port}"
-                )
+                one_line(f"{self.url}: no server responds ({reason}); start it: PreFormServer --port {self.port}")
             ) from None
         return http
 
     def _read(self, what: str, response: HTTPResponse, late: Event) -> bytes:
         content = response.read(MAX_REPLY + 1)
         if len(content) > MAX_REPLY:
-            raise PreFormError(
-                f"{self.url} is not PreForm: its answer to {what} is longer than {MAX_REPLY} bytes"
-            )
+            raise PreFormError(f"{self.url} is not PreForm: its answer to {what} is longer than {MAX_REPLY} bytes")
         # A connection cut within the headers reads like an empty response, which would mean success.
         silent = not content and response.length is None and not response.chunked
         if response.length or silent or late.is_set():
@@ -165,9 +153,7 @@ def connection_to(url: str, timeout_s: float = 60.0) -> Connection:
             return Connection(parts.hostname, parts.port or PORT, timeout_s)
     except ValueError:
         pass
-    raise InputError(
-        f"--preform {quoted(url)} is not the address of a PreFormServer; write http://localhost:{PORT}"
-    )
+    raise InputError(f"--preform {quoted(url)} is not the address of a PreFormServer; write http://localhost:{PORT}")
 
 
 @contextmanager
@@ -300,15 +286,11 @@ class PreForm:
         body = {"printer": printer, "job_name": job_name, "print_now": False}
         return self._operate(UploadedJob, "the upload", "POST", f"{_at(scene)}print/", body).job_id
 
-    def _call(
-        self, kind: type[R], what: str, method: str, path: str, body: dict[str, Any] | None = None
-    ) -> R:
+    def _call(self, kind: type[R], what: str, method: str, path: str, body: dict[str, Any] | None = None) -> R:
         self.on_progress(what, None)
         return self._checked(kind, what, self.connection.request(what, method, path, body))
 
-    def _operate(
-        self, kind: type[R], what: str, method: str, path: str, body: dict[str, Any] | None = None
-    ) -> R:
+    def _operate(self, kind: type[R], what: str, method: str, path: str, body: dict[str, Any] | None = None) -> R:
         """Start a long operation and wait until it ends."""
         self.on_progress(what, None)
         answer = self.connection.request(what, method, f"{path}?async=true", body)
@@ -351,9 +333,7 @@ class PreForm:
             first = error.errors(include_url=False)[0]
             where = ".".join(map(str, first["loc"]))
             raise PreFormError(
-                one_line(
-                    f"{self.connection.url} is not PreForm: its answer to {what}: {where}: {first['msg']}"
-                )
+                one_line(f"{self.connection.url} is not PreForm: its answer to {what}: {where}: {first['msg']}")
             ) from None
 
 

@@ -81,14 +81,10 @@ def load_job(design: Design, folder: Path, parts: Parts) -> PrintJob:
     manifest = _manifest(folder / "manifest.json")
     _check_same(design, manifest, folder)
     names = [
-        name
-        for name in manifest["files"]
-        if PLAIN.fullmatch(name) and (name == "probe.stl") == (parts == "probe")
+        name for name in manifest["files"] if PLAIN.fullmatch(name) and (name == "probe.stl") == (parts == "probe")
     ]
     if not names:
-        raise InputError(
-            f"{folder}: its manifest lists no STL files for --parts {parts}; export the design again"
-        )
+        raise InputError(f"{folder}: its manifest lists no STL files for --parts {parts}; export the design again")
     sizes = {name[:-4]: _size(folder / name, manifest["files"][name]) for name in names}
     resin = design.resin.name if parts == "probe" else "rigid"
     name = f"{design.name}-{build_geometry(design).fingerprint}-{parts}"
@@ -96,9 +92,7 @@ def load_job(design: Design, folder: Path, parts: Parts) -> PrintJob:
     return PrintJob(name, design.printer.product, resin, folder, sizes, upside_down, on_platform)
 
 
-def _orientations(
-    manifest: dict[str, Any], sizes: dict[str, Extent]
-) -> tuple[frozenset[str], frozenset[str]]:
+def _orientations(manifest: dict[str, Any], sizes: dict[str, Extent]) -> tuple[frozenset[str], frozenset[str]]:
     """Return the parts that are printed upside down, and those without supports; all others stand upright on supports.
 
     Exports of earlier versions do not state them.
@@ -388,9 +382,7 @@ def _send(server: PreForm, scene: str, printer: str, name: str) -> str:
     except RefusedError:
         raise
     except PreFormError as error:
-        raise NoResponseError(
-            f"{error}; whether {printer} has received the job is unknown; check its queue"
-        ) from None
+        raise NoResponseError(f"{error}; whether {printer} has received the job is unknown; check its queue") from None
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"interrupted; whether {printer} has received the job is unknown; check its queue"

@@ -161,9 +161,7 @@ class PrintSelection:
     scene_settings: dict[str, Any]  #: the parameters that create the scene.
 
 
-def select_settings(
-    materials: MaterialList, product: str, resin: str, material: str | None = None
-) -> PrintSelection:
+def select_settings(materials: MaterialList, product: str, resin: str, material: str | None = None) -> PrintSelection:
     """Return the settings for a printer and a resin, in layers of 0.1 mm.
 
     Args:
@@ -175,9 +173,7 @@ def select_settings(
     Raises:
         InputError: PreForm has no such printer, material or layer, or the resin has no default; names what PreForm has.
     """
-    printer = next(
-        (p for p in materials.printer_types if product in (p.label, *p.supported_product_names)), None
-    )
+    printer = next((p for p in materials.printer_types if product in (p.label, *p.supported_product_names)), None)
     if printer is None:
         known = _has(p.label for p in materials.printer_types)
         raise InputError(f"PreForm knows no {product}; {known}")
@@ -193,9 +189,7 @@ def _asked(printer: PrinterType, name: str) -> PrintMaterial:
             return material
     labels = [material.label for material in printer.materials]
     near = difflib.get_close_matches(name, labels, 3, 0.5)
-    raise InputError(
-        f"--material {quoted(name)}: PreForm has none for a {printer.label}; {_has(near or labels)}"
-    )
+    raise InputError(f"--material {quoted(name)}: PreForm has none for a {printer.label}; {_has(near or labels)}")
 
 
 def _preferred(printer: PrinterType, resin: str) -> PrintMaterial:

@@ -232,9 +232,7 @@ class Chart:
         if name:
             self.legend.append(LegendEntry(name, colour, _NO_LINE, mark))
 
-    def area(
-        self, points: Sequence[tuple[float, float]], colour: str, opacity: float = 0.2, name: str = ""
-    ) -> None:
+    def area(self, points: Sequence[tuple[float, float]], colour: str, opacity: float = 0.2, name: str = "") -> None:
         """Add a filled polygon."""
         self._elements.append(_Area(points, colour, opacity))
         if name:
@@ -373,9 +371,7 @@ class Chart:
             ax.set_aspect("equal", adjustable="datalim")
         else:
             for axis, name in ((self.x, "x"), (self.y, "y")):
-                ax.set(
-                    **{f"{name}scale": "log" if axis.log else "linear", f"{name}lim": (axis.low, axis.high)}
-                )
+                ax.set(**{f"{name}scale": "log" if axis.log else "linear", f"{name}lim": (axis.low, axis.high)})
                 ax.set(**{f"{name}ticks": axis.shown_ticks, f"{name}ticklabels": axis.tick_labels})
             ax.minorticks_off()
             if self.x.upright:
@@ -421,9 +417,7 @@ def _legend_row(row: Sequence[tuple[float, LegendEntry]], y: float) -> str:
         if dashes is None:
             parts.append(f'<rect x="{x + 6:g}" y="{y - 6:g}" width="14" height="12" fill="{colour}"/>')
         else:
-            parts.append(
-                f'<path d="M{x:g} {y:g}h26" stroke="{colour}" stroke-width="2" stroke-dasharray="{dashes}"/>'
-            )
+            parts.append(f'<path d="M{x:g} {y:g}h26" stroke="{colour}" stroke-width="2" stroke-dasharray="{dashes}"/>')
             parts.append(_mark(mark, x + 13, y, colour))
         parts.append(f'<text x="{x + 31:g}" y="{y + 4.5:g}">{escape(name)}</text>')
     return "".join(parts)

@@ -83,12 +83,9 @@ def _compared(design: Design, task: Task) -> ComparedDesign:
         pressing=PressSchedule(min(max(task.touches, 2), MAX_TOUCHES), moments),
     )  # fmt: skip
     rms = tuple(
-        task.combined(predict_task(model, replace(task, forces_N=(f,)), slipping=False).errors)
-        for f in FORCES_N
+        task.combined(predict_task(model, replace(task, forces_N=(f,)), slipping=False).errors) for f in FORCES_N
     )
-    along = replace(
-        task, fractions=COMPARED_FRACTIONS, forces_N=(task.force_N,), gravities=task.gravities[:1]
-    )
+    along = replace(task, fractions=COMPARED_FRACTIONS, forces_N=(task.force_N,), gravities=task.gravities[:1])
     return ComparedDesign(
         design, design_metrics(design, task), predict_task(model, along, slipping=False), rms, prediction,
         fused_headline(model),
@@ -134,9 +131,7 @@ def comparison_table(compared: Sequence[ComparedDesign]) -> HtmlTable:
 
 def comparison_verdict(compared: Sequence[ComparedDesign]) -> str:
     """Return which design locates the task's touches best, in one sentence."""
-    located = sorted(
-        (one.metrics.error_mm, one.design.name) for one in compared if one.metrics.error_mm is not None
-    )
+    located = sorted((one.metrics.error_mm, one.design.name) for one in compared if one.metrics.error_mm is not None)
     if not located:
         return "No design locates every touch of the task."
     (error, name), others = located[0], located[1:]
@@ -172,18 +167,14 @@ def comparison_page(compared: Sequence[ComparedDesign], task: Task) -> bytes:
         ReportFigure("Sag", "Without contact, under gravity as mounted, seen along y, x downwards.",
                 _sag_chart(compared).svg()),
     ]  # fmt: skip
-    assumed = [
-        f"{one.design.name} assumes {', '.join(one.design.assumptions) or 'nothing'}" for one in compared
-    ]
+    assumed = [f"{one.design.name} assumes {', '.join(one.design.assumptions) or 'nothing'}" for one in compared]
     title = f"Comparison: {' · '.join(one.design.name for one in compared)}"
     table, verdict = comparison_table(compared), comparison_verdict(compared)
     return report_page(title, [task.text, *assumed], table, sections, verdict=verdict)
 
 
 _Points = tuple[Sequence[float], Sequence[float]]
-_PLACE = ChartAxis(
-    "contact position, fraction of the length", 0.0, 1.05, ticks=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
-)
+_PLACE = ChartAxis("contact position, fraction of the length", 0.0, 1.05, ticks=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0))
 _ERROR = "contact error, RMS [mm]"
 
 
@@ -193,9 +184,7 @@ def _lines(
 ) -> ReportFigure:  # fmt: skip
     """Return a figure with one line per design; its y axis is logarithmic unless it starts at zero."""
     lines = [line(one) for one in compared]
-    along = (
-        x if isinstance(x, ChartAxis) else ChartAxis.spanning(x, [v for values, _ in lines for v in values])
-    )
+    along = x if isinstance(x, ChartAxis) else ChartAxis.spanning(x, [v for values, _ in lines for v in values])
     upwards = ChartAxis.spanning(y, [v for _, values in lines for v in values], log=not from_zero)
     chart = Chart(along, replace(upwards, low=0.0) if from_zero else upwards)
     for one, points, colour, dashes, mark in zip(compared, lines, COLOURS, DASHES, MARKS, strict=False):

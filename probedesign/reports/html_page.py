@@ -157,8 +157,7 @@ def report_page(
         if figures
     )
     last = "".join(
-        f"<details class=last><summary>{escape(name)}</summary>{rows.html()}</details>\n"
-        for name, rows in after
+        f"<details class=last><summary>{escape(name)}</summary>{rows.html()}</details>\n" for name, rows in after
     )
     listed = "".join(f"<section><h2>{escape(name)}</h2>{rows.html()}</section>\n" for name, rows in opened)
     head = f"<section>{table.html()}</section>\n" if table else ""
@@ -170,13 +169,10 @@ def report_page(
 
 def _figures(sections: Sequence[ReportFigure]) -> str:
     return "".join(
-        f"<section><h2>{escape(s.heading)}</h2>{_labelled(s)}<p>{escape(s.caption)}</p></section>\n"
-        for s in sections
+        f"<section><h2>{escape(s.heading)}</h2>{_labelled(s)}<p>{escape(s.caption)}</p></section>\n" for s in sections
     )
 
 
 def _labelled(section: ReportFigure) -> str:
     """Return the figure with its heading as text alternative."""
-    return section.svg.decode().replace(
-        "<svg ", f'<svg role="img" aria-label="{escape(section.heading)}" ', 1
-    )
+    return section.svg.decode().replace("<svg ", f'<svg role="img" aria-label="{escape(section.heading)}" ', 1)

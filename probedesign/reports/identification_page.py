@@ -40,9 +40,7 @@ def identification_page(found: Identification) -> bytes:
     kinds = {one.kind for one in found.residuals}
     sections = []
     if kinds & set(KINDS):
-        caption = (
-            "Noise as stated, or as measured where that is larger. Tests are in the order of their table."
-        )
+        caption = "Noise as stated, or as measured where that is larger. Tests are in the order of their table."
         by_test = ReportFigure("Residuals by test", caption, residual_chart(found).svg())
         sections = [by_test, _normal(found)]
     if "markers" in kinds:
@@ -72,9 +70,7 @@ def _sentence(one: Identified) -> str:
     unit = f" {one.unit}" if one.unit else ""
     if not one.estimated:
         return f"{one.name} is {one.state} and stays at the design's {one.design:.4g}{unit}"
-    text = (
-        f"{one.name} is {one.value:.4g}{unit}, with a 95 % interval of {one.low:.4g} to {one.high:.4g}{unit}"
-    )
+    text = f"{one.name} is {one.value:.4g}{unit}, with a 95 % interval of {one.low:.4g} to {one.high:.4g}{unit}"
     if one.change:
         text += f" (design {one.design:.4g}{unit}, change {one.change})"
     return text if one.identified else f"{text}; {one.why}"
@@ -225,10 +221,7 @@ def _noise(found: Identification) -> HtmlTable:
 
 
 def _shifts(found: Identification) -> HtmlTable:
-    rows = [
-        [cause, ", ".join(f"{one.of} {one.percent:.2g} %" for one in of)]
-        for cause, of in found.causes.items()
-    ]
+    rows = [[cause, ", ".join(f"{one.of} {one.percent:.2g} %" for one in of)] for cause, of in found.causes.items()]
     note = (
         "One standard deviation each, of the prior in [tolerances] where there is one; the squares add up to that of "
         "the number, which --write puts into [tolerances] and stiffness_spread."

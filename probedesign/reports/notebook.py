@@ -126,19 +126,14 @@ def rows_of(thing: object) -> Rows:
 @summary_of.register
 def _(design: Design) -> Summary:
     probe, sensor = design.probe, design.sensor_model
-    ends = f"{probe.base_d_mm:g} mm at the base" + (
-        f", {probe.tip_d_mm:g} mm at the tip" if probe.tip_d_mm else ""
-    )
+    ends = f"{probe.base_d_mm:g} mm at the base" + (f", {probe.tip_d_mm:g} mm at the tip" if probe.tip_d_mm else "")
     gravity = ", ".join(f"{g:g}" for g in design.mount.gravity_base_m_s2)
     rows = [
         ("shape", f"{probe.shape}, {probe.section} section, {probe.length_mm:g} mm long"),
         ("diameter", ends),
         ("resin", design.resin.product),
         *_material({"E": design.youngs_modulus, "G": design.shear_modulus, "density": design.density}),
-        (
-            "sensor",
-            f"{sensor.name}, {design.calibration.name}, mean of {design.sensor.averaging_samples} samples",
-        ),
+        ("sensor", f"{sensor.name}, {design.calibration.name}, mean of {design.sensor.averaging_samples} samples"),
         ("gravity in base axes", f"{gravity} m/s²"),
         ("friction", f"{design.friction.value:g} ({design.friction.provenance})"),
     ]
@@ -216,9 +211,7 @@ def _(prediction: Prediction) -> Summary:
         ("assumed", ", ".join(prediction.assumptions) or "nothing"),
     ]
     located = any(c.predicted_error_mm is not None for c in prediction.conditions)
-    return Summary(
-        f"prediction of {prediction.name}", rows, (lambda: error_chart(prediction)) if located else None
-    )
+    return Summary(f"prediction of {prediction.name}", rows, (lambda: error_chart(prediction)) if located else None)
 
 
 def _headline(prediction: Prediction, force: float) -> Any:
@@ -306,10 +299,7 @@ def _(fused: FusedEstimate) -> Summary:
         ("RMS error of it", f"{fused.rms / MM:.3g} mm"),
         ("factor on E", f"{fused.stiffness:.3f} ± {fused.std_stiffness:.2g}"),
         ("χ²", f"{fused.chi2:.3g}, {fused.dof} degrees of freedom"),
-        *(
-            (f"RMS error without the error of {name}", f"{rms / MM:.3g} mm")
-            for name, rms in fused.rms_without.items()
-        ),
+        *((f"RMS error without the error of {name}", f"{rms / MM:.3g} mm") for name, rms in fused.rms_without.items()),
         *((f"RMS error with {name}", f"{rms / MM:.3g} mm") for name, rms in fused.rms_with.items()),
     ]
     return Summary("fused touches of one point", rows, lambda: _projections(fused.cov_surface_world))
@@ -331,21 +321,9 @@ def _projections(cov: Array) -> Chart:
 
 @rows_of.register
 def _(fused: FusedEstimate) -> Rows:
-    columns = [
-        "s_contact_mm",
-        *_axes("force_base", "N"),
-        "force_normal_N",
-        "force_tangential_N",
-        "friction_ratio",
-    ]
+    columns = ["s_contact_mm", *_axes("force_base", "N"), "force_normal_N", "force_tangential_N", "friction_ratio"]
     values = np.column_stack(
-        [
-            fused.s_contact / MM,
-            fused.force_base,
-            fused.force_normal,
-            fused.force_tangential,
-            fused.friction_ratio,
-        ]
+        [fused.s_contact / MM, fused.force_base, fused.force_normal, fused.force_tangential, fused.friction_ratio]
     )
     return columns, [dict(zip(columns, row, strict=True)) for row in values.tolist()]
 
@@ -371,9 +349,7 @@ def _(found: Identification) -> Summary:
         *(("caveat", caveat) for caveat in found.caveats),
     ]
     drawn = any(one.kind in ("markers", "wrenches", "touches") for one in found.residuals)
-    return Summary(
-        f"identification of {found.name}", rows, (lambda: residual_chart(found)) if drawn else None
-    )
+    return Summary(f"identification of {found.name}", rows, (lambda: residual_chart(found)) if drawn else None)
 
 
 def _interval(one: Identified) -> str:

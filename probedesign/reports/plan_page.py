@@ -74,9 +74,7 @@ def _table(plan: Plan) -> HtmlTable:
         ]
         for one in plan.tests
     ]
-    return HtmlTable(
-        head, rows, "Intervals of identify with the design's dimensions; — : not determined yet."
-    )
+    return HtmlTable(head, rows, "Intervals of identify with the design's dimensions; — : not determined yet.")
 
 
 def _chart_section(plan: Plan) -> str:
@@ -97,9 +95,7 @@ def _chart_section(plan: Plan) -> str:
         chart.line(times, line, *style, name=name)
     heading = "When to stop"
     svg = chart.svg().decode().replace("<svg ", f'<svg role="img" aria-label="{heading}" ', 1)
-    caption = (
-        "Where a line begins the tests first determine the parameter. It may rise where another one begins."
-    )
+    caption = "Where a line begins the tests first determine the parameter. It may rise where another one begins."
     return f"<section class=stop><h2>{heading}</h2>{svg}<p>{caption}</p></section>"
 
 

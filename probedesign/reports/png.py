@@ -118,9 +118,7 @@ def draw_validation(validation: "ValidationReport") -> bytes:
     return _png_bytes(figure)
 
 
-def _new_figure(
-    width: float, height: float, margins: tuple[float, float, float, float] | None = None
-) -> "Figure":
+def _new_figure(width: float, height: float, margins: tuple[float, float, float, float] | None = None) -> "Figure":
     """Return an empty figure that needs no display.
 
     Args:

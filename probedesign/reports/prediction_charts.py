@@ -12,26 +12,10 @@ from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.fused import FusedCondition
-from probedesign.prediction.predict import (
-    CAUSE_GROUPS,
-    HEADLINE_FORCE_N,
-    Condition,
-    Prediction,
-    shares_of,
-    worst,
-)
+from probedesign.prediction.predict import CAUSE_GROUPS, HEADLINE_FORCE_N, Condition, Prediction, shares_of, worst
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.prediction.workspace import STEPS, Workspace
-from probedesign.reports.chart import (
-    COLOURS,
-    DASHES,
-    MARKS,
-    ORDERED,
-    Chart,
-    ChartAxis,
-    LegendEntry,
-    line_colours,
-)
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, LegendEntry, line_colours
 from probedesign.rod.contact import solve_frictionless
 
 Cell = Condition | FusedCondition
@@ -65,9 +49,7 @@ def error_chart(prediction: Prediction) -> Chart:
     """Return the error of one reading along the probe by force: a line for the worst direction, a band for all."""
     located = [c for c in prediction.conditions if c.result == "ok" and c.predicted_error_mm is not None]
     forces = sorted({c.force_N for c in located})
-    chart = _along(
-        "predicted contact error, RMS [mm]", [_number(c.predicted_error_mm) for c in located], 1.02
-    )
+    chart = _along("predicted contact error, RMS [mm]", [_number(c.predicted_error_mm) for c in located], 1.02)
     for force, colour, mark in zip(forces, line_colours(len(forces)), itertools.cycle(MARKS), strict=False):
         errors: dict[float, list[float]] = {}
         for c in located:
@@ -212,9 +194,7 @@ def probe_chart(prediction: Prediction, estimator: Estimator) -> Chart:
     shape = free.p_at(s) if free.ok else np.outer(s, (0.0, 0.0, 1.0))  # buckled under its weight: undeformed
     upper, lower = flanks(shape, model.rod.radius_at(s))
     chart = Chart.side_view(np.insert(np.concatenate([upper, lower]), 1, 0.0, axis=1)[:, [2, 1, 0]], 0)
-    located = {
-        c.contact_fraction: c.predicted_error_mm for c in worst(prediction.conditions, HEADLINE_FORCE_N)
-    }
+    located = {c.contact_fraction: c.predicted_error_mm for c in worst(prediction.conditions, HEADLINE_FORCE_N)}
     places = np.array(sorted({c.contact_fraction for c in prediction.conditions}))
     fractions = s / model.rod.length
     nearest = places[np.argmin(np.abs(places[:, None] - (fractions[1:] + fractions[:-1]) / 2.0), axis=0)]
@@ -228,9 +208,7 @@ def probe_chart(prediction: Prediction, estimator: Estimator) -> Chart:
     shown = {level for level in levels if level is not None}
     outline = np.concatenate([upper, lower[::-1], upper[:1]])
     chart.line(outline[:, 0], outline[:, 1], COLOURS[0], width=1.0)
-    chart.legend += [
-        LegendEntry(_level_label(level), ORDERED[level]) for level in sorted(shown, reverse=True)
-    ]
+    chart.legend += [LegendEntry(_level_label(level), ORDERED[level]) for level in sorted(shown, reverse=True)]
     return chart
 
 
@@ -298,9 +276,7 @@ def workspace_chart(workspace: Workspace, across: int) -> Chart:
         sheets[side] = np.array([path.points for path in paths]).reshape(-1, STEPS, 3)
     if across and not len(sheets["-y"]) and "-y" in (workspace.area_mm2 or {}):
         sheets["-y"] = sheets["+y"] * np.array([1.0, -1.0, 1.0])
-    chart = Chart.side_view(
-        np.concatenate([*(s.reshape(-1, 3) for s in sheets.values()), np.zeros((1, 3))]), across
-    )
+    chart = Chart.side_view(np.concatenate([*(s.reshape(-1, 3) for s in sheets.values()), np.zeros((1, 3))]), across)
     for side, colour in sides.items():
         if not len(sheets[side]):
             continue

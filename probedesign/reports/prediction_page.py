@@ -9,14 +9,8 @@ from dataclasses import dataclass
 from probedesign.core.units import format_value
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.fused import SHOWN_N, shown
-from probedesign.prediction.predict import (
-    HEADLINE_FORCE_N,
-    Prediction,
-    worst,
-)
-from probedesign.reports.chart import (
-    Chart,
-)
+from probedesign.prediction.predict import HEADLINE_FORCE_N, Prediction, worst
+from probedesign.reports.chart import Chart
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 from probedesign.reports.prediction_charts import (
     LIMITS,
@@ -156,9 +150,7 @@ def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence
         tables.append(("Monte Carlo simulation with the estimator", _sampled(prediction)))
     tables.append(("Tolerances: standard deviations", HtmlTable(["[tolerances]", "value", "source"], rows)))
     title = f"{prediction.name}: predicted contact errors"
-    return report_page(
-        title, about, None, shown_first, tables, list(sections.items()), verdict=prediction.verdict
-    )
+    return report_page(title, about, None, shown_first, tables, list(sections.items()), verdict=prediction.verdict)
 
 
 # Tables
@@ -179,9 +171,7 @@ def _table(prediction: Prediction) -> HtmlTable:
             [f.force_mN_for_2_mm for f in prediction.fused_reach if f.contact_fraction == place],
             [None if weakest.greatest_force_N is None else 1e3 * weakest.greatest_force_N],
         )  # fmt: skip
-        rows.append(
-            [f"{place:g} L", *map(_force, forces), LIMITS[weakest.limit][0], _mm(weakest.deflection_mm)]
-        )
+        rows.append([f"{place:g} L", *map(_force, forces), LIMITS[weakest.limit][0], _mm(weakest.deflection_mm)])
     return HtmlTable(head, rows)
 
 

@@ -38,9 +38,7 @@ class RecordedTouch:
     @property
     def words(self) -> str:
         """Return the touch as one line."""
-        time = (
-            f"{self.start_s:.2f} ... {self.end_s:.2f} s: {self.located} of {self.readings} readings located"
-        )
+        time = f"{self.start_s:.2f} ... {self.end_s:.2f} s: {self.located} of {self.readings} readings located"
         if not self.located:
             return time
         low, high = self.s_mm
@@ -122,16 +120,7 @@ def recording_page(estimates: RecordingEstimates) -> bytes:
 
 
 def _touch_table(touches: Sequence[RecordedTouch]) -> HtmlTable:
-    head = [
-        "touch",
-        "start [s]",
-        "end [s]",
-        "readings",
-        "located",
-        "s [mm]",
-        "force up to [mN]",
-        "RMS error [mm]",
-    ]
+    head = ["touch", "start [s]", "end [s]", "readings", "located", "s [mm]", "force up to [mN]", "RMS error [mm]"]
     rows = [
         [f"{number}", f"{touch.start_s:.2f}", f"{touch.end_s:.2f}", f"{touch.readings}", f"{touch.located}",
          *(_cells(touch) if touch.located else ("—", "—", "—"))]
@@ -164,28 +153,19 @@ def _figures(rows: Sequence[Row]) -> list[ReportFigure]:
     place = _over_time(shown, "arclength of the contact [mm]", [*(s - std), *(s + std)])
     for low, high in _runs(s):
         time = _column(shown[low:high], "time_s")
-        band = [
-            *zip(time, (s + std)[low:high], strict=True),
-            *zip(time[::-1], (s - std)[low:high][::-1], strict=True),
-        ]
+        band = [*zip(time, (s + std)[low:high], strict=True), *zip(time[::-1], (s - std)[low:high][::-1], strict=True)]
         place.area([(float(a), float(b)) for a, b in band], COLOURS[1], 0.25)
     _draw(place, shown, s, COLOURS[1], "estimated, ± one standard deviation")
     if "true_s_contact_mm" in shown[0]:
-        place.line(
-            _column(shown, "time_s"), _column(shown, "true_s_contact_mm"), COLOURS[0], "5 3", name="true"
-        )
+        place.line(_column(shown, "time_s"), _column(shown, "true_s_contact_mm"), COLOURS[0], "5 3", name="true")
     force = _over_time(shown, "force [mN]", [*_force(shown), 0.0])
     _draw(force, shown, _force(shown), COLOURS[2])
     error = _over_time(shown, "RMS error [mm]", [*_rms(shown), 0.0])
     _draw(error, shown, _rms(shown), COLOURS[3])
     return [
-        ReportFigure(
-            "Place of the contact", f"A pointer on a dot shows its values.{gaps}{thinned}", place.svg()
-        ),
+        ReportFigure("Place of the contact", f"A pointer on a dot shows its values.{gaps}{thinned}", place.svg()),
         ReportFigure("Force on the probe", f"Magnitude of the located force.{gaps}{thinned}", force.svg()),
-        ReportFigure(
-            "Stated error", f"RMS distance between true and located point.{gaps}{thinned}", error.svg()
-        ),
+        ReportFigure("Stated error", f"RMS distance between true and located point.{gaps}{thinned}", error.svg()),
     ]
 
 
@@ -197,9 +177,7 @@ def _over_time(rows: Sequence[Row], label: str, values: Sequence[float]) -> Char
 
 
 def _draw(chart: Chart, rows: Sequence[Row], values: Array, colour: str, name: str = "") -> None:
-    chart.line(
-        _column(rows, "time_s"), values, colour, mark="o" if len(rows) <= MAX_MARKED else "", name=name
-    )
+    chart.line(_column(rows, "time_s"), values, colour, mark="o" if len(rows) <= MAX_MARKED else "", name=name)
 
 
 def _runs(values: Array) -> list[tuple[int, int]]:

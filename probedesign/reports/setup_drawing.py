@@ -50,9 +50,7 @@ class _Canvas:
         text = " ".join(f"{x:.1f},{y:.1f}" for x, y in pixels)
         self.elements.append(f'<polygon points="{text}" fill="{fill}" stroke="{stroke}"/>')
 
-    def line(
-        self, pixels: Array, colour: str, width: float = 1.5, dashes: str = "", arrow: bool = False
-    ) -> None:
+    def line(self, pixels: Array, colour: str, width: float = 1.5, dashes: str = "", arrow: bool = False) -> None:
         """Draw a line through pixels, with an arrow head at its end on request."""
         text = " ".join(f"{x:.1f},{y:.1f}" for x, y in pixels)
         dashed = f' stroke-dasharray="{dashes}"' if dashes else ""
@@ -66,16 +64,10 @@ class _Canvas:
             self.polygon(np.array([tip + 3.0 * along, tip - 6.0 * along + 4.0 * across,
                                    tip - 6.0 * along - 4.0 * across]), colour)  # fmt: skip
 
-    def text(
-        self, pixel: Array, words: str, colour: str = MARK, anchor: str = "middle", size: float = 12.0
-    ) -> None:
+    def text(self, pixel: Array, words: str, colour: str = MARK, anchor: str = "middle", size: float = 12.0) -> None:
         """Write words at a pixel, moved into the drawing."""
         half = 0.5 * 0.58 * size * len(words)
-        x = (
-            float(np.clip(pixel[0], half + 2.0, WIDTH - half - 2.0))
-            if anchor == "middle"
-            else float(pixel[0])
-        )
+        x = float(np.clip(pixel[0], half + 2.0, WIDTH - half - 2.0)) if anchor == "middle" else float(pixel[0])
         y = float(np.clip(pixel[1], size, HEIGHT - 4.0))
         self.elements.append(f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size:g}" text-anchor="{anchor}" '
                              f'fill="{colour}" stroke="#fff" stroke-width="3" paint-order="stroke">'
@@ -169,9 +161,7 @@ def _edge(canvas: _Canvas, at: Array, along: Array, candidate: CandidateTest, wi
     """Draw the touching edge on the side that it pushes from, with an arrow along its displacement."""
     assert candidate.test is not None
     across, tip = np.array([-along[1], along[0]]), at - width * along
-    canvas.polygon(
-        np.array([tip, tip - 16.0 * along + 7.0 * across, tip - 16.0 * along - 7.0 * across]), LOAD
-    )
+    canvas.polygon(np.array([tip, tip - 16.0 * along + 7.0 * across, tip - 16.0 * along - 7.0 * across]), LOAD)
     start = tip - 44.0 * along
     canvas.line(np.array([start, tip - 20.0 * along]), LOAD, 2.0, arrow=True)
     words = f"{candidate.displacement / MM:g} mm {candidate.test.direction}"

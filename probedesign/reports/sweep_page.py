@@ -24,10 +24,7 @@ SHORT = {"refused": "invalid", "gives_way": "buckles", "unobservable": "unobs.",
 
 
 def sweep_page(
-    records: Sequence[Record],
-    keys: Sequence[str],
-    about: str,
-    beside: tuple[str, Sequence[Record]] | None = None,
+    records: Sequence[Record], keys: Sequence[str], about: str, beside: tuple[str, Sequence[Record]] | None = None
 ) -> bytes:
     """Return the page of a sweep.
 
@@ -49,9 +46,7 @@ def sweep_page(
             elif len(keys) == 2:
                 figures.append(ReportFigure(heading, _HEAT, heat_map(rows, keys, low, high).svg()))
             else:
-                figures.append(
-                    ReportFigure(heading, _PARALLEL, parallel_coordinates(rows, keys, low, high).svg())
-                )
+                figures.append(ReportFigure(heading, _PARALLEL, parallel_coordinates(rows, keys, low, high).svg()))
     best = sorted((r for r in records if r["result"] == "ok"), key=lambda r: float(r[METRIC]))[:MAX_ROWS]
     head = [*keys, *METRICS]
     table = HtmlTable(head, [[format_value(row[name]) for name in head] for row in best])
@@ -79,10 +74,7 @@ def verdict(records: Sequence[Record], keys: Sequence[str]) -> str:
 def heat_map(records: Sequence[Record], keys: Sequence[str], low: float, high: float) -> Chart:
     """Return the error over two keys as a map, with colours in equal steps of its logarithm from `low` to `high`."""
     values = [list(dict.fromkeys(record[key] for record in records)) for key in keys]
-    x, y = (
-        ChartAxis.named(key, [format_value(v) for v in found])
-        for key, found in zip(keys, values, strict=True)
-    )
+    x, y = (ChartAxis.named(key, [format_value(v) for v in found]) for key, found in zip(keys, values, strict=True))
     chart = Chart(x, y)
     best = min((r for r in records if r["result"] == "ok"), key=lambda r: float(r[METRIC]), default=None)
     frame = None
@@ -102,9 +94,7 @@ def heat_map(records: Sequence[Record], keys: Sequence[str], low: float, high: f
     _legend(chart, low, high)
     if frame is not None:
         (i, j), h = frame, 0.5
-        chart.line(
-            [i - h, i + h, i + h, i - h, i - h], [j - h, j - h, j + h, j + h, j - h], COLOURS[2], width=3.0
-        )
+        chart.line([i - h, i + h, i + h, i - h, i - h], [j - h, j - h, j + h, j + h, j - h], COLOURS[2], width=3.0)
     return chart
 
 
@@ -120,9 +110,7 @@ def _legend(chart: Chart, low: float, high: float) -> None:
 def parallel_coordinates(records: Sequence[Record], keys: Sequence[str], low: float, high: float) -> Chart:
     """Return a line for each evaluated design through its values of all keys and its error, coloured by the error."""
     names = [*keys, METRIC]
-    chart = Chart(
-        ChartAxis.named("", [name.rpartition(".")[2] for name in names]), ChartAxis("", -0.1, 1.1, ticks=())
-    )
+    chart = Chart(ChartAxis.named("", [name.rpartition(".")[2] for name in names]), ChartAxis("", -0.1, 1.1, ticks=()))
     _legend(chart, low, high)
     good = sorted((r for r in records if r["result"] == "ok"), key=lambda r: -float(r[METRIC]))
     scales = [_scale([r[name] for r in records if r[name] is not None]) for name in names]
@@ -130,10 +118,7 @@ def parallel_coordinates(records: Sequence[Record], keys: Sequence[str], low: fl
         last = i == len(good) - 1
         heights = [scale[record[name]] for name, scale in zip(names, scales, strict=True)]
         chart.line(
-            range(1, len(names) + 1),
-            heights,
-            ORDERED[_level(record[METRIC], low, high)],
-            width=4.0 if last else 1.0,
+            range(1, len(names) + 1), heights, ORDERED[_level(record[METRIC], low, high)], width=4.0 if last else 1.0
         )
     for i, scale in enumerate(scales, 1):
         ends = min(scale, key=scale.__getitem__), max(scale, key=scale.__getitem__)
@@ -163,9 +148,7 @@ def _curves(records: Sequence[Record], key: str, name: str) -> list[ReportFigure
     x = [record[key] for record in records]
     numeric = all(isinstance(value, int | float) for value in x)
     places = x if numeric else list(range(1, len(x) + 1))
-    across = (
-        ChartAxis.spanning(key, places) if numeric else ChartAxis.named(key, [format_value(v) for v in x])
-    )
+    across = ChartAxis.spanning(key, places) if numeric else ChartAxis.named(key, [format_value(v) for v in x])
     for i, metric in enumerate(CURVES):
         y = [math.nan if r[metric] is None or r["result"] != "ok" else float(r[metric]) for r in records]
         if not any(map(math.isfinite, y)):
@@ -187,9 +170,7 @@ def read_sweep(path: Path, keys: Sequence[str]) -> list[dict[str, Any]]:
     try:
         text = path.read_text("utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'not UTF-8'}"
-        ) from None
+        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'not UTF-8'}") from None
     rows = list(csv.DictReader(io.StringIO(text)))
     missing = [name for name in (*keys, "result", *METRICS) if not rows or name not in rows[0]]
     if missing:

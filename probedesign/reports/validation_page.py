@@ -153,18 +153,13 @@ def validation_page(validation: ValidationReport) -> bytes:
     ]
     drawn = [trial for trial in validation.tests if trial.shape is not None or len(trial.markers_base)]
     shapes = [_shape(trial, model) for trial in drawn[:MAX_SHAPES]]
-    folded = [
-        ("Internal forces and moments", _internal_loads(validation)),
-        (f"Shapes of {len(shapes)} tests", shapes),
-    ]
+    folded = [("Internal forces and moments", _internal_loads(validation)), (f"Shapes of {len(shapes)} tests", shapes)]
     after = [("Results by test", _table(validation))]
     if validation.notes or len(drawn) > MAX_SHAPES:
         more = [f"{len(drawn) - MAX_SHAPES} more shapes are not shown"] if len(drawn) > MAX_SHAPES else []
         after.append(("Notes", HtmlTable([""], [[note] for note in (*validation.notes, *more)])))
     title = f"{model.name}: validation against the reference"
-    return report_page(
-        title, about, _summary(validation), _figures(validation), after, folded, coverage.sentence
-    )
+    return report_page(title, about, _summary(validation), _figures(validation), after, folded, coverage.sentence)
 
 
 def _summary(validation: ValidationReport) -> HtmlTable:
@@ -175,17 +170,7 @@ def _summary(validation: ValidationReport) -> HtmlTable:
         located = sum(trial.result == "ok" for trial in here)
         shape, contact = means["shape_rms_mm"], means["contact_error_mm"]
         rows.append([kind, f"{len(here)}", f"{located}", *_mean_cells(shape), *_mean_cells(contact)])
-    head = [
-        "tests",
-        "number",
-        "located",
-        "shape RMS, mean",
-        "RMS",
-        "largest",
-        "contact error, mean",
-        "RMS",
-        "largest",
-    ]
+    head = ["tests", "number", "located", "shape RMS, mean", "RMS", "largest", "contact error, mean", "RMS", "largest"]
     return HtmlTable(head, rows, "Shape: equation 6 of the paper. Both include the errors of the reference.")
 
 
@@ -248,9 +233,7 @@ def _internal_loads(validation: ValidationReport) -> list[ReportFigure]:
         assert trial.shape is not None
         caption = "In base axes."
         if trial.kind != "free":
-            caption += (
-                " At the contact the force jumps, and the moment by the couple of that force about the axis."
-            )
+            caption += " At the contact the force jumps, and the moment by the couple of that force about the axis."
         for what in ("force", "moment"):
             heading = f"Internal {what}: {trial.test.name}, {_words(trial)}"
             sections.append(ReportFigure(heading, caption, internal_load_chart(trial.shape, what).svg()))
@@ -269,9 +252,7 @@ def _shape(trial: ValidatedTest, model: ProbeModel) -> ReportFigure:
     """Return the figure of one probe as measured and as estimated."""
     parts = []
     if not math.isnan(trial.shape_rms):
-        parts.append(
-            f"RMS {trial.shape_rms / MM:.3g} mm, the reference alone {trial.reference_rms / MM:.3g} mm"
-        )
+        parts.append(f"RMS {trial.shape_rms / MM:.3g} mm, the reference alone {trial.reference_rms / MM:.3g} mm")
     if trial.contact_error is not None:
         parts.append(
             f"contact error {trial.contact_error.size / MM:.3g} mm, stated {trial.contact_error.expected / MM:.3g} mm"

@@ -122,9 +122,7 @@ def solve_batch(
     return _batch(found[back], derivatives[back], loads[back], bodies, of[back])
 
 
-def _done(
-    run: Callable[[int, int, int | None], None], chunks: list[tuple[int, int, int | None]], threads: int
-) -> None:
+def _done(run: Callable[[int, int, int | None], None], chunks: list[tuple[int, int, int | None]], threads: int) -> None:
     """Run all chunks, in a thread pool if there are several."""
     if len(chunks) <= 1 or threads == 1:
         for chunk in chunks:
@@ -175,8 +173,7 @@ def _cases(
     if not good.all():
         i = int(np.argmin(good))
         raise InputError(
-            f"case {i}: force, gravity and couple must be finite, "
-            f"s_contact = {loads[i, 12]} in 0 ... {length[i]:g} m"
+            f"case {i}: force, gravity and couple must be finite, s_contact = {loads[i, 12]} in 0 ... {length[i]:g} m"
         )
     loads[:, 12] = np.minimum(loads[:, 12], length)
     return loads, of.astype(np.int64)

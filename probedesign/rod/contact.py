@@ -135,11 +135,7 @@ class _Push:
     def _weights(self) -> tuple[float, float, float]:
         """Return the unit push in the section's axes."""
         alpha = math.atan(self.rod.taper_at(self.s))
-        return (
-            math.cos(alpha) * math.cos(self.angle),
-            math.cos(alpha) * math.sin(self.angle),
-            -math.sin(alpha),
-        )
+        return (math.cos(alpha) * math.cos(self.angle), math.cos(alpha) * math.sin(self.angle), -math.sin(alpha))
 
     def _normal(self, R: Array) -> Array:
         """Return the unit push for the axes R (columns x, y, tangent); linear in R, so it maps derivatives too."""
@@ -193,10 +189,7 @@ def solve_surface_force(
     profile = SurfaceProfile.of(rod)
     radius, tan = (float(v) for v in profile.at(np.array(min(s, rod.length) / rod.length)))
     radius, cos = radius * rod.length, 1.0 / math.hypot(1.0, tan)
-    e, h = (
-        np.array([math.cos(angle), math.sin(angle), 0.0]),
-        np.array([-math.sin(angle), math.cos(angle), 0.0]),
-    )
+    e, h = (np.array([math.cos(angle), math.sin(angle), 0.0]), np.array([-math.sin(angle), math.cos(angle), 0.0]))
     t = np.array([0.0, 0.0, 1.0])
     local = -cos * (e + tan * t) + tangential[0] * cos * (t - tan * e) + tangential[1] * h
     both = np.concatenate([local, np.cross(radius * e, local)])  # force and couple of 1 N, section axes
@@ -224,8 +217,7 @@ def solve_surface_force(
                 break
             columns = [*range(3), *range(4, 7)]
             turned = np.stack(
-                [np.concatenate([_axes(d[:, j]) @ both[0:3], _axes(d[:, j]) @ both[3:6]]) for j in columns],
-                axis=1,
+                [np.concatenate([_axes(d[:, j]) @ both[0:3], _axes(d[:, j]) @ both[3:6]]) for j in columns], axis=1
             )
             load = load - np.linalg.solve(np.eye(6) - size * turned, off)
             guess = eq.tip

@@ -205,9 +205,7 @@ class ContactSolver:
         frame = np.concatenate([R[:, 2], R[:, 0], free.p_at(s) / self.rod.length, R[:, 1]])
         linear = self._linear(piece, frame, np.zeros((12, UNKNOWNS)), part, x)
         still = np.zeros((UNKNOWNS, 3))
-        return SolvedContact(
-            index, piece, part, x, self.obstacle, free, linear.state, still, True, self._units
-        )
+        return SolvedContact(index, piece, part, x, self.obstacle, free, linear.state, still, True, self._units)
 
     def solve(self, index: int, part: float, x: Array, guess: Array) -> SolvedContact | StepFailure:
         """Solve for the contact on one piece.
@@ -230,9 +228,7 @@ class ContactSolver:
             if self._fits(linear.misfit, x):
                 rates = -solved(linear.by_unknowns, linear.by_point)
                 stays = linear.stays()
-                return SolvedContact(
-                    index, piece, part, x, self.obstacle, eq, linear.state, rates, stays, self._units
-                )
+                return SolvedContact(index, piece, part, x, self.obstacle, eq, linear.state, rates, stays, self._units)
             x, guess, before = x - solved(linear.by_unknowns, linear.misfit), eq.tip, off
             if not np.abs(x).max() < _MAX_UNKNOWN:
                 break
@@ -250,9 +246,7 @@ class ContactSolver:
                 self.gravity, force, s, couple=unit * length * x[3:6], mode=self.mode,
                 guess=guess, guess_only=True, columns="contact",
             )  # fmt: skip
-        return self.rod.solve(
-            self.gravity, force, s, mode=self.mode, guess=guess, guess_only=True, columns="load"
-        )
+        return self.rod.solve(self.gravity, force, s, mode=self.mode, guess=guess, guess_only=True, columns="load")
 
     def _linearised(self, piece: SurfacePiece, x: Array, eq: Equilibrium, part: float) -> _Linear:
         """Linearise the piece's equations with the rod's sensitivity to the load."""
@@ -263,17 +257,12 @@ class ContactSolver:
         d = eq.sensitivity.d_contact
         columns = lengths[:, None] * d * loads[: d.shape[1]]
         frame_by_unknowns = np.zeros((12, UNKNOWNS))
-        frame_by_unknowns[:, 0:3], frame_by_unknowns[:, 6] = (
-            columns[:, 0:3],
-            columns[:, 3] * _rate(piece, x[6]),
-        )
+        frame_by_unknowns[:, 0:3], frame_by_unknowns[:, 6] = (columns[:, 0:3], columns[:, 3] * _rate(piece, x[6]))
         if d.shape[1] == 7:
             frame_by_unknowns[:, 3:6] = columns[:, 4:7]
         return self._linear(piece, lengths * eq.sensitivity.frame, frame_by_unknowns, part, x)
 
-    def _linear(
-        self, piece: SurfacePiece, frame: Array, frame_by_unknowns: Array, part: float, x: Array
-    ) -> _Linear:
+    def _linear(self, piece: SurfacePiece, frame: Array, frame_by_unknowns: Array, part: float, x: Array) -> _Linear:
         inputs = np.concatenate([x, frame, self.obstacle.at(part) / self.rod.length])
         return _Linear(piece, self.obstacle.direction, inputs, frame_by_unknowns)
 

@@ -189,9 +189,7 @@ class Equilibrium:
             found = np.empty((int(inside.sum()), width - 1))
             chunks = (width - 1 - STATE) // (WIDE * COLUMN)
             work, blocks = np.empty(WORK), np.empty(chunks * BLOCK)
-            states_at(
-                s[inside], self.nodes.ravel(), len(self.nodes), self.body, self.load, work, blocks, found
-            )
+            states_at(s[inside], self.nodes.ravel(), len(self.nodes), self.body, self.load, work, blocks, found)
             rows[inside] = found
         return rows
 

@@ -182,9 +182,7 @@ class CoulombSolver:
             return blank
         part, near = met
         if part == 0.0:
-            raise InputError(
-                "the path must start clear of the rod; use a longer travel or the opposite direction"
-            )
+            raise InputError("the path must start clear of the rod; use a longer travel or the opposite direction")
         if near.on_end or near.s >= self.rod.length * (1.0 - 1e-9):
             return replace(blank, result="on_end")
         return self._begun(blank, obstacle, part, near)
@@ -247,9 +245,7 @@ class CoulombSolver:
         return CoulombContact(result, "", eq, gravity, self.friction, math.nan, math.nan, 0.0, point, direction,
                               none, none, none, none)  # fmt: skip
 
-    def _begun(
-        self, blank: CoulombContact, obstacle: Obstacle, part: float, near: NearestPoint
-    ) -> CoulombContact:
+    def _begun(self, blank: CoulombContact, obstacle: Obstacle, part: float, near: NearestPoint) -> CoulombContact:
         """Refine the touched point of the free rod to x = X along the path and, for an edge, N · d = 0."""
         free, length, d = blank.equilibrium, self.rod.length, obstacle.direction
         line = np.zeros(3) if d is None else d
@@ -362,9 +358,7 @@ class CoulombSolver:
             inputs = np.concatenate([x, scales * eq.sensitivity.frame])
             steps = inputs[:, None] + 1j * _IMAGINARY * np.eye(len(inputs))
             place = goal.object_point / length
-            found = coulomb_residuals(
-                steps, before, place, goal.direction, self._profile, self.friction, stiffness
-            )
+            found = coulomb_residuals(steps, before, place, goal.direction, self._profile, self.friction, stiffness)
             off, by = found[:, 0].real, found.imag / _IMAGINARY
             of_force = close * max(float(np.linalg.norm(x[0:3])), _MIN_FORCE)
             allowed = np.array([of_force] * 3 + [close] * 4 + [close if stiffness is None else of_force] * 2)
@@ -384,9 +378,7 @@ class CoulombSolver:
             x, tip = x - shrink * change, eq.tip
         return "not_converged"
 
-    def _contact(
-        self, goal: CoulombContact, x: Array, before: Array, eq: Equilibrium, state: str
-    ) -> CoulombContact:
+    def _contact(self, goal: CoulombContact, x: Array, before: Array, eq: Equilibrium, state: str) -> CoulombContact:
         """Return the contact with its units."""
         length, unit = self._units
         assert eq.sensitivity is not None

@@ -127,12 +127,7 @@ class ObstacleContact:
 
 
 def press_against_point(
-    rod: Rod,
-    gravity: ArrayLike,
-    point: ArrayLike,
-    travel: ArrayLike,
-    mode: Mode = "fast",
-    judged: bool = True,
+    rod: Rod, gravity: ArrayLike, point: ArrayLike, travel: ArrayLike, mode: Mode = "fast", judged: bool = True
 ) -> ObstacleContact:
     """Solve for the equilibrium of the rod against a sharp point, without friction.
 
@@ -213,9 +208,7 @@ def _press(rod: Rod, gravity: ArrayLike, obstacle: Obstacle, mode: Mode, judged:
     if first is None:
         return ObstacleContact("no_contact", math.nan, math.nan, free, None)
     if first[0] == 0.0:
-        raise InputError(
-            "the path must start clear of the rod; use a longer travel or the opposite direction"
-        )
+        raise InputError("the path must start clear of the rod; use a longer travel or the opposite direction")
     continuation = ContactContinuation(rod, np.asarray(gravity, dtype=float), obstacle, mode, judged)
     followed = continuation.follow(free, *first)
     touch = followed.touch if followed.result == "ok" else None
@@ -284,9 +277,7 @@ class ContactContinuation:
 
         On a straight path points meet faces and flanks first, lines meet edges first.
         """
-        reach = [
-            (p.surface(p.entry(True)) - _NEARBY, p.surface(p.entry(False)) + _NEARBY) for p in self._pieces
-        ]
+        reach = [(p.surface(p.entry(True)) - _NEARBY, p.surface(p.entry(False)) + _NEARBY) for p in self._pieces]
         s = max(near.s / self.rod.length, reach[0][0])  # the clamp covers what is below
         close = [i for i, (low, high) in enumerate(reach) if low <= s <= high]
         face = len(self._pieces) - 1
@@ -355,9 +346,7 @@ class ContactContinuation:
             x[3:6] = np.cross(arm / self.rod.length, x[0:3])
         return x
 
-    def _over_edge(
-        self, last: SolvedContact, part: float, failure: StepFailure
-    ) -> SolvedContact | StepFailure:
+    def _over_edge(self, last: SolvedContact, part: float, failure: StepFailure) -> SolvedContact | StepFailure:
         """Solve the step across an edge that has no equilibrium, on the flank beyond it."""
         index = last.index + 2 * failure.ahead
         if failure.reason != "edge" or not 0 <= index < len(self._pieces) - 2:

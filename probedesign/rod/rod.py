@@ -74,17 +74,11 @@ class Rod:
 
     def __post_init__(self) -> None:
         for name in ("youngs_modulus", "shear_modulus", "shear_coefficient"):
-            _require(
-                bool(0.0 < getattr(self, name) < np.inf), f"{name} = {getattr(self, name)} must be positive"
-            )
+            _require(bool(0.0 < getattr(self, name) < np.inf), f"{name} = {getattr(self, name)} must be positive")
         _require(bool(0.0 <= self.density < np.inf), f"density = {self.density} must not be negative")
         s, r = np.asarray(self.s, dtype=float), np.asarray(self.radius, dtype=float)
-        _require(
-            s.ndim == 1 and s.shape == r.shape and len(s) >= 2, "s and radius need two or more knots each"
-        )
-        _require(
-            bool(s[0] == 0.0 and (np.diff(s) > 0).all() and np.isfinite(s).all()), "s must increase from 0"
-        )
+        _require(s.ndim == 1 and s.shape == r.shape and len(s) >= 2, "s and radius need two or more knots each")
+        _require(bool(s[0] == 0.0 and (np.diff(s) > 0).all() and np.isfinite(s).all()), "s must increase from 0")
         _require(bool((r > 0).all() and np.isfinite(r).all()), "radius must be positive at every knot")
         _require(
             bool(-r[0] <= self.rigid_length < s[-1]),
@@ -294,8 +288,7 @@ def finite_vector(name: str, value: ArrayLike) -> Array:
     except (TypeError, ValueError):
         vector = np.empty(0)
     _require(
-        vector.shape == (3,) and bool(np.isfinite(vector).all()),
-        f"{name} = {value!r} must be three finite numbers",
+        vector.shape == (3,) and bool(np.isfinite(vector).all()), f"{name} = {value!r} must be three finite numbers"
     )
     return vector
 

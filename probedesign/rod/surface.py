@@ -200,9 +200,7 @@ class Rim(SurfacePiece):
         circle = (dot(w, w) / self.r - self.r) / 2.0
         across = dot(state.force, cross(t, w)) / self.r
         way = state.way if direction is None else dot(state.force, direction[:, None])
-        return np.stack(
-            [circle, dot(w, t), across, state.place, *(state.couple - cross(w, state.force)), way]
-        )
+        return np.stack([circle, dot(w, t), across, state.place, *(state.couple - cross(w, state.force)), way])
 
     def excess(self, state: SurfaceState) -> float:
         """Return how far F is outside the normals of the corner [rad]."""

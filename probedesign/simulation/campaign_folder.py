@@ -217,9 +217,7 @@ def _wrenches(truth: GroundTruth, tests: list[SimulatedTest], rng: np.random.Gen
     for k, test in enumerate(tests):
         for i in range(truth.plan.readings):
             reading = (1.0 + flaws.gain) * test.wrench_sensor + bias + std * rng.normal(size=6)
-            rows.append(
-                ",".join([test.name, f"{TEST_SECONDS * k + i:g}", *(f"{value:.8g}" for value in reading)])
-            )
+            rows.append(",".join([test.name, f"{TEST_SECONDS * k + i:g}", *(f"{value:.8g}" for value in reading)]))
         bias = bias + walk * rng.normal(size=6)
     return "\n".join(rows) + "\n"
 
@@ -252,16 +250,12 @@ def _markers(
             if (seen < 0).any() or (seen > SIZE_PX).any():
                 raise InputError(f"test {test.name}: the probe leaves the cameras' field of view; use "
                                  "--marker-noise-mm 1 instead")  # fmt: skip
-            pixels += [
-                f"{test.name},{camera.name},{i},{_row(uv, 2)},{CLICK_PX:g}" for i, uv in enumerate(seen, 1)
-            ]
+            pixels += [f"{test.name},{camera.name},{i},{_row(uv, 2)},{CLICK_PX:g}" for i, uv in enumerate(seen, 1)]
     calibrated = {} if board else {"control_points.csv": "\n".join(control) + "\n"}
     if plan.calibration == "files":
         target = rig.truth.T_world_base[:3, 3]
         drawn = np.random.default_rng([plan.seed, 3])
-        calibrated = {
-            f"{camera.name}.yaml": calibration_yaml(camera, target, drawn) for camera in rig.cameras
-        }
+        calibrated = {f"{camera.name}.yaml": calibration_yaml(camera, target, drawn) for camera in rig.cameras}
     elif board and not plan.images:
         calibrated = {"board_corners.csv": board.corners_csv()}
     if plan.images:  # the markers are detected in them

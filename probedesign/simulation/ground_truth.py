@@ -80,9 +80,7 @@ class CampaignPlan:
         ]  # fmt: skip
         for option, value, low, high, unit in limited:
             if value is not None and not low <= value <= high:
-                raise InputError(
-                    f"--{option} {value / unit:g} must lie in {low / unit:g} ... {high / unit:.6g}"
-                )
+                raise InputError(f"--{option} {value / unit:g} must lie in {low / unit:g} ... {high / unit:.6g}")
         if self.seed < 0:
             raise InputError(f"--seed {self.seed} must not be negative")
         if self.kind == "stage" and (self.images or self.marker_noise is not None):
@@ -90,9 +88,7 @@ class CampaignPlan:
         if self.calibration != "box" and (self.kind == "stage" or self.marker_noise is not None):
             raise InputError("--calibration is that of cameras: leave out --stage and --marker-noise-mm")
         if self.images and self.marker_noise is not None:
-            raise InputError(
-                "--marker-noise-mm belongs to another reference than cameras: leave out --images"
-            )
+            raise InputError("--marker-noise-mm belongs to another reference than cameras: leave out --images")
 
 
 class PlannedTouch(NamedTuple):
@@ -237,9 +233,7 @@ class GroundTruth:
             T = self.T_world_base @ _displacement(shift, turn) @ np.linalg.inv(self.T_world_base)
             softer = replace(rod, youngs_modulus=f * rod.youngs_modulus, shear_modulus=f * rod.shear_modulus)
             found.append(
-                replace(
-                    self, rod=softer, T_world_mount=T @ self.T_world_mount, T_world_true=T @ self.T_world_true
-                )
+                replace(self, rod=softer, T_world_mount=T @ self.T_world_mount, T_world_true=T @ self.T_world_true)
             )
         return found
 
@@ -262,11 +256,7 @@ class GroundTruth:
     def _loaded(self, name: str, fraction: float, newtons: float) -> SimulatedTest:
         """Return a weight on a thread around the probe, a dead force on its axis, halved until the probe is stable."""
         rng = np.random.default_rng([self.plan.seed, 6, int(name.rsplit("-", 1)[1])])
-        pull = (
-            (1.0 + self.flaws.std_weight * rng.normal())
-            * self.gravity_world
-            / np.linalg.norm(self.gravity_world)
-        )
+        pull = (1.0 + self.flaws.std_weight * rng.normal()) * self.gravity_world / np.linalg.norm(self.gravity_world)
         for _ in range(MAX_HALVINGS):
             force_base = self.T_world_true[:3, :3].T @ (newtons * pull)
             eq = self.rod.solve(self.gravity_base, force_base, fraction * self.rod.length)
@@ -307,9 +297,7 @@ class GroundTruth:
         friction: float = 0.0,
     ) -> SimulatedTest:
         if not eq.ok:
-            raise InputError(
-                f"test {name}: the probe has no stable equilibrium ({eq.result}); a campaign needs one"
-            )
+            raise InputError(f"test {name}: the probe has no stable equilibrium ({eq.result}); a campaign needs one")
         mount_true = np.linalg.inv(self.T_world_mount) @ self.T_world_true
         wrench_mount = wrench_map(mount_true) @ eq.wrench_base
         gravity_mount = self.T_world_mount[:3, :3].T @ self.gravity_world

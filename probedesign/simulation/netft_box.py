@@ -185,9 +185,7 @@ class SimulatedTransducer:
         self._range = model.wrench_range
         self._last = self._zero
 
-    def read(
-        self, time: Array, spacing: float, configuration: NetFTConfiguration
-    ) -> tuple[Array, NDArray[np.int64]]:
+    def read(self, time: Array, spacing: float, configuration: NetFTConfiguration) -> tuple[Array, NDArray[np.int64]]:
         """Return counts (n, 6) and status words (n,) at times [s], (n,), with an interval of `spacing` [s]."""
         self._zero = self._zero + self._noise * bias_step(self._random, self._drift, spacing * len(time))
         wrench = self._load(time) + self._zero + self._noise * self._random.standard_normal((len(time), 6))

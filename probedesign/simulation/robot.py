@@ -250,9 +250,7 @@ class SimulatedRobot:
         """Return the datagram at a time by the robot's clock [s], `motion_time` after the motion started [s]."""
         p = self._R @ self._motion.p_world_base(np.array([motion_time]))[0]
         q = pose_from_matrix(time, pose(self._R)).q
-        fields = zip(
-            ("time_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw"), (time, *p / MM, *q), strict=True
-        )
+        fields = zip(("time_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw"), (time, *p / MM, *q), strict=True)
         return json.dumps({"frame": "world", **{name: float(value) for name, value in fields}}).encode()
 
     def _send(self) -> None:

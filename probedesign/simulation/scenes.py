@@ -192,9 +192,7 @@ def _pressed(model: ProbeModel, free: Equilibrium, obj: SceneObject, friction: f
     touched = press.travel_of(first)
     if not first.ok or end <= touched:
         why = "unstable" if first.ok else first.result
-        raise InputError(
-            f"{obj.name} at {obj.fraction:g} of the length: {why}; this probe cannot be used in the scene"
-        )
+        raise InputError(f"{obj.name} at {obj.fraction:g} of the length: {why}; this probe cannot be used in the scene")
     travel_on = np.linspace(touched, end, N_KNOTS)
     on = press.follow(first, travel_on[1:].tolist())
     travel, wrench = np.array([0.0, *travel_on]), _wrenches(free, on)
@@ -208,9 +206,7 @@ def _wrenches(free: Equilibrium, contacts: Sequence[CoulombContact]) -> Array:
     return np.array([free.wrench_base, *(contact.equilibrium.wrench_base for contact in contacts)])
 
 
-def _retract(
-    press: StraightPress, free: Equilibrium, end: CoulombContact, touched: float
-) -> tuple[Array, Array]:
+def _retract(press: StraightPress, free: Equilibrium, end: CoulombContact, touched: float) -> tuple[Array, Array]:
     """Return travels [m], increasing, and wrenches of the way back from a press; steps are halved at the release."""
     contacts, travels = [end], [press.travel_of(end)]
     step = (travels[0] - touched) / (N_KNOTS_BACK - 1)
@@ -322,9 +318,7 @@ def touch_targets() -> tuple[TouchTarget, ...]:
     for card in card_house():
         middle = np.array([0.5 * (card.start[0] + card.end[0]), 0.0, card.start[2]])
         if card.name == "roof":
-            found += [
-                (card, np.array([1e-3 * x, 0.0, middle[2]]), np.array([0.0, 0.0, 1.0])) for x in _ROOF_X
-            ]
+            found += [(card, np.array([1e-3 * x, 0.0, middle[2]]), np.array([0.0, 0.0, 1.0])) for x in _ROOF_X]
             continue
         rise = card.along / card.along[2]
         # The outer side of a leaning card faces upwards.

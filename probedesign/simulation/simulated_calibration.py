@@ -117,12 +117,7 @@ class SimulatedBoard:
 
 
 def render_board(
-    camera: Camera,
-    board: Board,
-    T_world_board: Array,
-    scale: float,
-    size_px: tuple[int, int],
-    style: RenderStyle,
+    camera: Camera, board: Board, T_world_board: Array, scale: float, size_px: tuple[int, int], style: RenderStyle
 ) -> Picture:
     """Render a picture of a flat board in even light, grey levels (height, width).
 
@@ -166,9 +161,7 @@ def render_board(
         for right in offsets:
             column = (x + x_u * right + x_v * down).astype(np.float32)
             row = (y + y_u * right + y_v * down).astype(np.float32)
-            light += cv2.remap(
-                texture, column, row, cv2.INTER_NEAREST, None, cv2.BORDER_CONSTANT, style.background
-            )
+            light += cv2.remap(texture, column, row, cv2.INTER_NEAREST, None, cv2.BORDER_CONSTANT, style.background)
     part = gaussian_filter(rng.normal(size=(height // 8 + 2, width // 8 + 2)), 4.0) * 10.0
     uneven = 1 + style.mottle * np.kron(part, np.ones((8, 8)))[:height, :width]
     picture[low[1] : high[1], low[0] : high[0]] = light / _FINE**2

@@ -26,13 +26,7 @@ from probedesign.live.recordings.csv import CsvRecorder
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.mapping.touch_point import BasePoseUncertainty
 from probedesign.prediction.monte_carlo import perturbed_rod
-from probedesign.rod.friction import (
-    ASSUMED_FRICTION,
-    ASSUMED_SPREAD,
-    CoulombContact,
-    CoulombSolver,
-    draw_friction,
-)
+from probedesign.rod.friction import ASSUMED_FRICTION, ASSUMED_SPREAD, CoulombContact, CoulombSolver, draw_friction
 from probedesign.rod.rod import Rod
 from probedesign.simulation.robot import SimulatedTrajectory
 from probedesign.simulation.scenes import SOURCE, StraightPress, TouchTarget
@@ -167,9 +161,7 @@ class _Bench:
     def press(self, target: TouchTarget, p_base: Array, friction: float, true: bool) -> StraightPress:
         """Return the press of the true or the designed probe onto an edge, from `CLEARANCE` before it."""
         clear = (p_base - self.start(target)) @ target.direction + CLEARANCE
-        solver = (
-            CoulombSolver(self.true_rod, friction, "reference") if true else CoulombSolver(self.rod, friction)
-        )
+        solver = CoulombSolver(self.true_rod, friction, "reference") if true else CoulombSolver(self.rod, friction)
         point, direction = self.R.T @ (target.p_world - p_base), self.R.T @ target.direction
         along = self.R.T @ target.card.along
         return StraightPress(solver, self.gravity, point + clear * direction, direction, along)

@@ -200,11 +200,7 @@ class RenderStyle:
 
 
 def render(
-    camera: Camera,
-    probe: SurfaceTube,
-    dots: PaintedDots,
-    size_px: tuple[int, int],
-    style: RenderStyle | None = None,
+    camera: Camera, probe: SurfaceTube, dots: PaintedDots, size_px: tuple[int, int], style: RenderStyle | None = None
 ) -> Picture:
     """Render a photograph of a dotted probe in its mount, grey levels (height, width).
 
@@ -222,9 +218,7 @@ def render(
     return exposed(picture, style, rng)
 
 
-def _window(
-    camera: Camera, tube: SurfaceTube, size_px: tuple[int, int]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _window(camera: Camera, tube: SurfaceTube, size_px: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the pixels that the tube may cover."""
     line = camera.project(tube.p_world)
     radius_px = tube.diameter / 2 * camera.K[0, 0] / camera.depth(tube.p_world) + 3.0
@@ -306,9 +300,7 @@ def exposed(picture: Array, style: RenderStyle, rng: np.random.Generator) -> Pic
     """Return the picture of light 0 ... 1 (height, width) with the lens' blur and the sensor's noise."""
     light = np.clip(gaussian_filter(picture, style.blur_px), 0.0, None)
     std = np.hypot(style.noise / 255, np.sqrt(light / style.full_well))
-    return np.asarray(
-        np.clip(np.round(255 * (light + std * rng.normal(size=light.shape))), 0, 255), dtype=np.uint8
-    )
+    return np.asarray(np.clip(np.round(255 * (light + std * rng.normal(size=light.shape))), 0, 255), dtype=np.uint8)
 
 
 # the rig

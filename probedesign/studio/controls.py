@@ -50,9 +50,7 @@ class DesignControls:
         gui, design = self._gui, self._session.design
         sensor = design.sensor_model
         self._choice("sensor.model", "sensor", tuple(dict.fromkeys((sensor.name, *SENSORS))), sensor.name)
-        self._choice(
-            "sensor.calibration", "calibration", _calibrations(self._session), design.calibration.name
-        )
+        self._choice("sensor.calibration", "calibration", _calibrations(self._session), design.calibration.name)
         self._bind(
             "sensor.averaging_samples",
             gui.add_slider("samples in one reading", 1, 1000, 1, design.sensor.averaging_samples),
@@ -63,9 +61,7 @@ class DesignControls:
         self._bind("mount.gravity_base_m_s2", vector, list)
         self._slider("mount.root_rigid_radii", "root, rigid base radii", -0.5, 0.5, 0.01,
                      design.mount.root_rigid_radii)  # fmt: skip
-        self._slider(
-            "contact.friction", "friction", 0.0, MAX_FRICTION, 0.05, min(design.friction.value, MAX_FRICTION)
-        )
+        self._slider("contact.friction", "friction", 0.0, MAX_FRICTION, 0.05, min(design.friction.value, MAX_FRICTION))
         gui.add_markdown("Forces whose errors are drawn:")
         shown = self._session.forces_mN
         self._forces = [gui.add_checkbox(f"{1e3 * f:g} mN", 1e3 * f in shown) for f in FORCES_N]

@@ -36,9 +36,7 @@ from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.vibration import natural_frequency
 from probedesign.studio.session import PinnedDesign, StudioTouch
 
-_PLACE = ChartAxis(
-    "contact position, fraction of the length", 0.0, 1.02, ticks=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
-)
+_PLACE = ChartAxis("contact position, fraction of the length", 0.0, 1.02, ticks=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0))
 STYLE = """<style>.st table{border-collapse:collapse;font-size:12.5px;width:100%}
 .st .chips{display:flex;flex-wrap:wrap;gap:2px 10px;margin:4px 0;font-size:12px}
 .st .chips i{display:inline-block;width:12px;height:12px;margin-right:4px;vertical-align:-1px}
@@ -105,9 +103,7 @@ class DesignFigures:
         felt = [d.detectable_force_mN for d in p.detection if d.contact_fraction == HEADLINE_FRACTION]
         rows = [
             Figure(f"error, {where}", touch.predicted_error_mm if touch else None, "mm", "all error sources"),
-            Figure(
-                "of it noise and friction", touch.noise_error_mm if touch else None, "mm", "of an exact probe"
-            ),
+            Figure("of it noise and friction", touch.noise_error_mm if touch else None, "mm", "of an exact probe"),
             Figure(f"detected at {HEADLINE_FRACTION:g} L", _largest(felt), "mN", "with probability 0.5"),
         ]
         if self.complete:
@@ -197,9 +193,7 @@ def segment_colours(figures: DesignFigures, edges: Array, force_N: float) -> lis
         edges: fractions of the length between which the segments are, (n + 1,).
         force_N: of the touch.
     """
-    located = {
-        c.contact_fraction: c.predicted_error_mm for c in worst(figures.prediction.conditions, force_N)
-    }
+    located = {c.contact_fraction: c.predicted_error_mm for c in worst(figures.prediction.conditions, force_N)}
     places = np.array(sorted({c.contact_fraction for c in figures.prediction.conditions}))
     found = []
     for middle in (edges[1:] + edges[:-1]) / 2.0:
@@ -211,9 +205,7 @@ def segment_colours(figures: DesignFigures, edges: Array, force_N: float) -> lis
 def colour_legend(force_mN: float) -> str:
     """Return the legend of `segment_colours` as HTML: the error of a touch of a force [mN] at that place."""
     bounds = [f"≤ {level:g}" for level in LEVELS_MM] + [f"> {LEVELS_MM[-1]:g} mm"]
-    chips = [
-        (ORDERED[error_level(level)], text) for level, text in zip((*LEVELS_MM, 1e9), bounds, strict=True)
-    ]
+    chips = [(ORDERED[error_level(level)], text) for level, text in zip((*LEVELS_MM, 1e9), bounds, strict=True)]
     chips.append((f"rgb{NOT_LOCATED}", "not located"))
     items = "".join(f'<span><i style="background:{colour}"></i>{text}</span>' for colour, text in chips)
     return f"<div class=note>Colour of the probe: error of {force_mN:g} mN there</div><div class=chips>{items}</div>"

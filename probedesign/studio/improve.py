@@ -35,9 +35,7 @@ class Improvement:
         text: state of the search in one line.
     """
 
-    def __init__(
-        self, start: Design, free: tuple[FreeParameter, ...], task: Task, limits: tuple[Limit, ...]
-    ) -> None:
+    def __init__(self, start: Design, free: tuple[FreeParameter, ...], task: Task, limits: tuple[Limit, ...]) -> None:
         """Start the search.
 
         Args:
@@ -137,10 +135,7 @@ class ImproveTab:
     @property
     def limits(self) -> tuple[Limit, ...]:
         """Return the chosen limits."""
-        texts = [
-            f"sag_mm<={self._sag.value:g}",
-            f"buckling_margin>={self._margin.value:g}",
-        ]
+        texts = [f"sag_mm<={self._sag.value:g}", f"buckling_margin>={self._margin.value:g}"]
         if "length" in FREE[self._free.value]:
             texts.append(f"length_mm<={self._length.value:g}")
         if self._printable.value:

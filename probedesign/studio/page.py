@@ -144,17 +144,13 @@ class StudioPage:
     def _apply_latest(self) -> None:
         with self._lock:
             values, self._latest = self._latest, {}
-        touch = {
-            key.removeprefix("touch."): values.pop(key) for key in list(values) if key.startswith("touch.")
-        }
+        touch = {key.removeprefix("touch."): values.pop(key) for key in list(values) if key.startswith("touch.")}
         if touch:
             self.session.touch = StudioTouch(**{**vars(self.session.touch), **touch})
         if "forces" in values:
             self.session.forces_mN = values.pop("forces")
         before = self.session.design
-        knots = {
-            int(key.removeprefix("knot.")): values.pop(key) for key in list(values) if key.startswith("knot.")
-        }
+        knots = {int(key.removeprefix("knot.")): values.pop(key) for key in list(values) if key.startswith("knot.")}
         if knots:
             values |= with_knots(self.session.design, knots)
         if (mounting := values.pop("mounting", None)) in MOUNTINGS:
@@ -270,11 +266,7 @@ class StudioPage:
 
     def _theme(self, dark: bool) -> None:
         self._server.gui.configure_theme(
-            show_logo=False,
-            show_share_button=False,
-            control_width="large",
-            brand_color=(38, 84, 124),
-            dark_mode=dark,
+            show_logo=False, show_share_button=False, control_width="large", brand_color=(38, 84, 124), dark_mode=dark
         )
 
     def _lay_out(self, client: viser.ClientHandle) -> None:
@@ -400,9 +392,7 @@ class StudioPage:
         if figures.complete:
             charts["fused"] = fused_chart(figures, pinned)
         for name, chart in charts.items():
-            self._charts[name].content = styled(
-                "nothing is located" if chart is None else chart.svg().decode()
-            )
+            self._charts[name].content = styled("nothing is located" if chart is None else chart.svg().decode())
         dotted = "<p class=note>Solid: all error sources. Dotted: an exact probe. Dashed: pinned designs.</p>"
         dotted += colour_legend(session.touch.force_mN)
         self._charts["summary"].content = styled(dotted + summary_table(figures, pinned) + check)

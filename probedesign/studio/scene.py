@@ -64,10 +64,7 @@ class StudioScene:
         self._on_change, self._scene = on_change, scene
         self._shown: tuple[Probe, DrawnTouch | None, BentShape] | None = None
         self._stands = False  # the probe does not buckle
-        self._grabbed = (
-            0.0,
-            np.zeros(3),
-        )  # diameter of a knot and pointer in base axes when its drag began [m]
+        self._grabbed = (0.0, np.zeros(3))  # diameter of a knot and pointer in base axes when its drag began [m]
         scene.set_up_direction("+z")
         # Reflections of an environment and shadows take nine tenths of a frame's time in a browser without a GPU.
         scene.configure_environment_map(None)
@@ -90,25 +87,18 @@ class StudioScene:
             head_length=UNIT * 3.5e-3,
         )  # fmt: skip
         self._knots = [
-            scene.add_icosphere(
-                f"/base/knot/{i}", UNIT * 1.6e-3, KNOT_COLOUR, visible=False, cast_shadow=False
-            )
+            scene.add_icosphere(f"/base/knot/{i}", UNIT * 1.6e-3, KNOT_COLOUR, visible=False, cast_shadow=False)
             for i in range(MAX_KNOTS)
         ]
         for i, node in enumerate(self._knots):
             node.on_drag(lambda event, i=i: self._drag_knot(i, event))  # type: ignore[misc]  # viser: any event
         self._length = 1.0  # of the longest probe [m]
-        self._framed = (
-            1.0,
-            np.array([0.0, 0.0, 1.0]),
-        )  # length [m] and direction of the probe that the camera fits
+        self._framed = (1.0, np.array([0.0, 0.0, 1.0]))  # length [m] and direction of the probe that the camera fits
         self._ghosts: list[viser.MeshHandle] = []
         self._parts: list[viser.MeshHandle] = []
         self._parts_of = ""
 
-    def show_shape(
-        self, probe: Probe, drawn: DrawnTouch | None, touch: StudioTouch, pinned: Sequence[Probe]
-    ) -> None:
+    def show_shape(self, probe: Probe, drawn: DrawnTouch | None, touch: StudioTouch, pinned: Sequence[Probe]) -> None:
         """Draw a probe, its mount and a touch, and pinned probes under the same touch as grey shadows.
 
         Args:
@@ -155,9 +145,7 @@ class StudioScene:
         while len(self._ghosts) > len(pinned):
             self._ghosts.pop().remove()
         for i, probe in enumerate(pinned):
-            vertices = _tube(
-                _bent(touched_shape(probe, touch), probe), probe, np.linspace(0.0, 1.0, GHOST_RINGS)
-            )
+            vertices = _tube(_bent(touched_shape(probe, touch), probe), probe, np.linspace(0.0, 1.0, GHOST_RINGS))
             if i < len(self._ghosts):
                 self._ghosts[i].vertices = vertices
             else:
@@ -265,9 +253,7 @@ class StudioScene:
         probe, _, bent = self._shown
         s = np.linspace(0.0, probe.length, 201)
         nearest = int(np.argmin(np.linalg.norm(centreline(bent, s)[0] - pointer, axis=1)))
-        self._on_change(
-            "touch.fraction", round(float(np.clip(s[nearest] / probe.length, MIN_FRACTION, 1.0)), 3)
-        )
+        self._on_change("touch.fraction", round(float(np.clip(s[nearest] / probe.length, MIN_FRACTION, 1.0)), 3))
 
     def _drag_force(self, event: Any) -> None:
         """Turn the force to the pointer; its distance from the touch sets the magnitude."""
@@ -337,7 +323,5 @@ def _tube(shape: BentShape, probe: Probe, fractions: Array) -> NDArray[np.float3
     s = fractions * probe.length
     p, x, y = centreline(shape, s)
     r = np.interp(s, geometry.s, geometry.radius)[:, None, None]
-    rings = p[:, None] + r * (
-        np.cos(angle)[:, None] * x[:, None] + flatness * np.sin(angle)[:, None] * y[:, None]
-    )
+    rings = p[:, None] + r * (np.cos(angle)[:, None] * x[:, None] + flatness * np.sin(angle)[:, None] * y[:, None])
     return (UNIT * np.vstack([rings.reshape(-1, 3), p[-1:]])).astype(np.float32)

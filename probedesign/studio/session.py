@@ -30,11 +30,7 @@ DEFAULT_FORCES_MN = (2.0, 5.0, 10.0, 20.0, 50.0)
 """Contact forces whose errors are drawn at the start."""
 MAX_PINNED = 4
 """Number of pinned designs that a chart distinguishes beside the current one."""
-MOUNTINGS = {
-    "horizontal": (9.81, 0.0, 0.0),
-    "down": (0.0, 0.0, 9.81),
-    "up": (0.0, 0.0, -9.81),
-}
+MOUNTINGS = {"horizontal": (9.81, 0.0, 0.0), "down": (0.0, 0.0, 9.81), "up": (0.0, 0.0, -9.81)}
 """Gravity in base axes [m/s²] of the directions in which the probe points."""
 INTERIOR_KNOTS = (0.25, 0.5, 0.75)
 """Fractions of the length of the diameters that a free profile adds."""
@@ -163,9 +159,7 @@ class Session:
         """
         if touch is not None:
             found = _numbers("--touch", touch, "PLACE,DEGREES,MILLINEWTONS such as 0.8,90,10")
-            if len(found) != 3 or not (
-                0.05 <= found[0] <= 1.0 and abs(found[1]) <= 180.0 and 0.5 <= found[2] <= 200.0
-            ):
+            if len(found) != 3 or not (0.05 <= found[0] <= 1.0 and abs(found[1]) <= 180.0 and 0.5 <= found[2] <= 200.0):
                 raise InputError(
                     f"--touch {touch!r}: write place (0.05 ... 1), direction (-180 ... 180 degrees) and force "
                     "(0.5 ... 200 mN), such as 0.8,90,10"
@@ -192,13 +186,7 @@ class Session:
 def _with_calibration(sensor: dict[str, Any], name: str) -> dict[str, Any]:
     """Return `[sensor]` with another calibration: of the same sensor if it has one of that name."""
     own, known = sensor.get("own"), SENSORS.get(sensor.get("model", DEFAULT_SENSOR))
-    names = (
-        [c["name"] for c in own["calibrations"]]
-        if own
-        else [c.name for c in known.calibrations]
-        if known
-        else []
-    )
+    names = [c["name"] for c in own["calibrations"]] if own else [c.name for c in known.calibrations] if known else []
     if name in names:
         return {**sensor, "calibration": name}
     return {key: value for key, value in sensor.items() if key != "own"} | sensor_keys(name)
@@ -213,18 +201,14 @@ _ENDS = ("probe.length_mm", "probe.base_d_mm", "probe.tip_d_mm")
 def _with_keys(data: dict[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the tables of a design with some keys changed, and the keys that follow from them."""
     before, order = data, {key: i for i, key in enumerate(_FIRST)}
-    for key in sorted(
-        values, key=lambda key: len(_FIRST) + (key == _LAST) if key not in order else order[key]
-    ):
+    for key in sorted(values, key=lambda key: len(_FIRST) + (key == _LAST) if key not in order else order[key]):
         data = _with_key(data, key, values[key])
     return as_new_print(data, before)
 
 
 def _with_key(data: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
     """Return the tables of a design with one key changed, and the keys that follow from it."""
-    if (key in _FIRST and not isinstance(value, str)) or (
-        key in _ENDS and not isinstance(value, float | int)
-    ):
+    if (key in _FIRST and not isinstance(value, str)) or (key in _ENDS and not isinstance(value, float | int)):
         return with_values(data, {key: value})  # the check of the design refuses it
     match key:
         case "material.resin":

@@ -31,10 +31,7 @@ TABLE1_COLUMNS = ("probe", "length_mm", "force_N", "contact_fraction", "shape_rm
                   "contact_error_mm", "direction", "kind", "test", "method", "result", "stated_error_mm",
                   "predicted_error_mm", "within_95", "held_out")  # fmt: skip
 """Columns of table1.csv; the first seven are the paper's."""
-WHY: dict[str, str] = {
-    **{str(code): words for code, words in RESULTS.items()},
-    "no_reading": "the sensor was not read",
-}
+WHY: dict[str, str] = {**{str(code): words for code, words in RESULTS.items()}, "no_reading": "the sensor was not read"}
 """Result codes in words."""
 EXPECTED_RESULTS = {
     "free": ("no_contact", "too_light", "out_of_range", "unobservable", "no_reading"),
@@ -100,9 +97,7 @@ def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
     z = np.array([error.z for error in errors if error.dof == 3]).reshape(-1, 3)
     mean, std = (z.mean(axis=0), z.std(axis=0, ddof=1)) if len(z) > 1 else (z[0:0], z[0:0])
     level = NOMINAL if n >= MIN_TOUCHES else FEW_LEVEL
-    if binomtest(within, n).proportion_ci(level).high < NOMINAL or chi2.sf(ratio * dof, dof) < 0.5 * (
-        1.0 - level
-    ):
+    if binomtest(within, n).proportion_ci(level).high < NOMINAL or chi2.sf(ratio * dof, dof) < 0.5 * (1.0 - level):
         verdict = "too_small"
     elif chi2.cdf(ratio * dof, dof) < 0.5 * (1.0 - level):
         verdict = "conservative"
@@ -114,9 +109,7 @@ def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
     words = []
     excluded = sum(test.kind == "touch" for test in tests) - n
     if excluded:
-        words.append(
-            f"{excluded} more touches were not located, or not measured by the reference, and are excluded"
-        )
+        words.append(f"{excluded} more touches were not located, or not measured by the reference, and are excluded")
     if verdict == "too_small":
         remedy = "; try without --exact-model" if exact else ": probe, mount, bench or reference"
         words.append(f"something is less certain than stated{remedy}")
@@ -310,9 +303,7 @@ def validate(
         test.markers is not None or test.p_contact_world is not None or not math.isnan(test.s_contact)
         for test in campaign.tests
     ):
-        raise InputError(
-            f"{campaign.folder}: no test has markers, a contact or s_contact_mm; nothing to compare with"
-        )
+        raise InputError(f"{campaign.folder}: no test has markers, a contact or s_contact_mm; nothing to compare with")
     tests = []
     for i, test in enumerate(campaign.tests):
         on_progress(i / len(campaign.tests))
@@ -367,6 +358,4 @@ def check_names(names: Sequence[str]) -> None:
     """Refuse a probe that occurs twice, whose files and rows could not be distinguished."""
     for i, name in enumerate(names):
         if name in names[:i]:
-            raise InputError(
-                f"probe {name} is named twice; validate its second campaign by itself, with --out"
-            )
+            raise InputError(f"probe {name} is named twice; validate its second campaign by itself, with --out")

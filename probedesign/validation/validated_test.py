@@ -190,9 +190,7 @@ def validate_test(campaign: Campaign, test: Test, estimator: Estimator, exact: b
         known = campaign_tolerances(campaign, model, reading)
         if exact:
             known = replace(Tolerances.none(), drift_steps=known.drift_steps, tared=known.tared)
-        estimate = estimator.with_tolerances(known).estimate(
-            reading.wrenches_base, reading.gravity_base, method=method
-        )
+        estimate = estimator.with_tolerances(known).estimate(reading.wrenches_base, reading.gravity_base, method=method)
     shape = None if estimate is None else estimate.shape
     if kind == "free":  # it is known that nothing touches
         free = estimator.free(reading.gravity_base)
@@ -229,9 +227,7 @@ def tared_reading(campaign: Campaign, test: Test, estimator: Estimator) -> Tared
     tares = [one for one in free if _same_gravity(one.gravity_base, gravity)]
     same_pose = bool(tares) or not test.free
     tares = tares if same_pose else free
-    offsets = [
-        one.mean_wrench_base(estimator.model) - estimator.free(one.gravity_base).wrench_base for one in tares
-    ]
+    offsets = [one.mean_wrench_base(estimator.model) - estimator.free(one.gravity_base).wrench_base for one in tares]
     weights, walked = tare_weights(test.time, np.array([one.time for one in tares]))
     tared = own - weights @ np.array(offsets) if offsets else own
     return TaredReading(tared, gravity, weights, walked, same_pose)

@@ -54,14 +54,10 @@ class Board:
         if self.dictionary not in DICTIONARIES:
             raise unknown_name("dictionary", self.dictionary, DICTIONARIES)
         if not all(3 <= count <= MAX_SQUARES for count in self.squares):
-            raise InputError(
-                f"squares = {list(self.squares)}: a board has 3 to {MAX_SQUARES} columns and rows"
-            )
+            raise InputError(f"squares = {list(self.squares)}: a board has 3 to {MAX_SQUARES} columns and rows")
         if not 0.3 * self.square <= self.marker <= 0.95 * self.square:
             limits = f"{0.3 * self.square / MM:g} ... {0.95 * self.square / MM:g}"
-            raise InputError(
-                f"marker_mm = {self.marker / MM:g} must lie in {limits}, 0.3 to 0.95 of square_mm"
-            )
+            raise InputError(f"marker_mm = {self.marker / MM:g} must lie in {limits}, 0.3 to 0.95 of square_mm")
         needed, known = self.squares[0] * self.squares[1] // 2, DICTIONARIES[self.dictionary]
         if needed > known:
             raise InputError(f"dictionary = {self.dictionary!r} has {known} markers, but the board needs {needed}; "
@@ -72,9 +68,7 @@ class Board:
         """Inner corners of the squares in the board's axes, row by row [m], (n, 3)."""
         columns, rows = self.squares
         y, x = np.meshgrid(np.arange(1, rows), np.arange(1, columns), indexing="ij")
-        return np.asarray(
-            np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * self.square, dtype=float
-        )
+        return np.asarray(np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)]) * self.square, dtype=float)
 
     @property
     def size(self) -> tuple[float, float]:

@@ -110,10 +110,7 @@ def calibrate_with_board(names: Sequence[str], problem: BundleProblem, distortio
         residuals = [fit.residuals(state, view) for view in views]
         std = fit.noise(residuals)
         limit = stats.chi2.isf(FALSE_ALARM / sum(map(len, inside)), 2)
-        fits = [
-            np.sum(r**2, axis=1) <= limit * std[view.camera] ** 2
-            for r, view in zip(residuals, views, strict=True)
-        ]
+        fits = [np.sum(r**2, axis=1) <= limit * std[view.camera] ** 2 for r, view in zip(residuals, views, strict=True)]
         if all((a == b).all() for a, b in zip(fits, inside, strict=True)):
             break
         inside = fits
@@ -164,9 +161,7 @@ def _intrinsics(name: str, problem: BundleProblem, distortion: int) -> Camera:
     focal = np.where(np.isfinite(focal) & (focal > 0.2 * max(size)) & (focal < 50 * max(size)), focal, usual)
     K = np.array([[focal[0], 0.0, middle[0]], [0.0, focal[1], middle[1]], [0.0, 0.0, 1.0]])
     number = LINEAR + distortion
-    return Camera(
-        name, K, np.eye(3), np.zeros(3), np.zeros(distortion), np.zeros((number, number)), size_px=size
-    )
+    return Camera(name, K, np.eye(3), np.zeros(3), np.zeros(distortion), np.zeros((number, number)), size_px=size)
 
 
 def _homography(points: Array, pixels: Array) -> Array:
@@ -310,9 +305,7 @@ class _Fit:
             turn, shift = np.split(step[own], 2)
             T = poses[name]
             poses[name] = pose(Rotation.from_rotvec(turn).as_matrix() @ T[:3, :3], T[:3, 3] + shift)
-        seen = {
-            name: one.moved(np.insert(step[cameras[name]], SKEW, 0.0)) for name, one in state.cameras.items()
-        }
+        seen = {name: one.moved(np.insert(step[cameras[name]], SKEW, 0.0)) for name, one in state.cameras.items()}
         return _State(seen, poses, state.scale + float(step[-1]))
 
     def solved(self, state: _State) -> _State:
@@ -397,10 +390,7 @@ def _with_residuals(camera: Camera, fit: _Fit, state: _State, std: Mapping[str, 
             residuals.append(fit.residuals(state, view))
             outliers += [f"{view.placement}/{number}" for number in view.numbers[~inside]]
     return replace(
-        camera,
-        residuals_px=np.concatenate(residuals),
-        outliers=tuple(outliers),
-        std_px=float(std[camera.name]),
+        camera, residuals_px=np.concatenate(residuals), outliers=tuple(outliers), std_px=float(std[camera.name])
     )
 
 

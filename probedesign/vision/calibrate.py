@@ -189,11 +189,7 @@ def scaled(points: Array) -> tuple[Array, Array]:
 
 
 def calibrate(
-    name: str,
-    points_world: ArrayLike,
-    pixels: ArrayLike,
-    distortion: int = 0,
-    labels: Sequence[str] | None = None,
+    name: str, points_world: ArrayLike, pixels: ArrayLike, distortion: int = 0, labels: Sequence[str] | None = None
 ) -> Camera:
     """Calibrate a camera from control points by Direct Linear Transformation, refined by least squares on pixels.
 
@@ -334,9 +330,7 @@ def _check_known(camera: Camera, control: ControlPoints) -> None:
     """Refuse a camera that the points do not determine."""
     focal = float(np.sqrt(max(camera.cov[0, 0], camera.cov[1, 1])) / min(camera.K[0, 0], camera.K[1, 1]))
     if not focal < MAX_FOCAL_STD:
-        control.fail(
-            f"its control points determine the focal length only to ±{focal:.0%}; spread them more in depth"
-        )
+        control.fail(f"its control points determine the focal length only to ±{focal:.0%}; spread them more in depth")
     if (camera.depth(control.points_world) <= 0).any():
         control.fail("control points lie on both sides of it; check their order and their pixels")
     if camera.folds(control.points_world):

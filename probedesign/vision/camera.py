@@ -178,8 +178,7 @@ class Camera:
             if n:
                 along = 2 * n * square ** (n - 1)
                 slope = (
-                    square[:, None, None] ** n * np.eye(2)
-                    + along[:, None, None] * seen[:, :, None] * seen[:, None, :]
+                    square[:, None, None] ** n * np.eye(2) + along[:, None, None] * seen[:, :, None] * seen[:, None, :]
                 )
             elif i == _P1:
                 slope = 2 * np.stack([np.stack([y, x], 1), np.stack([x, 3 * y], 1)], 1)

@@ -32,11 +32,7 @@ DISTANCE = (0.05, 20.0)
 MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "M", "mtx")
 BENDS = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "dist_coeffs", "D", "dist")
 ROTATION, TRANSLATION = ("R", "rvec"), ("T", "tvec")
-WIDTH, HEIGHT, SIZE = (
-    ("image_width", "image_Width"),
-    ("image_height", "image_Height"),
-    ("image_size", "imageSize"),
-)
+WIDTH, HEIGHT, SIZE = (("image_width", "image_Width"), ("image_height", "image_Height"), ("image_size", "imageSize"))
 ERROR = ("avg_reprojection_error", "Avg_Reprojection_Error", "reprojection_error", "rms", "RMS")
 PINHOLE = {"plumb_bob", "radtan", "none"}
 """Names of the distortion models with k1, k2, p1, p2, k3 in ROS and Kalibr, and of none."""
@@ -86,11 +82,7 @@ class _Document:
 
 
 def read_camera_files(
-    paths: Sequence[Path],
-    names: Sequence[str],
-    reprojection_px: float | None,
-    unit: float | None,
-    target_world: Array,
+    paths: Sequence[Path], names: Sequence[str], reprojection_px: float | None, unit: float | None, target_world: Array
 ) -> StatedCalibration:
     """Read the calibration of cameras from files.
 
@@ -131,9 +123,7 @@ def read_camera_files(
         poses = {name: T for name, T in stated.items() if T is not None}
         if poses and len(poses) < len(names):
             lacking = next(name for name in names if name not in poses)
-            raise merged.fail(
-                f"camera {lacking} has no R and T, but another camera has; all or none state their pose"
-            )
+            raise merged.fail(f"camera {lacking} has no R and T, but another camera has; all or none state their pose")
     found, notes = [], []
     for camera, error in zip(cameras, errors, strict=True):
         px = reprojection_px or error or ASSUMED_PX
@@ -209,14 +199,10 @@ def _opencv(document: _Document, name: str, suffix: str) -> Camera:
     key, bends = document.key(MATRIX, suffix), document.key(BENDS, suffix)
     if key is None or bends is None:
         lacking, like = ("camera matrix", MATRIX) if key is None else ("coefficients of distortion", BENDS)
-        raise document.fail(
-            f"has no {lacking} of camera {name}, as {like[0] if not suffix else like[-2] + suffix}"
-        )
+        raise document.fail(f"has no {lacking} of camera {name}, as {like[0] if not suffix else like[-2] + suffix}")
     model = str(document.values.get("distortion_model", "plumb_bob"))
     if model not in PINHOLE:
-        raise document.fail(
-            f"distortion_model {quote_input(model)} is not supported; calibrate with plumb_bob"
-        )
+        raise document.fail(f"distortion_model {quote_input(model)} is not supported; calibrate with plumb_bob")
     K = document.numbers(key, (9,)).reshape(3, 3)
     if not np.allclose(K[[1, 2, 2, 2], [0, 0, 1, 2]], [0, 0, 0, 1], atol=1e-9):
         raise document.fail(f"{key} is not a camera matrix: its last row is not 0 0 1, or it has a number below the "
@@ -228,9 +214,7 @@ def _kalibr(
     document: _Document, names: Sequence[str]
 ) -> tuple[list[Camera], list[float | None], list[tuple[str, str, Array]]]:
     """Return cameras of Kalibr, in the order cam0, cam1 ..., their errors (none), and poses relative to the last."""
-    chain = [
-        document.values[key] for key in sorted(document.values, key=_number) if re.fullmatch(r"cam\d+", key)
-    ]
+    chain = [document.values[key] for key in sorted(document.values, key=_number) if re.fullmatch(r"cam\d+", key)]
     if len(chain) != len(names):
         raise document.fail(f"has {len(chain)} cameras, but cameras.names {len(names)}")
     cameras: list[Camera] = []
@@ -358,9 +342,7 @@ def assumed_covariance(camera: Camera, px: float, distance: float) -> Array:
     focal = float(camera.K[0, 0])
     radius = float(camera.K[0, 2]) / focal
     share = px / math.sqrt(LINEAR - 1 + len(camera.distortion))
-    bends = [
-        share / (focal * size) for size in (radius**3, radius**5, 3 * radius**2, 3 * radius**2, radius**7)
-    ]
+    bends = [share / (focal * size) for size in (radius**3, radius**5, 3 * radius**2, 3 * radius**2, radius**7)]
     std = [*2 * [share / radius], 0.0, *2 * [share], *3 * [share / focal], *3 * [share * distance / focal],
            *bends[: len(camera.distortion)]]  # fmt: skip
     return np.diag(np.square(std))
@@ -379,9 +361,7 @@ def _uncertain(camera: Camera, px: float, T: Array | None, target: Array, docume
     return replace(camera, cov=assumed_covariance(camera, px, distance), std_px=px)
 
 
-def _relative(
-    cameras: Mapping[str, Camera], name: str, other: str, T: Array, document: _Document
-) -> RelativePose:
+def _relative(cameras: Mapping[str, Camera], name: str, other: str, T: Array, document: _Document) -> RelativePose:
     """Return a stated relative pose with its assumed uncertainty, as far as the cameras' parameters have it."""
     baseline = _check_baseline(document, other, name, T[:3, 3])
     std = math.hypot(*(math.sqrt(cameras[one].cov[5, 5]) for one in (name, other)))

@@ -54,9 +54,7 @@ def read_grey(path: Path) -> NDArray[np.uint8]:
 
     try:
         if path.stat().st_size > MAX_BYTES:
-            raise InputError(
-                f"{path}: is larger than {MAX_BYTES // 1_000_000} MB; save the photograph as PNG or JPEG"
-            )
+            raise InputError(f"{path}: is larger than {MAX_BYTES // 1_000_000} MB; save the photograph as PNG or JPEG")
         content = np.fromfile(path, dtype=np.uint8)
     except FileNotFoundError:
         raise InputError(f"{path}: no such photograph") from None
@@ -178,9 +176,7 @@ class DetectedMarkers:
     dark: bool  #: whether they are darker than the probe.
 
 
-def find_markers(
-    path: Path, s: ArrayLike, base: Array | ImageSide, dark: bool | None = None
-) -> DetectedMarkers:
+def find_markers(path: Path, s: ArrayLike, base: Array | ImageSide, dark: bool | None = None) -> DetectedMarkers:
     """Find the dots of a probe in a photograph.
 
     Args:

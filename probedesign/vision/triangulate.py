@@ -55,10 +55,7 @@ class Triangulated:
 
 
 def triangulate(
-    cameras: Sequence[Camera],
-    pixels: ArrayLike,
-    std_px: ArrayLike | None = None,
-    labels: Sequence[str] | None = None,
+    cameras: Sequence[Camera], pixels: ArrayLike, std_px: ArrayLike | None = None, labels: Sequence[str] | None = None
 ) -> Triangulated:
     """Locate markers in space by maximum likelihood on pixels.
 
@@ -137,9 +134,7 @@ def _weights(seen: MarkerObservations, points: Array) -> Array:
 
 def _linearised(seen: MarkerObservations, points: Array) -> tuple[Array, Array]:
     """Return residuals (m, 2c), zero where unseen, and their negative derivatives by the points (m, 2c, 3)."""
-    residual = np.stack(
-        [p - c.project(points) for c, p in zip(seen.cameras, seen.pixels, strict=True)], axis=1
-    )
+    residual = np.stack([p - c.project(points) for c, p in zip(seen.cameras, seen.pixels, strict=True)], axis=1)
     by_point = np.stack([camera.by_point(points) for camera in seen.cameras], axis=1)
     residual = np.where(seen.mask.T[..., None], residual, 0.0)
     return residual.reshape(len(points), -1), by_point.reshape(len(points), -1, 3)
@@ -232,9 +227,7 @@ def _max_residual(found: Triangulated) -> Array:
     return np.asarray(np.nanmax(np.linalg.norm(found.residual_px, axis=2), axis=0))
 
 
-def _outlier_hypotheses(
-    seen: MarkerObservations, wrong: NDArray[np.bool_]
-) -> Iterator[tuple[str, MarkerObservations]]:
+def _outlier_hypotheses(seen: MarkerObservations, wrong: NDArray[np.bool_]) -> Iterator[tuple[str, MarkerObservations]]:
     """Yield likely mistakes and the observations with each of them corrected."""
     names = [camera.name for camera in seen.cameras]
     for i, j in combinations(range(len(names)), 2):

@@ -9,13 +9,7 @@ from numpy.testing import assert_allclose
 
 from benchmarks.coverage import bounds
 from benchmarks.reference_probes import SOURCES, Perturbations, PriorStds
-from benchmarks.reference_touches import (
-    cramer_rao,
-    evaluate_readings,
-    fused_cramer_rao,
-    position_rms,
-    solve_presses,
-)
+from benchmarks.reference_touches import cramer_rao, evaluate_readings, fused_cramer_rao, position_rms, solve_presses
 from probedesign.design import load_design
 from probedesign.probe import build_probe
 from tests.reference.cosserat import solve
@@ -40,9 +34,7 @@ def test_error_columns_are_the_derivatives_of_reading_and_point():
     step = 0.3
     z = step * np.eye(perturbations.size)
     others, moved = touched(perturbations, z)
-    wrench = others.reading(
-        moved.wrench, others.free_wrench(), 0, readings.wrench[0] - _added(samples, touches)
-    )
+    wrench = others.reading(moved.wrench, others.free_wrench(), 0, readings.wrench[0] - _added(samples, touches))
     point = others.point_in_nominal_frame(moved.p_surface)
     noise = np.sqrt(np.diag(MODEL.noise_base()))
     for name, slot in perturbations.slots.items():
@@ -108,9 +100,7 @@ def test_pressing_on_lowers_the_bound_and_moments_alone_need_a_friction_prior():
 @pytest.mark.parametrize("aside", [None, np.full(4, 0.05)], ids=["slides", "sticks"])
 def test_pressed_touches_are_at_the_point_that_the_robot_reports(aside):
     rng = np.random.default_rng(3)
-    perturbations = Perturbations.of(
-        MODEL, PriorStds.of(MODEL).only(("base place", "base tilt", "diameter")), 5
-    )
+    perturbations = Perturbations.of(MODEL, PriorStds.of(MODEL).only(("base place", "base tilt", "diameter")), 5)
     z = perturbations.draw(4, rng)
     samples = perturbations.samples(z)
     pressed = solve_presses(

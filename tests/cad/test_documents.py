@@ -22,12 +22,7 @@ import ezdxf.units
 import trimesh
 from PIL import Image
 
-from probedesign.cad.assembly_docs import (
-    SHEETS,
-    assembly_page,
-    bill_of_materials,
-    part_drawings,
-)
+from probedesign.cad.assembly_docs import SHEETS, assembly_page, bill_of_materials, part_drawings
 from probedesign.cad.drawing import EDGE, HEIGHT, WIDTH
 from probedesign.cad.drawing_files import Svg, dxf_bytes, svg_bytes
 from probedesign.cad.exploded_view import DOWN, EXPLOSION, assembly_steps
@@ -65,9 +60,7 @@ def test_the_bill_lists_every_part(exported: Exported, large: CadModel) -> None:
     for name in PRINTED:
         assert rows[name]["file"] in exported[1]["files"]
         # Three digits are written.
-        assert float(rows[name]["mass_g"]) == pytest.approx(
-            1e3 * exported[1]["parts"][name]["mass_kg"], rel=5e-3
-        )
+        assert float(rows[name]["mass_g"]) == pytest.approx(1e3 * exported[1]["parts"][name]["mass_kg"], rel=5e-3)
     assert rows["probe"]["material"] == "elastic-50a" and "rigid" in rows["clamp_ring"]["material"]
     assert len(exported[1]["bill_of_materials"]) == len(table)
 
@@ -91,9 +84,7 @@ def test_every_part_has_a_step_and_an_exploded_position(large: CadModel) -> None
     assert Counter(exploded) == Counter(set(large.parts) - {"sensor"})
     assert {
         name
-        for step in assembly_steps(
-            large.screws, large.adapter.dowels, large.plate.robot.pin_d, centring_pins=3
-        )
+        for step in assembly_steps(large.screws, large.adapter.dowels, large.plate.robot.pin_d, centring_pins=3)
         for name in step.parts
     } == set(exploded)
 
@@ -121,8 +112,7 @@ def test_exploded_parts_do_not_overlap(large: CadModel) -> None:
     moved = {
         name: replace(
             part,
-            T_sensor_part=pose(p=[0.0, 0.0, 1e-3 * (apart[name].span[0] - bodies[name].span[0])])
-            @ part.T_sensor_part,
+            T_sensor_part=pose(p=[0.0, 0.0, 1e-3 * (apart[name].span[0] - bodies[name].span[0])]) @ part.T_sensor_part,
         )
         for name, part in large.parts.items()
     }
@@ -267,13 +257,8 @@ def test_drawings_stay_in_their_frame(make_design: Callable[..., Design], probe:
         root = ET.fromstring(drawing(model, name))
         for element in root.iter():
             for x, y in _points(element):
-                assert EDGE <= x <= WIDTH - EDGE and EDGE <= y <= HEIGHT - EDGE, (
-                    name,
-                    ET.tostring(element)[:200],
-                )
-        notes = [
-            e for e in root.iter(f"{SVG}text") if " at s = " in (e.text or "") and "–" not in (e.text or "")
-        ]
+                assert EDGE <= x <= WIDTH - EDGE and EDGE <= y <= HEIGHT - EDGE, (name, ET.tostring(element)[:200])
+        notes = [e for e in root.iter(f"{SVG}text") if " at s = " in (e.text or "") and "–" not in (e.text or "")]
         heights = sorted(float(e.get("y", "")) for e in notes)
         assert all(b - a > 3.0 for a, b in pairwise(heights))  # no note on another
 
@@ -291,9 +276,7 @@ def _points(element: ET.Element) -> list[tuple[float, float]]:
     return []
 
 
-def test_the_title_block_is_complete(
-    large: CadModel, exported: Exported, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_title_block_is_complete(large: CadModel, exported: Exported, monkeypatch: pytest.MonkeyPatch) -> None:
     """Revision, mass, scale, date and projection; the date is the design's or that of the sources."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1767225600")  # 2026-01-01 UTC
     dated = replace(large, design=large.design.model_copy(update={"date": "2025-12-24"}))
@@ -301,9 +284,7 @@ def test_the_title_block_is_complete(
         for name in ("probe", "sensor_adapter"):
             words = words_of(drawing(model, name))
             grams = 1e3 * exported[1]["parts"][name]["mass_kg"]
-            assert {date, large.geometry.fingerprint, f"{grams:.3g} g", "first angle, ISO 5456-2"} <= set(
-                words
-            )
+            assert {date, large.geometry.fingerprint, f"{grams:.3g} g", "first angle, ISO 5456-2"} <= set(words)
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
     with pytest.raises(InputError, match="SOURCE_DATE_EPOCH = 'yesterday'"):
         part_drawings(large)
@@ -322,9 +303,7 @@ def test_sections_datums_and_fits_of_odd_designs() -> None:
     hollow = drawn(f"{sizes}tip_d_mm = 4.0\nsection = 'hollow'\nbore_ratio = 0.5")["probe"]
     assert "C–C" in hollow and "D–D at s = 50" in hollow and "⌀7 / bore 3.5 at s = 50" in hollow
     # A cylinder rounded with its own radius, R = r; and a fillet.
-    text = drawn(
-        f"{sizes}tip_d_mm = 10.0\ntip = 'rounded'\nbase_fillet_mm = 1.5", 'adapters = "milled"', PRINTED
-    )
+    text = drawn(f"{sizes}tip_d_mm = 10.0\ntip = 'rounded'\nbase_fillet_mm = 1.5", 'adapters = "milled"', PRINTED)
     assert "R5," in text["probe"] and "fillet R1.5" in text["probe"] and "0.4 deep" in text["probe"]
     assert "⌀2 H7" in text["sensor_adapter"] and "⌀2 H7" in text["flange_adapter"]
     assert "⌀31.3 h9" in text["flange_adapter"] and "±0.05, all lengths" in text["flange_adapter"]
@@ -341,9 +320,7 @@ def test_dxf_is_sound_and_measures_the_part(
         document = ezdxf.read(io.StringIO(drawings[f"{name}.dxf"].decode()))
         assert not document.audit().errors and document.units == ezdxf.units.MM
         layers = Counter(entity.dxf.layer for entity in document.modelspace())
-        assert {"OUTLINE", "CENTRE", "DIMENSIONS", "SYMBOLS", "FRAME", "TEXT"} <= set(
-            layers
-        ) and "0" not in layers
+        assert {"OUTLINE", "CENTRE", "DIMENSIONS", "SYMBOLS", "FRAME", "TEXT"} <= set(layers) and "0" not in layers
         assert (layers["HATCH"] > 0) == (name != "probe")
     a = large.adapter
     measured = _measured(drawings["sensor_adapter.dxf"])
@@ -404,9 +381,7 @@ def test_the_page_is_self_contained(exported: Exported) -> None:
     page = Page(text)
     assert page.fetched and all(url.startswith("data:image/png;base64,") for url in page.fetched)
     assert "<script" not in text and "@import" not in text and "url(" not in text
-    assert (
-        len(page.fetched) == len(exported[1]["assembly_order"]) + 1
-    )  # a picture a step, and the exploded one
+    assert len(page.fetched) == len(exported[1]["assembly_order"]) + 1  # a picture a step, and the exploded one
 
 
 def test_the_page_has_warning_parts_steps_and_tools(exported: Exported, large: CadModel) -> None:
@@ -458,14 +433,10 @@ def test_packages_read_strictly_in_millimetres_and_side_by_side(exported: Export
         assert all(piece.part_number == f"large-{fingerprint}-{piece.name}" for piece, _ in found)
         boxes = [[m.vertices.min(axis=0) + p, m.vertices.max(axis=0) + p] for (_, p), m in
                  zip(found, (piece.mesh for piece, _ in found), strict=True)]  # fmt: skip
-        assert min(low.min() for low, _ in boxes) == pytest.approx(
-            0.0, abs=1e-4
-        )  # the plate; 3MF cuts digits
+        assert min(low.min() for low, _ in boxes) == pytest.approx(0.0, abs=1e-4)  # the plate; 3MF cuts digits
         for (_, high), (low, _) in pairwise(boxes):
             assert low[0] - high[0] > 4.9  # millimetres
-        assert np.allclose(
-            platform_positions([piece for piece, _ in found]), [p for _, p in found], atol=1e-3
-        )
+        assert np.allclose(platform_positions([piece for piece, _ in found]), [p for _, p in found], atol=1e-3)
 
 
 def test_another_reader_sees_the_same_parts(exported: Exported) -> None:

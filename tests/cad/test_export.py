@@ -63,9 +63,7 @@ def test_files_and_their_digests(exported: Exported) -> None:
     assert set(manifest["files"]) == FILES - {"manifest.json"}
     for name, record in manifest["files"].items():
         content = (folder / name).read_bytes()
-        assert (
-            hashlib.sha256(content).hexdigest() == record["sha256"] and len(content) == record["size_bytes"]
-        )
+        assert hashlib.sha256(content).hexdigest() == record["sha256"] and len(content) == record["size_bytes"]
 
 
 def test_manifest_describes_the_export(exported: Exported, make_design: Callable[..., Design]) -> None:
@@ -84,9 +82,7 @@ def test_manifest_describes_the_export(exported: Exported, make_design: Callable
     assert manifest["base"]["root_rigid_radii_computed"] == pytest.approx(-0.18, abs=0.01)  # Ø12 mm
 
 
-def test_manifest_masses_equal_those_of_the_mechanics(
-    exported: Exported, make_design: Callable[..., Design]
-) -> None:
+def test_manifest_masses_equal_those_of_the_mechanics(exported: Exported, make_design: Callable[..., Design]) -> None:
     _, manifest = exported
     design = make_design()
     geometry = build_geometry(design)
@@ -95,9 +91,7 @@ def test_manifest_masses_equal_those_of_the_mechanics(
     whole = combined([rigid, flexible_part(geometry, design.density.value).moved(adapter.T_sensor_base)])
     for name, formula in (("rigid", rigid), ("whole", whole)):
         record = manifest["mass"][name]
-        drawn = MassProperties(
-            *(np.array(record[k]) for k in ("volume_m3", "mass_kg", "p_com_m", "inertia_kg_m2"))
-        )
+        drawn = MassProperties(*(np.array(record[k]) for k in ("volume_m3", "mass_kg", "p_com_m", "inertia_kg_m2")))
         # Solids and formulae agree to 1e-9; the centre is compared on the scale of the body, 10 mm.
         assert drawn.mass == pytest.approx(formula.mass, rel=1e-9)
         assert drawn.p_com == pytest.approx(formula.p_com, abs=1e-11)
@@ -128,9 +122,7 @@ def test_probe_stl_is_in_millimetres_in_the_base_frame(exported: Exported) -> No
     assert (radius <= cone + 1e-5).all()  # facets lie inside the cone, corners on it
 
 
-def test_step_has_one_product_per_part_and_its_instances_in_place(
-    exported: Exported, large: CadModel
-) -> None:
+def test_step_has_one_product_per_part_and_its_instances_in_place(exported: Exported, large: CadModel) -> None:
     """Read by the kernel's own reader of assemblies."""
     path = exported[0] / "assembly.step"
     products = re.findall(r"= PRODUCT\(\s*'([^']*)'", path.read_text("ascii"))
@@ -169,9 +161,7 @@ def test_step_header_names_file_design_program_and_date(exported: Exported, larg
         return about, name[1], [name[0], *name[2:]]
 
     for file in ("assembly.step", "probe.step"):
-        about, time, (name, author, organization, translator, program, _) = header_of(
-            (exported[0] / file).read_bytes()
-        )
+        about, time, (name, author, organization, translator, program, _) = header_of((exported[0] / file).read_bytes())
         assert name == file and author and organization and "Open CASCADE" in translator
         assert program == f"probedesign {version('probedesign')}"
         assert about[0].startswith("large: ") and large.geometry.fingerprint in about[0]
@@ -189,9 +179,7 @@ def test_glb_is_in_metres_with_y_up(exported: Exported, large: CadModel) -> None
     boxes = np.array([part.box for part in large.parts.values()])
     low, high = 1e-3 * boxes[:, 0].min(axis=0), 1e-3 * boxes[:, 1].max(axis=0)
     # Facets lie inside by at most 0.02 mm, where their corners do not touch the box.
-    assert scene.bounds == pytest.approx(
-        np.array([[low[0], low[2], -high[1]], [high[0], high[2], -low[1]]]), abs=1e-4
-    )
+    assert scene.bounds == pytest.approx(np.array([[low[0], low[2], -high[1]], [high[0], high[2], -low[1]]]), abs=1e-4)
     T, geometry = scene.graph.get("clamp_ring")
     mesh = scene.geometry[geometry].copy().apply_transform(T)
     mesh.merge_vertices(merge_norm=True)
@@ -314,9 +302,7 @@ def test_exports_are_reproducible(exported: Exported, exported_again: Path) -> N
         assert path.read_bytes() == (exported[0] / path.name).read_bytes(), path.name
 
 
-def test_other_sections_are_reproducible(
-    other_section: tuple[str, Path, dict[str, Any]], exported_again: Path
-) -> None:
+def test_other_sections_are_reproducible(other_section: tuple[str, Path, dict[str, Any]], exported_again: Path) -> None:
     """The kernel keeps one of two coincident vertices by its address, which differs between processes."""
     section, folder, _ = other_section
     for path in folder.iterdir():
@@ -334,10 +320,7 @@ def test_a_step_file_does_not_depend_on_the_order_in_which_the_kernel_writes_sty
         f"#{n + 1} = STYLED_ITEM('color',(#{n + 2}),#{shape - 1});\n#{n + 2} = STYLE(#{colour});\n"
         for n, shape, colour in ((100, 10, 103), (104, 20, 103))
     ]
-    files = [
-        f"HEADER;\n#9 = SHAPE();\n{one}#103 = RGB(0.5);\n{two}ENDSEC;\nEND;\n"
-        for one, two in (blocks, swapped)
-    ]
+    files = [f"HEADER;\n#9 = SHAPE();\n{one}#103 = RGB(0.5);\n{two}ENDSEC;\nEND;\n" for one, two in (blocks, swapped)]
     assert reproducible(files[0]) == reproducible(files[1])
     assert reproducible(files[0]).count("#20") == 1 and "#9 = SHAPE" in reproducible(files[0])
 
@@ -373,17 +356,13 @@ def test_interrupted_export_leaves_nothing(
         raise trouble
 
     monkeypatch.setattr("probedesign.cad.export.manifest_of", fail)
-    with pytest.raises(
-        (KeyboardInterrupt, InputError), match=r"^$|cannot be written: No space left on device$"
-    ):
+    with pytest.raises((KeyboardInterrupt, InputError), match=r"^$|cannot be written: No space left on device$"):
         export_parts(make_design(), tmp_path / "large")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.usefixtures("drawn_before")
-def test_foreign_files_and_an_older_export_survive(
-    make_design: Callable[..., Design], tmp_path: Path
-) -> None:
+def test_foreign_files_and_an_older_export_survive(make_design: Callable[..., Design], tmp_path: Path) -> None:
     folder = tmp_path / "large"
     folder.mkdir()
     ours, foreign = folder / "manifest.json", folder / "large.probe.json"
@@ -399,9 +378,7 @@ def test_foreign_files_and_an_older_export_survive(
     assert foreign.read_text() == "earlier" and made["name"] == "large"
 
 
-def test_a_target_that_cannot_be_written_is_one_line(
-    make_design: Callable[..., Design], tmp_path: Path
-) -> None:
+def test_a_target_that_cannot_be_written_is_one_line(make_design: Callable[..., Design], tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_text("mine")
     for target in (file, file / "below"):

@@ -97,9 +97,7 @@ def test_ctrl_c_is_deferred_until_the_last_file(tmp_path: Path, monkeypatch: pyt
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGINT, before)
-    assert {p.name: p.read_text() for p in folder.iterdir()} == dict.fromkeys(
-        ("a", "b", "manifest.json"), "new"
-    )
+    assert {p.name: p.read_text() for p in folder.iterdir()} == dict.fromkeys(("a", "b", "manifest.json"), "new")
 
 
 def test_outdated_files_are_removed_and_others_kept(tmp_path: Path) -> None:
@@ -126,9 +124,6 @@ def test_an_unreadable_manifest_is_ignored(tmp_path: Path, nonsense: str) -> Non
 
 
 def test_a_full_disk_is_one_line(tmp_path: Path) -> None:
-    with (
-        pytest.raises(InputError, match=r"cannot be written: No space left on device$"),
-        staged(tmp_path / "large"),
-    ):
+    with pytest.raises(InputError, match=r"cannot be written: No space left on device$"), staged(tmp_path / "large"):
         raise OSError(28, "No space left on device")
     assert list(tmp_path.iterdir()) == []

@@ -12,11 +12,7 @@ from OCP.BRepClass3d import BRepClass3d_SolidClassifier
 from OCP.gp import gp_Pnt
 from OCP.TopAbs import TopAbs_State
 
-from probedesign.mount.interior import (
-    clamp_ring_interior,
-    flange_adapter_interior,
-    sensor_adapter_interior,
-)
+from probedesign.mount.interior import clamp_ring_interior, flange_adapter_interior, sensor_adapter_interior
 
 POINTS = 1500
 
@@ -32,9 +28,7 @@ def test_the_interior_is_that_of_the_solid(large: Any, name: str) -> None:
     box = shape.BoundingBox()
     rng = np.random.default_rng(3)
     low, high = np.array([box.xmin, box.ymin, box.zmin]) - 0.5, np.array([box.xmax, box.ymax, box.zmax]) + 0.5
-    inside_solid = BRepClass3d_SolidClassifier(
-        shape.wrapped
-    )  # `isInside` of CadQuery makes one for each point
+    inside_solid = BRepClass3d_SolidClassifier(shape.wrapped)  # `isInside` of CadQuery makes one for each point
     differ = []
     for p in rng.uniform(low, high, (POINTS, 3)):
         one = np.array([p[0]]), np.array([p[1]])

@@ -15,15 +15,7 @@ import cadquery as cq
 from probedesign.cad.exploded_view import assembly_steps
 from probedesign.cad.kernel import mass_properties
 from probedesign.cad.mesh import Mesh, tessellate, threemf_packages
-from probedesign.cad.model import (
-    FASTENERS,
-    IN_SENSOR_FRAME,
-    CadModel,
-    CadPart,
-    build_cad,
-    build_parts,
-    overlaps,
-)
+from probedesign.cad.model import FASTENERS, IN_SENSOR_FRAME, CadModel, CadPart, build_cad, build_parts, overlaps
 from probedesign.cad.solids import probe_solid, screw_groups
 from probedesign.cad.verify import blocked_tools, verify
 from probedesign.core.errors import CheckFailedError, InputError
@@ -162,9 +154,7 @@ def test_x_of_the_base_is_x_of_the_sensor_through_the_dowel(large: CadModel) -> 
     assert T[:3, 0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-15)
     sensor, pins, adapter = (large.parts[n].placed for n in ("sensor", "dowel_pins", "sensor_adapter"))
     pin_at_x = next(pin for pin in pins.Solids() if filled(pin, at(0, 6.25, 1.0)))
-    assert filled(pin_at_x, at(0, 6.25, -2.9)) and not filled(
-        sensor, at(0, 6.25, -2.9)
-    )  # in the sensor's hole
+    assert filled(pin_at_x, at(0, 6.25, -2.9)) and not filled(sensor, at(0, 6.25, -2.9))  # in the sensor's hole
     assert not filled(adapter, at(0, 6.25, 2.9))  # and in the adapter's
     r = 1e3 * large.adapter.peg_x
     mark = np.linalg.solve(T, np.append(1e-3 * at(0, r, 6.7), 1.0))[:3]
@@ -207,9 +197,7 @@ def test_pins_centre_the_sensor_on_the_plate_and_a_tie_takes_the_cable(large: Ca
     assert np.diff([*azimuths, azimuths[0] + 360.0]).max() < 180.0  # on all sides of the body
     for pin in pins:
         play = np.hypot(pin.Center().x, pin.Center().y) - 1.0 - 8.5
-        assert play == pytest.approx(
-            0.15, abs=1e-6
-        )  # 0 at the worst corner of the tolerances; kernel: 1e-7 mm
+        assert play == pytest.approx(0.15, abs=1e-6)  # 0 at the worst corner of the tolerances; kernel: 1e-7 mm
     assert large.shared_volumes["flange_adapter & centring_pins"] == 0.0
     plate = large.parts["flange_adapter"]
     x, y = (1e3 * v for v in large.plate.p_tie_slots[0])
@@ -240,8 +228,7 @@ def test_mounting_triad_is_turned_from_the_tool_triad(large: CadModel) -> None:
 
 
 @pytest.mark.parametrize(
-    ("flange", "reach", "spigot_r"),
-    [("iso-9409-1-50-4-m6", 25.0, 15.65), ("iso-9409-1-31.5-4-m5", 15.75, 9.9)],
+    ("flange", "reach", "spigot_r"), [("iso-9409-1-50-4-m6", 25.0, 15.65), ("iso-9409-1-31.5-4-m5", 15.75, 9.9)]
 )
 def test_robot_side(
     make_design: Callable[..., Design], large: CadModel, flange: str, reach: float, spigot_r: float
@@ -300,11 +287,7 @@ def test_a_flange_of_the_users_own() -> None:
             "180.0, 300.0, 305.0]",
             r"bolt_azimuths_deg = .*300, 305 .* heads 1\.57 mm apart, at least 7 mm",
         ),
-        (
-            "[60.0, 180.0, 300.0]",
-            "[10.0, 180.0]",
-            r"bolt_azimuths_deg .* mm from the pin's slot, at least 5\.35 mm",
-        ),
+        ("[60.0, 180.0, 300.0]", "[10.0, 180.0]", r"bolt_azimuths_deg .* mm from the pin's slot, at least 5\.35 mm"),
         ("face_d_mm = 45.0", "face_d_mm = 35.0", r"face_d_mm = 35 .* at least 40 mm"),
         ("[20.0, 2.0]", "[12.0, 2.0]", r"spigot_mm = 12 .* at least 17\.7 mm, or none"),
     ],
@@ -439,9 +422,7 @@ KINDS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("base_d", [3.0, 7.5, 12.0, 18.5, 25.0])
-@pytest.mark.parametrize(
-    ("length", "thick"), [(30.0, 0.0), (30.0, 1.0), (100.0, 0.4), (180.0, 0.0), (180.0, 1.0)]
-)
+@pytest.mark.parametrize(("length", "thick"), [(30.0, 0.0), (30.0, 1.0), (100.0, 0.4), (180.0, 0.0), (180.0, 1.0)])
 def test_grid_of_designs(
     make_design: Callable[..., Design], base_d: float, length: float, thick: float, kind: str
 ) -> None:
@@ -473,9 +454,7 @@ def test_wider_grid(make_design: Callable[..., Design], base_d: float, length: f
 @pytest.mark.parametrize(
     "sizes", [(150.0, 12.0, 2.0), (50.0, 3.0, 1.0), (400.0, 60.0, 2.0), (5.0, 60.0, 5.0), (80.0, 6.0, 6.0)]
 )
-def test_grid_of_sections(
-    make_design: Callable[..., Design], section: str, sizes: tuple[float, float, float]
-) -> None:
+def test_grid_of_sections(make_design: Callable[..., Design], section: str, sizes: tuple[float, float, float]) -> None:
     model = build_cad(make_design("length_mm = {}\nbase_d_mm = {}\ntip_d_mm = {}\n".format(*sizes) + section))
     assert all(f["ok"] for f in verify(model, *meshed(model)).values())
 
@@ -487,12 +466,7 @@ def random_design(seed: int) -> str:
     length = round(float(rng.uniform(30.0, 165.0)), 1)  # what a Form 3 holds
     tip_d = round(float(rng.uniform(2.0, 6.0)) + (3.0 if section == "hollow" else 0.0), 1)
     base_d = round(max(tip_d, 0.06 * length) + float(rng.uniform(0.0, 10.0)), 1)
-    probe = [
-        f"length_mm = {length}",
-        f"base_d_mm = {base_d}",
-        f"tip_d_mm = {tip_d}",
-        f'section = "{section}"',
-    ]
+    probe = [f"length_mm = {length}", f"base_d_mm = {base_d}", f"tip_d_mm = {tip_d}", f'section = "{section}"']
     if section == "hollow":
         probe.append(f"bore_ratio = {rng.uniform(0.2, 0.5):.2f}")
     else:
@@ -546,9 +520,7 @@ def test_fixed_designs(make_design: Callable[..., Design], probe: str) -> None:
 
 def check_all(design: Design) -> None:
     model = build_cad(design)
-    assert all(
-        f["ok"] for f in verify(model, *meshed(model)).values()
-    )  # solids, meshes, overlap, access, stacks
+    assert all(f["ok"] for f in verify(model, *meshed(model)).values())  # solids, meshes, overlap, access, stacks
     for stack in tolerance_stacks(model.adapter, model.plate):
         assert stack.ok, stack.name
     # Errors include supports on a face with a dimension.
@@ -556,9 +528,7 @@ def check_all(design: Design) -> None:
 
 
 def test_a_bore_is_open_from_tip_to_underside(make_design: Callable[..., Design]) -> None:
-    probe = build_cad(make_design(HOLLOW + "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0")).parts[
-        "probe"
-    ]
+    probe = build_cad(make_design(HOLLOW + "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0")).parts["probe"]
     for z in (-2.99, -0.1, 0.1, 75.0, 149.99):
         outer = 6.0 if z < 0.0 else 6.0 - z / 30.0  # below s = 0 the bore keeps its width
         for azimuth in (20.0, 110.0, 200.0, 290.0):
@@ -585,9 +555,7 @@ def test_verify_detects_a_turned_elliptic_probe(elliptic: CadModel) -> None:
     probe = elliptic.parts["probe"]
     turned = replace(probe, shape=probe.shape.rotate((0, 0, 0), (0, 0, 1), 90.0))
     model = replace(elliptic, parts={**elliptic.parts, "probe": turned})
-    with pytest.raises(
-        CheckFailedError, match=r"section_second_moment_xx.*section_second_moment_yy"
-    ) as error:
+    with pytest.raises(CheckFailedError, match=r"section_second_moment_xx.*section_second_moment_yy") as error:
         verify(model, *meshed(model))
     assert "section_area" not in str(error.value) and "flexible_volume" not in str(error.value)
 
@@ -623,9 +591,7 @@ def test_overlap_is_detected(large: CadModel) -> None:
     assert shared == pytest.approx(expected, rel=1e-9)  # exact surfaces
 
 
-def test_same_triangles_on_every_run(
-    make_design: Callable[..., Design], large: CadModel, large_meshes: Meshes
-) -> None:
+def test_same_triangles_on_every_run(make_design: Callable[..., Design], large: CadModel, large_meshes: Meshes) -> None:
     again = build_cad(make_design())
     for name, mesh in large_meshes[0].items():
         fresh = tessellate(again.parts[name].shape)

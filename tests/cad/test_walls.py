@@ -49,24 +49,18 @@ def test_walls_of_the_rigid_parts_equal_the_check(large: Any) -> None:
             round_faces(flange, M2.counterbore_d), round_faces(flange, plate.robot.spigot[0])),
     }  # fmt: skip
     for key, (some, others) in drawn.items():
-        assert apart(some, others) == pytest.approx(message[key], abs=1e-6), (
-            key
-        )  # mm: the kernel's tolerance is 1e-7
+        assert apart(some, others) == pytest.approx(message[key], abs=1e-6), key  # mm: the kernel's tolerance is 1e-7
 
 
 def test_walls_around_a_nut_slot_equal_the_check(large: Any) -> None:
     a, adapter = large.adapter, large.parts["sensor_adapter"].shape
     message = {
-        f.what: f.measured
-        for f in check_print(large.design, layers=False).findings
-        if f.part == "sensor_adapter"
+        f.what: f.measured for f in check_print(large.design, layers=False).findings if f.part == "sensor_adapter"
     }
     ends = [f for f in round_faces(adapter, a.nut_slot_width) if f.Center().z > a.nut_slot_z[0] / MM]
     assert len(ends) == 4
     wall = apart(ends, round_faces(adapter, a.recess_d))
-    assert wall == pytest.approx(
-        message["between nut slot and recess"], abs=1e-6
-    )  # mm: the kernel's tolerance
+    assert wall == pytest.approx(message["between nut slot and recess"], abs=1e-6)  # mm: the kernel's tolerance
     holes = [f for f in round_faces(adapter, M2.clearance_d) if f.BoundingBox().zmin < a.nut_slot_z[0] / MM]
     cone = [face for face in adapter.Faces() if face.geomType() == "CONE"]
     below = [f for f in holes if f.BoundingBox().zmin > 1.0]
@@ -78,7 +72,5 @@ def test_walls_around_a_nut_slot_equal_the_check(large: Any) -> None:
 def test_the_web_at_the_clocking_hole_equals_the_check(large: Any) -> None:
     probe = large.parts["probe"].shape
     (found,) = [f for f in check_print(large.design, layers=False).findings if "its rim" in f.what]
-    web = apart(
-        round_faces(probe, large.adapter.peg_hole_d), round_faces(probe, large.geometry.flange.diameter)
-    )
+    web = apart(round_faces(probe, large.adapter.peg_hole_d), round_faces(probe, large.geometry.flange.diameter))
     assert web == pytest.approx(found.measured, abs=1e-6)  # mm: the kernel's tolerance is 1e-7

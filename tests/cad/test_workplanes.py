@@ -21,9 +21,7 @@ from probedesign.design import check_design, parse_design
 from probedesign.design.io import render_design, write_design
 
 EXAMPLE = Path(__file__).parents[2] / "examples/changed_adapter.py"
-LARGE = parse_design(
-    'schema = 1\nname = "large"\n[probe]\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n'
-)
+LARGE = parse_design('schema = 1\nname = "large"\n[probe]\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n')
 FLANGE = LARGE.robot_flange
 
 
@@ -81,9 +79,7 @@ def test_changed_part_is_exported_with_its_manifest(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(sys, "argv", [str(EXAMPLE), str(path), str(out)])
     runpy.run_path(str(EXAMPLE), run_name="__main__")
     manifest = json.loads((out / "manifest.json").read_text("utf-8"))
-    assert {"flange_adapter.stl", "flange_adapter.step", "assembly.step", "assembly.glb"} == set(
-        manifest["files"]
-    )
+    assert {"flange_adapter.stl", "flange_adapter.step", "assembly.step", "assembly.glb"} == set(manifest["files"])
     for name, record in manifest["files"].items():
         assert hashlib.sha256((out / name).read_bytes()).hexdigest() == record["sha256"]
     mass = manifest["changed"]["flange_adapter"]
@@ -91,9 +87,7 @@ def test_changed_part_is_exported_with_its_manifest(tmp_path: Path, monkeypatch:
     hole = math.pi / 4 * 2.5**2 * 4.0 * 1e-9
     assert mass["mass_as_designed_kg"] - mass["mass_kg"] == pytest.approx(density * hole, rel=1e-6)
     read = cq.importers.importStep(str(out / "flange_adapter.step"))
-    assert read.val().Volume() * 1e-9 == pytest.approx(
-        manifest["parts"]["flange_adapter"]["volume_m3"], rel=1e-6
-    )
+    assert read.val().Volume() * 1e-9 == pytest.approx(manifest["parts"]["flange_adapter"]["volume_m3"], rel=1e-6)
 
 
 def test_part_that_touches_the_sensor_is_refused(tmp_path: Path) -> None:

@@ -42,9 +42,7 @@ def scaled(factors: np.ndarray) -> Callable[[tables.Test], tables.Test]:
 
 
 def contact_times(factor: float) -> Callable[[tables.Test], tables.Test]:
-    return lambda t: (
-        t if t.p_contact_world is None else replace(t, p_contact_world=factor * t.p_contact_world)
-    )
+    return lambda t: t if t.p_contact_world is None else replace(t, p_contact_world=factor * t.p_contact_world)
 
 
 def is_accepted(campaign: Campaign, model: ProbeModel) -> bool:
@@ -80,9 +78,7 @@ def test_forces_or_moments_of_another_unit(models, made, name, frame, factors):
     if frame == "base":
         campaign = in_base(campaign, models[name])
     message = refusal(changed(campaign, scaled(factors)), models[name])
-    assert "wrenches.csv: test " in message and (
-        "in a column of N" in message or "units of their columns?" in message
-    )
+    assert "wrenches.csv: test " in message and ("in a column of N" in message or "units of their columns?" in message)
 
 
 def test_a_few_readings_beyond_the_range_are_accepted(models, made):
@@ -95,10 +91,7 @@ def test_a_few_readings_beyond_the_range_are_accepted(models, made):
 def test_places_in_metres(models, made):
     campaign = made("large", CampaignPlan("cameras", 1))
     message = refusal(changed(campaign, contact_times(1e-3)), models["large"])
-    assert (
-        "tests.csv: test touch-01: contact is 2" in message
-        and "large is 150 mm long; a wrong unit" in message
-    )
+    assert "tests.csv: test touch-01: contact is 2" in message and "large is 150 mm long; a wrong unit" in message
     # the world's origin at the base: all places shrink to it
     at_base = changed(campaign, lambda t: t if t.p_contact_world is None else replace(
         t, p_contact_world=t.T_world_base[:3, 3] + 1e-3 * (t.p_contact_world - t.T_world_base[:3, 3])))  # fmt: skip
@@ -108,13 +101,8 @@ def test_places_in_metres(models, made):
 
 def test_arclengths_in_metres(models, made):
     campaign = made("large", CampaignPlan("stage", 1))
-    message = refusal(
-        changed(campaign, lambda test: replace(test, s_contact=1e-3 * test.s_contact)), models["large"]
-    )
-    assert (
-        "tests.csv: test " in message
-        and "is the largest, large is 150 mm long; metres in a column" in message
-    )
+    message = refusal(changed(campaign, lambda test: replace(test, s_contact=1e-3 * test.s_contact)), models["large"])
+    assert "tests.csv: test " in message and "is the largest, large is 150 mm long; metres in a column" in message
 
 
 def test_a_marker_at_the_base_only(models, made):
@@ -142,14 +130,9 @@ def test_a_sag_upwards_or_in_centimetres(models, made):
     """The large probe sags by 13 mm as designed; the standard deviation is 0.5 mm."""
     campaign = made("large", CampaignPlan("cameras", 1))
     hang = campaign.tests[0]
-    for factor, words in (
-        (-1.0, "a tip hangs below its undeformed place"),
-        (0.1, "a sag of 13.2 mm as designed"),
-    ):
+    for factor, words in ((-1.0, "a tip hangs below its undeformed place"), (0.1, "a sag of 13.2 mm as designed")):
         wrong = replace(hang, tip_sag=factor * hang.tip_sag, std_sag=0.1 * hang.std_sag)
-        message = refusal(
-            changed(campaign, lambda t, wrong=wrong: wrong if t is hang else t), models["large"]
-        )
+        message = refusal(changed(campaign, lambda t, wrong=wrong: wrong if t is hang else t), models["large"])
         assert "tests.csv: test hang-1: tip_sag_mm = " in message and words in message
 
 
@@ -157,12 +140,9 @@ def test_known_weights_in_millinewtons(models, made):
     """Weights of 5, 10, 14 and 50 mN: as newtons one exceeds the sensor; without it all contradict the readings."""
     campaign = made("large", CampaignPlan("cameras", 1))
     heavy = changed(
-        campaign,
-        lambda test: test if test.force_world is None else replace(test, force_world=1e3 * test.force_world),
+        campaign, lambda test: test if test.force_world is None else replace(test, force_world=1e3 * test.force_world)
     )
-    assert "tests.csv: test weight-2: known force of 50 N exceeds the sensor's range" in refusal(
-        heavy, models["large"]
-    )
+    assert "tests.csv: test weight-2: known force of 50 N exceeds the sensor's range" in refusal(heavy, models["large"])
     light = replace(heavy, tests=tuple(test for test in heavy.tests if test.name != "weight-2"))
     message = refusal(light, models["large"])
     assert "times what the sensor read; millinewtons in a column of newtons?" in message
@@ -212,9 +192,7 @@ def test_readings_of_another_size_than_the_known_loads(models, made, name, facto
     was read of the lightest load, 18 mN, by less than a fifth."""
     wrong = changed(in_base(made(name, CAMERAS), models[name]), scaled(factor * np.ones(6)))
     line = refusal(wrong, models[name])
-    match = re.search(
-        r"tests.csv: test weight-\d: known force of \S+ N is (\S+) times what the sensor read", line
-    )
+    match = re.search(r"tests.csv: test weight-\d: known force of \S+ N is (\S+) times what the sensor read", line)
     assert match is not None and float(match[1]) == pytest.approx(1.0 / factor, rel=0.2), line
 
 
@@ -228,9 +206,7 @@ def test_loads_in_another_direction_are_refused(models, made):
     campaign = made("large", CAMERAS)
     turn = Rotation.from_euler("x", 90, degrees=True).as_matrix()
     line = refusal(
-        changed(
-            campaign, lambda t: t if t.force_world is None else replace(t, force_world=turn @ t.force_world)
-        ),
+        changed(campaign, lambda t: t if t.force_world is None else replace(t, force_world=turn @ t.force_world)),
         models["large"],
     )
     assert "in another direction than was read" in line
@@ -240,9 +216,7 @@ def test_one_wrong_load_is_accepted(models, made):
     """It becomes an outlier of the fit."""
     campaign = made("large", CAMERAS)
     assert is_accepted(
-        changed(
-            campaign, lambda t: replace(t, force_world=3.0 * t.force_world) if t.name == "weight-1" else t
-        ),
+        changed(campaign, lambda t: replace(t, force_world=3.0 * t.force_world) if t.name == "weight-1" else t),
         models["large"],
     )
 
@@ -276,8 +250,7 @@ def test_a_campaign_without_markers_near_the_base_is_accepted(models, made):
         m = test.markers
         kept = m.numbers >= len(campaign.marker_s) // 2
         return replace(
-            test,
-            markers=replace(m, numbers=m.numbers[kept], p_world=m.p_world[kept], cov_world=m.cov_world[kept]),
+            test, markers=replace(m, numbers=m.numbers[kept], p_world=m.p_world[kept], cov_world=m.cov_world[kept])
         )
 
     assert is_accepted(changed(campaign, far), models["large"])

@@ -63,10 +63,7 @@ def seen(folder):
     corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / 2
     points = middle + np.concatenate([corners, corners * 0.5]) * box
     markers = np.array([(10.0, 0, 250), (20, 0, 250), (30, 0, 249.5)]) / 1e3
-    control, pixels = (
-        ["point,x_world_mm,y_world_mm,z_world_mm,camera,u_px,v_px"],
-        ["test,camera,marker,u_px,v_px"],
-    )
+    control, pixels = (["point,x_world_mm,y_world_mm,z_world_mm,camera,u_px,v_px"], ["test,camera,marker,u_px,v_px"])
     for name, side in (("left", -0.3), ("right", 0.3)):
         camera = Camera.looking(name, (0.02 + side, -0.4, 0.35), middle, 2000.0, (1600, 1200))
         control += [f"{i},{p[0] * 1e3},{p[1] * 1e3},{p[2] * 1e3},{name},{u},{v}"
@@ -110,22 +107,16 @@ def test_gravity_and_mean_readings_are_in_the_base_frame(folder, large):
     np.testing.assert_allclose(hang.gravity_base, [9.81, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(hang.mean_wrench_sensor(large), [0.067, 0, 0, 0, 0.004, 0], atol=1e-15)
     at_base = hang.mean_wrench_base(large)
-    np.testing.assert_allclose(
-        at_base, large.to_base(hang.wrenches, hang.gravity_base).mean(axis=0), atol=1e-15
-    )
+    np.testing.assert_allclose(at_base, large.to_base(hang.wrenches, hang.gravity_base).mean(axis=0), atol=1e-15)
     in_base = replace(hang, wrenches=at_base[None], frame="base")
     np.testing.assert_allclose(in_base.mean_wrench_sensor(large), hang.mean_wrench, atol=1e-15)
 
 
 def test_units_of_the_header_are_converted(folder):
     before = read_campaign(folder).tests[0]
-    text = (
-        MARKERS.replace("_mm", " [m]").replace("10,0,250", "0.01,0,0.25").replace("20,0,250", "0.02,0,0.25")
-    )
+    text = MARKERS.replace("_mm", " [m]").replace("10,0,250", "0.01,0,0.25").replace("20,0,250", "0.02,0,0.25")
     (folder / "markers.csv").write_text(text.replace("30.2,0,249.5", "0.0302,0,0.2495"))
-    np.testing.assert_allclose(
-        read_campaign(folder).tests[0].markers.p_world, before.markers.p_world, atol=1e-15
-    )
+    np.testing.assert_allclose(read_campaign(folder).tests[0].markers.p_world, before.markers.p_world, atol=1e-15)
 
 
 def test_an_assumed_frame_is_noted(folder):
@@ -142,9 +133,7 @@ def test_a_test_may_have_a_base_of_its_own(folder):
     (folder / "tests.csv").write_text(f"{head}\nhang,,,,,,\na-1,5,6,7,0,0,90\n")
     hang, moved = read_campaign(folder).tests
     np.testing.assert_allclose(hang.T_world_base[:3, 3], [0, 0, 0.25])
-    np.testing.assert_allclose(
-        moved.T_world_base[:3], [[0, -1, 0, 5e-3], [1, 0, 0, 6e-3], [0, 0, 1, 7e-3]], atol=1e-15
-    )
+    np.testing.assert_allclose(moved.T_world_base[:3], [[0, -1, 0, 5e-3], [1, 0, 0, 6e-3], [0, 0, 1, 7e-3]], atol=1e-15)
 
 
 @pytest.mark.parametrize(("file", "old", "new", "message"), [
@@ -201,13 +190,9 @@ def test_empty_columns_and_rows_of_a_spreadsheet_are_ignored(folder):
     before, path = read_campaign(folder).tests, folder / "tests.csv"
     lines = path.read_text().splitlines()
     width = lines[-1].count(",") + 2
-    path.write_text(
-        "\n".join([f"{line},," if "," in line else line for line in lines] + ["," * width] * 2) + "\n"
-    )
+    path.write_text("\n".join([f"{line},," if "," in line else line for line in lines] + ["," * width] * 2) + "\n")
     assert [test.name for test in read_campaign(folder).tests] == [test.name for test in before]
-    assert "'7' is in a column without a name" in refusal(
-        folder, "tests.csv", lines[-1] + ",,", lines[-1] + ",7,"
-    )
+    assert "'7' is in a column without a name" in refusal(folder, "tests.csv", lines[-1] + ",,", lines[-1] + ",7,")
 
 
 def test_a_contact_and_no_force_contradict_each_other(folder):
@@ -243,9 +228,7 @@ def test_data_of_another_probe_are_refused(folder, large):
     with pytest.raises(InputError, match="data are of another probe: 'large', not 'small'"):
         check_probe(campaign, replace(large, name="small"))
     (folder / "tests.csv").write_text(TESTS.replace(",60,", ",160,"))
-    with pytest.raises(
-        InputError, match=r"tests\.csv: test a-1: s_contact_mm = 160 is beyond the tip of large at 150"
-    ):
+    with pytest.raises(InputError, match=r"tests\.csv: test a-1: s_contact_mm = 160 is beyond the tip of large at 150"):
         check_probe(read_campaign(folder), large)
     (folder / "campaign.toml").write_text(TOML.replace("30.0]", "30.0, 160.0]"))
     with pytest.raises(InputError, match=r"campaign\.toml: marker 4 at s = 160 mm is beyond the tip"):
@@ -257,9 +240,7 @@ def test_a_fingerprint_is_of_the_probe_that_is_named(folder, large):
     campaign = read_campaign(folder)
     with pytest.raises(InputError, match="fingerprint abc, not def of large"):
         check_probe(campaign, replace(large, fingerprint="def"))
-    with pytest.raises(
-        InputError, match="probe = 'large', and fingerprint abc is that of 'small'; correct the one"
-    ):
+    with pytest.raises(InputError, match="probe = 'large', and fingerprint abc is that of 'small'; correct the one"):
         check_probe(campaign, replace(large, name="small", fingerprint="abc"))
 
 
@@ -315,9 +296,7 @@ def test_a_mistake_with_cameras_is_one_clear_line(seen, file, old, new, message)
 
 def test_pixels_need_control_points_and_no_second_reference(seen):
     (seen / "markers.csv").write_text(MARKERS)
-    with pytest.raises(
-        InputError, match=r"test hang has markers in markers\.csv and in pixels\.csv; keep one"
-    ):
+    with pytest.raises(InputError, match=r"test hang has markers in markers\.csv and in pixels\.csv; keep one"):
         read_campaign(seen)
     (seen / "control_points.csv").unlink()
     with pytest.raises(InputError, match=r"control_points\.csv: is missing"):

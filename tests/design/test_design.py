@@ -10,14 +10,7 @@ from hypothesis import strategies as st
 from probedesign.core.errors import InputError
 from probedesign.design import Design, check_design, load_design, parse_design
 from probedesign.design.catalog import RESINS, ROBOT_FLANGES
-from probedesign.design.io import (
-    default_name,
-    default_tip_d_mm,
-    draft_design,
-    render_design,
-    sensor_keys,
-    write_design,
-)
+from probedesign.design.io import default_name, default_tip_d_mm, draft_design, render_design, sensor_keys, write_design
 from probedesign.design.sensor_catalog import NANO17
 
 DESIGNS = Path(__file__).parents[2] / "designs"
@@ -65,11 +58,7 @@ def test_the_papers_probes(name, length, assumed):
     assert design.shear_modulus.value == pytest.approx(7.61e5, rel=1e-15)
     assert design.youngs_modulus.provenance == design.shear_modulus.provenance == "identified"
     assert design.density.provenance == "datasheet"
-    assert design.assumptions == (
-        *(f"probe.{key}" for key in assumed),
-        "mount.root_rigid_radii",
-        "contact.friction",
-    )
+    assert design.assumptions == (*(f"probe.{key}" for key in assumed), "mount.root_rigid_radii", "contact.friction")
     assert design.friction.value == 0.6
 
 
@@ -82,9 +71,7 @@ def test_a_bad_date_names_its_key_once_and_its_line(value: str) -> None:
 
 
 def test_a_named_resin_fills_what_is_not_given():
-    design = check_design(
-        {"schema": 1, "name": "r", "probe": {"shape": "cylinder", "length_mm": 80, "base_d_mm": 6}}
-    )
+    design = check_design({"schema": 1, "name": "r", "probe": {"shape": "cylinder", "length_mm": 80, "base_d_mm": 6}})
     assert design.youngs_modulus == RESINS["elastic-50a"].youngs_modulus
     assert "material.youngs_modulus_mpa" in design.assumptions
 
@@ -143,9 +130,7 @@ def test_a_misspelt_friction_names_its_line_and_the_nearest_key():
     assert problem("friction = 0.6", "fricton = 0.6") == message
 
 
-@pytest.mark.parametrize(
-    ("key", "most"), [("root_radii", "1"), ("gain", "0.5"), ("stiffness_scatter", "0.5")]
-)
+@pytest.mark.parametrize(("key", "most"), [("root_radii", "1"), ("gain", "0.5"), ("stiffness_scatter", "0.5")])
 def test_the_tolerances_of_root_gain_and_scatter_are_bounded(key, most):
     text = f"{PLAIN}[tolerances]\n"
     assert getattr(parse_design(f"{text}{key} = {most}\n").tolerances, key) == float(most)
@@ -183,9 +168,7 @@ def test_unknown_and_misspelt_keys_suggest_the_nearest(old, new, message):
 @pytest.mark.parametrize(
     "key", ["length_mm = 150.0", "base_d_mm = 12.0", "tip_d_mm = 2.0", "youngs_modulus_mpa = 2.32"]
 )
-@pytest.mark.parametrize(
-    "value", ["nan", "inf", "-inf", "-3.0", "0.0", "1e9", "true", '"150"', "[1.0]", "1979-05-27"]
-)
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf", "-3.0", "0.0", "1e9", "true", '"150"', "[1.0]", "1979-05-27"])
 def test_a_bad_number_names_key_and_line(key, value):
     name = key.split(" = ")[0]
     line = PLAIN[: PLAIN.index(key)].count("\n") + 1
@@ -229,11 +212,7 @@ def test_an_endless_integer(digits):
         ('"si-12-0.12"', '"si-12"', "known: si-12-0.12"),
         ('"form-3"', '"form-5"', "did you mean 'form-"),
         ('"form-3"', '"Form 3L"', "did you mean 'form-3l'? known: form-2"),
-        (
-            '"iso-9409-1-50-4-m6"',
-            '"iso-50"',
-            "did you mean 'iso-9409-1-50-4-m6'? known: iso-9409-1-100-6-m8",
-        ),
+        ('"iso-9409-1-50-4-m6"', '"iso-50"', "did you mean 'iso-9409-1-50-4-m6'? known: iso-9409-1-100-6-m8"),
         ('"iso-9409-1-50-4-m6"', '"own"', "mount.flange is missing beside robot_flange = 'own'"),
         ("[print]", '[mount.flange]\nbolt = "M7"\n[print]', "mount.flange.bolt = 'M7' is not one of"),
         ("assumed", 'tip = "round"\nassumed', "probe.tip = 'round' is not one of 'blunt' or 'rounded'"),
@@ -378,8 +357,7 @@ TABLES = optional(
     ),
     sensor=optional(averaging_samples=st.integers(1, 70000)),
     mount=optional(
-        root_rigid_radii=st.floats(-1.0, 2.0),
-        gravity_base_m_s2=st.lists(st.floats(-9, 9), min_size=3, max_size=3),
+        root_rigid_radii=st.floats(-1.0, 2.0), gravity_base_m_s2=st.lists(st.floats(-9, 9), min_size=3, max_size=3)
     )
     | st.fixed_dictionaries(
         {
@@ -397,9 +375,7 @@ TABLES = optional(
             ),
         }
     ),
-    contact=optional(
-        friction=st.floats(0.0, 10.0) | st.just(float("inf")), provenance=optional(friction=PROVENANCE)
-    ),
+    contact=optional(friction=st.floats(0.0, 10.0) | st.just(float("inf")), provenance=optional(friction=PROVENANCE)),
     print=optional(scale_xy=st.floats(0.9, 1.1), rigid_scale_z=st.floats(0.9, 1.1)),
     tolerances=optional(
         tared=st.booleans(),
@@ -456,9 +432,7 @@ def test_any_valid_parameters_read_back(shape, length, base, taper, resin, senso
 def test_any_section_reads_back(section, share):
     kind, key, low, high = section
     ratio = min(high, low + share * (high - low))
-    design, notes = draft_design(
-        None, shape="cone", length_mm=150.0, base_d_mm=12.0, section=kind, **{key: ratio}
-    )
+    design, notes = draft_design(None, shape="cone", length_mm=150.0, base_d_mm=12.0, section=kind, **{key: ratio})
     assert parse_design(render_design(design, notes)) == design
     assert getattr(design.probe.cross_section, key) == ratio
     assert kind in design.name  # so that it does not take the round probe's name

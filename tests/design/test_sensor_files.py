@@ -36,9 +36,7 @@ COV[0, 4] = COV[4, 0] = 0.8e-6
 def record(**noise):
     """Return the text of a sensor file: a Nano17 in another body, by default with correlated noise."""
     text = (FILES / "nano17.toml").read_text().replace('"nano17"', '"lab-1"')
-    text = text.replace("body_d_mm = 17.0", "body_d_mm = 20.0").replace(
-        "height_mm = 14.5", "height_mm = 18.0"
-    )
+    text = text.replace("body_d_mm = 17.0", "body_d_mm = 20.0").replace("height_mm = 14.5", "height_mm = 18.0")
     noise = noise or {"cov": COV.tolist()}
     lines = "".join(f"{key} = {value}\n" for key, value in noise.items())
     return text.replace("[[calibrations]]", f"[noise]\n{lines}\n[[calibrations]]", 1)
@@ -58,12 +56,8 @@ def test_screws_that_may_enter_too_deep_are_found_and_nothing_is_written(path, t
     sensor = tmp_path / "my" / "sensor.toml"
     sensor.write_text(record().replace("max_entry_mm = 3.5", "max_entry_mm = 3.0"))
     findings = pipeline.check(load_design(path)).errors
-    assert {one.rule for one in findings} == {"tolerance_stack"} and len(
-        findings
-    ) == 2  # both sides of the sensor
-    assert all(
-        one.measured == pytest.approx(0.48, abs=0.1) for one in findings
-    )  # grips are in steps of 0.1 mm
+    assert {one.rule for one in findings} == {"tolerance_stack"} and len(findings) == 2  # both sides of the sensor
+    assert all(one.measured == pytest.approx(0.48, abs=0.1) for one in findings)  # grips are in steps of 0.1 mm
     pytest.importorskip("cadquery")
     with pytest.raises(CheckFailedError):
         pipeline.export_part(load_design(path), "sensor_adapter", tmp_path / "out")
@@ -188,9 +182,7 @@ def line_named(path: Path) -> str:
     ("key", "value"), [("range_N", "[12.0, 12.0]"), ("range_N", "[12.0, -1.0, 17.0]"), ("name", '"a b"'),
                        ("resolution_Nm", "5.0")],
 )  # fmt: skip
-def test_an_error_in_a_list_of_tables_names_its_line(
-    number: int, key: str, value: str, tmp_path: Path
-) -> None:
+def test_an_error_in_a_list_of_tables_names_its_line(number: int, key: str, value: str, tmp_path: Path) -> None:
     head, *tables = (FILES / "nano17.toml").read_text().split("[[calibrations]]")
     tables[number] = re.sub(rf"(?m)^{key} = .*$", f"{key} = {value}", tables[number], count=1)
     path = tmp_path / "sensor.toml"
@@ -211,11 +203,7 @@ def test_an_error_of_the_noise_names_its_line(tmp_path: Path) -> None:
         ("my/sensor.toml", "my/none.toml", "no such sensor file"),
         ("my/sensor.toml", "my", "cannot be read"),
         ('"my/sensor.toml"', "7", "sensor.file = 7"),
-        (
-            "averaging_samples",
-            'model = "nano17"\naveraging_samples',
-            "sensor.model is not used beside sensor.file",
-        ),
+        ("averaging_samples", 'model = "nano17"\naveraging_samples', "sensor.model is not used beside sensor.file"),
         ("averaging_samples", 'calibration = "si-9"\naveraging_samples', "sensor.calibration"),
         ('file = "my/sensor.toml"', 'model = "own"', "sensor.own is missing"),
     ],
@@ -255,11 +243,7 @@ def filled(text: str) -> str:
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        "gamma",
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("nano25", "mini40", "rokubi", "rft40")),
-    ],
+    "name", ["gamma", *(pytest.param(name, marks=pytest.mark.slow) for name in ("nano25", "mini40", "rokubi", "rft40"))]
 )
 def test_a_known_sensor_is_measured_in_the_new_design_and_exported(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
@@ -269,9 +253,7 @@ def test_a_known_sensor_is_measured_in_the_new_design_and_exported(name, tmp_pat
     assert design.sensor_model == SENSORS[name] and design.sensor.model == CUSTOM
     marked = [line for line in path.read_text().splitlines() if "assumed: measure it" in line]
     assert any(line.startswith("bolt_circle_d_mm") for line in marked)
-    assert (
-        pipeline.check(design).errors == []
-    )  # the robot flange that was taken has room, and the stacks hold
+    assert pipeline.check(design).errors == []  # the robot flange that was taken has room, and the stacks hold
     with pytest.raises(InputError, match=r"tool, mounting, dowels, cable of its interface are assumed"):
         pipeline.export_part(design, "sensor_adapter", tmp_path / "out")
 

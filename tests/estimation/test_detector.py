@@ -34,11 +34,7 @@ def by_force(large, gravity):
 
 def changes(states):
     """Return the changes of state with their samples."""
-    return [
-        (i, now)
-        for i, (before, now) in enumerate(zip(["free", *states], states, strict=False))
-        if before != now
-    ]
+    return [(i, now) for i, (before, now) in enumerate(zip(["free", *states], states, strict=False)) if before != now]
 
 
 def alarms(states):

@@ -112,9 +112,7 @@ def test_the_solver_is_dense_least_squares(priors, moments, friction, large, gra
 
 @pytest.mark.parametrize("moments", [None, "sensor"])
 @pytest.mark.parametrize("priors", PRIORS)
-def test_the_misfit_with_a_step_of_the_object_is_dense_least_squares(
-    priors, moments, large, gravity, pressed
-):
+def test_the_misfit_with_a_step_of_the_object_is_dense_least_squares(priors, moments, large, gravity, pressed):
     state = linearised(large, gravity, pressed, priors, moments, 0.6)
     fixed, _x, _cov = state.solved(state.fusion.priors, common_friction=0.0)
     for first in (2, 3, 6):
@@ -128,9 +126,7 @@ def test_the_misfit_with_a_step_of_the_object_is_dense_least_squares(
 
 @pytest.mark.parametrize(("moments", "friction"), CASES)
 @pytest.mark.parametrize("priors", PRIORS)
-def test_the_touches_of_the_poses_are_those_of_dense_least_squares(
-    priors, moments, friction, large, gravity, pressed
-):
+def test_the_touches_of_the_poses_are_those_of_dense_least_squares(priors, moments, friction, large, gravity, pressed):
     """Return the change of each touch, the mean of the centreline points and its covariance."""
     state = linearised(large, gravity, pressed, priors, moments, friction)
     state.solved(state.fusion.priors)
@@ -154,9 +150,7 @@ def test_the_touches_of_the_poses_are_those_of_dense_least_squares(
 @pytest.mark.parametrize(
     ("fraction", "force", "phi"), [(0.5, 2e-3, 1.57), (0.8, 1e-2, 0.3), (0.4, 0.1, 3.0), (0.9, 5e-3, -1.57)]
 )
-def test_without_noise_the_point_is_found(
-    moments_only, fraction, force, phi, large, gravity, exact_sources, exact
-):
+def test_without_noise_the_point_is_found(moments_only, fraction, force, phi, large, gravity, exact_sources, exact):
     """Without friction, the mean of its prior, the surface point is the origin, and the centreline a radius away."""
     touches, Ts = presses(exact_sources, fraction * large.length, phi, force * np.array([0.2, 0.5, 0.8, 1.0]))
     c = exact.fuse(wrenches_of(touches), Ts, gravity, moments_only=moments_only)
@@ -229,8 +223,7 @@ def test_published_bounds_of_five_touches(fraction, force_mN, bounds, large, gra
     for friction, bound_mm in zip((0.0, 0.3, 0.6), bounds, strict=True):
         model = replace(large.model, friction=friction)
         readings = tuple(
-            Reading(w, model.noise_base(), T, gravity, True)
-            for w, T in zip(wrenches_of(touches), Ts, strict=True)
+            Reading(w, model.noise_base(), T, gravity, True) for w, T in zip(wrenches_of(touches), Ts, strict=True)
         )
         fusion = Fusion(model, readings, priors, channels_of(model, None), gravity, common_friction=0.0)
         state = FusionState(fusion, np.array([touch.touch for touch in touches]))
@@ -248,9 +241,7 @@ def test_the_stated_error_goes_smoothly_along_the_probe(name, force_mN, probes, 
     sources, estimator = sources_of(model, gravity), Estimator(model)
     rms = []
     for fraction in np.arange(0.6, 0.96, 0.01):
-        touches, Ts = presses(
-            sources, fraction * model.rod.length, -1.57, 1e-3 * force_mN * np.linspace(0.2, 1.0, 5)
-        )
+        touches, Ts = presses(sources, fraction * model.rod.length, -1.57, 1e-3 * force_mN * np.linspace(0.2, 1.0, 5))
         rms.append(estimator.fuse(wrenches_of(touches), Ts, gravity).rms)
     # Near the end of the probe the curve of the likely points is evaluated on one side alone, a step of 4 %.
     assert np.abs(np.diff(np.log(rms))).max() < 0.05
@@ -316,9 +307,7 @@ def test_free_readings_tie_the_bias_down(large, gravity, pressed):
     off = c.p_surface_world
     assert off @ np.linalg.solve(c.cov_surface_world, off) <= stats.chi2(3).ppf(1.0 - RARE)
     assert np.isnan(c.s_contact[[0, 6]]).all() and not c.force_base[[0, 6]].any()
-    assert (
-        Estimator(large.model, EXACT).fuse(readings, poses, gravity, touched=touched).result == "inconsistent"
-    )
+    assert Estimator(large.model, EXACT).fuse(readings, poses, gravity, touched=touched).result == "inconsistent"
 
 
 def test_what_is_uncertain_is_counted_and_named(large, gravity, pressed):
@@ -410,9 +399,7 @@ def test_what_is_stated_is_never_larger_than_the_probe(large, gravity, exact_sou
     for fraction, force in product((0.1, 0.3, 0.6), (5e-4, 1e-3, 2e-3)):
         touches, Ts = presses(exact_sources, fraction * large.length, 1.57, [force, 2.0 * force])
         for count in (1, 2):
-            c = large.estimator().fuse(
-                noisy(large.model, wrenches_of(touches)[:count], rng), Ts[:count], gravity
-            )
+            c = large.estimator().fuse(noisy(large.model, wrenches_of(touches)[:count], rng), Ts[:count], gravity)
             codes.append(c.result)
             assert not c.ok or c.rms < large.length / math.sqrt(12.0)
     assert "too_light" in codes
@@ -505,14 +492,10 @@ def test_wrong_shapes_are_refused(wrenches, Ts, large):
 
 def test_moments_about_nowhere_are_refused(large):
     with pytest.raises(InputError, match="moments_about"):
-        large.estimator().fuse(
-            np.zeros((2, 6)), np.tile(np.eye(4), (2, 1, 1)), moments_only=True, moments_about="tip"
-        )
+        large.estimator().fuse(np.zeros((2, 6)), np.tile(np.eye(4), (2, 1, 1)), moments_only=True, moments_about="tip")
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"youngs_modulus": -0.1}, {"creep": np.nan}, {"base_mm": np.inf}, {"gain": np.inf}]
-)
+@pytest.mark.parametrize("wrong", [{"youngs_modulus": -0.1}, {"creep": np.nan}, {"base_mm": np.inf}, {"gain": np.inf}])
 def test_priors_that_are_none_are_refused(wrong):
     with pytest.raises(InputError, match=next(iter(wrong))):
         Tolerances(**wrong)
@@ -527,6 +510,4 @@ def test_a_friction_that_is_none_is_refused(friction, large):
 def test_the_sensors_own_moments_hold_no_noise_of_its_forces(large):
     model = large.model
     of = channels_of(model, "sensor")
-    np.testing.assert_allclose(
-        of @ model.noise_base() @ of.T, model.noise.moment**2 * np.eye(3), rtol=1e-9, atol=1e-22
-    )
+    np.testing.assert_allclose(of @ model.noise_base() @ of.T, model.noise.moment**2 * np.eye(3), rtol=1e-9, atol=1e-22)

@@ -12,9 +12,7 @@ from probedesign.estimation.surface_contact_kernel import NORMAL, TIP, TOUCH
 GRAVITY = np.array([9.81, 0.0, 0.0])
 
 
-def _wrench(
-    estimator: Estimator, fraction: float, angle: float, force: float, ratios: tuple[float, float]
-) -> Array:
+def _wrench(estimator: Estimator, fraction: float, angle: float, force: float, ratios: tuple[float, float]) -> Array:
     """Return the base wrench of a touch of the model's rod."""
     rod = estimator.model.rod
     touch = np.zeros(TOUCH)

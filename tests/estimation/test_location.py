@@ -46,9 +46,7 @@ def model_of(name, probes):
 def reference_touches(model, gravity, frictions=FRICTIONS):
     """Return touches of all places, forces and frictions in many directions, solved by `tests/reference`."""
     rows = []
-    for k, (fraction, bend, mu) in enumerate(
-        (f, b, mu) for f in FRACTIONS for b in BENDS for mu in frictions
-    ):
+    for k, (fraction, bend, mu) in enumerate((f, b, mu) for f in FRACTIONS for b in BENDS for mu in frictions):
         s = fraction * model.rod.length
         EI = model.rod.youngs_modulus * math.pi / 4.0 * model.rod.radius_at(s) ** 4
         normal = min(3.0 * bend * EI / s**2, 0.5)
@@ -87,9 +85,7 @@ def test_without_noise_every_touch_is_found(name, gravity_of, probes):
                 assert_located(c, estimator, touches, i)
                 noise = estimator.model.noise.force
                 assert c.force_normal == pytest.approx(normal, abs=1e-4 * normal + 0.1 * noise)
-                assert c.force_tangential == pytest.approx(
-                    math.hypot(*friction), abs=1e-4 * normal + 0.1 * noise
-                )
+                assert c.force_tangential == pytest.approx(math.hypot(*friction), abs=1e-4 * normal + 0.1 * noise)
                 located += estimator is usual
     # Most touches of the grid have an equilibrium, and a third of them are heavy enough for the noise.
     assert len(touches.s) > 0.7 * asked and located > 0.33 * len(touches.s)
@@ -112,11 +108,7 @@ def test_without_friction_the_frictionless_prior_finds_the_same(name, probes, gr
 def test_finite_element_touches_are_found(case, probes):
     """Within a tenth of a millimetre: the target of the estimate. The worst of all is off by 0.018 mm, by the patch."""
     model = replace(probes[case["design"]].model, rod=rod_of(case))
-    c = (
-        Estimator(model, EXACT)
-        .with_friction(math.inf)
-        .estimate(case["wrench_base"], case["gravity_base_m_s2"])
-    )
+    c = Estimator(model, EXACT).with_friction(math.inf).estimate(case["wrench_base"], case["gravity_base_m_s2"])
     assert c.result == "ok"
     assert np.linalg.norm(c.p_surface_base - case["p_surface_section_base_m"]) < 3e-5
     ratio = np.linalg.norm(case["friction_section"])

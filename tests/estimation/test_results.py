@@ -44,9 +44,7 @@ def test_a_free_probe_is_free(name, mount, probes):
 
 
 def test_a_touch_below_the_noise_is_no_contact_and_above_it_is_one(estimator, gravity, touched):
-    codes = [
-        estimator.estimate(touched(0.06, force), gravity).result for force in (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
-    ]
+    codes = [estimator.estimate(touched(0.06, force), gravity).result for force in (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)]
     assert codes[0] == "no_contact" and codes[-1] == "ok"
     order = ["no_contact", "too_light", "ok"]
     assert [order.index(code) for code in codes] == sorted(order.index(code) for code in codes)
@@ -174,9 +172,7 @@ def test_a_pull_is_inconsistent(fraction, ratios, gravity, exact_sources, large,
         eq = rod.solve(gravity, force, s, couple=np.cross(arm, force), guess=eq.tip)
     x = eq.p_at(s) + arm
     c = estimator.estimate(eq.wrench_base, gravity)
-    if (
-        c.ok
-    ):  # then as a push from the other side, where the point is not the true one but the force's line is
+    if c.ok:  # then as a push from the other side, where the point is not the true one but the force's line is
         assert c.force_normal > 0.0
         off = np.cross(x - c.p_surface_base, force)
         assert np.linalg.norm(off) <= 3.0 * np.linalg.norm(force) * c.candidates[0].rms
@@ -190,9 +186,7 @@ def test_a_couple_about_the_normal_beyond_friction_is_inconsistent(couple, gravi
     touch = settle(exact_sources, np.array([0.09, 0.4, 0.05, 0.0, 0.0]))
     eq = large.rod.solve(gravity, touch.force, 0.09, couple=touch.touch[8:11])
     normal = -touch.force / np.linalg.norm(touch.force)
-    twisted = large.rod.solve(
-        gravity, touch.force, 0.09, couple=touch.touch[8:11] + couple * normal, guess=eq.tip
-    )
+    twisted = large.rod.solve(gravity, touch.force, 0.09, couple=touch.touch[8:11] + couple * normal, guess=eq.tip)
     for priors in PRIORS.values():
         estimator = Estimator(large.model, priors)
         assert estimator.estimate(eq.wrench_base, gravity).ok
@@ -221,9 +215,7 @@ def test_a_couple_without_a_force_is_no_contact_on_the_probe(large, gravity, est
 
 @pytest.mark.parametrize(("fraction", "force"), [(0.4, 0.2), (0.6, 0.1)])
 @pytest.mark.parametrize("factor", [0.8, 1.2])
-def test_a_stiffness_that_is_off_by_a_fifth_is_inconsistent_or_counted(
-    factor, fraction, force, large, gravity
-):
+def test_a_stiffness_that_is_off_by_a_fifth_is_inconsistent_or_counted(factor, fraction, force, large, gravity):
     """Where the force is known to be normal an exact probe that bends far contradicts the reading; with a fifth as its
     prior it is located. Where friction may turn the force, it explains the reading: one touch cannot observe both."""
     rod = large.rod

@@ -35,17 +35,13 @@ def drawn(estimator, gravity, friction, fractions, forces, seed, draws=DRAWS):
         way, share = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(0.0, 1.0)
         ratios = share * friction * math.cos(way), share * friction * math.sin(way)
         touch = settle(sources, np.array([s, rng.uniform(-math.pi, math.pi), normal, *ratios]))
-        if (
-            touch is None or math.acos(min(max(touch.touch[13], -1.0), 1.0)) > 1.0
-        ):  # the tip beyond 60 degrees
+        if touch is None or math.acos(min(max(touch.touch[13], -1.0), 1.0)) > 1.0:  # the tip beyond 60 degrees
             continue
         off = rng.normal(size=touch.D.shape[1])
         noise = rng.multivariate_normal(np.zeros(6), model.noise_base() + sources.drift)
         c = estimator.estimate(touch.wrench + touch.D[:6] @ off + noise, gravity)
         linear = c.candidates[0].cov_linear_base if c.candidates else np.full((3, 3), np.inf)
-        found.append(
-            (c, touch.p_surface + touch.D[POINT : POINT + 3] @ off, math.sqrt(abs(np.trace(linear))))
-        )
+        found.append((c, touch.p_surface + touch.D[POINT : POINT + 3] @ off, math.sqrt(abs(np.trace(linear)))))
     return found
 
 

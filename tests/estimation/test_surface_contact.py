@@ -29,9 +29,7 @@ from tests.reference.surface_contact import SurfaceTouch, derivatives, solve_tou
 
 GRAVITY = np.array([9.81, 1.0, -2.0])
 MATERIAL = {"youngs_modulus": 2.32e6, "shear_modulus": 0.761e6, "density": 1010.0}
-CONE = Rod(
-    np.array([0.0, 0.15]), np.array([6e-3, 1e-3]), **MATERIAL, rigid_length=0.12 * 6e-3, finite_strain=True
-)
+CONE = Rod(np.array([0.0, 0.15]), np.array([6e-3, 1e-3]), **MATERIAL, rigid_length=0.12 * 6e-3, finite_strain=True)
 RODS = {
     "cone": CONE,
     "cylinder": Rod(np.array([0.0, 0.1]), np.array([3e-3, 3e-3]), **MATERIAL),
@@ -70,9 +68,7 @@ def compiled(rod, gravity, touch, tip=None):
     settled[TIP:] = rod.solve(gravity).tip if tip is None else tip
     parameters = OWN + len(rod.s)
     lin, work = np.empty((ROWS, 1 + UNKNOWNS + parameters)), np.empty(work_size(parameters))
-    assert linearise_touch(
-        rod.body, np.asarray(gravity, dtype=float), rod.mass, FINE, settled, parameters, work, lin
-    )
+    assert linearise_touch(rod.body, np.asarray(gravity, dtype=float), rod.mass, FINE, settled, parameters, work, lin)
     return lin, settled
 
 
@@ -88,9 +84,7 @@ def test_wrench_and_points_are_those_of_the_reference(case):
     rod, touch, oracle, lin, settled = case
     # A sweep errs by FINE = 5e-7 rad a step; dead loads agree with the turned section to 1e-4 squared of the force.
     np.testing.assert_allclose(lin[:3, VALUE], oracle.wrench[:3], atol=1e-8 + 1e-7 * touch.normal, rtol=0)
-    np.testing.assert_allclose(
-        lin[3:6, VALUE], oracle.wrench[3:], atol=1e-6 * np.abs(oracle.wrench[3:]).max(), rtol=0
-    )
+    np.testing.assert_allclose(lin[3:6, VALUE], oracle.wrench[3:], atol=1e-6 * np.abs(oracle.wrench[3:]).max(), rtol=0)
     np.testing.assert_allclose(lin[POINT:CENTRE, VALUE], oracle.p_surface, atol=2e-8, rtol=0)
     np.testing.assert_allclose(settled[DEAD : DEAD + 3], oracle.force, atol=1e-4 * touch.normal, rtol=0)
     # From the touched section to the nearest point of the centreline the kernel goes along a parabola: of third order
@@ -103,12 +97,7 @@ def test_derivatives_by_the_unknowns_are_differences(case):
     rod, touch, _oracle, lin, _settled = case
     by_hand = derivatives(rod, GRAVITY, touch)
     own = lin[:12, BY_TOUCH:BY_PARAMETER]
-    for rows, allowed in (
-        (slice(0, 3), 5e-4),
-        (slice(3, 6), 5e-4),
-        (slice(6, 9), 5e-4),
-        (slice(9, 12), 3e-2),
-    ):
+    for rows, allowed in ((slice(0, 3), 5e-4), (slice(3, 6), 5e-4), (slice(6, 9), 5e-4), (slice(9, 12), 3e-2)):
         # Central differences over 1e-6 m of a reference solve with 1e-11: 1e-4. The centreline point neglects how
         # the curve changes on the way from the touched section.
         scale = np.abs(by_hand[rows]).max(axis=0)
@@ -146,12 +135,7 @@ def test_derivatives_by_the_probe_are_those_of_other_probes(rod_name, touch_name
             solved = solve_touch(other, gravity, replace(touch, s=factor * touch.s))
             rows.append(np.concatenate([solved.wrench, solved.p_surface, solved.p_contact]))
         by_hand, column = (rows[0] - rows[1]) / (2.0 * h), lin[:12, BY_GRAVITY + j]
-        for block, allowed in (
-            (slice(0, 3), 1e-3),
-            (slice(3, 6), 1e-3),
-            (slice(6, 9), 1e-3),
-            (slice(9, 12), 0.1),
-        ):
+        for block, allowed in ((slice(0, 3), 1e-3), (slice(3, 6), 1e-3), (slice(6, 9), 1e-3), (slice(9, 12), 0.1)):
             # Of the column, and what a millionth of force, moment and length leaves; how the axis curves between the
             # touched section and the nearest point is neglected in the last rows, half a millimetre times radians.
             size = np.abs(rows[0][block]).max()

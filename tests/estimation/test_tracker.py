@@ -81,9 +81,7 @@ def test_with_a_walking_bias_it_stays_within_the_ellipsoid(large, gravity, press
         results, _ = feed(wrench, T, 2 * SAMPLES)
     c = results[-1]
     assert c.result == "ok"
-    assert c.p_surface_world @ np.linalg.solve(c.cov_surface_world, c.p_surface_world) < stats.chi2(3).ppf(
-        0.999
-    )
+    assert c.p_surface_world @ np.linalg.solve(c.cov_surface_world, c.p_surface_world) < stats.chi2(3).ppf(0.999)
 
 
 @pytest.mark.parametrize("seconds", [1.0, 60.0])
@@ -182,9 +180,7 @@ def test_many_poses_of_a_turning_base_stay_consistent(large):
     codes = []
     for k in range(12):
         R = rotation_z(0.02 * k)[:3, :3]
-        touch = settle(
-            sources_of(large.model, R.T @ world), np.array([0.105, 1.57, 2e-3 + 1e-3 * k, 0.1, 0.1])
-        )
+        touch = settle(sources_of(large.model, R.T @ world), np.array([0.105, 1.57, 2e-3 + 1e-3 * k, 0.1, 0.1]))
         results, _ = feed(touch.wrench, pose(R, -R @ touch.p_surface), SAMPLES)
         codes.append(results[-1].result)
     assert feed.tracker.kept <= 8
@@ -196,16 +192,12 @@ def test_free_readings_anchor_the_bias(large, gravity, pressed, free):
     wrenches, Ts = pressed
     priors = replace(EXACT, drift_steps=2.0)
     rng = np.random.default_rng(3)
-    bias = np.linalg.cholesky(large.model.noise_base() * large.model.averaging_samples) @ (
-        2.0 * rng.normal(size=6)
-    )
+    bias = np.linalg.cholesky(large.model.noise_base() * large.model.averaging_samples) @ (2.0 * rng.normal(size=6))
     last = []
     for seconds in (0.0, 1.0):
         feed = Feed(Tracker(Estimator(large.model, priors), None, gravity, rate=RATE), large.model)
         if seconds:
-            for reading in (
-                free + bias + feed.rng.multivariate_normal(np.zeros(6), feed.cov, int(seconds * RATE))
-            ):
+            for reading in free + bias + feed.rng.multivariate_normal(np.zeros(6), feed.cov, int(seconds * RATE)):
                 feed.time += 1.0 / RATE
                 feed.tracker.update(reading, Ts[0], feed.time, touching="free")
         for wrench, T in zip(wrenches, Ts, strict=True):
@@ -214,16 +206,12 @@ def test_free_readings_anchor_the_bias(large, gravity, pressed, free):
                 feed.time += 1.0 / RATE
                 c = feed.tracker.update(sample, T, feed.time, touching="contact")
         assert c.result == "ok"
-        assert c.p_surface_world @ np.linalg.solve(c.cov_surface_world, c.p_surface_world) < stats.chi2(
-            3
-        ).ppf(0.999)
+        assert c.p_surface_world @ np.linalg.solve(c.cov_surface_world, c.p_surface_world) < stats.chi2(3).ppf(0.999)
         last.append(c)
     assert last[1].rms < last[0].rms
 
 
-def test_light_touches_do_not_spoil_what_free_readings_know_of_the_bias(
-    large, gravity, exact_sources, pressed, free
-):
+def test_light_touches_do_not_spoil_what_free_readings_know_of_the_bias(large, gravity, exact_sources, pressed, free):
     """A touch is detected some readings late; these readings must not be used as free ones."""
     _, Ts = pressed
     touches, _ = presses(exact_sources, 0.08, 1.57, [2e-3])

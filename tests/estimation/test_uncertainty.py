@@ -91,9 +91,7 @@ def test_the_compiled_posterior_is_the_formula_to_rounding(touch, large, gravity
     noise = large.model.noise_base() + sources.drift
     cov, whiten, fits = np.empty((6, 6)), np.zeros((6, 6)), np.zeros(1, dtype=FIT)
     scratch, gain = np.empty(1, dtype=FIT_SCRATCH), np.empty(3 * (6 + true.D.shape[1]))
-    assert posterior_at(
-        true.lin, true.touch, true.D, true.wrench, noise, friction, cov, whiten, scratch, gain, fits
-    )
+    assert posterior_at(true.lin, true.touch, true.D, true.wrench, noise, friction, cov, whiten, scratch, gain, fits)
     result = fits[0]
     sigma = reading_covariance(noise, true.D[:6])
     np.testing.assert_allclose(cov, sigma, rtol=1e-9, atol=1e-20)
@@ -177,12 +175,7 @@ def true_reading(model, gravity, touch, own, turn, root, tared):
 
 def assert_columns(by_hand, column, allowed, name, moment=2e-9):
     """Compare columns: wrench and touched point to `allowed`, the centreline point to the error of its parabola."""
-    for rows, share in (
-        (slice(0, 3), allowed),
-        (slice(3, 6), allowed),
-        (slice(6, 9), allowed),
-        (slice(9, 12), 0.05),
-    ):
+    for rows, share in ((slice(0, 3), allowed), (slice(3, 6), allowed), (slice(6, 9), allowed), (slice(9, 12), 0.05)):
         # And a thousandth of a noise (force, moment), a tenth of a micrometre.
         floor = {0: 5e-7, 3: moment, 6: 1e-7, 9: 1e-6}[rows.start]
         off = np.abs(by_hand[rows] - column[rows]).max()
@@ -217,9 +210,7 @@ def test_the_column_of_the_root_is_a_difference(touch, rigid_radii, large, gravi
     sources = sources_of(model, gravity, replace(EXACT, root_radii=0.15))
     y, none = unknowns(model, touch), np.zeros(4 + len(model.rod.s))
     h = 0.01
-    high, low = (
-        true_reading(model, gravity, y, none, np.zeros(9), way * 0.15 * r0, tared=True) for way in (h, -h)
-    )
+    high, low = (true_reading(model, gravity, y, none, np.zeros(9), way * 0.15 * r0, tared=True) for way in (h, -h))
     column = settle(sources, y).D[:, sources.names.index("root")]
     # The compliance lies spread over two base radii and counts at their centre, under the base's own moment: two
     # hundredths of what touch and gravity show each, or of the moment's noise for their difference.
@@ -238,9 +229,7 @@ def test_a_gain_scales_one_channel_of_what_the_sensor_reads_since_its_zero(tared
         scaled = read.copy()
         scaled[i] += 0.01 * (read[i] - (free[i] if tared else 0.0))
         wanted = model.to_base(scaled, gravity) - true.wrench
-        np.testing.assert_allclose(
-            true.D[:6, first + i], wanted, rtol=1e-4, atol=1e-6 * np.abs(wanted).max() + 1e-15
-        )
+        np.testing.assert_allclose(true.D[:6, first + i], wanted, rtol=1e-4, atol=1e-6 * np.abs(wanted).max() + 1e-15)
         assert not true.D[6:, first + i].any()
 
 
@@ -274,12 +263,7 @@ def test_more_uncertain_sources_mean_a_wider_covariance(large, gravity, touched)
     wrench = touched(0.09, 0.05)
     variances = [
         np.trace(Estimator(large.model, of).estimate(wrench, gravity).cov_surface_base)
-        for of in (
-            EXACT,
-            replace(EXACT, youngs_modulus=0.03),
-            Tolerances(),
-            replace(Tolerances(), tilt_deg=1.0),
-        )
+        for of in (EXACT, replace(EXACT, youngs_modulus=0.03), Tolerances(), replace(Tolerances(), tilt_deg=1.0))
     ]
     assert variances == sorted(variances)
 
@@ -299,10 +283,7 @@ def test_the_covariance_of_a_light_touch_is_continuous_in_the_reading(large, gra
     rng, estimator, compared = np.random.default_rng(11), large.estimator(), 0
     std = np.sqrt(np.diag(large.model.noise_base()))
     for _ in range(150):
-        s, force = (
-            rng.uniform(0.05, 1.0) * large.length,
-            math.exp(rng.uniform(math.log(2e-4), math.log(2e-2))),
-        )
+        s, force = (rng.uniform(0.05, 1.0) * large.length, math.exp(rng.uniform(math.log(2e-4), math.log(2e-2))))
         true = settle(sources_of(large.model, gravity), np.array([s, 1.0, force, 0.1, 0.1]))
         if true is None:
             continue

@@ -37,9 +37,7 @@ def test_a_cylinder_needs_no_tip_and_has_one_radius():
 
 def test_a_profile_goes_through_its_knots():
     stepped = geometry_of("profile", 100.0, 10.0, 2.0, [[0.0, 10.0], [20.0, 4.0], [60.0, 4.0], [100.0, 2.0]])
-    assert stepped.radius_at(np.array([20.0, 40.0, 80.0]) * 1e-3) == pytest.approx(
-        [0.002, 0.002, 0.0015], rel=EXACT
-    )
+    assert stepped.radius_at(np.array([20.0, 40.0, 80.0]) * 1e-3) == pytest.approx([0.002, 0.002, 0.0015], rel=EXACT)
 
 
 def test_section_properties_of_a_round_section():
@@ -71,9 +69,7 @@ def test_section_properties_of_an_ellipse():
     assert blade.area_at(s) == pytest.approx(math.pi * a * b, rel=EXACT, abs=0)
     assert blade.second_moment_xx_at(s) == pytest.approx(math.pi * a * b**3 / 4, rel=EXACT, abs=0)
     assert blade.second_moment_yy_at(s) == pytest.approx(math.pi * a**3 * b / 4, rel=EXACT, abs=0)
-    assert blade.torsion_constant_at(s) == pytest.approx(
-        math.pi * a**3 * b**3 / (a**2 + b**2), rel=EXACT, abs=0
-    )
+    assert blade.torsion_constant_at(s) == pytest.approx(math.pi * a**3 * b**3 / (a**2 + b**2), rel=EXACT, abs=0)
 
 
 def test_what_is_thinnest_is_a_wall_or_a_diameter():

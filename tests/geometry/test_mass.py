@@ -44,9 +44,7 @@ def by_quadrature(geometry: ProbeGeometry) -> MassProperties:
     z_com = moment(2, 1) / volume
     axial = DENSITY * moment(4, 0) / 2
     lateral = DENSITY * (moment(4, 0) / 4 + moment(2, 2, z_com))
-    return MassProperties(
-        volume, DENSITY * volume, np.array([0.0, 0.0, z_com]), np.diag([lateral, lateral, axial])
-    )
+    return MassProperties(volume, DENSITY * volume, np.array([0.0, 0.0, z_com]), np.diag([lateral, lateral, axial]))
 
 
 def assert_same(a: MassProperties, b: MassProperties, rel: float) -> None:
@@ -64,9 +62,7 @@ def test_a_cone_as_in_the_textbook():
     cone = frustum(R, 0.0, h, 0.0, DENSITY)
     m = DENSITY * math.pi * R**2 * h / 3
     lateral = 3 * m * R**2 / 20 + 3 * m * h**2 / 80
-    wanted = MassProperties(
-        m / DENSITY, m, np.array([0, 0, h / 4]), np.diag([lateral, lateral, 3 * m * R**2 / 10])
-    )
+    wanted = MassProperties(m / DENSITY, m, np.array([0, 0, h / 4]), np.diag([lateral, lateral, 3 * m * R**2 / 10]))
     assert_same(cone, wanted, EXACT)
 
 
@@ -75,9 +71,7 @@ def test_a_cylinder_as_in_the_textbook():
     R, h, z = 0.004, 0.1, -0.02
     m = DENSITY * math.pi * R**2 * h
     lateral = m * (3 * R**2 + h**2) / 12
-    wanted = MassProperties(
-        m / DENSITY, m, np.array([0, 0, z + h / 2]), np.diag([lateral, lateral, m * R**2 / 2])
-    )
+    wanted = MassProperties(m / DENSITY, m, np.array([0, 0, z + h / 2]), np.diag([lateral, lateral, m * R**2 / 2]))
     assert_same(frustum(R, R, h, z, DENSITY), wanted, EXACT)
 
 
@@ -175,9 +169,7 @@ def test_combined_balances_about_its_centre():
     assert both.mass == pytest.approx(a.mass + b.mass, rel=EXACT)
     assert both.mass * both.p_com == pytest.approx(a.mass * a.p_com + b.mass * b.p_com, rel=EXACT)
     p = np.array([0.01, -0.02, 0.03])  # about any point, inertias simply add
-    assert both.inertia_about(p) == pytest.approx(
-        a.inertia_about(p) + b.inertia_about(p), rel=1e-10, abs=1e-18
-    )
+    assert both.inertia_about(p) == pytest.approx(a.inertia_about(p) + b.inertia_about(p), rel=1e-10, abs=1e-18)
 
 
 def test_an_empty_body_has_zero_mass():

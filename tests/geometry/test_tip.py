@@ -57,9 +57,7 @@ def test_the_rounding_takes_nothing_of_the_length_and_weighs_as_the_round_body(b
     design = design_of(**body)
     geometry, blunt = build_geometry(design), build_geometry(design_of("blunt", **body))
     assert geometry.length == blunt.length and geometry.flange == blunt.flange
-    assert geometry.radius_at(geometry.flank_end) == pytest.approx(
-        blunt.radius_at(geometry.flank_end), rel=1e-12
-    )
+    assert geometry.radius_at(geometry.flank_end) == pytest.approx(blunt.radius_at(geometry.flank_end), rel=1e-12)
     # Of the sphere's own cap the frusta differ by a shell as thin as the deviation.
     centre, R = sphere(body)
     tan = (blunt.radius[-2] - blunt.radius[-1]) / (blunt.s[-1] - blunt.s[-2])
@@ -84,9 +82,7 @@ def test_the_least_feature_is_that_of_the_flank() -> None:
 
 
 def test_a_round_end_that_does_not_fit_is_one_line() -> None:
-    with pytest.raises(
-        InputError, match=r'tip = "rounded" takes the last 4\.\d+ mm and only 2 mm .* at most'
-    ) as error:
+    with pytest.raises(InputError, match=r'tip = "rounded" takes the last 4\.\d+ mm and only 2 mm .* at most') as error:
         design_of(shape="profile", length_mm=50.0, base_d_mm=10.0, profile_mm=[[0, 10], [48, 9], [50, 8.5]])
     assert "\n" not in str(error.value)
     with pytest.raises(InputError, match=r'would close the bore .* use tip = "blunt"'):
@@ -159,9 +155,7 @@ def test_a_frozen_probe_keeps_its_round_end(tmp_path) -> None:
     assert "rounded_from_m" not in freeze(build_probe(design_of("blunt")).model)["rod"]
 
 
-@pytest.mark.parametrize(
-    ("base_d", "tip_d", "radius"), [(12.0, 12.0, 1.5), (12.0, 2.0, 2.0), (12.0, 4.0, 0.5)]
-)
+@pytest.mark.parametrize(("base_d", "tip_d", "radius"), [(12.0, 12.0, 1.5), (12.0, 2.0, 2.0), (12.0, 4.0, 0.5)])
 def test_the_fillet_lies_on_a_circle_that_touches_flange_and_flank(base_d, tip_d, radius):
     blunt = ((0.0, base_d), (60.0, tip_d))
     knots, height = filleted(blunt, radius)

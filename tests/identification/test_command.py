@@ -57,9 +57,7 @@ def test_written_numbers_reach_the_frozen_probe(here: Path, stage_folder: Path, 
     assert run([*command, "--force"]) == 0
     found = json.loads(capsys.readouterr().out)["found"][0]
     design = load_design("large.toml")
-    assert design.youngs_modulus.value == pytest.approx(
-        1e6 * found["value"], rel=2e-4
-    )  # four digits are written
+    assert design.youngs_modulus.value == pytest.approx(1e6 * found["value"], rel=2e-4)  # four digits are written
     assert design.youngs_modulus.value == pytest.approx(TRUE_E, rel=0.02)
     assert "youngs_modulus_mpa = 2.32" in (here / "large.toml").read_text()
 
@@ -93,9 +91,7 @@ def test_inconsistent_results_are_printed_and_end_as_an_error(
         assert run(["identify", "large.toml", str(stage_folder), "--for", "E", "--no-page", *more]) == 2
         output = capsys.readouterr()
         assert (
-            "inconsistent" in output.out
-            and "outliers with little weight" in output.err
-            and output.err.count("\n") == 1
+            "inconsistent" in output.out and "outliers with little weight" in output.err and output.err.count("\n") == 1
         )
 
 
@@ -110,9 +106,7 @@ def test_out_writes_a_copy(here: Path, stage_folder: Path, capsys) -> None:
         old = (here / "mine.toml").read_bytes() + b"# mine\n"
         (here / "mine.toml").write_bytes(old)
         assert run([*command, "--force"]) == 0
-        assert (
-            here / name
-        ).read_bytes() == old and f"kept the former mine.toml as {name}" in capsys.readouterr().out
+        assert (here / name).read_bytes() == old and f"kept the former mine.toml as {name}" in capsys.readouterr().out
         assert b"# mine" not in (here / "mine.toml").read_bytes()
 
 
@@ -124,9 +118,7 @@ def test_out_writes_a_copy(here: Path, stage_folder: Path, capsys) -> None:
         (["--write", "--out", "x.toml"], "choose one"),
     ],
 )
-def test_wrong_options_are_one_line(
-    arguments: list[str], output: str, here: Path, stage_folder: Path, capsys
-) -> None:
+def test_wrong_options_are_one_line(arguments: list[str], output: str, here: Path, stage_folder: Path, capsys) -> None:
     assert run(["identify", "large.toml", str(stage_folder), *arguments]) == 2
     error = capsys.readouterr().err
     assert output in error and error.count("\n") == 1

@@ -44,12 +44,8 @@ def test_an_unchanged_value_is_left_alone() -> None:
     text = LARGE.read_text()
     change = Change("material.provenance", "youngs_modulus_mpa", '"identified"')
     assert edit_text(text, [change], DAY, "large.toml") == text
-    once = edit_text(
-        text, [Change("material", "youngs_modulus_mpa", "2.41", "identified")], DAY, "large.toml"
-    )
-    again = edit_text(
-        once, [Change("material", "youngs_modulus_mpa", "2.41", "identified")], DAY, "large.toml"
-    )
+    once = edit_text(text, [Change("material", "youngs_modulus_mpa", "2.41", "identified")], DAY, "large.toml")
+    again = edit_text(once, [Change("material", "youngs_modulus_mpa", "2.41", "identified")], DAY, "large.toml")
     assert again == once  # the same line is no old one
 
 
@@ -59,15 +55,10 @@ def test_windows_line_ends_are_kept() -> None:
     assert result.count("\r\n") == result.count("\n") == text.count("\n") + 1
 
 
-@pytest.mark.parametrize(
-    "material",
-    ['material = { resin = "elastic-50a" }\n', 'material.resin = "elastic-50a"\n'],
-)
+@pytest.mark.parametrize("material", ['material = { resin = "elastic-50a" }\n', 'material.resin = "elastic-50a"\n'])
 def test_tables_that_are_no_lines_are_refused(material: str) -> None:
     text = SMALL.replace("[probe]", material + "[probe]")
-    with pytest.raises(
-        InputError, match=r"not written line by line; set by hand: material.youngs_modulus_mpa = 2"
-    ):
+    with pytest.raises(InputError, match=r"not written line by line; set by hand: material.youngs_modulus_mpa = 2"):
         edit_text(text, [Change("material", "youngs_modulus_mpa", "2.41")], DAY, "x.toml")
 
 
@@ -99,10 +90,7 @@ def test_present_values_are_replaced_only_by_force(present: str, change: Change)
 
 def test_assumed_values_are_replaced_without_force() -> None:
     """Their uncertainties are replaced with them."""
-    text = (
-        SMALL
-        + "[material]\nyoungs_modulus_mpa = 2.0\nstiffness_spread = 0.1\n[tolerances]\nyoungs_modulus = 0.1\n"
-    )
+    text = SMALL + "[material]\nyoungs_modulus_mpa = 2.0\nstiffness_spread = 0.1\n[tolerances]\nyoungs_modulus = 0.1\n"
     changes = (
         Change("material", "youngs_modulus_mpa", "2.4"),
         Change("material", "stiffness_spread", "0.02"),

@@ -65,9 +65,7 @@ def test_forces_in_millinewtons_are_refused(stage: Campaign, model: ProbeModel) 
         _with(data_of(stage, model, 0.0), _in_mn)
 
 
-def test_exchanged_neighbouring_markers_are_found_within_the_noise(
-    cameras: Campaign, model: ProbeModel
-) -> None:
+def test_exchanged_neighbouring_markers_are_found_within_the_noise(cameras: Campaign, model: ProbeModel) -> None:
     """Two markers 10 mm apart, known to 5 mm on each axis: each reading is within its noise, the campaign is not."""
     data = data_of(cameras, model, 0.0)
     rng = np.random.default_rng(4)
@@ -115,15 +113,7 @@ def test_one_wrong_place_among_nine_is_an_outlier(stage: Campaign, model: ProbeM
 
 @pytest.mark.parametrize(
     ("off", "count", "too_many"),
-    [
-        (0, 9, False),
-        (3, 9, False),
-        (4, 9, True),
-        (1, 1, True),
-        (1, 2, False),
-        (25, 500, False),
-        (42, 500, True),
-    ],
+    [(0, 9, False), (3, 9, False), (4, 9, True), (1, 1, True), (1, 2, False), (25, 500, False), (42, 500, True)],
 )
 def test_number_of_outliers_that_is_too_many(off: int, count: int, too_many: bool) -> None:
     """Chances of a binomial with 5 %: P(4 or more of 9) = 6e-4, P(3 or more) = 8e-3; 25 of 500 is the mean, 42 is 3.5

@@ -74,14 +74,10 @@ def test_the_prior_of_the_root_covers_both_kinds_of_base_unless_it_is_stated(mod
 def test_a_single_missing_time_keeps_the_others(stage: Campaign, model: ProbeModel) -> None:
     """The test is taken between its neighbours, and named."""
     whole = _data(stage, model)
-    lost = replace(
-        stage, tests=tuple(replace(t, time=np.nan) if i == 2 else t for i, t in enumerate(stage.tests))
-    )
+    lost = replace(stage, tests=tuple(replace(t, time=np.nan) if i == 2 else t for i, t in enumerate(stage.tests)))
     data = _data(lost, model)
     assert any(note.startswith(f"{stage.tests[2].name}: no time_s") for note in data.notes)
-    assert data.common.walk_seconds == pytest.approx(
-        whole.common.walk_seconds
-    )  # the tests are equally far apart
+    assert data.common.walk_seconds == pytest.approx(whole.common.walk_seconds)  # the tests are equally far apart
 
 
 def test_tests_at_the_same_time_are_named(stage: Campaign, model: ProbeModel) -> None:
@@ -101,9 +97,7 @@ def test_accept_is_harmless_where_nothing_is_contradictory(found, stage: Campaig
 def test_a_contradiction_is_explained(stage: Campaign, model: ProbeModel) -> None:
     """All moments have the opposite sign: that is the likeliest cause, and no E can be accepted with its limit."""
     data = _data(stage, model)
-    flipped = tuple(
-        replace(t, wrench_base=t.wrench_base * np.repeat([1.0, -1.0], 3)) for t in data.tests if not t.free
-    )
+    flipped = tuple(replace(t, wrench_base=t.wrench_base * np.repeat([1.0, -1.0], 3)) for t in data.tests if not t.free)
     common = replace(data.common, frame="base")
     other = identify(replace(data, common=common, tests=flipped), ("E",), accept=True)
     assert other.result == "inconsistent" and other.likely_causes[0].name == "sign"
@@ -116,9 +110,7 @@ def test_merely_noisy_places_are_accepted(stage: Campaign, model: ProbeModel) ->
     rng = np.random.default_rng(3)
     data = _data(stage, model)
     noisy = tuple(
-        t
-        if t.p_touch_world is None
-        else replace(t, p_touch_world=t.p_touch_world + 5e-4 * rng.normal(size=3))
+        t if t.p_touch_world is None else replace(t, p_touch_world=t.p_touch_world + 5e-4 * rng.normal(size=3))
         for t in data.tests
     )
     other = identify(replace(data, tests=noisy), ("E",))
@@ -133,15 +125,11 @@ def test_free_hangs_in_other_orientations_determine_the_weight(model: ProbeModel
     """Wrenches of the free probe under gravity from four sides separate the density from a tare."""
     common = _shared(model)
     tests = []
-    for i, R in enumerate(
-        Rotation.from_rotvec([[0.0, 0.0, turn] for turn in (0.0, 1.6, 3.1, 4.7)]).as_matrix()
-    ):
+    for i, R in enumerate(Rotation.from_rotvec([[0.0, 0.0, turn] for turn in (0.0, 1.6, 3.1, 4.7)]).as_matrix()):
         T = np.eye(4)
         T[:3, :3] = R
         heavier = replace(model.rod, density=1.05 * model.rod.density)
-        wrench = heavier.solve(R.T @ model.gravity_base).wrench_base + 1e-3 * np.array(
-            [1, 2, -1, 0.01, 0.02, 0.01]
-        )
+        wrench = heavier.solve(R.T @ model.gravity_base).wrench_base + 1e-3 * np.array([1, 2, -1, 0.01, 0.02, 0.01])
         tests.append(MeasuredTest(f"free-{i}", T, model.gravity_base, np.zeros(3), wrench_base=wrench,
                                   cov_wrench=model.noise_base() / 20.0))  # fmt: skip
     other = identify(IdentificationData(common, tuple(tests), None, "hangs"), ("density",))
@@ -152,9 +140,7 @@ def test_free_hangs_in_other_orientations_determine_the_weight(model: ProbeModel
 def test_a_factor_on_all_forces_is_noted(stage: Campaign, model: ProbeModel) -> None:
     """Touches alone do not determine it, and the result states so."""
     ten = replace(
-        stage,
-        tests=tuple(replace(t, wrenches=10.0 * t.wrenches) for t in stage.tests if not t.free),
-        weighing=None,
+        stage, tests=tuple(replace(t, wrenches=10.0 * t.wrenches) for t in stage.tests if not t.free), weighing=None
     )
     other = identify(_data(ten, model), ("E",))
     assert any("times the design's: are forces" in note for note in other.notes), other.notes
@@ -184,17 +170,13 @@ def test_stiffness_alone_does_not_separate_E_and_diameters(stage: Campaign, mode
     assert other.of("E") is not None
 
 
-def test_E_is_conditional_on_the_designs_diameters(
-    cameras: Campaign, found_by_cameras, model: ProbeModel
-) -> None:
+def test_E_is_conditional_on_the_designs_diameters(cameras: Campaign, found_by_cameras, model: ProbeModel) -> None:
     """It is what a design gets, and no design gets other diameters."""
     alone = found_by_cameras.of("E")
     found = identify(_data(cameras, model), ("E", "diameters"))
     E, diameters = found.of("E"), found.of("diameters")
     assert alone is not None and E is not None and diameters is not None
-    assert (
-        abs(E.value - alone.value) < 0.1 * alone.std
-    )  # the same readings; both searches end within a twentieth
+    assert abs(E.value - alone.value) < 0.1 * alone.std  # the same readings; both searches end within a twentieth
     assert E.std == pytest.approx(alone.std, rel=0.02)
     assert E.value_of_print * diameters.value**4 == pytest.approx(E.value, rel=0.01)  # weight goes with d²
     assert E.by_diameter == pytest.approx(-4.0, abs=0.3)
@@ -207,9 +189,7 @@ def test_sag_alone_determines_E_over_density(model: ProbeModel) -> None:
 
 
 def test_weighing_determines_the_density(model: ProbeModel) -> None:
-    other = identify(
-        _sagging(model, MassMeasurement(1.02 * model.mass, 1e-3 * model.mass, 0.0)), ("E", "density")
-    )
+    other = identify(_sagging(model, MassMeasurement(1.02 * model.mass, 1e-3 * model.mass, 0.0)), ("E", "density"))
     density = other.of("density")
     assert density is not None
     assert density.value == pytest.approx(1.02 * model.rod.density, rel=1e-3)
@@ -227,9 +207,7 @@ def test_a_wrong_marker_is_an_outlier_with_little_weight(cameras: Campaign, mode
     worst = other.outliers[0]
     assert (worst.test, worst.kind, worst.item) == (trials[7].name, "markers", 5)
     E = other.of("E")
-    assert (
-        E is not None and abs(E.value - clean.value) < 0.3 * clean.std
-    )  # pulled by c²/d = 11/30 deviations of one
+    assert E is not None and abs(E.value - clean.value) < 0.3 * clean.std  # pulled by c²/d = 11/30 deviations of one
 
 
 def test_more_noise_than_stated_widens_the_interval(cameras: Campaign, model: ProbeModel) -> None:
@@ -243,9 +221,7 @@ def test_more_noise_than_stated_widens_the_interval(cameras: Campaign, model: Pr
 
 def test_too_few_tests_are_refused(model: ProbeModel) -> None:
     data = _sagging(model, None)
-    with pytest.raises(
-        InputError, match="too few tests for E, density: 1 values are measured for 2 unknowns"
-    ):
+    with pytest.raises(InputError, match="too few tests for E, density: 1 values are measured for 2 unknowns"):
         identify(replace(data, tests=data.tests[:1]), ("E", "density"))
 
 

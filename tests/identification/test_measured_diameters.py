@@ -75,9 +75,7 @@ def test_scattered_readings_widen_their_uncertainty() -> None:
     s, signs = np.linspace(5.0, 145.0, 20), np.tile([0.15, -0.15], 10)
     tidy = fit_diameters(design_of(), PRIOR, readings(s, np.interp(s, [0, 150], [12.0, 2.0])))
     rough = fit_diameters(design_of(), PRIOR, readings(s, np.interp(s, [0, 150], [12.0, 2.0]) + signs))
-    assert tidy.scale == 1.0 and rough.scale == pytest.approx(
-        5.0, rel=0.1
-    )  # 0.15 over 0.03, two knots fitted
+    assert tidy.scale == 1.0 and rough.scale == pytest.approx(5.0, rel=0.1)  # 0.15 over 0.03, two knots fitted
     assert (rough.std > tidy.std).all()
 
 
@@ -135,9 +133,7 @@ def test_diameters_beyond_the_calipers_follow_the_measured_ones() -> None:
     assert found.prior_scale == 1.0
 
 
-def test_readings_that_contradict_the_prior_widen_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_readings_that_contradict_the_prior_widen_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Knots that deviate by 0.2 mm to both sides in turn are no scale, no offset, and no scatter of 0.025 mm."""
     design = design_of(PROFILE)
     knots, drawn = (np.array(x) for x in zip(*design.probe.blunt_mm, strict=True))
@@ -192,10 +188,7 @@ def test_unusable_readings_are_refused_and_nothing_is_written(
     assert run(["measured", str(path), str(calipers)]) == 2
     message = capsys.readouterr().err
     assert named in message and message.count("\n") == 1
-    assert path.read_bytes() == before and sorted(p.name for p in tmp_path.iterdir()) == [
-        "calipers.csv",
-        "p.toml",
-    ]
+    assert path.read_bytes() == before and sorted(p.name for p in tmp_path.iterdir()) == ["calipers.csv", "p.toml"]
 
 
 def test_readings_on_a_rounding_or_a_fillet_are_refused(tmp_path: Path) -> None:

@@ -47,17 +47,13 @@ def test_derivatives_agree_with_differences(cameras: Campaign, model: ProbeModel
         step = 1e-2 if j >= PRINT else 1e-4 if OWNER[j].name == "bias" else 1e-3
         if j >= data.common.size:
             step = 1e-5
-        numeric = (_values(problem, x, nuisance, j, step) - _values(problem, x, nuisance, j, -step)) / (
-            2.0 * step
-        )
+        numeric = (_values(problem, x, nuisance, j, step) - _values(problem, x, nuisance, j, -step)) / (2.0 * step)
         # differences of second order and the rod's digits: 1e-6 of a moment is 1e-3 of its noise, over the step
         near = 1e-3 * np.abs(rows[:, j]).max() + 4e-3 / step
         assert np.abs(numeric - rows[:, j]).max() <= near, j
 
 
-def _values(
-    problem: LeastSquaresProblem, x: np.ndarray, nuisance: list[np.ndarray], j: int, step: float
-) -> np.ndarray:
+def _values(problem: LeastSquaresProblem, x: np.ndarray, nuisance: list[np.ndarray], j: int, step: float) -> np.ndarray:
     ends = np.cumsum([len(x)] + [len(own) for own in nuisance])
     every = np.concatenate([x, *nuisance])
     every[j] += step

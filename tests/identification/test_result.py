@@ -37,10 +37,7 @@ def identification_of(
 
 @pytest.mark.parametrize(
     ("value", "share", "present", "absent"),
-    [
-        (0.78, 0.099, ("weakly identifiable",), ()),
-        (0.78, 0.03, (), ("weakly",)),
-    ],
+    [(0.78, 0.099, ("weakly identifiable",), ()), (0.78, 0.03, (), ("weakly",))],
 )
 def test_caveats_of_G_are_shown_and_written(value, share, present, absent, model: ProbeModel, capsys) -> None:
     found = identification_of(model, number("E", 2.32, 0.002, 2.32), number("G", value, share, 0.761))

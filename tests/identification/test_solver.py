@@ -25,8 +25,7 @@ def test_a_place_beyond_the_flank_ends_the_search_at_its_end(stage: Campaign, mo
     tests = data_of(stage, model, 0.0).tests
     end, last = model.rod.flank_end, max(one.s_contact for one in tests if one.touched)
     beyond = tuple(
-        replace(one, s_contact=end + 2e-3, p_touch_world=None) if one.s_contact == last else one
-        for one in tests
+        replace(one, s_contact=end + 2e-3, p_touch_world=None) if one.s_contact == last else one for one in tests
     )
     problem = _problem(beyond, stage, model)
     start = start_point(problem, free_E=True)
@@ -42,9 +41,7 @@ def test_a_place_beyond_the_flank_ends_the_search_at_its_end(stage: Campaign, mo
 
 
 @pytest.mark.parametrize(("end", "outward"), [(0, -1.0), (1, 1.0)])
-def test_a_root_at_its_bound_moves_inwards_only(
-    end: int, outward: float, stage: Campaign, model: ProbeModel
-) -> None:
+def test_a_root_at_its_bound_moves_inwards_only(end: int, outward: float, stage: Campaign, model: ProbeModel) -> None:
     """Readings of a probe with another root draw it over the bound, or back, by the sign of their residuals."""
     tests, column = data_of(stage, model, 0.0).tests[:6], PARAMETERS["root"].columns.start
     problem = _problem(tests, stage, model)
@@ -57,8 +54,7 @@ def test_a_root_at_its_bound_moves_inwards_only(
     # readings that are shifted along their derivative draw it outwards, or back
     for sign in (1.0, -1.0):
         drawn = replace(
-            point,
-            blocks=tuple(one._replace(r=-1e3 * sign * outward * one.J[:, column]) for one in point.blocks),
+            point, blocks=tuple(one._replace(r=-1e3 * sign * outward * one.J[:, column]) for one in point.blocks)
         )
         step = drawn.normal_equations(weight, bounded=True).steps[0][at]
         assert step == 0.0 if sign > 0.0 else step * outward < 0.0
@@ -82,9 +78,7 @@ def test_a_touch_seen_on_the_other_side_stays_a_push(stage: Campaign, model: Pro
     force = R @ (touch.wrench_base[:3] - model.rod.mass * touch.gravity_base)
     across = force - R[:, 2] * (R[:, 2] @ force)
     radius = float(model.rod.radius_at(touch.s_contact))
-    tests[k] = replace(
-        touch, p_touch_world=touch.p_touch_world + 1.9 * radius * across / np.linalg.norm(across)
-    )
+    tests[k] = replace(touch, p_touch_world=touch.p_touch_world + 1.9 * radius * across / np.linalg.norm(across))
     problem = _problem(tuple(tests), stage, model)
     start = start_point(problem, free_E=True)
     assert start is not None

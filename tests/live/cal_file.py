@@ -17,9 +17,7 @@ SCALE = (11.0, 11.0, 6.0, 1.8, 1.8, 1.5)
 DZ = 6.096
 
 
-def text(
-    version: str, transform: str = 'Dx="0" Dy="0" Dz="6.096" Rx="0" Ry="0" Rz="0"', units: str = "N-mm"
-) -> str:
+def text(version: str, transform: str = 'Dx="0" Dy="0" Dz="6.096" Rx="0" Ry="0" Rz="0"', units: str = "N-mm") -> str:
     inner = U.copy()  # about the transducer's own origin, DZ below the face
     inner[3] -= DZ * U[1]
     inner[4] += DZ * U[0]

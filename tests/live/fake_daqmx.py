@@ -81,11 +81,7 @@ class FakeDriver:
         code = self.script.get(self.reads)
         self.reads += 1
         if code is not None:
-            raise (
-                DaqReadError("Driver message.", code, 0)
-                if code == -200284
-                else DaqError("Driver message.", code)
-            )
+            raise (DaqReadError("Driver message.", code, 0) if code == -200284 else DaqError("Driver message.", code))
         data[:] = self.volts(self.taken + np.arange(count)).T
         self.taken += count
         return data, count

@@ -19,9 +19,7 @@ def box(estimator, settings=NATIVE, load=LOAD, **options) -> SimulatedNetFT:
     def constant(when):
         return np.tile(load, (len(when), 1))
 
-    return SimulatedNetFT(
-        SimulatedTransducer(estimator.model, constant, seed=1, drift=0.0), settings, **options
-    )
+    return SimulatedNetFT(SimulatedTransducer(estimator.model, constant, seed=1, drift=0.0), settings, **options)
 
 
 def until(happened, describe=lambda: "", seconds=10.0):

@@ -62,10 +62,7 @@ def test_an_unknown_table_is_refused(estimator):
 
 def test_faults_of_the_stream_are_decoded_by_the_table(estimator):
     """The simulated box sets the bits of a Net Box at its limit, 31 and 17; an Axia has no condition at bit 17."""
-    with (
-        box(estimator, replace(NATIVE, product="Axia80"), load=1e3) as peer,
-        Reader(peer, estimator) as reader,
-    ):
+    with box(estimator, replace(NATIVE, product="Axia80"), load=1e3) as peer, Reader(peer, estimator) as reader:
         reader.has_logged("unknown fault (status 0x80020000)")
     assert all(r.fault for r in reader.readings)
 
@@ -76,9 +73,7 @@ def test_faults_of_the_stream_are_decoded_by_the_table(estimator):
 def rates_of(rate, assumed, seconds=4 * RATE_PERIOD):
     """What a monitor measures of a counter that is read a hundred times a second."""
     monitor = RateMonitor(assumed)
-    found = [
-        monitor.measured(0.01 * i * rate / assumed, 100.0 + 0.01 * i) for i in range(round(100 * seconds))
-    ]
+    found = [monitor.measured(0.01 * i * rate / assumed, 100.0 + 0.01 * i) for i in range(round(100 * seconds))]
     return [each for each in found if each is not None]
 
 

@@ -21,14 +21,7 @@ from probedesign.live.run import estimate_stream
 from probedesign.live.sources.replay import ReplaySource
 from probedesign.rod.contact import solve_frictionless
 from probedesign.simulation import scenes
-from probedesign.simulation.robot import (
-    CYCLE_DWELL_TIME,
-    MOVE_TIME,
-    PRESS_TIME,
-    REST_TIME,
-    BaseMotion,
-    SimulatedRobot,
-)
+from probedesign.simulation.robot import CYCLE_DWELL_TIME, MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion, SimulatedRobot
 
 RATE, SAMPLES = 500.0, 5
 """Of single samples [Hz], and to a mean: a hundred means a second."""
@@ -65,18 +58,14 @@ def reported_poses(motion, late=0.0, latency=0.0):
     """Poses as a robot sends them, 125 per second, each with a time stamp that is late [s]."""
     time = np.arange(-0.2, motion.cycle_time + 1.2, 1.0 / 125.0)
     p = motion.p_world_base(np.maximum(time, 0.0))
-    stated = [
-        TimedPose(t + late, tuple(at), UPRIGHT) for t, at in zip(time.tolist(), p.tolist(), strict=True)
-    ]
+    stated = [TimedPose(t + late, tuple(at), UPRIGHT) for t, at in zip(time.tolist(), p.tolist(), strict=True)]
     return BasePoses("stated", stated, latency=latency, gravity_world=motion.model.gravity_base)
 
 
 def run(estimator, stream, poses=None, plan=None, ask=()):
     """Answers, events and the chain; `ask` holds times at which a tare is asked for."""
     lines, asked = [], list(ask)
-    chain = Chain(
-        estimator, plan or ProcessingOptions(TareWindow(0.0, 2.0), SAMPLES, 25.0), poses, lines.append
-    )
+    chain = Chain(estimator, plan or ProcessingOptions(TareWindow(0.0, 2.0), SAMPLES, 25.0), poses, lines.append)
     answers = []
     for block in stream:
         answers += chain.process(block)
@@ -132,10 +121,7 @@ def test_the_size_of_the_blocks_changes_nothing(size, estimator, motion):
     def short(size):
         stream = (b for b in touch(motion, size=size) if b.time[-1] < 3.0)
         return run(
-            estimator,
-            stream,
-            reported_poses(motion),
-            ProcessingOptions(TareWindow(0.0, 0.5), SAMPLES, filter_hz=20.0),
+            estimator, stream, reported_poses(motion), ProcessingOptions(TareWindow(0.0, 0.5), SAMPLES, filter_hz=20.0)
         )[0]
 
     answers, like = short(size), short(25)
@@ -212,9 +198,7 @@ def test_without_a_pose_there_is_no_number(estimator, motion):
     """Poses lack from 1.0 to 1.4 s and from 1.8 s on."""
     all_poses = reported_poses(motion)
     stated = [
-        TimedPose(t, tuple(all_poses.at(t)[:3, 3]), UPRIGHT)
-        for t in all_poses.track.times
-        if t < 1.0 or 1.4 < t < 1.8
+        TimedPose(t, tuple(all_poses.at(t)[:3, 3]), UPRIGHT) for t in all_poses.track.times if t < 1.0 or 1.4 < t < 1.8
     ]
     stream = (b for b in touch(motion) if b.time[-1] < 2.5)
     poses = BasePoses("with a gap", stated, gravity_world=motion.model.gravity_base)
@@ -240,9 +224,7 @@ def test_a_requested_tare_is_taken_while_free_and_refused_during_contact(estimat
     assert stated[1] == "tare: keep the probe free and still for 2 s"
     assert stated[2] == "tare refused: a tare is already being taken"
     assert stated[3].startswith("tare from 200 readings in 2.5")
-    assert stated[4] in {
-        f"tare refused: the probe is {p}; the previous tare is kept" for p in ("touching", "settled")
-    }
+    assert stated[4] in {f"tare refused: the probe is {p}; the previous tare is kept" for p in ("touching", "settled")}
     assert len(stated) == 5
     noise = estimator.model.noise.std
     assert (np.abs(chain.tare.bias_sensor - BIAS) < 5.0 * noise / np.sqrt(200.0)).all()
@@ -277,8 +259,7 @@ def test_the_age_of_a_tare_taken_beforehand_counts(estimator, motion):
     """A touch of 10 mN is lost in the drift of a thousand seconds."""
     time = np.arange(int(1.0 * RATE)) / RATE
     touched = np.tile(
-        estimator.model.to_sensor(motion_wrench(estimator, 0.01), estimator.model.gravity_base),
-        (len(time), 1),
+        estimator.model.to_sensor(motion_wrench(estimator, 0.01), estimator.model.gravity_base), (len(time), 1)
     )
     stds = []
     for age in (0.0, 1000.0):
@@ -329,9 +310,7 @@ def test_a_filtered_estimate_has_the_time_of_its_signal(estimator, motion):
     plan = ProcessingOptions(TareWindow(0.0, 2.0), SAMPLES, 100.0, filter_hz=10.0)
     answers, lines, _ = run(estimator, touch(motion), None, plan)
     assert any(line.startswith("low-pass 10 Hz: estimates are delayed by 18.6 ms") for line in lines)
-    rising = [
-        a for a in answers if REST_TIME + MOVE_TIME + 1.42 < a.reading.time < REST_TIME + MOVE_TIME + 1.48
-    ]
+    rising = [a for a in answers if REST_TIME + MOVE_TIME + 1.42 < a.reading.time < REST_TIME + MOVE_TIME + 1.48]
     assert len(rising) > 3
     for a in rising:
         at = np.array([a.reading.time])
@@ -343,10 +322,7 @@ def test_a_filtered_estimate_has_the_time_of_its_signal(estimator, motion):
 def test_poses_of_the_simulated_robot_are_received_in_an_upright_world(motion):
     """What it sends, read as a robot's: gravity is down there, and the way is the base's."""
     model = motion.model
-    stated = [
-        parse_pose_json(SimulatedRobot(motion, float, "127.0.0.1:1").datagram(t, t))[0]
-        for t in (0.0, 7.0, 7.01)
-    ]
+    stated = [parse_pose_json(SimulatedRobot(motion, float, "127.0.0.1:1").datagram(t, t))[0] for t in (0.0, 7.0, 7.01)]
     poses = BasePoses("robot", stated)
     assert poses.gravity(poses.at(0.0)) == pytest.approx(model.gravity_base, abs=1e-9)
     way = poses.at(7.0)[:3, :3].T @ (poses.at(7.0) - poses.at(0.0))[:3, 3]
@@ -365,9 +341,7 @@ class Heard(PoseListener):
     def __init__(self, motion):
         stated = np.arange(-0.2, motion.cycle_time + 1.2, 1.0 / 125.0)
         at = motion.p_world_base(np.maximum(stated, 0.0))
-        self._waiting = [
-            TimedPose(t + 7.0, tuple(p), UPRIGHT) for t, p in zip(stated, at.tolist(), strict=True)
-        ]
+        self._waiting = [TimedPose(t + 7.0, tuple(p), UPRIGHT) for t, p in zip(stated, at.tolist(), strict=True)]
         self.now = 0.0
 
     summary = "all"
@@ -384,9 +358,7 @@ class Heard(PoseListener):
         pass
 
 
-def test_a_recording_contains_the_received_poses_and_replays_exactly(
-    estimator, motion, tmp_path, monkeypatch
-):
+def test_a_recording_contains_the_received_poses_and_replays_exactly(estimator, motion, tmp_path, monkeypatch):
     """Another clock, a latency, poses from before the first reading; then the recording is its own --pose."""
     path, heard = tmp_path / "touch.mcap", Heard(motion)
     # every reading is in time

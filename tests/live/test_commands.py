@@ -236,9 +236,7 @@ def live_process(bundle, *options: str) -> subprocess.Popen[str]:
     """
     command = [*PROGRAM, "live", str(bundle), "--source", "sim:?seconds=1000000", *options]
     heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heard
-    )
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heard)
 
 
 def test_interrupted_live_ends_well_and_leaves_a_whole_recording(bundle, tmp_path):

@@ -42,9 +42,7 @@ def run(estimator, tmp_path):
     recordings = RecordingSink(tmp_path / "touch.csv", estimator.model, lines.append)
     register_recording(commands, recordings)
     source = SimulatedSource(estimator.model, "speed=max&seconds=20&rate_hz=50")
-    updates = estimate_stream(
-        estimator, source, ProcessingOptions(rate=1.0), lines.append, recordings, commands
-    )
+    updates = estimate_stream(estimator, source, ProcessingOptions(rate=1.0), lines.append, recordings, commands)
     next(updates)
     yield commands, lines, updates
     updates.close()

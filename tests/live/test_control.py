@@ -61,9 +61,7 @@ def test_the_noise_of_the_window_is_all_that_is_left(estimator, biased):
 
 def test_no_tare_is_taken_without_a_request(estimator, biased):
     source = Fixed(biased[::10])  # a force of 1 N bends the probe far: few of these, they are slow
-    results = {
-        a.estimate.result for a in estimate_stream(estimator, source, ProcessingOptions(), lambda note: None)
-    }
+    results = {a.estimate.result for a in estimate_stream(estimator, source, ProcessingOptions(), lambda note: None)}
     assert "no_contact" not in results and "ok" not in results
 
 
@@ -95,9 +93,7 @@ def test_a_window_that_is_not_free_is_refused(estimator, readings, window, log_l
     assert log_lines in str(error.value)
 
 
-@pytest.mark.parametrize(
-    "text", ["", "2", "2:", ":2", "2:1", "1:1", "-1:2", "0:nan", "0:inf", "a:b", "0:1:2"]
-)
+@pytest.mark.parametrize("text", ["", "2", "2:", ":2", "2:1", "1:1", "-1:2", "0:nan", "0:inf", "a:b", "0:1:2"])
 def test_what_is_no_window(text):
     with pytest.raises(InputError, match="must be START:END"):
         parse_window(text)
@@ -143,9 +139,7 @@ def test_a_reading_that_is_too_old_is_skipped_and_counted(monkeypatch):
     at = [0.0, MAX_AGE + 0.01, 0.0, MAX_AGE + 0.5, 0.5 * MAX_AGE]
     found, log_lines = wanted(at, 0.01 * np.arange(5), 7.0, monkeypatch)
     assert found == [True, False, True, False, True]
-    assert log_lines == [
-        "2 of 5 estimates were skipped: each was more than 12 ms late, with newer readings queued"
-    ]
+    assert log_lines == ["2 of 5 estimates were skipped: each was more than 12 ms late, with newer readings queued"]
 
 
 def test_the_newest_reading_is_not_skipped(monkeypatch):

@@ -68,17 +68,13 @@ def test_units_and_aliases(path, header, factors):
 
 
 def test_columns_in_any_order_beside_others(path):
-    recording = read(
-        path, "status,Mz_Nm,My_Nm,Mx_Nm,Fz_N,Fy_N,Fx_N,time_s\n0x0,6,5,4,3,2,1,0\n0xF,6,5,4,3,2,1,1\n"
-    )
+    recording = read(path, "status,Mz_Nm,My_Nm,Mx_Nm,Fz_N,Fy_N,Fx_N,time_s\n0x0,6,5,4,3,2,1,0\n0xF,6,5,4,3,2,1,1\n")
     assert recording.wrench.tolist() == [[1, 2, 3, 4, 5, 6]] * 2
     assert any("'status'" in note for note in recording.notes)
 
 
 def test_comments_blank_lines_and_line_ends(path):
-    text = (
-        f"\ufeff# made by hand\r\n# Frame: BASE\r\n\r\n{CSV_HEADER}\r\n{rows(0.0)}\r\n# pause\r\n{rows(1.0)}"
-    )
+    text = f"\ufeff# made by hand\r\n# Frame: BASE\r\n\r\n{CSV_HEADER}\r\n{rows(0.0)}\r\n# pause\r\n{rows(1.0)}"
     recording = read(path, text)
     assert (recording.frame, len(recording.time)) == ("base", 2)
 
@@ -186,9 +182,7 @@ def test_any_bytes(path, junk):
 @given(st.data())
 def test_any_mutation_of_a_recording(path, data):
     text = f"# frame: base\n{CSV_HEADER}\n{rows(0.0, 0.01, 0.02)}".encode()
-    tokens = st.sampled_from(
-        [b",", b"\n", b"\r", b"nan", b"1e400", b"-", b"#", b'"', b" ", b"_", b"\x0b", b"\xc2\x85"]
-    )
+    tokens = st.sampled_from([b",", b"\n", b"\r", b"nan", b"1e400", b"-", b"#", b'"', b" ", b"_", b"\x0b", b"\xc2\x85"])
     for _ in range(data.draw(st.integers(1, 4))):
         start = data.draw(st.integers(0, len(text)))
         end = start + data.draw(st.integers(0, 12))
@@ -226,11 +220,7 @@ def test_what_is_written_reads_back_to_the_last_bit(path, times, samples, frame,
     assert recording.time.tolist() == times
     assert np.array_equal(recording.wrench, wrench)
     assert recording.frame == frame
-    assert (
-        gravities is None
-        if recording.gravity_base is None
-        else np.array_equal(recording.gravity_base, gravities)
-    )
+    assert gravities is None if recording.gravity_base is None else np.array_equal(recording.gravity_base, gravities)
     assert recording.dropped_lines == 0
 
 
@@ -285,13 +275,7 @@ def test_units_or_counts_in_si_by_the_sensors_clock(read_demo, values):
 
 
 def test_faults_are_omitted_and_gaps_reported(read_demo):
-    rows = [
-        row(1, 0),
-        row(2, 7),
-        row(3, 14, status="0x80020000"),
-        row(4, 21, status="0x80010000"),
-        row(5, 28),
-    ]
+    rows = [row(1, 0), row(2, 7), row(3, 14, status="0x80020000"), row(4, 21, status="0x80010000"), row(5, 28)]
     recorded, readings = read_demo(HEAD + "".join(rows))
     assert len(readings) == 4  # a latched monitor condition is healthy
     assert recorded.notes == ("1 samples with a fault are omitted", "1 samples are missing in 1 gaps")
@@ -307,10 +291,7 @@ def test_half_a_line_at_the_end_of_a_demo_is_dropped(read_demo):
     [
         (HEAD, "no samples"),
         (HEAD.replace("N-mm", "furlongs") + row(1, 0), "Torque Units = 'furlongs' is not a known unit"),
-        (
-            HEAD.replace("Force: 1000000.0", "Force: 0") + row(1, 0),
-            "Counts per Unit Force '0' must be a positive",
-        ),
+        (HEAD.replace("Force: 1000000.0", "Force: 0") + row(1, 0), "Counts per Unit Force '0' must be a positive"),
         (HEAD.replace("Status", "State") + row(1, 0), "without its header"),
         (HEAD + row(1, 7) + row(2, 0), ":10: F/T Sequence decreases"),
         (HEAD + row(1, 0, ("x",) * 6) + row(2, 7), ":9: .* is not a row of 10 fields"),

@@ -19,19 +19,11 @@ from probedesign.live.processing.estimates import (
 )
 from probedesign.live.processing.touches import Contact
 
-P, SURFACE, FORCE = (
-    np.array([0.001, 0.002, 0.003]),
-    np.array([0.004, 0.005, 0.006]),
-    np.array([0.3, 0.0, -0.4]),
-)
+P, SURFACE, FORCE = (np.array([0.001, 0.002, 0.003]), np.array([0.004, 0.005, 0.006]), np.array([0.3, 0.0, -0.4]))
 COV = np.array([[1.0, 2.0, 3.0], [2.0, 4.0, 5.0], [3.0, 5.0, 6.0]]) * 1e-6
 COV_SURFACE = 2.0 * COV
-FOUND = Estimate(
-    "ok", 0.08, 0.0025, P, SURFACE, FORCE, COV, COV_SURFACE, 0.4, 0.3, 0.75, detection_chi2=123.0
-)
-TRUE = WrenchReading(
-    1700000000.000001, np.zeros(6), np.zeros(3), TrueContact(0.0801, 2.0 * P, FORCE, 3.0 * P)
-)
+FOUND = Estimate("ok", 0.08, 0.0025, P, SURFACE, FORCE, COV, COV_SURFACE, 0.4, 0.3, 0.75, detection_chi2=123.0)
+TRUE = WrenchReading(1700000000.000001, np.zeros(6), np.zeros(3), TrueContact(0.0801, 2.0 * P, FORCE, 3.0 * P))
 
 
 def test_every_number_in_its_unit():
@@ -57,24 +49,13 @@ def test_unknown_values_are_empty_or_null():
     answer = estimate_row(reading, Estimate("no_contact", detection_chi2=4.0))
     assert csv_line(answer) == "1.0,no_contact" + 17 * "," + ",4" + 9 * "," + "\n"
     document = json.loads(json_line(answer))
-    assert [name for name, value in document.items() if value is not None] == [
-        "time_s",
-        "result",
-        "detection_chi2",
-    ]
-    assert readable_line(0.0, reading, Estimate("no_contact")).split() == [
-        "0.00",
-        "s",
-        "no_contact",
-        "true:",
-        "free",
-    ]
+    assert [name for name, value in document.items() if value is not None] == ["time_s", "result", "detection_chi2"]
+    assert readable_line(0.0, reading, Estimate("no_contact")).split() == ["0.00", "s", "no_contact", "true:", "free"]
 
 
 def test_the_readable_line():
     assert readable_line(12.34, TRUE, FOUND) == (
-        "    12.34 s  ok             s   80.0 ±   2.5 mm  p (   4.0,    5.0,    6.0) mm  F   500.0 mN"
-        "  true s   80.1 mm"
+        "    12.34 s  ok             s   80.0 ±   2.5 mm  p (   4.0,    5.0,    6.0) mm  F   500.0 mN  true s   80.1 mm"
     )
 
 

@@ -116,9 +116,7 @@ def test_only_ok_has_numbers(model, updates, tmp_path, result):
     assert math.isnan(found[schemas.STATE.name].s_contact) == (result != "ok")
     names = {entity.id for entity in found[schemas.SCENE.name].entities}
     assert ("contact" in names) == (result == "ok")
-    assert [each.id for each in found[schemas.SCENE.name].deletions] == (
-        [] if result == "ok" else ["contact"]
-    )
+    assert [each.id for each in found[schemas.SCENE.name].deletions] == ([] if result == "ok" else ["contact"])
 
 
 # time stamps
@@ -146,9 +144,7 @@ def test_the_arrival_of_the_readings_sets_the_wall_clock(model, tmp_path):
         chosen = [c for c in reader.connections if c.topic == schemas.RAW.name]
         *_, (connection, _, data) = reader.messages(chosen)
         found = stamp(reader.deserialize(data, connection.msgtype))
-    assert found == pytest.approx(
-        arrival, abs=5e8
-    )  # both clocks are read one after the other, on a busy machine
+    assert found == pytest.approx(arrival, abs=5e8)  # both clocks are read one after the other, on a busy machine
 
 
 def test_poses_are_replayed_by_the_clock_of_the_source_exactly(recorded, updates):
@@ -191,9 +187,7 @@ def test_the_scene_contains_the_bent_probe_and_its_contact(decoded, updates):
     assert ball.size.z == pytest.approx(
         2 * 2.7955 * math.sqrt(np.linalg.eigvalsh(touched.cov_surface_base)[-1]), rel=1e-3
     )
-    q = (
-        arrow.pose.orientation
-    )  # its x axis is the direction of the force, and its head ends at the touched point
+    q = arrow.pose.orientation  # its x axis is the direction of the force, and its head ends at the touched point
     x = np.array([1 - 2 * (q.y**2 + q.z**2), 2 * (q.x * q.y + q.z * q.w), 2 * (q.x * q.z - q.y * q.w)])
     assert x == pytest.approx(touched.force_base / np.linalg.norm(touched.force_base), abs=1e-9)
     tail = np.array([arrow.pose.position.x, arrow.pose.position.y, arrow.pose.position.z])
@@ -240,17 +234,12 @@ def test_the_reader_of_the_foxglove_sdk_reads_a_recording(recorded):
     topics = tuple(topic.name for topic in schemas.TOPICS)
     reader = reading.EpisodeReader(episode, topics, None, Store())
     found = {channel.topic for _, channel, _, _ in reader.iter_messages(decoder_factories=[Factory()])}
-    assert {
-        t.name for t in (schemas.STATE, schemas.SCENE, schemas.TF, schemas.TF_STATIC, schemas.RAW)
-    } <= found
+    assert {t.name for t in (schemas.STATE, schemas.SCENE, schemas.TF, schemas.TF_STATIC, schemas.RAW)} <= found
 
 
 def test_the_layout_names_existing_topics_and_fields():
     layout = json.loads(LAYOUT.read_text())
-    fields = {
-        t.name: set(re.findall(r"^\S+ (\w+)", schemas.definition(t.type).decode(), re.M))
-        for t in schemas.TOPICS
-    }
+    fields = {t.name: set(re.findall(r"^\S+ (\w+)", schemas.definition(t.type).decode(), re.M)) for t in schemas.TOPICS}
     paths = re.findall(r'"(/[\w/.]+)"', LAYOUT.read_text())
     assert len(paths) > 8
     for path in paths:
@@ -342,14 +331,7 @@ def test_a_subscriber_receives_the_messages_of_a_recording(server, updates):
 
 def test_garbage_of_a_client_and_its_end_do_not_end_the_server(server, updates):
     client = Client(server.url)
-    for message in (
-        b"\xff" * 40,
-        "garbage",
-        "{}",
-        '{"op": "subscribe", "subscriptions": 3}',
-        b"",
-        "x" * 100_000,
-    ):
+    for message in (b"\xff" * 40, "garbage", "{}", '{"op": "subscribe", "subscriptions": 3}', b"", "x" * 100_000):
         client.send(message)
     client.close()
     with closing(Client(server.url)) as client:

@@ -47,9 +47,7 @@ def whole(model, tmp_path_factory) -> Path:
 
 def rows(answers) -> list[str]:
     """What `--json` prints, without what only a simulation knows."""
-    return [
-        json_line(estimate_row(replace(answer.reading, truth=None), answer.estimate)) for answer in answers
-    ]
+    return [json_line(estimate_row(replace(answer.reading, truth=None), answer.estimate)) for answer in answers]
 
 
 # What is written is what was read
@@ -104,15 +102,11 @@ def test_the_tools_of_mcap_read_it(whole, model):
         reader = make_reader(file, validate_crcs=True)
         summary = reader.get_summary()
         counts = summary.statistics.channel_message_counts
-        by_name = {
-            c.topic: (counts.get(i, 0), c, summary.schemas[c.schema_id]) for i, c in summary.channels.items()
-        }
+        by_name = {c.topic: (counts.get(i, 0), c, summary.schemas[c.schema_id]) for i, c in summary.channels.items()}
         assert (by_name[schemas.RAW.name][0], by_name[schemas.BLOCK.name][0]) == (60, 4)
         assert reader.get_header().profile == "ros2"
         assert {s.encoding for _, _, s in by_name.values()} == {"ros2msg"}
-        assert (
-            json.loads(by_name[schemas.ESTIMATE.name][1].metadata["json_schema"]) == schemas.ESTIMATE.schema
-        )
+        assert json.loads(by_name[schemas.ESTIMATE.name][1].metadata["json_schema"]) == schemas.ESTIMATE.schema
         (probe,) = reader.iter_attachments()
         known = {record.name: record.metadata for record in reader.iter_metadata()}
     frozen, ours = json.loads(probe.data), known["probedesign"]
@@ -129,10 +123,7 @@ def test_rosbags_reads_it(model, tmp_path):
     file.on_samples(BLOCKS[0])
     file.on_estimate(
         EstimateUpdate(
-            WrenchReading(1.0 / 3.0, np.zeros(6), GRAVITY),
-            estimate,
-            T_world_base=pose,
-            wrench_base=np.arange(6.0),
+            WrenchReading(1.0 / 3.0, np.zeros(6), GRAVITY), estimate, T_world_base=pose, wrench_base=np.arange(6.0)
         )
     )
     file.on_pose(pose_from_matrix(0.25, pose))
@@ -148,11 +139,7 @@ def test_rosbags_reads_it(model, tmp_path):
     assert [turn.z, turn.w] == pytest.approx([0.5**0.5] * 2, abs=1e-15)
     assert found[schemas.WITHOUT_BIAS.name].wrench.torque.z == 5.0
     content = json.loads(found[schemas.ESTIMATE.name].data)
-    assert (
-        content["time_s"] == 1.0 / 3.0
-        and content["result"] == "ok"
-        and content["T_world_base"] == pose.tolist()
-    )
+    assert content["time_s"] == 1.0 / 3.0 and content["result"] == "ok" and content["T_world_base"] == pose.tolist()
     assert set(schemas.ESTIMATE.schema["required"]) <= set(content) and set(COLUMNS) <= set(
         schemas.ESTIMATE.schema["properties"]
     )
@@ -231,9 +218,7 @@ def test_any_change_gives_intact_blocks_or_one_line(whole, model, tmp_path, data
     content = bytearray(whole.read_bytes())
     for _ in range(data.draw(st.integers(1, 3))):
         start = data.draw(st.integers(0, len(content)))
-        content[start : start + data.draw(st.integers(0, 12))] = data.draw(
-            st.binary(max_size=9) | st.just(b"\xff" * 8)
-        )
+        content[start : start + data.draw(st.integers(0, 12))] = data.draw(st.binary(max_size=9) | st.just(b"\xff" * 8))
     path = tmp_path / "changed.mcap"
     path.write_bytes(content)
     intact_or_one_line(path, model)
@@ -387,7 +372,5 @@ def test_the_live_extra_declares_every_package_of_the_recordings():
     extras = tomllib.loads((root / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     declared = {re.split(r"[^\w-]", requirement)[0] for requirement in extras["live"]}
     sources = [path.read_text() for path in (root / "probedesign/live/recordings").glob("*.py")]
-    imported = {
-        m for text in sources for m in re.findall(r"^\s*(?:import|from) (mcap|zstandard|lz4)\b", text, re.M)
-    }
+    imported = {m for text in sources for m in re.findall(r"^\s*(?:import|from) (mcap|zstandard|lz4)\b", text, re.M)}
     assert imported == {"mcap", "zstandard", "lz4"} and imported <= declared

@@ -122,9 +122,7 @@ def test_bias_makes_zero_and_shows_on_the_page(estimator, asked):
             udp.sendto(Request(rdt.BIAS).packed(), peer.address)
             until(lambda: any(peer.configuration.bias))
         readings, source = taken(peer, estimator, 700)
-    assert (
-        np.abs(mean_of(readings)) < 3.0 * close(estimator, 7)
-    ).all()  # the bias is the mean of one packet's samples
+    assert (np.abs(mean_of(readings)) < 3.0 * close(estimator, 7)).all()  # the bias is the mean of one packet's samples
     assert any("software bias" in note for note in source.notes)
 
 
@@ -171,9 +169,7 @@ def test_an_invalid_page_is_refused(estimator, monkeypatch, page, expected):
 def test_a_page_with_a_wrong_value_is_refused(estimator, monkeypatch, tag, value, expected):
     from probedesign.simulation.netft_box import configuration_page
 
-    wrong = re.sub(
-        rf"<{tag}>.*</{tag}>".encode(), f"<{tag}>{value}</{tag}>".encode(), configuration_page(NATIVE)
-    )
+    wrong = re.sub(rf"<{tag}>.*</{tag}>".encode(), f"<{tag}>{value}</{tag}>".encode(), configuration_page(NATIVE))
     monkeypatch.setattr("probedesign.simulation.netft_box.configuration_page", lambda configuration: wrong)
     with box(estimator) as peer, pytest.raises(InputError) as error:
         open_source(peer.source, estimator.model)
@@ -207,9 +203,7 @@ def test_a_port_in_use_is_reported(estimator):
             box(estimator, http_port=peer.http_port)
 
 
-@pytest.mark.parametrize(
-    "text", ["loss", "loss=2", "loss@1", "restart=1", "noise=0.1", "loss=-1", "loss=nan"]
-)
+@pytest.mark.parametrize("text", ["loss", "loss=2", "loss@1", "restart=1", "noise=0.1", "loss=-1", "loss=nan"])
 def test_what_is_no_fault(text):
     with pytest.raises(InputError, match=r"--fault .* must be one of loss"):
         parse_faults([text])
@@ -270,10 +264,7 @@ def test_with_friction_the_way_off_an_object_is_not_the_way_onto_it(estimator):
     for friction in (0.0, 0.5):
         things = press_scene(model, "edges", friction)[:1]
         motion = BaseMotion(model, things)
-        on, off = (
-            motion.wrench_sensor(begun - before),
-            motion.wrench_sensor(begun + CYCLE_DWELL_TIME + before),
-        )
+        on, off = (motion.wrench_sensor(begun - before), motion.wrench_sensor(begun + CYCLE_DWELL_TIME + before))
         apart = np.abs(on - off).max(axis=1)
         assert (apart > 1e-3).all() if friction else (apart < 1e-9).all()
         free = model.to_sensor(model.rod.solve(model.gravity_base).wrench_base, model.gravity_base)
@@ -283,10 +274,7 @@ def test_with_friction_the_way_off_an_object_is_not_the_way_onto_it(estimator):
 def test_friction_differs_from_object_to_object_and_repeats_with_its_seed(estimator):
     from probedesign.simulation.scenes import press_scene
 
-    drawn = [
-        [thing.friction for thing in press_scene(estimator.model, "points", 0.5, 0.2, seed)]
-        for seed in (1, 1, 2)
-    ]
+    drawn = [[thing.friction for thing in press_scene(estimator.model, "points", 0.5, 0.2, seed)] for seed in (1, 1, 2)]
     assert drawn[0] == drawn[1] != drawn[2] and len(set(drawn[0])) == 3
 
 

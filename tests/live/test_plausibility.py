@@ -202,9 +202,7 @@ def test_samples_and_means_are_told_apart(rate, averaged, estimator):
     model, n = estimator.model, 64
     rng = np.random.default_rng(int(rate))
     noise = model.noise.std * np.sqrt(model.averaging_samples / averaged)
-    wrench = (
-        noise * rng.normal(size=(n, 6)) + np.linspace(0.0, 0.02, n)[:, None]
-    )  # while the probe is pressed
+    wrench = noise * rng.normal(size=(n, 6)) + np.linspace(0.0, 0.02, n)[:, None]  # while the probe is pressed
     found = choose_averaging(np.arange(n) / rate, wrench, model)
     assert found.samples == model.averaging_samples // averaged
 
@@ -232,9 +230,7 @@ def test_noise_of_means_is_a_fault_from_the_first_reading(rate, estimator, tmp_p
     n = int(6.0 * rate)
     still = model.to_sensor(estimator.free().wrench_base, model.gravity_base)
     write_recording(
-        tmp_path / "noisy.csv",
-        np.arange(n) / rate,
-        still + 8.0 * model.noise.std * rng.normal(size=(n, 6)),
+        tmp_path / "noisy.csv", np.arange(n) / rate, still + 8.0 * model.noise.std * rng.normal(size=(n, 6))
     )
     source = ReplaySource(model, tmp_path / "noisy.csv", "speed=max")
     options = ProcessingOptions(samples=1, zero="trusted")
@@ -280,9 +276,7 @@ def mounted(estimator, free, tmp_path_factory):
     time, wrench = free[0][::SAMPLES][:-1], free[1][: SAMPLES * (len(free[0]) // SAMPLES)]
     means = wrench.reshape(-1, SAMPLES, 6).mean(axis=1)[: len(time)]
     step = estimator.model.noise.std * np.sqrt(SAMPLES)
-    means = (
-        means - estimator.model.to_sensor(estimator.free().wrench_base, estimator.model.gravity_base) + step
-    )
+    means = means - estimator.model.to_sensor(estimator.free().wrench_base, estimator.model.gravity_base) + step
     path = tmp_path_factory.mktemp("zero") / "mounted.csv"
     write_recording(path, time[: len(means)], means)
     return path
@@ -310,9 +304,7 @@ def test_an_automatic_tare_waits_for_rest(estimator, mounted, tmp_path):
     """A channel that moves for the first three seconds is not at rest."""
     readings = [r for block in ReplaySource(estimator.model, mounted, "speed=max") for r in block.readings()]
     moved = [
-        replace(
-            r, wrench_sensor=r.wrench_sensor + 1e-3 * np.sin(9.0 * r.time) * (r.time < 3.0) * np.eye(6)[4]
-        )
+        replace(r, wrench_sensor=r.wrench_sensor + 1e-3 * np.sin(9.0 * r.time) * (r.time < 3.0) * np.eye(6)[4])
         for r in readings
     ]
     write_recording(tmp_path / "moved.csv", [r.time for r in moved], [r.wrench_sensor for r in moved])

@@ -14,14 +14,7 @@ from probedesign.core.frames import inverse, is_pose, pose
 from probedesign.live.datagrams import MAX_DATAGRAM
 from probedesign.live.poses.base_poses import BasePoses, open_poses
 from probedesign.live.poses.pose_sources import PoseListener, read_pose_file
-from probedesign.live.poses.track import (
-    MAX_GAP,
-    OFFSET_WINDOW,
-    ClockOffset,
-    PoseTrack,
-    TimedPose,
-    pose_from_matrix,
-)
+from probedesign.live.poses.track import MAX_GAP, OFFSET_WINDOW, ClockOffset, PoseTrack, TimedPose, pose_from_matrix
 from probedesign.live.processing.blocks import Block
 
 GOOD = {"time_s": 1.0, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "qw": 1.0}
@@ -31,11 +24,7 @@ def random_poses(n, step=0.01, seed=0):
     rng = np.random.default_rng(seed)
     turns = Rotation.random(n, rng=rng)
     p = rng.uniform(-1.0, 1.0, (n, 3))
-    return (
-        [TimedPose(step * i, tuple(p[i].tolist()), tuple(turns[i].as_quat().tolist())) for i in range(n)],
-        turns,
-        p,
-    )
+    return ([TimedPose(step * i, tuple(p[i].tolist()), tuple(turns[i].as_quat().tolist())) for i in range(n)], turns, p)
 
 
 # between poses
@@ -55,9 +44,7 @@ def test_between_poses_as_scipy_has_it():
 
 
 def test_the_negative_quaternion_is_the_same_rotation():
-    track = PoseTrack.of(
-        [TimedPose(0.0, (0, 0, 0), (0.6, 0, 0, 0.8)), TimedPose(0.01, (0, 0, 0), (-0.6, 0, 0, -0.8))]
-    )
+    track = PoseTrack.of([TimedPose(0.0, (0, 0, 0), (0.6, 0, 0, 0.8)), TimedPose(0.01, (0, 0, 0), (-0.6, 0, 0, -0.8))])
     assert track.at(0.005) == pytest.approx(track.at(0.0), abs=1e-15)
 
 
@@ -66,9 +53,7 @@ def test_a_pose_is_exact_at_its_time_and_never_extrapolated():
     track = PoseTrack.of(poses)
     assert track.at(0.02) is not None and np.array_equal(track.at(0.02)[:3, 3], poses[2].p)
     assert track.at(np.nextafter(0.02, 1.0)) is None and track.at(-1e-9) is None
-    assert "the last pose is 1 s older" in track.reason(
-        1.02
-    ) and "the first pose is 1 s later" in track.reason(-1.0)
+    assert "the last pose is 1 s older" in track.reason(1.02) and "the first pose is 1 s later" in track.reason(-1.0)
     assert "no pose has been received yet" in PoseTrack().reason(0.0)
 
 
@@ -90,13 +75,7 @@ def test_a_track_has_a_maximum_length():
 
 def test_a_matrix_and_back():
     """Any quaternion, those whose w is nearly none included."""
-    for q in [
-        *Rotation.random(50, rng=2).as_quat(),
-        (1, 0, 0, 0),
-        (0, 1, 0, 1e-9),
-        (0, 0, 1, 0),
-        (0, 0, 0, 1),
-    ]:
+    for q in [*Rotation.random(50, rng=2).as_quat(), (1, 0, 0, 0), (0, 1, 0, 1e-9), (0, 0, 1, 0), (0, 0, 0, 1)]:
         R = Rotation.from_quat(q).as_matrix()
         back = pose_from_matrix(0.0, pose(R, (1.0, 2.0, 3.0)))
         assert Rotation.from_quat(back.q).as_matrix() == pytest.approx(R, abs=1e-12)
@@ -143,9 +122,7 @@ BAD = {
 @pytest.mark.parametrize("wrong", BAD.values(), ids=BAD.keys())
 def test_an_invalid_pose_is_refused_with_its_line(wrong, tmp_path):
     path = tmp_path / "poses.jsonl"
-    path.write_text(
-        json.dumps(GOOD) + "\n# a comment\n\n" + json.dumps(GOOD | {"time_s": 2.0} | wrong) + "\n"
-    )
+    path.write_text(json.dumps(GOOD) + "\n# a comment\n\n" + json.dumps(GOOD | {"time_s": 2.0} | wrong) + "\n")
     with pytest.raises(InputError, match=r"poses.jsonl:4: ") as error:
         read_pose_file(path)
     assert len(str(error.value)) < 200
@@ -302,9 +279,7 @@ def test_the_offset_of_two_clocks_is_that_of_what_did_not_wait():
         true = 1000.0 + 50e-6 * stamp
         found = offset.add(stamp, stamp + true + rng.choice([0.0, 0.02 * rng.random()]))
         if i > 100:
-            assert (
-                true - 50e-6 * OFFSET_WINDOW - 1e-9 <= found <= true + 1e-9
-            )  # the least of the last ten seconds
+            assert true - 50e-6 * OFFSET_WINDOW - 1e-9 <= found <= true + 1e-9  # the least of the last ten seconds
 
 
 # bags
@@ -332,9 +307,7 @@ def bag(request, tmp_path_factory):
     first, turns, p = random_poses(5, seed=3)
     second, turns2, p2 = random_poses(5, seed=4)
     kinds = SimpleNamespace(
-        pose="geometry_msgs/msg/PoseStamped",
-        tf="tf2_msgs/msg/TFMessage",
-        wrench="geometry_msgs/msg/WrenchStamped",
+        pose="geometry_msgs/msg/PoseStamped", tf="tf2_msgs/msg/TFMessage", wrench="geometry_msgs/msg/WrenchStamped"
     )
     with rosbag2.Writer(path, version=9, storage_plugin=plugin) as writer:
         topics = {t: writer.add_connection(t, kinds.pose, typestore=store) for t in ("/tool", "/other")}
@@ -390,10 +363,7 @@ def test_two_frames_of_tf(bag):
         ("?topic=/wrench", "has no topic '/wrench'; topics of PoseStamped: '/tool', '/other'"),
         ("?topic=/other", "no poses"),
         ("?world=world", "use topic=/NAME, or world=FRAME&base=FRAME"),
-        (
-            "?world=world&base=gripper",
-            "TF does not connect 'world' and 'gripper'; frames: arm, flange, probe, world",
-        ),
+        ("?world=world&base=gripper", "TF does not connect 'world' and 'gripper'; frames: arm, flange, probe, world"),
         ("?world=flange&base=probe", "are all transforms static?"),
     ],
 )

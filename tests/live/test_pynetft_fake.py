@@ -59,9 +59,7 @@ def test_units_counts_and_clock(sensor, estimator, unit, metre):
     run.end()
     expected = np.array(COUNTS) * 1e-6 * ([1.0] * 3 + [metre] * 3)
     assert np.allclose([r.wrench_sensor for r in run.readings], expected, rtol=1e-12)
-    assert np.allclose(
-        np.diff([r.time for r in run.readings]), 1e-3, rtol=1e-9
-    )  # seven samples of 7000 a second
+    assert np.allclose(np.diff([r.time for r in run.readings]), 1e-3, rtol=1e-9)  # seven samples of 7000 a second
     assert sensor.wait_for_command(0, timeout=5.0)  # the stream was stopped in the end
 
 

@@ -76,10 +76,7 @@ def test_a_slow_disk_drops_readings_and_reports_it(model, tmp_path):
     blocked.go.set()
     writer.close()
     assert writer.dropped + writer.readings == 100 and writer.dropped >= 50
-    assert (
-        log_lines[1]
-        == f"slow.mcap: the disk was too slow: {writer.dropped} readings dropped, marked in the file"
-    )
+    assert log_lines[1] == f"slow.mcap: the disk was too slow: {writer.dropped} readings dropped, marked in the file"
     _, blocks = read(path, model)
     assert joined(blocks) == joined(written[: writer.readings // 10])
 
@@ -122,11 +119,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_run(estimator, tmp_path, mon
     full_after(monkeypatch, room)
     answers = list(
         estimate_stream(
-            estimator,
-            SimulatedSource(estimator.model, SIM),
-            ProcessingOptions(),
-            log_lines.append,
-            recordings,
+            estimator, SimulatedSource(estimator.model, SIM), ProcessingOptions(), log_lines.append, recordings
         )
     )
     recordings.close()

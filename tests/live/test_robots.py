@@ -127,15 +127,11 @@ def test_poses_of_a_franka(monkeypatch):
     messages = poses._listener.pop_messages()
     poses.close()
     assert found[0] == TimedPose(0.001, (0.4, 0.0, 0.001), (0.0, 0.6, 0.0, 0.8))
-    assert (
-        0.003 not in [pose.time for pose in found] and len(messages) == 1 and "not a rotation" in messages[0]
-    )
+    assert 0.003 not in [pose.time for pose in found] and len(messages) == 1 and "not a rotation" in messages[0]
     assert poses.track.max_gap == 0.08
 
 
-@pytest.mark.parametrize(
-    "spec", ["ur:robot", "ur://", "ur://a/b", "ur://a:30004", "franka://", "ur://a?rate=3"]
-)
+@pytest.mark.parametrize("spec", ["ur:robot", "ur://", "ur://a/b", "ur://a:30004", "franka://", "ur://a?rate=3"])
 def test_what_is_no_robot(spec):
     with pytest.raises(InputError):
         open_poses(spec)

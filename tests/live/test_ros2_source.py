@@ -48,18 +48,14 @@ def test_wrenches_of_a_topic(ros2, estimator, query, unit):
 
 def test_an_ended_bridge_ends_the_run_with_its_reason(ros2, estimator, monkeypatch, tmp_path):
     (tmp_path / "rclpy").mkdir()
-    (tmp_path / "rclpy" / "__init__.py").write_text(
-        "def init(args=None): raise RuntimeError('no\\x1b[2J middleware')"
-    )
+    (tmp_path / "rclpy" / "__init__.py").write_text("def init(args=None): raise RuntimeError('no\\x1b[2J middleware')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     source = open_source("ros2://wrench", estimator.model)
     with pytest.raises(InputError, match=r"has ended: RuntimeError: no\[2J middleware"):
         some_readings(source, 1)
 
 
-@pytest.mark.parametrize(
-    "spec", ["ros2:wrench", "ros2://", "ros2://a b", "ros2://-x", "ros2://w?moment_unit=N"]
-)
+@pytest.mark.parametrize("spec", ["ros2:wrench", "ros2://", "ros2://a b", "ros2://-x", "ros2://w?moment_unit=N"])
 def test_what_is_no_topic(estimator, spec):
     with pytest.raises(InputError):
         open_source(spec, estimator.model)
@@ -86,9 +82,7 @@ def test_poses_of_tf(ros2):
     assert poses._listener._bridge._process.poll() is not None
 
 
-@pytest.mark.parametrize(
-    "spec", ["tf://world", "tf:world/base", "tf://a/b/c", "tf:///base", "tf://world/base?pyton=x"]
-)
+@pytest.mark.parametrize("spec", ["tf://world", "tf:world/base", "tf://a/b/c", "tf:///base", "tf://world/base?pyton=x"])
 def test_what_are_no_frames(spec):
     with pytest.raises(InputError):
         open_poses(spec)

@@ -87,16 +87,12 @@ def test_a_topic_without_messages_or_of_another_kind(model, tmp_path):
         read(bag(tmp_path / "empty", {"/ft": []}), model)
     with pytest.raises(InputError, match="has no topic of WrenchStamped"):
         read(bag(tmp_path / "poses", {"/pose": []}, kind="geometry_msgs/msg/PoseStamped"), model)
-    with pytest.raises(
-        InputError, match="topic /pose has type 'geometry_msgs/msg/PoseStamped', not WrenchStamped"
-    ):
+    with pytest.raises(InputError, match="topic /pose has type 'geometry_msgs/msg/PoseStamped', not WrenchStamped"):
         read(tmp_path / "poses", model, RecordingOptions("/pose"))
 
 
 def test_headers_without_a_time_take_that_of_the_recording(model, tmp_path):
-    recorded, blocks = read(
-        bag(tmp_path / "b", {"/ft": [(5.0, WRENCH), (6.0, WRENCH)]}, stamped=False), model
-    )
+    recorded, blocks = read(bag(tmp_path / "b", {"/ft": [(5.0, WRENCH), (6.0, WRENCH)]}, stamped=False), model)
     assert blocks[0].time.tolist() == [5.0, 6.0]
     assert "its headers have no time stamp: the time of recording is used" in recorded.notes
 
@@ -141,9 +137,7 @@ def test_time_that_runs_backward_is_refused(model, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".db3"])
-@pytest.mark.parametrize(
-    "content", [b"", b"\x00" * 64, b"SQLite format 3\x00" + b"\xff" * 200, b"\x89MCAP0\r\n"]
-)
+@pytest.mark.parametrize("content", [b"", b"\x00" * 64, b"SQLite format 3\x00" + b"\xff" * 200, b"\x89MCAP0\r\n"])
 def test_junk_is_one_line(model, tmp_path, suffix, content):
     path = tmp_path / f"junk{suffix}"
     path.write_bytes(content)

@@ -40,8 +40,6 @@ print(sorted(kernels().items() - before.items()))
 
 
 def test_every_kernel_of_an_answer_is_there_before(bundle):
-    run = subprocess.run(
-        [sys.executable, "-c", SCRIPT, str(bundle)], capture_output=True, text=True, timeout=600
-    )
+    run = subprocess.run([sys.executable, "-c", SCRIPT, str(bundle)], capture_output=True, text=True, timeout=600)
     assert run.returncode == 0, run.stderr
     assert run.stdout.splitlines()[-1] == "[]"

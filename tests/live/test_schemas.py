@@ -65,10 +65,7 @@ def test_texts_are_read_by_others_and_by_us(lines):
 
 def test_a_stamp_that_does_not_fit_is_the_nearest_that_does():
     """ROS counts seconds in 32 bits; the exact time is in the block."""
-    assert (
-        schemas.read_stamped(schemas.stamped("f", [9 * 10**18], [[0.0] * 6]).tobytes(), 6)[0]
-        == 2**31 * 10**9 - 1
-    )
+    assert schemas.read_stamped(schemas.stamped("f", [9 * 10**18], [[0.0] * 6]).tobytes(), 6)[0] == 2**31 * 10**9 - 1
     assert schemas.nanoseconds(np.array([np.inf, -np.inf, np.nan])).tolist() == [9 * 10**18, -9 * 10**18, 0]
 
 

@@ -47,11 +47,7 @@ def started(bundle, stream, record) -> "subprocess.Popen[str]":
 def readings(path, model):
     recorded = open_recording(path, model)
     blocks = list(recorded.blocks())
-    return (
-        recorded,
-        np.concatenate([each.time for each in blocks]),
-        np.concatenate([b.wrench_sensor for b in blocks]),
-    )
+    return (recorded, np.concatenate([each.time for each in blocks]), np.concatenate([b.wrench_sensor for b in blocks]))
 
 
 def test_kill_9_costs_the_last_second_at_most(bundle, estimator, stream, tmp_path, capsys):
@@ -65,19 +61,14 @@ def test_kill_9_costs_the_last_second_at_most(bundle, estimator, stream, tmp_pat
     assert recorded.missing() == ("incomplete: it was cut off",)
     assert time[-1] >= json.loads(lines[-1])["time_s"] - LAST_SECOND
     _, sent_time, sent = readings(stream, estimator.model)
-    assert (
-        time.tobytes() == sent_time[: len(time)].tobytes()
-        and wrench.tobytes() == sent[: len(wrench)].tobytes()
-    )
+    assert time.tobytes() == sent_time[: len(time)].tobytes() and wrench.tobytes() == sent[: len(wrench)].tobytes()
     saved = tmp_path / "saved.mcap"
     assert run(["recover", str(path), "--out", str(saved)]) == 0
     assert capsys.readouterr().out.startswith(f"wrote {saved}: ")
     with AnyReader([saved]) as reader:
         counts = {c.topic: c.msgcount for c in reader.connections}
     assert counts["/probedesign/wrench_raw"] == len(time)
-    assert (
-        run(["live", str(bundle), "--source", f"replay:{saved}?speed=max", "--json", "--average", "350"]) == 0
-    )
+    assert run(["live", str(bundle), "--source", f"replay:{saved}?speed=max", "--json", "--average", "350"]) == 0
     again = capsys.readouterr().out.splitlines(keepends=True)
     assert len(again) >= 10 and again[: len(lines)] == lines[: len(again)]
 

@@ -73,11 +73,7 @@ def test_a_message_has_the_time_of_the_last_reading(estimator):
     sinks = SinkGroup(kept)
     list(
         estimate_stream(
-            estimator,
-            SimulatedSource(estimator.model, "speed=max&seconds=1"),
-            ProcessingOptions(),
-            print,
-            sinks,
+            estimator, SimulatedSource(estimator.model, "speed=max&seconds=1"), ProcessingOptions(), print, sinks
         )
     )
     sinks.log("now")
@@ -88,12 +84,7 @@ def test_requests_are_taken_between_two_readings(estimator):
     requests, log_lines, done = CommandQueue(), [], []
     requests.register("start recording", done.append)
     answers = estimate_stream(
-        estimator,
-        SimulatedSource(estimator.model, "speed=max"),
-        ProcessingOptions(),
-        log_lines.append,
-        None,
-        requests,
+        estimator, SimulatedSource(estimator.model, "speed=max"), ProcessingOptions(), log_lines.append, None, requests
     )
     next(answers)
     requests.put("mark", "here")
@@ -133,9 +124,7 @@ def free_port() -> int:
 def answer_of(estimator, time=0.0, received=float("nan")) -> EstimateUpdate:
     gravity = estimator.model.gravity_base
     eq = estimator.model.rod.solve(gravity, (0.0, 0.02, 0.0), 0.08)
-    reading = WrenchReading(
-        time, estimator.model.to_sensor(eq.wrench_base, gravity), gravity, received=received
-    )
+    reading = WrenchReading(time, estimator.model.to_sensor(eq.wrench_base, gravity), gravity, received=received)
     return EstimateUpdate(reading, estimator.estimate(eq.wrench_base, gravity))
 
 
@@ -181,9 +170,7 @@ def test_a_run_without_receiver_continues(bundle, capsys):
 
 def test_a_network_that_accepts_nothing_is_reported_once_and_counted(estimator):
     log_lines = []
-    publisher = UdpPublisher(
-        "udp://255.255.255.255:9", log_lines.append
-    )  # broadcasting is not permitted unasked
+    publisher = UdpPublisher("udp://255.255.255.255:9", log_lines.append)  # broadcasting is not permitted unasked
     for _ in range(3):
         publisher.on_estimate(answer_of(estimator))
     publisher.close()
@@ -193,15 +180,7 @@ def test_a_network_that_accepts_nothing_is_reported_once_and_counted(estimator):
 
 @pytest.mark.parametrize(
     "wrong",
-    [
-        "127.0.0.1:9000",
-        "udp://127.0.0.1",
-        "udp://:9",
-        "tcp://a:1",
-        "udp://a:99999",
-        "udp://a:1/x",
-        "udp://[x:1",
-    ],
+    ["127.0.0.1:9000", "udp://127.0.0.1", "udp://:9", "tcp://a:1", "udp://a:99999", "udp://a:1/x", "udp://[x:1"],
 )
 def test_what_is_no_address(wrong):
     with pytest.raises(InputError, match="write udp://HOST:PORT"):

@@ -23,10 +23,7 @@ from probedesign.live.sources.source import SOURCES, open_source
 @pytest.mark.parametrize(
     ("spec", "expected"),
     [
-        (
-            "dac://Dev1/ai0:5",
-            "is unknown; available are netft://HOST, daq://DEVICE/ai0:5?cal=FILE, replay:FILE",
-        ),
+        ("dac://Dev1/ai0:5", "is unknown; available are netft://HOST, daq://DEVICE/ai0:5?cal=FILE, replay:FILE"),
         ("serial:COM1", "'serial:COM1' is unknown; available are netft://HOST, daq:"),
         ("sim", "'sim' is unknown"),
         ("", "'' is unknown"),
@@ -103,9 +100,7 @@ class Known:
 
 def answered(estimator, times: list[float], rate: float) -> list[float]:
     """Times of the estimates at a maximum rate."""
-    answers = estimate_stream(
-        estimator, Known(stream(*times)), ProcessingOptions(rate=rate), lambda line: None
-    )
+    answers = estimate_stream(estimator, Known(stream(*times)), ProcessingOptions(rate=rate), lambda line: None)
     return [answer.reading.time for answer in answers]
 
 

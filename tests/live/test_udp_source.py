@@ -251,9 +251,7 @@ def test_a_wrench_by_udp_is_located_as_it_was_sent(estimator):
     thread.start()
     (update,) = updates
     assert update.estimate.ok
-    assert (
-        abs(update.estimate.s_contact - s) < update.estimate.std_s
-    )  # noise-free: the model error alone is stated
+    assert abs(update.estimate.s_contact - s) < update.estimate.std_s  # noise-free: the model error alone is stated
 
 
 @pytest.mark.parametrize(
@@ -288,9 +286,7 @@ def test_a_source_of_another_package_is_an_entry_point(estimator, monkeypatch):
     for name in ("broken", "absent"):
         with pytest.raises(InputError, match=f"source {name}"):
             open_source(f"{name}:", estimator.model)
-    assert open_source("sim:", estimator.model).title.startswith(
-        "simulated"
-    )  # no package replaces a source of ours
+    assert open_source("sim:", estimator.model).title.startswith("simulated")  # no package replaces a source of ours
     with pytest.raises(InputError, match="their:"):
         open_source("unknown:", estimator.model)
 

@@ -123,23 +123,11 @@ def test_exported_parts_are_placed_by_the_manifest(estimator, folder):
     ("spoil", "expected"),
     [
         (lambda folder: (folder / "manifest.json").unlink(), "there is no manifest.json"),
-        (
-            lambda folder: (folder / "manifest.json").write_text('{"fingerprint": "0"}'),
-            "they belong to probe 0",
-        ),
+        (lambda folder: (folder / "manifest.json").write_text('{"fingerprint": "0"}'), "they belong to probe 0"),
         (lambda folder: (folder / "manifest.json").write_text("[]"), ""),
-        (
-            lambda folder: (folder / "clamp_ring.stl").write_bytes(b"solid"),
-            "clamp_ring.stl is not a binary STL",
-        ),
-        (
-            lambda folder: (folder / "clamp_ring.stl").write_bytes(stl([])),
-            "clamp_ring.stl is not a binary STL",
-        ),
-        (
-            lambda folder: (folder / "clamp_ring.stl").write_bytes(stl([[[math.inf] * 3] * 3])),
-            "non-finite corner",
-        ),
+        (lambda folder: (folder / "clamp_ring.stl").write_bytes(b"solid"), "clamp_ring.stl is not a binary STL"),
+        (lambda folder: (folder / "clamp_ring.stl").write_bytes(stl([])), "clamp_ring.stl is not a binary STL"),
+        (lambda folder: (folder / "clamp_ring.stl").write_bytes(stl([[[math.inf] * 3] * 3])), "non-finite corner"),
     ],
 )
 def test_parts_of_another_probe_are_not_drawn_and_a_note_is_shown(estimator, folder, spoil, expected):
@@ -170,9 +158,7 @@ class Clock:
 def kept(estimator, query: str, clock: Clock) -> ViewState:
     """The state after a simulated run, on the clock of the run."""
     state, start = ViewState(clock=clock), clock.now
-    for answer in estimate_stream(
-        estimator, SimulatedSource(estimator.model, query), ProcessingOptions(), print
-    ):
+    for answer in estimate_stream(estimator, SimulatedSource(estimator.model, query), ProcessingOptions(), print):
         reading = answer.reading
         clock.now = start + reading.time
         one = np.array([reading.time])
@@ -187,9 +173,7 @@ def of(snapshot: Snapshot) -> dict[str, StatusLine]:
 
 def answer(estimator, estimate: Estimate, time: float = 0.0, **more) -> EstimateUpdate:
     gravity = estimator.model.gravity_base
-    return EstimateUpdate(
-        WrenchReading(time, np.zeros(6), gravity), estimate, wrench_base=np.zeros(6), **more
-    )
+    return EstimateUpdate(WrenchReading(time, np.zeros(6), gravity), estimate, wrench_base=np.zeros(6), **more)
 
 
 def test_the_status_before_the_first_reading():
@@ -229,9 +213,7 @@ def test_silence_is_stale_and_what_is_known_is_old(estimator):
     assert not state.snapshot().stale
     clock.now += 1.95
     snapshot = state.snapshot()
-    assert snapshot.stale and of(snapshot)["result"] == StatusLine(
-        "result", "stale: no reading for 2.4 s", "bad"
-    )
+    assert snapshot.stale and of(snapshot)["result"] == StatusLine("result", "stale: no reading for 2.4 s", "bad")
 
 
 def test_a_silent_source_is_shown_with_its_fault(estimator):
@@ -327,9 +309,7 @@ def test_each_touch_is_stored_once_with_its_best_contact(estimator):
     query = "speed=max&rate_hz=10&seconds=23&period_s=10"
     snapshot = kept(estimator, query, Clock()).snapshot()
     assert [place.number for place in snapshot.touches] == [1, 2]
-    answers = list(
-        estimate_stream(estimator, SimulatedSource(estimator.model, query), ProcessingOptions(), print)
-    )
+    answers = list(estimate_stream(estimator, SimulatedSource(estimator.model, query), ProcessingOptions(), print))
     for place, start in zip(snapshot.touches, (0.0, 10.0), strict=True):
         here = [a.estimate for a in answers if start <= a.reading.time < start + 10.0 and a.estimate.ok]
         assert place.std_s == min(estimate.std_s for estimate in here)
@@ -412,9 +392,7 @@ def test_the_label_of_a_contact_extends_toward_the_middle_of_the_view(estimator,
     pytest.importorskip("viser")
     from probedesign.live.view.page import ViewerPage
 
-    page = ViewerPage(
-        scene_setup(estimator, tmp_path, "127.0.0.1", 8123, lambda line: None), lambda name, text: None
-    )
+    page = ViewerPage(scene_setup(estimator, tmp_path, "127.0.0.1", 8123, lambda line: None), lambda name, text: None)
     free = estimator.free()
     g, anchors = estimator.model.gravity_base, []
     side = np.cross(g, (0.0, 0.0, 1.0))

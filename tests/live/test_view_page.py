@@ -96,10 +96,7 @@ def handshake(url: str, **headers: str) -> None:
     origin = headers.pop("Origin", None)
     protocol = Subprotocol(f"viser-v{viser.__version__}")
     with connect(
-        url.replace("http", "ws"),
-        origin=origin and Origin(origin),
-        subprotocols=[protocol],
-        additional_headers=headers,
+        url.replace("http", "ws"), origin=origin and Origin(origin), subprotocols=[protocol], additional_headers=headers
     ) as own:
         assert len(own.recv(timeout=30)) > 0
 
@@ -155,9 +152,7 @@ def test_the_next_free_port_is_used_and_network_access_is_reported(public, view)
     assert public.url != view.url
     assert public.log_lines[-1] == f"view: {public.url}, open to the network, with its token"
     assert len(public.token) >= 32
-    assert not any(
-        public.token in line for line in public.log_lines
-    )  # recordings and the network receive these
+    assert not any(public.token in line for line in public.log_lines)  # recordings and the network receive these
 
 
 def test_beyond_this_machine_the_token_is_required(public):
@@ -224,15 +219,7 @@ def test_commands_reach_the_run_and_nothing_else_does(view):
 
 
 def live_process(bundle, port: int) -> "subprocess.Popen[str]":
-    command = [
-        sys.executable,
-        "-m",
-        "probedesign.cli.main",
-        "live",
-        str(bundle),
-        "--source",
-        "sim:?seconds=1000000",
-    ]
+    command = [sys.executable, "-m", "probedesign.cli.main", "live", str(bundle), "--source", "sim:?seconds=1000000"]
 
     def handle_sigint() -> None:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -365,6 +352,4 @@ def test_the_run_goes_on_without_its_page(estimator, view):
     view._process.kill()
     assert_eventually(lambda: "the run continues" in view.log_lines[-1])
     stream = SimulatedSource(estimator.model, "speed=max&rate_hz=10&seconds=1")
-    assert (
-        len(list(estimate_stream(estimator, stream, ProcessingOptions(), view.log_lines.append, view))) == 10
-    )
+    assert len(list(estimate_stream(estimator, stream, ProcessingOptions(), view.log_lines.append, view))) == 10

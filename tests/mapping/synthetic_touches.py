@@ -15,9 +15,7 @@ BY_STIFFNESS = np.array([0.0, 0.05, 0.0])
 def conditional_point(p, std, lever=1.0):
     """Return a point at p [m] with independent errors `std` on each axis and no information on the common errors."""
     B = np.column_stack([STD_E * lever * BY_STIFFNESS, -STD_BASE * np.eye(3)])
-    return ConditionalPoint(
-        np.asarray(p, dtype=float), B, std**2 * np.eye(3), np.zeros((4, 4)), np.zeros(4), NAMES
-    )
+    return ConditionalPoint(np.asarray(p, dtype=float), B, std**2 * np.eye(3), np.zeros((4, 4)), np.zeros(4), NAMES)
 
 
 def touch(number, p, std, lever=1.0):

@@ -36,9 +36,7 @@ def test_touches_are_compared_by_their_independent_errors():
     same = [touch(1, (0, 0, 0), 0.1e-3), touch(2, (0.15e-3, 0, 0), 0.1e-3)]
     separate = [touch(1, (0, 0, 0), 0.01e-3), touch(2, (0.15e-3, 0, 0), 0.01e-3)]
     assert len(build_map(same, STD_E).points) == 1
-    assert (
-        len(build_map(separate, STD_E).points) == 2
-    )  # 10 of their standard deviations apart, of the base's only two
+    assert len(build_map(separate, STD_E).points) == 2  # 10 of their standard deviations apart, of the base's only two
 
 
 def test_vague_touches_are_not_fused():
@@ -47,8 +45,7 @@ def test_vague_touches_are_not_fused():
     assert len(build_map(vague, STD_E).points) == 2
     accurate = [touch(1, (0, 0, 0), 0.5e-3), touch(2, (1e-3, 0, 0), 0.5e-3)]
     assert (
-        len(build_map(accurate, STD_E).points) == 1
-        and len(build_map(accurate, STD_E, min_separation=0.0).points) == 2
+        len(build_map(accurate, STD_E).points) == 1 and len(build_map(accurate, STD_E, min_separation=0.0).points) == 2
     )
 
 
@@ -57,9 +54,7 @@ def test_the_order_of_touches_does_not_matter():
     p = rng.normal(0.0, 0.3e-3, (9, 3)) + np.outer(np.arange(9) % 3, (0.01, 0.0, 0.0))
     touches = [touch(i, p[i], 0.3e-3, 1 + i % 2) for i in range(9)]
     maps = [build_map(order, STD_E) for order in (touches, touches[::-1])]
-    places = [
-        np.array(sorted(point.p_world.tolist() for point in contact_map.points)) for contact_map in maps
-    ]
+    places = [np.array(sorted(point.p_world.tolist() for point in contact_map.points)) for contact_map in maps]
     assert places[0].shape == (3, 3)
     assert places[0] == pytest.approx(places[1], abs=1e-12)
 

@@ -45,9 +45,7 @@ def place(row):
 
 
 def covariance(row):
-    xx, xy, xz, yy, yz, zz = (
-        float(row[f"cov_world_{name}_mm2"]) for name in ("xx", "xy", "xz", "yy", "yz", "zz")
-    )
+    xx, xy, xz, yy, yz, zz = (float(row[f"cov_world_{name}_mm2"]) for name in ("xx", "xy", "xz", "yy", "yz", "zz"))
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
@@ -95,9 +93,7 @@ def test_page_and_picture_need_no_network(found):
 
 def test_json_agrees_with_the_table(explored, found):
     _, document = explored
-    assert [point["x_world_mm"] for point in document["points"]] == pytest.approx(
-        [place(row)[0] for row in found[1]]
-    )
+    assert [point["x_world_mm"] for point in document["points"]] == pytest.approx([place(row)[0] for row in found[1]])
     assert document["not_located"] == [] and abs(document["stiffness_factor"] - 1.0) < 0.04
 
 
@@ -169,9 +165,7 @@ def test_a_missing_tare_is_refused_with_the_option(probe, house, capsys):
 
 def test_a_recording_of_another_probe_is_refused(estimator, house, tmp_path, capsys):
     rod = estimator.model.rod
-    other = replace(
-        estimator.model, fingerprint="0" * 12, rod=replace(rod, youngs_modulus=2.0 * rod.youngs_modulus)
-    )
+    other = replace(estimator.model, fingerprint="0" * 12, rod=replace(rod, youngs_modulus=2.0 * rod.youngs_modulus))
     write_frozen(other, tmp_path / "other.probe.json")
     line = refused(capsys, arguments(tmp_path / "other.probe.json", house[1]))
     assert "recorded with probe" in line or "fingerprint" in line
@@ -196,9 +190,7 @@ def test_options_out_of_range_are_refused(probe, house, capsys, more):
 
 
 def test_a_negative_seed_is_refused(probe, tmp_path, capsys):
-    assert "--seed -1" in refused(
-        capsys, ["explore", str(probe), "--rehearse", str(tmp_path), "--seed", "-1"]
-    )
+    assert "--seed -1" in refused(capsys, ["explore", str(probe), "--rehearse", str(tmp_path), "--seed", "-1"])
 
 
 def test_a_live_source_with_positions_in_metres_gives_no_points(probe, house, tmp_path, capsys):
@@ -206,9 +198,7 @@ def test_a_live_source_with_positions_in_metres_gives_no_points(probe, house, tm
     lines = (house[1] / "poses.csv").read_text().splitlines()
     header, *rows = (line for line in lines if not line.startswith("#"))
     metres = [
-        ",".join(
-            [row.split(",")[0], *(repr(float(x) / 1000.0) for x in row.split(",")[1:4]), *row.split(",")[4:]]
-        )
+        ",".join([row.split(",")[0], *(repr(float(x) / 1000.0) for x in row.split(",")[1:4]), *row.split(",")[4:]])
         for row in rows
     ]
     (tmp_path / "metres.csv").write_text("\n".join([header, *metres]) + "\n")

@@ -23,9 +23,7 @@ def segments(*phases):
         for _ in range(round(seconds / STEP)):
             time += STEP
             contacts.update(time, phase, None)
-            update = replace(
-                blank, reading=replace(blank.reading, time=time), phase=phase, contacts=contacts.contacts
-            )
+            update = replace(blank, reading=replace(blank.reading, time=time), phase=phase, contacts=contacts.contacts)
             found += segmenter.update(update)
     return [*found, *segmenter.finish()]
 

@@ -24,9 +24,7 @@ def houses(estimator):
     """Return runs without and with a rotation error, without any other error."""
     runs = []
     for turn in ((0.0, 0.0, 0.0), tuple(TURN)):
-        errors = RunErrors(
-            stiffness=0.0, base_offset=0.0, base_repeat=0.0, bias_rate=0.0, rotation=turn, friction=0.0
-        )
+        errors = RunErrors(stiffness=0.0, base_offset=0.0, base_repeat=0.0, bias_rate=0.0, rotation=turn, friction=0.0)
         runs.append(simulate_run(estimator.model, touch_targets()[9:10], np.random.default_rng(2), errors))
     return runs
 
@@ -38,12 +36,9 @@ def found(estimator, house, **priors):
     Ts = np.concatenate([touch.Ts_world_base[:1], touch.Ts_world_base, touch.Ts_world_base[-1:]])
     touched = [False, *[True] * len(touch.wrenches_base), False]
     readings = tuple(
-        Reading(w, model.noise_base(), T, GRAVITY @ T[:3, :3], c)
-        for w, T, c in zip(wrenches, Ts, touched, strict=True)
+        Reading(w, model.noise_base(), T, GRAVITY @ T[:3, :3], c) for w, T, c in zip(wrenches, Ts, touched, strict=True)
     )
-    known = replace(
-        Tolerances.none(), youngs_modulus=1e-6, drift_steps=10.0, walk_steps=0.2, robot_mm=0.01, **priors
-    )
+    known = replace(Tolerances.none(), youngs_modulus=1e-6, drift_steps=10.0, walk_steps=0.2, robot_mm=0.01, **priors)
     fusion = Fusion(model, readings, known, channels_of(model, None), GRAVITY)
     best = fusion.solutions()[0]
     state = FusionState(fusion, best.touches.copy())
@@ -61,9 +56,7 @@ def carried(touch):
 def test_a_rotation_error_rotates_the_point_about_the_base(estimator, houses):
     """Up to the sag, a tenth: gravity acts downwards for any rotation, so the sag is not rotated."""
     (still,), (turned,) = (house.touches for house in houses)
-    assert found(estimator, houses[0])[0].x[:3] == pytest.approx(
-        still.p_world, abs=0.02 * MM
-    )  # the mean of six places
+    assert found(estimator, houses[0])[0].x[:3] == pytest.approx(still.p_world, abs=0.02 * MM)  # the mean of six places
     assert turned.Ts_world_base[0][:3, :3] == pytest.approx(still.Ts_world_base[0][:3, :3])
     drawn = np.random.default_rng(2).spawn(1)[0].normal(0.0, TURN)
     by = carried(turned) @ drawn

@@ -9,13 +9,7 @@ from probedesign.design import Design, parse_design
 from probedesign.design.sensor_catalog import SENSORS
 from probedesign.geometry import build_geometry
 from probedesign.mount import flange_adapter_for, mount_options, sensor_adapter_for
-from probedesign.mount.clamping import (
-    MODEL_RANGE,
-    NUT_FACTOR,
-    ClampForce,
-    clamp_force,
-    hand_torque,
-)
+from probedesign.mount.clamping import MODEL_RANGE, NUT_FACTOR, ClampForce, clamp_force, hand_torque
 from probedesign.mount.flange_adapter import fitting_flanges
 from probedesign.mount.lip import MAX_BENDING_SHARE, MIN_LIP, MIN_RELIEF, pad_force, plate_bending
 from probedesign.mount.sensor_adapter import WALL
@@ -55,18 +49,14 @@ def test_the_force_of_a_pad_is_that_of_gent_and_lindley() -> None:
     )
     assert pad_force(modulus, 0.1, 0.2, t, 0.0) == pad_force(modulus, 0.1, 0.2, t, -1e-4) == 0.0
     # Of one material: pressure depends on proportions only.
-    assert pad_force(E, 0.026, 0.034, 6e-3, 0.8e-3) == pytest.approx(
-        4 * pad_force(E, 0.013, 0.017, 3e-3, 0.4e-3)
-    )
+    assert pad_force(E, 0.026, 0.034, 6e-3, 0.8e-3) == pytest.approx(4 * pad_force(E, 0.013, 0.017, 3e-3, 0.4e-3))
 
 
 @pytest.mark.parametrize(
     ("base_d", "slips", "sticks"),
     [(5.0, 29.0, 60.0), (8.0, 38.0, 84.0), (12.0, 51.0, 126.0), (25.0, 101.0, 203.0), (12.0, 58.0, 100.0)],
 )  # the last one on a tool face of 40 mm, the others on a Nano17
-def test_finite_elements_lie_within_the_stated_range_of_the_formula(
-    base_d: float, slips: float, sticks: float
-) -> None:
+def test_finite_elements_lie_within_the_stated_range_of_the_formula(base_d: float, slips: float, sticks: float) -> None:
     """`python -m benchmarks clamp`: lip of a flange of 3 mm compressed by 0.4 mm, small strain, E = 2.32 MPa."""
     bore_d, land_d = (base_d + 1.0) * 1e-3, (base_d + 5.0) * 1e-3
     linear = pad_force(E, bore_d, land_d, 3e-3, 1e-9) * 0.4e6

@@ -10,16 +10,7 @@ from probedesign.design.catalog import M2
 from probedesign.design.sensor_catalog import NANO17
 from probedesign.geometry import build_geometry
 from probedesign.mount import SensorAdapter, sensor_adapter_for
-from probedesign.mount.engraving import (
-    CELL,
-    DEPTH,
-    GLYPHS,
-    ROWS,
-    Engraving,
-    cut_outlines,
-    cut_runs,
-    glyph_width,
-)
+from probedesign.mount.engraving import CELL, DEPTH, GLYPHS, ROWS, Engraving, cut_outlines, cut_runs, glyph_width
 from probedesign.mount.mass import engraving_mass
 
 BASES = [3.0, 10.0, 10.5, 12.0, 25.0]
@@ -27,25 +18,19 @@ BASES = [3.0, 10.0, 10.5, 12.0, 25.0]
 
 def adapter_of(base_d: float, name: str = "large") -> SensorAdapter:
     probe = {"length_mm": 150.0, "base_d_mm": base_d, "tip_d_mm": 2.0}
-    return sensor_adapter_for(
-        build_geometry(check_design({"schema": 1, "name": name, "probe": probe})), NANO17, name
-    )
+    return sensor_adapter_for(build_geometry(check_design({"schema": 1, "name": name, "probe": probe})), NANO17, name)
 
 
 def test_no_two_characters_look_alike_and_all_are_five_high() -> None:
     assert len(set(GLYPHS.values())) == len(GLYPHS)
     assert all(len(rows) == ROWS and len({len(row) for row in rows}) == 1 for rows in GLYPHS.values())
-    assert set("0123456789abcdefghijklmnopqrstuvwxyz-_.") <= {
-        c.lower() for c in GLYPHS
-    }  # all that names may hold
+    assert set("0123456789abcdefghijklmnopqrstuvwxyz-_.") <= {c.lower() for c in GLYPHS}  # all that names may hold
 
 
 @pytest.mark.parametrize("character", GLYPHS)
 def test_edges_enclose_the_cut_cells_and_never_meet_at_a_corner(character: str) -> None:
     cells = {(x, y) for start, end, y in cut_runs(character) for x in range(start, end)}
-    drawn = {
-        (x, ROWS - 1 - y) for y, row in enumerate(GLYPHS[character]) for x, c in enumerate(row) if c == "#"
-    }
+    drawn = {(x, ROWS - 1 - y) for y, row in enumerate(GLYPHS[character]) for x, c in enumerate(row) if c == "#"}
     assert cells == drawn
     loops = cut_outlines(character)
     twice = [sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(p, p[1:] + p[:1], strict=True)) for p in loops]
@@ -60,10 +45,7 @@ def sampled(engraving: Engraving, fine: int = 40) -> tuple[float, np.ndarray, np
     at = (np.arange(fine) + 0.5) / fine
     points = []
     for character, azimuth in zip(engraving.text, engraving.azimuths, strict=True):
-        right, up = (
-            np.array([np.sin(azimuth), -np.cos(azimuth)]),
-            np.array([np.cos(azimuth), np.sin(azimuth)]),
-        )
+        right, up = (np.array([np.sin(azimuth), -np.cos(azimuth)]), np.array([np.cos(azimuth), np.sin(azimuth)]))
         for start, end, row in cut_runs(character):
             for column in range(start, end):
                 u = (column + at - glyph_width(character) / 2) * CELL
@@ -110,9 +92,7 @@ def test_characters_keep_to_their_place(base_d: float) -> None:
         characters = corners_of(engraving)
         for corners in characters:
             r = np.linalg.norm(corners, axis=1)
-            assert (
-                r.min() > inner + 0.4e-3 and r.max() < outer - 0.4e-3
-            )  # the least wall of a supported feature
+            assert r.min() > inner + 0.4e-3 and r.max() < outer - 0.4e-3  # the least wall of a supported feature
             for p, hole_r in holes:
                 assert np.linalg.norm(corners - p, axis=1).min() > hole_r + 0.4e-3
         assert min(apart(a, b) for a, b in combinations(characters, 2)) > 0.9 * CELL
@@ -122,6 +102,4 @@ def test_a_long_name_is_shortened_and_the_fingerprint_never() -> None:
     short, long = adapter_of(3.0, "cone-60x3x1.2"), adapter_of(25.0, "cone-60x3x1.2")
     fingerprint = short.on_flange.text[:12]
     assert short.on_flange.text == f"{fingerprint} co"
-    assert short.on_ring.text.startswith(f"{fingerprint} cone-6") and long.on_flange.text.endswith(
-        " cone-60x3x1.2"
-    )
+    assert short.on_ring.text.startswith(f"{fingerprint} cone-6") and long.on_flange.text.endswith(" cone-60x3x1.2")

@@ -28,9 +28,7 @@ def adapter_of(design: Design) -> SensorAdapter:
     return sensor_adapter_for(build_geometry(design), design.sensor_model)
 
 
-def moments(
-    width_at: Callable[[np.ndarray], np.ndarray], x0: float, x1: float
-) -> tuple[float, float, float, float]:
+def moments(width_at: Callable[[np.ndarray], np.ndarray], x0: float, x1: float) -> tuple[float, float, float, float]:
     """Integrate area, mean x, ∫x² about the mean and ∫y² of a shape with height `width_at(x)` by strips."""
     edges = np.linspace(x0, x1, 200_001)
     x, dx = (edges[1:] + edges[:-1]) / 2, edges[1] - edges[0]
@@ -119,9 +117,7 @@ def test_the_mount_mass_is_the_sum_of_its_parts() -> None:
     assert abs(whole.p_com[:2]).max() < 0.2e-3  # pins and peg are all that is not symmetric
 
 
-@pytest.mark.parametrize(
-    ("base_d", "computed"), [(4.0, -0.319), (8.0, -0.239), (12.0, -0.177), (20.0, -0.099)]
-)
+@pytest.mark.parametrize(("base_d", "computed"), [(4.0, -0.319), (8.0, -0.239), (12.0, -0.177), (20.0, -0.099)])
 def test_the_exported_flange_yields_as_computed(base_d: float, computed: float) -> None:
     """Finite elements of docs/decisions/0006: lip bonded, plate without friction under the middle."""
     geometry = build_geometry(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 2.0"))
@@ -129,9 +125,7 @@ def test_the_exported_flange_yields_as_computed(base_d: float, computed: float) 
 
 
 def test_a_probe_too_wide_for_any_ring_is_refused() -> None:
-    bulge = (
-        'shape = "profile"\nlength_mm = 150.0\nbase_d_mm = 12.0\nprofile_mm = [[0, 12], [75, 16], [150, 2]]'
-    )
+    bulge = 'shape = "profile"\nlength_mm = 150.0\nbase_d_mm = 12.0\nprofile_mm = [[0, 12], [75, 16], [150, 2]]'
     with pytest.raises(InputError, match=r"profile_mm: 16 mm .* at most 14\.2 mm") as error:
         adapter_of(make_design(bulge))
     assert "\n" not in str(error.value)

@@ -37,20 +37,14 @@ def adapters_of(base_d: float, mount: str):
 
 
 def test_the_worst_case_is_the_worst_corner_and_rss_the_spread_of_random_parts() -> None:
-    items = (
-        StackItem("a", 3.0, 0.1, 0.3, ""),
-        StackItem("b", -2.0, 0.2, 0.2, ""),
-        StackItem("c", 0.0, 0.0, 0.5, ""),
-    )
+    items = (StackItem("a", 3.0, 0.1, 0.3, ""), StackItem("b", -2.0, 0.2, 0.2, ""), StackItem("c", 0.0, 0.0, 0.5, ""))
     stack = Stack("s", "", items, (0.0, 3.0))
     corners = [sum(c) for c in itertools.product(*((i.value - i.below, i.value + i.above) for i in items))]
     assert stack.worst == pytest.approx((min(corners), max(corners)))
     rng = np.random.default_rng(1)
     sums = sum(rng.normal(i.value + (i.above - i.below) / 2, (i.below + i.above) / 6, 400_000) for i in items)
     # Three standard deviations; the spread of 400 000 draws is known to 0.1 %.
-    assert stack.rss == pytest.approx(
-        (np.mean(sums) - 3 * np.std(sums), np.mean(sums) + 3 * np.std(sums)), abs=3e-3
-    )
+    assert stack.rss == pytest.approx((np.mean(sums) - 3 * np.std(sums), np.mean(sums) + 3 * np.std(sums)), abs=3e-3)
     assert stack.ok and not replace(stack, limits=(0.8, 3.0)).ok
 
 
@@ -112,9 +106,7 @@ def test_a_face_that_lost_material_lets_no_pin_bottom() -> None:
     """The longest pin, the shallowest holes, and 0.15 mm off the foot: the adapter still rests on the sensor."""
     a, plate = adapters_of(12.0, "")
     assert a.dowel_depth - 0.15e-3 - 0.15e-3 + (3.0 - 0.1) * 1e-3 - 6.25e-3 == pytest.approx(0.0, abs=1e-9)
-    rooms = {
-        stack.name: stack for stack in tolerance_stacks(replace(a, dowel_depth=a.dowel_depth - 1e-4), plate)
-    }
+    rooms = {stack.name: stack for stack in tolerance_stacks(replace(a, dowel_depth=a.dowel_depth - 1e-4), plate)}
     assert not rooms["dowel_pin_room"].ok
 
 
@@ -127,9 +119,7 @@ def test_parts_that_do_not_fit_together_are_refused(mount: str) -> None:
         return {stack.name for stack in tolerance_stacks(a, plate) if not stack.ok}
 
     def pins(factor: float):
-        return replace(
-            plate, p_centring_pins=tuple((factor * x, factor * y) for x, y in plate.p_centring_pins)
-        )
+        return replace(plate, p_centring_pins=tuple((factor * x, factor * y) for x, y in plate.p_centring_pins))
 
     assert broken(a, plate) == set()
     assert broken(replace(a, recess_d=a.flange.diameter - 0.1e-3), plate) == {"flange_in_recess"}
@@ -156,9 +146,7 @@ OWN_FLANGE = (
     [(31.3, None, True), (31.3, 31.5, True), (31.4, 31.5, False), (62.6, 63.0, True), (62.8, 63.0, False),
      (62.8, None, False), (30.0, 31.5, False)],
 )  # fmt: skip
-def test_the_spigot_of_an_own_flange_must_fit_the_robot(
-    spigot: float, recess: float | None, ok: bool
-) -> None:
+def test_the_spigot_of_an_own_flange_must_fit_the_robot(spigot: float, recess: float | None, ok: bool) -> None:
     """A printed spigot is ±0.15 mm or ±0.5 %: 0.2 mm of play is enough at 31.3 mm, and not at 62.8 mm."""
     more = f"spigot_mm = [{spigot}, 3.0]\n" + ("" if recess is None else f"recess_d_mm = {recess}\n")
     a, plate = adapters_of(12.0, OWN_FLANGE + more)

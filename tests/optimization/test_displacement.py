@@ -138,13 +138,9 @@ def test_a_softer_print_pushes_and_crashes_in_proportion(large):
     """Without gravity all forces are proportional to the stiffness."""
     tables = design_dict(large)
     tables["mount"]["gravity_base_m_s2"] = [0.0, 0.0, 0.0]
-    tables["material"] |= {
-        key: 0.5 * tables["material"][key] for key in ("youngs_modulus_mpa", "shear_modulus_mpa")
-    }
+    tables["material"] |= {key: 0.5 * tables["material"][key] for key in ("youngs_modulus_mpa", "shear_modulus_mpa")}
     soft = build_probe(check_design(tables)).model
-    tables["material"] |= {
-        key: 2.0 * tables["material"][key] for key in ("youngs_modulus_mpa", "shear_modulus_mpa")
-    }
+    tables["material"] |= {key: 2.0 * tables["material"][key] for key in ("youngs_modulus_mpa", "shear_modulus_mpa")}
     stiff = build_probe(check_design(tables)).model
     overload = (250.0, 250.0, 480.0, 1.6, 1.6, 1.8)
     for figure in (
@@ -164,9 +160,7 @@ def test_a_crash_loads_the_sensor_more_the_farther_it_goes(large):
     assert crash_use(model, TASK, 10.0, overload / 2.0) == pytest.approx(2.0 * uses[1])
 
 
-@pytest.mark.parametrize(
-    "text", ["force_mN@10mm<=20", pytest.param("crash_use@20mm<=0.002", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("text", ["force_mN@10mm<=20", pytest.param("crash_use@20mm<=0.002", marks=pytest.mark.slow)])
 def test_a_limit_with_a_distance_is_kept(large, text):
     limit = parse_limit(text)
     search = OptimizationProblem(large, ("cone",), TASK, limits=(limit,))

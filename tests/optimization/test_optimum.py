@@ -48,9 +48,7 @@ def test_the_error_equals_the_prediction_for_fused_and_single_touches(large):
     predicted = probe.predict(fractions=(0.7,), forces_N=(0.01,), directions=("+y",))
     for touched, condition in ((5, predicted.fused[0]), (1, predicted.conditions[0])):
         task = Task((0.01,), touched, fractions=(0.7,))
-        assert 1e3 * predict_task(probe.model, task).errors[0] == pytest.approx(
-            condition.predicted_error_mm, rel=1e-5
-        )
+        assert 1e3 * predict_task(probe.model, task).errors[0] == pytest.approx(condition.predicted_error_mm, rel=1e-5)
     felt = predict(probe.model, (0.8,), (0.01,), ("+y",)).detection[0].detectable_force_mN
     assert design_metrics(large, TASK).detectable_mN == pytest.approx(felt, rel=1e-6)
 
@@ -125,16 +123,12 @@ def test_combine_worst_minimises_the_worst_case(large):
     limits = (Limit("sag_mm", True, 60.0),)
     mean, worst = (
         optimum(
-            OptimizationProblem(large, ("cone",), Task(fractions=(0.4, 0.8), combine=how), limits=limits),
-            "best",
-            quiet,
+            OptimizationProblem(large, ("cone",), Task(fractions=(0.4, 0.8), combine=how), limits=limits), "best", quiet
         )
         for how in ("mean", "worst")
     )
     assert worst.after.error_mm == worst.after.worst_error_mm
-    assert (
-        worst.after.worst_error_mm <= mean.after.worst_error_mm * 1.001
-    )  # a search ends within a thousandth
+    assert worst.after.worst_error_mm <= mean.after.worst_error_mm * 1.001  # a search ends within a thousandth
 
 
 def test_an_object_slides_off_a_soft_tip(large):
@@ -147,20 +141,14 @@ def test_an_object_slides_off_a_soft_tip(large):
 
 def test_an_active_limit_is_reached_and_not_exceeded(large):
     task = replace(TASK, fractions=(0.5, 0.8))
-    found = optimum(
-        OptimizationProblem(large, ("cone",), task, limits=(Limit("sag_mm", True, 12.0),)), "best", quiet
-    )
+    found = optimum(OptimizationProblem(large, ("cone",), task, limits=(Limit("sag_mm", True, 12.0),)), "best", quiet)
     assert 11.9 < found.after.sag_mm <= 12.0 and "sag_mm <= 12" in found.active_constraints
 
 
 def test_infeasible_limits_are_named(large):
     limits = (Limit("sag_mm", True, 2.0), Limit("error_mm", True, 1.0))
     with pytest.raises(InputError, match=r"sag_mm <= 2 \(there .*error_mm <= 1 \(there"):
-        optimum(
-            OptimizationProblem(large, ("cone",), replace(TASK, fractions=(0.6,)), limits=limits),
-            "best",
-            quiet,
-        )
+        optimum(OptimizationProblem(large, ("cone",), replace(TASK, fractions=(0.6,)), limits=limits), "best", quiet)
 
 
 def test_the_estimator_has_the_predicted_error(large):
@@ -190,9 +178,7 @@ def test_a_design_that_the_clamp_ring_does_not_pass_is_infeasible(large):
     space = DesignSpace.of(large, ("taper",))
     # The flange of a 6 mm base is 17 mm wide: 3 mm of it are pressed, 1 mm is the ring's gap, 1 mm lies in the groove.
     x = np.array([6.0, 14.0, 6.0, 4.0, 2.0])
-    assert [name for name, rooms in space.printable(x).items() if rooms.min() < 0.0] == [
-        "room for the clamp ring"
-    ]
+    assert [name for name, rooms in space.printable(x).items() if rooms.min() < 0.0] == ["room for the clamp ring"]
     assert not DesignEvaluator(space, TASK).is_stable(x)
     x[1] = 11.5  # the curve through the knots reaches 11.9 mm
     assert DesignEvaluator(space, TASK).is_stable(x)
@@ -293,9 +279,7 @@ def test_the_optimum_is_kept_where_no_front_is_found(large, tmp_path, capsys, mo
 
 def test_a_start_that_buckles_is_not_drawn(large, tmp_path, capsys):
     limp, out = tmp_path / "limp.toml", tmp_path / "best.toml"
-    limp.write_text(
-        render_design(check_design(DesignSpace.of(large, ("cone",)).tables(np.array([4.0, 1.5]), 3)))
-    )
+    limp.write_text(render_design(check_design(DesignSpace.of(large, ("cone",)).tables(np.array([4.0, 1.5]), 3))))
     assert run(["optimize", str(limp), "--places", "0.9:0.9:1", "--confirm", "2", "--out", str(out)]) == 0
     assert "start: not run, because the probe buckles" in capsys.readouterr().out and out.exists()
 
@@ -329,8 +313,7 @@ def test_with_the_length_alone_the_longest_that_may_be_reached_is_found(large):
 def test_a_free_taper_is_no_worse_than_the_best_cone(large):
     limits = (Limit("sag_mm", True, 60.0),)
     cone, taper = (
-        optimum(OptimizationProblem(large, (free,), TASK, limits=limits), "best", quiet)
-        for free in ("cone", "taper")
+        optimum(OptimizationProblem(large, (free,), TASK, limits=limits), "best", quiet) for free in ("cone", "taper")
     )
     assert taper.after.error_mm < cone.after.error_mm * 1.001 and taper.after.print_errors == 0
     assert taper.after.sag_mm <= 60.0
@@ -391,7 +374,5 @@ def test_a_hollow_optimum_keeps_the_limits_of_soft_resin(large):
     wall, bore = (1 - probe.bore_ratio) * probe.tip_d_mm / 2, probe.bore_ratio * probe.tip_d_mm
     assert wall >= SOFT_FACTOR * SUPPORTED_WALL and bore >= SOFT_FACTOR * MIN_HOLE_D
     assert not [
-        f
-        for f in check_print(found.design, layers=False).warnings
-        if f.rule in ("wall", "hole") and f.part == "probe"
+        f for f in check_print(found.design, layers=False).warnings if f.rule in ("wall", "hole") and f.part == "probe"
     ]

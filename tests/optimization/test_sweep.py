@@ -15,13 +15,7 @@ from probedesign.design import check_design, load_design
 from probedesign.optimization import sweep
 from probedesign.optimization.design_space import DesignSpace, design_dict
 from probedesign.optimization.objective import METRICS, Task
-from probedesign.optimization.sweep import (
-    _write_tables,
-    evaluate_point,
-    grid_points,
-    parse_axis,
-    with_values,
-)
+from probedesign.optimization.sweep import _write_tables, evaluate_point, grid_points, parse_axis, with_values
 from probedesign.probe import build_probe
 
 LARGE = Path(__file__).parents[2] / "designs/large.toml"
@@ -155,16 +149,7 @@ def test_without_the_extra_a_sweep_writes_its_csv_and_no_scheduler_is_reached(tm
     for name in ("dask", "distributed", "pyarrow"):
         monkeypatch.setitem(sys.modules, name, None)  # importing it fails
     monkeypatch.setattr(sweep, "find_spec", lambda _: None)
-    command = [
-        "sweep",
-        str(LARGE),
-        "--vary",
-        "probe.tip_d_mm=13,14",
-        "--workers",
-        "1",
-        "--out",
-        str(tmp_path),
-    ]
+    command = ["sweep", str(LARGE), "--vary", "probe.tip_d_mm=13,14", "--workers", "1", "--out", str(tmp_path)]
     assert run(command) == 0
     assert (tmp_path / "sweep.csv").exists() and not (tmp_path / "sweep.parquet").exists()
     assert run([*command[:-1], str(tmp_path / "other"), "--scheduler", "tcp://127.0.0.1:9"]) == 2
@@ -177,16 +162,7 @@ def test_a_worker_that_is_killed_is_one_line_and_loses_nothing(tmp_path, capsys,
         raise BrokenProcessPool
 
     monkeypatch.setattr(sweep, "process_map", broken)
-    command = [
-        "sweep",
-        str(LARGE),
-        "--vary",
-        "probe.tip_d_mm=13,14",
-        "--workers",
-        "2",
-        "--out",
-        str(tmp_path),
-    ]
+    command = ["sweep", str(LARGE), "--vary", "probe.tip_d_mm=13,14", "--workers", "2", "--out", str(tmp_path)]
     assert run(command) == 2
     assert "fewer workers" in capsys.readouterr().err
     assert len((tmp_path / "sweep.jsonl").read_text().splitlines()) == 2  # the request and one result

@@ -81,9 +81,7 @@ def test_the_chosen_tests_are_better_than_others_of_the_same_time(plan, bench):
     rng, chosen = np.random.default_rng(1), [one for one in plan.candidates if not one.held_out]
 
     def area(intervals):
-        return (
-            math.inf if any(one.std is None for one in intervals) else math.prod(one.std for one in intervals)
-        )
+        return math.inf if any(one.std is None for one in intervals) else math.prod(one.std for one in intervals)
 
     for _ in range(30):
         drawn = rng.choice(len(touches), size=len(chosen) - 2, replace=False)
@@ -105,9 +103,7 @@ def test_calipers_determine_diameters_as_well_as_they_measure(bench):
     plan = make_plan(bench.model, 0.0, 60.0, ("diameters",), instruments, 0)
     assert plan.candidates[0].set_up == "calipers"
     std = plan.tests[0].expected[0].std
-    diameters = 2.0 * bench.model.rod.radius_at(
-        np.array([0.02, 0.35, 0.5, 0.65, 0.8, 0.92]) * bench.model.rod.length
-    )
+    diameters = 2.0 * bench.model.rod.radius_at(np.array([0.02, 0.35, 0.5, 0.65, 0.8, 0.92]) * bench.model.rod.length)
     by_hand = 0.05 * MM / math.sqrt(2.0 * 2.0) / np.linalg.norm(diameters / math.sqrt(2.0))
     # the scatter of each knot from the common factor, 0.025 mm, adds to what the calipers leave
     assert by_hand < std < 2.5 * by_hand
@@ -137,9 +133,7 @@ def test_an_empty_folder_is_read_and_a_part_of_it_is_enough(plan, design, tmp_pa
     fill(tmp_path, plan, 2)
     assert [test.name for test in read_campaign(tmp_path).tests] == [one.name for one in plan.candidates]
     rows = (tmp_path / "wrenches.csv").read_text().splitlines()
-    (tmp_path / "wrenches.csv").write_text(
-        "\n".join(row for row in rows if not row.startswith("touch-03")) + "\n"
-    )
+    (tmp_path / "wrenches.csv").write_text("\n".join(row for row in rows if not row.startswith("touch-03")) + "\n")
     lines = (tmp_path / "tests.csv").read_text().splitlines()
     empty = [line for line in tables(plan)["tests.csv"].splitlines() if line.startswith("touch-03")]
     (tmp_path / "tests.csv").write_text(
@@ -177,12 +171,7 @@ def test_the_command_writes_a_folder_and_never_replaces_measurements(call):
     document = json.loads(out)
     assert status == 0 and document["tests"][-1]["minutes_since_start"] <= 70
     folder = Path("data/large")
-    assert {path.name for path in folder.iterdir()} >= {
-        "campaign.toml",
-        "tests.csv",
-        "wrenches.csv",
-        "plan.html",
-    }
+    assert {path.name for path in folder.iterdir()} >= {"campaign.toml", "tests.csv", "wrenches.csv", "plan.html"}
     assert (folder / "wrenches.csv").read_text().startswith("# frame: sensor\n")
     status, _, err = call("--minutes", "70")
     assert status == 2 and "--force" in err and len(err.splitlines()) == 1
@@ -293,6 +282,4 @@ def test_calipers_and_identify_share_one_recommendation(design):
     assert found.identified == ("E",)
     assert "--for E " in checklist_text(found, "data") and any("--for E." in note for note in found.notes)
     without = pipeline.plan(design, 90.0, ("E", "diameters"), replace(Instruments(), calipers=None), 2)
-    assert without.identified == ("E", "diameters") and "--for E,diameters " in checklist_text(
-        without, "data"
-    )
+    assert without.identified == ("E", "diameters") and "--for E,diameters " in checklist_text(without, "data")

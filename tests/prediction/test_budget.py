@@ -52,9 +52,7 @@ def surface_rod(large):
 def budget(large, known, touch=TOUCH, friction=None):
     """Return the RMS error of one touch by error source [mm]."""
     estimator = Estimator(large.model, known)
-    return predict_touch(
-        estimator if friction is None else estimator.with_friction(friction), *touch
-    ).budget_mm
+    return predict_touch(estimator if friction is None else estimator.with_friction(friction), *touch).budget_mm
 
 
 # The touches beneath
@@ -116,9 +114,7 @@ def test_larger_tolerances_give_larger_errors(large):
     """A posterior covariance increases with every prior covariance."""
     names = [f.name for f in fields(Tolerances) if f.name not in ("tared", "youngs_modulus_by_diameter")]
     twice = Tolerances(**{name: 2.0 * getattr(Tolerances(), name) for name in names})
-    once, more = (
-        predict_touch(Estimator(large.model, t), *TOUCH).predicted_error_mm for t in (Tolerances(), twice)
-    )
+    once, more = (predict_touch(Estimator(large.model, t), *TOUCH).predicted_error_mm for t in (Tolerances(), twice))
     assert once < more < 2.0 * once
 
 
@@ -178,8 +174,7 @@ def test_correlation_of_E_with_the_diameters_reduces_the_error(large):
 
 def test_a_tare_removes_the_error_of_gravitys_direction(large):
     with_, without = (
-        budget(large, only(gravity_deg=0.2, tared=tared), (0.6, 0.005, "+y"), 0.0)["gravity"]
-        for tared in (True, False)
+        budget(large, only(gravity_deg=0.2, tared=tared), (0.6, 0.005, "+y"), 0.0)["gravity"] for tared in (True, False)
     )
     assert with_ < 0.1 * without  # what is left is how the sag bends what the touch does
 
@@ -239,14 +234,10 @@ def test_coverage_of_the_95_percent_ellipsoids(large):
 
 def test_monte_carlo_agrees_with_the_budget(large):
     prediction = predict(large.model, (0.3, 0.8), (0.02,), ("+y",))
-    found = run_monte_carlo(
-        MonteCarloPlan(large.model, prediction.tolerances, 150, 2), prediction, None, workers=1
-    )
+    found = run_monte_carlo(MonteCarloPlan(large.model, prediction.tolerances, 150, 2), prediction, None, workers=1)
     for row in found:
         # 4 of its own standard errors, and what the second order may be where the place is vague to 3 mm.
-        assert (
-            abs(row.error_mm - row.first_order_mm) < 4.0 * row.standard_error_mm + 0.05 * row.first_order_mm
-        )
+        assert abs(row.error_mm - row.first_order_mm) < 4.0 * row.standard_error_mm + 0.05 * row.first_order_mm
         assert 0 < row.located <= row.draws == 150
 
 
@@ -272,10 +263,7 @@ def test_monte_carlo_resumes_from_its_checkpoint(large, tmp_path):
 
 def test_plans_have_separate_checkpoints_and_a_corrupt_one_is_refused(large, tmp_path):
     prediction = predict(large.model, (0.5,), (0.02,), ("+y",))
-    one, other = (
-        MonteCarloPlan(large.model, Tolerances(), 4, 2),
-        MonteCarloPlan(large.model, Tolerances(), 4, 3),
-    )
+    one, other = (MonteCarloPlan(large.model, Tolerances(), 4, 2), MonteCarloPlan(large.model, Tolerances(), 4, 3))
     assert one.key != other.key != replace(one, tolerances=Tolerances(density=0.02)).key
     (tmp_path / f"monte-carlo-{one.key}.json").write_text('{"conditions": {"[0.5')
     with pytest.raises(InputError, match="is not a Monte Carlo checkpoint"):
@@ -313,9 +301,7 @@ def test_tolerances_come_from_the_design(large):
     data["material"]["stiffness_spread"] = 0.07
     tolerances = build_probe(check_design(data)).tolerances
     assert (tolerances.diameter_mm, tolerances.tared, tolerances.youngs_modulus) == (0.02, False, 0.07)
-    assert tolerances.sources()["diameter_mm"] == "design" and tolerances.sources()["length_mm"].startswith(
-        "assumed"
-    )
+    assert tolerances.sources()["diameter_mm"] == "design" and tolerances.sources()["length_mm"].startswith("assumed")
     assert set(tolerances.sources()) == set(SOURCES)
     assert set(SOURCES) == {f.name for f in fields(Tolerances)} - {"tared"}
 

@@ -49,18 +49,14 @@ def press_of(estimator, schedule, touch=TOUCH):
     place, force, side = touch
     steps = touches_of(estimator, [(place, side)], schedule.forces(force))
     touches = np.array([step.touch[0] for step in steps.values()])
-    return LinearizedPresses(
-        estimator.model, estimator.priors, estimator.model.gravity_base, touches, schedule
-    )
+    return LinearizedPresses(estimator.model, estimator.priors, estimator.model.gravity_base, touches, schedule)
 
 
 # Sums and limits
 
 
 @pytest.mark.parametrize(
-    "schedule",
-    [PressSchedule(), PressSchedule(3, "base"), PressSchedule(4, None)],
-    ids=["sensor", "base", "all"],
+    "schedule", [PressSchedule(), PressSchedule(3, "base"), PressSchedule(4, None)], ids=["sensor", "base", "all"]
 )
 def test_the_budget_is_the_covariance_of_the_fusion(large, schedule):
     estimator = large.estimator()
@@ -80,16 +76,9 @@ def test_the_causes_add_up_and_none_exceeds_the_total(prediction):
         if c.result == "ok":
             assert tuple(c.budget_mm) == FUSED_CAUSES
             whole = np.sqrt(sum(v**2 for v in c.budget_mm.values()))
-            assert c.predicted_error_mm == pytest.approx(
-                whole, rel=1e-4
-            )  # differences, to the square of 0.2 %
+            assert c.predicted_error_mm == pytest.approx(whole, rel=1e-4)  # differences, to the square of 0.2 %
             assert max(c.budget_mm.values()) <= c.predicted_error_mm
-            assert (
-                c.noise_error_mm
-                <= c.predicted_error_mm
-                < c.predicted_error_95_mm
-                < 3.0 * c.predicted_error_mm
-            )
+            assert c.noise_error_mm <= c.predicted_error_mm < c.predicted_error_95_mm < 3.0 * c.predicted_error_mm
 
 
 @pytest.mark.parametrize(
@@ -100,10 +89,7 @@ def test_a_single_error_source_adds_its_share_to_the_noise(large, some, cause):
     """If one error source dominates the noise, its share is nearly what it adds to the covariance of the noise."""
     found = of(replace_friction(large, 0.0), only(**some))
     alone = of(replace_friction(large, 0.0), Tolerances.none())
-    assert {name for name, rms in found.budget_mm.items() if rms > 0.03 * found.predicted_error_mm} <= {
-        "noise",
-        cause,
-    }
+    assert {name for name, rms in found.budget_mm.items() if rms > 0.03 * found.predicted_error_mm} <= {"noise", cause}
     added = np.sqrt(max(found.predicted_error_mm**2 - alone.predicted_error_mm**2, 0.0))
     assert found.budget_mm[cause] <= added * 1.01  # the rest is what its weight costs the noise
 
@@ -175,9 +161,7 @@ def test_the_press_schedule_is_part_of_the_checkpoint_key(large):
 
 
 def test_the_fused_force_threshold_gives_the_requested_error(large):
-    found = large.predict(
-        fractions=(0.6,), forces_N=(0.002, 0.003, 0.004, 0.006), directions=("+y",)
-    ).fused_reach[0]
+    found = large.predict(fractions=(0.6,), forces_N=(0.002, 0.003, 0.004, 0.006), directions=("+y",)).fused_reach[0]
     there = of(large, large.tolerances, (0.6, 1e-3 * found.force_mN_for_2_mm, "+y"))
     assert there.predicted_error_mm == pytest.approx(2.0, rel=0.02)  # straight in logarithms over a third
 
@@ -205,9 +189,7 @@ def test_without_gravity_the_workspace_is_a_body_of_revolution(large):
     np.testing.assert_allclose(areas, areas[0], rtol=1e-4)  # a round probe; fast solves
     sheet = np.array([np.zeros((12, 3)), *(p.points for p in workspace.paths if p.direction == "+x")])
     a, b, c, d = sheet[:-1, :-1], sheet[1:, :-1], sheet[1:, 1:], sheet[:-1, 1:]
-    cells = (
-        np.linalg.norm(np.cross(b - a, c - a), axis=-1) + np.linalg.norm(np.cross(c - a, d - a), axis=-1)
-    ) / 2.0
+    cells = (np.linalg.norm(np.cross(b - a, c - a), axis=-1) + np.linalg.norm(np.cross(c - a, d - a), axis=-1)) / 2.0
     pappus = 2.0 * np.pi * (cells * (a + b + c + d)[:, :, 0] / 4.0).sum()
     # 24 flat sides instead of a circle lack 1.1 %, cells taken at their middles about as much.
     assert workspace.volume_mm3 == pytest.approx(pappus, rel=0.04)
@@ -226,9 +208,7 @@ def test_the_tables_contain_every_condition_with_units_in_their_names(prediction
     assert (last["touches"], last["result"]) == ("5", expected.result)
     first = next(r for r in rows if r["touches"] == "5" and r["result"] == "ok")
     wanted = next(c for c in prediction.fused if c.result == "ok")
-    assert float(first["predicted_error_mm"]) == pytest.approx(
-        wanted.predicted_error_mm, rel=1e-5
-    )  # six digits
+    assert float(first["predicted_error_mm"]) == pytest.approx(wanted.predicted_error_mm, rel=1e-5)  # six digits
     assert float(first["budget_base_tilt_mm"]) == pytest.approx(wanted.budget_mm["base tilt"], rel=1e-5)
     along = list(csv.DictReader(io.StringIO(along_csv(prediction).decode())))
     assert len(along) == len(prediction.reach)

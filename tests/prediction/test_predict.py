@@ -104,9 +104,7 @@ def test_five_touches_give_the_bounds_computed_independently(large, fraction, fo
             assert rms == pytest.approx(bound, rel=0.06)
 
 
-@pytest.mark.parametrize(
-    ("fraction", "force", "direction"), [(0.4, 0.1, "+y"), (0.6, 0.02, "+x"), (0.8, 0.05, "-x")]
-)
+@pytest.mark.parametrize(("fraction", "force", "direction"), [(0.4, 0.1, "+y"), (0.6, 0.02, "+x"), (0.8, 0.05, "-x")])
 def test_the_prediction_is_the_covariance_of_the_estimator(large, fraction, force, direction):
     """With noise, all error sources and friction the prediction equals the covariance of `estimate` for that touch."""
     estimator = large.estimator()
@@ -129,16 +127,12 @@ def test_no_cause_exceeds_the_total(prediction):
             assert c.noise_error_mm <= c.predicted_error_mm and c.total_error_mm == c.predicted_error_mm
             assert max(c.budget_mm.values()) <= c.predicted_error_mm
             # They add up by construction; rounding of differences of covariances.
-            assert np.sqrt(sum(v**2 for v in c.budget_mm.values())) == pytest.approx(
-                c.predicted_error_mm, rel=1e-6
-            )
+            assert np.sqrt(sum(v**2 for v in c.budget_mm.values())) == pytest.approx(c.predicted_error_mm, rel=1e-6)
 
 
 def test_the_error_by_friction_is_largest_near_the_tip(large):
     """At 0.95 L most of the error is due to the free direction of the force, which the frictionless model ignores."""
-    with_, without = (
-        predict_touch(large.estimator().with_friction(mu), 0.95, 0.02, "+y") for mu in (0.6, 0.0)
-    )
+    with_, without = (predict_touch(large.estimator().with_friction(mu), 0.95, 0.02, "+y") for mu in (0.6, 0.0))
     assert with_.budget_mm["friction"] > 0.5 * with_.predicted_error_mm
     # A prior of zero is limited to a hundredth of the angle that a sensor resolves.
     assert without.budget_mm["friction"] < 5e-3 * without.predicted_error_mm
@@ -174,14 +168,10 @@ def test_the_error_of_a_light_touch_is_inversely_proportional_to_force(large):
 def test_the_noise_alone_is_proportional_to_the_noise(large):
     noise = large.model.noise
     doubled = large.model.with_noise(Noise.isotropic(2 * noise.force, 2 * noise.moment))
-    twice, once = (
-        predict(replace(model, friction=0.0), (0.5,), (0.05,), ("+y",)) for model in (doubled, large.model)
-    )
+    twice, once = (predict(replace(model, friction=0.0), (0.5,), (0.05,), ("+y",)) for model in (doubled, large.model))
     for name in ("noise_error_mm", "noise_error_95_mm"):
         # The prior on friction is not scaled; where it binds altogether, only the solver's own error is left.
-        assert getattr(twice.conditions[0], name) == pytest.approx(
-            2 * getattr(once.conditions[0], name), rel=1e-3
-        )
+        assert getattr(twice.conditions[0], name) == pytest.approx(2 * getattr(once.conditions[0], name), rel=1e-3)
     felt = [p.detection[0].detectable_force_mN for p in (twice, once)]
     assert felt[0] == pytest.approx(2 * felt[1], rel=1e-9)
     assert once.noise_force_mN == pytest.approx(1e3 * noise.force, rel=1e-15)
@@ -355,9 +345,6 @@ def test_the_quantile_of_what_is_no_covariance():
     assert radius_95(np.zeros((3, 3))) == 0.0
 
 
-@pytest.mark.parametrize(
-    "share",
-    [0.5, 0.9, 0.99],
-)
+@pytest.mark.parametrize("share", [0.5, 0.9, 0.99])
 def test_the_quantile_of_another_share(share):
     assert radius_95(np.eye(3), share) == pytest.approx(np.sqrt(stats.chi2(3).ppf(share)), rel=1e-5)

@@ -44,9 +44,7 @@ def test_most_rows_are_within_a_factor_of_two(table):
         if row.predicted_error_mm is not None:
             ratio = row.predicted_error_mm / row.measured_error_mm
             assert row.within is bool(0.5 <= ratio <= 2.0)
-            assert row.predicted_error_mm == pytest.approx(
-                np.hypot(row.own_error_mm, table.reference_mm), rel=1e-12
-            )
+            assert row.predicted_error_mm == pytest.approx(np.hypot(row.own_error_mm, table.reference_mm), rel=1e-12)
             assert row.noise_error_mm < row.own_error_mm
 
 

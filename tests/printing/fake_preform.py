@@ -16,9 +16,7 @@ PNG = b"\x89PNG\r\n\x1a\n" + bytes(16)
 STL_RECORD = np.dtype([("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")])
 
 
-def settings(
-    machine: str, code: str, layer: Any, name: str = "DEFAULT", label: str = "Default"
-) -> dict[str, Any]:
+def settings(machine: str, code: str, layer: Any, name: str = "DEFAULT", label: str = "Default") -> dict[str, Any]:
     shown = layer if isinstance(layer, str) else f"{layer:.3f} mm"
     return {
         "label": f"{shown} ({label} settings)",
@@ -62,9 +60,7 @@ MATERIALS = {
             "build_volume_dimensions_mm": [336, 200, 300],
             "supported_machine_type_ids": ["DGSR-1-0", "FRML-3-0"],
             "supported_product_names": ["Form 3L"],
-            "materials": [
-                {"label": "Elastic 50A V1", "material_settings": [settings("DGSR-1-0", "FLELCL01", 0.1)]}
-            ],
+            "materials": [{"label": "Elastic 50A V1", "material_settings": [settings("DGSR-1-0", "FLELCL01", 0.1)]}],
         },
     ]
 }
@@ -105,9 +101,7 @@ class FakePreForm:
         self.printed: list[dict[str, Any]] = []
         self._server = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
         self._server.daemon_threads = True
-        self._thread = threading.Thread(
-            target=self._server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True
-        )
+        self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
 
     def __enter__(self) -> "FakePreForm":
         self._thread.start()
@@ -147,13 +141,9 @@ class FakePreForm:
                 raw = self.rfile.read(int(self.headers.get("Content-Length") or 0))
                 body = json.loads(raw) if raw else None
                 parts = [part for part in path.split("/") if part]
-                message = "/".join(
-                    "*" if part in fake.scenes or part in fake.operations else part for part in parts
-                )
+                message = "/".join("*" if part in fake.scenes or part in fake.operations else part for part in parts)
                 fake.diary.append((self.command, f"/{message}/" if message else "/", body))
-                fault = fake.faults.get(
-                    parts[-1] if parts and parts[0] != "operations" else parts[0] if parts else "/"
-                )
+                fault = fake.faults.get(parts[-1] if parts and parts[0] != "operations" else parts[0] if parts else "/")
                 if fault is not None and fault(self):
                     return
                 try:
@@ -190,9 +180,7 @@ class FakePreForm:
                 return self._of_scene(method, self.scenes[scene], rest, body, later)
         raise Refusal(404, "NOT_FOUND", "no such resource")
 
-    def _of_scene(
-        self, method: str, scene: dict[str, Any], rest: list[str], body: Any, later: bool
-    ) -> tuple[int, Any]:
+    def _of_scene(self, method: str, scene: dict[str, Any], rest: list[str], body: Any, later: bool) -> tuple[int, Any]:
         match method, rest:
             case "GET", []:
                 return 200, scene
@@ -222,11 +210,7 @@ class FakePreForm:
         state["left"] -= 1
         if state["left"] < 0:
             return dict(state["done"])
-        return {
-            "id": operation,
-            "status": "IN_PROGRESS",
-            "progress": 1.0 - (state["left"] + 1) / (self.polls + 1),
-        }
+        return {"id": operation, "status": "IN_PROGRESS", "progress": 1.0 - (state["left"] + 1) / (self.polls + 1)}
 
     def _new_scene(self, body: Any) -> dict[str, Any]:
         known = [
@@ -250,10 +234,7 @@ class FakePreForm:
                 for model in scene["models"]:
                     if body["models"] == "ALL" or model["id"] in body["models"]:
                         model["has_supports"] = True
-                scene |= {
-                    "layer_count": 1600,
-                    "material_usage": {"volume_ml": 12.34, "unsupported_volume_ml": 8.0},
-                }
+                scene |= {"layer_count": 1600, "material_usage": {"volume_ml": 12.34, "unsupported_volume_ml": 8.0}}
                 return {}
             case "auto-layout":
                 return scene

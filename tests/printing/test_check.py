@@ -82,11 +82,7 @@ def test_the_named_maximum_length_fits_and_a_millimetre_more_does_not(printer, s
 
 
 def test_a_probe_too_long_names_the_smallest_printer_that_fits():
-    for length, printer in (
-        (200, "form-4"),
-        (201, "form-3l"),
-        (300, "form-4l"),
-    ):  # 210 mm is a form-4's height
+    for length, printer in ((200, "form-4"), (201, "form-3l"), (300, "form-4l")):  # 210 mm is a form-4's height
         assert f"it fits a {printer}" in found(design_of(length=length), "build_volume", "height").remedy
         assert check_print(design_of(length=length, print_=f'printer = "{printer}"'), layers=False).fits
     assert "it fits no known printer" in found(design_of(length=400), "build_volume", "height").remedy
@@ -150,9 +146,7 @@ def test_no_place_between_the_knots_is_more_slender_than_the_knots():
         assert finding.measured <= least + 1e-12
 
 
-@pytest.mark.parametrize(
-    ("out", "severity"), [(1.0, "ok"), (1.01, "warning"), (2.9, "warning"), (3.0, "error")]
-)
+@pytest.mark.parametrize(("out", "severity"), [(1.0, "ok"), (1.01, "warning"), (2.9, "warning"), (3.0, "error")])
 def test_a_swelling_profile_overhangs_by_its_angle(out, severity):
     """It grows by `out` on the radius over 1 mm of height: tan 19° = 1/2.904, tan 45° = 1."""
     d = 8.0 + 2 * out
@@ -244,10 +238,7 @@ def test_the_command_fails_on_errors(written, capsys):
     assert captured.err == ""
     lines = [line for line in captured.out.splitlines() if line.startswith("  error")]
     assert len(lines) == 2
-    assert (
-        "250 mm, required at most 185 mm; the longest probe for a form-3 is 175 mm; it fits a form-3l"
-        in lines[0]
-    )
+    assert "250 mm, required at most 185 mm; the longest probe for a form-3 is 175 mm; it fits a form-3l" in lines[0]
     assert "1.2 mm, required at least 1.5 mm" in lines[1]
     assert "low confidence: assumed" in captured.out
 

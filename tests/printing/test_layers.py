@@ -18,9 +18,7 @@ def examined(interior, height: float = 6.0, datums: tuple[float, ...] = ()) -> L
 
 def cone(angle_deg: float):
     """A post of radius 2, above z = 1 a cone that widens at an angle to the horizontal."""
-    return lambda x, y, z: (
-        np.hypot(x, y) < 2.0 + max(z - 1.0, 0.0) / np.tan(np.radians(angle_deg)) * (z < 2.5)
-    )
+    return lambda x, y, z: np.hypot(x, y) < 2.0 + max(z - 1.0, 0.0) / np.tan(np.radians(angle_deg)) * (z < 2.5)
 
 
 def test_a_cone_prints_above_19_degrees_and_hangs_below() -> None:
@@ -75,9 +73,7 @@ def test_a_cup_is_as_wide_as_its_bore_until_it_is_vented_below() -> None:
 
 
 def test_an_enclosed_volume_is_measured() -> None:
-    report = examined(
-        lambda x, y, z: (np.hypot(x, y) < 7.0) & ~((np.hypot(x, y) < 3.0) & (z > 2.0) & (z < 4.0))
-    )
+    report = examined(lambda x, y, z: (np.hypot(x, y) < 7.0) & ~((np.hypot(x, y) < 3.0) & (z > 2.0) & (z < 4.0)))
     assert report.trapped == pytest.approx(np.pi * 9.0 * 2.0, rel=0.03)  # pixels of a circle of 24 of them
     assert examined(lambda x, y, z: np.hypot(x, y) < 7.0).trapped == 0.0
 
@@ -89,11 +85,7 @@ def test_rigid_parts_stand_on_the_platform_without_supports_on_their_datums(base
         f'schema = 1\nname = "x"\n[probe]\nlength_mm = 60.0\nbase_d_mm = {base}\ntip_d_mm = 2.0\n[mount]\n{mount}\n'
     )
     check = check_print(design)
-    found = [
-        f
-        for f in check.findings
-        if f.rule in ("overhang", "bridge", "datum", "island", "cup", "enclosed_volume")
-    ]
+    found = [f for f in check.findings if f.rule in ("overhang", "bridge", "datum", "island", "cup", "enclosed_volume")]
     rigid = [f for f in found if f.part != "probe"]
     assert len(rigid) == 3 * 6 + 1 and {f.severity for f in rigid} == {"ok"}
     sides = {part.name: part.side for part in check.oriented}

@@ -22,13 +22,7 @@ from probedesign.geometry import build_geometry
 from probedesign.printing import check
 from probedesign.printing import preform_client as client
 from probedesign.printing.check import HEIGHT_ABOVE_RAFT, RAFT_THICKNESS
-from probedesign.printing.preform_client import (
-    Connection,
-    NoResponseError,
-    PreForm,
-    PreFormError,
-    connection_to,
-)
+from probedesign.printing.preform_client import Connection, NoResponseError, PreForm, PreFormError, connection_to
 from probedesign.printing.preform_job import PrintOrder, load_job, path_mapping, prepare_job
 from probedesign.printing.preform_settings import MaterialList, select_settings
 from tests.printing.fake_preform import MATERIALS, PNG, STL_RECORD, FakePreForm
@@ -163,10 +157,7 @@ def test_the_probe_is_prepared_upright_and_supported_and_nothing_is_sent(fake, p
         "orientation": {"z_direction": [0, 0, 1], "x_direction": [1, 0, 0]},
     }  # fmt: skip
     supports = fake.body("auto-support")
-    assert (supports["raft_thickness_mm"], supports["height_above_raft_mm"]) == (
-        RAFT_THICKNESS,
-        HEIGHT_ABOVE_RAFT,
-    )
+    assert (supports["raft_thickness_mm"], supports["height_above_raft_mm"]) == (RAFT_THICKNESS, HEIGHT_ABOVE_RAFT)
     assert supports["internal_supports_enabled"] is False
     assert (result.layer_count, result.volume_ml, result.print_time_s) == (1600, 12.34, 15120.0)
     assert result.problems == () and result.sent_to is None
@@ -185,9 +176,7 @@ def test_the_adapters_are_another_job_in_a_rigid_resin(fake, place):
 @pytest.mark.parametrize("force", [False, True])
 @pytest.mark.parametrize("parts", ["probe", "adapters"])
 def test_nothing_goes_to_a_printer_without_send(fake, place, form, force, parts):
-    prepared(
-        fake, place, PrintOrder(parts=parts, form_file=str(place / "x.form") if form else None, force=force)
-    )
+    prepared(fake, place, PrintOrder(parts=parts, form_file=str(place / "x.form") if form else None, force=force))
     assert fake.printed == []
     assert not any("print/" in call for call in fake.calls)
 
@@ -196,12 +185,7 @@ def test_what_is_sent_waits_in_the_printers_queue(fake, place):
     result = prepared(fake, place, PrintOrder(printer="Form3-TestyTest"))
     fingerprint = build_geometry(load_design("thin.toml")).fingerprint
     assert fake.printed == [
-        {
-            "printer": "Form3-TestyTest",
-            "job_name": f"thin-{fingerprint}-probe",
-            "print_now": False,
-            "models": 1,
-        }
+        {"printer": "Form3-TestyTest", "job_name": f"thin-{fingerprint}-probe", "print_now": False, "models": 1}
     ]
     assert (result.sent_to, result.job_id) == ("Form3-TestyTest", "4711")
 
@@ -262,13 +246,7 @@ def test_an_answer_at_once_is_as_good_as_an_operation(fake, place):
         ("Form 3", "elastic-50a", None, "Elastic 50A V1", "FLELCL01"),
         ("Form 3", "elastic-50a", "elastic 50a v2", "Elastic 50A V2", "FLELCL02"),
         ("Form 3", "elastic-50a", "FLELCL02", "Elastic 50A V2", "FLELCL02"),
-        (
-            "Form 3",
-            "flexible-80a",
-            None,
-            "Flexible 80A V2",
-            "FLFL8002",
-        ),  # of the same family as the preferred V1
+        ("Form 3", "flexible-80a", None, "Flexible 80A V2", "FLFL8002"),  # of the same family as the preferred V1
         ("Form 3L", "elastic-50a", None, "Elastic 50A V1", "FLELCL01"),
     ],
 )
@@ -284,24 +262,9 @@ def test_the_material_is_found_in_preforms_own_list(product, resin, material, la
     ("product", "resin", "material", "message"),
     [
         ("Form 4", "rigid", None, "PreForm knows no Form 4; it has: Form 3/3+, Form 3L"),
-        (
-            "Form 3",
-            "silicone-40a",
-            None,
-            "PreForm has no Silicone 40A for a Form 3/3+; --material takes another",
-        ),
-        (
-            "Form 3",
-            "rigid",
-            "Gray V4",
-            "--material 'Gray V4': PreForm has none for a Form 3/3+; it has: Grey V4",
-        ),
-        (
-            "Form 3",
-            "rigid",
-            "Draft V1",
-            "Draft V1 on a Form 3/3+: PreForm has no layer of 0.1 mm; it has: 0.3",
-        ),
+        ("Form 3", "silicone-40a", None, "PreForm has no Silicone 40A for a Form 3/3+; --material takes another"),
+        ("Form 3", "rigid", "Gray V4", "--material 'Gray V4': PreForm has none for a Form 3/3+; it has: Grey V4"),
+        ("Form 3", "rigid", "Draft V1", "Draft V1 on a Form 3/3+: PreForm has no layer of 0.1 mm; it has: 0.3"),
     ],
 )
 def test_errors_name_what_preform_has(product, resin, material, message):
@@ -359,18 +322,9 @@ def test_a_file_reported_as_written_must_exist(fake, place):
         (lambda f: (f / "manifest.json").write_text("[" * 100000), "is no manifest of an export"),
         (lambda f: (f / "probe.stl").write_bytes(b"other"), "is not the file of its manifest"),
         (lambda f: (f / "probe.stl").unlink(), "cannot be read: No such file"),
-        (
-            lambda f: Path("thin.toml").write_text(DESIGN.replace("80.0", "81.0")),
-            "another geometry, resin or scale",
-        ),
-        (
-            lambda f: Path("thin.toml").write_text(DESIGN + "[print]\nscale_z = 1.01\n"),
-            "another geometry, resin or",
-        ),
-        (
-            lambda f: Path("thin.toml").write_text(DESIGN + '[material]\nresin = "silicone-40a"\n'),
-            "another geometry",
-        ),
+        (lambda f: Path("thin.toml").write_text(DESIGN.replace("80.0", "81.0")), "another geometry, resin or scale"),
+        (lambda f: Path("thin.toml").write_text(DESIGN + "[print]\nscale_z = 1.01\n"), "another geometry, resin or"),
+        (lambda f: Path("thin.toml").write_text(DESIGN + '[material]\nresin = "silicone-40a"\n'), "another geometry"),
     ],
 )
 def test_only_the_designs_own_export_is_printed(fake, place, capsys, spoil, message):
@@ -392,9 +346,7 @@ def test_manifest_names_cannot_lead_out_of_the_folder(fake, place):
 def test_a_part_in_inches_is_detected(fake, place):
     box = {"min_corner": dict.fromkeys("xyz", 0.0), "max_corner": {"x": 482.6, "y": 482.6, "z": 2108.2}}
     fake.model = {"bounding_box": box}
-    with pytest.raises(
-        PreFormError, match=r"reads probe as 482\.6 x 482\.6 x 2108\.2 mm; its file has 19\.0 x"
-    ):
+    with pytest.raises(PreFormError, match=r"reads probe as 482\.6 x 482\.6 x 2108\.2 mm; its file has 19\.0 x"):
         prepared(fake, place)
 
 
@@ -547,10 +499,7 @@ def test_ids_that_lead_elsewhere_are_refused(fake, place, answer):
         ({"status": "PAUSED"}, "its answer to the import of probe: status"),
         ({"status": "IN_PROGRESS", "progress": float("nan")}, "progress"),
         ({"status": "FAILED"}, "PreForm fails at the import of probe: no reason stated"),
-        (
-            {"status": "FAILED", "result": {"error": {"message": "The mesh is empty"}}},
-            "of probe: The mesh is empty$",
-        ),
+        ({"status": "FAILED", "result": {"error": {"message": "The mesh is empty"}}}, "of probe: The mesh is empty$"),
         ({"status": "SUCCEEDED", "result": 3}, "result"),
     ],
 )
@@ -563,9 +512,7 @@ def test_invalid_operation_states_are_errors(fake, place, state, message):
 
 def test_an_operation_that_the_server_forgot(fake, place):
     fake.faults["operations"] = lambda handler: fake.operations.clear()
-    with pytest.raises(
-        PreFormError, match=r"refuses the import of probe: Operation not found \(OPERATION_NOT_FOUND\)"
-    ):
+    with pytest.raises(PreFormError, match=r"refuses the import of probe: Operation not found \(OPERATION_NOT_FOUND\)"):
         prepared(fake, place)
 
 
@@ -578,9 +525,7 @@ def test_an_operation_that_does_not_end(fake, place):
     assert fake.scenes == {}
 
 
-@pytest.mark.parametrize(
-    "step", ["auto-support", "auto-layout", "estimate-print-time", "save-screenshot", "print"]
-)
+@pytest.mark.parametrize("step", ["auto-support", "auto-layout", "estimate-print-time", "save-screenshot", "print"])
 def test_an_operation_that_fails_passes_on_preforms_words(fake, place, step):
     fake.failing[step] = {"error": {"code": "NO_ROOM", "message": "It does not fit"}}
     with pytest.raises(PreFormError, match=r"^PreForm fails at .*: It does not fit \(NO_ROOM\)$"):
@@ -594,8 +539,7 @@ def forgets(handler):
 
 
 @pytest.mark.parametrize(
-    "fault",
-    [closes, replies(200, b"<html>"), replies(502, b"Bad Gateway"), replies(200, {"job_id": 5}), forgets],
+    "fault", [closes, replies(200, b"<html>"), replies(502, b"Bad Gateway"), replies(200, {"job_id": 5}), forgets]
 )
 def test_an_unanswered_upload_has_an_unknown_outcome(fake, place, fault):
     fake.faults["print"] = fault
@@ -615,12 +559,7 @@ def interrupt_at(wanted):
 def test_an_interruption_leaves_neither_files_nor_scenes(fake, place, step):
     before = {p.name for p in place.iterdir()}
     with pytest.raises(KeyboardInterrupt) as interruption:
-        prepared(
-            fake,
-            place,
-            PrintOrder(form_file=str(place / "x.form"), printer="X"),
-            on_progress=interrupt_at(step),
-        )
+        prepared(fake, place, PrintOrder(form_file=str(place / "x.form"), printer="X"), on_progress=interrupt_at(step))
     assert not str(interruption.value)
     assert fake.scenes == {} and fake.printed == []
     assert {p.name for p in place.iterdir()} <= before | {"preform-probe.png"}
@@ -630,9 +569,7 @@ def test_ctrl_c_in_the_terminal(fake, place):
     fake.polls = 10**9
     command = [sys.executable, "-m", "probedesign.cli.main", "print", "thin.toml", "--preform", fake.url]
     heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # ignored in a shell's background
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heard
-    )
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heard)
     try:
         while not any(path.startswith("/operations") for _, path, _ in list(fake.diary)):
             assert process.poll() is None, process.communicate()
@@ -661,19 +598,14 @@ def test_an_interrupted_upload_names_the_printer(fake, place):
     ],
 )  # fmt: skip
 def test_invalid_addresses_are_refused(url):
-    with pytest.raises(
-        InputError, match=r"is not the address of a PreFormServer; write http://localhost:44388$"
-    ):
+    with pytest.raises(InputError, match=r"is not the address of a PreFormServer; write http://localhost:44388$"):
         connection_to(url)
 
 
 def test_addresses():
     assert connection_to("http://localhost") == Connection("localhost", 44388)
     assert connection_to("http://[::1]:5").url == "http://[::1]:5"
-    local = [
-        connection_to(f"http://{h}").local
-        for h in ("localhost", "127.0.0.1", "[::1]", "192.0.2.1", "mac.local")
-    ]
+    local = [connection_to(f"http://{h}").local for h in ("localhost", "127.0.0.1", "[::1]", "192.0.2.1", "mac.local")]
     assert local == [True, True, True, False, False]
 
 
@@ -682,9 +614,7 @@ def test_a_missing_server_error_names_the_start_command(host):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))  # bound and not listening: no other process takes the port meanwhile
         port = taken.getsockname()[1]
-        with pytest.raises(
-            NoResponseError, match=rf"no server responds .*; start it: PreFormServer --port {port}$"
-        ):
+        with pytest.raises(NoResponseError, match=rf"no server responds .*; start it: PreFormServer --port {port}$"):
             Connection(host, port, 5.0).request("the version", "GET", "/")
 
 

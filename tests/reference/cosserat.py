@@ -228,9 +228,7 @@ def solve(
         empty = np.zeros((0, len(rows)))
 
         def grown(share: float) -> Problem:
-            part = replace(
-                load, gravity=share * load.gravity, force=share * load.force, couple=share * load.couple
-            )
+            part = replace(load, gravity=share * load.gravity, force=share * load.force, couple=share * load.couple)
             return lambda many, z, which: (_rows_of(part, which), lambda ends: np.zeros((0, len(which))))
 
         own = np.arange(len(rows))
@@ -286,9 +284,7 @@ def press(
         mine, own = probes.take(rows), np.arange(len(rows))
         length, newtons = mine.length, np.nan_to_num(size[rows], nan=1.0)
         scale = np.tile(newtons, (3, 1)) if sticks else np.stack([length, np.ones(len(rows)), newtons])
-        first = (
-            from_there[:, rows] if sticks else np.stack([start.s[rows], start.phi[rows], from_there[0, rows]])
-        )
+        first = from_there[:, rows] if sticks else np.stack([start.s[rows], start.phi[rows], from_there[0, rows]])
         place = np.stack([start.s[rows], start.phi[rows]])
 
         def towards(share: float) -> Problem:

@@ -109,10 +109,7 @@ def solve(poses: list[LinearPose], priors: Priors, step: tuple[int, float] | Non
             continue
         if np.isfinite(priors.friction):
             mu = max(priors.friction, 1e-4)
-            own_ratio, common_ratio = (
-                np.eye(n)[own.start + 3 : own.start + 5],
-                np.eye(n)[first_friction:first_bias],
-            )
+            own_ratio, common_ratio = (np.eye(n)[own.start + 3 : own.start + 5], np.eye(n)[first_friction:first_bias])
             per = 1.0 / (math.sqrt(1.0 - priors.common_friction) * mu)
             shared = mu * math.sqrt(priors.common_friction)
             add(per * (own_ratio - shared * common_ratio), -per * pose.ratios)

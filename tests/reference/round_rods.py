@@ -271,6 +271,4 @@ def rotated_by(q: Array, by: Array) -> Array:
 
 def matrices(q: Array) -> Array:
     """Return R(q), (n, 3, 3)."""
-    return np.stack([rotate(q, np.tile(e[:, None], q.shape[1])) for e in np.eye(3)], axis=-1).transpose(
-        1, 0, 2
-    )
+    return np.stack([rotate(q, np.tile(e[:, None], q.shape[1])) for e in np.eye(3)], axis=-1).transpose(1, 0, 2)

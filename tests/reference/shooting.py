@@ -161,9 +161,7 @@ def integrate(rod: Rod, load: ShootingLoad, m_base: Array, tol: float, stations:
     y = np.concatenate([np.zeros(3), np.eye(3).ravel(), n_base(rod, load), m_base])
     size = np.concatenate([np.full(3, rod.length), np.ones(9), np.full(3, 1.0), np.full(3, rod.length)])
     size[12:18] *= max(float(np.linalg.norm(y[12:15])), float(np.linalg.norm(m_base)) / rod.length, 1e-12)
-    points = np.unique(
-        np.concatenate([rod.s, [load.s_contact, np.clip(rod.root[1], 0.0, rod.length)], stations])
-    )
+    points = np.unique(np.concatenate([rod.s, [load.s_contact, np.clip(rod.root[1], 0.0, rod.length)], stations]))
     states = {0.0: y}
     for low, high in pairwise(points.tolist()):
         if low == load.s_contact:

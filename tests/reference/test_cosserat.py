@@ -12,15 +12,11 @@ from tests.reference.round_rods import Probes
 GRAVITY = np.array([9.81, 0.0, 0.0])
 LARGE = Rod(np.array([0.0, 0.15]), np.array([6e-3, 1e-3]), 2.32e6, 0.761e6, 1010.0, rigid_length=0.72e-3,
             finite_strain=True)  # fmt: skip
-PROFILE = Rod(
-    np.array([0.0, 0.03, 0.07, 0.12]), np.array([6e-3, 5e-3, 2e-3, 1.5e-3]), 1e6, 0.3e6, 1100.0, 0.9, 4e-3
-)
+PROFILE = Rod(np.array([0.0, 0.03, 0.07, 0.12]), np.array([6e-3, 5e-3, 2e-3, 1.5e-3]), 1e6, 0.3e6, 1100.0, 0.9, 4e-3)
 RODS = {
     "large": LARGE,
     "linear": Rod(LARGE.s, LARGE.radius, 2.32e6, 0.761e6, 1010.0),
-    "compliant root": Rod(
-        LARGE.s, LARGE.radius, 2.32e6, 0.761e6, 1010.0, rigid_length=-1.5e-3, finite_strain=True
-    ),
+    "compliant root": Rod(LARGE.s, LARGE.radius, 2.32e6, 0.761e6, 1010.0, rigid_length=-1.5e-3, finite_strain=True),
     "cylinder": Rod(np.array([0.0, 0.1]), np.array([2e-3, 2e-3]), 2.32e6, 0.761e6, 1010.0),
     "profile": PROFILE,
 }

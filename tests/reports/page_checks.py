@@ -63,11 +63,7 @@ def check_page(running: Any, file: Path) -> None:
     contrast = {"runOnly": ["color-contrast"]}
     others = {"rules": {"color-contrast": {"enabled": False}}}
     with opened(running, file, NARROW, "light") as page:
-        for scheme, width, rules in (
-            ("light", NARROW, others),
-            ("light", WIDE, contrast),
-            ("dark", WIDE, contrast),
-        ):
+        for scheme, width, rules in (("light", NARROW, others), ("light", WIDE, contrast), ("dark", WIDE, contrast)):
             page.set_viewport_size({"width": width, "height": HEIGHT})
             page.emulate_media(color_scheme=scheme)
             assert page.evaluate("document.documentElement.scrollWidth") <= width, (file.name, width)
@@ -116,9 +112,7 @@ def sheets(running: Any, file: Path) -> tuple[int, list[str]]:
     page.goto(file.as_uri())
     pdf = page.pdf(prefer_css_page_size=True)
     page.emulate_media(media="print")
-    page.set_viewport_size(
-        {"width": round((210 - 28) / 25.4 * 96), "height": 900}
-    )  # within the margins of A4
+    page.set_viewport_size({"width": round((210 - 28) / 25.4 * 96), "height": 900})  # within the margins of A4
     cut = page.evaluate(
         """() => [...document.querySelectorAll('table, svg, img, p, ul')].filter(one =>
             one.getBoundingClientRect().right > document.documentElement.clientWidth + 1).map(one =>

@@ -59,9 +59,7 @@ def folder(tmp_path_factory):
 def recorded(folder) -> RecordingEstimates:
     """A touch of 20 mN that moves along the probe and back, with its truth."""
     estimator = probe().estimator()
-    readings = list(
-        iter_readings(SimulatedSource(estimator.model, "force_mN=20&seconds=20&rate_hz=5&speed=max"))
-    )
+    readings = list(iter_readings(SimulatedSource(estimator.model, "force_mN=20&seconds=20&rate_hz=5&speed=max")))
     path = folder / "recording.csv"
     write_recording(path, np.array([r.time for r in readings]), np.array([r.wrench_sensor for r in readings]))
     estimates = estimate_recording(estimator, path)
@@ -99,9 +97,7 @@ def recording(request) -> bytes:
 
 
 def identification(request) -> bytes:
-    return identification_page(
-        pipeline.identify(probe().design, request.getfixturevalue("campaign"), ["E", "G"])
-    )
+    return identification_page(pipeline.identify(probe().design, request.getfixturevalue("campaign"), ["E", "G"]))
 
 
 def validation(request) -> bytes:
@@ -126,9 +122,7 @@ def demo(request) -> bytes:
     replay = replay_element(estimates.estimator, estimates.rows, estimates.gravities, "a touch")
     sections = [
         DemoSection("A touch", "probedesign estimate", "Located.", html=replay, style=STYLE),
-        DemoSection(
-            "Points", "probedesign explore", "Found.", picture="points.svg", links=[("points.svg", "points")]
-        ),
+        DemoSection("Points", "probedesign explore", "Found.", picture="points.svg", links=[("points.svg", "points")]),
         DemoSection("The parts", "probedesign export " + 20 * "long/", "Not made."),
     ]
     return write_demo_page(folder, sections).read_bytes()

@@ -13,9 +13,7 @@ from tests.mapping.synthetic_touches import STD_E, touch
 
 def test_the_picture_contains_every_ellipsoid():
     """The ellipsoids of two vague points are longer than the distance between the points."""
-    picture = map_svg(
-        MapScene(build_map([touch(1, (0, 0, 0), 5e-3), touch(2, (20e-3, 0, 0), 5e-3)], STD_E))
-    ).decode()
+    picture = map_svg(MapScene(build_map([touch(1, (0, 0, 0), 5e-3), touch(2, (20e-3, 0, 0), 5e-3)], STD_E))).decode()
     width, height = map(float, re.findall(r'<rect width="([\d.]+)" height="([\d.]+)"', picture)[0])
     found = re.findall(r'translate\(([\d.-]+) ([\d.-]+)\) rotate.*?rx="([\d.]+)" ry="([\d.]+)"', picture)
     assert len(found) == 2

@@ -60,9 +60,7 @@ def fused(probe):
 def identification():
     modulus = Identified("E", "Young's modulus", "MPa", "identified", 2.5, 2.32, 0.02, 2.46, 2.54)
     tilt = Identified("tilt_x", "tilt", "deg", "not_observable", 0.0, 0.0, why="the <tests> hang")
-    residuals = tuple(
-        Residual(test, "markers", 1, 10.0, (0.1, 0.0, 0.1), 1.1, 1.0) for test in ("hang", "weight")
-    )
+    residuals = tuple(Residual(test, "markers", 1, 10.0, (0.1, 0.0, 0.1), 1.1, 1.0) for test in ("hang", "weight"))
     return Identification(
         "inconsistent", "large", "abc", "data", 2, 6, 3, (modulus, tilt), np.eye(1), ("E",), (), 1.96, (), (), (),
         residuals, 0.1, "<script>alert(1)</script>",
@@ -112,9 +110,7 @@ def test_hostile_text_is_escaped(identification):
 
 def test_a_reading_without_contact_shows_no_position(free):
     assert free.result == "no_contact"
-    assert (
-        "svg" not in free._repr_html_() and "nan" not in free._repr_html_() and "mm" not in free._repr_html_()
-    )
+    assert "svg" not in free._repr_html_() and "nan" not in free._repr_html_() and "mm" not in free._repr_html_()
     axes = free.plot(pytest.importorskip("matplotlib.figure").Figure().subplots())
     assert not axes.lines and "no_contact" in axes.get_title()
     assert len(free.to_dataframe()) == 0

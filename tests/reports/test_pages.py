@@ -37,9 +37,7 @@ class Elements(HTMLParser):
 
     def handle_starttag(self, tag, attrs):
         self.seen[tag] = self.seen.get(tag, 0) + 1
-        self.fetched += [
-            v for k, v in attrs if k in ("src", "href", "xlink:href") and not v.startswith(("#", "data:"))
-        ]
+        self.fetched += [v for k, v in attrs if k in ("src", "href", "xlink:href") and not v.startswith(("#", "data:"))]
 
 
 def assert_whole(page: str) -> Elements:
@@ -107,12 +105,7 @@ def test_the_best_design_of_a_metric_is_named_unless_values_are_printed_alike():
 
     pair = [named("a", error_mm=1.0, reach_mm=90.0, length_mm=100.0, slide_mm=None),
             named("b", error_mm=2.0, reach_mm=140.0, length_mm=150.0, slide_mm=0.1)]  # fmt: skip
-    assert [best_design(pair, m) for m in ("error_mm", "reach_mm", "length_mm", "slide_mm")] == [
-        "a",
-        "b",
-        None,
-        "b",
-    ]
+    assert [best_design(pair, m) for m in ("error_mm", "reach_mm", "length_mm", "slide_mm")] == ["a", "b", None, "b"]
     alike = [named("a", error_mm=1.00001), named("b", error_mm=1.00002)]
     assert best_design(alike, "error_mm") is None
 
@@ -125,9 +118,7 @@ def test_the_prediction_page_fits_a_browser(tmp_path):
     file.write_bytes(prediction_page(prediction, probe.estimator()))
     with browser() as running:
         for width, scheme in itertools.product((360, 1280), ("light", "dark")):
-            page = running.new_context(
-                viewport={"width": width, "height": 740}, color_scheme=scheme
-            ).new_page()
+            page = running.new_context(viewport={"width": width, "height": 740}, color_scheme=scheme).new_page()
             faults, requests = [], []
             page.on("console", lambda message, faults=faults: faults.append(message.text))
             page.on("pageerror", lambda error, faults=faults: faults.append(str(error)))
@@ -135,8 +126,7 @@ def test_the_prediction_page_fits_a_browser(tmp_path):
             page.goto(file.as_uri())
             assert page.evaluate("document.documentElement.scrollWidth") <= width
             assert (
-                f"{prediction.conditions[0].predicted_error_mm:.3g}"
-                in page.locator("svg title").first.text_content()
+                f"{prediction.conditions[0].predicted_error_mm:.3g}" in page.locator("svg title").first.text_content()
             )
             for folded in ("svg", "table"):
                 assert not page.locator(f"details {folded}").first.is_visible()
@@ -205,10 +195,7 @@ def test_compare_puts_designs_side_by_side(tmp_path, capsys):
 
 
 def test_compare_replaces_its_page_and_nothing_else(tmp_path, capsys):
-    files, places = (
-        [str(DESIGNS / f"{name}.toml") for name in ("large", "small")],
-        ("--places", "0.6:0.8:0.2"),
-    )
+    files, places = ([str(DESIGNS / f"{name}.toml") for name in ("large", "small")], ("--places", "0.6:0.8:0.2"))
     design, page = tmp_path / "design.toml", tmp_path / "page.html"
     design.write_bytes((DESIGNS / "large.toml").read_bytes())
     page.write_bytes(html_document("earlier", [], ""))

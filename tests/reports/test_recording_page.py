@@ -26,9 +26,7 @@ def folder(tmp_path_factory):
     model = build_probe(load_design(DESIGNS / "large.toml")).model
     (folder / "large.probe.json").write_text(json.dumps(freeze(model)))
     for name, seconds in (("touch.csv", 12), ("free.csv", 1)):
-        readings = list(
-            iter_readings(SimulatedSource(model, f"force_mN=20&seconds={seconds}&rate_hz=5&speed=max"))
-        )
+        readings = list(iter_readings(SimulatedSource(model, f"force_mN=20&seconds={seconds}&rate_hz=5&speed=max")))
         time, wrench = np.array([r.time for r in readings]), np.array([r.wrench_sensor for r in readings])
         write_recording(folder / name, time, wrench)
     return folder
@@ -76,9 +74,7 @@ def test_nothing_is_replaced_without_force(folder, tmp_path, capsys):
         assert captured.out == "" and captured.err.count("\n") == 1
     assert page.read_text() == "mine" and recording.read_bytes() == before
     assert not (tmp_path / "a").exists()
-    assert estimate(folder, "--page", str(page), "--force") == 0 and page.read_text().startswith(
-        "<!DOCTYPE html>"
-    )
+    assert estimate(folder, "--page", str(page), "--force") == 0 and page.read_text().startswith("<!DOCTYPE html>")
 
 
 @pytest.mark.parametrize("method", ["ml", "force_moment"])

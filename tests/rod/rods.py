@@ -13,9 +13,7 @@ E, G, RHO = 2.32e6, 0.761e6, 1010.0
 CONE = Rod(np.array([0.0, 0.15]), np.array([6e-3, 1e-3]), E, G, RHO)
 ROOTED_CONE = Rod(np.array([0.0, 0.15]), np.array([6e-3, 1e-3]), E, G, RHO, rigid_length=0.72e-3)
 CYLINDER = Rod(np.array([0.0, 0.1]), np.array([2e-3, 2e-3]), E, G, RHO)
-PROFILE = Rod(
-    np.array([0.0, 0.03, 0.07, 0.12]), np.array([6e-3, 5e-3, 2e-3, 1.5e-3]), 1e6, 0.3e6, 1100.0, 0.9, 4e-3
-)
+PROFILE = Rod(np.array([0.0, 0.03, 0.07, 0.12]), np.array([6e-3, 5e-3, 2e-3, 1.5e-3]), 1e6, 0.3e6, 1100.0, 0.9, 4e-3)
 """Two breaks of the taper, a shear coefficient and a rigid root."""
 
 RODS = {"cone": CONE, "rooted": ROOTED_CONE, "cylinder": CYLINDER, "profile": PROFILE}

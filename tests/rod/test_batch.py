@@ -28,10 +28,7 @@ def cases(rods, count=CASES, hopeless=True):
     which = rng.integers(len(rods), size=count)
     s_c = np.array([rng.uniform(0.05, 1.0) * rods[k].length for k in which])
     way = rng.normal(size=(count, 3))
-    strength = [
-        bending_force(rods[k], s, 0.6 * x)
-        for k, s, x in zip(which, s_c, rng.uniform(size=count), strict=True)
-    ]
+    strength = [bending_force(rods[k], s, 0.6 * x) for k, s, x in zip(which, s_c, rng.uniform(size=count), strict=True)]
     force = way / np.linalg.norm(way, axis=1, keepdims=True) * np.array(strength)[:, None]
     if hopeless:
         force[::8] = (0.0, 0.0, -1e3)
@@ -181,9 +178,7 @@ def test_lanes_without_a_case_compute_no_subnormal_numbers(rod, count):
     A number of 1e-160 left in memory is normal, and its square is not.
     """
     given = cases((rod,), count, hopeless=False)
-    loads = np.stack(
-        [rod.load(given["gravity"][i], given["force"][i], given["s_contact"][i]) for i in range(count)]
-    )
+    loads = np.stack([rod.load(given["gravity"][i], given["force"][i], given["s_contact"][i]) for i in range(count)])
     work = scratch_buffers(0, 0, 4)
     work.lanes[:] = 1e-160
     found, derivatives = np.empty(count, dtype=SOLUTION), np.empty((count, 15, 1))

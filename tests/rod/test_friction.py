@@ -212,10 +212,7 @@ def test_a_round_probe_has_no_preferred_side():
     assert here.state == there.state
     assert np.allclose(there.force_base, turned(1.1, here.force_base), rtol=0.0, atol=1e-8 * here.magnitude)
     assert np.allclose(there.p_surface_base, turned(1.1, here.p_surface_base), rtol=0.0, atol=1e-9)
-    assert (there.s, there.way) == (
-        pytest.approx(here.s, abs=1e-9),
-        pytest.approx(here.way, abs=1e-9),
-    )
+    assert (there.s, there.way) == (pytest.approx(here.s, abs=1e-9), pytest.approx(here.way, abs=1e-9))
 
 
 def test_moving_away_ends_the_contact():
@@ -265,9 +262,7 @@ def test_results_without_a_contact_are_codes():
     r = float(CONE.radius_at(0.14))
     begun = solver.press((0, 0, 0), (0.5 * r, 0.0, 0.14), (-0.02, 0.0, 0.0))
     gone = solver.advance(begun, (-0.5 * r, 0.0, 0.20))
-    assert (
-        begun.ok and gone.result in ("on_end", "no_contact", "unstable") and np.isnan(gone.force_base).all()
-    )
+    assert begun.ok and gone.result in ("on_end", "no_contact", "unstable") and np.isnan(gone.force_base).all()
 
 
 @pytest.mark.parametrize("friction", [-0.1, math.nan])
@@ -296,9 +291,7 @@ def test_a_given_force_on_the_surface_is_that_of_the_contact(name):
     h = math.cos(contact.angle) * R[:, 1] - math.sin(contact.angle) * R[:, 0]
     a = np.cross(contact.normal, h)
     ratios = tuple(float(contact.force_base @ v) / contact.normal_force for v in (a, h))
-    given = solve_surface_force(
-        rod, GRAVITY, contact.s, contact.angle, contact.normal_force, ratios, "reference"
-    )
+    given = solve_surface_force(rod, GRAVITY, contact.s, contact.angle, contact.normal_force, ratios, "reference")
     assert given.result == "ok"
     assert np.allclose(given.force_base, contact.force_base, rtol=0.0, atol=1e-7 * contact.magnitude)
     assert np.allclose(given.p_surface_base, contact.p_surface_base, rtol=0.0, atol=1e-9)

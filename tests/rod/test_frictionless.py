@@ -67,9 +67,7 @@ def test_derivatives_are_those_of_differences(name, fraction, angle):
     def at(x):
         touch = solve_frictionless(rod, GRAVITY, x[0], x[1], x[2], "reference")
         assert touch.result == "ok"
-        return np.concatenate(
-            [touch.equilibrium.wrench_base, touch.equilibrium.p_contact_base, touch.force_base]
-        )
+        return np.concatenate([touch.equilibrium.wrench_base, touch.equilibrium.p_contact_base, touch.force_base])
 
     touch = solve_frictionless(rod, GRAVITY, *theta, "reference")
     found = np.vstack([touch.d_wrench, touch.d_position, touch.d_force]) * steps

@@ -13,9 +13,7 @@ GRAVITY = np.array([3.0, 4.0, -8.0])
 
 def sideways(rod, fraction=0.6, strength=0.8):
     """Return a force [N] that bends the rod considerably, and its place."""
-    return bending_force(rod, fraction * rod.length, strength) * np.array(
-        [1.0, 0.5, -0.3]
-    ), fraction * rod.length
+    return bending_force(rod, fraction * rod.length, strength) * np.array([1.0, 0.5, -0.3]), fraction * rod.length
 
 
 @settings(max_examples=20)
@@ -26,13 +24,9 @@ def test_a_load_turned_about_the_axis_turns_the_answer(angle):
     turn = PROFILE.solve(turned(angle, GRAVITY), turned(angle, force), s_c, mode="reference")
     s = np.linspace(0.0, PROFILE.length, 5)
     # Reference accuracy, 1e-12 in the tangent at the base; the thin tip magnifies it some ten times.
-    np.testing.assert_allclose(
-        turn.p_at(s), [turned(angle, p) for p in eq.p_at(s)], atol=1e-11 * PROFILE.length
-    )
+    np.testing.assert_allclose(turn.p_at(s), [turned(angle, p) for p in eq.p_at(s)], atol=1e-11 * PROFILE.length)
     moment = eq.wrench_base[3:]
-    np.testing.assert_allclose(
-        turn.wrench_base[3:], turned(angle, moment), atol=1e-11 * np.linalg.norm(moment)
-    )
+    np.testing.assert_allclose(turn.wrench_base[3:], turned(angle, moment), atol=1e-11 * np.linalg.norm(moment))
 
 
 @pytest.mark.parametrize("k", [0.1, 3.0])
@@ -53,9 +47,7 @@ def test_dimensions(k, e):
     size = PROFILE.length
     np.testing.assert_allclose(other.p_at(k * s) / k, eq.p_at(s), atol=1e-11 * size)  # as above
     moment = eq.wrench_base[3:]
-    np.testing.assert_allclose(
-        other.wrench_base[3:] / (e * k**3), moment, atol=1e-11 * np.linalg.norm(moment)
-    )
+    np.testing.assert_allclose(other.wrench_base[3:] / (e * k**3), moment, atol=1e-11 * np.linalg.norm(moment))
 
 
 def test_density_and_gravity_matter_only_as_their_product():

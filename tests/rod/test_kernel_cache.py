@@ -51,11 +51,7 @@ def package(tmp_path: Path) -> Path:
 def start(package: Path, *arguments: str, **environment: str) -> "subprocess.Popen[str]":
     clean = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
     # Python itself decides by the time of a file whether its bytecode is old, so none is written.
-    own = {
-        "PYTHONPATH": str(package),
-        "PYTHONDONTWRITEBYTECODE": "1",
-        "XDG_CACHE_HOME": str(package / "home"),
-    }
+    own = {"PYTHONPATH": str(package), "PYTHONDONTWRITEBYTECODE": "1", "XDG_CACHE_HOME": str(package / "home")}
     return subprocess.Popen([sys.executable, "-c", RUN, *arguments], env=clean | own | environment, text=True,
                             cwd=package, stdout=subprocess.PIPE, stderr=subprocess.PIPE)  # fmt: skip
 
@@ -93,20 +89,14 @@ def test_an_edited_kernel_is_compiled_anew_wherever_it_is_called(package):
 
 def test_a_damaged_file_is_compiled_anew(package):
     run(package)
-    for damage in (
-        lambda content: content[:-1],
-        lambda content: content[:200] + b"\0" + content[201:],
-        lambda _: b"",
-    ):
+    for damage in (lambda content: content[:-1], lambda content: content[:200] + b"\0" + content[201:], lambda _: b""):
         for file in package.glob("probedesign/_compiled/*/*.kernel"):
             file.write_bytes(damage(file.read_bytes()))
         assert run(package) == ([21.0, 23.0, COMPILED], "")
     assert run(package) == ([21.0, 23.0, LOADED], "")
 
 
-@pytest.mark.skipif(
-    cache.BASELINE not in cache.runs(), reason="this processor lacks the baseline's instructions"
-)
+@pytest.mark.skipif(cache.BASELINE not in cache.runs(), reason="this processor lacks the baseline's instructions")
 def test_code_is_used_only_where_the_processor_runs_it(package):
     run(package, NUMBA_CPU_NAME=cache.BASELINE, NUMBA_CPU_FEATURES="")
     assert run(package)[0][-1] == LOADED  # built for the baseline, which this processor has
@@ -165,9 +155,7 @@ def test_a_process_that_compiles_computes_the_bits_of_one_that_loads(tmp_path):
     )
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     command = [sys.executable, "-c", code]
-    first, second = (
-        subprocess.check_output(command, env=environment, cwd=cache.PACKAGE.parent) for _ in range(2)
-    )
+    first, second = (subprocess.check_output(command, env=environment, cwd=cache.PACKAGE.parent) for _ in range(2))
     assert first == second
 
 

@@ -21,9 +21,7 @@ LEAN = 0.7
 FLANK = [(name, fraction) for name in RODS for fraction in (0.2, 0.5, 0.85)]
 
 
-def flank_press(
-    rod, fraction, depth, line=False, offset=0.2, gravity=GRAVITY, mode="reference", moved=(0, 0, 0)
-):
+def flank_press(rod, fraction, depth, line=False, offset=0.2, gravity=GRAVITY, mode="reference", moved=(0, 0, 0)):
     """Press at a fraction of the free rod by `depth` radii, at a distance from its axis in radii."""
     free = rod.solve(gravity, mode="reference")
     s = fraction * rod.length
@@ -32,9 +30,7 @@ def flank_press(
     point = free.p_at(s) + r * ((math.sqrt(1.0 - offset**2) - depth) * out + offset * across)
     travel = -(depth + 3.0) * r * (out + 0.1 * R[:, 2])
     if line:
-        return press_against_line(
-            rod, gravity, point + moved, across + 0.3 * R[:, 2] + 0.2 * out, travel, mode
-        )
+        return press_against_line(rod, gravity, point + moved, across + 0.3 * R[:, 2] + 0.2 * out, travel, mode)
     return press_against_point(rod, gravity, point + moved, travel, mode)
 
 
@@ -46,9 +42,7 @@ def tip_press(rod, offset, depth, line=False, gravity=GRAVITY, mode="reference",
     touched = free.p_at(rod.length) + r * (R @ ([1.0, 0.0, 0.0] if line else [offset, 0.1, 0.0]))
     point, travel = touched - r * depth * normal + moved, -r * (depth + 2.0) * normal
     if line:
-        return press_against_line(
-            rod, gravity, point, R @ [-math.sin(LEAN), 0.4, math.cos(LEAN)], travel, mode
-        )
+        return press_against_line(rod, gravity, point, R @ [-math.sin(LEAN), 0.4, math.cos(LEAN)], travel, mode)
     return press_against_point(rod, gravity, point, travel, mode)
 
 
@@ -129,9 +123,7 @@ def test_the_object_touches_the_surface_and_pushes_along_its_normal(name):
     if press.where == "rim":
         assert np.linalg.norm(w) == pytest.approx(rod.radius[-1], abs=1e-9 * L)
         assert abs(along @ np.cross(t, w)) < 1e-9 * rod.radius[-1]
-        assert rod.taper_at(L) < (along @ t) / (
-            along @ w / rod.radius[-1]
-        )  # leans out further than the flank
+        assert rod.taper_at(L) < (along @ t) / (along @ w / rod.radius[-1])  # leans out further than the flank
 
 
 @pytest.mark.parametrize("name", [n for n in PRESSES if "line" in n])
@@ -149,9 +141,7 @@ def test_the_push_found_is_the_push_that_was_given(name):
     given = solve_frictionless(rod, GRAVITY, press.s_contact, press.angle, press.magnitude, "reference")
     # Both stop at 1e-10; the thin tip magnifies that.
     np.testing.assert_allclose(press.force_base, given.force_base, atol=1e-8 * press.magnitude)
-    np.testing.assert_allclose(
-        press.equilibrium.p_base[-1], given.equilibrium.p_base[-1], atol=1e-8 * rod.length
-    )
+    np.testing.assert_allclose(press.equilibrium.p_base[-1], given.equilibrium.p_base[-1], atol=1e-8 * rod.length)
 
 
 @pytest.mark.parametrize("fraction", [0.3, 0.8])
@@ -193,9 +183,7 @@ def test_in_its_plane_an_edge_across_it_is_a_point(name):
     point = press_against_point(rod, gravity, p, travel, "reference", judged=False)
     line = press_against_line(rod, gravity, p, (0.0, -3.0, 0.0), travel, "reference")
     assert point.result == line.result == "ok"
-    np.testing.assert_allclose(
-        line.equilibrium.wrench_base, point.equilibrium.wrench_base, rtol=1e-9, atol=1e-12
-    )
+    np.testing.assert_allclose(line.equilibrium.wrench_base, point.equilibrium.wrench_base, rtol=1e-9, atol=1e-12)
     assert line.s_surface == pytest.approx(point.s_surface, abs=1e-10)
 
 
@@ -213,9 +201,7 @@ def energy(rod, press):
     return float(w @ (elastic - rod.density * area * (p @ GRAVITY)))
 
 
-ENERGETIC = [
-    n for n in PRESSES if "rooted" not in n and "face" not in n
-]  # a face yields by compression alone
+ENERGETIC = [n for n in PRESSES if "rooted" not in n and "face" not in n]  # a face yields by compression alone
 
 
 @pytest.mark.parametrize("name", ENERGETIC)
@@ -331,9 +317,7 @@ def test_an_axial_press_buckles_in_place():
 def test_an_edge_slides_off_the_tip(name):
     rod = RODS[name]
     z = 0.97 * rod.length
-    press = press_against_line(
-        rod, (0, 0, 0), (-0.5 * rod.length, 0, z), (0, 1, 0), (-0.6 * rod.length, 0, 0)
-    )
+    press = press_against_line(rod, (0, 0, 0), (-0.5 * rod.length, 0, z), (0, 1, 0), (-0.6 * rod.length, 0, 0))
     assert press.result == "no_contact" and press.lost
     x = 0.1 * rod.length - press.way_followed + 1e-6
     before = press_against_line(rod, (0, 0, 0), (x, 0, z), (0, 1, 0), (x - 0.1 * rod.length, 0, 0))

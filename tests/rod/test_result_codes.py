@@ -71,14 +71,7 @@ ROUND_OR_NOT = {
 @pytest.mark.parametrize("factors", ROUND_OR_NOT.values(), ids=ROUND_OR_NOT)
 @pytest.mark.parametrize(
     ("share", "result"),
-    [
-        (0.5, "ok"),
-        (0.999, "ok"),
-        (1.001, "unstable"),
-        (1.5, "unstable"),
-        (3.0, "unstable"),
-        (20.0, "unstable"),
-    ],
+    [(0.5, "ok"), (0.999, "ok"), (1.001, "unstable"), (1.5, "unstable"), (3.0, "unstable"), (20.0, "unstable")],
 )
 def test_a_flat_column_gives_way_about_its_softer_axis(factors, share, result, mode):
     """The critical load has the smaller I; 2 is that of the stiffer direction, 9 the second critical one."""
@@ -136,13 +129,7 @@ HOPELESS = {
     "enormous": ((0, 0, 0), (1e200, 1e200, -1e200), 0.05),
     "endless": ((1e308, 0, 0), (1e308, 0, 0), 0.05),
 }
-HELPLESS = {
-    "cone": CONE,
-    "cylinder": CYLINDER,
-    "profile": PROFILE,
-    "finite": FINITE,
-    "everything": EVERYTHING,
-}
+HELPLESS = {"cone": CONE, "cylinder": CYLINDER, "profile": PROFILE, "finite": FINITE, "everything": EVERYTHING}
 
 
 @pytest.mark.parametrize("mode", ["fast", "reference"])

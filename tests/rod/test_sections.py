@@ -26,10 +26,7 @@ def deflections(rod, s_c):
 @pytest.mark.parametrize("fraction", [0.3, 1.0])
 @pytest.mark.parametrize("angle", [0.0, 0.5, 1.2, 2.5])
 def test_a_small_push_moves_each_way_by_its_own_stiffness(factors, fraction, angle):
-    rod, way = (
-        replace(CYLINDER, factors=factors, shear_coefficient=0.85),
-        np.array([np.cos(angle), np.sin(angle)]),
-    )
+    rod, way = (replace(CYLINDER, factors=factors, shear_coefficient=0.85), np.array([np.cos(angle), np.sin(angle)]))
     s_c = fraction * rod.length
     eq = rod.solve(force=LITTLE * np.array([*way, 0.0]), s_contact=s_c, mode="reference")
     wanted = deflections(rod, s_c) * way * LITTLE
@@ -111,9 +108,7 @@ def test_hardly_flat_or_curved_is_the_round_rod(almost):
     plain = PROFILE.solve(*LOAD, mode="reference", columns="all")
     other = replace(PROFILE, **almost).solve(*LOAD, mode="reference", columns="all")
     s = np.linspace(0.0, PROFILE.length, 9)
-    np.testing.assert_allclose(
-        other.p_at(s), plain.p_at(s), rtol=0.0, atol=1e-11 * PROFILE.length
-    )  # as above
+    np.testing.assert_allclose(other.p_at(s), plain.p_at(s), rtol=0.0, atol=1e-11 * PROFILE.length)  # as above
     np.testing.assert_allclose(other.R_at(s), plain.R_at(s), rtol=0.0, atol=1e-10)
     one, two = plain.sensitivity, other.sensitivity
     for a, b in ((one.d_wrench, two.d_wrench), (one.d_contact, two.d_contact)):
@@ -180,9 +175,7 @@ def test_arc_deflection_matches_castigliano():
     # F R²/(E I) = 3e-5 turns: its square is left out of the theory, what is even in F drops out of the difference.
     bent = R**2 * np.pi / 4.0 / (E * inertia)
     twisted = R**2 * (3.0 * np.pi / 4.0 - 2.0) / (2.0 * G * inertia)
-    assert along == pytest.approx(
-        F * R * (bent + np.pi / 4.0 * (1.0 / (E * area) + 1.0 / (G * area))), rel=1e-8
-    )
+    assert along == pytest.approx(F * R * (bent + np.pi / 4.0 * (1.0 / (E * area) + 1.0 / (G * area))), rel=1e-8)
     assert sideways == pytest.approx(F * R * (bent + twisted + np.pi / 2.0 / (G * area)), rel=1e-8)
 
 

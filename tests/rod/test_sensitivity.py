@@ -4,18 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rods import (
-    CONE,
-    CURVED,
-    ELLIPTIC,
-    EVERYTHING,
-    FINITE,
-    HOLLOW,
-    PROFILE,
-    ROOTED_CONE,
-    YIELDING,
-    bending_force,
-)
+from rods import CONE, CURVED, ELLIPTIC, EVERYTHING, FINITE, HOLLOW, PROFILE, ROOTED_CONE, YIELDING, bending_force
 from scipy.spatial.transform import Rotation
 
 from probedesign.core.errors import InputError
@@ -126,9 +115,7 @@ def assert_close(found, wanted, force, length, rtol):
         np.testing.assert_allclose(found[low:high], wanted[low:high], atol=rtol * scale, rtol=0.0)
 
 
-@pytest.mark.parametrize(
-    ("case", "name"), [(case, name) for case in CASES for name in names_of(CASES[case][0])]
-)
+@pytest.mark.parametrize(("case", "name"), [(case, name) for case in CASES for name in names_of(CASES[case][0])])
 def test_derivatives_are_those_of_differences(case, name):
     start = problem(case)
     rod, _gravity, force, _couple, _s_c = start
@@ -193,9 +180,7 @@ def test_every_diameter_together_is_the_diameter(case):
     found = claimed(solve(*start, columns="all"), start[0])
     j = PARAMETERS.index("log_diameter")
     together = found[:, len(PARAMETERS) :].sum(axis=1)
-    np.testing.assert_allclose(
-        together, found[:, j], rtol=0.0, atol=1e-12 * np.abs(found[:, j]).max()
-    )  # rounding
+    np.testing.assert_allclose(together, found[:, j], rtol=0.0, atol=1e-12 * np.abs(found[:, j]).max())  # rounding
 
 
 @pytest.mark.parametrize("mode", ["fast", "reference"])

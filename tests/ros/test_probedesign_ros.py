@@ -50,9 +50,7 @@ def ros():
     yield node
     sys.path[:] = path
     for name in set(sys.modules) - before:
-        if name.split(".")[0] in {p.name for p in (ROOT / "tests" / "ros2_stub").iterdir()} | {
-            "probedesign_ros"
-        }:
+        if name.split(".")[0] in {p.name for p in (ROOT / "tests" / "ros2_stub").iterdir()} | {"probedesign_ros"}:
             del sys.modules[name]
 
 
@@ -74,9 +72,7 @@ def a_run(node, estimator, record=None, seconds=4):
     sinks = SinkGroup()
     publisher = RosPublisher(f"ros2://127.0.0.1:{node._receiver.port}", estimator.model, lines.append)
     sinks.add(publisher)
-    poses = BasePoses(
-        "still", [TimedPose(0.04 * i, (0.4, 0.0, 0.3), (0.0, 0.6, 0.0, 0.8)) for i in range(120)]
-    )
+    poses = BasePoses("still", [TimedPose(0.04 * i, (0.4, 0.0, 0.3), (0.0, 0.6, 0.0, 0.8)) for i in range(120)])
     if record is not None:
         file = McapRecorder(record, estimator.model)
         sinks.add(file)
@@ -213,12 +209,7 @@ def test_lost_datagrams_are_counted(node):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for number in (1, 2, 5, 1):
             text = base64.b64encode(schemas.texts(["{}"])[0].tobytes()).decode()
-            content = {
-                "schema": 1,
-                "kind": "message",
-                "topic": "/probedesign/event",
-                "type": "std_msgs/msg/String",
-            }
+            content = {"schema": 1, "kind": "message", "topic": "/probedesign/event", "type": "std_msgs/msg/String"}
             datagram = json.dumps(content | {"number": number, "data": text}).encode()
             sender.sendto(datagram, ("127.0.0.1", node._receiver.port))
     node.receive()
@@ -304,9 +295,7 @@ def test_the_manifest_of_a_package(package):
 def test_the_messages_are_generated():
     text = (ROS / "probedesign_msgs" / "CMakeLists.txt").read_text()
     folder = ROS / "probedesign_msgs"
-    assert all(
-        f'"{f.relative_to(folder)}"' in text for kind in ("msg", "srv") for f in (folder / kind).iterdir()
-    )
+    assert all(f'"{f.relative_to(folder)}"' in text for kind in ("msg", "srv") for f in (folder / kind).iterdir())
     root = ElementTree.parse(folder / "package.xml").getroot()
     assert root.findtext("member_of_group") == "rosidl_interface_packages"
     assert root.findtext("exec_depend") == "rosidl_default_runtime"

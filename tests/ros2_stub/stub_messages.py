@@ -19,9 +19,7 @@ def message(name, **fields):
         if key not in fields:
             raise AttributeError(f"{name} has no field {key}")
         wanted = fields[key] if isinstance(fields[key], type) else type(fields[key])
-        assert isinstance(value, wanted), (
-            f"{name}.{key} must be {wanted.__name__}, not {type(value).__name__}"
-        )
+        assert isinstance(value, wanted), f"{name}.{key} must be {wanted.__name__}, not {type(value).__name__}"
         if isinstance(fields[key], list) and fields[key]:
             assert len(value) == len(fields[key]), f"{name}.{key} has {len(value)} values"
         object.__setattr__(self, key, value)

@@ -67,12 +67,8 @@ def test_each_test_has_its_own_pose_and_each_weight_its_own_error(model):
     for tests, differ in ((exact, False), (flawed, True)):
         places = np.array([one.bench.T_world_true[:3, 3] for one in tests])
         assert (len(np.unique(places, axis=0)) == len(tests)) == differ
-        assert (
-            np.abs(places - places[0]).max() < 6 * np.sqrt(2.0) * 1e-5
-        )  # six standard deviations of a difference
+        assert np.abs(places - places[0]).max() < 6 * np.sqrt(2.0) * 1e-5  # six standard deviations of a difference
         weights = [one for one in tests if one.weight is not None and one.weight.any()]
-        ratios = np.array(
-            [np.linalg.norm(one.equilibrium.load[:3]) / np.linalg.norm(one.weight) for one in weights]
-        )
+        ratios = np.array([np.linalg.norm(one.equilibrium.load[:3]) / np.linalg.norm(one.weight) for one in weights])
         assert (len(np.unique(np.round(ratios, 9))) == len(weights)) == differ
         assert np.abs(ratios - 1.0).max() < (4 * WEIGHT_STD if differ else 1e-9)

@@ -30,9 +30,7 @@ def test_no_friction_force_is_the_contact_without_friction(estimator):
     assert 0.0 < 0.8 * rod.length - touched.s_contact < 0.1 * MM
     assert touched.p_surface_base == pytest.approx(on_axis.p_surface_base, abs=0.01 * MM)
     assert touched.force_base == pytest.approx(on_axis.force_base, abs=1e-3 * FORCE)
-    assert touched.equilibrium.wrench_base == pytest.approx(
-        on_axis.equilibrium.wrench_base, rel=1e-3, abs=1e-7
-    )
+    assert touched.equilibrium.wrench_base == pytest.approx(on_axis.equilibrium.wrench_base, rel=1e-3, abs=1e-7)
 
 
 def test_friction_adds_a_tangential_force_of_its_ratio(estimator):

@@ -14,9 +14,7 @@ from tests.live.conftest import estimator as estimator
 def touches(estimator):
     """Two targets with friction, without any other error."""
     only_friction = RunErrors(stiffness=0.0, base_offset=0.0, base_repeat=0.0, bias_rate=0.0, friction=0.5)
-    return simulate_run(
-        estimator.model, touch_targets()[8:10], np.random.default_rng(2), only_friction
-    ).touches
+    return simulate_run(estimator.model, touch_targets()[8:10], np.random.default_rng(2), only_friction).touches
 
 
 def test_each_touch_has_its_own_friction_and_stays_in_its_cone(touches):
@@ -38,7 +36,5 @@ def test_the_touched_point_lies_on_the_edge_and_the_force_is_as_intended(touches
 
 def test_a_run_is_reproducible(estimator, touches):
     only_friction = RunErrors(stiffness=0.0, base_offset=0.0, base_repeat=0.0, bias_rate=0.0, friction=0.5)
-    again = simulate_run(
-        estimator.model, touch_targets()[8:9], np.random.default_rng(2), only_friction
-    ).touches[0]
+    again = simulate_run(estimator.model, touch_targets()[8:9], np.random.default_rng(2), only_friction).touches[0]
     assert np.array_equal(again.wrenches_base, touches[0].wrenches_base)

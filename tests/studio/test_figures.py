@@ -86,9 +86,7 @@ def test_the_colour_of_a_segment_is_that_of_its_error():
     figures = preview(build_probe(paper_design("large")), (0.01,))
     edges = np.linspace(0.0, 1.0, 21)
     colours = segment_colours(figures, edges, 0.01)
-    errors = {
-        c.contact_fraction: c.predicted_error_mm for c in figures.prediction.conditions if c.force_N == 0.01
-    }
+    errors = {c.contact_fraction: c.predicted_error_mm for c in figures.prediction.conditions if c.force_N == 0.01}
     assert len(colours) == 20 and colours[0] != colours[-1] and errors[0.2] < errors[0.8]
 
 

@@ -137,9 +137,9 @@ def knot_on_screen(page, tab, i, stretch):
     off = p - camera.position
     box = tab.locator("canvas").last.bounding_box()
     focal = box["height"] / 2.0 / math.tan(camera.fov / 2.0)
-    return np.array([box["x"] + box["width"] / 2.0, box["y"] + box["height"] / 2.0]) + focal / (
-        off @ ahead
-    ) * np.array([off @ right, off @ down])
+    return np.array([box["x"] + box["width"] / 2.0, box["y"] + box["height"] / 2.0]) + focal / (off @ ahead) * np.array(
+        [off @ right, off @ down]
+    )
 
 
 def test_the_buttons_write_what_the_commands_write(page, browser, tmp_path):

@@ -19,9 +19,7 @@ def test_a_drag_is_undone_at_once_and_separate_changes_one_by_one(session):
     for i, length in enumerate((149.0, 140.0, 120.0)):
         assert session.change({"probe.length_mm": length}, now=10.0 + 0.5 * MERGE_SECONDS * i)
     assert session.change({"probe.base_d_mm": 10.0}, now=11.6)
-    assert (
-        session.undo() and session.design.probe.length_mm == 120.0 and session.design.probe.base_d_mm == 12.0
-    )
+    assert session.undo() and session.design.probe.length_mm == 120.0 and session.design.probe.base_d_mm == 12.0
     assert session.undo() and session.design == start and not session.undo()
     assert session.redo() and session.redo() and session.design.probe.base_d_mm == 10.0 and not session.redo()
 

@@ -60,14 +60,7 @@ def exact(large, tmp_path_factory):
 
 def test_the_same_seed_makes_the_same_campaign(large, made, tmp_path):
     again = make_campaign(large, tmp_path / "again", CampaignPlan(seed=3)).folder
-    for name in (
-        "campaign.toml",
-        "tests.csv",
-        "wrenches.csv",
-        "pixels.csv",
-        "control_points.csv",
-        "truth.json",
-    ):
+    for name in ("campaign.toml", "tests.csv", "wrenches.csv", "pixels.csv", "control_points.csv", "truth.json"):
         assert (again / name).read_bytes() == (made / name).read_bytes()
     other = make_campaign(large, tmp_path / "other", CampaignPlan(seed=5)).folder
     assert (other / "wrenches.csv").read_bytes() != (made / "wrenches.csv").read_bytes()
@@ -107,9 +100,7 @@ def test_an_exact_print_is_off_by_the_reference_alone(large, exact):
     # 14 markers, 1 mm on each axis: 42 numbers, RMS √3 mm ± 11 %, four of those; the base is at the stated pose.
     assert [t.shape_rms for t in free] == pytest.approx([math.sqrt(3.0) * 1e-3] * 2, rel=0.44)
     strong = [trial for trial in found.tests if trial.kind == "touch" and trial.force > 0.05]
-    assert len(strong) >= 4 and all(
-        trial.result == "ok" and trial.contact_error.size < 4e-3 for trial in strong
-    )
+    assert len(strong) >= 4 and all(trial.result == "ok" and trial.contact_error.size < 4e-3 for trial in strong)
     assert found.coverage.nees_low < found.coverage.nees_ratio < found.coverage.nees_high
 
 
@@ -160,9 +151,7 @@ def test_a_wrong_modulus_shows_in_the_coverage(large, tmp_path):
     assert found.coverage.nees_ratio > found.coverage.nees_high or len(found.unexpected) > 4
     assert found.coverage.verdict == "too_small"
     lost = sum(trial.kind == "touch" and not trial.measured for trial in found.tests)
-    assert lost == 0 or any(
-        line.startswith(f"{lost} more touches were not located") for line in found.coverage.words
-    )
+    assert lost == 0 or any(line.startswith(f"{lost} more touches were not located") for line in found.coverage.words)
 
 
 def test_coverage_over_prints(tmp_path):
@@ -199,14 +188,10 @@ def test_coverage_of_weights_over_prints(large, tmp_path):
     √(2/20) = 0.32 by chance, four of those; 19 lie within, and 15 where one print in six misses with all."""
     misses = []
     for seed in range(10):
-        folder = make_campaign(
-            large, tmp_path / "data", CampaignPlan(seed=seed, marker_noise=1e-3), force=True
-        ).folder
+        folder = make_campaign(large, tmp_path / "data", CampaignPlan(seed=seed, marker_noise=1e-3), force=True).folder
         trials = validate(Estimator(large), read_campaign(folder)).tests
         misses += [
-            t.contact_error
-            for t in trials
-            if t.kind == "weight" and t.force > 0.008 and t.contact_error is not None
+            t.contact_error for t in trials if t.kind == "weight" and t.force > 0.008 and t.contact_error is not None
         ]
     assert len(misses) >= 19  # one in five hundred is called inconsistent
     assert np.mean([miss.nees for miss in misses]) == pytest.approx(1.0, abs=1.28)
@@ -216,9 +201,7 @@ def test_coverage_of_weights_over_prints(large, tmp_path):
 def test_predicted_errors_are_those_of_predict(found, large):
     """The prediction is that of `predict` for the same touch; there is none for weights, which have no friction."""
     for trial in found.tests:
-        if (
-            trial.kind != "touch" or trial.result != "ok"
-        ):  # the place of a touch that is too light is not known
+        if trial.kind != "touch" or trial.result != "ok":  # the place of a touch that is too light is not known
             assert math.isnan(trial.predicted)
             continue
         predicted = predict_touch(Estimator(large), trial.fraction, trial.force, trial.test.direction)
@@ -230,12 +213,8 @@ def test_a_missing_push_direction_is_that_of_the_force(found, large, made):
     campaign = read_campaign(made)
     without = replace(campaign, tests=tuple(replace(test, direction="") for test in campaign.tests))
     again = {t.test.name: t for t in validate(Estimator(large), without).tests}
-    assert all(
-        again[t.test.name].push_direction == t.test.direction for t in found.tests if t.kind == "touch"
-    )
-    assert {t.push_direction for t in again.values() if t.kind == "weight"} == {
-        "+x"
-    }  # gravity's in a horizontal mount
+    assert all(again[t.test.name].push_direction == t.test.direction for t in found.tests if t.kind == "touch")
+    assert {t.push_direction for t in again.values() if t.kind == "weight"} == {"+x"}  # gravity's in a horizontal mount
     assert {t.push_direction for t in again.values() if t.kind == "free"} == {""}
 
 
@@ -255,9 +234,7 @@ def test_small_and_empty_samples_are_reported(found):
     assert none.touches == 0 and none.verdict == "not_judged" and not none.words
 
 
-@pytest.mark.parametrize(
-    ("ratio", "verdict"), [(0.2, "too_few"), (0.02, "conservative"), (30.0, "too_small")]
-)
+@pytest.mark.parametrize(("ratio", "verdict"), [(0.2, "too_few"), (0.02, "conservative"), (30.0, "too_small")])
 def test_a_few_touches_are_judged_by_an_extreme_ratio_alone(found, ratio, verdict):
     """Three touches, 9 degrees of freedom: 1.8 and less has a chance of 0.6 %, 0.18 and less of one in a million."""
     three = [one for one in found.tests if one.measured][:3]
@@ -322,12 +299,8 @@ def test_a_design_that_hangs_straight_down_has_a_campaign_too(tmp_path):
     model = build_probe(check_design(design)).model
     folder = make_campaign(model, tmp_path / "data", CampaignPlan(seed=1, marker_noise=5e-4)).folder
     campaign = read_campaign(folder)
-    np.testing.assert_allclose(
-        campaign.T_world_base[:3, 2], [0.0, 0.0, -1.0], atol=1e-5
-    )  # written to a µdegree
-    assert all(
-        trial.result == "ok" for trial in validate(Estimator(model), campaign).tests if trial.force > 0.05
-    )
+    np.testing.assert_allclose(campaign.T_world_base[:3, 2], [0.0, 0.0, -1.0], atol=1e-5)  # written to a µdegree
+    assert all(trial.result == "ok" for trial in validate(Estimator(model), campaign).tests if trial.force > 0.05)
 
 
 # commands
@@ -422,12 +395,8 @@ def test_the_markers_of_a_flattened_probe_lie_on_its_surface(tmp_path):
     design = paper_design("large")
     probe = design.probe.model_copy(update={"section": "elliptic", "flatness": 0.5})
     model = build_probe(design.model_copy(update={"probe": probe})).model
-    folder = make_campaign(
-        model, tmp_path / "flat", CampaignPlan(seed=4, exact=True, marker_noise=1e-6)
-    ).folder
-    free = [
-        trial for trial in validate(Estimator(model), read_campaign(folder)).tests if trial.kind == "free"
-    ]
+    folder = make_campaign(model, tmp_path / "flat", CampaignPlan(seed=4, exact=True, marker_noise=1e-6)).folder
+    free = [trial for trial in validate(Estimator(model), read_campaign(folder)).tests if trial.kind == "free"]
     assert free and max(trial.shape_rms for trial in free) < 0.2e-3
 
 

@@ -72,14 +72,10 @@ def test_the_fit_agrees_with_opencv():
     pixels = [view.pixels.astype(np.float32) for view in task.views]
     flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
     criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-14)
-    _, K, bends, turns, shifts = cv2.calibrateCamera(
-        points, pixels, SIZE, None, None, flags=flags, criteria=criteria
-    )
+    _, K, bends, turns, shifts = cv2.calibrateCamera(points, pixels, SIZE, None, None, flags=flags, criteria=criteria)
     std = np.sqrt(np.diag(ours.cov))
     # the same minimum, found in numbers of 32 bits: within a hundredth of its standard deviation
-    assert np.abs(ours.K - K)[[0, 1, 0, 1], [0, 1, 2, 2]] == pytest.approx(
-        0, abs=0.02 * std[[0, 1, 3, 4]].min()
-    )
+    assert np.abs(ours.K - K)[[0, 1, 0, 1], [0, 1, 2, 2]] == pytest.approx(0, abs=0.02 * std[[0, 1, 3, 4]].min())
     assert np.abs(ours.distortion - bends.ravel()[:2]) == pytest.approx(0, abs=0.02 * std[11:].max())
     T = pose(cv2.Rodrigues(turns[0])[0], shifts[0].ravel()) @ np.linalg.inv(WORLD)
     assert np.abs(ours.R_camera_world - T[:3, :3]).max() < 0.02 * std[5:8].max()
@@ -94,19 +90,10 @@ def test_the_pair_agrees_with_opencv():
     points = [BOARD.corners.astype(np.float32)] * (len(task.views) // 2)
     left, right = ([v.pixels.astype(np.float32) for v in task.views if v.camera == name] for name in NAMES)
     flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3
-    each = [
-        cv2.calibrateCamera(points, pixels, SIZE, None, None, flags=flags)[1:3] for pixels in (left, right)
-    ]
+    each = [cv2.calibrateCamera(points, pixels, SIZE, None, None, flags=flags)[1:3] for pixels in (left, right)]
     criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-14)
     _, K1, D1, K2, D2, R, T, *_ = cv2.stereoCalibrate(
-        points,
-        left,
-        right,
-        *each[0],
-        *each[1],
-        SIZE,
-        flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS,
-        criteria=criteria,
+        points, left, right, *each[0], *each[1], SIZE, flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS, criteria=criteria
     )
     mine = ours[1].R_camera_world @ ours[0].R_camera_world.T
     shift = ours[1].R_camera_world @ (ours[0].p_world - ours[1].p_world)
@@ -114,10 +101,7 @@ def test_the_pair_agrees_with_opencv():
     assert np.abs(mine - R).max() < 3e-5
     assert shift == pytest.approx(T.ravel(), abs=3e-5)
     pixels = np.array([one.project(MARKERS) for one in true])
-    plane = [
-        cv2.undistortPoints(p, K, D).reshape(-1, 2).T
-        for p, K, D in zip(pixels, (K1, K2), (D1, D2), strict=True)
-    ]
+    plane = [cv2.undistortPoints(p, K, D).reshape(-1, 2).T for p, K, D in zip(pixels, (K1, K2), (D1, D2), strict=True)]
     homogeneous = cv2.triangulatePoints(np.eye(3, 4), np.hstack([R, T]), *plane)
     theirs = (homogeneous[:3] / homogeneous[3]).T
     mine = triangulate(ours, pixels, 0.1)
@@ -158,9 +142,7 @@ def test_errors_that_cameras_share_count_once():
     alone = triangulate(
         [replace(one, common=np.zeros((11, 0))) for one in tilted], [o.project(marker) for o in true], 1e-6
     )
-    assert (
-        np.abs(alone.cov_world[0] - np.outer(moved, moved)).max() > 1e-9
-    )  # as independent errors it is another
+    assert np.abs(alone.cov_world[0] - np.outer(moved, moved)).max() > 1e-9  # as independent errors it is another
 
 
 def stated_pair(true, px=0.3):
@@ -257,9 +239,7 @@ def test_the_picture_is_opencvs_board(squares):
     assert np.mean(ours != theirs) < 0.02  # edges of modules are rounded by at most a pixel
     numbers, pixels = detect_board(np.pad(ours, 30, constant_values=255), board)
     assert sorted(numbers) == list(range(len(board.corners)))
-    assert (pixels - 29.5) / 3500.0 == pytest.approx(
-        board.corners[numbers, :2], abs=3e-5
-    )  # a tenth of a pixel
+    assert (pixels - 29.5) / 3500.0 == pytest.approx(board.corners[numbers, :2], abs=3e-5)  # a tenth of a pixel
 
 
 def test_prints_have_their_exact_size():
@@ -272,10 +252,7 @@ def test_prints_have_their_exact_size():
     pdf = board_pdf(BOARD)
     stream = zlib.decompress(re.search(rb"stream\n(.*)\nendstream", pdf, re.S)[1]).decode()
     areas = (
-        np.array(
-            [[float(x) for x in line.split()[:4]] for line in stream.splitlines() if line.endswith("re")]
-        )
-        / POINT
+        np.array([[float(x) for x in line.split()[:4]] for line in stream.splitlines() if line.endswith("re")]) / POINT
     )
     assert areas[:, 0].min() == pytest.approx(MARGIN, abs=1e-6)
     assert (areas[:, 0] + areas[:, 2]).max() - areas[:, 0].min() == pytest.approx(BOARD.size[0], abs=1e-6)
@@ -290,8 +267,6 @@ def test_corners_of_rendered_pictures_are_found_to_a_tenth_of_a_pixel():
     numbers, pixels = detect_board(picture, BOARD)
     error = pixels - seen.project(BOARD.corners[numbers] @ T[:3, :3].T + T[:3, 3])
     assert len(numbers) == len(BOARD.corners)
-    assert (
-        np.sqrt(np.mean(error**2)) < 0.1 and np.abs(error.mean(axis=0)).max() < 0.04
-    )  # 0.06 px / sqrt(48) is 0.01
+    assert np.sqrt(np.mean(error**2)) < 0.1 and np.abs(error.mean(axis=0)).max() < 0.04  # 0.06 px / sqrt(48) is 0.01
     numbers, _ = detect_board(np.full((400, 400), 128, dtype=np.uint8), BOARD)
     assert len(numbers) == 0

@@ -49,9 +49,7 @@ def test_projection_agrees_with_opencv(distortion):
     seen = camera(distortion=distortion)
     turn, _ = cv2.Rodrigues(seen.R_camera_world)
     shift = -seen.R_camera_world @ seen.p_world
-    theirs, _ = cv2.projectPoints(
-        BOX, turn, shift, seen.K, np.array([*distortion, *(5 - len(distortion)) * [0.0]])
-    )
+    theirs, _ = cv2.projectPoints(BOX, turn, shift, seen.K, np.array([*distortion, *(5 - len(distortion)) * [0.0]]))
     assert seen.project(BOX) == pytest.approx(theirs.reshape(-1, 2), abs=1e-9)
 
 
@@ -95,9 +93,7 @@ def test_the_stated_covariance_is_that_of_the_errors(distortion, points):
 def test_residuals_estimate_the_noise():
     rng = np.random.default_rng(3)
     std = [calibrated(camera(), rng, 0.5).std_px for _ in range(20)]
-    assert np.mean(std) == pytest.approx(
-        0.5, rel=0.09
-    )  # three standard errors of 20 times 29 spare equations
+    assert np.mean(std) == pytest.approx(0.5, rel=0.09)  # three standard errors of 20 times 29 spare equations
     found = calibrated(camera(), rng)
     assert found.residuals_px.shape == (20, 2)
     assert np.sqrt(np.sum(found.residuals_px**2) / 29) == pytest.approx(found.std_px)
@@ -109,9 +105,7 @@ def test_wrong_points_are_found_and_named():
     for _ in range(10):
         pixels = true.project(BOX) + rng.normal(0, 0.5, (20, 2))
         wrong = rng.choice(20, 3, replace=False)
-        pixels[wrong] += rng.choice([-1, 1], (3, 2)) * rng.uniform(
-            8, 200, (3, 2)
-        )  # 16 standard deviations and more
+        pixels[wrong] += rng.choice([-1, 1], (3, 2)) * rng.uniform(8, 200, (3, 2))  # 16 standard deviations and more
         outliers = calibrate("left", BOX, pixels, labels=labels).outliers
         found += set(outliers) == {labels[i] for i in wrong}
     assert found == 10
@@ -136,18 +130,9 @@ def turned(points):
         (lambda w, p: (turned(w), p), "mirrored"),
         (lambda w, p: (w, p * (1, -1) + (0, 1079)), "mirrored"),
         (lambda w, p: (w, p[:, ::-1]), "mirrored"),
-        (
-            lambda w, p: (np.vstack([w, w[3]]), np.vstack([p, p[3] + 9])),
-            "points 4 and 21 have the same position",
-        ),
-        (
-            lambda w, p: (np.vstack([w, w[3] + 0.01]), np.vstack([p, p[3]])),
-            "points 4 and 21 have the same pixel",
-        ),
-        (
-            lambda w, p: (w, np.where(np.arange(20)[:, None] == 7, np.nan, p)),
-            "point 8: a coordinate is not finite",
-        ),
+        (lambda w, p: (np.vstack([w, w[3]]), np.vstack([p, p[3] + 9])), "points 4 and 21 have the same position"),
+        (lambda w, p: (np.vstack([w, w[3] + 0.01]), np.vstack([p, p[3]])), "points 4 and 21 have the same pixel"),
+        (lambda w, p: (w, np.where(np.arange(20)[:, None] == 7, np.nan, p)), "point 8: a coordinate is not finite"),
         (lambda w, p: (w, np.roll(p, 4, axis=0)), "4 of 20 control points do not fit"),
         (lambda w, p: (w, p[:-1]), "n x 2"),
     ],

@@ -65,9 +65,7 @@ def test_e_is_identified_with_a_board(data, tmp_path, capsys):
     true = json.loads((folder / "truth.json").read_text())["youngs_modulus_mpa"]
     text = json.dumps(output)
     assert '"ok"' in text
-    found = next(
-        line for line in (tmp_path / "found.toml").read_text().splitlines() if "youngs_modulus_mpa =" in line
-    )
+    found = next(line for line in (tmp_path / "found.toml").read_text().splitlines() if "youngs_modulus_mpa =" in line)
     value = float(found.split("=")[1].split("#")[0])
     assert value == pytest.approx(true, rel=0.05)  # three times the stated 1.4 %
 
@@ -142,14 +140,8 @@ def blank(data):
         (remove("*-left.png"), "no picture by camera left shows the board"),
         (remove("world-*"), "no usable picture world-CAMERA"),
         (blank, "no picture shows the board of 9 x 7 squares"),
-        (
-            lambda data: (data / "board/01-left.png").rename(data / "board/01.png"),
-            "is not named PLACEMENT-CAMERA",
-        ),
-        (
-            lambda data: shutil.copy(data / "board/01-left.png", data / "board/01-left.jpg"),
-            "a second picture",
-        ),
+        (lambda data: (data / "board/01-left.png").rename(data / "board/01.png"), "is not named PLACEMENT-CAMERA"),
+        (lambda data: shutil.copy(data / "board/01-left.png", data / "board/01-left.jpg"), "a second picture"),
         (lambda data: (data / "board/01-left.png").write_bytes(b"no"), "is not an image"),
         (edit("DICT_5X5_100", "DICT_6X6_50"), "no picture shows the board of 9 x 7 squares, DICT_6X6_50"),
         (edit("DICT_5X5_100", "DICT_5X5"), "cameras.board"),

@@ -108,10 +108,7 @@ def test_kalibrs_chain_has_a_relative_pose_in_metres(tmp_path):
     path = tmp_path / "camchain.yaml"
     path.write_text(KALIBR)
     found = read([path], px=0.15, unit=None)
-    assert found.cameras[1].distortion == pytest.approx(BENDS[:4]) and found.cameras[0].size_px == (
-        1920,
-        1080,
-    )
+    assert found.cameras[1].distortion == pytest.approx(BENDS[:4]) and found.cameras[0].size_px == (1920, 1080)
     assert found.relative[0].T_camera_other[:3, 3] == pytest.approx(T)
     assert found.cameras[0].std_px == 0.15
 
@@ -124,13 +121,9 @@ def test_ros_camera_info_is_read(tmp_path):
     assert pytest.approx(TRUE[0].K) == found.cameras[0].K
 
 
-@pytest.mark.parametrize(
-    ("bends", "count"), [((0, 0, 0, 0, 0), 0), ((0.1, 0, 0, 0, 0), 1), ((0.1, 0.1, 0.01, 0), 4)]
-)
+@pytest.mark.parametrize(("bends", "count"), [((0, 0, 0, 0, 0), 0), ((0.1, 0, 0, 0, 0), 1), ((0.1, 0.1, 0.01, 0), 4)])
 def test_zero_coefficients_are_not_parameters(tmp_path, bends, count):
-    found = read(
-        [one_camera(tmp_path, seen, distortion_coefficients=np.array([bends], dtype=float)) for seen in TRUE]
-    )
+    found = read([one_camera(tmp_path, seen, distortion_coefficients=np.array([bends], dtype=float)) for seen in TRUE])
     assert len(found.cameras[0].distortion) == count and len(found.cameras[0].cov) == 11 + count
 
 

@@ -9,18 +9,9 @@ from scene import SIZE, camera, probe
 from scipy.ndimage import gaussian_filter
 
 from probedesign.core.errors import InputError
-from probedesign.simulation.stereo_rig import (
-    PaintedDots,
-    RenderStyle,
-    render,
-)
+from probedesign.simulation.stereo_rig import PaintedDots, RenderStyle, render
 from probedesign.vision.dots import fit_dot, patch_of
-from probedesign.vision.markers import (
-    find_markers,
-    overlay,
-    read_grey,
-    write_png,
-)
+from probedesign.vision.markers import find_markers, overlay, read_grey, write_png
 
 cv2 = pytest.importorskip("cv2")
 
@@ -50,9 +41,7 @@ def test_the_renderer_draws_what_the_camera_projects():
     """The centre of the grey levels of one dark dot, without noise or shade, is its projection."""
     plain = RenderStyle(ambient=1.0, gloss=0.0, mottle=0.0, noise=0.0, full_well=1e15, clutter=0)
     one = PaintedDots(DOTS.s[4:5], DOTS.outward_world[4:5], np.array([0.001]))
-    bare = render(
-        SIGHT, TUBE, PaintedDots(DOTS.s[:0], DOTS.outward_world[:0], DOTS.diameter[:0]), SIZE, plain
-    )
+    bare = render(SIGHT, TUBE, PaintedDots(DOTS.s[:0], DOTS.outward_world[:0], DOTS.diameter[:0]), SIZE, plain)
     ink = bare.astype(float) - render(SIGHT, TUBE, one, SIZE, plain)
     v, u = np.mgrid[: SIZE[1], : SIZE[0]]
     seen = np.array([np.sum(u * ink), np.sum(v * ink)]) / np.sum(ink)
@@ -62,12 +51,7 @@ def test_the_renderer_draws_what_the_camera_projects():
 
 @pytest.mark.parametrize(
     "look",
-    [
-        None,
-        LIGHT_DOTS,
-        RenderStyle(background=0.8, seed=1),
-        RenderStyle(clutter=30, seed=2),
-    ],
+    [None, LIGHT_DOTS, RenderStyle(background=0.8, seed=1), RenderStyle(clutter=30, seed=2)],
     ids=["dark on light", "light on dark", "white wall", "cluttered"],
 )
 def test_dots_are_found_in_order_within_their_standard_deviation(look, usual, tmp_path):
@@ -116,11 +100,7 @@ def test_correlated_pixels_count_as_one_patch():
 
 @pytest.mark.parametrize(
     ("count", "words"),
-    [
-        (15, "14 dots in a row, but 15 are expected"),
-        (13, "more dots in a row than the 13"),
-        (2, "at least three dots"),
-    ],
+    [(15, "14 dots in a row, but 15 are expected"), (13, "more dots in a row than the 13"), (2, "at least three dots")],
 )
 def test_another_number_of_dots_is_refused(usual, count, words):
     with pytest.raises(InputError, match=words):

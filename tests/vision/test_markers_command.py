@@ -54,9 +54,7 @@ def test_photographs_become_markers_in_space(data, capsys):
     error = markers.p_world - TUBE.dot_positions(DOTS)
     assert np.sqrt(np.mean(np.sum(error**2, axis=1))) < 0.1e-3  # 0.1 px at half a metre is 0.02 mm across
     square = np.einsum("ni,nij,nj->n", error, np.linalg.inv(markers.cov_world), error)
-    assert (
-        np.mean(square) < 9.0
-    )  # 3 if the stated covariance is right; 14 markers share the light and the curvature
+    assert np.mean(square) < 9.0  # 3 if the stated covariance is right; 14 markers share the light and the curvature
 
     assert run(["markers", str(data)]) == 2
     assert "--force" in capsys.readouterr().err
@@ -110,10 +108,7 @@ def swap_photographs(data):
     ("spoil", "words"),
     [
         (swap_photographs, "cameras left and right are swapped"),
-        (
-            lambda data: (data / "images/bent-left.png").unlink(),
-            "camera right only has a photograph of test bent",
-        ),
+        (lambda data: (data / "images/bent-left.png").unlink(), "camera right only has a photograph of test bent"),
         (lambda data: shutil.rmtree(data / "images"), "no such folder"),
         (lambda data: (data / "images/bent-left.png").write_bytes(b"no"), "is not an image"),
         (lambda data: (data / "control_points.csv").unlink(), "control_points.csv: is missing"),

@@ -29,9 +29,7 @@ def test_positions_agree_with_opencv():
     for std_px, allowed in ((0.0, 1e-9), (0.2, 0.02e-3)):
         pixels = pixels_of(std_px=std_px)
         theirs = cv2.triangulatePoints(PAIR[0].P, PAIR[1].P, pixels[0].T, pixels[1].T)
-        assert triangulate(PAIR, pixels, 0.2).p_world == pytest.approx(
-            (theirs[:3] / theirs[3]).T, abs=allowed
-        )
+        assert triangulate(PAIR, pixels, 0.2).p_world == pytest.approx((theirs[:3] / theirs[3]).T, abs=allowed)
 
 
 def test_the_stated_covariance_is_that_of_the_errors():
@@ -50,20 +48,13 @@ def test_the_stated_covariance_is_that_of_the_errors():
     assert 0.86 < inside <= 1.0
     assert np.mean(square) == pytest.approx(3.0, rel=0.25)
     assert np.mean(alone) > 1.3 * np.mean(square)
-    assert (
-        np.sqrt(np.mean(np.sum(np.square(errors), axis=2))) < 0.15e-3
-    )  # 0.12 mm at half a metre with 0.2 px
+    assert np.sqrt(np.mean(np.sum(np.square(errors), axis=2))) < 0.15e-3  # 0.12 mm at half a metre with 0.2 px
 
 
 def test_agreement_is_one_where_the_noise_is_as_stated():
     rng = np.random.default_rng(8)
-    stated = [
-        triangulate(PAIR, pixels_of(std_px=0.3, seed=int(rng.integers(1e6))), 0.3).agreement
-        for _ in range(20)
-    ]
-    assert np.mean(stated) == pytest.approx(
-        1.0, abs=0.25
-    )  # 300 times one degree of freedom: 0.082 a standard error
+    stated = [triangulate(PAIR, pixels_of(std_px=0.3, seed=int(rng.integers(1e6))), 0.3).agreement for _ in range(20)]
+    assert np.mean(stated) == pytest.approx(1.0, abs=0.25)  # 300 times one degree of freedom: 0.082 a standard error
 
 
 def test_a_third_camera_reduces_the_error_and_may_miss_markers():
@@ -91,17 +82,11 @@ def lose(*where):
     ("pixels", "words"),
     [
         (pixels_of()[::-1], "cameras left and right are swapped"),
-        (
-            np.array([pixels_of()[0], pixels_of()[1, ::-1]]),
-            "left or right numbers the markers from the other end",
-        ),
+        (np.array([pixels_of()[0], pixels_of()[1, ::-1]]), "left or right numbers the markers from the other end"),
         (spoiled(lambda p: p.__setitem__((1, [4, 7]), p[1, [7, 4]])), "markers 5 and 8 are exchanged"),
         (spoiled(lose(1, 3)), "marker 4 is seen by camera left only"),
         (spoiled(lose(slice(None), 3)), "marker 4 is seen by no camera"),
-        (
-            spoiled(lambda p: p.__setitem__((0, 9), p[0, 9] + (0, 25))),
-            "marker 10: its pixels are not of one point",
-        ),
+        (spoiled(lambda p: p.__setitem__((0, 9), p[0, 9] + (0, 25))), "marker 10: its pixels are not of one point"),
         (pixels_of()[:1], "must be 2 x markers x 2"),
     ],
 )

@@ -92,12 +92,7 @@ def centreline(shape: BentShape, s: Array) -> tuple[Array, Array, Array]:
     t = ((s - shape.s[i]) / step)[:, None]
     p0, p1 = shape.p_base[i], shape.p_base[i + 1]
     m0, m1 = (step[:, None] * shape.R_base[j][:, :, 2] for j in (i, i + 1))
-    p = (
-        (1 + 2 * t) * (1 - t) ** 2 * p0
-        + t * (1 - t) ** 2 * m0
-        + t**2 * (3 - 2 * t) * p1
-        + t**2 * (t - 1) * m1
-    )
+    p = (1 + 2 * t) * (1 - t) ** 2 * p0 + t * (1 - t) ** 2 * m0 + t**2 * (3 - 2 * t) * p1 + t**2 * (t - 1) * m1
     slope = 6 * t * (1 - t) * (p1 - p0) + (1 - t) * (1 - 3 * t) * m0 + t * (3 * t - 2) * m1
     tangent = slope / np.linalg.norm(slope, axis=1, keepdims=True)
     x = (1 - t) * shape.R_base[i][:, :, 0] + t * shape.R_base[i + 1][:, :, 0]

@@ -68,9 +68,7 @@ class FoxgloveServer(MessageEncoder):
         self._channels = {
             topic.name: foxglove.Channel(
                 topic.name,
-                schema=foxglove.Schema(
-                    name=topic.type, encoding="ros2msg", data=schemas.definition(topic.type)
-                ),
+                schema=foxglove.Schema(name=topic.type, encoding="ros2msg", data=schemas.definition(topic.type)),
                 message_encoding="cdr",
                 metadata=topic.metadata,
                 context=context,
@@ -148,7 +146,5 @@ class FoxgloveSink(BackgroundWriter):
         """Start server and thread; see `FoxgloveServer`."""
         server = FoxgloveServer(model, address)
         self.url, local = server.url, address[0] in LOOPBACK
-        log(
-            f"foxglove: {server.url}, {'this machine only' if local else 'readable by anyone in the network'}"
-        )
+        log(f"foxglove: {server.url}, {'this machine only' if local else 'readable by anyone in the network'}")
         super().__init__(server, "foxglove", log, MAX_QUEUED_READINGS, FLUSH_PERIOD, cause="the server")

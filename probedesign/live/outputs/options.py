@@ -73,9 +73,7 @@ class OutputOptions:
         counts = partial(getattr, source, "counts", {})
         if publisher is not None:
             sinks.add(publisher)  # the first of them: a controller waits for it
-        recordings = RecordingSink(
-            self.record, estimator.model, sinks.log, self.force, self.metadata, self.split
-        )
+        recordings = RecordingSink(self.record, estimator.model, sinks.log, self.force, self.metadata, self.split)
         register_recording(commands, recordings)
         sinks.add(recordings)
         takers = [recordings.on_pose]
@@ -103,11 +101,7 @@ class OutputOptions:
                 )
             )
         if self.terminal:
-            sinks.add(
-                TerminalView(
-                    f"{estimator.model.name} {estimator.model.fingerprint}", counts, recordings.state
-                )
-            )
+            sinks.add(TerminalView(f"{estimator.model.name} {estimator.model.fingerprint}", counts, recordings.state))
         if self.record is not None:  # after the views, which show recording by its events
             sinks.log(recordings.start())
 

@@ -123,9 +123,7 @@ class BackgroundWriter(Sink):
         if self._thread.is_alive():
             self._log(f"{self._name}: {self._cause} does not respond; unwritten data are lost")
         elif self.dropped and not self.failure:
-            self._log(
-                f"{self._name}: {self._cause} was too slow: {self.dropped} readings dropped, marked in the file"
-            )
+            self._log(f"{self._name}: {self._cause} was too slow: {self.dropped} readings dropped, marked in the file")
 
     def _enqueue(self, weight: int, job: Callable[[], None]) -> bool:
         """Queue a job; return False if the queue is full."""
@@ -157,9 +155,7 @@ class BackgroundWriter(Sink):
             known = str(error) if isinstance(error, ProbeDesignError) else f"{type(error).__name__}: {error}"
             reason = error.strerror if isinstance(error, OSError) else known
             self.failure = reason or known
-            contents = (
-                f"the file contains {self._file.readings} readings, " if self._cause == "the disk" else ""
-            )
+            contents = f"the file contains {self._file.readings} readings, " if self._cause == "the disk" else ""
             self._log(f"{self._name}: recording ended: {reason}; {contents}the run continues")
             while (job := self._queue.get()) is not None:
                 self._done += job[0]
@@ -199,14 +195,10 @@ DEFAULT_FOLDER = Path("recordings")
 def check_suffix(path: Path) -> None:
     """Refuse a file name without a suffix of `SUFFIXES`; raises InputError."""
     if path.suffix.lower() not in SUFFIXES:
-        raise InputError(
-            f"{path}: use the suffix .mcap (all data, for ROS 2 and replay) or .csv (raw readings)"
-        )
+        raise InputError(f"{path}: use the suffix .mcap (all data, for ROS 2 and replay) or .csv (raw readings)")
 
 
-def open_recording_file(
-    path: Path, model: ProbeModel, force: bool, metadata: Mapping[str, str]
-) -> RecordingFile:
+def open_recording_file(path: Path, model: ProbeModel, force: bool, metadata: Mapping[str, str]) -> RecordingFile:
     """Return the recording file of the type that the suffix names; see `McapRecorder` for the arguments."""
     check_suffix(path)
     try:
@@ -249,9 +241,7 @@ class SplitRecording(Sink):
         first_path: path of the first one.
     """
 
-    def __init__(
-        self, open_next: Callable[[], tuple[Path, RecordingFile]], limits: SplitLimits, log: Log
-    ) -> None:
+    def __init__(self, open_next: Callable[[], tuple[Path, RecordingFile]], limits: SplitLimits, log: Log) -> None:
         """Open the first file; `open_next` opens a file, and `log` receives a line for each further one."""
         self._open_next, self._limits, self._log = open_next, limits, log
         self._n_before = 0

@@ -247,9 +247,7 @@ class LatencyCheck:
         if inside.sum() < MIN_READINGS or np.ptp(travel[inside]) < MIN_TRAVEL:
             return math.nan
         shifts = np.arange(-MAX_SHIFT, MAX_SHIFT + 0.5 * STEP, STEP)
-        residuals = np.array(
-            [_residual(np.interp(time[inside] + s, time, travel), wrench[inside]) for s in shifts]
-        )
+        residuals = np.array([_residual(np.interp(time[inside] + s, time, travel), wrench[inside]) for s in shifts])
         i = int(np.argmin(residuals))
         noise = max(1.0, residuals[i] / (inside.sum() - 4))
         unshifted = residuals[len(shifts) // 2]

@@ -181,9 +181,7 @@ class TransformTree:
             InputError: the child has another parent already.
         """
         if self._parent.setdefault(child, parent) != parent:
-            raise InputError(
-                f"frame {child[:40]!r} has two parents, {self._parent[child][:40]!r} and {parent[:40]!r}"
-            )
+            raise InputError(f"frame {child[:40]!r} has two parents, {self._parent[child][:40]!r} and {parent[:40]!r}")
         if static:
             self._static[child] = pose_matrix(pose)
         else:
@@ -210,9 +208,7 @@ class TransformTree:
             if to_world is not None and to_base is not None:
                 found.append(pose_from_matrix(time, inverse(to_world) @ to_base))
         if not found:
-            raise InputError(
-                f"TF has no pose of {base!r} in {world!r} at any time; are all transforms static?"
-            )
+            raise InputError(f"TF has no pose of {base!r} in {world!r} at any time; are all transforms static?")
         return found
 
     def _to_root(self, frame: str) -> list[str]:

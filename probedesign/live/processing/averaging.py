@@ -88,9 +88,7 @@ def choose_averaging(time: Array, wrench_sensor: Array, model: ProbeModel) -> Av
         return Averaging(by_rate, f"{rate:.4g} readings/s", by_rate * step)
     if variance > most * NEAR:
         times = math.sqrt(variance / most)
-        return Averaging(
-            most, f"the readings scatter by {times:.2g} times the noise of single samples", most * step
-        )
+        return Averaging(most, f"the readings scatter by {times:.2g} times the noise of single samples", most * step)
     if variance > most / NEAR:
         return Averaging(most, "the readings scatter like single samples", most * step)
     if variance < NEAR:

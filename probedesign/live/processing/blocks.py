@@ -81,8 +81,7 @@ def joined(blocks: list[Block]) -> Block:
     if len(blocks) == 1:
         return blocks[0]
     time, wrench, received = (
-        np.concatenate([getattr(block, name) for block in blocks])
-        for name in ("time", "wrench_sensor", "received")
+        np.concatenate([getattr(block, name) for block in blocks]) for name in ("time", "wrench_sensor", "received")
     )
     truths = tuple(truth for block in blocks for truth in block.truths)
     return replace(blocks[0], time=time, wrench_sensor=wrench, received=received, truths=truths)
@@ -99,9 +98,7 @@ def iter_readings(blocks: Iterable[Block]) -> Iterator[WrenchReading]:
         yield from block.readings()
 
 
-def group_readings(
-    readings: Iterable[WrenchReading], max_count: int = 1, max_span: float = inf
-) -> Iterator[Block]:
+def group_readings(readings: Iterable[WrenchReading], max_count: int = 1, max_span: float = inf) -> Iterator[Block]:
     """Group readings in order of time into blocks that span less than `max_span` [s] and have one state of the source.
 
     A block is emitted when it is full or the next reading does not fit.
@@ -253,8 +250,5 @@ def _joined_batch(parts: list[Block]) -> AveragedBatch:
     if len(parts) == 1:
         return AveragedBatch(parts[0], reading)
     return AveragedBatch(
-        replace(
-            joined(parts), gravity_base=reading.gravity_base, fault=reading.fault, stretch=reading.stretch
-        ),
-        reading,
+        replace(joined(parts), gravity_base=reading.gravity_base, fault=reading.fault, stretch=reading.stretch), reading
     )

@@ -62,9 +62,7 @@ class LowPass:
             InputError: the cut-off is not positive or not below half the rate.
         """
         if not 0.0 < cutoff < 0.5 * rate:
-            raise InputError(
-                f"--filter-hz {cutoff:g} must be positive and below half of {rate:.6g} readings/s"
-            )
+            raise InputError(f"--filter-hz {cutoff:g} must be positive and below half of {rate:.6g} readings/s")
         cosine = math.cos(2.0 * math.pi * cutoff / rate)
         # (1 - a)² √2 = 1 - 2 a cos ω + a², the root within the unit circle.
         half = (math.sqrt(2.0) - cosine) / (math.sqrt(2.0) - 1.0)
@@ -190,9 +188,7 @@ class Chain:
         while self._waiting:
             yield from self._step(self._waiting.popleft(), math.inf)
         if math.isnan(self._first) and self._batches.pending:
-            self._log(
-                f"{self._batches.pending} readings are fewer than the {self.samples} of a mean: no estimate"
-            )
+            self._log(f"{self._batches.pending} readings are fewer than the {self.samples} of a mean: no estimate")
         if self._tare_collector is not None and not self._tare_collector.on_request:
             self._log(describe_tare(self._tare_collector.at_end()))
 
@@ -307,9 +303,7 @@ class Chain:
             self._check_travel(reading, estimate)
         elif self._poses is not None:  # touches are located later: one reading of each stop checks the poses
             stopped = self._state.phase == "settled" and self._phase_before != "settled"
-            at_stop = (
-                locate(self._estimator, reading, self.tare, self._options.method, drift) if stopped else None
-            )
+            at_stop = locate(self._estimator, reading, self.tare, self._options.method, drift) if stopped else None
             self._check_travel(reading, at_stop)
         self._phase_before = self._state.phase
         T = None if self._poses is None else self._poses.at(reading.time)
@@ -319,9 +313,7 @@ class Chain:
             wrench = wrench_without_bias(self._estimator.model, reading, self.tare) - excess
         stale = "pose" if self._poses is not None and T is None else ""
         pose = UNKNOWN_POSE if T is None else T
-        return EstimateUpdate(
-            reading, estimate, *self._state, pose, wrench, monotonic(), stale, self.contacts, excess
-        )
+        return EstimateUpdate(reading, estimate, *self._state, pose, wrench, monotonic(), stale, self.contacts, excess)
 
     def _check_travel(self, reading: WrenchReading, estimate: Estimate | None) -> None:
         """Check the travel of the base in a touch; a touch that fails has no point in the world.

@@ -63,11 +63,7 @@ class TareCollector:
     """
 
     def __init__(
-        self,
-        window: TareWindow | None,
-        estimator: Estimator,
-        on_request: bool = False,
-        log: Log = lambda line: None,
+        self, window: TareWindow | None, estimator: Estimator, on_request: bool = False, log: Log = lambda line: None
     ) -> None:
         """Start with no readings; `log` receives what an automatic tare waits for."""
         self.window, self.on_request, self._estimator, self._log = window, on_request, estimator, log
@@ -114,9 +110,7 @@ class TareCollector:
         readings = [reading for _, reading in self._readings]
         if self.window is not None:
             return take_tare(readings, self.window, self._estimator)
-        return take_tare(
-            readings, TareWindow(self.start, self._readings[-1][0]), self._estimator, steady=True
-        )
+        return take_tare(readings, TareWindow(self.start, self._readings[-1][0]), self._estimator, steady=True)
 
     def at_end(self) -> Tare:
         """Return the tare at the end of the readings, within its window.
@@ -173,9 +167,7 @@ def parse_tare(tare_s: str | None, tare: Literal["auto", "none"] | None) -> tupl
     return (None if tare_s is None else parse_window(tare_s)), zeros[tare]
 
 
-def take_tare(
-    readings: list[WrenchReading], window: TareWindow, estimator: Estimator, steady: bool = False
-) -> Tare:
+def take_tare(readings: list[WrenchReading], window: TareWindow, estimator: Estimator, steady: bool = False) -> Tare:
     """Estimate the sensor bias from readings of a window in which nothing touches the probe.
 
     A constant contact force cannot be distinguished from a bias; the user is responsible for a free probe. With
@@ -202,9 +194,7 @@ def take_tare(
     if (std > MAX_SCATTER * noise).any():
         i = int(np.argmax(std / noise))
         unit = "mN" if i < 3 else "Nmm"
-        scatter = (
-            f"{CHANNELS[i]} scatters by {std[i] * 1e3:.3g} {unit}, its noise is {noise[i] * 1e3:.3g} {unit}"
-        )
+        scatter = f"{CHANNELS[i]} scatters by {std[i] * 1e3:.3g} {unit}, its noise is {noise[i] * 1e3:.3g} {unit}"
         raise InputError(f"{unsteady}{scatter}; touched, moving or not averaged?")
     half = len(excess) // 2
     step = np.abs(excess[-half:].mean(axis=0) - excess[:half].mean(axis=0))
@@ -315,10 +305,7 @@ class CommandQueue:
         self._handlers[name] = handler
 
     def put(
-        self,
-        name: CommandName,
-        text: str = "",
-        reply: Callable[[CommandResult], None] = lambda result: None,
+        self, name: CommandName, text: str = "", reply: Callable[[CommandResult], None] = lambda result: None
     ) -> None:
         """Queue a command; the result is reported to every sink as an event, and to `reply`."""
         self._queue.put(Command(name, plain(text, MAX_NOTE), reply))

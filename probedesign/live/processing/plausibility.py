@@ -92,16 +92,11 @@ class ClockMonitor:
         if not math.isfinite(largest):
             return block
         end = float(block.time[-1])
-        before, self._lead = (
-            self._lead,
-            max(largest, self._lead - CLOCK_SKEW * (end - float(block.time[0]))),
-        )
+        before, self._lead = (self._lead, max(largest, self._lead - CLOCK_SKEW * (end - float(block.time[0]))))
         arrived = float(block.received[-1])
         if largest > before + MAX_CLOCK_LEAP:  # never where there was none before
             self._until = arrived + CLOCK_HOLD  # by arrival: a source that lags sends faster than its clock
-            self._reason = (
-                f"the sensor's clock leapt ahead by {largest - before:.3g} s; a leap of ft_sequence?"
-            )
+            self._reason = f"the sensor's clock leapt ahead by {largest - before:.3g} s; a leap of ft_sequence?"
         fault = self._reason if arrived < self._until else ""
         self._report.update(end, fault)
         return replace(block, fault=fault) if fault and not block.fault else block
@@ -120,9 +115,7 @@ class SignalMonitor:
         """
         self._limit, self._noise = model.saturation_limit, model.noise.std * math.sqrt(samples)
         self._samples, self._rate = samples, rate
-        self._window_readings = max(
-            WINDOW_READINGS, NOISE_WINDOW * rate
-        )  # the first one where the rate is NaN
+        self._window_readings = max(WINDOW_READINGS, NOISE_WINDOW * rate)  # the first one where the rate is NaN
         self._last, self._repeats, self._same_since = np.full(6, np.nan), 1, np.full(6, np.nan)
         self._same_count = np.ones(6)
         self._window = deque[Array]()

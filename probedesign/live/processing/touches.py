@@ -61,10 +61,7 @@ class StationarityTest:
         self._period = max(1, math.ceil(SPAN * rate / MAX_MEANS))  # readings to a mean
         n = max(4, math.ceil(SPAN * rate / self._period))
         self._samples, self._filled = np.zeros((n, 6)), 0  # the last rows are filled
-        self._poses, self._posed = (
-            np.zeros((n, 12)),
-            0,
-        )  # rows of each pose, and how many of the last rows are known
+        self._poses, self._posed = (np.zeros((n, 12)), 0)  # rows of each pose, and how many of the last rows are known
         self._sum, self._count = np.zeros(6), 0
         self._limits = chdtri(6 * (n - 1), 0.5 * FALSE_ALARM), chdtri(6, 0.5 * FALSE_ALARM)  # scatter, step
 
@@ -346,9 +343,7 @@ class TouchMonitor:
         if self._tracker is not None:
             self._tracker.restart()
 
-    def _fused(
-        self, decisions: list[Touching], wrench: Array, T: Array | None, time: float
-    ) -> FusedEstimate | None:
+    def _fused(self, decisions: list[Touching], wrench: Array, T: Array | None, time: float) -> FusedEstimate | None:
         """Return the tracker's estimate. A batch that is partly free and partly in contact is not used."""
         if self._tracker is None or T is None:
             return None

@@ -90,9 +90,7 @@ def read_recording(path: str | Path) -> Recording:
     if gaps:
         notes += (f"{missing} samples are missing in {gaps} gaps",)
     dropped = len(table.rows) - len(rows)
-    return Recording(
-        values[:, 0], values[:, 1:7], table.frame, gravity, gaps, missing, dropped, notes, faults
-    )
+    return Recording(values[:, 0], values[:, 1:7], table.frame, gravity, gaps, missing, dropped, notes, faults)
 
 
 def _faults(table: CsvLines, rows: list[str]) -> tuple[str, ...]:
@@ -145,9 +143,7 @@ def _is_float(text: str) -> bool:
     return True
 
 
-def _numeric_columns(
-    table: CsvLines, rows: list[str], columns: list[Column], faults: tuple[str, ...]
-) -> Array:
+def _numeric_columns(table: CsvLines, rows: list[str], columns: list[Column], faults: tuple[str, ...]) -> Array:
     """Return the columns in SI units, (n, len(columns)); an invalid number is located only if there is one.
 
     A reading with a fault may have any wrench, but must have a time.
@@ -167,9 +163,7 @@ def _healthy(values: Array, faults: tuple[str, ...]) -> Array:
     return values[[not fault for fault in faults]] if len(faults) == len(values) and any(faults) else values
 
 
-def _name_bad_number(
-    table: CsvLines, rows: list[str], columns: list[Column], faults: tuple[str, ...]
-) -> NoReturn:
+def _name_bad_number(table: CsvLines, rows: list[str], columns: list[Column], faults: tuple[str, ...]) -> NoReturn:
     """Raise the error of the first field that is not a finite number; of a reading with a fault, only of its time."""
     for i, (row, number) in enumerate(zip(rows, table.numbers, strict=False)):
         fields = row.split(",")
@@ -226,11 +220,7 @@ def gaps_in(time: Array) -> tuple[int, int]:
 
 
 def write_recording(
-    path: str | Path,
-    time: ArrayLike,
-    wrench: ArrayLike,
-    frame: Frame = "sensor",
-    gravity_base: ArrayLike | None = None,
+    path: str | Path, time: ArrayLike, wrench: ArrayLike, frame: Frame = "sensor", gravity_base: ArrayLike | None = None
 ) -> None:
     """Write a recording that is read back exactly; an existing file is replaced, its folder created if necessary.
 
@@ -374,9 +364,7 @@ def _head(path: Path, lines: list[str]) -> tuple[tuple[Array, Array], int]:
             return (np.repeat([force, torque], 3), np.repeat(counts, 3)), number
         name, _, value = line.strip().strip('"').partition(":")
         head[name.strip()] = value.strip()
-    raise InputError(
-        f"{path}: like a recording of ATI's demo, but without its header: Status (hex), ..., Time"
-    )
+    raise InputError(f"{path}: like a recording of ATI's demo, but without its header: Status (hex), ..., Time")
 
 
 def _counts(path: Path, head: dict[str, str], name: str) -> float:
@@ -397,13 +385,9 @@ def _numbers(path: Path, number: int, fields: list[str]) -> list[float]:
         numbers = [int(fields[0].strip(), 16), int(fields[2]), *map(float, fields[3:9])]
     except ValueError:
         text = quote_input(",".join(fields))
-        raise InputError(
-            f"{path}:{number}: {text} is not a row of {len(ATI_HEADER)} fields of ATI's demo"
-        ) from None
+        raise InputError(f"{path}:{number}: {text} is not a row of {len(ATI_HEADER)} fields of ATI's demo") from None
     if not np.isfinite(numbers).all() or not 0 <= min(numbers[:2]) <= max(numbers[:2]) < WRAP:
-        raise InputError(
-            f"{path}:{number}: {quote_input(','.join(fields))} contains a number that no box sends"
-        )
+        raise InputError(f"{path}:{number}: {quote_input(','.join(fields))} contains a number that no box sends")
     return numbers
 
 

@@ -125,9 +125,7 @@ class McapBag:
         elif opcode == Opcode.METADATA:
             metadata = parse(records.Metadata, content)
             self.metadata.setdefault(metadata.name, metadata.metadata)
-            if metadata.name == CLOCK_NAME and OFFSET.fullmatch(
-                text := metadata.metadata.get(OFFSET_KEY, "")
-            ):
+            if metadata.name == CLOCK_NAME and OFFSET.fullmatch(text := metadata.metadata.get(OFFSET_KEY, "")):
                 self.clock_offset = int(text)
 
     def _read_head(self) -> None:
@@ -158,9 +156,7 @@ class McapBag:
         with self.path.open("rb") as file:
             size = file.seek(0, 2)
             file.seek(max(size - FOOTER_AND_MAGIC, len(MCAP_MAGIC)))
-            footers = [
-                parse(records.Footer, content) for opcode, content in walk(file) if opcode == Opcode.FOOTER
-            ]
+            footers = [parse(records.Footer, content) for opcode, content in walk(file) if opcode == Opcode.FOOTER]
             if len(footers) != 1 or file.read() != MCAP_MAGIC or not 0 < footers[0].summary_start < size:
                 raise DamagedError("it has no summary")
             file.seek(footers[0].summary_start)
@@ -213,9 +209,7 @@ class _RecordCopier:
         if opcode == Opcode.SCHEMA:
             schema = parse(records.Schema, bytes(content))
             if schema.id not in self._schemas:
-                self._schemas[schema.id] = self._writer.register_schema(
-                    schema.name, schema.encoding, schema.data
-                )
+                self._schemas[schema.id] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
         elif opcode == Opcode.CHANNEL:
             channel = parse(records.Channel, bytes(content))
             if channel.schema_id not in self._schemas:

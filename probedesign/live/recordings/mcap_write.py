@@ -75,14 +75,10 @@ class McapWriter:
         """
         if type_name not in self._schemas:
             number = len(self._schemas) + 1
-            self._schemas[type_name] = records.Schema(
-                id=number, data=definition, encoding="ros2msg", name=type_name
-            )
+            self._schemas[type_name] = records.Schema(id=number, data=definition, encoding="ros2msg", name=type_name)
             self._write(self._schemas[type_name])
         number = len(self._channels) + 1
-        self._channels.append(
-            records.Channel(number, topic, "cdr", dict(metadata), self._schemas[type_name].id)
-        )
+        self._channels.append(records.Channel(number, topic, "cdr", dict(metadata), self._schemas[type_name].id))
         self._write(self._channels[-1])
         return number
 
@@ -133,9 +129,7 @@ class McapWriter:
             message_end_time=self._span[1],
             schema_count=len(self._schemas),
         )
-        summary = b"".join(
-            map(_bytes, [*self._schemas.values(), *self._channels, statistics, *self._indexes])
-        )
+        summary = b"".join(map(_bytes, [*self._schemas.values(), *self._channels, statistics, *self._indexes]))
         metadata = RECORD_PREFIX.pack(Opcode.FOOTER, 20) + struct.pack("<QQ", start, 0)
         self._file.write(summary)
         self._write(records.Footer(start, 0, zlib.crc32(metadata, zlib.crc32(summary))))
@@ -194,12 +188,7 @@ def _bytes(record: records.McapRecord) -> bytes:
 
 PROFILE = "ros2"
 JSON = "application/json"
-UNITS = {
-    "unit_of_force": "N",
-    "unit_of_moment": "N m",
-    "unit_of_position": "m",
-    "unit_in_json": "as names end",
-}
+UNITS = {"unit_of_force": "N", "unit_of_moment": "N m", "unit_of_position": "m", "unit_in_json": "as names end"}
 
 
 class McapRecorder(MessageEncoder):

@@ -51,9 +51,7 @@ class SceneEncoder:
             for kind in range(N_PRIMITIVES):
                 scene.pack("I", kind == TRIANGLES)
                 if kind == TRIANGLES:
-                    scene.pack("d", 0.0, 0.0, 0.0, *UPRIGHT).array(self._tube.vertices(shape), "<f8").pack(
-                        "d", *PROBE
-                    )
+                    scene.pack("d", 0.0, 0.0, 0.0, *UPRIGHT).array(self._tube.vertices(shape), "<f8").pack("d", *PROBE)
                     scene.pack("I", 0).array(self._faces, "<u4")
         if marker is not None:
             _begin(scene, "contact", "world" if marker.in_world else "base", stamp, CONTACT_LIFETIME)

@@ -87,9 +87,7 @@ uint8 result
 uint8 phase"""
 
 _PRIMITIVE = "geometry_msgs/Pose pose\n{}\nfoxglove_msgs/Color color"
-_COLOURED = (
-    "geometry_msgs/Point[] points\nfoxglove_msgs/Color color\nfoxglove_msgs/Color[] colors\nuint32[] indices"
-)
+_COLOURED = "geometry_msgs/Point[] points\nfoxglove_msgs/Color color\nfoxglove_msgs/Color[] colors\nuint32[] indices"
 _TIME = {"builtin_interfaces/Time": "int32 sec\nuint32 nanosec"}
 _SCENE = _TIME | _POSE | _VECTOR | {
     "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec",
@@ -373,10 +371,7 @@ BLOCK = Topic(
         "A block of readings: the raw wrenches since the last block, and what their headers do not contain",
         ["first", "time_s", "gravity_base_m_s2", "stretch", "fault"],
         {
-            "first": {
-                "type": "integer",
-                "description": "number of readings before it, including dropped ones",
-            },
+            "first": {"type": "integer", "description": "number of readings before it, including dropped ones"},
             "time_s": {**NUMBERS, "description": "time of each reading, by the source's clock, exact"},
             "gravity_base_m_s2": {**NUMBERS, "minItems": 3, "maxItems": 3},
             "stretch": {"type": "integer", "description": "number of the uninterrupted stretch of readings"},
@@ -408,9 +403,7 @@ ESTIMATE = Topic(
     ),
 )
 EVENT = Topic(
-    "/probedesign/event",
-    TEXT,
-    _object("An event", ["event"], {"time_s": NUMBER_OR_NULL, "event": TEXT_VALUE}),
+    "/probedesign/event", TEXT, _object("An event", ["event"], {"time_s": NUMBER_OR_NULL, "event": TEXT_VALUE})
 )
 """Tares, marks, silence, loss, faults."""
 STATE = Topic("/probedesign/state", CONTACT_STATE, {})
@@ -421,17 +414,4 @@ TF = Topic("/tf", TRANSFORMS, {})
 """Pose of the base in the world, as `BASE`."""
 TF_STATIC = Topic("/tf_static", TRANSFORMS, {}, latched=True)
 """Pose of the sensor in the base."""
-TOPICS = (
-    RAW,
-    BLOCK,
-    WITHOUT_BIAS,
-    CONTACT,
-    CONTACT_WORLD,
-    BASE,
-    ESTIMATE,
-    EVENT,
-    STATE,
-    SCENE,
-    TF,
-    TF_STATIC,
-)
+TOPICS = (RAW, BLOCK, WITHOUT_BIAS, CONTACT, CONTACT_WORLD, BASE, ESTIMATE, EVENT, STATE, SCENE, TF, TF_STATIC)

@@ -25,19 +25,8 @@ from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.processing.blocks import Block, dropout_block
-from probedesign.live.sources.netft.configuration import (
-    FORCE_UNITS,
-    LENGTH_UNITS,
-    TORQUE_UNITS,
-    parse_xml,
-    unit_of,
-)
-from probedesign.live.sources.source import (
-    STALE_TIME,
-    DropoutMonitor,
-    SourceParameter,
-    parse_parameters,
-)
+from probedesign.live.sources.netft.configuration import FORCE_UNITS, LENGTH_UNITS, TORQUE_UNITS, parse_xml, unit_of
+from probedesign.live.sources.source import STALE_TIME, DropoutMonitor, SourceParameter, parse_parameters
 
 if TYPE_CHECKING:
     from nidaqmx.errors import DaqError
@@ -118,9 +107,7 @@ def _move_origin(matrix: Array, calibration: Element) -> None:
     turned = [name for name in ("Dx", "Dy", "Rx", "Ry", "Rz") if _numbers(transform, name, 1)[0] != 0.0]
     if turned:
         raise InputError(f"BasicTransform has {', '.join(turned)}; only Dz is supported")
-    dz = _numbers(transform, "Dz", 1)[0] * unit_of(
-        "DistUnits", calibration.get("DistUnits", ""), LENGTH_UNITS
-    )
+    dz = _numbers(transform, "Dz", 1)[0] * unit_of("DistUnits", calibration.get("DistUnits", ""), LENGTH_UNITS)
     matrix[3] += dz * matrix[1]
     matrix[4] -= dz * matrix[0]
 
@@ -311,18 +298,13 @@ class DaqSource:
             raise InputError(f"daq:{target}: write daq://Dev1/ai0:5?cal=FILE")
         numbers, texts = parse_parameters("daq:", query, PARAMETERS, {"cal": (), "zero_V": ()})
         if not texts["cal"]:
-            raise InputError(
-                f"daq:{target}: needs its sensor's calibration; write daq:{target}?cal=FT12345.cal"
-            )
+            raise InputError(f"daq:{target}: needs its sensor's calibration; write daq:{target}?cal=FT12345.cal")
         self.calibration: GaugeCalibration = read_calibration(Path(texts["cal"]))
         self._zero = _zero(texts["zero_V"])
         self._card = DaqCard(target.removeprefix("//"), numbers["rate_hz"])
         self._gravity, self._log = model.gravity_base, log
         self.title = f"{self._card.name}, sensor {self.calibration.serial} {self.calibration.part}"
-        self.notes = (
-            "gauges are assigned in the order of the channels",
-            *_range_note(self.calibration, model),
-        )
+        self.notes = ("gauges are assigned in the order of the channels", *_range_note(self.calibration, model))
 
     def __iter__(self) -> Generator[Block, None, None]:
         dropout, stretch = DropoutMonitor(self._card.name, self._log, NO_SAMPLE), 0
@@ -339,9 +321,7 @@ class DaqSource:
                 gap = float(received[0]) - last[1]
                 if isfinite(gap) and (found.interrupted or dropout.ongoing):
                     stretch += 1
-                    if (
-                        found.interrupted
-                    ):  # the card's clock restarts at zero; the host's clock covers the gap
+                    if found.interrupted:  # the card's clock restarts at zero; the host's clock covers the gap
                         offset = last[0] + max(gap, 1.0 / found.rate)
                         self._log(f"{self._card.name}: {SAMPLES_LOST}")
                     if dropout.ongoing:
@@ -350,9 +330,7 @@ class DaqSource:
                 yield from self._blocks(found.volts, time, received, stretch)
                 last = float(time[-1]), float(received[-1])
 
-    def _blocks(
-        self, volts: Array, time: Array, received: Array, stretch: int
-    ) -> Generator[Block, None, None]:
+    def _blocks(self, volts: Array, time: Array, received: Array, stretch: int) -> Generator[Block, None, None]:
         """Yield samples as wrenches, split where their fault changes."""
         wrench = self.calibration.wrench(volts, self._zero)
         invalid = np.hstack([clipped(volts), ~(np.abs(wrench) <= self.calibration.ranges)])
@@ -392,6 +370,4 @@ def _range_note(calibration: GaugeCalibration, model: ProbeModel) -> tuple[str, 
     if np.allclose(calibration.ranges, model.wrench_range, rtol=0.01):
         return ()
     ranges = ", ".join(f"{value:g}" for value in calibration.ranges)
-    return (
-        f"the calibration range {ranges} N, Nm differs from that of the probe's sensor: is it the right file?",
-    )
+    return (f"the calibration range {ranges} N, Nm differs from that of the probe's sensor: is it the right file?",)

@@ -21,13 +21,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.frozen_probe import freeze
 from probedesign.live import Log
 from probedesign.live.processing.blocks import Block, WrenchReading
-from probedesign.live.recordings.csv import (
-    Recording,
-    check_wrenches,
-    is_ati_demo,
-    read_ati_demo,
-    read_recording,
-)
+from probedesign.live.recordings.csv import Recording, check_wrenches, is_ati_demo, read_ati_demo, read_recording
 from probedesign.live.recordings.schemas import BLOCK, METADATA_NAME, RAW, read_text, read_wrenches
 from probedesign.live.sources import rosbag
 from probedesign.live.sources.rosbag import BLOCK_SIZE, Bag, RosWrenchTopic
@@ -91,9 +85,7 @@ def check_readable(path: Path) -> None:
     if not path.exists():
         raise InputError(f"{path}: no such recording")
     if path.is_dir() and not rosbag.is_bag(path):
-        raise InputError(
-            f"{path}: is a folder without metadata.yaml, so no ROS 2 bag; name a recording in it"
-        )
+        raise InputError(f"{path}: is a folder without metadata.yaml, so no ROS 2 bag; name a recording in it")
     for each in (path, *(path.iterdir() if path.is_dir() else ())):
         check_regular(each)
 
@@ -131,11 +123,7 @@ def _open_native(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Open
     def missing() -> tuple[str, ...]:
         notes = []
         if blocks.n_dropped:
-            why = (
-                "lie in damaged parts"
-                if bag.damage
-                else "were dropped by the recorder: the disk was too slow"
-            )
+            why = "lie in damaged parts" if bag.damage else "were dropped by the recorder: the disk was too slow"
             notes.append(f"{blocks.n_dropped} readings {why}")
         if bag.damage:
             notes.append(f"incomplete: {bag.damage}")
@@ -144,9 +132,7 @@ def _open_native(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Open
     metadata = bag.metadata[METADATA_NAME]
     source = plain(metadata.get("source", ""))
     description = f"recorded {plain(metadata.get('started', ''))} from {source}"
-    return OpenRecording(
-        bag.path, description, "sensor", notes, lambda: _checked(bag.path, blocks), missing, source
-    )
+    return OpenRecording(bag.path, description, "sensor", notes, lambda: _checked(bag.path, blocks), missing, source)
 
 
 def _check_probe(bag: Bag, model: ProbeModel, options: RecordingOptions) -> tuple[str, ...]:
@@ -251,9 +237,7 @@ class NativeRecording:
                 if self._bag.damage:  # the rest of this block lies in the damaged part
                     raw = []
                     continue
-                raise InputError(
-                    f"{self._bag.path}: a {BLOCK.name} after {n_read} readings: {error}"
-                ) from None
+                raise InputError(f"{self._bag.path}: a {BLOCK.name} after {n_read} readings: {error}") from None
             if first != n_read + self.n_dropped:  # averages must not span dropped readings
                 self.n_dropped, n_gaps = first - n_read, n_gaps + 1
             n_read, raw = n_read + len(block), []
@@ -300,9 +284,7 @@ class ReplaySource:
         recorded_from: source that was recorded, as stated in the recording; may be empty.
     """
 
-    def __init__(
-        self, model: ProbeModel, path: str | Path, query: str = "", log: Log = lambda line: None
-    ) -> None:
+    def __init__(self, model: ProbeModel, path: str | Path, query: str = "", log: Log = lambda line: None) -> None:
         """Open the file.
 
         Args:

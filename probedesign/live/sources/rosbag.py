@@ -196,9 +196,7 @@ def _read_wrench(bag: Bag, message: Message) -> tuple[int, str, tuple[float, ...
         return read_stamped(message.data, 6)
     except ValueError as error:
         at = f"{message.logged / 1e9:.9g} s"
-        raise InputError(
-            f"{bag.path}: a message of {quote_input(message.topic)} logged at {at}: {error}"
-        ) from None
+        raise InputError(f"{bag.path}: a message of {quote_input(message.topic)} logged at {at}: {error}") from None
 
 
 TF = "tf2_msgs/msg/TFMessage"
@@ -246,9 +244,7 @@ def _poses_from_topic(bag: Bag, topic: str) -> list[TimedPose]:
         raise InputError(f"{bag.path}: topic {name} has no poses" + (bag.damage and f"; {bag.damage}"))
     if len(frames) > 1:
         text = ", ".join(sorted(frames))[:80]
-        raise InputError(
-            f"{bag.path}: topic {name} has poses in several frames, {text}; one frame is required"
-        )
+        raise InputError(f"{bag.path}: topic {name} has poses in several frames, {text}; one frame is required")
     return found
 
 

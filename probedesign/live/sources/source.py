@@ -72,10 +72,7 @@ def open_source(spec: str, model: ProbeModel, log: Log = lambda line: None) -> S
     scheme, colon, rest = spec.partition(":")
     added = {entry.name: entry for entry in entry_points(group=ENTRY_POINTS)} if scheme not in SOURCES else {}
     if not colon or scheme not in (*SOURCES, *added):
-        *examples, last = (
-            *(example for example, _ in SOURCES.values()),
-            *(f"{name}:" for name in sorted(added)),
-        )
+        *examples, last = (*(example for example, _ in SOURCES.values()), *(f"{name}:" for name in sorted(added)))
         raise InputError(f"source {spec!r} is unknown; available are {', '.join(examples)} and {last}")
     target, _, query = rest.rpartition("?") if "?" in rest else (rest, "", "")
     opened: Source = (
@@ -122,10 +119,7 @@ def played(readings: Iterable[WrenchReading], speed: float) -> Generator[Block, 
 
 
 def parse_parameters(
-    source: str,
-    query: str,
-    known: Mapping[str, SourceParameter],
-    texts: Mapping[str, tuple[str, ...]] | None = None,
+    source: str, query: str, known: Mapping[str, SourceParameter], texts: Mapping[str, tuple[str, ...]] | None = None
 ) -> tuple[dict[str, float], dict[str, str]]:
     """Return the value of every known number, and of every known text, empty where it is not given.
 
@@ -148,9 +142,7 @@ def parse_parameters(
         if name not in numbers and name not in given:
             near = difflib.get_close_matches(name, (*numbers, *given), 1)
             hint = f"did you mean {near[0]}? " if near else ""
-            raise InputError(
-                f"{source} has no parameter {name!r}; {hint}known: {', '.join((*numbers, *given))}"
-            )
+            raise InputError(f"{source} has no parameter {name!r}; {hint}known: {', '.join((*numbers, *given))}")
         if name in dict(pairs[:i]):
             raise InputError(f"{source} {name} is given twice; keep one")
         if name in numbers:
@@ -194,9 +186,7 @@ class DropoutMonitor:
         reason: description of the dropout; empty without one.
     """
 
-    def __init__(
-        self, name: str, log: Log, no_record_text: str, timeout: float = FIRST_RECORD_TIMEOUT
-    ) -> None:
+    def __init__(self, name: str, log: Log, no_record_text: str, timeout: float = FIRST_RECORD_TIMEOUT) -> None:
         """Start before the first record; `no_record_text` is the error if none arrives within `timeout` [s]."""
         self._name, self._log, self._no_record_text = name, log, no_record_text
         self.ongoing, self.reason = False, ""

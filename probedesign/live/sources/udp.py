@@ -58,9 +58,7 @@ def parse_wrench(values: Mapping[str, Any]) -> WrenchDatagram:
         unit = "N" if kind == "force" else "Nm"
         if len(numbers) != 1:
             problem = "no" if not numbers else "two of"
-            raise InputError(
-                f"has {problem} {name}_{unit}; a wrench needs fx_N, fy_N, fz_N, mx_Nm, my_Nm, mz_Nm"
-            )
+            raise InputError(f"has {problem} {name}_{unit}; a wrench needs fx_N, fy_N, fz_N, mx_Nm, my_Nm, mz_Nm")
         if not abs(numbers[0]) <= CEILING[kind]:
             raise InputError(f"{name} = {numbers[0]:g} {unit} is beyond {CEILING[kind]:g} {unit}")
         wrench[i] = numbers[0]
@@ -161,13 +159,7 @@ class UdpSource:
             sender: process that is started with the source, if any.
         """
         self.title, self.notes = title, (listener.access_note,) if sender is None else ()
-        self._model, self._listener, self._log, self._frame, self._sender = (
-            model,
-            listener,
-            log,
-            frame,
-            sender,
-        )
+        self._model, self._listener, self._log, self._frame, self._sender = (model, listener, log, frame, sender)
         text = f"no wrench within {wait:g} s; check the sender, its address and port"
         self._dropout = DropoutMonitor(title, log, text, wait)
         self.counts: Counter[str] = Counter()
@@ -225,9 +217,7 @@ class UdpSource:
         first = not isfinite(self._time)
         if session != self._session:
             self._session = session
-            self._offset = (
-                self._time + elapsed - stamp if not first else (-stamp if isnan(value.time) else 0.0)
-            )
+            self._offset = self._time + elapsed - stamp if not first else (-stamp if isnan(value.time) else 0.0)
             self._report_frame()
         if not first:
             if self._dropout.ongoing or (elapsed > STALE_TIME and elapsed > self._stale_time):
@@ -265,9 +255,7 @@ class UdpSource:
     def _report(self, listener: WrenchListener) -> None:
         lost = listener.counts["lost"]
         if lost > self._reported[0]:
-            self._log(
-                f"{self.title}: {lost - self._reported[0]} wrenches lost; {self.counts['received']} received"
-            )
+            self._log(f"{self.title}: {lost - self._reported[0]} wrenches lost; {self.counts['received']} received")
             self._reported = lost, monotonic()
 
 

@@ -36,9 +36,7 @@ def protect(title: str, token: str) -> None:
     """
     original = server.serve
 
-    def serve(
-        handler: object, host: str, port: int, *, process_request: Handler | None, **options: object
-    ) -> object:
+    def serve(handler: object, host: str, port: int, *, process_request: Handler | None, **options: object) -> object:
         request_filter = RequestFilter(title, token, port, process_request)
         return original(handler, host, port, process_request=request_filter, **options)  # type: ignore[arg-type]  # viser's
 
@@ -69,11 +67,7 @@ class RequestFilter:
             return None
         accepted = request.headers.get("Accept-Encoding", "")
         plain = Headers(
-            [
-                (name, value)
-                for name, value in request.headers.raw_items()
-                if name.lower() != "accept-encoding"
-            ]
+            [(name, value) for name, value in request.headers.raw_items() if name.lower() != "accept-encoding"]
         )
         response = self._serve_file(connection, Request(request.path, plain))
         return None if response is None else self._complete(response, "gzip" in accepted)
@@ -108,10 +102,7 @@ class RequestFilter:
             body = self._pages[key]
         else:
             zipped = False
-        ours = {
-            "Content-Length": str(len(body)),
-            "Content-Encoding": "gzip" if zipped else "identity",
-        } | HEADERS
+        ours = {"Content-Length": str(len(body)), "Content-Encoding": "gzip" if zipped else "identity"} | HEADERS
         kept = {name: value for name, value in response.headers.raw_items() if name.title() not in ours}
         headers = Headers(kept | ours)
         return Response(response.status_code, response.reason_phrase, headers, body)

@@ -35,9 +35,7 @@ def status_html(snapshot: Snapshot, beat: int = 0) -> str:
     first, *rest = snapshot.status
     rows = "".join(_status_row(line) for line in rest)
     old = ' class="pd-old"' if snapshot.stale else ""
-    recording = (
-        f'<div class="pd-rec">● recording {escape(snapshot.recording)}</div>' if snapshot.recording else ""
-    )
+    recording = f'<div class="pd-rec">● recording {escape(snapshot.recording)}</div>' if snapshot.recording else ""
     return (
         f'<div class="pd" data-beat="{beat}"><div class="pd-banner pd-{first.level}">{escape(first.text)}</div>'
         f"{recording}<table{old}>{rows}</table></div>"
@@ -291,9 +289,7 @@ class ViewerPage:
         self._probe = scene.add_mesh_simple(
             "/base/probe", free, setup.tube.faces, color=PROBE, opacity=0.42, side="double", cast_shadow=False
         )
-        self._contact = scene.add_icosphere(
-            "/contact", UNIT * 1.5e-3, CONTACT, visible=False, cast_shadow=False
-        )
+        self._contact = scene.add_icosphere("/contact", UNIT * 1.5e-3, CONTACT, visible=False, cast_shadow=False)
         # Opaque: a translucent object inside another is drawn or not, depending on the camera.
         self._spread = scene.add_icosphere("/spread", 1.0, SPREAD, visible=False, cast_shadow=False)
         self._force = scene.add_arrows(
@@ -417,9 +413,7 @@ class ViewerPage:
     def _show_touches(self, touches: tuple[ContactMarker, ...]) -> None:
         """Show earlier contacts in grey, with the numbers of those that no later one covers."""
         shown = touches[-MAX_MARKS:]
-        points = [
-            R @ marker.p_surface + origin for marker in shown for R, origin in [self._scene_transform(marker)]
-        ]
+        points = [R @ marker.p_surface + origin for marker in shown for R, origin in [self._scene_transform(marker)]]
         for i, ((mark, number), marker) in enumerate(zip(self._marks, shown, strict=False)):
             mark.visible, mark.position = True, UNIT * points[i]
             apart = all(np.linalg.norm(later - points[i]) > LABEL_GAP for later in points[i + 1 :])

@@ -137,9 +137,7 @@ def _address_for_others(url: str) -> str:
     return f"http://{socket.gethostname()}:{parts.port}" if parts.hostname in ("0.0.0.0", "::") else url
 
 
-def scene_setup(
-    estimator: Estimator, folder: Path, host: str, port: int, log: Log, token: str = ""
-) -> SceneSetup:
+def scene_setup(estimator: Estimator, folder: Path, host: str, port: int, log: Log, token: str = "") -> SceneSetup:
     """Return the static content of the page."""
     model = estimator.model
     parts, note = rigid_parts(model, folder)

@@ -21,9 +21,7 @@ from probedesign.rod.kernels.linked import compilers
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
 """Division by zero gives inf or NaN, which the step control refuses; products and sums may be fused, not reordered."""
 if hasattr(CPUTargetOptions, "_nrt"):  # not part of numba's public interface
-    _OPTIONS["_nrt"] = (
-        False  # a kernel that allocates memory does not compile; without reference counts less compiles
-    )
+    _OPTIONS["_nrt"] = False  # a kernel that allocates memory does not compile; without reference counts less compiles
 _INTERNAL: dict[str, Any] = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _KERNEL_COMPILER, _INNER_COMPILER = compilers()
 

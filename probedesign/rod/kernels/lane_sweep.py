@@ -159,9 +159,7 @@ def judge_tips(lanes, general):
     """Set the columns' error of each lane."""
     for lane in range(WIDE):
         bend = _bend(lanes, lane)
-        error = _larger(
-            _tips_error(lanes, lane, rows.COLUMN1, bend), _tips_error(lanes, lane, rows.COLUMN2, bend)
-        )
+        error = _larger(_tips_error(lanes, lane, rows.COLUMN1, bend), _tips_error(lanes, lane, rows.COLUMN2, bend))
         if general:
             error = _larger(error, _tips_error(lanes, lane, rows.COLUMN3, bend))
         lanes[WIDE * rows.TIPS_ERROR + lane] = error if lanes[WIDE * rows.WANTS_TIPS + lane] > 0.0 else 0.0
@@ -171,15 +169,10 @@ def judge_tips(lanes, general):
 def judge(lanes, tips):
     """Accept or reject the step of each lane, and choose its next step from the error."""
     for lane in range(WIDE):
-        s, h, tried = (
-            lanes[WIDE * rows.S + lane],
-            lanes[WIDE * rows.H + lane],
-            lanes[WIDE * rows.TRIED + lane],
-        )
+        s, h, tried = (lanes[WIDE * rows.S + lane], lanes[WIDE * rows.H + lane], lanes[WIDE * rows.TRIED + lane])
         stop, length = lanes[WIDE * rows.STOP + lane], lanes[WIDE * rows.LENGTH + lane]
         error = _larger(
-            _state_error(lanes, lane, _bend(lanes, lane)),
-            lanes[WIDE * rows.TIPS_ERROR + lane] if tips else 0.0,
+            _state_error(lanes, lane, _bend(lanes, lane)), lanes[WIDE * rows.TIPS_ERROR + lane] if tips else 0.0
         )
         good, last = error <= 1.0, tried == stop - s
         # Order 6: the error goes with h⁶. 0.9 keeps most next steps acceptable; growth and reduction are limited
@@ -228,18 +221,8 @@ def take_tips(lanes, general):
             det, half_trace = round_margin(a, b, e1, e2)
             margin = _smaller(det, half_trace)
             a, b = row3(lanes, rows.E1, lane), row3(lanes, rows.E2, lane)
-            put_row3(
-                lanes,
-                rows.E1,
-                lane,
-                (e1[0] if good else a[0], e1[1] if good else a[1], e1[2] if good else a[2]),
-            )
-            put_row3(
-                lanes,
-                rows.E2,
-                lane,
-                (e2[0] if good else b[0], e2[1] if good else b[1], e2[2] if good else b[2]),
-            )
+            put_row3(lanes, rows.E1, lane, (e1[0] if good else a[0], e1[1] if good else a[1], e1[2] if good else a[2]))
+            put_row3(lanes, rows.E2, lane, (e2[0] if good else b[0], e2[1] if good else b[1], e2[2] if good else b[2]))
         lanes[WIDE * rows.MARGIN + lane] = _smaller(before, margin) if good else before
         for c in range(0, 12, 3):
             _take3(lanes, lane, rows.TIPS + c, rows.TIPS_NEXT + c, good)

@@ -222,9 +222,7 @@ def principal_axis(cov, u):
     for q in range(3):
         u[q] = cov[q, largest]
     size = 0.0
-    for _ in range(
-        12
-    ):  # power iteration; where two variances are nearly equal, any direction between them will do
+    for _ in range(12):  # power iteration; where two variances are nearly equal, any direction between them will do
         x = dot(take(cov[0], 0), take(u, 0))
         y = dot(take(cov[1], 0), take(u, 0))
         z = dot(take(cov[2], 0), take(u, 0))

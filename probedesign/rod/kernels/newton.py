@@ -391,9 +391,7 @@ def seek(lanes, lane, state, body, tol):
     if outcome == AGAIN:
         return _again(state, 1.0, 1.0)
     if outcome == FOUND:
-        growth = tip_growth(
-            row3(lanes, rows.TIPS, lane), tip_growth(row3(lanes, rows.TIPS + rows.TURN, lane), 1.0)
-        )
+        growth = tip_growth(row3(lanes, rows.TIPS, lane), tip_growth(row3(lanes, rows.TIPS + rows.TURN, lane), 1.0))
         state.growth = tip_growth(row3(lanes, rows.TIPS + 2 * rows.TURN, lane), growth) if general else growth
         return True
     if state.start == WARM_ONLY or state.careful > 0.0:

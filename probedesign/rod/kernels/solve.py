@@ -67,9 +67,7 @@ def _clear(lanes, lane):
 
 
 @inline_always
-def through(
-    stage, count, lanes, seats, states, bodies, which, loads, directed, start, tol, until, initial_tolerance
-):
+def through(stage, count, lanes, seats, states, bodies, which, loads, directed, start, tol, until, initial_tolerance):
     """Run all cases of a group through one stage.
 
     Args:
@@ -139,12 +137,8 @@ def report(state, work, body, load, tol, until, nodes, blocks, y, contact):
     general, growth, size = body.constants[GENERAL] != 0.0, state.growth, state.turned
     tol = tol / min(growth, MAX_GROWTH)
     margin, residual, tip = state.margin, math.inf, state.tip[:]
-    for _ in range(
-        6
-    ):  # the sweep with all outputs takes other steps than the search: one or two turns correct that
-        status, count, found, size, _steps = sweep(
-            tip, y, work, blocks, body, load, tol, size, nodes, contact
-        )
+    for _ in range(6):  # the sweep with all outputs takes other steps than the search: one or two turns correct that
+        status, count, found, size, _steps = sweep(tip, y, work, blocks, body, load, tol, size, nodes, contact)
         margin = found if blocks.shape[0] > 0 else margin
         if status != OK:
             return status, 0, margin, math.inf
@@ -221,9 +215,7 @@ def solve_cases(
             body, load = body_of(bodies, of[k]), group[k]
             status, margin, residual = state.status, state.margin, state.residual
             if reports and status == OK:
-                code, filled, margin, residual = report(
-                    state, work, body, load, tol, until, nodes, blocks, y, contact
-                )
+                code, filled, margin, residual = report(state, work, body, load, tol, until, nodes, blocks, y, contact)
                 status = float(code)
                 _write(row, state, y, contact, status, margin, residual, filled)
             else:

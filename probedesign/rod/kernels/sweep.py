@@ -455,9 +455,7 @@ def states_at(s, nodes, count, body, load, work, blocks, result):
 
 
 @inner
-def linear_equilibrium(
-    tip, load, body, tol, size, work, nodes, blocks, y, contact, turns, derivatives, change
-):
+def linear_equilibrium(tip, load, body, tol, size, work, nodes, blocks, y, contact, turns, derivatives, change):
     """Sweep from a guessed tip, and correct the residual at the base to first order everywhere.
 
     Args:

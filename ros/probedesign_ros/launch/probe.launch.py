@@ -12,10 +12,7 @@ ARGUMENTS = {
     "probedesign": ("probedesign", "the program, or its path in a virtual environment"),
     "bundle": ("", "frozen probe, NAME.probe.json; empty: the run is started elsewhere"),
     "source": ("sim:", "source of the wrenches, as of probedesign live --source"),
-    "tare": (
-        "auto",
-        "auto: the first second at rest, when the probe must be free; none: the sensor's own zero",
-    ),
+    "tare": ("auto", "auto: the first second at rest, when the probe must be free; none: the sensor's own zero"),
     "pose": ("fixed", "poses of the base, as of probedesign live --pose"),
     "port": ("9001", "UDP port of the messages"),
     "control_port": ("9002", "UDP port of the commands"),
@@ -32,9 +29,7 @@ def generate_launch_description():
         executable="probe",
         name="probedesign",
         output="screen",
-        parameters=[
-            {name: ParameterValue(value[name], value_type=kind) for name, kind in PARAMETERS.items()}
-        ],
+        parameters=[{name: ParameterValue(value[name], value_type=kind) for name, kind in PARAMETERS.items()}],
     )
     run = ExecuteProcess(
         cmd=[

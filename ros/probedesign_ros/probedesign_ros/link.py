@@ -114,9 +114,7 @@ class Commander:
         except TimeoutError:
             return Result(False, f"no reply within {self._timeout:g} s: is it run with --control?")
         except OSError as error:
-            return Result(
-                False, f"no run listens at {self._run[0]}:{self._run[1]}: {error.strerror or error}"
-            )
+            return Result(False, f"no run listens at {self._run[0]}:{self._run[1]}: {error.strerror or error}")
 
     def _reply(self, link: socket.socket) -> Result:
         for _ in range(10):

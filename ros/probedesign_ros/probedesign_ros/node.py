@@ -66,9 +66,7 @@ class ProbeNode(Node):
         self._prefix = values["frame_prefix"]
         self._contact_tf = values["publish_contact_tf"]
         self._receiver = Receiver(values["host"], values["port"])
-        self._commander = Commander(
-            values["control_host"], values["control_port"], values["control_timeout_s"]
-        )
+        self._commander = Commander(values["control_host"], values["control_port"], values["control_timeout_s"])
         skipped = {"/tf": not values["publish_tf"], "/tf_static": not values["publish_sensor_tf"]}
         self._outputs = {
             topic: self._publisher(kind, topic) for topic, kind in TOPICS.items() if not skipped.get(topic)

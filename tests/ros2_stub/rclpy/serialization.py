@@ -24,7 +24,5 @@ def _converted(value):
         return value.tolist() if hasattr(value, "tolist") else value
     package, _, name = value.__msgtype__.split("/")
     kind = getattr(import_module(f"{package}.msg"), name)
-    names = [
-        each for each in value.__dataclass_fields__ if each.islower() and each != "__msgtype__"
-    ]  # no constants
+    names = [each for each in value.__dataclass_fields__ if each.islower() and each != "__msgtype__"]  # no constants
     return kind(**{each: _converted(getattr(value, each)) for each in names})

@@ -105,9 +105,7 @@ class NetFTConfiguration:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the user."""
-        notes = [
-            f"{self.product} reports {self.force_unit} and {self.torque_unit} at {self.rate:g} records/s"
-        ]
+        notes = [f"{self.product} reports {self.force_unit} and {self.torque_unit} at {self.rate:g} records/s"]
         if any(self.tool):
             shift = ", ".join(f"{value:g}" for value in self.tool)
             units = f"{self.length_unit}, {self.angle_unit}"

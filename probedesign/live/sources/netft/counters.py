@@ -177,9 +177,7 @@ class RateMonitor:
             return None
         found = self._rate * (time - self._start[0]) / elapsed
         before, self._before, self._start = self._before, found, (time, received)
-        deviates = (
-            abs(found / self._rate - 1.0) > MAX_RATE_ERROR and abs(found - before) < RATE_SCATTER * self._rate
-        )
+        deviates = abs(found / self._rate - 1.0) > MAX_RATE_ERROR and abs(found - before) < RATE_SCATTER * self._rate
         if not deviates or self._reported:
             return None
         self._reported = True

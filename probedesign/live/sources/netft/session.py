@@ -15,12 +15,7 @@ from numpy.typing import NDArray
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.live.sources.netft.counters import SequenceMonitor
-from probedesign.live.sources.netft.rdt import (
-    REALTIME,
-    SAMPLES_PER_SECOND,
-    STOP,
-    Request,
-)
+from probedesign.live.sources.netft.rdt import REALTIME, SAMPLES_PER_SECOND, STOP, Request
 from probedesign.live.sources.netft.receiver import MAX_RECORDS, open_receiver
 from probedesign.live.sources.source import STALE_TIME
 

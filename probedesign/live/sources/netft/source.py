@@ -15,11 +15,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log, split_address
 from probedesign.live.priority import prompt_estimates
 from probedesign.live.processing.blocks import Block, dropout_block
-from probedesign.live.sources.netft.configuration import (
-    ConfigurationMonitor,
-    NetFTConfiguration,
-    fetch_configuration,
-)
+from probedesign.live.sources.netft.configuration import ConfigurationMonitor, NetFTConfiguration, fetch_configuration
 from probedesign.live.sources.netft.counters import RateMonitor, SensorClock, steps
 from probedesign.live.sources.netft.rdt import (
     AXIA,

@@ -72,9 +72,7 @@ def forward_transform(node: Any, world: str, base: str, host: str, port: str) ->
         if last[0] == (stamp.sec, stamp.nanosec):
             return
         last[0] = (stamp.sec, stamp.nanosec)
-        sender.send(
-            time_s=seconds(stamp), x_m=p.x, y_m=p.y, z_m=p.z, qx=q.x, qy=q.y, qz=q.z, qw=q.w, frame=world
-        )
+        sender.send(time_s=seconds(stamp), x_m=p.x, y_m=p.y, z_m=p.z, qx=q.x, qy=q.y, qz=q.z, qw=q.w, frame=world)
 
     node.create_timer(1.0 / TF_RATE_HZ, forward)
 

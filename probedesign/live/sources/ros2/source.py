@@ -43,10 +43,7 @@ def find_python(option: str, chosen: str = "") -> str:
     for python in candidates:
         try:
             found = subprocess.run(
-                [python, "-c", "import rclpy"],
-                capture_output=True,
-                timeout=PROBE_TIMEOUT,
-                stdin=subprocess.DEVNULL,
+                [python, "-c", "import rclpy"], capture_output=True, timeout=PROBE_TIMEOUT, stdin=subprocess.DEVNULL
             )
         except (OSError, ValueError, subprocess.SubprocessError):
             continue
@@ -61,9 +58,7 @@ def find_python(option: str, chosen: str = "") -> str:
 class Bridge:
     """The bridge process; see `SenderProcess`."""
 
-    def __init__(
-        self, option: str, python: str, before: tuple[str, ...], after: tuple[str, ...] = ()
-    ) -> None:
+    def __init__(self, option: str, python: str, before: tuple[str, ...], after: tuple[str, ...] = ()) -> None:
         """Prepare; `before` and `after` are the arguments of the script around the address."""
         self._option, self._python, self._before, self._after = option, python, before, after
         self._process: subprocess.Popen[bytes] | None = None
@@ -105,9 +100,7 @@ def open_ros2(model: ProbeModel, target: str, query: str, log: Log) -> UdpSource
     numbers, texts = parse_parameters("ros2:", query, PARAMETERS, TEXT_PARAMETERS)
     option = f"--source ros2:{target}"
     topic = target.strip("/")
-    if not target.startswith("//") or not re.fullmatch(
-        r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*", topic
-    ):
+    if not target.startswith("//") or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*", topic):
         raise InputError(f"{option}: write ros2://TOPIC, as ros2://ft_sensor/wrench")
     python = find_python(option, texts["python"])
     bridge = Bridge(option, python, ("wrench", f"/{topic}"), (texts["moment_unit"] or "Nm",))
