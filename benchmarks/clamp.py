@@ -61,7 +61,7 @@ def lines(ends: list[float], sharp: list[bool], cells: int, ratio: float) -> np.
 
 def missing_compliance(base: ClampedBase, support: Support, poisson: float = POISSON, cells: int = 10) -> float:
     """Return c of a base in base radii; it is positive if the base bends less than the rod."""
-    from skfem import (  # fmt: skip
+    from skfem import (
         Basis,
         BilinearForm,
         ElementQuad1,
@@ -184,7 +184,7 @@ def lip_force(
         rim_held: whether the flange has no play in its recess.
         cell: width of the elements [mm].
     """
-    from skfem import (  # fmt: skip
+    from skfem import (
         Basis,
         BilinearForm,
         ElementQuad1,

@@ -68,7 +68,7 @@ def report() -> None:
     rotated = [
         _by_command(model, simulate_run(model, touch_targets(), np.random.default_rng(seed), with_rotation), seed)
         for seed in range(COMMAND_RUNS)
-    ]  # fmt: skip
+    ]
     fused = [_by_fuse(model, one, np.random.default_rng(100 + i)) for i, one in enumerate(simulated)]
     methods = {
         "explore, exact orientation": exact,

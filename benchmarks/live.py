@@ -159,7 +159,7 @@ def _rate(estimator: Estimator, box: Peer, seconds: float, folder: Path, view: b
         *([f"processor of {name}", f"{time_ / wall:.0%} of one core", ""] for name, time_ in used.items()),
         ["processor time taken by the host of this machine", f"{stolen / wall:.1%} of one core", "none"],
         ["full collections of garbage", str(gc.get_stats()[2]["collections"] - collected), ""],
-    ]  # fmt: skip
+    ]
     title = f"live over loopback: {seconds:g} s of 7000 records/s, {AVERAGE} to an estimate, recorded, published by UDP"
     shown = ", seen" * view + ", subscribed in Foxglove's protocol" * foxglove
     print_table(title + shown, ["", "measured", "target"], rows)
@@ -182,7 +182,7 @@ def _faults(estimator: Estimator, spec: str, seconds: float) -> None:
         ["tare kept, and reported", str(sum("the tare is kept" in line for line in events)), str(len(watched.gaps))],
         ["free probe called free after it", f"{after['no_contact']} of {after.total()}", "all"],
         ["streams kept apart", "yes" if stretches == sorted(stretches) and stretches[-1] > 0 else "no", "yes"],
-    ]  # fmt: skip
+    ]
     print_table(f"the box restarts, then stalls, for {FAULT_DURATION:g} s each", ["", "measured", "target"], rows)
 
 

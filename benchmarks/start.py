@@ -30,8 +30,10 @@ def report() -> None:
             "probedesign --help": ((*PROBEDESIGN, "--help"), "≤ 0.5 s"),
             'python -c "import probedesign"': ((*PYTHON, "import probedesign"), "≤ 0.4 s"),
             "probedesign predict designs/large.toml": (
-                (*PROBEDESIGN, "predict", "designs/large.toml", "--out", out), "≤ 5 s"),
-        }  # fmt: skip
+                (*PROBEDESIGN, "predict", "designs/large.toml", "--out", out),
+                "≤ 5 s",
+            ),
+        }
         first = {name: wall(command) for name, (command, _) in commands.items()}
         rounds = [{name: wall(command) for name, (command, _) in commands.items()} for _ in range(RUNS)]
     rows = [

@@ -77,5 +77,7 @@ def print_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) 
 
 def print_machine() -> None:
     """Print the machine and the versions of the numerical libraries."""
-    print(f"{os.cpu_count()} CPUs, {platform.system()} {platform.machine()}, Python {platform.python_version()}, "
-          f"numpy {numpy.__version__}, scipy {scipy.__version__}, numba {numba.__version__}")  # fmt: skip
+    print(
+        f"{os.cpu_count()} CPUs, {platform.system()} {platform.machine()}, Python {platform.python_version()}, "
+        f"numpy {numpy.__version__}, scipy {scipy.__version__}, numba {numba.__version__}"
+    )

@@ -175,8 +175,10 @@ def plan(design: "Design", minutes: float, names: Sequence[str], instruments: "I
     from probedesign.probe import build_probe
 
     if "model" not in design.sensor.model_fields_set:
-        raise InputError(f"{design.name}: [sensor] names no model; a plan needs the noise and the load limits of the "
-                         'sensor on the bench, such as model = "nano17"')  # fmt: skip
+        raise InputError(
+            f"{design.name}: [sensor] names no model; a plan needs the noise and the load limits of the "
+            'sensor on the bench, such as model = "nano17"'
+        )
     probe = build_probe(design)
     return make_plan(probe.model, _flange_volume(probe), minutes, names, instruments, held_out)
 

@@ -148,9 +148,7 @@ class Probe(Displayed):
         if root_rigid_radii is not None and not -1.0 <= root_rigid_radii <= 2.0:
             raise InputError(f"root_rigid_radii = {root_rigid_radii} must lie in -1 ... 2")
         rod = self.rod if root_rigid_radii is None else self._rod(root_rigid_radii)
-        return rod.solve(
-            gravity, force_base, s_contact, tip_moment=tip_moment_base, mode=mode, columns=columns
-        )  # fmt: skip
+        return rod.solve(gravity, force_base, s_contact, tip_moment=tip_moment_base, mode=mode, columns=columns)
 
     def estimator(self, exact: bool = False) -> "Estimator":
         """Return the estimator for this geometry, as `deploy` freezes it.

@@ -209,8 +209,10 @@ def cad_files(model: CadModel, parts: Iterable[str]) -> dict[str, bytes]:
     def step(assembly: cq.Assembly, file: str, what: str) -> bytes:
         return step_bytes(assembly, file, f"{name}: {what}, geometry {fingerprint}, units mm", date)
 
-    alone = {part: cq.Assembly(model.parts[part].shape, name=part, color=cq.Color(*model.parts[part].color))
-             for part in parts}  # fmt: skip
+    alone = {
+        part: cq.Assembly(model.parts[part].shape, name=part, color=cq.Color(*model.parts[part].color))
+        for part in parts
+    }
     return {
         "assembly.step": step(assembly_of(model.parts, name), "assembly.step", "assembly in the sensor frame"),
         "assembly.glb": glb_bytes(assembly_of(model.parts, name, displayed=True), "assembly.glb"),

@@ -90,9 +90,8 @@ def build_parts(
         CadPart("probe", probe_solid(geometry, adapter), T, "base", probe_density, (0.93, 0.85, 0.6)),
         CadPart("sensor_adapter", sensor_adapter_solid(adapter), IN_SENSOR_FRAME, "sensor", rigid, grey),
         CadPart("clamp_ring", clamp_ring_solid(adapter), T, "clamp_ring", rigid, (0.35, 0.5, 0.7)),
-        CadPart("flange_adapter", flange_adapter_solid(plate), plate.T_sensor_robotflange, "robotflange",
-             rigid, grey),
-    ]  # fmt: skip
+        CadPart("flange_adapter", flange_adapter_solid(plate), plate.T_sensor_robotflange, "robotflange", rigid, grey),
+    ]
     loose = [
         CadPart(group.name, group.solid, IN_SENSOR_FRAME, "sensor", STEEL_DENSITY, steel, printed=False,
                 standard=group.standard, places=group.poses)

@@ -92,8 +92,9 @@ def _files(folder: Path, table: CamerasTable) -> list[tuple[Path, str, str]]:
     """Return path, placement and camera of each picture; refuse a name that has none."""
     images = folder / BOARD_IMAGES
     if not images.is_dir():
-        raise InputError(f"{images}: no such folder; put the pictures of the board there as {WORLD}-CAMERA.png, "
-                         "01-CAMERA.png ...")  # fmt: skip
+        raise InputError(
+            f"{images}: no such folder; put the pictures of the board there as {WORLD}-CAMERA.png, 01-CAMERA.png ..."
+        )
     found: dict[tuple[str, str], Path] = {}
     for path in sorted(images.iterdir()):
         if path.suffix.lower() not in SUFFIXES:

@@ -87,8 +87,7 @@ def _by_control_points(folder: Path, table: CamerasTable) -> tuple[list[Camera],
                          "[cameras.board]")  # fmt: skip
     rows = read_rows(path, CONTROL_POINTS_SCHEMA)
     names, labels = camera_names(rows, table.names), rows.texts("point")
-    rows.check_unique(list(zip(names, labels, strict=True)),
-                      lambda row: f"camera {names[row]}, point {labels[row]}")  # fmt: skip
+    rows.check_unique(list(zip(names, labels, strict=True)), lambda row: f"camera {names[row]}, point {labels[row]}")
     world, pixels = rows.required(*POSITION), rows.required(*PIXEL)
     cameras, notes = [], []
     for name in table.names:

@@ -52,5 +52,7 @@ def board(
     print(
         f"wrote {out}: {squares[0]} x {squares[1]} squares, {width:g} x {height:g} mm with margin; for campaign.toml:"
     )
-    print(f"\n[cameras.board]\nsquares = {list(squares)}\nsquare_mm = {square_mm:g}\nmarker_mm = {marker_mm:g}\n"
-          f'dictionary = "{dictionary}"')  # fmt: skip
+    print(
+        f"\n[cameras.board]\nsquares = {list(squares)}\nsquare_mm = {square_mm:g}\nmarker_mm = {marker_mm:g}\n"
+        f'dictionary = "{dictionary}"'
+    )

@@ -151,8 +151,10 @@ def _value(one: "Identified", dimensions: str) -> str:
     assert one.std is not None and one.std_of_print is not None
     if one.std_of_print > 1.1 * one.std:
         of_print = f"{one.value_of_print:.4g} {one.unit}".rstrip()
-        text += (f" with the design's dimensions; {of_print}, {one.low_of_print:.4g} ... {one.high_of_print:.4g} with "
-                 f"{dimensions}")  # fmt: skip
+        text += (
+            f" with the design's dimensions; {of_print}, {one.low_of_print:.4g} ... {one.high_of_print:.4g} with "
+            f"{dimensions}"
+        )
     if one.change:
         text += f"; {one.change} from the design's {one.design:.4g}"
     return text if one.identified else f"{text} ({one.why})"

@@ -118,8 +118,10 @@ def _solved_scene(
 
 def _listening(host: str, source: str, bundle: Path) -> list[str]:
     """Return the address of the box, the command that reads it and a warning where the network can reach it."""
-    lines = [f"listening on {source.removeprefix('netft://')}; read it with",
-             f'  probedesign live {bundle} --source "{source}" --tare-s 0:3 --average 36']  # fmt: skip
+    lines = [
+        f"listening on {source.removeprefix('netft://')}; read it with",
+        f'  probedesign live {bundle} --source "{source}" --tare-s 0:3 --average 36',
+    ]
     if not host.startswith("127."):
         lines.insert(0, f"warning: with --host {host}, anyone on that network can read and disturb this box")
     return lines

@@ -372,8 +372,7 @@ def read_rows(path: Path, schema: TableSchema) -> TableRows:
     """
     lines = read_lines(path, schema.what, schema.like, MAX_BYTES)
     if len(lines.header) == 1 and ";" in lines.header[0]:
-        lines.fail(lines.header_number,
-                   "semicolons between the columns; export it with commas and decimal points")  # fmt: skip
+        lines.fail(lines.header_number, "semicolons between the columns; export it with commas and decimal points")
     # spreadsheets leave rows of nothing but commas at the end
     filled = [i for i, row in enumerate(lines.rows) if row.strip(", \t")]
     lines = replace(lines, rows=[lines.rows[i] for i in filled], numbers=[lines.numbers[i] for i in filled])
@@ -424,7 +423,9 @@ def _cells(lines: CsvLines) -> list[list[str]]:
             lines.fail(number, f"the row has {len(fields)} values where the header names {len(lines.header)}")
         for name, text in zip(lines.header, fields, strict=True):
             if not name and text.strip():
-                lines.fail(number, f"{quote_input(text.strip())} is in a column without a name; name the column, or "
-                                   "empty the cell")  # fmt: skip
+                lines.fail(
+                    number,
+                    f"{quote_input(text.strip())} is in a column without a name; name the column, or empty the cell",
+                )
         cells.append(fields)
     return cells

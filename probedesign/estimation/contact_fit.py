@@ -185,9 +185,7 @@ def step_share(step, touch, move, length):
 
 
 @inner
-def fit_touch(
-    body, low, end, gravity, mass, wrench, whiten, friction, max_iterations, touch, sweep_work, lin, work
-):  # fmt: skip
+def fit_touch(body, low, end, gravity, mass, wrench, whiten, friction, max_iterations, touch, sweep_work, lin, work):
     """Minimise the misfit over touches of the surface, from a guess.
 
     Args:

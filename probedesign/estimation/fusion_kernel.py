@@ -216,8 +216,9 @@ def _pass_on(rows, g, link, q, half, scattered):
 
 
 @kernel
-def mean_centre(lins, Ds, locals_, poses, order, touched, walk, chain, xs, scatter, creep, ramps, work, solve_memory,
-                mean, cov):  # fmt: skip
+def mean_centre(
+    lins, Ds, locals_, poses, order, touched, walk, chain, xs, scatter, creep, ramps, work, solve_memory, mean, cov
+):
     """Compute the mean of the centreline points of the touches in the world, and its covariance.
 
     The bias at a pose is a linear function of what is common and of the bias after it, and an error independent of

@@ -32,7 +32,7 @@ from probedesign.estimation.surface_contact_kernel import (
     advance,
     linearise,
     plan_move,
-)  # fmt: skip
+)
 from probedesign.estimation.uncertainty_kernel import error_columns
 from probedesign.rod.kernels import inner, kernel
 from probedesign.rod.kernels.equations import OK

@@ -244,9 +244,7 @@ class Observation:
             free: the free probe's wrench under it, (6,).
         """
         found = np.empty(1, dtype=OBSERVATION)
-        if not observe(
-            window, gravity, free, model.mass, *model.observation_map, model.noise.std, found
-        ):  # fmt: skip
+        if not observe(window, gravity, free, model.mass, *model.observation_map, model.noise.std, found):
             return None
         row, readings = found[0], len(window)
         wrench, whiten, numerical = row["wrench"], row["whiten"], NUMERICAL * float(row["moment"])

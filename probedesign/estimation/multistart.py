@@ -125,7 +125,7 @@ def _fill_row(body, gravity, mass, lin, touch, share, step, by_s, row):
 @inner
 def _settle(
     body, end, gravity, mass, wrench, noise, friction, sources, touch, lin, D, sweep_work, brief, work, gain_work, row
-):  # fmt: skip
+):
     """Carry a fit on under the weights of its own place, and fill its row with its posterior.
 
     Args:

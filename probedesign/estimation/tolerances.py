@@ -157,8 +157,7 @@ class Tolerances:
     def exact_probe(cls, model: ProbeModel) -> "Tolerances":
         """Return priors in which probe, mount and bench are exact; bias and poses scatter as in `of`."""
         known = cls.of(model)
-        return replace(cls.none(), drift_steps=known.drift_steps, walk_steps=known.walk_steps,
-                       robot_mm=known.robot_mm)  # fmt: skip
+        return replace(cls.none(), drift_steps=known.drift_steps, walk_steps=known.walk_steps, robot_mm=known.robot_mm)
 
     @classmethod
     def from_unknowns(cls, unknowns: Unknowns) -> "Tolerances":

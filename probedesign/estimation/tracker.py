@@ -23,7 +23,7 @@ from probedesign.estimation.detector import Detector, Touching
 from probedesign.estimation.error_sources import FINE, ErrorSources, across
 from probedesign.estimation.estimate import FusedEstimate, MomentsAbout, Result
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.fusion import COMMON_FRICTION, Fusion, Reading, channels_of  # fmt: skip
+from probedesign.estimation.fusion import COMMON_FRICTION, Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FIRST_CURVATURE, FusionState, Keyframe, result_of
 from probedesign.estimation.surface_contact_kernel import (
     ALONG,
@@ -35,7 +35,7 @@ from probedesign.estimation.surface_contact_kernel import (
     TOUCH,
     UNKNOWNS,
     work_size,
-)  # fmt: skip
+)
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 
 MAX_KEYFRAMES = 8
@@ -328,7 +328,7 @@ class Tracker:
         x = np.empty(self._width - 1)
         chi2 = fusion_kernel.solve_reduced(
             self._all, order, walk, start, self._causes, self._chain, self._work, x, self._cov
-        )  # fmt: skip
+        )
         if not math.isfinite(chi2):
             return FusedEstimate("not_converged")
         fusion_kernel.smooth_bias(self._chain, order, walk, x, self._xs)
@@ -405,7 +405,7 @@ class Tracker:
             )  # fmt: skip
         return replace(
             result, cov_surface_world=cov, cov_contact_world=result.cov_contact_world + share * added_contact, rms=rms
-        )  # fmt: skip
+        )
 
     # Starting --------------------------------------------------------------------------------------------------------
 

@@ -388,9 +388,7 @@ def _add_turn_around(lin, radius, left, cov):
 
 
 @inner
-def add_curvature(
-    body, end, gravity, mass, wrench, whiten, friction, tol, touch, lin, J, sweep_work, brief, work, fit
-):  # fmt: skip
+def add_curvature(body, end, gravity, mass, wrench, whiten, friction, tol, touch, lin, J, sweep_work, brief, work, fit):
     """Add to the covariances what the curve of the valley of likely touches makes of them.
 
     The touches that explain a reading lie on a curve x + a δ + b δ² + c δ³ far narrower than it is bowed; its mean

@@ -80,9 +80,7 @@ def frustum(
 def flexible_part(geometry: ProbeGeometry, density: float) -> MassProperties:
     """Return the properties of the undeformed body from s = 0 to the tip in the base frame; density [kg/m³]."""
     s, r, section = geometry.s, geometry.radius, geometry.cross_section
-    return combined(
-        frustum(r[i], r[i + 1], s[i + 1] - s[i], s[i], density, section) for i in range(len(s) - 1)
-    )  # fmt: skip
+    return combined(frustum(r[i], r[i + 1], s[i + 1] - s[i], s[i], density, section) for i in range(len(s) - 1))
 
 
 def flange_part(geometry: ProbeGeometry, density: float) -> MassProperties:

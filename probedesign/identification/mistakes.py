@@ -97,8 +97,10 @@ def _of_poses(common: CommonParameters, tests: Sequence[MeasuredTest]) -> Iterat
 
 def pose_words(test: MeasuredTest) -> str:
     """Return what to do about a free test that hung in another pose."""
-    return (f"{test.name} hung in another orientation than its pose states; write the six columns "
-            "base_x_world_mm ... base_rz_world_deg of this test in tests.csv")  # fmt: skip
+    return (
+        f"{test.name} hung in another orientation than its pose states; write the six columns "
+        "base_x_world_mm ... base_rz_world_deg of this test in tests.csv"
+    )
 
 
 def gravity_read(common: CommonParameters, test: MeasuredTest) -> Array | None:

@@ -368,8 +368,7 @@ class SolvedTest:
     def _block(self, kind: str, item: int, residual: Array, J: Array, J_nuisance: Array, cov: Array) -> ResidualBlock:
         """Return the whitened block; residuals are measured minus modelled, so the derivatives change their sign."""
         W, J_nuisance = whiten(cov), self._with_own_pose(J, J_nuisance)
-        return ResidualBlock(self.measured.name, kind, item, W @ residual, -W @ J, -W @ J_nuisance,
-                             residual)  # fmt: skip
+        return ResidualBlock(self.measured.name, kind, item, W @ residual, -W @ J, -W @ J_nuisance, residual)
 
     def _with_own_pose(self, J: Array, J_nuisance: Array) -> Array:
         """Return the derivatives by the nuisance parameters with those by the test's own error of the base pose, which

@@ -225,7 +225,8 @@ class RecordingEstimates:
             "method": self.method,
             "friction": str(model.friction) if math.isinf(model.friction) else model.friction,
             "tolerances": asdict(self.estimator.priors),
-            "tare": tare and {
+            "tare": tare
+            and {
                 "start_s": tare.window.start,
                 "end_s": tare.window.end,
                 "readings": tare.readings,
@@ -235,7 +236,7 @@ class RecordingEstimates:
             "notes": self.notes,
             "counts": self.counts,
             "estimates": self.rows,
-        }  # fmt: skip
+        }
 
 
 def estimate_recording(

@@ -263,7 +263,7 @@ class NonlinearProgram:
         constraints = [
             {"type": "ineq", "fun": lambda z, c=c: c.margin(z[:-1]) + z[-1], "jac": lambda z, c=c: slope(z, c)}
             for c in self.constraints
-        ]  # fmt: skip
+        ]
         start, bounds = np.append(x0, self._max_violation(x0)), [*self.bounds, (0.0, 1e3)]
         z = self._slsqp(lambda z: float(z[-1]), lambda z: np.eye(len(z))[-1], start, bounds, constraints)
         return self.clip(z[:-1])

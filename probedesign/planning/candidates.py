@@ -251,7 +251,7 @@ class Bench:
         mass: float = 0.0,
         mark: float = math.nan,
         displacement: float = 0.0,
-    ) -> CandidateTest:  # fmt: skip
+    ) -> CandidateTest:
         gravity = self.model.gravity_base if gravity_base is None else gravity_base
         T = self.T_world_base(gravity)
         place, std_place = None, math.nan

@@ -414,7 +414,7 @@ def check_print(design: Design, layers: bool = True) -> PrintCheck:
     )
     return PrintCheck(
         design.name, geometry.fingerprint, printer.name, design.resin.name, tuple(findings), advice, oriented
-    )  # fmt: skip
+    )
 
 
 def _probe_size(design: Design, geometry: ProbeGeometry) -> list[Finding]:

@@ -84,4 +84,4 @@ class Rule:
         remedy = "" if severity == "ok" else remedy
         return Finding(
             self.name, part, severity, what, measured, limit, bound, self.unit, remedy, self.source, self.confidence
-        )  # fmt: skip
+        )

@@ -88,8 +88,10 @@ def _chart_section(plan: Plan) -> str:
     if not lines:
         return ""
     values = [v for line in lines.values() for v in line if math.isfinite(v)]
-    chart = Chart(ChartAxis("time [min]", 0.0, 1.03 * times[-1]),
-                  ChartAxis.spanning("interval over the final one", [*values, 1.0, 2.0], log=True))  # fmt: skip
+    chart = Chart(
+        ChartAxis("time [min]", 0.0, 1.03 * times[-1]),
+        ChartAxis.spanning("interval over the final one", [*values, 1.0, 2.0], log=True),
+    )
     for i, (name, line) in enumerate(lines.items()):
         style = (COLOURS[1 + i % 6], DASHES[i % len(DASHES)], MARKS[i % len(MARKS)])
         chart.line(times, line, *style, name=name)

@@ -77,7 +77,7 @@ class CampaignPlan:
             ("readings", self.readings, 1, 1000, 1),
             ("friction", self.friction, 0.0, MAX_FRICTION, 1.0),
             ("friction-spread", self.friction_spread, 0.0, 1.0, 1.0),
-        ]  # fmt: skip
+        ]
         for option, value, low, high, unit in limited:
             if value is not None and not low <= value <= high:
                 raise InputError(f"--{option} {value / unit:g} must lie in {low / unit:g} ... {high / unit:.6g}")

@@ -258,8 +258,7 @@ def _clearance(bench: _Bench, target: TouchTarget, p_base: Array, contact: Coulo
 CHUNK_SECONDS = 0.5
 """Source time between the chunks of a recording [s], as `live` flushes its recordings."""
 FILES = ("house.mcap", "poses.csv", "truth.csv")
-TRUTH_COLUMNS = ("time_s", "x_world_mm", "y_world_mm", "z_world_mm", "fraction", "force_N", "again",
-                 "friction")  # fmt: skip
+TRUTH_COLUMNS = ("time_s", "x_world_mm", "y_world_mm", "z_world_mm", "fraction", "force_N", "again", "friction")
 
 
 def check_run_files(folder: Path, force: bool, recording: str = FILES[0]) -> tuple[Path, ...]:

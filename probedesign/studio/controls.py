@@ -42,8 +42,7 @@ class DesignControls:
         self._slider("probe.flatness", "flatness, y over x", 0.2, 1.0, 0.01, probe.flatness or 0.7)
         self._choice("probe.tip", "tip", ("blunt", "rounded"), probe.tip)
         self._choice("material.resin", "resin", tuple(RESINS), design.material.resin)
-        self._slider("material.youngs_modulus_mpa", "E [MPa]", 0.2, 10.0, 0.01,
-                     design.youngs_modulus.value / 1e6)  # fmt: skip
+        self._slider("material.youngs_modulus_mpa", "E [MPa]", 0.2, 10.0, 0.01, design.youngs_modulus.value / 1e6)
 
     def add_bench(self) -> None:
         """Add the controls of the sensor, the mount and the forces that are drawn."""
@@ -59,8 +58,7 @@ class DesignControls:
         self._choice("mounting", "probe points", (*MOUNTINGS, "other"), mounting_of(gravity))
         vector = gui.add_vector3("gravity in base axes [m/s²]", gravity, step=0.01)
         self._bind("mount.gravity_base_m_s2", vector, list)
-        self._slider("mount.root_rigid_radii", "root, rigid base radii", -0.5, 0.5, 0.01,
-                     design.mount.root_rigid_radii)  # fmt: skip
+        self._slider("mount.root_rigid_radii", "root, rigid base radii", -0.5, 0.5, 0.01, design.mount.root_rigid_radii)
         self._slider("contact.friction", "friction", 0.0, MAX_FRICTION, 0.05, min(design.friction.value, MAX_FRICTION))
         gui.add_markdown("Forces whose errors are drawn:")
         shown = self._session.forces_mN

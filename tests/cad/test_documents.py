@@ -431,8 +431,10 @@ def test_packages_read_strictly_in_millimetres_and_side_by_side(exported: Export
         found, warnings = read_back((exported[0] / file).read_bytes())
         assert warnings == 0 and {piece.name for piece, _ in found} == names
         assert all(piece.part_number == f"large-{fingerprint}-{piece.name}" for piece, _ in found)
-        boxes = [[m.vertices.min(axis=0) + p, m.vertices.max(axis=0) + p] for (_, p), m in
-                 zip(found, (piece.mesh for piece, _ in found), strict=True)]  # fmt: skip
+        boxes = [
+            [m.vertices.min(axis=0) + p, m.vertices.max(axis=0) + p]
+            for (_, p), m in zip(found, (piece.mesh for piece, _ in found), strict=True)
+        ]
         assert min(low.min() for low, _ in boxes) == pytest.approx(0.0, abs=1e-4)  # the plate; 3MF cuts digits
         for (_, high), (low, _) in pairwise(boxes):
             assert low[0] - high[0] > 4.9  # millimetres

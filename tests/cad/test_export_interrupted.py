@@ -54,8 +54,9 @@ def test_a_killed_process_leaves_an_older_export_as_it_was(tmp_path: Path) -> No
     write(folder, "manifest.json", manifest("probe.stl"))
     run(folder, "os.kill(os.getpid(), signal.SIGKILL)")
     assert {p.name: p.read_text() for p in folder.iterdir()} == {
-        "probe.stl": "old", "manifest.json": manifest("probe.stl"),
-    }  # fmt: skip
+        "probe.stl": "old",
+        "manifest.json": manifest("probe.stl"),
+    }
 
 
 @posix

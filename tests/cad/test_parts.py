@@ -488,9 +488,9 @@ def random_design(seed: int) -> str:
         f"flange_lip_mm = {rng.uniform(3.5, 5.0):.1f}",
     ]
     sensor = rng.choice(["nano17", "nano17-e"])
-    return "\n".join([
-        f'schema = 1\nname = "random-{seed}"\n[probe]', *probe, f'[sensor]\nmodel = "{sensor}"\n[mount]', *mount,
-    ])  # fmt: skip
+    return "\n".join(
+        [f'schema = 1\nname = "random-{seed}"\n[probe]', *probe, f'[sensor]\nmodel = "{sensor}"\n[mount]', *mount]
+    )
 
 
 @pytest.mark.slow

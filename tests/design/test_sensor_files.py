@@ -179,9 +179,9 @@ def line_named(path: Path) -> str:
 
 @pytest.mark.parametrize("number", [0, 1, 2])
 @pytest.mark.parametrize(
-    ("key", "value"), [("range_N", "[12.0, 12.0]"), ("range_N", "[12.0, -1.0, 17.0]"), ("name", '"a b"'),
-                       ("resolution_Nm", "5.0")],
-)  # fmt: skip
+    ("key", "value"),
+    [("range_N", "[12.0, 12.0]"), ("range_N", "[12.0, -1.0, 17.0]"), ("name", '"a b"'), ("resolution_Nm", "5.0")],
+)
 def test_an_error_in_a_list_of_tables_names_its_line(number: int, key: str, value: str, tmp_path: Path) -> None:
     head, *tables = (FILES / "nano17.toml").read_text().split("[[calibrations]]")
     tables[number] = re.sub(rf"(?m)^{key} = .*$", f"{key} = {value}", tables[number], count=1)

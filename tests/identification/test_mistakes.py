@@ -57,7 +57,7 @@ def small_folder(model: ProbeModel, tmp_path_factory: pytest.TempPathFactory) ->
 @pytest.fixture(scope="module", params=MISTAKES)
 def mistaken(
     request: pytest.FixtureRequest, stage_folder: Path, model: ProbeModel, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[str, Identification]:  # fmt: skip
+) -> tuple[str, Identification]:
     """Name of a mistake, and the accepted result of a campaign with it."""
     change, frame, *_ = MISTAKES[request.param]
     folder = _edited(stage_folder, tmp_path_factory.mktemp("mistaken") / "data", change, frame)

@@ -20,8 +20,8 @@ def number(name: str, value: float, share: float, design: float) -> Identified:
     """Return a number as a fit has it, in MPa."""
     std, ends = share * value, [value * float(np.exp(sign * NORMAL * share)) for sign in (-1.0, 1.0)]
     return Identified(
-        name, "modulus", "MPa", "identified", value, design, std, *ends, value, std, *ends, by_diameter=-4.0,
-    )  # fmt: skip
+        name, "modulus", "MPa", "identified", value, design, std, *ends, value, std, *ends, by_diameter=-4.0
+    )
 
 
 def identification_of(

@@ -63,8 +63,10 @@ def test_a_root_at_its_bound_moves_inwards_only(end: int, outward: float, stage:
 def test_a_touch_that_would_pull_is_none(model: ProbeModel) -> None:
     """The force points into the surface on its own side alone; there friction ratios have a meaning."""
     s, force = 0.6 * model.rod.length, np.array([0.05, 0.0, 0.0])
-    pushes = [solve_touch(model.rod, model.gravity_base, force, s, angle, None, np.zeros(3))[1]
-              for angle in (np.pi, np.pi - 1.0, np.pi + 1.0, 0.0, 1.0, -1.0)]  # fmt: skip
+    pushes = [
+        solve_touch(model.rod, model.gravity_base, force, s, angle, None, np.zeros(3))[1]
+        for angle in (np.pi, np.pi - 1.0, np.pi + 1.0, 0.0, 1.0, -1.0)
+    ]
     assert pushes == [True, True, True, False, False, False]
 
 

@@ -212,8 +212,10 @@ def test_without_a_pose_there_is_no_number(estimator, motion):
         assert a.fused.result == ("out_of_range" if lacks else "no_contact")
         assert np.isnan(a.wrench_base).all() == np.isnan(a.T_world_base).all() == lacks
     assert [line.split(":")[0].split(" at ")[0] for line in lines if "pose" in line] == [
-        "no pose of the base", "the base pose is available again", "no pose of the base"
-    ]  # fmt: skip
+        "no pose of the base",
+        "the base pose is available again",
+        "no pose of the base",
+    ]
 
 
 def test_a_requested_tare_is_taken_while_free_and_refused_during_contact(estimator, motion):

@@ -160,7 +160,7 @@ def test_a_coarse_clock_has_no_gaps(path):
         (f"{CSV_HEADER}\n0.01,1,2,3,51,5,6\n", "Mx_Nm = 51 exceeds the range of any sensor"),
         (f"{CSV_HEADER}\n{rows(1700000000000.0)}", "time_s = 1.7e+12 exceeds"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_recording(path, text, problem_text):
     assert problem_text in problem(path, text)
 

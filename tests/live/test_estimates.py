@@ -77,6 +77,8 @@ def test_without_a_pose_the_world_is_empty():
     )
     row = json.loads(json_line(world_row(answer)))
     assert {name: value for name, value in row.items() if value is not None} == {
-        "phase": "", "fused_result": "out_of_range", "stale": "pose"
-    }  # fmt: skip
+        "phase": "",
+        "fused_result": "out_of_range",
+        "stale": "pose",
+    }
     assert "world: no pose" in readable_line(0.0, TRUE, FOUND, answer)

@@ -142,7 +142,7 @@ def test_an_invalid_pose_is_refused_with_its_line(wrong, tmp_path):
             "several frames, a, b",
         ),
     ],
-)  # fmt: skip
+)
 def test_a_file_of_no_poses(text, stated, tmp_path):
     path = tmp_path / "poses.jsonl"
     path.write_text(text)

@@ -49,8 +49,9 @@ def test_a_bag_is_read_in_every_storage_format(model, tmp_path, how):
 def test_a_single_file_of_a_bag_is_read_too(model, tmp_path):
     folder = bag(tmp_path / "b", {"/ft": ROWS})
     mcap = bag(tmp_path / "m", {"/ft": ROWS}, storage="mcap")
-    both = [np.concatenate([b.wrench_sensor for b in read(path, model)[1]])
-            for path in (folder / "b.db3", mcap_of(mcap))]  # fmt: skip
+    both = [
+        np.concatenate([b.wrench_sensor for b in read(path, model)[1]]) for path in (folder / "b.db3", mcap_of(mcap))
+    ]
     assert both[0].tobytes() == both[1].tobytes()
 
 

@@ -50,8 +50,10 @@ def test_a_base_is_stationary_within_the_scatter_of_its_poses(model):
     still = [pose(p=(0.2 * MAX_TRAVEL * (-1) ** i, 0.0, 0.0)) for i in range(COUNT)]
     gone = [pose(p=(2.0 * MAX_TRAVEL * i / COUNT, 0.0, 0.0)) for i in range(COUNT)]
     a = 2.0 * MAX_TRAVEL / 0.1  # rotations count over a tenth of a metre
-    spun = [pose(np.array([[np.cos(x), -np.sin(x), 0], [np.sin(x), np.cos(x), 0], [0, 0, 1]]))
-            for x in np.linspace(0.0, a, COUNT)]  # fmt: skip
+    spun = [
+        pose(np.array([[np.cos(x), -np.sin(x), 0], [np.sin(x), np.cos(x), 0], [0, 0, 1]]))
+        for x in np.linspace(0.0, a, COUNT)
+    ]
     for poses, moves in ((still, False), (gone, True), (spun, True)):
         assert seen(model, noise(model, COUNT), poses)[-1][2] is moves
     assert seen(model, noise(model, COUNT))[-1][2] is None

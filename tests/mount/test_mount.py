@@ -135,8 +135,7 @@ def test_a_probe_too_wide_for_any_ring_is_refused() -> None:
 def test_the_widest_probe_that_the_message_allows_is_clamped(base_d: float) -> None:
     """Between its ring and the land 1.5 mm of the lip remain."""
     bulge = f"[[0.0, {base_d}], [75.0, {base_d + 2.0}], [150.0, 2.0]]"
-    a = adapter_of(make_design(
-        f'shape = "profile"\nlength_mm = 150.0\nbase_d_mm = {base_d}\nprofile_mm = {bulge}'))  # fmt: skip
+    a = adapter_of(make_design(f'shape = "profile"\nlength_mm = 150.0\nbase_d_mm = {base_d}\nprofile_mm = {bulge}'))
     assert (a.land_d - a.ring_bore_d) / 2 == pytest.approx(1.5e-3)
     assert a.land_d <= a.flange.diameter - 1e-3 + 1e-9
 

@@ -287,8 +287,9 @@ def test_the_force_threshold_gives_the_requested_error(large):
 def test_the_maximum_force_is_where_the_result_changes(large, fraction, limit):
     reach = predict(large.model, (fraction,), (0.02,), ("+y",)).reach[0]
     assert reach.limit == limit
-    below, above = (predict_touch(large.estimator(), fraction, share * reach.greatest_force_N, "+y").result
-                    for share in (0.95, 1.1))  # fmt: skip
+    below, above = (
+        predict_touch(large.estimator(), fraction, share * reach.greatest_force_N, "+y").result for share in (0.95, 1.1)
+    )
     assert below == "ok" and above == {"sensor": "out_of_range"}.get(limit, limit)
 
 

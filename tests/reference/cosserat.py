@@ -97,8 +97,7 @@ def _columns(probes: Probes, tip: Array, z: Array, scale: Array, problem: Proble
     return table[:, 0], jacobian.transpose(2, 0, 1), first
 
 
-def _residual(probes: Probes, tip: Array, z: Array, problem: Problem, steps: int, rows: Array
-              ) -> tuple[Array, Ends]:  # fmt: skip
+def _residual(probes: Probes, tip: Array, z: Array, problem: Problem, steps: int, rows: Array) -> tuple[Array, Ends]:
     """Return the rotation of the base relative to the clamp [rad] and the additional residuals, (k, n)."""
     load, more = problem(probes, z, rows)
     ends = integrate(probes, tip, load, steps)
@@ -354,8 +353,7 @@ def differences(
     return np.concatenate([w for w, _ in parts]), np.concatenate([p for _, p in parts])
 
 
-def _differences(probes: Probes, gravity: Array, touches: Touches, variants: Sequence[Variant]
-                 ) -> tuple[Array, Array]:  # fmt: skip
+def _differences(probes: Probes, gravity: Array, touches: Touches, variants: Sequence[Variant]) -> tuple[Array, Array]:
     n, count = len(probes), 4 + len(variants)
     tip = np.nan_to_num(touches.tip.T, nan=0.5)
     own: Variant = (probes, gravity.T, touches.s, touches.phi, touches.surface_force)

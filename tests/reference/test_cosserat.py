@@ -10,8 +10,9 @@ from tests.reference.cosserat import press, solve
 from tests.reference.round_rods import Probes
 
 GRAVITY = np.array([9.81, 0.0, 0.0])
-LARGE = Rod(np.array([0.0, 0.15]), np.array([6e-3, 1e-3]), 2.32e6, 0.761e6, 1010.0, rigid_length=0.72e-3,
-            finite_strain=True)  # fmt: skip
+LARGE = Rod(
+    np.array([0.0, 0.15]), np.array([6e-3, 1e-3]), 2.32e6, 0.761e6, 1010.0, rigid_length=0.72e-3, finite_strain=True
+)
 PROFILE = Rod(np.array([0.0, 0.03, 0.07, 0.12]), np.array([6e-3, 5e-3, 2e-3, 1.5e-3]), 1e6, 0.3e6, 1100.0, 0.9, 4e-3)
 RODS = {
     "large": LARGE,
@@ -66,8 +67,9 @@ def test_a_pressed_probe_touches_the_point_with_the_friction_given():
     rng = np.random.default_rng(1)
     probes = Probes.of([LARGE] * n)
     phi, ratios = rng.uniform(-np.pi, np.pi, n), rng.normal(0.0, 0.4, (n, 2))
-    first = solve(probes, GRAVITY, 0.6 * LARGE.length, phi,
-                  0.01 * np.column_stack([np.ones(n), ratios]), axes="surface")  # fmt: skip
+    first = solve(
+        probes, GRAVITY, 0.6 * LARGE.length, phi, 0.01 * np.column_stack([np.ones(n), ratios]), axes="surface"
+    )
     assert first.ok.all()
     goal = first.p_surface + 3e-3 * first.frame[:, :, 0]
     found = press(probes, GRAVITY, goal, first, friction=ratios)

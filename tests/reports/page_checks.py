@@ -38,9 +38,11 @@ def browser() -> Iterator[Any]:
 def opened(running: Any, file: Path, width: int, scheme: str) -> Iterator[Any]:
     """Open a page with everything unfolded and without motion; it must load without faults and requests."""
     context = running.new_context(
-        viewport={"width": width, "height": HEIGHT}, color_scheme=scheme, reduced_motion="reduce",
+        viewport={"width": width, "height": HEIGHT},
+        color_scheme=scheme,
+        reduced_motion="reduce",
         device_scale_factor=SCALE,
-    )  # fmt: skip
+    )
     page = context.new_page()
     faults, requests = [], []
     page.on("console", lambda message: faults.append(message.text))

@@ -103,8 +103,10 @@ def test_the_best_design_of_a_metric_is_named_unless_values_are_printed_alike():
         metrics = SimpleNamespace(**values)
         return SimpleNamespace(design=SimpleNamespace(name=name), metrics=metrics)
 
-    pair = [named("a", error_mm=1.0, reach_mm=90.0, length_mm=100.0, slide_mm=None),
-            named("b", error_mm=2.0, reach_mm=140.0, length_mm=150.0, slide_mm=0.1)]  # fmt: skip
+    pair = [
+        named("a", error_mm=1.0, reach_mm=90.0, length_mm=100.0, slide_mm=None),
+        named("b", error_mm=2.0, reach_mm=140.0, length_mm=150.0, slide_mm=0.1),
+    ]
     assert [best_design(pair, m) for m in ("error_mm", "reach_mm", "length_mm", "slide_mm")] == ["a", "b", None, "b"]
     alike = [named("a", error_mm=1.00001), named("b", error_mm=1.00002)]
     assert best_design(alike, "error_mm") is None

@@ -81,8 +81,10 @@ def test_the_command_line_restores_the_design(session):
     assert design_dict(with_options(paper_design("large"), options)) == design_dict(session.design)
 
 
-@pytest.mark.parametrize("option", ["probe.length_mm", "=3", "probe.lenght_mm=3", "probe.length_mm=nan",
-                                    "probe.length_mm=-5", "probe.length_mm.x=3"])  # fmt: skip
+@pytest.mark.parametrize(
+    "option",
+    ["probe.length_mm", "=3", "probe.lenght_mm=3", "probe.length_mm=nan", "probe.length_mm=-5", "probe.length_mm.x=3"],
+)
 def test_bad_options_give_one_line(option):
     with pytest.raises(InputError) as error:
         with_options(paper_design("small"), [option])

@@ -223,7 +223,7 @@ NOT_FINITE = TRUE[0].K * [[1, 1, 1], [1, np.nan, 1], [1, 1, 1]]
         (chain("[0.0, 0.0, 0.0, 1.0]]", "[0.0, 0.0, 0.1, 1.0]]"), "T_cn_cnm1 is not a pose"),
         (chain("intrinsics: [3000.0,", "intrinsics: [.nan,"), "intrinsics has a number that is not finite"),
     ],
-)  # fmt: skip
+)
 def test_files_that_cannot_be_used_are_refused_in_one_line(tmp_path, make, words):
     with pytest.raises(InputError, match=words) as caught:
         read(make(tmp_path))

@@ -170,8 +170,9 @@ def open_poses(
     max_gap = 1e-3 * numbers["limit_ms"]
     if stream is not None:
         poses: PoseStream = resolve_name(stream[1])(target, texts)
-        return BasePoses(poses.title, poses, latency=latency, max_gap=max_gap, gravity_world=gravity,
-                         notes=poses.notes, log=log)  # fmt: skip
+        return BasePoses(
+            poses.title, poses, latency=latency, max_gap=max_gap, gravity_world=gravity, notes=poses.notes, log=log
+        )
     known = read_bag_poses(path, **texts) if in_bag else read_pose_file(path)
     title = f"{len(known)} poses of {path}, {known[0].time:.9g} ... {known[-1].time:.9g} s"
     return BasePoses(title, known, latency=latency, max_gap=max_gap, gravity_world=gravity, log=log)

@@ -252,9 +252,7 @@ def full_step(s, h, work, frustum, rest, force, gravity, on):
 def _stage(work, j):
     """Return what was stored of stage j: t, m, p', e and the section properties."""
     o = NOTED + ROW * j
-    med = (
-        *take(work, o + 15), *take(work, o + 18), *take(work, o + 21), take(work, o + 9),
-    )  # fmt: skip
+    med = (*take(work, o + 15), *take(work, o + 18), *take(work, o + 21), take(work, o + 9))
     return take(work, o), take(work, o + 3), take(work, o + 6), take(work, o + 12), med
 
 
