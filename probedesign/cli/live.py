@@ -95,7 +95,7 @@ def live(
         manifest: manifest.json of the printed parts; its geometry must be the bundle's.
         exact_model: treat probe, mount and bench as exactly known; sensor noise, drift of its bias and the friction
             prior remain. Default: all tolerances of BUNDLE.
-        method: ml (maximum a posteriori, with friction) or force_moment, the published method (also called paper).
+        method: ml (maximum a posteriori, with friction) or force_moment, the published method.
         friction: standard deviation of tangential over normal force, instead of BUNDLE's. 0: the force is normal to
             the surface; inf: any direction.
         lines: print one line per estimate on a terminal, too.

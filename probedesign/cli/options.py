@@ -65,7 +65,7 @@ FrozenProbe = Annotated[Path, _path_of(frozen_probe)]
 """Argument BUNDLE of a command."""
 JsonOutput = Annotated[bool, Parameter(name="--json")]
 """The option --json of a command."""
-Method = Literal["ml", "force_moment", "paper"]
+Method = Literal["ml", "force_moment"]
 """Values of --method."""
 Tare = Literal["auto", "none"]
 """Values of --tare."""

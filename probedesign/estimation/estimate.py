@@ -202,7 +202,3 @@ class FusedEstimate(Tabular):
         """Return the tangential over the normal force at each pose, (k,)."""
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.asarray(self.force_tangential / self.force_normal)
-
-
-Fused = FusedEstimate
-"""Former name."""

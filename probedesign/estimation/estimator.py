@@ -1,10 +1,9 @@
 """Where a probe is touched: detection, one of the methods, and the result code."""
 
 import math
-import warnings
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,14 +18,14 @@ from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimate import Candidate, Estimate, FusedEstimate, MomentsAbout, Result
 from probedesign.estimation.likelihood import Problem
 from probedesign.estimation.model import Observation, ProbeModel, covariance
-from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances, Unknowns
+from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.rod.equilibrium import Equilibrium
 
 if TYPE_CHECKING:
     from probedesign.estimation.fusion import Reading
 
-Method = Literal["ml", "force_moment", "paper"]
-"""Ways to locate a single contact; "paper" is another name of "force_moment"."""
+Method = Literal["ml", "force_moment"]
+"""Ways to locate a single contact."""
 
 ALARM_CHI2 = max_chi2(6, FALSE_ALARM)
 MIN_FORCE = 5.0
@@ -112,7 +111,7 @@ class Estimator:
             wrench_base: what the probe does to its mount, about the base origin [N, N·m], (6,), or a window of
                 independent readings of one and the same touch, (n, 6).
             gravity_base: gravity in base axes [m/s²], (3,); the design's mount if None.
-            method: "ml" or "force_moment" (also "paper").
+            method: "ml" or "force_moment".
             near: an estimate of a touch close by, which "ml" then starts from; it looks no further if it finds
                 a contact there.
 
@@ -124,8 +123,8 @@ class Estimator:
         """
         wrenches = np.asarray(wrench_base, dtype=float)
         gravity = self._gravity(gravity_base)
-        if method not in ("ml", "force_moment", "paper"):
-            raise InputError(f"method = {method!r} is not known; known: ml, force_moment (or paper)")
+        if method not in get_args(Method):
+            raise InputError(f"method = {method!r} is not known; known: ml, force_moment")
         if wrenches.shape[-1:] != (6,) or wrenches.ndim > 2 or len(wrenches) == 0:
             raise InputError(
                 f"wrench_base has shape {wrenches.shape}; it must be (6,), force and moment, or (n, 6) of them"
@@ -190,7 +189,6 @@ class Estimator:
         touched: ArrayLike | None = None,
         times: ArrayLike | None = None,
         priors: Tolerances | None = None,
-        unknowns: Unknowns | None = None,
     ) -> FusedEstimate:
         """Locate one fixed point of the world that the probe touches from several poses of its base.
 
@@ -207,7 +205,6 @@ class Estimator:
             times: of the readings [s], (k,), for the walk of the bias; `WALK_SECONDS` apart if None. Consecutive
                 readings from one pose count as a window of one touch.
             priors: standard deviations of the error sources; those of the estimator if None.
-            unknowns: former form of the priors, kept for one release.
 
         Returns:
             The estimate with its covariance; anything that goes wrong is its result code, never an exception.
@@ -220,8 +217,7 @@ class Estimator:
         moments = moments_about if moments_only else None
         if moments not in (None, "base", "sensor"):
             raise InputError(f"moments_about = {moments!r} is not known; known: base, sensor")
-        if priors is None:
-            priors = self.priors if unknowns is None else Tolerances.from_unknowns(unknowns)
+        priors = self.priors if priors is None else priors
         wrenches, poses, gravity, contact, clock = _fused_arguments(
             wrenches_base, Ts_world_base, gravity_world, touched, times
         )
@@ -337,11 +333,6 @@ class Estimator:
             return self
         walked = self.priors.drift_steps**2 * seconds / WALK_SECONDS
         return self.with_drift(math.sqrt(walked + (RAMP_STEPS * seconds) ** 2))
-
-    def since_tare(self, seconds: float) -> "Estimator":
-        """Call `with_tare_age`: the former name, removed in the next release."""
-        warnings.warn("Estimator.since_tare was renamed with_tare_age", DeprecationWarning, stacklevel=2)
-        return self.with_tare_age(seconds)
 
     def _std_force(self, readings: int) -> float:
         """Return the standard deviation of each axis of the force [N], by noise and drift of so many readings."""

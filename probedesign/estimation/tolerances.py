@@ -6,7 +6,6 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from probedesign.core.errors import InputError
-from probedesign.core.units import MM
 from probedesign.design.catalog import RESINS
 from probedesign.estimation.model import ProbeModel
 
@@ -52,35 +51,6 @@ def stiffness_spread(model: ProbeModel) -> float:
         return model.stiffness_spread
     E = model.material.get("youngs_modulus")
     return IDENTIFIED if E is not None and E.provenance == "identified" else ASSUMED_STIFFNESS
-
-
-@dataclass(frozen=True)
-class Unknowns:
-    """Priors of a fusion in which the probe is known but for its stiffness: kept for one release, use `Tolerances`."""
-
-    stiffness: float = ASSUMED_STIFFNESS  #: of E and of G, relative.
-    base_offset: float = 0.05e-3  #: of the base's place, the same at every pose, on each of the base's axes [m].
-    base_repeat: float = 0.01e-3  #: of the base's place at each pose for itself, on each axis [m].
-    bias_steps: float = 0.0  #: of the sensor's bias at the first reading, in steps of its resolution.
-    bias_walk_steps: float = 0.2  #: of the bias's step in `WALK_SECONDS`, in the same steps.
-    creep: float = 0.0  #: of how far the stiffness has relaxed at the last reading, relative.
-
-    def __post_init__(self) -> None:
-        """Raise InputError if a value is not a standard deviation."""
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if not 0.0 <= value < float("inf"):
-                raise InputError(f"{entry.name} = {value} must be a standard deviation: finite, not negative")
-
-    @classmethod
-    def of(cls, model: ProbeModel) -> "Unknowns":
-        """Return the priors of the design's material."""
-        return cls(stiffness=stiffness_spread(model), creep=model.creep_spread)
-
-    @classmethod
-    def none(cls) -> "Unknowns":
-        """Return priors with which all but the object is known exactly."""
-        return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -158,20 +128,6 @@ class Tolerances:
         """Return priors in which probe, mount and bench are exact; bias and poses scatter as in `of`."""
         known = cls.of(model)
         return replace(cls.none(), drift_steps=known.drift_steps, walk_steps=known.walk_steps, robot_mm=known.robot_mm)
-
-    @classmethod
-    def from_unknowns(cls, unknowns: Unknowns) -> "Tolerances":
-        """Return the priors of a fusion in which all but stiffness, base and bias is exact."""
-        return replace(
-            cls.none(),
-            youngs_modulus=unknowns.stiffness,
-            shear_modulus=unknowns.stiffness,
-            base_mm=unknowns.base_offset / MM,
-            robot_mm=unknowns.base_repeat / MM,
-            drift_steps=unknowns.bias_steps,
-            walk_steps=unknowns.bias_walk_steps,
-            creep=unknowns.creep,
-        )
 
     @property
     def exact(self) -> bool:

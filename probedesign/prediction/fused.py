@@ -192,9 +192,6 @@ class FusedCondition:
     noise_error_95_mm: float | None = None  #: its 95 % radius.
     #: RMS distance by error source; the squares add up to that of predicted_error_mm.
     budget_mm: dict[str, float] | None = None
-    #: total_error_mm, total_error_95_mm: the predicted errors under their former names.
-    total_error_mm: float | None = None
-    total_error_95_mm: float | None = None
 
 
 @dataclass(frozen=True)
@@ -315,7 +312,7 @@ def _condition(line: Line, touches: Sequence[Touches], i: int, force: float, sch
     by_source = dict(zip(FUSED_CAUSES, (budget.rms / MM).tolist(), strict=True))
     return replace(
         found, result="ok", predicted_error_mm=error, predicted_error_95_mm=within, noise_error_mm=noise,
-        noise_error_95_mm=noise_within, budget_mm=by_source, total_error_mm=error, total_error_95_mm=within,
+        noise_error_95_mm=noise_within, budget_mm=by_source,
     )  # fmt: skip
 
 

@@ -92,9 +92,6 @@ class Condition:
     sensor_use: float | None = None  #: largest fraction of a channel's range that the reading takes.
     #: RMS distance by error source; the squares add up to that of predicted_error_mm.
     budget_mm: dict[str, float] | None = None
-    #: total_error_mm, total_error_95_mm: the predicted errors under their former names.
-    total_error_mm: float | None = None
-    total_error_95_mm: float | None = None
 
 
 @dataclass(frozen=True)
@@ -333,8 +330,6 @@ def conditions_of(touches: Touches, lines: Sequence[tuple[float, str]]) -> list[
         "moment_per_mm_Nmm": 1e3 * by_moment * per_mm,
         "force_per_mm_N": by_force * per_mm,
         "sensor_use": touches.sensor_use,
-        "total_error_mm": error,
-        "total_error_95_mm": within,
     }
     # Numbers that are infinite or NaN do not exist.
     columns = {name: column.tolist() for name, column in numbers.items()}

@@ -128,17 +128,6 @@ def test_no_prior_hides_a_large_friction(large, gravity, exact, touched):
 # The force–moment method
 
 
-def test_the_published_method_has_two_names(exact, gravity, touched):
-    wrench = touched(0.075, 0.05, along=0.3)
-    a, b = (exact.estimate(wrench, gravity, method=name) for name in ("force_moment", "paper"))
-    assert a.result == b.result == "ok"
-    np.testing.assert_array_equal(a.p_contact_base, b.p_contact_base)
-    np.testing.assert_array_equal(a.cov_contact_base, b.cov_contact_base)
-    # A ratio of 0.3 leaves a couple of r F 0.3 that it takes for a lever arm of as much.
-    maximum = exact.estimate(wrench, gravity)
-    assert np.linalg.norm(a.p_contact_base - maximum.p_contact_base) < 3e-3
-
-
 def test_a_dead_force_on_the_centreline_is_found_by_the_published_method(large, exact):
     """Nine oblique forces and mounts are located correctly."""
     rng = np.random.default_rng(3)

@@ -56,7 +56,7 @@ def test_the_prediction_page_has_all_figures_and_added_sections():
     assert "Budget &amp; causes" in page and prediction.fingerprint in page
     labels = re.findall(r"<text[^>]*>([^<]*)</text>", page)
     for condition in (*prediction.conditions, *prediction.fused):
-        assert f"{condition.total_error_mm:.2g}" in labels
+        assert f"{condition.predicted_error_mm:.2g}" in labels
     for row in prediction.reach:
         assert f"<td>{row.force_mN_for_5_mm:.3g} mN</td>" in page
 
@@ -81,7 +81,7 @@ def test_the_shares_of_a_budget_sum_to_one():
         shares = shares_of(condition)
         assert sum(shares.values()) == pytest.approx(1.0, rel=1e-12)  # rounding
         mount = sum(condition.budget_mm[cause] ** 2 for cause in CAUSE_GROUPS["mount"])
-        assert shares["mount"] == pytest.approx(mount / condition.total_error_mm**2, rel=1e-9)
+        assert shares["mount"] == pytest.approx(mount / condition.predicted_error_mm**2, rel=1e-9)
 
 
 def test_the_verdict_states_the_condition_that_the_page_leads_with():

@@ -205,7 +205,7 @@ def test_predicted_errors_are_those_of_predict(found, large):
             assert math.isnan(trial.predicted)
             continue
         predicted = predict_touch(Estimator(large), trial.fraction, trial.force, trial.test.direction)
-        assert 1e3 * trial.predicted == pytest.approx(predicted.total_error_mm)
+        assert 1e3 * trial.predicted == pytest.approx(predicted.predicted_error_mm)
     assert sum(row["predicted_error_mm"] is not None for row in found.rows()) >= 8
 
 
