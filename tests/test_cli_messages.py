@@ -33,8 +33,6 @@ coupon designs/a.toml
 coupon designs/none.toml
 measured designs/b.toml calipers.csv --out designs/measured.toml
 measured designs/a.toml calipers.csv
-print designs/a.toml
-print designs/a.toml --timeout-s 0
 predict designs/a.toml --no-plots
 predict designs/a.toml --no-plots --verbose
 predict
@@ -100,12 +98,11 @@ def manifest() -> dict[str, object]:
 
 
 def replace_slow_and_local_parts(patch: pytest.MonkeyPatch) -> None:
-    """Replace CAD, PreForm, worker processes, photographs and the list of installed packages by fixed results."""
+    """Replace CAD, worker processes, photographs and the list of installed packages by fixed results."""
     from probedesign.campaigns import photographs
     from probedesign.cli import doctor
     from probedesign.optimization import sweep
     from probedesign.optimization.objective import METRICS
-    from probedesign.printing import preform_job as job
 
     good = {"probe.length_mm": 100.0, "error_mm": 14.4, "detectable_mN": 0.28, "sag_mm": 2.6, "print_errors": 0}
     bad = {"probe.length_mm": 120.0, "result": "refused", "reason": "too slender"}
@@ -115,23 +112,6 @@ def replace_slow_and_local_parts(patch: pytest.MonkeyPatch) -> None:
     ]
     swept = sweep.SweepResult(records, 1, [Path("sweep.csv"), Path("sweep.parquet")], ["a record was dropped"])
     patch.setattr(sweep, "sweep", lambda *_: swept)
-    selection = job.PrintSelection("Form 3", "Elastic 50A", "0.100 mm", {})
-    prepared = job.PreparedJob(
-        "0.9",
-        selection,
-        ("probe",),
-        {"probe": "upright, on supports"},
-        900,
-        21.5,
-        14_000.0,
-        (),
-        "preform.png",
-        None,
-        None,
-        None,
-    )
-    patch.setattr(job, "load_job", lambda *_: SimpleNamespace(folder=Path("exports/a")))
-    patch.setattr(job, "prepare_job", lambda *_: prepared)
     found = SimpleNamespace(pixels=range(14), dark=True, std_px=SimpleNamespace(max=lambda: 0.1))
     tests = [
         SimpleNamespace(test="touch-01", found=[found, found], problem="", residual_px=0.11),

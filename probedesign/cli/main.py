@@ -18,7 +18,6 @@ COMMANDS = {
     "studio": "Design a probe in the browser by moving sliders.",
     "check": "Check whether a design can be printed.",
     "export": "Write the parts to print: STL, STEP, 3MF and their manifest.",
-    "print": "Prepare the exported parts in PreForm, and send them to a printer on request.",
     "coupon": "Write a stepped cone and a rod to print and measure, with their measuring sheets.",
     "measured": "Write diameters measured with calipers into a design.",
     "predict": "Predict sensitivity and contact error of a design.",
@@ -43,13 +42,7 @@ COMMANDS = {
 """Commands in the order of the chain, each with its line of help. Kept here because reading it from the commands would
 import them all."""
 
-FUNCTIONS = {
-    "check": "printing:check",
-    "print": "printing:print_job",
-    "sweep": "compare:sweep",
-    "markers": "campaign:markers",
-    "recover": "estimate:recover",
-}
+FUNCTIONS = {"sweep": "compare:sweep", "markers": "campaign:markers", "recover": "estimate:recover"}
 """Module and function of a command, where they do not have its name."""
 
 DEBUG = "PROBEDESIGN_DEBUG"

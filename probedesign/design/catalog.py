@@ -53,8 +53,6 @@ class Resin:
     #: tangential over normal force of a touch [-], standard deviation of the prior per tangential direction.
     friction: Quantity
     density_tolerance_source: str  #: source of the relative standard deviation of the density, `Tolerances.density`.
-    #: labels in PreForm, the version first from which the properties were taken; empty if unknown.
-    preform_labels: tuple[str, ...] = ()
     cure: str = "wash and cure as the resin's data sheet says"  #: instruction for washing and curing.
 
 
@@ -74,14 +72,11 @@ ELASTIC_50A = Resin(
     friction=ELASTIC_FRICTION,
     density_tolerance_source="datasheet: Formlabs Elastic 50A V1, 1.00-1.02 g/ml, its half width taken for one "
     "standard deviation",
-    preform_labels=("Elastic 50A V1", "Elastic 50A V2"),
     cure="wash 20 min, cure 20 min at 60 °C (Formlabs, Elastic 50A)",
 )
 
 
-def _incompressible(
-    name: str, product: str, E_mpa: float, density: float, E_source: str, density_source: str, label: str
-) -> Resin:
+def _incompressible(name: str, product: str, E_mpa: float, density: float, E_source: str, density_source: str) -> Resin:
     """Return a soft resin of which E alone is known: G = E/3, the incompressible limit, marked as assumed."""
     return Resin(
         name=name,
@@ -91,27 +86,24 @@ def _incompressible(
         density=Quantity(density, "datasheet", density_source),
         friction=ELASTIC_FRICTION,
         density_tolerance_source=f"assumed: 1 %, as of Elastic 50A; the data sheet of {product} has no range",
-        preform_labels=(label,),
     )
 
 
 FLEXIBLE_80A = _incompressible(
     "flexible-80a", "Flexible 80A", 6.3, 1120.0,
     "stress at 100 % strain (V1) taken for E: identify before you rely on it",
-    "Formlabs Flexible 80A V2, 1.12 g/ml", "Flexible 80A V1",
+    "Formlabs Flexible 80A V2, 1.12 g/ml",
 )  # fmt: skip
 SILICONE_40A = _incompressible(
     "silicone-40a", "Silicone 40A", 1.7, 1040.0,
     "rule of thumb for Shore 40A (Gent's relation): identify before you rely on it",
-    "Formlabs Silicone 40A, 1.04 g/ml", "Silicone 40A V1",
+    "Formlabs Silicone 40A, 1.04 g/ml",
 )  # fmt: skip
 
 RESINS = {resin.name: resin for resin in (ELASTIC_50A, FLEXIBLE_80A, SILICONE_40A)}
 
 RIGID_RESIN = "rigid resin, e.g. Grey V4"
 """Material of the adapters; any resin that is stiff against the probe is suitable."""
-RIGID_PREFORM_LABELS = ("Grey V4", "Grey V5")
-"""Labels of that resin in PreForm."""
 ALUMINIUM = "aluminium, e.g. EN AW-6082"
 ALUMINIUM_DENSITY = 2700.0
 """Density of milled adapters [kg/m³]. Source: EN 573-3 alloys of the series 6000, any table."""
@@ -121,7 +113,7 @@ RIGID_DENSITY = 1180.0
 
 @dataclass(frozen=True)
 class Printer:
-    """A printer: its name in a design file and in PreForm, and its build volume along x, y, z [mm]."""
+    """A printer: its name in a design file, and its build volume along x, y, z [mm]."""
 
     name: str
     product: str

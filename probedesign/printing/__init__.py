@@ -1,1 +1,1 @@
-"""Print rules of a design, and preparation of the print job in PreForm; needs no CAD and no mechanics."""
+"""Print rules of a design; needs no CAD and no mechanics."""

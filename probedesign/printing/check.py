@@ -40,7 +40,7 @@ RAFT_THICKNESS = 2.0
 HEIGHT_ABOVE_RAFT = 5.0
 RAFT_MARGIN = 5.0
 SUPPORT_HEIGHT = RAFT_THICKNESS + HEIGHT_ABOVE_RAFT
-"""Raft and supports below the base and around it (assumed); `print` requests the first two from PreForm."""
+"""Raft and supports below the base and around it (assumed)."""
 PLATFORM_SETUP = f"raft {RAFT_THICKNESS:g} mm, supports {HEIGHT_ABOVE_RAFT:g} mm, margin {RAFT_MARGIN:g} mm (assumed)"
 
 SUPPORTED_WALL, UNSUPPORTED_WALL, MIN_HOLE_D = 0.4, 0.6, 0.5
