@@ -28,9 +28,9 @@ from probedesign.estimation.detector import Detector
 from probedesign.estimation.estimate import FusedEstimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
+from probedesign.live.blocks import Block
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.track import TimedPose
-from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.chain import Chain
 from probedesign.live.processing.control import ProcessingOptions, TareWindow
 from probedesign.live.processing.touches import Contact

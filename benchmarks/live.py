@@ -28,11 +28,11 @@ from benchmarks.view import free_port
 from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.frozen_probe import load_estimator, write_frozen
+from probedesign.live.blocks import Block
 from probedesign.live.outputs.foxglove import FoxgloveSink
 from probedesign.live.outputs.recording import RecordingSink
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
 from probedesign.live.priority import ESTIMATES
-from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.control import CommandQueue, ProcessingOptions, TareWindow
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.run import estimate_stream, warm_up

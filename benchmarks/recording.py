@@ -12,8 +12,8 @@ import numpy as np
 from benchmarks.timing import print_table
 from probedesign.design import load_design
 from probedesign.estimation.model import ProbeModel
+from probedesign.live.blocks import Block
 from probedesign.live.outputs.recording import FLUSH_PERIOD, RecordingFile, open_recording_file
-from probedesign.live.processing.blocks import Block
 from probedesign.live.sources.replay import open_recording
 from probedesign.probe import build_probe
 

@@ -19,7 +19,7 @@ import numpy as np
 from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.frozen_probe import load_estimator, write_frozen
-from probedesign.live.processing.blocks import Block
+from probedesign.live.blocks import Block
 from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.run import estimate_stream, warm_up
 from probedesign.live.sources.sim import SimulatedSource

@@ -14,7 +14,7 @@ from probedesign.cli import demo
 from probedesign.cli.main import run
 from probedesign.core.errors import MissingDependencyError
 from probedesign.design.io import draft_design, render_design
-from probedesign.live.processing.blocks import iter_readings
+from probedesign.live.blocks import iter_readings
 from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.recordings.csv import write_recording
 from probedesign.live.sources.replay import RecordingOptions

@@ -255,7 +255,7 @@ def _simulate(estimator: "Estimator", recording: Path) -> "RecordingEstimates":
     """Simulate and record readings, and return their estimates with the truth in each row."""
     import numpy as np
 
-    from probedesign.live.processing.blocks import iter_readings
+    from probedesign.live.blocks import iter_readings
     from probedesign.live.processing.estimates import true_values
     from probedesign.live.recordings.csv import write_recording
     from probedesign.live.run import estimate_recording

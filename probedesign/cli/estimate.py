@@ -14,7 +14,7 @@ MAX_PRINTED = 20
 """Number of touches that are printed."""
 
 if TYPE_CHECKING:
-    from probedesign.live.processing.blocks import WrenchReading
+    from probedesign.live.blocks import WrenchReading
     from probedesign.reports.recording_page import RecordedTouch
 
 

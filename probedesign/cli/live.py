@@ -164,7 +164,7 @@ def _run(
     """
     from probedesign import pipeline
     from probedesign.live.outputs.sinks import SinkGroup, StderrSink
-    from probedesign.live.poses.base_poses import open_poses
+    from probedesign.live.poses.open import open_poses
     from probedesign.live.processing.command_inputs import open_inputs
     from probedesign.live.processing.control import CommandQueue
     from probedesign.live.run import warm_up

@@ -235,7 +235,7 @@ class BaseOptions:
         Raises:
             InputError: the poses cannot be opened.
         """
-        from probedesign.live.poses.base_poses import open_poses
+        from probedesign.live.poses.open import open_poses
 
         return open_poses(self.pose, self.pose_latency_ms, self.gravity_world, log)
 

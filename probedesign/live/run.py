@@ -20,10 +20,10 @@ from probedesign.estimation.estimate import RESULTS
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.estimation.tracker import Tracker
 from probedesign.live import Log
+from probedesign.live.blocks import Block, WrenchReading, averaged, limit_duration
 from probedesign.live.outputs.sinks import Sink
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.processing.averaging import choose_averaging, readings_needed
-from probedesign.live.processing.blocks import Block, WrenchReading, averaged, limit_duration
 from probedesign.live.processing.chain import Chain
 from probedesign.live.processing.control import (
     CommandQueue,
@@ -41,8 +41,7 @@ from probedesign.live.processing.plausibility import ClockMonitor
 from probedesign.live.recordings.csv import gaps_in
 from probedesign.live.sources.replay import OpenRecording, RecordingOptions, open_recording
 from probedesign.live.sources.source import GatheringSource, Source
-from probedesign.rod.contact import solve_frictionless
-from probedesign.simulation.rod_and_sensor import safe_force
+from probedesign.rod.contact import safe_force, solve_frictionless
 
 
 def estimate_stream(

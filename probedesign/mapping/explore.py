@@ -13,9 +13,10 @@ from probedesign.core.frames import Array
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.live.blocks import Block
 from probedesign.live.outputs.sinks import Sink
-from probedesign.live.poses.base_poses import FIXED, BasePoses
-from probedesign.live.processing.blocks import Block
+from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.poses.open import FIXED
 from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.replay import RecordingOptions, open_recording

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from probedesign.core.frames import Array
+from probedesign.core.units import MILLINEWTON
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.rod import Mode, Rod
 
@@ -353,3 +354,20 @@ def dot(a: Numbers, b: Numbers) -> Numbers:
 def cross(a: Numbers, b: Numbers) -> Numbers:
     """Return the cross products of columns, (3, m)."""
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+DEFAULT_FORCE = 20.0 * MILLINEWTON
+"""Default contact force [N], reduced for a probe that it would bend too far."""
+MAX_BENDING = 0.85
+"""Maximum of F s² r(0)/(E I(0) r(s)): about one radian of bending, for any inclination of the force."""
+OUTERMOST = 0.95
+"""Largest fraction of the length at which simulated contacts are placed."""
+
+
+def safe_force(rod: Rod) -> float:
+    """Return the default contact force [N], reduced for a probe that it would bend too far."""
+    s = OUTERMOST * rod.length
+    radius, base = float(rod.radius_at(s)), float(rod.radius[0])
+    softer_axis = min(rod.factors[1:3])
+    stiffness = softer_axis * rod.youngs_modulus * math.pi / 4.0 * base**4 * radius / base
+    return min(DEFAULT_FORCE, MAX_BENDING * stiffness / s**2)

@@ -22,8 +22,8 @@ from probedesign.core.frames import Array, pose, skew
 from probedesign.core.units import MM
 from probedesign.estimation.bias import WALK_STEPS
 from probedesign.estimation.model import ProbeModel
+from probedesign.live.blocks import Block
 from probedesign.live.poses.track import TimedPose, pose_from_matrix
-from probedesign.live.processing.blocks import Block
 from probedesign.simulation.rod_and_sensor import bias_step, sample_std
 from probedesign.simulation.scenes import PressedObject
 

@@ -11,19 +11,11 @@ from typing import NamedTuple
 import numpy as np
 
 from probedesign.core.frames import Array
-from probedesign.core.units import MILLINEWTON
 from probedesign.estimation.force_moment import surface_point
 from probedesign.estimation.model import ProbeModel
 from probedesign.rod.contact import line_of_action, solve_frictionless, solve_surface_force
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Mode, Rod
-
-DEFAULT_FORCE = 20.0 * MILLINEWTON
-"""Default contact force [N], reduced for a probe that it would bend too far."""
-MAX_BENDING = 0.85
-"""Maximum of F s² r(0)/(E I(0) r(s)): about one radian of bending, for any inclination of the force."""
-OUTERMOST = 0.95
-"""Largest fraction of the length at which simulated contacts are placed."""
 
 
 class RodContact(NamedTuple):
@@ -73,15 +65,6 @@ def solve_contact(
         return RodContact(contact.result, eq, s, missing, missing, missing)
     s_axis = line_of_action(rod, eq, contact.p_surface_base)
     return RodContact("ok", eq, s_axis, eq.p_at(s_axis), contact.force_base, contact.p_surface_base)
-
-
-def safe_force(rod: Rod) -> float:
-    """Return the default contact force [N], reduced for a probe that it would bend too far."""
-    s = OUTERMOST * rod.length
-    radius, base = float(rod.radius_at(s)), float(rod.radius[0])
-    softer_axis = min(rod.factors[1:3])
-    stiffness = softer_axis * rod.youngs_modulus * math.pi / 4.0 * base**4 * radius / base
-    return min(DEFAULT_FORCE, MAX_BENDING * stiffness / s**2)
 
 
 # noise of the sensor

@@ -16,6 +16,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.model import ProbeModel
+from probedesign.rod.contact import safe_force
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.friction import (
     ASSUMED_FRICTION,
@@ -25,7 +26,6 @@ from probedesign.rod.friction import (
     CoulombSolver,
     draw_friction,
 )
-from probedesign.simulation.rod_and_sensor import safe_force
 
 # a press along a straight line
 

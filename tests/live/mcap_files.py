@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from probedesign.live.processing.blocks import Block
+from probedesign.live.blocks import Block
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.sources.replay import OpenRecording, RecordingOptions, open_recording
 

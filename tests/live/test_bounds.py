@@ -17,9 +17,9 @@ import pytest
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.frozen_probe import _checksum, load_model
+from probedesign.live.blocks import dropout_block, limit_duration
 from probedesign.live.outputs.recording import RecordingSink
 from probedesign.live.poses.pose_sources import read_pose_file
-from probedesign.live.processing.blocks import dropout_block, limit_duration
 from probedesign.live.sources.netft.configuration import MAX_PAGE_BYTES, fetch_page
 from probedesign.live.sources.source import open_source
 

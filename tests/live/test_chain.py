@@ -8,10 +8,11 @@ import pytest
 from probedesign.core.errors import InputError
 from probedesign.core.frames import pose
 from probedesign.estimation.bias import WALK_STEPS
-from probedesign.live.poses.base_poses import BasePoses, open_poses
+from probedesign.live.blocks import Block
+from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.poses.open import open_poses
 from probedesign.live.poses.pose_sources import PoseListener, parse_pose_json
 from probedesign.live.poses.track import TimedPose, pose_from_matrix
-from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.chain import Chain, LowPass
 from probedesign.live.processing.control import ProcessingOptions, Tare, TareWindow
 from probedesign.live.processing.estimates import estimate_row, json_line, world_row

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from probedesign.cli.main import run
-from probedesign.live.processing.blocks import iter_readings
+from probedesign.live.blocks import iter_readings
 from probedesign.live.processing.estimates import COLUMNS, TRUE_COLUMNS, WORLD_COLUMNS
 from probedesign.live.recordings.csv import read_recording, write_recording
 from probedesign.live.sources.sim import SimulatedSource

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
+from probedesign.live.blocks import WrenchReading, group_readings, iter_readings
 from probedesign.live.processing import control as due
-from probedesign.live.processing.blocks import WrenchReading, group_readings, iter_readings
 from probedesign.live.processing.control import (
     MAX_AGE,
     MAX_SKIPPED_SHARE,

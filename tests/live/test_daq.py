@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError, MissingDependencyError, ProbeDesignError
-from probedesign.live.processing.blocks import iter_readings
+from probedesign.live.blocks import iter_readings
 from probedesign.live.processing.estimates import locate
 from probedesign.live.sources.source import open_source
 from tests.live.cal_file import U, text

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from probedesign.estimation.estimate import Estimate, FusedEstimate
-from probedesign.live.processing.blocks import NO_CONTACT, TrueContact, WrenchReading
+from probedesign.live.blocks import NO_CONTACT, TrueContact, WrenchReading
 from probedesign.live.processing.estimates import (
     COLUMNS,
     WORLD_COLUMNS,

@@ -391,7 +391,7 @@ def test_without_the_package_the_remedy_is_reported(model, monkeypatch):
 
 def test_the_estimate_of_a_fault_is_encoded(model, tmp_path):
     """Without a shape and without any number."""
-    from probedesign.live.processing.blocks import WrenchReading
+    from probedesign.live.blocks import WrenchReading
     from probedesign.live.processing.estimates import EstimateUpdate
 
     file = McapRecorder(tmp_path / "fault.mcap", model)

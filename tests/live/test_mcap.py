@@ -18,8 +18,8 @@ from rosbags.highlevel import AnyReader
 
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimate import Estimate
+from probedesign.live.blocks import Block, WrenchReading
 from probedesign.live.poses.track import pose_from_matrix
-from probedesign.live.processing.blocks import Block, WrenchReading
 from probedesign.live.processing.control import ProcessingOptions, TareWindow
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, estimate_row, json_line
 from probedesign.live.recordings import schemas

@@ -6,7 +6,7 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from probedesign.live.processing.blocks import Block, averaged
+from probedesign.live.blocks import Block, averaged
 from probedesign.live.processing.control import ProcessingOptions, TareWindow
 from probedesign.live.processing.estimates import locate
 from probedesign.live.run import estimate_stream

@@ -7,10 +7,10 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import pose
+from probedesign.live.blocks import Block
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.track import TimedPose
 from probedesign.live.processing.averaging import choose_averaging
-from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.control import ProcessingOptions, TareWindow
 from probedesign.live.processing.plausibility import CLOCK_HOLD, LEAP_HOLD, TravelCheck
 from probedesign.live.recordings.csv import write_recording

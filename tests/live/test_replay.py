@@ -7,7 +7,7 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import inverse, wrench_map
-from probedesign.live.processing.blocks import WrenchReading, group_readings
+from probedesign.live.blocks import WrenchReading, group_readings
 from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.processing.estimates import locate
 from probedesign.live.recordings.csv import CsvRecorder, read_recording, write_recording

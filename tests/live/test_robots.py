@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.live.poses import robots
-from probedesign.live.poses.base_poses import open_poses
+from probedesign.live.poses.open import open_poses
 from probedesign.live.poses.robots import RobotPoses
 from probedesign.live.poses.track import TimedPose, pose_matrix
 from tests.live.peers import until

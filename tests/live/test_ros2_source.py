@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.live.poses.base_poses import open_poses
-from probedesign.live.processing.blocks import Block
+from probedesign.live.blocks import Block
+from probedesign.live.poses.open import open_poses
 from probedesign.live.sources.ros2.source import BRIDGE
 from probedesign.live.sources.source import open_source
 from tests.live.peers import until

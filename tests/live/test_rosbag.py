@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.live.processing.blocks import iter_readings
+from probedesign.live.blocks import iter_readings
 from probedesign.live.processing.estimates import json_line
 from probedesign.live.recordings.csv import write_recording
 from probedesign.live.run import estimate_recording

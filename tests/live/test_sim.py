@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.live.processing.blocks import WrenchReading, averaged, iter_readings
+from probedesign.live.blocks import WrenchReading, averaged, iter_readings
 from probedesign.live.processing.estimates import locate
 from probedesign.live.sources.sim import SimulatedSource
 

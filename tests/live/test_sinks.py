@@ -10,8 +10,8 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
+from probedesign.live.blocks import WrenchReading
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
-from probedesign.live.processing.blocks import WrenchReading
 from probedesign.live.processing.control import CommandQueue, ProcessingOptions
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate
 from probedesign.live.run import estimate_stream

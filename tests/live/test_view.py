@@ -14,8 +14,8 @@ from rich.console import Console
 from probedesign.core.frames import pose
 from probedesign.core.stl import RECORD
 from probedesign.estimation.estimate import RESULTS, Estimate
+from probedesign.live.blocks import Block, WrenchReading
 from probedesign.live.outputs.drawing import SIDES, BentShape, ContactMarker, TubeMesh, centreline, ellipsoid
-from probedesign.live.processing.blocks import Block, WrenchReading
 from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.processing.estimates import EstimateUpdate, readable_line
 from probedesign.live.run import estimate_stream

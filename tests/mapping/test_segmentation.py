@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from probedesign.live.processing.blocks import WrenchReading
+from probedesign.live.blocks import WrenchReading
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.processing.touches import ContactHistory
 from probedesign.mapping.segmentation import REJOIN_TIME, TouchSegmenter

@@ -13,7 +13,7 @@ from probedesign import pipeline
 from probedesign.campaigns import read_campaign
 from probedesign.cli.main import run
 from probedesign.design import load_design
-from probedesign.live.processing.blocks import iter_readings
+from probedesign.live.blocks import iter_readings
 from probedesign.live.processing.estimates import true_values
 from probedesign.live.recordings.csv import write_recording
 from probedesign.live.run import RecordingEstimates, estimate_recording

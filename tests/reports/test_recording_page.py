@@ -9,7 +9,7 @@ from probedesign.cli.main import run
 from probedesign.design import load_design
 from probedesign.estimation.estimate import RESULTS
 from probedesign.frozen_probe import freeze
-from probedesign.live.processing.blocks import iter_readings
+from probedesign.live.blocks import iter_readings
 from probedesign.live.recordings.csv import write_recording
 from probedesign.live.run import estimate_recording
 from probedesign.live.sources.sim import SimulatedSource

@@ -6,15 +6,9 @@ import numpy as np
 import pytest
 
 from probedesign.core.units import MM
+from probedesign.rod.contact import DEFAULT_FORCE, safe_force
 from probedesign.simulation.robot import SimulatedTrajectory
-from probedesign.simulation.rod_and_sensor import (
-    DEFAULT_FORCE,
-    bias_step,
-    reading_std,
-    safe_force,
-    sample_std,
-    solve_contact,
-)
+from probedesign.simulation.rod_and_sensor import bias_step, reading_std, sample_std, solve_contact
 from tests.live.conftest import bundle as bundle
 from tests.live.conftest import estimator as estimator
 

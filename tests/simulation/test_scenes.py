@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from probedesign.core.units import MILLINEWTON, MM
+from probedesign.rod.contact import safe_force
 from probedesign.rod.friction import CoulombSolver
 from probedesign.rod.obstacle import press_against_line
-from probedesign.simulation.rod_and_sensor import safe_force
 from probedesign.simulation.scenes import CLEARANCE, MAX_DEPTH, StraightPress, press_scene
 from tests.live.conftest import bundle as bundle
 from tests.live.conftest import estimator as estimator

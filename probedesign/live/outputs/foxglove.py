@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from probedesign.core.errors import InputError, require
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import LOOPBACK, Log, split_address
+from probedesign.live.blocks import Block
 from probedesign.live.outputs.recording import BackgroundWriter
-from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.recordings import schemas
 from probedesign.live.recordings.messages import MessageEncoder

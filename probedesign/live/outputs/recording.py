@@ -15,10 +15,10 @@ from typing import Protocol
 from probedesign.core.errors import InputError, ProbeDesignError
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
+from probedesign.live.blocks import Block
 from probedesign.live.outputs.sinks import Sink
 from probedesign.live.poses.track import TimedPose
 from probedesign.live.priority import yield_to_estimates
-from probedesign.live.processing.blocks import Block
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.recordings import FileLock, part_path
 

@@ -9,7 +9,7 @@ from typing import Protocol
 
 from probedesign.core.errors import InputError
 from probedesign.live import Log, split_address
-from probedesign.live.processing.blocks import Block
+from probedesign.live.blocks import Block
 from probedesign.live.processing.estimates import EstimateUpdate, Row, estimate_row, json_line, world_row
 
 

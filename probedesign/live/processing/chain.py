@@ -18,9 +18,9 @@ from probedesign.core.frames import Array
 from probedesign.estimation.estimate import Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.live import Log
+from probedesign.live.blocks import AveragedBatch, BatchAverager, Block, WrenchReading, joined
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.processing.averaging import choose_averaging, readings_needed
-from probedesign.live.processing.blocks import AveragedBatch, BatchAverager, Block, WrenchReading, joined
 from probedesign.live.processing.control import (
     MAX_AGE,
     TARE_DURATION,

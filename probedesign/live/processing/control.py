@@ -14,7 +14,7 @@ from probedesign.core.errors import InputError, ProbeDesignError
 from probedesign.core.frames import Array
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.live import Log
-from probedesign.live.processing.blocks import WrenchReading
+from probedesign.live.blocks import WrenchReading
 
 MIN_READINGS = 10
 """Minimum number of readings in a tare window: the mean of ten adds a tenth to the variance of every later reading."""

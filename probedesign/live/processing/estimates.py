@@ -12,7 +12,7 @@ from probedesign.estimation.bias import KnownBias
 from probedesign.estimation.estimate import Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.estimation.model import ProbeModel
-from probedesign.live.processing.blocks import WrenchReading
+from probedesign.live.blocks import WrenchReading
 from probedesign.live.processing.control import Tare
 from probedesign.live.processing.touches import Contact, Phase
 

@@ -15,8 +15,8 @@ import numpy as np
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
+from probedesign.live.blocks import AveragedBatch, Block
 from probedesign.live.processing.averaging import second_differences
-from probedesign.live.processing.blocks import AveragedBatch, Block
 from probedesign.live.processing.control import CHANNELS
 
 FROZEN_READINGS = 8

@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.frames import Array
+from probedesign.core.units import FORCE_UNITS, LENGTH_UNITS, TORQUE_UNITS, unit_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
-from probedesign.live.processing.blocks import Block, dropout_block
-from probedesign.live.sources.netft.configuration import FORCE_UNITS, LENGTH_UNITS, TORQUE_UNITS, parse_xml, unit_of
+from probedesign.live.blocks import Block, dropout_block
+from probedesign.live.sources.netft.configuration import parse_xml
 from probedesign.live.sources.source import STALE_TIME, DropoutMonitor, SourceParameter, parse_parameters
 
 if TYPE_CHECKING:

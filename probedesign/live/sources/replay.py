@@ -20,10 +20,11 @@ from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.frozen_probe import freeze
 from probedesign.live import Log
-from probedesign.live.processing.blocks import Block, WrenchReading
-from probedesign.live.recordings.csv import Recording, check_wrenches, is_ati_demo, read_ati_demo, read_recording
+from probedesign.live.blocks import Block, WrenchReading
+from probedesign.live.recordings.csv import Recording, check_wrenches, read_recording
 from probedesign.live.recordings.schemas import BLOCK, METADATA_NAME, RAW, read_text, read_wrenches
 from probedesign.live.sources import rosbag
+from probedesign.live.sources.netft.demo_recording import is_ati_demo, read_ati_demo
 from probedesign.live.sources.rosbag import BLOCK_SIZE, Bag, RosWrenchTopic
 from probedesign.live.sources.source import SPEED, SourceParameter, parse_parameters, played
 

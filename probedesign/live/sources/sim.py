@@ -10,10 +10,11 @@ from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
-from probedesign.live.processing.blocks import NO_CONTACT, Block, TrueContact, WrenchReading
+from probedesign.live.blocks import NO_CONTACT, Block, TrueContact, WrenchReading
 from probedesign.live.sources.source import SPEED, SourceParameter, parse_parameters, played
+from probedesign.rod.contact import OUTERMOST, safe_force
 from probedesign.rod.friction import MAX_FRICTION
-from probedesign.simulation.rod_and_sensor import OUTERMOST, reading_std, safe_force, solve_contact
+from probedesign.simulation.rod_and_sensor import reading_std, solve_contact
 
 PARAMETERS = {
     "force_mN": SourceParameter(math.nan, 1e-3, 1e5),  # see safe_force

@@ -17,7 +17,7 @@ from urllib.parse import parse_qsl
 from probedesign.core.errors import InputError, ProbeDesignError
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
-from probedesign.live.processing.blocks import Block, WrenchReading, group_readings, paced
+from probedesign.live.blocks import Block, WrenchReading, group_readings, paced
 
 
 class Source(Protocol):

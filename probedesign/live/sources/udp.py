@@ -16,6 +16,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
+from probedesign.live.blocks import Block, WrenchReading, dropout_block, group_readings
 from probedesign.live.datagrams import (
     MAX_TIME_JUMP,
     SENDER_TIMEOUT,
@@ -24,7 +25,6 @@ from probedesign.live.datagrams import (
     find_quantity,
     parse_listen_address,
 )
-from probedesign.live.processing.blocks import Block, WrenchReading, dropout_block, group_readings
 from probedesign.live.sources.source import STALE_TIME, DropoutMonitor, SourceParameter, parse_parameters
 
 MAX_SEQUENCE = 1 << 63

@@ -21,22 +21,8 @@ import numpy as np
 from probedesign.core.csv_tables import plain
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.frames import Array, pose, rotation_z, wrench_map
+from probedesign.core.units import ANGLE_UNITS, FORCE_UNITS, LENGTH_UNITS, TORQUE_UNITS, unit_of
 from probedesign.live.sources.netft.rdt import PAGE
-
-POUND_FORCE = 4.4482216152605  # exact, from the pound and standard gravity
-KILOGRAM_FORCE = 9.80665  # exact
-INCH, FOOT = 0.0254, 0.3048  # exact
-
-FORCE_UNITS = {
-    "n": 1.0, "kn": 1e3, "lbf": POUND_FORCE, "klbf": 1e3 * POUND_FORCE, "kgf": KILOGRAM_FORCE, "kg": KILOGRAM_FORCE,
-}  # fmt: skip
-TORQUE_UNITS = {
-    "nm": 1.0, "nmm": 1e-3, "knm": 1e3, "lbfin": POUND_FORCE * INCH, "lbfft": POUND_FORCE * FOOT,
-    "kgfcm": KILOGRAM_FORCE * 0.01, "kgcm": KILOGRAM_FORCE * 0.01,
-}  # fmt: skip
-LENGTH_UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": INCH, "ft": FOOT}
-ANGLE_UNITS = {"degrees": math.pi / 180.0, "deg": math.pi / 180.0, "radians": 1.0, "rad": 1.0}
-"""Units in SI, by the letters of their names: boxes write N-mm, N·mm and Nmm."""
 
 MAX_TEXT = 128  # of one value
 
@@ -193,15 +179,6 @@ def _value(name: str, tag: str, text: str) -> str | float | tuple[float, ...]:
     if not all(map(math.isfinite, values)):
         raise InputError(f"netftapi2.xml: {tag} = {text[:40]!r} is not a number")
     return values if name in ARRAYS else values[0]
-
-
-def unit_of(tag: str, text: str, units: dict[str, float]) -> float:
-    """Return one unit in SI."""
-    letters = re.sub(r"[^a-z]", "", text.lower())
-    if letters not in units:
-        known = ", ".join(units)
-        raise InputError(f"{tag} = {text[:40]!r} is not a known unit; known: {known}")
-    return units[letters]
 
 
 def _text(value: object) -> str:

@@ -13,8 +13,8 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log, split_address
+from probedesign.live.blocks import Block, dropout_block
 from probedesign.live.priority import prompt_estimates
-from probedesign.live.processing.blocks import Block, dropout_block
 from probedesign.live.sources.netft.configuration import ConfigurationMonitor, NetFTConfiguration, fetch_configuration
 from probedesign.live.sources.netft.counters import RateMonitor, SensorClock, steps
 from probedesign.live.sources.netft.rdt import (
