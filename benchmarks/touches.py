@@ -11,13 +11,13 @@ import numpy as np
 from benchmarks.cases import GRAVITY, random_directions
 from probedesign.core.frames import Array, pose
 from probedesign.design import load_design
-from probedesign.estimation import surface_contact_kernel as surface
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.multistart import placed
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.probe import build_probe
 from probedesign.rod.contact import SurfaceForce, solve_surface_force
+from probedesign.rod.kernels import surface_contact as surface
 
 ROOT = Path(__file__).parents[1]
 TABLE_I_FILE = ROOT / "tests/data/table1.csv"

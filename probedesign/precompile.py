@@ -50,13 +50,13 @@ def _sources(probe: "Probe") -> "ErrorSources":
 
 
 def _columns(probe: "Probe") -> None:
-    from probedesign.estimation.surface_contact_kernel import TOUCH
+    from probedesign.rod.kernels.surface_contact import TOUCH
 
     _sources(probe).columns_at(np.zeros(TOUCH))
 
 
 def _touches(probe: "Probe") -> None:
-    from probedesign.estimation.surface_contact_kernel import ROWS, TOUCH, UNKNOWNS, linearise_touch, work_size
+    from probedesign.rod.kernels.surface_contact import ROWS, TOUCH, UNKNOWNS, linearise_touch, work_size
 
     linearise_touch(
         probe.model.rod.body, probe.model.gravity_base, probe.model.mass, 1e-6, np.zeros(TOUCH), 0,

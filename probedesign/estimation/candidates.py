@@ -8,17 +8,6 @@ for straight: good for a start, not for an estimate.
 
 import math
 
-from probedesign.estimation.surface_contact_kernel import (
-    ALONG,
-    AROUND,
-    DEAD,
-    NORMAL,
-    PHI,
-    TIP,
-    S,
-    offset_along,
-    radius_and_slope,
-)
 from probedesign.rod.kernels import inner
 from probedesign.rod.kernels.equations import (
     CONE,
@@ -35,6 +24,17 @@ from probedesign.rod.kernels.linalg import add, cross, dot, put, take, times
 from probedesign.rod.kernels.newton import put_section
 from probedesign.rod.kernels.steps import STATE as WIDTH
 from probedesign.rod.kernels.steps import D, M, P, T, full_step
+from probedesign.rod.kernels.surface_contact import (
+    ALONG,
+    AROUND,
+    DEAD,
+    NORMAL,
+    PHI,
+    TIP,
+    S,
+    offset_along,
+    radius_and_slope,
+)
 
 STATIONS = 33
 """Stations evaluated at equal distances along the probe, as many as the scan of `force_moment` has at most."""

@@ -1,7 +1,7 @@
 """The contact that explains a reading best: Gauss-Newton on the five unknowns of a touch (compiled).
 
 Equilibrium and contact are found together: the equilibrium next to a guess follows to first order from one sweep
-(`surface_contact_kernel.py`), so each iteration costs one sweep. Minimised is
+(`rod.kernels.surface_contact`), so each iteration costs one sweep. Minimised is
 
     |W (h(y) - w)|² + (a_1/μ)² + (a_2/μ)²,
 
@@ -12,7 +12,10 @@ import math
 
 import numpy as np
 
-from probedesign.estimation.surface_contact_kernel import (
+from probedesign.rod.kernels import inner
+from probedesign.rod.kernels.equations import OK
+from probedesign.rod.kernels.linalg import scale_and_factor, solve_scaled
+from probedesign.rod.kernels.surface_contact import (
     AROUND,
     BY_TOUCH,
     CLAMPED,
@@ -29,9 +32,6 @@ from probedesign.estimation.surface_contact_kernel import (
     linearise,
     plan_move,
 )
-from probedesign.rod.kernels import inner
-from probedesign.rod.kernels.equations import OK
-from probedesign.rod.kernels.linalg import scale_and_factor, solve_scaled
 
 FITTED, AT_END, STALLED, LOST = 0, 1, 2, 3
 """Outcomes of a fit: a minimum of the misfit; one at an end of the probe; no lower misfit found although this is no

@@ -13,10 +13,11 @@ import numpy as np
 
 from probedesign.core.frames import Array, inverse, wrench_map
 from probedesign.core.units import MM
-from probedesign.estimation import multistart, surface_contact_kernel, uncertainty_kernel
+from probedesign.estimation import multistart, uncertainty_kernel
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.kernels import surface_contact
 from probedesign.rod.rod import Rod
 
 CAUSES = ("noise", "drift", "E", "G", "density", "diameter", "diameter scatter", "bore", "length", "root",
@@ -198,10 +199,10 @@ class ErrorSources:
             touch: (TOUCH,); its dead loads and tip are made consistent in place.
         """
         rod = self.model.rod
-        parameters = surface_contact_kernel.OWN + len(rod.s)
-        lin = np.empty((surface_contact_kernel.ROWS, 1 + surface_contact_kernel.UNKNOWNS + parameters))
+        parameters = surface_contact.OWN + len(rod.s)
+        lin = np.empty((surface_contact.ROWS, 1 + surface_contact.UNKNOWNS + parameters))
         D = np.empty((12, len(self.names)))
-        work = np.empty(surface_contact_kernel.work_size(parameters))
+        work = np.empty(surface_contact.work_size(parameters))
         if not uncertainty_kernel.columns_of(
             rod.body, self.gravity, self.model.mass, FINE, touch, self._arguments, work, lin, D
         ):
@@ -210,10 +211,10 @@ class ErrorSources:
 
     def free_columns(self, free: Equilibrium) -> Array:
         """Return the columns of the free probe's reading, (6, J)."""
-        touch = np.zeros(surface_contact_kernel.TOUCH)
-        touch[surface_contact_kernel.S] = self.model.rod.length
-        touch[surface_contact_kernel.NORMAL] = NOTHING
-        touch[surface_contact_kernel.TIP :] = free.tip
+        touch = np.zeros(surface_contact.TOUCH)
+        touch[surface_contact.S] = self.model.rod.length
+        touch[surface_contact.NORMAL] = NOTHING
+        touch[surface_contact.TIP :] = free.tip
         return self.columns_at(touch)[1][:6]
 
     @cached_property

@@ -24,12 +24,12 @@ from probedesign.core.frames import Array
 from probedesign.estimation import multistart
 from probedesign.estimation.estimate import Candidate
 from probedesign.estimation.model import Observation
-from probedesign.estimation.surface_contact_kernel import TIP, TOUCH
 from probedesign.rod.batch import Batch, solve_batch
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.kernels.equations import OK
 from probedesign.rod.kernels.newton import COLD
 from probedesign.rod.kernels.solve import SOLUTION, scratch_buffers, solve_cases
+from probedesign.rod.kernels.surface_contact import TIP, TOUCH
 from probedesign.rod.rod import Rod
 
 if TYPE_CHECKING:

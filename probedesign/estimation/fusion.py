@@ -22,9 +22,9 @@ from probedesign.estimation.force_moment import closest_approaches, curve
 from probedesign.estimation.fusion_state import GROUPS, FusionState, PointConstraint, result_of, without
 from probedesign.estimation.likelihood import Problem, locate
 from probedesign.estimation.model import Observation, ProbeModel
-from probedesign.estimation.surface_contact_kernel import TOUCH
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.estimation.uncertainty_kernel import NODE, TAIL
+from probedesign.rod.kernels.surface_contact import TOUCH
 
 NEAR = 1e-9
 """Poses whose numbers differ by no more, in metres too, are one."""

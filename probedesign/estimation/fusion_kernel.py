@@ -7,9 +7,9 @@ is smoothed backward afterwards. `tests/reference/fusion.py` solves the same den
 import math
 
 from probedesign.estimation.keyframe_kernel import BIAS, FRICTION, LOCAL, column_of, columns, own_unknowns
-from probedesign.estimation.surface_contact_kernel import BY_TOUCH, CENTRE, UNKNOWNS, VALUE
 from probedesign.rod.kernels import inner, kernel
 from probedesign.rod.kernels.linalg import backward, covariance_of, factor, forward, invert_lower, scale_and_factor
+from probedesign.rod.kernels.surface_contact import BY_TOUCH, CENTRE, UNKNOWNS, VALUE
 
 PINNED = 1e-6
 """Standard deviation of a bias, in steps, below which it counts as known."""

@@ -14,7 +14,8 @@ from probedesign.core.units import MM
 from probedesign.estimation import fusion_kernel, keyframe_kernel, multistart
 from probedesign.estimation.error_sources import FINE, ErrorSources
 from probedesign.estimation.estimate import Result
-from probedesign.estimation.surface_contact_kernel import (
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.rod.kernels.surface_contact import (
     ALONG,
     AROUND,
     DEAD,
@@ -28,7 +29,6 @@ from probedesign.estimation.surface_contact_kernel import (
     VALUE,
     work_size,
 )
-from probedesign.estimation.tolerances import Tolerances
 
 if TYPE_CHECKING:
     from probedesign.estimation.fusion import Fusion, Reading

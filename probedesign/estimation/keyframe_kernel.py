@@ -20,7 +20,11 @@ Householder reflections take y and e out of each pose's rows; `fusion_kernel.py`
 import math
 
 from probedesign.estimation.contact_fit import MIN_FRICTION
-from probedesign.estimation.surface_contact_kernel import (
+from probedesign.estimation.uncertainty_kernel import error_columns
+from probedesign.rod.kernels import inner, kernel
+from probedesign.rod.kernels.equations import OK
+from probedesign.rod.kernels.linalg import cross, dot, eliminate
+from probedesign.rod.kernels.surface_contact import (
     AROUND,
     BY_TOUCH,
     MOVE,
@@ -33,10 +37,6 @@ from probedesign.estimation.surface_contact_kernel import (
     linearise,
     plan_move,
 )
-from probedesign.estimation.uncertainty_kernel import error_columns
-from probedesign.rod.kernels import inner, kernel
-from probedesign.rod.kernels.equations import OK
-from probedesign.rod.kernels.linalg import cross, dot, eliminate
 
 BIAS, FRICTION = 6, 2
 LOCAL = UNKNOWNS + 1

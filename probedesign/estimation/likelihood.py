@@ -23,7 +23,8 @@ from probedesign.estimation.estimate import Candidate
 from probedesign.estimation.force_moment import Scan
 from probedesign.estimation.model import Observation
 from probedesign.estimation.multistart import FIT, MAX_STARTS
-from probedesign.estimation.surface_contact_kernel import (
+from probedesign.rod.equilibrium import Equilibrium, Sensitivity
+from probedesign.rod.kernels.surface_contact import (
     ALONG,
     AROUND,
     DEAD,
@@ -35,7 +36,6 @@ from probedesign.estimation.surface_contact_kernel import (
     S,
     work_size,
 )
-from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.rod import Rod
 
 _SAME = 1e-5

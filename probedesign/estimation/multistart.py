@@ -22,7 +22,18 @@ from probedesign.estimation.contact_fit import (
     step_share,
     sweep_tolerance,
 )
-from probedesign.estimation.surface_contact_kernel import (
+from probedesign.estimation.uncertainty_kernel import (
+    SourceArrays,
+    add_curvature,
+    error_columns,
+    measurement_covariance,
+    posterior,
+    whitening,
+)
+from probedesign.rod.kernels import inner, kernel
+from probedesign.rod.kernels.equations import OK
+from probedesign.rod.kernels.linalg import minus, take, times
+from probedesign.rod.kernels.surface_contact import (
     ALONG,
     AROUND,
     BY_TOUCH,
@@ -47,17 +58,6 @@ from probedesign.estimation.surface_contact_kernel import (
     sweep_work_size,
     work_size,
 )
-from probedesign.estimation.uncertainty_kernel import (
-    SourceArrays,
-    add_curvature,
-    error_columns,
-    measurement_covariance,
-    posterior,
-    whitening,
-)
-from probedesign.rod.kernels import inner, kernel
-from probedesign.rod.kernels.equations import OK
-from probedesign.rod.kernels.linalg import minus, take, times
 
 MAX_STARTS = 8
 """Places that one reading is fitted from at most, the likeliest ones."""

@@ -25,18 +25,8 @@ from probedesign.estimation.estimate import FusedEstimate, MomentsAbout, Result
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fusion import COMMON_FRICTION, Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FIRST_CURVATURE, FusionState, Keyframe, result_of
-from probedesign.estimation.surface_contact_kernel import (
-    ALONG,
-    AROUND,
-    DEAD,
-    NORMAL,
-    OWN,
-    ROWS,
-    TOUCH,
-    UNKNOWNS,
-    work_size,
-)
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
+from probedesign.rod.kernels.surface_contact import ALONG, AROUND, DEAD, NORMAL, OWN, ROWS, TOUCH, UNKNOWNS, work_size
 
 MAX_KEYFRAMES = 8
 IN_TURN = 4

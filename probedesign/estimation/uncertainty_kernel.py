@@ -14,7 +14,25 @@ from typing import NamedTuple
 
 from probedesign.core.frames import Array
 from probedesign.estimation.contact_fit import RESIDUALS, information, normal_equations, residuals
-from probedesign.estimation.surface_contact_kernel import (
+from probedesign.rod.kernels import inline_always, inner, kernel
+from probedesign.rod.kernels.equations import BEND_X, BEND_Y, OK
+from probedesign.rod.kernels.linalg import (
+    add,
+    covariance_of,
+    cross,
+    factor,
+    invert_lower,
+    plus,
+    principal_axis,
+    put3,
+    scale_and_factor,
+    smallest_variance,
+    solve_scaled,
+    take,
+    take3,
+    times,
+)
+from probedesign.rod.kernels.surface_contact import (
     ALONG,
     AROUND,
     BY_E,
@@ -34,24 +52,6 @@ from probedesign.estimation.surface_contact_kernel import (
     plan_move,
     radius_and_slope,
     settle,
-)
-from probedesign.rod.kernels import inline_always, inner, kernel
-from probedesign.rod.kernels.equations import BEND_X, BEND_Y, OK
-from probedesign.rod.kernels.linalg import (
-    add,
-    covariance_of,
-    cross,
-    factor,
-    invert_lower,
-    plus,
-    principal_axis,
-    put3,
-    scale_and_factor,
-    smallest_variance,
-    solve_scaled,
-    take,
-    take3,
-    times,
 )
 
 ROOT_CENTRE = 0.375
@@ -103,7 +103,7 @@ def error_columns(body, gravity, lin, own, turns, root, gain, hanging, sensor_fr
 
     Args:
         body: of the rod; gravity: [m/s²], (3,).
-        lin: linearisation with all parameters, see `surface_contact_kernel`.
+        lin: linearisation with all parameters, see `rod.kernels.surface_contact`.
         own, ... still: see `SourceArrays`.
         D: filled, (12, J), J = a + b + 7.
     """

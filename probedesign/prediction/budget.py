@@ -26,7 +26,7 @@ from probedesign.estimation.contact_fit import MIN_FRICTION
 from probedesign.estimation.error_sources import CAUSES as SOURCES
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.model import covariance
-from probedesign.estimation.surface_contact_kernel import ALONG, BY_TOUCH, CENTRE, POINT, UNKNOWNS, VALUE, S
+from probedesign.rod.kernels.surface_contact import ALONG, BY_TOUCH, CENTRE, POINT, UNKNOWNS, VALUE, S
 from probedesign.rod.rod import Rod
 
 CAUSES = (*SOURCES, "friction")

@@ -29,11 +29,11 @@ from probedesign.estimation.estimate import MomentsAbout
 from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.model import ProbeModel, covariance
-from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.budget import radius_95, rms_of
 from probedesign.prediction.touches import Touches
 from probedesign.prediction.workspace import ACCURACIES_MM, force_for_accuracy
+from probedesign.rod.kernels.surface_contact import POINT, VALUE
 
 MAX_TOUCHES = 20
 

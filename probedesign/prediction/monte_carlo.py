@@ -27,12 +27,12 @@ from probedesign.core.units import MM
 from probedesign.estimation.error_sources import parameters_of, turns_of
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.fused import FusedCondition, PressSchedule
 from probedesign.prediction.predict import PRESSING, Condition, MonteCarloResult, Prediction
 from probedesign.prediction.touches import DIRECTIONS, SurfaceRod
 from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.kernels.surface_contact import POINT, VALUE
 from probedesign.rod.rod import Rod
 
 _PER_TOUCH = ("creep", "stiffness scatter")

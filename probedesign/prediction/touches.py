@@ -15,10 +15,12 @@ from numpy.typing import NDArray
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.parallel import OnProgress, quiet
-from probedesign.estimation import surface_contact_kernel as kernel
 from probedesign.estimation.error_sources import FINE, NOTHING, ErrorSources
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.surface_contact_kernel import (
+from probedesign.prediction.budget import ErrorBudget, error_budget, radii_95, rms_of
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.kernels import surface_contact as kernel
+from probedesign.rod.kernels.surface_contact import (
     ALONG,
     AROUND,
     BY_TOUCH,
@@ -36,8 +38,6 @@ from probedesign.estimation.surface_contact_kernel import (
     VALUE,
     S,
 )
-from probedesign.prediction.budget import ErrorBudget, error_budget, radii_95, rms_of
-from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
 
 _MIN_STEP = 1e-3
@@ -209,7 +209,7 @@ class Touches:
     sources: ErrorSources  #: its error sources under the mount's gravity.
     force_N: float  #: normal force [N].
     touch: Array  #: unknowns, dead loads and tip of each, (n, TOUCH).
-    lin: Array  #: linearisations, (n, ROWS, 1 + UNKNOWNS + parameters), see `surface_contact_kernel`.
+    lin: Array  #: linearisations, (n, ROWS, 1 + UNKNOWNS + parameters), see `rod.kernels.surface_contact`.
     D: Array  #: one standard deviation of each error source, (n, 12, J), see `ErrorSources.columns_at`.
     max_stable_force: Array  #: largest normal force up to this one with an equilibrium [N], (n,).
 

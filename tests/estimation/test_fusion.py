@@ -15,8 +15,8 @@ from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import OBJECT_STEP, FusionState
-from probedesign.estimation.surface_contact_kernel import AROUND, BY_PARAMETER, POINT
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.rod.kernels.surface_contact import AROUND, BY_PARAMETER, POINT
 from tests.estimation.true_touches import EXACT, presses, settle, sources_of, wrenches_of
 from tests.reference import fusion as dense
 

@@ -7,7 +7,7 @@ import pytest
 
 from probedesign.core.frames import Array
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.surface_contact_kernel import NORMAL, TIP, TOUCH
+from probedesign.rod.kernels.surface_contact import NORMAL, TIP, TOUCH
 
 GRAVITY = np.array([9.81, 0.0, 0.0])
 

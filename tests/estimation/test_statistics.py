@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.surface_contact_kernel import POINT
+from probedesign.rod.kernels.surface_contact import POINT
 from tests.estimation.true_touches import EXACT, settle, sources_of
 
 DRAWS, RARE = 150, 1e-4

@@ -8,7 +8,7 @@ import pytest
 from probedesign.core.frames import rotation_z
 from probedesign.estimation.error_sources import FINE
 from probedesign.estimation.multistart import contact_arclengths
-from probedesign.estimation.surface_contact_kernel import (
+from probedesign.rod.kernels.surface_contact import (
     BY_GRAVITY,
     BY_PARAMETER,
     BY_TOUCH,

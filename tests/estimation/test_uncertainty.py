@@ -13,10 +13,10 @@ from probedesign.estimation.contact_fit import FIT_SCRATCH, residuals
 from probedesign.estimation.error_sources import CAUSES, ErrorSources
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.multistart import FIT
-from probedesign.estimation.surface_contact_kernel import BY_PARAMETER, BY_TOUCH, CENTRE, POINT
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.estimation.uncertainty_kernel import measurement_covariance, posterior, whitening
 from probedesign.rod.kernels import kernel
+from probedesign.rod.kernels.surface_contact import BY_PARAMETER, BY_TOUCH, CENTRE, POINT
 from tests.estimation.true_touches import EXACT, settle, sources_of
 from tests.reference.surface_contact import SurfaceTouch, solve_touch
 from tests.reference.uncertainty import information, inverse, point_covariance, reading_covariance

@@ -13,7 +13,6 @@ from probedesign.design import check_design, load_design
 from probedesign.design.catalog import RESINS
 from probedesign.estimation.error_sources import parameters_of
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import SOURCES, Tolerances
 from probedesign.geometry.cross_section import CrossSection
 from probedesign.prediction.budget import CAUSES
@@ -28,6 +27,7 @@ from probedesign.prediction.predict import predict, predict_touch
 from probedesign.prediction.touches import SurfaceRod, slide
 from probedesign.probe import build_probe
 from probedesign.rod.contact import solve_surface_force
+from probedesign.rod.kernels.surface_contact import POINT, VALUE
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 GRAVITY = np.array([9.81, 0.0, 0.0])

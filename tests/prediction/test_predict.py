@@ -13,7 +13,6 @@ from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design
 from probedesign.design.sensors import Noise
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.surface_contact_kernel import POINT, VALUE
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.optimization.design_space import design_dict
 from probedesign.optimization.objective import Task, design_metrics
@@ -23,6 +22,7 @@ from probedesign.prediction.predict import Condition, predict, predict_touch
 from probedesign.prediction.touches import touches_of
 from probedesign.probe import build_probe
 from probedesign.rod.contact import solve_surface_force
+from probedesign.rod.kernels.surface_contact import POINT, VALUE
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 

@@ -1,6 +1,6 @@
 """Solve one contact on the deformed surface by repeated solves of the rod, the reference of the compiled solver.
 
-The model is that of `probedesign/estimation/surface_contact_kernel.py`; derivatives are central differences.
+The model is that of `probedesign/rod/kernels/surface_contact.py`; derivatives are central differences.
 """
 
 from dataclasses import dataclass, replace
