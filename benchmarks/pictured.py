@@ -73,7 +73,7 @@ def _report_calibrations() -> None:
     """Print actual and stated marker errors by the method of calibration."""
     rows = []
     with ProcessPoolExecutor(os.cpu_count()) as workers:
-        for kind in ("box", "board", "files"):
+        for kind in ("box", "files"):
             squared, stated, inside = np.array(list(workers.map(_calibrated, [kind] * DRAWS, range(DRAWS)))).T
             rows.append([kind, f"{1e3 * np.sqrt(np.mean(squared)):.3f} mm", f"{1e3 * np.sqrt(np.mean(stated)):.3f} mm",
                          f"{np.mean(inside):.1%}"])  # fmt: skip

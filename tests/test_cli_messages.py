@@ -65,8 +65,6 @@ explore exports/a/a.probe.json run.csv --pose poses.csv --tare-s 0:0.5 --out map
 explore exports/a/a.probe.json run.csv --pose poses.csv
 recover run.mcap
 recover run.csv
-board board.pdf
-board board.svg
 markers data --no-overlays
 markers data --base-side middle
 simulate exports/a/a.probe.json --port 0 --http-port 0 --scene free --seconds 0.1

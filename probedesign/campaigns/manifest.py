@@ -7,17 +7,13 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from probedesign.core.csv_tables import read_text
 from probedesign.core.errors import InputError
-from probedesign.core.units import MM
 from probedesign.design import check_name
 from probedesign.design.diagnostics import Inconsistent, Table, as_tuple, parse_toml
 from probedesign.design.schema import MAX_GRAVITY
-from probedesign.vision.boards import Board
 
 FILE = "campaign.toml"
 MAX_BYTES = 1_000_000
 MAX_MARKERS = 500
-SCALE_STD_PERCENT = 0.1
-"""Default standard deviation of the scale of a printed board: assumed, 0.15 mm in 150 mm, measured with a caliper."""
 STD_BASE_MM, STD_BASE_DEG = 0.2, 0.2
 LENGTH_SCALE = 0.005
 """Standard deviation of the length scale of the reference, relative. Assumed: 0.5 mm on a box of 100 mm."""
@@ -75,34 +71,10 @@ class MarkersTable(Table):
         return self
 
 
-class BoardTable(Table):
-    """`[cameras.board]`: a ChArUco board, and its pose in the world in the pictures `board/world-CAMERA.png`."""
-
-    squares: Annotated[tuple[int, int], BeforeValidator(as_tuple)]
-    square_mm: Annotated[float, Field(ge=1.0, le=500.0)]
-    marker_mm: Annotated[float, Field(gt=0.0, le=500.0)]
-    dictionary: str
-    scale_std_percent: Annotated[float, Field(ge=0.001, le=10.0)] = SCALE_STD_PERCENT
-    p_world_mm: Point = (0.0, 0.0, 0.0)
-    rotation_world_deg: Angles = (0.0, 0.0, 0.0)
-
-    @model_validator(mode="after")
-    def _possible(self) -> Self:
-        try:
-            self.board()
-        except InputError as error:
-            raise Inconsistent("cameras.board", str(error)) from None
-        return self
-
-    def board(self) -> Board:
-        """Return the board."""
-        return Board(self.squares, self.square_mm * MM, self.marker_mm * MM, self.dictionary)
-
-
 class CamerasTable(Table):
     """`[cameras]`: their names, as in the names of photographs, and how they are calibrated.
 
-    By files of other programs (`calibration`), by pictures of a board, or by `control_points.csv`.
+    By files of other programs (`calibration`), by `control_points.csv`, or both.
     """
 
     names: Annotated[tuple[str, ...], BeforeValidator(as_tuple)]
@@ -110,7 +82,6 @@ class CamerasTable(Table):
     calibration: Annotated[tuple[str, ...], BeforeValidator(as_tuple)] = ()
     length_unit: Literal["mm", "cm", "m"] | None = None
     reprojection_px: Annotated[float, Field(gt=0.0, le=20.0)] | None = None
-    board: BoardTable | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

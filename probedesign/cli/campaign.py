@@ -11,7 +11,6 @@ from probedesign.cli.options import DesignFile, JsonOutput
 from probedesign.core.units import MM, MPA
 
 if TYPE_CHECKING:
-    from probedesign.campaigns.board_pictures import BoardPicture
     from probedesign.campaigns.photographs import PhotographedTest
 
 
@@ -23,7 +22,7 @@ def campaign(
     seed: int = 0,
     stage: bool = False,
     images: bool = False,
-    calibration: Literal["box", "board", "files"] = "box",
+    calibration: Literal["box", "files"] = "box",
     youngs_modulus_mpa: float | None = None,
     shear_modulus_mpa: float | None = None,
     marker_noise_mm: float | None = None,
@@ -47,8 +46,7 @@ def campaign(
         seed: seed of all drawn values.
         stage: touches at positions known to 0.05 mm, without cameras.
         images: render photographs as well.
-        calibration: of the cameras: a box of control points, pictures of a ChArUco board, or calibration files of
-            OpenCV.
+        calibration: of the cameras: a box of control points, or calibration files of OpenCV.
         youngs_modulus_mpa: Young's modulus of the true print [MPa]. Default: drawn around the design's.
         shear_modulus_mpa: shear modulus of the true print [MPa]. Default: drawn around the design's.
         marker_noise_mm: standard deviation of the markers on each axis [mm], from a reference other than cameras.
@@ -95,9 +93,8 @@ def markers(
 ) -> None:
     """Detect the markers of a probe in the photographs of a campaign, and write DATA/pixels.csv.
 
-    The photographs are DATA/images/TEST-CAMERA.png or .jpg. If campaign.toml has a [cameras.board], its corners are
-    detected in DATA/board/PLACEMENT-CAMERA.png first and written to DATA/board_corners.csv. Copies in DATA/overlays
-    show what was detected, for visual inspection. See docs/stereo.md.
+    The photographs are DATA/images/TEST-CAMERA.png or .jpg. Copies in DATA/overlays show what was detected, for visual
+    inspection. See docs/stereo.md.
 
     Args:
         data: the folder of the campaign.
@@ -105,61 +102,39 @@ def markers(
         dots: markers are darker or lighter than the probe.
         overlays: write the copies for visual inspection.
         skip: leave out tests whose photographs are rejected, with a note.
-        force: replace an existing pixels.csv and board_corners.csv.
+        force: replace an existing pixels.csv.
         as_json: print one JSON document.
     """
     from probedesign import vision
 
     vision.require_opencv()
-    from probedesign.campaigns.board_pictures import find_boards
-    from probedesign.campaigns.manifest import read_manifest
     from probedesign.campaigns.photographs import check_free, find_all, write_pixels
 
-    manifest = read_manifest(data)
     check_free(data, force)
-    tests: list[PhotographedTest] = []
-    folder = path = None
+    folder = data / "overlays" if overlays else None
     with show_progress() as on_progress:
-        boards, notes = find_boards(data, manifest, force, on_progress)
-        if not boards or (data / "images").is_dir():
-            shade = {"dark": True, "light": False}.get(dots)
-            tests, more = find_all(data, base_side, shade, skip, on_progress)
-            notes = (*notes, *more)
-        if overlays:
-            folder = _write_overlays(data, tests, boards)
-    if tests:
-        path = write_pixels(data, tests, force)
+        tests, notes = find_all(data, base_side, {"dark": True, "light": False}.get(dots), skip, on_progress)
+        if folder is not None:
+            _write_overlays(folder, tests)
+    path = write_pixels(data, tests, force)
     if as_json:
-        seen = [{"picture": one.path, "corners": len(one.numbers), "used": one.usable} for one in boards]
-        print_json({"file": path, "overlays": folder, "notes": notes, "boards": seen,
-                    "tests": [_record(test) for test in tests]})  # fmt: skip
+        print_json({"file": path, "overlays": folder, "notes": notes, "tests": [_record(test) for test in tests]})
         return
     for note in notes:
         print(note)
+    print_table({test.test: _line(test) for test in tests})
+    used = sum(len(test.found) for test in tests)
     inspect = f"inspect the overlays in {folder}" if folder else "no overlays were written"
-    if boards:
-        corners = sum(len(one.numbers) for one in boards if one.usable)
-        pictures = plural(sum(one.usable for one in boards), "picture")
-        print(f"wrote {data / 'board_corners.csv'}: {corners} corners of the board in {pictures}; {inspect}")
-    if tests:
-        print_table({test.test: _line(test) for test in tests})
-        used = sum(len(test.found) for test in tests)
-        print(f"wrote {path}: {plural(used, 'photograph')}; {inspect}")
+    print(f"wrote {path}: {plural(used, 'photograph')}; {inspect}")
 
 
-def _write_overlays(data: Path, tests: "list[PhotographedTest]", boards: "list[BoardPicture]") -> Path:
-    """Write the pictures with the markers outlined and the board's corners numbered, and return the folder."""
-    from probedesign.campaigns.board_pictures import board_overlay
+def _write_overlays(folder: Path, tests: "list[PhotographedTest]") -> None:
+    """Write the pictures with the markers outlined."""
     from probedesign.vision.markers import overlay, read_grey, write_png
 
-    folder = data / "overlays"
-    for picture in boards:
-        write_png(folder / f"board-{picture.path.stem}.png", board_overlay(picture))
     for test in tests:
         for photograph, found in zip(test.photographs, test.found, strict=bool(test.found)):
-            drawn = overlay(read_grey(photograph.path), found)
-            write_png(folder / f"{photograph.path.stem}.png", drawn)
-    return folder
+            write_png(folder / f"{photograph.path.stem}.png", overlay(read_grey(photograph.path), found))
 
 
 def _record(test: "PhotographedTest") -> dict[str, object]:

@@ -21,7 +21,7 @@ ENABLES = {
     "daq": "live with a sensor at a National Instruments card",
     "view": "studio and live --view: the probe in the browser",
     "foxglove": "live --foxglove: the server for Foxglove and PlotJuggler",
-    "vision": "markers and board: photographs, calibration files",
+    "vision": "markers: photographs, calibration files",
 }
 """Features that each extra of `all` enables; "" is for the required packages."""
 NO_WHEEL_ON_ARM = {"cad": "lib3mf"}

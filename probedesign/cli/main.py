@@ -33,7 +33,6 @@ COMMANDS = {
     "live": "Locate contacts in real time.",
     "explore": "Turn touches from a moving base into points of the world.",
     "recover": "Repair an MCAP recording that was cut off or is damaged.",
-    "board": "Write a calibration board for cameras, to print in exact size.",
     "markers": "Detect the markers of a probe in the photographs of a campaign.",
     "simulate": "Simulate a Net F/T box with a probe, for live and other clients.",
     "demo": "Run the whole chain on a built-in example.",

@@ -20,8 +20,9 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS
 from probedesign.simulation.ground_truth import STD_BASE, CampaignPlan, GroundTruth, SimulatedTest
 from probedesign.simulation.rod_and_sensor import reading_std
-from probedesign.simulation.simulated_calibration import SimulatedBoard, calibration_yaml
 from probedesign.simulation.stereo_rig import CLICK_PX, CONTROL_PX, SIZE_PX, StereoRig, take_photographs
+from probedesign.vision.camera import Camera
+from probedesign.vision.camera_files import assumed_covariance
 
 TRUTH = "truth.json"
 STD_CONTACT = {"cameras": 0.6 * MM, "stage": 0.05 * MM}
@@ -36,6 +37,8 @@ STD_WEIGHING = 1e-5
 
 TEST_SECONDS = 60.0
 """Time from one test to the next (assumed)."""
+FILE_PX = 0.3
+"""Reprojection error that the simulated calibration files state [px] (assumed)."""
 
 TESTS_HEADER = (
     "test,force_x_world_N,force_y_world_N,force_z_world_N,s_contact_mm,std_s_mm,contact_x_world_mm,"
@@ -76,13 +79,11 @@ def make_campaign(
     truth = GroundTruth.draw(model, plan, rng)
     tests = truth.tests()
     rig = StereoRig(truth)
-    by_board = plan.calibration == "board"
-    board = SimulatedBoard(rig, plan.seed, plan.exact) if by_board else None
     tables = {
-        "campaign.toml": _manifest(truth, rig, board),
+        "campaign.toml": _manifest(truth, rig),
         "tests.csv": _tests(truth, tests, rng),
         "wrenches.csv": _wrenches(truth, tests, rng),
-        **_markers(rig, board, tests, rng),
+        **_markers(rig, tests, rng),
         TRUTH: _truth(truth, tests),
     }
     try:
@@ -93,8 +94,6 @@ def make_campaign(
                 (draft / name).write_bytes(text.encode())
             if plan.images:
                 take_photographs(rig, tests, draft / "images", plan.seed, on_progress)
-                if board:
-                    board.photograph(draft / "board", on_progress)
             os.chmod(draft, 0o755)
             _replace(draft, folder)
         finally:
@@ -129,7 +128,7 @@ def _replace(draft: Path, folder: Path) -> None:
 # tables
 
 
-def _manifest(truth: GroundTruth, rig: StereoRig, board: SimulatedBoard | None) -> str:
+def _manifest(truth: GroundTruth, rig: StereoRig) -> str:
     """Return the text of `campaign.toml`."""
     plan, model = truth.plan, truth.model
     turn = np.degrees(Rotation.from_matrix(truth.T_world_base[:3, :3]).as_rotvec())
@@ -157,7 +156,6 @@ def _manifest(truth: GroundTruth, rig: StereoRig, board: SimulatedBoard | None) 
                       "", "[cameras]", 'names = ["left", "right"]']  # fmt: skip
             if plan.calibration == "files":
                 lines += ['calibration = ["left.yaml", "right.yaml"]', 'length_unit = "mm"']
-            lines += board.manifest_lines() if board else []
         else:
             lines += [f"std_mm = {plan.marker_noise / MM:g}"]
     lines += ["", "[weighing]", f"mass_g = {_weighed_mass(truth):.2f}", f"std_g = {1e3 * STD_WEIGHING:g}",
@@ -222,9 +220,7 @@ def _wrenches(truth: GroundTruth, tests: list[SimulatedTest], rng: np.random.Gen
     return "\n".join(rows) + "\n"
 
 
-def _markers(
-    rig: StereoRig, board: SimulatedBoard | None, tests: list[SimulatedTest], rng: np.random.Generator
-) -> dict[str, str]:
+def _markers(rig: StereoRig, tests: list[SimulatedTest], rng: np.random.Generator) -> dict[str, str]:
     """Return the text of the tables of the reference, by name."""
     plan = rig.truth.plan
     if plan.kind == "stage":
@@ -251,16 +247,29 @@ def _markers(
                 raise InputError(f"test {test.name}: the probe leaves the cameras' field of view; use "
                                  "--marker-noise-mm 1 instead")  # fmt: skip
             pixels += [f"{test.name},{camera.name},{i},{_row(uv, 2)},{CLICK_PX:g}" for i, uv in enumerate(seen, 1)]
-    calibrated = {} if board else {"control_points.csv": "\n".join(control) + "\n"}
+    calibrated = {"control_points.csv": "\n".join(control) + "\n"}
     if plan.calibration == "files":
         target = rig.truth.T_world_base[:3, 3]
         drawn = np.random.default_rng([plan.seed, 3])
         calibrated = {f"{camera.name}.yaml": calibration_yaml(camera, target, drawn) for camera in rig.cameras}
-    elif board and not plan.images:
-        calibrated = {"board_corners.csv": board.corners_csv()}
     if plan.images:  # the markers are detected in them
         return calibrated
     return {**calibrated, "pixels.csv": "\n".join(pixels) + "\n"}
+
+
+def calibration_yaml(camera: Camera, target_world: Array, rng: np.random.Generator) -> str:
+    """Return OpenCV's YAML of a camera with its pose in the world in mm, its parameters drawn as far off as assumed."""
+    distance = float(np.linalg.norm(camera.p_world - target_world))
+    std = np.sqrt(np.diag(assumed_covariance(camera, FILE_PX, distance)))
+    stated = camera.moved(std * rng.normal(size=len(std)))
+    R = stated.R_camera_world
+    matrices = {"camera_matrix": stated.K, "distortion_coefficients": np.append(stated.distortion, 0.0)[:, None],
+                "R": R, "T": (-R @ stated.p_world / MM)[:, None]}  # fmt: skip
+    lines = ["%YAML:1.0", "---", f"image_width: {SIZE_PX[0]}", f"image_height: {SIZE_PX[1]}"]
+    for key, matrix in matrices.items():
+        lines += [f"{key}: !!opencv-matrix", f"   rows: {matrix.shape[0]}", f"   cols: {matrix.shape[1]}", "   dt: d",
+                  f"   data: [ {', '.join(f'{x:.16e}' for x in matrix.ravel())} ]"]  # fmt: skip
+    return "\n".join([*lines, f"avg_reprojection_error: {FILE_PX:.16e}", ""])
 
 
 def _truth(truth: GroundTruth, tests: list[SimulatedTest]) -> str:

@@ -23,7 +23,7 @@ from probedesign.rod.rod import Rod
 from probedesign.simulation.rod_and_sensor import solve_contact
 
 CampaignKind = Literal["cameras", "stage"]
-CalibrationKind = Literal["box", "board", "files"]
+CalibrationKind = Literal["box", "files"]
 LARGE_LENGTH, LARGE_BASE_RADIUS, LARGE_TIP_RADIUS = 150.0 * MM, 6.0 * MM, 1.0 * MM
 LARGE_MODULUS = 2.32e6
 """Dimensions [m] and modulus [Pa] of the paper's large probe, from which forces are scaled."""
@@ -60,7 +60,7 @@ class CampaignPlan:
     readings: int = 5  #: of the sensor in each test, each the mean of the design's averaging_samples.
     exact: bool = False  #: the true probe is the design's and at the stated pose; only readings and pictures are noisy.
     images: bool = False  #: render photographs too.
-    #: of the cameras: by a box of control points, pictures of a board, or files of another program.
+    #: of the cameras: by a box of control points, or files of another program.
     calibration: CalibrationKind = "box"
     #: median friction coefficient μ of touches; 0 is without friction. None: [contact] friction of the design with
     #: flaws of the bench, else 0.

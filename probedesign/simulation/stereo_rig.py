@@ -26,7 +26,7 @@ SIZE_PX = (1600, 1200)
 FOCAL_PX = 2200.0
 """Picture and focal length of a compact camera, reduced to keep examples small (assumed); the paper's has
 20 megapixels."""
-LENS = {"box": (), "board": (-0.08, 0.05), "files": (-0.08, 0.05, 5e-4, -5e-4)}
+LENS = {"box": (), "files": (-0.08, 0.05, 5e-4, -5e-4)}
 """Coefficients of distortion by the kind of calibration, as many as it determines by default (assumed: a barrel of
 0.8 % at the edge of the picture)."""
 AZIMUTH = math.radians(35.0)

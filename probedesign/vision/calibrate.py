@@ -30,6 +30,9 @@ has none of them."""
 MAX_OUTLIER_FRACTION = 0.15
 """Fraction of outliers that is accepted. More are not slips of the hand but points in a wrong order, and a regular box
 shifted by a row fits itself except for that row."""
+MAX_RESIDUAL_PX = 5.0
+"""Residual beyond which control points are not those of the camera of a calibration file: clicks err by a pixel
+(assumed)."""
 MAX_CONDITION = 1e8
 """Condition number of the equations beyond which rounding dominates."""
 MAX_FOCAL_STD = 0.2
@@ -335,3 +338,78 @@ def _check_known(camera: Camera, control: ControlPoints) -> None:
         control.fail("control points lie on both sides of it; check their order and their pixels")
     if camera.folds(control.points_world):
         control.fail(f"{len(camera.distortion)} distortion coefficients fit no lens; fit fewer")
+
+
+def locate(camera: Camera, points_world: ArrayLike, pixels: ArrayLike, labels: Sequence[str]) -> Camera:
+    """Find the pose in the world of a camera whose lens a calibration file states.
+
+    The pose is started by OpenCV's `solvePnP` and refined, with focal lengths, principal point and distortion, by least
+    squares on pixels; `camera.cov` is the prior of the latter. Points beyond the rest by more than the 99.9 % quantile
+    of all are left out.
+
+    Args:
+        camera: with K, distortion, and their covariance.
+        points_world: control points, at least six [m], (n, 3).
+        pixels: where they appear, u right, v down [px], (n, 2).
+        labels: names of the points (n,).
+
+    Raises:
+        InputError: too few points, doubled or coplanar ones, or too many that do not fit.
+    """
+    from probedesign.vision import require_opencv
+
+    require_opencv()
+    import cv2
+
+    control = control_points(camera.name, points_world, pixels, tuple(labels), 0)
+    points, seen = control.points_world, control.pixels
+    bends = np.append(camera.distortion, np.zeros(5 - len(camera.distortion)))
+    _, turn, shift = cv2.solvePnP(points, seen, camera.K, bends, flags=cv2.SOLVEPNP_SQPNP)
+    R = np.asarray(cv2.Rodrigues(turn)[0], dtype=float)
+    start = replace(camera, R_camera_world=R, p_world=np.asarray(-R.T @ shift.ravel()))
+    lens = np.array([0, 1, 3, 4, *range(LINEAR, len(camera.cov))])  # what the file states; the skew is fixed at zero
+    free = np.array([0, 1, 3, 4, *range(5, len(camera.cov))])
+    std_lens, scale = np.sqrt(np.diag(camera.cov))[lens], _scale(start, points)
+    prior = (np.eye(len(scale))[lens] / std_lens[:, None])[:, free] * scale[free]
+    std_px, inside = max(camera.std_px, MIN_NOISE_PX), np.ones(len(points), dtype=bool)
+
+    def moved(step: Array) -> Camera:
+        """Return the camera after a scaled step of its parameters but the skew."""
+        whole = np.zeros(len(scale))
+        whole[free] = step * scale[free]
+        return start.moved(whole)
+
+    def rows(step: Array) -> Array:
+        """Return the derivatives of the residuals by the scaled step."""
+        by = moved(step).by_parameters(points[inside])[..., free] * scale[free]
+        return np.concatenate([by.reshape(-1, len(free)) / std_px, prior])
+
+    def residuals(step: Array) -> Array:
+        """Return the residuals of the pixels and of the prior over their standard deviations."""
+        off = moved(step).project(points[inside]) - seen[inside]
+        return np.concatenate([off.ravel() / std_px, prior @ step])
+
+    step = np.zeros(len(free))
+    for _ in range(8):
+        step = least_squares(residuals, step, rows, method="lm").x
+        off = seen - moved(step).project(points)
+        std_px = max(float(np.sqrt(np.mean(off[inside] ** 2) * inside.sum() / max(inside.sum() - 3, 1))), MIN_NOISE_PX)
+        spread = 1.4826 * float(np.median(np.abs(off)))  # the normal standard deviation, without outliers
+        limit = stats.chi2.isf(FALSE_ALARM / len(points), 2) * max(spread, MIN_NOISE_PX) ** 2
+        fits = np.sum(off**2, axis=1) <= limit
+        if (fits == inside).all():
+            break
+        inside = fits
+    if np.mean(~inside) > MAX_OUTLIER_FRACTION or std_px > MAX_RESIDUAL_PX:
+        control.fail(
+            f"the control points do not fit the calibration file, residual {std_px:.2g} px, {np.sum(~inside)} of "
+            f"{len(points)} left out; check their order, their units, and that the file is of this camera"
+        )
+    cov = np.zeros((len(scale), len(scale)))
+    J = rows(step)
+    cov[np.ix_(free, free)] = np.linalg.inv(J.T @ J) * np.outer(scale[free], scale[free])
+    placed = replace(moved(step), cov=cov, std_px=std_px, residuals_px=off,
+                     outliers=tuple(label for label, fit in zip(labels, inside, strict=True) if not fit))  # fmt: skip
+    if (placed.depth(points) <= 0).any():
+        control.fail("control points lie behind it; check their order and their pixels")
+    return placed

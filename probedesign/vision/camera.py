@@ -45,10 +45,6 @@ class Camera:
     distortion: Array = field(default_factory=lambda: np.zeros(0))
     #: covariance of the parameters, (11 + d, 11 + d); zero for an exactly known camera.
     cov: Array = field(default_factory=lambda: np.zeros((LINEAR, LINEAR)))
-    #: factor of the errors that cameras calibrated together have in common, (11 + d, q): the parameters err by common @
-    #: z, with the same z of independent standard normals for all of them. q = 0 if the camera was calibrated on its
-    #: own.
-    common: Array = field(default_factory=lambda: np.zeros((LINEAR, 0)))
     size_px: tuple[int, int] | None = None  #: width and height of its pictures [px]; None if not known.
     std_px: float = 0.0  #: standard deviation of a control point's coordinate in the picture, from the residuals [px].
     #: pixels of the control points minus their projections [px], outliers included, (n, 2).

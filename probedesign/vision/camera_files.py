@@ -17,7 +17,6 @@ import numpy as np
 from probedesign.core.csv_tables import plain, quote_input, read_text
 from probedesign.core.errors import InputError, require
 from probedesign.core.frames import Array, pose
-from probedesign.vision.bundle import RelativePose
 from probedesign.vision.camera import DISTORTIONS, LINEAR, Camera
 
 MAX_BYTES = 5_000_000
@@ -44,7 +43,6 @@ class StatedCalibration:
 
     cameras: tuple[Camera, ...]  #: with covariance, in the order of their names.
     in_world: bool  #: whether their poses are those in the world; else they are meaningless.
-    relative: tuple[RelativePose, ...]  #: poses between cameras.
     notes: tuple[str, ...]  #: lines for the user.
 
 
@@ -101,17 +99,14 @@ def read_camera_files(
     merged = _Document(
         ", ".join(str(path) for path in paths), {k: v for one in documents for k, v in one.values.items()}
     )
-    relative: list[tuple[str, str, Array]] = []
     poses: dict[str, Array] = {}
     if "cam0" in merged.values:
-        cameras, errors, relative = _kalibr(merged, names)
+        cameras = _kalibr(merged, names)
+        errors: list[float | None] = [None] * len(cameras)
     elif merged.key(MATRIX, "1") and merged.key(MATRIX, "2"):
         if len(names) != 2:
             raise merged.fail(f"is of a stereo pair, but cameras.names has {len(names)}")
         cameras = [_opencv(merged, name, suffix) for name, suffix in zip(names, ("1", "2"), strict=True)]
-        T = _stated_pose(merged, unit)
-        if T is not None:
-            relative = [(names[1], names[0], T)]
         errors = [_error(merged)] * 2
     elif len(documents) != len(names):
         raise merged.fail(f"{len(documents)} files for {len(names)} cameras; give one file of each camera, a stereo "
@@ -130,12 +125,12 @@ def read_camera_files(
         source = "given in campaign.toml" if reprojection_px else "of the file" if error else "assumed"
         notes.append(f"camera {camera.name}: calibration file, reprojection error {px:g} px ({source})")
         found.append(_uncertain(camera, px, poses.get(camera.name), target_world, merged))
-    by_name = {camera.name: camera for camera in found}
-    if poses:
-        for a, b in combinations(found, 2):
-            _check_baseline(merged, a.name, b.name, a.p_world - b.p_world)
-    placed = tuple(_relative(by_name, *one, merged) for one in relative)
-    return StatedCalibration(tuple(found), bool(poses), placed, tuple(notes))
+    for a, b in combinations(found if poses else (), 2):
+        baseline = float(np.linalg.norm(a.p_world - b.p_world))
+        if not BASELINE[0] < baseline < BASELINE[1]:
+            raise merged.fail(f"cameras {a.name} and {b.name} would be {baseline:.3g} m apart; check "
+                              "cameras.length_unit in campaign.toml")  # fmt: skip
+    return StatedCalibration(tuple(found), bool(poses), tuple(notes))
 
 
 # formats
@@ -210,15 +205,12 @@ def _opencv(document: _Document, name: str, suffix: str) -> Camera:
     return _camera(document, name, K, document.numbers(bends, (0, 1, 2, 4, 5, 8, 12, 14)), _size(document))
 
 
-def _kalibr(
-    document: _Document, names: Sequence[str]
-) -> tuple[list[Camera], list[float | None], list[tuple[str, str, Array]]]:
-    """Return cameras of Kalibr, in the order cam0, cam1 ..., their errors (none), and poses relative to the last."""
+def _kalibr(document: _Document, names: Sequence[str]) -> list[Camera]:
+    """Return cameras of Kalibr without poses, in the order cam0, cam1 ..."""
     chain = [document.values[key] for key in sorted(document.values, key=_number) if re.fullmatch(r"cam\d+", key)]
     if len(chain) != len(names):
         raise document.fail(f"has {len(chain)} cameras, but cameras.names {len(names)}")
     cameras: list[Camera] = []
-    relative = []
     for i, (name, values) in enumerate(zip(names, chain, strict=True)):
         one = _Document(f"{document.name}: cam{i}", values if isinstance(values, dict) else {})
         for key in ("camera_model", "distortion_model", "intrinsics", "distortion_coeffs"):
@@ -235,14 +227,7 @@ def _kalibr(
             width, height = one.numbers("resolution", (2,))
             size = _whole(one, width, height)
         cameras.append(_camera(one, name, K, one.numbers("distortion_coeffs", (0, 4)), size))
-        if i:
-            if "T_cn_cnm1" not in one.values:
-                raise one.fail("has no T_cn_cnm1")
-            T = one.numbers("T_cn_cnm1", (16,)).reshape(4, 4)
-            if not np.allclose(T[3], [0, 0, 0, 1], atol=1e-9):
-                raise one.fail("T_cn_cnm1 is not a pose: its last row is not 0 0 0 1")
-            relative.append((name, names[i - 1], pose(_rotation(one, "T_cn_cnm1", T[:3, :3]), T[:3, 3])))
-    return cameras, [None] * len(cameras), relative
+    return cameras
 
 
 def _number(key: str) -> int:
@@ -359,19 +344,3 @@ def _uncertain(camera: Camera, px: float, T: Array | None, target: Array, docume
                                 "cameras.length_unit and base.p_world_mm in campaign.toml")  # fmt: skip
         camera = replace(camera, R_camera_world=T[:3, :3], p_world=centre)
     return replace(camera, cov=assumed_covariance(camera, px, distance), std_px=px)
-
-
-def _relative(cameras: Mapping[str, Camera], name: str, other: str, T: Array, document: _Document) -> RelativePose:
-    """Return a stated relative pose with its assumed uncertainty, as far as the cameras' parameters have it."""
-    baseline = _check_baseline(document, other, name, T[:3, 3])
-    std = math.hypot(*(math.sqrt(cameras[one].cov[5, 5]) for one in (name, other)))
-    return RelativePose(name, other, T, std, std * baseline)
-
-
-def _check_baseline(document: _Document, name: str, other: str, vector: Array) -> float:
-    """Return the distance between two cameras [m]; refuse one that is not plausible."""
-    baseline = float(np.linalg.norm(vector))
-    if not BASELINE[0] < baseline < BASELINE[1]:
-        raise document.fail(f"cameras {name} and {other} would be {baseline:.3g} m apart; check cameras.length_unit in "
-                            "campaign.toml")  # fmt: skip
-    return baseline

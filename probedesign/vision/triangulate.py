@@ -59,8 +59,7 @@ def triangulate(
 ) -> Triangulated:
     """Locate markers in space by maximum likelihood on pixels.
 
-    The covariance of a marker's pixels includes their own noise and that of the calibration, with what cameras that
-    were calibrated together have in common.
+    The covariance of a marker's pixels includes their own noise and that of the calibration.
 
     Args:
         cameras: at least two.
@@ -121,10 +120,6 @@ def _weights(seen: MarkerObservations, points: Array) -> Array:
     for i, camera in enumerate(cameras):
         own = by[i] @ camera.cov @ np.swapaxes(by[i], 1, 2)
         cov[:, i, :, i] = own + seen.std_px[i][:, None, None] ** 2 * np.eye(2)
-        for j in range(i):
-            if camera.common.shape[1] == cameras[j].common.shape[1] > 0:
-                cov[:, i, :, j] = by[i] @ camera.common @ cameras[j].common.T @ np.swapaxes(by[j], 1, 2)
-                cov[:, j, :, i] = np.swapaxes(cov[:, i, :, j], 1, 2)
     size = 2 * len(cameras)
     mask = np.repeat(seen.mask.T, 2, axis=1)
     both = mask[:, :, None] & mask[:, None, :]
