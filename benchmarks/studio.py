@@ -12,8 +12,8 @@ import numpy as np
 from benchmarks.timing import print_table
 from probedesign.cli.main import run
 from probedesign.design import load_design
+from probedesign.design.paper import PROBES, paper_design
 from probedesign.optimization.design_space import design_dict
-from probedesign.prediction.table_one import PROBES, paper_design
 from probedesign.studio.page import StudioPage
 from probedesign.studio.session import Session
 

@@ -1,8 +1,7 @@
-"""Coverage of the errors that `validate` states, in simulated campaigns, and agreement of models with Table I.
+"""Coverage of the errors that `validate` states, in simulated campaigns.
 
 Each campaign has its own probe drawn from the tolerances. Touches are located with the prior on friction; weights are
-located along the probe by the force–moment method. The prediction of the paper's Table I is compared with laws that
-contain no mechanics.
+located along the probe by the force–moment method.
 """
 
 import tempfile
@@ -13,7 +12,6 @@ import numpy as np
 from benchmarks.error_statistics import proportion_interval
 from benchmarks.timing import print_table
 from benchmarks.touches import paper_models
-from probedesign import pipeline
 from probedesign.campaigns import read_campaign
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimator import Estimator
@@ -49,25 +47,6 @@ def report() -> None:
     head = ["probe, reference", "touches", "located", "in 95 %", "95 % interval", "NEES/dof", "RMS error", "stated RMS"]
     print_table(f"Simulated campaigns, {CAMPAIGNS} probes each", head, rows)
     print_table("Weights of the campaigns without friction", ["probe, weight", "weights", *head[2:]], weights)
-    _table_one()
-
-
-def _table_one() -> None:
-    """Print the agreement of the model and of laws without mechanics with the paper's Table I."""
-    comparison = pipeline.predict_table_one().comparison
-    rows = []
-    for source, scores in (("fitted to the table or stated", comparison.fitted),
-                         ("fitted to the other two probes", comparison.left_out)):  # fmt: skip
-        rows += [[score.setting, str(score.constants), source, f"{score.within} of {score.predicted}",
-                  f"{score.typical_factor:.2f}",
-                  "-" if score.rank_correlation is None else f"{score.rank_correlation:.2f}"]
-                 for score in scores]  # fmt: skip
-    print_table("Contact errors of the paper's Table I, 23 rows",
-                ["model", "constants", "source of the constants", "within a factor of 2", "typical factor",
-                 "rank correlation"],
-                rows)  # fmt: skip
-    beyond = ", ".join(f"{name} {value:.2f}" for name, value in comparison.beyond_lever.items())
-    print(f"  rank correlation of measured with predicted residuals of the lever law: {beyond}")
 
 
 def _tests(model: ProbeModel, plan: CampaignPlan) -> tuple[ValidatedTest, ...]:

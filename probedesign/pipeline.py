@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from probedesign.planning.plan import Plan
     from probedesign.prediction.fused import PressSchedule
     from probedesign.prediction.predict import Prediction
-    from probedesign.prediction.table_one import TableOne
     from probedesign.printing.check import PrintCheck
     from probedesign.probe import Probe
     from probedesign.validation.validate import ValidationReport
@@ -120,15 +119,6 @@ def sample_prediction(
         plan, prediction, checkpoint, lambda share: on_progress("Monte Carlo", share), fused=shown(prediction.fused)
     )
     return replace(prediction, monte_carlo=results)
-
-
-def predict_table_one() -> "TableOne":
-    """Predict Table I of the paper for its probes."""
-    from probedesign.prediction.table_one import PROBES, paper_design, table_one
-    from probedesign.probe import build_probe
-
-    probes = {name: build_probe(paper_design(name)) for name in PROBES}
-    return table_one({name: (probe.model, probe.tolerances) for name, probe in probes.items()})
 
 
 def optimize(search: "OptimizationProblem", name: str, on_progress: "OnProgress") -> "Optimum":

@@ -9,15 +9,13 @@ from cyclopts import Parameter
 
 from probedesign.cli.console import json_bytes, print_json, print_table, show_progress, write_files
 from probedesign.cli.options import DesignFile, JsonOutput
-from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.errors import MissingDependencyError
 from probedesign.core.files import check_folder, exports_of
 from probedesign.core.units import format_value
 
 if TYPE_CHECKING:
-    from probedesign.prediction.agreement import AgreementScore
     from probedesign.prediction.fused import FusedCondition
     from probedesign.prediction.predict import Condition, Prediction
-    from probedesign.prediction.table_one import TableOne
     from probedesign.prediction.workspace import Workspace
     from probedesign.probe import Probe
 
@@ -32,7 +30,7 @@ MARKS = {"too_light": "-", "unobservable": "-", "no_contact": ".", "out_of_range
 
 
 def predict(
-    design: DesignFile | None = None,
+    design: DesignFile,
     /,
     *,
     out: Path | None = None,
@@ -40,7 +38,6 @@ def predict(
     seed: int = 0,
     touches: int = 5,
     forces_too: bool = False,
-    table1: bool = False,
     plots: Annotated[bool | None, Parameter(negative="--no-plots")] = None,
     verbose: bool = False,
     as_json: JsonOutput = False,
@@ -48,14 +45,13 @@ def predict(
     """Predict sensitivity and contact error of a design; write prediction.json, .csv, .html and .png.
 
     Args:
-        design: the design file, or its name; none with --table1.
+        design: the design file, or its name.
         out: output folder. Default: exports/NAME.
         monte_carlo: check the error budget by this number of simulated estimates per condition. An interrupted run is
             resumed by the same command.
         seed: seed of the Monte Carlo simulation.
         touches: number of touches of one point that are fused while the base presses on.
         forces_too: fuse forces and moments. Default: the moments about the sensor's origin only.
-        table1: predict the paper's Table I for its three probes, beside the measured values.
         plots: write page and picture. Default: the page, and the picture if matplotlib is installed.
         verbose: print all tables: sensitivity, error budgets, force limits and workspace too.
         as_json: print one JSON document instead of tables.
@@ -64,19 +60,6 @@ def predict(
     from probedesign.mount import root_contradiction
     from probedesign.prediction.fused import PressSchedule
 
-    if (design is None) is not table1:
-        raise InputError("predict needs a design file, such as designs/NAME.toml, or --table1 without a design file")
-    if design is None:
-        given = out, monte_carlo, seed, touches, forces_too, plots, verbose
-        if given != (None, None, 0, 5, False, None, False):
-            raise InputError("--table1 has no other option than --json: it writes no files and fuses no touches")
-        with show_progress("predicting the paper's table"):
-            table = pipeline.predict_table_one()
-        if as_json:
-            print_json(table.as_dict())
-        else:
-            _print_table_one(table)
-        return
     schedule = PressSchedule(touches, None if forces_too else "sensor")
     with show_progress() as on_progress:
         probe = pipeline.load_probe(design)
@@ -312,42 +295,3 @@ def _small_cell(value: float | None, width: int) -> str:
     if value is None or value >= 100:
         return _cell(value, width)
     return f"{'<0.01' if value < 0.005 else f'{value:.2f}':>{width}}"
-
-
-def _print_table_one(table: "TableOne") -> None:
-    """Print the paper's Table I beside its prediction."""
-    print(
-        f"Table I, contact error [mm]: sensor noise {table.noise_force_mN:.3g} mN and {table.noise_moment_Nmm:.3g} "
-        f"N·mm, error of the stereo reference {table.reference_mm:g} mm (assumed), the same in all rows"
-    )
-    print("  probe    force   s/L    measured   predicted    noise only   largest error source")
-    for row in table.rows:
-        print(
-            f"  {row.probe:<7}{row.force_N:>7g}{row.contact_fraction:>6g}{row.measured_error_mm:>12g}"
-            f"{_cell(row.predicted_error_mm, 12)}{_cell(row.noise_error_mm, 14)}   {row.largest_cause}"
-        )
-    print(f"\n  {_score(table.score, len(table.rows))}")
-    for row in table.rows:
-        if not row.within:
-            print(f"  outside: {row.probe}, {row.force_N:g} N at {row.contact_fraction:g}: {row.why}")
-    print("\nBeside laws without mechanics: lever √((0.52 mN·s/F)² + (1.3 mm)²), constant 2.25 mm")
-    for heading, scores in (
-        ("constants stated, or fitted to the whole table", table.comparison.fitted),
-        ("each probe predicted with constants fitted to the other two", table.comparison.left_out),
-    ):
-        print(f"  {heading}")
-        for score in scores:
-            print(f"    {score.setting:<12}{score.constants} constant{'s' * (score.constants > 1):<3}"
-                  f"{_score(score, len(table.rows))}")  # fmt: skip
-    beyond = ", ".join(f"{name} {value:.2f}" for name, value in table.comparison.beyond_lever.items())
-    print(f"  rank correlation of what the lever law leaves, measured with predicted: {beyond}")
-    print("\nSensitivity to the reference and to the assumed diameters")
-    for score in (*table.by_reference, *table.by_diameter):
-        print(f"  {score.setting:<24}{_score(score, len(table.rows))}")
-
-
-def _score(score: "AgreementScore", rows: int) -> str:
-    return (
-        f"{score.within} of {rows} within a factor of two, typically {score.typical_factor:.2f}; rank correlation "
-        f"{format_value(score.rank_correlation, '.2f', missing='-')} over {score.predicted} predicted rows"
-    )

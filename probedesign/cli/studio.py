@@ -72,7 +72,7 @@ def studio(
 def _design(name: str, changes: list[str]) -> "Design":
     """Return the design of a file or of a preset, with some keys changed."""
     from probedesign.design import load_design
-    from probedesign.prediction.table_one import PROBES, paper_design
+    from probedesign.design.paper import PROBES, paper_design
     from probedesign.studio.session import with_options
 
     file = design_file(Path(name))

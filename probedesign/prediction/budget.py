@@ -14,7 +14,7 @@ reading does not correct the point for the error sources, the others are scaled 
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,14 +68,14 @@ def error_budget(touch: Array, lin: Array, D: Array, sources: ErrorSources, fric
     total, centre, noise = (np.full((n, 3, 3), np.nan) for _ in range(3))
     found = ErrorBudget(np.full((n, len(CAUSES), 3, 3), np.nan), total, centre, noise, np.full(n, np.nan))
     if len(of):
-        parts = _LinearizedTouches.of(touch[of], lin[of], D[of], sources).split(friction)
+        parts = LinearizedTouches.of(touch[of], lin[of], D[of], sources).split(friction)
         for into, part in zip((found.cov, total, centre, noise, found.std_s), parts, strict=True):
             into[of] = part
     return found
 
 
 @dataclass(frozen=True)
-class _LinearizedTouches:
+class LinearizedTouches:
     """Linearised touches, all of them valid."""
 
     #: H, X, X_centre: of wrench, touched point and centreline point by the touch, (n, 6, 5), (n, 3, 5), (n, 3, 5).
@@ -91,7 +91,7 @@ class _LinearizedTouches:
     by_s: Array  #: derivative of s_contact by the touch, (n, 5).
 
     @classmethod
-    def of(cls, touch: Array, lin: Array, D: Array, sources: ErrorSources) -> "_LinearizedTouches":
+    def of(cls, touch: Array, lin: Array, D: Array, sources: ErrorSources) -> "LinearizedTouches":
         """Return the linearisations of touches; the arguments are those of `error_budget`."""
         by = slice(BY_TOUCH, BY_TOUCH + UNKNOWNS)
         by_s = by_s_of(sources.model.rod, touch[:, S])
@@ -104,14 +104,14 @@ class _LinearizedTouches:
     def split(self, friction: float) -> tuple[Array, Array, Array, Array, Array]:
         """Return the covariance by source, total, of the centreline point and by noise alone, and std of s_contact."""
         W = whiten(self._known(self.noise))
-        known, root, gain = self._solve(W, friction)
+        known, root, gain = self.solve(W, friction)
         total = self._total(self.X, self.Q, root, gain)
         centre = self._total(self.X_centre, self.Q_centre, root, gain)
         std_s = np.linalg.norm(np.einsum("ni,nij->nj", self.by_s, root), axis=1)
-        noise_root = self.X @ self._solve(whiten(self.noise), friction)[1]
+        noise_root = self.X @ self.solve(whiten(self.noise), friction)[1]
         noise = noise_root @ np.swapaxes(noise_root, 1, 2)
-        without = self._solve(W, 0.0)[2]
-        parts = dict(self._parts(self.X @ without))
+        without = self.solve(W, 0.0)[2]
+        parts = dict(self.parts(self.X @ without))
         cov = np.stack([parts[name] for name in SOURCES], axis=1)
         whole = np.trace(cov.sum(axis=1), axis1=1, axis2=2)
         cov = cov * np.minimum(np.trace(total, axis1=1, axis2=2) / whole, 1.0)[:, None, None, None]
@@ -127,8 +127,8 @@ class _LinearizedTouches:
         own, cross = X @ root, X @ gain @ self.D @ np.swapaxes(Q, 1, 2)
         return np.asarray(own @ np.swapaxes(own, 1, 2) + Q @ np.swapaxes(Q, 1, 2) - cross - np.swapaxes(cross, 1, 2))
 
-    def _parts(self, gain: Array) -> list[tuple[str, Array]]:
-        """Return each source's covariance of the touched point, given its gain on the reading, (n, 3, 6)."""
+    def parts(self, gain: Array) -> list[tuple[str, Array]]:
+        """Return each source with its covariance of the touched point, given its gain on the reading, (n, 3, 6)."""
         found = [("noise", gain @ self.noise @ np.swapaxes(gain, 1, 2)),
                  ("drift", gain @ self.drift @ np.swapaxes(gain, 1, 2))]  # fmt: skip
         off = gain @ self.D - self.Q
@@ -137,7 +137,7 @@ class _LinearizedTouches:
             found.append((name, here @ np.swapaxes(here, 1, 2)))
         return found
 
-    def _solve(self, W: Array, friction: float) -> tuple[NDArray[np.bool_], Array, Array]:
+    def solve(self, W: Array, friction: float) -> tuple[NDArray[np.bool_], Array, Array]:
         """Return whether the touch is observable, a root of its covariance C, (n, 5, 5), and its gain, (n, 5, 6)."""
         n = len(self.H)
         J = np.zeros((n, 6 + 2, UNKNOWNS))
@@ -152,25 +152,6 @@ class _LinearizedTouches:
         root = np.linalg.inv(R) / scale[:, :, None]
         gain = root @ np.swapaxes(J[:, :6] @ root, 1, 2) @ W
         return known, root, gain
-
-
-def unweighted_error_budget(lin: Array, D: Array, sources: ErrorSources, friction: float) -> Array:
-    """Return the covariance of the centreline point [m²] by source, (n, causes, 3, 3), for an unweighted method.
-
-    Such a method takes the probe as exact and the direction of the force as free, and weights its readings by sensor
-    noise alone.
-
-    Args:
-        lin, D, sources: as in `error_budget`, of valid touches.
-        friction: standard deviation of the true friction ratio.
-    """
-    touches = _LinearizedTouches.of(np.zeros((len(lin), UNKNOWNS)), lin, D, sources)
-    touches = replace(touches, X=touches.X_centre, Q=touches.Q_centre)
-    gain = touches.X @ touches._solve(whiten(touches.noise), math.inf)[2]
-    parts = dict(touches._parts(gain))
-    by_friction = min(friction, 1.0) * (gain @ touches.H - touches.X)[:, :, ALONG - 1 :]
-    cov = [*(parts[name] for name in SOURCES), by_friction @ np.swapaxes(by_friction, 1, 2)]
-    return np.stack(cov, axis=1)
 
 
 def by_s_of(rod: Rod, s: Array) -> Array:

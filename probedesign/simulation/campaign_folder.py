@@ -27,7 +27,7 @@ from probedesign.vision.camera_files import assumed_covariance
 TRUTH = "truth.json"
 STD_CONTACT = {"cameras": 0.6 * MM, "stage": 0.05 * MM}
 """Standard deviation of a contact's position, on each axis [m]: a millimetre in space by two cameras (assumed, as in
-`predict --table1`), a twentieth by a stage."""
+docs/prediction.md), a twentieth by a stage."""
 STD_WEIGHT_ARCLENGTH = 0.5 * MM
 """Of the position of a thread [m] (assumed)."""
 STD_SAG = 0.5 * MM

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from itertools import cycle
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -11,11 +12,11 @@ from probedesign.campaigns.manifest import LENGTH_SCALE, WEIGHT_STD, WRIST
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose, wrench_map
 from probedesign.core.units import MM
+from probedesign.design.paper import CONDITIONS
 from probedesign.estimation.error_sources import parameters_of, turns_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.monte_carlo import perturbed_rod
-from probedesign.prediction.table_one import measured
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.friction import ASSUMED_SPREAD, MAX_FRICTION, draw_friction
@@ -102,14 +103,11 @@ class PlannedTouch(NamedTuple):
 def planned_touches(model: ProbeModel) -> list[PlannedTouch]:
     """Return the touches of Table I: a paper probe's own, for any other those of the large one, with forces that bend
     it alike, scaled by E d⁴ / L² at the touched place."""
-    own = [row for row in measured() if row["probe"] == model.name]
-    rows = own or [row for row in measured() if row["probe"] == "large"]
-    found = []
-    for i, row in enumerate(rows):
-        fraction, force = float(row["contact_fraction"]), float(row["force_N"])
-        scale = 1.0 if own else stiffness_ratio(model.rod, fraction)
-        found.append(PlannedTouch(fraction, force * scale, list(DIRECTIONS)[i % len(DIRECTIONS)]))
-    return found
+    is_papers = model.name in CONDITIONS
+    return [
+        PlannedTouch(fraction, force if is_papers else force * stiffness_ratio(model.rod, fraction), direction)
+        for (fraction, force), direction in zip(CONDITIONS[model.name if is_papers else "large"], cycle(DIRECTIONS))
+    ]
 
 
 def planned_weights(model: ProbeModel) -> list[tuple[float, float]]:

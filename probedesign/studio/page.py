@@ -21,10 +21,10 @@ import viser
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import Design
+from probedesign.design.paper import PROBES, paper_design
 from probedesign.estimation.estimate import Estimate
 from probedesign.live.view.access import protect
 from probedesign.live.view.page import LoopbackServer
-from probedesign.prediction.table_one import PROBES, paper_design
 from probedesign.probe import build_probe
 from probedesign.reports.chart import Chart
 from probedesign.studio import actions

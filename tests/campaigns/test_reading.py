@@ -9,7 +9,7 @@ import pytest
 from probedesign.campaigns import read_campaign
 from probedesign.campaigns.checks import check_probe
 from probedesign.core.errors import InputError
-from probedesign.prediction.table_one import paper_design
+from probedesign.design.paper import paper_design
 from probedesign.probe import build_probe
 from probedesign.vision.camera import Camera
 

@@ -5,9 +5,9 @@ import json
 import pytest
 
 from probedesign.cli.main import run
+from probedesign.design.paper import paper_design
 from probedesign.optimization.objective import Task
 from probedesign.prediction.predict import fused_headline
-from probedesign.prediction.table_one import paper_design
 from probedesign.probe import build_probe
 from probedesign.reports.comparison_page import compare, comparison_table
 from probedesign.studio.figures import complete

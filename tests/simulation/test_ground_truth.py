@@ -5,7 +5,7 @@ import pytest
 
 from probedesign.campaigns.manifest import LENGTH_SCALE, WEIGHT_STD
 from probedesign.core.errors import InputError
-from probedesign.prediction.table_one import paper_design
+from probedesign.design.paper import paper_design
 from probedesign.probe import build_probe
 from probedesign.simulation.ground_truth import CampaignPlan, GroundTruth
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from probedesign.design.paper import paper_design
 from probedesign.prediction.predict import FORCES_N
-from probedesign.prediction.table_one import paper_design
 from probedesign.probe import build_probe
 from probedesign.studio.figures import (
     PREVIEWED,

@@ -15,9 +15,9 @@ import viser
 import viser.transforms
 
 from probedesign.cli.main import run
+from probedesign.design.paper import paper_design
 from probedesign.live.outputs.drawing import centreline
 from probedesign.live.view.page import UNIT, level_rotation
-from probedesign.prediction.table_one import paper_design
 from probedesign.studio.page import CHARTS_WIDTH, CONTROLS_WIDTH, StudioPage
 from probedesign.studio.session import Session, knots_of
 

@@ -4,8 +4,8 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.design.catalog import RESINS
+from probedesign.design.paper import paper_design
 from probedesign.optimization.design_space import design_dict
-from probedesign.prediction.table_one import paper_design
 from probedesign.studio.session import MAX_PINNED, MERGE_SECONDS, Session, with_knots, with_options
 
 

@@ -11,8 +11,8 @@ from probedesign import build_probe, load_design, pipeline
 from probedesign.campaigns import read_campaign
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
+from probedesign.design.paper import paper_design
 from probedesign.estimation.estimator import Estimator
-from probedesign.prediction.table_one import paper_design
 from probedesign.simulation.campaign_folder import make_campaign
 from probedesign.simulation.ground_truth import CampaignPlan
 from probedesign.validation.validate import coverage_of, validate

@@ -12,9 +12,9 @@ from probedesign.campaigns import read_campaign
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design
+from probedesign.design.paper import paper_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.predict import predict_touch
-from probedesign.prediction.table_one import paper_design
 from probedesign.probe import build_probe
 from probedesign.reports.validation_page import (
     centreline,
