@@ -3,13 +3,11 @@
 import base64
 import csv
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from typing import Any
 
-from probedesign.cad.drawing import Sheet
-from probedesign.cad.drawing_files import Svg, dxf_bytes, pdf_bytes, svg_bytes
 from probedesign.cad.exploded_view import (
     AssemblyStep,
     PartLabel,
@@ -18,13 +16,13 @@ from probedesign.cad.exploded_view import (
     explosion,
     step_pictures,
 )
+from probedesign.cad.inspection import inspection_sheets
 from probedesign.cad.kernel import mass_properties
 from probedesign.cad.model import CadModel, CadPart
-from probedesign.cad.probe_drawing import probe_sheet
 from probedesign.cad.render import render_body, render_png
-from probedesign.cad.rigid_drawings import clamp_ring_sheet, flange_adapter_sheet, sensor_adapter_sheet
+from probedesign.core.svg import Canvas
 from probedesign.core.units import MM, MPA
-from probedesign.design.catalog import ALUMINIUM, RIGID_RESIN
+from probedesign.design.catalog import RIGID_RESIN
 from probedesign.geometry.mass import combined
 from probedesign.mount.clamping import NUT_FACTOR, RESIN_PRESSURE, clamp_force, hand_torque, ring_torque
 from probedesign.mount.flange_adapter import CENTRING_PIN_LENGTH
@@ -32,13 +30,6 @@ from probedesign.mount.tolerance_stack import CALIPERS, measurements, tolerance_
 from probedesign.reports.html_page import html_document
 
 STEEL = "stainless steel A2"
-SHEETS: dict[str, Callable[[CadModel, CadPart], Sheet]] = {
-    "probe": probe_sheet,
-    "sensor_adapter": sensor_adapter_sheet,
-    "clamp_ring": clamp_ring_sheet,
-    "flange_adapter": flange_adapter_sheet,
-}
-PDF_FILE = "drawings.pdf"
 
 
 @dataclass(frozen=True)
@@ -74,8 +65,8 @@ def _item(number: int, model: CadModel, part: CadPart) -> BillItem:
     use = next((use for use in model.screws if use.name == part.name), None)
     if part.printed:
         file = f"{part.name}.stl"
-        material = material_of(model, part.name)
-        what = "milled" if material == ALUMINIUM else "printed"
+        material = model.design.resin.name if part.name == "probe" else RIGID_RESIN
+        what = "printed"
     elif use is not None:
         length = round(use.length / MM, 3)
         torque = ring_torque(model.adapter) if use.name == "ring_screws" else hand_torque(use.screw)
@@ -86,13 +77,6 @@ def _item(number: int, model: CadModel, part: CadPart) -> BillItem:
     elif not part.standard:
         what, material = _sensor_text(model), ""
     return BillItem(number, part.name, count, what, length, material, grams, file, torque)
-
-
-def material_of(model: CadModel, part: str) -> str:
-    """Return the material of a part that has a file."""
-    if part == "probe":
-        return model.design.resin.name
-    return ALUMINIUM if model.adapter.options.milled else RIGID_RESIN
 
 
 def _sensor_text(model: CadModel) -> str:
@@ -132,7 +116,11 @@ ul { margin: 1mm 0; padding-left: 5mm } .tools { columns: 2 75mm }
 
 
 def assembly_page(
-    model: CadModel, bill: Sequence[BillItem], steps: Sequence[AssemblyStep], exploded: Svg, pictures: Sequence[bytes]
+    model: CadModel,
+    bill: Sequence[BillItem],
+    steps: Sequence[AssemblyStep],
+    exploded: Canvas,
+    pictures: Sequence[bytes],
 ) -> bytes:
     """Return the assembly page: one HTML file that needs no network and prints on A4.
 
@@ -303,18 +291,9 @@ def build_documents(model: CadModel) -> Documents:
     seat = float(model.adapter.T_sensor_base[2, 3]) / MM
     exploded = exploded_svg(bodies, labels, f"{model.design.name}: exploded view", seat)
     files = {f"{part.name}.png": render_png([bodies[part.name]], PART_SIZE) for part in model.printed}
-    files |= part_drawings(model)
+    files |= inspection_sheets(model)
     files["assembly.png"] = render_png(list(bodies.values()), ASSEMBLY_SIZE)
     files["exploded.svg"] = bytes(exploded)
     files["bill_of_materials.csv"] = bill_csv(bill)
     files["assembly.html"] = assembly_page(model, bill, steps, exploded, step_pictures(bodies, steps, seat))
     return Documents(files, bill, [step.text for step in steps])
-
-
-def part_drawings(model: CadModel) -> dict[str, bytes]:
-    """Return the files of the drawings by name: an SVG and a DXF of each printed part, and a PDF with all sheets."""
-    sheets = {name: draw(model, model.parts[name]) for name, draw in SHEETS.items()}
-    files = {f"{name}.svg": svg_bytes(sheet) for name, sheet in sheets.items()}
-    files |= {f"{name}.dxf": dxf_bytes(sheet) for name, sheet in sheets.items()}
-    title = f"{model.design.name}: drawings of the parts, {model.geometry.fingerprint}"
-    return files | {PDF_FILE: pdf_bytes(list(sheets.values()), title)}

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from probedesign.cad.drawing_files import Svg
 from probedesign.cad.render import OrthographicCamera, RenderBody, fit_view, png_bytes, render_bodies, render_png
 from probedesign.cad.solids import ScrewGroup
+from probedesign.core.svg import Anchor, Canvas
 from probedesign.core.units import MM
 from probedesign.design.sensors import DowelPattern
 
@@ -169,7 +169,7 @@ def step_pictures(bodies: Bodies, steps: Sequence[AssemblyStep], seat: float) ->
     return pictures
 
 
-def exploded_svg(bodies: Bodies, labels: Mapping[str, PartLabel], title: str, seat: float) -> Svg:
+def exploded_svg(bodies: Bodies, labels: Mapping[str, PartLabel], title: str, seat: float) -> Canvas:
     """Return the exploded view of all parts with their labels.
 
     Args:
@@ -183,8 +183,9 @@ def exploded_svg(bodies: Bodies, labels: Mapping[str, PartLabel], title: str, se
     view = fit_view(list(exploded.values()), FROM_ABOVE, EXPLODED_SIZE)
     pixels, owners = render_bodies(list(exploded.values()), view)
     width, height = view.size
-    svg = Svg(width + 2 * LABEL_WIDTH, height, unit="px", title=title)
-    svg.image(LABEL_WIDTH, 0.0, width, height, base64.b64encode(png_bytes(pixels)).decode())
+    svg = Canvas(width + 2 * LABEL_WIDTH, height, unit="px", title=title)
+    picture = base64.b64encode(png_bytes(pixels)).decode()
+    svg.add("image", x=LABEL_WIDTH, y=0.0, width=width, height=height, href=f"data:image/png;base64,{picture}")
     order = sorted(names, key=lambda name: _middle(owners, names.index(name)))
     for side in (0, 1):  # alternating left and right, from the top
         column = order[side::2]
@@ -225,14 +226,15 @@ def _spread(wanted: Sequence[float], spacing: float, height: float) -> list[floa
     return [float(y) for y in placed]
 
 
-def _label(svg: Svg, label: PartLabel, anchor: tuple[float, float], y: float, side: int, width: float) -> None:
+def _label(svg: Canvas, label: PartLabel, anchor: tuple[float, float], y: float, side: int, width: float) -> None:
     inner = LABEL_WIDTH - 8.0 if side == 0 else LABEL_WIDTH + width + 8.0
     outward = -1.0 if side == 0 else 1.0
-    svg.line((LABEL_WIDTH + anchor[0], anchor[1]), (inner, y), width=1.2, colour="#444")
+    svg.polylines([[(LABEL_WIDTH + anchor[0], anchor[1]), (inner, y)]], 1.2, "#444")
     svg.circle((LABEL_WIDTH + anchor[0], anchor[1]), 3.2, fill="#444")
     svg.circle((inner + 15 * outward, y), 14.0, fill="#fff", colour="#222", width=1.4)
     svg.text((inner + 15 * outward, y + 5.5), str(label.number), 15.0, bold=True)
     name, what = label.lines
-    x, anchored = inner + 36 * outward, "end" if side == 0 else "start"
+    x = inner + 36 * outward
+    anchored: Anchor = "end" if side == 0 else "start"
     svg.text((x, y - 2.0), name, 15.5, anchor=anchored, bold=True)
     svg.text((x, y - 2.0 + LINE), what, 13.0, anchor=anchored)

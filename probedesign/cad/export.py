@@ -12,8 +12,7 @@ import cadquery as cq
 import numpy as np
 
 from probedesign.cad.assembly_docs import Documents, bill_records, build_documents
-from probedesign.cad.drawing import drawing_date
-from probedesign.cad.exchange import glb_bytes, step_bytes
+from probedesign.cad.exchange import file_date, glb_bytes, step_bytes
 from probedesign.cad.folder import MANIFEST, check_target, staged
 from probedesign.cad.kernel import mass_properties
 from probedesign.cad.mesh import part_stl, read_back, tessellate, threemf_packages
@@ -204,7 +203,7 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
 
 def cad_files(model: CadModel, parts: Iterable[str]) -> dict[str, bytes]:
     """Return the assembly as STEP and GLB, and the STEP file of each of these parts in its own frame."""
-    name, fingerprint, date = model.design.name, model.geometry.fingerprint, drawing_date(model.design)
+    name, fingerprint, date = model.design.name, model.geometry.fingerprint, file_date(model.design)
 
     def step(assembly: cq.Assembly, file: str, what: str) -> bytes:
         return step_bytes(assembly, file, f"{name}: {what}, geometry {fingerprint}, units mm", date)

@@ -192,13 +192,13 @@ def _rows(kind: Any, structs: Any, dtype: str) -> NDArray[Any]:
 
 
 def package_objects(model: CadModel, meshes: Mapping[str, Mesh]) -> dict[str, list[ThreemfObject]]:
-    """Return the objects of each package by file name; milled adapters have none."""
+    """Return the objects of each package by file name."""
     number = f"{model.design.name}-{model.geometry.fingerprint}"
     objects = [ThreemfObject(name, f"{number}-{name}", mesh) for name, mesh in meshes.items()]
-    packages = {"probe.3mf": [piece for piece in objects if piece.name == "probe"]}
-    if not model.adapter.options.milled:
-        packages["adapters.3mf"] = [piece for piece in objects if piece.name != "probe"]
-    return packages
+    return {
+        "probe.3mf": [piece for piece in objects if piece.name == "probe"],
+        "adapters.3mf": [piece for piece in objects if piece.name != "probe"],
+    }
 
 
 def threemf_packages(model: CadModel, meshes: Mapping[str, Mesh]) -> dict[str, bytes]:

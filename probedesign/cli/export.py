@@ -22,11 +22,9 @@ FILE_KINDS = {
     ".3mf": FileKind("print", "to print"),
     ".stl": FileKind("print", "to print"),
     ".step": FileKind("CAD", "solids for CAD"),
-    ".dxf": FileKind("CAD", "dimensioned drawing"),
     ".html": FileKind("view", "assembly instructions"),
     ".glb": FileKind("view", "assembly of all parts, in metres"),
-    ".svg": FileKind("view", "dimensioned drawing"),
-    ".pdf": FileKind("view", "dimensioned drawings of all parts"),
+    ".svg": FileKind("view", "sheet of dimensions to check with calipers"),
     ".png": FileKind("view", "preview"),
     ".csv": FileKind("record", "parts to print and to buy"),
     ".json": FileKind("record", "manifest with the results of all checks"),
@@ -43,7 +41,7 @@ def export(
     verbose: bool = False,
     as_json: JsonOutput = False,
 ) -> None:
-    """Write the parts to print: STL, 3MF, STEP, GLB, drawings and their manifest. Needs the extra 'cad'.
+    """Write the parts to print: STL, 3MF, STEP, GLB, inspection sheets and their manifest. Needs the extra 'cad'.
 
     Args:
         design: the design file, or its name.

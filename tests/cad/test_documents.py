@@ -17,26 +17,26 @@ import pytest
 
 pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip install 'probedesign[cad]'")
 
-import ezdxf
-import ezdxf.units
 import trimesh
 from PIL import Image
 
-from probedesign.cad.assembly_docs import SHEETS, assembly_page, bill_of_materials, part_drawings
-from probedesign.cad.drawing import EDGE, HEIGHT, WIDTH
-from probedesign.cad.drawing_files import Svg, dxf_bytes, svg_bytes
+from probedesign.cad.assembly_docs import assembly_page, bill_of_materials
 from probedesign.cad.exploded_view import DOWN, EXPLOSION, assembly_steps
-from probedesign.cad.mesh import Mesh, package_objects, platform_positions, read_back
+from probedesign.cad.inspection import inspection_sheets
+from probedesign.cad.mesh import platform_positions, read_back
 from probedesign.cad.model import CadModel, build_cad, overlaps
 from probedesign.cad.projection import FRONT, cut, seen
 from probedesign.cad.render import BACKGROUND, OrthographicCamera, RenderBody, fit_view, render_bodies
+from probedesign.cad.sheet import EDGE, HEIGHT, WIDTH
 from probedesign.cad.solids import clamp_ring_solid
 from probedesign.core.errors import InputError
 from probedesign.core.frames import pose
+from probedesign.core.svg import Canvas
 from probedesign.design import Design, parse_design
 from probedesign.mount.clamping import RESIN_PRESSURE, hand_torque
 from probedesign.mount.engraving import Engraving
 from probedesign.mount.sensor_adapter import RING_VENT_HEIGHT
+from probedesign.mount.tolerance_stack import measurements
 from tests.reports.page_checks import browser, check_page, sheets
 
 Exported = tuple[Path, dict[str, Any]]
@@ -183,17 +183,12 @@ def words_of(svg: bytes) -> list[str]:
 @pytest.fixture(scope="module")
 def drawings(large: CadModel) -> dict[str, bytes]:
     """The files of the drawings by name."""
-    return part_drawings(large)
-
-
-def drawing(model: CadModel, name: str) -> bytes:
-    """The SVG of one part's drawing, without the files of the others."""
-    return svg_bytes(SHEETS[name](model, model.parts[name]))
+    return inspection_sheets(large)
 
 
 def test_drawings_show_the_dimensions(large: CadModel, drawings: dict[str, bytes]) -> None:
     words = {name: words_of(drawings[f"{name}.svg"]) for name in PRINTED}
-    assert {"150", "3", "⌀19", "⌀12 at s = 0", "(⌀7 at s = 75)", "⌀2 at s = 150"} <= set(words["probe"])
+    assert {"150", "3", "⌀19", "⌀12 at s = 0", "⌀7 at s = 75", "⌀2 at s = 150"} <= set(words["probe"])
     a = large.adapter
     for d in (a.foot_d, a.recess_d, a.body_d):
         assert f"⌀{1e3 * d:g}" in words["sensor_adapter"]
@@ -203,13 +198,18 @@ def test_drawings_show_the_dimensions(large: CadModel, drawings: dict[str, bytes
     assert any(w.endswith("on ⌀12.5 at 60°, 180°, 300°") for w in words["sensor_adapter"])
     assert any("on ⌀50 at 45°, 135°, 225°, 315°" in w for w in words["flange_adapter"])
     for name in PRINTED:
-        assert {large.geometry.fingerprint, "mm", f"{name}.stl"} <= set(words[name])
+        assert large.geometry.fingerprint in "".join(words[name]) and f"{name}.stl" in "".join(words[name])
+    for row in measurements(large.adapter, large.plate):
+        part, _, what = row.what.partition(": ")
+        if part.replace(" ", "_") in words:  # what calipers decide before the first screw
+            text = " ".join(words[part.replace(" ", "_")])
+            assert what in text and f"accept {1e3 * row.accept[0]:.2g}"[:-1] in text
 
 
 def test_dimension_lines_have_their_length(drawings: dict[str, bytes]) -> None:
     """On the probe's sheet, scale 1 : 1: lines of 150, 19 and 3 mm of paper."""
     root = ET.fromstring(drawings["probe.svg"])
-    assert "1 : 1" in [element.text for element in root.iter(f"{SVG}text")]
+    assert any("scale 1 : 1" in words for words in words_of(drawings["probe.svg"]))
     lengths = []
     for path in root.iter(f"{SVG}path"):
         for line in path.get("d", "").split("M")[1:]:
@@ -217,8 +217,8 @@ def test_dimension_lines_have_their_length(drawings: dict[str, bytes]) -> None:
             if len(numbers) == 4:
                 lengths.append(np.hypot(numbers[2] - numbers[0], numbers[3] - numbers[1]))
     for wanted in (150.0, 19.0, 3.0):
-        # A thousandth of a millimetre is written.
-        assert min(abs(length - wanted) for length in lengths) < 2e-3
+        # A hundredth of a millimetre is written.
+        assert min(abs(length - wanted) for length in lengths) < 0.015
 
 
 def test_edges_are_those_of_the_solid(large: CadModel) -> None:
@@ -253,19 +253,19 @@ ODD = {
 @pytest.mark.parametrize("probe", ODD.values(), ids=ODD)
 def test_drawings_stay_in_their_frame(make_design: Callable[..., Design], probe: str) -> None:
     model = build_cad(make_design(probe))
-    for name in PRINTED:
-        root = ET.fromstring(drawing(model, name))
+    for name, sheet in inspection_sheets(model).items():
+        root = ET.fromstring(sheet)
         for element in root.iter():
             for x, y in _points(element):
                 assert EDGE <= x <= WIDTH - EDGE and EDGE <= y <= HEIGHT - EDGE, (name, ET.tostring(element)[:200])
-        notes = [e for e in root.iter(f"{SVG}text") if " at s = " in (e.text or "") and "–" not in (e.text or "")]
+        notes = [e for e in root.iter(f"{SVG}text") if " at s = " in (e.text or "") and "section" not in (e.text or "")]
         heights = sorted(float(e.get("y", "")) for e in notes)
         assert all(b - a > 3.0 for a, b in pairwise(heights))  # no note on another
 
 
 def _points(element: ET.Element) -> list[tuple[float, float]]:
     """Corners of a path, ends of a text of the usual width."""
-    if element.tag == f"{SVG}path" and "H" not in element.get("d", ""):  # the hatch has a tile of its own
+    if element.tag == f"{SVG}path":
         numbers = [float(n) for n in re.findall(r"-?[\d.]+", element.get("d", ""))]
         return list(zip(numbers[::2], numbers[1::2], strict=True))
     if element.tag == f"{SVG}text" and not element.get("transform"):
@@ -277,75 +277,38 @@ def _points(element: ET.Element) -> list[tuple[float, float]]:
 
 
 def test_the_title_block_is_complete(large: CadModel, exported: Exported, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Revision, mass, scale, date and projection; the date is the design's or that of the sources."""
+    """Fingerprint, mass and date, which is the design's or that of the sources."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1767225600")  # 2026-01-01 UTC
     dated = replace(large, design=large.design.model_copy(update={"date": "2025-12-24"}))
     for model, date in ((large, "2026-01-01"), (dated, "2025-12-24")):
-        for name in ("probe", "sensor_adapter"):
-            words = words_of(drawing(model, name))
-            grams = 1e3 * exported[1]["parts"][name]["mass_kg"]
-            assert {date, large.geometry.fingerprint, f"{grams:.3g} g", "first angle, ISO 5456-2"} <= set(words)
+        for name, sheet in inspection_sheets(model).items():
+            words = " ".join(words_of(sheet))
+            grams = 1e3 * exported[1]["parts"][name.removesuffix(".svg")]["mass_kg"]
+            assert all(text in words for text in (date, large.geometry.fingerprint, f"{grams:.3g} g", "±0.15 mm"))
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
     with pytest.raises(InputError, match="SOURCE_DATE_EPOCH = 'yesterday'"):
-        part_drawings(large)
+        inspection_sheets(large)
 
 
-def test_sections_datums_and_fits_of_odd_designs() -> None:
-    """A hollow probe is cut lengthwise, an elliptic one across; a rounded tip and a fillet have their radii; milled
-    holes for pins have a fit and its nominal diameter, engraved parts their depth."""
+def test_sheets_of_odd_designs() -> None:
+    """A hollow probe is cut lengthwise, an elliptic one across; a rounded tip and a fillet have their radii."""
 
-    def drawn(probe: str, mount: str = "", parts: tuple[str, ...] = ("probe",)) -> dict[str, str]:
-        text = f'schema = 1\nname = "odd"\n[probe]\n{probe}\n[mount]\nrobot_flange = "iso-9409-1-50-4-m6"\n{mount}'
-        model = build_cad(parse_design(text))
-        return {name: "\n".join(words_of(drawing(model, name))) for name in parts}
+    def drawn(probe: str) -> str:
+        text = f'schema = 1\nname = "odd"\n[probe]\nlength_mm = 100.0\nbase_d_mm = 10.0\n{probe}\n'
+        return "\n".join(words_of(inspection_sheets(build_cad(parse_design(text)))["probe.svg"]))
 
-    sizes = "length_mm = 100.0\nbase_d_mm = 10.0\n"
-    hollow = drawn(f"{sizes}tip_d_mm = 4.0\nsection = 'hollow'\nbore_ratio = 0.5")["probe"]
-    assert "C–C" in hollow and "D–D at s = 50" in hollow and "⌀7 / bore 3.5 at s = 50" in hollow
+    hollow = drawn("tip_d_mm = 4.0\nsection = 'hollow'\nbore_ratio = 0.5")
+    assert "section in the plane y = 0" in hollow and "section at s = 50" in hollow
+    assert "⌀7 / bore 3.5 at s = 50" in hollow
     # A cylinder rounded with its own radius, R = r; and a fillet.
-    text = drawn(f"{sizes}tip_d_mm = 10.0\ntip = 'rounded'\nbase_fillet_mm = 1.5", 'adapters = "milled"', PRINTED)
-    assert "R5," in text["probe"] and "fillet R1.5" in text["probe"] and "0.4 deep" in text["probe"]
-    assert "⌀2 H7" in text["sensor_adapter"] and "⌀2 H7" in text["flange_adapter"]
-    assert "⌀31.3 h9" in text["flange_adapter"] and "±0.05, all lengths" in text["flange_adapter"]
-    elliptic = drawn(f"{sizes}tip_d_mm = 4.0\nsection = 'elliptic'\nflatness = 0.6")["probe"]
-    assert "D–D at s = 50" in elliptic and "7 × 4.2 at s = 50" in elliptic and "C–C" not in elliptic
-
-
-def test_dxf_is_sound_and_measures_the_part(
-    large: CadModel, drawings: dict[str, bytes], make_design: Callable[..., Design]
-) -> None:
-    """ezdxf's audit finds nothing, every kind of line is on its layer, and a dimension's value, which a CAD program
-    measures between its points, is that of the part; the outline of the main views is the part's own, 1 : 1."""
-    for name in PRINTED:
-        document = ezdxf.read(io.StringIO(drawings[f"{name}.dxf"].decode()))
-        assert not document.audit().errors and document.units == ezdxf.units.MM
-        layers = Counter(entity.dxf.layer for entity in document.modelspace())
-        assert {"OUTLINE", "CENTRE", "DIMENSIONS", "SYMBOLS", "FRAME", "TEXT"} <= set(layers) and "0" not in layers
-        assert (layers["HATCH"] > 0) == (name != "probe")
-    a = large.adapter
-    measured = _measured(drawings["sensor_adapter.dxf"])
-    for wanted in (a.foot_d, a.recess_d, a.body_d, a.foot_height, a.body_top - a.floor, a.body_top):
-        assert min(abs(1e3 * wanted - value) for value in measured) < 1e-5  # a nanometre is written
-    ring = ezdxf.read(io.StringIO(drawings["clamp_ring.dxf"].decode())).modelspace()
-    drawn = [p[0] for line in ring.query('LWPOLYLINE[layer=="OUTLINE"]') for p in line.get_points()]
-    assert np.ptp(drawn) == pytest.approx(1e3 * a.body_d, abs=0.02)  # arcs are drawn with 48 points
-    # A view at another scale than the main ones.
-    elliptic = "length_mm = 100.0\nbase_d_mm = 10.0\ntip_d_mm = 4.0\nsection = 'elliptic'\nflatness = 0.6"
-    model = build_cad(make_design(elliptic))
-    measured = _measured(dxf_bytes(SHEETS["probe"](model, model.parts["probe"])))
-    assert min(abs(4.2 - value) for value in measured) < 1e-5
-
-
-def _measured(dxf: bytes) -> list[float]:
-    dimensions = ezdxf.read(io.StringIO(dxf.decode())).modelspace().query("DIMENSION")
-    return [d.get_measurement() * d.override()["dimlfac"] for d in dimensions]
+    rounded = drawn("tip_d_mm = 10.0\ntip = 'rounded'\nbase_fillet_mm = 1.5")
+    assert "R5," in rounded and "fillet R1.5" in rounded and "0.4 deep" in rounded
+    elliptic = drawn("tip_d_mm = 4.0\nsection = 'elliptic'\nflatness = 0.6")
+    assert "section at s = 50" in elliptic and "7 × 4.2 at s = 50" in elliptic and "plane y" not in elliptic
 
 
 def test_drawings_are_the_same_bytes_twice(large: CadModel, drawings: dict[str, bytes]) -> None:
-    assert part_drawings(large) == drawings
-    pdf = drawings["drawings.pdf"]
-    assert pdf.startswith(b"%PDF-") and pdf.rstrip().endswith(b"%%EOF")
-    assert len(re.findall(rb"/Type /Page\b", pdf)) == len(PRINTED)
+    assert inspection_sheets(large) == drawings
 
 
 # ---- the page
@@ -407,21 +370,11 @@ def test_the_page_is_legible_and_prints_on_four_sheets(exported: Exported) -> No
 
 def test_names_from_outside_are_escaped(make_design: Callable[..., Design], large: CadModel) -> None:
     model = replace(large, design=make_design().model_copy(update={"name": "<b>&"}))
-    page = assembly_page(model, [], [], Svg(1.0, 1.0, "px", ""), []).decode()
+    page = assembly_page(model, [], [], Canvas(1.0, 1.0), []).decode()
     assert "<b>&" not in page and page.count("&lt;b&gt;&amp;: assembly") == 2  # title and heading
 
 
 # ---- 3MF
-
-
-def test_milled_adapters_have_no_package_to_print(large: CadModel) -> None:
-    """Their drawings and STEP files are what a workshop needs."""
-    options = replace(large.adapter.options, milled=True)
-    milled = replace(large, adapter=replace(large.adapter, options=options))
-    triangle = Mesh(np.eye(3), np.array([[0, 1, 2]]))
-    meshes = dict.fromkeys(PRINTED, triangle)
-    assert set(package_objects(milled, meshes)) == {"probe.3mf"}
-    assert set(package_objects(large, meshes)) == {"probe.3mf", "adapters.3mf"}
 
 
 def test_packages_read_strictly_in_millimetres_and_side_by_side(exported: Exported) -> None:

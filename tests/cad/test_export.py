@@ -39,8 +39,7 @@ FILES = {
     "probe.stl", "sensor_adapter.stl", "clamp_ring.stl", "flange_adapter.stl",
     "probe.step", "sensor_adapter.step", "clamp_ring.step", "flange_adapter.step",
     "assembly.step", "assembly.glb", "probe.3mf", "adapters.3mf", "manifest.json",
-    "probe.svg", "sensor_adapter.svg", "clamp_ring.svg", "flange_adapter.svg", "drawings.pdf",
-    "probe.dxf", "sensor_adapter.dxf", "clamp_ring.dxf", "flange_adapter.dxf",
+    "probe.svg", "sensor_adapter.svg", "clamp_ring.svg", "flange_adapter.svg",
     "probe.png", "sensor_adapter.png", "clamp_ring.png", "flange_adapter.png",
     "assembly.png", "exploded.svg", "assembly.html", "bill_of_materials.csv",
 }  # fmt: skip

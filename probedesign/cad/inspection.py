@@ -1,0 +1,345 @@
+"""Inspection sheet of each printed part: edges from the solid, and the dimensions that calipers check, from the data.
+
+A rigid part has a section on top, views from above and below under it, a table of its holes, and its accepted ranges;
+the probe stands upright, with the underside of its flange and the section of another shape beside it.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from probedesign.cad.exchange import file_date
+from probedesign.cad.kernel import mass_properties
+from probedesign.cad.model import CadModel, CadPart
+from probedesign.cad.projection import ABOVE, BELOW, FRONT, SAME_MM, Lines, cross_section, cut, seen
+from probedesign.cad.sheet import BOTTOM, EDGE, LINE, SMALL, STACK, TEXT, WIDTH, View, note, page, scale_for, scale_text
+from probedesign.core.frames import Array
+from probedesign.core.svg import Canvas, number
+from probedesign.core.units import MM
+from probedesign.design.catalog import RIGID_RESIN
+from probedesign.geometry.probe_geometry import DEVIATION_MM, filleted, rounding_radius_mm
+from probedesign.mount.engraving import DEPTH, HEIGHT, XY, Engraving
+from probedesign.mount.flange_adapter import CENTRING_PIN_D, TIE_APART, TIE_SLOT
+from probedesign.mount.sensor_adapter import PEG_D, RING_VENT_HEIGHT, SLIP, UNDERSIDE_DEG, VENT_WIDTH
+from probedesign.mount.tolerance_stack import measurements
+
+TOLERANCE = "printed to ±0.5 %, at least ±0.15 mm (assumed)"
+"""Tolerance of a stereolithography print; the manufacturer publishes none for the soft resin."""
+
+
+def inspection_sheets(model: CadModel) -> dict[str, bytes]:
+    """Return the SVG file of each printed part's sheet, by name."""
+    sheets = {"probe": probe_sheet, "sensor_adapter": sensor_adapter_sheet, "clamp_ring": clamp_ring_sheet,
+              "flange_adapter": flange_adapter_sheet}  # fmt: skip
+    return {f"{name}.svg": bytes(draw(model, model.parts[name])) for name, draw in sheets.items()}
+
+
+def _page(model: CadModel, part: CadPart, scale: float) -> Canvas:
+    """Return the empty sheet of a part."""
+    resin = model.design.resin.name if part.name == "probe" else RIGID_RESIN
+    grams = 1e3 * mass_properties(part.shape, part.density).mass
+    frame, date = part.frame.replace("_", " "), file_date(model.design)
+    return page(f"{model.design.name}: {part.name.replace('_', ' ')}", [
+        f"geometry {model.geometry.fingerprint} · {resin} · {grams:.3g} g · {part.name}.stl",
+        f"scale {scale_text(scale)}, in mm · {frame} frame, angles about +z from +x{f' · {date}' if date else ''}",
+        TOLERANCE,
+    ])  # fmt: skip
+
+
+def _mm(value: float) -> str:
+    return number(value / MM)
+
+
+def _engraved(engraving: Engraving, where: str) -> list[str]:
+    """Return the note on an engraving, or none if nothing is engraved."""
+    size = f"{_mm(HEIGHT)} high, {_mm(DEPTH)} deep"
+    return [f"engraved on {where}: {engraving.text}, {size}"] if engraving.text else []
+
+
+def _accepted(model: CadModel, part: str) -> list[str]:
+    """Return the ranges of the dimensions that are measured before the assembly."""
+    return [
+        f"{row.what.partition(': ')[2]}: {_mm(row.nominal)}, accept {_mm(row.accept[0])} … {_mm(row.accept[1])}"
+        for row in measurements(model.adapter, model.plate)
+        if row.what.startswith(f"{part}: ")
+    ]
+
+
+# ---- rigid parts
+
+
+@dataclass(frozen=True)
+class Holes:
+    """Equal holes, labelled in a view and described in the table."""
+
+    points: Sequence[XY]  #: (x, y) of each [m].
+    size: float  #: largest diameter [m].
+    words: str  #: description of one hole.
+    on_circle: bool = True  #: whether they form a hole circle that is drawn and dimensioned.
+
+    @property
+    def text(self) -> str:
+        """Return the table's text: number, description, position."""
+        count = f"{len(self.points)} × " if len(self.points) > 1 else ""
+        degrees = (number(float(np.degrees(np.arctan2(y, x))) % 360.0) for x, y in self.points)
+        circle = 2 * float(np.hypot(*self.points[0]))
+        where = f", on ⌀{_mm(circle)} at {', '.join(f'{d}°' for d in degrees)}" if self.on_circle else ""
+        return f"{count}{self.words}{where}"
+
+
+def sensor_adapter_sheet(model: CadModel, part: CadPart) -> Canvas:
+    """Return the sheet of the sensor adapter."""
+    a = model.adapter
+    bore, room, screw_d = a.tool.screw.clearance_d, a.tool.screw.counterbore_d, a.ring_screw.clearance_d
+    above_nut = f", ⌀{_mm(a.roof_hole_d)} above the slot" if a.roof_hole_d > screw_d else ""
+    above = [
+        Holes(a.p_tool_screws, room, f"⌀{_mm(bore)} through, ⌀{_mm(room)} from z = {_mm(a.tool.grip)} up"),
+        Holes(a.p_ring_screws, screw_d, f"⌀{_mm(screw_d)} to z = {_mm(a.ring_hole_bottom)}{above_nut}"),
+        Holes([(a.peg_x, 0.0)], PEG_D, f"peg ⌀{_mm(PEG_D)} at x = {_mm(a.peg_x)}, top at z = {_mm(a.peg_top)}", False),
+    ]
+    z0, z1 = a.nut_slot_z
+    slot = (
+        f"slot {_mm(a.nut_slot_width)} wide, {_mm(z1 - z0)} high, {_mm(a.body_top - z1)} below the top, round end "
+        f"about r = {_mm(a.ring_circle_d / 2 - a.nut_slot_reach)}"
+    )
+    second = f"the second a slot {_mm(a.dowel_d)} × {_mm(a.dowel_d + a.dowel_slot)} towards the first"
+    below = [
+        Holes(a.p_ring_screws, a.nut_slot_width, slot),
+        Holes(a.p_dowels, a.dowel_d, f"⌀{_mm(a.dowel_d)}, {_mm(a.dowel_depth)} deep, {second}"),
+    ]
+    heights = [*_from_face(a.foot_height, a.cone_top, a.groove_floor, a.peg_top, a.body_top), (a.floor, a.body_top)]
+    notes = [
+        f"z = 0 rests on the sensor's tool face; the flat at x = {_mm(a.mark_x)} shows +x",
+        f"underside at {UNDERSIDE_DEG:g}°; groove around the land ⌀{_mm(a.land_d)}, notch {_mm(VENT_WIDTH)} wide to "
+        "the flat",
+        f"pins {_mm(a.dowels.diameter)} h8 enter by hand (assumed; drill if tight); ⌀{_mm(a.recess_d)} takes the "
+        f"flange ⌀{_mm(a.flange.diameter)} with {_mm(SLIP)} play",
+        *_engraved(a.on_wall, "the rim"),
+    ]
+    return _disc(model, part, (0.0, a.body_top), heights, ([a.land_d, a.recess_d, a.body_d], [a.foot_d, a.cone_d]),
+                 (above, below), notes)  # fmt: skip
+
+
+def clamp_ring_sheet(model: CadModel, part: CadPart) -> Canvas:
+    """Return the sheet of the clamp ring."""
+    a = model.adapter
+    hole_d = a.ring_screw.clearance_d
+    notes = [
+        "z = 0 rests on the sensor adapter's rim and presses the flange of the probe",
+        "the wide end of the bore faces the tip",
+        f"notch {_mm(a.ring_vent_width)} wide and {_mm(RING_VENT_HEIGHT)} high at +x across the underside",
+        *_engraved(a.on_ring, "the top"),
+    ]
+    holes = [Holes(a.p_ring_screws, hole_d, f"⌀{_mm(hole_d)} through")]
+    return _disc(model, part, (0.0, a.ring_thickness), _from_face(a.ring_thickness),
+                 ([a.ring_bore_top_d, a.body_d], [a.ring_bore_d]), (holes, []), notes)  # fmt: skip
+
+
+def flange_adapter_sheet(model: CadModel, part: CadPart) -> Canvas:
+    """Return the sheet of the flange adapter."""
+    p, bolt, screw = model.plate, model.plate.robot.screw, model.plate.mounting.screw
+    spigot_d, spigot = p.robot.spigot
+    width, length = p.robot.pin_slot
+    reach = p.robot.bolt_circle_d / 2
+    grip = p.plate_top - p.counterbore_top
+    above = [
+        Holes(p.p_bolts, bolt.clearance_d, f"⌀{_mm(bolt.clearance_d)} through"),
+        Holes(p.p_mounting_screws, screw.clearance_d, f"⌀{_mm(screw.clearance_d)} through"),
+    ]
+    bore = f"counterbore ⌀{_mm(screw.counterbore_d)} from below, {_mm(grip)} of the plate above it"
+    below = [Holes(p.p_mounting_screws, screw.counterbore_d, bore)]
+    fits = []
+    if p.p_centring_pins:
+        d, bottom = p.centring_hole
+        above.append(Holes(p.p_centring_pins, d, f"⌀{_mm(d)} down to z = {_mm(bottom)}"))
+        fits.append(f"pins {_mm(CENTRING_PIN_D)} h8 enter by hand (assumed; drill if tight)")
+    radial, across = TIE_SLOT
+    beside = float(np.hypot(*np.mean(p.p_tie_slots, axis=0)))
+    tie = f"slot {_mm(radial)} × {_mm(across)} through, at {_mm(beside)} along {number(p.cable_deg)}°"
+    above.append(Holes(p.p_tie_slots, across, f"{tie}, {_mm(TIE_APART)} apart across", False))
+    if width:
+        slot = f"slot {_mm(width)} × {_mm(length)} through, middle at x = {_mm(reach)}: pin of {_mm(p.robot.pin_d)}"
+        below.append(Holes([(reach, 0.0)], 0.0, slot, False))
+    if spigot:
+        fits.append(f"⌀{_mm(spigot_d)} enters ⌀{_mm(spigot_d + p.robot.spigot_play)} H7")
+    (r0, r1), (v0, v1), (z0, z1) = p.cable_pocket
+    notes = [
+        f"z = 0 rests on the robot, {p.robot.source}; the sensor sits on the top face",
+        f"pocket for the cable at {number(p.cable_deg)}°: r = {_mm(r0)} to {_mm(r1)}, {_mm(v1 - v0)} wide, "
+        f"{_mm(z1 - z0)} deep",
+        *(["; ".join(fits)] if fits else []),
+        *_engraved(p.on_plate, "the top"),
+    ]
+    heights = _from_face(-spigot, p.plate_top) if spigot else _from_face(p.plate_top)
+    return _disc(model, part, (-spigot, p.plate_top), heights, ([], [spigot_d, p.plate_d] if spigot else [p.plate_d]),
+                 (above, below), notes)  # fmt: skip
+
+
+def _from_face(*heights: float) -> list[tuple[float, float]]:
+    return [(min(0.0, h), max(0.0, h)) for h in heights]
+
+
+def _disc(
+    model: CadModel, part: CadPart, z: tuple[float, float], heights: Sequence[tuple[float, float]],
+    diameters: tuple[list[float], list[float]], holes: tuple[list[Holes], list[Holes]], notes: list[str],
+) -> Canvas:  # fmt: skip
+    """Return the sheet of a flat part; all in [m]: its lowest and highest z, the pairs of heights and the diameters
+    that are dimensioned above and below its section, and the holes that are seen from above and from below."""
+    box = part.shape.BoundingBox()
+    rim, low, high = max(box.xmax, -box.xmin, box.ymax), z[0] / MM, z[1] / MM
+    scale = scale_for((2 * rim, high - low), (66.0, 60.0))
+    sheet = _page(model, part, scale)
+    section = View(sheet, (WIDTH / 2, EDGE + 14.0 + STACK * len(diameters[0]) + scale * high), scale)
+    edges, faces = cut(part.shape)
+    section.section(faces)
+    section.outline(edges)
+    section.axis(low, high)
+    for i, (below, above) in enumerate(sorted(heights, key=lambda ends: ends[1] - ends[0]), 1):
+        section.dimension_v(below / MM, above / MM, rim, STACK * i, _mm(above - below))
+    for values, v, side in ((diameters[0], high, 1.0), (diameters[1], low, -1.0)):
+        for i, d in enumerate(sorted(values), 1):
+            section.dimension_u(-d / 2 / MM, d / 2 / MM, v, side * STACK * i, f"⌀{_mm(d)}")
+    drop = STACK * len(diameters[1]) + 9.0
+    section.caption("section in the plane y = 0, +x to the right", low, drop)
+    middle = section.at((0.0, low))[1] + drop + 18.0 + scale * rim
+    views = [("from above", ABOVE, holes[0]), *([("from below", BELOW, holes[1])] if holes[1] else [])]
+    table: list[str] = []
+    for i, (name, direction, groups) in enumerate(views):
+        inward = (5.0 - 10.0 * i) * (len(views) - 1)
+        view = View(sheet, (WIDTH * (2 * i + 1) / (2 * len(views)) + inward, middle), scale)
+        view.outline(seen(part.shape, direction))
+        view.cross(rim)
+        view.caption(f"{name}, +x to the right", -rim, 15.0)
+        labelled: list[complex] = []
+        for group in groups:
+            points = [(x / MM, (-y if direction is BELOW else y) / MM) for x, y in group.points]
+            view.holes(points, 0.6 * group.size / MM, group.on_circle)
+            chosen = _free(points, labelled)
+            labelled.append(complex(*chosen))
+            table.append(f"{len(table) + 1}: {group.text}")
+            view.label(chosen, rim, str(len(table)))
+    lines = [*table, *notes, *_accepted(model, part.name.replace("_", " "))]
+    note(sheet, (EDGE + 6.0, BOTTOM - LINE * TEXT * len(lines)), lines)
+    return sheet
+
+
+def _free(points: Sequence[XY], labelled: Sequence[complex]) -> XY:
+    """Return the point whose direction from the centre is farthest from those that have a label."""
+
+    def room(p: XY) -> float:
+        return min((abs(float(np.angle(complex(*p) / other))) for other in labelled), default=np.pi)
+
+    return max(points, key=lambda p: round(room(p), 6))
+
+
+# ---- probe
+
+
+NOTE_SPACING = 7.0
+"""Minimum distance between two notes [mm of paper]."""
+SIDE_X, SIDE_ROOM = 163.0, 42.0
+"""Middle of the views beside the probe, and the width of each [mm of paper]."""
+
+
+def probe_sheet(model: CadModel, part: CadPart) -> Canvas:
+    """Return the sheet of the probe."""
+    g = model.geometry
+    length, rim, thick = g.length / MM, g.flange.diameter / MM, g.flange.thickness / MM
+    scale = scale_for((rim, length + thick), (70.0, BOTTOM - EDGE - 54.0))
+    sheet = _page(model, part, scale)
+    front = View(sheet, (88.0, (EDGE + BOTTOM) / 2 - 4.0 + scale * (length - thick) / 2), scale)
+    edges, faces = cut(part.shape) if g.cross_section.hollow else (seen(part.shape, FRONT), [])
+    front.section(faces)
+    front.outline(_without_facets(model, edges))
+    front.axis(-thick, length)
+    front.dimension_v(0.0, length, rim / 2, 2 * STACK, number(length), top_u=g.tip_radius / MM)
+    front.dimension_v(-thick, 0.0, rim / 2, STACK, number(thick))
+    front.dimension_u(-rim / 2, rim / 2, -thick, -STACK, f"⌀{number(rim)}")
+    for s, r, words in _stations(model, NOTE_SPACING / scale):
+        front.leader((-r, s), (-10.0 - scale * (rim / 2 - r), 5.0), words)
+    side = "section in the plane y = 0" if g.cross_section.hollow else "from the front"
+    front.caption(f"{side}, +x to the right", -thick, 20.0)
+    if not g.cross_section.full_round:
+        _halfway(model, part, sheet)
+    _underside(model, part, sheet)
+    return sheet
+
+
+def _without_facets(model: CadModel, lines: Lines) -> Lines:
+    """Return edges without those between the facets of a rounded tip and of a fillet, which approximate one surface."""
+    g, probe = model.geometry, model.design.probe
+    fillet = 0.0 if probe.base_fillet_mm is None else filleted(probe.blunt_mm, probe.base_fillet_mm)[1]
+    inside = [(0.0, fillet), (g.flank_end / MM, g.length / MM)]
+
+    def facet(line: Array) -> bool:
+        low, high = float(line[:, 1].min()), float(line[:, 1].max())
+        return high - low < SAME_MM and any(a + SAME_MM < low < b - SAME_MM for a, b in inside)
+
+    return [line for line in lines if not facet(line)]
+
+
+def _stations(model: CadModel, apart: float) -> Iterable[tuple[float, float, str]]:
+    """Yield height and half-width [mm] with its text: both ends and the middle of the flank, which calipers measure,
+    knots at least `apart` [mm] from others, and the radii of a rounded tip and of a fillet."""
+    probe, g = model.design.probe, model.geometry
+    length, end = g.length / MM, g.flank_end / MM
+    knots = [(s, d / 2) for s, d in probe.blunt_mm[:-1]] + [(end, float(g.radius_at(g.flank_end)) / MM)]
+    wanted = [knots[0], knots[-1], (length / 2, float(g.radius_at(g.length / 2)) / MM), *knots[1:-1]]
+    placed: list[float] = []
+    tip = [length] if g.rounded_from is not None else []
+    for s, r in wanted:
+        if all(abs(s - other) >= apart for other in (*placed, *(t for t in tip if s != end))):
+            placed.append(s)
+            words = f"{_width(model, r)} at s = {number(s)}"
+            if s == 0.0 and probe.base_fillet_mm is not None:
+                words = f"{words}\nfillet R{number(probe.base_fillet_mm)}"
+            if s == end and tip:
+                radius = rounding_radius_mm(*probe.blunt_mm[-2:])
+                words = f"{words}\nround tip R{number(radius)}, facets within {DEVIATION_MM:g}"
+            yield s, r, words
+
+
+def _width(model: CadModel, r: float) -> str:
+    section = model.geometry.cross_section
+    if section.hollow:
+        return f"⌀{number(2 * r)} / bore {number(2 * r * section.bore_ratio)}"
+    return f"{number(2 * r)} × {number(2 * r * section.flatness)}" if section.flatness != 1.0 else f"⌀{number(2 * r)}"
+
+
+def _halfway(model: CadModel, part: CadPart, sheet: Canvas) -> None:
+    """Draw the cross-section of a hollow or elliptic probe at half its length."""
+    g = model.geometry
+    section, r = g.cross_section, float(g.radius_at(g.length / 2)) / MM
+    scale = scale_for((2 * r, 2 * r), (0.7 * SIDE_ROOM, 0.7 * SIDE_ROOM))
+    view = View(sheet, (SIDE_X, EDGE + 45.0), scale)
+    faces = cross_section(part.shape, g.length / 2 / MM)
+    view.section(faces)
+    view.outline([loop for loops in faces for loop in loops])
+    view.cross(r)
+    y = section.flatness * r
+    view.dimension_u(-r, r, y, STACK, f"{'' if section.flatness != 1.0 else '⌀'}{number(2 * r)}")
+    if section.hollow:
+        bore = section.bore_ratio * r
+        view.dimension_u(-bore, bore, -y, -STACK, f"⌀{number(2 * bore)}")
+    else:
+        view.dimension_v(-y, y, r, STACK, number(2 * y))
+    view.caption(f"section at s = {number(g.length / 2 / MM)}, {scale_text(scale)}", -y, 17.0)
+
+
+def _underside(model: CadModel, part: CadPart, sheet: Canvas) -> None:
+    a, rim = model.adapter, model.geometry.flange.diameter / MM
+    scale = scale_for((rim, rim), (SIDE_ROOM, SIDE_ROOM))
+    view = View(sheet, (SIDE_X, (EDGE + BOTTOM) / 2 + 10.0), scale)
+    view.outline(seen(part.shape, BELOW))
+    view.cross(rim / 2)
+    view.dimension_u(0.0, a.peg_x / MM, rim / 2, STACK, _mm(a.peg_x))
+    view.caption(f"from below, {scale_text(scale)}", -rim / 2, 14.0)
+    x, y = view.at((-rim / 2, -rim / 2))
+    note(sheet, (min(x, SIDE_X - SIDE_ROOM / 2), y + 22.0), [
+        f"hole ⌀{_mm(a.peg_hole_d)} through the flange:",
+        "it marks +x of the base frame",
+        "s = 0 is the flange's top",
+        *(part for text in (*_engraved(a.on_flange, "the flange's top"), *_accepted(model, "probe"))
+          for part in text.replace(": ", ":\n").splitlines()),
+    ], SMALL)  # fmt: skip

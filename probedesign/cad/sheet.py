@@ -1,0 +1,178 @@
+"""Page of an inspection sheet: views to scale on A4 with dimensions, labels of holes and notes, as SVG.
+
+Paper in millimetres, y down. Points of the part are (u, v) in millimetres, v up.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from probedesign.cad.projection import Lines
+from probedesign.core.svg import Anchor, Canvas, number
+
+XY = tuple[float, float]
+
+WIDTH, HEIGHT, EDGE = 210.0, 297.0, 12.0
+BOTTOM = HEIGHT - EDGE - 28.0
+"""Upper edge of the title block on the paper [mm]."""
+SCALES = (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1)  # ISO 5455
+TEXT, SMALL = 3.2, 2.6
+LINE = 1.42
+"""Distance of two baselines over the size of the text."""
+TEXT_WIDTH = 0.58
+"""Mean width of a character of a sans-serif font, over its size."""
+THICK, THIN, CHAIN = 0.4, 0.18, "6 1.2 0.8 1.2"
+"""Widths of lines (ISO 128), and the dashes of a centre line."""
+CUT = "#dde3ea"
+"""Colour of cut material."""
+ARROW = 2.6
+EXTENSION_GAP, EXTENSION_BEYOND = 1.2, 1.5
+"""Gap between the outline and an extension line, and its length beyond the dimension line."""
+STACK = 7.5
+"""Distance between dimension lines."""
+
+
+def scale_for(size: XY, room: XY) -> float:
+    """Return the largest standard scale at which a size [mm] fits into the space on paper [mm]."""
+    fits = [s for s in SCALES if s * size[0] <= room[0] and s * size[1] <= room[1]]
+    return fits[0] if fits else min(room[0] / size[0], room[1] / size[1])
+
+
+def scale_text(scale: float) -> str:
+    """Return a scale as written on drawings."""
+    return f"{scale:g} : 1" if scale >= 1.0 else f"1 : {number(1.0 / scale)}"
+
+
+def page(title: str, lines: Sequence[str]) -> Canvas:
+    """Return a sheet with its frame, and title and lines of the title block."""
+    sheet = Canvas(WIDTH, HEIGHT, "mm", title)
+    left, right, bottom = EDGE, WIDTH - EDGE, HEIGHT - EDGE
+    frame = [(left, EDGE), (right, EDGE), (right, bottom), (left, bottom), (left, EDGE)]
+    sheet.polylines([frame, [(left, BOTTOM), (right, BOTTOM)]], THICK)
+    sheet.text((left + 4, BOTTOM + 8), title, 5.0, "start", bold=True)
+    note(sheet, (left + 4, BOTTOM + 14.5), lines)
+    return sheet
+
+
+def note(sheet: Canvas, at: XY, lines: Sequence[str], size: float = TEXT) -> None:
+    """Write lines of text, the first baseline at a point."""
+    for i, line in enumerate(lines):
+        sheet.text((at[0], at[1] + LINE * size * i), line, size, "start")
+
+
+@dataclass(frozen=True)
+class View:
+    """A view on a sheet with its dimensions."""
+
+    sheet: Canvas  #: that it is drawn on.
+    origin: XY  #: position of the part's origin on the paper.
+    scale: float  #: paper over part.
+
+    def at(self, p: XY) -> XY:
+        """Return a point of the part on paper."""
+        return self.origin[0] + self.scale * p[0], self.origin[1] - self.scale * p[1]
+
+    def _on_paper(self, lines: Lines) -> list[list[XY]]:
+        return [[self.at((float(u), float(v))) for u, v in line] for line in lines]
+
+    def outline(self, lines: Lines) -> None:
+        """Draw visible edges."""
+        self.sheet.polylines(self._on_paper(lines), THICK)
+
+    def section(self, faces: list[Lines]) -> None:
+        """Fill section faces."""
+        for loops in faces:
+            self.sheet.area(self._on_paper(loops), CUT)
+
+    def caption(self, words: str, below_v: float, drop: float = 12.0) -> None:
+        """Write the view's caption below its lowest v."""
+        x, y = self.at((0.0, below_v))
+        self.sheet.text((x, y + drop), words, TEXT, bold=True)
+
+    def axis(self, low: float, high: float, upright: bool = True) -> None:
+        """Draw a line of symmetry through the origin, 3 mm of paper beyond its ends [mm of the part]."""
+        ends = np.array([low, high]) + np.array([-3.0, 3.0]) / self.scale
+        self.sheet.polylines([[self.at((0.0, t) if upright else (t, 0.0)) for t in ends]], THIN, dashes=CHAIN)
+
+    def cross(self, half: float) -> None:
+        """Draw both axes of a round view of that half-width [mm of the part]."""
+        self.axis(-half, half)
+        self.axis(-half, half, upright=False)
+
+    def holes(self, points: Sequence[XY], arm: float, on_circle: bool) -> None:
+        """Draw a centre mark with arms of a length [mm of the part] on each hole, and the circle that they share."""
+        self.sheet.polylines([[self.at((u - arm, v)), self.at((u + arm, v))] for u, v in points]
+                             + [[self.at((u, v - arm)), self.at((u, v + arm))] for u, v in points], THIN)  # fmt: skip
+        if on_circle:
+            radius = self.scale * float(np.hypot(*points[0]))
+            self.sheet.circle(self.at((0.0, 0.0)), radius, colour="#000", width=THIN, dashes=CHAIN)
+
+    def label(self, p: XY, out_to: float, words: str) -> None:
+        """Draw a label outside the part with a line to a hole; `out_to` is the radius of the part [mm]."""
+        outward = np.array(p) / max(float(np.hypot(*p)), 1e-9)
+        u, v = outward * (out_to + 6.0 / self.scale)
+        x, y = self.at((u + 2.8 * outward[0] / self.scale, v + 2.8 * outward[1] / self.scale))
+        self.sheet.polylines([[self.at(p), self.at((u, v))]], THIN)
+        self.sheet.circle((x, y), 2.8, fill="#fff", colour="#000", width=THIN)
+        self.sheet.text((x, y + 1.15), words, TEXT, bold=True)
+
+    def dimension_u(self, u0: float, u1: float, from_v: float, offset: float, words: str) -> None:
+        """Draw a dimension along u, `offset` above (+) or below (-) v [mm of paper]."""
+        feet = (self.at((u0, from_v)), self.at((u1, from_v)))
+        level = feet[0][1] - offset
+        self._dimension((feet[0][0], level), (feet[1][0], level), feet, words)
+
+    def dimension_v(
+        self, v0: float, v1: float, from_u: float, offset: float, words: str, top_u: float | None = None
+    ) -> None:
+        """Draw a dimension along v, `offset` to the right (+) or left (-) of u [mm of paper].
+
+        At v1 the extension line starts at `top_u`, if given.
+        """
+        low, high = self.at((from_u, v0)), self.at((from_u if top_u is None else top_u, v1))
+        level = low[0] + offset
+        self._dimension((level, high[1]), (level, low[1]), (high, low), words)
+
+    def _dimension(self, a: XY, b: XY, feet: tuple[XY, XY], words: str) -> None:
+        """Draw line, arrows and text from a to b, which lies to the right of a or below it.
+
+        The arrows of a short dimension are outside, and so is a text that does not fit between them.
+        """
+        upright = a[0] == b[0]
+        along = np.array([0.0, 1.0] if upright else [1.0, 0.0])
+        length = float(np.dot(along, np.subtract(b, a)))
+        outward = 1.0 if length >= 3 * ARROW else -1.0
+        lines: list[Iterable[Iterable[float]]] = [[a, b]]
+        for end, foot, side in ((a, feet[0], -outward), (b, feet[1], outward)):
+            across = np.sign(np.subtract(end, foot) * (1.0 - along))
+            lines.append([foot + EXTENSION_GAP * across, end + EXTENSION_BEYOND * across])
+            if outward < 0.0:
+                lines.append([end - 2 * ARROW * side * along, end])
+            self._arrow(end, side * along)
+        self.sheet.polylines(lines, THIN)
+        x, y = np.add(a, b) / 2 - along[::-1]
+        anchor: Anchor = "middle"
+        if TEXT_WIDTH * TEXT * len(words) > length - 1.0:
+            beyond, anchor = length / 2 + 2 * ARROW + 0.8, "start"
+            x, y = (x, y - beyond) if upright else (x + beyond, y + 2.1)
+        self.sheet.text((x, y), words, TEXT, anchor, turned=upright)
+
+    def _arrow(self, tip: Iterable[float], direction: Iterable[float]) -> None:
+        """Draw an arrowhead that points in a direction of unit length."""
+        tip, direction = np.array(tip), np.array(direction)
+        side = ARROW / 6 * np.array([-direction[1], direction[0]])
+        self.sheet.area([[tip, tip - ARROW * direction + side, tip - ARROW * direction - side]], "#000")
+
+    def leader(self, p: XY, to: XY, words: str) -> None:
+        """Draw a note to the left of a point with an arrow to it; `to` is the offset of the text [mm of paper, y up].
+
+        Further lines of the note are above the first, and smaller.
+        """
+        tip = np.array(self.at(p))
+        offset = np.array([to[0], -to[1]])
+        elbow = tip + offset
+        self.sheet.polylines([[tip, elbow]], THIN)
+        self._arrow(tip, -offset / np.hypot(*offset))
+        for i, line in enumerate(words.splitlines()):
+            self.sheet.text((elbow[0] - 1.0, elbow[1] + 1.1 - 1.5 * SMALL * i), line, SMALL if i else TEXT, "end")
