@@ -1,11 +1,12 @@
-"""Limits of test statistics, each named by the chance of a false decision, and whitening."""
+"""Limits of test statistics, each named by the chance of a false decision, and functions of a covariance."""
 
 import math
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
+
+from probedesign.core.frames import Array
 
 MISFIT_CHANCE = 1e-3
 """Chance that a true single contact, or true touches of one fixed point, are called inconsistent."""
@@ -23,6 +24,36 @@ def max_chi2(dof: int, chance: float) -> float:
     return float(chdtri(dof, chance))
 
 
-def whiten(cov: NDArray[np.float64]) -> NDArray[np.float64]:
+def whiten(cov: Array) -> Array:
     """Return lower triangular W with Wᵀ W = cov⁻¹, of each covariance, (..., n, n)."""
     return np.linalg.inv(np.linalg.cholesky(cov))
+
+
+def rms(cov: Array) -> float:
+    """Return the RMS length of an error of zero mean with a covariance (n, n): the square root of its trace."""
+    return math.sqrt(max(float(cov.trace()), 0.0))
+
+
+def rms_each(cov: Array) -> Array:
+    """Return `rms` of each covariance, (..., n, n)."""
+    return np.asarray(np.sqrt(np.maximum(np.trace(cov, axis1=-2, axis2=-1), 0.0)))
+
+
+def sigmas_95(dimensions: int) -> float:
+    """Return the half-axes of a 95 % ellipse (2) or ellipsoid (3), √χ², in standard deviations."""
+    return math.sqrt(max_chi2(dimensions, 0.05))
+
+
+def ellipsoid_95(cov: Array) -> tuple[Array, Array]:
+    """Return the region that contains 95 % of a normal error: an ellipse (n = 2) or an ellipsoid (n = 3).
+
+    Args:
+        cov: covariance of the error, (n, n).
+
+    Returns:
+        Half-axes in ascending order, (n,), and their directions as columns of a rotation, (n, n).
+    """
+    variances, axes = np.linalg.eigh(cov)
+    if np.linalg.det(axes) < 0.0:
+        axes[:, 0] = -axes[:, 0]
+    return sigmas_95(len(cov)) * np.sqrt(np.maximum(variances, 0.0)), axes

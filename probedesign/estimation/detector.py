@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import betainccinv, chdtri
 
+from probedesign.core import statistics
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.bias import (
@@ -226,7 +227,7 @@ class Detector:
         self.bias_filter = BiasFilter(
             walk / math.sqrt(WALK_SECONDS), self.start_steps, samples / averaging, self.rate, self.lengths[-1]
         )
-        whiten = np.linalg.inv(np.linalg.cholesky(self.model.noise_base() * samples))
+        whiten = statistics.whiten(self.model.noise_base() * samples)
         self._state = DetectorState.fresh(whiten, self._thresholds(), float(chdtri(6, RELEASE_CHANCE)), PRIOR_WEIGHT)
 
     @property

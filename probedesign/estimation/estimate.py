@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from probedesign.core import statistics
 from probedesign.core.frames import Array
 from probedesign.core.notebook import Tabular
 from probedesign.rod.equilibrium import Equilibrium
@@ -104,7 +105,7 @@ class Candidate:
     @property
     def rms(self) -> float:
         """Return the root of the trace of the touched point's covariance [m]."""
-        return math.sqrt(max(float(np.trace(self.cov_surface_base)), 0.0))
+        return statistics.rms(self.cov_surface_base)
 
     @property
     def friction_ratio(self) -> float:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from probedesign.core import statistics
 from probedesign.core.frames import Array, wrench_map
 from probedesign.core.statistics import MISFIT_CHANCE, RIVAL_CHI2, UNIFORM_STD, max_chi2
 from probedesign.estimation.error_sources import ErrorSources, across
@@ -163,7 +164,7 @@ class Fusion:
     def whitening(self) -> Array:
         """Return the whitening matrix of each reading, lower triangular, (k, m, m)."""
         covs = np.array([self.channels @ reading.cov @ self.channels.T for reading in self.readings])
-        return np.ascontiguousarray(np.linalg.inv(np.linalg.cholesky(covs)))
+        return np.ascontiguousarray(statistics.whiten(covs))
 
     @cached_property
     def bias(self) -> Array:
@@ -231,7 +232,7 @@ class Fusion:
         for k, (reading, sources) in enumerate(zip(self.readings, self.sources, strict=True)):
             if not reading.touched:
                 continue
-            whiten = np.linalg.inv(np.linalg.cholesky(reading.cov))
+            whiten = statistics.whiten(reading.cov)
             seen = Observation(reading.wrench, whiten, reading.gravity, self.model.mass * reading.gravity, math.inf)
             places = locate(Problem(sources, seen, self.model.friction, reading.cov + sources.drift))
             if not places or places[0].touch is None:
@@ -256,7 +257,7 @@ class Fusion:
             share, way, last = (max(0.5 * share, 0.1) if back else min(2.0 * share, 1.0)), moved, x[:3].copy()
             linearised = touches.copy()
             size = state.step(share, max_step)
-            near = float(np.abs(moved).max()) <= CLOSE * math.sqrt(float(np.trace(cov))) + 1e-9
+            near = float(np.abs(moved).max()) <= CLOSE * statistics.rms(cov) + 1e-9
             if near and size <= SETTLED_STEP * math.sqrt(1.0 + chi2):
                 touches[:] = linearised
                 return Solution(x, cov, chi2, linearised, iteration + 1)
@@ -272,7 +273,7 @@ class Fusion:
             brief: leave out `rms_without` and `rms_with`.
         """
         best = found[0]
-        linear = math.sqrt(max(float(np.trace(best.cov)), 0.0))
+        linear = statistics.rms(best.cov)
         state = FusionState(self, best.touches.copy())
         if not state.linearise():
             return FusedEstimate("not_converged")
@@ -288,7 +289,7 @@ class Fusion:
         if code == "ok":
             mean, cov_mean = state.mean_centre()
             added, added_contact = self.curvature(best)
-            rms = math.sqrt(max(float(np.trace(cov + added)), 0.0))
+            rms = statistics.rms(cov + added)
             if rms < self.model.rod.length * UNIFORM_STD:
                 result = replace(result, p_surface_world=x[:3].copy(), cov_surface_world=cov + added, rms=rms,
                                  p_contact_world=mean, cov_contact_world=cov_mean + added_contact,
@@ -360,7 +361,7 @@ class Fusion:
         wrenches = [r.wrench for r in self.readings if r.touched]
         covs = [r.cov for r in self.readings if r.touched]
         cov = np.mean(covs, axis=0) / len(covs)
-        whiten = np.linalg.inv(np.linalg.cholesky(cov))
+        whiten = statistics.whiten(cov)
         hanging = self.model.mass * reading.gravity
         seen = Observation(np.mean(wrenches, axis=0), whiten, reading.gravity, hanging, math.inf)
         places = locate(Problem(sources, seen, self.model.friction, cov + sources.drift))
@@ -383,7 +384,7 @@ class Fusion:
             return code
         for rival in found[1:]:
             apart = float(np.linalg.norm(rival.x[:3] - best.x[:3]))
-            spread = rms + math.sqrt(max(float(np.trace(rival.cov)), 0.0))
+            spread = rms + statistics.rms(rival.cov)
             if rival.chi2 < best.chi2 + RIVAL_CHI2 and apart > 3.0 * spread:
                 return "ambiguous"
         return "ok"
@@ -393,7 +394,7 @@ def _distinct(found: Iterable[Solution | None]) -> list[Solution]:
     """Return the distinct solutions, best first."""
     kept: list[Solution] = []
     for place in sorted((place for place in found if place is not None), key=lambda of: of.chi2):
-        near = 0.1 * math.sqrt(max(float(np.trace(place.cov)), 0.0)) + 1e-6
+        near = 0.1 * statistics.rms(place.cov) + 1e-6
         if all(np.linalg.norm(place.x[:3] - of.x[:3]) > near for of in kept):
             kept.append(place)
     return kept

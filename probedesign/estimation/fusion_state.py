@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import chdtrc
 
+from probedesign.core import statistics
 from probedesign.core.frames import Array
 from probedesign.core.statistics import MISFIT_CHANCE, UNIFORM_STD, max_chi2
 from probedesign.core.units import MM
@@ -320,7 +321,7 @@ class FusionState:
             if name in _SCALED:
                 before = getattr(now, _SCALED[name])
                 D[:, :, c] *= getattr(priors, _SCALED[name]) / before if before > 0.0 else 0.0
-        return math.sqrt(max(float(np.trace(self.solved(priors, D)[2])), 0.0))
+        return statistics.rms(self.solved(priors, D)[2])
 
     def mean_centre(self) -> tuple[Array, Array]:
         """Return the mean of the centreline points in the world [m], (3,), and its covariance [m²], after `solved`."""
@@ -376,4 +377,4 @@ class FusionState:
         i = int(np.flatnonzero(fusion.touched)[-1])
         T[:3, 3] += T[:3, :3] @ (self.lin[i][POINT : POINT + 3, VALUE] - state.lin[-1][POINT : POINT + 3, VALUE])
         state.fusion = replace(more, readings=(*fusion.readings, replace(reading, T_world_base=T)))
-        return math.sqrt(max(float(np.trace(state.solved(fusion.priors)[2])), 0.0))
+        return statistics.rms(state.solved(fusion.priors)[2])

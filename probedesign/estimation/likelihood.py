@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from probedesign.core import statistics
 from probedesign.core.frames import Array
 from probedesign.core.statistics import MISFIT_CHANCE, max_chi2
 from probedesign.estimation import multistart
@@ -351,7 +352,7 @@ def _fit_force(problem: Problem, s: float, lean: float) -> _ForceFit | None:
         if not eq.ok or eq.sensitivity is None:
             return None
         if whiten is None:  # the error sources are taken at the first guess
-            whiten = np.linalg.inv(np.linalg.cholesky(_covariance(problem, s, lean, force, eq, eq.sensitivity)))
+            whiten = statistics.whiten(_covariance(problem, s, lean, force, eq, eq.sensitivity))
         r = whiten @ (eq.wrench_base - seen.wrench)
         J = whiten @ eq.sensitivity.d_wrench[:, :3]
         if moved < _FORCE_CLOSE:

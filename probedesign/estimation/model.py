@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from probedesign.core import statistics
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, inverse, wrench_map
 from probedesign.core.notebook import Displayed
@@ -128,7 +129,7 @@ class ProbeModel(Displayed):
     @cached_property
     def whiten(self) -> Array:
         """Return lower triangular whiten with whitenᵀ whiten = noise_base⁻¹, (6, 6)."""
-        return np.asarray(np.linalg.inv(np.linalg.cholesky(self._noise_base)), dtype=float)
+        return statistics.whiten(self._noise_base)
 
     @cached_property
     def observation_map(self) -> tuple[Array, Array, Array, Array]:
@@ -249,7 +250,7 @@ class Observation:
         row, readings = found[0], len(window)
         wrench, whiten, numerical = row["wrench"], row["whiten"], NUMERICAL * float(row["moment"])
         if numerical > NEGLIGIBLE * model.noise.moment / math.sqrt(readings):
-            whiten = np.linalg.inv(np.linalg.cholesky(covariance(model, wrench, readings)))
+            whiten = statistics.whiten(covariance(model, wrench, readings))
         return cls(wrench, whiten, gravity, row["weight"], float(row["chi2"]), float(row["sensor_chi2"]))
 
     @property

@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from probedesign.core import statistics
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.statistics import UNIFORM_STD
@@ -329,7 +330,7 @@ class Tracker:
         model, frames = self.estimator.model, [frame for frame in self._kept if frame.known]
         free = 0 if math.isfinite(model.friction) else 2
         dof = max(len(frames) * (len(self._channels) - free) - 3, 1)
-        rms = math.sqrt(max(float(np.trace(self._cov)), 0.0))
+        rms = statistics.rms(self._cov)
         stiffness, std = 1.0, 0.0
         if self._E >= 0:
             scale = self._priors.youngs_modulus
@@ -386,7 +387,7 @@ class Tracker:
         before, added, added_contact = self._curvature
         share = min(size / before, 1.0) ** 2 if before > 0.0 else 0.0
         cov = result.cov_surface_world + share * added
-        rms = math.sqrt(max(float(np.trace(cov)), 0.0))
+        rms = statistics.rms(cov)
         if self._moved or not rms < self.estimator.model.rod.length * UNIFORM_STD:
             uncertain: Result = "unobservable" if self.moments_only else "too_light"
             return FusedEstimate(

@@ -11,18 +11,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtri
 
+from probedesign.core import statistics
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.mapping.touch_point import RESULT_MEANINGS, ConditionalPoint, LocatedTouch
 
 MIN_SEPARATION = 5e-3
 """Default distance below which points of an object are not distinguished [m]."""
-SAME_POINT_CHI2 = float(chdtri(3, 0.01))
+SAME_POINT_CHI2 = statistics.max_chi2(3, 0.01)
 """Squared Mahalanobis distance of two touches of one point that is exceeded with probability 0.01."""
-CHI2_95 = float(chdtri(3, 0.05))
-"""Squared Mahalanobis distance of the 95 % ellipsoid."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +35,7 @@ class MapPoint:
     @property
     def rms(self) -> float:
         """Return the RMS distance to the true point [m]."""
-        return math.sqrt(float(np.trace(self.cov_world)))
+        return statistics.rms(self.cov_world)
 
     @property
     def force(self) -> float:
@@ -122,7 +120,7 @@ def _closest_pair(points: Sequence[ConditionalPoint], min_separation: float) -> 
         cov = S[i] + S[i + 1 :] + by @ cov_common @ by.transpose(0, 2, 1)
         solved = np.linalg.solve(cov, difference[:, :, None])[:, :, 0]
         chi2 = np.einsum("ka,ka->k", difference, solved)
-        distinguishable = CHI2_95 * np.linalg.eigvalsh(cov)[:, -1] <= min_separation**2
+        distinguishable = statistics.max_chi2(3, 0.05) * np.linalg.eigvalsh(cov)[:, -1] <= min_separation**2
         chi2[~distinguishable | (np.linalg.norm(difference, axis=1) >= min_separation)] = np.inf
         j = int(np.argmin(chi2))
         if chi2[j] < smallest:
@@ -218,7 +216,7 @@ def _point_row(number: int, point: MapPoint) -> Row:
     return {
         "point": number, "result": "ok", **dict(zip(COLUMNS[2:5], (point.p_world / MM).tolist(), strict=True)),
         **_covariance(point.cov_world), "rms_mm": point.rms / MM,
-        "common_rms_mm": float(np.sqrt(np.trace(point.cov_common))) / MM, "touches": len(point.touches),
+        "common_rms_mm": statistics.rms(point.cov_common) / MM, "touches": len(point.touches),
         "touch_numbers": touch_numbers(point), "time_s": point.touches[0].segment.start, "force_N": point.force,
         "s_contact_mm": float(s_contact.mean()) / MM,
     }  # fmt: skip

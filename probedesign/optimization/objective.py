@@ -9,7 +9,7 @@ import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
-from probedesign.core.statistics import UNIFORM_STD
+from probedesign.core.statistics import UNIFORM_STD, rms
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.estimation.error_sources import ErrorSources
@@ -270,7 +270,7 @@ def _errors_at(
             cov, wrench = fused.cov(), fused.wrenches[-1]
         if np.isfinite(cov).all():
             use = np.abs(model.to_sensor(wrench, model.gravity_base)) / model.wrench_range
-            found[force] = math.sqrt(max(float(np.trace(cov)), 0.0)), float(use.max())
+            found[force] = rms(cov), float(use.max())
     return found
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from probedesign.campaigns.campaign import Campaign, Markers, Test, Use
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose
+from probedesign.core.statistics import rms
 from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.force_moment import surface_point
@@ -231,7 +232,7 @@ class Bench:
         """Return whether `estimate` locates such a touch well enough for `validate` to judge by it."""
         found = self._estimator.estimate(np.tile(eq.wrench_base, (READINGS, 1)), self.model.gravity_base)
         limit = MAX_STATED_ERROR * self.model.rod.length
-        return found.ok and math.sqrt(float(np.trace(found.cov_surface_base))) < limit
+        return found.ok and rms(found.cov_surface_base) < limit
 
     @cached_property
     def _estimator(self) -> Estimator:

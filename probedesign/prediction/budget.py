@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, erf
 
 from probedesign.core.frames import Array
-from probedesign.core.statistics import whiten
+from probedesign.core.statistics import rms_each, whiten
 from probedesign.estimation.contact_fit import MIN_FRICTION
 from probedesign.estimation.error_sources import CAUSES as SOURCES
 from probedesign.estimation.error_sources import ErrorSources
@@ -46,12 +46,7 @@ class ErrorBudget:
     @property
     def rms(self) -> Array:
         """Return the RMS error by source [m], (n, causes)."""
-        return rms_of(self.cov)
-
-
-def rms_of(cov: Array) -> Array:
-    """Return the square root of the trace of covariances (..., 3, 3)."""
-    return np.asarray(np.sqrt(np.maximum(np.trace(cov, axis1=-2, axis2=-1), 0.0)))
+        return rms_each(self.cov)
 
 
 def error_budget(touch: Array, lin: Array, D: Array, sources: ErrorSources, friction: float) -> ErrorBudget:

@@ -13,7 +13,6 @@ therefore not included here. With the large probe it increases the RMS error by 
 below 2 mm, by 3 % (by a third in a tenth of the conditions) at 2 to 5 mm, and by 8 % beyond.
 """
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -22,7 +21,7 @@ import numpy as np
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose
 from probedesign.core.parallel import OnProgress, quiet
-from probedesign.core.statistics import UNIFORM_STD
+from probedesign.core.statistics import UNIFORM_STD, rms, rms_each
 from probedesign.core.units import MM
 from probedesign.estimation.error_sources import CAUSES as SOURCES
 from probedesign.estimation.estimate import MomentsAbout
@@ -30,7 +29,7 @@ from probedesign.estimation.fusion import Fusion, Reading, channels_of
 from probedesign.estimation.fusion_state import FusionState
 from probedesign.estimation.model import ProbeModel, covariance
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.prediction.budget import radius_95, rms_of
+from probedesign.prediction.budget import radius_95
 from probedesign.prediction.touches import Touches
 from probedesign.prediction.workspace import ACCURACIES_MM, force_for_accuracy
 from probedesign.rod.kernels.surface_contact import POINT, VALUE
@@ -81,7 +80,7 @@ class FusedErrorBudget:
     @property
     def rms(self) -> Array:
         """Return the RMS error by source [m], (causes,)."""
-        return rms_of(self.cov)
+        return rms_each(self.cov)
 
 
 class LinearizedPresses:
@@ -318,4 +317,4 @@ def _condition(line: Line, touches: Sequence[Touches], i: int, force: float, sch
 
 def _mm(cov: Array) -> tuple[float, float]:
     """Return the RMS error and the 95 % radius of a covariance [mm]."""
-    return math.sqrt(max(float(np.trace(cov)), 0.0)) / MM, radius_95(cov) / MM
+    return rms(cov) / MM, radius_95(cov) / MM

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.parallel import OnProgress, quiet
+from probedesign.core.statistics import rms_each
 from probedesign.estimation.error_sources import FINE, NOTHING, ErrorSources
 from probedesign.estimation.estimator import Estimator
-from probedesign.prediction.budget import ErrorBudget, error_budget, radii_95, rms_of
+from probedesign.prediction.budget import ErrorBudget, error_budget, radii_95
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.kernels import surface_contact as kernel
 from probedesign.rod.kernels.surface_contact import (
@@ -241,7 +242,7 @@ class Touches:
     @cached_property
     def rms(self) -> tuple[Array, Array]:
         """Return the RMS error of the touched point by all error sources, and by sensor noise alone [m], (n,) each."""
-        return rms_of(self.budget.total), rms_of(self.budget.cov_noise)
+        return rms_each(self.budget.total), rms_each(self.budget.cov_noise)
 
     @cached_property
     def within_95(self) -> tuple[Array, Array]:

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from probedesign.core import statistics
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.mapping.contact_map import (
-    CHI2_95,
     COVARIANCE_ENTRIES,
     MAX_RMS_MM,
     MIN_RMS_MM,
@@ -61,7 +61,7 @@ class MapScene:
     def magnification(self) -> int:
         """Return the initial magnification of ellipsoids: the smallest with which half of them are visible."""
         longest = [np.linalg.eigvalsh(point.cov_world)[-1] for point in self.contact_map.points]
-        half = math.sqrt(CHI2_95 * float(np.median(longest))) / MM if longest else self.radius_mm
+        half = statistics.sigmas_95(3) * math.sqrt(float(np.median(longest))) / MM if longest else self.radius_mm
         visible = (times for times in MAGNIFICATIONS if times * half >= MIN_VISIBLE * self.radius_mm)
         return next(visible, MAGNIFICATIONS[-1])
 
@@ -90,17 +90,6 @@ class ParallelProjection:
     def project(self, points: Array) -> Array:
         """Return points (n, 3) in the picture, right and up, (n, 2)."""
         return np.asarray(np.asarray(points) @ self.axes.T)
-
-    def ellipse(self, cov: Array) -> tuple[float, float, float]:
-        """Return the outline of the ellipsoid of a covariance (3, 3), at one standard deviation.
-
-        Returns:
-            Both half-axes, and the angle of the first one from the right, counter-clockwise [rad].
-        """
-        flat = self.axes @ cov @ self.axes.T
-        values, vectors = np.linalg.eigh(flat)
-        long, short = np.sqrt(np.maximum(values[::-1], 0.0))
-        return float(long), float(short), math.atan2(float(vectors[1, 1]), float(vectors[0, 1]))
 
 
 TRUTH_COLOUR, STROKE_COLOUR = "#a08c5a", "#999"
@@ -158,7 +147,7 @@ def map_svg(scene: MapScene) -> bytes:
     polygons = [view.project(polygon) / MM for polygon in scene.truth]
     p = view.project(np.array([point.p_world for point in points]).reshape(-1, 3)) / MM
     covs = view.axes @ np.array([point.cov_world for point in points]).reshape(-1, 3, 3) @ view.axes.T
-    extents = times * np.sqrt(CHI2_95 * np.diagonal(covs, axis1=1, axis2=2)) / MM
+    extents = times * statistics.sigmas_95(3) * np.sqrt(np.diagonal(covs, axis1=1, axis2=2)) / MM
     shown = np.concatenate([p - extents, p + extents, *polygons])
     low, high = (shown.min(axis=0), shown.max(axis=0)) if len(shown) else (np.zeros(2), np.zeros(2))
     space = np.array([WIDTH - 2.0 * MARGIN, HEIGHT - MARGIN - LEGEND_HEIGHT])
@@ -199,8 +188,9 @@ def _polygon(flat: Array) -> str:
 
 
 def _ellipse(point: MapPoint, at: Array, scale: float, view: ParallelProjection) -> str:
-    long, short, angle = view.ellipse(point.cov_world)
-    rx, ry = (math.sqrt(CHI2_95) * half / MM * scale for half in (long, short))
+    half_axes, axes = statistics.ellipsoid_95(view.axes @ point.cov_world @ view.axes.T)
+    ry, rx = half_axes / MM * scale
+    angle = math.atan2(axes[1, 1], axes[0, 1])
     colour = hex_colour(point.rms / MM)
     x, y = at
     return (
@@ -301,7 +291,7 @@ def _data(scene: MapScene) -> dict[str, Any]:
     view = ParallelProjection()
     return {
         "azimuth": view.azimuth, "elevation": view.elevation, "flat": 1.0, "centre": scene.centre_mm.tolist(),
-        "radius": scene.radius_mm, "radius_95": math.sqrt(CHI2_95), "normal": NORMAL_LENGTH, "hint": HINT,
+        "radius": scene.radius_mm, "radius_95": statistics.sigmas_95(3), "normal": NORMAL_LENGTH, "hint": HINT,
         "truth": [(polygon / MM).tolist() for polygon in scene.truth], "truth_colour": TRUTH_COLOUR,
         "stroke_colour": STROKE_COLOUR,
         "points": [_point(number, point) for number, point in enumerate(scene.contact_map.points, 1)],
@@ -320,7 +310,7 @@ def _point(number: int, point: MapPoint) -> dict[str, Any]:
 def _table(contact_map: ContactMap) -> str:
     rows = []
     for number, point in enumerate(contact_map.points, 1):
-        common = math.sqrt(float(np.trace(point.cov_common))) / MM
+        common = statistics.rms(point.cov_common) / MM
         lengths = (f"{value:z.2f}" for value in (*point.p_world / MM, point.rms / MM, common))
         force = f"{point.force / MILLINEWTON:.1f}"
         rows.append([str(number), *lengths, force, touch_numbers(point, ", ")])

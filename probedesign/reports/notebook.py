@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from probedesign.core import statistics
 from probedesign.core.errors import require
 from probedesign.core.frames import Array
 from probedesign.core.units import GRAM, MILLINEWTON, MM, MPA, N_MM, format_value
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
-RADIUS_95 = 2.448
-"""Radius that contains 95 % of a two-dimensional normal distribution, in standard deviations: √(-2 ln 0.05)."""
 _ARROW = 0.25
 """Length of a force's arrow over that of the probe."""
 _STYLE = "margin: 0.3em 0 0.3em 0.8em"
@@ -232,7 +231,7 @@ def _(prediction: Prediction) -> Rows:
 def _(estimate: Estimate) -> Summary:
     rows = [("result", f"{estimate.result}: {RESULTS[estimate.result]}")]
     if estimate.ok:
-        rms = math.sqrt(float(np.trace(estimate.cov_surface_base)))
+        rms = statistics.rms(estimate.cov_surface_base)
         rows += [
             ("touched point, base frame", _point(estimate.p_surface_base)),
             ("RMS error of it", f"{rms / MM:.3g} mm"),
@@ -271,10 +270,9 @@ def _contact(estimate: Estimate) -> Chart:
 
 def _ellipse(cov: Array) -> Array:
     """Return the outline of 95 % of a plane covariance (2, 2), (n, 2)."""
-    values, vectors = np.linalg.eigh(cov)
+    half_axes, axes = statistics.ellipsoid_95(cov)
     turn = np.linspace(0.0, 2.0 * math.pi, 49)
-    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    return np.asarray(RADIUS_95 * (circle * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+    return np.asarray(half_axes * np.stack([np.cos(turn), np.sin(turn)], axis=1) @ axes.T)
 
 
 @rows_of.register

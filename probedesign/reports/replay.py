@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from probedesign.core.frames import Array
+from probedesign.core.statistics import rms, sigmas_95
 from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
-from probedesign.live.outputs.drawing import RADIUS_95
 from probedesign.live.processing.estimates import COVARIANCE, Row
 from probedesign.mapping.contact_map import MAX_RMS_MM, MIN_RMS_MM, rms_colour
 
@@ -86,7 +86,7 @@ def _data(
     s = np.linspace(0.0, rod.length, STATIONS)
     return {
         "azimuth": AZIMUTH, "elevation": ELEVATION, "centre": centre.tolist(), "flat": FLAT if lies else 1.0,
-        "radius": float(np.linalg.norm(points - centre, axis=1).max()), "radius_95": RADIUS_95,
+        "radius": float(np.linalg.norm(points - centre, axis=1).max()), "radius_95": sigmas_95(3),
         "radius_mm": _rounded(rod.radius_at(s)), "axes": dict(zip("xyz", view.T.tolist(), strict=True)),
         "note": "ellipsoids in scale", "frames": frames,
     }  # fmt: skip
@@ -105,11 +105,11 @@ def _frame(estimator: Estimator, row: Row, gravity: Array, view: Array, arrow: f
         cov = np.zeros((3, 3))
         for pair, i, j in COVARIANCE:
             cov[i, j] = cov[j, i] = float(row[f"cov_surface_base_{pair}_mm2"])
-        rms = math.sqrt(float(np.trace(cov)))
+        error = rms(cov)
         turned = view @ cov @ view.T
         frame["contact"] = {
             "p": _rounded(view @ p * MM), "cov": [round(float(turned[i, j]), 4) for _, i, j in COVARIANCE],
-            "force": _rounded(view @ force * arrow * MM), "colour": "#{:02x}{:02x}{:02x}".format(*rms_colour(rms)),
+            "force": _rounded(view @ force * arrow * MM), "colour": "#{:02x}{:02x}{:02x}".format(*rms_colour(error)),
         }  # fmt: skip
         size = 1e3 * float(np.linalg.norm(force))
         s, std = float(row["s_contact_mm"]), float(row["std_s_mm"])

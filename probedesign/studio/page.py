@@ -5,7 +5,6 @@ slider moves, only the last value counts. All browser tabs show the same state.
 """
 
 import io
-import math
 import queue
 import threading
 import time
@@ -18,6 +17,7 @@ from typing import Any
 import numpy as np
 import viser
 
+from probedesign.core import statistics
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import Design
@@ -405,7 +405,7 @@ def _touch_html(estimate: Estimate | None) -> str:
         return '<div class="bad">The probe buckles under this touch.</div>'
     if not estimate.ok:
         return f'<div class="bad">The reading is not located: {escape(estimate.result)}.</div>'
-    rms = math.sqrt(float(np.trace(estimate.cov_surface_base))) / MM
+    rms = statistics.rms(estimate.cov_surface_base) / MM
     return (
         f"<table><tr><td>located</td><td>s = {estimate.s_contact / MM:.1f} ± {estimate.std_s / MM:.1f} mm</td></tr>"
         f"<tr><td>error</td><td>{rms:.2g} mm RMS, all error sources</td></tr></table>"

@@ -11,8 +11,9 @@ import viser
 from numpy.typing import NDArray
 
 from probedesign.core.frames import Array
+from probedesign.core.statistics import ellipsoid_95
 from probedesign.estimation.estimate import Estimate
-from probedesign.live.outputs.drawing import BentShape, centreline, ellipsoid
+from probedesign.live.outputs.drawing import BentShape, centreline
 from probedesign.live.view.page import (
     ARROW,
     CONTACT,
@@ -135,7 +136,7 @@ class StudioScene:
                 mesh.color = now
         self._spread.visible = estimate is not None and estimate.ok
         if estimate is not None and estimate.ok:
-            half_axes, axes = ellipsoid(estimate.cov_surface_base)
+            half_axes, axes = ellipsoid_95(estimate.cov_surface_base)
             self._spread.position = UNIT * estimate.p_surface_base
             self._spread.scale = tuple(UNIT * np.maximum(half_axes, MIN_HALF_AXIS))
             self._spread.wxyz = quaternion(axes)

@@ -17,6 +17,7 @@ from scipy.stats import binomtest, chi2
 from probedesign.campaigns.campaign import Campaign
 from probedesign.campaigns.checks import check_probe
 from probedesign.core.errors import InputError
+from probedesign.core.statistics import rms
 from probedesign.core.units import MM
 from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.estimation.estimator import Estimator
@@ -230,7 +231,7 @@ class ValidationReport:
         found = one.estimate or Estimate("out_of_range")
         friction = (found.force_normal, found.force_tangential, found.friction_ratio)
         stated = (
-            (error.size, error.expected, one.predicted, math.sqrt(np.trace(error.cov_reference)))
+            (error.size, error.expected, one.predicted, rms(error.cov_reference))
             if error
             else (math.nan, math.nan, one.predicted, math.nan)
         )

@@ -10,6 +10,7 @@ from scipy.special import chdtri
 from probedesign.campaigns.campaign import Campaign, Test
 from probedesign.campaigns.manifest import LENGTH_SCALE
 from probedesign.core.frames import Array, inverse
+from probedesign.core.statistics import rms
 from probedesign.core.units import MM
 from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.estimator import Estimator, Method
@@ -49,7 +50,7 @@ class ContactError:
     @property
     def expected(self) -> float:
         """RMS of the norm by the stated covariance [m]."""
-        return math.sqrt(float(np.trace(self.cov)))
+        return rms(self.cov)
 
     @property
     def nees(self) -> float:

@@ -11,12 +11,13 @@ import pytest
 import trimesh
 
 from probedesign.cli.main import run
+from probedesign.core.statistics import max_chi2
 from probedesign.core.units import MM
 from probedesign.frozen_probe import load_estimator, write_frozen
 from probedesign.live.poses.pose_sources import POSE_COLUMNS
 from probedesign.live.recordings.csv import write_recording
 from probedesign.live.sources.replay import open_recording
-from probedesign.mapping.contact_map import CHI2_95, COLUMNS
+from probedesign.mapping.contact_map import COLUMNS
 
 
 def arguments(probe, folder, *more, poses="poses.csv"):
@@ -55,7 +56,7 @@ def test_the_points_lie_in_their_ellipsoids(house, found):
     assert list(rows[0]) == list(COLUMNS) and [row["result"] for row in rows] == ["ok", "ok"]
     for row, true in zip(rows, rehearsal.touches, strict=False):
         off = place(row) - true.p_world / MM
-        assert off @ np.linalg.solve(covariance(row), off) < 4.0 * CHI2_95
+        assert off @ np.linalg.solve(covariance(row), off) < 4.0 * max_chi2(3, 0.05)
         assert np.linalg.norm(off) < 2.0
         assert float(row["force_N"]) == pytest.approx(true.force, rel=0.1)  # as well as the bias is known
 

@@ -101,20 +101,6 @@ def centreline(shape: BentShape, s: Array) -> tuple[Array, Array, Array]:
     return p, x, np.cross(tangent, x)
 
 
-RADIUS_95 = 2.7955
-"""Half-axes of the 95 % ellipsoid in standard deviations: the root of the 95 % quantile of χ² with three degrees of
-freedom."""
-
-
-def ellipsoid(cov: Array) -> tuple[Array, Array]:
-    """Return the half-axes of the 95 % ellipsoid [m], (3,), and their directions as columns of a rotation, (3, 3)."""
-    variances, axes = np.linalg.eigh(cov)
-    if np.linalg.det(axes) < 0.0:
-        axes[:, 0] = -axes[:, 0]
-    half_axes: Array = RADIUS_95 * np.sqrt(np.maximum(variances, 0.0))
-    return half_axes, axes
-
-
 def contact_marker(update: EstimateUpdate, number: int) -> ContactMarker | None:
     """Return the contact, fused if available, otherwise of this reading; None if the estimate is not ok."""
     estimate, fused, T = update.estimate, update.fused, update.T_world_base

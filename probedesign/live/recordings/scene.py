@@ -3,8 +3,9 @@
 import numpy as np
 
 from probedesign.core.frames import Array, pose
+from probedesign.core.statistics import ellipsoid_95
 from probedesign.estimation.model import ProbeModel
-from probedesign.live.outputs.drawing import TubeMesh, bent_shape, contact_marker, ellipsoid
+from probedesign.live.outputs.drawing import TubeMesh, bent_shape, contact_marker
 from probedesign.live.poses.track import pose_from_matrix
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.recordings.schemas import Bytes, CdrBuilder
@@ -55,7 +56,7 @@ class SceneEncoder:
                     scene.pack("I", 0).array(self._faces, "<u4")
         if marker is not None:
             _begin(scene, "contact", "world" if marker.in_world else "base", stamp, CONTACT_LIFETIME)
-            half_axes, axes = ellipsoid(marker.cov)
+            half_axes, axes = ellipsoid_95(marker.cov)
             for kind in range(N_PRIMITIVES):
                 scene.pack("I", kind in (ARROWS, SPHERES))
                 if kind == ARROWS:

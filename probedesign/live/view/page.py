@@ -14,8 +14,9 @@ import viser.transforms as tf
 from viser import uplot
 
 from probedesign.core.frames import Array
+from probedesign.core.statistics import ellipsoid_95
 from probedesign.core.units import MM
-from probedesign.live.outputs.drawing import ContactMarker, ellipsoid
+from probedesign.live.outputs.drawing import ContactMarker
 from probedesign.live.view.scene import CHART_SECONDS, SceneSetup, StripCharts
 from probedesign.live.view.state import Snapshot, StatusLine
 
@@ -377,7 +378,7 @@ class ViewerPage:
             return
         R, origin = self._scene_transform(marker)
         surface = R @ marker.p_surface + origin
-        half_axes, axes = ellipsoid(R @ marker.cov @ R.T)
+        half_axes, axes = ellipsoid_95(R @ marker.cov @ R.T)
         self._contact.position = self._spread.position = UNIT * surface
         self._spread.scale = tuple(UNIT * np.maximum(half_axes, MIN_HALF_AXIS))
         self._spread.wxyz = quaternion(axes)
