@@ -113,7 +113,7 @@ def _frame(estimator: Estimator, row: Row, gravity: Array, view: Array, arrow: f
         }  # fmt: skip
         size = 1e3 * float(np.linalg.norm(force))
         s, std = float(row["s_contact_mm"]), float(row["std_s_mm"])
-        frame["text"] += f", {size:.3g} mN at s = {s:.1f} ± {std:.2g} mm; RMS error {rms:.2g} mm"
+        frame["text"] += f", {size:.3g} mN at s = {s:.1f} ± {std:.2g} mm; RMS error {error:.2g} mm"
     if not ok and row["result"] != "no_contact":  # touched somewhere: grey, in its shape without a touch
         frame["free"] = True
         frame["text"] += "; drawn without the touch"
