@@ -1,8 +1,6 @@
 """Documents of an export: pictures, drawings, the bill of materials and the assembly page."""
 
 import base64
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from html import escape
@@ -20,6 +18,7 @@ from probedesign.cad.inspection import inspection_sheets
 from probedesign.cad.kernel import mass_properties
 from probedesign.cad.model import CadModel, CadPart
 from probedesign.cad.render import render_body, render_png
+from probedesign.core import csv_tables
 from probedesign.core.svg import Canvas
 from probedesign.core.units import MM, MPA
 from probedesign.design.catalog import RIGID_RESIN
@@ -90,11 +89,7 @@ def bill_records(bill: list[BillItem]) -> list[dict[str, Any]]:
 
 def bill_csv(bill: list[BillItem]) -> bytes:
     """Return the bill as a CSV table."""
-    table = io.StringIO(newline="")
-    writer = csv.DictWriter(table, list(asdict(bill[0])), lineterminator="\r\n")
-    writer.writeheader()
-    writer.writerows(asdict(item) for item in bill)
-    return table.getvalue().encode("utf-8")
+    return csv_tables.write(list(asdict(bill[0])), map(asdict, bill))
 
 
 STYLE = """body { max-width: 182mm }

@@ -24,17 +24,8 @@ from probedesign.campaigns.campaign import (
 )
 from probedesign.campaigns.checks import check_marker_order
 from probedesign.campaigns.manifest import Manifest, read_manifest
-from probedesign.core.csv_tables import (
-    WRENCH,
-    WRENCH_ALIASES,
-    WRENCH_KINDS,
-    Frame,
-    TableRows,
-    TableSchema,
-    quote_input,
-    read_rows,
-)
-from probedesign.core.errors import InputError
+from probedesign.core.csv_tables import WRENCH, WRENCH_ALIASES, WRENCH_KINDS, Frame, TableRows, TableSchema, read_rows
+from probedesign.core.errors import InputError, quoted
 from probedesign.core.frames import Array, pose
 from probedesign.core.units import GRAM, MM
 from probedesign.vision.camera import Camera
@@ -164,10 +155,10 @@ def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
     for i, direction in enumerate(directions):
         if direction and direction not in PUSH_DIRECTIONS:
             allowed = ", ".join(PUSH_DIRECTIONS)
-            rows.fail(i, f"direction = {quote_input(direction)} is none of {allowed} of the base; write one, or leave "
+            rows.fail(i, f"direction = {quoted(direction)} is none of {allowed} of the base; write one, or leave "
                          "it empty")  # fmt: skip
         if uses[i] not in USES:
-            rows.fail(i, f"use = {quote_input(uses[i])} is none of identify, validate; write one, or leave it empty "
+            rows.fail(i, f"use = {quoted(uses[i])} is none of identify, validate; write one, or leave it empty "
                          "for both")  # fmt: skip
         if loaded[i] and not force[i].any() and (not np.isnan(s[i]) or seen[i]):
             rows.fail(i, f"{names[i]}: has a contact and force 0,0,0, which is a free probe; leave the force empty")

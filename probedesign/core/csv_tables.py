@@ -1,21 +1,22 @@
 """CSV tables whose header names the unit of every number: their lines, their columns and their values in SI.
 
 `read_lines` splits a file into header, rows and comments; `find_columns` interprets the header; `read_rows` reads a
-table by its schema. The module does not depend on what the tables are for.
+table by its schema, `write` writes one. The module does not depend on what the tables are for.
 """
 
 import csv
 import difflib
+import io
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NoReturn
+from typing import Any, Literal, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from probedesign.core.errors import InputError
+from probedesign.core.errors import InputError, quoted
 from probedesign.core.frames import Array
 
 Frame = Literal["sensor", "base"]
@@ -98,7 +99,7 @@ class CsvLines:
                 case "base":
                     frames.add("base")
                 case other:
-                    self.fail(number, f"frame {quote_input(other)} is not known; use sensor or base")
+                    self.fail(number, f"frame {quoted(other)} is not known; use sensor or base")
         if len(frames) > 1:
             raise InputError(f"{self.path}: names two frames; a recording has one")
         return frames.pop() if frames else None
@@ -153,17 +154,6 @@ def read_text(path: Path, what: str, max_bytes: int | None = None, kind: str = "
     return text
 
 
-def quote_input(text: str) -> str:
-    """Return a piece of a file for a message: quoted, escaped, at most 40 characters."""
-    quoted = repr(text)
-    return quoted if len(quoted) <= 40 else quoted[:37] + "..."
-
-
-def plain(text: str, max_length: int = 100) -> str:
-    """Return a piece of a file for a sentence: only printable characters, shortened."""
-    return "".join(c for c in text[:max_length] if c.isprintable())
-
-
 # columns
 
 
@@ -203,7 +193,7 @@ def find_columns(lines: CsvLines, kinds: Mapping[str, str], aliases: Mapping[str
         if column is None:
             continue
         if column.quantity in found:
-            pair = f"{quote_input(found[column.quantity].name)} and {quote_input(name)}"
+            pair = f"{quoted(found[column.quantity].name)} and {quoted(name)}"
             lines.fail(lines.header_number, f"columns {pair} are the same; keep one")
         found[column.quantity] = column
     return found
@@ -229,9 +219,9 @@ def _column(
         return None if unit else Column(quantity, kind, index, 1.0, name)
     factor = {_letters(known): factor for known, factor in UNITS[kind].items()}.get(_letters(unit))
     if factor is None:
-        problem = f"unit {quote_input(unit)} is not known" if unit else "names no unit"
+        problem = f"unit {quoted(unit)} is not known" if unit else "names no unit"
         endings = ", ".join(f"_{known}" for known in UNITS[kind])
-        lines.fail(lines.header_number, f"column {quote_input(name)}: {problem}; end its name in one of {endings}")
+        lines.fail(lines.header_number, f"column {quoted(name)}: {problem}; end its name in one of {endings}")
     return Column(quantity, kind, index, factor, name)
 
 
@@ -295,7 +285,7 @@ class TableRows:
             return float("nan")
         if not NUMBER.fullmatch(text) or abs(value := float(text)) == float("inf"):
             remedy = "write a number with a decimal point, or leave an optional cell empty"
-            self.fail(row, f"{column.name} = {quote_input(text.strip())} is not a finite number; {remedy}")
+            self.fail(row, f"{column.name} = {quoted(text.strip())} is not a finite number; {remedy}")
         if abs(value * column.factor) > column.ceiling:
             self.fail(row, f"{column.name} = {value:g} is implausibly large; raw counts or a wrong unit?")
         return value
@@ -391,8 +381,8 @@ def _check_columns(lines: CsvLines, columns: dict[str, Column], schema: TableSch
     for index, name in enumerate(lines.header):
         if index not in read and name and name.lower() not in NOTES:
             near = difflib.get_close_matches(name, schema.like.split(","), 1, 0.5)
-            hint = f"did you mean {quote_input(near[0])}?" if near else f"known are {schema.like}"
-            lines.fail(lines.header_number, f"column {quote_input(name)} is not known; {hint} (for free text: note)")
+            hint = f"did you mean {quoted(near[0])}?" if near else f"known are {schema.like}"
+            lines.fail(lines.header_number, f"column {quoted(name)} is not known; {hint} (for free text: note)")
     missing = [name for name in schema.required if name not in columns]
     if missing:
         names = ", ".join(_spelt(name, schema) for name in missing)
@@ -401,7 +391,7 @@ def _check_columns(lines: CsvLines, columns: dict[str, Column], schema: TableSch
         alike = [column for column in columns.values() if column.kind == kind]
         for other in alike[1:]:
             if other.factor != alike[0].factor:
-                pair = f"{quote_input(alike[0].name)} and {quote_input(other.name)}"
+                pair = f"{quoted(alike[0].name)} and {quoted(other.name)}"
                 lines.fail(lines.header_number, f"mixed units: {pair}; keep to one unit of {kind} in a table")
 
 
@@ -424,8 +414,26 @@ def _cells(lines: CsvLines) -> list[list[str]]:
         for name, text in zip(lines.header, fields, strict=True):
             if not name and text.strip():
                 lines.fail(
-                    number,
-                    f"{quote_input(text.strip())} is in a column without a name; name the column, or empty the cell",
+                    number, f"{quoted(text.strip())} is in a column without a name; name the column, or empty the cell"
                 )
         cells.append(fields)
     return cells
+
+
+# writing
+
+
+def write(columns: Sequence[str], rows: Iterable[Mapping[str, Any]], spec: str = "") -> bytes:
+    """Return a table as CSV in UTF-8: a header and a line for each row.
+
+    Args:
+        columns: names of the columns.
+        rows: their values by column; None and a missing value become empty cells, other keys are ignored.
+        spec: format of floating-point numbers; by default all digits that distinguish them.
+    """
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, restval="", extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    for row in rows:
+        writer.writerow({name: f"{v:{spec}}" if isinstance(v, float) else v for name, v in row.items()})
+    return text.getvalue().encode()

@@ -4,9 +4,11 @@ A solve or an estimate returns a result code and raises nothing. Files, options 
 an `InputError` with a message of one line: the value, its place and the remedy.
 """
 
+import datetime
 import difflib
 from collections.abc import Iterable
 from importlib.util import find_spec
+from typing import Any
 
 
 class ProbeDesignError(Exception):
@@ -52,6 +54,21 @@ class CheckFailedError(ProbeDesignError):
     """A check of something that the package made itself, such as a mesh or a file, failed."""
 
 
+def quoted(value: Any) -> str:
+    """Return a value of the user for a message: text in quotes, special characters escaped, at most 60 characters."""
+    try:
+        text = value.isoformat() if isinstance(value, datetime.date | datetime.time) else repr(value)
+    except (RecursionError, ValueError):  # nested thousands deep; an integer of thousands of digits
+        return "..."
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def one_line(text: str, max_length: int = 500) -> str:
+    """Return a text of a user, a file or a peer on one line for a message: control characters escaped, shortened."""
+    text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(text.split()))
+    return text if len(text) <= max_length else text[: max_length - 3] + "..."
+
+
 def unknown_name(key: str, name: str, known: Iterable[str], of: str = "") -> InputError:
     """Return the error for an unknown name: one line with the nearest known name, if one is near, and all names.
 
@@ -65,5 +82,4 @@ def unknown_name(key: str, name: str, known: Iterable[str], of: str = "") -> Inp
     plain = "-".join(name.lower().replace("_", " ").split())
     near = difflib.get_close_matches(plain, names, 1, 0.3)
     hint = f"did you mean '{near[0]}'? known: " if near else "known: "
-    shown = repr(name) if len(name) <= 60 else repr(name[:57]) + "..."
-    return InputError(f"{key}: unknown {shown}{f' for {of}' if of else ''}; {hint}{', '.join(names)}")
+    return InputError(f"{key}: unknown {quoted(name)}{f' for {of}' if of else ''}; {hint}{', '.join(names)}")

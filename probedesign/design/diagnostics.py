@@ -1,6 +1,5 @@
 """Checks of TOML files against a pydantic model, with errors of one line: key, value, remedy, line of the file."""
 
-import datetime
 import difflib
 import re
 import tomllib
@@ -10,7 +9,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
-from probedesign.core.errors import InputError
+from probedesign.core.errors import InputError, one_line, quoted
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -173,21 +172,6 @@ _WANTED = {
     "model_type": "a table",
     "model_attributes_type": "a table",
 }
-
-
-def quoted(value: Any) -> str:
-    """Return a value of the user for a message: text in quotes, special characters escaped, at most 60 characters."""
-    try:
-        text = value.isoformat() if isinstance(value, datetime.date | datetime.time) else repr(value)
-    except (RecursionError, ValueError):  # nested thousands deep; an integer of thousands of digits
-        return "..."
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-def one_line(text: str) -> str:
-    """Return the text on one line of at most 500 characters, without control characters."""
-    text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in " ".join(text.split()))
-    return text if len(text) <= 500 else text[:497] + "..."
 
 
 def _fields(model: type[BaseModel], table: str) -> dict[str, Any]:

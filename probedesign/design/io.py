@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from probedesign.core.errors import CheckFailedError, InputError, unknown_name
+from probedesign.core.errors import CheckFailedError, InputError, quoted, unknown_name
 from probedesign.core.files import write_atomically
 from probedesign.core.units import MPA
 from probedesign.design.catalog import CUSTOM, RESINS, Quantity, Resin, find
-from probedesign.design.diagnostics import check_toml, quoted, read_text, read_toml
+from probedesign.design.diagnostics import check_toml, read_text, read_toml
 from probedesign.design.schema import Design
 from probedesign.design.sensor_catalog import FILES, SENSORS, load_sensor
 from probedesign.design.sensors import SensorModel

@@ -10,7 +10,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from probedesign.core.errors import InputError
+from probedesign.core.errors import InputError, quoted
 from probedesign.core.files import is_plain_name
 from probedesign.core.notebook import Displayed
 from probedesign.core.units import MPA
@@ -26,7 +26,7 @@ from probedesign.design.catalog import (
     RobotFlange,
     find,
 )
-from probedesign.design.diagnostics import FromArray, Inconsistent, Table, quoted
+from probedesign.design.diagnostics import FromArray, Inconsistent, Table
 from probedesign.design.flange_table import FlangeTable
 from probedesign.design.sensor_catalog import SENSORS, SensorRecord
 from probedesign.design.sensors import DEFAULT_SENSOR, Calibration, SensorModel

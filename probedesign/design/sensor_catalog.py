@@ -12,10 +12,11 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from probedesign.core.errors import quoted
 from probedesign.core.files import check_regular, is_plain_name
 from probedesign.core.units import GRAM, MM
 from probedesign.design.catalog import SCREWS
-from probedesign.design.diagnostics import FromArray, Inconsistent, Table, known_keys, parse_toml, quoted, read_text
+from probedesign.design.diagnostics import FromArray, Inconsistent, Table, known_keys, parse_toml, read_text
 from probedesign.design.sensors import (
     DEFAULT_SENSOR,
     CableExit,

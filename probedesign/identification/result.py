@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import norm, t
 
+from probedesign.core import csv_tables
 from probedesign.core.frames import Array
 from probedesign.core.notebook import Tabular
 from probedesign.core.units import MM
@@ -216,13 +217,12 @@ class Identification(Tabular):
 
     def csv(self) -> bytes:
         """Return every residual as a row of CSV."""
-        rows = ["test,kind,item,s_mm,off_1,off_2,off_3,off_4,off_5,off_6,unit,deviations,weight"]
-        for one in self.residuals:
-            off = [f"{value:.6g}" for value in one.off] + [""] * (6 - len(one.off))
-            s = "" if one.s_mm is None else f"{one.s_mm:.6g}"
-            rows.append(",".join([one.test, one.kind, str(one.item or ""), s, *off, UNITS[one.kind],
-                                  f"{one.deviations:.4g}", f"{one.weight:.4g}"]))  # fmt: skip
-        return ("\n".join(rows) + "\n").encode()
+        off = [f"off_{i}" for i in range(1, 7)]
+        rows = [{"test": residual.test, "kind": residual.kind, "item": residual.item or "", "s_mm": residual.s_mm,
+                 **dict(zip(off, residual.off, strict=False)), "unit": UNITS[residual.kind],
+                 "deviations": f"{residual.deviations:.4g}", "weight": f"{residual.weight:.4g}"}
+                for residual in self.residuals]  # fmt: skip
+        return csv_tables.write(["test", "kind", "item", "s_mm", *off, "unit", "deviations", "weight"], rows, ".6g")
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""

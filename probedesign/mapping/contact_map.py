@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from probedesign.core import statistics
+from probedesign.core import csv_tables, statistics
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.mapping.touch_point import RESULT_MEANINGS, ConditionalPoint, LocatedTouch
@@ -152,9 +152,7 @@ def map_rows(contact_map: ContactMap) -> list[Row]:
 
 def map_csv(contact_map: ContactMap) -> bytes:
     """Return the rows as CSV with a header."""
-    lines = [",".join(COLUMNS)]
-    lines += [",".join(_cell(row[name]) for name in COLUMNS) for row in map_rows(contact_map)]
-    return ("\n".join(lines) + "\n").encode()
+    return csv_tables.write(COLUMNS, map_rows(contact_map), "z.9g")
 
 
 def map_document(contact_map: ContactMap) -> dict[str, Any]:
@@ -230,12 +228,6 @@ def _unlocated_row(touch: LocatedTouch) -> Row:
 
 def _covariance(cov: Array) -> Row:
     return {f"cov_world_{name}_mm2": float(cov[i, j]) / MM**2 for name, i, j in COVARIANCE_ENTRIES}
-
-
-def _cell(value: object) -> str:
-    if value is None:
-        return ""
-    return f"{value:z.9g}" if isinstance(value, float) else str(value)
 
 
 # Colours and PLY

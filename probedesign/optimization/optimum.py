@@ -1,7 +1,5 @@
 """Optimisation of a design from several starts, its Monte Carlo check, and Pareto fronts."""
 
-import csv
-import io
 import math
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
@@ -10,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from probedesign.core import csv_tables
 from probedesign.core.errors import InputError, require
 from probedesign.core.frames import Array
 from probedesign.core.parallel import OnProgress, process_map
@@ -257,11 +256,7 @@ class ParetoFront:
 
     def csv(self) -> bytes:
         """Return the front as a CSV table."""
-        text = io.StringIO()
-        writer = csv.DictWriter(text, _VARIABLES, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self.rows)
-        return text.getvalue().encode()
+        return csv_tables.write(_VARIABLES, self.rows)
 
 
 def check_installed() -> None:

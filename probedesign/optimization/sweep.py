@@ -1,6 +1,5 @@
 """Parameter sweep: a grid of designs, computed by processes of this machine or by dask workers, recorded one by one."""
 
-import csv
 import io
 import itertools
 import json
@@ -14,6 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from probedesign.core import csv_tables
 from probedesign.core.errors import InputError, MissingDependencyError, unknown_name
 from probedesign.core.files import write_atomically
 from probedesign.core.parallel import Journal, OnProgress, Record, fingerprint, process_map
@@ -307,12 +307,8 @@ def _plain(task: Task) -> dict[str, Any]:
 def _write_tables(records: list[Record], keys: list[str], folder: Path) -> list[Path]:
     """Write the same table twice: CSV for people, Parquet for programs where pyarrow is installed."""
     columns = ["point", *keys, "result", "reason", *METRICS]
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(records)
     files = [folder / "sweep.csv", folder / PROGRESS]
-    write_atomically(files[0], text.getvalue().encode())
+    write_atomically(files[0], csv_tables.write(columns, records))
     if find_spec("pyarrow") is None:
         return files
     import pyarrow as pa

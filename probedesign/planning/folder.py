@@ -1,7 +1,5 @@
 """Data folder of a plan: tables with the planned tests, which a laboratory fills, and a checklist for the bench."""
 
-import csv
-import io
 import json
 import os
 import shutil
@@ -14,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from probedesign.campaigns.campaign import MARKERS, TESTS, WRENCHES
 from probedesign.campaigns.reading import IMAGES, PIXELS
+from probedesign.core import csv_tables
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_writable, exists_already
 from probedesign.core.frames import Array
@@ -68,13 +67,8 @@ def _manifest(plan: Plan) -> str:
 
 
 def _tests(plan: Plan) -> str:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, COLUMNS, restval="", lineterminator="\n")
-    writer.writeheader()
-    for one in plan.candidates:
-        if one.test is not None:
-            writer.writerow(_row(plan, one))
-    return text.getvalue()
+    rows = [_row(plan, candidate) for candidate in plan.candidates if candidate.test is not None]
+    return csv_tables.write(COLUMNS, rows).decode()
 
 
 def _row(plan: Plan, one: CandidateTest) -> dict[str, str]:

@@ -1,15 +1,14 @@
 """Prediction of a probe's performance before it is printed: sensitivity, detection, saturation and localisation
 error."""
 
-import csv
-import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
+from probedesign.core import csv_tables
 from probedesign.core.frames import Array
 from probedesign.core.notebook import Tabular
 from probedesign.core.parallel import OnProgress, quiet
@@ -392,7 +391,7 @@ def condition_rows(prediction: Prediction) -> tuple[list[str], list[dict[str, An
 
 def conditions_csv(prediction: Prediction) -> bytes:
     """Return `condition_rows` as CSV."""
-    return _csv(*condition_rows(prediction))
+    return csv_tables.write(*condition_rows(prediction), spec=".6g")
 
 
 def along_csv(prediction: Prediction) -> bytes:
@@ -406,12 +405,4 @@ def along_csv(prediction: Prediction) -> bytes:
         rows[fused.contact_fraction, fused.direction].update(forces)
     for path in prediction.workspace.paths:
         rows[path.contact_fraction, path.direction]["pressed_mm"] = path.pressed_mm
-    return _csv(list(dict.fromkeys(k for row in rows.values() for k in row)), list(rows.values()))
-
-
-def _csv(names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> bytes:
-    text = io.StringIO()
-    table = csv.DictWriter(text, names, lineterminator="\n")
-    table.writeheader()
-    table.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
-    return text.getvalue().encode()
+    return csv_tables.write(list(dict.fromkeys(k for row in rows.values() for k in row)), rows.values(), ".6g")

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from probedesign.core import csv_tables
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, write_atomically
 from probedesign.core.frames import Array, pose
@@ -314,5 +315,5 @@ def write_run(
 
 def _csv(columns: Sequence[str], rows: Iterable[Iterable[float]]) -> bytes:
     """Return a CSV table; numbers are rounded to the ninth decimal, beyond which they are rounding errors."""
-    lines = [",".join(f"{round(number, 9):z.9g}" for number in row) for row in rows]
-    return "\n".join([",".join(columns), *lines, ""]).encode()
+    named = (dict(zip(columns, (round(number, 9) for number in row), strict=True)) for row in rows)
+    return csv_tables.write(columns, named, "z.9g")

@@ -4,8 +4,6 @@ The empirical coverage is how often the reference lies within the stated 95 % el
 error squared, is χ² with as many degrees of freedom as axes if the covariances are correct.
 """
 
-import csv
-import io
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
@@ -16,6 +14,7 @@ from scipy.stats import binomtest, chi2
 
 from probedesign.campaigns.campaign import Campaign
 from probedesign.campaigns.checks import check_probe
+from probedesign.core import csv_tables
 from probedesign.core.errors import InputError
 from probedesign.core.statistics import rms
 from probedesign.core.units import MM
@@ -246,7 +245,7 @@ class ValidationReport:
 
     def csv(self) -> bytes:
         """Return the rows as CSV with a header."""
-        return csv_of(self.rows(), COLUMNS)
+        return csv_tables.write(COLUMNS, self.rows(), ".6g")
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -265,16 +264,6 @@ class ValidationReport:
             "honesty": {name: _plain(value) for name, value in asdict(self.coverage).items()},
             "notes": self.notes,
         }  # fmt: skip
-
-
-def csv_of(rows: Iterable[dict[str, Any]], columns: Sequence[str]) -> bytes:
-    """Return some columns of rows as CSV with a header."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
-    writer.writeheader()
-    for row in rows:
-        writer.writerow({name: f"{v:.6g}" if isinstance(v, float) else v for name, v in row.items()})
-    return text.getvalue().encode()
 
 
 def validate(
@@ -347,7 +336,7 @@ class MultiProbeReport:
 
     def csv(self) -> bytes:
         """Return the table as CSV with a header."""
-        return csv_of(self.rows(), TABLE1_COLUMNS)
+        return csv_tables.write(TABLE1_COLUMNS, self.rows(), ".6g")
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""

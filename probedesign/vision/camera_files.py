@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from probedesign.core.csv_tables import plain, quote_input, read_text
-from probedesign.core.errors import InputError, require
+from probedesign.core.csv_tables import read_text
+from probedesign.core.errors import InputError, one_line, quoted, require
 from probedesign.core.frames import Array, pose
 from probedesign.vision.camera import DISTORTIONS, LINEAR, Camera
 
@@ -162,7 +162,7 @@ def _from_yaml(path: Path, text: str) -> Any:
         return yaml.load(text, Loader)
     except yaml.MarkedYAMLError as error:
         line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
-        problem = plain(error.problem or "", 80)
+        problem = one_line(error.problem or "", 80)
         if isinstance(error, yaml.constructor.ConstructorError):
             problem = f"{problem}; a calibration file holds numbers and texts only"
         raise InputError(f"{path}{line}: is not valid YAML, or is cut off: {problem}") from None
@@ -184,7 +184,7 @@ def _from_xml(path: Path, text: str) -> dict[str, Any]:
     except (DefusedXmlException, ValueError, RecursionError):
         raise InputError(f"{path}: is not plain XML: it declares entities") from None
     if root.tag != "opencv_storage":
-        raise InputError(f"{path}: is XML, but not of OpenCV: its root is {quote_input(root.tag)}")
+        raise InputError(f"{path}: is XML, but not of OpenCV: its root is {quoted(root.tag)}")
     words = {one.tag: (one.findtext("data") or one.text or "").split() for one in root}
     return {tag: value[0] if len(value) == 1 else value for tag, value in words.items()}
 
@@ -197,7 +197,7 @@ def _opencv(document: _Document, name: str, suffix: str) -> Camera:
         raise document.fail(f"has no {lacking} of camera {name}, as {like[0] if not suffix else like[-2] + suffix}")
     model = str(document.values.get("distortion_model", "plumb_bob"))
     if model not in PINHOLE:
-        raise document.fail(f"distortion_model {quote_input(model)} is not supported; calibrate with plumb_bob")
+        raise document.fail(f"distortion_model {quoted(model)} is not supported; calibrate with plumb_bob")
     K = document.numbers(key, (9,)).reshape(3, 3)
     if not np.allclose(K[[1, 2, 2, 2], [0, 0, 1, 2]], [0, 0, 0, 1], atol=1e-9):
         raise document.fail(f"{key} is not a camera matrix: its last row is not 0 0 1, or it has a number below the "
@@ -219,7 +219,7 @@ def _kalibr(document: _Document, names: Sequence[str]) -> list[Camera]:
         for key, known in (("camera_model", {"pinhole"}), ("distortion_model", PINHOLE)):
             model = str(one.values[key])
             if model not in known:
-                raise one.fail(f"{key} {quote_input(model)} is not supported; calibrate with pinhole-radtan")
+                raise one.fail(f"{key} {quoted(model)} is not supported; calibrate with pinhole-radtan")
         fu, fv, u, v = one.numbers("intrinsics", (4,))
         K = np.array([[fu, 0.0, u], [0.0, fv, v], [0.0, 0.0, 1.0]])
         size = None

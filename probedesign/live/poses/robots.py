@@ -11,8 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from time import monotonic, sleep
 
-from probedesign.core.csv_tables import plain
-from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.errors import InputError, MissingDependencyError, one_line
 from probedesign.live import split_address
 from probedesign.live.handover import Handover
 from probedesign.live.poses.track import TimedPose, timed_pose
@@ -119,7 +118,7 @@ class RobotPoses:
 
 
 def _reason(error: Exception) -> str:
-    return plain(" ".join(str(error).split()), 200) or type(error).__name__
+    return one_line(str(error), 200) or type(error).__name__
 
 
 def _host(target: str, scheme: str) -> str:

@@ -9,8 +9,7 @@ from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from probedesign.core.csv_tables import plain
-from probedesign.core.errors import InputError, ProbeDesignError
+from probedesign.core.errors import InputError, ProbeDesignError, one_line
 from probedesign.core.frames import Array
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.live import Log
@@ -308,7 +307,7 @@ class CommandQueue:
         self, name: CommandName, text: str = "", reply: Callable[[CommandResult], None] = lambda result: None
     ) -> None:
         """Queue a command; the result is reported to every sink as an event, and to `reply`."""
-        self._queue.put(Command(name, plain(text, MAX_NOTE), reply))
+        self._queue.put(Command(name, one_line(text, MAX_NOTE), reply))
 
     def execute(self, log: Log) -> bool:
         """Execute all commands since the last call in order and report their results; return whether to stop."""

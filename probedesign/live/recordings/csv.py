@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from probedesign.core import csv_tables
-from probedesign.core.csv_tables import CEILING, WRENCH, Column, CsvLines, Frame, plain, quote_input
-from probedesign.core.errors import InputError
+from probedesign.core.csv_tables import CEILING, WRENCH, Column, CsvLines, Frame
+from probedesign.core.errors import InputError, one_line, quoted
 from probedesign.core.frames import Array
 from probedesign.live.blocks import Block
 from probedesign.live.outputs.sinks import Sink
@@ -95,14 +95,14 @@ def _faults(table: CsvLines, rows: list[str]) -> tuple[str, ...]:
     if FAULT not in names:
         return ()
     index = names.index(FAULT)
-    return tuple(plain(row.split(",")[index].strip(), 200) for row in rows)
+    return tuple(one_line(row.split(",")[index], 200) for row in rows)
 
 
 def _whole_rows(table: CsvLines, columns: list[Column]) -> tuple[list[str], tuple[str, ...]]:
     """Return the rows without an incomplete last line, and notes; every row has the right number of fields."""
     rows, notes = table.rows, []
     ignored = [
-        quote_input(name)
+        quoted(name)
         for i, name in enumerate(table.header)
         if i not in {c.index for c in columns} and name.strip().casefold() != FAULT
     ]
@@ -167,7 +167,7 @@ def _name_bad_number(table: CsvLines, rows: list[str], columns: list[Column], fa
             text = fields[column.index].strip()
             if not csv_tables.NUMBER.fullmatch(text) or not np.isfinite(float(text)):
                 remedy = "correct the value or delete the line"
-                table.fail(number, f"{column.name} = {quote_input(text)} is not a finite number; {remedy}")
+                table.fail(number, f"{column.name} = {quoted(text)} is not a finite number; {remedy}")
     raise InputError(f"{table.path}: its rows cannot be read as numbers")
 
 
@@ -273,7 +273,7 @@ class CsvRecorder(Sink):
 
     def on_samples(self, block: Block) -> None:
         """Write one line per reading."""
-        fault = plain(block.fault).translate(_NO_DELIMITERS)
+        fault = one_line(block.fault).translate(_NO_DELIMITERS)
         last = "".join(f",{value!r}" for value in block.gravity_base.tolist()) + f",{fault}\n"
         rows = zip(block.time.tolist(), block.wrench_sensor.tolist(), strict=True)
         lines = [",".join(map(repr, (time, *wrench))) + last for time, wrench in rows]

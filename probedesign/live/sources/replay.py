@@ -12,8 +12,8 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from probedesign.core.csv_tables import Frame, plain, quote_input
-from probedesign.core.errors import InputError
+from probedesign.core.csv_tables import Frame
+from probedesign.core.errors import InputError, one_line, quoted
 from probedesign.core.files import check_regular
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
@@ -131,8 +131,8 @@ def _open_native(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Open
         return tuple(notes)
 
     metadata = bag.metadata[METADATA_NAME]
-    source = plain(metadata.get("source", ""))
-    description = f"recorded {plain(metadata.get('started', ''))} from {source}"
+    source = one_line(metadata.get("source", ""))
+    description = f"recorded {one_line(metadata.get('started', ''))} from {source}"
     return OpenRecording(bag.path, description, "sensor", notes, lambda: _checked(bag.path, blocks), missing, source)
 
 
@@ -141,7 +141,7 @@ def _check_probe(bag: Bag, model: ProbeModel, options: RecordingOptions) -> tupl
     probe = bag.probe or {}
     name, fingerprint = str(probe.get("name"))[:80], str(probe.get("fingerprint"))[:80]
     if fingerprint != model.fingerprint:
-        recorded = f"probe {quote_input(name)}, fingerprint {quote_input(fingerprint)}"
+        recorded = f"probe {quoted(name)}, fingerprint {quoted(fingerprint)}"
         note = f"recorded with {recorded}, not {model.fingerprint}"
         if not options.other_probe:
             raise InputError(f"{bag.path}: {note}; use its own frozen probe, or allow it with other_probe")
@@ -155,8 +155,8 @@ def _open_foreign(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Ope
     published = rosbag.find_wrench_topic(bag, options.topic)
     named: Frame = "base" if published.frame_id == "base" else "sensor"
     frame = options.frame or named
-    topic = f"topic {plain(published.channel.topic)}"
-    notes = [f"{topic}, frame {quote_input(published.frame_id)}, interpreted as the {frame} frame"]
+    topic = f"topic {one_line(published.channel.topic)}"
+    notes = [f"{topic}, frame {quoted(published.frame_id)}, interpreted as the {frame} frame"]
     if published.unstamped:
         notes.append("its headers have no time stamp: the time of recording is used")
     notes += _check_unit(published, model, options)
@@ -257,7 +257,7 @@ def _native_block(raw: list[bytes | memoryview], text: str) -> tuple[int, Block]
     if len(time) != len(raw):
         raise ValueError(f"it describes {len(time)} readings, but {len(raw)} wrenches precede it")
     wrench = read_wrenches(raw)
-    return first, Block(time, wrench, gravity, np.full(len(time), np.nan), plain(fault, 200), stretch)
+    return first, Block(time, wrench, gravity, np.full(len(time), np.nan), one_line(fault, 200), stretch)
 
 
 def _finite_array(values: Any) -> Array:

@@ -9,8 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from probedesign.core.csv_tables import plain, quote_input
-from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.errors import InputError, MissingDependencyError, one_line, quoted
 from probedesign.core.frames import Array
 from probedesign.live.poses.track import TimedPose, TransformTree, timed_pose
 from probedesign.live.recordings import require_mcap
@@ -78,9 +77,9 @@ def select_channel(bag: Bag, types: Collection[str], topic: str = "") -> BagTopi
     found = {channel.topic: channel for channel in bag.channels()}
     fit = [name for name, channel in found.items() if channel.type in types and channel.encoding == "cdr"]
     wanted = " or ".join(sorted(name.rpartition("/")[2] for name in types))
-    listed = ", ".join(map(quote_input, fit[:10])) or "none"
+    listed = ", ".join(map(quoted, fit[:10])) or "none"
     if topic and topic in found and topic not in fit:
-        other = quote_input(found[topic].type)
+        other = quoted(found[topic].type)
         raise InputError(f"{bag.path}: topic {topic} has type {other}, not {wanted}; available are: {listed}")
     if topic and topic not in fit:
         near = difflib.get_close_matches(topic, fit, 1)
@@ -142,7 +141,7 @@ class RosBag:
 
     def _unreadable(self, error: Exception) -> InputError:
         """Return any exception of rosbags as an error of the bag: rosbags does not validate its input."""
-        text = plain(str(error), 200) or type(error).__name__
+        text = one_line(str(error), 200) or type(error).__name__
         return InputError(f"{self.path}: cannot be read as a ROS 2 bag: {text}")
 
 
@@ -185,7 +184,7 @@ def find_wrench_topic(bag: Bag, topic: str = "") -> RosWrenchTopic:
     first = next(iter(bag.messages({channel.topic})), None)
     if first is None:
         raise InputError(
-            f"{bag.path}: topic {plain(channel.topic)} has no messages" + (bag.damage and f"; {bag.damage}")
+            f"{bag.path}: topic {one_line(channel.topic)} has no messages" + (bag.damage and f"; {bag.damage}")
         )
     stamp, frame_id, _ = _read_wrench(bag, first)
     return RosWrenchTopic(bag, channel, frame_id, stamp == 0)
@@ -196,7 +195,7 @@ def _read_wrench(bag: Bag, message: Message) -> tuple[int, str, tuple[float, ...
         return read_stamped(message.data, 6)
     except ValueError as error:
         at = f"{message.logged / 1e9:.9g} s"
-        raise InputError(f"{bag.path}: a message of {quote_input(message.topic)} logged at {at}: {error}") from None
+        raise InputError(f"{bag.path}: a message of {quoted(message.topic)} logged at {at}: {error}") from None
 
 
 TF = "tf2_msgs/msg/TFMessage"
@@ -263,7 +262,7 @@ def _poses_from_tf(bag: Bag, world: str, base: str) -> list[TimedPose]:
                 pose = _at(at[0], at[1], (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
                 edges.append((edge.header.frame_id, edge.child_frame_id, pose, message.topic == STATIC))
         except Exception as error:  # rosbags may raise anything on invalid bytes
-            why = plain(str(error), 120) or type(error).__name__
+            why = one_line(str(error), 120) or type(error).__name__
             raise InputError(f"{bag.path}: a transform on {message.topic}: {why}") from None
     try:
         for parent, child, pose, static in sorted(edges, key=lambda edge: edge[2].time):

@@ -11,8 +11,8 @@ from typing import Any, Protocol, get_args
 
 import numpy as np
 
-from probedesign.core.csv_tables import CEILING, WRENCH, WRENCH_ALIASES, WRENCH_KINDS, Frame, plain
-from probedesign.core.errors import InputError
+from probedesign.core.csv_tables import CEILING, WRENCH, WRENCH_ALIASES, WRENCH_KINDS, Frame
+from probedesign.core.errors import InputError, one_line
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
@@ -68,7 +68,7 @@ def parse_wrench(values: Mapping[str, Any]) -> WrenchDatagram:
     sequence = values.get("sequence")
     if sequence is not None and (type(sequence) is not int or not 0 <= sequence < MAX_SEQUENCE):
         raise InputError(f"sequence = {str(sequence)[:40]!r} is not a whole number")
-    fault = plain(str(values.get("fault") or ""))
+    fault = one_line(str(values.get("fault") or ""))
     return WrenchDatagram(wrench, nan if time is None else time, sequence, fault)
 
 
@@ -86,7 +86,7 @@ class WrenchListener(StreamListener[WrenchDatagram]):
     def parse(self, datagram: bytes) -> tuple[WrenchDatagram, str]:
         """Return the wrench of a datagram and its frame."""
         values = decode_object(datagram)
-        return parse_wrench(values), plain(str(values.get("frame") or ""))
+        return parse_wrench(values), one_line(str(values.get("frame") or ""))
 
     def fault(self, value: WrenchDatagram, last: WrenchDatagram, elapsed: float) -> tuple[str, str] | None:
         """Return an inconsistency in sequence or time; count the lost datagrams."""

@@ -18,8 +18,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from probedesign.core.csv_tables import plain
-from probedesign.core.errors import InputError, MissingDependencyError
+from probedesign.core.errors import InputError, MissingDependencyError, one_line
 from probedesign.core.frames import Array, pose, rotation_z, wrench_map
 from probedesign.core.units import ANGLE_UNITS, FORCE_UNITS, LENGTH_UNITS, TORQUE_UNITS, unit_of
 from probedesign.live.sources.netft.rdt import PAGE
@@ -223,7 +222,7 @@ def fetch_page(host: str, port: int, timeout: float = PAGE_TIMEOUT) -> bytes:
             page += chunk
     except (OSError, HTTPException, UnicodeError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error) or type(error).__name__
-        why = f"no complete response within {timeout:g} s" if late.is_set() else plain(why)
+        why = f"no complete response within {timeout:g} s" if late.is_set() else one_line(why)
         raise InputError(f"{address}: {why}; is the box on, and this its address and HTTP port?") from None
     finally:
         deadline.cancel()

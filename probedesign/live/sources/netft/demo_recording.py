@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from probedesign.core.csv_tables import quote_input, read_text
-from probedesign.core.errors import InputError
+from probedesign.core.csv_tables import read_text
+from probedesign.core.errors import InputError, quoted
 from probedesign.core.frames import Array
 from probedesign.core.units import FORCE_UNITS, TORQUE_UNITS, unit_of
 from probedesign.live.recordings.csv import Recording, check_wrenches, gaps_in
@@ -84,7 +84,7 @@ def _counts(path: Path, head: dict[str, str], name: str) -> float:
     except (KeyError, ValueError):
         counts = 0.0
     if not 0.0 < counts < np.inf:
-        raise InputError(f"{path}: {name} {quote_input(head.get(name, ''))} must be a positive number")
+        raise InputError(f"{path}: {name} {quoted(head.get(name, ''))} must be a positive number")
     return counts
 
 
@@ -95,10 +95,10 @@ def _numbers(path: Path, number: int, fields: list[str]) -> list[float]:
             raise ValueError
         numbers = [int(fields[0].strip(), 16), int(fields[2]), *map(float, fields[3:9])]
     except ValueError:
-        text = quote_input(",".join(fields))
+        text = quoted(",".join(fields))
         raise InputError(f"{path}:{number}: {text} is not a row of {len(ATI_HEADER)} fields of ATI's demo") from None
     if not np.isfinite(numbers).all() or not 0 <= min(numbers[:2]) <= max(numbers[:2]) < WRAP:
-        raise InputError(f"{path}:{number}: {quote_input(','.join(fields))} contains a number that no box sends")
+        raise InputError(f"{path}:{number}: {quoted(','.join(fields))} contains a number that no box sends")
     return numbers
 
 

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import get_args
 from urllib.parse import unquote
 
-from probedesign.core.csv_tables import Frame, plain
-from probedesign.core.errors import InputError
+from probedesign.core.csv_tables import Frame
+from probedesign.core.errors import InputError, one_line
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import LOOPBACK, Log
 from probedesign.live.poses.pose_sources import PoseListener
@@ -77,7 +77,7 @@ class Bridge:
         if process is not None and process.poll() is not None:
             assert process.stderr is not None
             lines = process.stderr.read().decode(errors="replace").strip().splitlines()
-            why = plain(lines[-1], 200) if lines else f"exit status {process.returncode}"
+            why = one_line(lines[-1], 200) if lines else f"exit status {process.returncode}"
             raise InputError(f"{self._option}: the bridge to ROS 2 has ended: {why}")
 
     def close(self) -> None:
