@@ -172,7 +172,7 @@ def test_a_fault_of_the_sender_is_that_of_the_reading(opened):
     sender.send(fault="saturated\x1b[2J")
     sender.send()
     reader.wait(lambda: len(reader.readings) == 2)
-    assert [r.fault for r in reader.readings] == ["saturated[2J", ""]
+    assert [r.fault for r in reader.readings] == ["saturated\\x1b[2J", ""]
 
 
 def test_without_time_stamps_the_arrival_counts(opened):
