@@ -194,7 +194,7 @@ def design_metrics(design: Design, task: Task) -> DesignMetrics:
     """Compute the metrics of a design; this takes about 50 ms."""
     probe = build_probe(design)
     touched = predict_task(probe.model, task)
-    found = [f.severity for f in check_print(design, layers=False).findings if f.part not in SHARED_PARTS]
+    found = [f.severity for f in check_print(design).findings if f.part not in SHARED_PARTS]
     free = probe.rod.solve(probe.model.gravity_base)
     return DesignMetrics(
         error_mm=finite_or_none(task.combined(touched.errors) / MM),

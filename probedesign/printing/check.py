@@ -11,7 +11,7 @@ fingerprint, the STEP file or the check of the drawn parts.
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -25,13 +25,15 @@ from probedesign.mount.clamping import clamp_force
 from probedesign.mount.engraving import XY
 from probedesign.mount.flange_adapter import TIE_SLOT
 from probedesign.mount.lip import MAX_BENDING_SHARE
-from probedesign.mount.sensor_adapter import PEG_D
+from probedesign.mount.sensor_adapter import MAX_OVERHANG, PEG_D
 from probedesign.mount.tolerance_stack import tolerance_stacks
 from probedesign.printing.findings import Finding, Rule, Severity
-from probedesign.printing.orientation import MAX_BRIDGE, MAX_CUP_D, MAX_OVERHANG, OrientedPart, oriented_parts
 
 GUIDE = "Formlabs' design guide, Form 2, rigid resin"
 DOUBLED = f"twice {GUIDE}, for soft resin (assumed)"
+
+MAX_CUP_D = 10.0
+"""Widest cup that the peel of a rigid resin stands [mm] (assumed)."""
 
 LAYER = 0.1
 """Elastic 50A has no other layer height. Source: PreForm's list of materials."""
@@ -67,11 +69,7 @@ SOFT_HOLE = Rule("hole", "mm", DOUBLED, "low")
 NO_OVERHANG = Rule("overhang", "deg", f"{GUIDE}; a warning below {MIN_SOFT_OVERHANG:g} for soft resin (assumed)", "low")
 TRAPPED_VOLUME = Rule("trapped_volume", "mm", f"drain hole of {GUIDE}", "medium")
 LAYER_OVERHANG = Rule("overhang", "mm", "Formlabs' design guide: 1 mm, or 19° to the horizontal", "medium")
-LAYER_BRIDGE = Rule("bridge", "mm", "half of the 21 mm of Formlabs' design guide (assumed)", "low")
-DATUM = Rule("datum", "mm²", "a face that carries a dimension must not be sanded", "high")
-ISLANDS = Rule("island", "1", "what begins in mid-air is lost", "high")
 CUP = Rule("cup", "mm", "assumed: suction of a shallow cup that a rigid resin stands", "low")
-ENCLOSED = Rule("enclosed_volume", "mm³", "resin cannot drain", "high")
 MOUNT = Rule("mount", "mm", "the adapter's own dimensions", "high")
 
 
@@ -174,11 +172,14 @@ def mount_findings(a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
         "sensor_adapter", "clocking peg, diameter over height", PEG_D / (a.peg_top - a.groove_floor), GOOD_SLENDERNESS,
         remedy="make it thicker",
     )]  # fmt: skip
-    if not a.options.milled:  # by its dimensions: the raster of the layers is too coarse for it
-        findings.append(LAYER_OVERHANG.warn_above(
-            "sensor_adapter", "roof of a nut's slot beside the screw's hole", a.roof_overhang / MM, MAX_OVERHANG,
-            "take M2 screws",
-        ))  # fmt: skip
+    findings.append(LAYER_OVERHANG.warn_above(
+        "sensor_adapter", "roof of a nut's slot beside the screw's hole", a.roof_overhang / MM, MAX_OVERHANG / MM,
+        "take M2 screws",
+    ))  # fmt: skip
+    for part, pattern in (("sensor_adapter", a.tool), ("flange_adapter", plate.mounting)):
+        room = pattern.screw.counterbore_d / MM
+        findings.append(CUP.warn_above(part, "rooms of the screws' heads, cups on the platform", room, MAX_CUP_D,
+                                       "drill a vent"))  # fmt: skip
     for part, (walls, holes) in parts.items():
         for what, thickness, limit in walls:
             findings.append(WALL.at_least(part, what, thickness / MM, limit, remedy="make it thicker"))
@@ -204,21 +205,6 @@ def clamp_findings(a: SensorAdapter, plate: FlangeAdapter, modulus: float) -> li
             "clamp_ring", "bending under the force of the lip, instead of compressing it", sum(clamp.bending) / 2 / MM,
             MAX_BENDING_SHARE * clamp.squeeze / MM, 'set mount.adapters = "milled"',
         ),
-    ]  # fmt: skip
-
-
-def layer_findings(part: OrientedPart) -> list[Finding]:
-    """Return the findings on the layers of a rigid part in its printing orientation."""
-    report, name, where = part.report, part.name, f"{part.side}, on {part.rests_on}"
-    supports = "supports must carry it"
-    return [
-        LAYER_OVERHANG.warn_above(name, f"overhang without supports, {where}", report.overhang, MAX_OVERHANG, supports),
-        LAYER_BRIDGE.warn_above(name, f"bridge, {where}", report.bridge, MAX_BRIDGE, supports),
-        DATUM.at_most(name, f"area of datum faces that needs supports, {where}", report.datum_area, 0.0,
-                      "sand them flat, and measure again"),
-        ISLANDS.at_most(name, f"places that begin in mid-air, {where}", report.islands, 0.0, supports),
-        CUP.warn_above(name, f"width of the widest cup, {where}", report.cup_d, MAX_CUP_D, "drill a vent"),
-        ENCLOSED.at_most(name, f"enclosed volume, {where}", report.trapped, 0.0, "drill a drain hole"),
     ]  # fmt: skip
 
 
@@ -315,6 +301,33 @@ def scale_note(design: Design, part: str) -> str:
     return "" if scale == AS_DRAWN else f" scaled {scale[0]:g} {scale[1]:g} {scale[2]:g}"
 
 
+class Orientation(NamedTuple):
+    """How a part stands on the platform."""
+
+    side: Literal["upright", "upside down"]  #: whether its z axis points away from the platform or towards it.
+    rests_on: str  #: the face on the platform.
+    supports: bool = False  #: whether it stands on a raft and supports instead of directly on the platform.
+
+    @property
+    def upright(self) -> bool:
+        """Return whether the part's z axis points away from the platform."""
+        return self.side == "upright"
+
+    def as_record(self) -> dict[str, Any]:
+        """Return the orientation for JSON and the manifest."""
+        return {**self._asdict(), "z_direction": [0.0, 0.0, 1.0 if self.upright else -1.0]}
+
+
+ORIENTATIONS = {
+    "probe": Orientation("upright", "its flange", supports=True),
+    "sensor_adapter": Orientation("upright", "its foot"),
+    "clamp_ring": Orientation("upright", "its underside"),
+    "flange_adapter": Orientation("upside down", "the sensor's seat"),
+}
+"""The orientation of each part. A test cuts the rigid parts of every known sensor and flange into layers: nothing
+hangs, begins in mid-air or encloses resin, so that no supports touch a face that carries a dimension."""
+
+
 @dataclass(frozen=True)
 class PrintCheck:
     """The findings of all rules on a design."""
@@ -325,8 +338,6 @@ class PrintCheck:
     resin: str
     findings: tuple[Finding, ...]  #: one per rule and feature, passed ones included.
     advice: tuple[str, ...]  #: for what no rule can measure.
-    #: the rigid parts in their printing orientation, where their layers were examined.
-    oriented: tuple[OrientedPart, ...] = ()
 
     def _of(self, severity: Severity) -> list[Finding]:
         return [finding for finding in self.findings if finding.severity == severity]
@@ -362,20 +373,13 @@ class PrintCheck:
             "warnings": len(self.warnings),
             "findings": [f.as_record() for f in (*self.errors, *self.warnings)],
             "advice": list(self.advice),
-            "orientation": {part.name: part.as_record() for part in self.oriented},
+            "orientation": {part: orientation.as_record() for part, orientation in ORIENTATIONS.items()},
         }
 
 
-def check_print(design: Design, layers: bool = True) -> PrintCheck:
-    """Check a design against the rules of its printer and of both resins.
-
-    Args:
-        design: the design.
-        layers: whether the layers of the rigid parts are examined, which takes a second; the flexible part alone does
-            not need it.
-    """
+def check_print(design: Design) -> PrintCheck:
+    """Check a design against the rules of its printer and of both resins."""
     geometry, printer = build_geometry(design), design.printer
-    oriented: tuple[OrientedPart, ...] = ()
     findings = [*_probe_size(design, geometry), *probe_findings(geometry)]
     options = mount_options(design)
     plate = flange_adapter_for(design.sensor_model, design.robot_flange, options=options)
@@ -393,28 +397,18 @@ def check_print(design: Design, layers: bool = True) -> PrintCheck:
             ("flange_adapter", plate.plate_d, plate.plate_top + plate.robot.spigot[1]),
         ):
             findings += size_findings(part, printer, sx * width / MM, sz * height / MM)
-        if layers and not options.milled:
-            oriented = tuple(oriented_parts(a, plate))
-            findings += [finding for part in oriented for finding in layer_findings(part)]
     advice = (
-        f"print it upright on its flange, {LAYER:g} mm layers, supports below the flange only",
+        f"print the probe upright on its flange, {LAYER:g} mm layers, supports below the flange only",
         design.resin.cure,
         "cure it hanging or in a V-groove: lying flat, it would cure bent under its own weight",
         "measure its diameters after curing: they determine its stiffness",
         *(
-            f"print the {part.name.replace('_', ' ')} {part.side}, on {part.rests_on}, without supports and raft"
-            for part in oriented
-            if not part.needs_supports
-        ),
-        *(
-            f"print the {part.name.replace('_', ' ')} {part.side} on supports"
-            for part in oriented
-            if part.needs_supports
+            f"print the {part.replace('_', ' ')} {stands.side}, on {stands.rests_on}, without supports and raft"
+            for part, stands in ORIENTATIONS.items()
+            if not stands.supports
         ),
     )
-    return PrintCheck(
-        design.name, geometry.fingerprint, printer.name, design.resin.name, tuple(findings), advice, oriented
-    )
+    return PrintCheck(design.name, geometry.fingerprint, printer.name, design.resin.name, tuple(findings), advice)
 
 
 def _probe_size(design: Design, geometry: ProbeGeometry) -> list[Finding]:

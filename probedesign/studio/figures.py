@@ -175,7 +175,7 @@ def _figures(
     on_progress: OnProgress = quiet,
 ) -> DesignFigures:
     model = probe.model
-    found = check_print(probe.design, layers=False)
+    found = check_print(probe.design)
     return DesignFigures(
         probe,
         predict(model, fractions, forces_N, only_single=only_single, on_progress=on_progress),

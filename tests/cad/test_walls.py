@@ -28,7 +28,7 @@ def apart(some: list[Any], others: list[Any]) -> float:
 
 
 def test_walls_of_the_rigid_parts_equal_the_check(large: Any) -> None:
-    message = {(f.part, f.what): f.measured for f in check_print(large.design, layers=False).findings}
+    message = {(f.part, f.what): f.measured for f in check_print(large.design).findings}
     a, plate = large.adapter, large.plate
     adapter, ring, flange = (large.parts[n].shape for n in ("sensor_adapter", "clamp_ring", "flange_adapter"))
     cone = [face for face in ring.Faces() if face.geomType() == "CONE"]
@@ -54,9 +54,7 @@ def test_walls_of_the_rigid_parts_equal_the_check(large: Any) -> None:
 
 def test_walls_around_a_nut_slot_equal_the_check(large: Any) -> None:
     a, adapter = large.adapter, large.parts["sensor_adapter"].shape
-    message = {
-        f.what: f.measured for f in check_print(large.design, layers=False).findings if f.part == "sensor_adapter"
-    }
+    message = {f.what: f.measured for f in check_print(large.design).findings if f.part == "sensor_adapter"}
     ends = [f for f in round_faces(adapter, a.nut_slot_width) if f.Center().z > a.nut_slot_z[0] / MM]
     assert len(ends) == 4
     wall = apart(ends, round_faces(adapter, a.recess_d))
@@ -71,6 +69,6 @@ def test_walls_around_a_nut_slot_equal_the_check(large: Any) -> None:
 
 def test_the_web_at_the_clocking_hole_equals_the_check(large: Any) -> None:
     probe = large.parts["probe"].shape
-    (found,) = [f for f in check_print(large.design, layers=False).findings if "its rim" in f.what]
+    (found,) = [f for f in check_print(large.design).findings if "its rim" in f.what]
     web = apart(round_faces(probe, large.adapter.peg_hole_d), round_faces(probe, large.geometry.flange.diameter))
     assert web == pytest.approx(found.measured, abs=1e-6)  # mm: the kernel's tolerance is 1e-7

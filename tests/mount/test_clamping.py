@@ -107,7 +107,7 @@ def test_a_ring_that_cannot_be_thick_enough_is_found_and_milling_mends_it() -> N
     stiff = "[material]\nyoungs_modulus_mpa = 20.0"
 
     def bends(mount: str) -> str:
-        every = check_print(design_of("gamma", mount=mount, resin=stiff), layers=False).findings
+        every = check_print(design_of("gamma", mount=mount, resin=stiff)).findings
         return next(f.severity for f in every if f.rule == "ring_bending")
 
     assert bends("") == "warning" and bends('adapters = "milled"') == "ok"
@@ -120,7 +120,7 @@ def test_the_preload_is_that_of_the_stated_torque() -> None:
 
 
 def severity_of(design: Design) -> str:
-    (finding,) = [f for f in check_print(design, layers=False).findings if f.rule == "clamp_force"]
+    (finding,) = [f for f in check_print(design).findings if f.rule == "clamp_force"]
     return finding.severity
 
 

@@ -100,7 +100,7 @@ def test_a_taper_through_a_cones_diameters_is_the_cone(large):
 def test_the_print_constraints_are_those_of_the_print_check(large, x, rule):
     space, x = DesignSpace.of(large, ("cone",)), np.array(x)
     broken = [name for name, rooms in space.printable(x).items() if rooms.min() < 0.0]
-    errors = [f.rule for f in check_print(space.design(x), layers=False).errors if f.part == "probe"]
+    errors = [f.rule for f in check_print(space.design(x)).errors if f.part == "probe"]
     assert broken == [f"print rule {rule}"] and errors == [rule]
 
 
@@ -373,6 +373,4 @@ def test_a_hollow_optimum_keeps_the_limits_of_soft_resin(large):
     probe = found.design.probe
     wall, bore = (1 - probe.bore_ratio) * probe.tip_d_mm / 2, probe.bore_ratio * probe.tip_d_mm
     assert wall >= SOFT_FACTOR * SUPPORTED_WALL and bore >= SOFT_FACTOR * MIN_HOLE_D
-    assert not [
-        f for f in check_print(found.design, layers=False).warnings if f.rule in ("wall", "hole") and f.part == "probe"
-    ]
+    assert not [f for f in check_print(found.design).warnings if f.rule in ("wall", "hole") and f.part == "probe"]

@@ -30,7 +30,7 @@ def design_of(length=150.0, base=12.0, tip=2.0, profile=None, print_="", **more)
 def found(design, rule, what=""):
     """Return the most severe finding of a rule on the probe whose text contains `what`."""
     rank = ("ok", "warning", "error").index
-    every = check_print(design, layers=False).findings  # the layers are those of the rigid parts
+    every = check_print(design).findings
     findings = [f for f in every if (f.rule, f.part) == (rule, "probe") and what in f.what]
     return max(findings, key=lambda f: rank(f.severity))
 
@@ -51,7 +51,7 @@ def test_a_rounded_tip_is_no_thinner_than_where_it_begins():
         'schema = 1\nname = "x"\n[probe]\nshape = "cone"\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n'
         'tip = "rounded"\n'
     )
-    assert check_print(design, layers=False).errors == []
+    assert check_print(design).errors == []
 
 
 def test_a_flange_without_pin_and_spigot_has_no_walls_there():
@@ -61,7 +61,7 @@ def test_a_flange_without_pin_and_spigot_has_no_walls_there():
         "bolt_azimuths_deg = [45.0, 135.0, 225.0, 315.0]\nmax_bolt_entry_mm = 6.0\nbolt_length_mm = 12.0\n"
         "face_d_mm = 63.0\n"
     )
-    check = check_print(design, layers=False)
+    check = check_print(design)
     assert check.errors == []
     assert not any("pin slot" in f.what or "spigot" in f.what for f in check.findings)
 
@@ -77,14 +77,14 @@ def test_the_named_maximum_length_fits_and_a_millimetre_more_does_not(printer, s
     assert finding.severity == "error"
     assert finding.measured == pytest.approx(scale_z * 403 + 7)  # with flange, raft and supports
     longest = int(finding.remedy.split(" is ")[1].split(" mm")[0])
-    assert check_print(design_of(length=longest, print_=print_), layers=False).fits
-    assert not check_print(design_of(length=longest + 1, print_=print_), layers=False).fits
+    assert check_print(design_of(length=longest, print_=print_)).fits
+    assert not check_print(design_of(length=longest + 1, print_=print_)).fits
 
 
 def test_a_probe_too_long_names_the_smallest_printer_that_fits():
     for length, printer in ((200, "form-4"), (201, "form-3l"), (300, "form-4l")):  # 210 mm is a form-4's height
         assert f"it fits a {printer}" in found(design_of(length=length), "build_volume", "height").remedy
-        assert check_print(design_of(length=length, print_=f'printer = "{printer}"'), layers=False).fits
+        assert check_print(design_of(length=length, print_=f'printer = "{printer}"')).fits
     assert "it fits no known printer" in found(design_of(length=400), "build_volume", "height").remedy
 
 
@@ -179,7 +179,7 @@ def test_a_hollow_probe_is_measured_at_its_thinnest():
 
 
 def test_a_full_probe_traps_nothing():
-    assert not [f for f in check_print(design_of(), layers=False).findings if f.rule == "trapped_volume"]
+    assert not [f for f in check_print(design_of()).findings if f.rule == "trapped_volume"]
 
 
 # The rigid parts
@@ -200,12 +200,12 @@ def test_the_rigid_parts_of_every_base_keep_their_rules(base, robot_flange):
     """
     rigid = [f for f in check_print(parse_design(text)).findings if f.part != "probe"]
     assert {f.severity for f in rigid} == {"ok"}
-    assert {"build_volume", "wall", "hole", "slenderness", "overhang", "datum"} <= {f.rule for f in rigid}
+    assert {"build_volume", "wall", "hole", "slenderness", "overhang", "cup"} <= {f.rule for f in rigid}
 
 
 def test_a_probe_too_wide_for_the_ring_is_an_error():
     design = design_of(length=80, base=6, profile=[[0.0, 6.0], [40.0, 40.0], [80.0, 40.0]])
-    (finding,) = [f for f in check_print(design, layers=False).findings if f.rule == "mount"]
+    (finding,) = [f for f in check_print(design).findings if f.rule == "mount"]
     assert finding.severity == "error" and finding.measured is None
     assert "the clamp ring cannot pass; at most" in finding.message
     assert finding.as_record()["measured"] is None

@@ -7,16 +7,14 @@ through layers that are not printed yet is a cup: suction pulls at it when the l
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import scipy
+import trimesh
 from numpy.typing import NDArray
 
 Mask = NDArray[np.bool_]
-Interior = Callable[[NDArray[np.float64], NDArray[np.float64], float], Mask]
-"""Return which points (x, y) at height z lie in the part; all in one unit of length."""
 MIN_ANGLE_DEG = 19.0
 """Least angle of an unsupported surface to the horizontal. Source: Formlabs' design guide."""
 ALONG = ((1, 0), (0, 1), (1, 1), (1, -1))
@@ -31,42 +29,59 @@ class LayerReport:
     overhang_z: float  #: its height above the platform.
     bridge: float  #: longest bridge, between two supported places.
     hanging_area: float  #: largest area of a layer's overhangs that are longer than the limit [mm²].
-    datum_area: float  #: the same on faces that carry a dimension [mm²].
     islands: int  #: number of places that begin in mid-air.
     cup_d: float  #: diameter of the largest circle in a cup.
     trapped: float  #: volume that is enclosed on all sides [mm³].
 
 
-def examine_layers(
-    interior: Interior, size: tuple[float, float], datums: tuple[float, ...], max_overhang: float,
-    max_bridge: float, pixel: float, layer: float,
-) -> LayerReport:  # fmt: skip
-    """Return what the layers of a part show.
+def grid_of(reach: float, pixel: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the pixels' centres about the axis, beyond a distance `reach` from it, (n, n) each [mm]."""
+    half = pixel * (math.ceil(reach / pixel) + 2)
+    along = np.arange(-half + pixel / 2, half, pixel)
+    return np.meshgrid(along, along, indexing="ij")
+
+
+def layers_of_mesh(mesh: trimesh.Trimesh, pixel: float, layer: float) -> Mask:
+    """Return the layers of a closed mesh that stands on z = 0, (k, n, n): a point is inside if the surface above it
+    faces up once more often than down."""
+    x, y = grid_of(float(np.abs(mesh.vertices[:, :2]).max()), pixel)
+    first = x[0, 0]
+    heights = np.arange(layer / 2, mesh.bounds[1, 2], layer)
+    crossings = np.zeros((len(heights) + 1, *x.shape), dtype=np.int16)
+    corners = mesh.triangles + np.array([1.7e-6, 3.1e-6, 0.0])  # no pixel's centre lies on an edge
+    for a, b, c in corners:
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+        (i0, j0), (i1, j1) = np.ceil((low[:2] - first) / pixel).astype(int), np.floor((high[:2] - first) / pixel)
+        i, j = np.arange(i0, int(i1) + 1), np.arange(j0, int(j1) + 1)
+        if abs(area) < 1e-12 or not len(i) or not len(j):
+            continue
+        u, v = (x[i, 0] - a[0])[:, None], (y[0, j] - a[1])[None, :]
+        beta = (u * (c[1] - a[1]) - v * (c[0] - a[0])) / area
+        gamma = (v * (b[0] - a[0]) - u * (b[1] - a[1])) / area
+        p, q = np.nonzero((beta >= 0.0) & (gamma >= 0.0) & (beta + gamma <= 1.0))
+        z = a[2] + beta[p, q] * (b[2] - a[2]) + gamma[p, q] * (c[2] - a[2])
+        np.add.at(crossings, (np.searchsorted(heights, z), i[p], j[q]), int(np.sign(area)))
+    return np.cumsum(crossings[::-1], axis=0)[::-1][1:] > 0
+
+
+def examine_layers(solids: Mask, max_overhang: float, max_bridge: float, pixel: float, layer: float) -> LayerReport:
+    """Return what the layers of a part on the platform show.
 
     Args:
-        interior: of the part on the platform, z = 0, about the axis x = y = 0 [mm].
-        size: greatest distance from the axis, and height [mm].
-        datums: heights of the downward faces that carry a dimension [mm].
+        solids: material of each pixel of each layer, the lowest first, (k, n, n).
         max_overhang, max_bridge: lengths that print without supports [mm].
-        pixel, layer: width of a pixel and height of a layer of the raster [mm].
+        pixel, layer: width of a pixel and height of a layer [mm].
     """
-    reach = pixel * (math.ceil(size[0] / pixel) + 2)
-    grid = np.arange(-reach + pixel / 2, reach, pixel)
-    x, y = np.meshgrid(grid, grid, indexing="ij")
-    heights = np.arange(layer / 2, size[1], layer)
-    layers, tops = [interior(x, y, float(heights[0]))], [float(heights[0])]
-    for z in heights[1:]:
-        solid = interior(x, y, float(z))
-        if not np.array_equal(solid, layers[-1]):  # equal layers hang nowhere and close nothing
-            layers.append(solid)
-            tops.append(float(z))
-    volume = np.stack(layers)
+    changes = [0, *(k for k in range(1, len(solids)) if not np.array_equal(solids[k], solids[k - 1]))]
+    volume = solids[changes]  # equal layers hang nowhere and close nothing
+    tops = layer * (np.array(changes) + 0.5)
     # A layer may reach so far beyond the one below. What it reaches beyond is carried on to the next layers.
     reach_of_layer = layer / math.tan(math.radians(MIN_ANGLE_DEG))
-    overhang = overhang_z = bridge = area = datum_area = 0.0
+    overhang = overhang_z = bridge = area = 0.0
     islands = 0
-    beyond = np.zeros(x.shape)  # overhang of each pixel of the layer below
-    for below, solid, z, rise in zip(layers, layers[1:], tops[1:], np.diff(tops), strict=False):
+    beyond = np.zeros(volume[0].shape)  # overhang of each pixel of the layer below
+    for below, solid, z, rise in zip(volume, volume[1:], tops[1:], np.diff(tops), strict=False):
         distance, nearest = scipy.ndimage.distance_transform_edt(~below, return_indices=True)
         beyond = np.maximum(beyond - (rise - layer) * reach_of_layer / layer, 0.0)  # equal layers between
         beyond = np.maximum(beyond[tuple(nearest)] + distance * pixel - reach_of_layer, 0.0) * solid
@@ -88,11 +103,9 @@ def examine_layers(
         if longest > max_overhang:
             excess = float((out > max_overhang).sum()) * pixel**2
             area = max(area, excess)
-            if any(abs(z - layer / 2 - d) <= layer for d in datums):
-                datum_area = max(datum_area, excess)
     return LayerReport(
-        overhang, overhang_z, bridge, area, datum_area, islands, _largest_cup(volume, pixel),
-        _trapped(volume, np.diff([*tops, float(heights[-1]) + layer])) * pixel**2,
+        overhang, overhang_z, bridge, area, islands, _largest_cup(volume, pixel),
+        _trapped(volume, np.diff([*tops, layer * (len(solids) + 0.5)])) * pixel**2,
     )  # fmt: skip
 
 
