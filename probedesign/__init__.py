@@ -14,6 +14,8 @@ compares an estimator with a reference. Lengths are in metres, forces in newtons
 in its unit where that is another. Each name is imported when it is first used, so that `import probedesign` stays fast.
 """
 
+from probedesign.core.notebook import set_views as _set_views
+
 TYPE_CHECKING = False  # as in typing, whose import would delay the first Ctrl-C that ends a command in one line
 if TYPE_CHECKING:
     from typing import Any
@@ -84,6 +86,15 @@ __all__ = [
     "identify", "load_design", "load_estimator", "parse_design", "predict", "predict_touch", "press_against_line",
     "press_against_point", "read_campaign", "solve_batch", "solve_frictionless", "validate",
 ]  # fmt: skip
+
+
+def _views() -> "Any":
+    from probedesign.reports import notebook
+
+    return notebook
+
+
+_set_views(_views)
 
 
 def __getattr__(name: str) -> "Any":

@@ -1,27 +1,44 @@
 """How results show themselves in a notebook: the methods of their classes.
 
-What is shown of each class is in `reports.notebook`, which knows all of them and stands above them; it is imported by
-its name when a method is called, so that an estimate of a stream loads neither charts nor pages.
+What is shown of each class is in `reports.notebook`, which knows all of them and stands above them. The package's
+`__init__` states where it is; it is imported when a method is called, so that an estimate of a stream loads no charts.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False  # as in typing, which `import probedesign` does not load
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any, Protocol
+
     from matplotlib.axes import Axes
     from pandas import DataFrame
+
+    class Views(Protocol):
+        """What `reports.notebook` draws of a result."""
+
+        def html_of(self, result: object) -> str: ...
+        def text_of(self, result: object) -> str: ...
+        def plot_of(self, result: object, ax: Axes | None) -> Axes: ...
+        def dataframe_of(self, result: object) -> DataFrame: ...
+
+
+_views: "Callable[[], Views]"
+
+
+def set_views(load: "Callable[[], Views]") -> None:
+    """State what imports the functions that draw; `probedesign/__init__.py` calls this."""
+    global _views
+    _views = load
 
 
 class Displayed:
     """A result with a short table and a picture."""
 
     def _repr_html_(self) -> str:
-        """Return the table and the picture as HTML, which Jupyter shows."""
-        return str(_views().html_of(self))
+        return _views().html_of(self)
 
-    def _repr_mimebundle_(self, include: Any = None, exclude: Any = None) -> dict[str, str]:
-        """Return the same as HTML and as text, which IPython shows in a terminal and a notebook keeps."""
-        return {"text/html": self._repr_html_(), "text/plain": str(_views().text_of(self))}
+    def _repr_mimebundle_(self, include: "Any" = None, exclude: "Any" = None) -> dict[str, str]:
+        """Return HTML, which Jupyter shows, and text, which IPython shows in a terminal."""
+        return {"text/html": self._repr_html_(), "text/plain": _views().text_of(self)}
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":
         """Draw the picture with matplotlib.
@@ -36,7 +53,7 @@ class Displayed:
         Raises:
             MissingDependencyError: matplotlib is not installed.
         """
-        return _views().plot_of(self, ax)  # type: ignore[no-any-return]
+        return _views().plot_of(self, ax)
 
 
 class Tabular(Displayed):
@@ -49,7 +66,3 @@ class Tabular(Displayed):
             MissingDependencyError: pandas is not installed.
         """
         return _views().dataframe_of(self)
-
-
-def _views() -> Any:
-    return import_module("probedesign.reports.notebook")

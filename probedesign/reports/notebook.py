@@ -1,7 +1,7 @@
 """What results show in a notebook: a short table, a picture and a data frame of each class of `core.notebook`.
 
-`Summary` describes what is shown of one object; `summary_of` has one entry per class, and so has `rows_of` for the
-classes that are tables. A picture is a `Chart`: SVG in the notebook's output, matplotlib where it is plotted.
+`summary_of` has one entry per class, and so has `rows_of` for the classes that are tables. A picture is a `Chart`: SVG
+in the notebook's output, matplotlib where it is plotted.
 """
 
 import math
