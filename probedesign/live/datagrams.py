@@ -9,17 +9,16 @@ import math
 import socket
 import threading
 from abc import ABC, abstractmethod
-from collections import Counter
-from collections.abc import Mapping
+from collections import Counter, deque
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 from time import monotonic, sleep
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from probedesign.core.csv_tables import UNITS
-from probedesign.core.errors import InputError
+from probedesign.core.errors import InputError, quoted
 from probedesign.live import LOOPBACK, split_address
-from probedesign.live.handover import MAX_QUEUED, Handover
 
 MAX_DATAGRAM = 4096
 """Maximum size of a datagram [bytes]; two or three hundred are needed."""
@@ -33,11 +32,13 @@ def decode_object(content: str | bytes) -> dict[str, Any]:
     Raises:
         InputError: it is neither.
     """
+    packed = isinstance(content, bytes) and content and (content[0] >> 4 == 8 or content[0] in (0xDE, 0xDF))
     try:
-        if isinstance(content, bytes) and content and (content[0] >> 4 == 8 or content[0] in (0xDE, 0xDF)):
-            values = _unpack(content)
-        else:
-            values = json.loads(content)
+        if packed:
+            import msgpack
+        values = msgpack.unpackb(content) if packed else json.loads(content)
+    except ImportError:
+        raise InputError("is MessagePack, which needs: pip install 'probedesign[msgpack]'") from None
     except (ValueError, RecursionError):
         raise InputError("is not JSON or MessagePack") from None
     if not isinstance(values, dict):
@@ -45,42 +46,51 @@ def decode_object(content: str | bytes) -> dict[str, Any]:
     return values
 
 
-def _unpack(content: bytes) -> Any:
-    try:
-        import msgpack
-    except ImportError:
-        raise InputError("is MessagePack, which needs: pip install 'probedesign[msgpack]'") from None
-    return msgpack.unpackb(content)
+Spellings = Mapping[str, float]
+"""Names that a quantity may have in an object, each with the factor of its unit to SI."""
 
 
-def find_quantity(values: Mapping[str, Any], quantity: str, kind: str) -> float | None:
-    """Return a quantity [SI] whose name ends in any unit of its kind, as `x_mm` or `x_m`; None if it is missing.
+def spellings(field: str, kind: str, *other_stems: str) -> Spellings:
+    """Return the names of a quantity: that of `field`, as `x_mm`, and other ones, in every unit of a kind of `UNITS`.
 
-    Args:
-        values: names and values.
-        quantity: name without unit.
-        kind: key of `UNITS`; empty for a quantity without unit.
+    With an empty `kind` it has no unit.
+    """
+    stems = (field.partition("_")[0], *other_stems)
+    units = {f"_{unit}": factor for unit, factor in UNITS[kind].items()} if kind else {"": 1.0}
+    return {stem + unit: factor for stem in stems for unit, factor in units.items()}
+
+
+def read_quantity(values: Mapping[str, Any], names: Spellings) -> float | None:
+    """Return the quantity of an object that has one of these names [SI]; None if it is missing.
 
     Raises:
-        InputError: it is given in two units, or is not a finite number.
+        InputError: it is given twice, or is not a finite number.
     """
-    units = {f"{quantity}_{unit}": factor for unit, factor in UNITS[kind].items()} if kind else {quantity: 1.0}
-    found = [name for name in units if name in values]
-    if not found:
+    given = [name for name in names if name in values]
+    if not given:
         return None
-    if len(found) > 1:
-        raise InputError(f"has {found[0]} and {found[1]}; keep one")
-    return units[found[0]] * _finite(found[0], values[found[0]])
-
-
-def _finite(name: str, value: Any) -> float:
+    if len(given) > 1:
+        raise InputError(f"has {given[0]} and {given[1]}; keep one")
+    value = values[given[0]]
     try:
         number = math.nan if isinstance(value, bool) or value is None else float(value)
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
-        raise InputError(f"{name} = {str(value)[:40]!r} is not a finite number")
-    return number
+        raise InputError(f"{given[0]} = {quoted(value)} is not a finite number")
+    return names[given[0]] * number
+
+
+def read_quantities(values: Mapping[str, Any], fields: Mapping[str, Spellings], what: str) -> list[float]:
+    """Return all quantities of a table of fields [SI]; `what` has them, for messages.
+
+    Raises:
+        InputError: one is missing, given twice, or is not a finite number.
+    """
+    numbers = {field: read_quantity(values, names) for field, names in fields.items()}
+    if missing := [field for field, number in numbers.items() if number is None]:
+        raise InputError(f"has no {', '.join(missing)}; {what} needs {', '.join(fields)}")
+    return [number for number in numbers.values() if number is not None]
 
 
 def parse_listen_address(option: str) -> tuple[str, int]:
@@ -100,12 +110,27 @@ def parse_listen_address(option: str) -> tuple[str, int]:
     return host or LOOPBACK[0], port
 
 
+MAX_QUEUED = 8192
+"""Maximum number of queued values: a second of the fastest sensor."""
 TICK = 0.010
 """Interval in which the number of datagrams is limited [s]. The system drops the rest of a flood."""
 MAX_BURSTS = 50
-"""Number of full ticks after which the user is informed."""
+"""Number of full ticks after which the user is informed: more than a busy machine causes."""
 BUFFER_BYTES = 1 << 22
 """Size of the socket's buffer that is requested of the system; it may grant less."""
+
+T = TypeVar("T")
+
+
+class Handover(deque[T]):
+    """Values that one thread appends and another takes; beyond `MAX_QUEUED` the oldest are dropped."""
+
+    def __init__(self) -> None:
+        super().__init__(maxlen=MAX_QUEUED)
+
+    def take(self) -> list[T]:
+        """Return the values since the last call, in order."""
+        return [self.popleft() for _ in range(len(self))]
 
 
 class DatagramReceiver(ABC):
@@ -116,25 +141,24 @@ class DatagramReceiver(ABC):
         counts: number of datagrams by kind, and of bursts: ticks in which the limit was reached.
     """
 
-    def __init__(self, option: str, name: str, host: str, port: int, max_per_tick: int = 20) -> None:
+    def __init__(self, option: str, name: str, address: tuple[str, int], max_rate: float = 2000.0) -> None:
         """Bind the port; nothing is received before `start`.
 
         Args:
             option: option of the user, for errors.
             name: what is received, in plural, for messages.
-            host: address of this machine to listen on.
-            port: port; 0 lets the system choose.
-            max_per_tick: maximum number of datagrams per `TICK`.
+            address: host and port of this machine to listen on; port 0 lets the system choose.
+            max_rate: maximum number of datagrams per second.
 
         Raises:
             InputError: the port is in use, or the address does not belong to this machine.
         """
         self.counts: Counter[str] = Counter()
-        self._name, self._max_per_tick = name, max_per_tick
+        self._name, self._max_rate = name, max_rate
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
-            self._socket.bind((host, port))
+            self._socket.bind(address)
         except (OSError, OverflowError) as error:
             self._socket.close()
             why = getattr(error, "strerror", None) or str(error)
@@ -179,14 +203,18 @@ class DatagramReceiver(ABC):
             InputError: it is not valid; it is counted, and the first one is reported.
         """
 
+    def reject(self, kind: str, line: str) -> None:
+        """Count a rejected datagram, and report the first of its kind."""
+        self.counts[kind] += 1
+        if self.counts[kind] == 1:
+            self._messages.append(f"{self._name}: {line}; such datagrams are rejected and counted")
+
     def _listen(self) -> None:
         tick, n_tick = monotonic(), 0
         while not self._ended.is_set():
             try:
                 datagram, sender = self._socket.recvfrom(MAX_DATAGRAM + 1)
-            except TimeoutError:
-                continue
-            except OSError:  # the sender's system reports a closed port
+            except OSError:  # the timeout, or the sender's system reports a closed port
                 continue
             now = monotonic()
             if now - tick >= TICK:
@@ -198,22 +226,12 @@ class DatagramReceiver(ABC):
                 self.receive(datagram, sender[:2], now)
             except InputError as error:
                 self.reject("invalid", f"a datagram {error}")
-            if n_tick >= self._max_per_tick:
-                self._count_burst()
+            if n_tick >= self._max_rate * TICK:
+                self.counts["bursts"] += 1
+                if self.counts["bursts"] == MAX_BURSTS:
+                    line = f"more than {self._max_rate:.0f} datagrams a second; the system drops some"
+                    self._messages.append(f"{self._name}: {line}")
                 sleep(max(tick + TICK - monotonic(), 0.0))
-
-    def _count_burst(self) -> None:
-        """Count a full tick; report when there are more than a busy machine causes."""
-        self.counts["bursts"] += 1
-        if self.counts["bursts"] == MAX_BURSTS:
-            rate = self._max_per_tick / TICK
-            self._messages.append(f"{self._name}: more than {rate:.0f} datagrams a second; the system drops some")
-
-    def reject(self, kind: str, line: str) -> None:
-        """Count a rejected datagram, and report the first of its kind."""
-        self.counts[kind] += 1
-        if self.counts[kind] == 1:
-            self._messages.append(f"{self._name}: {line}; such datagrams are rejected and counted")
 
 
 SENDER_TIMEOUT = 1.0
@@ -222,52 +240,75 @@ MAX_TIME_JUMP = 1.0
 """Maximum advance of a time stamp beyond its arrival [s]; more indicates another clock."""
 
 
-class Timed(Protocol):
-    """A value with a time by its sender's clock [s]; NaN without one."""
+class Parsed(NamedTuple, Generic[T]):
+    """Content of one datagram."""
 
-    @property
-    def time(self) -> float:
-        """Time by the sender's clock [s]."""
+    value: T  #: what it contains.
+    frame: str = ""  #: frame of the value, as the sender names it; may be empty.
+    time: float = math.nan  #: time by the sender's clock [s]; NaN without one.
+    sequence: int | None = None  #: number of the datagram; None without one.
 
 
-T = TypeVar("T", bound=Timed)
+class SenderProcess(Protocol):
+    """A process that sends the datagrams for as long as they are received."""
+
+    def start(self, address: tuple[str, int]) -> None:
+        """Start to send to an address."""
+
+    def check(self) -> None:
+        """Raise InputError if nothing more will be sent."""
+
+    def close(self) -> None:
+        """End it."""
 
 
 class StreamListener(DatagramReceiver, Generic[T]):
-    """Receives the values of one sender and queues them; a subclass parses them.
+    """Receives the values of one sender and queues them.
 
     The first sender of a valid value keeps the stream until it is silent for `SENDER_TIMEOUT`. Everything else is
-    counted, and each kind is reported once: invalid, another frame, another sender, time that decreases or jumps.
+    counted, and each kind is reported once: invalid, another frame, another sender, a sequence or a time that decreases
+    or jumps. Datagrams that a gap of the sequence shows as lost are counted too.
 
     Attributes:
+        title: one line that describes the stream.
+        notes: notes for the user.
         frame: frame of the values, as the sender names it; may be empty.
+        sender: process that is started with the stream and sends to it, if any.
     """
 
-    def __init__(self, option: str, name: str, host: str, port: int, max_per_tick: int = 20) -> None:
-        """Bind the port; see `DatagramReceiver`."""
-        super().__init__(option, name, host, port, max_per_tick)
+    def __init__(
+        self,
+        option: str,
+        name: str,
+        address: tuple[str, int],
+        parse: Callable[[Mapping[str, Any]], Parsed[T]],
+        max_rate: float = 2000.0,
+        title: str = "",
+        sender: SenderProcess | None = None,
+    ) -> None:
+        """Bind the port; see `DatagramReceiver`. `parse` returns the content of an object, or raises InputError."""
+        super().__init__(option, name, address, max_rate)
+        self.title = title or "{} by UDP to {}:{}".format(name, *self.address)
+        self.notes = (self.access_note,) if sender is None else ()
+        self.sender, self.frame = sender, ""
+        self._parse = parse
         self._arrived = SimpleQueue[None]()  # a signal within the wait of an Event can leave its lock held
         self._queue = Handover[tuple[float, T, int]]()
-        self._session, self._sender, self.frame = 0, ("", 0), ""
-        self._last: T | None = None
+        self._session, self._address = 0, ("", 0)
+        self._last: Parsed[T] | None = None
         self._last_arrival = -SENDER_TIMEOUT
 
-    @abstractmethod
-    def parse(self, datagram: bytes) -> tuple[T, str]:
-        """Return the value of a datagram and its frame, empty without one; raises InputError if it is not valid."""
+    def start(self) -> None:
+        """Start to receive; see `DatagramReceiver`."""
+        super().start()
+        if self.sender is not None:
+            self.sender.start(self.address)
 
-    def fault(self, value: T, last: T, elapsed: float) -> tuple[str, str] | None:
-        """Return kind and description of an inconsistency with the last value, `elapsed` seconds before, or None."""
-        if math.isnan(value.time) and math.isnan(last.time):
-            return None
-        step = value.time - last.time
-        if math.isnan(step):
-            return "not always timed", "only some datagrams have a time"
-        if step <= 0.0:
-            return "not increasing in time", f"time_s = {value.time:.9g} is not after {last.time:.9g}"
-        if step - elapsed > MAX_TIME_JUMP:
-            return "jumping in time", f"time_s jumps by {step:.3g} s"
-        return None
+    def close(self) -> None:
+        """End the sender, stop the thread and close the socket."""
+        if self.sender is not None:
+            self.sender.close()
+        super().close()
 
     def wait(self, timeout: float) -> None:
         """Return when a value is queued, or after the timeout [s]."""
@@ -296,24 +337,43 @@ class StreamListener(DatagramReceiver, Generic[T]):
         """Queue or reject one datagram; see `DatagramReceiver`."""
         if now - self._last_arrival > SENDER_TIMEOUT:
             self._last = None
-        elif sender != self._sender:
+        elif sender != self._address:
             return self.reject("from another sender", f"{sender[0]}:{sender[1]} sends {self._name} too")
-        value, frame = self.parse(datagram)
+        content = self._parse(decode_object(datagram))
         if self._last is None:
-            self._start_session(sender, frame)
-        elif frame != self.frame:
-            return self.reject("in another frame", f"frame {frame[:40]!r} after {self.frame[:40]!r}")
-        elif fault := self.fault(value, self._last, now - self._last_arrival):
-            return self.reject(*fault)
-        self._last, self._last_arrival = value, now
+            self._session += 1
+            self._address, self.frame = sender, content.frame
+            again = "again " if self._session > 1 else ""
+            frame = f", frame {content.frame[:40]!r}" if content.frame else ""
+            self._messages.append(f"{self._name}: {again}from {sender[0]}:{sender[1]}{frame}")
+        elif content.frame != self.frame:
+            return self.reject("in another frame", f"frame {content.frame[:40]!r} after {self.frame[:40]!r}")
+        elif contradiction := self._contradiction(content, self._last, now - self._last_arrival):
+            return self.reject(*contradiction)
+        self._last, self._last_arrival = content, now
         self.counts["taken"] += 1
-        self._queue.append((now, value, self._session))
+        self._queue.append((now, content.value, self._session))
         if self._arrived.empty():
             self._arrived.put(None)
 
-    def _start_session(self, sender: tuple[str, int], frame: str) -> None:
-        self._session += 1
-        self._sender, self.frame = sender, frame
-        again = "again " if self._session > 1 else ""
-        frame_text = f", frame {frame[:40]!r}" if frame else ""
-        self._messages.append(f"{self._name}: {again}from {sender[0]}:{sender[1]}{frame_text}")
+    def _contradiction(self, new: Parsed[T], last: Parsed[T], elapsed: float) -> tuple[str, str] | None:
+        """Return kind and description of a contradiction to the last datagram, `elapsed` seconds before, or None."""
+        if (new.sequence is None) != (last.sequence is None):
+            return "not always numbered", "only some datagrams have a sequence"
+        lost = 0
+        if new.sequence is not None and last.sequence is not None:
+            lost = new.sequence - last.sequence - 1
+            if lost < 0:
+                return "late or duplicated", f"sequence {new.sequence} after {last.sequence}"
+            if lost >= self._max_rate * (elapsed + MAX_TIME_JUMP):
+                return "leaping in sequence", f"sequence leaps by {lost + 1} within {1e3 * elapsed:.3g} ms"
+        if math.isnan(new.time) != math.isnan(last.time):
+            return "not always timed", "only some datagrams have a time"
+        step = new.time - last.time  # NaN without times
+        if step <= 0.0:
+            return "not increasing in time", f"time_s = {new.time:.9g} is not after {last.time:.9g}"
+        if step - elapsed > MAX_TIME_JUMP:
+            return "jumping in time", f"time_s jumps by {step:.3g} s"
+        if lost:
+            self.counts["lost"] += lost
+        return None

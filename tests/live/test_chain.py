@@ -9,9 +9,10 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import pose
 from probedesign.estimation.bias import WALK_STEPS
 from probedesign.live.blocks import Block
+from probedesign.live.datagrams import decode_object
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.open import open_poses
-from probedesign.live.poses.pose_sources import PoseListener, parse_pose_json
+from probedesign.live.poses.pose_sources import parse_pose
 from probedesign.live.poses.track import TimedPose, pose_from_matrix
 from probedesign.live.processing.chain import Chain, LowPass
 from probedesign.live.processing.control import ProcessingOptions, Tare, TareWindow
@@ -325,7 +326,8 @@ def test_a_filtered_estimate_has_the_time_of_its_signal(estimator, motion):
 def test_poses_of_the_simulated_robot_are_received_in_an_upright_world(motion):
     """What it sends, read as a robot's: gravity is down there, and the way is the base's."""
     model = motion.model
-    stated = [parse_pose_json(SimulatedRobot(motion, float, "127.0.0.1:1").datagram(t, t))[0] for t in (0.0, 7.0, 7.01)]
+    robot = SimulatedRobot(motion, float, "127.0.0.1:1")
+    stated = [parse_pose(decode_object(robot.datagram(t, t))).value for t in (0.0, 7.0, 7.01)]
     poses = BasePoses("robot", stated)
     assert poses.gravity(poses.at(0.0)) == pytest.approx(model.gravity_base, abs=1e-9)
     way = poses.at(7.0)[:3, :3].T @ (poses.at(7.0) - poses.at(0.0))[:3, 3]
@@ -338,7 +340,7 @@ def test_a_robot_needs_an_address(to, motion):
         SimulatedRobot(motion, float, to)
 
 
-class Heard(PoseListener):
+class Heard:
     """Poses as a robot sends them, 7 s ahead of the wrench's clock, each received 4 ms after its stamp."""
 
     def __init__(self, motion):

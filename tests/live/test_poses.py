@@ -15,7 +15,7 @@ from probedesign.live.blocks import Block
 from probedesign.live.datagrams import MAX_DATAGRAM
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.open import open_poses
-from probedesign.live.poses.pose_sources import PoseListener, read_pose_file
+from probedesign.live.poses.pose_sources import listen, read_pose_file
 from probedesign.live.poses.track import MAX_GAP, OFFSET_WINDOW, ClockOffset, PoseTrack, TimedPose, pose_from_matrix
 
 GOOD = {"time_s": 1.0, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "qw": 1.0}
@@ -189,7 +189,7 @@ def test_what_names_no_poses(spec, options, stated):
 
 @pytest.fixture
 def listener():
-    listener = PoseListener("127.0.0.1", 0)
+    listener = listen("udp://127.0.0.1:0", {})
     yield listener
     listener.close()
 

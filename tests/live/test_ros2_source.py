@@ -42,7 +42,7 @@ def test_wrenches_of_a_topic(ros2, estimator, query, unit):
     assert readings[0].wrench_sensor == pytest.approx([0.25, 0, 0, 0, 0, 0.004 * unit], abs=1e-15)
     assert readings[0].time >= 100.0 and (np.diff([r.time for r in readings]) > 0.0).all()
     assert any("'tool0' is interpreted as the sensor frame" in line for line in lines)
-    bridge = source._sender._process
+    bridge = source._listener.sender._process
     assert bridge.poll() is not None  # it ends with the source
 
 
@@ -51,7 +51,7 @@ def test_an_ended_bridge_ends_the_run_with_its_reason(ros2, estimator, monkeypat
     (tmp_path / "rclpy" / "__init__.py").write_text("def init(args=None): raise RuntimeError('no\\x1b[2J middleware')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     source = open_source("ros2://wrench", estimator.model)
-    with pytest.raises(InputError, match=r"has ended: RuntimeError: no\[2J middleware"):
+    with pytest.raises(InputError, match=r"has ended: RuntimeError: no\\x1b\[2J middleware"):
         some_readings(source, 1)
 
 
@@ -79,7 +79,7 @@ def test_poses_of_tf(ros2):
         assert T[:3, 0] == pytest.approx([0.28, 0.96, 0.0], abs=1e-12)
     finally:
         poses.close()
-    assert poses._listener._bridge._process.poll() is not None
+    assert poses._listener.sender._process.poll() is not None
 
 
 @pytest.mark.parametrize("spec", ["tf://world", "tf:world/base", "tf://a/b/c", "tf:///base", "tf://world/base?pyton=x"])

@@ -20,7 +20,7 @@ from probedesign.live.processing.control import ProcessingOptions
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources import source as sources
 from probedesign.live.sources.source import STALE_TIME, open_source
-from probedesign.live.sources.udp import WrenchListener, parse_wrench
+from probedesign.live.sources.udp import parse_wrench, wrench_listener
 from probedesign.rod.contact import solve_frictionless
 from tests.live.peers import Reader, until
 
@@ -75,7 +75,7 @@ def opened(estimator):
 )
 def test_units_are_those_of_the_names(other):
     """The product with a power of ten rounds once: 1e-15 of values below one."""
-    assert parse_wrench(other).wrench == pytest.approx(WRENCH, abs=1e-15)
+    assert parse_wrench(other).value.wrench == pytest.approx(WRENCH, abs=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -299,7 +299,7 @@ def test_ctrl_c_while_waiting_does_not_block_the_thread_that_receives():
         raise KeyboardInterrupt
 
     random.seed(1)
-    with closing(WrenchListener("--source udp://", "127.0.0.1", 0)) as listener:
+    with closing(wrench_listener("--source udp://", ("127.0.0.1", 0))) as listener:
         listener.start()
         previous = signal.signal(signal.SIGALRM, interrupt)
         try:

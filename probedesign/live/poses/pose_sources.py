@@ -8,38 +8,33 @@ from typing import Any, Protocol
 
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_regular
-from probedesign.live.datagrams import StreamListener, decode_object, find_quantity, parse_listen_address
+from probedesign.live.datagrams import (
+    Parsed,
+    StreamListener,
+    decode_object,
+    parse_listen_address,
+    read_quantities,
+    spellings,
+)
 from probedesign.live.poses.track import TimedPose, timed_pose
 
 POSE_COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
 """Names of the fields of a pose, in CSV, JSON lines and UDP packets."""
+POSE_FIELDS = {
+    field: spellings(field, {"s": "time", "mm": "length", "": ""}[field.partition("_")[2]]) for field in POSE_COLUMNS
+}
+"""Names that each may have: time and position may be in other units, as `time_ms` and `x_m`."""
 
 
-def parse_pose(values: Mapping[str, Any]) -> TimedPose:
-    """Return the pose with the fields `POSE_COLUMNS`; other fields are ignored.
-
-    Time and position may be in other units, named by the end of the field: `time_ms`, `x_m`.
-
-    Raises:
-        InputError: a field is missing, duplicated, is not a number, or the numbers are not a pose.
-    """
-    kinds = {"s": "time", "mm": "length", "": ""}
-    parts = [name.partition("_") for name in POSE_COLUMNS]
-    found = [find_quantity(values, quantity, kinds[unit]) for quantity, _, unit in parts]
-    if missing := [name for name, value in zip(POSE_COLUMNS, found, strict=True) if value is None]:
-        raise InputError(f"has no {', '.join(missing)}; a pose needs {', '.join(POSE_COLUMNS)}")
-    time, *numbers = (value for value in found if value is not None)
-    return timed_pose(time, numbers[:3], numbers[3:])
-
-
-def parse_pose_json(text: str | bytes) -> tuple[TimedPose, str]:
-    """Return the pose of a JSON object, and the value of its field `frame`, if any.
+def parse_pose(values: Mapping[str, Any]) -> Parsed[TimedPose]:
+    """Return the pose with `POSE_FIELDS` and its optional `frame`; other fields are ignored.
 
     Raises:
-        InputError: the text is not such an object.
+        InputError: a field is missing, given twice, is not a number, or the numbers are not a pose.
     """
-    values = decode_object(text)
-    return parse_pose(values), str(values.get("frame", ""))
+    time, *numbers = read_quantities(values, POSE_FIELDS, "a pose")
+    pose = timed_pose(time, numbers[:3], numbers[3:])
+    return Parsed(pose, str(values.get("frame", "")), pose.time)
 
 
 def read_pose_file(path: Path) -> list[TimedPose]:
@@ -53,19 +48,18 @@ def read_pose_file(path: Path) -> list[TimedPose]:
         InputError: the file cannot be read, has no poses, or a line is wrong; the message names the line.
     """
     lines = _lines(path)
-    parsers: Iterable[tuple[int, Callable[[], tuple[TimedPose, str]]]]
+    objects: Iterable[tuple[int, Callable[[], dict[str, Any]]]]
     if path.suffix.lower() == ".csv":
         rows = csv.reader(line for _, line in lines)
         header = [name.strip() for name in next(rows, [])]
-        numbered = zip(lines[1:], rows, strict=False)
-        parsers = ((number, partial(_parse_csv_row, header, row)) for (number, _), row in numbered)
+        objects = ((n, partial(_named, header, row)) for (n, _), row in zip(lines[1:], rows, strict=False))
     else:
-        parsers = ((number, partial(parse_pose_json, line)) for number, line in lines)
+        objects = ((number, partial(decode_object, line)) for number, line in lines)
     poses: list[TimedPose] = []
     frames = set()
-    for number, parse in parsers:
+    for number, values_of in objects:
         try:
-            pose, frame = parse()
+            pose, frame, *_ = parse_pose(values_of())
             if poses and not pose.time > poses[-1].time:
                 before = f"{poses[-1].time:.9g}"
                 raise InputError(f"time_s = {pose.time:.9g} is not after {before}; sort the lines")
@@ -81,10 +75,10 @@ def read_pose_file(path: Path) -> list[TimedPose]:
     return poses
 
 
-def _parse_csv_row(header: list[str], row: list[str]) -> tuple[TimedPose, str]:
+def _named(header: list[str], row: list[str]) -> dict[str, Any]:
     if len(row) != len(header):
         raise InputError(f"has {len(row)} fields, but the header has {len(header)}")
-    return parse_pose(dict(zip(header, row, strict=True))), ""
+    return dict(zip(header, row, strict=True))
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
@@ -124,28 +118,16 @@ class PoseStream(Protocol):
         """The counts in one line."""
 
 
-class PoseListener(StreamListener[TimedPose]):
-    """Poses by UDP, one JSON or MessagePack object per datagram; see `StreamListener` and `PoseStream`."""
+def listen(target: str, parameters: Mapping[str, str]) -> StreamListener[TimedPose]:
+    """Listen for poses on `udp://[HOST]:PORT`, one JSON or MessagePack object per datagram; there are no parameters.
 
-    def __init__(self, host: str, port: int) -> None:
-        """Bind the port and start to receive.
-
-        Raises:
-            InputError: the port is in use, or the address does not belong to this machine.
-        """
-        super().__init__(f"--pose udp://{host}:{port}", "poses", host, port)
-        self.title = "poses by UDP to {}:{}".format(*self.address)
-        self.notes: tuple[str, ...] = (self.access_note,)
-        self.start()
-
-    def parse(self, datagram: bytes) -> tuple[TimedPose, str]:
-        """Return the pose of a datagram and its frame."""
-        return parse_pose_json(datagram)
-
-
-def listen(target: str, parameters: Mapping[str, str]) -> PoseListener:
-    """Open `udp://[HOST]:PORT`, which has no parameters of its own."""
-    return PoseListener(*parse_listen_address(f"--pose {target}"))
+    Raises:
+        InputError: the port is in use, or the address does not belong to this machine.
+    """
+    option = f"--pose {target}"
+    listener = StreamListener(option, "poses", parse_listen_address(option), parse_pose)
+    listener.start()
+    return listener
 
 
 POSE_STREAMS = {

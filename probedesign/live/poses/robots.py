@@ -13,7 +13,7 @@ from time import monotonic, sleep
 
 from probedesign.core.errors import InputError, MissingDependencyError, one_line
 from probedesign.live import split_address
-from probedesign.live.handover import Handover
+from probedesign.live.datagrams import Handover
 from probedesign.live.poses.track import TimedPose, timed_pose
 
 POLL_PERIOD = 0.002

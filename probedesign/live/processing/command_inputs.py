@@ -90,7 +90,7 @@ class DatagramInput(DatagramReceiver):
             InputError: the address is invalid, or the port is in use.
         """
         option = f"--control {address}"
-        super().__init__(option, "commands", *parse_listen_address(option))
+        super().__init__(option, "commands", parse_listen_address(option))
         self._commands, self._log = commands, log
         log(self.access_note)
         self.start()

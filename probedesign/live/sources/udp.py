@@ -3,119 +3,85 @@
 from collections import Counter, deque
 from collections.abc import Generator, Mapping
 from contextlib import closing
-from dataclasses import dataclass
 from math import inf, isfinite, isnan, nan
 from statistics import median
 from time import monotonic, sleep
-from typing import Any, Protocol, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
-from probedesign.core.csv_tables import CEILING, WRENCH, WRENCH_ALIASES, WRENCH_KINDS, Frame
-from probedesign.core.errors import InputError, one_line
+from probedesign.core.csv_tables import CEILING, WRENCH_ALIASES, WRENCH_KINDS, Frame
+from probedesign.core.errors import InputError, one_line, quoted
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.blocks import Block, WrenchReading, dropout_block, group_readings
 from probedesign.live.datagrams import (
-    MAX_TIME_JUMP,
     SENDER_TIMEOUT,
+    Parsed,
+    SenderProcess,
     StreamListener,
-    decode_object,
-    find_quantity,
     parse_listen_address,
+    read_quantities,
+    read_quantity,
+    spellings,
 )
 from probedesign.live.sources.source import STALE_TIME, DropoutMonitor, SourceParameter, parse_parameters
 
 MAX_SEQUENCE = 1 << 63
 """Sequence numbers are below this."""
+MAX_RATE = 20_000
+"""Maximum number of datagrams per second."""
+WRENCH_FIELDS = {
+    f"{name}_{'N' if kind == 'force' else 'Nm'}": spellings(
+        name, kind, *(other for other, usual in WRENCH_ALIASES.items() if usual == name)
+    )
+    for name, kind in WRENCH_KINDS.items()
+}
+"""Components of a wrench and the names that each may have; torques may also be named `tx` ... `tz`."""
+TIME = spellings("time_s", "time")
+MAX_WRENCH = np.array([CEILING[kind] for kind in WRENCH_KINDS.values()])
+"""Largest plausible components [N, N·m], (6,)."""
 
 
-@dataclass(frozen=True)
-class WrenchDatagram:
-    """Content of one datagram."""
+class ReceivedWrench(NamedTuple):
+    """Wrench of one datagram, [N, N·m], (6,), its time by the sender's clock [s], NaN without one, and its fault."""
 
-    wrench: Array  #: force and moment [N, N·m], (6,).
-    time: float = nan  #: time by the sender's clock [s]; NaN without one.
-    sequence: int | None = None  #: number of the datagram; None without one.
-    fault: str = ""  #: description of a sensor fault; empty without one.
+    wrench: Array
+    time: float
+    fault: str
 
 
-def parse_wrench(values: Mapping[str, Any]) -> WrenchDatagram:
-    """Return the wrench with the fields `fx_N`, `fy_N`, `fz_N`, `mx_Nm`, `my_Nm`, `mz_Nm`, in any units of `UNITS`.
+def parse_wrench(values: Mapping[str, Any]) -> Parsed[ReceivedWrench]:
+    """Return the wrench with `WRENCH_FIELDS`, in any units of `UNITS`.
 
-    Torques may also be named `tx` ... `tz`. `time_s`, `sequence` and `fault` are optional; other fields are ignored.
+    `time_s`, `sequence`, `frame` and `fault` are optional; other fields are ignored.
 
     Raises:
         InputError: a field is missing, given twice, not a number, or beyond the range of any sensor.
     """
-    other_name = {name: alias for alias, name in WRENCH_ALIASES.items()}
-    wrench = np.empty(6)
-    for i, name in enumerate(WRENCH):
-        kind = WRENCH_KINDS[name]
-        found = [find_quantity(values, each, kind) for each in (name, other_name.get(name)) if each]
-        numbers = [value for value in found if value is not None]
-        unit = "N" if kind == "force" else "Nm"
-        if len(numbers) != 1:
-            problem = "no" if not numbers else "two of"
-            raise InputError(f"has {problem} {name}_{unit}; a wrench needs fx_N, fy_N, fz_N, mx_Nm, my_Nm, mz_Nm")
-        if not abs(numbers[0]) <= CEILING[kind]:
-            raise InputError(f"{name} = {numbers[0]:g} {unit} is beyond {CEILING[kind]:g} {unit}")
-        wrench[i] = numbers[0]
-    time = find_quantity(values, "time", "time")
+    wrench = np.array(read_quantities(values, WRENCH_FIELDS, "a wrench"))
+    if (beyond := ~(np.abs(wrench) <= MAX_WRENCH)).any():
+        i = int(np.argmax(beyond))
+        raise InputError(f"{list(WRENCH_FIELDS)[i]} = {wrench[i]:g} is beyond {MAX_WRENCH[i]:g}")
+    time = read_quantity(values, TIME)
     if time is not None and not abs(time) <= CEILING["time"]:
         raise InputError(f"its time {time:g} s is out of range")
     sequence = values.get("sequence")
     if sequence is not None and (type(sequence) is not int or not 0 <= sequence < MAX_SEQUENCE):
-        raise InputError(f"sequence = {str(sequence)[:40]!r} is not a whole number")
-    fault = one_line(str(values.get("fault") or ""))
-    return WrenchDatagram(wrench, nan if time is None else time, sequence, fault)
+        raise InputError(f"sequence = {quoted(sequence)} is not a whole number")
+    received = ReceivedWrench(wrench, nan if time is None else time, one_line(str(values.get("fault") or "")))
+    return Parsed(received, one_line(str(values.get("frame") or "")), received.time, sequence)
 
 
-MAX_RATE = 20_000
-"""Maximum number of datagrams per second."""
+WrenchListener = StreamListener[ReceivedWrench]
 
 
-class WrenchListener(StreamListener[WrenchDatagram]):
-    """Wrenches by UDP; counts those that a gap of the sequence shows as lost."""
-
-    def __init__(self, option: str, host: str, port: int) -> None:
-        """Bind the port; see `DatagramReceiver`."""
-        super().__init__(option, "wrenches", host, port, max_per_tick=MAX_RATE // 100)
-
-    def parse(self, datagram: bytes) -> tuple[WrenchDatagram, str]:
-        """Return the wrench of a datagram and its frame."""
-        values = decode_object(datagram)
-        return parse_wrench(values), one_line(str(values.get("frame") or ""))
-
-    def fault(self, value: WrenchDatagram, last: WrenchDatagram, elapsed: float) -> tuple[str, str] | None:
-        """Return an inconsistency in sequence or time; count the lost datagrams."""
-        if (value.sequence is None) != (last.sequence is None):
-            return "not always numbered", "only some datagrams have a sequence"
-        if value.sequence is not None and last.sequence is not None:
-            if value.sequence <= last.sequence:
-                return "late or duplicated", f"sequence {value.sequence} after {last.sequence}"
-            step = value.sequence - last.sequence
-            if step > MAX_RATE * (elapsed + MAX_TIME_JUMP):
-                return "leaping in sequence", f"sequence leaps by {step} within {1e3 * elapsed:.3g} ms"
-            found = super().fault(value, last, elapsed)
-            if found is None:
-                self.counts["lost"] += step - 1
-            return found
-        return super().fault(value, last, elapsed)
-
-
-class SenderProcess(Protocol):
-    """A sender of the datagrams that runs as long as the source is read."""
-
-    def start(self, address: tuple[str, int]) -> None:
-        """Start to send to an address."""
-
-    def check(self) -> None:
-        """Raise InputError if nothing more will be sent."""
-
-    def close(self) -> None:
-        """End it."""
+def wrench_listener(
+    option: str, address: tuple[str, int], title: str = "", sender: SenderProcess | None = None
+) -> WrenchListener:
+    """Return a listener for wrenches; see `StreamListener`."""
+    return StreamListener(option, "wrenches", address, parse_wrench, MAX_RATE, title, sender)
 
 
 GATHER_TIME = 0.001
@@ -134,56 +100,44 @@ class UdpSource:
     Attributes:
         title: one line that describes the source.
         notes: notes for the user.
+        address: host and port that receive.
         counts: number of datagrams received, lost and malformed; interruptions.
     """
 
     def __init__(
         self,
         model: ProbeModel,
-        title: str,
         listener: WrenchListener,
         log: Log,
         frame: str = "",
         wait: float = PARAMETERS["wait_s"].default,
-        sender: SenderProcess | None = None,
     ) -> None:
         """Prepare; nothing is received yet.
 
         Args:
             model: probe on the sensor.
-            title: one line that describes the source.
             listener: listener with a bound port.
             log: callback for messages.
             frame: frame of the wrenches; empty: the base frame if the datagrams name it `base`, else the sensor's.
             wait: maximum wait for the first wrench [s].
-            sender: process that is started with the source, if any.
         """
-        self.title, self.notes = title, (listener.access_note,) if sender is None else ()
-        self._model, self._listener, self._log, self._frame, self._sender = (model, listener, log, frame, sender)
+        self.title, self.notes, self.address = listener.title, listener.notes, listener.address
+        self._model, self._listener, self._log, self._frame = model, listener, log, frame
         text = f"no wrench within {wait:g} s; check the sender, its address and port"
-        self._dropout = DropoutMonitor(title, log, text, wait)
+        self._dropout = DropoutMonitor(self.title, log, text, wait)
         self.counts: Counter[str] = Counter()
         self._session, self._stretch = 0, 0
         self._offset, self._time, self._arrival = 0.0, -inf, -inf
         self._intervals: deque[float] = deque(maxlen=USUAL_INTERVALS)
         self._reported = (0, -inf)
 
-    @property
-    def address(self) -> tuple[str, int]:
-        """Host and port that receive."""
-        return self._listener.address
-
     def __iter__(self) -> Generator[Block, None, None]:
         self._dropout.restart()
         with closing(self._listener) as listener:
             listener.start()
             try:
-                if self._sender is not None:
-                    self._sender.start(listener.address)
                 yield from self._blocks(listener)
             finally:
-                if self._sender is not None:
-                    self._sender.close()
                 self._report(listener)
                 self._log(f"{self.title}: {listener.summary}")
 
@@ -198,8 +152,8 @@ class UdpSource:
                 sleep(max(0.0, started + GATHER_TIME - monotonic()))
             elif started - self._arrival > self._stale_time:
                 self._report(listener)
-                if self._sender is not None:
-                    self._sender.check()
+                if listener.sender is not None:
+                    listener.sender.check()
                 self._dropout.on_silence(self._arrival, "is the sender running?")
                 yield dropout_block(self._model.gravity_base, self._dropout.reason, self._stretch)
 
@@ -210,7 +164,7 @@ class UdpSource:
             return SENDER_TIMEOUT
         return max(STALE_TIME, STALE_INTERVALS * median(self._intervals))
 
-    def _reading(self, arrival: float, value: WrenchDatagram, session: int) -> WrenchReading:
+    def _reading(self, arrival: float, value: ReceivedWrench, session: int) -> WrenchReading:
         """Return the reading by the source's clock, which continues where a new session has another one."""
         elapsed = arrival - self._arrival
         stamp = arrival if isnan(value.time) else value.time
@@ -218,7 +172,9 @@ class UdpSource:
         if session != self._session:
             self._session = session
             self._offset = self._time + elapsed - stamp if not first else (-stamp if isnan(value.time) else 0.0)
-            self._report_frame()
+            if (named := self._listener.frame) and not self._frame:
+                used = "base" if named == "base" else "sensor"
+                self._log(f"{self.title}: frame {named[:40]!r} is interpreted as the {used} frame")
         if not first:
             if self._dropout.ongoing or (elapsed > STALE_TIME and elapsed > self._stale_time):
                 self._stretch += 1
@@ -228,19 +184,9 @@ class UdpSource:
             self._intervals.append(elapsed)
         self._time, self._arrival = stamp + self._offset, arrival
         gravity, wrench = self._model.gravity_base, value.wrench
-        if self._in_base:
+        if (self._frame or self._listener.frame) == "base":
             wrench = self._model.to_sensor(wrench, gravity)
         return WrenchReading(self._time, wrench, gravity, None, value.fault, self._stretch, arrival)
-
-    @property
-    def _in_base(self) -> bool:
-        return (self._frame or self._listener.frame) == "base"
-
-    def _report_frame(self) -> None:
-        named = self._listener.frame
-        if named and not self._frame:
-            used = "base" if self._in_base else "sensor"
-            self._log(f"{self.title}: frame {named[:40]!r} is interpreted as the {used} frame")
 
     def _count(self, listener: WrenchListener) -> None:
         """Update the counts, pass messages on, and report an increase of the losses at limited frequency."""
@@ -267,6 +213,5 @@ def open_udp(model: ProbeModel, target: str, query: str, log: Log) -> UdpSource:
     """
     numbers, texts = parse_parameters("udp:", query, PARAMETERS, TEXT_PARAMETERS)
     option = f"--source udp:{target}"
-    listener = WrenchListener(option, *parse_listen_address(option))
-    title = "wrenches by UDP to {}:{}".format(*listener.address)
-    return UdpSource(model, title, listener, log, texts["frame"], numbers["wait_s"])
+    listener = wrench_listener(option, parse_listen_address(option))
+    return UdpSource(model, listener, log, texts["frame"], numbers["wait_s"])

@@ -16,10 +16,12 @@ from probedesign.core.csv_tables import Frame
 from probedesign.core.errors import InputError, one_line
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import LOOPBACK, Log
-from probedesign.live.poses.pose_sources import PoseListener
+from probedesign.live.datagrams import StreamListener
+from probedesign.live.poses.pose_sources import parse_pose
+from probedesign.live.poses.track import TimedPose
 from probedesign.live.sources.replay import MomentUnit
 from probedesign.live.sources.source import parse_parameters
-from probedesign.live.sources.udp import PARAMETERS, UdpSource, WrenchListener
+from probedesign.live.sources.udp import PARAMETERS, UdpSource, wrench_listener
 
 BRIDGE = Path(__file__).with_name("bridge.py")
 SYSTEM_PYTHONS = ("/usr/bin/python3", "python3")
@@ -104,37 +106,29 @@ def open_ros2(model: ProbeModel, target: str, query: str, log: Log) -> UdpSource
         raise InputError(f"{option}: write ros2://TOPIC, as ros2://ft_sensor/wrench")
     python = find_python(option, texts["python"])
     bridge = Bridge(option, python, ("wrench", f"/{topic}"), (texts["moment_unit"] or "Nm",))
-    listener = WrenchListener(option, LOOPBACK[0], 0)
-    title = f"topic /{topic} of ROS 2"
-    return UdpSource(model, title, listener, log, texts["frame"], numbers["wait_s"], bridge)
+    listener = wrench_listener(option, (LOOPBACK[0], 0), f"topic /{topic} of ROS 2", bridge)
+    return UdpSource(model, listener, log, texts["frame"], numbers["wait_s"])
 
 
-class TransformPoses(PoseListener):
+class TransformPoses(StreamListener[TimedPose]):
     """Poses of TF, which a bridge sends; see `PoseStream`."""
 
-    def __init__(self, bridge: Bridge, title: str) -> None:
-        """Start to receive, and start the bridge."""
-        super().__init__(LOOPBACK[0], 0)
-        self.title = title
-        self.notes = ()
-        self._bridge, self._running = bridge, True
-        bridge.start(self.address)
+    _end_reported = False
 
     def pop_messages(self) -> list[str]:
         """Return the messages to the user since the last call, with the end of the bridge once."""
         lines = super().pop_messages()
         try:
-            if self._running:
-                self._bridge.check()
+            if self.sender is not None and not self._end_reported:
+                self.sender.check()
         except InputError as error:
-            self._running = False
+            self._end_reported = True
             lines.append(str(error))
         return lines
 
     def close(self) -> None:
-        """End the bridge and close the socket."""
-        self._bridge.close()
-        self._running = False
+        """End the bridge, which is not reported, and close the socket."""
+        self._end_reported = True
         super().close()
 
 
@@ -152,4 +146,7 @@ def open_tf(target: str, parameters: Mapping[str, str]) -> TransformPoses:
         raise InputError(f"{option}: write tf://WORLD/BASE, as tf://world/probe_base")
     world, base = unquote(world), unquote(base)
     bridge = Bridge(option, find_python(option, parameters.get("python", "")), ("tf", world, base))
-    return TransformPoses(bridge, f"TF of {base} in {world}")
+    title = f"TF of {base} in {world}"
+    poses = TransformPoses(option, "poses", (LOOPBACK[0], 0), parse_pose, title=title, sender=bridge)
+    poses.start()
+    return poses
