@@ -42,8 +42,7 @@ if TYPE_CHECKING:
     from probedesign.rod.batch import solve_batch
     from probedesign.rod.contact import solve_frictionless
     from probedesign.rod.equilibrium import Equilibrium
-    from probedesign.rod.friction import CoulombSolver
-    from probedesign.rod.obstacle import press_against_line, press_against_point
+    from probedesign.rod.friction import CoulombSolver, press_against_line, press_against_point
     from probedesign.rod.rod import Rod
     from probedesign.validation.validate import ValidationReport, validate
 
@@ -68,8 +67,7 @@ _MODULES = {
     "rod.batch": ("solve_batch",),
     "rod.contact": ("solve_frictionless",),
     "rod.equilibrium": ("Equilibrium",),
-    "rod.friction": ("CoulombSolver",),
-    "rod.obstacle": ("press_against_line", "press_against_point"),
+    "rod.friction": ("CoulombSolver", "press_against_line", "press_against_point"),
     "rod.rod": ("Rod",),
     "validation.validate": ("ValidationReport", "validate"),
 }

@@ -1,13 +1,13 @@
 """Contact forces that turn with the deformed surface on which they act: without friction, and of given direction.
 
 `solve_frictionless` takes the arclength where the force's line of action meets the centreline, `solve_surface_force`
-the touched point itself. `probedesign.rod.obstacle` and `probedesign.rod.friction` find the force from the position of
-an object instead; `coulomb_residuals` are the equations of the latter, for complex steps.
+the touched point itself: both are a force and a couple that are fixed in the axes of the section (`_solve_following`).
+`probedesign.rod.friction` finds the force from the position of an object instead. The estimators have a compiled
+counterpart that is linearised from one sweep (`rod.kernels.surface_contact`); simulated truth does not share it.
 """
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,9 +18,95 @@ from probedesign.core.units import MILLINEWTON
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.rod import Mode, Rod
 
-_MAX_ITERATIONS = 20  # of Newton's method; where they do not suffice, the push is increased in smaller steps
-_CLOSE = 1e-10  # relative residual of the force: below the error of the rod's fast mode
+_MAX_ITERATIONS = 20  # of Newton's method; where they do not suffice, the load is increased in smaller steps
+_CLOSE = 1e-10  # relative residual of force and couple: below the error of the rod's fast mode
 _MIN_STEP = 1e-3  # of the magnitude: a smaller one means that the rod buckles
+
+
+class _FollowingLoad(NamedTuple):
+    """An equilibrium under a load that turns with its section."""
+
+    result: str  #: "ok" or the code of the failed equilibrium.
+    equilibrium: Equilibrium
+    axes: Array  #: of the section as columns x, y, tangent, (3, 3); meaningful only with "ok", as all that follows.
+    load: Array  #: force, or force and couple, [N, N·m], (n,).
+    jacobian: Array  #: of the residual by the load, (n, n).
+    by_s: Array  #: derivative of the load at a given equilibrium by the arclength, (n,).
+
+
+def _solve_following(rod: Rod, gravity: Array, s: float, unit: Array, magnitude: float, mode: Mode) -> _FollowingLoad:
+    """Solve for the equilibrium under the load f R u, with R the axes of the deformed section at s.
+
+    Newton's method on the load, with the rod's exact sensitivities. Where it fails, f is increased from zero in steps.
+
+    Args:
+        rod: the rod.
+        gravity: in base axes [m/s²], (3,).
+        s: where it acts [m].
+        unit: u in section axes, a force or a force and a couple [m], (3,) or (6,).
+        magnitude: f [N].
+        mode: "fast" or "reference".
+    """
+    solved = _newton(rod, gravity, s, unit, magnitude, mode, None)
+    if solved.result == "ok":
+        return solved
+    reached, step, last = 0.0, magnitude / 4.0, None
+    while reached < magnitude:
+        goal = min(reached + step, magnitude)
+        solved = _newton(rod, gravity, s, unit, goal, mode, last)
+        if solved.result == "ok":
+            reached, last, step = goal, solved, 2.0 * step
+        elif step < _MIN_STEP * magnitude:
+            break
+        else:
+            step /= 4.0
+    return solved
+
+
+def _newton(
+    rod: Rod, gravity: Array, s: float, unit: Array, magnitude: float, mode: Mode, last: _FollowingLoad | None
+) -> _FollowingLoad:
+    """Solve for one magnitude, from the equilibrium at a smaller one or from the unbent rod."""
+    with_couple = len(unit) == 6
+    by_load = [0, 1, 2, 4, 5, 6] if with_couple else [0, 1, 2]
+    if last is None:
+        load, tip = magnitude * unit, None
+    else:
+        ahead = magnitude - float(np.linalg.norm(last.load[0:3])) / float(np.linalg.norm(unit[0:3]))
+        load = last.load + ahead * np.linalg.solve(last.jacobian, _turned(last.axes, unit))
+        tip = last.equilibrium.tip
+    close = _CLOSE * max(magnitude, 1e-12) * np.array([1.0] * 3 + [rod.length] * 3)[: len(unit)]
+    result = "not_converged"
+    for _ in range(_MAX_ITERATIONS):
+        eq = rod.solve(
+            gravity, load[0:3], s, couple=load[3:6] if with_couple else np.zeros(3), mode=mode, guess=tip,
+            guess_only=True, columns="contact" if with_couple else "load",
+        )  # fmt: skip
+        if not eq.ok or eq.sensitivity is None:
+            result = eq.result
+            break
+        axes, d = _axes(eq.sensitivity.frame), eq.sensitivity.d_contact
+        turning = magnitude * np.stack([_turned(_axes(column), unit) for column in d.T], axis=1)
+        jacobian = np.eye(len(unit)) - turning[:, by_load]
+        misfit = load - magnitude * _turned(axes, unit)
+        if (np.abs(misfit) <= close).all():
+            return _FollowingLoad("ok", eq, axes, load, jacobian, turning[:, 3])
+        load = load - np.linalg.solve(jacobian, misfit)
+        if np.linalg.norm(load[0:3]) > 3.0 * magnitude * np.linalg.norm(unit[0:3]):  # left the sphere of all forces
+            break
+        tip = eq.tip
+    none = np.full(len(unit), np.nan)
+    return _FollowingLoad(result, eq, np.full((3, 3), np.nan), none, np.full((len(unit), len(unit)), np.nan), none)
+
+
+def _turned(axes: Array, unit: Array) -> Array:
+    """Return a load in base axes from that in section axes; linear in the axes, so it maps derivatives too."""
+    return np.asarray((unit.reshape(-1, 3) @ axes.T).ravel())
+
+
+def _axes(column: Array) -> Array:
+    """Return [x, y, tangent] as columns from the kernels' [tangent, x, position, y], (12,) to (3, 3)."""
+    return np.stack([column[3:6], column[9:12], column[0:3]], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -61,8 +147,7 @@ def solve_frictionless(
 
     F = f (cos α u - sin α t), where u = x cos φ + y sin φ is the push seen in the bent section's own axes,
     t the bent tangent and α the half-angle of the frustum: the outward normal leans towards the tip, so
-    the push leans towards the base. Solved for F by Newton's method with the rod's exact sensitivities; where that
-    fails, the push is increased from zero in steps.
+    the push leans towards the base.
 
     Args:
         rod: the rod.
@@ -76,80 +161,15 @@ def solve_frictionless(
     Returns:
         The contact; its numbers are finite only with result "ok". If the rod buckles, the result is "not_converged".
     """
-    s_contact = min(s_contact, rod.flank_end)
-    push = _Push(rod, np.asarray(gravity, dtype=float), s_contact, angle, mode)
-    found = push.at(magnitude, None)
-    if found.result == "ok":
-        return found
-    reached, step, last = 0.0, magnitude / 4.0, None
-    while reached < magnitude:
-        goal = min(reached + step, magnitude)
-        found = push.at(goal, last)
-        if found.result == "ok":
-            reached, last, step = goal, found, 2.0 * step
-        elif step < _MIN_STEP * magnitude:
-            return found
-        else:
-            step /= 4.0
-    return found
-
-
-@dataclass(frozen=True)
-class _Push:
-    """Solves for a frictionless push of given place and direction."""
-
-    rod: Rod
-    gravity: Array
-    s: float
-    angle: float
-    mode: Mode
-
-    def at(self, magnitude: float, last: FrictionlessContact | None) -> FrictionlessContact:
-        """Solve for one magnitude by Newton's method, from the contact at a smaller one or from the unbent rod."""
-        if last is None:
-            force, guess = magnitude * self._normal(np.eye(3)), None
-        else:
-            ahead = magnitude - float(np.linalg.norm(last.force_base))
-            force, guess = last.force_base + ahead * last.d_force[:, 2], last.equilibrium.tip
-        for _ in range(_MAX_ITERATIONS):
-            eq = self.rod.solve(
-                self.gravity, force, self.s, mode=self.mode, guess=guess, guess_only=True, columns="load"
-            )
-            if not eq.ok or eq.sensitivity is None:
-                return FrictionlessContact(eq.result, eq, np.full(3, np.nan), np.full((3, 3), np.nan))
-            frame, d = eq.sensitivity.frame, eq.sensitivity.d_contact
-            R = _axes(frame)
-            d_normal = magnitude * np.stack([self._normal(_axes(d[:, j])) for j in range(4)], axis=-1)
-            jacobian = np.eye(3) - d_normal[:, 0:3]
-            misfit = force - magnitude * self._normal(R)
-            if np.linalg.norm(misfit) <= _CLOSE * max(magnitude, 1e-12):
-                direct = np.stack([d_normal[:, 3], magnitude * self._turned(R), self._normal(R)], axis=-1)
-                d_force = np.linalg.solve(jacobian, direct).astype(float, copy=False)
-                return FrictionlessContact("ok", eq, force, d_force)
-            force = force - np.linalg.solve(jacobian, misfit)
-            if np.linalg.norm(force) > 3.0 * magnitude:  # the iteration left the sphere on which F must be
-                break
-            guess = eq.tip
-        return FrictionlessContact("not_converged", eq, np.full(3, np.nan), np.full((3, 3), np.nan))
-
-    @cached_property
-    def _weights(self) -> tuple[float, float, float]:
-        """Return the unit push in the section's axes."""
-        alpha = math.atan(self.rod.taper_at(self.s))
-        return (math.cos(alpha) * math.cos(self.angle), math.cos(alpha) * math.sin(self.angle), -math.sin(alpha))
-
-    def _normal(self, R: Array) -> Array:
-        """Return the unit push for the axes R (columns x, y, tangent); linear in R, so it maps derivatives too."""
-        x, y, z = self._weights
-        return x * R[:, 0] + y * R[:, 1] + z * R[:, 2]
-
-    def _turned(self, R: Array) -> Array:
-        """Return the derivative of the unit push by the angle."""
-        x, y, _ = self._weights
-        return x * R[:, 1] - y * R[:, 0]
-
-
-_MAX_SURFACE_ITERATIONS = 15
+    s = min(s_contact, rod.flank_end)
+    alpha = math.atan(rod.taper_at(s))
+    x, y = math.cos(alpha) * math.cos(angle), math.cos(alpha) * math.sin(angle)
+    unit = np.array([x, y, -math.sin(alpha)])
+    solved = _solve_following(rod, np.asarray(gravity, dtype=float), s, unit, magnitude, mode)
+    by_angle = magnitude * _turned(solved.axes, np.array([-y, x, 0.0]))
+    direct = np.stack([solved.by_s, by_angle, _turned(solved.axes, unit)], axis=-1)
+    d_force = np.linalg.solve(solved.jacobian, direct).astype(float, copy=False)
+    return FrictionlessContact(solved.result, solved.equilibrium, solved.load, d_force)
 
 
 class SurfaceForce(NamedTuple):
@@ -187,50 +207,15 @@ def solve_surface_force(
     Returns:
         The equilibrium; its numbers are finite only with result "ok".
     """
-    profile = SurfaceProfile.of(rod)
-    radius, tan = (float(v) for v in profile.at(np.array(min(s, rod.length) / rod.length)))
+    radius, tan = (float(v) for v in SurfaceProfile.of(rod).at(np.array(min(s, rod.length) / rod.length)))
     radius, cos = radius * rod.length, 1.0 / math.hypot(1.0, tan)
     e, h = (np.array([math.cos(angle), math.sin(angle), 0.0]), np.array([-math.sin(angle), math.cos(angle), 0.0]))
     t = np.array([0.0, 0.0, 1.0])
-    local = -cos * (e + tan * t) + tangential[0] * cos * (t - tan * e) + tangential[1] * h
-    both = np.concatenate([local, np.cross(radius * e, local)])  # force and couple of 1 N, section axes
-    load, guess, reached, step = np.concatenate([both[0:3], both[3:6]]), None, 0.0, 1.0
-    last_load, last_tip = np.zeros(6), None
-    none = np.full(3, np.nan)
-    while reached < 1.0:
-        goal = min(1.0, reached + step)
-        size = goal * normal_force
-        load = last_load * (goal / reached) if reached else size * both
-        guess, found = last_tip, "not_converged"
-        for _ in range(_MAX_SURFACE_ITERATIONS):
-            eq = rod.solve(gravity, load[0:3], s, couple=load[3:6], mode=mode, guess=guess,
-                           guess_only=guess is not None, columns="contact")  # fmt: skip
-            if not eq.ok or eq.sensitivity is None:
-                found = eq.result
-                break
-            frame, d = _axes(eq.sensitivity.frame), eq.sensitivity.d_contact
-            want = size * np.concatenate([frame @ both[0:3], frame @ both[3:6]])
-            off = load - want
-            if np.linalg.norm(off[0:3]) <= 1e-9 * normal_force and np.linalg.norm(off[3:6]) <= 1e-9 * (
-                normal_force * rod.length
-            ):
-                found = "ok"
-                break
-            columns = [*range(3), *range(4, 7)]
-            turned = np.stack(
-                [np.concatenate([_axes(d[:, j]) @ both[0:3], _axes(d[:, j]) @ both[3:6]]) for j in columns], axis=1
-            )
-            load = load - np.linalg.solve(np.eye(6) - size * turned, off)
-            guess = eq.tip
-        if found == "ok":
-            reached, last_load, last_tip, step = goal, load, eq.tip, 2.0 * step
-            continue
-        step *= 0.25
-        if step < 1e-3:
-            return SurfaceForce(found, eq, none, none)
-    assert eq is not None and eq.sensitivity is not None  # the last step was solved
-    point = eq.p_contact_base + radius * (_axes(eq.sensitivity.frame) @ e)
-    return SurfaceForce("ok", eq, load[0:3], np.asarray(point))
+    force = -cos * (e + tan * t) + tangential[0] * cos * (t - tan * e) + tangential[1] * h
+    unit = np.concatenate([force, np.cross(radius * e, force)])
+    solved = _solve_following(rod, np.asarray(gravity, dtype=float), s, unit, normal_force, mode)
+    point = solved.equilibrium.p_contact_base + radius * (solved.axes @ e)
+    return SurfaceForce(solved.result, solved.equilibrium, solved.load[0:3], np.asarray(point))
 
 
 def line_of_action(rod: Rod, eq: Equilibrium, p_surface: ArrayLike) -> float:
@@ -252,11 +237,6 @@ def line_of_action(rod: Rod, eq: Equilibrium, p_surface: ArrayLike) -> float:
     radius = float(np.linalg.norm(arm))
     s = eq.s_contact - radius * float(force @ t) / (float(force @ arm) / radius)
     return min(max(s, 0.0), rod.length)
-
-
-def _axes(column: Array) -> Array:
-    """Return [x, y, tangent] as columns from the kernels' [tangent, x, position, y], (12,) to (3, 3)."""
-    return np.stack([column[3:6], column[9:12], column[0:3]], axis=-1)
 
 
 Numbers = NDArray[Any]
@@ -291,69 +271,8 @@ def _straight(s: Numbers, knots: Array, values: Array) -> Numbers:
     """Interpolate linearly, and extrapolate beyond the ends."""
     i = np.clip(np.searchsorted(knots, s.real, side="right") - 1, 0, len(knots) - 2)
     slope = (values[i + 1] - values[i]) / (knots[i + 1] - knots[i])
-    found: Numbers = values[i] + slope * (s - knots[i])
-    return found
-
-
-def coulomb_residuals(
-    z: Numbers,
-    before: Array,
-    point: Array,
-    direction: Array | None,
-    profile: SurfaceProfile,
-    friction: float,
-    stiffness: float | None,
-) -> Numbers:
-    """Return the residuals of couple, place, edge and Coulomb's law, (9, m), without dimension.
-
-    Args:
-        z: [9 unknowns, 12 of the section's tangent, x axis, position and y axis], lengths over the rod's, (21, m);
-            the unknowns are force (3), couple (3), s, φ and λ.
-        before: s, φ and λ before the step, (3,).
-        point: of the object, over the rod's length, (3,).
-        direction: of its edge, unit, (3,); None for a point.
-        profile: of the rod.
-        friction: coefficient μ.
-        stiffness: k of the slip law; None for stick.
-    """
-    F, C, s, angle, way = z[0:3], z[3:6], z[6], z[7], z[8]
-    t, x, p, y = z[9:12], z[12:15], z[15:18], z[18:21]
-    radius, tan = profile.at(s)
-    cos = 1.0 / np.sqrt(1.0 + tan * tan)
-    e, h = np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
-    a, normal = cos * (t - tan * e), cos * (e + tan * t)
-    arm = radius * e
-    couple = C - cross(arm, F)
-    apart = p + arm - point[:, None]
-    slide_a, slide_h = (s - before[0]) / cos, radius * (angle - before[1])
-    edge = way
-    if direction is not None:
-        line = direction[:, None]
-        apart = apart - way * line
-        edge = dot(normal, line)
-        slide_a = slide_a - (way - before[2]) * dot(a, line)
-        slide_h = slide_h - (way - before[2]) * dot(h, line)
-    if stiffness is None:
-        law = (slide_a, slide_h)
-    else:
-        F_a, F_h = dot(F, a), dot(F, h)
-        law = (F_a, F_h)
-        if friction > 0.0:
-            tau_a, tau_h = F_a + stiffness * slide_a, F_h + stiffness * slide_h
-            limit = -friction * dot(F, normal) / np.sqrt(tau_a * tau_a + tau_h * tau_h + 1e-300)
-            law = (F_a - limit * tau_a, F_h - limit * tau_h)
-    return np.stack([*couple, *apart, edge, *law])
-
-
-def dot(a: Numbers, b: Numbers) -> Numbers:
-    """Return the dot products of columns, (m,); complex steps pass through, unlike in `np.vdot`."""
-    product: Numbers = (a * b).sum(axis=0)
-    return product
-
-
-def cross(a: Numbers, b: Numbers) -> Numbers:
-    """Return the cross products of columns, (3, m)."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    interpolated: Numbers = values[i] + slope * (s - knots[i])
+    return interpolated
 
 
 DEFAULT_FORCE = 20.0 * MILLINEWTON

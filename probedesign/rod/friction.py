@@ -20,9 +20,8 @@ friction on the rod pointing where the object slides. Any k > 0 has the same sol
 is tried and kept inside the cone (return mapping); otherwise slip is solved (P. Wriggers, Computational Contact
 Mechanics, 2nd ed., 2006, ch. 5.2 and 9; P. Alart, A. Curnier, Comput. Methods Appl. Mech. Eng. 92, 1991).
 
-Friction is modelled on the flank, whose normal turns smoothly over a short length at the knots of a profile, as the
-frictionless contact turns abruptly. At the rim and the flat end of a blunt tip it is not: there the result is "on_end"
-and `probedesign.rod.obstacle` solves the contact without friction.
+The contact is on the flank, whose normal turns smoothly over a short length at the knots of a profile. At the rim and
+the flat end of a blunt tip there is no model: the result is "on_end".
 """
 
 import math
@@ -34,10 +33,10 @@ from numpy.typing import ArrayLike
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
-from probedesign.rod.contact import SurfaceProfile, coulomb_residuals
+from probedesign.rod.contact import Numbers, SurfaceProfile
 from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.first_contact import FirstContactQuery, NearestPoint, Obstacle
 from probedesign.rod.rod import Mode, Rod, finite_vector, require_round_section
-from probedesign.rod.surface import FirstContactQuery, NearestPoint, Obstacle
 
 ASSUMED_FRICTION = 0.5
 """Friction coefficient of the simulators: assumed, the lower end of about 0.5 to 1 for soft polyurethane on card,
@@ -47,6 +46,8 @@ ASSUMED_SPREAD = 0.2
 MAX_FRICTION = 3.0
 """Largest friction coefficient that the simulators take: rubber on dry glass reaches 1 to 2 (assumed bound)."""
 
+_MAX_DISTANCE = 1e6
+"""Of an object, in rod lengths: beyond, rounding of the path exceeds the tolerance."""
 _U = 9
 """Unknowns: force (3), couple (3), s, φ, λ."""
 _CLOSE = {"fast": 1e-8, "reference": 1e-11}
@@ -66,6 +67,67 @@ _MAX_TURN = 0.2
 """Rotation of the tip and of the normal in one step [rad]: stays on the branch."""
 _MAX_SLIDE = 0.02
 """Slide in one step [rod lengths]: beyond, the rod has snapped past the object."""
+
+
+def coulomb_residuals(
+    z: Numbers,
+    before: Array,
+    point: Array,
+    direction: Array | None,
+    profile: SurfaceProfile,
+    friction: float,
+    stiffness: float | None,
+) -> Numbers:
+    """Return the residuals of couple, position, edge and Coulomb's law, (9, m), without dimension.
+
+    Args:
+        z: [9 unknowns, 12 of the section's tangent, x axis, position and y axis], lengths over the rod's, (21, m);
+            the unknowns are force (3), couple (3), s, φ and λ.
+        before: s, φ and λ before the step, (3,).
+        point: of the object, over the rod's length, (3,).
+        direction: of its edge, unit, (3,); None for a point.
+        profile: of the rod.
+        friction: coefficient μ.
+        stiffness: k of the slip law; None for stick.
+    """
+    F, C, s, angle, way = z[0:3], z[3:6], z[6], z[7], z[8]
+    t, x, p, y = z[9:12], z[12:15], z[15:18], z[18:21]
+    radius, tan = profile.at(s)
+    cos = 1.0 / np.sqrt(1.0 + tan * tan)
+    e, h = np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
+    a, normal = cos * (t - tan * e), cos * (e + tan * t)
+    arm = radius * e
+    couple = C - cross(arm, F)
+    apart = p + arm - point[:, None]
+    slide_a, slide_h = (s - before[0]) / cos, radius * (angle - before[1])
+    edge = way
+    if direction is not None:
+        line = direction[:, None]
+        apart = apart - way * line
+        edge = dot(normal, line)
+        slide_a = slide_a - (way - before[2]) * dot(a, line)
+        slide_h = slide_h - (way - before[2]) * dot(h, line)
+    if stiffness is None:
+        law = (slide_a, slide_h)
+    else:
+        F_a, F_h = dot(F, a), dot(F, h)
+        law = (F_a, F_h)
+        if friction > 0.0:
+            tau_a, tau_h = F_a + stiffness * slide_a, F_h + stiffness * slide_h
+            limit = -friction * dot(F, normal) / np.sqrt(tau_a * tau_a + tau_h * tau_h + 1e-300)
+            law = (F_a - limit * tau_a, F_h - limit * tau_h)
+    return np.stack([*couple, *apart, edge, *law])
+
+
+def dot(a: Numbers, b: Numbers) -> Numbers:
+    """Return the dot products of columns, (m,); complex steps pass through, unlike in `np.vdot`."""
+    product: Numbers = (a * b).sum(axis=0)
+    return product
+
+
+def cross(a: Numbers, b: Numbers) -> Numbers:
+    """Return the cross products of columns, (3, m)."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 @dataclass(frozen=True)
@@ -154,7 +216,7 @@ class CoulombSolver:
             The contact.
 
         Raises:
-            InputError: an argument is not finite, the direction is zero, or the path starts in the rod.
+            InputError: an argument is not finite or far out, the direction is zero, or the path starts in the rod.
         """
         first = self.touch(gravity, point, travel, direction)
         return self.advance(first, point) if first.ok else first
@@ -171,6 +233,9 @@ class CoulombSolver:
         """
         g, p = finite_vector("gravity", gravity), finite_vector("point", point)
         v = finite_vector("travel", travel)
+        for name, vector in (("point", p), ("travel", v)):
+            if not np.abs(vector).max() <= _MAX_DISTANCE * self.rod.length:
+                raise InputError(f"{name} = {vector.tolist()} is more than a million lengths away")
         d = None if direction is None else _unit(direction)
         free = self.rod.solve(g, mode=self.mode)
         blank = self._without(free.result if not free.ok else "no_contact", free, g, p, d)
@@ -223,16 +288,15 @@ class CoulombSolver:
         while at < 1.0:
             goal = 1.0 if at + 1.01 * step >= 1.0 else at + step  # so that no very short step remains
             d = None if d0 is None or d1 is None else _unit((1.0 - goal) * d0 + goal * d1)
-            found = self._increment(
-                here, last.object_point + goal * (end - last.object_point), d, g0 + goal * (g1 - g0)
-            )
-            if isinstance(found, CoulombContact):
-                at, here, step = goal, found, min(2.0 * step, whole)
+            target = last.object_point + goal * (end - last.object_point)
+            contact = self._increment(here, target, d, g0 + goal * (g1 - g0))
+            if isinstance(contact, CoulombContact):
+                at, here, step = goal, contact, min(2.0 * step, whole)
                 continue
-            cut = _LOST_STEP if found == "no_contact" else _MIN_STEP
+            cut = _LOST_STEP if contact == "no_contact" else _MIN_STEP
             if (goal - at) * way <= cut:
                 free = self.rod.solve(g1, mode=self.mode)
-                result = "unstable" if found == "far" else found
+                result = "unstable" if contact == "far" else contact
                 return self._without(result, free, g1, end, d1)
             step = 0.25 * (goal - at)
         return here
@@ -250,25 +314,22 @@ class CoulombSolver:
         free, length, d = blank.equilibrium, self.rod.length, obstacle.direction
         line = np.zeros(3) if d is None else d
 
-        def frame(s: float) -> tuple[Array, Array]:
-            s = min(max(s, 0.0), length)
-            return free.p_at(s), free.R_at(s)
-
         def residual(v: Array) -> Array:
-            p, R = frame(v[0] * length)
+            s_on_rod = min(max(v[0], 0.0), 1.0) * length
+            p, R = free.p_at(s_on_rod), free.R_at(s_on_rod)
             e = math.cos(v[1]) * R[:, 0] + math.sin(v[1]) * R[:, 1]
             radius, tan = (float(f) for f in self._profile.at(np.array(v[0])))
             apart = (p - obstacle.at(v[3])) / length + radius * e - v[2] * line
             flat = v[2] if d is None else float((e + tan * R[:, 2]) @ line)
             return np.append(apart, flat)
 
-        p, R = frame(near.s)
+        p, R = free.p_at(near.s), free.R_at(near.s)
         out = R.T @ (obstacle.at(part) + near.way * line - p)
         v = np.array([near.s / length, math.atan2(out[1], out[0]), near.way / length, part])
         best, size = v, math.inf
         for _ in range(_MAX_ITERATIONS):
-            off = residual(v)
-            if (new := float(np.abs(off).max())) >= 0.5 * size and size < 1e-10:
+            misfit = residual(v)
+            if (new := float(np.abs(misfit).max())) >= 0.5 * size and size < 1e-10:
                 break
             if new < size:
                 best, size = v, new
@@ -277,7 +338,7 @@ class CoulombSolver:
                 h = np.zeros(4)
                 h[j] = 1e-6
                 jacobian[:, j] = (residual(v + h) - residual(v - h)) / 2e-6
-            v = v - np.linalg.lstsq(jacobian, off, rcond=1e-12)[0]
+            v = v - np.linalg.lstsq(jacobian, misfit, rcond=1e-12)[0]
         if not size < 1e-8:
             return replace(blank, result="not_converged")
         s, angle, way, part = (float(value) for value in best)
@@ -323,12 +384,12 @@ class CoulombSolver:
             return "not_converged"
         return self._checked(last, slipped)
 
-    def _checked(self, last: CoulombContact, found: CoulombContact) -> CoulombContact | str:
+    def _checked(self, last: CoulombContact, contact: CoulombContact) -> CoulombContact | str:
         """Return the contact if it continues the last one, else "far"."""
-        turn = float(np.linalg.norm(found.normal - last.normal))
-        turn = max(turn, float(np.linalg.norm(found.equilibrium.tip_tangent - last.equilibrium.tip_tangent)))
-        far = turn > _MAX_TURN or float(np.linalg.norm(found.slide)) > _MAX_SLIDE * self.rod.length
-        return "far" if far else found
+        turn = float(np.linalg.norm(contact.normal - last.normal))
+        turn = max(turn, float(np.linalg.norm(contact.equilibrium.tip_tangent - last.equilibrium.tip_tangent)))
+        far = turn > _MAX_TURN or float(np.linalg.norm(contact.slide)) > _MAX_SLIDE * self.rod.length
+        return "far" if far else contact
 
     def _newton(
         self,
@@ -357,18 +418,18 @@ class CoulombSolver:
             d = scales[:, None] * eq.sensitivity.d_contact * loads
             inputs = np.concatenate([x, scales * eq.sensitivity.frame])
             steps = inputs[:, None] + 1j * _IMAGINARY * np.eye(len(inputs))
-            place = goal.object_point / length
-            found = coulomb_residuals(steps, before, place, goal.direction, self._profile, self.friction, stiffness)
-            off, by = found[:, 0].real, found.imag / _IMAGINARY
+            residuals = coulomb_residuals(steps, before, goal.object_point / length, goal.direction, self._profile,
+                                          self.friction, stiffness)  # fmt: skip
+            misfit, by = residuals[:, 0].real, residuals.imag / _IMAGINARY
             of_force = close * max(float(np.linalg.norm(x[0:3])), _MIN_FORCE)
             allowed = np.array([of_force] * 3 + [close] * 4 + [close if stiffness is None else of_force] * 2)
-            if (np.abs(off) <= allowed).all():
+            if (np.abs(misfit) <= allowed).all():
                 return self._contact(goal, x, before, eq, "stick" if stiffness is None else "slip")
             frame_by_unknowns = np.zeros((12, _U))
             frame_by_unknowns[:, 0:3], frame_by_unknowns[:, 3:6] = d[:, 0:3], d[:, 4:7]
             frame_by_unknowns[:, 6] = d[:, 3]
             try:
-                change = np.linalg.solve(by[:, :_U] + by[:, _U:] @ frame_by_unknowns, off)
+                change = np.linalg.solve(by[:, :_U] + by[:, _U:] @ frame_by_unknowns, misfit)
             except np.linalg.LinAlgError:
                 return "not_converged"
             if not np.isfinite(change).all():
@@ -401,8 +462,8 @@ class CoulombSolver:
     def _unknowns(self, at: CoulombContact) -> Array:
         """Return the unknowns of a contact, without dimension, (9,)."""
         length, unit = self._units
-        place = (at.s / length, at.angle, at.way / length)
-        return np.concatenate([at.force_base / unit, at.couple_base / (unit * length), place])
+        on_surface = (at.s / length, at.angle, at.way / length)
+        return np.concatenate([at.force_base / unit, at.couple_base / (unit * length), on_surface])
 
     @cached_property
     def _units(self) -> tuple[float, float]:
@@ -413,6 +474,46 @@ class CoulombSolver:
     @cached_property
     def _profile(self) -> SurfaceProfile:
         return SurfaceProfile.of(self.rod)
+
+
+def press_against_point(
+    rod: Rod, gravity: ArrayLike, point: ArrayLike, travel: ArrayLike, mode: Mode = "fast"
+) -> CoulombContact:
+    """Solve for the equilibrium of the rod against a sharp point, without friction.
+
+    The point moves along a straight path, which determines the side from which it presses. A round rod that is pushed
+    aside by more than about its radius would slip round a point; the contact in the plane of the push is followed all
+    the same, as if something held the rod there.
+
+    Args:
+        rod: the rod; its section must be round.
+        gravity: in base axes [m/s²], (3,).
+        point: where the object is now, in base axes [m], (3,).
+        travel: displacement of the object relative to the base up to now; at point - travel it is clear of the rod
+            [m], (3,).
+        mode: "fast" or "reference".
+
+    Returns:
+        The contact; its numbers are finite only with result "ok".
+
+    Raises:
+        InputError: an argument is not finite or far out, the path starts in the rod, or its section is not round.
+    """
+    return CoulombSolver(rod, 0.0, mode).press(gravity, point, travel)
+
+
+def press_against_line(
+    rod: Rod, gravity: ArrayLike, point: ArrayLike, direction: ArrayLike, travel: ArrayLike, mode: Mode = "fast"
+) -> CoulombContact:
+    """Solve for the equilibrium of the rod against a straight, infinitely long edge, without friction.
+
+    See `press_against_point`; `direction` is that of the edge, of any length, (3,). The rod may slide along the edge,
+    and the force is normal to both.
+
+    Raises:
+        InputError: as there, or the direction is zero.
+    """
+    return CoulombSolver(rod, 0.0, mode).press(gravity, point, travel, direction)
 
 
 def draw_friction(friction: float, spread: float, rng: np.random.Generator) -> float:

@@ -13,7 +13,6 @@ from rods import CONE, CYLINDER, ELLIPTIC, PROFILE, ROOTED_CONE, turned
 from probedesign.core.errors import InputError
 from probedesign.rod.contact import line_of_action, solve_surface_force
 from probedesign.rod.friction import CoulombSolver, draw_friction
-from probedesign.rod.obstacle import press_against_line, press_against_point
 from tests.reference.shooting import solve_by_shooting
 
 GRAVITY = np.array([6.0, 5.0, -6.0])
@@ -47,29 +46,6 @@ def surface_point(rod, contact):
     e = math.cos(contact.angle) * R[:, 0] + math.sin(contact.angle) * R[:, 1]
     alpha = math.atan(rod.taper_at(contact.s))
     return contact.equilibrium.p_at(contact.s) + r * e, math.cos(alpha) * e + math.sin(alpha) * R[:, 2]
-
-
-@pytest.mark.parametrize("line", [False, True])
-@pytest.mark.parametrize("name", RODS)
-def test_without_friction_it_is_the_frictionless_contact(name, line):
-    """That one puts the force where its line meets the axis, r tan α from the touched section: on a cylinder the same
-    place; elsewhere the rod's bending over that length, 1e-4 of the force, is the difference."""
-    rod = RODS[name]
-    point, travel, d = approach(rod, line=line)
-    rubbed = CoulombSolver(rod, 0.0, "reference").press(GRAVITY, point, travel, d)
-    if line:
-        pressed = press_against_line(rod, GRAVITY, point, d, travel, "reference")
-    else:
-        pressed = press_against_point(rod, GRAVITY, point, travel, "reference")
-    assert rubbed.ok and pressed.result == "ok"
-    exact = name == "cylinder"
-    close = 1e-9 if exact else 1e-3
-    assert np.linalg.norm(rubbed.force_base - pressed.force_base) <= close * pressed.magnitude
-    assert rubbed.s == pytest.approx(pressed.s_surface, abs=1e-10 if exact else 5e-6)
-    assert np.allclose(rubbed.p_surface_base, pressed.p_surface_base, rtol=0.0, atol=1e-10 if exact else 5e-6)
-    moments = rubbed.equilibrium.wrench_base[3:] - pressed.equilibrium.wrench_base[3:]
-    assert np.linalg.norm(moments) <= close * pressed.magnitude * rod.length
-    assert rubbed.tangential_force <= 1e-9 * rubbed.normal_force
 
 
 @pytest.mark.parametrize("line", [False, True])

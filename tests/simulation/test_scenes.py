@@ -5,8 +5,7 @@ import pytest
 
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.rod.contact import safe_force
-from probedesign.rod.friction import CoulombSolver
-from probedesign.rod.obstacle import press_against_line
+from probedesign.rod.friction import CoulombSolver, press_against_line
 from probedesign.simulation.scenes import CLEARANCE, MAX_DEPTH, StraightPress, press_scene
 from tests.live.conftest import bundle as bundle
 from tests.live.conftest import estimator as estimator
@@ -50,7 +49,7 @@ def test_friction_0_is_the_frictionless_contact(estimator):
         )
         assert contact.result == "ok"
         assert pressed.force == pytest.approx(contact.magnitude, rel=1e-4)
-        assert pressed.s_contact == pytest.approx(contact.s_surface, abs=0.01 * MM)
+        assert pressed.s_contact == pytest.approx(contact.s, abs=0.01 * MM)
 
 
 def test_objects_are_pressed_with_the_safe_force_or_to_the_largest_depth(estimator):
