@@ -178,6 +178,7 @@ def test_bad_arguments_give_one_line(arguments, capsys, tmp_path, monkeypatch):
 
 
 def test_ctrl_c_leaves_nothing_running(tmp_path):
+    """The studio hears SIGINT even if these tests run in a shell's background, where it is inherited as ignored."""
     command = [sys.executable, "-m", "probedesign.cli.main", "studio", "small", "--no-open"]
     process = subprocess.Popen(
         command,
@@ -185,6 +186,7 @@ def test_ctrl_c_leaves_nothing_running(tmp_path):
         stdout=subprocess.PIPE,
         text=True,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     assert process.stdout is not None
     assert process.stdout.readline().startswith("studio: http")  # nothing else is printed before
