@@ -6,8 +6,9 @@ from time import perf_counter
 
 from benchmarks.timing import print_table
 from probedesign.design import Design, check_design, load_design
+from probedesign.design.edit import tables_of
 from probedesign.optimization.constraints import Limit, OptimizationProblem
-from probedesign.optimization.design_space import FreeParameter, design_dict
+from probedesign.optimization.design_space import FreeParameter
 from probedesign.optimization.objective import DesignMetrics, Task, design_metrics
 from probedesign.optimization.optimum import MonteCarloCheck, confirm, optimum
 
@@ -56,7 +57,7 @@ def report() -> None:
 
 
 def _initial_design() -> Design:
-    tables = design_dict(load_design(START))
+    tables = tables_of(load_design(START))
     tables["material"]["stiffness_spread"] = STIFFNESS_SPREAD
     return check_design(tables)
 

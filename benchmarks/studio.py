@@ -12,8 +12,8 @@ import numpy as np
 from benchmarks.timing import print_table
 from probedesign.cli.main import run
 from probedesign.design import load_design
+from probedesign.design.edit import tables_of
 from probedesign.design.paper import PROBES, paper_design
-from probedesign.optimization.design_space import design_dict
 from probedesign.studio.page import StudioPage
 from probedesign.studio.session import Session
 
@@ -70,7 +70,7 @@ def draw_page(chromium: str, picture: Path = PICTURE) -> None:
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
         assert run(["new", "--length", "150", "--base-d", "12"]) == 0
         design = load_design(Path("designs/cone-150x12x2.toml"))
-    page = StudioPage(Session(design, design.name, start=design_dict(design)), "127.0.0.1", 8095)
+    page = StudioPage(Session(design, design.name, start=tables_of(design)), "127.0.0.1", 8095)
     try:
         with sync_playwright() as driver:
             browser = driver.chromium.launch(executable_path=chromium, args=ARGUMENTS)

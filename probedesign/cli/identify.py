@@ -13,7 +13,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, exports_of
 
 if TYPE_CHECKING:
-    from probedesign.design.io import Change
+    from probedesign.design.edit import Change
     from probedesign.identification.result import Identification, Identified
 
 MAX_CAUSES = 4
@@ -107,7 +107,7 @@ def _write_design(
         The changes; the file written, if any; the backup of the file `out`, if there was one.
     """
     from probedesign.design import load_design
-    from probedesign.design.io import edit_text
+    from probedesign.design.edit import edit_text
     from probedesign.identification.design_update import design_changes, write_changes
 
     day = date.today().isoformat()

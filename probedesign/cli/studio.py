@@ -51,11 +51,11 @@ def studio(
         on_progress("loading the design", None)
         found = _design(design, set_ or [])
         on_progress("predicting (the first run compiles the rod and the estimator, half a minute)", None)
-        from probedesign.optimization.design_space import design_dict
+        from probedesign.design.edit import tables_of
         from probedesign.studio.page import StudioPage
         from probedesign.studio.session import Session
 
-        session = Session(found, source=design, start=design_dict(_design(design, [])))
+        session = Session(found, source=design, start=tables_of(_design(design, [])))
         session.restore(touch, forces_mN, pin or [])
         page = StudioPage(session, host, port)
     try:

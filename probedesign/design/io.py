@@ -1,10 +1,7 @@
-"""Read, draft, render, write and edit design files: checked designs as commented TOML."""
+"""Read, draft, render and write design files: checked designs as commented TOML."""
 
 import json
-import re
-import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -377,87 +374,3 @@ def _with_sensor_file(data: dict[str, Any], where: str) -> dict[str, Any]:
     own = load_sensor(Path(where).parent / path)
     rest = {key: value for key, value in sensor.items() if key != "file"}
     return {**data, "sensor": {**rest, "model": CUSTOM, "own": own}}
-
-
-_HEADER = re.compile(r"\s*\[\s*([^\[\]]+?)\s*\]\s*(#.*)?$")
-
-
-@dataclass(frozen=True)
-class Change:
-    """A new value of one key."""
-
-    table: str  #: such as `material`.
-    key: str  #: in the table.
-    text: str  #: the value as TOML.
-    note: str = ""  #: comment beside the value.
-
-    @property
-    def line(self) -> str:
-        """Return the line of the file."""
-        line = f"{self.key} = {self.text}"
-        return f"{line:<{COMMENT_COLUMN - 1}} # {self.note}" if self.note else line
-
-
-def edit_text(text: str, changes: Sequence[Change], when: str, where: str) -> str:
-    """Return the text of a design file with some values changed, its comments and layout kept.
-
-    A replaced value remains above the new one as a comment with the day; a missing table is added after its parent, or
-    at the end.
-
-    Args:
-        text: of the file.
-        changes: at most one for each key.
-        when: the day, for the comment.
-        where: names the file in errors.
-
-    Raises:
-        InputError: the file has inline tables or the like, which cannot be changed line by line.
-    """
-    ending = "\r\n" if "\r\n" in text else "\n"
-    lines = text.splitlines()
-    for change in changes:
-        lines = _changed(lines, change, when)
-    result = ending.join(lines) + ending
-    data = tomllib.loads(text)
-    for change in changes:
-        table = data
-        for part in change.table.split("."):
-            table = table.setdefault(part, {})
-        table[change.key] = tomllib.loads(f"v = {change.text}")["v"]
-    expected = check_design(data, text, where)
-    try:
-        if parse_design(result, where) == expected:
-            return result
-    except InputError:
-        pass
-    keys = ", ".join(f"{one.table}.{one.key} = {one.text}" for one in changes)
-    raise InputError(f"{where}: its tables are not written line by line; set by hand: {keys}")
-
-
-def _changed(lines: list[str], change: Change, when: str) -> list[str]:
-    """Return the lines with the value of a key replaced or added, in a new table if necessary."""
-    parent = change.table.rpartition(".")[0]
-    headers = {table: i for i, line in reversed(list(enumerate(lines))) if (table := _table_of(line))}
-    start = headers.get(change.table)
-    after = headers.get(parent) if start is None and parent else start
-    end = len(lines)
-    if after is not None:
-        end = next((i for i in range(after + 1, len(lines)) if _table_of(lines[i])), len(lines))
-    if start is not None:
-        assignment = re.compile(rf"""\s*["']?{re.escape(change.key)}["']?\s*=""")
-        for i in range(start + 1, end):
-            if assignment.match(lines[i]):
-                same = lines[i].split("#")[0].split() == change.line.split("#")[0].split()
-                if lines[i] == change.line or (same and not change.note):
-                    return lines
-                return [*lines[:i], f"# until {when}: {lines[i].strip()}", change.line, *lines[i + 1 :]]
-    while end > (0 if start is None else start + 1) and not lines[end - 1].strip():
-        end -= 1
-    header = ["", f"[{change.table}]"] if start is None else []
-    return [*lines[:end], *header, change.line, *lines[end:]]
-
-
-def _table_of(line: str) -> str:
-    """Return the table whose header a line is; empty if it is none."""
-    found = _HEADER.match(line)
-    return "" if found is None else ".".join(part.strip().strip("\"'") for part in found.group(1).split("."))

@@ -16,7 +16,7 @@ from probedesign.core.csv_tables import TableSchema, read_lines, read_rows
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
-from probedesign.design.io import Change
+from probedesign.design.edit import Change
 from probedesign.design.schema import SCALE_RANGE
 from probedesign.identification.measured_diameters import READING_STD_MM
 

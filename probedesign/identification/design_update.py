@@ -10,7 +10,8 @@ from probedesign.core.errors import InputError
 from probedesign.core.files import backup
 from probedesign.core.units import MPA
 from probedesign.design import Design
-from probedesign.design.io import Change, edit_text, load_design, write_design
+from probedesign.design.edit import Change, edit_text
+from probedesign.design.io import load_design, write_design
 from probedesign.identification.parameters import PARAMETERS
 from probedesign.identification.result import Identification, Identified
 from probedesign.mount.root import stated_root_radii

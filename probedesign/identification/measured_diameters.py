@@ -27,7 +27,7 @@ from probedesign.core.frames import Array
 from probedesign.core.statistics import max_chi2
 from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.design.io import Change
+from probedesign.design.edit import Change
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.geometry import build_geometry
 from probedesign.geometry.probe_geometry import filleted

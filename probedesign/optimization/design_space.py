@@ -13,6 +13,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.design import Design, check_design
+from probedesign.design.edit import as_new_print, tables_of
 from probedesign.design.schema import MAX_DIAMETER_MM, MIN_DIAMETER_MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.geometry import flange_of
@@ -38,34 +39,6 @@ _ROUNDING_MARGIN = 2e-3
 """Margin of a rule's limit where a ratio varies: it is rounded like the diameters and must not violate the rule."""
 DIGITS = 3
 """Decimals of a millimetre in a design file; no printer resolves the thousandth."""
-
-
-def design_dict(design: Design) -> dict[str, Any]:
-    """Return the tables of a design's file as plain data."""
-    tables: dict[str, Any] = design.model_dump(by_alias=True, exclude_none=True, mode="json")
-    return tables
-
-
-_OF_A_PRINT = ("diameter_mm", "diameter_share", "diameter_scatter_mm")
-"""Keys of `[tolerances]` that `measured` writes for one print."""
-
-
-def as_new_print(tables: dict[str, Any], before: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return the tables of a changed design without what was measured on the print of the former one.
-
-    Args:
-        tables: of the changed design.
-        before: of the former one. Tables with its `[probe]` are returned unchanged, and tolerances that differ from its
-            own are kept. None: both are one design of which a new print is made.
-    """
-    probe, tolerances = tables["probe"], tables.get("tolerances", {})
-    if not isinstance(probe, dict) or not isinstance(tolerances, dict):  # the check of the design refuses it
-        return tables
-    if not probe.get("measured") or (before is not None and probe == before["probe"]):
-        return tables
-    former = tolerances if before is None else before.get("tolerances", {})
-    kept = {k: v for k, v in tolerances.items() if k not in _OF_A_PRINT or v != former.get(k)}
-    return {**tables, "probe": {k: v for k, v in probe.items() if k != "measured"}, "tolerances": kept}
 
 
 @dataclass(frozen=True)
@@ -190,7 +163,7 @@ class DesignSpace:
         """Return the tables of the design file of a point, dimensions rounded to the given decimals of a millimetre."""
         s, d = self.knots_mm(x)
         s, d = np.round(s, digits).tolist(), (np.round(d, digits) if self.controls else d).tolist()
-        data = design_dict(self.start)
+        data = tables_of(self.start)
         probe: dict[str, Any] = data["probe"]
         profile = [list(pair) for pair in zip(s, d, strict=True)]
         for key in ("profile_mm", "tip_d_mm", "assumed") if self.controls else ():

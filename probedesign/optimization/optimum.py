@@ -14,10 +14,11 @@ from probedesign.core.frames import Array
 from probedesign.core.parallel import OnProgress, process_map
 from probedesign.core.units import MM
 from probedesign.design import Design, check_design
+from probedesign.design.edit import tables_of
 from probedesign.design.io import render_design
 from probedesign.estimation.model import ProbeModel
 from probedesign.optimization.constraints import FORCES, SPARE, NonlinearProgram, OptimizationProblem
-from probedesign.optimization.design_space import DIGITS, DesignSpace, design_dict
+from probedesign.optimization.design_space import DIGITS, DesignSpace
 from probedesign.optimization.objective import (
     COMPARED_FRACTIONS,
     DesignMetrics,
@@ -357,7 +358,7 @@ class OptimizeResult:
             "subject_to": [limit.text for limit in self.search.limits],
             "start": best.before.as_dict(),
             "best": best.after.as_dict(),
-            "design": design_dict(best.design),
+            "design": tables_of(best.design),
             "binding": list(best.active_constraints),
             "bodies_looked_at": best.n_evaluations,
             "worse_than_start": [asdict(row) for row in best.worse],

@@ -2,7 +2,6 @@
 
 import io
 import itertools
-import json
 import math
 from collections.abc import Iterator
 from concurrent.futures.process import BrokenProcessPool
@@ -19,7 +18,7 @@ from probedesign.core.files import write_atomically
 from probedesign.core.parallel import Journal, OnProgress, Record, fingerprint, process_map
 from probedesign.design import Design, check_design
 from probedesign.design.diagnostics import known_keys
-from probedesign.optimization.design_space import as_new_print, design_dict
+from probedesign.design.edit import tables_of, with_values
 from probedesign.optimization.objective import METRICS, Task, design_metrics
 
 if TYPE_CHECKING:
@@ -76,24 +75,6 @@ def grid_points(axes: list[GridAxis]) -> list[dict[str, Any]]:
     if size > MAX_POINTS:
         raise InputError(f"{size} designs are too many; the maximum is {MAX_POINTS}: use coarser steps")
     return [dict(zip(keys, values, strict=True)) for values in itertools.product(*(a.values for a in axes))]
-
-
-def with_values(base: dict[str, Any], point: dict[str, Any]) -> dict[str, Any]:
-    """Return the tables of a design file with some keys changed; a changed shape has no measured diameters.
-
-    Raises:
-        InputError: a key lies in something that is not a table.
-    """
-    data: dict[str, Any] = json.loads(json.dumps(base))
-    for key, value in point.items():
-        *tables, last = key.split(".")
-        inner = data
-        for table in tables:
-            inner = inner.setdefault(table, {})
-            if not isinstance(inner, dict):
-                raise InputError(f"{key}: {table} is a value, not a table; name a key such as probe.tip_d_mm")
-        inner[last] = value
-    return as_new_print(data, base)
 
 
 def numbers_of(what: str, text: str) -> tuple[float | int, ...]:
@@ -172,7 +153,7 @@ def sweep(
             contains another sweep.
         MissingDependencyError: there is a scheduler, and dask is not installed.
     """
-    grid, base = grid_points(axes), design_dict(design)
+    grid, base = grid_points(axes), tables_of(design)
     request = {"schema": 1, "name": design.name, "design": fingerprint(base), "task": _plain(task),
              "vary": {axis.key: list(axis.values) for axis in axes}}  # fmt: skip
     journal = Journal.open(folder / PROGRESS, request)

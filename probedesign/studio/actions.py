@@ -6,8 +6,8 @@ from pathlib import Path
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.files import exports_of
 from probedesign.design import Design, check_design
+from probedesign.design.edit import tables_of
 from probedesign.design.io import render_design, write_design
-from probedesign.optimization.design_space import design_dict
 
 DESIGNS = Path("designs")
 
@@ -18,7 +18,7 @@ def checked(design: Design) -> Design:
     Raises:
         InputError: a value is wrong, such as a name that is no file name.
     """
-    return check_design(design_dict(design))
+    return check_design(tables_of(design))
 
 
 def save(design: Design, replace: bool) -> str:

@@ -15,11 +15,10 @@ from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import Design, check_design
 from probedesign.design.catalog import RESINS, find
+from probedesign.design.edit import as_new_print, tables_of, with_values
 from probedesign.design.io import default_tip_d_mm, material_keys, sensor_keys
 from probedesign.design.sensor_catalog import SENSORS
 from probedesign.design.sensors import DEFAULT_SENSOR
-from probedesign.optimization.design_space import as_new_print, design_dict
-from probedesign.optimization.sweep import with_values
 from probedesign.prediction.predict import FORCES_N
 
 MAX_STEPS = 200
@@ -71,7 +70,7 @@ class Session:
 
     def __post_init__(self) -> None:
         """Start from the design itself if no other is given."""
-        self.start = self.start or design_dict(self.design)
+        self.start = self.start or tables_of(self.design)
 
     def change(self, values: Mapping[str, Any], now: float) -> bool:
         """Change keys of the design; return whether the result is a valid design, which is then the current one.
@@ -81,7 +80,7 @@ class Session:
             now: time of the change [s]; changes of the same keys shortly after each other are undone together.
         """
         try:
-            changed = check_design(_with_keys(design_dict(self.design), values))
+            changed = check_design(_with_keys(tables_of(self.design), values))
         except InputError as error:
             self.refused = str(error)
             return False
@@ -134,14 +133,14 @@ class Session:
     @property
     def command_line(self) -> str:
         """Return the command that starts a studio with this state."""
-        changed = changes(self.start, design_dict(self.design))
+        changed = changes(self.start, tables_of(self.design))
         words = [f"--set {shlex.quote(f'{key}={_text(value)}')}" for key, value in changed.items()]
         if self.touch != StudioTouch():
             words.append(f"--touch={','.join(f'{value:g}' for value in vars(self.touch).values())}")
         if self.forces_mN != DEFAULT_FORCES_MN:
             words.append(f"--forces-mN {','.join(f'{force:g}' for force in self.forces_mN)}")
         for pin in self.pinned:
-            changed = changes(self.start, design_dict(pin.design))
+            changed = changes(self.start, tables_of(pin.design))
             table = ", ".join(f"{key} = {_text(value)}" for key, value in changed.items())
             words.append(f"--pin {shlex.quote(f'{{{table}}}')}")
         return " ".join(["probedesign studio", shlex.quote(self.source), *words])
@@ -334,7 +333,7 @@ def with_options(design: Design, options: Sequence[str]) -> Design:
         except tomllib.TOMLDecodeError:
             value = text.strip()
         values[key.strip()] = value
-    return check_design(_with_keys(design_dict(design), values))
+    return check_design(_with_keys(tables_of(design), values))
 
 
 def mounting_of(gravity: Sequence[float]) -> str:

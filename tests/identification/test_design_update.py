@@ -6,7 +6,7 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.design import parse_design
-from probedesign.design.io import Change, edit_text
+from probedesign.design.edit import Change, edit_text
 from probedesign.identification.design_update import check_overwritable
 from tests.identification.conftest import LARGE
 
@@ -56,10 +56,25 @@ def test_windows_line_ends_are_kept() -> None:
 
 
 @pytest.mark.parametrize("material", ['material = { resin = "elastic-50a" }\n', 'material.resin = "elastic-50a"\n'])
-def test_tables_that_are_no_lines_are_refused(material: str) -> None:
+def test_inline_tables_and_dotted_keys_are_edited(material: str) -> None:
     text = SMALL.replace("[probe]", material + "[probe]")
-    with pytest.raises(InputError, match=r"not written line by line; set by hand: material.youngs_modulus_mpa = 2"):
-        edit_text(text, [Change("material", "youngs_modulus_mpa", "2.41")], DAY, "x.toml")
+    result = edit_text(text, [Change("material", "youngs_modulus_mpa", "2.41", "identified")], DAY, "x.toml")
+    assert parse_design(result).youngs_modulus.value == pytest.approx(2.41e6)
+    assert set(text.splitlines()) - set(result.splitlines()) <= {material.strip()}
+
+
+def test_a_layout_that_cannot_be_kept_is_refused() -> None:
+    text = SMALL.replace("[probe]", 'material = { resin = "elastic-50a" }\n[probe]')
+    with pytest.raises(InputError, match=r"layout cannot be kept; set by hand: material.provenance.youngs_modulus_mpa"):
+        edit_text(text, [Change("material.provenance", "youngs_modulus_mpa", '"assumed"')], DAY, "x.toml")
+
+
+def test_a_value_of_several_lines_stays_as_a_comment() -> None:
+    profile = "profile_mm = [ # drawn\n  [0.0, 8.0],\n  [100.0, 2.0],\n]"
+    text = SMALL.replace("tip_d_mm = 2.0", f'shape = "profile"\n{profile}')
+    change = Change("probe", "profile_mm", "[[0.0, 8.0], [50.0, 4.0], [100.0, 2.0]]")
+    former = profile.replace("\n", "\n# ")
+    assert f"# until {DAY}: {former}\nprofile_mm = {change.text}\n" in edit_text(text, [change], DAY, "x.toml")
 
 
 def test_a_value_that_no_design_may_have_is_refused(tmp_path: Path) -> None:

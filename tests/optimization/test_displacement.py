@@ -9,9 +9,9 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design
+from probedesign.design.edit import tables_of
 from probedesign.optimization import displacement
 from probedesign.optimization.constraints import OptimizationProblem, parse_limit
-from probedesign.optimization.design_space import design_dict
 from probedesign.optimization.displacement import crash_use, forces_at_deflection_mN, push
 from probedesign.optimization.objective import Task
 from probedesign.optimization.optimum import optimum
@@ -116,7 +116,7 @@ def test_a_probe_that_snaps_in_a_crash_rests_on_its_own_side():
 
 def test_a_lower_limit_on_the_force_holds_in_every_direction(large):
     """An elliptic probe is stiffest along x and softest along y: each limit bounds the force on its own side."""
-    tables = design_dict(large)
+    tables = tables_of(large)
     tables["probe"] |= {"section": "elliptic", "flatness": 0.6}
     flat = check_design(tables)
     model = build_probe(flat).model
@@ -136,7 +136,7 @@ def test_a_lower_limit_on_the_force_holds_in_every_direction(large):
 
 def test_a_softer_print_pushes_and_crashes_in_proportion(large):
     """Without gravity all forces are proportional to the stiffness."""
-    tables = design_dict(large)
+    tables = tables_of(large)
     tables["mount"]["gravity_base_m_s2"] = [0.0, 0.0, 0.0]
     tables["material"] |= {key: 0.5 * tables["material"][key] for key in ("youngs_modulus_mpa", "shear_modulus_mpa")}
     soft = build_probe(check_design(tables)).model
@@ -186,7 +186,7 @@ def test_a_limit_with_a_wrong_distance_is_refused(text):
 
 
 def test_a_crash_is_not_limited_without_a_known_overload(large):
-    tables = design_dict(large)
+    tables = tables_of(large)
     tables["sensor"] = {"model": "rft40"}
     without = check_design(tables)
     assert without.sensor_model.overload is None

@@ -16,8 +16,8 @@ from probedesign.optimization.design_space import (
     DesignEvaluator,
     DesignSpace,
     critical_load_factor,
-    design_dict,
     finite_differences,
+    tables_of,
 )
 from probedesign.optimization.objective import Task, design_metrics, predict_task
 from probedesign.optimization.optimum import confirm, optimum
@@ -37,7 +37,7 @@ def quiet(_step, _share):
 @pytest.fixture(scope="module")
 def large():
     """The paper's large probe with 3 % on E."""
-    tables = design_dict(load_design(LARGE))
+    tables = tables_of(load_design(LARGE))
     tables["material"]["stiffness_spread"] = 0.03
     return check_design(tables)
 
@@ -186,7 +186,7 @@ def test_a_design_that_the_clamp_ring_does_not_pass_is_infeasible(large):
 
 def test_a_wider_lip_lets_a_wider_probe_pass(large):
     """The flange of a 12 mm base is 19 mm wide with a lip of 3.5 mm, and 24 mm with 6 mm."""
-    tables = design_dict(large)
+    tables = tables_of(large)
     tables["mount"]["flange_lip_mm"] = 6.0
     wide = check_design(tables)
     x = np.array([12.0, 16.0, 6.0, 4.0, 2.0])
@@ -247,7 +247,7 @@ def test_an_unwritable_output_is_refused_before_the_search(tmp_path, capsys):
 
 def test_a_hollow_body_prints_as_it_is_written(large):
     """The optimum is at a print rule, and rounded dimensions still satisfy it."""
-    tables = design_dict(large)
+    tables = tables_of(large)
     tables["probe"] |= {"section": "hollow", "bore_ratio": 0.5, "tip_d_mm": 4.0}
     search = OptimizationProblem(check_design(tables), ("cone", "section"), replace(TASK, fractions=(0.7,)))
     found = optimum(search, "best", quiet)
@@ -286,7 +286,7 @@ def test_a_start_that_buckles_is_not_drawn(large, tmp_path, capsys):
 
 @pytest.mark.parametrize("shape", ["cone", "cylinder", "profile"])
 def test_with_the_length_alone_the_diameters_stay(large, shape):
-    tables = design_dict(large)
+    tables = tables_of(large)
     tables["probe"] |= {"shape": shape}
     if shape == "cylinder":
         tables["probe"]["tip_d_mm"] = 12.0
@@ -354,7 +354,7 @@ def test_a_limit_on_the_buckling_margin_is_kept(large):
 
 
 def test_a_search_without_print_warnings_finds_a_design_without(large):
-    tables = design_dict(large)
+    tables = tables_of(large)
     tables["probe"] |= {"base_d_mm": 6.0}  # 6 mm below 150 mm: slender
     large = check_design(tables)
     search = OptimizationProblem(large, ("cone",), replace(TASK, fractions=(0.7,)),
@@ -366,7 +366,7 @@ def test_a_search_without_print_warnings_finds_a_design_without(large):
 
 def test_a_hollow_optimum_keeps_the_limits_of_soft_resin(large):
     """The search may choose wall and bore, and would end at the limits of rigid resin, which do not print."""
-    tables = design_dict(large)
+    tables = tables_of(large)
     tables["probe"] |= {"section": "hollow", "bore_ratio": 0.5, "tip_d_mm": 4.0}
     search = OptimizationProblem(check_design(tables), ("cone", "section"), replace(TASK, fractions=(0.7,)))
     found = optimum(search, "best", quiet)

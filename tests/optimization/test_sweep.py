@@ -12,10 +12,11 @@ from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.core.parallel import Journal
 from probedesign.design import check_design, load_design
+from probedesign.design.edit import tables_of, with_values
 from probedesign.optimization import sweep
-from probedesign.optimization.design_space import DesignSpace, design_dict
+from probedesign.optimization.design_space import DesignSpace
 from probedesign.optimization.objective import METRICS, Task
-from probedesign.optimization.sweep import _write_tables, evaluate_point, grid_points, parse_axis, with_values
+from probedesign.optimization.sweep import _write_tables, evaluate_point, grid_points, parse_axis
 from probedesign.probe import build_probe
 
 LARGE = Path(__file__).parents[2] / "designs/large.toml"
@@ -51,14 +52,14 @@ def test_an_invalid_range_is_refused(text, message):
 
 
 def test_a_key_is_varied_and_no_other():
-    base = design_dict(load_design(LARGE))
+    base = tables_of(load_design(LARGE))
     changed = with_values(base, {"probe.tip_d_mm": 3.0})
     assert changed["probe"].pop("tip_d_mm") == 3.0
     assert changed == base | {"probe": {k: v for k, v in base["probe"].items() if k != "tip_d_mm"}}
 
 
 def test_invalid_and_buckling_designs_give_a_reason():
-    base = design_dict(load_design(LARGE))
+    base = tables_of(load_design(LARGE))
     refused = evaluate_point(base, 0, {"probe.tip_d_mm": 13.0}, Task())
     limp = evaluate_point(base, 1, {"probe.base_d_mm": 2.0}, Task())
     assert refused["result"] == "refused" and "wider than base_d_mm" in refused["reason"]
@@ -67,7 +68,7 @@ def test_invalid_and_buckling_designs_give_a_reason():
 
 def test_a_reading_out_of_range_is_not_ok():
     """20 N near the base: the probe is stable, the range of 12 N is exceeded."""
-    found = evaluate_point(design_dict(load_design(LARGE)), 0, {}, Task((20.0,), fractions=(0.1,)))
+    found = evaluate_point(tables_of(load_design(LARGE)), 0, {}, Task((20.0,), fractions=(0.1,)))
     assert found["result"] == "out_of_range" and found["sensor_use"] > 1.0 and "range" in found["reason"]
 
 
@@ -87,7 +88,7 @@ def test_the_error_of_one_touch_is_the_prediction():
     design = load_design(LARGE)
     probe = build_probe(design)
     predicted = probe.predict(fractions=(0.8,), forces_N=(0.02,), directions=("+y",)).conditions[0]
-    found = evaluate_point(design_dict(design), 0, {}, Task((0.02,), 1, fractions=(0.8,)))
+    found = evaluate_point(tables_of(design), 0, {}, Task((0.02,), 1, fractions=(0.8,)))
     np.testing.assert_allclose(found["error_mm"], predicted.predicted_error_mm, rtol=1e-6)
     # The same formula of one solved alone and one among many: the fast mode's own 1e-6 of the moment.
     np.testing.assert_allclose(found["sensor_use"], predicted.sensor_use, rtol=1e-9)
@@ -181,7 +182,7 @@ def test_an_unreachable_scheduler_is_refused(tmp_path, capsys, monkeypatch):
 
 def test_measured_diameters_hold_for_their_print_only():
     """A changed dimension is that of another print, with the tolerances of its resin; a stated one is kept."""
-    tables = design_dict(load_design(LARGE))
+    tables = tables_of(load_design(LARGE))
     tables["probe"]["measured"] = ["base_d_mm", "tip_d_mm"]
     tables["tolerances"] |= {"diameter_mm": 0.02, "diameter_scatter_mm": 0.03, "length_mm": 0.2}
     same = with_values(tables, {"probe.base_d_mm": tables["probe"]["base_d_mm"], "contact.friction": 0.3})

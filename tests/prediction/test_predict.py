@@ -11,10 +11,10 @@ from scipy import stats
 from probedesign.cli.predict import print_tables
 from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design
+from probedesign.design.edit import tables_of
 from probedesign.design.sensors import Noise
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.optimization.design_space import design_dict
 from probedesign.optimization.objective import Task, design_metrics
 from probedesign.prediction.budget import radius_95
 from probedesign.prediction.fused import LinearizedPresses, PressSchedule
@@ -230,7 +230,7 @@ def test_a_touch_that_buckles_the_probe_has_no_numbers(large):
 
 def made_of(youngs_mpa):
     """Return the large probe with another material."""
-    tables = design_dict(load_design(DESIGNS / "large.toml"))
+    tables = tables_of(load_design(DESIGNS / "large.toml"))
     tables["material"] |= {"youngs_modulus_mpa": youngs_mpa, "shear_modulus_mpa": youngs_mpa / 3.0}
     return build_probe(check_design(tables)).predict(fractions=(0.5, 1.0), directions=("+x", "-x"))
 
@@ -291,7 +291,7 @@ def test_sag_is_measured_along_gravity_as_in_campaigns(large):
     wanted = 1e3 * moved @ gravity / np.linalg.norm(gravity)
     assert 0.0 < wanted < 0.9e3 * np.linalg.norm(moved)
     assert predict(model, (0.5,), (0.01,), ("+y",)).tip_sag_mm == pytest.approx(wanted, abs=1e-3)
-    tables = design_dict(large.design)
+    tables = tables_of(large.design)
     tables["mount"]["gravity_base_m_s2"] = gravity.tolist()
     found = design_metrics(check_design(tables), Task(fractions=(0.5,)))
     assert found.sag_mm == pytest.approx(wanted, abs=1e-3)

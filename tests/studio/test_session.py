@@ -4,8 +4,8 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.design.catalog import RESINS
+from probedesign.design.edit import tables_of
 from probedesign.design.paper import paper_design
-from probedesign.optimization.design_space import design_dict
 from probedesign.studio.session import MAX_PINNED, MERGE_SECONDS, Session, with_knots, with_options
 
 
@@ -78,7 +78,7 @@ def test_the_command_line_restores_the_design(session):
     words = shlex.split(session.command_line)
     assert words[:3] == ["probedesign", "studio", "large"]
     options = [text for option, text in zip(words[3::2], words[4::2], strict=True) if option == "--set"]
-    assert design_dict(with_options(paper_design("large"), options)) == design_dict(session.design)
+    assert tables_of(with_options(paper_design("large"), options)) == tables_of(session.design)
 
 
 @pytest.mark.parametrize(
