@@ -9,7 +9,8 @@ from benchmarks.touches import Presses, Touch, random_presses, random_touches, s
 from probedesign.core.frames import Array
 from probedesign.estimation.estimate import FusedEstimate
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.fusion import Fusion, Reading, channels_of
+from probedesign.estimation.fusion import Fusion, Reading
+from probedesign.estimation.fusion_state import channels_of
 from probedesign.rod.contact import solve_surface_force
 
 FORCES = (1e-2, 0.5)

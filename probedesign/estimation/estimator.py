@@ -212,7 +212,8 @@ class Estimator:
         Raises:
             InputError: an argument has the wrong shape.
         """
-        from probedesign.estimation.fusion import Fusion, channels_of  # compiled for those who fuse alone
+        from probedesign.estimation.fusion import Fusion  # compiled for those who fuse alone
+        from probedesign.estimation.fusion_state import channels_of
 
         moments = moments_about if moments_only else None
         if moments not in (None, "base", "sensor"):

@@ -15,17 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from probedesign.core import statistics
-from probedesign.core.frames import Array, wrench_map
+from probedesign.core.frames import Array
 from probedesign.core.statistics import MISFIT_CHANCE, RIVAL_CHI2, UNIFORM_STD, max_chi2
 from probedesign.estimation.error_sources import ErrorSources, across
-from probedesign.estimation.estimate import FusedEstimate, MomentsAbout, Result
+from probedesign.estimation.estimate import FusedEstimate, Result
 from probedesign.estimation.force_moment import closest_approaches, curve
-from probedesign.estimation.fusion_state import GROUPS, FusionState, PointConstraint, result_of, without
+from probedesign.estimation.fusion_state import COMMON_FRICTION, FusionState, PointConstraint, dof_of
 from probedesign.estimation.likelihood import Problem, locate
 from probedesign.estimation.model import Observation, ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.estimation.uncertainty_kernel import NODE, TAIL
-from probedesign.rod.kernels.surface_contact import TOUCH
+from probedesign.rod.kernels.surface_contact import PHI, POINT, TIP, TOUCH, VALUE
 
 NEAR = 1e-9
 """Poses whose numbers differ by no more, in metres too, are one."""
@@ -38,31 +38,12 @@ CLOSE = 1e-3
 """Step of the touched point, in standard deviations, at which the iterations end."""
 SETTLED_STEP = 0.03
 """Step of a pose's own unknowns, in standard deviations given the point, at which they end too; it is taken."""
-MAX_STEP = 0.1
-"""Of arclength over length, in one iteration."""
-COMMON_FRICTION = 0.5
-"""Share of the friction ratio's variance that the touches of one object have in common. Assumed: they are of the same
-two materials and slip to the same side, but differ in how far each has slipped."""
+GROUPS = ("stiffness", "bias", "robot")
+"""Groups of error sources whose absence `rms_without` reports."""
 CONSTRAINT_STD = 1e-3
 """Standard deviation, over that of the free point, to which `Fusion.curvature` constrains the point."""
 MAX_EXTENSIONS = 3
 """Extensions of the offset at which the point is constrained, until the misfit has risen by about three."""
-
-
-def channels_of(model: ProbeModel, moments: MomentsAbout | None) -> Array:
-    """Return the map from a base wrench to the channels that the fusion uses.
-
-    Args:
-        model: the probe.
-        moments: None: all six channels. "base": the moments about the base's origin alone. "sensor": the moments that
-            the sensor reads, which hold no noise of the forces; but they need all six numbers to be got back.
-
-    Returns:
-        (6, 6) or (3, 6).
-    """
-    if moments is None:
-        return np.eye(6)
-    return np.ascontiguousarray(np.eye(6)[3:] if moments == "base" else wrench_map(model.T_sensor_base)[3:])
 
 
 @dataclass(frozen=True)
@@ -115,12 +96,6 @@ class Fusion:
         poses = [reading.T_world_base for reading in self.readings if reading.touched]
         return all(np.allclose(poses[0], T, rtol=0.0, atol=NEAR) for T in poses[1:])
 
-    @property
-    def dof(self) -> int:
-        """Return the degrees of freedom: readings and friction priors, less the unknowns."""
-        free = 0 if math.isfinite(self.model.friction) else 2
-        return max(len(self.readings) * len(self.channels) - free * int(self.touched.sum()) - 3, 1)
-
     # What the kernels need -------------------------------------------------------------------------------------------
 
     @cached_property
@@ -141,46 +116,44 @@ class Fusion:
         return tuple(found)
 
     @cached_property
-    def own_columns(self) -> tuple[int, int]:
-        """Return the columns of the stiffness scatter and of the creep, or -1."""
-        return self.sources[0].column("stiffness scatter"), self.sources[0].column("creep")
+    def whitening(self) -> Array:
+        """Return the whitening matrix of each reading, lower triangular, (k, m, m)."""
+        return statistics.whiten(np.array([self.channels @ reading.cov @ self.channels.T for reading in self.readings]))
 
     @cached_property
-    def ramps(self) -> Array:
-        """Return how far creep has gone at each touch: from 0 at the first to 1 at the last, 1 if alone, (k,)."""
-        before = np.maximum(np.cumsum(self.touched) - 1.0, 0.0)
-        return np.ones(len(before)) if before[-1] == 0.0 else before / before[-1]
+    def free(self) -> dict[int, tuple[Array, Array]]:
+        """Return wrench (6,) and error columns (6, J) of the free probe for each reading without contact."""
+        equilibria = {k: self.model.rod.solve(reading.gravity)
+                      for k, reading in enumerate(self.readings) if not reading.touched}  # fmt: skip
+        return {k: (eq.wrench_base, np.ascontiguousarray(self.sources[k].free_columns(eq)))
+                for k, eq in equilibria.items()}  # fmt: skip
 
     @cached_property
-    def steps_of_walk(self) -> Array:
-        """Return the variance of the bias's step before each reading, over that in `WALK_SECONDS`, (k,)."""
+    def elapsed(self) -> Array:
+        """Return the time before each reading, over `WALK_SECONDS`, (k,)."""
         times = [reading.time for reading in self.readings]
         if any(time is None for time in times):
             return np.append(0.0, np.ones(len(times) - 1))
         seconds = np.diff(np.array(times, dtype=float), prepend=float(times[0] or 0.0))
         return np.asarray(np.maximum(seconds, 0.0) / WALK_SECONDS)
 
-    @cached_property
-    def whitening(self) -> Array:
-        """Return the whitening matrix of each reading, lower triangular, (k, m, m)."""
-        covs = np.array([self.channels @ reading.cov @ self.channels.T for reading in self.readings])
-        return np.ascontiguousarray(statistics.whiten(covs))
+    def state(self, touches: Array, constraint: PointConstraint | None = None) -> FusionState:
+        """Return the readings in the memory of the kernels, with touches to be linearised, (k, TOUCH).
 
-    @cached_property
-    def bias(self) -> Array:
-        """Return the derivative of the channels by the bias in steps of the resolution, (m, 6)."""
-        step = self.model.noise_base() * self.model.averaging_samples
-        return np.ascontiguousarray(self.channels @ np.linalg.cholesky(step))
-
-    @cached_property
-    def free(self) -> dict[int, tuple[Array, Array]]:
-        """Return wrench (6,) and error columns (6, J) of the free probe for each reading without contact."""
-        found = {}
-        for k, (reading, sources) in enumerate(zip(self.readings, self.sources, strict=True)):
-            if not reading.touched:
-                free = self.model.rod.solve(reading.gravity)
-                found[k] = free.wrench_base, np.ascontiguousarray(sources.free_columns(free))
-        return found
+        Creep goes from 0 at the first touch to 1 at the last, and is 1 at a single one.
+        """
+        k, pinned = len(self.readings), constraint is not None
+        state = FusionState(self.model, self.priors, self.channels, self.sources[0], k + pinned, self.common_friction)
+        state.sources[:k], state.free = self.sources, self.free
+        state.wrench[:k] = [reading.wrench for reading in self.readings]
+        state.pose[:k] = [reading.T_world_base for reading in self.readings]
+        state.whiten[:k], state.touched[:k], state.touches[:k] = self.whitening, self.touched, touches
+        before = np.maximum(np.cumsum(self.touched) - 1.0, 0.0)
+        state.ramp[:k] = before / before[-1] if before[-1] > 0.0 else 1.0
+        state.elapsed[pinned:] = self.elapsed
+        if constraint is not None:
+            state.pin(constraint)
+        return state
 
     # Solving ---------------------------------------------------------------------------------------------------------
 
@@ -196,9 +169,10 @@ class Fusion:
         if not self.touched.any() or (self.moments_only and self.one_pose):
             return FusedEstimate("unobservable")
         found: list[Solution] = []
+        dof = dof_of(self.model, self.channels, self.touched)
         for starts in self._starts():
             found = _distinct([*found, *(self.refine(start) for start in starts)])
-            if any(place.chi2 <= max_chi2(self.dof, MISFIT_CHANCE) for place in found):
+            if any(place.chi2 <= max_chi2(dof, MISFIT_CHANCE) for place in found):
                 break
         return found or FusedEstimate("not_converged")
 
@@ -242,24 +216,22 @@ class Fusion:
 
     def refine(self, start: Array, pin: PointConstraint | None = None) -> Solution | None:
         """Run Gauss-Newton from one initial guess of the touches, (k, TOUCH); return None if it does not converge."""
-        touches, max_step = start.copy(), MAX_STEP * self.model.rod.length
-        state = FusionState(self, touches, pin)
+        state = self.state(start, pin)
         share, last, way = 1.0, None, np.zeros(3)
         for iteration in range(MAX_ITERATIONS):
             if not state.linearise():
                 return None
-            chi2, x, cov = state.solved(self.priors)
+            chi2, x, cov = state.solved()
             if not math.isfinite(chi2):
                 return None
             moved = x[:3] - (x[:3] if last is None else last)
             # Where the model fits badly whole steps go to and fro about the least misfit.
             back = float(moved @ way) < -0.25 * float(way @ way)
             share, way, last = (max(0.5 * share, 0.1) if back else min(2.0 * share, 1.0)), moved, x[:3].copy()
-            linearised = touches.copy()
-            size = state.step(share, max_step)
+            linearised = state.touches[: len(start)].copy()
+            size = state.step(share)
             near = float(np.abs(moved).max()) <= CLOSE * statistics.rms(cov) + 1e-9
             if near and size <= SETTLED_STEP * math.sqrt(1.0 + chi2):
-                touches[:] = linearised
                 return Solution(x, cov, chi2, linearised, iteration + 1)
         return None
 
@@ -273,36 +245,56 @@ class Fusion:
             brief: leave out `rms_without` and `rms_with`.
         """
         best = found[0]
-        linear = statistics.rms(best.cov)
-        state = FusionState(self, best.touches.copy())
+        state, linear = self.state(best.touches), statistics.rms(best.cov)
         if not state.linearise():
             return FusedEstimate("not_converged")
-        code: Result = "inconsistent" if state.has_moved() else self._code(found, linear)
-        _chi2, x, cov = state.solved(self.priors)
-        E, scale = self.sources[0].column("E"), self.priors.youngs_modulus
-        stiffness = math.exp(scale * float(x[3 + E])) if E >= 0 else 1.0
-        result = FusedEstimate(
-            code, stiffness=stiffness, std_stiffness=stiffness * scale * state.std_of(3 + E) if E >= 0 else 0.0,
-            chi2=best.chi2, dof=self.dof, rms=linear, iterations=best.iterations,
-            candidates_world=np.array([p.x[:3] for p in found if p.chi2 < best.chi2 + RIVAL_CHI2]),
-        )  # fmt: skip
-        if code == "ok":
-            mean, cov_mean = state.mean_centre()
+        result: Result = "inconsistent" if state.has_moved() else self._result(found, state)
+        cov, rms = state.solved()[2], linear
+        added = added_contact = np.zeros((3, 3))
+        if result == "ok":
             added, added_contact = self.curvature(best)
             rms = statistics.rms(cov + added)
-            if rms < self.model.rod.length * UNIFORM_STD:
-                result = replace(result, p_surface_world=x[:3].copy(), cov_surface_world=cov + added, rms=rms,
-                                 p_contact_world=mean, cov_contact_world=cov_mean + added_contact,
-                                 **state.forces()._asdict())  # fmt: skip
-            else:
-                result = replace(result, result="unobservable" if self.moments_only else "too_light", rms=rms)
+            result = "ok" if rms < self.model.rod.length * UNIFORM_STD else state.uncertain
+        candidates = np.array([rival.x[:3] for rival in found if rival.chi2 < best.chi2 + RIVAL_CHI2])
+        estimate = state.estimate(result, best.chi2, rms, best.iterations, candidates)
+        if estimate.ok:
+            estimate = replace(estimate, cov_surface_world=cov + added,
+                               cov_contact_world=estimate.cov_contact_world + added_contact)  # fmt: skip
         if brief:
-            return result
+            return estimate
         # The bounds below are linear: the curvature is taken to scale with them.
-        share = result.rms / linear if linear > 0.0 else 1.0
-        result = replace(result, rms_without={of: share * state.rms(without(self.priors, of)) for of in GROUPS})
-        gains = {of: share * rms for of, rms in state.gains().items()} if result.ok else {}
-        return replace(result, rms_with=gains)
+        scale = rms / linear if linear > 0.0 else 1.0
+        gains = self._gains(state) if estimate.ok else {}
+        return replace(
+            estimate, rms_without={group: scale * state.rms(_without(self.priors, group)) for group in GROUPS},
+            rms_with={measure: scale * gain for measure, gain in gains.items()},
+        )  # fmt: skip
+
+    def _gains(self, state: FusionState) -> dict[str, float]:
+        """Return the RMS error with one more touch like the last, with a further press, or with half the standard
+        deviation of the stiffness [m].
+        """
+        touches = state.touches[self.touched]
+        gains = {"stiffness": state.rms(replace(self.priors, youngs_modulus=0.5 * self.priors.youngs_modulus)),
+                 "one more touch": self._rms_with_another(state, touches[-1])}  # fmt: skip
+        if len(touches) > 1:
+            further = 2.0 * touches[-1] - touches[-2]
+            further[PHI], further[TIP:] = touches[-1, PHI], touches[-1, TIP:]
+            gain = self._rms_with_another(state, further)
+            if math.isfinite(gain):
+                gains["further press"] = gain
+        return gains
+
+    def _rms_with_another(self, state: FusionState, touch: Array) -> float:
+        """Return the RMS error with one more reading, taken from the pose that keeps its touched point [m]."""
+        last = int(np.flatnonzero(self.touched)[-1])
+        fusion = replace(self, readings=(*self.readings, self.readings[last]))
+        extended = fusion.state(np.vstack([state.touches, touch]))
+        if not extended.linearise():
+            return math.nan
+        point, T = slice(POINT, POINT + 3), extended.pose[-1]
+        T[:3, 3] += T[:3, :3] @ (state.lin[last, point, VALUE] - extended.lin[-1, point, VALUE])
+        return statistics.rms(extended.solved()[2])
 
     def curvature(self, best: Solution) -> tuple[Array, Array]:
         """Return the curvature correction of the covariances of touched point and centreline [m²], (3, 3) each.
@@ -375,19 +367,25 @@ class Fusion:
         )
         return added if all(np.isfinite(of).all() for of in added) else (none, none)
 
-    def _code(self, found: list[Solution], rms: float) -> Result:
-        best = found[0]
+    def _result(self, found: list[Solution], state: FusionState) -> Result:
+        """Return the result code of the best solution among its rivals."""
+        best, rms = found[0], statistics.rms(found[0].cov)
         std = np.array([math.sqrt(float(reading.cov[0, 0])) for reading in self.readings])
-        code = result_of(best.chi2, self.dof, rms / self.model.rod.length, best.touches[self.touched],
-                         std[self.touched], self.moments_only)  # fmt: skip
-        if code != "ok":
-            return code
-        for rival in found[1:]:
+        result = state.result(best.chi2, rms, std[self.touched])
+        for rival in found[1:] if result == "ok" else []:
             apart = float(np.linalg.norm(rival.x[:3] - best.x[:3]))
-            spread = rms + statistics.rms(rival.cov)
-            if rival.chi2 < best.chi2 + RIVAL_CHI2 and apart > 3.0 * spread:
+            if rival.chi2 < best.chi2 + RIVAL_CHI2 and apart > 3.0 * (rms + statistics.rms(rival.cov)):
                 return "ambiguous"
-        return "ok"
+        return result
+
+
+def _without(priors: Tolerances, group: str) -> Tolerances:
+    """Return the priors with one group of error sources removed."""
+    if group == "stiffness":
+        return replace(priors, youngs_modulus=0.0, shear_modulus=0.0, creep=0.0, stiffness_scatter=0.0)
+    if group == "bias":
+        return replace(priors, drift_steps=0.0, walk_steps=0.0)
+    return replace(priors, base_mm=0.0, robot_mm=0.0)
 
 
 def _distinct(found: Iterable[Solution | None]) -> list[Solution]:

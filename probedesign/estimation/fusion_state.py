@@ -1,38 +1,67 @@
-"""State of a fusion: its linearised touches, information matrix and derived quantities."""
+"""Linearised touches of one fixed point in the memory of the kernels: of a batch, and of a fusion that goes on.
+
+A row of the memory is one reading or the mean of several. A batch fills as many rows as it has readings, `fusion.py`;
+the recursive fusion keeps spare rows for readings to come, `tracker.py`.
+"""
 
 import math
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.special import chdtrc
 
 from probedesign.core import statistics
-from probedesign.core.frames import Array
+from probedesign.core.frames import Array, wrench_map
 from probedesign.core.statistics import MISFIT_CHANCE, UNIFORM_STD, max_chi2
 from probedesign.core.units import MM
 from probedesign.estimation import fusion_kernel, keyframe_kernel, multistart
 from probedesign.estimation.error_sources import FINE, ErrorSources
-from probedesign.estimation.estimate import Result
+from probedesign.estimation.estimate import FusedEstimate, MomentsAbout, Result
+from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.rod.kernels.surface_contact import (
-    ALONG,
-    AROUND,
-    DEAD,
-    NORMAL,
-    OWN,
-    PHI,
-    POINT,
-    ROWS,
-    TIP,
-    UNKNOWNS,
-    VALUE,
-    work_size,
-)
+from probedesign.rod.kernels.surface_contact import ALONG, AROUND, DEAD, NORMAL, OWN, ROWS, TOUCH, UNKNOWNS, work_size
 
-if TYPE_CHECKING:
-    from probedesign.estimation.fusion import Fusion, Reading
+COMMON_FRICTION = 0.5
+"""Share of the friction ratio's variance that the touches of one object have in common. Assumed: they are of the same
+two materials and slip to the same side, but differ in how far each has slipped."""
+OBJECT_STEP = 1e-3
+"""Standard deviation of an object's step on each axis [m], if it moves between two touches. Assumed: a light object
+that is pushed over its support."""
+MAX_STEP = 0.1
+"""Of arclength over length, in one step."""
+_SCALED = {"E": "youngs_modulus", "G": "shear_modulus", "creep": "creep", "stiffness scatter": "stiffness_scatter",
+           "base place": "base_mm"}  # fmt: skip
+"""Priors that `FusionState.rms` may change, by the error source whose columns go with them."""
+
+
+def channels_of(model: ProbeModel, moments: MomentsAbout | None) -> Array:
+    """Return the map from a base wrench to the channels that the fusion uses.
+
+    Args:
+        model: the probe.
+        moments: None: all six channels. "base": the moments about the base's origin alone. "sensor": the moments that
+            the sensor reads, which hold no noise of the forces; but they need all six numbers to be got back.
+
+    Returns:
+        (6, 6) or (3, 6).
+    """
+    if moments is None:
+        return np.eye(6)
+    return np.ascontiguousarray(np.eye(6)[3:] if moments == "base" else wrench_map(model.T_sensor_base)[3:])
+
+
+def dof_of(model: ProbeModel, channels: Array, touched: NDArray[np.bool_]) -> int:
+    """Return the degrees of freedom of a fusion: readings and friction priors, less the unknowns.
+
+    Args:
+        model: the probe.
+        channels: that count, (m, 6).
+        touched: which readings are of a contact, (k,).
+    """
+    free = 0 if math.isfinite(model.friction) else 2
+    return max(len(touched) * len(channels) - free * int(touched.sum()) - 3, 1)
 
 
 class PointConstraint(NamedTuple):
@@ -43,224 +72,205 @@ class PointConstraint(NamedTuple):
     std: float
 
 
-FIRST_CURVATURE = 16.0
-"""Readings of a keyframe after which the curvature is evaluated; then after four times as many."""
-MAX_COUNT = 1e9
-"""Readings after which a mean follows like a low-pass filter."""
+class _Scratch(NamedTuple):
+    """Memory that the kernels work in."""
 
-
-@dataclass
-class Keyframe:
-    """Mean of the readings of one pose, in a slot of the memory of a recursive fusion, with its linearised touch."""
-
-    slot: int  #: row of the memory, in which T, touch, lin, D, local, reduced and x lie.
-    wrench: Array  #: wrench, T, time: means.
-    T: Array
-    time: float
-    sources: ErrorSources  #: error sources under its gravity.
-    touch: Array
-    lin: Array
-    D: Array
-    local: Array
-    reduced: Array
-    x: Array
-    began: float  #: began, span: time of the first reading, and from it to the last one [s].
-    count: float = 1.0  #: number of readings.
-    span: float = 0.0
-    due: float = FIRST_CURVATURE  #: count at which the curvature is evaluated again.
-    known: bool = False  #: whether it has been linearised.
-
-    def take_in(self, wrench: Array, T: Array, time: float) -> None:
-        """Take in one more reading of this pose; wrench, place and time are means."""
-        self.count = min(self.count + 1.0, MAX_COUNT)
-        self.wrench += (wrench - self.wrench) / self.count
-        self.T[:3, 3] += (T[:3, 3] - self.T[:3, 3]) / self.count
-        self.time += (time - self.time) / self.count
-        self.span = time - self.began
-
-    def weight(self, rate: float) -> float:
-        """Return the effective number of samples of the mean for a bias with a random walk.
-
-        The mean over T seconds has the variance `rate` T/12 about the bias at its middle.
-
-        Args:
-            rate: variance of the walk, in steps² a second; a sample has a variance of one step².
-        """
-        return 1.0 / (1.0 / self.count + rate * self.span / 12.0)
-
-
-class Forces(NamedTuple):
-    """Touches pose by pose; NaN where free, but for the force, which is zero there."""
-
-    s_contact: Array  #: arclength of the contact [m], (k,).
-    force_base: Array  #: on the probe [N], (k, 3).
-    force_normal: Array  #: force_normal, force_tangential: of it [N], (k,).
-    force_tangential: Array
-
-
-OBJECT_STEP = 1e-3
-"""Standard deviation of an object's step on each axis [m], if it moves between two touches. Assumed: a light object
-that is pushed over its support."""
-GROUPS = ("stiffness", "bias", "robot")
-"""Groups of error sources whose absence `rms_without` reports."""
-
-
-def result_of(
-    chi2: float, dof: int, relative_rms: float, touches: Array, force_std: Array, moments_only: bool
-) -> Result:
-    """Return the result code of a fused touch without rivals.
-
-    Args:
-        chi2, dof: misfit and its degrees of freedom.
-        relative_rms: root of the trace of the point's covariance, over the length of the probe.
-        touches: as located, (k, TOUCH); force_std: of a force axis by the noise of each reading [N], (k,).
-        moments_only: whether forces do not count.
-    """
-    pulls = (touches[:, NORMAL] < -3.0 * force_std).any()  # by more than noise explains
-    if chi2 > max_chi2(dof, MISFIT_CHANCE) or pulls:
-        return "inconsistent"
-    if not relative_rms < UNIFORM_STD:
-        return "unobservable" if moments_only else "too_light"
-    return "ok"
-
-
-def without(priors: Tolerances, group: str) -> Tolerances:
-    """Return the priors with one group of error sources removed."""
-    if group == "stiffness":
-        return replace(priors, youngs_modulus=0.0, shear_modulus=0.0, creep=0.0, stiffness_scatter=0.0)
-    if group == "bias":
-        return replace(priors, drift_steps=0.0, walk_steps=0.0)
-    return replace(priors, base_mm=0.0, robot_mm=0.0)
-
-
-_SCALED = {"E": "youngs_modulus", "G": "shear_modulus", "creep": "creep", "stiffness scatter": "stiffness_scatter",
-           "base place": "base_mm"}  # fmt: skip
-"""Priors that `FusionState.rms` may change, by the error source whose columns go with them."""
+    sweep: Array
+    block: Array
+    solve: Array  #: the factor of the information and its scale stay at its front.
+    mean: Array
+    step: Array
 
 
 class FusionState:
-    """The touches of a fusion as they are linearised, and the memory that the kernels work in."""
+    """Readings of one point, their touches as linearised, and the solution of the unknowns that they have in common."""
 
-    def __init__(self, fusion: "Fusion", touches: Array, pin: PointConstraint | None = None) -> None:
+    def __init__(self, model: ProbeModel, priors: Tolerances, channels: Array, sources: ErrorSources, rows: int,
+                 common_friction: float = COMMON_FRICTION) -> None:  # fmt: skip
         """Allocate the memory of the kernels.
 
         Args:
-            fusion: of the readings.
-            touches: at every pose, (k, TOUCH), moved in place.
-            pin: a condition on the touched point; None: none.
+            model: the probe.
+            priors: standard deviations of the error sources.
+            channels: what of a wrench at the base counts, (m, 6): see `channels_of`.
+            sources: the error sources at any pose.
+            rows: the most readings.
+            common_friction: share of the friction ratio's variance that all touches have in common, below 1.
         """
-        self.fusion, self.touches = fusion, touches
-        k, m = len(fusion.readings), len(fusion.channels)
-        parameters = OWN + len(fusion.model.rod.s)
-        self.causes = len(fusion.sources[0].names)
+        self.model, self.priors, self.channels, self.common_friction = model, priors, channels, common_friction
+        self.causes, m, parameters = len(sources.names), len(channels), OWN + len(model.rod.s)
         width = keyframe_kernel.columns(self.causes)
-        self.lin = np.empty((k, ROWS, 1 + UNKNOWNS + parameters))
-        self.D = np.empty((k, 12, self.causes))
-        # A pin counts as one more reading before the first.
-        self.reduced = np.zeros((k + 1, m, width))
-        self._order = np.arange(k) if pin is None else np.concatenate([[k], np.arange(k)])
-        if pin is not None:
-            self.reduced[k, 0, :3], self.reduced[k, 0, -1] = pin.axis / pin.std, pin.at / pin.std
-        self._touched = np.append(fusion.touched, False)
-        self._walk = np.empty(len(self._order))
-        self._chain = np.empty((len(self._order), keyframe_kernel.BIAS, width))
-        self._xs = np.empty((k + 1, width - 1))
-        self.local = np.empty((k, keyframe_kernel.LOCAL, keyframe_kernel.LOCAL + width))
-        self._sweep_work = np.empty(work_size(parameters))
-        self._block = np.empty((keyframe_kernel.rows_of(m), keyframe_kernel.LOCAL + width))
-        self._work = np.empty(max(fusion_kernel.solve_work(self.causes), 100))
-        self._x, self._cov = np.empty(width - 1), np.empty((3, 3))
+        # What was read, a row for each reading.
+        self.sources = [sources] * rows
+        self.wrench, self.pose, self.whiten = np.empty((rows, 6)), np.empty((rows, 4, 4)), np.empty((rows, m, m))
+        self.touched, self.ramp = np.ones(rows, dtype=bool), np.ones(rows)
+        #: Wrench (6,) and error columns (6, J) of the free probe at each row without contact.
+        self.free: dict[int, tuple[Array, Array]] = {}
+        # The touches, linearised and reduced by the unknowns of their own pose.
+        self.touches = np.zeros((rows, TOUCH))
+        self.lin, self.D = np.empty((rows, ROWS, 1 + UNKNOWNS + parameters)), np.empty((rows, 12, self.causes))
+        self.local = np.empty((rows, keyframe_kernel.LOCAL, keyframe_kernel.LOCAL + width))
+        self.reduced = np.zeros((rows, m, width))
+        # The solution: rows in the order of time, variance of the bias's step before each and its standard deviation
+        # at the first, unknowns at the last row and at each, covariance of the point.
+        self.order, self.walk, self.start = np.arange(rows), np.zeros(rows), 0.0
+        #: Number of pins, which come first in the order; time before each row in the order, over `WALK_SECONDS`.
+        self.pins, self.elapsed = 0, np.zeros(rows)
+        self.x, self.common, self.cov = np.empty(width - 1), np.empty((rows, width - 1)), np.empty((3, 3))
+        self._chain = np.empty((rows, keyframe_kernel.BIAS, width))
+        self._scatter, self._creep = sources.column("stiffness scatter"), sources.column("creep")
+        #: Derivative of the channels by the bias in steps of the resolution, (m, 6).
+        step = model.noise_base() * model.averaging_samples
+        self.bias = np.ascontiguousarray(channels @ np.linalg.cholesky(step))
+        self._work = _Scratch(
+            np.empty(work_size(parameters)), np.empty((keyframe_kernel.rows_of(m), keyframe_kernel.LOCAL + width)),
+            np.empty(max(fusion_kernel.solve_work(self.causes), 100)), np.empty(6 * width + 100), np.empty(60),
+        )  # fmt: skip
+
+    @property
+    def readings(self) -> int:
+        """Return the number of rows in the order that are readings."""
+        return len(self.order) - self.pins
+
+    def pin(self, constraint: PointConstraint) -> None:
+        """Put a condition on the touched point into the last row, which counts as a reading before the first."""
+        self.pins, self.order = 1, np.roll(self.order, 1)
+        self.touched[-1] = False
+        self.reduced[-1, 0, :3] = constraint.axis / constraint.std
+        self.reduced[-1, 0, -1] = constraint.at / constraint.std
+
+    # One row ---------------------------------------------------------------------------------------------------------
+
+    def linearise_row(self, row: int) -> bool:
+        """Linearise the touch of a row; return whether it has a stable equilibrium."""
+        sources = self.sources[row]
+        return bool(keyframe_kernel.linearise_keyframe(
+            self.model.rod.body, sources.gravity, self.model.mass, FINE, self.touches[row], *sources.arguments(),
+            self._work.sweep, self.lin[row], self.D[row],
+        ))  # fmt: skip
+
+    def reduce_row(
+        self,
+        row: int,
+        robot_mm: float | None = None,
+        D: Array | None = None,
+        friction: float | None = None,
+        common_friction: float | None = None,
+    ) -> None:
+        """Eliminate the own unknowns of a row, as it is linearised.
+
+        Args:
+            row: which.
+            robot_mm: standard deviation of the base's place at this pose alone [mm]; that of the priors if None.
+            D: error columns, (12, J); those of the touch if None.
+            friction: prior standard deviation of the friction ratio; that of the model if None.
+            common_friction: share of its variance that all touches have in common; that of the fusion if None.
+        """
+        if not self.touched[row]:
+            free, columns = self.free[row]
+            keyframe_kernel.reduce_free(columns, free, self.wrench[row], self.channels, self.whiten[row], self.bias,
+                                        self.reduced[row])  # fmt: skip
+            return
+        keyframe_kernel.reduce_keyframe(
+            self.touches[row], self.lin[row], self.D[row] if D is None else D, self.wrench[row], self.pose[row],
+            self.channels, self.whiten[row], self.bias, self.model.friction if friction is None else friction,
+            self.common_friction if common_friction is None else common_friction,
+            (self.priors.robot_mm if robot_mm is None else robot_mm) * MM, self._scatter, self._creep,
+            float(self.ramp[row]), self._work.block, self.local[row], self.reduced[row],
+        )  # fmt: skip
+
+    def move_row(self, row: int, share: float = 1.0, max_step: float = MAX_STEP) -> float:
+        """Move the touch of a row towards the solution.
+
+        Args:
+            row: which.
+            share: of the step to go at most; max_step: of arclength over length.
+
+        Returns:
+            The size of the whole step in standard deviations.
+        """
+        rod = self.model.rod
+        return float(keyframe_kernel.step_keyframe(
+            self.touches[row], self.lin[row], self.local[row], self.common[row], share, max_step * rod.length,
+            rod.flank_end, self._work.step,
+        ))  # fmt: skip
+
+    # All rows --------------------------------------------------------------------------------------------------------
 
     def linearise(self) -> bool:
-        """Linearise all touches; return whether all have a stable equilibrium."""
-        fusion = self.fusion
-        for k, sources in enumerate(fusion.sources):
-            if fusion.touched[k] and not keyframe_kernel.linearise_keyframe(
-                fusion.model.rod.body, sources.gravity, fusion.model.mass, FINE, self.touches[k],
-                *sources.arguments(), self._sweep_work, self.lin[k], self.D[k],
-            ):  # fmt: skip
-                return False
-        return True
+        """Linearise all touches of a batch; return whether all have a stable equilibrium."""
+        return all(self.linearise_row(row) for row in range(self.readings) if self.touched[row])
 
-    def _reduce(self, priors: Tolerances, D: Array, friction: float | None, common: float | None) -> None:
-        fusion = self.fusion
-        ratio = fusion.model.friction if friction is None else friction
-        common = fusion.common_friction if common is None else common
-        scatter, creep = fusion.own_columns
-        for k, reading in enumerate(fusion.readings):
-            whiten = fusion.whitening[k]
-            if not reading.touched:
-                free, columns = fusion.free[k]
-                keyframe_kernel.reduce_free(
-                    columns, free, reading.wrench, fusion.channels, whiten, fusion.bias, self.reduced[k]
-                )
-                continue
-            keyframe_kernel.reduce_keyframe(
-                self.touches[k], self.lin[k], D[k], reading.wrench, reading.T_world_base, fusion.channels, whiten,
-                fusion.bias, ratio, common, priors.robot_mm * MM, scatter, creep,
-                float(fusion.ramps[k]), self._block, self.local[k], self.reduced[k],
-            )  # fmt: skip
+    def step(self, share: float, max_step: float = MAX_STEP) -> float:
+        """Call `move_row` for all touches of a batch, after `solved`; return the largest step."""
+        return max(self.move_row(row, share, max_step) for row in range(self.readings) if self.touched[row])
+
+    def solve(self, walk: Array, start: float) -> float:
+        """Solve for the common unknowns at all rows in `order`, as reduced, and return the least misfit squared.
+
+        Args:
+            walk: variance of the bias's step before each row in `order` [steps²].
+            start: standard deviation of the bias at the first one [steps].
+        """
+        self.walk, self.start = walk, start
+        chi2 = fusion_kernel.solve_reduced(self.reduced, self.order, walk, start, self.causes, self._chain,
+                                           self._work.solve, self.x, self.cov)  # fmt: skip
+        fusion_kernel.smooth_bias(self._chain, self.order, walk, self.x, self.common)
+        return float(chi2)
 
     def solved(
         self,
-        priors: Tolerances,
+        priors: Tolerances | None = None,
         D: Array | None = None,
         friction: float | None = None,
         common_friction: float | None = None,
     ) -> tuple[float, Array, Array]:
-        """Return the least misfit, the common unknowns and the covariance of the touched point, for the touches as
-        linearised.
+        """Return the least misfit, the common unknowns and the covariance of the touched point of a batch, for the
+        touches as linearised.
 
         Args:
-            priors: standard deviations that the columns do not hold: bias and base at each pose.
+            priors: standard deviations that the columns do not hold, of bias and base at each pose; those of the state
+                if None.
             D: error columns, (k, 12, J); those of the touches if None.
-            friction: prior standard deviation of the friction ratio; that of the model if None.
-            common_friction: share of its variance that all touches have in common; that of the fusion if None.
+            friction, common_friction: as in `reduce_row`.
         """
-        self._reduce(priors, self.D if D is None else D, friction, common_friction)
-        self._walk[:] = 0.0  # nothing before the first reading, whether or not a pin counts as one more
-        self._walk[-len(self.fusion.readings) :] = priors.walk_steps**2 * self.fusion.steps_of_walk
-        chi2 = fusion_kernel.solve_reduced(
-            self.reduced, self._order, self._walk, priors.drift_steps, self.causes, self._chain, self._work, self._x,
-            self._cov,
-        )  # fmt: skip
-        fusion_kernel.smooth_bias(self._chain, self._order, self._walk, self._x, self._xs)
-        return float(chi2), self._x.copy(), self._cov.copy()
-
-    def step(self, share: float, max_step: float) -> float:
-        """Move every touch towards the solution of the common unknowns, after `solved`.
-
-        Args:
-            share: of the step to go; max_step: of arclength [m].
-
-        Returns:
-            The largest step in standard deviations.
-        """
-        work, end = np.empty(60), self.fusion.model.rod.flank_end
-        sizes = [
-            keyframe_kernel.step_keyframe(self.touches[k], self.lin[k], self.local[k], x, share, max_step, end, work)
-            for k, x in enumerate(self._xs)
-            if self._touched[k]
-        ]
-        return float(max(sizes))
+        priors = priors or self.priors
+        for row in range(self.readings):
+            self.reduce_row(row, priors.robot_mm, None if D is None else D[row], friction, common_friction)
+        chi2 = self.solve(priors.walk_steps**2 * self.elapsed, priors.drift_steps)
+        return chi2, self.x.copy(), self.cov.copy()
 
     def information(self) -> tuple[Array, Array]:
-        """Return the information matrix (n, n) and vector (n,) of touched point [m] and error sources, after `solved`.
+        """Return the information matrix (n, n) and vector (n,) of touched point [m] and error sources, as solved.
 
         Bias and common friction are marginalised; the unit priors of the error sources are part of the matrix.
 
         Returns:
             Both of n = 3 + J unknowns.
         """
-        n, o = len(self._x), 3 + self.causes
-        L, scale = np.tril(self._work[: n * n].reshape(n, n)), self._work[n * n : n * n + n]
+        o, (L, scale) = 3 + self.causes, _factor(self._work.solve, len(self.x))
         root = scale[:, None] * L
         A = root @ root.T
         reduced = A[:o, :o] - A[:o, o:] @ np.linalg.solve(A[o:, o:], A[o:, :o])
-        return reduced, reduced @ self._x[:o]
+        return reduced, reduced @ self.x[:o]
+
+    def cov_with_sources(self) -> Array:
+        """Return the covariance of the touched point [m] with the error sources (unit priors), as solved, (3, J)."""
+        L, scale = _factor(self._work.solve, len(self.x))
+        half = solve_triangular(L, np.diag(1.0 / scale), lower=True)
+        return np.asarray(half[:, :3].T @ half[:, 3 : 3 + self.causes])
+
+    def rms(self, priors: Tolerances) -> float:
+        """Return the RMS error of the touched point [m] under other priors (Cramér-Rao bound)."""
+        D = self.D.copy()
+        for column, name in enumerate(self.sources[0].names):
+            if name in _SCALED:
+                before = getattr(self.priors, _SCALED[name])
+                D[:, :, column] *= getattr(priors, _SCALED[name]) / before if before > 0.0 else 0.0
+        return statistics.rms(self.solved(priors, D)[2])
 
     def has_moved(self) -> bool:
-        """Return whether the object has moved between the readings.
+        """Return whether the object has moved between the readings of a batch.
 
         The alternative, for each touch after the first, is a step d ~ N(0, `OBJECT_STEP`²) of the touched point before
         it. The step is one more common unknown, with which the misfit falls by Δ = Σ wᵢ ξᵢ². The wᵢ are the
@@ -269,8 +279,8 @@ class FusionState:
         `MISFIT_CHANCE` over the number of alternatives (Bonferroni). Friction counts as drawn at each touch for itself:
         a step must not be what friction that changes from touch to touch explains as well.
         """
-        fixed = self.solved(self.fusion.priors, common_friction=0.0)[0]
-        later = np.flatnonzero(self.fusion.touched)[1:]
+        fixed = self.solved(common_friction=0.0)[0]
+        later = np.flatnonzero(self.touched)[1:]
         for first in later:
             chi2, weights = self.with_step(int(first))
             mean, square = weights.sum(), (weights**2).sum()
@@ -285,96 +295,90 @@ class FusionState:
         Args:
             first: the first reading after the step. The readings are reduced as `solved` left them.
         """
-        k, m, width = self.reduced.shape
-        wide, later = np.zeros((k, m, width + 3)), slice(first, len(self.fusion.readings))
+        rows, m, width = self.reduced.shape
+        wide = np.zeros((rows, m, width + 3))
         wide[:, :, :3], wide[:, :, 6:] = self.reduced[:, :, :3], self.reduced[:, :, 3:]
-        wide[later, :, 3:6] = OBJECT_STEP * self.reduced[later, :, :3]
-        chain = np.empty((len(self._order), keyframe_kernel.BIAS, width + 3))
+        wide[first : self.readings, :, 3:6] = OBJECT_STEP * self.reduced[first : self.readings, :, :3]
+        chain = np.empty((rows, keyframe_kernel.BIAS, width + 3))
         work, n = np.empty(fusion_kernel.solve_work(self.causes + 3)), width + 2
-        chi2 = fusion_kernel.solve_reduced(
-            wide, self._order, self._walk, self.fusion.priors.drift_steps, self.causes + 3, chain, work, np.empty(n),
-            np.empty((3, 3)),
-        )  # fmt: skip
-        L, scale = np.tril(work[: n * n].reshape(n, n)), work[n * n : n * n + n]
+        chi2 = fusion_kernel.solve_reduced(wide, self.order, self.walk, self.start, self.causes + 3, chain, work,
+                                           np.empty(n), np.empty((3, 3)))  # fmt: skip
+        L, scale = _factor(work, n)
         half = solve_triangular(L, np.diag(1.0 / scale)[:, 3:6], lower=True)
         # All are zero where the step is unobservable.
         return float(chi2), np.maximum(1.0 - np.linalg.eigvalsh(half.T @ half), 1e-12)
 
-    def std_of(self, j: int) -> float:
-        """Return the standard deviation of a common unknown, after `solved`."""
-        n = len(self._x)
-        return float(fusion_kernel.standard_deviation(self._work, n, j, np.empty(n)))
+    # The result ------------------------------------------------------------------------------------------------------
 
-    def cov_with_sources(self) -> Array:
-        """Return the covariance of the touched point [m] with the error sources (unit priors), after `solved`, (3,
-        J).
+    def result(self, chi2: float, rms: float, force_std: Array) -> Result:
+        """Return the result code of the touched point without rivals.
+
+        Args:
+            chi2: misfit squared; rms: of the point [m].
+            force_std: standard deviation of a force axis by the noise of each touch in the order of time [N], (k,).
         """
-        n = len(self._x)
-        L, scale = self._work[: n * n].reshape(n, n), self._work[n * n : n * n + n]
-        half = solve_triangular(L, np.diag(1.0 / scale), lower=True)
-        return np.asarray(half[:, :3].T @ half[:, 3 : 3 + self.causes])
+        rows = self.order[self.touched[self.order]]
+        pulls = (self.touches[rows, NORMAL] < -3.0 * force_std).any()  # by more than noise explains
+        if chi2 > max_chi2(self.dof, MISFIT_CHANCE) or pulls:
+            return "inconsistent"
+        return "ok" if rms < self.model.rod.length * UNIFORM_STD else self.uncertain
 
-    def rms(self, priors: Tolerances) -> float:
-        """Return the RMS error of the touched point [m] under other priors (Cramér-Rao bound)."""
-        D, now = self.D.copy(), self.fusion.priors
-        for c, name in enumerate(self.fusion.sources[0].names):
-            if name in _SCALED:
-                before = getattr(now, _SCALED[name])
-                D[:, :, c] *= getattr(priors, _SCALED[name]) / before if before > 0.0 else 0.0
-        return statistics.rms(self.solved(priors, D)[2])
+    @property
+    def moments_only(self) -> bool:
+        """Return whether only the moments count."""
+        return len(self.channels) == 3
+
+    @property
+    def uncertain(self) -> Result:
+        """Return the result code of a point that is no better known than without a reading."""
+        return "unobservable" if self.moments_only else "too_light"
+
+    @property
+    def dof(self) -> int:
+        """Return the degrees of freedom of the misfit."""
+        return dof_of(self.model, self.channels, self.touched[self.order[self.pins :]])
+
+    def estimate(self, result: Result, chi2: float, rms: float, iterations: int, candidates: Array) -> FusedEstimate:
+        """Return the estimate as solved; with any result but "ok" without the point.
+
+        Args:
+            result: its code; chi2: misfit squared; rms: of the point [m].
+            iterations: of Gauss-Newton; candidates: points that explain the readings about as well [m], (j, 3).
+        """
+        stiffness, std, column = 1.0, 0.0, self.sources[0].column("E")
+        if column >= 0:
+            scale = self.priors.youngs_modulus
+            stiffness = math.exp(scale * float(self.x[3 + column]))
+            std = scale * float(fusion_kernel.standard_deviation(self._work.solve, len(self.x), 3 + column,
+                                                                 self._work.mean))  # fmt: skip
+        stated: dict[str, Any] = {
+            "stiffness": stiffness, "std_stiffness": stiffness * std, "chi2": chi2, "dof": self.dof, "rms": rms,
+            "iterations": iterations, "candidates_world": candidates,
+        }  # fmt: skip
+        if result != "ok":
+            return FusedEstimate(result, **stated)
+        mean, cov_mean = self.mean_centre()
+        rows = self.order[self.pins :]
+        touches, free, s = self.touches[rows], ~self.touched[rows], np.empty(len(rows))
+        multistart.contact_arclengths(self.model.rod.body, touches, s)
+        force, normal = touches[:, DEAD : DEAD + 3], touches[:, NORMAL]
+        tangential = normal * np.hypot(touches[:, AROUND], touches[:, ALONG])
+        force[free] = 0.0
+        for column_of_free in (s, normal, tangential):
+            column_of_free[free] = np.nan
+        return FusedEstimate("ok", self.x[:3].copy(), self.cov.copy(), mean, cov_mean, s, force, normal, tangential,
+                             **stated)  # fmt: skip
 
     def mean_centre(self) -> tuple[Array, Array]:
-        """Return the mean of the centreline points in the world [m], (3,), and its covariance [m²], after `solved`."""
-        fusion, n = self.fusion, len(self._x)
-        poses = np.array([reading.T_world_base for reading in fusion.readings])
+        """Return the mean of the centreline points in the world [m], (3,), and its covariance [m²], as solved."""
         mean, cov = np.empty(3), np.empty((3, 3))
         fusion_kernel.mean_centre(
-            self.lin, self.D, self.local, poses, self._order, self._touched, self._walk, self._chain, self._xs,
-            *fusion.own_columns, np.append(fusion.ramps, 1.0), np.empty(6 * n + 100), self._work, mean, cov,
+            self.lin, self.D, self.local, self.pose, self.order, self.touched, self.walk, self._chain, self.common,
+            self._scatter, self._creep, self.ramp, self._work.mean, self._work.solve, mean, cov,
         )  # fmt: skip
         return mean, cov
 
-    def forces(self) -> Forces:
-        """Return arclength, force and friction at every pose."""
-        touches, free = self.touches, ~self.fusion.touched
-        s = np.empty(len(touches))
-        multistart.contact_arclengths(self.fusion.model.rod.body, touches, s)
-        force = touches[:, DEAD : DEAD + 3].copy()
-        normal = touches[:, NORMAL].copy()
-        tangential = normal * np.hypot(touches[:, AROUND], touches[:, ALONG])
-        force[free] = 0.0
-        for of in (s, normal, tangential):
-            of[free] = np.nan
-        return Forces(s, force, normal, tangential)
 
-    def gains(self) -> dict[str, float]:
-        """Return the RMS error with one more touch like the last, with a further press, or with half the standard
-        deviation of the stiffness [m].
-        """
-        fusion = self.fusion
-        halved = replace(fusion.priors, youngs_modulus=0.5 * fusion.priors.youngs_modulus)
-        gains = {"stiffness": self.rms(halved)}
-        at = np.flatnonzero(fusion.touched)
-        last = fusion.readings[at[-1]]
-        gains["one more touch"] = self._rms_with_extra_reading(last, self.touches[at[-1]])
-        if len(at) > 1:
-            further = 2.0 * self.touches[at[-1]] - self.touches[at[-2]]
-            further[TIP:] = self.touches[at[-1], TIP:]
-            further[PHI] = self.touches[at[-1], PHI]
-            gain = self._rms_with_extra_reading(last, further)
-            if math.isfinite(gain):
-                gains["further press"] = gain
-        return gains
-
-    def _rms_with_extra_reading(self, reading: "Reading", touch: Array) -> float:
-        """Return the RMS error with one more reading, taken from the pose that keeps its touched point [m]."""
-        fusion = self.fusion
-        more = replace(fusion, readings=(*fusion.readings, reading))
-        state = FusionState(more, np.vstack([self.touches, touch]))
-        if not state.linearise():
-            return math.nan
-        T = reading.T_world_base.copy()
-        i = int(np.flatnonzero(fusion.touched)[-1])
-        T[:3, 3] += T[:3, :3] @ (self.lin[i][POINT : POINT + 3, VALUE] - state.lin[-1][POINT : POINT + 3, VALUE])
-        state.fusion = replace(more, readings=(*fusion.readings, replace(reading, T_world_base=T)))
-        return statistics.rms(state.solved(fusion.priors)[2])
+def _factor(memory: Array, n: int) -> tuple[Array, Array]:
+    """Return the Cholesky factor of the scaled information matrix, (n, n), and its scale, (n,), of `solve_reduced`."""
+    return np.tril(memory[: n * n].reshape(n, n)), memory[n * n : n * n + n]

@@ -21,8 +21,8 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.estimate import RESULTS, FusedEstimate
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.fusion import Fusion, Reading, channels_of
-from probedesign.estimation.fusion_state import FusionState
+from probedesign.estimation.fusion import Fusion, Reading
+from probedesign.estimation.fusion_state import FusionState, channels_of
 from probedesign.estimation.model import ProbeModel, covariance
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.mapping.segmentation import TouchSegment
@@ -129,7 +129,7 @@ class ConditionalPoint:
         kept = vectors[:, values > MIN_INFORMATION]
         on_m = (kept * values[values > MIN_INFORMATION]) @ kept.T
         vector_m = kept @ (kept.T @ (vector[m] - information[m, x] @ S @ vector[x]))
-        names = state.fusion.sources[0].names
+        names = state.sources[0].names
         return cls(S @ vector[x], B, 0.5 * (S + S.T) + added, on_m, vector_m, names)
 
     def position(self, common: Array) -> Array:
@@ -192,10 +192,10 @@ def locate_touch(segment: TouchSegment, estimator: Estimator, priors: Tolerances
     fused = fusion.answer(solutions, brief=True)
     if not fused.ok:
         return LocatedTouch(segment, fused.result)
-    state = FusionState(fusion, solutions[0].touches.copy())
+    state = fusion.state(solutions[0].touches)
     if not state.linearise():
         return LocatedTouch(segment, "not_converged")
-    _chi2, _x, cov = state.solved(fusion.priors)
+    cov = state.solved()[2]
     point = ConditionalPoint.from_fusion(state, fused.cov_surface_world - cov)
     if not np.linalg.eigvalsh(point.cov)[0] > 0.0:  # a direction is open, or the readings contradict each other
         return LocatedTouch(segment, "not_converged")

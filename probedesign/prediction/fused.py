@@ -19,14 +19,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from probedesign.core.errors import InputError
-from probedesign.core.frames import Array, pose
+from probedesign.core.frames import Array
 from probedesign.core.parallel import OnProgress, quiet
-from probedesign.core.statistics import UNIFORM_STD, rms, rms_each
+from probedesign.core.statistics import UNIFORM_STD, rms, rms_each, whiten
 from probedesign.core.units import MM
 from probedesign.estimation.error_sources import CAUSES as SOURCES
 from probedesign.estimation.estimate import MomentsAbout
-from probedesign.estimation.fusion import Fusion, Reading, channels_of
-from probedesign.estimation.fusion_state import FusionState
+from probedesign.estimation.fusion import Fusion, Reading
+from probedesign.estimation.fusion_state import channels_of
 from probedesign.estimation.model import ProbeModel, covariance
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.budget import radius_95
@@ -102,28 +102,19 @@ class LinearizedPresses:
             touches: unknowns, dead loads and tip of each, in the order of time, (k, TOUCH).
             schedule: how they are made.
         """
-        cov, none = model.noise_base(), np.zeros(6)
-        readings = tuple(Reading(none, cov, np.eye(4), gravity, True) for _ in touches)
-        self.fusion = Fusion(model, readings, priors, channels_of(model, schedule.moments_about), gravity)
-        self.state = FusionState(self.fusion, touches.copy())
-        self.converged = self.state.linearise()
-        if not self.converged:
-            return
-        wrenches = self.state.lin[:, 0:6, VALUE]
-        points = self.state.lin[:, POINT : POINT + 3, VALUE]
-        readings = tuple(
-            Reading(w.copy(), covariance(model, w), pose(p=-p), gravity, True)
-            for w, p in zip(wrenches, points, strict=True)
-        )
-        sources = self.fusion.sources  # of the same gravity at all poses
-        self.fusion = replace(self.fusion, readings=readings)
-        self.fusion.__dict__["sources"] = sources
-        self.state.fusion = self.fusion
+        reading = Reading(np.zeros(6), model.noise_base(), np.eye(4), gravity, True)
+        channels = channels_of(model, schedule.moments_about)
+        state = Fusion(model, (reading,) * len(touches), priors, channels, gravity).state(touches)
+        self.state, self.converged = state, state.linearise()
+        if self.converged:
+            state.wrench[:] = state.lin[:, 0:6, VALUE]
+            state.pose[:, :3, 3] = -state.lin[:, POINT : POINT + 3, VALUE]
+            state.whiten[:] = whiten(channels @ np.array([covariance(model, w) for w in state.wrench]) @ channels.T)
 
     @property
     def wrenches(self) -> Array:
         """Return the wrenches at the base without noise, (k, 6)."""
-        return np.array([reading.wrench for reading in self.fusion.readings])
+        return self.state.wrench
 
     def cov(self, priors: Tolerances | None = None, D: Array | None = None, friction: float | None = None) -> Array:
         """Return the covariance of the touched point to first order [m²], (3, 3).
@@ -133,11 +124,11 @@ class LinearizedPresses:
             D: error columns; those of the presses if None.
             friction: prior standard deviation of the friction ratio; that of the model if None.
         """
-        return self.state.solved(priors or self.fusion.priors, D, friction=friction)[2]
+        return self.state.solved(priors, D, friction=friction)[2]
 
     def split(self) -> FusedErrorBudget:
         """Return the covariance by error source."""
-        priors = self.fusion.priors
+        priors = self.state.priors
         total = self.cov()
         exact = replace(priors, robot_mm=0.0, drift_steps=0.0, walk_steps=0.0)
         noise = self.cov(exact, np.zeros_like(self.state.D))
@@ -145,12 +136,12 @@ class LinearizedPresses:
         with_sources = self.state.cov_with_sources()
         parts = {}
         for name in SOURCES[2:]:
-            here = with_sources[:, [c for c, of in enumerate(self.fusion.sources[0].names) if of == name]]
+            here = with_sources[:, [c for c, of in enumerate(self.state.sources[0].names) if of == name]]
             parts[name] = here @ here.T
         parts["drift"] = self._by(lambda f: (replace(priors, drift_steps=f * priors.drift_steps,
                                                      walk_steps=f * priors.walk_steps), None))  # fmt: skip
         parts["robot"] = self._by(lambda f: (replace(priors, robot_mm=f * priors.robot_mm), None))
-        if _SCATTER in self.fusion.sources[0].names:
+        if _SCATTER in self.state.sources[0].names:
             parts[_SCATTER] = self._by(lambda f: (priors, self._scattered(f)))
         parts["noise"] = whole - sum(parts.values())
         parts["friction"] = total - whole
@@ -163,7 +154,7 @@ class LinearizedPresses:
 
     def _scattered(self, factor: float) -> Array:
         D = self.state.D.copy()
-        D[:, :, self.fusion.sources[0].names.index(_SCATTER)] *= factor
+        D[:, :, self.state.sources[0].names.index(_SCATTER)] *= factor
         return D
 
 

@@ -13,8 +13,8 @@ from probedesign.core.frames import pose, rotation_z
 from probedesign.core.statistics import MISFIT_CHANCE, max_chi2
 from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.fusion import Fusion, Reading, channels_of
-from probedesign.estimation.fusion_state import OBJECT_STEP, FusionState
+from probedesign.estimation.fusion import Fusion, Reading
+from probedesign.estimation.fusion_state import OBJECT_STEP, channels_of
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.rod.kernels.surface_contact import AROUND, BY_PARAMETER, POINT
 from tests.estimation.true_touches import EXACT, presses, settle, sources_of, wrenches_of
@@ -45,23 +45,22 @@ def noisy(model, wrenches, rng):
 
 def oracle_of(state, step=None, common_friction=None):
     """Solve a linearised fusion by dense least squares."""
-    fusion = state.fusion
     poses = []
-    for k, reading in enumerate(fusion.readings):
+    for k, touched in enumerate(state.touched):
         lin, D = state.lin[k][:12, :BY_PARAMETER], state.D[k]
-        if not reading.touched:
-            free, columns = fusion.free[k]
+        if not touched:
+            free, columns = state.free[k]
             lin, D = np.zeros((12, BY_PARAMETER)), np.zeros((12, columns.shape[1]))
             lin[:6, 0], D[:6] = free, columns
         poses.append(dense.LinearPose(
-            lin, D, state.touches[k, AROUND : AROUND + 2], reading.wrench, reading.T_world_base,
-            fusion.whitening[k], float(fusion.ramps[k]) if reading.touched else 1.0, reading.touched,
+            lin, D, state.touches[k, AROUND : AROUND + 2], state.wrench[k], state.pose[k], state.whiten[k],
+            float(state.ramp[k]) if touched else 1.0, bool(touched),
         ))  # fmt: skip
-    scatter, creep = fusion.own_columns
-    of = fusion.priors
+    scatter, creep = (state.sources[0].column(name) for name in ("stiffness scatter", "creep"))
+    of = state.priors
     priors = dense.Priors(
-        fusion.channels, fusion.bias, fusion.model.friction,
-        fusion.common_friction if common_friction is None else common_friction, of.robot_mm * MM,
+        state.channels, state.bias, state.model.friction,
+        state.common_friction if common_friction is None else common_friction, of.robot_mm * MM,
         max(of.drift_steps, 1e-6), of.walk_steps, scatter, creep,
     )  # fmt: skip
     return dense.solve(poses, priors, step)
@@ -83,7 +82,7 @@ def linearised(large, gravity, pressed, priors, moments, friction):
     fusion = Fusion(model, readings, PRIORS[priors], channels_of(model, moments), rotation_z(0.3) @ gravity)
     start = np.zeros((7, touches[0].touch.size))
     start[fusion.touched] = [settle(fusion.sources[1], touch.touch[:5] * 1.02).touch for touch in touches]
-    state = FusionState(fusion, start)
+    state = fusion.state(start)
     assert state.linearise()
     return state
 
@@ -100,7 +99,7 @@ CASES = [
 @pytest.mark.parametrize("priors", PRIORS)
 def test_the_solver_is_dense_least_squares(priors, moments, friction, large, gravity, pressed):
     state = linearised(large, gravity, pressed, priors, moments, friction)
-    chi2, x, cov_x = state.solved(state.fusion.priors)
+    chi2, x, cov_x = state.solved()
     wanted = oracle_of(state)
     std = np.sqrt(np.diag(wanted.cov)).max()
     np.testing.assert_allclose(x[:3], wanted.x[:3], rtol=0, atol=1e-6 * std)
@@ -114,7 +113,7 @@ def test_the_solver_is_dense_least_squares(priors, moments, friction, large, gra
 @pytest.mark.parametrize("priors", PRIORS)
 def test_the_misfit_with_a_step_of_the_object_is_dense_least_squares(priors, moments, large, gravity, pressed):
     state = linearised(large, gravity, pressed, priors, moments, 0.6)
-    fixed, _x, _cov = state.solved(state.fusion.priors, common_friction=0.0)
+    fixed, _x, _cov = state.solved(common_friction=0.0)
     for first in (2, 3, 6):
         chi2, weights = state.with_step(first)
         wanted = oracle_of(state, (first, OBJECT_STEP), common_friction=0.0)
@@ -129,7 +128,7 @@ def test_the_misfit_with_a_step_of_the_object_is_dense_least_squares(priors, mom
 def test_the_touches_of_the_poses_are_those_of_dense_least_squares(priors, moments, friction, large, gravity, pressed):
     """Return the change of each touch, the mean of the centreline points and its covariance."""
     state = linearised(large, gravity, pressed, priors, moments, friction)
-    state.solved(state.fusion.priors)
+    state.solved()
     wanted = oracle_of(state)
     mean, cov_mean = state.mean_centre()
     size = np.trace(wanted.cov_centre)
@@ -137,7 +136,7 @@ def test_the_touches_of_the_poses_are_those_of_dense_least_squares(priors, momen
     np.testing.assert_allclose(cov_mean, wanted.cov_centre, rtol=0, atol=1e-6 * size)
     before = state.touches.copy()
     state.step(1.0, 1.0)
-    for k in np.flatnonzero(state.fusion.touched):
+    for k in np.flatnonzero(state.touched):
         own = wanted.own[k, :5]
         if np.abs(own[[1, 3, 4]]).max() < 0.5:  # a longer step is shortened
             np.testing.assert_allclose(state.touches[k, :5] - before[k, :5], own, rtol=1e-4, atol=1e-9)
@@ -226,7 +225,7 @@ def test_published_bounds_of_five_touches(fraction, force_mN, bounds, large, gra
             Reading(w, model.noise_base(), T, gravity, True) for w, T in zip(wrenches_of(touches), Ts, strict=True)
         )
         fusion = Fusion(model, readings, priors, channels_of(model, None), gravity, common_friction=0.0)
-        state = FusionState(fusion, np.array([touch.touch for touch in touches]))
+        state = fusion.state(np.array([touch.touch for touch in touches]))
         assert state.linearise()
         bound = math.sqrt(np.trace(state.solved(priors)[2]))
         assert 1e3 * bound == pytest.approx(bound_mm, rel=0.1)

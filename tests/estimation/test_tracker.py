@@ -61,7 +61,7 @@ def test_it_agrees_with_the_batch(priors, moments_only, large, gravity, pressed,
     results, _ = feed(wrenches[-1], Ts[-1], 1000)
     c, tracker = results[-1], feed.tracker
     assert tracker.kept == 5
-    batch = tracker._batch()[0].solve()
+    batch = tracker._batch(tracker._touch).solve()
     assert c.result == batch.result == "ok"
     # Both end within a few hundredths of a standard deviation.
     assert np.linalg.norm(c.p_surface_world - batch.p_surface_world) <= 0.05 * batch.rms

@@ -7,8 +7,8 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM
-from probedesign.estimation.fusion import Fusion, Reading, channels_of
-from probedesign.estimation.fusion_state import FusionState
+from probedesign.estimation.fusion import Fusion, Reading
+from probedesign.estimation.fusion_state import channels_of
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.mapping.touch_point import BasePoseUncertainty, ConditionalPoint
 from probedesign.simulation.scenes import touch_targets
@@ -41,9 +41,9 @@ def found(estimator, house, **priors):
     known = replace(Tolerances.none(), youngs_modulus=1e-6, drift_steps=10.0, walk_steps=0.2, robot_mm=0.01, **priors)
     fusion = Fusion(model, readings, known, channels_of(model, None), GRAVITY)
     best = fusion.solutions()[0]
-    state = FusionState(fusion, best.touches.copy())
+    state = fusion.state(best.touches)
     assert state.linearise()
-    state.solved(known)
+    state.solved()
     return best, state
 
 

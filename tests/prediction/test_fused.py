@@ -61,8 +61,7 @@ def press_of(estimator, schedule, touch=TOUCH):
 def test_the_budget_is_the_covariance_of_the_fusion(large, schedule):
     estimator = large.estimator()
     press = press_of(estimator, schedule)
-    poses = [reading.T_world_base for reading in press.fusion.readings]
-    c = estimator.fuse(press.wrenches, poses, large.model.gravity_base,
+    c = estimator.fuse(press.wrenches, press.state.pose, large.model.gravity_base,
                        moments_only=schedule.moments_about is not None,
                        moments_about=schedule.moments_about or "base")  # fmt: skip
     assert c.ok and np.linalg.norm(c.p_surface_world) < 0.05 * c.rms

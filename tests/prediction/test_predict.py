@@ -96,10 +96,10 @@ def test_five_touches_give_the_bounds_computed_independently(large, fraction, fo
                                np.array([step.touch[0] for step in steps.values()]), schedule)  # fmt: skip
             # The bounds let the bias walk about the base; the estimator lets it walk at the sensor, where it arises.
             # They take the friction of each touch for independent.
-            press.fusion = press.state.fusion = replace(press.fusion, common_friction=0.0)
+            press.state.common_friction = 0.0
             noise = large.model.noise
             step = np.sqrt(large.model.averaging_samples) * np.repeat([noise.force, noise.moment], 3)
-            press.fusion.__dict__["bias"] = np.ascontiguousarray(press.fusion.channels @ np.diag(step))
+            press.state.bias = np.ascontiguousarray(press.state.channels @ np.diag(step))
             rms = 1e3 * np.sqrt(np.trace(press.cov()))
             assert rms == pytest.approx(bound, rel=0.06)
 
