@@ -24,8 +24,8 @@ from probedesign.planning.folder import tables
 from probedesign.planning.plan import Plan
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.reports.setup_drawing import set_up_drawing
+from probedesign.rod.contact import solve_contact
 from probedesign.simulation.ground_truth import CampaignPlan, GroundTruth
-from probedesign.simulation.rod_and_sensor import reading_std, solve_contact
 
 ROOT = Path(__file__).parents[1]
 PICTURES = ROOT / "docs/pictures"
@@ -95,7 +95,7 @@ def fill(folder: Path, plan: Plan, seed: int, exact: bool = False) -> GroundTrut
     rows = list(csv.DictReader(io.StringIO(contents["tests.csv"])))
     wrenches, markers = [contents["wrenches.csv"].rstrip()], ["test,marker,x_world_mm,y_world_mm,z_world_mm"]
     drift = 0.0 if exact else Tolerances.of(model).drift_steps * math.sqrt(model.averaging_samples)
-    std = reading_std(model)
+    std = model.noise.std
     tests = [one for one in plan.candidates if one.test is not None]
     for row, one in zip(rows, tests, strict=True):
         assert one.test is not None

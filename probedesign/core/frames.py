@@ -30,6 +30,17 @@ def rotation_z(angle: float) -> Array:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
+def rotation_under_gravity(gravity_base: Array) -> Array:
+    """Return R_world_base with gravity down and the probe's axis along the world's x as far as possible."""
+    up = -gravity_base / np.linalg.norm(gravity_base)
+    axis = np.array([0.0, 0.0, 1.0])
+    across = axis - up * (up @ axis)
+    if np.linalg.norm(across) < 0.1:  # it is vertical
+        across = np.array([1.0, 0.0, 0.0]) - up * up[0]
+    across /= np.linalg.norm(across)
+    return np.array([across, np.cross(up, across), up])
+
+
 def inverse(T_a_b: Array) -> Array:
     """Return T_b_a of a rigid transform T_a_b (4, 4)."""
     R = T_a_b[:3, :3]

@@ -25,6 +25,7 @@ from probedesign.estimation import multistart
 from probedesign.estimation.estimate import Candidate
 from probedesign.estimation.model import Observation
 from probedesign.rod.batch import Batch, solve_batch
+from probedesign.rod.contact import surface_point
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.kernels.equations import OK
 from probedesign.rod.kernels.newton import COLD
@@ -285,24 +286,6 @@ def _candidate(problem: "Problem", eq: Equilibrium) -> Candidate:
         at_end=eq.s_contact in (0.0, rod.flank_end),
         shape=lambda: eq,
     )
-
-
-def surface_point(rod: Rod, eq: Equilibrium) -> Array:
-    """Return the touched surface point, where the line of action leaves the body.
-
-    The outward normal at the touched section leans towards the tip by α, so with r the radius at
-    s_contact the touched section lies r cos α sin α further out and has radius r cos² α.
-    """
-    s = eq.s_contact
-    tan = float(rod.taper_at(s))
-    cos2 = 1.0 / (1.0 + tan * tan)
-    radius = float(rod.radius_at(s)) * cos2
-    there = min(s + radius * tan, rod.length)
-    R = eq.R_at(there)
-    inward = eq.load[0:3] - R[:, 2] * float(R[:, 2] @ eq.load[0:3])
-    norm = float(np.linalg.norm(inward))
-    out = -inward / norm if norm > 0.0 else np.zeros(3)
-    return eq.p_at(there) + radius * out
 
 
 CURVE_STATIONS = 24

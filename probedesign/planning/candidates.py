@@ -15,16 +15,15 @@ import numpy as np
 
 from probedesign.campaigns.campaign import Campaign, Markers, Test, Use
 from probedesign.core.errors import InputError
-from probedesign.core.frames import Array, pose
+from probedesign.core.frames import Array, pose, rotation_under_gravity
 from probedesign.core.statistics import rms
 from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.force_moment import surface_point
 from probedesign.estimation.model import ProbeModel
 from probedesign.prediction.touches import DIRECTIONS
-from probedesign.rod.contact import solve_frictionless
+from probedesign.rod.contact import solve_frictionless, surface_point
 from probedesign.rod.equilibrium import Equilibrium
-from probedesign.simulation.ground_truth import BASE_POSITION, marker_arclengths, pose_under_gravity
+from probedesign.simulation.ground_truth import BASE_POSITION, marker_arclengths
 
 SetUp = Literal["weighing", "calipers", "hang", "turned", "weight", "touch"]
 MINUTES: dict[SetUp, float] = {
@@ -130,7 +129,7 @@ class Bench:
 
     def T_world_base(self, gravity_base: Array) -> Array:
         """Return the pose of the base with gravity in this direction of its axes, (4, 4)."""
-        return pose(pose_under_gravity(gravity_base), BASE_POSITION)
+        return pose(rotation_under_gravity(gravity_base), BASE_POSITION)
 
     def campaign(self, candidates: list[CandidateTest]) -> Campaign:
         """Return the candidates' tests as a campaign; its weighing is apart."""

@@ -1,9 +1,6 @@
 """Data folder of a plan: tables with the planned tests, which a laboratory fills, and a checklist for the bench."""
 
 import json
-import os
-import shutil
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,7 +11,7 @@ from probedesign.campaigns.campaign import MARKERS, TESTS, WRENCHES
 from probedesign.campaigns.reading import IMAGES, PIXELS
 from probedesign.core import csv_tables
 from probedesign.core.errors import InputError
-from probedesign.core.files import check_writable, exists_already
+from probedesign.core.files import check_writable, exists_already, replaced_folder
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.planning.candidates import READINGS, STD_MARK, CandidateTest
@@ -203,21 +200,7 @@ def write_folder(folder: Path, contents: Sequence[tuple[str, bytes]], force: boo
         InputError: as `check_target`.
     """
     check_target(folder, force)
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        draft = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-        try:
-            for name, content in contents:
-                (draft / name).write_bytes(content)
-            os.chmod(draft, 0o755)
-            old = draft.with_name(f"{draft.name}.old") if folder.exists() else None
-            if old is not None:
-                os.replace(folder, old)
-            os.replace(draft, folder)
-            if old is not None:
-                shutil.rmtree(old, ignore_errors=True)
-        finally:
-            shutil.rmtree(draft, ignore_errors=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror}") from None
+    with replaced_folder(folder) as draft:
+        for name, content in contents:
+            (draft / name).write_bytes(content)
     return [folder / name for name, _ in contents]

@@ -239,6 +239,73 @@ def line_of_action(rod: Rod, eq: Equilibrium, p_surface: ArrayLike) -> float:
     return min(max(s, 0.0), rod.length)
 
 
+def surface_point(rod: Rod, eq: Equilibrium) -> Array:
+    """Return the touched surface point, where the line of action leaves the body.
+
+    The outward normal at the touched section leans towards the tip by α, so with r the radius at
+    s_contact the touched section lies r cos α sin α further out and has radius r cos² α.
+    """
+    s = eq.s_contact
+    tan = float(rod.taper_at(s))
+    cos2 = 1.0 / (1.0 + tan * tan)
+    radius = float(rod.radius_at(s)) * cos2
+    there = min(s + radius * tan, rod.length)
+    R = eq.R_at(there)
+    inward = eq.load[0:3] - R[:, 2] * float(R[:, 2] @ eq.load[0:3])
+    norm = float(np.linalg.norm(inward))
+    out = -inward / norm if norm > 0.0 else np.zeros(3)
+    return eq.p_at(there) + radius * out
+
+
+class RodContact(NamedTuple):
+    """A contact with the rod; all but `result` and `equilibrium` is meaningful only with result "ok"."""
+
+    result: str  #: "ok" or the code of the equilibrium that was not found.
+    equilibrium: Equilibrium  #: of the rod under the contact.
+    s_contact: float  #: arclength where the line of action of the force passes the centreline [m].
+    p_contact_base: Array  #: point of the centreline there [m], (3,).
+    force_base: Array  #: force of the object on the probe [N], (3,).
+    p_surface_base: Array  #: touched point of the surface [m], (3,).
+
+
+def solve_contact(
+    rod: Rod,
+    gravity_base: Array,
+    s: float,
+    push_angle: float,
+    normal_force: float,
+    friction_ratios: tuple[float, float] | None = None,
+    mode: Mode = "fast",
+) -> RodContact:
+    """Return the contact of an object that pushes on the section at s.
+
+    Args:
+        rod: the rod.
+        gravity_base: gravity in base axes [m/s²], (3,).
+        s: arclength of the contact [m]; with friction, of the touched section.
+        push_angle: direction of the push about the tangent, from the x axis of the section [rad].
+        normal_force: force normal to the surface [N].
+        friction_ratios: axial and circumferential force over normal force; None for a contact without friction.
+        mode: "fast" or "reference".
+    """
+    missing = np.full(3, np.nan)
+    if friction_ratios is None:
+        frictionless = solve_frictionless(rod, gravity_base, s, push_angle, normal_force, mode=mode)
+        eq = frictionless.equilibrium
+        if frictionless.result != "ok":
+            return RodContact(frictionless.result, eq, s, missing, missing, missing)
+        surface = surface_point(rod, eq)
+        return RodContact("ok", eq, eq.s_contact, eq.p_contact_base, frictionless.force_base, surface)
+    # The touched point lies opposite to the direction of the push.
+    angle = push_angle + math.pi
+    contact = solve_surface_force(rod, gravity_base, s, angle, normal_force, friction_ratios, mode)
+    eq = contact.equilibrium
+    if contact.result != "ok":
+        return RodContact(contact.result, eq, s, missing, missing, missing)
+    s_axis = line_of_action(rod, eq, contact.p_surface_base)
+    return RodContact("ok", eq, s_axis, eq.p_at(s_axis), contact.force_base, contact.p_surface_base)
+
+
 Numbers = NDArray[Any]
 """Real or complex: derivatives are taken by complex steps."""
 _BLEND = 0.005

@@ -2,9 +2,6 @@
 
 import json
 import math
-import os
-import shutil
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,13 +10,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probedesign.core.errors import InputError
-from probedesign.core.files import check_overwrite
+from probedesign.core.files import check_overwrite, replaced_folder
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS
 from probedesign.simulation.ground_truth import STD_BASE, CampaignPlan, GroundTruth, SimulatedTest
-from probedesign.simulation.rod_and_sensor import reading_std
 from probedesign.simulation.stereo_rig import CLICK_PX, CONTROL_PX, SIZE_PX, StereoRig, take_photographs
 from probedesign.vision.camera import Camera
 from probedesign.vision.camera_files import assumed_covariance
@@ -86,20 +82,11 @@ def make_campaign(
         **_markers(rig, tests, rng),
         TRUTH: _truth(truth, tests),
     }
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        draft = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-        try:
-            for name, text in tables.items():
-                (draft / name).write_bytes(text.encode())
-            if plan.images:
-                take_photographs(rig, tests, draft / "images", plan.seed, on_progress)
-            os.chmod(draft, 0o755)
-            _replace(draft, folder)
-        finally:
-            shutil.rmtree(draft, ignore_errors=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be written: {error.strerror}") from None
+    with replaced_folder(folder) as draft:
+        for name, text in tables.items():
+            (draft / name).write_bytes(text.encode())
+        if plan.images:
+            take_photographs(rig, tests, draft / "images", plan.seed, on_progress)
     names = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     return SimulatedCampaign(folder, tuple(names), len(tests))
 
@@ -113,16 +100,6 @@ def _check_replaceable(folder: Path, force: bool) -> None:
             f"{folder}: has no {TRUTH}, so it is not a synthetic campaign and is not replaced; name another"
         )
     check_overwrite(folder, force)
-
-
-def _replace(draft: Path, folder: Path) -> None:
-    """Move the new folder into place, then delete the old one."""
-    old = draft.with_name(f"{draft.name}.old") if folder.exists() else None
-    if old is not None:
-        os.replace(folder, old)
-    os.replace(draft, folder)
-    if old is not None:
-        shutil.rmtree(old, ignore_errors=True)
 
 
 # tables
@@ -207,7 +184,7 @@ def _sag(truth: GroundTruth, test: SimulatedTest) -> float:
 def _wrenches(truth: GroundTruth, tests: list[SimulatedTest], rng: np.random.Generator) -> str:
     """Return the text of `wrenches.csv`: readings with noise, errors of the gain, and a bias that walks."""
     model, flaws = truth.model, truth.flaws
-    std = reading_std(model)
+    std = model.noise.std
     step = math.sqrt(model.averaging_samples) * std
     bias = flaws.drift_steps * step * rng.normal(size=6)
     walk = flaws.walk_steps * math.sqrt(TEST_SECONDS / WALK_SECONDS) * step

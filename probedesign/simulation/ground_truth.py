@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from probedesign.campaigns.manifest import LENGTH_SCALE, WEIGHT_STD, WRIST
 from probedesign.core.errors import InputError
-from probedesign.core.frames import Array, pose, wrench_map
+from probedesign.core.frames import Array, pose, rotation_under_gravity, wrench_map
 from probedesign.core.units import MM
 from probedesign.design.paper import CONDITIONS
 from probedesign.estimation.error_sources import parameters_of, turns_of
@@ -18,10 +18,10 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.monte_carlo import perturbed_rod
 from probedesign.prediction.touches import DIRECTIONS
+from probedesign.rod.contact import solve_contact
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.friction import ASSUMED_SPREAD, MAX_FRICTION, draw_friction
 from probedesign.rod.rod import Rod
-from probedesign.simulation.rod_and_sensor import solve_contact
 
 CampaignKind = Literal["cameras", "stage"]
 CalibrationKind = Literal["box", "files"]
@@ -196,7 +196,7 @@ class GroundTruth:
         if size == 0.0:
             raise InputError("mount.gravity_base_m_s2 is zero; a campaign needs gravity")
         tolerances = Tolerances.none() if plan.exact else Tolerances.of(model)
-        stated, T = np.array([0.0, 0.0, -size]), pose(pose_under_gravity(model.gravity_base), BASE_POSITION)
+        stated, T = np.array([0.0, 0.0, -size]), pose(rotation_under_gravity(model.gravity_base), BASE_POSITION)
         std_place, std_turn = (0.0, 0.0) if plan.exact else STD_BASE[plan.kind]
         mount = T @ _displacement(rng.normal(size=3) * std_place, rng.normal(size=3) * std_turn)
         turns = np.zeros(9)
@@ -302,17 +302,6 @@ class GroundTruth:
         reading = self.model.to_sensor(wrench_mount, gravity_mount)
         s = eq.s_contact if s_contact is None else s_contact
         return SimulatedTest(name, self, eq, surface, direction, weight, reading, s, friction)
-
-
-def pose_under_gravity(gravity_base: Array) -> Array:
-    """Return R_world_base with gravity down and the probe's axis along the world's x as far as possible."""
-    up = -gravity_base / np.linalg.norm(gravity_base)
-    axis = np.array([0.0, 0.0, 1.0])
-    across = axis - up * (up @ axis)
-    if np.linalg.norm(across) < 0.1:  # it is vertical
-        across = np.array([1.0, 0.0, 0.0]) - up * up[0]
-    across /= np.linalg.norm(across)
-    return np.array([across, np.cross(up, across), up])
 
 
 def _displacement(shift: Array, turn: Array) -> Array:

@@ -30,7 +30,6 @@ from probedesign.live.sources.netft.rdt import (
     Request,
     parse_request,
 )
-from probedesign.simulation.rod_and_sensor import bias_step, sample_std
 
 
 def configuration_page(configuration: NetFTConfiguration) -> bytes:
@@ -179,7 +178,7 @@ class SimulatedTransducer:
         self.saturated = self.latched = False
         self._load = load
         self._random = np.random.default_rng(seed)
-        self._noise, self._drift = sample_std(model), drift
+        self._noise, self._drift = model.noise.std * math.sqrt(model.averaging_samples), drift
         self._zero = np.array(OFFSET)
         self._bias = np.zeros(6)
         self._range = model.wrench_range
@@ -187,7 +186,8 @@ class SimulatedTransducer:
 
     def read(self, time: Array, spacing: float, configuration: NetFTConfiguration) -> tuple[Array, NDArray[np.int64]]:
         """Return counts (n, 6) and status words (n,) at times [s], (n,), with an interval of `spacing` [s]."""
-        self._zero = self._zero + self._noise * bias_step(self._random, self._drift, spacing * len(time))
+        walk = self._random.normal(0.0, self._drift * math.sqrt(spacing * len(time)), 6)
+        self._zero = self._zero + self._noise * walk
         wrench = self._load(time) + self._zero + self._noise * self._random.standard_normal((len(time), 6))
         if self.saturated:
             wrench[:, 0] = 2.0 * self._range[0]

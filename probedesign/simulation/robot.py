@@ -5,6 +5,7 @@ simulated; `SimulatedRobot` sends the poses of a `BaseMotion` for `live --pose u
 """
 
 import json
+import math
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -24,7 +25,6 @@ from probedesign.estimation.bias import WALK_STEPS
 from probedesign.estimation.model import ProbeModel
 from probedesign.live.blocks import Block
 from probedesign.live.poses.track import TimedPose, pose_from_matrix
-from probedesign.simulation.rod_and_sensor import bias_step, sample_std
 from probedesign.simulation.scenes import PressedObject
 
 # cyclic motion
@@ -172,7 +172,9 @@ class SimulatedTrajectory:
     def blocks(self, model: ProbeModel, rng: np.random.Generator) -> Iterator[Block]:
         """Yield single samples of the sensor: constant bias, random walk, white noise and finite resolution."""
         gravity = self.R_world_base.T @ np.array([0.0, 0.0, -9.81])
-        step = sample_std(model)  # the noise of one sample is one step of the resolution
+        step = model.noise.std * math.sqrt(
+            model.averaging_samples
+        )  # the noise of one sample is one step of the resolution
         time = self._sample_times(SAMPLE_RATE)
         wrench = model.to_sensor(self._interpolate(time, self.wrenches), gravity)
         offset = rng.normal(0.0, STD_OFFSET_STEPS, 6)
@@ -192,7 +194,7 @@ class SimulatedTrajectory:
     def _move(self, seconds: float, p: Array, wrench_base: Array) -> None:
         seconds *= self.time_scale
         # The bias also walks during the dwell before the move; that part is added here.
-        walk = bias_step(self.rng, self.bias_rate, self.end - self.times[-2] + seconds)
+        walk = self.rng.normal(0.0, self.bias_rate * math.sqrt(self.end - self.times[-2] + seconds), 6)
         self._add(self.end + seconds, p, wrench_base, self.biases[-1] + walk)
 
     def _dwell(self, seconds: float) -> None:

@@ -16,12 +16,12 @@ from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.force_moment import surface_point
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.planning.candidates import Bench, Instruments
 from probedesign.planning.folder import checklist_text, tables
 from probedesign.planning.plan import HANG_EVERY, PREPARATION, Information, make_plan
 from probedesign.reports.plan_page import plan_page
+from probedesign.rod.contact import surface_point
 from tests.reports.test_pages import assert_whole
 
 LARGE = Path(__file__).parents[2] / "designs/large.toml"

@@ -12,9 +12,8 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.blocks import NO_CONTACT, Block, TrueContact, WrenchReading
 from probedesign.live.sources.source import SPEED, SourceParameter, parse_parameters, played
-from probedesign.rod.contact import OUTERMOST, safe_force
+from probedesign.rod.contact import OUTERMOST, safe_force, solve_contact
 from probedesign.rod.friction import MAX_FRICTION
-from probedesign.simulation.rod_and_sensor import reading_std, solve_contact
 
 PARAMETERS = {
     "force_mN": SourceParameter(math.nan, 1e-3, 1e5),  # see safe_force
@@ -79,12 +78,11 @@ class SimulatedSource:
         for position in np.linspace(min(POSITION), max(POSITION), 8):
             self._loaded(position * self._model.rod.length, self._force)
         noise = np.random.default_rng(self._seed)
-        std = reading_std(self._model)
         gravity = self._model.gravity_base
         for i in range(self._count):
             time = i / self._rate
             wrench, truth = self._at(time)
-            wrench_sensor = self._model.to_sensor(wrench, gravity) + std * noise.standard_normal(6)
+            wrench_sensor = self._model.to_sensor(wrench, gravity) + self._model.noise.std * noise.standard_normal(6)
             yield WrenchReading(time, wrench_sensor, gravity, truth)
 
     def _at(self, time: float) -> tuple[Array, TrueContact]:
