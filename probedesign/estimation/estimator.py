@@ -16,7 +16,7 @@ from probedesign.estimation import force_moment, likelihood
 from probedesign.estimation.bias import RAMP_STEPS
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimate import Candidate, Estimate, FusedEstimate, MomentsAbout, Result
-from probedesign.estimation.likelihood import Problem
+from probedesign.estimation.force_moment import Problem
 from probedesign.estimation.model import Observation, ProbeModel, covariance
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.rod.equilibrium import Equilibrium

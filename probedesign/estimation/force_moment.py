@@ -15,13 +15,13 @@ Source: "Spatial Position Estimation of Lightweight and Delicate Objects using a
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from probedesign.core.frames import Array
 from probedesign.estimation import multistart
+from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimate import Candidate
 from probedesign.estimation.model import Observation
 from probedesign.rod.batch import Batch, solve_batch
@@ -32,9 +32,6 @@ from probedesign.rod.kernels.newton import COLD
 from probedesign.rod.kernels.solve import SOLUTION, scratch_buffers, solve_cases
 from probedesign.rod.kernels.surface_contact import TIP, TOUCH
 from probedesign.rod.rod import Rod
-
-if TYPE_CHECKING:
-    from probedesign.estimation.likelihood import Problem
 
 STATIONS = 33
 """Arclengths scanned for candidates: L/32 apart, denser than the misfit's own waves (tests/estimation)."""
@@ -100,11 +97,6 @@ class Scan:
     gravity: Array  #: base axes [m/s²], (3,).
     force: Array  #: base axes [N], (3,).
     moment: Array  #: measured, about the base [N·m], (3,).
-
-    @classmethod
-    def of(cls, rod: Rod, seen: Observation) -> "Scan":
-        """Return the scan of a reading."""
-        return cls(rod, seen.gravity, seen.force, seen.wrench[3:6])
 
     @cached_property
     def starts(self) -> list[tuple[float, Array]]:
@@ -181,6 +173,21 @@ def _same_place(a: Equilibrium, b: Equilibrium) -> bool:
     return bool(abs(a.s_contact - b.s_contact) < 1e-6 * a.body.knots[-1])
 
 
+@dataclass(eq=False)
+class Problem:
+    """What one reading is located from."""
+
+    sources: ErrorSources  #: error sources under its gravity.
+    seen: Observation  #: the reading.
+    friction: float  #: prior standard deviation of the friction ratio.
+    noise: Array  #: covariance of the reading by noise and drift, (6, 6).
+
+    @cached_property
+    def scan(self) -> Scan:
+        """Return the reading's scan along the probe, made when it is first needed."""
+        return Scan(self.sources.model.rod, self.seen.gravity, self.seen.force, self.seen.wrench[3:6])
+
+
 NO_CAUSES = np.zeros((6, 0)), np.zeros((3, 0))
 """Error sources of a probe without model errors: none."""
 
@@ -244,7 +251,7 @@ DOF = 2
 """Three moments, one unknown."""
 
 
-def locate(problem: "Problem") -> list[Candidate]:
+def locate(problem: Problem) -> list[Candidate]:
     """Return the places where the measured force makes the measured moment, or nearly.
 
     Args:
@@ -253,7 +260,7 @@ def locate(problem: "Problem") -> list[Candidate]:
     return [_candidate(problem, eq) for eq in problem.scan.candidates]
 
 
-def _candidate(problem: "Problem", eq: Equilibrium) -> Candidate:
+def _candidate(problem: Problem, eq: Equilibrium) -> Candidate:
     assert eq.sensitivity is not None
     rod, seen = problem.sources.model.rod, problem.seen
     force = eq.load[0:3].copy()

@@ -19,9 +19,9 @@ from probedesign.core.frames import Array
 from probedesign.core.statistics import MISFIT_CHANCE, RIVAL_CHI2, UNIFORM_STD, max_chi2
 from probedesign.estimation.error_sources import ErrorSources, across
 from probedesign.estimation.estimate import FusedEstimate, Result
-from probedesign.estimation.force_moment import closest_approaches, curve
+from probedesign.estimation.force_moment import Problem, closest_approaches, curve
 from probedesign.estimation.fusion_state import COMMON_FRICTION, FusionState, PointConstraint, dof_of
-from probedesign.estimation.likelihood import Problem, locate
+from probedesign.estimation.likelihood import locate
 from probedesign.estimation.model import Observation, ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.estimation.uncertainty_kernel import NODE, TAIL

@@ -7,8 +7,6 @@ the force–moment method (`force_moment.py`). The fit itself is compiled (`cont
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -19,10 +17,8 @@ from probedesign.core.frames import Array
 from probedesign.core.statistics import MISFIT_CHANCE, max_chi2
 from probedesign.estimation import multistart
 from probedesign.estimation.contact_fit import AT_END, FIT_SCRATCH, STALLED
-from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimate import Candidate
-from probedesign.estimation.force_moment import Scan
-from probedesign.estimation.model import Observation
+from probedesign.estimation.force_moment import Problem
 from probedesign.estimation.multistart import FIT, MAX_STARTS
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.kernels.surface_contact import (
@@ -43,21 +39,6 @@ _SAME = 1e-5
 """Places closer than this, over the length, are one."""
 _ALIKE = 0.05
 """Two places closer than this, over a standard deviation, are one; a fit ends within a hundredth of it."""
-
-
-@dataclass(eq=False)
-class Problem:
-    """What one reading is located from."""
-
-    sources: ErrorSources  #: error sources under its gravity.
-    seen: Observation  #: the reading.
-    friction: float  #: prior standard deviation of the friction ratio.
-    noise: Array  #: covariance of the reading by noise and drift, (6, 6).
-
-    @cached_property
-    def scan(self) -> Scan:
-        """Return the reading's scan along the probe, made when it is first needed."""
-        return Scan.of(self.sources.model.rod, self.seen)
 
 
 def dof_of(friction: float) -> int:

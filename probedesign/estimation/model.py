@@ -4,7 +4,7 @@ observations: one wrench reading at the base or the mean of a window, with its c
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,14 +15,12 @@ from probedesign.core.frames import Array, inverse, wrench_map
 from probedesign.core.notebook import Displayed
 from probedesign.design.catalog import ELASTIC_FRICTION, Provenance, Quantity
 from probedesign.design.sensors import DEFAULT_SENSOR, NANO17_BODY, Noise
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.geometry import Flange
 from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
 from probedesign.geometry.mass import MassProperties
 from probedesign.rod.kernels import kernel
 from probedesign.rod.rod import Rod
-
-if TYPE_CHECKING:
-    from probedesign.estimation.tolerances import Tolerances
 
 FULL_SCALE = 1e-3
 """Fraction of the range: a channel closer to its end counts as saturated. The resolution is 1/3840 of the range."""
@@ -50,7 +48,7 @@ class ProbeModel(Displayed):
     stiffness_spread: float | None = None
     creep_spread: float = 0.0  #: standard deviation of how far it relaxes while touches are fused, relative.
     #: how well all of it is known; None: as `Tolerances.of` has it from the material.
-    tolerances: "Tolerances | None" = None
+    tolerances: Tolerances | None = None
     #: standard deviation of the tangential over the normal force of a touch, per tangential direction [-]: t₁, t₂ ~
     #: N(0, (friction Fₙ)²). 0 is the frictionless contact, inf leaves the direction of the force free.
     friction: float = ELASTIC_FRICTION.value

@@ -3,11 +3,10 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, Protocol
 
 from probedesign.core.errors import InputError
-from probedesign.design.catalog import RESINS
-from probedesign.estimation.model import ProbeModel
+from probedesign.design.catalog import RESINS, Quantity
 
 IDENTIFIED = 0.005
 """What an identification on the bench leaves of the stiffness, relative. Assumed."""
@@ -45,12 +44,24 @@ SOURCES = {
 """Source of each default, with the product of the resin and the source of its density in the places of the braces."""
 
 
-def stiffness_spread(model: ProbeModel) -> float:
-    """Return the standard deviation of E and of G, relative: of the design's material, or by where E comes from."""
-    if model.stiffness_spread is not None:
-        return model.stiffness_spread
-    E = model.material.get("youngs_modulus")
-    return IDENTIFIED if E is not None and E.provenance == "identified" else ASSUMED_STIFFNESS
+class KnownModel(Protocol):
+    """What `Tolerances.of` asks of the model of a probe."""
+
+    @property
+    def tolerances(self) -> "Tolerances | None":
+        """How well all of it is known; None: as its material has it."""
+
+    @property
+    def material(self) -> Mapping[str, Quantity]:
+        """E, G and density with where they come from."""
+
+    @property
+    def stiffness_spread(self) -> float | None:
+        """Standard deviation of E and of G, relative; None: by where E comes from."""
+
+    @property
+    def creep_spread(self) -> float:
+        """Standard deviation of how far it relaxes while touches are fused, relative."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +115,7 @@ class Tolerances:
                 raise InputError(f"{entry.name} = {value} must be a standard deviation: finite, not negative")
 
     @classmethod
-    def of(cls, model: ProbeModel, given: Mapping[str, Any] | None = None) -> "Tolerances":
+    def of(cls, model: KnownModel, given: Mapping[str, Any] | None = None) -> "Tolerances":
         """Return the tolerances of a design; what it leaves out comes from the material, or is the default.
 
         Args:
@@ -113,7 +124,9 @@ class Tolerances:
         """
         if model.tolerances is not None:
             return model.tolerances
-        spread = stiffness_spread(model)
+        spread, E = model.stiffness_spread, model.material.get("youngs_modulus")
+        if spread is None:
+            spread = IDENTIFIED if E is not None and E.provenance == "identified" else ASSUMED_STIFFNESS
         own = cls(youngs_modulus=spread, shear_modulus=spread, creep=model.creep_spread or cls.creep)
         return replace(own, **{name: value for name, value in (given or {}).items() if value is not None})
 
@@ -124,7 +137,7 @@ class Tolerances:
         return cls(**nothing)
 
     @classmethod
-    def exact_probe(cls, model: ProbeModel) -> "Tolerances":
+    def exact_probe(cls, model: KnownModel) -> "Tolerances":
         """Return priors in which probe, mount and bench are exact; bias and poses scatter as in `of`."""
         known = cls.of(model)
         return replace(cls.none(), drift_steps=known.drift_steps, walk_steps=known.walk_steps, robot_mm=known.robot_mm)

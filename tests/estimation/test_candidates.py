@@ -8,7 +8,7 @@ import pytest
 from probedesign.design import check_design
 from probedesign.estimation import likelihood
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.likelihood import Problem
+from probedesign.estimation.force_moment import Problem
 from probedesign.estimation.model import Observation
 from probedesign.probe import build_probe
 from tests.estimation.true_touches import EXACT, settle, sources_of
