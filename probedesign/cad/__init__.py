@@ -55,7 +55,7 @@ def export_part(design: Design, part: str, out: Path | None = None) -> dict[str,
         MissingDependencyError: CadQuery or lib3mf is not installed.
     """
     with _kernel():
-        from probedesign.cad.single_part import export_part as export
+        from probedesign.cad.mesh import export_part as export
     return export(design, part, out)
 
 

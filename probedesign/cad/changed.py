@@ -11,7 +11,7 @@ import cadquery as cq
 from probedesign.cad.export import SCHEMA, cad_files, manifest_json, model_record
 from probedesign.cad.folder import MANIFEST, check_target, staged
 from probedesign.cad.kernel import mass_properties
-from probedesign.cad.mesh import part_stl, tessellate
+from probedesign.cad.mesh import part_stl, scaled, tessellate
 from probedesign.cad.model import CadPart, printed_solid
 from probedesign.cad.verify import checked, mesh_findings, room_findings
 from probedesign.cad.workplanes import changed_model
@@ -31,8 +31,8 @@ def export_changed(design: Design, changed: Mapping[str, cq.Workplane], out: Pat
     findings = checked(design.name, {**mesh_findings(model, meshes), **room_findings(model)})
     contents = cad_files(model, changed)
     for name, mesh in meshes.items():
-        scaled = mesh.scaled(print_scale(design, name))
-        contents[f"{name}.stl"] = part_stl(design, name, scaled, model.geometry.fingerprint)
+        as_printed = scaled(mesh, print_scale(design, name))
+        contents[f"{name}.stl"] = part_stl(design, name, as_printed, model.geometry.fingerprint)
     files = {
         name: {"sha256": hashlib.sha256(content).hexdigest(), "size_bytes": len(content)}
         for name, content in sorted(contents.items())

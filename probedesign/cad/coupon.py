@@ -17,9 +17,8 @@ import numpy as np
 from probedesign.cad.exchange import file_date, step_bytes
 from probedesign.cad.folder import MANIFEST, check_target, listed_digests, staged
 from probedesign.cad.kernel import revolved
-from probedesign.cad.mesh import MESH_LIMIT, tessellate
+from probedesign.cad.mesh import checked_mesh, stl_bytes
 from probedesign.core.errors import CheckFailedError, InputError
-from probedesign.core.stl import stl_bytes
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.geometry import build_geometry
@@ -59,11 +58,8 @@ def export_coupon(design: Design, out: Path | None) -> dict[str, Any]:
     assembled, x = cq.Assembly(name=f"{design.name}-coupon"), 0.0
     for name, discs in parts.items():
         solid = _solid(name, discs)
-        mesh = tessellate(solid)
-        if not mesh.closed or abs(mesh.volume / (solid.Volume() * MM**3) - 1.0) > MESH_LIMIT:
-            raise CheckFailedError(f"{name}: the mesh is not closed, or omits more than {MESH_LIMIT:g}")
         title = f"probedesign {fingerprint} {design.name} {name}"
-        contents[f"{name}.stl"] = stl_bytes(mesh.vertices[mesh.triangles], title)
+        contents[f"{name}.stl"] = stl_bytes(checked_mesh(name, solid), title)
         assembled.add(solid, name=name, loc=cq.Location(cq.Vector(x, 0.0, 0.0)))
         x += 2.0 * (steps[0] + 2.0 * FOOT_RIM_MM)
     contents["coupon.step"] = step_bytes(

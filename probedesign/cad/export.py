@@ -15,8 +15,9 @@ from probedesign.cad.assembly_docs import Documents, bill_records, build_documen
 from probedesign.cad.exchange import file_date, glb_bytes, step_bytes
 from probedesign.cad.folder import MANIFEST, check_target, staged
 from probedesign.cad.kernel import mass_properties
-from probedesign.cad.mesh import part_stl, read_back, tessellate, threemf_packages
+from probedesign.cad.mesh import part_stl, scaled, tessellate
 from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad
+from probedesign.cad.packages import package_files, packed_parts
 from probedesign.cad.verify import Findings, verify
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
@@ -26,7 +27,7 @@ from probedesign.mount import exported_root_radii
 from probedesign.mount.clamping import clamp_force
 from probedesign.mount.root import ROOT_STD
 from probedesign.mount.tolerance_stack import measurements, tolerance_stacks
-from probedesign.printing.check import check_print, is_compensated, print_scale
+from probedesign.printing.check import check_print, print_scale
 
 SCHEMA = 1
 
@@ -173,19 +174,17 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
     model = build_cad(design)
     progress("meshing")
     meshes = {part.name: tessellate(part.shape) for part in model.printed}
-    packages = threemf_packages(model, meshes)
+    printed = {name: scaled(mesh, print_scale(design, name)) for name, mesh in meshes.items()}
+    check = check_print(design)
+    packed = packed_parts(design, check, printed)
+    packages = package_files(design, packed)
     progress("checking solids, slices and meshes against the formulae")
-    findings = verify(model, meshes, packages)
+    findings = verify(model, meshes, packed, packages)
     progress("rendering pictures and drawings")
     documents = build_documents(model)
-    if is_compensated(design):  # verified as drawn, printed scaled
-        meshes = {name: mesh.scaled(print_scale(design, name)) for name, mesh in meshes.items()}
-        packages = threemf_packages(model, meshes)
-        for content in packages.values():
-            read_back(content)
     progress("writing")
     cad = cad_files(model, [part.name for part in model.printed])
-    stl = {f"{name}.stl": part_stl(design, name, mesh, model.geometry.fingerprint) for name, mesh in meshes.items()}
+    stl = {f"{name}.stl": part_stl(design, name, mesh, model.geometry.fingerprint) for name, mesh in printed.items()}
     with staged(folder) as staging:
         contents = stl | packages | documents.files | cad
         for name, content in contents.items():
@@ -195,7 +194,7 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
             for name, content in sorted(contents.items())
         }
         manifest = manifest_of(model, documents, files, findings)
-        manifest["print_check"] = check_print(design).as_record()
+        manifest["print_check"] = check.as_record()
         manifest["print_scale"] = {name: list(print_scale(design, name)) for name in meshes}
         (staging / MANIFEST).write_text(manifest_json(manifest), "utf-8")
     return {**manifest, "folder": str(folder)}

@@ -4,7 +4,6 @@ Bodies and a camera give a PNG, the same bytes on every run. Filling and shading
 """
 
 import io
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -12,12 +11,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from PIL import Image
-from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
-from vtkmodules.vtkCommonCore import vtkPoints
-from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
-from vtkmodules.vtkFiltersCore import vtkPolyDataNormals
+from trimesh.graph import smooth_shade
 
-from probedesign.cad.mesh import Mesh, facets_of
+from probedesign.cad.mesh import facets_of
 from probedesign.cad.model import CadPart
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
@@ -202,32 +198,14 @@ class RenderBody:
 
 def render_body(part: CadPart) -> RenderBody:
     """Return a part at its position."""
-    corners, normals = _smooth_shaded(facets_of(part.displayed))
+    mesh = smooth_shade(facets_of(part.displayed), SMOOTH_RAD, facet_minarea=None)
+    corners, normals = mesh.triangles, mesh.vertex_normals[mesh.faces]
     poses = part.Ts_sensor_piece.values()
     return RenderBody(
         np.concatenate([corners @ T[:3, :3].T + T[:3, 3] / MM for T in poses]),
         np.concatenate([normals @ T[:3, :3].T for T in poses]),
         part.color,
     )
-
-
-def _smooth_shaded(mesh: Mesh) -> tuple[Array, Array]:
-    """Return the corners [mm] and the normals of each triangle, (m, 3, 3); edges sharper than `SMOOTH_RAD` stay."""
-    points, cells, surface = vtkPoints(), vtkCellArray(), vtkPolyData()
-    points.SetData(numpy_to_vtk(mesh.vertices, deep=True))
-    cells.SetData(3, numpy_to_vtkIdTypeArray(mesh.triangles.ravel(), deep=True))
-    surface.SetPoints(points)
-    surface.SetPolys(cells)
-    shading = vtkPolyDataNormals()
-    shading.SetInputData(surface)
-    shading.SetFeatureAngle(math.degrees(SMOOTH_RAD))
-    shading.ConsistencyOff()  # triangles are counter-clockwise from outside already
-    shading.Update()
-    shaded = shading.GetOutput()
-    triangles = vtk_to_numpy(shaded.GetPolys().GetConnectivityArray()).reshape(-1, 3)
-    vertices = vtk_to_numpy(shaded.GetPoints().GetData()).astype(float)
-    normals = vtk_to_numpy(shaded.GetPointData().GetNormals()).astype(float)
-    return vertices[triangles], normals[triangles]
 
 
 @dataclass(frozen=True)

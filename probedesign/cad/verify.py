@@ -4,24 +4,29 @@ Solids, cross-sections, meshes and packages are compared with closed forms; part
 clearance; every screw, nut and pin must reach its place, and a hexagon key every screw, past the parts mounted before.
 """
 
+from itertools import combinations
 from typing import Any
 
 import cadquery as cq
 import numpy as np
+import trimesh
 
 from probedesign.cad.exploded_view import assembly_steps
-from probedesign.cad.kernel import block, cylinder, hexagon, mass_properties, placed, revolved, section_properties
-from probedesign.cad.mesh import MESH_LIMIT, Mesh, package_objects, read_back
+from probedesign.cad.kernel import block, cylinder, hexagon, placed, revolved, section_properties
+from probedesign.cad.mesh import MESH_LIMIT, volume_omitted
 from probedesign.cad.model import CadModel, CadPart, volume_inside
+from probedesign.cad.packages import PackedPart, read_back
 from probedesign.cad.solids import ScrewGroup, cable_sector, clearance_volumes
 from probedesign.core.errors import CheckFailedError
-from probedesign.core.frames import pose
+from probedesign.core.frames import Array, pose
 from probedesign.core.units import MM
+from probedesign.design.catalog import Printer
 from probedesign.geometry import ProbeGeometry
 from probedesign.geometry.mass import combined, flexible_part
 from probedesign.mount import SensorAdapter, mount_mass_properties, mount_part_masses
 from probedesign.mount.engraving import XY
 from probedesign.mount.tolerance_stack import tolerance_stacks
+from probedesign.printing.check import BETWEEN, RAFT_MARGIN
 
 CORRIDOR = 60.0 * MM
 """Length of the corridors of nuts and pins around the adapter, which lies free on the bench."""
@@ -97,12 +102,15 @@ OVERLAP_LIMIT = 0.0
 STATIONS = 9
 
 
-def verify(model: CadModel, meshes: dict[str, Mesh], packages: dict[str, bytes]) -> Findings:
+def verify(
+    model: CadModel, meshes: dict[str, trimesh.Trimesh], packed: dict[str, list[PackedPart]], packages: dict[str, bytes]
+) -> Findings:
     """Check a CAD model, its meshes and its 3MF packages.
 
     Args:
         model: of the design.
-        meshes: of the printed parts, by name.
+        meshes: of the printed parts as drawn, by name.
+        packed: parts of the 3MF files as printed, by name of the file.
         packages: content of the 3MF files, by name.
 
     Returns:
@@ -115,7 +123,7 @@ def verify(model: CadModel, meshes: dict[str, Mesh], packages: dict[str, bytes])
         **_solids(model),
         **_sections(model),
         **mesh_findings(model, meshes),
-        **_packages(model, meshes, packages),
+        **_packages(model.design.printer, packed, packages),
         **room_findings(model),
         **_stacks(model),
     }
@@ -184,33 +192,48 @@ def _stations(geometry: ProbeGeometry) -> list[float]:
     return [float(s) for s in np.clip(even, geometry.s[i] + clear, geometry.s[i + 1] - clear)]
 
 
-def mesh_findings(model: CadModel, meshes: dict[str, Mesh]) -> Findings:
+def mesh_findings(model: CadModel, meshes: dict[str, trimesh.Trimesh]) -> Findings:
     """Return whether meshes are closed, and what they omit of their solids."""
     findings: Findings = {}
     for name, mesh in meshes.items():
-        missing = abs(mesh.volume / mass_properties(model.parts[name].shape, 1.0).volume - 1.0)
-        findings[f"{name}_mesh_closed"] = _flag(mesh.closed, "watertight, consistent winding, outward normals")
-        findings[f"{name}_mesh_volume"] = _finding(missing, MESH_LIMIT, "relative, to the solid")
+        omitted = volume_omitted(mesh, model.parts[name].shape)
+        findings[f"{name}_mesh_closed"] = _flag(mesh.is_volume, "watertight, consistent winding, outward normals")
+        findings[f"{name}_mesh_volume"] = _finding(omitted, MESH_LIMIT, "relative, to the solid")
     return findings
 
 
-def _packages(model: CadModel, meshes: dict[str, Mesh], packages: dict[str, bytes]) -> Findings:
+def _packages(printer: Printer, packed: dict[str, list[PackedPart]], packages: dict[str, bytes]) -> Findings:
     findings: Findings = {}
-    for file, wanted in package_objects(model, meshes).items():
-        found, warnings = read_back(packages[file])
-        read = [piece for piece, _ in found]
+    for file, wanted in packed.items():
+        read, warnings = read_back(packages[file])
         named = [(p.name, p.part_number) for p in read] == [(p.name, p.part_number) for p in wanted]
-        pairs = [(a.mesh, b.mesh) for a, b in zip(read, wanted, strict=False)]
-        lost = sum(abs(len(a.triangles) - len(b.triangles)) for a, b in pairs)
-        worst = max(abs(a.volume / b.volume - 1.0) for a, b in pairs) if pairs else np.inf
+        pairs = list(zip(read, wanted, strict=False))
+        lost = sum(abs(len(a.mesh.faces) - len(b.mesh.faces)) for a, b in pairs)
+        worst = max((abs(a.mesh.volume / b.mesh.volume - 1.0) for a, b in pairs), default=np.inf)
         findings |= {
             f"{file}_warnings": _finding(warnings, 0.0, "of a strict reader"),
             f"{file}_names": _flag(named, "its objects, their names and part numbers survive"),
             f"{file}_triangles": _finding(lost, 0.0, "difference to the meshes"),
             # 3MF stores truncated decimals.
             f"{file}_volume": _finding(worst, 1e-5, "relative, to the meshes"),
+            f"{file}_layout": _flag(
+                all(np.allclose(a.T_platform_part, b.T_platform_part, atol=1e-3) for a, b in pairs)
+                and _laid_out([part.bounds for part in read], printer),
+                "parts in the orientation of the print check, apart, on the platform and inside of its margin",
+            ),
         }
     return findings
+
+
+def _laid_out(boxes: list[Array], printer: Printer) -> bool:
+    """Return whether parts stand on the platform, apart and inside of its margin; one that is wider than the platform,
+    which the print check reports, may be outside."""
+    gap, sides = 0.9 * BETWEEN, np.array(printer.build_volume_mm[:2])
+    apart = all(((a[0] - b[1])[:2] > gap).any() or ((b[0] - a[1])[:2] > gap).any() for a, b in combinations(boxes, 2))
+    room = np.maximum(sides, [box[1, :2] - box[0, :2] + 2.0 * RAFT_MARGIN for box in boxes]) - RAFT_MARGIN
+    inside = all((box[1, :2] <= most + 0.01).all() and (box[0, :2] >= sides - most - 0.01).all()
+                 for box, most in zip(boxes, room, strict=True))  # fmt: skip
+    return apart and inside and all(abs(box[0, 2]) < 0.01 for box in boxes)
 
 
 def room_findings(model: CadModel) -> Findings:

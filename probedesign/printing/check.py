@@ -9,7 +9,7 @@ fingerprint, the STEP file or the check of the drawn parts.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
 
@@ -43,6 +43,8 @@ HEIGHT_ABOVE_RAFT = 5.0
 RAFT_MARGIN = 5.0
 SUPPORT_HEIGHT = RAFT_THICKNESS + HEIGHT_ABOVE_RAFT
 """Raft and supports below the base and around it (assumed)."""
+BETWEEN = 5.0
+"""Distance between parts on the platform."""
 PLATFORM_SETUP = f"raft {RAFT_THICKNESS:g} mm, supports {HEIGHT_ABOVE_RAFT:g} mm, margin {RAFT_MARGIN:g} mm (assumed)"
 
 SUPPORTED_WALL, UNSUPPORTED_WALL, MIN_HOLE_D = 0.4, 0.6, 0.5
@@ -290,11 +292,6 @@ def print_scale(design: Design, part: str) -> tuple[float, float, float]:
     return design.print_.scale if part == "probe" else design.print_.rigid_scale
 
 
-def is_compensated(design: Design) -> bool:
-    """Return whether any part is printed in another size than drawn."""
-    return any(print_scale(design, part) != AS_DRAWN for part in ("probe", "rigid parts"))
-
-
 def scale_note(design: Design, part: str) -> str:
     """Return the note for a part's file; empty if the part is printed as drawn."""
     scale = print_scale(design, part)
@@ -338,6 +335,8 @@ class PrintCheck:
     resin: str
     findings: tuple[Finding, ...]  #: one per rule and feature, passed ones included.
     advice: tuple[str, ...]  #: for what no rule can measure.
+    #: parts of each platform, the probe's first, with the position of their axes from its corner [mm].
+    platforms: tuple[dict[str, XY], ...]
 
     def _of(self, severity: Severity) -> list[Finding]:
         return [finding for finding in self.findings if finding.severity == severity]
@@ -374,6 +373,7 @@ class PrintCheck:
             "findings": [f.as_record() for f in (*self.errors, *self.warnings)],
             "advice": list(self.advice),
             "orientation": {part: orientation.as_record() for part, orientation in ORIENTATIONS.items()},
+            "platforms": [{part: list(axis) for part, axis in platform.items()} for platform in self.platforms],
         }
 
 
@@ -381,6 +381,7 @@ def check_print(design: Design) -> PrintCheck:
     """Check a design against the rules of its printer and of both resins."""
     geometry, printer = build_geometry(design), design.printer
     findings = [*_probe_size(design, geometry), *probe_findings(geometry)]
+    platforms = packed({"probe": _width_mm(design, geometry)}, printer)
     options = mount_options(design)
     plate = flange_adapter_for(design.sensor_model, design.robot_flange, options=options)
     try:
@@ -391,12 +392,14 @@ def check_print(design: Design) -> PrintCheck:
         findings += [*flange_findings(a), *mount_findings(a, plate)]
         findings += clamp_findings(a, plate, design.youngs_modulus.value)
         sx, _, sz = print_scale(design, "rigid parts")
-        for part, width, height in (
-            ("sensor_adapter", a.body_d, a.body_top),
-            ("clamp_ring", a.body_d, a.ring_thickness),
-            ("flange_adapter", plate.plate_d, plate.plate_top + plate.robot.spigot[1]),
-        ):
+        rigid = {
+            "flange_adapter": (plate.plate_d, plate.plate_top + plate.robot.spigot[1]),
+            "sensor_adapter": (a.body_d, a.body_top),
+            "clamp_ring": (a.body_d, a.ring_thickness),
+        }
+        for part, (width, height) in rigid.items():
             findings += size_findings(part, printer, sx * width / MM, sz * height / MM)
+        platforms += packed({part: sx * width / MM for part, (width, _) in rigid.items()}, printer)
     advice = (
         f"print the probe upright on its flange, {LAYER:g} mm layers, supports below the flange only",
         design.resin.cure,
@@ -407,14 +410,52 @@ def check_print(design: Design) -> PrintCheck:
             for part, stands in ORIENTATIONS.items()
             if not stands.supports
         ),
-    )
-    return PrintCheck(design.name, geometry.fingerprint, printer.name, design.resin.name, tuple(findings), advice)
+        *([f"the rigid parts do not fit on one platform of a {printer.name}: adapters.3mf and adapters_2.3mf"]
+          if len(platforms) > 2 else []),
+    )  # fmt: skip
+    return PrintCheck(design.name, geometry.fingerprint, printer.name, design.resin.name, tuple(findings), advice,
+                      tuple(platforms))  # fmt: skip
+
+
+def packed(diameters_mm: Mapping[str, float], printer: Printer) -> list[dict[str, XY]]:
+    """Return the parts of each platform with the position of their axes from its corner [mm].
+
+    Args:
+        diameters_mm: of the parts, the widest first.
+        printer: whose platform they are on, in rows about its middle, `BETWEEN` apart and `RAFT_MARGIN` from its edges.
+    """
+    width, depth = (side - 2 * RAFT_MARGIN for side in printer.build_volume_mm[:2])
+    platforms: list[dict[str, XY]] = [{}]
+    x = y = row = 0.0
+    for part, d in diameters_mm.items():
+        if x > 0.0 and x + d > width:
+            x, y, row = 0.0, y + row + BETWEEN, 0.0
+        widest = max((diameters_mm[other] for other in platforms[-1]), default=0.0)
+        if widest > min(width, depth) or (y > 0.0 and y + d > depth):  # one that is too wide lies alone
+            platforms.append({})
+            x = y = row = 0.0
+        platforms[-1][part] = (x + d / 2, y + d / 2)
+        x, row = x + d + BETWEEN, max(row, d)
+    for platform in platforms:
+        middles = []
+        for axis, side in enumerate(printer.build_volume_mm[:2]):
+            low = min(at[axis] - diameters_mm[part] / 2 for part, at in platform.items())
+            high = max(at[axis] + diameters_mm[part] / 2 for part, at in platform.items())
+            middles.append((side - low - high) / 2)
+        for part, at in platform.items():
+            platform[part] = (round(at[0] + middles[0], 3), round(at[1] + middles[1], 3))
+    return platforms
 
 
 def _probe_size(design: Design, geometry: ProbeGeometry) -> list[Finding]:
-    (sx, _, sz), printer = print_scale(design, "probe"), design.printer
-    width = max(geometry.flange.diameter, 2.0 * float(geometry.radius.max())) / MM
+    sz, printer = print_scale(design, "probe")[2], design.printer
     below = geometry.flange.thickness / MM
     longest = (printer.build_volume_mm[2] - SUPPORT_HEIGHT) / sz - below
     remedy = f"the longest probe for a {printer.name} is {int(longest)} mm" if longest > 0 else ""
-    return size_findings("probe", printer, sx * width, sz * (below + geometry.length / MM), remedy)
+    return size_findings("probe", printer, _width_mm(design, geometry), sz * (below + geometry.length / MM), remedy)
+
+
+def _width_mm(design: Design, geometry: ProbeGeometry) -> float:
+    """Return the width of the probe with its flange, as printed."""
+    width = max(geometry.flange.diameter, 2.0 * float(geometry.radius.max())) / MM
+    return print_scale(design, "probe")[0] * width

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -23,8 +23,8 @@ from PIL import Image
 from probedesign.cad.assembly_docs import assembly_page, bill_of_materials
 from probedesign.cad.exploded_view import DOWN, EXPLOSION, assembly_steps
 from probedesign.cad.inspection import inspection_sheets
-from probedesign.cad.mesh import platform_positions, read_back
 from probedesign.cad.model import CadModel, build_cad, overlaps
+from probedesign.cad.packages import read_back
 from probedesign.cad.projection import FRONT, cut, seen
 from probedesign.cad.render import BACKGROUND, OrthographicCamera, RenderBody, fit_view, render_bodies
 from probedesign.cad.sheet import EDGE, HEIGHT, WIDTH
@@ -37,6 +37,7 @@ from probedesign.mount.clamping import RESIN_PRESSURE, hand_torque
 from probedesign.mount.engraving import Engraving
 from probedesign.mount.sensor_adapter import RING_VENT_HEIGHT
 from probedesign.mount.tolerance_stack import measurements
+from probedesign.printing.check import RAFT_MARGIN
 from tests.reports.page_checks import browser, check_page, sheets
 
 Exported = tuple[Path, dict[str, Any]]
@@ -377,21 +378,26 @@ def test_names_from_outside_are_escaped(make_design: Callable[..., Design], larg
 # ---- 3MF
 
 
-def test_packages_read_strictly_in_millimetres_and_side_by_side(exported: Exported) -> None:
-    wanted = {"probe.3mf": {"probe"}, "adapters.3mf": set(PRINTED) - {"probe"}}
-    fingerprint = exported[1]["fingerprint"]
-    for file, names in wanted.items():
-        found, warnings = read_back((exported[0] / file).read_bytes())
-        assert warnings == 0 and {piece.name for piece, _ in found} == names
-        assert all(piece.part_number == f"large-{fingerprint}-{piece.name}" for piece, _ in found)
-        boxes = [
-            [m.vertices.min(axis=0) + p, m.vertices.max(axis=0) + p]
-            for (_, p), m in zip(found, (piece.mesh for piece, _ in found), strict=True)
-        ]
-        assert min(low.min() for low, _ in boxes) == pytest.approx(0.0, abs=1e-4)  # the plate; 3MF cuts digits
-        for (_, high), (low, _) in pairwise(boxes):
-            assert low[0] - high[0] > 4.9  # millimetres
-        assert np.allclose(platform_positions([piece for piece, _ in found]), [p for _, p in found], atol=1e-3)
+def test_packages_lie_as_the_check_says(exported: Exported, large: CadModel) -> None:
+    """Each part in its orientation, apart from the others, inside of the platform with the margin of a raft."""
+    folder, manifest = exported
+    check = manifest["print_check"]
+    x, y, _ = large.design.printer.build_volume_mm
+    for file, platform in zip(("probe.3mf", "adapters.3mf"), check["platforms"], strict=True):
+        parts, warnings = read_back((folder / file).read_bytes())
+        assert warnings == 0 and [part.name for part in parts] == list(platform)
+        for part in parts:
+            assert part.part_number == f"large-{manifest['fingerprint']}-{part.name}"
+            assert part.T_platform_part[:3, 2].tolist() == check["orientation"][part.name]["z_direction"]
+            assert part.T_platform_part[:2, 3] == pytest.approx(platform[part.name], abs=1e-3)
+            low, high = part.bounds
+            assert low[2] == pytest.approx(0.0, abs=1e-4)  # on the platform; 3MF cuts digits
+            assert (low[:2] >= RAFT_MARGIN - 0.01).all() and (high[:2] <= np.array([x, y]) - RAFT_MARGIN + 0.01).all()
+        for a, b in combinations((part.bounds for part in parts), 2):
+            gap = np.maximum(a[0] - b[1], b[0] - a[1])[:2].max()
+            assert gap >= 4.99  # millimetres
+        middle = (np.min([p.bounds[0] for p in parts], axis=0) + np.max([p.bounds[1] for p in parts], axis=0)) / 2
+        assert middle[:2] == pytest.approx([x / 2, y / 2], abs=0.6)  # the flat on a rim is not counted
 
 
 def test_another_reader_sees_the_same_parts(exported: Exported) -> None:

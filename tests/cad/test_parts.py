@@ -11,11 +11,13 @@ from scipy.integrate import dblquad
 pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip install 'probedesign[cad]'")
 
 import cadquery as cq
+import trimesh
 
 from probedesign.cad.exploded_view import assembly_steps
 from probedesign.cad.kernel import mass_properties
-from probedesign.cad.mesh import Mesh, tessellate, threemf_packages
+from probedesign.cad.mesh import tessellate
 from probedesign.cad.model import FASTENERS, IN_SENSOR_FRAME, CadModel, CadPart, build_cad, build_parts, overlaps
+from probedesign.cad.packages import PackedPart, package_files, packed_parts
 from probedesign.cad.solids import probe_solid, screw_groups
 from probedesign.cad.verify import blocked_tools, verify
 from probedesign.core.errors import CheckFailedError, InputError
@@ -33,7 +35,7 @@ from probedesign.mount.tolerance_stack import tolerance_stacks
 from probedesign.printing.check import check_print
 from tests.cad.conftest import LARGE
 
-Meshes = tuple[dict[str, Mesh], dict[str, bytes]]
+Meshes = tuple[dict[str, trimesh.Trimesh], dict[str, list[PackedPart]], dict[str, bytes]]
 PROFILE = (
     'shape = "profile"\nlength_mm = 120.0\nbase_d_mm = 12.0\n'
     "profile_mm = [[0, 12], [40, 13], [60, 7], [80, 7], [120, 2]]"
@@ -60,7 +62,8 @@ def filled(shape: Any, p: Array, T_sensor_part: Array = IN_SENSOR_FRAME) -> bool
 
 def meshed(model: CadModel) -> Meshes:
     meshes = {part.name: tessellate(part.shape) for part in model.printed}
-    return meshes, threemf_packages(model, meshes)
+    packed = packed_parts(model.design, check_print(model.design), meshes)
+    return meshes, packed, package_files(model.design, packed)
 
 
 @pytest.fixture(scope="module")
@@ -568,10 +571,23 @@ def test_verify_detects_an_error_of_a_micrometre(large: CadModel, large_meshes: 
 
 
 def test_verify_detects_an_open_mesh(large: CadModel, large_meshes: Meshes) -> None:
-    meshes, packages = large_meshes
+    meshes, *packages = large_meshes
     ring = meshes["clamp_ring"]
     with pytest.raises(CheckFailedError, match="clamp_ring_mesh_closed"):
-        verify(large, meshes | {"clamp_ring": Mesh(ring.vertices, ring.triangles[1:])}, packages)
+        verify(large, meshes | {"clamp_ring": trimesh.Trimesh(ring.vertices, ring.faces[1:])}, *packages)
+
+
+def test_verify_detects_parts_on_top_of_each_other_or_turned_over(large: CadModel, large_meshes: Meshes) -> None:
+    meshes, packed, _ = large_meshes
+    plate, adapter, ring = packed["adapters.3mf"]
+    for wrong in (
+        [plate, adapter, replace(ring, T_platform_part=adapter.T_platform_part)],
+        [replace(plate, T_platform_part=adapter.T_platform_part), adapter, ring],
+        [plate, adapter, replace(ring, T_platform_part=pose(p=[10.0, 70.0, 0.0]))],
+    ):
+        moved = packed | {"adapters.3mf": wrong}
+        with pytest.raises(CheckFailedError, match=r"adapters\.3mf_layout"):
+            verify(large, meshes, moved, package_files(large.design, moved))
 
 
 def test_overlap_is_detected(large: CadModel) -> None:
@@ -596,4 +612,4 @@ def test_same_triangles_on_every_run(make_design: Callable[..., Design], large: 
     for name, mesh in large_meshes[0].items():
         fresh = tessellate(again.parts[name].shape)
         assert np.array_equal(mesh.vertices, fresh.vertices)
-        assert np.array_equal(mesh.triangles, fresh.triangles)
+        assert np.array_equal(mesh.faces, fresh.faces)

@@ -12,7 +12,6 @@ import pytest
 from rich.console import Console
 
 from probedesign.core.frames import pose
-from probedesign.core.stl import RECORD
 from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.live.blocks import Block, WrenchReading
 from probedesign.live.outputs.drawing import SIDES, BentShape, ContactMarker, TubeMesh, centreline, ellipsoid
@@ -21,7 +20,7 @@ from probedesign.live.processing.estimates import EstimateUpdate, readable_line
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.view.page import events_html, status_html
-from probedesign.live.view.scene import StripCharts, read_stl, rigid_parts
+from probedesign.live.view.scene import RECORD, StripCharts, read_stl, rigid_parts
 from probedesign.live.view.sinks import TerminalView, scene_setup, table_of
 from probedesign.live.view.state import STRIP, Event, Snapshot, StatusLine, ViewState
 

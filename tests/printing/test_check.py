@@ -12,7 +12,7 @@ import pytest
 from probedesign.cli.main import run
 from probedesign.design import load_design, parse_design
 from probedesign.design.catalog import PRINTERS
-from probedesign.printing.check import check_print
+from probedesign.printing.check import RAFT_MARGIN, check_print, packed
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 
@@ -252,6 +252,27 @@ def test_the_commands_json_holds_every_number(written, capsys):
     assert (finding["measured"], finding["limit"], finding["unit"]) == (250.0, 185.0, "mm")
     assert finding["confidence"] == "high" and "PreForm" in finding["source"]
     assert all(f["severity"] == "ok" for f in document["passed"])
+
+
+@pytest.mark.parametrize("printer", PRINTERS.values(), ids=PRINTERS)
+@pytest.mark.parametrize("d", [(63.0, 31.2, 31.2), (125.0, 31.2, 31.2), (125.0, 86.0, 86.0), (25.0, 25.0, 25.0)])
+def test_parts_are_packed_apart_on_as_many_platforms_as_they_need(printer, d):
+    """Every part that fits lies inside of the margin, and no two rectangles around them come closer than 5 mm."""
+    diameters = dict(zip("abc", d, strict=True))
+    platforms = packed(diameters, printer)
+    assert [part for platform in platforms for part in platform] == list("abc")
+    sides = np.array(printer.build_volume_mm[:2])
+    for platform in platforms:
+        for part, axis in platform.items():
+            r = diameters[part] / 2
+            if (2 * r + 2 * RAFT_MARGIN <= sides).all():
+                assert (np.array(axis) - r >= RAFT_MARGIN - 1e-2).all()
+                assert (np.array(axis) + r <= sides - RAFT_MARGIN + 1e-2).all()
+            for other in set(platform) - {part}:
+                apart = np.abs(np.subtract(axis, platform[other])) - r - diameters[other] / 2
+                assert apart.max() >= 5.0 - 1e-2
+    if printer.name == "form-3":  # 145 mm: a plate of 125 mm leaves no room beside it
+        assert len(platforms) == {63.0: 1, 25.0: 1, 125.0: 2 if d[1] < 60.0 else 3}[d[0]]
 
 
 def test_the_check_needs_no_cad_and_no_mechanics():

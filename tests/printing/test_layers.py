@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import trimesh
 
 from probedesign.design import parse_design
 from probedesign.design.sensor_catalog import SENSORS
@@ -110,8 +109,7 @@ def test_rigid_parts_print_on_the_platform_in_their_constant_orientation(sensor:
     if flange == fitting_flanges(design.sensor_model)[0]:  # these do not depend on the flange
         solids |= {"sensor_adapter": sensor_adapter_solid(a), "clamp_ring": clamp_ring_solid(a)}
     for name, solid in solids.items():
-        facets = tessellate(solid, 0.05, 0.3)
-        mesh = trimesh.Trimesh(facets.vertices, facets.triangles, process=False)
+        mesh = tessellate(solid, 0.05, 0.3)
         if not ORIENTATIONS[name].upright:
             mesh.apply_transform(np.diag([1.0, -1.0, -1.0, 1.0]))
         mesh.apply_translation([0.0, 0.0, -mesh.bounds[0, 2]])

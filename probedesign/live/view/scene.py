@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from probedesign.core.frames import Array, inverse, is_pose
-from probedesign.core.stl import PREAMBLE, RECORD, stl_corners
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.live.outputs.drawing import BentShape, TubeMesh
@@ -17,6 +16,10 @@ from probedesign.live.view.state import STRIP
 
 EXPORTED = ("sensor_adapter", "clamp_ring", "flange_adapter")
 MAX_FACETS = 200_000
+RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+"""A triangle of a binary STL file."""
+PREAMBLE = 84
+"""Bytes before the first triangle: 80 of header, and their number."""
 CYLINDER_SIDES = 48
 
 
@@ -71,7 +74,7 @@ def read_stl(path: Path) -> Array:
     count = int.from_bytes(content[80:PREAMBLE], "little")
     if len(content) != PREAMBLE + count * RECORD.itemsize or not 0 < count <= MAX_FACETS:
         raise ValueError(f"{path.name} is not a binary STL")
-    corners = stl_corners(content).astype(float) * MM
+    corners = np.frombuffer(content, RECORD, offset=PREAMBLE)["corners"].astype(float) * MM
     if not np.isfinite(corners).all():
         raise ValueError(f"{path.name} has a non-finite corner")
     return corners
