@@ -9,11 +9,13 @@ the misfit of the base wrench whitened by its covariance, and the prior on frict
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from probedesign.core.frames import Array
 from probedesign.rod.kernels import inner
-from probedesign.rod.kernels.equations import OK
+from probedesign.rod.kernels.equations import OK, Body
 from probedesign.rod.kernels.linalg import scale_and_factor, solve_scaled
 from probedesign.rod.kernels.surface_contact import (
     AROUND,
@@ -74,6 +76,27 @@ FIT_SCRATCH = np.dtype([
 """Memory that a fit works in beside its sweeps: of Gauss-Newton the touch before a step, residuals, their derivatives,
 normal equations and the step; of the weights the whitening by noise alone and a covariance; of the covariance the
 derivatives of s_contact, and touch, residuals and directions of the valley (see `uncertainty_kernel`)."""
+
+
+class Measured(NamedTuple):
+    """What a touch is fitted to."""
+
+    body: Body  #: of the rod.
+    end: float  #: the furthest arclength at which a touch acts [m].
+    gravity: Array  #: base axes [m/s²], (3,).
+    mass: float  #: of the flexible part [kg].
+    wrench: Array  #: read at the base, (6,).
+    friction: float  #: prior standard deviation of the friction ratio; inf: the direction is free.
+
+
+class FitMemory(NamedTuple):
+    """Memory of a fit beside `FIT_SCRATCH`."""
+
+    sweep: Array  #: of sweeps, (work_size(parameters),).
+    lin: Array  #: linearisation with all parameters of the rod, (ROWS, 1 + UNKNOWNS + parameters).
+    D: Array  #: error columns, (12, J).
+    gain: Array  #: gains of a point on the reading, (3 (6 + J),).
+    lin_touch: Array  #: linearisation by the touch alone, (ROWS, 1 + UNKNOWNS).
 
 
 @inner
@@ -185,15 +208,13 @@ def step_share(step, touch, move, length):
 
 
 @inner
-def fit_touch(body, low, end, gravity, mass, wrench, whiten, friction, max_iterations, touch, sweep_work, lin, work):
+def fit_touch(measured, whiten, low, high, max_iterations, touch, sweep_work, lin, work):
     """Minimise the misfit over touches of the surface, from a guess.
 
     Args:
-        body: of the rod; low, end: arclengths between which the touch may lie [m].
-        gravity: [m/s²], (3,); mass: of the flexible part [kg].
-        wrench: read, at the base, (6,).
+        measured: what it is fitted to.
         whiten: lower triangular, with whitenᵀ whiten the inverse covariance of the wrench, (6, 6).
-        friction: standard deviation of the friction ratio.
+        low, high: arclengths between which the touch may lie [m].
         max_iterations: after which the fit is given up.
         touch: the guess, then the fit, (TOUCH,).
         sweep_work: scratch, (work_size(0),); lin: at the last linearisation but for the last step,
@@ -204,16 +225,17 @@ def fit_touch(body, low, end, gravity, mass, wrench, whiten, friction, max_itera
         What became of it (FITTED, ...), the misfit squared, iterations.
     """
     before, J, r, H, b = work.before[:], work.J, work.r, work.H, work.b
-    step, move, length, tol = work.step, work.move, body.knots[-1], sweep_tolerance(wrench, whiten)
+    step, move, length = work.step, work.move, measured.body.knots[-1]
+    tol = sweep_tolerance(measured.wrench, whiten)
     least, share, size, failed = math.inf, 1.0, 1.0, 0
     for iteration in range(max_iterations):
         # A size below 1e-6 would ask for steps finer than rounding.
         status, lack, margin, size = linearise(
-            body, gravity, mass, tol, max(size, 1e-6), touch, NO_PARAMETERS, sweep_work, lin
+            measured.body, measured.gravity, measured.mass, tol, max(size, 1e-6), touch, NO_PARAMETERS, sweep_work, lin
         )
         merit = math.inf
         if status == OK and lack < math.inf:
-            merit = residuals(lin, touch, wrench, whiten, friction, J, r)
+            merit = residuals(lin, touch, measured.wrench, whiten, measured.friction, J, r)
         failed += status != OK
         if not (math.isfinite(merit) and merit <= least * (1.0 + 1e-4) + JITTER):
             if not math.isfinite(least) or share < _SMALLEST or failed > MAX_FAILED:
@@ -223,7 +245,7 @@ def fit_touch(body, low, end, gravity, mass, wrench, whiten, friction, max_itera
             continue
         least = merit
         normal_equations(J, r, H, b)
-        bounded = bounded_step(H, b, work.scale, low, end, touch, step, work.full)
+        bounded = bounded_step(H, b, work.scale, low, high, touch, step, work.full)
         if bounded < 0:
             return LOST, merit, iteration
         gain = 0.0

@@ -114,11 +114,11 @@ class ErrorSources:
     model: ProbeModel  #: of the probe.
     tolerances: Tolerances  #: how well it is known.
     gravity: Array  #: base axes [m/s²], (3,).
-    own: Array  #: of the rod's own sources, log E and what follows it, (a, 4 + K).
-    turns: Array  #: of the others, (b, 9), see `turns_of`, or (b, 12) with the displacement of the point alone [m].
+    rod: Array  #: of the rod's own sources, log E and what follows it, (a, 4 + K).
+    base: Array  #: of the others, (b, 9), see `turns_of`, or (b, 12) with the displacement of the point alone [m].
     names: tuple[str, ...]  #: the source of each of the J columns.
     reference: Array  #: wrench at the base at which the sensor reads zero, (6,).
-    still: Array  #: columns of the free probe's reading, which a tare has taken away, (6, J).
+    tared: Array  #: columns of the free probe's reading, which a tare has taken away, (6, J).
 
     @classmethod
     def of(
@@ -143,23 +143,23 @@ class ErrorSources:
             posed: whether points count in the world. The base's place is then uncertain twice, by `base_mm` each: on
                 the sensor, which the moment shows, and as the robot reports it, which no reading shows.
         """
-        own, names = _filtered(parameters_of(model.rod, tolerances))
-        turns, turned = _filtered(turns_of(gravity, tolerances, axes))
+        rod, names = _filtered(parameters_of(model.rod, tolerances))
+        base, base_names = _filtered(turns_of(gravity, tolerances, axes))
         if posed and tolerances.base_mm > 0.0:
             reported = np.hstack([np.zeros((3, 9)), tolerances.base_mm * MM * np.eye(3)])
-            turns = np.vstack([np.pad(turns, ((0, 0), (0, 3))), reported])
-            turned = (*turned, *["base place"] * 3)
-        names = (*names, *turned, "root", *["gain"] * 6)
+            base = np.vstack([np.pad(base, ((0, 0), (0, 3))), reported])
+            base_names = (*base_names, *["base place"] * 3)
+        names = (*names, *base_names, "root", *["gain"] * 6)
         nothing = np.zeros((6, len(names)))
         base_from_sensor = wrench_map(inverse(model.T_sensor_base))
         unloaded = -base_from_sensor @ model.gravity_wrench_sensor(gravity)
-        sources = cls(model, tolerances, gravity, own, turns, names, unloaded, nothing)
+        sources = cls(model, tolerances, gravity, rod, base, names, unloaded, nothing)
         if not tolerances.tared:
             return sources
         if tared is not None:
-            return replace(sources, reference=tared.reference, still=tared.still)
+            return replace(sources, reference=tared.reference, tared=tared.tared)
         sources = replace(sources, reference=free.wrench_base)
-        return replace(sources, still=sources.free_columns(free))
+        return replace(sources, tared=sources.free_columns(free))
 
     def column(self, name: str) -> int:
         """Return the first column of a source, or -1."""
@@ -170,15 +170,15 @@ class ErrorSources:
         model, t = self.model, self.tolerances
         base_from_sensor = np.ascontiguousarray(wrench_map(inverse(model.T_sensor_base)))
         return uncertainty_kernel.SourceArrays(
-            self.own,
-            self.turns,
+            self.rod,
+            self.base,
             float(t.root_radii * model.rod.radius[0]),
             np.full(6, t.gain),
             np.ascontiguousarray(base_from_sensor @ model.payload_by_gravity),
             np.ascontiguousarray(wrench_map(model.T_sensor_base)),
             base_from_sensor,
             np.ascontiguousarray(self.reference),
-            np.ascontiguousarray(self.still),
+            np.ascontiguousarray(self.tared),
         )
 
     def arguments(self) -> uncertainty_kernel.SourceArrays:

@@ -20,7 +20,7 @@ Householder reflections take y and e out of each pose's rows; `fusion_kernel.py`
 import math
 
 from probedesign.estimation.contact_fit import MIN_FRICTION
-from probedesign.estimation.uncertainty_kernel import error_columns
+from probedesign.estimation.uncertainty_kernel import SourceArrays, error_columns
 from probedesign.rod.kernels import inner, kernel
 from probedesign.rod.kernels.equations import OK
 from probedesign.rod.kernels.linalg import cross, dot, eliminate
@@ -56,19 +56,24 @@ def rows_of(channels: int) -> int:
 
 
 @kernel
-def linearise_keyframe(body, gravity, mass, tol, touch, own, turns, root, gain, hanging, sensor_from_base,
-                       base_from_sensor, reference, still, work, lin, D):  # fmt: skip
+def linearise_keyframe(body, gravity, mass, tol, touch, rod, base, root, gain, payload_by_gravity, sensor_from_base,
+                       base_from_sensor, reference, tared, work, lin, D):  # fmt: skip
     """Linearise the touch of a pose with its error columns.
+
+    Args:
+        rod, ... tared: the error sources, see `SourceArrays`; as arguments of their own they reach the kernel faster.
 
     Returns:
         Whether the probe holds it.
     """
-    parameters = own.shape[1] + 3
+    sources = SourceArrays(
+        rod, base, root, gain, payload_by_gravity, sensor_from_base, base_from_sensor, reference, tared
+    )
+    parameters = rod.shape[1] + 3
     status, lack, margin, _size = linearise(body, gravity, mass, tol, 1.0, touch, parameters, work, lin)
     if status != OK or not lack < math.inf or not margin > 0.0:
         return False
-    error_columns(body, gravity, lin, own, turns, root, gain, hanging, sensor_from_base, base_from_sensor, reference,
-                  still, D)  # fmt: skip
+    error_columns(body, gravity, lin, sources, D)
     return True
 
 

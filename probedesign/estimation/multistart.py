@@ -15,6 +15,8 @@ from probedesign.estimation.contact_fit import (
     LOST,
     MAX_ITERATIONS,
     STALLED,
+    FitMemory,
+    Measured,
     bounded_step,
     fit_touch,
     normal_equations,
@@ -100,7 +102,7 @@ def room_for(knots: int, causes: int) -> int:
 
 
 @inner
-def _fill_row(body, gravity, mass, lin, touch, share, step, by_s, row):
+def _fill_row(measured, lin, touch, share, step, by_s, row):
     """Fill the row of a fit with force, points and s_contact after a last step, taken to first order.
 
     Args:
@@ -113,8 +115,8 @@ def _fill_row(body, gravity, mass, lin, touch, share, step, by_s, row):
             F += lin[q, BY_TOUCH + u] * share * step[u]
             x += lin[POINT + q, BY_TOUCH + u] * share * step[u]
             p += lin[CENTRE + q, BY_TOUCH + u] * share * step[u]
-        row.force[q], row.surface[q], row.centre[q] = F - mass * gravity[q], x, p
-    radius, tan = radius_and_slope(body, touch[S])
+        row.force[q], row.surface[q], row.centre[q] = F - measured.mass * measured.gravity[q], x, p
+    radius, tan = radius_and_slope(measured.body, touch[S])
     cos = 1.0 / math.sqrt(1.0 + tan * tan)
     shift, by_1, by_2, per_r, _by_slope = offset_along(radius, tan * cos, cos, touch)
     row.s_contact = touch[S] + shift
@@ -123,45 +125,40 @@ def _fill_row(body, gravity, mass, lin, touch, share, step, by_s, row):
 
 
 @inner
-def _settle(
-    body, end, gravity, mass, wrench, noise, friction, sources, touch, lin, D, sweep_work, brief, work, gain_work, row
-):
+def _settle(measured, noise, sources, touch, memory, work, row):
     """Carry a fit on under the weights of its own place, and fill its row with its posterior.
 
     Args:
+        measured: what the touch is fitted to; noise: covariance of the reading by noise and drift, (6, 6).
+        sources: `SourceArrays`.
         touch: the guess and then the fit, (TOUCH,).
-        lin, D: scratch, (ROWS, 1 + UNKNOWNS + parameters) and (12, J); brief: scratch, (ROWS, 1 + UNKNOWNS).
-        sweep_work, gain_work: scratch; work: scratch, FIT_SCRATCH.
+        memory: scratch, `FitMemory`; work: scratch, FIT_SCRATCH.
         row: filled, FIT.
-        The others as in `fit_contacts`.
 
     Returns:
         What became of the fit: FITTED, AT_END, STALLED or LOST.
     """
-    parameters = sources.own.shape[1] + 3
+    parameters, body, lin = sources.rod.shape[1] + 3, measured.body, memory.lin
     J, r, H, b, step = work.J, work.r, work.H, work.b, work.step
     move, before, white = work.move, work.before[:], row.whiten
     if not whitening(noise, work.factor, white):
         return LOST
-    tol, size, rounds, small = sweep_tolerance(wrench, white), 1.0, 0, False
+    tol, size, rounds, small = sweep_tolerance(measured.wrench, white), 1.0, 0, False
     chi2, gain, share, bounded = 0.0, 0.0, 1.0, 0
     while not small and rounds < ROUNDS:
         rounds += 1
         code, lack, margin, size = linearise(
-            body, gravity, mass, tol, max(size, 1e-6), touch, parameters, sweep_work, lin
+            body, measured.gravity, measured.mass, tol, max(size, 1e-6), touch, parameters, memory.sweep, lin
         )
         if code != OK or not lack < math.inf or not margin > 0.0:
             return LOST
-        error_columns(
-            body, gravity, lin, sources.own, sources.turns, sources.root, sources.gain, sources.hanging,
-            sources.sensor_from_base, sources.base_from_sensor, sources.reference, sources.still, D,
-        )  # fmt: skip
-        measurement_covariance(noise, D, work.cov)
+        error_columns(body, measured.gravity, lin, sources, memory.D)
+        measurement_covariance(noise, memory.D, work.cov)
         if not whitening(work.cov, work.factor, white):
             return LOST
-        chi2 = residuals(lin, touch, wrench, white, friction, J, r)
+        chi2 = residuals(lin, touch, measured.wrench, white, measured.friction, J, r)
         normal_equations(J, r, H, b)
-        bounded = bounded_step(H, b, work.scale, 0.0, end, touch, step, work.full)
+        bounded = bounded_step(H, b, work.scale, 0.0, measured.end, touch, step, work.full)
         if bounded < 0 or not math.isfinite(chi2):
             return LOST
         gain = 0.0
@@ -174,24 +171,24 @@ def _settle(
         advance(touch, before, share, step, move)
         small = share == 1.0 and lack <= CLAMPED and gain <= SETTLED * (1.0 + chi2)
     row.sweeps[1] = rounds
-    _fill_row(body, gravity, mass, lin, touch, share, step, work.by_s, row)
+    _fill_row(measured, lin, touch, share, step, work.by_s, row)
     row.chi2 = chi2 - gain if small and not bounded else chi2
     row.chi2_friction = r[6] * r[6] + r[7] * r[7]
-    if not posterior(lin, touch, J, white, D, work.by_s, work, gain_work, row):
+    if not posterior(lin, touch, J, white, memory.D, work.by_s, work, memory.gain, row):
         return LOST
     if not small:
         return STALLED
     if bounded:
         return AT_END
     # Linearised at `before`; the last step is a thirtieth of a standard deviation.
-    add_curvature(body, end, gravity, mass, wrench, white, friction, tol, before, lin, J, sweep_work, brief, work, row)
+    add_curvature(measured, white, tol, before, lin, J, memory, work, row)
     return FITTED
 
 
 @kernel
 def fit_contacts(
-    body, end, gravity, mass, wrench, noise, friction, own, turns, root, gain, hanging, sensor_from_base,
-    base_from_sensor, reference, still, near, work, scratch, rows,
+    body, end, gravity, mass, wrench, noise, friction, rod, base, root, gain, payload_by_gravity, sensor_from_base,
+    base_from_sensor, reference, tared, near, work, scratch, rows,
 ):  # fmt: skip
     """Fit touches from one guess, or from every candidate of the trace, the likeliest first.
 
@@ -201,7 +198,7 @@ def fit_contacts(
         wrench: read at the base, (6,).
         noise: its covariance by noise and drift, (6, 6).
         friction: prior standard deviation of the friction ratio; inf: the direction is free.
-        own, ... still: the error sources, see `SourceArrays`; as arguments of their own they reach the kernel faster.
+        rod, ... tared: the error sources, see `SourceArrays`; as arguments of their own they reach the kernel faster.
         near: whether the first row's touch holds a guess; nothing is traced then.
         work: scratch, (room_for(knots, J),); scratch: FIT_SCRATCH, (1,).
         rows: filled, FIT, (MAX_STARTS,).
@@ -209,51 +206,48 @@ def fit_contacts(
     Returns:
         How many rows.
     """
-    sources = SourceArrays(own, turns, root, gain, hanging, sensor_from_base, base_from_sensor, reference, still)
-    parameters, J = own.shape[1] + 3, still.shape[1]
+    measured = Measured(body, end, gravity, mass, wrench, friction)
+    sources = SourceArrays(
+        rod, base, root, gain, payload_by_gravity, sensor_from_base, base_from_sensor, reference, tared
+    )
+    parameters, J = rod.shape[1] + 3, tared.shape[1]
     a = max(sweep_work_size(NO_PARAMETERS), sweep_work_size(parameters))
     b = a + ROWS * (1 + UNKNOWNS + parameters)
     c = b + 12 * J
     d = c + 3 * (6 + J)
     e = d + ROWS * (1 + UNKNOWNS)
-    sweep_work, gain_work, room, fit_work = work[:a], work[c:d], work[e:], scratch[0]
-    lin, D = work[a:b].reshape((ROWS, 1 + UNKNOWNS + parameters)), work[b:c].reshape((12, J))
-    brief = work[d:e].reshape((ROWS, 1 + UNKNOWNS))
+    memory = FitMemory(
+        work[:a], work[a:b].reshape((ROWS, 1 + UNKNOWNS + parameters)), work[b:c].reshape((12, J)), work[c:d],
+        work[d:e].reshape((ROWS, 1 + UNKNOWNS)),
+    )  # fmt: skip
+    room, fit_work = work[e:], scratch[0]
     if near:
         row = rows[0]
         row.sweeps[0] = 0
-        row.status = _settle(
-            body, end, gravity, mass, wrench, noise, friction, sources, row.touch[:], lin, D, sweep_work, brief,
-            fit_work, gain_work, row,
-        )  # fmt: skip
+        row.status = _settle(measured, noise, sources, row.touch[:], memory, fit_work, row)
         return int(row.status != LOST)
     narrow = fit_work.noise_whiten
     if not whitening(noise, fit_work.factor, narrow):
         return 0
     g, fitted = take(gravity, 0), 0
     force = minus(take(wrench, 0), times(mass, g))
-    reached = candidates.trace(body, end, g, force, take(wrench, 3), sweep_work, room)
-    places = _places(body, end, wrench, narrow, force, friction, room, reached, rows)
+    reached = candidates.trace(body, end, g, force, take(wrench, 3), memory.sweep, room)
+    places = _places(measured, narrow, force, room, reached, rows)
     known_twist = math.sqrt(noise[5, 5])
     for k in range(places):
         s, likely = rows[k].s_contact, rows[k].chi2 > 0.0
         if k > 0 and not likely:
             continue
         status, row, sweeps = LOST, rows[fitted], 0
-        touch = row.touch[:]
+        touch, limit = row.touch[:], MAX_ITERATIONS if k == 0 else FEW
         for back in BACK:
-            if candidates.guess(
-                body, end, g, force, known_twist, sweep_work, room, max(s - back * end, 0.0), reached, touch
-            ):
+            start = max(s - back * end, 0.0)
+            if candidates.guess(body, end, g, force, known_twist, memory.sweep, room, start, reached, touch):
                 status, _chi2, sweeps = fit_touch(
-                    body, 0.0, end, gravity, mass, wrench, narrow, friction, MAX_ITERATIONS if k == 0 else FEW, touch,
-                    sweep_work, brief, fit_work,
-                )  # fmt: skip
+                    measured, narrow, 0.0, end, limit, touch, memory.sweep, memory.lin_touch, fit_work
+                )
             if status != LOST:
-                status = _settle(
-                    body, end, gravity, mass, wrench, noise, friction, sources, touch, lin, D, sweep_work, brief,
-                    fit_work, gain_work, row,
-                )  # fmt: skip
+                status = _settle(measured, noise, sources, touch, memory, fit_work, row)
             row.status, row.sweeps[0] = status, sweeps
             if k > 0 or status in (FITTED, AT_END):
                 break
@@ -262,15 +256,16 @@ def fit_contacts(
 
 
 @inner
-def _places(body, end, wrench, whiten, force, friction, room, reached, rows):
+def _places(measured, whiten, force, room, reached, rows):
     """Rank the candidates of the trace into rows, with the score as status, s_contact and, as chi2, 1 for a likely one;
     return how many."""
+    wrench = measured.wrench
     moment, places = math.sqrt(wrench[3] ** 2 + wrench[4] ** 2 + wrench[5] ** 2), 0
     size = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)
     for j in range(reached):
         if candidates.is_least(room, j, reached):
-            off, s = candidates.least(end, room, j, reached)
-            couple = min(friction, MAX_FRICTION) * size * radius_and_slope(body, s)[0]
+            off, s = candidates.least(measured.end, room, j, reached)
+            couple = min(measured.friction, MAX_FRICTION) * size * radius_and_slope(measured.body, s)[0]
             score = off / math.sqrt(1.0 / whiten[3, 3] ** 2 + (s / whiten[0, 0]) ** 2 + couple * couple)
             likely = score < LIKELY or off < SHARE * moment
             places = _ranked(rows, places, s, score, likely)
@@ -318,6 +313,6 @@ def profile_misfit(body, gravity, mass, wrench, whiten, friction, s, touch, swee
         The misfit squared; inf where there is no such equilibrium.
     """
     touch[S] = s
-    status, chi2, _n = fit_touch(body, s, s, gravity, mass, wrench, whiten, friction, MAX_ITERATIONS, touch,
-                                 sweep_work, lin, scratch[0])  # fmt: skip
+    measured = Measured(body, s, gravity, mass, wrench, friction)
+    status, chi2, _n = fit_touch(measured, whiten, s, s, MAX_ITERATIONS, touch, sweep_work, lin, scratch[0])
     return chi2 if status != LOST else math.inf

@@ -62,7 +62,8 @@ ROOT_CENTRE = 0.375
 def _moved(lin, gravity, shift, turn, change, D, c):
     """Fill in the column of a base that is shifted and turned and of gravity that changes, in the modelled base frame.
 
-    A turn of the base turns what it reads, and gravity the other way as seen from it.
+    For a turn θ and a shift d of the base, δF = θ × F, δM = θ × M + d × F, δx = θ × x + d; gravity changes in the axes
+    of the base by g × θ + δg, which acts by the derivatives of the linearisation.
     """
     seen = plus(cross(gravity, turn), change)
     F = cross(turn, take3(lin, WRENCH, VALUE))
@@ -83,52 +84,52 @@ def _moved(lin, gravity, shift, turn, change, D, c):
 class SourceArrays(NamedTuple):
     """Error sources as `error_columns` takes them, one standard deviation each."""
 
-    own: Array  #: of log E and what follows it, a source a row, (a, 4 + K).
+    rod: Array  #: of log E and what follows it, a source a row, (a, 4 + K).
     #: of the base's shift and turn and of gravity [m, rad, m/s²], a source a row, (b, 9); with three more columns the
     #: displacement of the points that no reading shows [m].
-    turns: Array
+    base: Array
     root: float  #: of the length of rigid rod at the root [m].
     gain: Array  #: of the sensor's channels, relative, (6,).
-    hanging: Array  #: wrench of what hangs on the sensor, by gravity, about the base, (6, 3).
+    payload_by_gravity: Array  #: wrench of what hangs on the sensor, by gravity, about the base, (6, 3).
     sensor_from_base: Array  #: sensor_from_base, base_from_sensor: carry wrenches, (6, 6).
     base_from_sensor: Array
     reference: Array  #: wrench at the base at which the sensor reads zero, (6,).
-    still: Array  #: columns of the free probe's reading, which a tare has taken away, (6, J).
+    tared: Array  #: columns of the free probe's reading, which a tare has taken away, (6, J).
 
 
 @inner
-def error_columns(body, gravity, lin, own, turns, root, gain, hanging, sensor_from_base, base_from_sensor, reference,
-                  still, D):  # fmt: skip
+def error_columns(body, gravity, lin, sources, D):
     """Fill D with what one standard deviation of each error source does to base wrench, touched and centreline point.
 
     Args:
         body: of the rod; gravity: [m/s²], (3,).
         lin: linearisation with all parameters, see `rod.kernels.surface_contact`.
-        own, ... still: see `SourceArrays`.
+        sources: `SourceArrays`.
         D: filled, (12, J), J = a + b + 7.
     """
-    a, b = own.shape[0], turns.shape[0]
+    rod, base = sources.rod, sources.base
+    a, b = rod.shape[0], base.shape[0]
     for c in range(a):
         for r in range(12):
             total = 0.0
-            for j in range(own.shape[1]):
-                if own[c, j] != 0.0:
-                    total += own[c, j] * lin[r, BY_E + j]
+            for j in range(rod.shape[1]):
+                if rod[c, j] != 0.0:
+                    total += rod[c, j] * lin[r, BY_E + j]
             D[r, c] = total
     for d in range(b):
         c = a + d
-        change = take(turns[d], 6)
-        _moved(lin, gravity, take(turns[d], 0), take(turns[d], 3), change, D, c)
+        change = take(base[d], 6)
+        _moved(lin, gravity, take(base[d], 0), take(base[d], 3), change, D, c)
         for r in range(6):
             for q in range(3):
-                D[r, c] += hanging[r, q] * change[q]
-        if turns.shape[1] > 9:
+                D[r, c] += sources.payload_by_gravity[r, q] * change[q]
+        if base.shape[1] > 9:
             for q in range(3):  # of touched and centreline point
-                D[6 + q, c] += turns[d, 9 + q]
-                D[9 + q, c] += turns[d, 9 + q]
+                D[6 + q, c] += base[d, 9 + q]
+                D[9 + q, c] += base[d, 9 + q]
     c = a + b
     r0 = body.radii[0]
-    bend = root / (r0 * r0 * r0 * r0)
+    bend = sources.root / (r0 * r0 * r0 * r0)
     turn = (
         -bend * body.constants[BEND_X] * lin[WRENCH + 3, VALUE],
         -bend * body.constants[BEND_Y] * lin[WRENCH + 4, VALUE],
@@ -140,13 +141,13 @@ def error_columns(body, gravity, lin, own, turns, root, gain, hanging, sensor_fr
         c = a + b + 1 + i
         read = 0.0
         for q in range(6):
-            read += sensor_from_base[i, q] * (lin[WRENCH + q, VALUE] - reference[q])
+            read += sources.sensor_from_base[i, q] * (lin[WRENCH + q, VALUE] - sources.reference[q])
         for r in range(6):
-            D[r, c] = gain[i] * base_from_sensor[r, i] * read
+            D[r, c] = sources.gain[i] * sources.base_from_sensor[r, i] * read
             D[6 + r, c] = 0.0
     for r in range(6):
         for c in range(D.shape[1]):
-            D[r, c] -= still[r, c]
+            D[r, c] -= sources.tared[r, c]
 
 
 @inner
@@ -270,35 +271,42 @@ SAME_VALLEY = 0.99
 evaluated at the same places of one valley."""
 
 
+class _Valley(NamedTuple):
+    """The linear valley of likely touches along the principal axis of a point."""
+
+    variance: float  #: of the point along the axis [m²].
+    along: Array  #: derivatives by the touch of the point's place along the axis, (5,).
+    change: Array  #: of the touch one standard deviation along the valley, (5,).
+
+
 @inner
-def _valley(lin, row, cov, C, u, along, v):
+def _find_valley(lin, row, cov, C, axis, along, change):
     """Find the touch one standard deviation along the principal axis of a point on the linear valley.
 
     Args:
         row: of the point in lin; cov: its covariance, (3, 3); C: covariance of the touch, (5, 5).
-        u: scratch, (3,).
-        along: filled: derivatives by the touch of the point's place along its principal axis, (5,).
-        v: filled: change of the touch, C along / std, (5,).
+        axis: scratch, (3,).
+        along, change: filled, see `_Valley`.
 
     Returns:
         The variance along the axis [m²]; 0 where there is none.
     """
-    variance, spread = principal_axis(cov, u), 0.0
+    variance, spread = principal_axis(cov, axis), 0.0
     if not (variance > 0.0 and math.isfinite(variance)):
         return 0.0
     for i in range(UNKNOWNS):
         along[i] = 0.0
         for q in range(3):
-            along[i] += lin[row + q, BY_TOUCH + i] * u[q]
+            along[i] += lin[row + q, BY_TOUCH + i] * axis[q]
     for i in range(UNKNOWNS):
-        v[i] = 0.0
+        change[i] = 0.0
         for j in range(UNKNOWNS):
-            v[i] += C[i, j] * along[j]
-        spread += along[i] * v[i]
+            change[i] += C[i, j] * along[j]
+        spread += along[i] * change[i]
     if not spread > 0.0:
         return 0.0
     for i in range(UNKNOWNS):
-        v[i] /= math.sqrt(spread)
+        change[i] /= math.sqrt(spread)
     return spread
 
 
@@ -332,44 +340,43 @@ def _share_within(touch, end, change):
 
 
 @inline_always
-def _offsets_beside(
-    body, end, gravity, mass, wrench, whiten, friction, tol, touch, lin, v, along, spread, side, sweep_work, brief,
-    work, offsets,
-):  # fmt: skip
+def _offsets_beside(measured, whiten, tol, touch, lin, valley, side, memory, work, offsets):
     """Evaluate both points on the valley NODE standard deviations from the estimate, by one Gauss-Newton step from
     the linear valley.
 
     Args:
-        v, along, spread: see `_valley`; side: 0 against v, 1 along it.
-        work: scratch, FIT_SCRATCH.
+        measured, whiten, tol, touch, lin, memory, work: as in `add_curvature`.
+        valley: where it leads; side: 0 against its change of the touch, 1 along it.
         offsets: filled: how far touched point (3) and centreline point (3) lie from the linear valley there [m], (6,).
 
     Returns:
         Whether there is an equilibrium.
     """
-    at, J, r, H, b = work.at[:], work.beside, work.r, work.H, work.b
+    at, J, r, H, b, lin_at = work.at[:], work.beside, work.r, work.H, work.b, memory.lin_touch
     scale, move, change = work.scale, work.move, work.change
     for i in range(UNKNOWNS):
-        change[i] = NODE * v[i] if side else -NODE * v[i]
-    share = _share_within(touch, end, change)
+        change[i] = NODE * valley.change[i] if side else -NODE * valley.change[i]
+    share = _share_within(touch, measured.end, change)
     plan_move(lin, change, move)
     advance(at, touch, share, change, move)
-    at[S] = min(max(at[S], 0.0), end)  # rounding
-    status, lack, _margin, _size = linearise(body, gravity, mass, tol, 1.0, at, NO_PARAMETERS, sweep_work, brief)
+    at[S] = min(max(at[S], 0.0), measured.end)  # rounding
+    status, lack, _margin, _size = linearise(
+        measured.body, measured.gravity, measured.mass, tol, 1.0, at, NO_PARAMETERS, memory.sweep, lin_at
+    )
     if status != OK or not lack < math.inf:
         return False
-    residuals(brief, at, wrench, whiten, friction, J, r)
+    residuals(lin_at, at, measured.wrench, whiten, measured.friction, J, r)
     normal_equations(J, r, H, b)
     for i in range(UNKNOWNS):
         for j in range(UNKNOWNS):
-            H[i, j] += BESIDE / spread * along[i] * along[j]
+            H[i, j] += BESIDE / valley.variance * valley.along[i] * valley.along[j]
     if not scale_and_factor(H, UNKNOWNS, scale):
         return False
     solve_scaled(H, UNKNOWNS, scale, b)
     for q in range(6):  # rows of POINT and, after them, of CENTRE
-        x = brief[POINT + q, VALUE] - lin[POINT + q, VALUE]
+        x = lin_at[POINT + q, VALUE] - lin[POINT + q, VALUE]
         for i in range(UNKNOWNS):
-            x += brief[POINT + q, BY_TOUCH + i] * b[i] - share * lin[POINT + q, BY_TOUCH + i] * change[i]
+            x += lin_at[POINT + q, BY_TOUCH + i] * b[i] - share * lin[POINT + q, BY_TOUCH + i] * change[i]
         # The offset goes with the square of the share; the floor keeps the digits of a node near the end of the probe.
         offsets[q] = x / max(share, MIN_SHARE) ** 2
     return True
@@ -388,7 +395,7 @@ def _add_turn_around(lin, radius, left, cov):
 
 
 @inner
-def add_curvature(body, end, gravity, mass, wrench, whiten, friction, tol, touch, lin, J, sweep_work, brief, work, fit):
+def add_curvature(measured, whiten, tol, touch, lin, J, memory, work, fit):
     """Add to the covariances what the curve of the valley of likely touches makes of them.
 
     The touches that explain a reading lie on a curve x + a δ + b δ² + c δ³ far narrower than it is bowed; its mean
@@ -396,43 +403,40 @@ def add_curvature(body, end, gravity, mass, wrench, whiten, friction, tol, touch
     deviations to either side. Around the section, x bows by r e δφ²/2.
 
     Args:
+        measured: what the touch is fitted to; whiten: of the reading, (6, 6); tol: of sweeps [rad].
         lin: at the estimate; touch: the estimate, as linearised; J: derivatives of the residuals there, (8, 5).
-        brief: scratch, (ROWS, 1 + UNKNOWNS); sweep_work: scratch, (work_size(0),).
-        work: scratch, FIT_SCRATCH; J may be its own.
+        memory: scratch, `FitMemory`; work: scratch, FIT_SCRATCH; J may be its own.
         fit: `multistart.FIT`, added to.
     """
-    u, along, v, centre_v, offsets = work.axis, work.along, work.valley[0], work.valley[1], work.offsets
+    of_point, of_centre, offsets, body = work.valley[0], work.valley[1], work.offsets, measured.body
     C, evaluated = fit.cov_touch, 0
     radius, _tan = radius_and_slope(body, touch[S])
     for point in range(2):
         row = POINT if point == 0 else CENTRE
         cov = fit.cov_surface if point == 0 else fit.cov_centre
-        direction = v if point == 0 else centre_v
-        spread = _valley(lin, row, cov, C, u, along, direction)
-        if spread == 0.0:
+        change = of_point if point == 0 else of_centre
+        variance = _find_valley(lin, row, cov, C, work.axis, work.along, change)
+        if variance == 0.0:
             return
-        std, thin = math.sqrt(spread), math.sqrt(smallest_variance(cov))
+        std, thin = math.sqrt(variance), math.sqrt(smallest_variance(cov))
         if point == 0:
-            _add_turn_around(lin, radius, max(C[PHI, PHI] - v[PHI] * v[PHI], 0.0), cov)
-        curvature = MAX_CURVATURE / body.knots[-1] + abs(direction[PHI]) / std
-        if 0.5 * spread * curvature < FLAT_ENOUGH * thin:
+            _add_turn_around(lin, radius, max(C[PHI, PHI] - change[PHI] * change[PHI], 0.0), cov)
+        curvature = MAX_CURVATURE / body.knots[-1] + abs(change[PHI]) / std
+        if 0.5 * variance * curvature < FLAT_ENOUGH * thin:
             continue
-        if evaluated and _correlation(J, v, centre_v) ** 2 >= SAME_VALLEY:
-            direction = v
+        if evaluated and _correlation(J, of_point, of_centre) ** 2 >= SAME_VALLEY:
+            change = of_point
         else:
             evaluated = 0
-            inward = 1 if direction[S] < 0.0 else 0
+            valley, inward = _Valley(variance, work.along, change), 1 if change[S] < 0.0 else 0
             for other in range(2 if std > WIDE * body.knots[-1] else 1):
                 side = inward if other == 0 else 1 - inward
-                if _offsets_beside(
-                    body, end, gravity, mass, wrench, whiten, friction, tol, touch, lin, direction, along, spread, side,
-                    sweep_work, brief, work, offsets[side],
-                ):  # fmt: skip
+                if _offsets_beside(measured, whiten, tol, touch, lin, valley, side, memory, work, offsets[side]):
                     evaluated += 1 + side
         if evaluated:
             # The side that was not evaluated counts as the other one.
             low, high = int(evaluated == 2), int(evaluated != 1)
-            _add_bow(lin, row, direction, offsets[low, 3 * point :], offsets[high, 3 * point :], cov)
+            _add_bow(lin, row, change, offsets[low, 3 * point :], offsets[high, 3 * point :], cov)
 
 
 @inner
@@ -458,11 +462,7 @@ def columns_of(body, gravity, mass, tol, touch, sources, work, lin, D):
     Returns:
         Whether there is a stable equilibrium.
     """
-    parameters = sources.own.shape[1] + 3
-    if not settle(body, gravity, mass, tol, touch, parameters, work, lin):
+    if not settle(body, gravity, mass, tol, touch, sources.rod.shape[1] + 3, work, lin):
         return False
-    error_columns(
-        body, gravity, lin, sources.own, sources.turns, sources.root, sources.gain, sources.hanging,
-        sources.sensor_from_base, sources.base_from_sensor, sources.reference, sources.still, D,
-    )  # fmt: skip
+    error_columns(body, gravity, lin, sources, D)
     return True

@@ -192,8 +192,8 @@ def test_error_columns_are_differences_of_other_probes(touch, tared, large):
     y = unknowns(model, touch)
     D = settle(sources, y).D
     rows = [
-        *((row, np.zeros(9)) for row in sources.own),
-        *((np.zeros(4 + len(model.rod.s)), row) for row in sources.turns),
+        *((row, np.zeros(9)) for row in sources.rod),
+        *((np.zeros(4 + len(model.rod.s)), row) for row in sources.base),
     ]
     assert len(rows) + 7 == D.shape[1]
     h = 0.05  # of a standard deviation: third order is below a thousandth
