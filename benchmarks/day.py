@@ -31,8 +31,8 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.live.blocks import Block
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.track import TimedPose
-from probedesign.live.processing.chain import Chain
-from probedesign.live.processing.control import ProcessingOptions, TareWindow
+from probedesign.live.processing.chain import Chain, ProcessingOptions
+from probedesign.live.processing.tare import TareWindow
 from probedesign.live.processing.touches import Contact
 from tests.reference.cosserat import solve
 

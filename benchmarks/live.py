@@ -33,8 +33,10 @@ from probedesign.live.outputs.foxglove import FoxgloveSink
 from probedesign.live.outputs.recording import RecordingSink
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
 from probedesign.live.priority import ESTIMATES
-from probedesign.live.processing.control import CommandQueue, ProcessingOptions, TareWindow
+from probedesign.live.processing.chain import ProcessingOptions
+from probedesign.live.processing.commands import CommandQueue
 from probedesign.live.processing.estimates import EstimateUpdate
+from probedesign.live.processing.tare import TareWindow
 from probedesign.live.run import estimate_stream, warm_up
 from probedesign.live.sources.netft.source import NetFTSource
 from probedesign.live.sources.source import open_source

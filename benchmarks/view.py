@@ -20,7 +20,7 @@ from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.frozen_probe import load_estimator, write_frozen
 from probedesign.live.blocks import Block
-from probedesign.live.processing.control import ProcessingOptions
+from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.run import estimate_stream, warm_up
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.view.sinks import scene_setup

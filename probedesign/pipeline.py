@@ -35,8 +35,10 @@ if TYPE_CHECKING:
     from probedesign.live import Log
     from probedesign.live.outputs.sinks import Sink
     from probedesign.live.poses.base_poses import BasePoses
-    from probedesign.live.processing.control import CommandQueue, ProcessingOptions, TareWindow, Zero
+    from probedesign.live.processing.chain import ProcessingOptions
+    from probedesign.live.processing.commands import CommandQueue
     from probedesign.live.processing.estimates import EstimateUpdate
+    from probedesign.live.processing.tare import TareWindow, Zero
     from probedesign.live.run import Progress, RecordingEstimates
     from probedesign.live.sources.replay import RecordingOptions
     from probedesign.live.sources.source import Source

@@ -15,7 +15,7 @@ from probedesign.cli.main import run
 from probedesign.core.errors import MissingDependencyError
 from probedesign.design.io import draft_design, render_design
 from probedesign.live.blocks import iter_readings
-from probedesign.live.processing.control import ProcessingOptions
+from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.recordings.csv import write_recording
 from probedesign.live.sources.replay import RecordingOptions
 from probedesign.live.sources.sim import SimulatedSource

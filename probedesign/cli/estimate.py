@@ -68,7 +68,7 @@ def estimate(
         as_json: print one JSON document with the rows and their metadata.
     """
     from probedesign import pipeline
-    from probedesign.live.processing.control import parse_tare
+    from probedesign.live.processing.tare import parse_tare
     from probedesign.live.run import describe_counts, warm_up
     from probedesign.live.sources.replay import RecordingOptions, check_readable
     from probedesign.reports.recording_page import recording_page, touches_in

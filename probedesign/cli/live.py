@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from probedesign.estimation.estimator import Estimator
     from probedesign.live.outputs.options import OutputOptions
-    from probedesign.live.processing.control import ProcessingOptions
+    from probedesign.live.processing.chain import ProcessingOptions
     from probedesign.live.processing.estimates import EstimateUpdate
 
 
@@ -105,7 +105,8 @@ def live(
     from probedesign.live.datagrams import parse_listen_address
     from probedesign.live.outputs.options import OutputOptions
     from probedesign.live.outputs.recording import SplitLimits
-    from probedesign.live.processing.control import ProcessingOptions, parse_tare
+    from probedesign.live.processing.chain import ProcessingOptions
+    from probedesign.live.processing.tare import parse_tare
 
     window, zero = parse_tare(tare_s, tare)
     processing = ProcessingOptions(window, average, rate_hz, count, seconds, filter_hz, method=method, zero=zero)
@@ -165,8 +166,7 @@ def _run(
     from probedesign import pipeline
     from probedesign.live.outputs.sinks import SinkGroup, StderrSink
     from probedesign.live.poses.open import open_poses
-    from probedesign.live.processing.command_inputs import open_inputs
-    from probedesign.live.processing.control import CommandQueue
+    from probedesign.live.processing.commands import CommandQueue, open_inputs
     from probedesign.live.run import warm_up
     from probedesign.live.sources.source import open_source
 

@@ -18,7 +18,7 @@ from probedesign.core.files import EXPORTS, chosen_exports, file_in
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
     from probedesign.live.poses.base_poses import BasePoses
-    from probedesign.live.processing.control import ProcessingOptions
+    from probedesign.live.processing.chain import ProcessingOptions
     from probedesign.live.sources.source import Source
     from probedesign.mapping.touch_point import BasePoseUncertainty
     from probedesign.optimization.objective import Task
@@ -163,7 +163,8 @@ class ReadingOptions:
         Raises:
             InputError: there is no input, or more than one; there is no tare; or a value is out of range.
         """
-        from probedesign.live.processing.control import ProcessingOptions, parse_tare
+        from probedesign.live.processing.chain import ProcessingOptions
+        from probedesign.live.processing.tare import parse_tare
 
         if (recording is None) == (self.source is None):
             raise InputError("explore needs either a recording or --source for a live run, not both")

@@ -235,14 +235,6 @@ class BatchAverager:
             self._count += len(block) - start
 
 
-def averaged(blocks: Iterable[Block], samples: int) -> Iterator[WrenchReading]:
-    """Yield the means of `samples` consecutive readings."""
-    batches = BatchAverager(samples)
-    for block in blocks:
-        for batch in batches.add(block):
-            yield batch.reading
-
-
 def _joined_batch(parts: list[Block]) -> AveragedBatch:
     if len(parts) == 1 and len(parts[0]) == 1:
         return AveragedBatch(parts[0], next(parts[0].readings()))

@@ -20,24 +20,15 @@ from probedesign.estimation.estimate import RESULTS
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.estimation.tracker import Tracker
 from probedesign.live import Log
-from probedesign.live.blocks import Block, WrenchReading, averaged, limit_duration
+from probedesign.live.blocks import Block, WrenchReading, limit_duration
 from probedesign.live.outputs.sinks import Sink
 from probedesign.live.poses.base_poses import BasePoses
-from probedesign.live.processing.averaging import choose_averaging, readings_needed
-from probedesign.live.processing.chain import Chain
-from probedesign.live.processing.control import (
-    CommandQueue,
-    ProcessingOptions,
-    Tare,
-    TareWindow,
-    Zero,
-    describe_tare,
-    find_rest,
-    readings_in,
-    take_tare,
-)
+from probedesign.live.processing.averaging import Averager
+from probedesign.live.processing.chain import Chain, ProcessingOptions
+from probedesign.live.processing.commands import CommandQueue
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, Row, csv_line, estimate_row
 from probedesign.live.processing.plausibility import ClockMonitor
+from probedesign.live.processing.tare import Tare, TareWindow, Zero, describe_tare, is_free, tare_of
 from probedesign.live.recordings.csv import gaps_in
 from probedesign.live.sources.replay import OpenRecording, RecordingOptions, open_recording
 from probedesign.live.sources.source import GatheringSource, Source
@@ -102,7 +93,7 @@ def _updates(
         if commands.execute(log):
             return
         if expect is not None:
-            expect(chain.n_missing)
+            expect(chain.averager.n_missing)
     yield from chain.finish()
 
 
@@ -274,19 +265,14 @@ def estimate_recording(
         raise InputError(f"{path}: {'; '.join(missing)}; use --mend to continue without the missing data")
     time = np.concatenate([np.empty(0), *(block.time for block in blocks)])
     lines: list[str] = []
-    if samples is None:
-        needed = readings_needed(time) or len(time)
-        first = np.concatenate([np.empty((0, 6)), *(block.wrench_sensor for block in blocks)])[:needed]
-        chosen = choose_averaging(time[:needed], first, estimator.model)
-        samples = chosen.samples
-        lines += [chosen.summary] if chosen.summary else []
-    readings = list(averaged(blocks, samples))
+    averager = Averager(samples, estimator.model, lines.append)
+    batches = [batch for block in blocks for batch in averager.add(block)] + list(averager.finish())
+    readings, samples = [batch.reading for batch in batches], averager.samples
     if not readings:
         raise InputError(f"{path}: {len(time)} readings are fewer than --average {samples}")
-    tare = take_tare(readings_in(window, readings), window, estimator) if window is not None else None
-    if tare is None and zero == "auto":
-        tare = find_rest(readings, estimator)
-    trusted: Zero = "trusted" if zero == "trusted" or _any_free(estimator, readings) else "checked"
+    tare = None if window is None and zero != "auto" else tare_of(readings, window, estimator)
+    free = zero == "trusted" or any(is_free(reading, estimator) for reading in readings)
+    trusted: Zero = "trusted" if free else "checked"
     processing = ProcessingOptions(samples=samples, method=method, zero=trusted, touches=False)
     chain = Chain(estimator, processing, None, lines.append, tare)
     updates = chain_updates(chain, blocks)
@@ -305,16 +291,6 @@ def chain_updates(chain: Chain, blocks: Iterable[Block]) -> Iterator[EstimateUpd
     for block in blocks:
         yield from chain.process(block)
     yield from chain.finish()
-
-
-def _any_free(estimator: Estimator, readings: list[WrenchReading]) -> bool:
-    """Return whether a reading agrees with the free probe without a tare."""
-    model = estimator.model
-    return any(
-        not estimator.detects(model.to_base(reading.wrench_sensor, reading.gravity_base), reading.gravity_base)
-        for reading in readings
-        if not reading.fault and estimator.free(reading.gravity_base).ok
-    )
 
 
 def _notes(readings: int, samples: int, tare: Tare | None) -> tuple[str, ...]:

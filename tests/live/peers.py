@@ -9,6 +9,7 @@ import time
 import numpy as np
 
 from probedesign.core.errors import InputError
+from probedesign.live.blocks import BatchAverager
 from probedesign.live.sources.source import open_source
 from probedesign.simulation.netft_box import NATIVE, SimulatedNetFT, SimulatedTransducer
 
@@ -104,3 +105,9 @@ def close(estimator, count):
     """Six standard deviations of the mean of so many raw samples."""
     model = estimator.model
     return 6.0 * np.sqrt(np.diag(model.noise.cov) * model.averaging_samples / count)
+
+
+def averaged(blocks, samples):
+    """The means of so many consecutive readings."""
+    batches = BatchAverager(samples)
+    return [batch.reading for block in blocks for batch in batches.add(block)]

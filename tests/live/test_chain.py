@@ -14,9 +14,9 @@ from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.open import open_poses
 from probedesign.live.poses.pose_sources import parse_pose
 from probedesign.live.poses.track import TimedPose, pose_from_matrix
-from probedesign.live.processing.chain import Chain, LowPass
-from probedesign.live.processing.control import ProcessingOptions, Tare, TareWindow
+from probedesign.live.processing.chain import Chain, LowPass, ProcessingOptions
 from probedesign.live.processing.estimates import estimate_row, json_line, world_row
+from probedesign.live.processing.tare import Tare, TareWindow
 from probedesign.live.processing.touches import SPAN
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_stream
@@ -367,7 +367,7 @@ def test_a_recording_contains_the_received_poses_and_replays_exactly(estimator, 
     """Another clock, a latency, poses from before the first reading; then the recording is its own --pose."""
     path, heard = tmp_path / "touch.mcap", Heard(motion)
     # every reading is in time
-    monkeypatch.setattr("probedesign.live.processing.control.monotonic", lambda: 0.0)
+    monkeypatch.setattr("probedesign.live.processing.chain.monotonic", lambda: 0.0)
     down = ",".join(map(repr, motion.model.gravity_base.tolist()))
     poses = BasePoses("heard", heard, latency=0.004, gravity_world=motion.model.gravity_base)
     file, plan = McapRecorder(path, estimator.model), ProcessingOptions(TareWindow(0.0, 2.0), SAMPLES, 25.0)

@@ -13,17 +13,17 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.live.outputs.recording import RecordingSink
-from probedesign.live.processing.command_inputs import DatagramInput, KeyInput
-from probedesign.live.processing.control import (
+from probedesign.live.processing.chain import ProcessingOptions
+from probedesign.live.processing.commands import (
     COMMANDS,
     MAX_NOTE,
     CommandName,
     CommandQueue,
     CommandResult,
-    ProcessingOptions,
-    TareWindow,
-    register_recording,
+    DatagramInput,
+    KeyInput,
 )
+from probedesign.live.processing.tare import TareWindow
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 from tests.live.peers import until
@@ -40,7 +40,8 @@ def run(estimator, tmp_path):
     """Queue, messages, and an iterator of estimates of a run at the first of them, which records on request."""
     commands, lines = CommandQueue(), []
     recordings = RecordingSink(tmp_path / "touch.csv", estimator.model, lines.append)
-    register_recording(commands, recordings)
+    commands.register("start recording", lambda command: recordings.start())
+    commands.register("stop recording", lambda command: recordings.stop())
     source = SimulatedSource(estimator.model, "speed=max&seconds=20&rate_hz=50")
     updates = estimate_stream(estimator, source, ProcessingOptions(rate=1.0), lines.append, recordings, commands)
     next(updates)

@@ -24,7 +24,7 @@ from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.live.outputs.drawing import bent_shape
 from probedesign.live.poses.track import pose_from_matrix
-from probedesign.live.processing.control import ProcessingOptions
+from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.recordings import schemas
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_stream

@@ -20,8 +20,9 @@ from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimate import Estimate
 from probedesign.live.blocks import Block, WrenchReading
 from probedesign.live.poses.track import pose_from_matrix
-from probedesign.live.processing.control import ProcessingOptions, TareWindow
+from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, estimate_row, json_line
+from probedesign.live.processing.tare import TareWindow
 from probedesign.live.recordings import schemas
 from probedesign.live.recordings.mcap_read import recover
 from probedesign.live.recordings.mcap_write import McapRecorder

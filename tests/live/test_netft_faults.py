@@ -6,16 +6,17 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from probedesign.live.blocks import Block, averaged
-from probedesign.live.processing.control import ProcessingOptions, TareWindow
+from probedesign.live.blocks import Block
+from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.estimates import locate
+from probedesign.live.processing.tare import TareWindow
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.netft import rdt
 from probedesign.live.sources.netft.counters import SensorClock
 from probedesign.live.sources.netft.rdt import RECORD
 from probedesign.live.sources.source import STALE_TIME, open_source
 from probedesign.simulation.netft_box import OFFSET, FaultInjector
-from tests.live.peers import LOAD, Reader, box, close, mean_of
+from tests.live.peers import LOAD, Reader, averaged, box, close, mean_of
 
 
 def test_loss_disorder_and_rubbish_are_counted_and_change_no_reading(estimator):

@@ -11,8 +11,9 @@ from probedesign.live.blocks import Block
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.track import TimedPose
 from probedesign.live.processing.averaging import choose_averaging
-from probedesign.live.processing.control import ProcessingOptions, TareWindow
+from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.plausibility import CLOCK_HOLD, LEAP_HOLD, TravelCheck
+from probedesign.live.processing.tare import TareWindow
 from probedesign.live.recordings.csv import write_recording
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_recording, estimate_stream

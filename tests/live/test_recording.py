@@ -15,7 +15,7 @@ import pytest
 from probedesign.core.errors import InputError
 from probedesign.live import recordings as pieces
 from probedesign.live.outputs.recording import BackgroundWriter, RecordingSink, SplitLimits
-from probedesign.live.processing.control import ProcessingOptions
+from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.recordings.csv import read_recording
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_stream

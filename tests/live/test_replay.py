@@ -8,7 +8,7 @@ import pytest
 from probedesign.core.errors import InputError
 from probedesign.core.frames import inverse, wrench_map
 from probedesign.live.blocks import WrenchReading, group_readings
-from probedesign.live.processing.control import ProcessingOptions
+from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.estimates import locate
 from probedesign.live.recordings.csv import CsvRecorder, read_recording, write_recording
 from probedesign.live.run import estimate_recording, estimate_stream

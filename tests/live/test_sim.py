@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.live.blocks import WrenchReading, averaged, iter_readings
+from probedesign.live.blocks import WrenchReading, iter_readings
 from probedesign.live.processing.estimates import locate
 from probedesign.live.sources.sim import SimulatedSource
+from tests.live.peers import averaged
 
 FAST = "speed=max&rate_hz=10"
 

@@ -12,7 +12,8 @@ from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.live.blocks import WrenchReading
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
-from probedesign.live.processing.control import CommandQueue, ProcessingOptions
+from probedesign.live.processing.chain import ProcessingOptions
+from probedesign.live.processing.commands import CommandQueue
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource

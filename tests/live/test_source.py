@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.live.blocks import Block, WrenchReading, averaged, dropout_block, group_readings, limit_duration, paced
-from probedesign.live.processing.control import ProcessingOptions
+from probedesign.live.blocks import Block, WrenchReading, dropout_block, group_readings, limit_duration, paced
+from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.source import SOURCES, open_source
+from tests.live.peers import averaged
 
 
 @pytest.mark.parametrize(

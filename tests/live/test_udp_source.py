@@ -16,7 +16,7 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.live.datagrams import MAX_DATAGRAM, SENDER_TIMEOUT
-from probedesign.live.processing.control import ProcessingOptions
+from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources import source as sources
 from probedesign.live.sources.source import STALE_TIME, open_source

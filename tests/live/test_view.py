@@ -15,7 +15,7 @@ from probedesign.core.frames import pose
 from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.live.blocks import Block, WrenchReading
 from probedesign.live.outputs.drawing import SIDES, BentShape, ContactMarker, TubeMesh, centreline, ellipsoid
-from probedesign.live.processing.control import ProcessingOptions
+from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.estimates import EstimateUpdate, readable_line
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource

@@ -22,7 +22,8 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError, MissingDependencyError
-from probedesign.live.processing.control import COMMANDS, CommandQueue, ProcessingOptions
+from probedesign.live.processing.chain import ProcessingOptions
+from probedesign.live.processing.commands import COMMANDS, CommandQueue
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.view.sinks import BrowserView

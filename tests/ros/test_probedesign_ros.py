@@ -20,9 +20,9 @@ from probedesign.live.outputs.ros2 import RosPublisher
 from probedesign.live.outputs.sinks import SinkGroup
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.track import TimedPose
-from probedesign.live.processing.command_inputs import DatagramInput
-from probedesign.live.processing.control import COMMANDS as RUN_COMMANDS
-from probedesign.live.processing.control import CommandQueue, ProcessingOptions
+from probedesign.live.processing.chain import ProcessingOptions
+from probedesign.live.processing.commands import COMMANDS as RUN_COMMANDS
+from probedesign.live.processing.commands import CommandQueue, DatagramInput
 from probedesign.live.recordings import schemas
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_stream

@@ -15,7 +15,7 @@ from probedesign.live.outputs.ros2 import SCHEME, RosPublisher
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.track import TimedPose
-from probedesign.live.processing.control import CommandQueue, register_recording
+from probedesign.live.processing.commands import CommandQueue
 from probedesign.live.sources.source import Source
 from probedesign.live.view.sinks import BrowserView, TerminalView
 
@@ -74,7 +74,8 @@ class OutputOptions:
         if publisher is not None:
             sinks.add(publisher)  # the first of them: a controller waits for it
         recordings = RecordingSink(self.record, estimator.model, sinks.log, self.force, self.metadata, self.split)
-        register_recording(commands, recordings)
+        commands.register("start recording", lambda command: recordings.start())
+        commands.register("stop recording", lambda command: recordings.stop())
         sinks.add(recordings)
         takers = [recordings.on_pose]
         if self.foxglove is not None:

@@ -1,12 +1,15 @@
-"""How many readings are averaged to one: single samples and means differ in rate and noise."""
+"""Averaging of readings to one; by default as many as their noise and rate require."""
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
+from probedesign.live import Log
+from probedesign.live.blocks import AveragedBatch, BatchAverager, Block, joined
 
 MAX_MEAN_RATE = 500.0
 """Rate above which readings are single samples unless their noise shows that they are not [Hz]."""
@@ -95,3 +98,51 @@ def choose_averaging(time: Array, wrench_sensor: Array, model: ProbeModel) -> Av
         return Averaging(1, "the readings scatter like means", step)
     n = round(variance)
     return Averaging(n, f"the readings scatter by {math.sqrt(variance):.2g} times the stated noise", n * step)
+
+
+class Averager:
+    """Cuts blocks into batches of the readings that are averaged to one.
+
+    Attributes:
+        samples: number of readings in a batch; 0 until it is known.
+    """
+
+    def __init__(self, samples: int | None, model: ProbeModel, log: Log) -> None:
+        """Start with no readings; without `samples` the first readings decide, and `log` receives the reason."""
+        self.samples, self._model, self._log = samples or 0, model, log
+        self._undecided: list[Block] = []
+        self._batches = BatchAverager(max(self.samples, 1))
+
+    @property
+    def n_pending(self) -> int:
+        """Number of readings of the incomplete batch."""
+        return self._batches.pending
+
+    @property
+    def n_missing(self) -> int:
+        """Number of readings that complete the next batch."""
+        return self.samples - self.n_pending if self.samples else 1
+
+    def add(self, block: Block) -> Iterator[AveragedBatch]:
+        """Yield the batches that a block completes; none while their size is not known."""
+        if self.samples:
+            yield from self._batches.add(block)
+            return
+        self._undecided.append(block)
+        if readings_needed(np.concatenate([block.time for block in self._undecided])):
+            yield from self.finish()
+
+    def finish(self) -> Iterator[AveragedBatch]:
+        """Choose the size of a batch by the readings so far, if it is not known, and yield their batches."""
+        if self.samples or not self._undecided:
+            return
+        whole = joined(self._undecided)
+        needed = readings_needed(whole.time) or len(whole)
+        chosen = choose_averaging(whole.time[:needed], whole.wrench_sensor[:needed], self._model)
+        if chosen.summary:
+            self._log(chosen.summary)
+        self.samples = chosen.samples
+        self._batches = BatchAverager(self.samples)
+        for block in self._undecided:
+            yield from self._batches.add(block)
+        self._undecided.clear()

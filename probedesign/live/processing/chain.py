@@ -7,7 +7,7 @@ averaged to one reading. A replay therefore reproduces the estimates of the live
 import math
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from time import monotonic
 
@@ -16,21 +16,11 @@ import numpy as np
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.estimate import Estimate, FusedEstimate
-from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.estimator import Estimator, Method
 from probedesign.live import Log
-from probedesign.live.blocks import AveragedBatch, BatchAverager, Block, WrenchReading, joined
+from probedesign.live.blocks import AveragedBatch, Block, WrenchReading
 from probedesign.live.poses.base_poses import BasePoses
-from probedesign.live.processing.averaging import choose_averaging, readings_needed
-from probedesign.live.processing.control import (
-    MAX_AGE,
-    TARE_DURATION,
-    EstimateScheduler,
-    ProcessingOptions,
-    Tare,
-    TareCollector,
-    TareWindow,
-    describe_tare,
-)
+from probedesign.live.processing.averaging import Averager
 from probedesign.live.processing.estimates import (
     NO_DRIFT,
     UNKNOWN_POSE,
@@ -40,7 +30,43 @@ from probedesign.live.processing.estimates import (
     wrench_without_bias,
 )
 from probedesign.live.processing.plausibility import FaultReport, PoseMonitor, SignalMonitor, TravelCheck
+from probedesign.live.processing.tare import (
+    TARE_DURATION,
+    Tare,
+    TareCollector,
+    TareWindow,
+    Zero,
+    describe_tare,
+    is_free,
+)
 from probedesign.live.processing.touches import Contact, ContactHistory, TouchMonitor, TouchState
+
+
+@dataclass(frozen=True)
+class ProcessingOptions:
+    """Options for processing the readings of a source."""
+
+    window: TareWindow | None = None  #: window of the tare, in which the probe is free; None: see `zero`.
+    #: number of readings averaged to one; None: as the noise of the first readings and their rate require.
+    samples: int | None = 1
+    rate: float = math.inf  #: maximum number of estimates per second of the source's clock [Hz].
+    count: int | None = None  #: end after this many estimates.
+    seconds: float | None = None  #: end this long after the first reading [s].
+    #: cut-off frequency of the low-pass filter before each estimate; None does not filter.
+    filter_hz: float | None = None
+    #: whether contacts are located as readings arrive; otherwise only phases and touches are reported.
+    estimates: bool = True
+    method: Method = "ml"  #: method by which a single reading is located.
+    zero: Zero = "checked"  #: zero of the sensor that is used without a tare window.
+    touches: bool = True  #: whether touches are reported, and fused where poses are known.
+
+    def __post_init__(self) -> None:
+        """Check the numbers; raises InputError if one is not positive."""
+        limits = {"average": self.samples, "rate-hz": self.rate, "count": self.count, "seconds": self.seconds,
+                "filter-hz": self.filter_hz}  # fmt: skip
+        for name, value in limits.items():
+            if value is not None and not value > 0:
+                raise InputError(f"--{name} {value} must be positive")
 
 
 class LowPass:
@@ -87,6 +113,77 @@ class LowPass:
         self._state = None
 
 
+MAX_AGE = 0.012
+"""Maximum age of a reading that is still located [s].
+
+An older reading is skipped where a newer one has arrived: its estimate would be replaced at once, and delay all later
+ones. It is still recorded, monitored and fused. A reading that no contact explains takes longest, about 8 ms, so every
+estimate is available within 20 ms."""
+
+REPORT_PERIOD, MAX_SKIPPED_SHARE = 5.0, 0.05
+"""Reporting period by the source's clock [s], and the fraction of skipped estimates that is reported at once."""
+
+
+class EstimateScheduler:
+    """Limits the rate of estimates by the source's clock and skips readings that are too old.
+
+    Attributes:
+        n_due: number of estimates that were due.
+        n_skipped: number of due estimates that were skipped because their reading was too old.
+        max_age: age from which a reading is skipped [s].
+    """
+
+    def __init__(self, rate: float, log: Log, max_age: float = MAX_AGE) -> None:
+        """Start with nothing due; `rate` is a maximum [Hz], `max_age` [s] is infinite if no consumer waits."""
+        self.max_age, self._log = max_age, log
+        self._period, self._next = 1.0 / rate, -math.inf
+        self.n_due = self.n_skipped = 0
+        self._start, self._reported, self._overloaded = -math.inf, (0, 0), False
+
+    def set_period(self, period: float) -> None:
+        """State the interval between readings [s]: the newest reading is never skipped, however late it is."""
+        self.max_age = max(self.max_age, period)
+
+    def is_due(self, reading: WrenchReading, ready: float = -math.inf) -> bool:
+        """Return whether the reading is to be located.
+
+        `ready` is the time by `time.monotonic` at which the base pose became available [s], if the reading waited.
+        """
+        # A tolerance of 1 % keeps a source that runs at exactly this rate from losing estimates to rounding.
+        if reading.time < self._next - 0.01 * self._period:
+            return False
+        following = self._next + self._period
+        self._next = following if following > reading.time else reading.time + self._period
+        if reading.time - self._start > REPORT_PERIOD:
+            self._report(reading.time)
+        # The age is NaN, and so never too large, without hardware.
+        skipped = monotonic() - max(reading.received, ready) > self.max_age
+        self.n_due, self.n_skipped = self.n_due + 1, self.n_skipped + skipped
+        return not skipped
+
+    def finish(self) -> None:
+        """Report the number of skipped estimates, if any."""
+        if self.n_skipped:
+            self._log(
+                f"{self.n_skipped} of {self.n_due} estimates were skipped: each was more than "
+                f"{1e3 * self.max_age:.3g} ms late, with newer readings queued"
+            )
+
+    def _report(self, time: float) -> None:
+        """Report when the fraction of skipped estimates exceeds the limit, and when it recovers."""
+        n_due, n_skipped = self.n_due - self._reported[0], self.n_skipped - self._reported[1]
+        self._start, self._reported = time, (self.n_due, self.n_skipped)
+        overloaded = n_skipped > MAX_SKIPPED_SHARE * n_due
+        if overloaded and not self._overloaded:
+            self._log(
+                f"{n_skipped} of {n_due} estimates skipped in {REPORT_PERIOD:g} s: each was more than "
+                f"{1e3 * self.max_age:.3g} ms late; reduce --rate-hz"
+            )
+        elif self._overloaded and not overloaded:
+            self._log("estimates are on time again")
+        self._overloaded = overloaded
+
+
 MIN_RATE_SAMPLES = 8
 """Number of samples from which the rate of the source is determined before processing starts."""
 MAX_TARE_BATCHES = 1000
@@ -104,7 +201,7 @@ class Chain:
     Attributes:
         tare: bias subtracted from every reading; None without a tare.
         scheduler: counts the estimates that were due and skipped.
-        samples: number of readings averaged to one; 0 until it is known.
+        averager: has the number of readings averaged to one.
     """
 
     def __init__(
@@ -126,13 +223,12 @@ class Chain:
         """
         self.tare = tare
         self._estimator, self._options, self._poses, self._log = estimator, options, poses, log
-        self.samples, self._undecided = options.samples or 0, list[Block]()
-        self._batches, self._waiting = BatchAverager(max(self.samples, 1)), deque[AveragedBatch]()
+        self.averager, self._waiting = Averager(options.samples, estimator.model, log), deque[AveragedBatch]()
         takes_tare = tare is None and (options.window is not None or options.zero == "auto")
         self._tare_collector = TareCollector(options.window, estimator, log=log) if takes_tare else None
         self._zero_known = tare is not None or takes_tare or options.zero == "trusted"
         self._zero_reported = False
-        self._signals = SignalMonitor(estimator.model, max(self.samples, 1), math.nan)
+        self._signals = SignalMonitor(estimator.model, 1, math.nan)
         self._base, self._travel = PoseMonitor(), TravelCheck()
         self._faults, self._travel_faults = FaultReport(log), FaultReport(log)
         self._free = deque[AveragedBatch](maxlen=MAX_TARE_BATCHES)
@@ -151,11 +247,6 @@ class Chain:
         """Every touch so far."""
         return self._contacts.contacts
 
-    @property
-    def n_missing(self) -> int:
-        """Number of readings that complete the next mean."""
-        return self.samples - self._batches.pending if self.samples else 1
-
     def process(self, block: Block) -> Iterator[EstimateUpdate]:
         """Yield the estimates that a block completes."""
         if len(block) == 0:
@@ -164,10 +255,7 @@ class Chain:
         n_waiting, now = len(self._waiting), monotonic()  # readings that waited for a pose
         if self._poses is not None:
             self._poses.refresh(block)
-        if self.samples:
-            self._waiting.extend(self._batches.add(block))
-        elif not self._decide_averaging(block):
-            return
+        self._waiting.extend(self.averager.add(block))
         if math.isnan(self._rate) and not self._initialize():
             return
         while self._waiting and not (
@@ -182,13 +270,14 @@ class Chain:
         Raises:
             InputError: the tare window was not complete and cannot be used.
         """
-        if not self.samples and self._undecided:
-            self._set_averaging()
+        if not self.averager.samples:
+            self._waiting.extend(self.averager.finish())
             self._initialize()
         while self._waiting:
             yield from self._step(self._waiting.popleft(), math.inf)
-        if math.isnan(self._first) and self._batches.pending:
-            self._log(f"{self._batches.pending} readings are fewer than the {self.samples} of a mean: no estimate")
+        if math.isnan(self._first) and self.averager.n_pending:
+            readings, samples = self.averager.n_pending, self.averager.samples
+            self._log(f"{readings} readings are fewer than the {samples} of a mean: no estimate")
         if self._tare_collector is not None and not self._tare_collector.on_request:
             self._log(describe_tare(self._tare_collector.at_end()))
 
@@ -209,42 +298,22 @@ class Chain:
         self._tare_collector = TareCollector(window, self._estimator, on_request=True)
         return f"tare: keep the probe free and still for {TARE_DURATION:g} s"
 
-    def _decide_averaging(self, block: Block) -> bool:
-        """Collect first readings until the number that is averaged is known; return whether it is."""
-        self._undecided.append(block)
-        if not readings_needed(np.concatenate([block.time for block in self._undecided])):
-            return False
-        self._set_averaging()
-        return True
-
-    def _set_averaging(self) -> None:
-        """Choose how many readings are averaged, and process those that were collected."""
-        time, wrench = joined(self._undecided).time, joined(self._undecided).wrench_sensor
-        needed = readings_needed(time) or len(time)
-        chosen = choose_averaging(time[:needed], wrench[:needed], self._estimator.model)
-        self.samples = chosen.samples
-        if chosen.summary:
-            self._log(chosen.summary)
-        self._batches = BatchAverager(self.samples)
-        for block in self._undecided:
-            self._waiting.extend(self._batches.add(block))
-        self._undecided.clear()
-
     def _initialize(self) -> bool:
         """Determine the sampling rate and set up what depends on it; return False while there are too few samples."""
-        needed = math.ceil(MIN_RATE_SAMPLES / self.samples)
+        samples = self.averager.samples
+        needed = math.ceil(MIN_RATE_SAMPLES / samples) if samples else 1
         if len(self._waiting) < needed:
             return False
         time = np.concatenate([batch.block.time for batch in islice(self._waiting, needed)])
         step = float(np.median(np.diff(time))) or float(time[-1] - time[0]) / (len(time) - 1)
         self._rate = 1.0 / step if step > 0.0 else math.inf
         known = self._rate if math.isfinite(self._rate) else math.nan
-        self._signals = SignalMonitor(self._estimator.model, self.samples, known)
+        self._signals = SignalMonitor(self._estimator.model, samples, known)
         self._signals.preview(islice(self._waiting, needed))
         if math.isinf(self._rate):
             self._log("the source's clock does not advance: phases and filter are off")
             return True
-        self.scheduler.set_period(self.samples / self._rate)
+        self.scheduler.set_period(samples / self._rate)
         if self._options.filter_hz is not None:
             self._low_pass = LowPass(self._options.filter_hz, self._rate)
             delay = 1e3 * self._low_pass.delay
@@ -259,7 +328,7 @@ class Chain:
 
     def _reset_monitor(self) -> None:
         self._monitor = TouchMonitor(
-            self._estimator, self._contacts, self._rate, self.samples, self._poses, self._log,
+            self._estimator, self._contacts, self._rate, self.averager.samples, self._poses, self._log,
             self._options.estimates and self._options.touches,
         )  # fmt: skip
 
@@ -285,8 +354,11 @@ class Chain:
         self._collect_tare(AveragedBatch(batch.block, reading))
         if self._tare_collector is not None and not self._tare_collector.on_request:
             return
-        if not self._zero_known:
-            self._check_zero(reading)
+        if not self._zero_known and not reading.fault:
+            self._zero_known = is_free(reading, self._estimator)
+            if not self._zero_known and not self._zero_reported:
+                self._zero_reported = True
+                self._log(NO_TARE)
         self._state = self._update_state(AveragedBatch(batch.block, reading))
         if self.scheduler.is_due(reading, ready):
             yield self._estimate(reading if smooth is None else self._with_gravity(smooth))
@@ -335,17 +407,6 @@ class Chain:
             if self._travel.fault:
                 self._state = self._state._replace(fused=FusedEstimate("inconsistent"))
         self._travel_faults.update(reading.time, self._travel.fault)
-
-    def _check_zero(self, reading: WrenchReading) -> None:
-        """Check whether a reading without a tare is that of the free probe: then the sensor's own zero is right."""
-        if reading.fault:
-            return
-        wrench = self._estimator.model.to_base(reading.wrench_sensor, reading.gravity_base)
-        free = self._estimator.free(reading.gravity_base)
-        self._zero_known = free.ok and not self._estimator.detects(wrench, reading.gravity_base)
-        if not self._zero_known and not self._zero_reported:
-            self._zero_reported = True
-            self._log(NO_TARE)
 
     def _with_gravity(self, reading: WrenchReading) -> WrenchReading:
         """Return the reading with the gravity of the base pose at its time, or with a fault if that pose is unknown."""

@@ -13,7 +13,7 @@ from probedesign.estimation.estimate import Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.estimation.model import ProbeModel
 from probedesign.live.blocks import WrenchReading
-from probedesign.live.processing.control import Tare
+from probedesign.live.processing.tare import Tare
 from probedesign.live.processing.touches import Contact, Phase
 
 UNKNOWN_POSE, UNKNOWN_WRENCH = np.full((4, 4), np.nan), np.full(6, np.nan)

@@ -17,7 +17,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.blocks import AveragedBatch, Block
 from probedesign.live.processing.averaging import second_differences
-from probedesign.live.processing.control import CHANNELS
+from probedesign.live.processing.tare import CHANNELS
 
 FROZEN_READINGS = 8
 """Identical readings in all channels from which the signal counts as frozen. With a noise of half a step of the

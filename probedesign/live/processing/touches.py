@@ -31,7 +31,7 @@ from probedesign.estimation.tracker import Tracker
 from probedesign.live import Log
 from probedesign.live.blocks import AveragedBatch, joined
 from probedesign.live.poses.base_poses import BasePoses
-from probedesign.live.processing.control import Tare
+from probedesign.live.processing.tare import Tare
 
 Phase = Literal["", "free", "moving", "touching", "settled", "released"]
 

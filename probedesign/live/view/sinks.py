@@ -18,7 +18,7 @@ from probedesign.core.errors import InputError, require
 from probedesign.estimation.estimator import Estimator
 from probedesign.live import LOOPBACK, Log
 from probedesign.live.outputs.drawing import BentShape, TubeMesh
-from probedesign.live.processing.control import CommandName, CommandQueue
+from probedesign.live.processing.commands import CommandName, CommandQueue
 from probedesign.live.view.scene import SceneSetup, rigid_parts
 from probedesign.live.view.state import Counts, Level, RecordingState, Snapshot, ViewState, not_recording
 

@@ -1,18 +1,105 @@
-"""Where commands come from beside the page: keys in the terminal, and datagrams, which the services of ROS 2 use."""
+"""Commands of the user during a run: a queue to the processing thread, and where they come from beside the page.
+
+That is keys in the terminal, and datagrams, which the services of ROS 2 use.
+"""
 
 import json
 import os
 import select
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from typing import Any, get_args
+from queue import Empty, SimpleQueue
+from typing import Any, Literal, NamedTuple, get_args
 
-from probedesign.core.errors import InputError
+from probedesign.core.errors import InputError, ProbeDesignError, one_line
 from probedesign.live import Log
 from probedesign.live.datagrams import DatagramReceiver, decode_object, parse_listen_address
-from probedesign.live.processing.control import COMMANDS, CommandName, CommandQueue, CommandResult
+from probedesign.live.processing.tare import TARE_DURATION
+
+CommandName = Literal["tare", "mark", "start recording", "stop recording", "stop"]
+
+
+class CommandDescription(NamedTuple):
+    """A command's key in the terminal, and what it does."""
+
+    key: str
+    text: str
+
+
+COMMANDS: dict[CommandName, CommandDescription] = {
+    "tare": CommandDescription("t", f"take a tare from the next {TARE_DURATION:g} s"),
+    "mark": CommandDescription("m", "mark this time, with a note"),
+    "start recording": CommandDescription("r", "start a recording, in a new file"),
+    "stop recording": CommandDescription("s", "stop the recording"),
+    "stop": CommandDescription("q", "end the run"),
+}
+"""Every command. Keys, the page, datagrams and services of ROS 2 offer these, and `CommandQueue` executes them."""
+MAX_NOTE = 200
+"""Maximum number of characters of a mark."""
+
+
+class CommandResult(NamedTuple):
+    """Whether a command was accepted, and the outcome or the reason of the refusal."""
+
+    accepted: bool
+    text: str
+
+
+class Command(NamedTuple):
+    """One command of the user, with the text of a mark, and a callback that receives the result."""
+
+    name: CommandName
+    text: str = ""
+    reply: Callable[[CommandResult], None] = lambda result: None
+
+
+class CommandQueue:
+    """Passes commands from any thread to the processing thread, which executes them between two blocks of readings."""
+
+    def __init__(self) -> None:
+        self._queue: SimpleQueue[Command] = SimpleQueue()
+        self._handlers: dict[CommandName, Callable[[Command], str | None]] = {}
+
+    def register(self, name: CommandName, handler: Callable[[Command], str | None]) -> None:
+        """Register the handler of a command, which is called in the processing thread.
+
+        It returns the outcome, if it does not report that itself, and raises `ProbeDesignError` to refuse the command.
+        """
+        self._handlers[name] = handler
+
+    def put(
+        self, name: CommandName, text: str = "", reply: Callable[[CommandResult], None] = lambda result: None
+    ) -> None:
+        """Queue a command; the result is reported to every sink as an event, and to `reply`."""
+        self._queue.put(Command(name, one_line(text, MAX_NOTE), reply))
+
+    def execute(self, log: Log) -> bool:
+        """Execute all commands since the last call in order and report their results; return whether to stop."""
+        while True:
+            try:
+                command = self._queue.get_nowait()
+            except Empty:
+                return False
+            result = self._execute(command)
+            if result.text:
+                log(result.text)
+            command.reply(result)
+            if command.name == "stop":
+                return True
+
+    def _execute(self, command: Command) -> CommandResult:
+        if command.name == "stop":
+            return CommandResult(True, "the run is ended by a command")
+        handler = self._handlers.get(command.name)
+        if handler is None:
+            return CommandResult(False, f"{command.name} is not available here")
+        try:
+            return CommandResult(True, handler(command) or "")
+        except ProbeDesignError as error:
+            return CommandResult(False, f"{command.name} refused: {error}")
+
 
 SCHEMA = 1
 MAX_ID = 64

@@ -7,19 +7,16 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.live.blocks import WrenchReading, group_readings, iter_readings
-from probedesign.live.processing import control as due
-from probedesign.live.processing.control import (
+from probedesign.live.processing import chain as due
+from probedesign.live.processing.chain import (
     MAX_AGE,
     MAX_SKIPPED_SHARE,
     REPORT_PERIOD,
     EstimateScheduler,
     ProcessingOptions,
-    TareWindow,
-    parse_window,
-    readings_in,
-    take_tare,
 )
 from probedesign.live.processing.estimates import wrench_without_bias
+from probedesign.live.processing.tare import TareWindow, parse_window, tare_of
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 
@@ -41,8 +38,8 @@ def biased(readings):
 def test_a_constant_bias_is_removed_completely(estimator, readings, biased):
     """Up to the noise's own mean, which both windows share: 1e-12 allows for the rounding of sums of 20."""
     window = TareWindow(0.0, 2.0)
-    with_bias = take_tare(readings_in(window, biased), window, estimator)
-    without = take_tare(readings_in(window, readings), window, estimator)
+    with_bias = tare_of(biased, window, estimator)
+    without = tare_of(readings, window, estimator)
     assert with_bias.readings == 20
     assert with_bias.bias_sensor - without.bias_sensor == pytest.approx(BIAS, rel=1e-12)
     for reading, raw in zip(readings, biased, strict=True):
@@ -54,7 +51,7 @@ def test_a_constant_bias_is_removed_completely(estimator, readings, biased):
 def test_the_noise_of_the_window_is_all_that_is_left(estimator, biased):
     """The mean of 20 readings is off by σ/√20, by 5 of these at most."""
     window = TareWindow(0.0, 2.0)
-    tare = take_tare(readings_in(window, biased), window, estimator)
+    tare = tare_of(biased, window, estimator)
     std = estimator.model.noise.std
     assert (np.abs(tare.bias_sensor - BIAS) < 5.0 * std / np.sqrt(20.0)).all()
 
@@ -89,7 +86,7 @@ def test_live_estimates_begin_after_the_window(estimator, biased):
 )
 def test_a_window_that_is_not_free_is_refused(estimator, readings, window, log_lines):
     with pytest.raises(InputError) as error:
-        take_tare(readings_in(window, readings), window, estimator)
+        tare_of(readings, window, estimator)
     assert log_lines in str(error.value)
 
 

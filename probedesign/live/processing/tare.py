@@ -1,0 +1,219 @@
+"""Tare: the bias of the sensor, from readings of a free probe in a given window or in the first second at rest."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
+from probedesign.estimation.estimator import Estimator
+from probedesign.live import Log
+from probedesign.live.blocks import WrenchReading
+
+MIN_READINGS = 10
+"""Minimum number of readings in a tare window: the mean of ten adds a tenth to the variance of every later reading."""
+MAX_SCATTER = 3.0
+"""Maximum standard deviation of a channel, in units of its noise. Ten readings of pure noise exceed it once in 1e12
+windows."""
+MAX_STEP = 5.0
+"""Maximum step from the first half of a rest to the second, in units of its noise; 0.05 resolution steps of drift in a
+second add little to it."""
+TARE_DURATION = 2.0
+"""Duration of a tare requested during a run [s]; at 194 readings per second the noise of the mean is a twentieth of
+theirs."""
+REST_TIME, REST_WAIT = 1.0, 3.0
+"""Duration of the rest that an automatic tare uses, and of the wait after which its reason is reported [s]."""
+CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+
+Zero = Literal["checked", "auto", "trusted"]
+"""Zero of the sensor without a tare window: nothing, unless readings agree with the free probe without one; the first
+second at rest; or the sensor's own zero, taken without the probe."""
+
+
+@dataclass(frozen=True)
+class TareWindow:
+    """Time window in which the probe is free: start and exclusive end, counted from the first reading [s]."""
+
+    start: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Tare:
+    """A sensor bias and the readings it was estimated from."""
+
+    bias_sensor: Array  #: bias to subtract from every reading, in the sensor frame [N, N·m], (6,).
+    readings: int  #: number of readings.
+    window: TareWindow  #: the window.
+    time: float  #: time of the last reading, by the source's clock [s].
+
+
+class TareCollector:
+    """Collects the readings of a tare until the first reading after its window, or until a rest is complete.
+
+    Attributes:
+        window: time window in which the probe is free; None: the first `REST_TIME` at rest.
+        on_request: whether the tare was requested during the run; otherwise it precedes all estimates.
+    """
+
+    def __init__(
+        self, window: TareWindow | None, estimator: Estimator, on_request: bool = False, log: Log = lambda line: None
+    ) -> None:
+        """Start with no readings; `log` receives what an automatic tare waits for."""
+        self.window, self.on_request, self._estimator, self._log = window, on_request, estimator, log
+        self._readings: list[tuple[float, WrenchReading]] = []
+        self._unrest, self._reported = f"there were fewer than {MIN_READINGS} readings in it", False
+
+    @property
+    def start(self) -> float:
+        """Time of the first reading that counts, since the first of the run [s]."""
+        return self._readings[0][0] if self._readings else math.inf
+
+    def add(self, reading: WrenchReading, since: float) -> bool:
+        """Add a reading, `since` seconds after the first one of the run; return whether the tare is complete."""
+        if self.window is None:
+            return self._rests(reading, since)
+        if since >= self.window.end:
+            return True
+        if since >= self.window.start:
+            self._readings.append((since, reading))
+        return False
+
+    def _rests(self, reading: WrenchReading, since: float) -> bool:
+        """Add a reading and return whether those of the last `REST_TIME` are at rest; if not, wait for half of it."""
+        if since > REST_WAIT and not self._reported:
+            self._reported = True
+            self._log(f"--tare auto waits for {REST_TIME:g} s at rest: {self._unrest}")
+        if reading.fault:
+            self._readings.clear()
+            self._unrest = reading.fault
+            return False
+        self._readings.append((since, reading))
+        n, span = len(self._readings), since - self.start
+        if n < MIN_READINGS or span * n < REST_TIME * (n - 1):
+            return False
+        try:
+            self.tare()
+        except InputError as error:
+            self._readings, self._unrest = self._readings[n // 2 :], str(error)
+            return False
+        return True
+
+    def tare(self) -> Tare:
+        """Return the tare; see `take_tare`."""
+        readings = [reading for _, reading in self._readings]
+        if self.window is not None:
+            return take_tare(readings, self.window, self._estimator)
+        return take_tare(readings, TareWindow(self.start, self._readings[-1][0]), self._estimator, steady=True)
+
+    def at_end(self) -> Tare:
+        """Return the tare at the end of the readings, within its window.
+
+        Raises:
+            InputError: the window cannot be used, or there was no rest.
+        """
+        if self.window is not None:
+            return self.tare()
+        raise InputError(
+            f"--tare auto found no {REST_TIME:g} s at rest: {self._unrest}; give the time when the probe is free as "
+            "--tare-s START:END"
+        )
+
+
+def tare_of(readings: list[WrenchReading], window: TareWindow | None, estimator: Estimator) -> Tare:
+    """Return the tare of the readings of a recording: in a window, or else in the first `REST_TIME` at rest.
+
+    Raises:
+        InputError: the window cannot be used, or there is no rest.
+    """
+    collector = TareCollector(window, estimator)
+    for reading in readings:
+        if collector.add(reading, reading.time - readings[0].time):
+            return collector.tare()
+    return collector.at_end()
+
+
+def is_free(reading: WrenchReading, estimator: Estimator) -> bool:
+    """Return whether a reading agrees with the free probe, without a tare: then the sensor's own zero is right."""
+    gravity = reading.gravity_base
+    if reading.fault or not estimator.free(gravity).ok:
+        return False
+    return not estimator.detects(estimator.model.to_base(reading.wrench_sensor, gravity), gravity)
+
+
+def parse_window(text: str) -> TareWindow:
+    """Return the window given as START:END in seconds.
+
+    Raises:
+        InputError: the text is not two numbers with 0 ≤ START < END.
+    """
+    start, _, end = text.partition(":")
+    try:
+        window = TareWindow(float(start), float(end))
+    except ValueError:
+        window = TareWindow(math.nan, math.nan)
+    if not 0.0 <= window.start < window.end < math.inf:
+        raise InputError(f"--tare-s {text} must be START:END in seconds from the first reading, START < END")
+    return window
+
+
+def parse_tare(tare_s: str | None, tare: Literal["auto", "none"] | None) -> tuple[TareWindow | None, Zero]:
+    """Return the window of --tare-s, if it is given, and the zero that is used otherwise, by --tare.
+
+    Raises:
+        InputError: both are given, or the window is invalid.
+    """
+    if tare_s is not None and tare is not None:
+        raise InputError(f"--tare {tare} and --tare-s {tare_s} exclude each other; give one of them")
+    zeros: dict[str | None, Zero] = {None: "checked", "auto": "auto", "none": "trusted"}
+    return (None if tare_s is None else parse_window(tare_s)), zeros[tare]
+
+
+def take_tare(readings: list[WrenchReading], window: TareWindow, estimator: Estimator, steady: bool = False) -> Tare:
+    """Estimate the sensor bias from readings of a window in which nothing touches the probe.
+
+    A constant contact force cannot be distinguished from a bias; the user is responsible for a free probe. With
+    `steady`, the means of the two halves of the window must agree, too, and errors do not name the window, which the
+    user did not choose.
+
+    Raises:
+        InputError: there are too few readings, or they scatter more than those of a free probe.
+    """
+    label = "" if steady else f"tare window {window.start:g}:{window.end:g} s "
+    unsteady = f"{label}is not steady: " if label else ""
+    if len(readings) < MIN_READINGS:
+        raise InputError(f"{label}has {len(readings)} readings; a tare needs {MIN_READINGS}")
+    if fault := next((reading.fault for reading in readings if reading.fault), ""):
+        raise InputError(f"{label}has readings with a fault: {fault}")
+    free: dict[bytes, Array] = {}  # by gravity, which is mostly the same
+    for gravity in {reading.gravity_base.tobytes(): reading.gravity_base for reading in readings}.values():
+        equilibrium = estimator.free(gravity)
+        if not equilibrium.ok:
+            raise InputError(f"the free probe has no equilibrium under gravity {gravity} m/s²")
+        free[gravity.tobytes()] = estimator.model.to_sensor(equilibrium.wrench_base, gravity)
+    wrenches = np.array([reading.wrench_sensor for reading in readings])
+    excess = wrenches - np.array([free[reading.gravity_base.tobytes()] for reading in readings])
+    bias, std = excess.mean(axis=0), excess.std(axis=0, ddof=1)
+    noise = estimator.model.noise.std
+    if (std > MAX_SCATTER * noise).any():
+        i = int(np.argmax(std / noise))
+        unit = "mN" if i < 3 else "Nmm"
+        scatter = f"{CHANNELS[i]} scatters by {std[i] * 1e3:.3g} {unit}, its noise is {noise[i] * 1e3:.3g} {unit}"
+        raise InputError(f"{unsteady}{scatter}; touched, moving or not averaged?")
+    half = len(excess) // 2
+    step = np.abs(excess[-half:].mean(axis=0) - excess[:half].mean(axis=0))
+    if steady and (step > MAX_STEP * noise * math.sqrt(2.0 / half)).any():
+        i = int(np.argmax(step / noise))
+        raise InputError(f"{unsteady}{CHANNELS[i]} changes; touched or moving?")
+    return Tare(bias, len(readings), window, readings[-1].time)
+
+
+def describe_tare(tare: Tare) -> str:
+    """Return the tare as one line."""
+    bias = ", ".join(
+        f"{name} {value * 1e3:.3g} {'mN' if name[0] == 'F' else 'Nmm'}"
+        for name, value in zip(CHANNELS, tare.bias_sensor.tolist(), strict=True)
+    )
+    return f"tare from {tare.readings} readings in {tare.window.start:g}:{tare.window.end:g} s: {bias}"
