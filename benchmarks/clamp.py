@@ -290,7 +290,7 @@ def base_of(base_d_mm: float, slope: float, thickness_mm: float = 3.0, face_mm: 
 def report() -> None:
     """Print the result for the three designs, for other bases and thicknesses, and on finer meshes."""
     from probedesign.design import load_design
-    from probedesign.geometry import build_geometry
+    from probedesign.mount import build_geometry
     from probedesign.mount.root import exported_root_radii
 
     rows = []

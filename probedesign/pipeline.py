@@ -177,11 +177,10 @@ def plan(design: "Design", minutes: float, names: Sequence[str], instruments: "I
 
 def _flange_volume(probe: "Probe") -> float:
     """Return the volume of the printed flange, which is weighed with the flexible part [m³]."""
-    from probedesign.mount import mount_options, mount_part_masses, sensor_adapter_for
+    from probedesign.mount import Mount, mount_part_masses
 
     design = probe.design
-    adapter = sensor_adapter_for(probe.geometry, design.sensor_model, design.name, mount_options(design))
-    return mount_part_masses(probe.geometry, adapter, design.density.value)["flange"].volume
+    return mount_part_masses(probe.geometry, Mount.of(design).sensor_adapter, design.density.value)["flange"].volume
 
 
 def freeze(probe: "Probe") -> dict[str, Any]:

@@ -15,9 +15,9 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.notebook import Displayed
 from probedesign.design import Design
-from probedesign.geometry import ProbeGeometry, build_geometry
+from probedesign.geometry import ProbeGeometry
 from probedesign.geometry.mass import MassProperties, flexible_part
-from probedesign.mount import mount_mass_properties, mount_options, sensor_adapter_for
+from probedesign.mount import Mount, build_geometry, mount_mass_properties
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
@@ -87,7 +87,7 @@ class Probe(Displayed):
 
         d = self.design
         sensor, calibration = d.sensor_model, d.calibration
-        adapter = sensor_adapter_for(self.geometry, sensor, d.name, mount_options(d))
+        adapter = Mount.of(d).sensor_adapter
         model = ProbeModel(
             name=d.name,
             fingerprint=self.geometry.fingerprint,

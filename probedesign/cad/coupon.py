@@ -21,7 +21,7 @@ from probedesign.cad.mesh import checked_mesh, stl_bytes
 from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.geometry import build_geometry
+from probedesign.mount import build_geometry
 
 STEPS = 5
 STEP_HEIGHT_MM = 8.0

@@ -18,7 +18,7 @@ from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.core.files import write_atomically
 from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.geometry import build_geometry
+from probedesign.mount import build_geometry
 from probedesign.printing.check import print_scale, scale_note
 
 LINEAR_TOLERANCE_MM = 0.01

@@ -24,11 +24,11 @@ from probedesign.core.errors import CheckFailedError
 from probedesign.core.frames import Array, pose
 from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.design.catalog import STEEL_DENSITY
+from probedesign.design.catalog import RIGID_DENSITY, STEEL_DENSITY
 from probedesign.design.sensors import SensorInterface
-from probedesign.geometry import ProbeGeometry, build_geometry
+from probedesign.geometry import ProbeGeometry
 from probedesign.geometry.mass import MassProperties, combined
-from probedesign.mount import FlangeAdapter, SensorAdapter, flange_adapter_for, mount_options, sensor_adapter_for
+from probedesign.mount import FlangeAdapter, Mount, SensorAdapter
 from probedesign.mount.tolerance_stack import tolerance_stacks
 
 IN_SENSOR_FRAME = pose()
@@ -85,7 +85,7 @@ def build_parts(
 ) -> dict[str, CadPart]:
     """Return every part of the assembly by name, the printed ones first."""
     T, grey, steel = adapter.T_sensor_base, (0.75, 0.75, 0.72), (0.45, 0.47, 0.5)
-    rigid = adapter.options.density
+    rigid = RIGID_DENSITY
     printed = [
         CadPart("probe", probe_solid(geometry, adapter), T, "base", probe_density, (0.93, 0.85, 0.6)),
         CadPart("sensor_adapter", sensor_adapter_solid(adapter), IN_SENSOR_FRAME, "sensor", rigid, grey),
@@ -200,9 +200,8 @@ def printed_solid(design: Design, part: str) -> cq.Solid:
         CheckFailedError: a screw would enter too deep at the worst corner of the tolerances, or the part is not one
             valid solid.
     """
-    geometry, sensor, options = build_geometry(design), design.sensor_model, mount_options(design)
-    plate = flange_adapter_for(sensor, design.robot_flange, geometry.fingerprint, design.name, options)
-    adapter = sensor_adapter_for(geometry, sensor, design.name, options)
+    mount = Mount.of(design)
+    adapter, plate = mount.sensor_adapter, mount.flange_adapter
     screw_groups(adapter, plate)
     for stack in tolerance_stacks(adapter, plate):
         if not stack.ok:
@@ -212,7 +211,7 @@ def printed_solid(design: Design, part: str) -> cq.Solid:
             )
     match part:
         case "probe":
-            return probe_solid(geometry, adapter)
+            return probe_solid(mount.geometry, adapter)
         case "sensor_adapter":
             return sensor_adapter_solid(adapter)
         case "clamp_ring":
@@ -228,10 +227,8 @@ def build_cad(design: Design) -> CadModel:
         InputError: the mount cannot clamp this probe.
         CheckFailedError: a screw would enter too deep, or a part is not one valid solid.
     """
-    geometry, sensor = build_geometry(design), design.sensor_model
-    options = mount_options(design)
-    adapter = sensor_adapter_for(geometry, sensor, design.name, options)
-    plate = flange_adapter_for(sensor, design.robot_flange, geometry.fingerprint, design.name, options)
+    mount, sensor = Mount.of(design), design.sensor_model
+    geometry, adapter, plate = mount.geometry, mount.sensor_adapter, mount.flange_adapter
     screws = screw_groups(adapter, plate)
     parts = build_parts(geometry, design.density.value, sensor.interface, adapter, plate, screws)
     return CadModel(design, geometry, adapter, plate, screws, parts)

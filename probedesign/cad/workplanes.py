@@ -9,8 +9,7 @@ from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad, pri
 from probedesign.core.errors import CheckFailedError, InputError, unknown_name
 from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.geometry import build_geometry
-from probedesign.mount import flange_adapter_for, mount_options, sensor_adapter_for
+from probedesign.mount import Mount
 from probedesign.mount.engraving import XY
 
 CHANGEABLE = ("probe", "sensor_adapter", "clamp_ring", "flange_adapter")
@@ -68,9 +67,8 @@ def solid_of(name: str, part: cq.Workplane) -> cq.Solid:
 
 def _tagged(design: Design, part: str, solid: cq.Shape) -> cq.Workplane:
     """Return a part's workplane with its tags: faces by their height, circles by the centres of their holes."""
-    geometry, sensor, options = build_geometry(design), design.sensor_model, mount_options(design)
-    a = sensor_adapter_for(geometry, sensor, design.name, options)
-    plate = flange_adapter_for(sensor, design.robot_flange, geometry.fingerprint, design.name, options)
+    mount = Mount.of(design)
+    geometry, a, plate = mount.geometry, mount.sensor_adapter, mount.flange_adapter
     faces: dict[str, float]
     circles: dict[str, tuple[Iterable[XY], float]]
     match part:

@@ -38,10 +38,10 @@ def measured(
     """
     from probedesign import pipeline
     from probedesign.design import load_design
-    from probedesign.geometry import build_geometry
     from probedesign.identification.coupon_scale import fit_scale, is_coupon_sheet, read_coupon
     from probedesign.identification.design_update import write_changes
     from probedesign.identification.measured_diameters import diameter_changes, read_calipers
+    from probedesign.mount import build_geometry
 
     if out is not None:
         check_overwrite(out, force)

@@ -104,9 +104,6 @@ RESINS = {resin.name: resin for resin in (ELASTIC_50A, FLEXIBLE_80A, SILICONE_40
 
 RIGID_RESIN = "rigid resin, e.g. Grey V4"
 """Material of the adapters; any resin that is stiff against the probe is suitable."""
-ALUMINIUM = "aluminium, e.g. EN AW-6082"
-ALUMINIUM_DENSITY = 2700.0
-"""Density of milled adapters [kg/m³]. Source: EN 573-3 alloys of the series 6000, any table."""
 RIGID_DENSITY = 1180.0
 """Density of the rigid adapters [kg/m³]. Source: Formlabs Grey/Clear V4, 1.15-1.2 g/ml; the middle, assumed."""
 
@@ -198,9 +195,6 @@ M2 = SCREWS["M2"]
 NUTS = {"M2": Nut(4.0 * MM, 1.6 * MM), "M3": Nut(5.5 * MM, 2.4 * MM)}
 PRINT_TOLERANCE = 0.15 * MM
 """Tolerance ± of a printed length, or 0.5 % where that is more: none is published (assumed)."""
-MILLED_TOLERANCE = 0.05 * MM
-"""Tolerance ± of a milled length, which the drawings demand: ISO 2768-1, fine, states it up to 6 mm only (assumed to be
-held beyond, where that standard has 0.1 mm and more)."""
 MIN_GRIP = 3.0 * MM
 """Least resin under the head of a screw into a sensor [m] (assumed)."""
 STEEL_DENSITY = 7900.0

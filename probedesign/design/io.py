@@ -44,7 +44,6 @@ COMMENTS = {
     "print.rigid_scale_xy": "rigid parts, printed over drawn",
     "mount.hold": "clamped | glued: the flange's underside on the adapter as well",
     "mount.ring_screw": "M2 | M3",
-    "mount.adapters": "printed | milled: from aluminium",
     "mount.flange_thickness_mm": "soft flange below s = 0",
     "mount.flange_lip_mm": "its radial width around the base",
     "mount.squeeze_mm": "compression of the lip; by default the least that the tolerances allow",

@@ -252,7 +252,6 @@ class MountTable(Table):
     root_rigid_radii: Annotated[float, Field(ge=-1.0, le=2.0)] = 0.12
     hold: Literal["clamped", "glued"] = "clamped"
     ring_screw: Literal["M2", "M3"] = "M2"
-    adapters: Literal["printed", "milled"] = "printed"
     flange_thickness_mm: Annotated[float, Field(ge=1.0, le=10.0)] | None = None
     flange_lip_mm: Annotated[float, Field(ge=3.5, le=10.0)] | None = None
     squeeze_mm: Annotated[float, Field(ge=0.0, le=2.0)] | None = None

@@ -3,8 +3,7 @@
 from probedesign.geometry.cross_section import FULL_ROUND as FULL_ROUND
 from probedesign.geometry.cross_section import CrossSection as CrossSection
 from probedesign.geometry.probe_geometry import FLANGE_LIP as FLANGE_LIP
+from probedesign.geometry.probe_geometry import FLANGE_THICKNESS as FLANGE_THICKNESS
 from probedesign.geometry.probe_geometry import Flange as Flange
 from probedesign.geometry.probe_geometry import ProbeGeometry as ProbeGeometry
-from probedesign.geometry.probe_geometry import build_geometry as build_geometry
 from probedesign.geometry.probe_geometry import flange_for as flange_for
-from probedesign.geometry.probe_geometry import flange_of as flange_of

@@ -3,7 +3,6 @@
 import hashlib
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,9 +10,6 @@ from numpy.typing import ArrayLike
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
-
-if TYPE_CHECKING:  # `live` runs without the design package
-    from probedesign.design import Design
 
 
 @dataclass(frozen=True)
@@ -122,27 +118,6 @@ def flange_for(base_d: float, min_d: float, thickness: float = FLANGE_THICKNESS,
         thickness, lip: of the flange, and its radial width under the clamp ring.
     """
     return Flange(max(base_d + 2 * lip, min_d), thickness)
-
-
-def flange_of(design: "Design", base_d: float) -> Flange:
-    """Return the flange that a design's mount gives to a probe of that base diameter [m]."""
-    mount = design.mount
-    thickness = FLANGE_THICKNESS if mount.flange_thickness_mm is None else mount.flange_thickness_mm * MM
-    lip = FLANGE_LIP if mount.flange_lip_mm is None else mount.flange_lip_mm * MM
-    return flange_for(base_d, design.sensor_model.interface.tool.face_d, thickness, lip)
-
-
-def build_geometry(design: "Design") -> ProbeGeometry:
-    """Return the geometry of a design, in SI units."""
-    knots = np.array(design.probe.knots_mm, dtype=float) * MM
-    radius = knots[:, 1] / 2.0
-    return ProbeGeometry(
-        knots[:, 0],
-        radius,
-        flange_of(design, 2.0 * float(radius[0])),
-        design.probe.cross_section,
-        None if design.probe.tip == "blunt" else design.probe.flank_end_mm * MM,
-    )
 
 
 Knot = tuple[float, float]

@@ -29,8 +29,8 @@ from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.design.edit import Change
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.geometry import build_geometry
 from probedesign.geometry.probe_geometry import filleted
+from probedesign.mount import build_geometry
 
 READING_STD_MM = 0.03
 """Standard deviation of one reading where its cell is empty [mm]: the jaws indent a soft resin. Assumed."""

@@ -13,10 +13,10 @@ import numpy as np
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose, rotation_z
 from probedesign.core.units import MM
-from probedesign.design.catalog import CUSTOM, ROBOT_FLANGES, RobotFlange
+from probedesign.design.catalog import CUSTOM, PRINT_TOLERANCE, ROBOT_FLANGES, RobotFlange
 from probedesign.design.sensors import ScrewPattern, SensorModel
 from probedesign.mount.engraving import HEIGHT, XY, Engraving, engrave, free_arcs
-from probedesign.mount.sensor_adapter import MountOptions, length_tolerance, on_circle
+from probedesign.mount.sensor_adapter import FACE_LOSS, PRINTED_PIN_PLAY, SETTLING, length_tolerance, on_circle
 
 CABLE_ROOM = 1.0 * MM
 """Depth of the pocket below the cable's exit, and 0.6 mm of it on every side: more than the 0.5 mm that are checked."""
@@ -76,50 +76,46 @@ class FlangeAdapter:
         return self.plate_top - self.mounting.grip
 
 
-def bolt_margin(robot: RobotFlange, length: float, options: MountOptions) -> float:
+def bolt_margin(robot: RobotFlange, length: float) -> float:
     """Return the margin [m] to the deepest allowed entry of a robot bolt: tolerances of bolt and plate, and a head that
     settles."""
-    return robot.screw.length_tolerance(length) + options.tolerance + options.face_loss + options.settling
+    return robot.screw.length_tolerance(length) + PRINT_TOLERANCE + FACE_LOSS + SETTLING
 
 
-def centring_play(body_d: float, options: MountOptions) -> float:
+def centring_play(body_d: float) -> float:
     """Return the radial play [m] with which the sensor's body passes between its pins at every corner of the
     tolerances."""
-    play = options.pin_play + SENSOR_BODY_TOLERANCE
-    return (length_tolerance(1.02 * body_d, options.milled) + play) / 2  # the pins enclose up to 2 % more
+    play = PRINTED_PIN_PLAY + SENSOR_BODY_TOLERANCE
+    return (length_tolerance(1.02 * body_d) + play) / 2  # the pins enclose up to 2 % more
 
 
-def flange_adapter_for(
-    sensor: SensorModel, robot: RobotFlange, fingerprint: str = "", name: str = "", options: MountOptions | None = None
-) -> FlangeAdapter:
+def flange_adapter_for(sensor: SensorModel, robot: RobotFlange, fingerprint: str = "", name: str = "") -> FlangeAdapter:
     """Return the plate for a sensor and a robot.
 
     Args:
         sensor: whose mounting side it screws to.
         robot: flange of the robot.
         fingerprint, name: engraved, of the geometry and of the design.
-        options: choices of the design; None for the defaults.
 
     Raises:
         InputError: the robot's flange leaves too little room.
     """
-    options = options or MountOptions()
-    problem = _no_room(sensor, robot, options)
+    problem = _no_room(sensor, robot)
     if problem and robot.name == CUSTOM:
         raise InputError(f"mount.flange.{problem}")
     if problem:
-        others = ", ".join(fitting_flanges(sensor, options)) or "none that is known"
+        others = ", ".join(fitting_flanges(sensor)) or "none that is known"
         raise InputError(
             f"mount.robot_flange = {robot.name!r} does not fit the sensor {sensor.name}: {problem}. What fits: "
             f"{others}; describe another one in [mount.flange], with robot_flange = {CUSTOM!r}"
         )
     interface, mounting = sensor.interface, sensor.interface.mounting
-    plate_top = robot.bolt_length - (robot.max_bolt_entry - bolt_margin(robot, robot.bolt_length, options))
+    plate_top = robot.bolt_length - (robot.max_bolt_entry - bolt_margin(robot, robot.bolt_length))
     # The cable bisects the first two bolts; the dowel's azimuth in the sensor frame follows.
     cable, cable_deg = interface.cable, (robot.bolt_azimuths_deg[0] + robot.bolt_azimuths_deg[1]) / 2
     dowel_deg = cable.azimuth_deg - cable_deg
     reach, body_r = robot.bolt_circle_d / 2, interface.body_d / 2
-    pins_r = body_r + centring_play(interface.body_d, options) + CENTRING_PIN_D / 2
+    pins_r = body_r + centring_play(interface.body_d) + CENTRING_PIN_D / 2
     room = pins_r + CENTRING_PIN_D / 2 + 0.3 * MM < reach - robot.screw.head_d / 2
     pins = on_circle(2 * pins_r, (cable_deg + a for a in CENTRING_DEG)) if room else ()
     pocket = (
@@ -140,7 +136,7 @@ def flange_adapter_for(
         cable_deg=cable_deg,
         cable_pocket=pocket,
         p_centring_pins=pins,
-        centring_hole=(CENTRING_PIN_D + options.pin_play, plate_top - (CENTRING_PIN_LENGTH - CENTRING_ABOVE)),
+        centring_hole=(CENTRING_PIN_D + PRINTED_PIN_PLAY, plate_top - (CENTRING_PIN_LENGTH - CENTRING_ABOVE)),
         body_d=interface.body_d,
         free_height=interface.cable.free_height,
         p_tie_slots=_tie_slots(rim, cable_deg),
@@ -158,18 +154,17 @@ def _tie_slots(rim: float, cable_deg: float) -> tuple[XY, ...]:
     return tuple((r * c - side * s, r * s + side * c) for side in (-half, half))
 
 
-def fitting_flanges(sensor: SensorModel, options: MountOptions | None = None) -> list[str]:
+def fitting_flanges(sensor: SensorModel) -> list[str]:
     """Return the names of the known robot flanges that leave room for a sensor, the usual one first."""
-    options = options or MountOptions()
-    return [name for name, robot in ROBOT_FLANGES.items() if not _no_room(sensor, robot, options)]
+    return [name for name, robot in ROBOT_FLANGES.items() if not _no_room(sensor, robot)]
 
 
-def _no_room(sensor: SensorModel, robot: RobotFlange, options: MountOptions) -> str:
+def _no_room(sensor: SensorModel, robot: RobotFlange) -> str:
     """Return why a robot flange leaves no room: key, value and the nearest allowed value; empty if it does."""
     bolt, body_r, mounting = robot.screw, sensor.interface.body_d / 2, sensor.interface.mounting
     reach, head = robot.bolt_circle_d / 2, bolt.head_d / 2
     circle = 2 * (body_r + head + 0.5 * MM)
-    margin = bolt_margin(robot, robot.bolt_length, options)
+    margin = bolt_margin(robot, robot.bolt_length)
     entry = 0.8 * bolt.nominal_d + margin
     thinnest = robot.max_bolt_entry - margin + mounting.grip
     stock = [n for n in bolt.stock_mm if n * MM >= thinnest]
@@ -181,7 +176,7 @@ def _no_room(sensor: SensorModel, robot: RobotFlange, options: MountOptions) -> 
     apart = np.linalg.norm(p[:, None] - p[None], axis=2) + 1.0 * np.eye(len(p))
     on_slot = np.hypot(np.maximum(np.abs(p[:, 0] - reach) - robot.pin_slot[1] / 2, 0.0), p[:, 1])
     slot_clear = robot.pin_slot[0] / 2 + bolt.clearance_d / 2 + 1.0 * MM
-    longest = max(bolt.stock_mm) * MM - mounting.grip + bolt_margin(robot, max(bolt.stock_mm) * MM, options)
+    longest = max(bolt.stock_mm) * MM - mounting.grip + bolt_margin(robot, max(bolt.stock_mm) * MM)
     widest = 2 * (reach - max(bolt.clearance_d, robot.pin_slot[1]) / 2) - 1.0 * MM
     slot = 2 * (reach - body_r - 0.5 * MM)
     given, mm = ", ".join(f"{a:g}" for a in azimuths), float(apart.min()) / MM

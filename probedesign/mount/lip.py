@@ -18,8 +18,8 @@ import math
 from probedesign.core.units import MM, MPA
 from probedesign.design.sensors import ScrewPattern
 
-RIGID_MODULUS, ALUMINIUM_MODULUS = 2500.0 * MPA, 69000.0 * MPA
-"""E of the rigid parts: a cured rigid resin (assumed; data sheets state 2.2 to 2.8 GPa) and aluminium."""
+RIGID_MODULUS = 2500.0 * MPA
+"""E of the rigid parts: a cured rigid resin (assumed; data sheets state 2.2 to 2.8 GPa)."""
 MIN_LIP = 1.5 * MM
 """Least width of the lip between the ring and the land."""
 LAND_RELIEF, MIN_RELIEF = 1.0 * MM, 0.4 * MM
@@ -34,7 +34,7 @@ MAX_BENDING_SHARE = 0.25
 STIFF_RESIN = 3.15 * MPA
 """Least E that the ring's thickness is chosen for: the greatest of the published fits for Elastic 50A."""
 _POISSON = 0.35
-"""Of a rigid resin (assumed) and of aluminium, 0.33."""
+"""Of a rigid resin (assumed)."""
 
 
 def pad_force(modulus: float, inner_d: float, outer_d: float, thickness: float, compression: float) -> float:

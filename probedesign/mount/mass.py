@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from probedesign.core.frames import pose, rotation_z
-from probedesign.design.catalog import STEEL_DENSITY, SocketScrew
+from probedesign.design.catalog import RIGID_DENSITY, STEEL_DENSITY, SocketScrew
 from probedesign.geometry import ProbeGeometry
 from probedesign.geometry.mass import NOTHING, MassProperties, combined, flange_part, frustum
 from probedesign.mount.engraving import CELL, DEPTH, ROWS, XY, Engraving, cut_runs, glyph_width
@@ -41,8 +41,8 @@ def mount_part_masses(
     peg_hole = cylinder(adapter.peg_hole_d, adapter.floor, T[2, 3], probe_density, (adapter.peg_x, 0.0))
     return {
         "flange": subtract(flange, [peg_hole, engraving_mass(adapter.on_flange, probe_density).moved(T)]),
-        "sensor_adapter": _adapter_body(adapter, adapter.options.density),
-        "clamp_ring": _clamp_ring(adapter, adapter.options.density).moved(T),
+        "sensor_adapter": _adapter_body(adapter, RIGID_DENSITY),
+        "clamp_ring": _clamp_ring(adapter, RIGID_DENSITY).moved(T),
         "fasteners": combined(_fasteners(adapter, STEEL_DENSITY)),
     }
 

@@ -7,7 +7,8 @@ import numpy as np
 
 from probedesign.design import Design
 from probedesign.design.io import check_design
-from probedesign.geometry import ProbeGeometry, build_geometry
+from probedesign.geometry import ProbeGeometry
+from probedesign.mount.mount import build_geometry
 
 Hold = Literal["clamped", "glued"]
 

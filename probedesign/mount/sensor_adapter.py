@@ -8,29 +8,17 @@ screws into nuts in slots that open at the rim. Both parts print on their datum 
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose
 from probedesign.core.units import MM
-from probedesign.design.catalog import (
-    ALUMINIUM_DENSITY,
-    M2,
-    MILLED_TOLERANCE,
-    NUTS,
-    PRINT_TOLERANCE,
-    RIGID_DENSITY,
-    SCREWS,
-    Nut,
-    SocketScrew,
-)
+from probedesign.design.catalog import M2, NUTS, PRINT_TOLERANCE, Nut, SocketScrew
 from probedesign.design.sensors import DowelPattern, ScrewPattern, SensorModel
 from probedesign.geometry import FLANGE_LIP, Flange, ProbeGeometry
 from probedesign.mount.engraving import XY, Engraving, engrave, free_arcs
 from probedesign.mount.lip import (
-    ALUMINIUM_MODULUS,
     MIN_LIP,
     MIN_RELIEF,
     RIGID_MODULUS,
@@ -40,9 +28,6 @@ from probedesign.mount.lip import (
     plate_bending,
     stiff_thickness,
 )
-
-if TYPE_CHECKING:
-    from probedesign.design import Design
 
 HEAD_SUNK = 0.2 * MM
 """A head lies this far below the face, so that it cannot dent the part that rests on it."""
@@ -109,7 +94,6 @@ class MountOptions:
     ring_screw: SocketScrew = M2  #: of the clamp ring, M2 or M3.
     lip: float = FLANGE_LIP  #: radial width of the flange under the clamp ring [m].
     squeeze: float | None = None  #: nominal compression of the lip [m]; None for the least that the tolerances allow.
-    milled: bool = False  #: whether the rigid parts are milled from aluminium instead of printed.
     lip_modulus: float = STIFF_RESIN  #: E of the flange that the ring's thickness is chosen for [Pa].
 
     @property
@@ -121,45 +105,6 @@ class MountOptions:
     def min_ring_thickness(self) -> float:
         """Return the least thickness of the clamp ring [m]: a wide one is thicker."""
         return (2.5 if self.ring_screw is M2 else 4.0) * MM
-
-    @property
-    def modulus(self) -> float:
-        """Return E of the rigid parts [Pa]."""
-        return ALUMINIUM_MODULUS if self.milled else RIGID_MODULUS
-
-    @property
-    def tolerance(self) -> float:
-        """Return the tolerance ± of a length of a rigid part [m]."""
-        return MILLED_TOLERANCE if self.milled else PRINT_TOLERANCE
-
-    @property
-    def face_loss(self) -> float:
-        """Return what a face that was printed on the platform may lack [m]; milled faces lack nothing."""
-        return 0.0 if self.milled else FACE_LOSS
-
-    @property
-    def settling(self) -> float:
-        """Return by how much a screw's head may settle in the part below it [m]; milled parts do not yield."""
-        return 0.0 if self.milled else SETTLING
-
-    @property
-    def pin_play(self) -> float:
-        """Return by how much a pin's hole is wider than the pin [m]: none for a milled one, H7 for a pin h8."""
-        return 0.0 if self.milled else PRINTED_PIN_PLAY
-
-    @property
-    def density(self) -> float:
-        """Return the density of the rigid parts [kg/m³]."""
-        return ALUMINIUM_DENSITY if self.milled else RIGID_DENSITY
-
-
-def mount_options(design: "Design") -> MountOptions:
-    """Return the choices of a design."""
-    mount = design.mount
-    lip = FLANGE_LIP if mount.flange_lip_mm is None else mount.flange_lip_mm * MM
-    squeeze = None if mount.squeeze_mm is None else mount.squeeze_mm * MM
-    modulus = max(STIFF_RESIN, design.youngs_modulus.value)
-    return MountOptions(SCREWS[mount.ring_screw], lip, squeeze, mount.adapters == "milled", modulus)
 
 
 @dataclass(frozen=True)
@@ -233,8 +178,8 @@ class SensorAdapter:
 
     def ring_bending(self, force: float) -> tuple[float, float]:
         """Return by how much the ring's inner edge bends under a force of the lip [m], see `lip.plate_bending`."""
-        load_d, modulus = (self.ring_bore_d + self.land_d) / 2, self.options.modulus
-        return plate_bending(modulus, self.ring_thickness, self.ring_bore_d, self.recess_d, load_d, force)
+        load_d = (self.ring_bore_d + self.land_d) / 2
+        return plate_bending(RIGID_MODULUS, self.ring_thickness, self.ring_bore_d, self.recess_d, load_d, force)
 
     @property
     def p_tool_screws(self) -> tuple[XY, ...]:
@@ -288,8 +233,8 @@ class SensorAdapter:
 
         It takes the tolerances of the slot and of the distance between the holes, in adapter and sensor.
         """
-        apart = length_tolerance(self.dowel_distance, self.options.milled) + SENSOR_HOLE_DISTANCE
-        return _up(2 * apart + self.options.tolerance)
+        apart = length_tolerance(self.dowel_distance) + SENSOR_HOLE_DISTANCE
+        return _up(2 * apart + PRINT_TOLERANCE)
 
     def dowel_slot_deg(self, number: int) -> float | None:
         """Return the direction of a dowel hole's slot in the sensor frame [deg]; None for a round hole."""
@@ -333,17 +278,17 @@ def sensor_adapter_for(
     bore_d = _ring_bore_d(geometry)
     land_d = land_diameter(2 * geometry.base_radius, options.lip, flange.diameter, bore_d, tool, WALL)
     stock = [n * MM for n in screw.stock_mm]
-    thickest = stock[-1] - ROOF - nut.height - nut_slack(screw, stock[-1], options)
+    thickest = stock[-1] - ROOF - nut.height - nut_slack(screw, stock[-1])
     force = pad_force(options.lip_modulus, bore_d, land_d, flange.thickness, squeeze)
     stiff = stiff_thickness(
-        options.modulus, options.min_ring_thickness, bore_d, recess_d, (bore_d + land_d) / 2, force, squeeze
+        RIGID_MODULUS, options.min_ring_thickness, bore_d, recess_d, (bore_d + land_d) / 2, force, squeeze
     )
     ring_thickness = min(stiff, thickest)
     needed = ring_thickness + ROOF + nut.height
-    length = next(n for n in stock if n >= needed + nut_slack(screw, n, options) - 1e-9)
-    roof = length - ring_thickness - nut.height - nut_slack(screw, length, options)
+    length = next(n for n in stock if n >= needed + nut_slack(screw, n) - 1e-9)
+    roof = length - ring_thickness - nut.height - nut_slack(screw, length)
     pin_beyond = dowels.pin_length - dowels.depth
-    dowel_depth = pin_beyond + PIN_TOLERANCE + options.tolerance + options.face_loss + PIN_ROOM
+    dowel_depth = pin_beyond + PIN_TOLERANCE + PRINT_TOLERANCE + FACE_LOSS + PIN_ROOM
     body_d = circle_d + screw.head_d + 2 * HEAD_EDGE
     head_clear_d = circle_d - screw.counterbore_d  # the heads need a seat beside the bore
     foot_d, cone_d = tool.face_d, tool.face_d + 2 * FOOT_LEDGE
@@ -354,7 +299,7 @@ def sensor_adapter_for(
     wall = flange.thickness - squeeze
     slot_bottom = wall - roof - nut.height - NUT_PLAY
     hole_bottom = wall + ring_thickness - length - TIP_ROOM
-    groove = _up(squeeze + length_tolerance(flange.thickness) + 2 * options.tolerance)
+    groove = _up(squeeze + length_tolerance(flange.thickness) + 2 * PRINT_TOLERANCE)
     lowest = max(
         cone_top + WALL - slot_bottom,
         cone_at_hole + THIN_WALL - hole_bottom,
@@ -389,7 +334,7 @@ def sensor_adapter_for(
         body_top=body_top,
         recess_d=recess_d,
         mark_x=mark_x,
-        dowel_d=dowels.diameter + options.pin_play,
+        dowel_d=dowels.diameter + PRINTED_PIN_PLAY,
         dowel_depth=dowel_depth,
         p_dowels=on_circle(dowels.circle_d, dowels.azimuths_deg),
         peg_top=body_top - PEG_BELOW_RING,
@@ -418,14 +363,14 @@ def _up(length: float) -> float:
     return math.ceil(length / (0.1 * MM) - 1e-6) * 0.1 * MM
 
 
-def nut_slack(screw: SocketScrew, length: float, options: MountOptions) -> float:
+def nut_slack(screw: SocketScrew, length: float) -> float:
     """Return how much less [m] a ring screw may enter its nut at the worst corner: screw, ring and roof."""
-    return screw.length_tolerance(length) + 2 * options.tolerance
+    return screw.length_tolerance(length) + 2 * PRINT_TOLERANCE
 
 
-def length_tolerance(length: float, milled: bool = False) -> float:
-    """Return the tolerance ± [m] of a printed length [m], or of a milled one."""
-    return MILLED_TOLERANCE if milled else max(PRINT_TOLERANCE, 0.005 * length)
+def length_tolerance(length: float) -> float:
+    """Return the tolerance ± [m] of a printed length [m]."""
+    return max(PRINT_TOLERANCE, 0.005 * length)
 
 
 def _squeeze(flange: Flange, options: MountOptions) -> float:
@@ -434,7 +379,7 @@ def _squeeze(flange: Flange, options: MountOptions) -> float:
     Raises:
         InputError: names the key, its value and the allowed range.
     """
-    slack = length_tolerance(flange.thickness) + options.tolerance
+    slack = length_tolerance(flange.thickness) + PRINT_TOLERANCE
     low, high = MIN_SQUEEZE + slack, MAX_SQUEEZE_SHARE * flange.thickness - slack
     if low > high + 1e-9:
         least = (low + slack) / MAX_SQUEEZE_SHARE

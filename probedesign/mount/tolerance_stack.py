@@ -6,21 +6,22 @@ outside. Every stack must lie within its limits in the worst case.
 """
 
 import math
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 from typing import Any
 
 from probedesign.core.units import MM
 from probedesign.design.catalog import SocketScrew
-from probedesign.design.sensors import ScrewPattern
 from probedesign.mount.flange_adapter import CENTRING_PIN_D, CENTRING_PIN_LENGTH, SENSOR_BODY_TOLERANCE, FlangeAdapter
 from probedesign.mount.sensor_adapter import (
+    FACE_LOSS,
     MAX_SQUEEZE_SHARE,
     MIN_SQUEEZE,
     PEG_D,
     PIN_TOLERANCE,
+    PRINTED_PIN_PLAY,
     RING_CLEARANCE,
     SENSOR_HOLE_DISTANCE,
+    SETTLING,
     SensorAdapter,
     length_tolerance,
 )
@@ -49,36 +50,11 @@ MIN_BOLT_THREADS = 0.6
 CALIPERS = 0.05 * MM
 """Uncertainty of a depth or thickness measured with calipers in a printed part (assumed)."""
 PRINTED, SCREWED = "print, ±0.5 %, at least ±0.15 mm (assumed)", "ISO 4759-1, js15"
-MILLED = "drawing, ±0.05 mm; ISO 2768-1, fine, up to 6 mm (assumed beyond)"
 
 
 def h7(d: float) -> float:
     """Return the greatest deviation [m] of a hole H7 of diameter d [m]; its least is zero. Source: ISO 286-1, IT7."""
     return next(deviation for up_to, deviation in _H7_MM if d / MM <= up_to + 1e-6) * MM
-
-
-_LIP = "mount.squeeze_mm or mount.flange_thickness_mm"
-_MILLED = ', or set mount.adapters = "milled"'
-_KEYS = {
-    "lip_squeeze": _LIP,
-    "groove_room": _LIP,
-    "sensor_adapter_screws_entry": "interface.tool of the sensor: min_entry_mm, max_entry_mm or screw",
-    "mounting_screws_entry": "interface.mounting of the sensor: min_entry_mm, max_entry_mm or screw",
-    "ring_screws_entry": "mount.ring_screw",
-    "robot_bolts_entry": "mount.flange.bolt_length_mm or mount.flange.max_bolt_entry_mm",
-    "peg_below_ring": _LIP,
-    "dowel_pin_room": "interface.dowels of the sensor: depth_mm or pin_length_mm",
-    "flange_in_recess": f"probe.base_d_mm{_MILLED}",
-    "ring_gap": 'mount.adapters = "milled" and probe.base_d_mm',
-    "peg_fit": f"mount.flange_thickness_mm{_MILLED}",
-    "dowel_fit": f"interface.dowels of the sensor: circle_d_mm{_MILLED}",
-    "dowel_slot": f"interface.dowels of the sensor: circle_d_mm{_MILLED}",
-    "centring_fit": f"interface.body_d_mm of the sensor{_MILLED}",
-    "centring_pin_height": "interface.cable of the sensor: free_height_mm",
-    "robot_pin_fit": "mount.flange.pin_slot_mm, or mount.robot_flange",
-    "spigot_fit": f"mount.flange.spigot_mm or mount.flange.recess_d_mm{_MILLED}",
-}
-"""Keys that change each stack."""
 
 
 @dataclass(frozen=True)
@@ -100,11 +76,12 @@ class Stack:
     what: str  #: in words.
     items: tuple[StackItem, ...]  #: the dimensions.
     limits: tuple[float, float]  #: least and greatest allowed sum.
+    keys: str  #: of the design or the sensor that change it.
 
     @property
     def remedy(self) -> str:
         """Return what to change where the worst case lies outside of the limits, by the keys of design or sensor."""
-        return f"change {_KEYS[self.name]}"
+        return f"change {self.keys}"
 
     @property
     def nominal(self) -> float:
@@ -158,201 +135,124 @@ class Stack:
         }
 
 
-def _length(name: str, value: float, milled: bool = False) -> StackItem:
-    """Return a printed length, or a milled one, with the sign with which it counts [m]."""
-    tolerance = length_tolerance(abs(value), milled)
-    return StackItem(name, value, tolerance, tolerance, MILLED if milled else PRINTED)
+def _printed(name: str, value: float) -> StackItem:
+    """Return a printed length with the sign with which it counts [m]."""
+    return _within(name, value, length_tolerance(abs(value)), PRINTED)
+
+
+def _within(name: str, value: float, tolerance: float, source: str = "assumed") -> StackItem:
+    return StackItem(name, value, tolerance, tolerance, source)
+
+
+def _screw(dimensions: SocketScrew, length: float) -> StackItem:
+    return _within("length of the screw", length, dimensions.length_tolerance(length), SCREWED)
+
+
+def _turned(radius: float) -> float:
+    """Return the play that lets a part turn by the greatest rotation, the pins at that radius [m]."""
+    return 2.0 * math.tan(math.radians(MAX_CLOCKING_DEG)) * radius
 
 
 def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
-    """Return the stacks of a mount."""
-    rigid, soft = partial(_length, milled=a.options.milled), _length
-
-    def screw(dimensions: SocketScrew, length: float) -> StackItem:
-        tolerance = dimensions.length_tolerance(length)
-        return StackItem("length of the screw", length, tolerance, tolerance, SCREWED)
-
-    def loss(shortens: bool = False) -> StackItem:
-        lost = a.options.face_loss
-        below, above = (lost, 0.0) if shortens else (0.0, lost)
-        return StackItem("face compressed on the platform or sanded", 0.0, below, above, "assumed")
-
-    settling = StackItem("head that settles in the resin", 0.0, 0.0, a.options.settling, "assumed")
-
-    def into_sensor(name: str, side: str, pattern: ScrewPattern) -> Stack:
-        return Stack(
-            name,
-            f"entry of the screws into the sensor's {side} side",
-            (screw(pattern.screw, pattern.length), rigid("thickness under the head", -pattern.grip), loss(), settling),
-            (pattern.min_entry, pattern.max_entry),
-        )
-
+    """Return the stacks of a mount. Those across the axis, which centre and clock the parts, are on the diameter."""
     flange, dowels, robot, nut = a.flange, a.dowels, plate.robot, a.options.nut
-    recess = a.body_top - a.floor
-    hole = SENSOR_HOLE_TOLERANCE
-    return [
-        Stack(
-            "lip_squeeze",
-            "compression of the flange's lip with the ring on the wall",
-            (soft("thickness of the flange", flange.thickness), rigid("depth of the recess", -recess)),
-            (MIN_SQUEEZE, MAX_SQUEEZE_SHARE * flange.thickness),
-        ),
-        Stack(
-            "groove_room",
-            "room below the flange in the groove around the land",
-            (
-                rigid("depth of the groove", a.groove),
-                rigid("depth of the recess", recess),
-                soft("thickness of the flange", -flange.thickness),
-            ),
-            (0.0, recess),
-        ),
-        into_sensor("sensor_adapter_screws_entry", "tool", a.tool),
-        into_sensor("mounting_screws_entry", "mounting", plate.mounting),
-        Stack(
-            "ring_screws_entry",
-            "entry of the ring's screws below the face on which the nuts bear",
-            (
-                screw(a.ring_screw, a.ring_screw_length),
-                rigid("thickness of the ring", -a.ring_thickness),
-                rigid("thickness above the nut", -a.nut_roof),
-                loss(),
-                settling,
-            ),
-            (nut.height, a.nut_slot_z[1] - a.ring_hole_bottom),
-        ),
-        Stack(
-            "robot_bolts_entry",
-            "entry of the bolts into the robot's flange",
-            (
-                screw(robot.screw, robot.bolt_length),
-                rigid("thickness of the plate", -plate.plate_top),
-                loss(),
-                settling,
-            ),
-            (MIN_BOLT_THREADS * robot.screw.nominal_d, robot.max_bolt_entry),
-        ),
-        Stack(
-            "peg_below_ring",
-            "room between the clocking peg and the ring",
-            (rigid("depth of the recess", recess), rigid("height of the peg", a.floor - a.peg_top)),
-            (0.0, recess),
-        ),
-        Stack(
-            "dowel_pin_room",
-            "room beyond the ends of a dowel pin",
-            (
-                StackItem("depth of the sensor's hole", dowels.depth, hole, hole, "assumed"),
-                rigid("depth of the adapter's hole", a.dowel_depth),
-                StackItem("length of the pin", -dowels.pin_length, PIN_TOLERANCE, PIN_TOLERANCE, "ISO 2338"),
-                loss(shortens=True),
-            ),
-            (0.0, a.dowel_depth),
-        ),
-        *_fits(a, plate),
-    ]
+    tool, mounting = a.tool, plate.mounting
+    recess, apart = a.body_top - a.floor, a.dowel_distance
+    slot, distance = length_tolerance(a.dowel_slot) / 2, length_tolerance(apart)
+    hole_d, hole_bottom = plate.centring_hole
+    play = hole_d - CENTRING_PIN_D
+    recess_d = robot.spigot[0] + robot.spigot_play
+    lost = StackItem("face compressed on the platform or sanded", 0.0, 0.0, FACE_LOSS, "assumed")
+    settling = StackItem("head that settles in the resin", 0.0, 0.0, SETTLING, "assumed")
+    by_eye = _within("twice the offset of the ring's centre", 0.0, 2 * RING_OFFSET, "by eye, assumed")
 
+    def h8(value: float) -> StackItem:
+        return StackItem("diameter of the pin", value, 0.0, -PIN_H8, "h8")
 
-def _fits(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
-    """Return the stacks across the axis: what centres and clocks the parts. All are on the diameter."""
-    robot, dowels, milled = plate.robot, a.dowels, a.options.milled
-    apart = a.dowel_distance
-    rigid, soft = partial(_length, milled=milled), _length
+    def pin(length: float) -> StackItem:
+        return _within("length of the pin", length, PIN_TOLERANCE, "ISO 2338")
 
-    def hole_of_pin(d: float) -> StackItem:
-        """Return the hole of a pin: reamed where milled; printed and, where it is tight, drilled to the pin's size."""
-        if milled:
-            return StackItem("diameter of the hole", d, 0.0, h7(d), "H7")
-        return StackItem("diameter of the hole, drilled where it is tight", d, a.options.pin_play,
-                         length_tolerance(d), PRINTED)  # fmt: skip
-
-    def pin(d: float) -> StackItem:
-        return StackItem("diameter of the pin", -d, 0.0, -PIN_H8, "h8")
-
-    def turned(radius: float) -> float:
-        """Return the play that lets a part turn by the greatest rotation, the pins that far apart."""
-        return 2.0 * math.tan(math.radians(MAX_CLOCKING_DEG)) * radius
-
-    half_slot, shifted = (length_tolerance(x, milled) for x in (a.dowel_slot, apart))
-    stacks = [
-        Stack(
-            "flange_in_recess",
-            "play of the probe's flange in its recess",
-            (rigid("diameter of the recess", a.recess_d), soft("diameter of the flange", -a.flange.diameter)),
-            (-SOFT_INTERFERENCE * a.flange.diameter, 2 * RING_CLEARANCE),
-        ),
-        Stack(
-            "ring_gap",
-            "gap between the ring, centred by eye, and the probe, on the diameter",
-            (
-                rigid("diameter of the ring's bore", a.ring_bore_d),
-                soft("diameter of the probe", -a.probe_d),
-                StackItem("twice the offset of the ring's centre", 0.0, *(2 * RING_OFFSET,) * 2, "by eye, assumed"),
-            ),
-            (0.0, a.flange.thickness),
-        ),
-        Stack(
-            "peg_fit",
-            "play of the clocking peg in the flange",
-            (soft("diameter of the hole", a.peg_hole_d), rigid("diameter of the peg", -PEG_D)),
-            (-PEG_STRETCH * PEG_D, turned(a.peg_x)),
-        ),
-        Stack(
-            "dowel_fit",
-            "play of a dowel pin in the sensor adapter",
-            (hole_of_pin(a.dowel_d), pin(dowels.diameter)),
-            (0.0, turned(apart / 2)),
-        ),
-        Stack(
-            "dowel_slot",
-            "room of the second dowel pin at the ends of its slot",
-            (
-                StackItem("half the slot beyond its width", a.dowel_slot / 2, half_slot / 2, half_slot / 2,
-                          MILLED if milled else PRINTED),
-                StackItem("distance of the holes in the adapter", 0.0, shifted, 0.0, MILLED if milled else PRINTED),
-                StackItem("distance of the sensor's holes", 0.0, SENSOR_HOLE_DISTANCE, 0.0, "assumed"),
-            ),
-            (0.0, a.dowel_slot),
-        ),
+    lip = "mount.squeeze_mm or mount.flange_thickness_mm"
+    rows: list[tuple[str, str, tuple[StackItem, ...], tuple[float, float], str]] = [
+        ("lip_squeeze", "compression of the flange's lip with the ring on the wall",
+         (_printed("thickness of the flange", flange.thickness), _printed("depth of the recess", -recess)),
+         (MIN_SQUEEZE, MAX_SQUEEZE_SHARE * flange.thickness), lip),
+        ("groove_room", "room below the flange in the groove around the land",
+         (_printed("depth of the groove", a.groove), _printed("depth of the recess", recess),
+          _printed("thickness of the flange", -flange.thickness)),
+         (0.0, recess), lip),
+        ("sensor_adapter_screws_entry", "entry of the screws into the sensor's tool side",
+         (_screw(tool.screw, tool.length), _printed("thickness under the head", -tool.grip), lost, settling),
+         (tool.min_entry, tool.max_entry), "interface.tool of the sensor: min_entry_mm, max_entry_mm or screw"),
+        ("mounting_screws_entry", "entry of the screws into the sensor's mounting side",
+         (_screw(mounting.screw, mounting.length), _printed("thickness under the head", -mounting.grip), lost,
+          settling),
+         (mounting.min_entry, mounting.max_entry),
+         "interface.mounting of the sensor: min_entry_mm, max_entry_mm or screw"),
+        ("ring_screws_entry", "entry of the ring's screws below the face on which the nuts bear",
+         (_screw(a.ring_screw, a.ring_screw_length), _printed("thickness of the ring", -a.ring_thickness),
+          _printed("thickness above the nut", -a.nut_roof), lost, settling),
+         (nut.height, a.nut_slot_z[1] - a.ring_hole_bottom), "mount.ring_screw"),
+        ("robot_bolts_entry", "entry of the bolts into the robot's flange",
+         (_screw(robot.screw, robot.bolt_length), _printed("thickness of the plate", -plate.plate_top), lost, settling),
+         (MIN_BOLT_THREADS * robot.screw.nominal_d, robot.max_bolt_entry),
+         "mount.flange.bolt_length_mm or mount.flange.max_bolt_entry_mm"),
+        ("peg_below_ring", "room between the clocking peg and the ring",
+         (_printed("depth of the recess", recess), _printed("height of the peg", a.floor - a.peg_top)),
+         (0.0, recess), lip),
+        ("dowel_pin_room", "room beyond the ends of a dowel pin",
+         (_within("depth of the sensor's hole", dowels.depth, SENSOR_HOLE_TOLERANCE),
+          _printed("depth of the adapter's hole", a.dowel_depth), pin(-dowels.pin_length),
+          replace(lost, below=FACE_LOSS, above=0.0)),
+         (0.0, a.dowel_depth), "interface.dowels of the sensor: depth_mm or pin_length_mm"),
+        ("flange_in_recess", "play of the probe's flange in its recess",
+         (_printed("diameter of the recess", a.recess_d), _printed("diameter of the flange", -flange.diameter)),
+         (-SOFT_INTERFERENCE * flange.diameter, 2 * RING_CLEARANCE), "mount.flange_lip_mm or probe.base_d_mm"),
+        ("ring_gap", "gap between the ring, centred by eye, and the probe, on the diameter",
+         (_printed("diameter of the ring's bore", a.ring_bore_d), _printed("diameter of the probe", -a.probe_d),
+          by_eye),
+         (0.0, flange.thickness), "mount.flange_thickness_mm or probe.base_d_mm"),
+        ("peg_fit", "play of the clocking peg in the flange",
+         (_printed("diameter of the hole", a.peg_hole_d), _printed("diameter of the peg", -PEG_D)),
+         (-PEG_STRETCH * PEG_D, _turned(a.peg_x)), "mount.flange_lip_mm or probe.base_d_mm"),
+        ("dowel_fit", "play of a dowel pin in the sensor adapter",
+         (StackItem("diameter of the hole, drilled where it is tight", a.dowel_d, PRINTED_PIN_PLAY,
+                    length_tolerance(a.dowel_d), PRINTED), h8(-dowels.diameter)),
+         (0.0, _turned(apart / 2)), "interface.dowels of the sensor: circle_d_mm"),
+        ("dowel_slot", "room of the second dowel pin at the ends of its slot",
+         (_within("half the slot beyond its width", a.dowel_slot / 2, slot, PRINTED),
+          StackItem("distance of the holes in the adapter", 0.0, distance, 0.0, PRINTED),
+          StackItem("distance of the sensor's holes", 0.0, SENSOR_HOLE_DISTANCE, 0.0, "assumed")),
+         (0.0, a.dowel_slot), "interface.dowels of the sensor: circle_d_mm"),
     ]  # fmt: skip
     if plate.p_centring_pins:
-        hole_d, bottom = plate.centring_hole
-        play, body = hole_d - CENTRING_PIN_D, SENSOR_BODY_TOLERANCE
-        stacks += [
-            Stack(
-                "centring_fit",
-                "play of the sensor's body between its pins",
-                (
-                    rigid("circle that the pins enclose", plate.centring_d),
-                    StackItem("diameter of the pins", 0.0, 0.0, -PIN_H8, "h8"),
-                    StackItem("play of the pins in their holes", 0.0, play, play, "assumed"),
-                    StackItem("diameter of the body", -plate.body_d, body, body, "assumed"),
-                ),
-                (0.0, max(MAX_CENTRING_PLAY[0], MAX_CENTRING_PLAY[1] * plate.body_d)),
-            ),
-            Stack(
-                "centring_pin_height",
-                "height of the centring pins beside the sensor",
-                (
-                    StackItem("length of the pin", CENTRING_PIN_LENGTH, PIN_TOLERANCE, PIN_TOLERANCE, "ISO 2338"),
-                    rigid("depth of the hole", bottom - plate.plate_top),
-                    StackItem("face compressed on the platform or sanded", 0.0, 0.0, a.options.face_loss, "assumed"),
-                ),
-                (MIN_PIN_HEIGHT, plate.free_height),
-            ),
-        ]
+        rows += [
+            ("centring_fit", "play of the sensor's body between its pins",
+             (_printed("circle that the pins enclose", plate.centring_d), replace(h8(0.0), name="diameter of the pins"),
+              _within("play of the pins in their holes", 0.0, play),
+              _within("diameter of the body", -plate.body_d, SENSOR_BODY_TOLERANCE)),
+             (0.0, max(MAX_CENTRING_PLAY[0], MAX_CENTRING_PLAY[1] * plate.body_d)),
+             "interface.body_d_mm of the sensor"),
+            ("centring_pin_height", "height of the centring pins beside the sensor",
+             (pin(CENTRING_PIN_LENGTH), _printed("depth of the hole", hole_bottom - plate.plate_top), lost),
+             (MIN_PIN_HEIGHT, plate.free_height), "interface.cable of the sensor: free_height_mm"),
+        ]  # fmt: skip
     if robot.pin_d > 0.0:
-        slot = (rigid("width of the slot", robot.pin_slot[0]),
-                StackItem("diameter of the pin", -robot.pin_d, PIN_M6, 0.0, "m6"))  # fmt: skip
-        limits = (0.0, turned(robot.bolt_circle_d / 2))
-        stacks.append(Stack("robot_pin_fit", "play of the robot's dowel pin in its slot", slot, limits))
+        rows.append((
+            "robot_pin_fit", "play of the robot's dowel pin in its slot",
+            (_printed("width of the slot", robot.pin_slot[0]),
+             StackItem("diameter of the pin", -robot.pin_d, PIN_M6, 0.0, "m6")),
+            (0.0, _turned(robot.bolt_circle_d / 2)), "mount.flange.pin_slot_mm, or mount.robot_flange",
+        ))  # fmt: skip
     if robot.spigot[0] > 0.0:
-        recess_d = robot.spigot[0] + robot.spigot_play
-        spigot = (StackItem("diameter of the robot's recess", recess_d, 0.0, h7(recess_d), "H7"),
-                  rigid("diameter of the spigot", -robot.spigot[0]))  # fmt: skip
-        limits = (0.0, max(MAX_CENTRING_PLAY[0], MAX_CENTRING_PLAY[1] * robot.spigot[0]))
-        stacks.append(Stack("spigot_fit", "play of the spigot in the robot's recess", spigot, limits))
-    return stacks
+        rows.append((
+            "spigot_fit", "play of the spigot in the robot's recess",
+            (StackItem("diameter of the robot's recess", recess_d, 0.0, h7(recess_d), "H7"),
+             _printed("diameter of the spigot", -robot.spigot[0])),
+            (0.0, max(MAX_CENTRING_PLAY[0], MAX_CENTRING_PLAY[1] * robot.spigot[0])),
+            "mount.flange.spigot_mm or mount.flange.recess_d_mm",
+        ))  # fmt: skip
+    return [Stack(*row) for row in rows]
 
 
 @dataclass(frozen=True)
@@ -385,21 +285,18 @@ def measurements(a: SensorAdapter, plate: FlangeAdapter) -> list[Measurement]:
                 f"{part}: each {screw.thread}×{length / MM:g} in its hole, head pressed on its seat: its point beyond "
                 "the sensor's face",
                 length - pattern.grip,
-                (pattern.min_entry, pattern.max_entry - CALIPERS - a.options.settling),
+                (pattern.min_entry, pattern.max_entry - CALIPERS - SETTLING),
                 "more: do not use it, the sensor would be destroyed; less: the screw does not hold",
             ),
             Measurement(
                 f"{part}: thickness under each head of those screws",
                 pattern.grip,
-                (
-                    length + tolerance - pattern.max_entry + CALIPERS + a.options.settling,
-                    length - tolerance - pattern.min_entry,
-                ),
+                (length + tolerance - pattern.max_entry + CALIPERS + SETTLING, length - tolerance - pattern.min_entry),
                 "thinner: print it again; thicker: print it again, never take a longer screw",
             ),
         ]
     recess, flange = a.body_top - a.floor, a.flange.thickness
-    rigid, soft = length_tolerance(recess, a.options.milled), length_tolerance(flange)
+    rigid, soft = length_tolerance(recess), length_tolerance(flange)
     return [
         *rows,
         Measurement(

@@ -16,8 +16,7 @@ from probedesign.design import Design, check_design
 from probedesign.design.edit import as_new_print, tables_of
 from probedesign.design.schema import MAX_DIAMETER_MM, MIN_DIAMETER_MM
 from probedesign.estimation.model import ProbeModel
-from probedesign.geometry import flange_of
-from probedesign.mount import max_ring_passage_d
+from probedesign.mount import flange_of, max_ring_passage_d
 from probedesign.optimization.displacement import MIN_FORCE, displacement_metric
 from probedesign.optimization.objective import Task, detectable_mN, predict_task, side_of
 from probedesign.prediction.predict import tip_sag

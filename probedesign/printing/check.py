@@ -19,8 +19,8 @@ from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.design.catalog import PRINTERS, Printer
-from probedesign.geometry import FLANGE_LIP, ProbeGeometry, build_geometry
-from probedesign.mount import FlangeAdapter, SensorAdapter, flange_adapter_for, mount_options, sensor_adapter_for
+from probedesign.geometry import FLANGE_LIP, ProbeGeometry
+from probedesign.mount import FlangeAdapter, Mount, SensorAdapter
 from probedesign.mount.clamping import clamp_force
 from probedesign.mount.engraving import XY
 from probedesign.mount.flange_adapter import TIE_SLOT
@@ -205,7 +205,8 @@ def clamp_findings(a: SensorAdapter, plate: FlangeAdapter, modulus: float) -> li
         CLAMP.at_least("mount", what, clamp.preload, clamp.range[1], clamp.nominal, remedy),
         RING_BENDING.warn_above(
             "clamp_ring", "bending under the force of the lip, instead of compressing it", sum(clamp.bending) / 2 / MM,
-            MAX_BENDING_SHARE * clamp.squeeze / MM, 'set mount.adapters = "milled"',
+            MAX_BENDING_SHARE * clamp.squeeze / MM,
+            f"{more}increase mount.flange_thickness_mm, or reduce probe.base_d_mm",
         ),
     ]  # fmt: skip
 
@@ -379,13 +380,13 @@ class PrintCheck:
 
 def check_print(design: Design) -> PrintCheck:
     """Check a design against the rules of its printer and of both resins."""
-    geometry, printer = build_geometry(design), design.printer
+    mount, printer = Mount.of(design), design.printer
+    geometry = mount.geometry
     findings = [*_probe_size(design, geometry), *probe_findings(geometry)]
     platforms = packed({"probe": _width_mm(design, geometry)}, printer)
-    options = mount_options(design)
-    plate = flange_adapter_for(design.sensor_model, design.robot_flange, options=options)
+    plate = mount.flange_adapter
     try:
-        a = sensor_adapter_for(geometry, design.sensor_model, options=options)
+        a = mount.sensor_adapter
     except InputError as error:
         findings.append(MOUNT.impossible("clamp_ring", str(error)))
     else:

@@ -21,8 +21,8 @@ from probedesign.design import Design
 from probedesign.estimation.estimate import RESULTS, Candidate, Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
-from probedesign.geometry import build_geometry
 from probedesign.identification.result import Identification, Identified
+from probedesign.mount import build_geometry
 from probedesign.prediction.predict import Prediction, condition_rows, worst
 from probedesign.probe import Probe
 from probedesign.reports.chart import COLOURS, DASHES, Chart, ChartAxis

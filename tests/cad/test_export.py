@@ -29,9 +29,8 @@ from probedesign.cli.export import FILE_KINDS
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.design import Design
 from probedesign.frozen_probe import freeze
-from probedesign.geometry import build_geometry
 from probedesign.geometry.mass import MassProperties, combined, flexible_part
-from probedesign.mount import mount_mass_properties, sensor_adapter_for
+from probedesign.mount import build_geometry, mount_mass_properties, sensor_adapter_for
 from probedesign.probe import build_probe
 from tests.cad.conftest import LARGE, design_of
 

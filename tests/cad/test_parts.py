@@ -485,7 +485,6 @@ def random_design(seed: int) -> str:
     mount = [
         f'robot_flange = "{rng.choice(["iso-9409-1-50-4-m6", "iso-9409-1-31.5-4-m5"])}"',
         f'ring_screw = "{rng.choice(["M2", "M3"])}"',
-        f'adapters = "{rng.choice(["printed", "milled"])}"',
         f'hold = "{rng.choice(["clamped", "glued"])}"',
         f"flange_thickness_mm = {rng.uniform(3.0, 5.0):.1f}",
         f"flange_lip_mm = {rng.uniform(3.5, 5.0):.1f}",

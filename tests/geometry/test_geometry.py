@@ -7,7 +7,8 @@ import pytest
 
 from probedesign.design import check_design
 from probedesign.design.sensor_catalog import NANO17
-from probedesign.geometry import ProbeGeometry, build_geometry, flange_for
+from probedesign.geometry import ProbeGeometry, flange_for
+from probedesign.mount import build_geometry
 
 EXACT = 1e-12
 """Relative tolerance for a few roundings in double precision."""

@@ -8,9 +8,9 @@ import pytest
 from probedesign.core.errors import InputError
 from probedesign.design import Design, check_design, parse_design
 from probedesign.frozen_probe import freeze, load_model, write_frozen
-from probedesign.geometry import build_geometry
 from probedesign.geometry.mass import flexible_part
 from probedesign.geometry.probe_geometry import DEVIATION_MM, filleted
+from probedesign.mount import build_geometry
 from probedesign.prediction.predict import predict_touch
 from probedesign.probe import build_probe
 from probedesign.rod.contact import solve_frictionless

@@ -11,7 +11,6 @@ from probedesign.core.frames import Array
 from probedesign.design import Design, load_design, parse_design
 from probedesign.design.io import render_design, write_design
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.geometry import build_geometry
 from probedesign.identification.measured_diameters import (
     PRINT_SCALE_STD,
     Calipers,
@@ -19,6 +18,7 @@ from probedesign.identification.measured_diameters import (
     fit_diameters,
     read_calipers,
 )
+from probedesign.mount import build_geometry
 from probedesign.probe import build_probe
 
 CONE = "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0"

@@ -7,8 +7,7 @@ import pytest
 
 from probedesign.design import Design, parse_design
 from probedesign.design.sensor_catalog import SENSORS
-from probedesign.geometry import build_geometry
-from probedesign.mount import flange_adapter_for, mount_options, sensor_adapter_for
+from probedesign.mount import Mount, mount_options
 from probedesign.mount.clamping import MODEL_RANGE, NUT_FACTOR, ClampForce, clamp_force, hand_torque
 from probedesign.mount.flange_adapter import fitting_flanges
 from probedesign.mount.lip import MAX_BENDING_SHARE, MIN_LIP, MIN_RELIEF, pad_force, plate_bending
@@ -28,9 +27,8 @@ def design_of(sensor: str = "nano17", base_d: float = 12.0, mount: str = "", res
 
 
 def clamp_of(design: Design) -> ClampForce:
-    options = mount_options(design)
-    a = sensor_adapter_for(build_geometry(design), design.sensor_model, options=options)
-    plate = flange_adapter_for(design.sensor_model, design.robot_flange, options=options)
+    mount = Mount.of(design)
+    a, plate = mount.sensor_adapter, mount.flange_adapter
     return clamp_force(a, plate, design.youngs_modulus.value)
 
 
@@ -79,7 +77,7 @@ def test_the_edge_of_the_land_leaves_no_blade_beside_the_heads(sensor: str) -> N
     """Where the edge crosses the room of a head, the corner between both circles is blunt; otherwise a wall is left."""
     for base_d in np.arange(3.0, 26.0, 0.1):
         design = design_of(sensor, float(base_d))
-        a = sensor_adapter_for(build_geometry(design), design.sensor_model, options=mount_options(design))
+        a = Mount.of(design).sensor_adapter
         R, r, apart = a.land_d / 2, a.tool.screw.counterbore_d / 2, a.tool.bolt_circle_d / 2
         assert (a.flange.diameter - a.land_d) / 2 >= MIN_RELIEF - 1e-9
         assert a.land_d - a.ring_bore_d >= 2 * MIN_LIP - 1e-9
@@ -103,14 +101,13 @@ def test_the_bending_of_a_plate_is_that_of_textbooks() -> None:
     assert twice == pytest.approx([x / 8 for x in plate_bending(E, t, 0.4 * a, 2 * a, 0.5 * a, force)])
 
 
-def test_a_ring_that_cannot_be_thick_enough_is_found_and_milling_mends_it() -> None:
-    stiff = "[material]\nyoungs_modulus_mpa = 20.0"
+def test_a_ring_that_cannot_be_thick_enough_is_found_and_each_remedy_mends_it() -> None:
+    def bends(mount: str = "", base_d: float = 12.0) -> str:
+        stiff = design_of("gamma", base_d, mount, "[material]\nyoungs_modulus_mpa = 20.0")
+        return next(f.severity for f in check_print(stiff).findings if f.rule == "ring_bending")
 
-    def bends(mount: str) -> str:
-        every = check_print(design_of("gamma", mount=mount, resin=stiff)).findings
-        return next(f.severity for f in every if f.rule == "ring_bending")
-
-    assert bends("") == "warning" and bends('adapters = "milled"') == "ok"
+    assert bends() == "warning"
+    assert bends('ring_screw = "M3"') == bends("flange_thickness_mm = 8.0") == bends(base_d=3.0) == "ok"
 
 
 def test_the_preload_is_that_of_the_stated_torque() -> None:

@@ -8,8 +8,7 @@ import pytest
 from probedesign.design import check_design
 from probedesign.design.catalog import M2
 from probedesign.design.sensor_catalog import NANO17
-from probedesign.geometry import build_geometry
-from probedesign.mount import SensorAdapter, sensor_adapter_for
+from probedesign.mount import SensorAdapter, build_geometry, sensor_adapter_for
 from probedesign.mount.engraving import CELL, DEPTH, GLYPHS, ROWS, Engraving, cut_outlines, cut_runs, glyph_width
 from probedesign.mount.mass import engraving_mass
 

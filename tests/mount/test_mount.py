@@ -12,9 +12,9 @@ from probedesign.core.frames import is_pose
 from probedesign.design import Design
 from probedesign.design.catalog import M2
 from probedesign.design.sensor_catalog import NANO17
-from probedesign.geometry import build_geometry
 from probedesign.mount import (
     SensorAdapter,
+    build_geometry,
     exported_root_radii,
     mount_mass_properties,
     mount_part_masses,

@@ -11,8 +11,7 @@ from probedesign.core.errors import InputError
 from probedesign.design import parse_design
 from probedesign.design.catalog import SCREWS
 from probedesign.design.io import render_design
-from probedesign.geometry import build_geometry
-from probedesign.mount import flange_adapter_for, mount_options, sensor_adapter_for
+from probedesign.mount import Mount, build_geometry
 from probedesign.mount.root import (
     ROOT_STD,
     exported_root_radii,
@@ -31,14 +30,13 @@ def adapters_of(base_d: float, mount: str):
     design = parse_design(
         f'schema = 1\nname = "x"\n[probe]\nlength_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 0.4\n[mount]\n{mount}'
     )
-    geometry, options = build_geometry(design), mount_options(design)
-    plate = flange_adapter_for(design.sensor_model, design.robot_flange, options=options)
-    return sensor_adapter_for(geometry, design.sensor_model, options=options), plate
+    mount = Mount.of(design)
+    return mount.sensor_adapter, mount.flange_adapter
 
 
 def test_the_worst_case_is_the_worst_corner_and_rss_the_spread_of_random_parts() -> None:
     items = (StackItem("a", 3.0, 0.1, 0.3, ""), StackItem("b", -2.0, 0.2, 0.2, ""), StackItem("c", 0.0, 0.0, 0.5, ""))
-    stack = Stack("s", "", items, (0.0, 3.0))
+    stack = Stack("s", "", items, (0.0, 3.0), "")
     corners = [sum(c) for c in itertools.product(*((i.value - i.below, i.value + i.above) for i in items))]
     assert stack.worst == pytest.approx((min(corners), max(corners)))
     rng = np.random.default_rng(1)
@@ -60,7 +58,7 @@ def test_the_screws_into_the_sensor_keep_their_limits_at_every_corner() -> None:
 @pytest.mark.parametrize("base_d", [0.5, 3.0, 7.5, 12.0, 18.5, 25.0, 60.0])
 @pytest.mark.parametrize(
     "mount",
-    ["", 'ring_screw = "M3"', 'adapters = "milled"', "flange_thickness_mm = 5.0\nsqueeze_mm = 0.6\nflange_lip_mm = 5.0",
+    ["", 'ring_screw = "M3"', "flange_thickness_mm = 5.0\nsqueeze_mm = 0.6\nflange_lip_mm = 5.0",
      'robot_flange = "iso-9409-1-31.5-4-m5"'],
 )  # fmt: skip
 def test_the_mount_holds_at_every_corner_of_every_design(base_d: float, mount: str) -> None:
@@ -110,10 +108,9 @@ def test_a_face_that_lost_material_lets_no_pin_bottom() -> None:
     assert not rooms["dowel_pin_room"].ok
 
 
-@pytest.mark.parametrize("mount", ["", 'adapters = "milled"'])
-def test_parts_that_do_not_fit_together_are_refused(mount: str) -> None:
+def test_parts_that_do_not_fit_together_are_refused() -> None:
     """Each fit loses its play, or gains too much, in turn."""
-    a, plate = adapters_of(12.0, mount)
+    a, plate = adapters_of(12.0, "")
 
     def broken(a, plate) -> set[str]:
         return {stack.name for stack in tolerance_stacks(a, plate) if not stack.ok}
@@ -131,7 +128,7 @@ def test_parts_that_do_not_fit_together_are_refused(mount: str) -> None:
 
 def test_every_stack_names_a_key_that_changes_it() -> None:
     for stack in tolerance_stacks(*adapters_of(12.0, "")):
-        assert stack.remedy.startswith("change ") and re.search(r"mount\.\w+|interface\.\w+", stack.remedy)
+        assert stack.remedy.startswith("change ") and re.search(r"(mount|interface|probe)\.\w+", stack.remedy)
 
 
 OWN_FLANGE = (

@@ -5,8 +5,7 @@ import pytest
 
 from probedesign.design import parse_design
 from probedesign.design.sensor_catalog import SENSORS
-from probedesign.geometry import build_geometry
-from probedesign.mount import flange_adapter_for, mount_options, sensor_adapter_for
+from probedesign.mount import Mount
 from probedesign.mount.flange_adapter import fitting_flanges
 from probedesign.mount.sensor_adapter import MAX_OVERHANG
 from probedesign.printing.check import MAX_CUP_D, ORIENTATIONS, check_print
@@ -102,9 +101,8 @@ def test_rigid_parts_print_on_the_platform_in_their_constant_orientation(sensor:
         f'schema = 1\nname = "x"\n[probe]\nlength_mm = 60.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n[sensor]\n'
         f'model = "{sensor}"\n[mount]\nrobot_flange = "{flange}"\nring_screw = "{screw}"\n'
     )
-    options = mount_options(design)
-    a = sensor_adapter_for(build_geometry(design), design.sensor_model, "x", options)
-    plate = flange_adapter_for(design.sensor_model, design.robot_flange, "dbfe02e41516", "x", options)
+    mount = Mount.of(design)
+    a, plate = mount.sensor_adapter, mount.flange_adapter
     solids = {"flange_adapter": flange_adapter_solid(plate)}
     if flange == fitting_flanges(design.sensor_model)[0]:  # these do not depend on the flange
         solids |= {"sensor_adapter": sensor_adapter_solid(a), "clamp_ring": clamp_ring_solid(a)}
@@ -132,7 +130,7 @@ def test_the_roof_above_a_nut_prints_without_supports(screw: str) -> None:
         'schema = 1\nname = "x"\n[probe]\nlength_mm = 60.0\nbase_d_mm = 25.0\ntip_d_mm = 2.0\n'
         f'[mount]\nring_screw = "{screw}"\n'
     )
-    a = sensor_adapter_for(build_geometry(design), design.sensor_model, options=mount_options(design))
+    a = Mount.of(design).sensor_adapter
     half, h = 1e3 * a.nut_slot_width / 2, 1e3 * a.roof_hole_d / 2
     u, v = np.meshgrid(np.linspace(0.0, h, 400), np.linspace(0.0, half, 400))  # along and across the slot
     roof = np.hypot(u, v) >= h
