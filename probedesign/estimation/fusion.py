@@ -1,7 +1,7 @@
 """Readings of one fixed point, touched from several poses of the base, fused by Gauss-Newton.
 
 Pressing on by a known motion of the base measures the compliance at the contact, which locates it without any reading
-of the force. What is minimised is written down in `keyframe_kernel.py`; a single touch is the fusion of one pose, and a
+of the force. What is minimised is written down in `fusion_kernel.py`; a single touch is the fusion of one pose, and a
 tracked touch (`tracker.py`) the fusion of its keyframes as they come.
 """
 

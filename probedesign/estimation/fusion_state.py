@@ -16,7 +16,7 @@ from probedesign.core import statistics
 from probedesign.core.frames import Array, wrench_map
 from probedesign.core.statistics import MISFIT_CHANCE, UNIFORM_STD, max_chi2
 from probedesign.core.units import MM
-from probedesign.estimation import fusion_kernel, keyframe_kernel, multistart
+from probedesign.estimation import fusion_kernel, multistart
 from probedesign.estimation.error_sources import FINE, ErrorSources
 from probedesign.estimation.estimate import FusedEstimate, MomentsAbout, Result
 from probedesign.estimation.model import ProbeModel
@@ -99,7 +99,7 @@ class FusionState:
         """
         self.model, self.priors, self.channels, self.common_friction = model, priors, channels, common_friction
         self.causes, m, parameters = len(sources.names), len(channels), OWN + len(model.rod.s)
-        width = keyframe_kernel.columns(self.causes)
+        width = fusion_kernel.columns(self.causes)
         # What was read, a row for each reading.
         self.sources = [sources] * rows
         self.wrench, self.pose, self.whiten = np.empty((rows, 6)), np.empty((rows, 4, 4)), np.empty((rows, m, m))
@@ -109,7 +109,7 @@ class FusionState:
         # The touches, linearised and reduced by the unknowns of their own pose.
         self.touches = np.zeros((rows, TOUCH))
         self.lin, self.D = np.empty((rows, ROWS, 1 + UNKNOWNS + parameters)), np.empty((rows, 12, self.causes))
-        self.local = np.empty((rows, keyframe_kernel.LOCAL, keyframe_kernel.LOCAL + width))
+        self.local = np.empty((rows, fusion_kernel.LOCAL, fusion_kernel.LOCAL + width))
         self.reduced = np.zeros((rows, m, width))
         # The solution: rows in the order of time, variance of the bias's step before each and its standard deviation
         # at the first, unknowns at the last row and at each, covariance of the point.
@@ -117,13 +117,13 @@ class FusionState:
         #: Number of pins, which come first in the order; time before each row in the order, over `WALK_SECONDS`.
         self.pins, self.elapsed = 0, np.zeros(rows)
         self.x, self.common, self.cov = np.empty(width - 1), np.empty((rows, width - 1)), np.empty((3, 3))
-        self._chain = np.empty((rows, keyframe_kernel.BIAS, width))
+        self._chain = np.empty((rows, fusion_kernel.BIAS, width))
         self._scatter, self._creep = sources.column("stiffness scatter"), sources.column("creep")
         #: Derivative of the channels by the bias in steps of the resolution, (m, 6).
         step = model.noise_base() * model.averaging_samples
         self.bias = np.ascontiguousarray(channels @ np.linalg.cholesky(step))
         self._work = _Scratch(
-            np.empty(work_size(parameters)), np.empty((keyframe_kernel.rows_of(m), keyframe_kernel.LOCAL + width)),
+            np.empty(work_size(parameters)), np.empty((fusion_kernel.rows_of(m), fusion_kernel.LOCAL + width)),
             np.empty(max(fusion_kernel.solve_work(self.causes), 100)), np.empty(6 * width + 100), np.empty(60),
         )  # fmt: skip
 
@@ -144,7 +144,7 @@ class FusionState:
     def linearise_row(self, row: int) -> bool:
         """Linearise the touch of a row; return whether it has a stable equilibrium."""
         sources = self.sources[row]
-        return bool(keyframe_kernel.linearise_keyframe(
+        return bool(fusion_kernel.linearise_keyframe(
             self.model.rod.body, sources.gravity, self.model.mass, FINE, self.touches[row], *sources.arguments(),
             self._work.sweep, self.lin[row], self.D[row],
         ))  # fmt: skip
@@ -168,10 +168,10 @@ class FusionState:
         """
         if not self.touched[row]:
             free, columns = self.free[row]
-            keyframe_kernel.reduce_free(columns, free, self.wrench[row], self.channels, self.whiten[row], self.bias,
+            fusion_kernel.reduce_free(columns, free, self.wrench[row], self.channels, self.whiten[row], self.bias,
                                         self.reduced[row])  # fmt: skip
             return
-        keyframe_kernel.reduce_keyframe(
+        fusion_kernel.reduce_keyframe(
             self.touches[row], self.lin[row], self.D[row] if D is None else D, self.wrench[row], self.pose[row],
             self.channels, self.whiten[row], self.bias, self.model.friction if friction is None else friction,
             self.common_friction if common_friction is None else common_friction,
@@ -190,7 +190,7 @@ class FusionState:
             The size of the whole step in standard deviations.
         """
         rod = self.model.rod
-        return float(keyframe_kernel.step_keyframe(
+        return float(fusion_kernel.step_keyframe(
             self.touches[row], self.lin[row], self.local[row], self.common[row], share, max_step * rod.length,
             rod.flank_end, self._work.step,
         ))  # fmt: skip
@@ -299,7 +299,7 @@ class FusionState:
         wide = np.zeros((rows, m, width + 3))
         wide[:, :, :3], wide[:, :, 6:] = self.reduced[:, :, :3], self.reduced[:, :, 3:]
         wide[first : self.readings, :, 3:6] = OBJECT_STEP * self.reduced[first : self.readings, :, :3]
-        chain = np.empty((rows, keyframe_kernel.BIAS, width + 3))
+        chain = np.empty((rows, fusion_kernel.BIAS, width + 3))
         work, n = np.empty(fusion_kernel.solve_work(self.causes + 3)), width + 2
         chi2 = fusion_kernel.solve_reduced(wide, self.order, self.walk, self.start, self.causes + 3, chain, work,
                                            np.empty(n), np.empty((3, 3)))  # fmt: skip

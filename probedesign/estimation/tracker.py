@@ -18,7 +18,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.statistics import UNIFORM_STD
 from probedesign.core.units import MM
-from probedesign.estimation import keyframe_kernel
+from probedesign.estimation import fusion_kernel
 from probedesign.estimation.bias import BiasFilter, KnownBias
 from probedesign.estimation.detector import Detector, Touching
 from probedesign.estimation.error_sources import ErrorSources, across
@@ -201,7 +201,7 @@ class Tracker:
         if wrench.shape != (6,) or T.shape != (4, 4) or not self._time < time < math.inf:
             return FusedEstimate("out_of_range")
         to_sensor, payload, limit, _ = self.estimator.model.observation_map
-        if not keyframe_kernel.admit(wrench, T, self._gravity_world, to_sensor, payload, limit, self._gravity):
+        if not fusion_kernel.admit(wrench, T, self._gravity_world, to_sensor, payload, limit, self._gravity):
             return FusedEstimate("out_of_range")
         free = self.estimator.free(self._gravity)
         if not free.ok:
@@ -226,7 +226,7 @@ class Tracker:
         """Add a reading to the last keyframe, or to a new one if the base has moved."""
         frames, state = touch.keyframes, self._state
         last = frames[-1] if frames else None
-        if last is not None and keyframe_kernel.apart(last.T, T) <= self._apart:
+        if last is not None and fusion_kernel.apart(last.T, T) <= self._apart:
             last.take_in(wrench, T, self._time)
             return
         row = next(i for i in range(self.keyframes + 1) if all(frame.row != i for frame in frames))
@@ -248,7 +248,7 @@ class Tracker:
     def _join(self, touch: _Touch) -> None:
         """Make one of the two neighbours that lie closest, or drop the lighter where they lie too far apart."""
         frames = touch.keyframes
-        gaps = [keyframe_kernel.apart(a.T, b.T) for a, b in pairwise(frames)]
+        gaps = [fusion_kernel.apart(a.T, b.T) for a, b in pairwise(frames)]
         i = int(np.argmin(gaps))
         a, b = frames[i], frames[i + 1]
         kept, dropped = (a, b) if a.count >= b.count and i + 2 < len(frames) else (b, a)
