@@ -108,7 +108,7 @@ def replace_slow_and_local_parts(patch: pytest.MonkeyPatch) -> None:
         dict.fromkeys(METRICS, 1.0) | {"point": 0, "result": "ok", "reason": ""} | good,
         dict.fromkeys(METRICS) | {"point": 1} | bad,
     ]
-    swept = sweep.SweepResult(records, 1, [Path("sweep.csv"), Path("sweep.parquet")], ["a record was dropped"])
+    swept = sweep.SweepResult(records, 1, [Path("sweep.csv")], ["a record was dropped"])
     patch.setattr(sweep, "sweep", lambda *_: swept)
     found = SimpleNamespace(pixels=range(14), dark=True, std_px=SimpleNamespace(max=lambda: 0.1))
     tests = [

@@ -81,8 +81,7 @@ def sweep(
     """Evaluate every combination of values of some keys of a design.
 
     Writes sweep.jsonl during the run, then sweep.csv and a page, sweep.html. The same command resumes an interrupted
-    sweep. An invalid design is a row with the reason. --scheduler and sweep.parquet need the extra 'sweep'. More:
-    docs/choosing.md.
+    sweep. An invalid design is a row with the reason. --scheduler needs the extra 'sweep'. More: docs/choosing.md.
 
     Args:
         design: the design file, or its name, with the values of all other keys.

@@ -13,7 +13,7 @@ ENABLES = {
     "": "everything",
     "plots": "plots of predict",
     "notebook": "plots and data frames of results in a notebook",
-    "sweep": "sweep --scheduler: grids of designs on several machines, tables as Parquet",
+    "sweep": "sweep --scheduler: grids of designs on several machines",
     "optimize": "Pareto fronts of optimize",
     "cad": "export: STL, STEP and 3MF of the parts to print",
     "live": "live with a Net F/T box, MCAP recordings, ROS 2 bags",

@@ -1,5 +1,6 @@
 """Parameter sweep: a grid of designs, computed by processes of this machine or by dask workers, recorded one by one."""
 
+import csv
 import io
 import itertools
 import math
@@ -8,11 +9,9 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict, dataclass
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from probedesign.core import csv_tables
 from probedesign.core.errors import InputError, MissingDependencyError, unknown_name
 from probedesign.core.files import write_atomically
 from probedesign.core.parallel import Journal, OnProgress, Record, fingerprint, process_map
@@ -137,13 +136,11 @@ def sweep(
 ) -> SweepResult:  # fmt: skip
     """Compute the points that the folder does not contain yet, then write sweep.csv.
 
-    Where pyarrow is installed, the same table is also written as sweep.parquet.
-
     Args:
         design: source of the keys that do not vary.
         axes: the keys that vary.
         task: by which the designs are judged.
-        folder: for sweep.jsonl, with which a later run resumes, and the tables.
+        folder: for sweep.jsonl, with which a later run resumes, and sweep.csv.
         scheduler: address of a dask scheduler; None for processes of this machine.
         workers: their number.
         on_progress: receives the current step and the completed fraction.
@@ -164,15 +161,21 @@ def sweep(
         reached = nullcontext() if scheduler is None else _client(scheduler, on_progress)
         with reached as client, journal.appending() as appender:
             if client is None:
-                records = _computed_here(base, task, chunks, workers, on_progress)
+                computed = _computed_here(base, task, chunks, workers, on_progress)
             else:
-                records = _computed_by_dask(client, base, task, chunks)
-            for done, record in enumerate(records, 1):
+                computed = _computed_by_dask(client, base, task, chunks)
+            for done, record in enumerate(computed, 1):
                 appender.add(record)
                 on_progress(f"sweep: {len(journal.results)} of {len(grid)} designs", done / len(missing))
-    found = [journal.results[i] for i in range(len(grid))]
-    files = _write_tables(found, [axis.key for axis in axes], folder)
-    return SweepResult(found, len(missing), files, journal.notes)
+    records = [journal.results[i] for i in range(len(grid))]
+    text = io.StringIO()
+    writer = csv.DictWriter(
+        text, ["point", *(axis.key for axis in axes), "result", "reason", *METRICS], lineterminator="\n"
+    )
+    writer.writeheader()
+    writer.writerows(records)
+    write_atomically(folder / "sweep.csv", text.getvalue().encode())
+    return SweepResult(records, len(missing), [folder / "sweep.csv", folder / PROGRESS], journal.notes)
 
 
 def evaluate_point(base: dict[str, Any], number: int, point: dict[str, Any], task: Task) -> Record:
@@ -283,30 +286,3 @@ def _await_workers(client: "Client", scheduler: str) -> None:
 def _plain(task: Task) -> dict[str, Any]:
     lists = {name: list(getattr(task, name)) for name in ("forces_N", "fractions")}
     return asdict(task) | lists | {"gravities": [list(gravity) for gravity in task.gravities]}
-
-
-def _write_tables(records: list[Record], keys: list[str], folder: Path) -> list[Path]:
-    """Write the same table twice: CSV for people, Parquet for programs where pyarrow is installed."""
-    columns = ["point", *keys, "result", "reason", *METRICS]
-    files = [folder / "sweep.csv", folder / PROGRESS]
-    write_atomically(files[0], csv_tables.write(columns, records))
-    if find_spec("pyarrow") is None:
-        return files
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    rows = {name: _column([record[name] for record in records]) for name in columns}
-    kinds = {name: pa.float64() for name in METRICS} | {"point": pa.int64()}
-    table = pa.table({name: pa.array(values, kinds.get(name)) for name, values in rows.items()})
-    packed = io.BytesIO()
-    parquet.write_table(table, packed)
-    write_atomically(folder / "sweep.parquet", packed.getvalue())
-    return [files[0], folder / "sweep.parquet", files[1]]
-
-
-def _column(values: list[Any]) -> list[Any]:
-    """Return values of one type, as Parquet requires: numbers, names or booleans; text where they are mixed."""
-    plain = [float(value) if type(value) is int else value for value in values]
-    if len({type(value) for value in plain if value is not None}) > 1:
-        return [None if value is None else str(value) for value in values]
-    return plain
