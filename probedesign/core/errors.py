@@ -6,6 +6,7 @@ an `InputError` with a message of one line: the value, its place and the remedy.
 
 import datetime
 import difflib
+import traceback
 from collections.abc import Iterable
 from importlib.util import find_spec
 from typing import Any
@@ -48,6 +49,13 @@ def require(module: str, feature: str, extra: str, package: str = "") -> None:
     """
     if find_spec(module) is None:
         raise MissingDependencyError.of_extra(feature, package or module, extra)
+
+
+def report_defect(error: Exception) -> str:
+    """Print the traceback of an error that nobody expected to standard error, and return one line about it."""
+    traceback.print_exception(error)
+    text = " ".join(f"{type(error).__name__}: {error}".split())
+    return f"{text[:300]} (a defect of probedesign; the terminal shows the details: please report them)"
 
 
 class CheckFailedError(ProbeDesignError):

@@ -8,7 +8,7 @@ from typing import Any
 
 import viser
 
-from probedesign.core.errors import InputError
+from probedesign.core.errors import InputError, report_defect
 from probedesign.design import Design
 from probedesign.optimization.constraints import Limit, OptimizationProblem, parse_limit
 from probedesign.optimization.design_space import INFEASIBLE, FreeParameter
@@ -68,6 +68,8 @@ class Improvement:
             found = optimum(self._problem, name, self._progress)
         except InputError as error:
             self.text = str(error)
+        except Exception as error:  # the page shows it; nobody waits for this thread
+            self.text = f"The search failed: {report_defect(error)}"
         else:
             before, after = found.before.error_mm, found.after.error_mm
             was = "not located" if before is None else f"{before:.3g} mm"

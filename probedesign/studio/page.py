@@ -18,7 +18,7 @@ import numpy as np
 import viser
 
 from probedesign.core import statistics
-from probedesign.core.errors import InputError
+from probedesign.core.errors import InputError, report_defect
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.design.paper import PROBES, paper_design
@@ -78,6 +78,7 @@ class StudioPage:
         self.figures = preview(self._probe, self._forces)
         self._drawn: DrawnTouch | None = None
         self._complete = self._searching = False
+        self._kept: tuple[str, bool] | None = None  # message of an action, shown until the next change
         self._stopped = threading.Event()
         protect(TITLE, token="")
         with redirect_stdout(io.StringIO()):  # viser prints a banner
@@ -166,12 +167,17 @@ class StudioPage:
                 at_rest = self._complete and not self._searching
                 request = self._requests.get(timeout=None if at_rest else REST_SECONDS)
             except queue.Empty:
-                self._rest()
-                continue
+                request = self._rest
             try:
                 request()
             except InputError as error:  # the page has a box where a command has an option
-                self._say(str(error).replace("--force", "the box 'replace existing files'"), bad=True)
+                self._keep(str(error).replace("--force", "the box 'replace existing files'"), bad=True)
+            except Exception as error:  # without this thread the page would show old numbers and say nothing
+                self._keep(f"That failed: {report_defect(error)}", bad=True)
+            else:
+                continue
+            if request == self._rest:  # it would fail again
+                self._complete, self._searching = True, False
 
     def _rest(self) -> None:
         """Predict everything once the hand rests, and draw the path of a search; the next request ends both."""
@@ -197,6 +203,7 @@ class StudioPage:
         All is computed before a browser draws: both share the processor where there is no GPU.
         """
         if moved:
+            self._kept = None
             self._probe = build_probe(self.session.design)
             self.figures = preview(self._probe, self._forces)
             self._complete = False
@@ -325,7 +332,7 @@ class StudioPage:
     def _act(self, action: actions.Action) -> None:
         design = self.session.design.model_copy(update={"name": self._name.value.strip()})
         self._say("working ...")
-        self._say(action(actions.checked(design), self._replace.value))
+        self._keep(action(actions.checked(design), self._replace.value))
 
     def _start_search(self) -> None:
         """Start a search in a thread of its own; its path is drawn as it goes."""
@@ -375,10 +382,17 @@ class StudioPage:
     def _say(self, text: str, bad: bool = False) -> None:
         self._status.content = styled(f'<div class="{"bad" if bad else "note"}">{escape(text)}</div>')
 
+    def _keep(self, text: str, bad: bool = False) -> None:
+        """Show a message until the next change."""
+        self._kept = text, bad
+        self._say(text, bad)
+
     def _show_text(self, pinned: Sequence[tuple[PinnedDesign, DesignFigures]]) -> None:
         """Update texts, tables and charts."""
         session, figures = self.session, self.figures
-        if session.refused:
+        if self._kept is not None:
+            self._say(*self._kept)
+        elif session.refused:
             self._say(f"Not applied: {session.refused}", bad=True)
         elif figures.buckles:
             self._say("The probe buckles under its own weight as mounted.", bad=True)

@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -153,6 +154,47 @@ def test_the_buttons_write_what_the_commands_write(page, browser, tmp_path):
         tab.wait_for_selector("text=/wrote exports.small.small.probe.json/")
     assert run(["check", "designs/small.toml"]) == 0
     assert (tmp_path / "exports/small/small.probe.json").exists()
+
+
+def fail(*_):
+    raise OSError(28, "No space\nleft on device")
+
+
+def wait_until(condition):
+    limit = time.monotonic() + 60.0
+    while not condition():
+        assert time.monotonic() < limit
+        time.sleep(0.05)
+
+
+def test_a_button_that_fails_is_one_line_and_the_page_goes_on(page, capsys):
+    page._press(fail, None)
+    page.settle()
+    assert "OSError: [Errno 28] No space left on device (a defect of probedesign;" in page._status.content
+    assert "test_page.py" in capsys.readouterr().err  # the traceback
+    page.move("probe.length_mm", 60.0)
+    page.settle()
+    assert page.session.design.probe.length_mm == 60.0 and "defect" not in page._status.content
+
+
+def test_a_prediction_at_rest_that_fails_is_one_line_and_the_page_goes_on(page, capsys, monkeypatch):
+    wait_until(lambda: page._complete)
+    with monkeypatch.context() as patch:
+        patch.setattr("probedesign.studio.page.complete", fail)
+        page.move("probe.length_mm", 60.0)
+        wait_until(lambda: "That failed: OSError" in page._status.content)
+        assert capsys.readouterr().err.count("Traceback") == 1  # it is not repeated
+    page.move("probe.length_mm", 61.0)
+    wait_until(lambda: page._complete and page.figures.complete)
+    assert "failed" not in page._status.content
+
+
+def test_a_search_that_fails_is_one_line_and_the_page_goes_on(page, capsys, monkeypatch):
+    monkeypatch.setattr("probedesign.optimization.optimum.optimum", fail)
+    page._request(page._start_search)
+    wait_until(lambda: "The search failed: OSError" in page._improve._path.content)
+    assert "test_page.py" in capsys.readouterr().err
+    page.settle()
 
 
 def test_another_web_page_cannot_connect(page):
