@@ -129,7 +129,7 @@ class GrossError:
     """A mistake in the data of a whole campaign."""
 
     words: str  #: what is wrong.
-    cause: str  #: name of the likely cause; empty if the campaign is to be accepted.
+    cause: str  #: name of the likely cause; empty if none is to be named.
     change: Callable[[MeasuredTest], MeasuredTest]  #: makes the mistake in a test.
     probe: str = PROBE  #: design that the data are identified with.
     cameras_only: bool = False  #: whether it concerns markers.
@@ -201,11 +201,11 @@ GROSS = [
     GrossError("Mx with the opposite sign", "sign", partial(_scaled, factors=[1.0, 1.0, 1.0, -1.0, 1.0, 1.0])),
     GrossError("moments in N·mm in columns of N·m", "unit", partial(_scaled, factors=[1.0] * 3 + [1e3] * 3)),
     GrossError("forces in mN in columns of N", "unit", partial(_scaled, factors=[1e3] * 3 + [1.0] * 3)),
-    GrossError("base rotated by 90 degrees about its axis", "mount", _turned),
-    GrossError("x of the reference mirrored", "camera", partial(_mapped, rows=[0, 1, 2], signs=[-1.0, 1.0, 1.0])),
-    GrossError("x and y of the reference exchanged", "camera", partial(_mapped, rows=[1, 0, 2], signs=[1.0, 1.0, 1.0])),
+    GrossError("base rotated by 90 degrees about its axis", "", _turned),
+    GrossError("x of the reference mirrored", "", partial(_mapped, rows=[0, 1, 2], signs=[-1.0, 1.0, 1.0])),
+    GrossError("x and y of the reference exchanged", "", partial(_mapped, rows=[1, 0, 2], signs=[1.0, 1.0, 1.0])),
     GrossError("places in m in columns of mm", "unit", _in_metres),
-    GrossError("markers 9 and 10 exchanged", "marker", _exchanged, cameras_only=True),
+    GrossError("markers 9 and 10 exchanged", "", _exchanged, cameras_only=True),
     GrossError("markers numbered too high by 1", "marker", _numbered_too_high, cameras_only=True),
     GrossError("raw sensor readings in the base's frame", "frame", _as_the_sensor_shows),
     GrossError("readings of two touches exchanged", "exchange", lambda test: test, change_all=_with_two_exchanged),

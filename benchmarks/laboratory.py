@@ -19,8 +19,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.identification.identify import IdentificationData
 from probedesign.identification.parameters import DEGREE, POISSON, POISSON_STD, CommonParameters
-from probedesign.identification.residuals import MeasuredTest
-from probedesign.identification.whole_probe import MassMeasurement
+from probedesign.identification.residuals import MassMeasurement, MeasuredTest
 from probedesign.prediction.monte_carlo import perturbed_rod
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.rod.contact import solve_surface_force

@@ -10,18 +10,17 @@ gross error in one would bias the numbers unseen. Each is tested against the res
 standard deviations and V = I - J C Jᵀ the share of their unit variance that the fit leaves, d² = rᵀ V⁻¹ r is χ².
 """
 
-import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binom, chi2
 
 from probedesign.core.frames import Array
-from probedesign.identification.parameters import DIAMETERS, OWNER, PARAMETERS, PRINT, columns_of
+from probedesign.identification.parameters import COMPONENTS, DIAMETERS, OWNER, PARAMETERS, PRINT, columns_of
 from probedesign.identification.residuals import MeasuredTest, ResidualBlock
-from probedesign.identification.robust_loss import READING_KINDS, REJECTION_CHANCE, NoiseScale
+from probedesign.identification.robust_loss import READING_KINDS, REJECTION_CHANCE, ROBUST_KINDS, NoiseScale
 from probedesign.identification.solver import Fit, Linearization
 
 MIN_SHARE = 0.2
@@ -80,7 +79,8 @@ def unobservable_direction(
     """
     columns = columns_of(requested)
     limits = np.array([PARAMETERS[name].max_std for name in requested for _ in PARAMETERS[name].labels], dtype=float)
-    information = point.normal_equations(weight).marginal(_positions(point, columns))
+    positions = np.searchsorted(np.flatnonzero(point.problem.active), columns)
+    information = point.marginal(weight, positions.tolist())
     squares, vectors = np.linalg.eigh(information * np.outer(limits, limits))
     sizes, directions = np.sqrt(np.maximum(squares[::-1], 0.0)), vectors.T[::-1]
     if sizes[-1] * tolerance >= 1.0:
@@ -91,11 +91,6 @@ def unobservable_direction(
     std = float(np.linalg.norm(direction)) / max(float(sizes[-1]), 1e-12)
     components = {name: float(direction[by_name[name][0]]) for name in part}
     return UnobservableDirection(part[-1], _description(components, std))
-
-
-def _positions(point: Linearization, columns: Sequence[int]) -> list[int]:
-    """Return the positions of some entries of the parameter vector among the estimated ones."""
-    return [int(i) for i in np.searchsorted(np.flatnonzero(point.problem.active), columns)]
 
 
 def _description(components: dict[str, float], std: float) -> str:
@@ -198,6 +193,8 @@ def inconsistency(
     every = _count(blocks, outliers)
     if every.too_many:
         return f"readings of all kinds: {every}; check units and the base's rotation in campaign.toml"
+    if exchanged := _exchanged_markers(blocks, tests):
+        return exchanged
     for one in noise:
         if one.measured and one.kind in CHECKS and (share := _unexplained(blocks, tests, one.kind)) > MAX_UNEXPLAINED:
             return (f"{LABELS[one.kind]}: {share:.0%} of their RMS scatter is not explained by the probe as designed; "
@@ -208,7 +205,7 @@ def inconsistency(
                 return (f"markers scatter {one.scale:.2g} times as much as stated, and neighbours alike (correlation "
                         f"{correlation:.2f}), so the probe as designed does not explain them; check "
                         f"{CHECKS['markers']}")  # fmt: skip
-    return _exchanged_markers(blocks, tests)
+    return ""
 
 
 def _exchanged_markers(blocks: Sequence[ResidualBlock], tests: Sequence[MeasuredTest]) -> str:
@@ -320,14 +317,6 @@ class PriorTest:
     source: str  #: where it is stated.
     chance: float  #: of so large a deviation.
     deviation: float  #: Mahalanobis distance.
-    freedom: int  #: number of directions that are tested.
-    columns: tuple[int, ...] = ()  #: of the prior in the parameter vector; empty for a single reading.
-
-    @property
-    def gain(self) -> float:
-        """Logarithm of the odds of a wider prior, whose standard deviation is that of the deviation itself."""
-        ratio = max(self.deviation**2 / self.freedom, 1.0)
-        return 0.5 * self.freedom * (ratio - 1.0 - math.log(ratio))
 
     def __str__(self) -> str:
         return (f"{self.label}: the stated value deviates by {self.deviation:.3g} standard deviations from the rest of "
@@ -335,13 +324,9 @@ class PriorTest:
 
 
 def check_priors(fit: Fit) -> list[PriorTest]:
-    """Return the tests of all priors and single readings against the rest of the data, the least probable first."""
-    return sorted([*_test_priors(fit), *_test_single_readings(fit)], key=lambda one: one.chance)
-
-
-def rejected_priors(tests: Sequence[PriorTest]) -> list[PriorTest]:
-    """Return the priors and single readings that the rest of the data reject."""
-    return [one for one in tests if one.chance < REJECTION_CHANCE / len(tests)]
+    """Return the priors and single readings that the rest of the data reject, the least probable first."""
+    tests = sorted([*_test_priors(fit), *_test_single_readings(fit)], key=lambda test: test.chance)
+    return [test for test in tests if test.chance < REJECTION_CHANCE / len(tests)]
 
 
 def _test_priors(fit: Fit) -> Iterator[PriorTest]:
@@ -362,21 +347,51 @@ def _test_priors(fit: Fit) -> Iterator[PriorTest]:
         at = np.flatnonzero(np.isin(active, columns) & np.isfinite(std))
         if len(at):
             variance = np.eye(len(at)) - fit.cov[np.ix_(at, at)] / np.outer(std[at], std[at])
-            yield from _tested(label, source, fit.point.prior_residual[at], variance, active[at].tolist())
+            yield from _tested(label, source, fit.point.prior_residual[at], variance)
 
 
 def _test_single_readings(fit: Fit) -> Iterator[PriorTest]:
-    for block, hat in zip(fit.point.blocks, fit.absorbed, strict=True):
+    for i, block in enumerate(fit.point.blocks):
         if block.kind in SINGLE_READINGS:
             label, source = SINGLE_READINGS[block.kind]
-            yield from _tested(label.format(block.test), source, block.r, np.eye(len(hat)) - hat)
+            yield from _tested(label.format(block.test), source, block.r, np.eye(len(block.r)) - fit.absorbed(i))
 
 
-def _tested(label: str, source: str, r: Array, variance: Array, columns: Sequence[int] = ()) -> Iterator[PriorTest]:
+def _tested(label: str, source: str, r: Array, variance: Array) -> Iterator[PriorTest]:
     """Yield the χ² test along those directions that the rest of the data check, if there are any."""
     sizes, directions = np.linalg.eigh(0.5 * (variance + variance.T))
     checked = sizes > MIN_REDUNDANCY
     if checked.any():
         d2 = float(np.sum((directions.T @ r)[checked] ** 2 / sizes[checked]))
-        freedom = int(checked.sum())
-        yield PriorTest(label, source, float(chi2.sf(d2, freedom)), d2**0.5, freedom, tuple(map(int, columns)))
+        yield PriorTest(label, source, float(chi2.sf(d2, int(checked.sum()))), d2**0.5)
+
+
+def widened(fit: Fit, moves: Mapping[str, float]) -> Fit:
+    """Return a fit of contradictory tests that the user accepted, with a larger covariance.
+
+    The covariance is multiplied by the square of the Birge ratio, the RMS of all residuals with their robust weights,
+    and the squares of what the likely cause changes are added. No standard deviation exceeds that of the prior.
+    Source: R. T. Birge, Phys. Rev. 40, 1932, 207.
+
+    Args:
+        fit: of the tests.
+        moves: what the likely cause changes of the components of the parameter vector.
+    """
+    problem = fit.point.problem
+    active = np.flatnonzero(problem.active)
+    move = np.array([moves.get(COMPONENTS[c], 0.0) if c < PRINT else 0.0 for c in active])
+    cov = max(_birge_ratio(fit), 1.0) ** 2 * fit.stated_cov + np.outer(move, move)
+    size = np.maximum(np.sqrt(np.diag(cov)) / problem.prior[active], 1.0)
+    return replace(fit, added_cov=cov / np.outer(size, size) - fit.stated_cov)
+
+
+def _birge_ratio(fit: Fit) -> float:
+    """Return the RMS of all residuals and priors with their robust weights and noise scales; 1 for those as stated."""
+    point = fit.point
+    squares = float(point.prior_residual @ point.prior_residual)
+    freedom = float(np.isfinite(point.problem.prior[point.problem.active]).sum()) - point.problem.size
+    for block, weight in zip(point.blocks, fit.weight, strict=True):
+        scale = fit.scales.get(block.kind, 1.0) if block.kind in ROBUST_KINDS else 1.0
+        squares += weight * block.squared_distance
+        freedom += weight * scale**2 * len(block.r)
+    return float(np.sqrt(squares / max(freedom, 1.0)))

@@ -18,7 +18,6 @@ from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.identification import result
-from probedesign.identification.contradiction import exchange_hints, explaining_mistakes, likely_causes, widened
 from probedesign.identification.fit_checks import (
     LABELS,
     UnobservableDirection,
@@ -26,17 +25,16 @@ from probedesign.identification.fit_checks import (
     check_priors,
     inconsistency,
     outlier_notes,
-    rejected_priors,
     unobservable_direction,
+    widened,
 )
-from probedesign.identification.mistakes import gravity_read, pose_words
+from probedesign.identification.mistakes import exchange_hint, explaining_mistakes, likely_causes
 from probedesign.identification.parameters import DEFAULT, IMPLIED, LOG_E, CommonParameters, check_requested, columns_of
-from probedesign.identification.residuals import MeasuredTest, ResidualBlock
+from probedesign.identification.residuals import MassMeasurement, MeasuredTest, ResidualBlock
 from probedesign.identification.result import Identification, Outlier
 from probedesign.identification.robust_loss import outliers
 from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, fit
 from probedesign.identification.starting_values import solvable_tests, start_point
-from probedesign.identification.whole_probe import MassMeasurement
 
 MIN_READINGS = 8
 """Readings of one test from which on their scatter replaces the sensor's noise where it is larger."""
@@ -232,13 +230,12 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
         found, identified, unobservable = _search(data, names, start)
         off = outliers(found.point.blocks, found.scales)
     problem, blocks = found.point.problem, found.point.blocks
-    priors = check_priors(found)
-    rejected = rejected_priors(priors)
+    rejected = check_priors(found)
     why = inconsistency(blocks, off, found.noise, data.tests) or (str(rejected[0]) if rejected else "")
     quantile = result.student_quantile(found)
-    causes = likely_causes(found, priors) if why or found.result != "ok" else ()
+    causes = likely_causes(found) if why or found.result != "ok" else ()
     why = why or ("the search did not converge" if causes else "")
-    used = widened(found, causes) if why and accept else found
+    used = widened(found, causes[0].moves if causes else {}) if why and accept else found
     if used is not found:
         lost = result.beyond_limits(used, identified)
         identified = tuple(name for name in identified if name not in [one.name for one in lost])
@@ -258,9 +255,10 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
     )  # fmt: skip
     if not why:
         return whole
-    # where a cause is found it is the reason; what the contradiction was noticed by is a note
-    reason = f"likely cause: {causes[0]}" if causes else why
-    noticed = (f"noticed by: {why}",) if causes else ()
+    # a cause that explains the tests is the reason; what the contradiction was noticed by is a note
+    explained = bool(causes) and causes[0].explains
+    reason = f"likely cause: {causes[0]}" if explained else why
+    noticed = (*((f"noticed by: {why}",) if explained else ()), result.farthest_tests(whole.residuals))
     whole = replace(whole, why=reason, likely_causes=causes, notes=(*noticed, *whole.notes))
     if not accept:
         return whole.as_inconsistent(reason)
@@ -274,15 +272,12 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
 
 
 def _hints(found: Fit, off: Sequence[tuple[ResidualBlock, float]]) -> tuple[str, ...]:
-    """Return what may be wrong with single outlying tests, which are no contradiction: exchanged readings, or a hang in
-    another pose."""
+    """Return what may be wrong with single outlying touches, which are no contradiction: exchanged readings."""
     tests = {test.name: test for test in found.point.problem.tests}
     wrong = [name for name in dict.fromkeys(block.test for block, _ in off) if name in tests]
     touched = [name for name in wrong if not tests[name].free and tests[name].wrench_base is not None]
-    common = found.point.problem.common
-    turned = (tests[name] for name in wrong if tests[name].free)
-    return (*(exchange_hints(found.point, touched) if touched else ()),
-            *(pose_words(test) for test in turned if gravity_read(common, test) is not None))  # fmt: skip
+    hint = exchange_hint(found, touched) if touched else ""
+    return (hint,) if hint else ()
 
 
 def _problem(data: IdentificationData, requested: Sequence[str]) -> LeastSquaresProblem:
@@ -304,7 +299,7 @@ def _search(
         # with full weight: what is far off at the start is not an outlier yet
         lost = unobservable_direction(start, np.ones(len(start.blocks)), requested, START_TOLERANCE)
         if lost is None:
-            found = fit(problem, start)
+            found = fit(replace(start, problem=problem))
             lost = unobservable_direction(found.point, found.weight, requested)
             if lost is None or _contradicts(found):
                 return found, requested, unobservable

@@ -1,29 +1,34 @@
-"""Mistakes in a data folder that may explain a contradiction: each is undone by a change of the tests.
+"""Six checks for the cause of a contradiction: unit, sign, frame, exchanged readings, marker numbers, another probe.
 
-Mistakes of columns are undone in the frame of wrenches.csv, where they were made: a sign of Fy at the sensor is one of
-Fy and Mx about the base.
+Each check undoes one mistake in a few tests of the campaign and fits them again with the stated noise. It is a likely
+cause where χ² falls by more than chance explains. It explains the contradiction where the residuals are within
+`MAX_LOSS` of normal noise and were not before. Mistakes of columns are undone in the frame of wrenches.csv.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from probedesign.core.csv_tables import Frame
 from probedesign.core.frames import Array
-from probedesign.identification.parameters import CHANNELS, CommonParameters
+from probedesign.identification.parameters import CHANNELS, COMPONENTS, OWNER, PRINT, CommonParameters
 from probedesign.identification.residuals import MeasuredTest
+from probedesign.identification.robust_loss import REJECTION_CHANCE, outliers
+from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, minimise
+from probedesign.identification.starting_values import spread, start_nuisance, start_points
 
-MIN_TURN_DEG = 5.0
-"""Angle between gravity as read and as stated from which on a free test may hang in another pose: poses are known far
-better (assumed)."""
-WEIGHT_SHARE = 0.2
-"""Relative difference of a reading from the weight of the free probe up to which it may be that weight in another pose
-(assumed: masses, gains and drifts are known better)."""
+MAX_REFINED, MAX_FACTORS, MAX_FIT_ROUNDS = 4, 3, 8
+"""Mistakes that are fitted, the best by their start, factors on E that it is chosen from, and rounds of a fit."""
+MAX_LOADED, MAX_FREE, MAX_SEEDS = 6, 2, 4
+"""Tests under load, free ones, and outlying ones that the checks are made with."""
+MAX_LOSS = 2.0
+"""Loss over its median for normal noise up to which tests agree: noise three times as large as stated (assumed)."""
+OTHER_PRINT = 30.0
+"""Factor on the tolerances of the dimensions for another probe (assumed)."""
 
 Change = Callable[[MeasuredTest], MeasuredTest]
 
@@ -31,257 +36,239 @@ Change = Callable[[MeasuredTest], MeasuredTest]
 class Mistake(NamedTuple):
     """A mistake in the data folder."""
 
-    name: str  #: sign, unit, frame, mount, camera, marker, exchange or pose.
+    name: str  #: unit, sign, frame, exchange or marker.
     words: str  #: what is likely wrong, and what to check.
     change: Change  #: undoes it in a test.
-    choices: int = 1  #: number of mistakes of this kind among which it was selected.
+    price: float = 0.0  #: logarithm of the number of mistakes of this kind among which it was selected.
 
 
-def mistakes(
-    common: CommonParameters, tests: Sequence[MeasuredTest], pairs: Sequence[tuple[str, str]] = ()
-) -> Iterator[Mistake]:
-    """Yield mistakes that these tests may contain.
+@dataclass(frozen=True)
+class LikelyCause:
+    """A likely cause of a contradiction."""
 
-    Args:
-        common: the parameters of the campaign, with the frame of wrenches.csv.
-        tests: of the campaign.
-        pairs: names of tests whose readings may be exchanged.
-    """
-    if any(test.wrench_base is not None for test in tests):
-        yield from _of_wrenches(common)
-        of = {test.name: test for test in tests}
-        for a, b in pairs:
-            words = f"exchange: the readings of {a} and {b}; check wrenches.csv, or their places in tests.csv"
-            other = {a: of[b], b: of[a]}
-            yield Mistake(
-                "exchange", words, partial(_with_readings_of, common, other), len(tests) * (len(tests) - 1) // 2
-            )
-        yield from _of_poses(common, tests)
-    for degrees in (90.0, 180.0, 270.0):
-        words = f"mount: base rotated by {degrees:g} degrees about its axis; check rotation_world_deg"
-        yield Mistake("mount", words, partial(_rotated_base, common, degrees=degrees))
-    words = "mount: inverse rotation of the base; check rotation_world_deg"
-    yield Mistake("mount", words, partial(_inverse_base, common))
-    if any(np.any(test.force_world) for test in tests if test.force_world is not None):
-        words = "sign: known forces with the opposite sign; check tests.csv"
-        yield Mistake("sign", words, partial(_known, factor=-1.0))
-        yield Mistake("unit", "unit: known forces in mN; check tests.csv", partial(_known, factor=1e-3))
-    if any(len(test.marker_s) or test.p_touch_world is not None for test in tests):
-        yield from _of_reference(tests)
+    name: str  #: that of the mistake, or probe.
+    words: str  #: what is likely wrong, and what to check.
+    evidence: str  #: the number that speaks for it.
+    explains: bool  #: whether the tests agree with it, and do not without.
+    #: what it changes of each number: relative for a modulus, a density and diameters, in m or rad for a pose.
+    moves: dict[str, float] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return f"{self.words} ({self.evidence})"
 
 
-def _of_wrenches(common: CommonParameters) -> Iterator[Mistake]:
-    for which, size in _signs().items():
-        words = f"sign: {which} with the opposite sign; check the columns of wrenches.csv"
-        yield Mistake("sign", words, partial(_scaled, common, factors=size))
-    for which, size in _units().items():
-        words = f"unit: {which}; check the columns of wrenches.csv"
-        yield Mistake("unit", words, partial(_scaled, common, factors=size))
-    for degrees in (90.0, 180.0, 270.0):
-        words = f"mount: wrenches rotated by {degrees:g} degrees about z; check frame and clocking of the sensor"
-        yield Mistake("mount", words, partial(_rotated_wrench, common, degrees=degrees))
-    actual: Frame = "base" if common.frame == "sensor" else "sensor"
-    words = f"frame: wrenches.csv states '# frame: {common.frame}', but its values are those of '# frame: {actual}'"
-    yield Mistake("frame", words, partial(_in_frame, replace(common, frame=actual), common))
-
-
-def _of_poses(common: CommonParameters, tests: Sequence[MeasuredTest]) -> Iterator[Mistake]:
-    """Yield free tests whose reading is the weight of the probe in another pose of the base."""
-    free = [test for test in tests if test.free and test.wrench_base is not None]
-    for test in free:
-        gravity = gravity_read(common, test)
-        if gravity is not None:
-            change = partial(_turned, common, gravity={test.name: gravity})
-            yield Mistake("pose", f"pose: {pose_words(test)}", change, len(free))
-
-
-def pose_words(test: MeasuredTest) -> str:
-    """Return what to do about a free test that hung in another pose."""
-    return (
-        f"{test.name} hung in another orientation than its pose states; write the six columns "
-        "base_x_world_mm ... base_rz_world_deg of this test in tests.csv"
+def likely_causes(fit: Fit) -> tuple[LikelyCause, ...]:
+    """Return what may explain a contradiction, the likeliest first."""
+    problem = fit.point.problem
+    seeds = list(dict.fromkeys(block.test for block, _ in outliers(fit.point.blocks, fit.scales)))
+    pair = None
+    if 2 * len(seeds) <= len(problem.tests):  # two exchanged tests do not make most others outlying
+        pair = _best_exchange(fit.point, seeds[:MAX_SEEDS])
+    names = {*_some(problem.tests), *seeds[:MAX_SEEDS], *(pair or ())}
+    some = replace(problem, tests=tuple(test for test in problem.tests if test.name in names))
+    own = [test.nuisance for test in fit.point.tests if test.measured.name in names]
+    stated = Linearization(some, fit.point.values, (), ()).at(
+        np.concatenate([fit.point.unknowns[: some.n_active], *own])
     )
+    if not stated.ok:
+        return ()
+    stated = minimise(stated, {})[0]
+    causes = _fitted(some, stated, pair)
+    if not any(cause.explains for cause in causes) and not _agrees(stated):
+        causes.append(_other_probe(stated))
+    return tuple(causes)
 
 
-def gravity_read(common: CommonParameters, test: MeasuredTest) -> Array | None:
-    """Return the gravity in base axes by which a free test's reading is the weight of probe and flange [m/s²], (3,);
-    None if it is not such a weight, or as the pose states."""
-    stated, model, wrench = test.gravity_base, common.model, test.wrench_base
-    size = float(np.linalg.norm(stated))
-    if size == 0.0 or wrench is None:
-        return None
-    R = model.T_sensor_base[:3, :3]
-    force = R.T @ model.to_sensor(wrench, stated)[:3]  # with the weight between base and sensor
-    free = model.rod.solve(stated)
-    if not free.ok:
-        return None
-    weight = R.T @ model.to_sensor(free.wrench_base, stated)[:3]
-    read, known = float(np.linalg.norm(force)), float(np.linalg.norm(weight))
-    cosine = float(force @ weight) / max(read * known, 1e-300)
-    if abs(read / known - 1.0) > WEIGHT_SHARE or cosine > np.cos(np.radians(MIN_TURN_DEG)):
-        return None
-    return np.asarray(size * force / read)
+def explaining_mistakes(problem: LeastSquaresProblem) -> tuple[LikelyCause, ...]:
+    """Return mistakes without which the rod has an equilibrium in tests that have none as they are."""
+    names = _some(problem.tests)
+    return tuple(_fitted(replace(problem, tests=tuple(test for test in problem.tests if test.name in names)), None))
 
 
-def _of_reference(tests: Sequence[MeasuredTest]) -> Iterator[Mistake]:
-    for factor, which in ((1e3, "small"), (1e-3, "large")):
-        words = f"unit: places of the reference a thousand times too {which}; check the columns in mm"
-        yield Mistake("unit", words, partial(_resized, factor=factor))
-    for axis in range(3):
-        words = f"camera: {'xyz'[axis]} mirrored; check which camera is which, and the control points"
-        matrix = np.diag(np.where(np.arange(3) == axis, -1.0, 1.0))
-        yield Mistake("camera", words, partial(_placed, matrix=matrix))
-    for i, j in combinations(range(3), 2):
-        words = f"camera: {'xyz'[i]} and {'xyz'[j]} exchanged; check the control points"
-        yield Mistake("camera", words, partial(_placed, matrix=np.eye(3)[_swapped(3, i, j)]))
-    numbers = sorted({number for test in tests for number in test.marker_numbers})
-    for i, j in pairwise(numbers):
-        words = f"marker: {i} and {j} exchanged; check their numbers"
-        yield Mistake("marker", words, partial(_renamed, names={i: j, j: i}))
-    if len(numbers) > 2:
-        backwards = dict(zip(numbers, numbers[::-1], strict=True))
-        words = "marker: numbered from the tip; check their numbers"
-        yield Mistake("marker", words, partial(_renamed, names=backwards))
-        for shift, which in ((1, "low"), (-1, "high")):
-            words = f"marker: all numbers too {which} by 1; check s_mm"
-            yield Mistake("marker", words, partial(_shifted, shift=shift))
+def exchange_hint(fit: Fit, seeds: Sequence[str]) -> str:
+    """Return a note if an exchange of the readings of two tests, one of `seeds` among them, explains outliers."""
+    point, pair = fit.point, _best_exchange(fit.point, seeds[:MAX_SEEDS])
+    if pair is None:
+        return ""
+    of = {test.name: test for test in point.problem.tests}
+    change = _exchange(point.problem.common, of, pair).change
+    before = sum(_own_loss(point, of[name]) for name in pair)
+    after = sum(_own_loss(point, change(of[name])) for name in pair)
+    if before - after < np.log(len(of) * (len(of) - 1) / 2) - np.log(REJECTION_CHANCE):
+        return ""
+    return (f"{pair[0]} and {pair[1]}: their readings may be exchanged: χ² of both falls from {2.0 * before:.4g} to "
+            f"{2.0 * after:.4g} that way; check wrenches.csv, or their places in tests.csv")  # fmt: skip
 
 
-def _signs() -> dict[str, Array]:
-    both = np.repeat([-1.0, 1.0], 3)
-    signs = {"all wrenches": -np.ones(6), "forces": both, "moments": -both}
-    return signs | {name: 1.0 - 2.0 * np.eye(6)[i] for i, name in enumerate(CHANNELS)}
+# fits of changed tests
 
 
-def _units() -> dict[str, Array]:
-    units = {}
-    for which, one in (("forces", np.repeat([1.0, 0.0], 3)), ("moments", np.repeat([0.0, 1.0], 3))):
-        units[f"{which} a thousand times too large"] = 10.0 ** (-3.0 * one)
-        units[f"{which} a thousand times too small"] = 10.0 ** (3.0 * one)
-    units["moments ten times too small"] = np.repeat([1.0, 10.0], 3)
-    units["moments ten times too large"] = np.repeat([1.0, 0.1], 3)
-    return units
+def _some(tests: Sequence[MeasuredTest]) -> set[str]:
+    """Return tests that are spread over the campaign, most of them loaded: a mistake of the whole folder is in all."""
+    loaded, free = [test for test in tests if not test.free], [test for test in tests if test.free]
+    return {test.name for test in (*spread(loaded, MAX_LOADED), *spread(free, MAX_FREE))}
 
 
-def columns(common: CommonParameters, test: MeasuredTest) -> Array:
+def _fitted(
+    problem: LeastSquaresProblem, stated: Linearization | None, pair: tuple[str, str] | None = None
+) -> list[LikelyCause]:
+    """Return the mistakes that the tests speak for, the likeliest first; without a fit of the tests as stated, those
+    that explain all readings."""
+    starts = []
+    for mistake in _mistakes(problem, pair):
+        changed = replace(problem, tests=tuple(map(mistake.change, problem.tests)))
+        points = [point for _, point in start_points(changed, MAX_FACTORS)]
+        if points:
+            starts.append((mistake, min(points, key=lambda point: point.loss({}))))
+    starts.sort(key=lambda pair: pair[1].loss({}))
+    margin = 0.5 * chi2.isf(0.01 / max(len(starts), 1), 1)
+    causes = []
+    for mistake, start in starts[:MAX_REFINED]:
+        point = minimise(minimise(start, None, MAX_FIT_ROUNDS)[0], {}, MAX_FIT_ROUNDS)[0]
+        loss, explains = point.loss({}), _agrees(point) and (stated is None or not _agrees(stated))
+        before = "they have no equilibrium otherwise" if stated is None else f"falls from {2.0 * stated.loss({}):.4g}"
+        if explains if stated is None else stated.loss({}) - loss > margin + mistake.price:
+            evidence = f"χ² of {len(problem.tests)} tests {before} to {2.0 * loss:.4g}"
+            if stated is None:
+                evidence = f"χ² of {len(problem.tests)} tests is {2.0 * loss:.4g}, and {before}"
+            cause = LikelyCause(mistake.name, mistake.words, evidence, explains, _moves(point, stated))
+            causes.append((loss + mistake.price, cause))
+    return [cause for _, cause in sorted(causes, key=lambda pair: pair[0])]
+
+
+def _other_probe(stated: Linearization) -> LikelyCause:
+    """Return that the data are of another probe: what the tests say of its diameters if those are not the design's."""
+    problem, common = stated.problem, stated.problem.common
+    prior = problem.prior.copy()
+    prior[common.print_columns] *= OTHER_PRINT
+    point = minimise(replace(stated, problem=replace(problem, prior=prior)), {})[0]
+    radius = point.values.rod.radius / common.model.rod.radius
+    before, after = 2.0 * stated.loss({}), 2.0 * point.loss({})
+    evidence = (f"χ² of {len(problem.tests)} tests falls from {before:.4g} to {after:.4g} with diameters of "
+                f"{radius.min():.2f} to {radius.max():.2f} times the design's")  # fmt: skip
+    words = ("probe: another probe than the design's, or a mistake that is not listed here; check probe and "
+             "fingerprint in campaign.toml, and the diameters of the print")  # fmt: skip
+    return LikelyCause("probe", words, evidence, _agrees(point), _moves(point, stated))
+
+
+def _agrees(point: Linearization) -> bool:
+    """Return whether the residuals are within `MAX_LOSS` of normal noise."""
+    return bool(point.loss({}) < MAX_LOSS * 0.5 * sum(chi2.median(len(block.r)) for block in point.blocks))
+
+
+def _moves(point: Linearization, stated: Linearization | None) -> dict[str, float]:
+    """Return what a cause changes of the requested numbers and of those that E implies."""
+    if stated is None:
+        return {}
+    change = point.values.x - stated.values.x
+    return {COMPONENTS[c]: float(change[c]) for c in range(PRINT)
+            if OWNER[c].max_std is not None and stated.problem.active[c]}  # fmt: skip
+
+
+def _best_exchange(point: Linearization, seeds: Sequence[str]) -> tuple[str, str] | None:
+    """Return the two tests, one of them outlying, whose loss falls most by an exchange of their readings."""
+    common, of = point.problem.common, {test.name: test for test in point.problem.tests}
+    read = [name for name, test in of.items() if test.wrench_base is not None]
+    gains: dict[tuple[str, str], float] = {}
+    before = {name: _own_loss(point, of[name]) for name in read} if seeds else {}
+    for a in (name for name in seeds if name in read):
+        for b in read:
+            if b != a and (b, a) not in gains:
+                change = _exchange(common, of, (a, b)).change
+                after = _own_loss(point, change(of[a]))
+                if after < before[a] + before[b]:
+                    gains[a, b] = before[a] + before[b] - after - _own_loss(point, change(of[b]))
+    best = max(gains, key=lambda pair: gains[pair], default=None)
+    return best if best is not None and gains[best] > 0.0 else None
+
+
+def _own_loss(point: Linearization, test: MeasuredTest) -> float:
+    """Return the loss of one test by its own unknowns, at the common parameters of a fit; infinite without an
+    equilibrium."""
+    fixed = replace(point.problem, tests=(test,), mass=None, prior=np.zeros(point.problem.common.size))
+    start = Linearization(fixed, point.values, (), ()).at(start_nuisance((test,), point.values.rod)[0])
+    return minimise(start, {})[0].loss({}) if start.ok else np.inf
+
+
+# the mistakes
+
+
+def _mistakes(problem: LeastSquaresProblem, pair: tuple[str, str] | None) -> Iterator[Mistake]:
+    """Yield mistakes that the tests may contain."""
+    common, tests = problem.common, problem.tests
+    if any(test.wrench_base is not None for test in tests):
+        both = np.repeat([-1.0, 1.0], 3)
+        signs = {"all wrenches": -np.ones(6), "forces": both, "moments": -both}
+        signs |= {name: 1.0 - 2.0 * np.eye(6)[i] for i, name in enumerate(CHANNELS)}
+        for which, factors in signs.items():
+            words = f"sign: {which} with the opposite sign; check the columns of wrenches.csv"
+            yield Mistake("sign", words, partial(_scaled, common, factors))
+        for which, columns in (("forces", both < 0.0), ("moments", both > 0.0)):
+            for factor, size in ((1e-3, "large"), (1e3, "small")):
+                words = f"unit: {which} a thousand times too {size}; check the columns of wrenches.csv"
+                yield Mistake("unit", words, partial(_scaled, common, np.where(columns, factor, 1.0)))
+        actual: Frame = "base" if common.frame == "sensor" else "sensor"
+        words = f"frame: wrenches.csv states '# frame: {common.frame}', but its values are those of '# frame: {actual}'"
+        yield Mistake("frame", words, partial(_in_frame, replace(common, frame=actual), common))
+        if pair is not None:
+            yield _exchange(common, {test.name: test for test in tests}, pair)
+    if any(np.any(test.force_world) for test in tests if test.force_world is not None):
+        for name, what, factor in (("sign", "with the opposite sign", -1.0), ("unit", "in mN", 1e-3)):
+            yield Mistake(name, f"{name}: known forces {what}; check tests.csv", partial(_known, factor))
+    if any(len(test.marker_s) or test.p_touch_world is not None for test in tests):
+        for factor, size in ((1e3, "small"), (1e-3, "large")):
+            words = f"unit: places of the reference a thousand times too {size}; check the columns in mm"
+            yield Mistake("unit", words, partial(_resized, factor))
+    if any(len(test.marker_s) > 2 for test in tests):
+        for shift, size in ((1, "low"), (-1, "high")):
+            yield Mistake("marker", f"marker: all numbers too {size} by 1; check s_mm", partial(_shifted, shift))
+
+
+def _exchange(common: CommonParameters, of: dict[str, MeasuredTest], pair: tuple[str, str]) -> Mistake:
+    """Return the exchange of the readings of two tests."""
+    other = {pair[0]: of[pair[1]], pair[1]: of[pair[0]]}
+
+    def change(test: MeasuredTest) -> MeasuredTest:
+        """Return the test with the readings of the other one."""
+        if test.name not in other:
+            return test
+        swapped = _with_columns(common, test, _columns(common, other[test.name]))
+        return replace(swapped, cov_wrench=other[test.name].cov_wrench)
+
+    words = f"exchange: the readings of {pair[0]} and {pair[1]}; check wrenches.csv, or their places in tests.csv"
+    return Mistake("exchange", words, change, float(np.log(len(of) * (len(of) - 1) / 2)))
+
+
+def _columns(common: CommonParameters, test: MeasuredTest) -> Array:
     """Return the wrench of a test in the frame of wrenches.csv [N, N·m], (6,)."""
     assert test.wrench_base is not None
-    if common.frame == "base":
-        return test.wrench_base
-    return common.model.to_sensor(test.wrench_base, test.gravity_base)
+    sensor = common.frame == "sensor"
+    return common.model.to_sensor(test.wrench_base, test.gravity_base) if sensor else test.wrench_base
 
 
 def _with_columns(common: CommonParameters, test: MeasuredTest, values: Array) -> MeasuredTest:
-    """Return the test with other values in the frame of wrenches.csv."""
     wrench = values if common.frame == "base" else common.model.to_base(values, test.gravity_base)
     return replace(test, wrench_base=wrench)
 
 
-def _scaled(common: CommonParameters, test: MeasuredTest, factors: Array) -> MeasuredTest:
-    if test.wrench_base is None:
-        return test
-    return _with_columns(common, test, factors * columns(common, test))
-
-
-def _rotated_wrench(common: CommonParameters, test: MeasuredTest, degrees: float) -> MeasuredTest:
-    if test.wrench_base is None:
-        return test
-    R = Rotation.from_rotvec([0.0, 0.0, np.radians(degrees)])
-    return _with_columns(common, test, R.apply(columns(common, test).reshape(2, 3)).ravel())
+def _scaled(common: CommonParameters, factors: Array, test: MeasuredTest) -> MeasuredTest:
+    return test if test.wrench_base is None else _with_columns(common, test, factors * _columns(common, test))
 
 
 def _in_frame(actual: CommonParameters, stated: CommonParameters, test: MeasuredTest) -> MeasuredTest:
-    """Return the test with its values taken in another frame than stated."""
-    return test if test.wrench_base is None else _with_columns(actual, test, columns(stated, test))
+    return test if test.wrench_base is None else _with_columns(actual, test, _columns(stated, test))
 
 
-def _with_readings_of(common: CommonParameters, others: Mapping[str, MeasuredTest], test: MeasuredTest) -> MeasuredTest:
-    """Return the test with the readings of another one."""
-    other = others.get(test.name)
-    if other is None:
-        return test
-    return replace(_with_columns(common, test, columns(common, other)), cov_wrench=other.cov_wrench)
-
-
-def exchanged(common: CommonParameters, a: MeasuredTest, b: MeasuredTest) -> tuple[MeasuredTest, MeasuredTest]:
-    """Return two tests with their readings exchanged."""
-    others = {a.name: b, b.name: a}
-    return _with_readings_of(common, others, a), _with_readings_of(common, others, b)
-
-
-def _posed(common: CommonParameters, test: MeasuredTest, T_world_base: Array) -> MeasuredTest:
-    """Return the test in another pose of the base, with the readings that wrenches.csv has."""
-    posed = replace(test, T_world_base=T_world_base)
-    if test.wrench_base is None or common.frame == "base":
-        return posed
-    return _with_columns(common, posed, columns(common, test))
-
-
-def _turned(common: CommonParameters, test: MeasuredTest, gravity: Mapping[str, Array]) -> MeasuredTest:
-    """Return the test in the pose in which gravity in base axes is that of its name, by the smallest rotation."""
-    if test.name not in gravity:
-        return test
-    size = float(np.linalg.norm(test.gravity_base))
-    stated, read = test.gravity_base / size, gravity[test.name] / size
-    axis = np.cross(stated, read)
-    sine, cosine = float(np.linalg.norm(axis)), float(stated @ read)
-    if sine < 1e-9:  # opposite: about any axis across
-        axis = np.cross(stated, np.eye(3)[int(np.argmin(np.abs(stated)))])
-    axis = axis / np.linalg.norm(axis)
-    turn = Rotation.from_rotvec(axis * np.arctan2(sine, cosine)).as_matrix()  # takes `stated` to `read`
-    T = test.T_world_base.copy()
-    T[:3, :3] = T[:3, :3] @ turn.T
-    return _posed(common, test, T)
-
-
-def _rotated_base(common: CommonParameters, test: MeasuredTest, degrees: float) -> MeasuredTest:
-    T = test.T_world_base.copy()
-    T[:3, :3] = T[:3, :3] @ Rotation.from_rotvec([0.0, 0.0, np.radians(degrees)]).as_matrix()
-    return _posed(common, test, T)
-
-
-def _inverse_base(common: CommonParameters, test: MeasuredTest) -> MeasuredTest:
-    T = test.T_world_base.copy()
-    T[:3, :3] = T[:3, :3].T
-    return _posed(common, test, T)
-
-
-def _known(test: MeasuredTest, factor: float) -> MeasuredTest:
+def _known(factor: float, test: MeasuredTest) -> MeasuredTest:
     return test if test.force_world is None else replace(test, force_world=factor * test.force_world)
 
 
-def _placed(test: MeasuredTest, matrix: Array) -> MeasuredTest:
-    """Return the test with its places mapped about the base."""
-    origin = test.T_world_base[:3, 3]
-    touch = test.p_touch_world
-    return replace(
-        test,
-        p_markers_world=origin + (test.p_markers_world - origin) @ matrix.T,
-        p_touch_world=None if touch is None else origin + matrix @ (touch - origin),
-    )
+def _resized(factor: float, test: MeasuredTest) -> MeasuredTest:
+    touch = None if test.p_touch_world is None else factor * test.p_touch_world
+    return replace(test, p_markers_world=factor * test.p_markers_world, p_touch_world=touch)
 
 
-def _resized(test: MeasuredTest, factor: float) -> MeasuredTest:
-    touch = test.p_touch_world
-    return replace(
-        test, p_markers_world=factor * test.p_markers_world, p_touch_world=None if touch is None else factor * touch
-    )
-
-
-def _swapped(n: int, i: int, j: int) -> list[int]:
-    order = list(range(n))
-    order[i], order[j] = j, i
-    return order
-
-
-def _renamed(test: MeasuredTest, names: dict[int, int]) -> MeasuredTest:
-    """Return the test with markers that are measured under other numbers."""
-    where = {number: i for i, number in enumerate(test.marker_numbers)}
-    order = [where.get(names.get(number, number), i) for i, number in enumerate(test.marker_numbers)]
-    return replace(test, p_markers_world=test.p_markers_world[order], cov_markers=test.cov_markers[order])
-
-
-def _shifted(test: MeasuredTest, shift: int) -> MeasuredTest:
+def _shifted(shift: int, test: MeasuredTest) -> MeasuredTest:
     """Return the test with the arclength of each marker that of its neighbour; that of the last one is extrapolated."""
     s = test.marker_s
     if len(s) < 2:

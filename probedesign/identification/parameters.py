@@ -1,17 +1,16 @@
 """Parameters that a campaign can identify, the nuisance parameters of its tests, and the rod and poses they imply.
 
 All of them form one parameter vector: the blocks of `PARAMETERS` in order, the modes of the print's dimension errors,
-and the steps of the sensor's bias from test to test. One entry of `PARAMETERS` adds a parameter: of the rod with
-`apply` and `jacobian`; effects on the readings are in `residuals`. The solver, the checks, the report and the design
-update iterate over the entries. Priors are those of `Tolerances`, so that a fit, an estimate and a prediction take the
-same errors into account.
+and the steps of the sensor's bias from test to test. An entry of `PARAMETERS` and its derivative in
+`residuals.DERIVATIVES` add a parameter; the solver, the checks, the report and the design update iterate over them.
+Priors are those of `Tolerances`, so that a fit, an estimate and a prediction take the same errors into account.
 """
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,11 +24,7 @@ from probedesign.core.units import MM, MPA
 from probedesign.estimation.error_sources import parameters_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
-from probedesign.rod.kernels import equations
 from probedesign.rod.rod import Rod
-
-if TYPE_CHECKING:
-    from probedesign.identification.residuals import SolvedTest, WithJacobian
 
 DEGREE = math.pi / 180.0
 DEFAULT = ("E", "G")
@@ -41,8 +36,6 @@ ROOT_RANGE = (-0.98, 2.0)
 """Smallest and largest root_rigid_radii that the rod takes, with a margin of `ROOT_STEP`."""
 MAX_LOGARITHM = 3.0
 """Of a factor on the design value: no probe is twenty times stiffer than designed."""
-GRAVITY_COLUMNS = slice(7, 10)
-"""Columns of the rod's sensitivities by gravity in base axes."""
 TARE_FRACTION = 0.05
 """Fraction of the free probe's wrench that a tare with the probe hanging free absorbs as an error of its own weight.
 Covers 1 % of density, 2 % of area and the change of the sag by a third of E (assumed)."""
@@ -68,21 +61,15 @@ IMPLIED = ("G", "root")
 """Parameters that are estimated and reported with E although they are not requested: a probe's stiffness is that of all
 three together."""
 
-Jacobian = Callable[["SolvedTest", "WithJacobian"], Array]
-"""Derivative of a vector of the solved rod in base axes (...) by a parameter's components, (..., k)."""
-
 
 @dataclass(frozen=True)
 class Parameter:
-    """One entry of the parameter vector: its unit, prior, effect on the rod and derivative."""
+    """One entry of the parameter vector: its unit, prior and effect on the rod."""
 
     name: str  #: as `--for` requests it.
     labels: dict[str, str]  #: component name → description, in the order of the vector.
     #: standard deviation of the components about zero [vector unit]; 0 fixes them at the design value.
     prior: Callable[["CommonParameters"], ArrayLike]
-    #: derivative of vectors of the solved rod in base axes; None where only the change of axes matters, which
-    #: `residuals` adds.
-    jacobian: Jacobian | None = None
     #: the rod with the parameter at a value; None if the parameter does not change the rod.
     apply: Callable[[Rod, float], Rod] | None = None
     logarithm: bool = False  #: whether the vector has the logarithm of a factor on the design value.
@@ -120,12 +107,6 @@ class Parameter:
         return f"{self.scale * std:.2g} {self.unit}".rstrip()
 
 
-def _rod_column(name: str) -> Jacobian:
-    """Return the derivative by one of the rod's own parameters."""
-    column = equations.PARAMETERS.index(name)
-    return lambda test, vector: vector.by_rod[..., [column]]
-
-
 def _material(
     name: str, label: str, attribute: str, unit: str, si: float, max_std: float,
     design_key: str, prior_name: str = "", prior_source: str = "",
@@ -142,7 +123,7 @@ def _material(
         return 0.0 if name == "E" else float(getattr(common.tolerances, attribute))
 
     return Parameter(
-        name, {name: label}, prior, _rod_column(f"log_{name}"), apply, logarithm=True, max_std=max_std, unit=unit,
+        name, {name: label}, prior, apply, logarithm=True, max_std=max_std, unit=unit,
         design_value=lambda rod: getattr(rod, attribute) / si, attribute=attribute, design_key=design_key,
         prior_name=prior_name, prior_source=prior_source,
     )  # fmt: skip
@@ -157,12 +138,6 @@ def scaled_diameters(rod: Rod, factor: float | Array) -> Rod:
     """Return the rod with its diameters times a factor, one for all or one per knot; the root scales with the base."""
     radius = rod.radius * factor
     return replace(rod, radius=radius, rigid_length=rod.rigid_length * float(radius[0] / rod.radius[0]))
-
-
-def stiffness_column(vector: "WithJacobian") -> Array:
-    """Return the derivative of a vector of the rod by the logarithm of E and G together, (..., 1)."""
-    columns = [equations.PARAMETERS.index(name) for name in ("log_E", "log_G")]
-    return np.asarray(vector.by_rod[..., columns].sum(axis=-1, keepdims=True))
 
 
 CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -188,37 +163,30 @@ PARAMETERS: dict[str, Parameter] = {
                   prior_name="design shear modulus",
                   prior_source="shear_modulus_mpa in the design, and its tolerance"),
         Parameter("root", {"root": "compliance that the base lacks, in base radii"},
-                  lambda common: common.root_std,
-                  lambda test, vector: vector.by_root[..., None], _with_root, bounds=ROOT_RANGE,
-                  max_std=0.3,
+                  lambda common: common.root_std, _with_root, bounds=ROOT_RANGE, max_std=0.3,
                   design_value=lambda rod: float(rod.rigid_length / rod.radius[0]), attribute="root_radii",
                   design_key="mount.root_rigid_radii", prior_name="root of the probe",
                   prior_source="root_rigid_radii in the design (-0.18 is computed for the exported flange), and the "
                   "tolerance root_radii"),
         Parameter("tilt", {"tilt_x": "rotation about x", "tilt_y": "rotation about y"},
-                  lambda common: common.std_tilt, lambda test, vector: test.by_base_rotation(vector)[..., 0:2],
-                  max_std=2.0 * DEGREE, unit="deg", scale=1.0 / DEGREE,
+                  lambda common: common.std_tilt, max_std=2.0 * DEGREE, unit="deg", scale=1.0 / DEGREE,
                   prior_name=_BASE_ROTATION[0], prior_source=_BASE_ROTATION[1]),
         Parameter("clocking", {"clocking": "rotation about z"},
-                  lambda common: common.std_tilt, lambda test, vector: test.by_base_rotation(vector)[..., 2:3],
-                  max_std=5.0 * DEGREE, unit="deg", scale=1.0 / DEGREE,
+                  lambda common: common.std_tilt, max_std=5.0 * DEGREE, unit="deg", scale=1.0 / DEGREE,
                   prior_name=_BASE_ROTATION[0], prior_source=_BASE_ROTATION[1]),
         Parameter("offset", _xyz("offset", "position of the base along its {} axis"), lambda common: common.std_base,
                   max_std=2.0 * MM, unit="mm", scale=1.0 / MM, prior_name="position of the base",
                   prior_source="p_world_mm and std_mm in campaign.toml, or the base pose of each test"),
         Parameter("gravity", {"gravity_1": "rotation of gravity about the first axis perpendicular to it",
                               "gravity_2": "rotation of gravity about the second axis perpendicular to it"},
-                  lambda common: common.tolerances.gravity_deg * DEGREE,
-                  lambda test, vector: vector.by_rod[..., GRAVITY_COLUMNS] @ test.d_gravity,
-                  max_std=2.0 * DEGREE, unit="deg", scale=1.0 / DEGREE, prior_name="direction of gravity",
+                  lambda common: common.tolerances.gravity_deg * DEGREE, max_std=2.0 * DEGREE,
+                  unit="deg", scale=1.0 / DEGREE, prior_name="direction of gravity",
                   prior_source="world_m_s2 in campaign.toml, and the tolerance gravity_deg"),
         Parameter("diameters", {"diameters": "all diameters over the design's"}, lambda common: 0.0,
-                  _rod_column("log_diameter"), lambda rod, x: scaled_diameters(rod, math.exp(x)), logarithm=True,
+                  lambda rod, x: scaled_diameters(rod, math.exp(x)), logarithm=True,
                   max_std=0.1, design_value=lambda rod: 1.0),
         Parameter("mount_rotation", _xyz("mount_rotation", "rotation of the probe on the sensor about {}"),
-                  lambda common: common.mount_rotation_std,
-                  lambda test, vector: test.by_mount_rotation(vector),
-                  prior_name=_MOUNTING[0], prior_source=_MOUNTING[1]),
+                  lambda common: common.mount_rotation_std, prior_name=_MOUNTING[0], prior_source=_MOUNTING[1]),
         Parameter("mount_offset", _xyz("mount_offset", "position of the probe on the sensor along {}"),
                   lambda common: common.tolerances.base_mm * MM,
                   prior_name=_MOUNTING[0], prior_source=_MOUNTING[1]),
@@ -233,9 +201,8 @@ PARAMETERS: dict[str, Parameter] = {
                   prior_name="length scale of the reference",
                   prior_source="the control points of the cameras, or the stage"),
         Parameter("creep", {"creep": "loss of stiffness from the first test to the last"},
-                  lambda common: common.tolerances.creep,
-                  lambda test, vector: -test.measured.creep_ramp * stiffness_column(vector),
-                  prior_name="creep", prior_source="the temperature and the rests between tests, and the tolerance "
+                  lambda common: common.tolerances.creep, prior_name="creep",
+                  prior_source="the temperature and the rests between tests, and the tolerance "
                   "creep"),
     )
 }  # fmt: skip

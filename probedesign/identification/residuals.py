@@ -1,6 +1,6 @@
-"""Residuals of one test and of the weighing: whitened, with derivatives, in blocks that belong together."""
+"""Residuals of one test, of the weighing and of Poisson's ratio: whitened, with derivatives, in blocks."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -15,15 +15,15 @@ from probedesign.identification.parameters import (
     BASE_OFFSET,
     BASE_POSE,
     BASE_ROTATION,
-    GRAVITY_COLUMNS,
     MOUNT_OFFSET,
     MOUNT_ROTATION,
     PARAMETERS,
+    POISSON,
+    POISSON_STD,
     ROOT_STEP,
     ParameterValues,
-    stiffness_column,
 )
-from probedesign.identification.surface_touch import COUPLE_COLUMNS, S_COLUMN, SurfaceTouch, solve_touch
+from probedesign.identification.surface_touch import COUPLE_COLUMNS, SurfaceTouch, solve_touch
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.kernels import equations
 from probedesign.rod.rod import Rod
@@ -32,6 +32,8 @@ MIN_FRICTION = 1e-3
 """Smallest prior standard deviation of the friction ratio, as in `probedesign.estimation`."""
 SCALE, CREEP = PARAMETERS["length_scale"].columns.start, PARAMETERS["creep"].columns.start
 GAIN, BIAS = PARAMETERS["gain"].columns, PARAMETERS["bias"].columns
+GRAVITY = slice(7, 10)
+"""Columns of the rod's sensitivities by gravity in base axes."""
 _TANGENT_STEP = 1e-5  # of arclength, for the rotation of a section by a difference of its tangent [m]
 
 
@@ -113,8 +115,7 @@ class ResidualBlock(NamedTuple):
     kind: str  #: markers, wrenches, touches, places, sags, friction, weights, stiffness, poses, poisson or scales.
     item: int  #: number of the marker in the test, from 1; 0 for the only one of its kind.
     r: Array  #: measured minus modelled, whitened, (k,).
-    J: Array  #: derivatives of `r` by the parameter vector, (k, size).
-    J_nuisance: Array  #: and by the test's nuisance parameters, (k, nuisance_size).
+    J: Array  #: derivatives of `r` by the parameter vector, then by the test's nuisance parameters, (k, n).
     residual: Array  #: measured minus modelled, in SI, (k,).
 
     @property
@@ -123,13 +124,47 @@ class ResidualBlock(NamedTuple):
         return float(self.r @ self.r)
 
 
-class WithJacobian(NamedTuple):
+class RodVector(NamedTuple):
     """A vector of the solved rod in base axes with its derivatives; further axes first for several vectors."""
 
     value: Array  #: (3,), or (6,) for a wrench.
     by_rod: Array  #: by the parameters of the rod's sensitivities, (., k).
     by_root: Array  #: by root_rigid_radii, (.,).
     by_angle: Array  #: by the angle of the touched point, (.,).
+
+    def by(self, *names: str) -> Array:
+        """Return the derivatives by parameters of the rod's sensitivities, (., n)."""
+        return np.asarray(self.by_rod[..., [equations.PARAMETERS.index(name) for name in names]])
+
+    @property
+    def by_stiffness(self) -> Array:
+        """Derivative by the logarithm of E and G together, (., 1)."""
+        return np.asarray(self.by("log_E", "log_G").sum(axis=-1, keepdims=True))
+
+
+Derivative = Callable[["SolvedTest", RodVector], Array]
+"""Derivative of a vector in base axes (...) by a parameter's components, (..., k)."""
+DERIVATIVES: dict[str, Derivative] = {
+    "E": lambda test, vector: vector.by("log_E"),
+    "density": lambda test, vector: vector.by("log_density"),
+    "G": lambda test, vector: vector.by("log_G"),
+    "root": lambda test, vector: vector.by_root[..., None],
+    "tilt": lambda test, vector: test.by_rotation(vector, test.values.T_stated_base)[..., 0:2],
+    "clocking": lambda test, vector: test.by_rotation(vector, test.values.T_stated_base)[..., 2:3],
+    "gravity": lambda test, vector: vector.by_rod[..., GRAVITY] @ test.d_gravity,
+    "diameters": lambda test, vector: vector.by("log_diameter"),
+    "mount_rotation": lambda test, vector: test.by_rotation(vector, test.values.T_mount_error),
+    "creep": lambda test, vector: -test.measured.creep_ramp * vector.by_stiffness,
+}
+"""By the entries of `PARAMETERS` that change the solved rod; the others change axes and readings alone."""
+NUISANCE_DERIVATIVES: dict[str, Derivative] = {
+    "force": lambda test, vector: vector.by_rod[..., 0:3],
+    "angle": lambda test, vector: vector.by_angle[..., None],
+    "weight": lambda test, vector: (vector.by_rod[..., 0:3] @ test.known_force)[..., None],
+    "s": lambda test, vector: vector.by("s_contact"),
+    "stiffness": lambda test, vector: vector.by_stiffness,
+}
+"""By the nuisance parameters; the error of the pose acts on blocks as the common one does."""
 
 
 @dataclass(frozen=True)
@@ -155,94 +190,86 @@ class SolvedTest:
         return self.eq.sensitivity
 
     @property
-    def force(self) -> Array:
-        """Force on the rod in base axes [N], (3,)."""
-        return self.eq.load[0:3]
-
-    def blocks(self) -> Iterator[ResidualBlock]:
-        """Yield all residuals of the test."""
-        if self.measured.wrench_base is not None:
-            yield self._wrench()
-        yield from self._markers()
-        if self.measured.p_touch_world is not None and not self.measured.free:
-            yield self._touch()
-        if self.measured.s_estimated and np.isfinite(self.measured.s_contact):
-            yield self._own("places", "s", self.measured.std_s, self.measured.s_contact)
-        friction = self.values.common.model.friction
-        if self.touch is not None and np.isfinite(friction):
-            yield self._friction(max(friction, MIN_FRICTION))
-        if "weight" in self.measured.nuisance:
-            yield self._own("weights", "weight", WEIGHT_STD)
-        if "stiffness" in self.measured.nuisance:
-            yield self._own("stiffness", "stiffness", self.values.common.stiffness_std)
-        if "pose" in self.measured.nuisance:
-            measured = self.measured
-            yield self._own("poses", "pose", np.repeat([measured.std_turn, measured.std_place], 3))
-        if np.isfinite(self.measured.sag):
-            yield self._sag()
-
-    def by_base_rotation(self, vector: WithJacobian) -> Array:
-        """Return the derivative by the base's rotation in stated axes, through gravity and dead loads, (..., 3)."""
-        return self._by_rotation(vector) @ self.values.T_stated_base[:3, :3].T
-
-    def by_mount_rotation(self, vector: WithJacobian) -> Array:
-        """Return the derivative by the rotation of the probe on the sensor, (..., 3)."""
-        return self._by_rotation(vector) @ self.values.T_mount_error[:3, :3].T
-
-    def _by_rotation(self, vector: WithJacobian) -> Array:
-        d = vector.by_rod[..., GRAVITY_COLUMNS] @ skew(self.gravity_base)
-        return d if self.measured.touched else np.asarray(d + vector.by_rod[..., 0:3] @ skew(self.force))
-
-    def jacobian(self, vector: WithJacobian) -> Array:
-        """Return derivatives of a vector in base axes by the parameter vector, (..., size), at fixed base axes."""
-        J = np.zeros((*vector.value.shape, self.values.common.size))
-        for parameter in PARAMETERS.values():
-            if parameter.jacobian is not None:
-                J[..., parameter.columns] = parameter.jacobian(self, vector)
-        common = self.values.common
-        J[..., common.print_columns] = vector.by_rod[..., equations.ALL_COLUMNS :] @ common.print_modes.T
-        return J
-
-    def nuisance_jacobian(self, vector: WithJacobian) -> Array:
-        """Return derivatives of a vector in base axes by the test's nuisance parameters, (..., nuisance_size)."""
-        nuisance, d = self.measured.nuisance, vector.by_rod
-        columns = {
-            "force": lambda: d[..., 0:3],
-            "angle": lambda: vector.by_angle[..., None],
-            "weight": lambda: (d[..., 0:3] @ self.known_force)[..., None],
-            "s": lambda: d[..., S_COLUMN : S_COLUMN + 1],
-            "stiffness": lambda: stiffness_column(vector),
-        }
-        J = np.zeros((*vector.value.shape, self.measured.nuisance_size))
-        for name, at in nuisance.items():
-            if name in columns:  # the error of the pose acts on blocks, see `_with_own_pose`
-                J[..., at] = columns[name]()
-        return J
-
-    @property
     def known_force(self) -> Array:
         """Known load in base axes at these values [N], (3,)."""
         assert self.measured.force_world is not None
         R = (self.measured.T_world_base @ self.values.T_stated_base)[:3, :3]
         return np.asarray(R.T @ self.measured.force_world)
 
-    def vector(self, value: Array, by_rod: Array, by_root: Array, by_angle: Array | None = None) -> WithJacobian:
+    def blocks(self) -> Iterator[ResidualBlock]:
+        """Yield all residuals of the test."""
+        measured, friction = self.measured, self.values.common.model.friction
+        if measured.wrench_base is not None:
+            yield from self._wrench()
+        if len(measured.marker_s):
+            yield from self._markers()
+        if measured.p_touch_world is not None and not measured.free:
+            yield from self._touch()
+        if measured.s_estimated and np.isfinite(measured.s_contact):
+            yield self._own("places", "s", measured.std_s, measured.s_contact)
+        if self.touch is not None and np.isfinite(friction):
+            vector = self.vector(*self.touch.friction)  # of a force without tangential parts
+            cov = max(friction, MIN_FRICTION) ** 2 * np.eye(2)
+            yield from self._whitened("friction", -vector.value, self.jacobian(vector), cov)
+        if "weight" in measured.nuisance:
+            yield self._own("weights", "weight", WEIGHT_STD)
+        if "stiffness" in measured.nuisance:
+            yield self._own("stiffness", "stiffness", self.values.common.stiffness_std)
+        if "pose" in measured.nuisance:
+            yield self._own("poses", "pose", np.repeat([measured.std_turn, measured.std_place], 3))
+        if np.isfinite(measured.sag):
+            yield from self._sag()
+
+    # derivatives
+
+    def by_rotation(self, vector: RodVector, T_rotated: Array) -> Array:
+        """Return the derivative by a rotation about the axes that a pose maps to, through gravity and dead loads,
+        (..., 3)."""
+        d = vector.by_rod[..., GRAVITY] @ skew(self.gravity_base)
+        if not self.measured.touched:
+            d = d + vector.by_rod[..., 0:3] @ skew(self.eq.load[0:3])
+        return np.asarray(d @ T_rotated[:3, :3].T)
+
+    def jacobian(self, vector: RodVector) -> Array:
+        """Return derivatives of a vector in base axes, at fixed base axes, by all unknowns, (..., n): the parameter
+        vector, then the test's nuisance parameters."""
+        common = self.values.common
+        J = np.zeros((*vector.value.shape, common.size + self.measured.nuisance_size))
+        for name, derivative in DERIVATIVES.items():
+            J[..., PARAMETERS[name].columns] = derivative(self, vector)
+        J[..., common.print_columns] = vector.by_rod[..., equations.ALL_COLUMNS :] @ common.print_modes.T
+        for name in NUISANCE_DERIVATIVES.keys() & self.measured.nuisance.keys():
+            J[..., self._columns(name)] = NUISANCE_DERIVATIVES[name](self, vector)
+        return J
+
+    def _columns(self, name: str) -> slice:
+        """Position of a nuisance parameter among all unknowns of the test."""
+        at, size = self.measured.nuisance[name], self.values.common.size
+        return slice(size + at.start, size + at.stop)
+
+    def vector(self, value: Array, by_rod: Array, by_root: Array, by_angle: Array | None = None) -> RodVector:
         """Return a vector in base axes with its total derivatives, through the couple of a touch.
 
         The arguments are its value and its derivatives at a given couple.
         """
         by_angle = np.zeros_like(value) if by_angle is None else by_angle
         if self.touch is None:
-            return WithJacobian(value, by_rod, by_root, by_angle)
+            return RodVector(value, by_rod, by_root, by_angle)
         across = by_rod[..., COUPLE_COLUMNS]
         couple_by_rod, couple_by_root, couple_by_angle = self.touch.couple_response
         total = by_rod + across @ couple_by_rod
         total[..., COUPLE_COLUMNS] = 0.0
-        return WithJacobian(value, total, by_root + across @ couple_by_root, by_angle + across @ couple_by_angle)
+        return RodVector(value, total, by_root + across @ couple_by_root, by_angle + across @ couple_by_angle)
 
-    def in_world(self, vector: WithJacobian) -> tuple[Array, Array, Array]:
-        """Return points of the rod in the world as the reference measures them, with derivatives by the parameter
-        vector and by the nuisance parameters."""
+    def _by_root(self, value: Callable[[Equilibrium], Array]) -> Array:
+        """Return the derivative of a value of the equilibrium by root_rigid_radii; zero where it is not needed."""
+        if not self.root_solutions:
+            return np.zeros_like(value(self.eq))
+        less, more = map(value, self.root_solutions)
+        return np.asarray((more - less) / (2.0 * ROOT_STEP))
+
+    def in_world(self, vector: RodVector) -> tuple[Array, Array]:
+        """Return points of the rod in the world as the reference measures them, with derivatives by all unknowns."""
         values, R_stated = self.values, self.measured.T_world_base[:3, :3]
         T = self.measured.T_world_base @ values.T_stated_base
         R, R_sensor, mount = T[:3, :3], R_stated @ values.T_base_error[:3, :3], values.T_mount_error
@@ -255,14 +282,36 @@ class SolvedTest:
         from_origin = vector.value @ R.T + (T[:3, 3] - origin)
         J *= scale
         J[..., SCALE] = from_origin
-        return origin + scale * from_origin, J, scale * (R @ self.nuisance_jacobian(vector))
+        return origin + scale * from_origin, J
 
-    def _wrench(self) -> ResidualBlock:
+    # residuals
+
+    def _whitened(
+        self, kind: str, residual: Array, J: Array, cov: Array, items: Sequence[int] = (0,)
+    ) -> Iterator[ResidualBlock]:
+        """Yield the whitened blocks of one reading (k,), or of several (m, k). Residuals are measured minus modelled,
+        so the derivatives of the modelled change their sign."""
+        if "pose" in self.measured.nuisance:
+            J[..., self._columns("pose")] = J[..., BASE_POSE]
+        W = whiten(cov)
+        r, J = (W @ residual[..., None])[..., 0], -W @ J
+        for i, item in enumerate(items):
+            parts = (r[i], J[i], residual[i]) if residual.ndim > 1 else (r, J, residual)
+            yield ResidualBlock(self.measured.name, kind, item, *parts)
+
+    def _own(self, kind: str, name: str, std: ArrayLike, stated: float = 0.0) -> ResidualBlock:
+        """Return the residual of nuisance parameters from their stated value."""
+        residual = stated - self.nuisance[self.measured.nuisance[name]]
+        inverse = 1.0 / np.broadcast_to(std, residual.shape)
+        J = np.zeros((len(residual), self.values.common.size + self.measured.nuisance_size))
+        J[:, self._columns(name)] = -np.diag(inverse)
+        return ResidualBlock(self.measured.name, kind, 0, inverse * residual, J, residual)
+
+    def _wrench(self) -> Iterator[ResidualBlock]:
         measured, common, X = self.measured, self.values.common, self.values.mount_wrench_map
         by_root = self._by_root(lambda eq: eq.wrench_base)
         vector = self.vector(self.eq.wrench_base, self.sensitivity.d_wrench, by_root)
-        modelled = X @ vector.value
-        J, J_nuisance = X @ self.jacobian(vector), X @ self.nuisance_jacobian(vector)
+        modelled, J = X @ vector.value, X @ self.jacobian(vector)
         f, arm = skew(modelled[:3]), skew(self.values.T_mount_error[:3, 3])
         J[:3, MOUNT_ROTATION] -= f
         J[3:, MOUNT_ROTATION] -= skew(modelled[3:] - arm @ modelled[:3]) + arm @ f
@@ -272,31 +321,24 @@ class SolvedTest:
         to_base = wrench_map(inverse(common.model.T_sensor_base))
         reading = common.model.to_sensor(modelled, measured.gravity_base)
         gain = to_base * self.values.x[GAIN]  # to_base @ diag(gain)
-        by_wrench = np.eye(6) + gain @ to_sensor
-        J, J_nuisance = by_wrench @ J, by_wrench @ J_nuisance
+        J = (np.eye(6) + gain @ to_sensor) @ J
         J[:, GAIN] += to_base * reading
         J[:, BIAS] += np.eye(6)
         J[:, common.walk_columns(measured.epoch)] += common.walk_modes[:, : 6 * measured.epoch]
         modelled = modelled + gain @ reading + self.values.bias(measured.epoch)
         assert measured.wrench_base is not None and measured.cov_wrench is not None
-        return self._block("wrenches", 0, measured.wrench_base - modelled, J, J_nuisance, measured.cov_wrench)
+        return self._whitened("wrenches", measured.wrench_base - modelled, J, measured.cov_wrench)
 
     def _markers(self) -> Iterator[ResidualBlock]:
         measured = self.measured
-        if not len(measured.marker_s):
-            return
         p, d = self.eq.p_at(measured.marker_s), self.eq.d_p_at(measured.marker_s)
-        by_root = self._by_root(lambda eq: eq.p_at(measured.marker_s))
         if measured.marker_side is not None:
             offset, d_offset = self._surface_offset(measured.marker_s, measured.marker_side)
             p, d = p + offset, d + d_offset
-        modelled, J, J_nuisance = self.in_world(self.vector(p, d, by_root))
+        by_root = self._by_root(lambda eq: eq.p_at(measured.marker_s))
+        modelled, J = self.in_world(self.vector(p, d, by_root))
         residual = measured.p_markers_world - modelled
-        J_nuisance = self._with_own_pose(J, J_nuisance)
-        W = whiten(measured.cov_markers)
-        r, J, J_nuisance = (W @ residual[:, :, None])[:, :, 0], -W @ J, -W @ J_nuisance
-        for i, number in enumerate(measured.marker_numbers):
-            yield ResidualBlock(measured.name, "markers", number, r[i], J[i], J_nuisance[i], residual[i])
+        return self._whitened("markers", residual, J, measured.cov_markers, measured.marker_numbers)
 
     def _surface_offset(self, s: Array, side: float) -> tuple[Array, Array]:
         """Return vectors from the axis to the surface on one side, (m, 3), and their derivatives, (m, 3, k).
@@ -314,69 +356,30 @@ class SolvedTest:
         rotation = np.cross(R[:, :, 2][:, :, None], d_tangent, axis=1)
         return offset, np.cross(rotation, offset[:, :, None], axis=1)
 
-    def _touch(self) -> ResidualBlock:
+    def _touch(self) -> Iterator[ResidualBlock]:
         measured = self.measured
         by_root = self._by_root(lambda eq: eq.p_contact_base)
         value, by_rod, by_angle = self.eq.p_contact_base, self.sensitivity.d_position, np.zeros(3)
         if self.touch is not None:
             offset, offset_by_rod, offset_by_root, by_angle = self.touch.offset
             value, by_rod, by_root = value + offset, by_rod + offset_by_rod, by_root + offset_by_root
-        modelled, J, J_nuisance = self.in_world(self.vector(value, by_rod, by_root, by_angle))
+        modelled, J = self.in_world(self.vector(value, by_rod, by_root, by_angle))
         assert measured.p_touch_world is not None
-        cov = measured.std_touch**2 * np.eye(3)
-        return self._block("touches", 0, measured.p_touch_world - modelled, J, J_nuisance, cov)
+        return self._whitened("touches", measured.p_touch_world - modelled, J, measured.std_touch**2 * np.eye(3))
 
-    def _own(self, kind: str, name: str, std: ArrayLike, stated: float = 0.0) -> ResidualBlock:
-        """Return the residual of nuisance parameters from their stated value."""
-        at = self.measured.nuisance[name]
-        residual = stated - self.nuisance[at]
-        inverse = 1.0 / np.broadcast_to(std, residual.shape)
-        J_nuisance = np.zeros((len(residual), self.measured.nuisance_size))
-        J_nuisance[:, at] = -np.diag(inverse)
-        J = np.zeros((len(residual), self.values.common.size))
-        return ResidualBlock(self.measured.name, kind, 0, inverse * residual, J, J_nuisance, residual)
-
-    def _friction(self, std: float) -> ResidualBlock:
-        """Return the residual of a force without tangential parts."""
-        assert self.touch is not None
-        vector = self.vector(*self.touch.friction)
-        cov = std**2 * np.eye(2)
-        return self._block("friction", 0, -vector.value, self.jacobian(vector), self.nuisance_jacobian(vector), cov)
-
-    def _sag(self) -> ResidualBlock:
-        """Return the residual of the tip's displacement along gravity from the straight probe on the same base."""
+    def _sag(self) -> Iterator[ResidualBlock]:
+        """Yield the residual of the tip's displacement along gravity from the straight probe on the same base."""
         length, size = self.rod.length, float(np.linalg.norm(self.gravity_base))
         s, down = np.array([length]), self.gravity_base / size
         by_root = self._by_root(lambda eq: eq.p_at(s))[0]
         tip = self.vector(self.eq.p_at(s)[0] - [0.0, 0.0, length], self.eq.d_p_at(s)[0], by_root)
-        gravity = WithJacobian(self.gravity_base, np.zeros_like(tip.by_rod), np.zeros(3), np.zeros(3))
-        gravity.by_rod[:, GRAVITY_COLUMNS] = np.eye(3)
+        gravity = RodVector(self.gravity_base, np.zeros_like(tip.by_rod), np.zeros(3), np.zeros(3))
+        gravity.by_rod[:, GRAVITY] = np.eye(3)
         scale, sag = 1.0 + self.values.x[SCALE], float(tip.value @ down)
         J = scale * (down @ self.jacobian(tip) + tip.value @ self.jacobian(gravity) / size)
         J[SCALE] = sag
-        J_nuisance = scale * (down @ self.nuisance_jacobian(tip))[None]
         residual = np.array([self.measured.sag - scale * sag])
-        return self._block("sags", 0, residual, J[None], J_nuisance, np.array([[self.measured.std_sag**2]]))
-
-    def _by_root(self, value: Callable[[Equilibrium], Array]) -> Array:
-        """Return the derivative of a value of the equilibrium by root_rigid_radii; zero where it is not needed."""
-        if not self.root_solutions:
-            return np.zeros_like(value(self.eq))
-        less, more = map(value, self.root_solutions)
-        return np.asarray((more - less) / (2.0 * ROOT_STEP))
-
-    def _block(self, kind: str, item: int, residual: Array, J: Array, J_nuisance: Array, cov: Array) -> ResidualBlock:
-        """Return the whitened block; residuals are measured minus modelled, so the derivatives change their sign."""
-        W, J_nuisance = whiten(cov), self._with_own_pose(J, J_nuisance)
-        return ResidualBlock(self.measured.name, kind, item, W @ residual, -W @ J, -W @ J_nuisance, residual)
-
-    def _with_own_pose(self, J: Array, J_nuisance: Array) -> Array:
-        """Return the derivatives by the nuisance parameters with those by the test's own error of the base pose, which
-        acts as the common one does."""
-        at = self.measured.nuisance.get("pose")
-        if at is not None:
-            J_nuisance[..., at] = J[..., BASE_POSE]
-        return J_nuisance
+        return self._whitened("sags", residual, J[None], np.array([[self.measured.std_sag**2]]))
 
 
 def solve_test(
@@ -425,3 +428,33 @@ def solve_test(
     if ok and measured.touched:
         touch = SurfaceTouch(rod, eq, force, angle, axes)
     return SolvedTest(measured, values, nuisance, rod, eq, touch, others, gravity_base, R.T @ d_gravity, ok)
+
+
+@dataclass(frozen=True)
+class MassMeasurement:
+    """A weighing of the probe."""
+
+    mass: float  #: measured [kg].
+    std: float  #: standard deviation of the mass [kg].
+    flange_volume: float  #: of printed material that was weighed with the flexible part, as drawn [m³].
+
+    def block(self, values: ParameterValues) -> ResidualBlock:
+        """Return its residual, which depends on the density and on all diameters."""
+        rod = values.rod
+        total = rod.mass + rod.density * self.flange_volume
+        J = np.zeros((1, values.common.size))
+        J[0, PARAMETERS["density"].columns] = total
+        J[0, PARAMETERS["diameters"].columns] = 2.0 * rod.mass
+        J[0, values.common.print_columns] = rod.density * rod.body.volume_by_knot[0] @ values.common.print_modes.T
+        residual = np.array([self.mass - total])
+        return ResidualBlock("", "scales", 0, residual / self.std, -J / self.std, residual)
+
+
+def poisson_block(values: ParameterValues) -> ResidualBlock:
+    """Return the residual of Poisson's ratio from its prior, which ties G to E: E = 2 (1 + ν) G."""
+    rod = values.rod
+    std = POISSON_STD / (1.0 + POISSON)  # of the logarithm of E/G
+    J = np.zeros((1, values.common.size))
+    J[0, PARAMETERS["E"].columns], J[0, PARAMETERS["G"].columns] = 1.0, -1.0
+    residual = np.array([np.log(2.0 * (1.0 + POISSON)) - np.log(rod.youngs_modulus / rod.shear_modulus)])
+    return ResidualBlock("", "poisson", 0, residual / std, -J / std, residual)

@@ -15,8 +15,8 @@ from probedesign.core import csv_tables
 from probedesign.core.frames import Array
 from probedesign.core.notebook import Tabular
 from probedesign.core.units import MM
-from probedesign.identification.contradiction import LikelyCause, WidenedFit
 from probedesign.identification.fit_checks import UnobservableDirection, conditional_estimate, cov_conditional
+from probedesign.identification.mistakes import LikelyCause
 from probedesign.identification.parameters import (
     COMPONENTS,
     IMPLIED,
@@ -27,7 +27,7 @@ from probedesign.identification.parameters import (
     POISSON_STD,
     columns_of,
 )
-from probedesign.identification.robust_loss import ROBUST_KINDS, NoiseScale
+from probedesign.identification.robust_loss import READING_KINDS, ROBUST_KINDS, NoiseScale
 from probedesign.identification.solver import Fit
 
 CONFIDENCE = 0.95
@@ -276,7 +276,7 @@ def identified_numbers(
 def _prior_of(fit: Fit, name: str, requested: bool) -> str:
     """Return which prior an implied parameter follows, where the tests contain less information on it; else empty."""
     column = columns_of([name])[0]
-    if name == "G" and fit.point.problem.poisson is not None:
+    if name == "G" and fit.point.problem.with_poisson:
         prior = POISSON_STD / (1.0 + POISSON)
         variance = float(fit.cov[_at(fit, column), _at(fit, column)])
         if fit.point.problem.active[LOG_E]:
@@ -335,6 +335,17 @@ def residuals_of(fit: Fit) -> tuple[Residual, ...]:
     return tuple(found)
 
 
+def farthest_tests(residuals: Sequence[Residual], count: int = 3) -> str:
+    """Return a line that names the tests whose readings are farthest from the fit, by their RMS."""
+    by_test: dict[str, list[float]] = {}
+    for row in residuals:
+        if row.test and row.kind in READING_KINDS:
+            by_test.setdefault(row.test, []).append(row.deviations**2)
+    rms = {test: math.sqrt(sum(squares) / len(squares)) for test, squares in by_test.items()}
+    worst = sorted(rms, key=lambda test: -rms[test])[:count]
+    return "farthest from the fit: " + ", ".join(f"{test} by {rms[test]:.3g} standard deviations" for test in worst)
+
+
 # error budget
 
 
@@ -345,7 +356,7 @@ def error_budget(fit: Fit, names: Sequence[str]) -> tuple[ErrorContribution, ...
     number i by C_ij/σ_j, C the covariance with the design's dimensions. What these leave of C_ii is due to the readings
     and the priors of single tests. What the acceptance of a contradiction adds to the variance is a term of its own.
     """
-    total, fit = fit, fit.stated if isinstance(fit, WidenedFit) else fit
+    total, fit = fit, replace(fit, added_cov=None)
     problem = fit.point.problem
     active = np.flatnonzero(problem.active)
     print_modes = range(problem.common.print_columns.start, problem.common.print_columns.stop)
@@ -373,10 +384,10 @@ def error_budget(fit: Fit, names: Sequence[str]) -> tuple[ErrorContribution, ...
 
 def widening(fit: Fit, names: Sequence[str]) -> float:
     """Return the largest factor on a standard deviation of these parameters by the acceptance of a contradiction."""
-    if not isinstance(fit, WidenedFit):
+    if fit.added_cov is None:
         return 1.0
     at = [_at(fit, column) for column in columns_of(names)]
-    return max(1.0, float(np.sqrt(np.diag(fit.cov)[at] / np.diag(fit.stated.cov)[at]).max()))
+    return max(1.0, float(np.sqrt(np.diag(fit.cov)[at] / np.diag(fit.stated_cov)[at]).max()))
 
 
 def beyond_limits(fit: Fit, names: Sequence[str]) -> tuple[UnobservableDirection, ...]:

@@ -1,39 +1,51 @@
-"""Least squares over a whole campaign: Levenberg–Marquardt steps within bounds, with robust weights and noise scales.
+"""Fit of a campaign: SciPy's least squares in a loop that reweights the readings and estimates their noise scales.
 
-SciPy's `least_squares` has robust losses of single residuals only; here a block of residuals shares one weight and the
-scale of its kind is estimated with it, which is why the steps are taken here.
+A block of residuals shares one weight, see `robust_loss`, and the scale of its kind is estimated with it; SciPy has
+losses of single residuals only.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import Bounds, least_squares
 
 from probedesign.core.frames import Array
-from probedesign.identification.elimination import NormalEquations, TestRows
 from probedesign.identification.parameters import LOG_G, MAX_LOGARITHM, CommonParameters, ParameterValues, columns_of
-from probedesign.identification.residuals import MeasuredTest, ResidualBlock, SolvedTest, solve_test
+from probedesign.identification.residuals import (
+    MassMeasurement,
+    MeasuredTest,
+    ResidualBlock,
+    SolvedTest,
+    poisson_block,
+    solve_test,
+)
 from probedesign.identification.robust_loss import NoiseScale, median_scales, noise_scales, robust_loss, weights
-from probedesign.identification.whole_probe import MassMeasurement, PoissonPrior
 
-MAX_ITERATIONS = 25
-"""Steps of one search: those of campaigns without contradictions take fewer than ten."""
-MIN_DAMPING, MAX_DAMPING = 1e-9, 1e8
+MAX_ROUNDS, MAX_EVALUATIONS = 25, 6
+"""Of reweighting in one search, and evaluations of the campaign in each round: most take one."""
+SMALL_DECREASE = 0.5
+"""Relative decrease of the loss in a step that ends a round."""
 MIN_GAIN = 1e-3
 """Decrease of the loss, half a χ², that ends a search: within a twentieth of a standard deviation of the minimum. The
 rod's own tolerances, a micrometre and a millionth of the moment, make the loss uncertain by about as much."""
 MAX_SCALE_ROUNDS = 4
 """Estimates of the noise scales from the residuals."""
-
-
-# the problem, linearised
+SETTLED = 0.02
+"""Relative change of a noise scale below which it is settled."""
+ROUNDING = 1e-13
+"""Information that is added to each unknown, relative to its own: what nothing determines has a large covariance."""
 
 
 @dataclass(frozen=True)
 class LeastSquaresProblem:
-    """Tests, weighing and prior of one fit."""
+    """Tests, weighing and prior of one fit.
+
+    Unknowns are the estimated entries of the parameter vector, then the nuisance parameters of each test.
+    """
 
     common: CommonParameters  #: parameters that the tests share.
     tests: tuple[MeasuredTest, ...]  #: the tests.
@@ -46,38 +58,39 @@ class LeastSquaresProblem:
         return np.asarray(self.prior > 0.0)
 
     @cached_property
-    def poisson(self) -> PoissonPrior | None:
-        """Prior on Poisson's ratio; None if G has its own prior."""
-        return PoissonPrior() if np.isinf(self.prior[LOG_G]) else None
-
-    @cached_property
-    def bounds(self) -> Array:
-        """Smallest and largest values of the estimated entries of the parameter vector, (2, n_active)."""
-        return self.common.bounds[:, self.active]
-
-    @cached_property
-    def nuisance_bounds(self) -> tuple[Array, ...]:
-        """Smallest and largest values of each test's nuisance parameters, (2, nuisance_size): the flank ends the
-        arclength, and a stiffness is bounded as E is."""
-        found = []
-        for test in self.tests:
-            bounds = np.full((2, test.nuisance_size), np.inf) * [[-1.0], [1.0]]
-            if "s" in test.nuisance:
-                bounds[:, test.nuisance["s"]] = [[0.0], [self.common.model.rod.flank_end]]
-            if "stiffness" in test.nuisance:
-                bounds[:, test.nuisance["stiffness"]] = [[-MAX_LOGARITHM], [MAX_LOGARITHM]]
-            found.append(bounds)
-        return tuple(found)
-
-    @cached_property
     def n_active(self) -> int:
         """Number of estimated entries of the parameter vector."""
         return int(self.active.sum())
 
     @cached_property
+    def own(self) -> dict[str, slice]:
+        """Position of the nuisance parameters of each test among the unknowns, by its name."""
+        ends = np.cumsum([self.n_active, *(test.nuisance_size for test in self.tests)]).tolist()
+        return {test.name: slice(a, b) for test, a, b in zip(self.tests, ends, ends[1:], strict=False)}
+
+    @property
     def size(self) -> int:
-        """Number of all unknowns, nuisance parameters of the tests included."""
+        """Number of all unknowns."""
         return self.n_active + sum(test.nuisance_size for test in self.tests)
+
+    @property
+    def with_poisson(self) -> bool:
+        """Whether Poisson's ratio ties G to E; else G has its own prior."""
+        return bool(np.isinf(self.prior[LOG_G]))
+
+    @cached_property
+    def bounds(self) -> Array:
+        """Smallest and largest values of the unknowns, (2, size): the flank ends the arclength, and a stiffness is
+        bounded as E is."""
+        bounds = np.full((2, self.size), np.inf) * [[-1.0], [1.0]]
+        bounds[:, : self.n_active] = self.common.bounds[:, self.active]
+        for test in self.tests:
+            own = bounds[:, self.own[test.name]]  # a view
+            if "s" in test.nuisance:
+                own[:, test.nuisance["s"]] = [[0.0], [self.common.model.rod.flank_end]]
+            if "stiffness" in test.nuisance:
+                own[:, test.nuisance["stiffness"]] = [[-MAX_LOGARITHM], [MAX_LOGARITHM]]
+        return bounds
 
 
 @dataclass(frozen=True)
@@ -94,80 +107,91 @@ class Linearization:
         """Whether the rod has a stable equilibrium in every test."""
         return len(self.tests) == len(self.problem.tests) and all(test.ok for test in self.tests)
 
+    @property
+    def unknowns(self) -> Array:
+        """Values of all unknowns, (size,)."""
+        return np.concatenate([self.values.x[self.problem.active], *(test.nuisance for test in self.tests)])
+
+    def at(self, unknowns: Array) -> "Linearization":
+        """Return the campaign at other values of the unknowns; this one is the initial guess of the equilibria."""
+        x = self.values.x.copy()
+        x[self.problem.active] = unknowns[: self.problem.n_active]
+        own = [unknowns[self.problem.own[test.name]] for test in self.problem.tests]
+        return linearize(self.problem, ParameterValues(self.problem.common, x), own, self)
+
     @cached_property
     def prior_residual(self) -> Array:
         """Whitened deviation of the estimated entries from their prior, (n_active,)."""
         std = self.problem.prior[self.problem.active]
         return np.where(np.isinf(std), 0.0, self.values.x[self.problem.active] / std)
 
+    @cached_property
+    def starts(self) -> NDArray[np.intp]:
+        """First row of each block, (n,)."""
+        return np.cumsum([0, *(len(block.r) for block in self.blocks)], dtype=np.intp)[:-1]
+
+    @cached_property
+    def rows(self) -> tuple[Array, Array]:
+        """Residuals with full weight, those of the priors last, (k,), and their derivatives by the unknowns, (k, n)."""
+        problem, size = self.problem, self.problem.common.size
+        r = np.concatenate([*(block.r for block in self.blocks), self.prior_residual])
+        J, at = np.zeros((len(r), problem.size)), 0
+        for block in self.blocks:
+            end = at + len(block.r)
+            J[at:end, : problem.n_active] = block.J[:, :size][:, problem.active]
+            if block.test and block.J.shape[1] > size:
+                J[at:end, problem.own[block.test]] = block.J[:, size:]
+            at = end
+        std = problem.prior[problem.active]
+        J[at:, : problem.n_active] = np.diag(np.where(np.isinf(std), 0.0, 1.0 / std))
+        return r, J
+
+    def by_row(self, of_blocks: Array) -> Array:
+        """Return a value of each block for each row, 1 for those of the priors, (k,)."""
+        lengths = [len(block.r) for block in self.blocks]
+        return np.concatenate([np.repeat(of_blocks, lengths), np.ones(self.problem.n_active)])
+
     def loss(self, scales: dict[str, float]) -> float:
-        """Return the loss with the prior's share."""
+        """Return the robust loss, half a χ² for blocks with full weight, and that of the priors."""
         return robust_loss(self.blocks, scales) + 0.5 * float(self.prior_residual @ self.prior_residual)
 
-    @cached_property
-    def _blocks_of_tests(self) -> list[list[int]]:
-        """Positions of the blocks of each test, and of those that belong to none."""
-        groups: dict[str, list[int]] = {test.measured.name: [] for test in self.tests}
-        groups[""] = []
-        for i, block in enumerate(self.blocks):
-            groups[block.test].append(i)
-        return list(groups.values())
+    def movable(self, weight: Array) -> NDArray[np.bool_]:
+        """Return which unknowns are within their bounds or are drawn away from the bound they are at, (size,)."""
+        r, J = self.rows
+        gradient, unknowns, (low, high) = J.T @ (self.by_row(weight) * r), self.unknowns, self.problem.bounds
+        return np.asarray(~((unknowns <= low) & (gradient > 0.0) | (unknowns >= high) & (gradient < 0.0)))
 
-    @cached_property
-    def _stacked(self) -> list[tuple[TestRows, NDArray[np.intp]]]:
-        """Rows of each test with full weight, and the number of rows of each block."""
-        active, result = self.problem.active, []
-        for group in self._blocks_of_tests:
-            blocks = [self.blocks[i] for i in group]
-            if not blocks:
-                empty = np.zeros((0, self.problem.n_active))
-                result.append((TestRows(empty, np.zeros((0, 0)), np.zeros(0)), np.zeros(0, dtype=np.intp)))
-                continue
-            rows = TestRows(
-                np.concatenate([block.J for block in blocks])[:, active],
-                np.concatenate([block.J_nuisance for block in blocks]),
-                np.concatenate([block.r for block in blocks]),
-            )
-            result.append((rows, np.array([len(block.r) for block in blocks])))
-        return result
+    def expected_gain(self, weight: Array) -> float:
+        """Return the decrease of the loss by a step within the bounds, by the linear model; infinite without a
+        solution."""
+        if not self.ok:
+            return np.inf
+        (r, J), movable = self.rows, self.movable(weight)
+        N, unit = _scaled(self.information(weight)[np.ix_(movable, movable)])
+        g = unit * (J.T @ (self.by_row(weight) * r))[movable]
+        return float(0.5 * g @ cho_solve(cho_factor(N), g))
 
-    def normal_equations(self, weight: Array, damping: float = 0.0, bounded: bool = False) -> NormalEquations:
-        """Return the weighted normal equations of the common unknowns.
+    # the information
 
-        `bounded` fixes the unknowns at a bound whose loss decreases beyond it: the steps then are those of the others,
-        and the expected decrease is one that a step within the bounds can reach.
-        """
-        rows = []
-        for group, (stated, sizes) in zip(self._blocks_of_tests, self._stacked, strict=True):
-            root = np.sqrt(np.repeat(weight[group], sizes))
-            rows.append(TestRows(root[:, None] * stated.A, root[:, None] * stated.B, root * stated.r))
-        std = self.problem.prior[self.problem.active]
-        inverse = np.where(np.isinf(std), 0.0, 1.0 / std)
-        if bounded:
-            gradient = inverse * self.prior_residual + sum(one.A.T @ one.r for one in rows)
-            movable = _movable(self.values.x[self.problem.active], gradient, self.problem.bounds)
-            inverse = inverse * movable
-            rows = [replace(one, A=one.A * movable) for one in rows]
-            for i, (test, bounds) in enumerate(zip(self.tests, self.problem.nuisance_bounds, strict=True)):
-                own = rows[i]
-                rows[i] = replace(own, B=own.B * _movable(test.nuisance, own.B.T @ own.r, bounds))
-        tests = [one.eliminated(damping) for one in rows]
-        return NormalEquations(tests, inverse**2, inverse * self.prior_residual, damping)
+    def information(self, weight: Array) -> Array:
+        """Return the information on all unknowns with a weight of each block, (size, size)."""
+        J = self.rows[1]
+        return np.asarray(J.T @ (self.by_row(weight)[:, None] * J))
 
-    def absorbed(self, equations: NormalEquations) -> list[Array]:
-        """Return the hat matrix of each block, by the normal equations with its weights."""
-        result: list[Array] = [np.zeros((0, 0))] * len(self.blocks)
-        for i, (group, (_, sizes)) in enumerate(zip(self._blocks_of_tests, self._stacked, strict=True)):
-            hat, ends = equations.hat(i), np.cumsum(sizes)
-            for k, size, end in zip(group, sizes, ends, strict=True):
-                result[k] = hat[end - size : end, end - size : end]
-        return result
+    def marginal(self, weight: Array, columns: Sequence[int]) -> Array:
+        """Return the information on some unknowns, all others marginalised, (n, n)."""
+        N, unit = _scaled(self.information(weight))
+        kept, others = np.asarray(columns), np.setdiff1d(np.arange(len(N)), columns)
+        across = N[np.ix_(others, kept)]
+        left = N[np.ix_(kept, kept)] - across.T @ cho_solve(cho_factor(N[np.ix_(others, others)]), across)
+        return np.asarray(left / np.outer(unit[kept], unit[kept]))
 
 
-def _movable(values: Array, gradient: Array, bounds: Array) -> NDArray[np.bool_]:
-    """Return which values are within their bounds or are drawn away from the bound they are at."""
-    low, high = bounds
-    return np.asarray(~((values <= low) & (gradient > 0.0) | (values >= high) & (gradient < 0.0)))
+def _scaled(information: Array) -> tuple[Array, Array]:
+    """Return the information in units in which the unknowns are comparable, and these units."""
+    diagonal = np.diag(information)
+    unit = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    return information * np.outer(unit, unit) + ROUNDING * np.eye(len(unit)), unit
 
 
 def linearize(
@@ -185,24 +209,14 @@ def linearize(
     root = root or bool(problem.active[columns_of(["root"])[0]])
     solved: list[SolvedTest] = []
     for i, (test, own) in enumerate(zip(problem.tests, nuisance, strict=True)):
-        solved.append(solve_test(test, values, own, None if last is None else last.tests[i], root))
+        solved.append(solve_test(test, values, own, last.tests[i] if last is not None and last.tests else None, root))
         if not solved[-1].ok:
             return Linearization(problem, values, tuple(solved), ())
-    return _collected(problem, values, solved)
-
-
-def reread(point: Linearization, tests: Sequence[MeasuredTest]) -> Linearization:
-    """Return the same states of the probe with other readings of the reference."""
-    solved = [replace(one, measured=test) for one, test in zip(point.tests, tests, strict=True)]
-    return _collected(replace(point.problem, tests=tuple(tests)), point.values, solved)
-
-
-def _collected(problem: LeastSquaresProblem, values: ParameterValues, solved: Sequence[SolvedTest]) -> Linearization:
     blocks = [block for test in solved for block in test.blocks()]
     if problem.mass is not None:
         blocks.append(problem.mass.block(values))
-    if problem.poisson is not None:
-        blocks.append(problem.poisson.block(values))
+    if problem.with_poisson:
+        blocks.append(poisson_block(values))
     return Linearization(problem, values, tuple(solved), tuple(blocks))
 
 
@@ -216,8 +230,9 @@ class Fit:
     result: str  #: "ok" or "not_converged".
     point: Linearization  #: linearization where it ended.
     scales: dict[str, float]  #: noise scale of each kind over the stated noise.
-    noise: tuple[NoiseScale, ...]  #: how the scales were estimated.
-    iterations: int  #: number of steps.
+    noise: tuple[NoiseScale, ...] = ()  #: how the scales were estimated.
+    #: what the acceptance of a contradiction adds to `cov`; None where there is none.
+    added_cov: Array | None = None
 
     @cached_property
     def weight(self) -> Array:
@@ -225,86 +240,106 @@ class Fit:
         return weights(self.point.blocks, self.scales)
 
     @cached_property
-    def equations(self) -> NormalEquations:
-        """Normal equations at the solution."""
-        return self.point.normal_equations(self.weight)
+    def cov_unknowns(self) -> Array:
+        """Covariance of all unknowns, the inverse of their information, (size, size)."""
+        N, unit = _scaled(self.point.information(self.weight))
+        return np.asarray(cho_solve(cho_factor(N), np.eye(len(N))) * np.outer(unit, unit))
+
+    @property
+    def stated_cov(self) -> Array:
+        """Covariance of the estimated entries of the parameter vector without `added_cov`, (n_active, n_active)."""
+        n = self.point.problem.n_active
+        return self.cov_unknowns[:n, :n]
 
     @property
     def cov(self) -> Array:
         """Covariance of the estimated entries of the parameter vector, (n_active, n_active)."""
-        return self.equations.covariance
+        return self.stated_cov if self.added_cov is None else self.stated_cov + self.added_cov
+
+    def absorbed(self, i: int) -> Array:
+        """Return what the fit absorbs of the residuals of one block, its hat matrix, (k, k)."""
+        start = self.point.starts[i]
+        J = self.point.rows[1][start : start + len(self.point.blocks[i].r)]
+        return np.asarray(self.weight[i] * J @ self.cov_unknowns @ J.T)
 
     @cached_property
-    def absorbed(self) -> list[Array]:
-        """Hat matrix of each block."""
-        return self.point.absorbed(self.equations)
+    def leverage(self) -> Array:
+        """Degrees of freedom of each block that the unknowns absorb, (n,)."""
+        J = self.point.rows[1][: len(self.point.rows[1]) - self.point.problem.n_active]
+        of_rows = np.sum((J @ self.cov_unknowns) * J, axis=1)
+        return np.asarray(self.weight * np.add.reduceat(of_rows, self.point.starts))
 
 
-def fit(problem: LeastSquaresProblem, start: Linearization) -> Fit:
+def fit(start: Linearization) -> Fit:
     """Fit a campaign.
 
     At first the scale of each kind is that of the median of its distances; once that has converged it is estimated
     from the residuals and their degrees of freedom, and the search continues from there.
     """
-    point, iterations, converged = minimise(problem, start, None)
-    scales: dict[str, float] = {}
-    noise: list[NoiseScale] = []
+    point, converged = minimise(start, None)
+    found = Fit("ok" if converged else "not_converged", point, {})
     for _ in range(MAX_SCALE_ROUNDS):
-        weight = weights(point.blocks, scales)
-        noise = noise_scales(point.blocks, weight, _leverage(point, weight), scales)
-        estimated = {one.kind: one.scale for one in noise}
-        settled = bool(scales) and all(abs(estimated[k] / scales[k] - 1.0) < 0.02 for k in estimated)
-        scales = estimated
-        if not converged:  # contradictory tests: more steps change no more than the noise
+        noise = noise_scales(point.blocks, found.weight, found.leverage, found.scales)
+        scales = {one.kind: one.scale for one in noise}
+        settled = all(abs(scales[kind] / found.scales.get(kind, np.inf) - 1.0) < SETTLED for kind in scales)
+        if converged:  # of contradictory tests more steps change no more than the noise
+            point, converged = minimise(point, scales)
+        found = Fit("ok" if converged else "not_converged", point, scales, tuple(noise))
+        if settled or not converged:
             break
-        point, more, converged = minimise(problem, point, scales)
-        iterations += more
-        if settled:
-            break
-    return Fit("ok" if converged else "not_converged", point, scales, tuple(noise), iterations)
-
-
-def _leverage(point: Linearization, weight: Array) -> Array:
-    """Return the degrees of freedom of each block that the unknowns absorb, (n,)."""
-    return np.array([np.trace(hat) for hat in point.absorbed(point.normal_equations(weight))])
+    return found
 
 
 def minimise(
-    problem: LeastSquaresProblem,
-    point: Linearization,
-    scales: dict[str, float] | None,
-    max_iterations: int = MAX_ITERATIONS,
-) -> tuple[Linearization, int, bool]:
-    """Take Levenberg–Marquardt steps until the gain is negligible; scales by the medians if none are given."""
-    damping = MIN_DAMPING
-    for iteration in range(max_iterations):
-        used = median_scales(point.blocks) if scales is None else scales
-        weight = weights(point.blocks, used)
-        equations = point.normal_equations(weight, MIN_DAMPING, bounded=True)
-        if equations.steps[2] < MIN_GAIN:
-            return point, iteration, True
-        moved, loss = None, point.loss(used)
-        while moved is None and damping < MAX_DAMPING:
-            if damping > MIN_DAMPING:
-                equations = point.normal_equations(weight, damping, bounded=True)
-            moved = _moved(problem, point, equations)
-            if moved is not None and moved.loss(used) > loss:
-                moved = None
-            damping = 10.0 * max(damping, 1e-5) if moved is None else max(damping / 10.0, MIN_DAMPING)
-        if moved is None:
-            return point, iteration, False
+    point: Linearization, scales: dict[str, float] | None, max_rounds: int = MAX_ROUNDS
+) -> tuple[Linearization, bool]:
+    """Minimise the robust loss: least squares with the weights of the last round, again and again.
+
+    Args:
+        point: to start from.
+        scales: standard deviation of each kind of reading over the stated one; by the medians of each round if None.
+        max_rounds: number of rounds.
+
+    Returns:
+        Where the search ended, and whether it converged.
+    """
+    for _ in range(max_rounds):
+        weight = weights(point.blocks, median_scales(point.blocks) if scales is None else scales)
+        gain = point.expected_gain(weight)
+        if gain < MIN_GAIN:
+            return point, True
+        moved = _least_squares(point, weight)
+        if moved is point:  # the loss is not exact enough to gain
+            return point, gain < 10.0 * MIN_GAIN
         point = moved
-    return point, max_iterations, False
+    return point, False
 
 
-def _moved(problem: LeastSquaresProblem, point: Linearization, equations: NormalEquations) -> Linearization | None:
-    """Return the campaign after a step of all unknowns within their bounds; None if the rod has no solution."""
-    step, own_steps, _ = equations.steps
-    x = point.values.x.copy()
-    x[problem.active] = np.clip(x[problem.active] + step, *problem.bounds)
-    nuisance = [
-        np.clip(test.nuisance + own_step, *bounds)
-        for test, own_step, bounds in zip(point.tests, own_steps, problem.nuisance_bounds, strict=False)
-    ]
-    moved = linearize(problem, ParameterValues(problem.common, x), nuisance, point)
-    return moved if moved.ok else None
+def _least_squares(point: Linearization, weight: Array) -> Linearization:
+    """Return where SciPy's search ends with given weights, after a step that gains little of what is left."""
+    problem, accepted, root = point.problem, point, np.sqrt(point.by_row(weight))
+    begin = np.clip(point.unknowns, *problem.bounds)
+    tried = {begin.tobytes(): point if np.array_equal(begin, point.unknowns) else point.at(begin)}
+
+    def solved(unknowns: Array) -> Linearization:
+        """Return the campaign there; the last one accepted is the initial guess."""
+        key = unknowns.tobytes()
+        if key not in tried:
+            tried.clear()
+            tried[key] = accepted.at(unknowns)
+        return tried[key]
+
+    def residuals(unknowns: Array) -> Array:
+        """Return the weighted residuals, none of which is finite where the rod has no equilibrium."""
+        at = solved(unknowns)
+        return root * at.rows[0] if at.ok else np.full(len(root), np.nan)
+
+    def jacobian(unknowns: Array) -> Array:
+        """Return their derivatives where a step was accepted."""
+        nonlocal accepted
+        accepted = solved(unknowns)
+        return np.asarray(root[:, None] * accepted.rows[1])
+
+    least_squares(residuals, begin, jacobian, Bounds(*problem.bounds), "dogbox", SMALL_DECREASE, None, None,
+                  x_scale="jac", max_nfev=MAX_EVALUATIONS)  # fmt: skip
+    return accepted

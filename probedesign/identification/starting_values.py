@@ -26,8 +26,8 @@ def start_point(problem: LeastSquaresProblem, free_E: bool) -> Linearization | N
     The factors are compared by tests that are spread over the campaign.
     """
     some = replace(problem, tests=spread(problem.tests, MAX_COMPARED))
-    losses = {factor: point.loss({}) for factor, point in points_at(some)} if free_E else {1.0: 0.0}
-    for factor in sorted(losses, key=lambda one: losses[one]):
+    losses = {factor: point.loss({}) for factor, point in start_points(some)} if free_E else {1.0: 0.0}
+    for factor in sorted(losses, key=lambda factor: losses[factor]):
         point = _at_factor(problem, factor)
         if point.ok:
             return point
@@ -40,12 +40,13 @@ def spread(tests: Sequence[MeasuredTest], count: int) -> tuple[MeasuredTest, ...
     return tuple(tests[i] for i in np.unique(np.linspace(0, n - 1, min(n, count)).round().astype(int)))
 
 
-def points_at(
-    problem: LeastSquaresProblem, factors: Sequence[float] = START_FACTORS
+def start_points(
+    problem: LeastSquaresProblem, count: int = len(START_FACTORS)
 ) -> Iterator[tuple[float, Linearization]]:
-    """Yield the factors on E for which the rod has an equilibrium in every test, with the linearization, from the
-    stiffest on. A softer probe does not bear what a stiffer one does not, and it takes long to find that out."""
-    for factor in sorted(factors, reverse=True):
+    """Yield the first `count` factors on E for which the rod has an equilibrium in every test, with the linearization,
+    from the stiffest on. A softer probe does not bear what a stiffer one does not, and it takes long to find that
+    out."""
+    for factor in sorted(START_FACTORS[:count], reverse=True):
         point = _at_factor(problem, factor)
         if not point.ok:
             return
@@ -55,7 +56,7 @@ def points_at(
 def _at_factor(problem: LeastSquaresProblem, factor: float) -> Linearization:
     x = np.zeros(problem.common.size)
     x[LOG_E] = np.log(factor)
-    if problem.poisson is not None:
+    if problem.with_poisson:
         x[LOG_G] = x[LOG_E]  # as Poisson's ratio has it
     values = ParameterValues(problem.common, x)
     nuisance = start_nuisance(problem.tests, problem.common.model.rod)

@@ -24,10 +24,9 @@ from probedesign.estimation.tolerances import WALK_SECONDS
 from probedesign.identification.fit_checks import conditional_estimate, unobservable_direction
 from probedesign.identification.identify import TEST_SECONDS, data_of
 from probedesign.identification.parameters import OWNER, PARAMETERS, ParameterValues, columns_of
-from probedesign.identification.residuals import ResidualBlock
+from probedesign.identification.residuals import MassMeasurement, ResidualBlock, poisson_block
 from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, linearize
 from probedesign.identification.starting_values import start_nuisance
-from probedesign.identification.whole_probe import MassMeasurement
 from probedesign.planning.candidates import TOUCH_PLACES, Bench, CandidateTest, Instruments, SetUp
 
 DEFAULT = ("E", "G", "root", "diameters")
@@ -199,12 +198,12 @@ class Information:
             x = np.zeros(common.size)
             x[column] = step
             J[:, column] = -2.0 * (ParameterValues(common, x).rod.radius_at(s) - rod.radius_at(s)) / (step * std)
-        return ResidualBlock("", "calipers", 0, np.zeros(len(s)), J, np.zeros((len(s), 0)), np.zeros(len(s)))
+        return ResidualBlock("", "calipers", 0, np.zeros(len(s)), J, np.zeros(len(s)))
 
     def matrix(self, name: str, active: NDArray[np.intp]) -> Array:
         """Return the information of one candidate on the active parameters, its own unknowns marginalised."""
-        J = np.concatenate([block.J[:, active] for block in self.blocks[name]])
-        own = np.concatenate([block.J_nuisance for block in self.blocks[name]])
+        every = np.concatenate([block.J for block in self.blocks[name]])
+        J, own = every[:, active], every[:, self.whole.problem.common.size :]
         if own.shape[1]:
             size = np.maximum(np.linalg.norm(own, axis=0), 1e-300)
             J = J - (own / size) @ np.linalg.lstsq(own / size, J, rcond=None)[0]
@@ -222,7 +221,7 @@ class Information:
         while requested:
             problem = LeastSquaresProblem(common, tuple(test.measured for test in solved), None,
                                           common.prior_without(requested))  # fmt: skip
-            prior = () if problem.poisson is None else (problem.poisson.block(self.whole.values),)
+            prior = (poisson_block(self.whole.values),) if problem.with_poisson else ()
             point = Linearization(problem, self.whole.values, solved, blocks + prior)
             lost = unobservable_direction(point, np.ones(len(point.blocks)), requested)
             if lost is None:
@@ -234,7 +233,7 @@ class Information:
     def _intervals(
         self, point: Linearization, names: Sequence[str], determined: Sequence[str]
     ) -> tuple[ExpectedInterval, ...]:
-        fit = Fit("ok", point, {}, (), 0)  # as designed, with every reading at full weight
+        fit = Fit("ok", point, {})  # as designed, with every reading at full weight
         active = np.flatnonzero(point.problem.active)
         found, quantile = [], float(norm.ppf(0.5 + LEVEL / 2.0))
         for label, column in zip(_components(names), columns_of(names), strict=True):

@@ -12,8 +12,7 @@ from probedesign.core.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.identify import IdentificationData, data_of, identify
 from probedesign.identification.parameters import MAX_ROOT_DEVIATION, CommonParameters, check_requested
-from probedesign.identification.residuals import MeasuredTest
-from probedesign.identification.whole_probe import MassMeasurement
+from probedesign.identification.residuals import MassMeasurement, MeasuredTest
 from tests.identification.conftest import TRUE_E
 
 FOUR = norm.isf(norm.sf(4.0))

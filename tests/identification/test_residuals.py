@@ -70,9 +70,9 @@ def _rows(point: Linearization) -> np.ndarray:
     rows = []
     for block in point.blocks:
         J = np.zeros((len(block.r), ends[-1]))
-        J[:, : ends[0]] = block.J
+        J[:, : ends[0]] = block.J[:, : ends[0]]
         if block.test:
-            J[:, at[block.test]] = block.J_nuisance
+            J[:, at[block.test]] = block.J[:, ends[0] :]
         rows.append(J)
     return np.concatenate(rows)
 
