@@ -99,24 +99,9 @@ def unwhiten(whiten, white, wrench):
 
 @kernel
 def advance(
-    samples,
-    whiten,
-    thresholds,
-    released,
-    prior_weight,
-    state,
-    sums,
-    counts,
-    scatter,
-    moments,
-    scratch,
-    mean,
-    cov,
-    clock,
-    waiting,
-    constants,
-    codes,
-):
+    samples, whiten, thresholds, released, prior_weight, state, sums, counts, scatter, moments, scratch, mean, cov,
+    clock, waiting, constants, codes,
+):  # fmt: skip
     """Process samples (n, 6) in order; fill in their codes (n,). The arrays from `mean` on are a `BiasState`.
 
     Returns:

@@ -130,7 +130,7 @@ class Estimator:
                 f"wrench_base has shape {wrenches.shape}; it must be (6,), force and moment, or (n, 6) of them"
             )
         window = np.ascontiguousarray(wrenches.reshape(-1, 6))
-        free = self._free(gravity)
+        free = self.free(gravity)
         seen = Observation.of(self.model, window, gravity, free.wrench_base)
         if seen is None:
             return Estimate("out_of_range")
@@ -138,13 +138,13 @@ class Estimator:
             return Estimate("not_converged")
         readings = len(window)
         chi2 = seen.chi2 / self._scatter(readings)
-        if not self._exceeds(chi2):
+        if chi2 < ALARM_CHI2:
             return Estimate("no_contact", detection_chi2=chi2, solve_shape=lambda: free)
-        if not self._exceeds(seen.sensor_chi2 / self._scatter(readings)):
+        if seen.sensor_chi2 / self._scatter(readings) < ALARM_CHI2:
             # The sensor itself reads zero: it was tared with the probe mounted, and that zero was not taken into
             # account. A contact that balances all six channels is not a coincidence to believe in.
             return Estimate("no_tare", detection_chi2=chi2)
-        sources = self._sources(gravity)
+        sources = self.sources(gravity)
         noise = covariance(self.model, seen.wrench, readings) + sources.drift
         problem = Problem(sources, seen, self.model.friction, noise)
         if method != "ml":
@@ -159,16 +159,13 @@ class Estimator:
 
     def sources(self, gravity_base: ArrayLike | None = None) -> ErrorSources:
         """Return the error sources under gravity [m/s²], (3,); the design's mount if None. The last ones are kept."""
-        return self._sources(self._gravity(gravity_base))
-
-    def _sources(self, gravity: Array) -> ErrorSources:
-        key = gravity.tobytes()
-        found = self._last_sources.get(key)
-        if found is None:
-            found = ErrorSources.of(self.model, self.priors, gravity, self._free(gravity))
+        gravity = self._gravity(gravity_base)
+        sources = self._last_sources.get(key := gravity.tobytes())
+        if sources is None:
+            sources = ErrorSources.of(self.model, self.priors, gravity, self.free(gravity))
             self._last_sources.clear()
-            self._last_sources[key] = found
-        return found
+            self._last_sources[key] = sources
+        return sources
 
     def _gravity(self, gravity_base: ArrayLike | None) -> Array:
         if gravity_base is None:
@@ -233,13 +230,12 @@ class Estimator:
         frees = [self.free(g) for g in gravities]
         if not all(free.ok for free in frees):
             return FusedEstimate("not_converged")
-        if (
-            moments is None
-            and contact.any()
-            and not any(
-                self._exceeds(self._detection_chi2(w, free)) for w, free in zip(wrenches[contact], frees, strict=False)
-            )
-        ):
+        detected = [
+            self._detection_chi2(wrench, free) >= ALARM_CHI2
+            for wrench, free, touches in zip(wrenches, frees, contact, strict=True)
+            if touches
+        ]
+        if moments is None and detected and not any(detected):
             return FusedEstimate("no_contact")
         readings, window = self._windows(wrenches, poses, gravities, contact, clock, priors)
         found = Fusion(self.model, readings, priors, channels_of(self.model, moments), gravity).solve()
@@ -278,11 +274,8 @@ class Estimator:
 
     def free(self, gravity_base: ArrayLike | None = None) -> Equilibrium:
         """Return the untouched probe under gravity [m/s²], (3,); the design's mount if None. The last one is kept."""
-        return self._free(self._gravity(gravity_base))
-
-    def _free(self, gravity: Array) -> Equilibrium:
-        key = gravity.tobytes()
-        free = self._last_free.get(key)
+        gravity = self._gravity(gravity_base)
+        free = self._last_free.get(key := gravity.tobytes())
         if free is None:
             free = self.model.rod.solve(gravity)
             self._last_free.clear()
@@ -292,7 +285,7 @@ class Estimator:
     def detects(self, wrench_base: Array, gravity_base: ArrayLike | None = None) -> bool:
         """Return whether a reading (6,) differs significantly from the free probe's (equation 4 with drift)."""
         free = self.free(gravity_base)
-        return free.ok and self._exceeds(self._detection_chi2(wrench_base, free))
+        return free.ok and self._detection_chi2(wrench_base, free) >= ALARM_CHI2
 
     def locates(self, std_s: float, force: Array, readings: int = 1) -> bool:
         """Return whether an estimate with that standard deviation [m] and force [N] (3,) locates the contact.
@@ -300,10 +293,8 @@ class Estimator:
         It does not if s is no better known than without a reading (uniform over the probe, L/√12), or if the force is
         so uncertain that a first-order covariance is invalid.
         """
-        return bool(
-            std_s < self.model.rod.length * UNIFORM_STD
-            and math.sqrt(force @ force) > MIN_FORCE * self._std_force(readings)
-        )
+        std_force = self.model.noise.force * math.sqrt(self._scatter(readings) / readings)
+        return bool(std_s < self.model.rod.length * UNIFORM_STD and math.sqrt(force @ force) > MIN_FORCE * std_force)
 
     def with_drift(self, steps: float) -> "Estimator":
         """Return the estimator for readings whose bias is known with a standard deviation in steps of the resolution.
@@ -335,17 +326,9 @@ class Estimator:
         walked = self.priors.drift_steps**2 * seconds / WALK_SECONDS
         return self.with_drift(math.sqrt(walked + (RAMP_STEPS * seconds) ** 2))
 
-    def _std_force(self, readings: int) -> float:
-        """Return the standard deviation of each axis of the force [N], by noise and drift of so many readings."""
-        return self.model.noise.force * math.sqrt(self._scatter(readings) / readings)
-
     def _scatter(self, readings: int = 1) -> float:
         """Return the variance of the mean of so many readings over that of their noise alone: they share the drift."""
         return 1.0 + readings * self.priors.drift_steps**2 * self.model.averaging_samples
-
-    @staticmethod
-    def _exceeds(chi2: float) -> bool:
-        return chi2 >= ALARM_CHI2
 
     def detectable(self, wrench_by_force: Array) -> float:
         """Return the smallest force [N] that is detected with probability 0.5.
@@ -355,11 +338,6 @@ class Estimator:
         """
         least = math.sqrt(ALARM_CHI2 * self._scatter())
         return least / float(np.linalg.norm(self.model.whiten @ wrench_by_force))
-
-    @cached_property
-    def cov_wrench(self) -> Array:
-        """Return the covariance of a base wrench reading, (6, 6)."""
-        return self.model.noise_base()
 
     def _detection_chi2(self, wrench: Array, free: Equilibrium) -> float:
         off = self.model.whiten @ (wrench - free.wrench_base)
@@ -371,7 +349,7 @@ class Estimator:
         """Return the estimate of the candidates with its result code."""
         if not found:
             return Estimate("not_converged", detection_chi2=detection_chi2)
-        listed = tuple(sorted(found, key=_chi2)) if len(found) > 1 else tuple(found)
+        listed = tuple(sorted(found, key=lambda candidate: candidate.chi2)) if len(found) > 1 else tuple(found)
         best = listed[0]
         result = self._result(listed, readings)
         if result != "ok":
@@ -395,10 +373,6 @@ class Estimator:
             if rival.chi2 < best.chi2 + RIVAL_CHI2 and not near:
                 return "ambiguous"
         return "ok"
-
-
-def _chi2(candidate: Candidate) -> float:
-    return candidate.chi2
 
 
 def _fused_arguments(

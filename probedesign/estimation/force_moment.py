@@ -26,7 +26,7 @@ from probedesign.estimation.estimate import Candidate
 from probedesign.estimation.model import Observation
 from probedesign.rod.batch import Batch, solve_batch
 from probedesign.rod.contact import surface_point
-from probedesign.rod.equilibrium import Equilibrium, Sensitivity
+from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.kernels.equations import OK
 from probedesign.rod.kernels.newton import COLD
 from probedesign.rod.kernels.solve import SOLUTION, scratch_buffers, solve_cases
@@ -131,7 +131,7 @@ class Scan:
         found: list[Equilibrium] = []
         for s, tip in self.starts:
             eq = self._refined(s, tip)
-            if eq is not None and not any(_same_place(eq, other) for other in found):
+            if eq is not None and all(abs(eq.s_contact - other.s_contact) >= 1e-6 * self.rod.length for other in found):
                 found.append(eq)
         return sorted(found, key=lambda eq: float(((eq.wrench_base[3:6] - self.moment) ** 2).sum()))
 
@@ -169,10 +169,6 @@ class Scan:
         return best if inside and not blocked else None
 
 
-def _same_place(a: Equilibrium, b: Equilibrium) -> bool:
-    return bool(abs(a.s_contact - b.s_contact) < 1e-6 * a.body.knots[-1])
-
-
 @dataclass(eq=False)
 class Problem:
     """What one reading is located from."""
@@ -188,63 +184,20 @@ class Problem:
         return Scan(self.sources.model.rod, self.seen.gravity, self.seen.force, self.seen.wrench[3:6])
 
 
-NO_CAUSES = np.zeros((6, 0)), np.zeros((3, 0))
-"""Error sources of a probe without model errors: none."""
-
-
-@dataclass(frozen=True)
-class ContactCovariance:
-    """Propagation of wrench noise and model errors to the estimate."""
-
-    s_by_wrench: Array  #: ds_contact/dwrench, (6,).
-    p_by_wrench: Array  #: dp_contact/dwrench, (3, 6).
-    moment_misfit: Array  #: covariance of the moment misfit M(s; F) - M for the true s [N²·m²], (3, 3).
-    noise: Array  #: covariance of the reading's noise, (6, 6).
-    wrench: Array  #: of the reading by each cause, one standard deviation a column, (6, j).
-    point: Array  #: of the true point by the same [m], (3, j).
-
-    @property
-    def cov_wrench(self) -> Array:
-        """Return the covariance of the reading, (6, 6)."""
-        return np.asarray(self.noise + self.wrench @ self.wrench.T)
-
-    @property
-    def std_s(self) -> float:
-        """Return the standard deviation of s_contact [m]."""
-        return float(np.sqrt(self.s_by_wrench @ self.cov_wrench @ self.s_by_wrench))
-
-    @property
-    def cov_p(self) -> Array:
-        """Return the covariance of the contact point [m²], (3, 3)."""
-        off = self.p_by_wrench @ self.wrench - self.point
-        return np.asarray(self.p_by_wrench @ self.noise @ self.p_by_wrench.T + off @ off.T)
-
-
-def propagate(sensitivity: Sensitivity, noise: Array, causes: tuple[Array, Array] = NO_CAUSES) -> ContactCovariance:
-    """Propagate covariances to the published estimate: force by equation 5, then s by least squares on the moment.
-
-    With a = ∂M/∂s and B = ∂M/∂F along the equilibria, a reading off by (ε_F, ε_M) moves
-    s by aᵀ(ε_M - B ε_F)/(aᵀa) and the contact point by p_s δs + p_F ε_F.
+def touch_at(rod: Rod, s: float, force: Array, tangent: Array, x_axis: Array, tip: Array) -> Array:
+    """Return the touch whose force crosses the centreline at s, (TOUCH,).
 
     Args:
-        sensitivity: of the equilibrium at the estimate, its load columns.
-        noise: covariance of the base wrench by noise alone, (6, 6).
-        causes: of reading and true point by each cause, one standard deviation a column, (6, j) and (3, j).
-
-    Returns:
-        The covariance; std_s is infinite where the moment does not depend on s.
+        rod: of the probe.
+        s: arclength of the centreline's point [m].
+        force: on the probe [N], (3,).
+        tangent, x_axis: of the section there, (3,) each.
+        tip: section of the tip, (6,).
     """
-    d_wrench, d_p = sensitivity.d_wrench, sensitivity.d_position
-    B, a = d_wrench[3:6, 0:3], d_wrench[3:6, 3]
-    misfit_by_wrench = np.hstack([B, -np.eye(3)])
-    square = float(a @ a)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        s_by_wrench = -(a @ misfit_by_wrench) / square
-    p_by_wrench = np.outer(d_p[:, 3], s_by_wrench)
-    p_by_wrench[:, 0:3] += d_p[:, 0:3]
-    known = misfit_by_wrench @ causes[0]
-    moment_misfit = misfit_by_wrench @ noise @ misfit_by_wrench.T + known @ known.T
-    return ContactCovariance(s_by_wrench, p_by_wrench, moment_misfit, noise, *causes)
+    touch = np.zeros(TOUCH)
+    multistart.placed(rod.body, rod.flank_end, s, force, tangent.copy(), x_axis.copy(), touch)
+    touch[TIP:] = tip
+    return touch
 
 
 DOF = 2
@@ -261,36 +214,44 @@ def locate(problem: Problem) -> list[Candidate]:
 
 
 def _candidate(problem: Problem, eq: Equilibrium) -> Candidate:
+    """Return an equilibrium as a candidate.
+
+    Its covariance is that of the published estimate, force by equation 5, then s by least squares on the moment. With
+    a = ∂M/∂s and B = ∂M/∂F along the equilibria, a reading off by (ε_F, ε_M) moves s by aᵀ(ε_M - B ε_F)/(aᵀa) and the
+    contact point by p_s δs + p_F ε_F. The standard deviation of s is infinite where the moment does not depend on s.
+    """
     assert eq.sensitivity is not None
-    rod, seen = problem.sources.model.rod, problem.seen
-    force = eq.load[0:3].copy()
-    touch, R = np.zeros(TOUCH), eq.R_at(eq.s_contact)
-    multistart.placed(rod.body, rod.flank_end, eq.s_contact, force, R[:, 2].copy(), R[:, 0].copy(), touch)
-    touch[TIP:] = eq.tip
-    D = np.nan_to_num(problem.sources.columns_at(touch)[1])
-    cov = propagate(eq.sensitivity, problem.noise, (D[:6], D[9:12]))
-    misfit = eq.wrench_base[3:6] - seen.wrench[3:6]
-    size = float(np.linalg.norm(force))
+    rod, s, noise = problem.sources.model.rod, eq.s_contact, problem.noise
+    force, R = eq.load[0:3].copy(), eq.R_at(s)
+    D = np.nan_to_num(problem.sources.columns_at(touch_at(rod, s, force, R[:, 2], R[:, 0], eq.tip))[1])
+    d_wrench, d_p = eq.sensitivity.d_wrench, eq.sensitivity.d_position
+    a, misfit_by_wrench = d_wrench[3:6, 3], np.hstack([d_wrench[3:6, 0:3], -np.eye(3)])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s_by_wrench = -(a @ misfit_by_wrench) / float(a @ a)
+    p_by_wrench = np.outer(d_p[:, 3], s_by_wrench)
+    p_by_wrench[:, 0:3] += d_p[:, 0:3]
+    by_sources = p_by_wrench @ D[:6] - D[9:12]
+    cov = p_by_wrench @ noise @ p_by_wrench.T + by_sources @ by_sources.T
+    misfit, misfit_by_sources = eq.wrench_base[3:6] - problem.seen.wrench[3:6], misfit_by_wrench @ D[:6]
+    cov_misfit = misfit_by_wrench @ noise @ misfit_by_wrench.T + misfit_by_sources @ misfit_by_sources.T
     surface = surface_point(rod, eq)
     out = (surface - eq.p_contact_base) / max(float(np.linalg.norm(surface - eq.p_contact_base)), 1e-300)
     # Where around the section the force acts follows from its direction, which friction turns.
-    radius = float(rod.radius_at(eq.s_contact))
-    lean = radius * min(problem.friction, 1.0)
-    cov_surface = cov.cov_p + lean**2 * (np.eye(3) - np.outer(out, out))
+    lean = float(rod.radius_at(s)) * min(problem.friction, 1.0)
     return Candidate(
-        s_contact=eq.s_contact,
-        std_s=cov.std_s,
+        s_contact=s,
+        std_s=float(np.sqrt(s_by_wrench @ (noise + D[:6] @ D[:6].T) @ s_by_wrench)),
         p_contact_base=eq.p_contact_base,
         p_surface_base=surface,
         force_base=force,
-        cov_contact_base=cov.cov_p,
-        cov_surface_base=cov_surface,
+        cov_contact_base=cov,
+        cov_surface_base=cov + lean**2 * (np.eye(3) - np.outer(out, out)),
         force_normal=float("nan"),
         force_tangential=float("nan"),
-        chi2=float(misfit @ np.linalg.solve(cov.moment_misfit, misfit)),
+        chi2=float(misfit @ np.linalg.solve(cov_misfit, misfit)),
         dof=DOF,
-        lever=float(np.linalg.norm(eq.sensitivity.d_moment[:, 3])) / max(size, 1e-300),
-        at_end=eq.s_contact in (0.0, rod.flank_end),
+        lever=float(np.linalg.norm(eq.sensitivity.d_moment[:, 3])) / max(float(np.linalg.norm(force)), 1e-300),
+        at_end=s in (0.0, rod.flank_end),
         shape=lambda: eq,
     )
 
@@ -335,7 +296,8 @@ def curve(rod: Rod, gravity: Array, moment: Array, T_world_base: Array) -> Curve
         batch = solve_batch(rod, gravity, force[going], stations[going], columns="load")
         going, batch = going[batch.ok], batch.rows(batch.ok)
         for j, case in zip(going, range(len(going)), strict=True):
-            touches[j] = _touch(rod, float(stations[j]), force[j].copy(), batch.frame[case], batch.tip[case])
+            touches[j] = touch_at(rod, float(stations[j]), force[j].copy(), batch.frame[case, :3],
+                                  batch.frame[case, X_AXIS], batch.tip[case])  # fmt: skip
         points[going] = batch.p_contact_base @ T_world_base[:3, :3].T + T_world_base[:3, 3]
         force[going] = _across(batch, force[going], moment)
     return Curve(points, tuple(touches))
@@ -355,14 +317,6 @@ def _across(batch: Batch, force: Array, moment: Array) -> Array:
     misfit = moment - batch.wrench_base[:, 3:6] + np.einsum("jik,jk->ji", by_force, force)
     found: Array = np.einsum("jik,jkl,jl->ji", across, np.linalg.pinv(by_force @ across), misfit)
     return found
-
-
-def _touch(rod: Rod, s: float, force: Array, frame: Array, tip: Array) -> Array:
-    """Return the touch whose force crosses the centreline at s, (TOUCH,)."""
-    touch = np.zeros(TOUCH)
-    multistart.placed(rod.body, rod.flank_end, s, force, frame[:3].copy(), frame[X_AXIS].copy(), touch)
-    touch[TIP:] = tip
-    return touch
 
 
 def closest_approaches(curves: list[Curve]) -> list[tuple[int, ...]]:

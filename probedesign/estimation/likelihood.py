@@ -18,21 +18,10 @@ from probedesign.core.statistics import MISFIT_CHANCE, max_chi2
 from probedesign.estimation import multistart
 from probedesign.estimation.contact_fit import AT_END, FIT_SCRATCH, STALLED
 from probedesign.estimation.estimate import Candidate
-from probedesign.estimation.force_moment import Problem
+from probedesign.estimation.force_moment import Problem, touch_at
 from probedesign.estimation.multistart import FIT, MAX_STARTS
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
-from probedesign.rod.kernels.surface_contact import (
-    ALONG,
-    AROUND,
-    DEAD,
-    NORMAL,
-    ROWS,
-    TIP,
-    TOUCH,
-    UNKNOWNS,
-    S,
-    work_size,
-)
+from probedesign.rod.kernels.surface_contact import ALONG, AROUND, DEAD, NORMAL, ROWS, TIP, UNKNOWNS, S, work_size
 from probedesign.rod.rod import Rod
 
 _SAME = 1e-5
@@ -63,11 +52,20 @@ def locate(problem: Problem, near: Candidate | None = None) -> list[Candidate]:
             return found[:1]
     places = _places(problem, _fit(problem, None))
     if not any(explains(place) for place in places):
-        for s, tip in problem.scan.starts:
-            places += _places(problem, _fit(problem, _started(problem, s, tip)))
+        places += _scanned(problem)
     if problem.sources.model.rod.rounded_from is not None:
         places += _at_rounded_tip(problem, places)
     return _distinct(problem, places)
+
+
+def _scanned(problem: Problem) -> list[Candidate]:
+    """Return the places that are fitted from the least misfits of the scan."""
+    rod, force, places = problem.sources.model.rod, problem.seen.force, list[Candidate]()
+    for s, tip in problem.scan.starts:
+        eq = rod.solve(problem.seen.gravity, force, s, guess=tip)
+        R = eq.R_at(s) if eq.ok else np.eye(3)
+        places += _places(problem, _fit(problem, touch_at(rod, s, force, R[:, 2], R[:, 0], tip)))
+    return places
 
 
 def _at_rounded_tip(problem: Problem, places: list[Candidate]) -> list[Candidate]:
@@ -107,17 +105,6 @@ def _fit(problem: Problem, near: Array | None) -> NDArray[Any]:
     )  # fmt: skip
     spare.append((work, scratch))
     return rows[:count]
-
-
-def _started(problem: Problem, s: float, tip: Array) -> Array:
-    """Return a guess from a place of the scan, (TOUCH,)."""
-    touch, force = np.zeros(TOUCH), problem.seen.force
-    eq = problem.sources.model.rod.solve(problem.seen.gravity, force, s, guess=tip)
-    R = eq.R_at(s) if eq.ok else np.eye(3)
-    rod = problem.sources.model.rod
-    multistart.placed(rod.body, rod.flank_end, s, force, R[:, 2].copy(), R[:, 0].copy(), touch)
-    touch[TIP:] = tip
-    return touch
 
 
 def _places(problem: Problem, rows: NDArray[Any]) -> list[Candidate]:
@@ -348,10 +335,8 @@ def _covariance(
 ) -> Array:
     """Return the covariance of the reading with error sources and friction, (6, 6)."""
     rod = problem.sources.model.rod
-    touch, frame = np.zeros(TOUCH), eq.R_at(s)
-    multistart.placed(rod.body, rod.flank_end, s, force, frame[:, 2].copy(), frame[:, 0].copy(), touch)
-    touch[TIP:] = eq.tip
-    D = np.nan_to_num(problem.sources.columns_at(touch)[1])
+    R = eq.R_at(s)
+    D = np.nan_to_num(problem.sources.columns_at(touch_at(rod, s, force, R[:, 2], R[:, 0], eq.tip))[1])
     # Friction adds a couple about the centre, of any direction across the force.
     couple = lean * float(np.linalg.norm(force)) * sensitivity.d_wrench[:, 4:7]
     return np.asarray(problem.noise + D[:6] @ D[:6].T + couple @ couple.T)

@@ -63,8 +63,7 @@ def test_no_place_that_the_scan_finds_is_missed(name, friction, probes, gravity)
     for _touch, wrench in drawn(sources, 30, np.random.default_rng(3), friction):
         problem = problem_of(sources, wrench, 0.6)
         traced = likelihood._places(problem, likelihood._fit(problem, None))
-        starts = (likelihood._started(problem, s, tip) for s, tip in problem.scan.starts)
-        for place in (p for start in starts for p in likelihood._places(problem, likelihood._fit(problem, start))):
+        for place in likelihood._scanned(problem):
             if likelihood.explains(place) and place.force_normal > 0.0 and traced:
                 off = min(np.linalg.norm(place.p_surface_base - other.p_surface_base) for other in traced)
                 assert off <= 1e-5 * length + 0.1 * place.rms
