@@ -146,8 +146,20 @@ MIN_CONTRADICTORY = 3
 
 def map_rows(contact_map: ContactMap) -> list[Row]:
     """Return a row for each point, then one for each touch that was not located; unknown values are None."""
-    points = [_point_row(number, point) for number, point in enumerate(contact_map.points, 1)]
-    return points + [_unlocated_row(touch) for touch in contact_map.unlocated]
+    rows: list[Row] = []
+    for number, point in enumerate(contact_map.points, 1):
+        s_contact = np.concatenate([touch.s_contact for touch in point.touches if touch.s_contact is not None])
+        values = (
+            number, "ok", *(point.p_world / MM).tolist(),
+            *(float(point.cov_world[i, j]) / MM**2 for _, i, j in COVARIANCE_ENTRIES), point.rms / MM,
+            statistics.rms(point.cov_common) / MM, len(point.touches), touch_numbers(point),
+            point.touches[0].segment.start, point.force, float(s_contact.mean()) / MM,
+        )  # fmt: skip
+        rows.append(dict(zip(COLUMNS, values, strict=True)))
+    for touch in contact_map.unlocated:
+        known = {"result": touch.result, "touches": 1, "touch_numbers": str(touch.segment.number)}
+        rows.append(dict.fromkeys(COLUMNS) | known | {"time_s": touch.segment.start})
+    return rows
 
 
 def map_csv(contact_map: ContactMap) -> bytes:
@@ -207,27 +219,6 @@ def _warnings(contact_map: ContactMap) -> list[str]:
         f"{n_contradictory} touches are inconsistent, more than were located; the located points are unreliable. Check "
         "that the poses belong to this base and this run, and that rotations are in the order qx, qy, qz, qw"
     ]
-
-
-def _point_row(number: int, point: MapPoint) -> Row:
-    s_contact = np.concatenate([touch.s_contact for touch in point.touches if touch.s_contact is not None])
-    return {
-        "point": number, "result": "ok", **dict(zip(COLUMNS[2:5], (point.p_world / MM).tolist(), strict=True)),
-        **_covariance(point.cov_world), "rms_mm": point.rms / MM,
-        "common_rms_mm": statistics.rms(point.cov_common) / MM, "touches": len(point.touches),
-        "touch_numbers": touch_numbers(point), "time_s": point.touches[0].segment.start, "force_N": point.force,
-        "s_contact_mm": float(s_contact.mean()) / MM,
-    }  # fmt: skip
-
-
-def _unlocated_row(touch: LocatedTouch) -> Row:
-    row: Row = dict.fromkeys(COLUMNS)
-    return row | {"result": touch.result, "touches": 1, "touch_numbers": str(touch.segment.number),
-                  "time_s": touch.segment.start}  # fmt: skip
-
-
-def _covariance(cov: Array) -> Row:
-    return {f"cov_world_{name}_mm2": float(cov[i, j]) / MM**2 for name, i, j in COVARIANCE_ENTRIES}
 
 
 # Colours and PLY

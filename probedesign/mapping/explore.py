@@ -25,6 +25,10 @@ from probedesign.mapping.contact_map import MIN_SEPARATION, ContactMap, build_ma
 from probedesign.mapping.segmentation import TouchSegment, TouchSegmenter
 from probedesign.mapping.touch_point import LocatedTouch, locate_touch
 
+MIN_EXTENT = 1e-3
+"""Least extent of the positions of a base that touches an object [m]: a touch with a free probe before it alone takes
+some millimetres of travel."""
+
 
 @dataclass
 class LoadedRecording:
@@ -111,11 +115,6 @@ def _too_little_motion(extent: float) -> str:
     )
 
 
-MIN_EXTENT = 1e-3
-"""Least extent of the positions of a base that touches an object [m]: a touch with a free probe before it alone takes
-some millimetres of travel."""
-
-
 @dataclass
 class Exploration:
     """The touches of a run, located as they come, and their map."""
@@ -159,17 +158,14 @@ class Exploration:
 
     def map(self) -> ContactMap:
         """Return the map of all touches so far."""
-        return build_map(self.touches, self._priors.youngs_modulus, self.min_separation)
-
-    @property
-    def _priors(self) -> Tolerances:
-        return self.estimator.priors if self.priors is None else self.priors
+        priors = self.priors or self.estimator.priors
+        return build_map(self.touches, priors.youngs_modulus, self.min_separation)
 
     def _located(self, segment: TouchSegment, poses: BasePoses, log: Callable[[str], None]) -> LocatedTouch:
         if problem := _too_little_motion(float((self._high - self._low).max())):
             log(problem)
             segment = replace(segment, refused=True)
-        touch = locate_touch(segment, self.estimator, self._priors, poses.gravity_world)
+        touch = locate_touch(segment, self.estimator, self.priors or self.estimator.priors, poses.gravity_world)
         self.touches.append(touch)
         return touch
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from probedesign.core.frames import Array
 from probedesign.live.processing.estimates import EstimateUpdate
-from probedesign.live.processing.touches import LEVER, SPAN, Contact
+from probedesign.live.processing.touches import LEVER, SPAN
 
 STATIONARY = 10e-6
 """Largest difference of poses of a stationary base [m], for rotations times `LEVER`: the repeatability of a robot
@@ -99,10 +99,16 @@ class TouchSegmenter:
             return
         contact = update.contacts[-1] if update.contacts and update.contacts[-1].ongoing else None
         if contact is not None and contact.number != self._open:
-            if not self._continues(contact):
+            # Where the touch just lost had hardly begun, this is its continuation.
+            had_valid = any(interval.is_valid for interval in self._intervals)
+            if not self._open or had_valid or contact.start - self._last >= REJOIN_TIME:
                 yield from self.finish()
                 self._count, self._start = self._count + 1, contact.start
-                self._before = _latest_free(self._before, self._older)
+                newest, older = self._before, self._older
+                if older is not None and (newest is None or 2 * newest.n_readings < older.n_readings):
+                    self._before = older  # the newest interval of the free probe has hardly begun
+                elif newest is not None and not newest.is_valid:
+                    self._before = None
             self._open = contact.number
         if contact is not None:
             self._last, self._refused = update.reading.time, contact.refused
@@ -125,11 +131,6 @@ class TouchSegmenter:
             if after is not None:
                 self._before, self._older = after, None
         self._open, self._intervals, self._after = 0, [], None
-
-    def _continues(self, contact: Contact) -> bool:
-        """Return whether a detected contact is the touch just lost at its beginning."""
-        had_valid = any(interval.is_valid for interval in self._intervals)
-        return self._open != 0 and not had_valid and contact.start - self._last < REJOIN_TIME
 
     def _update_free(self, update: EstimateUpdate) -> Iterator[TouchSegment]:
         """Process a reading of the free probe on a stationary base, after a touch or before one."""
@@ -156,10 +157,3 @@ class TouchSegmenter:
             self._older, self._before = before, StationaryInterval.begin(update)
         else:
             before.add(update)
-
-
-def _latest_free(newest: StationaryInterval | None, older: StationaryInterval | None) -> StationaryInterval | None:
-    """Return the last interval of the free probe, or the one before it where that has hardly begun."""
-    if older is not None and (newest is None or 2 * newest.n_readings < older.n_readings):
-        return older
-    return newest if newest is not None and newest.is_valid else None
