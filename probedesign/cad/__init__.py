@@ -163,7 +163,7 @@ def export_changed(design: Design, out: Path, **changed: "cq.Workplane") -> dict
         MissingDependencyError: CadQuery is not installed.
     """
     with _kernel():
-        from probedesign.cad.changed import export_changed as export
+        from probedesign.cad.workplanes import export_changed as export
     design.sensor_model.check_holes_known()
     return export(design, changed, out)
 

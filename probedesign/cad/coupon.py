@@ -5,7 +5,6 @@ measured size is the scale of `[print]`.
 """
 
 import hashlib
-import json
 import math
 import os
 from pathlib import Path
@@ -15,7 +14,7 @@ import cadquery as cq
 import numpy as np
 
 from probedesign.cad.exchange import file_date, step_bytes
-from probedesign.cad.folder import MANIFEST, check_target, listed_digests, staged
+from probedesign.cad.folder import check_target, digests, listed_digests, write_export
 from probedesign.cad.kernel import revolved
 from probedesign.cad.mesh import checked_mesh, stl_bytes
 from probedesign.core.errors import CheckFailedError, InputError
@@ -73,16 +72,9 @@ def export_coupon(design: Design, out: Path | None) -> dict[str, Any]:
         "steps_mm": list(steps),
         "step_height_mm": STEP_HEIGHT_MM,
         "rod_mm": [rod_d, rod_length],
-        "files": {
-            name: {"sha256": hashlib.sha256(content).hexdigest(), "size_bytes": len(content)}
-            for name, content in sorted(contents.items())
-        },
+        "files": digests(contents),
     }
-    with staged(folder) as staging:
-        for name, content in contents.items():
-            (staging / name).write_bytes(content)
-        (staging / MANIFEST).write_text(json.dumps(manifest, indent=2, ensure_ascii=False) + "\n", "utf-8")
-    return {**manifest, "folder": str(folder)}
+    return write_export(folder, contents, manifest)
 
 
 def coupon_steps_mm(design: Design) -> tuple[float, ...]:

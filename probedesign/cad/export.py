@@ -1,9 +1,6 @@
 """Export a design to its folder of files, with their manifest: all files verified, or none written."""
 
-import hashlib
-import json
 import os
-import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -13,7 +10,7 @@ import numpy as np
 
 from probedesign.cad.assembly_docs import Documents, bill_records, build_documents
 from probedesign.cad.exchange import file_date, glb_bytes, step_bytes
-from probedesign.cad.folder import MANIFEST, check_target, staged
+from probedesign.cad.folder import check_target, digests, write_export
 from probedesign.cad.kernel import mass_properties
 from probedesign.cad.mesh import part_stl, scaled, tessellate
 from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad
@@ -182,22 +179,14 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
     findings = verify(model, meshes, packed, packages)
     progress("rendering pictures and drawings")
     documents = build_documents(model)
-    progress("writing")
-    cad = cad_files(model, [part.name for part in model.printed])
+    progress("converting to STEP and GLB")
     stl = {f"{name}.stl": part_stl(design, name, mesh, model.geometry.fingerprint) for name, mesh in printed.items()}
-    with staged(folder) as staging:
-        contents = stl | packages | documents.files | cad
-        for name, content in contents.items():
-            (staging / name).write_bytes(content)
-        files = {
-            name: {"sha256": hashlib.sha256(content).hexdigest(), "size_bytes": len(content)}
-            for name, content in sorted(contents.items())
-        }
-        manifest = manifest_of(model, documents, files, findings)
-        manifest["print_check"] = check.as_record()
-        manifest["print_scale"] = {name: list(print_scale(design, name)) for name in meshes}
-        (staging / MANIFEST).write_text(manifest_json(manifest), "utf-8")
-    return {**manifest, "folder": str(folder)}
+    contents = stl | packages | documents.files | cad_files(model, list(printed))
+    manifest = manifest_of(model, documents, digests(contents), findings)
+    manifest["print_check"] = check.as_record()
+    manifest["print_scale"] = {name: list(print_scale(design, name)) for name in printed}
+    progress("writing")
+    return write_export(folder, contents, manifest)
 
 
 def cad_files(model: CadModel, parts: Iterable[str]) -> dict[str, bytes]:
@@ -219,10 +208,3 @@ def cad_files(model: CadModel, parts: Iterable[str]) -> dict[str, bytes]:
             for part, assembly in alone.items()
         },
     }
-
-
-def manifest_json(manifest: dict[str, Any]) -> str:
-    """Return readable JSON: each row of numbers on one line."""
-    text = json.dumps(manifest, indent=2, ensure_ascii=False, allow_nan=False)
-    row = re.compile(r"\[\n\s+([^\[\]{}\"]*?)\n\s+\]")
-    return row.sub(lambda m: "[" + re.sub(r",\n\s+", ", ", m[1]) + "]", text) + "\n"

@@ -1,12 +1,15 @@
 """The folder of an export: written whole or not at all."""
 
+import hashlib
 import json
 import os
+import re
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from probedesign.core.errors import InputError
 from probedesign.core.parallel import defer_sigint
@@ -36,11 +39,35 @@ def check_target(folder: Path, kind: str = "export") -> None:
         raise InputError(f"{inside}{nearest} is a file; name a folder to export into")
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise InputError(f"{folder}: cannot be written: no permission in {nearest}")
-    found = kind
+    present = kind
     with suppress(OSError, ValueError, AttributeError):
-        found = json.loads((folder / MANIFEST).read_text("utf-8")).get("kind", "export")
-    if found != kind:
-        raise InputError(f"{folder}: has files of another kind, '{found}'; name another folder")
+        present = json.loads((folder / MANIFEST).read_text("utf-8")).get("kind", "export")
+    if present != kind:
+        raise InputError(f"{folder}: has files of another kind, '{present}'; name another folder")
+
+
+def digests(contents: Mapping[str, bytes]) -> dict[str, dict[str, Any]]:
+    """Return digest and size of each file for the manifest."""
+    return {
+        name: {"sha256": hashlib.sha256(content).hexdigest(), "size_bytes": len(content)}
+        for name, content in sorted(contents.items())
+    }
+
+
+def write_export(folder: Path, contents: Mapping[str, bytes], manifest: dict[str, Any]) -> dict[str, Any]:
+    """Write files and their manifest, all or none, and return the manifest with the folder."""
+    with staged(folder) as staging:
+        for name, content in contents.items():
+            (staging / name).write_bytes(content)
+        (staging / MANIFEST).write_text(manifest_json(manifest), "utf-8")
+    return {**manifest, "folder": str(folder)}
+
+
+def manifest_json(manifest: dict[str, Any]) -> str:
+    """Return readable JSON: each row of numbers on one line."""
+    text = json.dumps(manifest, indent=2, ensure_ascii=False, allow_nan=False)
+    row = re.compile(r"\[\n\s+([^\[\]{}\"]*?)\n\s+\]")
+    return row.sub(lambda m: "[" + re.sub(r",\n\s+", ", ", m[1]) + "]", text) + "\n"
 
 
 @contextmanager
@@ -100,15 +127,11 @@ def _put_in_place(staging: Path, folder: Path) -> None:
     if not folder.exists():
         staging.rename(folder)
         return
-    outdated = _made_before(folder) - {path.name for path in staging.iterdir()}
+    listed = listed_digests(folder)
+    made_before = {path.name for path in folder.iterdir() if path.name in listed and path.is_file()}
+    outdated = made_before - {path.name for path in staging.iterdir()}
     (folder / MANIFEST).unlink(missing_ok=True)
     for name in outdated:
         (folder / name).unlink(missing_ok=True)
     for path in sorted(staging.iterdir(), key=lambda path: path.name == MANIFEST):
         path.replace(folder / path.name)
-
-
-def _made_before(folder: Path) -> set[str]:
-    """Return the names of existing files that the folder's manifest lists; none if it cannot be read."""
-    listed = listed_digests(folder)
-    return {path.name for path in folder.iterdir() if path.name in listed and path.is_file()}

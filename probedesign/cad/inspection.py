@@ -12,8 +12,28 @@ import numpy as np
 from probedesign.cad.exchange import file_date
 from probedesign.cad.kernel import mass_properties
 from probedesign.cad.model import CadModel, CadPart
-from probedesign.cad.projection import ABOVE, BELOW, FRONT, SAME_MM, Lines, cross_section, cut, seen
-from probedesign.cad.sheet import BOTTOM, EDGE, LINE, SMALL, STACK, TEXT, WIDTH, View, note, page, scale_for, scale_text
+from probedesign.cad.sheet import (
+    ABOVE,
+    BELOW,
+    BOTTOM,
+    EDGE,
+    FRONT,
+    LINE,
+    SAME_MM,
+    SMALL,
+    STACK,
+    TEXT,
+    WIDTH,
+    Lines,
+    View,
+    cross_section,
+    cut,
+    note,
+    page,
+    scale_for,
+    scale_text,
+    seen,
+)
 from probedesign.core.frames import Array
 from probedesign.core.svg import Canvas, number
 from probedesign.core.units import MM

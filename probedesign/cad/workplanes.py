@@ -1,16 +1,26 @@
-"""The parts of a design as CadQuery objects: workplanes with tagged faces and bolt circles, and their assembly."""
+"""The parts of a design as CadQuery objects with tagged faces and bolt circles, their assembly, and the export of parts
+that were changed in CadQuery."""
 
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import cadquery as cq
 
+from probedesign.cad.export import SCHEMA, cad_files, model_record
+from probedesign.cad.folder import check_target, digests, write_export
+from probedesign.cad.kernel import mass_properties
+from probedesign.cad.mesh import part_stl, scaled, tessellate
 from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad, printed_solid
+from probedesign.cad.verify import checked, mesh_findings, room_findings
 from probedesign.core.errors import CheckFailedError, InputError, unknown_name
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.mount import Mount
 from probedesign.mount.engraving import XY
+from probedesign.printing.check import print_scale
 
 CHANGEABLE = ("probe", "sensor_adapter", "clamp_ring", "flange_adapter")
 """Printed parts, which an assembly takes changed."""
@@ -103,3 +113,35 @@ def _face_at(solid: cq.Shape, z: float) -> cq.Face:
         if face.geomType() == "PLANE" and abs(face.Center().z - z / MM) < FLAT and abs(face.normalAt().z) > 1.0 - FLAT
     ]
     return max(found, key=lambda face: face.Area())
+
+
+def export_changed(design: Design, changed: Mapping[str, cq.Workplane], out: Path) -> dict[str, Any]:
+    """Check, mesh and write changed parts; see `probedesign.cad.export_changed`."""
+    if not changed:
+        raise InputError("no part is given; name the changed ones, such as sensor_adapter=PART")
+    folder = Path(os.path.abspath(out))
+    check_target(folder, "changed parts")
+    model = changed_model(design, changed)
+    meshes = {name: tessellate(model.parts[name].shape) for name in changed}
+    findings = checked(design.name, {**mesh_findings(model, meshes), **room_findings(model)})
+    contents = cad_files(model, changed)
+    for name, mesh in meshes.items():
+        as_printed = scaled(mesh, print_scale(design, name))
+        contents[f"{name}.stl"] = part_stl(design, name, as_printed, model.geometry.fingerprint)
+    manifest = {
+        "schema": SCHEMA,
+        "kind": "changed parts",
+        **model_record(model, digests(contents), findings),
+        "changed": {name: _masses(design, model.parts[name]) for name in changed},
+        "print_scale": {name: list(print_scale(design, name)) for name in changed},
+    }
+    return write_export(folder, contents, manifest)
+
+
+def _masses(design: Design, part: CadPart) -> dict[str, float]:
+    """Return the mass of a changed part beside that of the design's."""
+    drawn = printed_solid(design, part.name)
+    return {
+        "mass_kg": mass_properties(part.shape, part.density).mass,
+        "mass_as_designed_kg": mass_properties(drawn, part.density).mass,
+    }

@@ -25,9 +25,8 @@ from probedesign.cad.exploded_view import DOWN, EXPLOSION, assembly_steps
 from probedesign.cad.inspection import inspection_sheets
 from probedesign.cad.model import CadModel, build_cad, overlaps
 from probedesign.cad.packages import read_back
-from probedesign.cad.projection import FRONT, cut, seen
 from probedesign.cad.render import BACKGROUND, OrthographicCamera, RenderBody, fit_view, render_bodies
-from probedesign.cad.sheet import EDGE, HEIGHT, WIDTH
+from probedesign.cad.sheet import EDGE, FRONT, HEIGHT, WIDTH, cut, seen
 from probedesign.cad.solids import clamp_ring_solid
 from probedesign.core.errors import InputError
 from probedesign.core.frames import pose

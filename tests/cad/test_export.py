@@ -345,7 +345,7 @@ def test_interrupted_export_leaves_nothing(
         assert any(tmp_path.rglob("probe.stl"))  # half of the files are there already
         raise trouble
 
-    monkeypatch.setattr("probedesign.cad.export.manifest_of", fail)
+    monkeypatch.setattr("probedesign.cad.folder.manifest_json", fail)
     with pytest.raises((KeyboardInterrupt, InputError), match=r"^$|cannot be written: No space left on device$"):
         export_parts(make_design(), tmp_path / "large")
     assert list(tmp_path.iterdir()) == []
