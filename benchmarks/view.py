@@ -57,8 +57,8 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: 
         until: end of the simulation [s].
         picture: file to write.
     """
-    from probedesign.live.view.access import protect
     from probedesign.live.view.page import ViewerPage
+    from probedesign.web.guard import protect
 
     try:
         from playwright.sync_api import sync_playwright

@@ -43,7 +43,7 @@ def studio(
     require("viser", "studio", "view")
     if not 0 < port < 65536:
         raise InputError(f"--port {port} must lie in 1 ... 65535")
-    from probedesign.live import LOOPBACK
+    from probedesign.web import LOOPBACK
 
     if host not in LOOPBACK:
         raise InputError(f"--host {host}: the studio is open to this machine only; use one of {', '.join(LOOPBACK)}")

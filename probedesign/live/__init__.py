@@ -5,8 +5,6 @@ from urllib.parse import urlsplit
 
 Log = Callable[[str], None]
 """Takes a message for the user."""
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
-"""Names of this machine that no other can reach."""
 
 
 def split_address(address: str, scheme: str) -> tuple[str, int | None]:

@@ -18,7 +18,8 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from probedesign.core.csv_tables import UNITS
 from probedesign.core.errors import InputError, quoted
-from probedesign.live import LOOPBACK, split_address
+from probedesign.live import split_address
+from probedesign.web import LOOPBACK
 
 MAX_DATAGRAM = 4096
 """Maximum size of a datagram [bytes]; two or three hundred are needed."""

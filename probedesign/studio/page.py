@@ -23,8 +23,6 @@ from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.design.paper import PROBES, paper_design
 from probedesign.estimation.estimate import Estimate
-from probedesign.live.view.access import protect
-from probedesign.live.view.page import LoopbackServer
 from probedesign.probe import build_probe
 from probedesign.reports.chart import Chart
 from probedesign.studio import actions
@@ -46,6 +44,7 @@ from probedesign.studio.figures import (
 from probedesign.studio.improve import ImproveTab
 from probedesign.studio.scene import StudioScene
 from probedesign.studio.session import MOUNTINGS, PinnedDesign, Session, StudioTouch, with_knots
+from probedesign.web.guard import LoopbackServer, protect
 
 TITLE = "probedesign studio"
 REST_SECONDS = 0.35
@@ -80,7 +79,7 @@ class StudioPage:
         self._complete = self._searching = False
         self._kept: tuple[str, bool] | None = None  # message of an action, shown until the next change
         self._stopped = threading.Event()
-        protect(TITLE, token="")
+        protect(TITLE)
         with redirect_stdout(io.StringIO()):  # viser prints a banner
             self._server = LoopbackServer(host, port, TITLE, verbose=False)
         self._host = host

@@ -13,8 +13,13 @@ from numpy.typing import NDArray
 from probedesign.core.frames import Array
 from probedesign.core.statistics import ellipsoid_95
 from probedesign.estimation.estimate import Estimate
-from probedesign.live.outputs.drawing import BentShape, centreline
-from probedesign.live.view.page import (
+from probedesign.geometry.tube import BentShape, centreline
+from probedesign.probe import Probe
+from probedesign.rod.equilibrium import Equilibrium
+from probedesign.studio.figures import DesignFigures, DrawnTouch, segment_colours, touched_shape
+from probedesign.studio.session import StudioTouch, knots_of
+from probedesign.web.rigid_parts import rigid_parts
+from probedesign.web.scene import (
     ARROW,
     CONTACT,
     MIN_HALF_AXIS,
@@ -25,11 +30,6 @@ from probedesign.live.view.page import (
     level_rotation,
     quaternion,
 )
-from probedesign.live.view.scene import rigid_parts
-from probedesign.probe import Probe
-from probedesign.rod.equilibrium import Equilibrium
-from probedesign.studio.figures import DesignFigures, DrawnTouch, segment_colours, touched_shape
-from probedesign.studio.session import StudioTouch, knots_of
 
 SEGMENTS, RINGS, RING_POINTS = 20, 3, 20
 """Coloured segments of the drawn probe, rings of each, points of a ring: without a GPU, the triangles of the probe take

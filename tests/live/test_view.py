@@ -12,17 +12,20 @@ import pytest
 from rich.console import Console
 
 from probedesign.core.frames import pose
+from probedesign.core.statistics import ellipsoid_95
 from probedesign.estimation.estimate import RESULTS, Estimate
+from probedesign.geometry.tube import SIDES, BentShape, TubeMesh, centreline
 from probedesign.live.blocks import Block, WrenchReading
-from probedesign.live.outputs.drawing import SIDES, BentShape, ContactMarker, TubeMesh, centreline, ellipsoid
+from probedesign.live.outputs.drawing import ContactMarker
 from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.estimates import EstimateUpdate, readable_line
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.view.page import events_html, status_html
-from probedesign.live.view.scene import RECORD, StripCharts, read_stl, rigid_parts
+from probedesign.live.view.scene import StripCharts
 from probedesign.live.view.sinks import TerminalView, scene_setup, table_of
 from probedesign.live.view.state import STRIP, Event, Snapshot, StatusLine, ViewState
+from probedesign.web.rigid_parts import RECORD, read_stl, rigid_parts
 
 
 def bent(estimator):
@@ -78,7 +81,7 @@ def test_a_flattened_section_is_drawn_flat(estimator):
 def test_the_ellipsoid_holds_95_of_100():
     rng = np.random.default_rng(1)
     root = rng.standard_normal((3, 3))
-    half_axes, axes = ellipsoid(root @ root.T)
+    half_axes, axes = ellipsoid_95(root @ root.T)
     assert np.allclose(axes @ axes.T, np.eye(3)) and np.linalg.det(axes) == pytest.approx(1.0)
     inside = np.linalg.norm((rng.standard_normal((20_000, 3)) @ root.T @ axes) / half_axes, axis=1) < 1.0
     assert inside.mean() == pytest.approx(0.95, abs=5.0 * math.sqrt(0.95 * 0.05 / 20_000))

@@ -17,10 +17,10 @@ import viser.transforms
 
 from probedesign.cli.main import run
 from probedesign.design.paper import paper_design
-from probedesign.live.outputs.drawing import centreline
-from probedesign.live.view.page import UNIT, level_rotation
+from probedesign.geometry.tube import centreline
 from probedesign.studio.page import CHARTS_WIDTH, CONTROLS_WIDTH, StudioPage
 from probedesign.studio.session import Session, knots_of
+from probedesign.web.scene import UNIT, level_rotation
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]

@@ -1,21 +1,12 @@
-"""What is drawn of a run: the bent probe as a mesh, and the contact with its ellipsoid and its force."""
+"""What is drawn of an estimate: the bent centreline, and the contact with its force."""
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from probedesign.core.frames import Array
+from probedesign.geometry.tube import BentShape
 from probedesign.live.processing.estimates import EstimateUpdate
-
-
-@dataclass(frozen=True)
-class BentShape:
-    """The bent centreline at the nodes of its solution."""
-
-    s: Array  #: arclengths, base to tip [m], (k,).
-    p_base: Array  #: points [m], (k, 3).
-    R_base: Array  #: section frames with columns x, y and tangent, (k, 3, 3).
 
 
 @dataclass(frozen=True)
@@ -31,74 +22,6 @@ class ContactMarker:
     time: float  #: time by the source's clock [s].
     number: int  #: number of the touch, from 1.
     friction_ratio: float = float("nan")  #: tangential over normal force; NaN if unknown.
-
-
-RINGS, SIDES = 72, 36
-"""Of the mesh on a screen: uniform rings, and corners of each."""
-
-
-@dataclass(frozen=True)
-class TubeMesh:
-    """Closed mesh of a round or flattened probe around its bent centreline."""
-
-    s: Array  #: arclengths of the knots [m], (k,).
-    radius: Array  #: half-width along the section's x axis at the knots, linear in between [m], (k,).
-    flatness: float = 1.0  #: half-width along y divided by that along x.
-    rings: int = RINGS  #: number of uniform rings; up to as many more are at knots of the radius.
-    sides: int = SIDES  #: number of corners of a ring.
-
-    @cached_property
-    def stations(self) -> Array:
-        """Arclengths of the rings [m]: uniform, plus the knots of the radius."""
-        even = np.linspace(self.s[0], self.s[-1], self.rings)
-        knots = self.s if len(self.s) <= self.rings else self.s[:: len(self.s) // self.rings]
-        return np.asarray(np.unique(np.concatenate([even, knots, self.s[-1:]])))
-
-    @cached_property
-    def faces(self) -> Array:
-        """Triangles, anticlockwise seen from outside, (j, 3): the rings, then a cap at each end."""
-        rings, ring = len(self.stations), np.arange(self.sides)
-        after = (ring + 1) % self.sides
-        first = self.sides * np.arange(rings - 1)[:, None]
-        a, b = first + ring, first + after
-        side = np.stack([a, b, b + self.sides, a, b + self.sides, a + self.sides], axis=-1).reshape(-1, 3)
-        base = rings * self.sides  # the caps have their own rims, so that shading keeps the edge sharp
-        tip = base + self.sides + 1
-        caps = [
-            np.stack([base + after, base + ring, np.full(self.sides, base + self.sides)], axis=1),
-            np.stack([tip + ring, tip + after, np.full(self.sides, tip + self.sides)], axis=1),
-        ]
-        return np.concatenate([side, *caps]).astype(np.uint32)
-
-    def vertices(self, shape: BentShape) -> Array:
-        """Return the points of the surface [m], (i, 3), in base axes."""
-        p, x, y = centreline(shape, self.stations)
-        angle = np.linspace(0.0, 2.0 * np.pi, self.sides, endpoint=False)
-        round_x, round_y = np.cos(angle)[:, None], self.flatness * np.sin(angle)[:, None]
-        radius = np.interp(self.stations, self.s, self.radius)[:, None, None]
-        rings = p[:, None] + radius * (round_x * x[:, None] + round_y * y[:, None])
-        caps = [np.vstack([rings[end], p[end]]) for end in (0, -1)]
-        return np.asarray(np.concatenate([rings.reshape(-1, 3), *caps]))
-
-
-def centreline(shape: BentShape, s: Array) -> tuple[Array, Array, Array]:
-    """Return points and the section's x and y axes at arclengths s, each (k, 3).
-
-    Cubic between the nodes of the solution, from their tangents. The rod's axial strain, some thousandths, is
-    neglected: the result is for drawing, not for measuring.
-    """
-    i = np.clip(np.searchsorted(shape.s, s, side="right") - 1, 0, len(shape.s) - 2)
-    step = shape.s[i + 1] - shape.s[i]
-    t = ((s - shape.s[i]) / step)[:, None]
-    p0, p1 = shape.p_base[i], shape.p_base[i + 1]
-    m0, m1 = (step[:, None] * shape.R_base[j][:, :, 2] for j in (i, i + 1))
-    p = (1 + 2 * t) * (1 - t) ** 2 * p0 + t * (1 - t) ** 2 * m0 + t**2 * (3 - 2 * t) * p1 + t**2 * (t - 1) * m1
-    slope = 6 * t * (1 - t) * (p1 - p0) + (1 - t) * (1 - 3 * t) * m0 + t * (3 * t - 2) * m1
-    tangent = slope / np.linalg.norm(slope, axis=1, keepdims=True)
-    x = (1 - t) * shape.R_base[i][:, :, 0] + t * shape.R_base[i + 1][:, :, 0]
-    x = x - np.sum(x * tangent, axis=1, keepdims=True) * tangent
-    x /= np.linalg.norm(x, axis=1, keepdims=True)
-    return p, x, np.cross(tangent, x)
 
 
 def contact_marker(update: EstimateUpdate, number: int) -> ContactMarker | None:

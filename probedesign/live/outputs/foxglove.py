@@ -4,13 +4,14 @@ from typing import TYPE_CHECKING
 
 from probedesign.core.errors import InputError, require
 from probedesign.estimation.model import ProbeModel
-from probedesign.live import LOOPBACK, Log, split_address
+from probedesign.live import Log, split_address
 from probedesign.live.blocks import Block
 from probedesign.live.outputs.recording import BackgroundWriter
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.recordings import schemas
 from probedesign.live.recordings.messages import MessageEncoder
 from probedesign.live.recordings.schemas import Bytes, Nanoseconds, Topic
+from probedesign.web import LOOPBACK
 
 if TYPE_CHECKING:
     from foxglove.websocket import ServerListener

@@ -5,7 +5,8 @@ import numpy as np
 from probedesign.core.frames import Array, pose
 from probedesign.core.statistics import ellipsoid_95
 from probedesign.estimation.model import ProbeModel
-from probedesign.live.outputs.drawing import TubeMesh, bent_shape, contact_marker
+from probedesign.geometry.tube import TubeMesh
+from probedesign.live.outputs.drawing import bent_shape, contact_marker
 from probedesign.live.poses.track import pose_from_matrix
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.recordings.schemas import Bytes, CdrBuilder

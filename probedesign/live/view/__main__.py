@@ -25,11 +25,12 @@ def main() -> None:
             back.flush()
 
     try:
-        from probedesign.live.view.access import protect
         from probedesign.live.view.page import ViewerPage
+        from probedesign.live.view.style import SCRIPT, STYLE
+        from probedesign.web.guard import protect
 
         setup = pickle.load(sys.stdin.buffer)
-        protect(setup.title, setup.token)
+        protect(setup.title, setup.token, f"<style>{STYLE}</style><script>{SCRIPT}</script>")
         page = ViewerPage(setup, lambda name, text: send(command=name, text=text))
         send(url=page.url)
         while True:

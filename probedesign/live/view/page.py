@@ -19,6 +19,20 @@ from probedesign.core.units import MM
 from probedesign.live.outputs.drawing import ContactMarker
 from probedesign.live.view.scene import CHART_SECONDS, SceneSetup, StripCharts
 from probedesign.live.view.state import Snapshot, StatusLine
+from probedesign.web.guard import LoopbackServer
+from probedesign.web.scene import (
+    ARROW,
+    CONTACT,
+    METAL,
+    MIN_HALF_AXIS,
+    PART_COLOURS,
+    PROBE,
+    SPREAD,
+    STALE_COLOUR,
+    UNIT,
+    level_rotation,
+    quaternion,
+)
 
 MAX_SHOWN = 8
 """Maximum number of events and touches on the page: the last ones."""
@@ -195,12 +209,6 @@ def _chart(gui: viser.GuiApi, title: str, names: tuple[str, ...], dots: bool = F
 
 SendCommand = Callable[[str, str], None]
 
-UNIT = 20.0
-"""Scene units per metre: viser's lights, camera and shadows suit objects of a few units."""
-MIN_HALF_AXIS = 0.9e-3
-"""Minimum half-axis of the drawn ellipsoid [m], so that it is visible."""
-ARROW = 0.03
-"""Length of the force arrow [m]; its label states the force."""
 MAX_MARKS = 24
 """Maximum number of earlier touches that are drawn."""
 LABEL_GAP = 0.012
@@ -217,18 +225,6 @@ SMALL_WIDTH = 576
 """Width [px] up to which viser covers the lower part of the scene with its panel."""
 AGEING = 0.5
 """Interval in which the charts of old data are drawn again [s]."""
-
-PROBE, CONTACT, SPREAD, STALE_COLOUR = (236, 148, 66), (150, 10, 30), (232, 72, 66), (150, 150, 150)
-METAL = (132, 142, 154)
-PART_COLOURS = {"sensor": (60, 64, 72), "flange": PROBE, "clamp_ring": (112, 122, 136),
-                "flange_adapter": (150, 158, 168)}  # fmt: skip
-
-
-class LoopbackServer(viser.ViserServer):
-    """A server without viser's tunnel to the internet, which any client could request."""
-
-    def request_share_url(self, verbose: bool = True) -> None:
-        """Do nothing: there is no public address."""
 
 
 class ViewerPage:
@@ -420,21 +416,3 @@ class ViewerPage:
             apart = all(np.linalg.norm(later - points[i]) > LABEL_GAP for later in points[i + 1 :])
             number.visible = apart and not self._is_covered(UNIT * points[i])
             number.text = f"{marker.number}"
-
-
-def level_rotation(gravity_base: Array) -> Array:
-    """Return the rotation of the base that points gravity down, the nearest to upright, (3, 3)."""
-    g = np.asarray(gravity_base, dtype=float)
-    if not np.linalg.norm(g) > 0.0:
-        return np.eye(3)
-    up = -g / np.linalg.norm(g)  # world z in base axes
-    side = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.9 else np.array([0.0, 0.0, 1.0])
-    x = side - (side @ up) * up
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(up, x), up])
-
-
-def quaternion(R: Array) -> Array:
-    """Return the quaternion w, x, y, z of a rotation, as viser reads it."""
-    found: Array = np.asarray(tf.SO3.from_matrix(R).wxyz)
-    return found

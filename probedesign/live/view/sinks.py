@@ -16,11 +16,13 @@ from urllib.parse import urlsplit
 
 from probedesign.core.errors import InputError, require
 from probedesign.estimation.estimator import Estimator
-from probedesign.live import LOOPBACK, Log
-from probedesign.live.outputs.drawing import BentShape, TubeMesh
+from probedesign.geometry.tube import BentShape, TubeMesh
+from probedesign.live import Log
 from probedesign.live.processing.commands import CommandName, CommandQueue
-from probedesign.live.view.scene import SceneSetup, rigid_parts
+from probedesign.live.view.scene import SceneSetup
 from probedesign.live.view.state import Counts, Level, RecordingState, Snapshot, ViewState, not_recording
+from probedesign.web import LOOPBACK
+from probedesign.web.rigid_parts import rigid_parts
 
 if TYPE_CHECKING:
     from rich.console import Console

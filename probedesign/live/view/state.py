@@ -13,8 +13,9 @@ import numpy as np
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimate import RESULTS
+from probedesign.geometry.tube import BentShape
 from probedesign.live.blocks import Block
-from probedesign.live.outputs.drawing import BentShape, ContactMarker, bent_shape, contact_marker
+from probedesign.live.outputs.drawing import ContactMarker, bent_shape, contact_marker
 from probedesign.live.outputs.sinks import Sink
 from probedesign.live.processing.estimates import EstimateUpdate
 

@@ -1,14 +1,4 @@
-"""Appearance of the page beyond viser's: icon, styles for light, dark and small screens, and the check of its data."""
-
-from urllib.parse import quote
-
-_ICON = (
-    '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 32 32"><rect width="32" height="32" rx="6" fill="#26547c"/>'
-    '<path d="M5 10h4v12H5z" fill="#d5dbe1"/><path d="M9 11l18 4v2L9 21z" fill="#ec9242"/>'
-    '<circle cx="20" cy="13" r="3" fill="#c81e28"/></svg>'
-)
-FAVICON = f"data:image/svg+xml,{quote(_ICON)}"
-"""The probe with a contact, as the address of the icon."""
+"""Appearance of the page beyond viser's: styles for light and dark ground, and the check of the age of its data."""
 
 STYLE = """
 :root { --pd-good: #1b7f4b; --pd-fair: #9a5b00; --pd-bad: #b3261e; --pd-plain: #46525e; --pd-dim: #66717c; }
@@ -37,37 +27,13 @@ td.pd-good { color: var(--pd-good); } td.pd-fair { color: var(--pd-fair); } td.p
 .pd-lost #pd-lost { display: block; }
 .pd-lost .pd { filter: grayscale(1); opacity: 0.45; } .pd-lost .pd-banner { background: var(--pd-plain) !important; }
 .pd-lost canvas, .pd-lost .uplot { filter: grayscale(1); opacity: 0.45; }
-@media (max-width: 36em) {
-  div[style*="width: 20em"] { width: 100vw !important; max-width: 100vw !important; box-sizing: border-box; }
-  div[style*="max-height: 60%"] { max-height: 58% !important; }
-}
 """
-"""Colours of levels, readable on light and on dark ground; the bottom sheet of a small screen has its full width."""
+"""Colours of levels, readable on light and on dark ground."""
 
 LOST_SECONDS = 3
 """Age from which the values of a page are lost [s]; the server renews them every second."""
 SCRIPT = """
 (function () {
-  var query = new URLSearchParams(location.search);
-  if (matchMedia('(prefers-color-scheme: dark)').matches && !query.has('darkMode')) {
-    query.set('darkMode', '');
-    history.replaceState(null, '', location.pathname + '?' + query.toString());
-  }
-  if (matchMedia('(pointer: coarse)').matches && !query.has('fixedDpr')) {
-    query.set('fixedDpr', '1');
-    history.replaceState(null, '', location.pathname + '?' + query.toString());
-  }
-  var context = HTMLCanvasElement.prototype.getContext, software = null;
-  HTMLCanvasElement.prototype.getContext = function (kind, options) {
-    if (kind !== 'webgl2') return context.call(this, kind, options);
-    if (software === null) {
-      var gl = context.call(document.createElement('canvas'), kind);
-      var named = gl && gl.getExtension('WEBGL_debug_renderer_info');
-      software = !!named && /swiftshader|llvmpipe|software/i.test(gl.getParameter(named.UNMASKED_RENDERER_WEBGL));
-      if (gl) gl.getExtension('WEBGL_lose_context').loseContext();
-    }
-    return context.call(this, kind, software ? Object.assign({}, options, {antialias: false}) : options);
-  };
   var beat = null, since = Date.now(), bar = null;
   setInterval(function () {
     var found = document.querySelector('[data-beat]'), now = Date.now();
@@ -82,8 +48,4 @@ SCRIPT = """
   }, 500);
 })();
 """.replace("LOST_SECONDS", str(LOST_SECONDS))
-"""Follows the browser's colour scheme, and marks all values as old when the server has not renewed them for a while.
-
-A tablet draws one pixel of the scene for each of the page: viser reports the width of the scene in drawn pixels, from
-which the panels are arranged. A browser without a GPU draws without antialiasing, a third of a frame's time.
-"""
+"""Marks all values as old when the server has not renewed them for a while."""

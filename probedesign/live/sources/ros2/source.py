@@ -15,13 +15,14 @@ from urllib.parse import unquote
 from probedesign.core.csv_tables import Frame
 from probedesign.core.errors import InputError, one_line
 from probedesign.estimation.model import ProbeModel
-from probedesign.live import LOOPBACK, Log
+from probedesign.live import Log
 from probedesign.live.datagrams import StreamListener
 from probedesign.live.poses.pose_sources import parse_pose
 from probedesign.live.poses.track import TimedPose
 from probedesign.live.sources.replay import MomentUnit
 from probedesign.live.sources.source import parse_parameters
 from probedesign.live.sources.udp import PARAMETERS, UdpSource, wrench_listener
+from probedesign.web import LOOPBACK
 
 BRIDGE = Path(__file__).with_name("bridge.py")
 SYSTEM_PYTHONS = ("/usr/bin/python3", "python3")

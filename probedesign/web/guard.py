@@ -1,19 +1,24 @@
-"""Who may use the page: its own origin only and, beyond this machine, with a token; and how it presents itself."""
+"""The server of a local page: who may use it, and what it adds to viser's page.
+
+Only the page's own origin may connect and, beyond this machine, only with a token. viser has no options for this: the
+guard replaces `websockets.asyncio.server.serve`, which viser calls, so viser is pinned to its minor version.
+"""
 
 import gzip
 import hmac
 import http
+import re
 from collections.abc import Callable
 from html import escape
 from http.cookies import CookieError, SimpleCookie
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, quote, urlsplit
 
+import viser
 from websockets.asyncio import server
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from probedesign.live import LOOPBACK
-from probedesign.live.view.style import FAVICON, SCRIPT, STYLE
+from probedesign.web import LOOPBACK
 
 Handler = Callable[[server.ServerConnection, Request], Response | None]
 
@@ -25,19 +30,56 @@ HEADERS = {
 }
 """Headers of every response: no other page may show this one in a frame, under its own buttons."""
 NEEDS_TOKEN = "This page needs the address with its token, which the terminal of the run shows.\n"
+_ICON = (
+    '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 32 32"><rect width="32" height="32" rx="6" fill="#26547c"/>'
+    '<path d="M5 10h4v12H5z" fill="#d5dbe1"/><path d="M9 11l18 4v2L9 21z" fill="#ec9242"/>'
+    '<circle cx="20" cy="13" r="3" fill="#c81e28"/></svg>'
+)
+FAVICON = f"data:image/svg+xml,{quote(_ICON)}"
+"""The probe with a contact, as the address of the icon."""
+SCRIPT = """
+(function () {
+  var query = new URLSearchParams(location.search);
+  if (matchMedia('(prefers-color-scheme: dark)').matches) query.set('darkMode', '');
+  if (matchMedia('(pointer: coarse)').matches) query.set('fixedDpr', '1');
+  history.replaceState(null, '', location.pathname + '?' + query.toString());
+  var context = HTMLCanvasElement.prototype.getContext, software = null;
+  HTMLCanvasElement.prototype.getContext = function (kind, options) {
+    if (kind !== 'webgl2') return context.call(this, kind, options);
+    if (software === null) {
+      var gl = context.call(document.createElement('canvas'), kind);
+      var named = gl && gl.getExtension('WEBGL_debug_renderer_info');
+      software = !!named && /swiftshader|llvmpipe|software/i.test(gl.getParameter(named.UNMASKED_RENDERER_WEBGL));
+      if (gl) gl.getExtension('WEBGL_lose_context').loseContext();
+    }
+    return context.call(this, kind, software ? Object.assign({}, options, {antialias: false}) : options);
+  };
+})();
+"""
+"""Follows the browser's colour scheme. A tablet draws one pixel of the scene for each of the page: viser reports the
+width of the scene in drawn pixels, from which the panels are arranged. A browser without a GPU draws without
+antialiasing, a third of a frame's time."""
 
 
-def protect(title: str, token: str) -> None:
-    """Guard every server that viser starts from now on in this process; viser has no options for it.
+class LoopbackServer(viser.ViserServer):
+    """A server without viser's tunnel to the internet, which any client could request."""
+
+    def request_share_url(self, verbose: bool = True) -> None:
+        """Do nothing: there is no public address."""
+
+
+def protect(title: str, token: str = "", head: str = "") -> None:
+    """Guard every server that viser starts from now on in this process.
 
     Args:
         title: title of the page in the browser.
         token: secret that a browser must know; empty on an address of this machine only.
+        head: HTML that is added to the head of the page.
     """
     original = server.serve
 
     def serve(handler: object, host: str, port: int, *, process_request: Handler | None, **options: object) -> object:
-        request_filter = RequestFilter(title, token, port, process_request)
+        request_filter = RequestFilter(title, token, port, head, process_request)
         return original(handler, host, port, process_request=request_filter, **options)  # type: ignore[arg-type]  # viser's
 
     server.serve = serve  # type: ignore[misc, assignment]
@@ -46,8 +88,9 @@ def protect(title: str, token: str) -> None:
 class RequestFilter:
     """Decides about each request, and completes the responses of viser's own handler."""
 
-    def __init__(self, title: str, token: str, port: int, serve_file: Handler | None) -> None:
-        self._title, self._token, self._serve_file = title, token, serve_file
+    def __init__(self, title: str, token: str, port: int, head: str, serve_file: Handler | None) -> None:
+        self._token, self._serve_file = token, serve_file
+        self._head = f"<title>{escape(title)}</title><script>{SCRIPT}</script>{head}"
         self._cookie = f"probedesign_view_{port}"  # a browser sends cookies to all ports of a host
         self._pages: dict[int, bytes] = {}
 
@@ -97,7 +140,7 @@ class RequestFilter:
         if response.headers.get("Content-Type", "").startswith("text/html"):
             key = len(body) * 2 + zipped
             if key not in self._pages:
-                page = _page(body.decode(), self._title).encode()
+                page = self._page(body.decode()).encode()
                 self._pages[key] = gzip.compress(page) if zipped else page
             body = self._pages[key]
         else:
@@ -107,15 +150,11 @@ class RequestFilter:
         headers = Headers(kept | ours)
         return Response(response.status_code, response.reason_phrase, headers, body)
 
-
-def _page(text: str, title: str) -> str:
-    """Return viser's page with our head."""
-    before, found, after = text.partition("<title>Viser</title>")
-    head = f"<title>{escape(title)}</title>" if found else ""
-    icon = before.find("<link")
-    if icon >= 0 and (end := before.find("/>", icon)) >= 0:
-        before = before[:icon] + f'<link rel="icon" href="{FAVICON}" />' + before[end + 2 :]
-    return f"{before}{head}<style>{STYLE}</style><script>{SCRIPT}</script>{after}"
+    def _page(self, text: str) -> str:
+        """Return viser's page with our head."""
+        text = re.sub("<link[^>]*/>", f'<link rel="icon" href="{FAVICON}" />', text, count=1)
+        before, _, after = text.partition("<title>Viser</title>")
+        return f"{before}{self._head}{after}"
 
 
 def _name(host: str) -> str:
