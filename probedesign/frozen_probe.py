@@ -133,12 +133,6 @@ def _read_flag(value: Any) -> bool:
     return value
 
 
-def _read_digests(values: Any) -> tuple[str, ...]:
-    if not (isinstance(values, list) and all(isinstance(value, str) for value in values)):
-        raise InputError("must be a list of text")
-    return tuple(values)
-
-
 NUMBER, POSITIVE, SPREAD = _number(), _number(math.ulp(0.0)), _number(0.0, 0.5)
 OPTIONAL = SCHEMA + 1
 """`Field.since` of a value that any file may lack."""
@@ -199,7 +193,7 @@ FIELDS = (
     Field("sensor.model", "sensor", _read_text, OPTIONAL, DEFAULT_SENSOR),
     Field("sensor.body_d_m", "sensor_d", _number(1e-3, 1.0), OPTIONAL, NANO17_BODY[0]),
     Field("sensor.height_m", "sensor_height", _number(1e-3, 1.0), OPTIONAL, NANO17_BODY[1]),
-    Field("material.identified_tests", "identified_tests", _read_digests, OPTIONAL, ()),
+    Field("material.identified_tests", "identified_tests", _read_texts, OPTIONAL, ()),
 )
 """Values of the file, in its order."""
 
@@ -223,7 +217,11 @@ def freeze(model: ProbeModel) -> dict[str, Any]:
         "identified_tests": model.identified_tests or None,
         "noise_cov": None if model.noise.is_isotropic else model.noise.cov,
     }
-    data: dict[str, Any] = {"kind": KIND, "schema": SCHEMA, "written_by": f"probedesign {_version()}"}
+    try:
+        installed = version("probedesign")
+    except PackageNotFoundError:
+        installed = "(not installed)"
+    data: dict[str, Any] = {"kind": KIND, "schema": SCHEMA, "written_by": f"probedesign {installed}"}
     for field in FIELDS:
         value: Any = ChainMap(computed, vars(model))
         for name in field.attribute.split("."):
@@ -446,10 +444,3 @@ def _read_json(path: Path, what: str) -> dict[str, Any]:
 def _checksum(data: dict[str, Any]) -> str:
     canonical = json.dumps(data, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
     return "sha256:" + hashlib.sha256(canonical.encode()).hexdigest()
-
-
-def _version() -> str:
-    try:
-        return version("probedesign")
-    except PackageNotFoundError:
-        return "(not installed)"

@@ -272,11 +272,6 @@ def explore(
     """Collect touches from a moving base until the source ends or Ctrl-C; the touches up to then are kept.
 
     Args:
-        estimator: of the probe.
-        source: of the readings.
-        options: tare, averaging and duration.
-        poses: of the base.
-        log: takes messages for the user.
         priors: standard deviations of the error sources; those of the estimator if None.
         min_separation: smallest distance between two points of the map [m].
         on_touch: takes each touch when it has ended.

@@ -27,7 +27,6 @@ from probedesign.estimation.error_sources import CAUSES as SOURCES
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.model import covariance
 from probedesign.rod.kernels.surface_contact import ALONG, BY_TOUCH, CENTRE, POINT, UNKNOWNS, VALUE, S
-from probedesign.rod.rod import Rod
 
 CAUSES = (*SOURCES, "friction")
 """Error sources of a single touch, in the order of the tables."""
@@ -89,7 +88,12 @@ class LinearizedTouches:
     def of(cls, touch: Array, lin: Array, D: Array, sources: ErrorSources) -> "LinearizedTouches":
         """Return the linearisations of touches; the arguments are those of `error_budget`."""
         by = slice(BY_TOUCH, BY_TOUCH + UNKNOWNS)
-        by_s = by_s_of(sources.model.rod, touch[:, S])
+        # For forces normal to the surface s_contact = s + r tan(β - α), β the inclination of the force towards the tip:
+        # ∂/∂s = 1 + tan² α, ∂/∂a_2 = r / cos² α.
+        rod, s = sources.model.rod, touch[:, S]
+        by_s = np.zeros((len(s), UNKNOWNS))
+        by_s[:, S] = 1.0 + rod.taper_at(s) ** 2
+        by_s[:, ALONG] = rod.radius_at(s) * by_s[:, S]
         noise = np.array([covariance(sources.model, wrench) for wrench in lin[:, 0:6, VALUE]])
         return cls(
             lin[:, 0:6, by], lin[:, POINT : POINT + 3, by], lin[:, CENTRE : CENTRE + 3, by],
@@ -147,19 +151,6 @@ class LinearizedTouches:
         root = np.linalg.inv(R) / scale[:, :, None]
         gain = root @ np.swapaxes(J[:, :6] @ root, 1, 2) @ W
         return known, root, gain
-
-
-def by_s_of(rod: Rod, s: Array) -> Array:
-    """Return the derivatives of s_contact by the touch for forces normal to the surface, (n, UNKNOWNS).
-
-    s_contact = s + r tan(β - α) with β the inclination of the force towards the tip: ∂/∂s = 1 + tan² α,
-    ∂/∂a_2 = r / cos² α.
-    """
-    stretch = 1.0 + rod.taper_at(s) ** 2
-    found = np.zeros((len(s), UNKNOWNS))
-    found[:, S] = stretch
-    found[:, ALONG] = rod.radius_at(s) * stretch
-    return found
 
 
 _NODES = 16

@@ -170,10 +170,6 @@ class PrintSamples:
         bias = math.sqrt(self.model.averaging_samples) * np.cumsum(steps * rng.normal(size=(n, k, 6)), axis=1)
         return np.asarray((rng.normal(size=(n, k, 6)) + bias) @ root.T)
 
-    def draw_robot_error(self, n: int, k: int, rng: np.random.Generator) -> Array:
-        """Draw the error of the reported base positions [m], (n, k, 3)."""
-        return np.asarray(rng.normal(0.0, self.tolerances.robot_mm * MM, (n, k, 3)))
-
 
 def perturbed_rod(rod: Rod, by: Array) -> Rod:
     """Return a rod with changed logarithms of E, G, density, length and radii.
@@ -288,7 +284,7 @@ def locate_draws(
     estimator = Estimator(samples.model, samples.tolerances)
     if schedule is None:
         return [_located(estimator, read[i, 0], points[i, 0]) for i in range(n)]
-    places = -points + samples.draw_robot_error(n, k, rng)
+    places = -points + rng.normal(0.0, samples.tolerances.robot_mm * MM, (n, k, 3))
     return [_fused(estimator, schedule, read[i], places[i]) for i in range(n)]
 
 

@@ -29,21 +29,9 @@ from probedesign.prediction.fused import (
     fused_headline_of,
     fused_reach,
 )
-from probedesign.prediction.touches import DIRECTIONS, Touches, check_grid, touches_of
+from probedesign.prediction.touches import Touches, check_grid, touches_of
 from probedesign.prediction.workspace import LADDER_N, ForceThresholds, Workspace, force_thresholds, workspace_of
 from probedesign.rod.equilibrium import Equilibrium
-
-__all__ = [
-    "DIRECTIONS",
-    "PRESSING",
-    "Condition",
-    "Detection",
-    "Prediction",
-    "predict",
-    "predict_touch",
-    "tip_sag",
-    "tip_sag_mm",
-]
 
 FRACTIONS = tuple(round(0.1 * k, 1) for k in range(1, 11))
 FORCES_N = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
