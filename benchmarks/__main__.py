@@ -6,7 +6,7 @@ from importlib import import_module
 
 from benchmarks.timing import print_machine
 
-PARTS = ("rod", "peak", "start", "install", "estimation", "detection", "prints", "identify", "pictured", "validation",
+PARTS = ("rod", "start", "install", "estimation", "detection", "prints", "identify", "pictured", "validation",
          "planning", "prediction", "table1", "optimisation", "sweep", "export", "live", "recording", "view",
          "studio", "day", "explore", "clamp", "coverage")  # fmt: skip
 """Benchmarks by module. Each is imported when it runs, because worker processes import this module again."""

@@ -1,8 +1,8 @@
 """Figures of the documentation with benchmark results."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from benchmarks.error_statistics import CHI2_95
 from probedesign.core.frames import Array
 
 PICTURES = Path(__file__).parents[1] / "docs/pictures"
-BLUE, ORANGE, GREY, LIGHT_GREY = "#1f5fa8", "#d9730d", "#777777", "#999999"
+BLUE, ORANGE, GREY = "#1f5fa8", "#d9730d", "#777777"
 
 
 def draw_table_one(rows: Sequence[tuple[str, float, float, float, float, float]]) -> None:
@@ -89,37 +89,6 @@ def draw_card_house(cards: Sequence[Array], located: Array, targets: Array) -> N
     axes[1].set_aspect("auto")
     axes[0].legend(frameon=False, fontsize=8, loc="upper left")
     figure.savefig(PICTURES / "card-house.png", dpi=130)
-
-
-class CostCurve(NamedTuple):
-    """Measured time over the size of a problem."""
-
-    amount: Array  #: number of cases or steps, increasing, (k,).
-    seconds: Array  #: time [s], (k,).
-
-    @property
-    def exponent(self) -> float:
-        """Exponent of the power law fitted to the curve; 1 if the time is proportional to the amount."""
-        return float(np.polyfit(np.log(self.amount), np.log(self.seconds), 1)[0])
-
-
-def draw_cost(panels: Mapping[str, Mapping[str, CostCurve]]) -> None:
-    """Draw curves on logarithmic axes, each with a grey line of slope 1 through its last point.
-
-    Args:
-        panels: curves by name, by the label of the panel's x axis.
-    """
-    figure, axes = _figure(4.6 * len(panels), 3.6, len(panels))
-    for ax, (label, curves) in zip(axes, panels.items(), strict=True):
-        for marker, (name, curve) in zip("osv^D", curves.items(), strict=False):
-            proportional = curve.seconds[-1] / curve.amount[-1] * curve.amount
-            ax.plot(curve.amount, proportional, color=LIGHT_GREY, lw=1.0, zorder=1)
-            ax.plot(curve.amount, curve.seconds, marker, color=BLUE, ms=5, label=name)
-        ax.plot([], [], color=LIGHT_GREY, lw=1.0, label="proportional")
-        ax.set(xscale="log", yscale="log", xlabel=label, ylabel="seconds")
-        ax.grid(True, which="major", color="#dddddd", lw=0.6)
-        ax.legend(frameon=False)
-    figure.savefig(PICTURES / "cost.png", dpi=150)
 
 
 def _figure(width: float, height: float, panels: int = 1) -> tuple[Any, Any]:

@@ -1,22 +1,54 @@
-"""Speed of the rod against other solvers, in its kernel, in batches and in SIMD lanes, with its targets."""
+"""Speed of the rod: against other solvers, in its kernel, by calls from Python and in batches, with its targets."""
 
-from collections.abc import Sequence
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import repeat
+from typing import NamedTuple
 
-from benchmarks import batch_solves, kernel_profile, solver_comparison
-from benchmarks.batch_solves import Batch
-from benchmarks.cases import bare_large, paper_loads
-from benchmarks.kernel_profile import COLD, IN_LANES, JACOBIAN, Work
-from benchmarks.peak import peaks
-from benchmarks.solver_comparison import Measurement
-from benchmarks.timing import format_seconds, print_table, two_digits
-from probedesign.rod.kernels.steps import WIDE
+import numpy as np
 
-Comparison = Sequence[dict[str, Measurement | None]]
+from benchmarks import solver_comparison
+from benchmarks.cases import Cases, Load, bare_large, paper_loads, random_cases, random_loads
+from benchmarks.solver_comparison import NODES, Measurement, solver
+from benchmarks.timing import format_seconds, interleaved, print_table, two_digits, value_range
+from probedesign.core.frames import Array
+from probedesign.rod.batch import CHUNK, solve_batch
+from probedesign.rod.kernels.equations import ALL_COLUMNS, LOAD_COLUMNS, OK, Body
+from probedesign.rod.kernels.newton import COLD
+from probedesign.rod.kernels.solve import SOLUTION, scratch_buffers, solve_cases
+from probedesign.rod.rod import RESULTS, TOLERANCES, Rod
 
 MAX_COLD, MAX_WARM, MAX_CALL = 30e-6, 20e-6, 60e-6
 """Targets of the time of a cold solve, a warm solve and a call from Python [s]."""
-MIN_BATCH_RATE, LANES_GOAL = 100_000.0, 400_000.0
-"""Target of the solutions per second on two cores, and long-term goal of SIMD lanes."""
+MIN_BATCH_RATE = 80_000.0
+"""Target of the solutions per second on two cores."""
+CASES, SINGLE_CASES = 100_000, 10_000
+"""Cases of a batch, and cases that are timed one by one."""
+ROUNDS, BATCH_ROUNDS = 9, 3
+
+COLD_SOLVE = "cold: tip, base moment, contact"
+JACOBIAN = "neighbouring load, with the Jacobian by force and s_contact"
+SOLVES = {
+    COLD_SOLVE: (0, 0, False),
+    "cold with the shape": (0, NODES, False),
+    "cold, with the Jacobian by force and s_contact": (LOAD_COLUMNS, 0, False),
+    "neighbouring load": (0, 0, True),
+    JACOBIAN: (LOAD_COLUMNS, 0, True),
+    "neighbouring load, with all 16 derivatives": (ALL_COLUMNS + 2, 0, True),
+}
+"""Derivatives, nodes of the shape and whether it starts from a neighbouring load, of each solve that is timed."""
+
+
+class Batch(NamedTuple):
+    """Measurements of one set of cases; times in s."""
+
+    shares: dict[str, float]  #: share of each result code.
+    rates: dict[int, float]  #: solutions per second of the kernel by number of threads; failed cases do not count.
+    whole: float  #: time of `solve_batch` on all cores, including the conversion of rods, loads and results.
+    same: bool  #: whether the results are bitwise equal for all numbers of threads.
+    each: Array  #: time of each of the first cases by itself, (SINGLE_CASES,).
 
 
 def report() -> None:
@@ -26,78 +58,145 @@ def report() -> None:
     solver_comparison.print_comparison(comparison)
     calls = solver_comparison.calls_from_python(rod)
     solver_comparison.print_calls(calls)
-    peak, load = peaks(), paper_loads(rod)[1]
-    work, parts = kernel_profile.measure(rod, paper_loads(rod)), kernel_profile.parts(rod, load)
-    kernel_profile.print_times(work, max(peak.values()))
-    for name in (COLD, JACOBIAN):
-        kernel_profile.print_parts(work[name][1], parts, peak, name)
-    batches = batch_solves.report()
-    print_lanes(batches, work)
-    print_targets([
-        *single_targets(comparison, work, calls[solver_comparison.CALLS[0]]),
-        *batch_targets(batches),
-        *peak_share(work, max(peak.values())),
-    ])  # fmt: skip
-
-
-def print_lanes(batches: dict[str, Batch], work: dict[str, list[Work]]) -> None:
-    """Print the speed-up by SIMD lanes and what limits it."""
-    gains = [one.seconds / in_lanes.seconds for one, in_lanes in zip(work[COLD], work[IN_LANES], strict=True)]
-    print(
-        f"  speed-up by {WIDE} SIMD lanes: equal cases × {two_digits(min(gains))} or more, different cases "
-        + ", ".join(f"× {two_digits(batch.gain)} ({name})" for name, batch in batches.items())
-        + "\n  limits: the steps keep the SIMD units of a core busy; "
-        "stops, Newton's matrix and the path are computed lane by lane"
+    kernel = kernel_seconds(rod, paper_loads(rod))
+    print_table(
+        f"Kernel time, fast mode, the large probe under 4 loads of the paper. Medians of {ROUNDS} interleaved rounds",
+        ["one equilibrium", "time"],
+        [[name, value_range(seconds, format_seconds)] for name, seconds in kernel.items()],
     )
+    batches = {
+        "random probes": measure_batch(random_cases(CASES)),
+        "large probe, random loads": measure_batch(random_loads(rod, CASES)),
+    }
+    print_batches(batches)
+    print_targets(comparison, kernel, calls[solver_comparison.CALLS[0]], batches)
 
 
-def single_targets(comparison: Comparison, work: dict[str, list[Work]], call: float) -> list[list[str]]:
-    """Return the targets of one equilibrium."""
-    cold, warm = (max(w.seconds for w in work[name]) for name in (COLD, JACOBIAN))
-    rows = [upper_target("one equilibrium, cold, kernel time", cold, MAX_COLD)]
+def kernel_seconds(rod: Rod, loads: Sequence[Load]) -> dict[str, list[float]]:
+    """Return the time of each solve for each load without the call from Python [s]."""
+    seconds: dict[str, list[float]] = {name: [] for name in SOLVES}
+    for load in loads:
+        calls: dict[str, Callable[[], object]] = {
+            name: solver(rod, load, columns, room, warm) for name, (columns, room, warm) in SOLVES.items()
+        }
+        for name, value in interleaved(calls, ROUNDS).items():
+            seconds[name].append(value / solver_comparison.COPIES)
+    return seconds
+
+
+class Kernel:
+    """A set of cases and their solutions as arrays."""
+
+    def __init__(self, cases: Cases) -> None:
+        stacks = (np.stack(arrays) for arrays in zip(*(rod.body for rod in cases.rods), strict=True))
+        bodies = Body(*(np.ascontiguousarray(stack) for stack in stacks))
+        self._arguments = (bodies, cases.which, cases.loads, COLD, False, *TOLERANCES["fast"])
+        self.solutions = np.empty(len(cases.which), dtype=SOLUTION)
+        self._derivatives = np.empty((len(cases.which), 15, 1))
+
+    def solve(self, first: int, last: int) -> None:
+        """Solve the cases first ... last - 1."""
+        solve_cases(first, last, *self._arguments, scratch_buffers(0, 0), self.solutions, self._derivatives)
+
+    def seconds(self, n: int, threads: int) -> float:
+        """Return the time of the first n cases [s]."""
+        firsts = range(0, n, CHUNK)
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(self.solve, repeat(0, threads), repeat(1)))  # starts the threads
+            start = time.perf_counter()
+            list(pool.map(self.solve, firsts, (min(first + CHUNK, n) for first in firsts)))
+            return time.perf_counter() - start
+
+    def each(self, n: int) -> Array:
+        """Return the time of each of the first n cases without the call itself [s], (n,); the better of two runs."""
+
+        def once(first: int, last: int) -> float:
+            start = time.perf_counter()
+            self.solve(first, last)
+            return time.perf_counter() - start
+
+        empty = min(once(0, 0) for _ in range(100))
+        first, second = (np.array([once(i, i + 1) - empty for i in range(n)]) for _ in range(2))
+        best: Array = np.minimum(first, second)
+        return best
+
+
+def measure_batch(cases: Cases) -> Batch:
+    """Measure a set of cases."""
+    n, kernel = len(cases.which), Kernel(cases)
+    results, seconds = [], {}
+    for threads in sorted({1, len(os.sched_getaffinity(0))}):
+        seconds[threads] = min(kernel.seconds(n, threads) for _ in range(BATCH_ROUNDS))
+        results.append(kernel.solutions.copy())
+    status = results[0]["status"]
+    solved = status == OK
+    same = all(
+        np.array_equal(solutions["status"], status) and np.array_equal(solutions[solved], results[0][solved])
+        for solutions in results
+    )
+    start = time.perf_counter()
+    solve_batch(cases.rods, cases.gravity, cases.force, cases.s_contact, which=cases.which)
+    whole = time.perf_counter() - start
+    shares = {"ok": 0.0}
+    for code in np.unique(status).astype(int):
+        shares[RESULTS[code]] = shares.get(RESULTS[code], 0.0) + float((status == code).mean())
+    rates = {threads: n * shares["ok"] / value for threads, value in seconds.items()}
+    return Batch(shares, rates, whole, same, kernel.each(min(n, SINGLE_CASES)))
+
+
+def print_batches(batches: dict[str, Batch]) -> None:
+    """Print the measurements of all sets in one table."""
+
+    def row(name: str, cell: Callable[[Batch], str]) -> list[str]:
+        return [name, *(cell(batch) for batch in batches.values())]
+
+    def unsolved(batch: Batch) -> str:
+        return ", ".join(f"{name} {share:.3%}" for name, share in batch.shares.items() if name != "ok") or "none"
+
+    print_table(
+        f"{CASES:,} random cases, each cold, fast mode: tip, base moment, contact. Best of {BATCH_ROUNDS}",
+        ["", *batches],
+        [
+            row("solved", lambda batch: f"{batch.shares['ok']:.3%}"),
+            row("not solved", unsolved),
+            *(row(f"solutions per second, {threads} thread{'s' * (threads > 1)}",
+                  lambda batch, threads=threads: f"{batch.rates[threads]:,.0f}")  # type: ignore[misc]
+              for threads in next(iter(batches.values())).rates),
+            row("results bitwise equal for all threads", lambda batch: "yes" if batch.same else "no"),
+            *(row(f"one case, {q}th percentile",
+                  lambda batch, q=q: format_seconds(float(np.percentile(batch.each, q))))  # type: ignore[misc]
+              for q in (50, 90, 99, 100)),
+            row("solve_batch, everything included", lambda b: f"{CASES * b.shares['ok'] / b.whole:,.0f} /s"),
+        ],
+    )  # fmt: skip
+
+
+def print_targets(
+    comparison: Sequence[dict[str, Measurement | None]],
+    kernel: dict[str, list[float]],
+    call: float,
+    batches: dict[str, Batch],
+) -> None:
+    """Print measured values and targets."""
+
+    def row(name: str, measured: str, target: str, reached: bool) -> list[str]:
+        return [name, measured, target, "reached" if reached else "missed"]
+
+    def upper(name: str, seconds: float, most: float) -> list[str]:
+        return row(name, format_seconds(seconds), f"≤ {format_seconds(most)}", seconds <= most)
+
+    rows = [upper("one equilibrium, cold, kernel time", max(kernel[COLD_SOLVE]), MAX_COLD)]
     for start, target in solver_comparison.TARGETS.items():
         name = solver_comparison.most_accurate(start, comparison)
         if name:
             ratio = min(solver_comparison.ratios(name, comparison, solver_comparison.KERNEL))
-            verdict = _verdict(ratio >= target)
-            rows.append([f"time of {name} over it", two_digits(ratio), f"≥ {target:g}", verdict])
-    return [
-        *rows,
-        upper_target("from a neighbouring load with the Jacobian by force and s_contact", warm, MAX_WARM),
-        upper_target("one call from Python, cold", call, MAX_CALL),
-    ]
-
-
-def batch_targets(batches: dict[str, Batch]) -> list[list[str]]:
-    """Return the targets of batches."""
-    rows = []
-    for name, found in batches.items():
-        threads = max(found.rates)
-        rate = found.rates[threads]
-        rows.append([f"{name}: solutions per second on {threads} threads", f"{rate:,.0f}", f"≥ {MIN_BATCH_RATE:,.0f}",
-                     _verdict(rate >= MIN_BATCH_RATE)])  # fmt: skip
-    best = max(max(found.rates.values()) for found in batches.values())
-    rows.append(["solutions per second with SIMD lanes", f"{best:,.0f}", f"goal {LANES_GOAL:,.0f}", "reported"])
-    return rows
-
-
-def peak_share(work: dict[str, list[Work]], peak: float) -> list[list[str]]:
-    """Return the share of the floating-point peak."""
-    shares = [w.operations / w.seconds / peak for w in work[COLD]]
-    return [["share of the floating-point peak, cold", f"{min(shares):.0%}", "-", "reported"]]
-
-
-def upper_target(name: str, seconds: float, target: float) -> list[str]:
-    """Return the row of a time with its upper target."""
-    return [name, format_seconds(seconds), f"≤ {format_seconds(target)}", _verdict(seconds <= target)]
-
-
-def _verdict(reached: bool) -> str:
-    return "reached" if reached else "missed"
-
-
-def print_targets(rows: Sequence[Sequence[str]]) -> None:
-    """Print measured values and targets."""
+            rows.append(row(f"time of {name} over it", two_digits(ratio), f"≥ {target:g}", ratio >= target))
+    rows.append(upper("from a neighbouring load with the Jacobian", max(kernel[JACOBIAN]), MAX_WARM))
+    rows.append(upper("one call from Python, cold", call, MAX_CALL))
+    for name, batch in batches.items():
+        threads, rate = max(batch.rates.items())
+        rows.append(row(f"{name}: solutions per second on {threads} threads", f"{rate:,.0f}",
+                        f"≥ {MIN_BATCH_RATE:,.0f}", rate >= MIN_BATCH_RATE))  # fmt: skip
     print_table(
         "Targets, for the least favourable of the loads; of each other solver the variant with the smallest error that "
         "is not below the error of Rod.solve",

@@ -8,14 +8,22 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.cases import GRAVITY, Load, paper_loads
-from benchmarks.kernel_profile import COPIES, NEIGHBOUR, NODES, Request, solver
 from benchmarks.peers.collocation import solve_by_bvp
 from benchmarks.peers.shooting import shoot_rk45
 from benchmarks.timing import format_seconds, interleaved, print_table, two_digits, value_range
 from probedesign.core.frames import Array
-from probedesign.rod.rod import Rod
+from probedesign.rod.kernels.equations import OK
+from probedesign.rod.kernels.newton import COLD, WARM_ONLY
+from probedesign.rod.kernels.solve import SOLUTION, scratch_buffers, solve_cases
+from probedesign.rod.rod import TOLERANCES, Rod
 
 ROUNDS = 9
+COPIES = 100
+"""Copies of a case in one call of the kernel, so that the overhead of the call is negligible."""
+NODES = 64
+"""Nodes of the shape."""
+NEIGHBOUR = 1.01
+"""Factor on the force of the neighbouring load that a warm solve starts from."""
 STATIONS = 31
 """Stations at which centrelines are compared."""
 ROD, KERNEL = "Rod.solve", "kernel of Rod.solve, with the shape"
@@ -55,13 +63,41 @@ def methods(rod: Rod, load: Load) -> dict[str, Method | None]:
     return {**by_rod(rod, load), **by_scipy(rod, load), **by_exudyn(rod, load), **by_elastica(rod, load)}
 
 
+def solver(rod: Rod, load: Load, columns: int, room: int, warm: bool = False) -> Callable[[], object]:
+    """Return a function that solves COPIES of one case in one call of the kernel.
+
+    Args:
+        rod, load: the case.
+        columns: number of derivatives; room: number of nodes of the shape.
+        warm: whether the solve starts from a neighbouring load.
+
+    Raises:
+        ArithmeticError: the case has no equilibrium.
+    """
+    loads = np.tile(rod.load(GRAVITY, load.force, load.s), (COPIES, 1))
+    solutions, derivatives = np.empty(COPIES, dtype=SOLUTION), np.empty((COPIES, 15, columns + 1))
+    which, scratch = np.zeros(COPIES, dtype=np.int64), scratch_buffers(columns, room)
+    neighbour = rod.solve(GRAVITY, NEIGHBOUR * load.force, load.s).tip
+    start = WARM_ONLY if warm else COLD
+
+    def solve() -> None:
+        solutions["tip"] = neighbour
+        solve_cases(0, COPIES, rod.stacked, which, loads, start, False, *TOLERANCES["fast"], scratch, solutions,
+                    derivatives)  # fmt: skip
+
+    solve()
+    if (solutions["status"] != OK).any():
+        raise ArithmeticError("a case of the benchmark has no equilibrium")
+    return solve
+
+
 def by_rod(rod: Rod, load: Load) -> dict[str, Method]:
     """Return the methods with the compiled rod from a cold start."""
     s = np.linspace(0.0, rod.length, STATIONS)
     fast = partial(rod.solve, GRAVITY, load.force, load.s)
     reference = partial(rod.solve, GRAVITY, load.force, load.s, mode="reference")
     return {
-        KERNEL: Method(solver(rod, load, Request(room=NODES)), lambda: (s, fast().p_at(s)), COPIES),
+        KERNEL: Method(solver(rod, load, 0, NODES), lambda: (s, fast().p_at(s)), COPIES),
         ROD: Method(fast, lambda: (s, fast().p_at(s))),
         'Rod.solve(mode="reference")': Method(reference, lambda: (s, reference().p_at(s))),
     }
@@ -76,7 +112,7 @@ def by_scipy(rod: Rod, load: Load) -> dict[str, Method]:
         "RK45 shooting, rtol 1e-5": partial(shoot_rk45, *case, 1e-5),
         "solve_bvp, tol 1e-3": partial(solve_by_bvp, *case, 1e-3),
     }
-    return {name: Method(solver, lambda solver=solver: (s, solver())) for name, solver in solvers.items()}
+    return {name: Method(run, lambda run=run: (s, run())) for name, run in solvers.items()}  # type: ignore[misc]
 
 
 def by_exudyn(rod: Rod, load: Load) -> dict[str, Method | None]:

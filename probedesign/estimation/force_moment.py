@@ -116,8 +116,8 @@ class Scan:
         loads[:, -1] = stations
         found = np.empty(count, dtype=SOLUTION)
         reached = solve_cases(
-            0, count, rod.stacked, np.zeros(count, dtype=np.int64), loads, rod.directed, COLD, True,
-            SCAN_TOLERANCE, 10.0 * SCAN_TOLERANCE, *scratch_buffers(0, 0), found, np.empty((count, 15, 1)),
+            0, count, rod.stacked, np.zeros(count, dtype=np.int64), loads, COLD, True,
+            SCAN_TOLERANCE, 10.0 * SCAN_TOLERANCE, scratch_buffers(0, 0), found, np.empty((count, 15, 1)),
         )  # fmt: skip
         if found["status"][reached - 1] != OK:
             reached -= 1

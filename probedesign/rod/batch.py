@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
-from probedesign.rod.kernels.equations import DENSITY, GENERAL, LOAD, OK, Body
+from probedesign.rod.kernels.equations import DENSITY, LOAD, OK, Body
 from probedesign.rod.kernels.newton import COLD, WARM, WARM_ONLY
 from probedesign.rod.kernels.solve import SOLUTION, scratch_buffers, solve_cases
 from probedesign.rod.rod import RESULTS, TOLERANCES, Columns, Mode, Rod
@@ -94,49 +94,37 @@ def solve_batch(
     arrays = zip(*(rod.body for rod in several), strict=True)
     bodies = Body(*(np.ascontiguousarray(np.stack(rows)) for rows in arrays))
     n, k = len(loads), several[0].columns_of(columns)
-    found, derivatives = np.empty(n, dtype=SOLUTION), np.full((n, 15, k + 1), np.nan)
-    order, kinds = _by_kind(bodies, of)
-    loads, of = loads[order], of[order]
+    solutions, derivatives = np.empty(n, dtype=SOLUTION), np.full((n, 15, k + 1), np.nan)
     start = COLD
     if guess is not None:
         start = WARM_ONLY if guess_only else WARM
-        found["tip"] = np.asarray(guess, dtype=float)[order]
+        solutions["tip"] = np.asarray(guess, dtype=float)
     threads = threads or len(os.sched_getaffinity(0))
     chunk = min(CHUNK, max(-(-n // threads), MIN_CHUNK))
 
-    def run(first: int, last: int, directed: int | None) -> None:
+    def run(first: int) -> None:
+        last = min(first + chunk, n)
         solve_cases(
-            first, last, bodies, of, loads, directed, start, False, *TOLERANCES[mode], *scratch_buffers(k, 0, CHUNK),
-            found, derivatives,
+            first, last, bodies, of, loads, start, False, *TOLERANCES[mode], scratch_buffers(k, 0), solutions,
+            derivatives,
         )  # fmt: skip
         if progress is not None:
             progress(last - first)
 
-    chunks = [
-        (first, min(first + chunk, end), directed)
-        for begin, end, directed in kinds
-        for first in range(begin, end, chunk)
-    ]
-    _done(run, chunks, threads)
-    back = np.argsort(order)
-    return _batch(found[back], derivatives[back], loads[back], bodies, of[back])
-
-
-def _done(run: Callable[[int, int, int | None], None], chunks: list[tuple[int, int, int | None]], threads: int) -> None:
-    """Run all chunks, in a thread pool if there are several."""
-    if len(chunks) <= 1 or threads == 1:
-        for chunk in chunks:
-            run(*chunk)
-        return
-    for directed in {directed for _, _, directed in chunks}:  # compiles in this thread, if necessary
-        run(0, 0, directed)
-    with ThreadPoolExecutor(threads) as pool:
-        try:
-            for _ in pool.map(lambda chunk: run(*chunk), chunks):
-                pass
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+    firsts = iter(range(0, n, chunk))
+    for first in firsts:
+        run(first)
+        if threads > 1:
+            break  # this thread has compiled the kernels if that was necessary
+    if n > chunk and threads > 1:
+        with ThreadPoolExecutor(threads) as pool:
+            try:
+                for _ in pool.map(run, firsts):
+                    pass
+            except BaseException:
+                pool.shutdown(wait=True, cancel_futures=True)
+                raise
+    return _batch(solutions, derivatives, loads, bodies, of)
 
 
 def _cases(
@@ -177,14 +165,6 @@ def _cases(
         )
     loads[:, 12] = np.minimum(loads[:, 12], length)
     return loads, of.astype(np.int64)
-
-
-def _by_kind(bodies: Body, of: Array) -> tuple[Indices, list[tuple[int, int, int | None]]]:
-    """Return an order of the cases with round straight rods first, and where each kind begins and ends."""
-    general = bodies.constants[of, GENERAL] != 0.0
-    straight = int((~general).sum())
-    kinds = [(0, straight, None), (straight, len(of), 0)]
-    return np.argsort(general, kind="stable").astype(np.int64), [kind for kind in kinds if kind[0] < kind[1]]
 
 
 def _batch(found: NDArray[Any], derivatives: Array, loads: Array, bodies: Body, of: Array) -> Batch:

@@ -14,7 +14,6 @@ from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.kernels.equations import (
     ALL_COLUMNS,
     CONTACT_COLUMNS,
-    GENERAL,
     LOAD,
     LOAD_COLUMNS,
     NOT_CONVERGED,
@@ -172,11 +171,6 @@ class Rod:
         """Return the rod as a batch of one."""
         return Body(*(array[None] for array in self.body))
 
-    @cached_property
-    def directed(self) -> int | None:
-        """Return the kernels' flag for anisotropic or curved rods: 0 for those, None for round straight ones."""
-        return 0 if self.body.constants[GENERAL] else None
-
     @property
     def mass(self) -> float:
         """Return the mass [kg]."""
@@ -227,9 +221,8 @@ class Rod:
         while True:
             work = scratch_buffers(k, room)
             solve_cases(
-                0, 1, self.stacked, SINGLE_ROD, load[None], self.directed, start, False, *TOLERANCES[mode], *work,
-                found, derivatives,
-            )  # fmt: skip
+                0, 1, self.stacked, SINGLE_ROD, load[None], start, False, *TOLERANCES[mode], work, found, derivatives
+            )
             row = found[0]
             status, count = int(row["status"]), int(row["count"])
             shape = work.nodes.reshape(room, -1)[:count]

@@ -1,7 +1,5 @@
 """Test that batches have the equilibria of `Rod.solve` for any neighbours and number of threads."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from rods import CURVED, ELLIPTIC, EVERYTHING, PROFILE, bending_force
@@ -9,12 +7,6 @@ from rods import CURVED, ELLIPTIC, EVERYTHING, PROFILE, bending_force
 from probedesign.core.errors import InputError
 from probedesign.rod import batch
 from probedesign.rod.batch import solve_batch
-from probedesign.rod.kernels.equations import OK
-from probedesign.rod.kernels.lanes import ROWS
-from probedesign.rod.kernels.newton import COLD
-from probedesign.rod.kernels.solve import SOLUTION, scratch_buffers, solve_cases
-from probedesign.rod.kernels.steps import WIDE
-from probedesign.rod.rod import TOLERANCES
 
 GRAVITY = np.array([3.0, 4.0, -8.0])
 RODS = (PROFILE, CURVED, EVERYTHING)
@@ -160,31 +152,3 @@ FINE = {"gravity": GRAVITY, "force": np.zeros((2, 3)), "s_contact": 0.05}
 def test_cases_that_do_not_fit_are_refused(rods, change, message):
     with pytest.raises(InputError, match=message):
         solve_batch(rods, **(FINE | change))
-
-
-def test_a_rod_of_another_kind_beside_it_changes_nothing():
-    """Round rods use the faster kernels even in one call with others."""
-    given = cases((PROFILE,), hopeless=False)
-    alone = solve_batch(PROFILE, **given)
-    mixed = solve_batch([PROFILE, replace(EVERYTHING, density=1.0)], **given)
-    np.testing.assert_array_equal(alone.wrench_base, mixed.wrench_base)
-
-
-@pytest.mark.parametrize("rod", [PROFILE, CURVED])
-@pytest.mark.parametrize("count", [1, 9])
-def test_lanes_without_a_case_compute_no_subnormal_numbers(rod, count):
-    """Processors compute with subnormal numbers up to a hundred times as slowly.
-
-    A number of 1e-160 left in memory is normal, and its square is not.
-    """
-    given = cases((rod,), count, hopeless=False)
-    loads = np.stack([rod.load(given["gravity"][i], given["force"][i], given["s_contact"][i]) for i in range(count)])
-    work = scratch_buffers(0, 0, 4)
-    work.lanes[:] = 1e-160
-    found, derivatives = np.empty(count, dtype=SOLUTION), np.empty((count, 15, 1))
-    which = np.zeros(count, dtype=np.int64)
-    case = (0, count, rod.stacked, which, loads, rod.directed, COLD, False, *TOLERANCES["fast"])
-    assert solve_cases(*case, *work, found, derivatives) == count and (found["status"] == OK).any()
-    lanes = np.abs(work.lanes[: WIDE * ROWS])
-    assert not ((lanes > 0.0) & (lanes < np.finfo(float).tiny)).any()
-    assert not (lanes == 1e-160).any()

@@ -1,8 +1,7 @@
 """The compiled rod: sweeps from the free tip to the base with exact sensitivities, and the solver on top of them.
 
-Read `equations` first, then `steps`: one step of the state and of its sensitivities. `sweep` integrates one rod with
-all outputs and evaluates the finished sweep; `lanes` and `lane_sweep` integrate as many rods side by side as a vector
-register has lanes. `newton` finds the section of the tip, and `solve` runs many cases through it for callers in Python.
+Read `equations` first, then `steps`: one step of the state and of its sensitivities. `sweep` integrates one rod and
+evaluates the finished sweep, `newton` finds the section of the tip, and `solve` runs many cases for callers in Python.
 All of it works on flat arrays, records and tuples and allocates nothing: the caller provides the memory.
 
 This module has the decorators that compile the kernels: once, without Python objects. `linked` has their compilers,

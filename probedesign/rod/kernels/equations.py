@@ -143,11 +143,14 @@ def rest_at(s, rest):
 
 @inlined
 def _strains(t, m, med):
-    """Return t·m, e, β and the strain ε along the axis."""
+    """Return t·m, e, β and the strain ε along the axis.
+
+    Each step of the integration waits for these numbers, so the terms are in the order of the shortest chain.
+    """
     _cx, _cyx, _gj, _a, b, _weight, c4, c5, three, n = med
     tm, e = dot(t, m), b * dot(t, n)
     square = dot(m, m) - tm * tm
-    return tm, e, 1.0 + three * e + c4 * square, e + three * e * e * (1.0 / 3.0) + c5 * square
+    return tm, e, (1.0 + c4 * square) + three * e, e * (1.0 + three * (1.0 / 3.0) * e) + c5 * square
 
 
 @inlined
@@ -155,7 +158,7 @@ def round_slopes(t, m, med):
     """Return t', m', p' of a round straight rod, which need no section axes."""
     cx, _cyx, _gj, a, _b, _weight, _c4, _c5, _three, n = med
     _tm, _e, beta, epsilon = _strains(t, m, med)
-    along = 1.0 + epsilon - a * dot(t, n)
+    along = (1.0 - a * dot(t, n)) + epsilon
     return times(beta * cx, cross(m, t)), times(along, cross(n, t)), add(times(along, t), a, n)
 
 
@@ -173,37 +176,40 @@ def full_slopes(t, m, d, e_y, rest, med):
     """Return t', m', p', d' of any rod; e_y = t × d."""
     _cx, _cyx, _gj, a, _b, _weight, _c4, _c5, _three, n = med
     _tm, _e, _beta, epsilon = _strains(t, m, med)
-    along = 1.0 + epsilon - a * dot(t, n)
+    along = (1.0 - a * dot(t, n)) + epsilon
     turn = turning(t, m, d, e_y, rest, med)
     return cross(turn, t), times(along, cross(n, t)), add(times(along, t), a, n), cross(turn, d)
 
 
 @inlined
-def compliance(t, m, e_y, med):
-    """Return the local compliance that all columns share, and its derivatives by the section's parameters.
-
-    Returns:
-        f S m⊥ (the curvature by bending), β, ∂ε/∂e, and the derivatives of rotation and strain by log E, log G, log
-        radius (subtracted) and log f (added).
-    """
-    cx, cyx, gj, a, _b, _weight, c4, c5, three, n = med
+def bending_compliance(t, m, e_y, med):
+    """Return the local compliance that all columns share: f S m⊥ (the curvature by bending), β and ∂ε/∂e."""
+    cx, cyx, _gj, _a, _b, _weight, _c4, _c5, three, _n = med
     tm, e, beta, _epsilon = _strains(t, m, med)
+    bend = add(add(times(cx, m), cyx * dot(e_y, m), e_y), -cx * tm, t)
+    return bend, beta, 1.0 + three * e * (2.0 / 3.0)
+
+
+@inlined
+def section_changes(t, m, med, bending):
+    """Return derivatives of rotation and strain by log E, log G, log radius (subtracted) and log f (added)."""
+    _cx, _cyx, gj, a, _b, _weight, c4, c5, three, n = med
+    bend, beta, by_e = bending
+    tm, e, _beta, _epsilon = _strains(t, m, med)
     tn = dot(t, n)
     square = dot(m, m) - tm * tm
-    bend = add(add(times(cx, m), cyx * dot(e_y, m), e_y), -cx * tm, t)
-    by_e = 1.0 + three * e * (2.0 / 3.0)
     twist, across = times(gj * tm, t), times(a, add(n, -tn, t))
     turn_E = times(beta + three * e + 2.0 * c4 * square, bend)
     turn_r = add(times(4.0 * beta + 2.0 * three * e + 6.0 * c4 * square, bend), 4.0, twist)
     strain_E, strain_r = e * by_e + 2.0 * c5 * square, 2.0 * e * by_e + 6.0 * c5 * square
     point_r = add(times(strain_r, t), 2.0, across)
     turns = (turn_E, twist, turn_r, times(beta, bend))
-    return bend, beta, by_e, turns, (times(strain_E, t), across, point_r, times(c5 * square, t))
+    return turns, (times(strain_E, t), across, point_r, times(c5 * square, t))
 
 
 @inlined
 def round_compliance(t, m, med):
-    """Return the first three results of `compliance` for a round straight rod."""
+    """Return `bending_compliance` of a round straight rod, which needs no section axes."""
     cx, _cyx, _gj, _a, _b, _weight, _c4, _c5, three, _n = med
     tm, e, beta, _epsilon = _strains(t, m, med)
     return times(cx, add(m, -tm, t)), beta, 1.0 + three * e * (2.0 / 3.0)
@@ -215,10 +221,10 @@ def round_column_slopes(theta, w, z, t, m, p1, med, compliances):
     cx, _cyx, gj, a, b, _weight, c4, c5, three, _n = med
     bend, beta, by_e = compliances
     tw, tz = dot(t, w), dot(t, z)
-    mw = 2.0 * (dot(m, w) - dot(t, m) * tw)
+    mw = dot(times(2.0, add(m, -dot(t, m), t)), w)
     turn = add(times(beta * cx, w), (gj - beta * cx) * tw, t)
     turn = add(turn, three * b * tz + c4 * mw, bend)
-    return turn, add(add(cross(theta, p1), a, z), (by_e * b - a) * tz + c5 * mw, t)
+    return turn, add(add(cross(theta, p1), a, z), c5 * mw + (by_e * b - a) * tz, t)
 
 
 @inlined
@@ -230,9 +236,9 @@ def column_slopes(theta, v, z, t, m, p1, e_y, med, compliances):
 
 
 @inlined
-def changed(turn, q1, compliances, log_E, log_G, log_r, log_f):
-    """Return θ' and q' including the change of the section."""
-    turns, points = compliances
+def changed(turn, q1, changes, log_E, log_G, log_r, log_f):
+    """Return θ' and q' including the change of the section; changes: `section_changes`."""
+    turns, points = changes
     turn = add(add(turn, -log_E, turns[0]), -log_G, turns[1])
     turn = add(add(turn, -log_r, turns[2]), log_f, turns[3])
     q1 = add(add(q1, -log_E, points[0]), -log_G, points[1])

@@ -1,14 +1,14 @@
 """Find the tip's section for which the base is clamped: Newton's method, load continuation, and the final iterations.
 
-Each function here evaluates the finished sweep of one lane and sets what its next sweep starts from, so that `solve`
-can run many cases side by side. The tip is sought from a guess or along the path from no load (`seek`), then iterated
-to the tolerance (`polish`).
+`seek` brings the tip near the equilibrium, from a guess or along the path from no load; `polish` iterates it to the
+tolerance. Their sweeps integrate the tip's columns only where a new matrix or the margin of stability is wanted.
 """
 
 import math
 
+import numpy as np
+
 from probedesign.rod.kernels import inlined, inner
-from probedesign.rod.kernels import lanes as rows
 from probedesign.rod.kernels.equations import (
     COUPLE,
     FORCE,
@@ -22,10 +22,9 @@ from probedesign.rod.kernels.equations import (
     TIP_MOMENT,
     UNSTABLE,
 )
-from probedesign.rod.kernels.lane_sweep import intend
-from probedesign.rod.kernels.lanes import STUCK, row3
 from probedesign.rod.kernels.linalg import add, cross, dot, put, take, times
-from probedesign.rod.kernels.steps import WIDE, D, T
+from probedesign.rod.kernels.steps import BLOCK, COLUMN, STATE, WIDE, WORK, D, T
+from probedesign.rod.kernels.sweep import FIRST_STEPS, row3, sweep
 
 MAX_NEWTON = 12
 """Sweeps of Newton's method at one load: it converges quadratically in a few, or has left the branch."""
@@ -38,9 +37,6 @@ BAD_GUESS, GOOD_GUESS = 0.8, 0.2
 other."""
 MAX_WORK = 40_000
 """Integration steps that a path may take: a tenth of a second, a thousand times the usual; then the search ends."""
-
-AGAIN, FOUND, LOST = 0, 1, 2
-"""Outcomes of evaluating a sweep: sweep once more, converged, given up."""
 
 
 @inlined
@@ -126,159 +122,6 @@ def is_judged(load):
     return m[0] == 0.0 and m[1] == 0.0 and m[2] == 0.0
 
 
-@inlined
-def begin_newton(state, until, reach):
-    """Start Newton's method from the stored tip, until the next rotation would be below `until` [rad].
-
-    Gives up as soon as the tip has left its guess by more than `reach` [rad]; a guess that nothing predicted
-    (`reach` negative) is first turned once, which is the linear solution, and that is what must not be left.
-    """
-    for q in range(6):
-        state.guess[q] = state.tip[q]
-    state.turns, state.away, state.first_residual = 0.0, 0.0, 0.0
-    state.until, state.reach = until, reach
-    state.status, state.margin = NOT_CONVERGED, -1.0
-
-
-@inlined
-def _distance(state, general):
-    """Return the distance of the tip's section from its guess."""
-    dt = add(take(state.tip, 0), -1.0, take(state.guess, 0))
-    dd = add(take(state.tip, 3), -1.0, take(state.guess, 3))
-    return math.sqrt(dot(dt, dt) + (dot(dd, dd) if general else 0.0))
-
-
-@inner
-def newton(lanes, lane, state, general):
-    """Evaluate a finished sweep: rotate the tip, and return AGAIN, FOUND or LOST."""
-    state.steps += lanes[WIDE * rows.STEPS + lane]
-    if lanes[WIDE * rows.EVENT + lane] == STUCK:
-        state.status = STEP_LIMIT
-        return LOST
-    t, d = row3(lanes, T, lane), row3(lanes, D, lane)
-    until, reach, first_turn = state.until, state.reach, state.turns == 0.0
-    r = misfit(t, d, general)
-    if first_turn:
-        state.first_residual = math.sqrt(dot(r, r)) if t[2] > 0.0 else 2.0
-        if state.first_residual > BAD_GUESS and reach > 0.0:
-            state.away = state.first_residual
-            return LOST
-    # The tip alone does not decide: in a soft hanging rod a tiny error there is a large one at the base.
-    clamped = is_clamped(t, d, general, 10.0 * until)
-    thetas = (
-        row3(lanes, rows.TIPS, lane),
-        row3(lanes, rows.TIPS + rows.TURN, lane),
-        row3(lanes, rows.TIPS + 2 * rows.TURN, lane),
-    )
-    tip = (take(state.tip, 0), take(state.tip, 3))
-    if not prepare(tip, t, d, thetas, general, state.inverse):
-        return LOST
-    turn = target_rotation(t, d, general, state.inverse)
-    angle = math.sqrt(dot(turn, turn))
-    if not math.isfinite(angle):
-        return LOST
-    # At most 1 rad: beyond, the linearisation does not hold for the direction either.
-    turn_tip(state.tip, times(min(1.0, 1.0 / max(angle, 1e-300)), turn))
-    if first_turn and reach < 0.0:
-        for q in range(6):
-            state.guess[q] = state.tip[q]
-    away = _distance(state, general)
-    state.away = away
-    if angle > 1.0 or away > abs(reach):
-        state.away = max(away, angle)
-        return LOST
-    if angle < until and clamped:
-        state.margin = lanes[WIDE * rows.MARGIN + lane]
-        state.turned = max(min(lanes[WIDE * rows.BEND + lane], 1.0), min(angle, 1.0))
-        good = state.margin > 0.0 or not is_judged(state.load)
-        state.status = OK if good else UNSTABLE
-        return FOUND if good else LOST
-    state.turns += 1.0
-    # A thousandth of the tolerance: Newton's method is then at a solution, whichever way round it is clamped.
-    if (angle < 1e-3 * until and t[2] <= 0.0) or state.turns >= MAX_NEWTON:
-        return LOST  # converged, but clamped the other way round; or not converged
-    return AGAIN
-
-
-@inlined
-def set_load_fraction(state, share):
-    """Set the fraction of the load: all of it together, or the tip moment first and then the rest."""
-    moment_first = state.moment_first > 0.0
-    rest = max(0.0, 2.0 * share - 1.0) if moment_first else share
-    first = min(1.0, 2.0 * share) if moment_first else share
-    whole, part = state.whole_load, state.load
-    for q in range(3):
-        part[FORCE + q], part[GRAVITY + q] = rest * whole[FORCE + q], rest * whole[GRAVITY + q]
-        part[TIP_MOMENT + q], part[COUPLE + q] = first * whole[TIP_MOMENT + q], rest * whole[COUPLE + q]
-    part[S_CONTACT] = whole[S_CONTACT]
-
-
-@inlined
-def _extrapolate(state):
-    """Predict the tip's section at the fraction tried by the parabola through the last three solutions.
-
-    Equal shares represent points that are not there yet.
-    """
-    goal, at, at_old, at_older = state.goal, state.fraction, state.fraction_1, state.fraction_2
-    w0, w1, w2 = 1.0, 0.0, 0.0
-    if at_old > at_older:
-        w0 = (goal - at_old) * (goal - at_older) / ((at - at_old) * (at - at_older))
-        w1 = (goal - at) * (goal - at_older) / ((at_old - at) * (at_old - at_older))
-        w2 = (goal - at) * (goal - at_old) / ((at_older - at) * (at_older - at_old))
-    elif at > at_old:
-        w0, w1 = (goal - at_old) / (at - at_old), (at - goal) / (at - at_old)
-    tips = state.path_tips
-    t = add(add(times(w0, take(tips, 0)), w1, take(tips, 6)), w2, take(tips, 12))
-    d = add(add(times(w0, take(tips, 3)), w1, take(tips, 9)), w2, take(tips, 15))
-    put_section(state.tip, t, d)
-
-
-@inlined
-def _next_share(state, until):
-    """Start the next fraction of the load."""
-    state.goal = min(1.0, state.fraction + state.increment)
-    set_load_fraction(state, state.goal)
-    _extrapolate(state)
-    close = until if state.goal >= 1.0 else NEAR
-    begin_newton(state, close, MAX_TURN if state.fraction > 0.0 else -MAX_TURN)
-
-
-@inner
-def begin_path(state, until):
-    """Start the load path from the stored tip, that of no load, trying the whole load at once."""
-    for q in range(18):
-        state.path_tips[q] = state.tip[q % 6]
-    state.fraction = state.fraction_1 = state.fraction_2 = state.steps = 0.0
-    state.increment = 1.0
-    _next_share(state, until)
-
-
-@inner
-def follow(state, outcome, until):
-    """Evaluate Newton's method at a fraction of the load: lengthen the step along the path, or shorten it.
-
-    The residual of a parabola's prediction grows with the cube of the step.
-    """
-    at, goal = state.fraction, state.goal
-    if outcome == FOUND:
-        for q in range(12):
-            state.path_tips[17 - q] = state.path_tips[11 - q]
-        for q in range(6):
-            state.path_tips[q] = state.tip[q]
-        first = max(state.first_residual, 1e-9)  # no division by zero; the factor is limited to 4 in any case
-        state.increment = (goal - at) * min(4.0, max(0.5, (GOOD_GUESS / first) ** (1.0 / 3.0)))
-        state.fraction_2, state.fraction_1, state.fraction = state.fraction_1, at, goal
-        if goal >= 1.0:
-            return FOUND
-    else:
-        # So that the tip would come to 0.8 of the allowed turn, but at most half and at least a fifth of this step.
-        state.increment = (goal - at) * max(0.2, min(0.5, 0.8 * MAX_TURN / max(state.away, 1e-9)))
-        if state.increment < MIN_LOAD_STEP or state.steps > MAX_WORK:
-            return LOST
-    _next_share(state, until)
-    return AGAIN
-
-
 COLD, WARM, WARM_ONLY = 0, 1, 2
 """Start from no load; from a guess, else from no load; from a guess or not at all."""
 PATH_TOLERANCE = 1e-4
@@ -296,161 +139,261 @@ MAX_GROWTH = 1e4
 MAX_POLISH = 12
 """Sweeps of polishing: with a fixed matrix each halves the residual at least, usually a thousandfold."""
 
-UNLOADED, GUESSED, PATH, POLISH, RETAKE, JUDGE = range(6)
-"""Purposes of a sweep: the shape without load, Newton from a guess, Newton along the path, its last digits, a
-new matrix for those, the margin of stability to the last digit."""
+CASE = np.dtype([
+    ("status", "f8"), ("margin", "f8"), ("residual", "f8"), ("turned", "f8"), ("growth", "f8"),
+    ("tip", "f8", 6), ("guess", "f8", 6), ("away", "f8"), ("first_residual", "f8"), ("inverse", "f8", 9),
+    ("load", "f8", LOAD), ("whole_load", "f8", LOAD), ("path_tips", "f8", 18), ("steps", "f8"),
+    ("first_step", "f8"), ("first_allowed", "f8"), ("y", "f8", STATE), ("contact", "f8", STATE + WIDE * COLUMN),
+    ("blocks", "f8", BLOCK), ("work", "f8", WORK),
+])  # fmt: skip
+"""State and memory of the solver for one case.
 
+The status, the margin of stability, the residual at the base [rad], how far the rod turned, at most 1, and the growth
+of a turn of the tip on its way to the base.
 
-@inlined
-def tip_growth(theta, growth):
-    """Return the larger of `growth` and the magnification of a unit rotation of the tip at the base."""
-    return max(growth, max(abs(theta[0]), max(abs(theta[1]), abs(theta[2]))))
+Of Newton's method: the tip's section and its guess, how far the tip came from it, the first residual [rad], and the
+matrix that gives the tip's turn from the base's residual, (3, 3). Of the load path: the load applied and the whole
+load, the tips of the last three solutions, and the integration steps of all sweeps.
 
-
-@inner
-def begin_search(state, load, start, body, tol):
-    """Start a case; the stored tip is its guess unless `start` is COLD."""
-    for q in range(LOAD):
-        state.whole_load[q] = load[q]
-    state.start, state.careful, state.moment_first = start, 0.0, 0.0
-    state.residual, state.first_allowed = math.inf, 0.0
-    if start == COLD:
-        _begin_path(state, body, tol)
-        return
-    set_load_fraction(state, 1.0)
-    begin_newton(state, NEAR, MAX_TURN)
-    state.phase, state.tolerance = GUESSED, max(tol, PATH_TOLERANCE)
-    intend(state, state.tolerance, 1.0, 1.0)
+Of the sweeps: the first step that the sweep before found and the error that was allowed it, the states at the base and
+at the contact, the tip's columns, and what a step works in.
+"""
 
 
 @inner
-def _begin_path(state, body, tol):
-    """Start from no load: from the straight rod, or from its shape at rest."""
-    general = body.constants[GENERAL] != 0.0
-    judged = is_judged(state.whole_load)
-    careful = state.careful > 0.0
-    # A very soft rod magnifies the errors of the steps themselves; under a moment, the path matters.
-    state.tolerance = CAREFUL_TOLERANCE if careful and judged else max(tol, PATH_TOLERANCE)
-    state.moment_first = 1.0 if careful and not judged else 0.0
-    put(state.tip, 0, (0.0, 0.0, 1.0))
-    put(state.tip, 3, (1.0, 0.0, 0.0))
-    if general:
-        set_load_fraction(state, 0.0)
-        state.phase = UNLOADED
-        intend(state, 1e-9, 1.0, 0.0)  # the shape at rest is the start of every path: it costs one sweep
-    else:
-        begin_path(state, NEAR)
-        state.phase = PATH
-        intend(state, state.tolerance, 1.0, 1.0)
+def _sweep(case, body, allowed, size, with_tips):
+    """Sweep from the case's tip under its load; allowed, size: `tol` and `size` of `sweep`.
 
-
-@inner
-def begin_polish(state, tol):
-    """Start the final iterations from a tip NEAR the equilibrium, with Newton's matrix there."""
-    state.phase, state.residual_before, state.polishes = POLISH, math.inf, 0.0
-    state.tolerance = tol / min(state.growth, MAX_GROWTH)
-    intend(state, state.tolerance, state.turned, 0.0)
-
-
-@inlined
-def _again(state, of_size, with_tips):
-    """Request one more sweep."""
-    intend(state, state.tolerance, of_size, with_tips)
-    return False
-
-
-@inlined
-def _done(state, status):
-    """End the search with a status."""
-    state.status = status
-    return True
-
-
-@inner
-def seek(lanes, lane, state, body, tol):
-    """Evaluate a finished sweep on the way to the whole load, and set the next one.
+    Args:
+        with_tips: whether the tip's columns are integrated, which Newton's matrix and the margin need.
 
     Returns:
-        Whether the tip is NEAR or lost, by `state.status`.
+        Status, margin of stability, how far the rod turned.
+    """
+    first, error = -body.knots[-1] / FIRST_STEPS, allowed * size
+    if case.first_allowed > 0.0:  # the first step that the sweep before would have taken with this error
+        first = max(first, case.first_step * (error / case.first_allowed) ** (1.0 / 6.0))
+    blocks = case.blocks[: BLOCK if with_tips else 0]
+    status, _count, margin, turned, steps, first = sweep(
+        case.tip[:], case.y[:], case.work[:], blocks, body, case.load[:], allowed, size, first,
+        body.constants[GENERAL] != 0.0, case.work[:0], case.contact[:],
+    )  # fmt: skip
+    case.steps += steps
+    case.first_allowed, case.first_step = error, first
+    return status, margin, turned
+
+
+@inlined
+def _distance(case, general):
+    """Return the distance of the tip's section from its guess."""
+    dt = add(take(case.tip, 0), -1.0, take(case.guess, 0))
+    dd = add(take(case.tip, 3), -1.0, take(case.guess, 3))
+    return math.sqrt(dot(dt, dt) + (dot(dd, dd) if general else 0.0))
+
+
+@inner
+def _newton(case, body, tol, until, reach):
+    """Turn the tip from its guess until the next rotation would be below `until` [rad]; return whether it converged.
+
+    Gives up as soon as the tip has left its guess by more than `reach` [rad]; a guess that nothing predicted
+    (`reach` negative) is first turned once, which is the linear solution, and that is what must not be left.
     """
     general = body.constants[GENERAL] != 0.0
-    phase = state.phase
-    if phase == UNLOADED:
-        if lanes[WIDE * rows.EVENT + lane] == STUCK:
-            return _done(state, STEP_LIMIT)
-        t, d = row3(lanes, T, lane), row3(lanes, D, lane)
-        e = cross(t, d)
-        put(state.tip, 0, (d[2], e[2], t[2]))
-        put(state.tip, 3, (d[0], e[0], t[0]))
-        begin_path(state, NEAR)
-        state.phase = PATH
-        return _again(state, 1.0, 1.0)
-    outcome = newton(lanes, lane, state, general)
-    if phase == PATH and outcome != AGAIN:
-        outcome = follow(state, outcome, NEAR)
-    if outcome == AGAIN:
-        return _again(state, 1.0, 1.0)
-    if outcome == FOUND:
-        growth = tip_growth(row3(lanes, rows.TIPS, lane), tip_growth(row3(lanes, rows.TIPS + rows.TURN, lane), 1.0))
-        state.growth = tip_growth(row3(lanes, rows.TIPS + 2 * rows.TURN, lane), growth) if general else growth
-        return True
-    if state.start == WARM_ONLY or state.careful > 0.0:
-        return True
-    if phase == PATH:
-        state.careful = 1.0
-    _begin_path(state, body, tol)
+    for q in range(6):
+        case.guess[q] = case.tip[q]
+    case.away, case.first_residual, case.status, case.margin = 0.0, 0.0, NOT_CONVERGED, -1.0
+    for iteration in range(MAX_NEWTON):
+        status, margin, turned = _sweep(case, body, tol, 1.0, True)
+        if status != OK:
+            case.status = STEP_LIMIT
+            return False
+        t, d = take(case.y, T), take(case.y, D)
+        r = misfit(t, d, general)
+        if iteration == 0:
+            case.first_residual = math.sqrt(dot(r, r)) if t[2] > 0.0 else 2.0
+            if case.first_residual > BAD_GUESS and reach > 0.0:
+                case.away = case.first_residual
+                return False
+        # The tip alone does not decide: in a soft hanging rod a tiny error there is a large one at the base.
+        clamped = is_clamped(t, d, general, 10.0 * until)
+        columns = row3(case.blocks, 0), row3(case.blocks, 1), row3(case.blocks, 2)
+        if not prepare((take(case.tip, 0), take(case.tip, 3)), t, d, columns, general, case.inverse):
+            return False
+        turn = target_rotation(t, d, general, case.inverse)
+        angle = math.sqrt(dot(turn, turn))
+        if not math.isfinite(angle):
+            return False
+        # At most 1 rad: beyond, the linearisation does not hold for the direction either.
+        turn_tip(case.tip, times(min(1.0, 1.0 / max(angle, 1e-300)), turn))
+        if iteration == 0 and reach < 0.0:
+            for q in range(6):
+                case.guess[q] = case.tip[q]
+        case.away = _distance(case, general)
+        if angle > 1.0 or case.away > abs(reach):
+            case.away = max(case.away, angle)
+            return False
+        if angle < until and clamped:
+            case.margin = margin
+            case.turned = max(turned, min(angle, 1.0))
+            stable = margin > 0.0 or not is_judged(case.load)
+            case.status = OK if stable else UNSTABLE
+            return stable
+        # A thousandth of the tolerance: the iteration has converged, but clamps the base the other way round.
+        if angle < 1e-3 * until and t[2] <= 0.0:
+            return False
     return False
 
 
 @inlined
-def _is_unsure(state):
-    """Return whether the sweeps of the path leave the stability undecided."""
-    return is_judged(state.whole_load) and state.margin < SAFE_MARGIN
+def _apply(case, fraction, moment_first):
+    """Apply a fraction of the load: of all of it together, or of the tip moment first and then of the rest."""
+    rest = max(0.0, 2.0 * fraction - 1.0) if moment_first else fraction
+    first = min(1.0, 2.0 * fraction) if moment_first else fraction
+    whole, part = case.whole_load, case.load
+    for q in range(3):
+        part[FORCE + q], part[GRAVITY + q] = rest * whole[FORCE + q], rest * whole[GRAVITY + q]
+        part[TIP_MOMENT + q], part[COUPLE + q] = first * whole[TIP_MOMENT + q], rest * whole[COUPLE + q]
+    part[S_CONTACT] = whole[S_CONTACT]
+
+
+@inlined
+def _extrapolate(case, goal, last, second, third):
+    """Predict the tip's section at the fraction `goal` of the load by the parabola through the last three solutions.
+
+    Equal fractions represent points that are not there yet.
+    """
+    w0, w1, w2 = 1.0, 0.0, 0.0
+    if second > third:
+        w0 = (goal - second) * (goal - third) / ((last - second) * (last - third))
+        w1 = (goal - last) * (goal - third) / ((second - last) * (second - third))
+        w2 = (goal - last) * (goal - second) / ((third - last) * (third - second))
+    elif last > second:
+        w0, w1 = (goal - second) / (last - second), (last - goal) / (last - second)
+    tips = case.path_tips
+    t = add(add(times(w0, take(tips, 0)), w1, take(tips, 6)), w2, take(tips, 12))
+    d = add(add(times(w0, take(tips, 3)), w1, take(tips, 9)), w2, take(tips, 15))
+    put_section(case.tip, t, d)
 
 
 @inner
-def polish(lanes, lane, state, body, until, near_enough):
-    """Evaluate a finished sweep near the equilibrium, and set the next one.
+def _follow_path(case, body, tol, moment_first):
+    """Follow the equilibrium from the stored tip, that of no load; return whether the whole load was reached.
+
+    The whole load is tried at once. The residual of a parabola's prediction grows with the cube of the step.
+    """
+    for q in range(18):
+        case.path_tips[q] = case.tip[q % 6]
+    last = second = third = 0.0  # fractions of the load solved
+    increment, case.steps = 1.0, 0.0
+    while True:
+        goal = min(1.0, last + increment)
+        _apply(case, goal, moment_first)
+        _extrapolate(case, goal, last, second, third)
+        if _newton(case, body, tol, NEAR, MAX_TURN if last > 0.0 else -MAX_TURN):
+            for q in range(12):
+                case.path_tips[17 - q] = case.path_tips[11 - q]
+            for q in range(6):
+                case.path_tips[q] = case.tip[q]
+            residual = max(case.first_residual, 1e-9)  # no division by zero; the factor is limited to 4 in any case
+            increment = (goal - last) * min(4.0, max(0.5, (GOOD_GUESS / residual) ** (1.0 / 3.0)))
+            last, second, third = goal, last, second
+            if goal >= 1.0:
+                return True
+        else:
+            # So that the tip would come to 0.8 of the allowed turn, but at most half and at least a fifth of this step.
+            increment = (goal - last) * max(0.2, min(0.5, 0.8 * MAX_TURN / max(case.away, 1e-9)))
+            if increment < MIN_LOAD_STEP or case.steps > MAX_WORK:
+                return False
+
+
+@inner
+def _from_no_load(case, body, tol, careful):
+    """Follow the path from the straight rod, or from its shape at rest; return whether the tip is NEAR."""
+    judged = is_judged(case.whole_load)
+    put(case.tip, 0, (0.0, 0.0, 1.0))
+    put(case.tip, 3, (1.0, 0.0, 0.0))
+    if body.constants[GENERAL] != 0.0:
+        _apply(case, 0.0, False)
+        status, _margin, _turned = _sweep(case, body, 1e-9, 1.0, False)  # the start of every path, and only one sweep
+        if status != OK:
+            case.status = STEP_LIMIT
+            return False
+        t, d = take(case.y, T), take(case.y, D)
+        e = cross(t, d)
+        put(case.tip, 0, (d[2], e[2], t[2]))
+        put(case.tip, 3, (d[0], e[0], t[0]))
+    # A very soft rod magnifies the errors of the steps themselves; under a moment, the path matters.
+    tol = CAREFUL_TOLERANCE if careful and judged else max(tol, PATH_TOLERANCE)
+    return _follow_path(case, body, tol, careful and not judged)
+
+
+@inlined
+def _tip_growth(columns, axes):
+    """Return the largest magnification of a unit rotation of the tip at the base, 1 at least."""
+    growth = 1.0
+    for axis in range(axes):
+        x, y, z = row3(columns, axis)
+        growth = max(growth, max(abs(x), max(abs(y), abs(z))))
+    return growth
+
+
+@inner
+def seek(case, load, start, body, tol):
+    """Bring the tip NEAR the equilibrium under a load; return whether it is, else `case.status` is why not.
+
+    Args:
+        start: COLD, WARM or WARM_ONLY; the stored tip is the guess unless it is COLD.
+    """
+    for q in range(LOAD):
+        case.whole_load[q] = load[q]
+    case.residual, case.first_allowed, case.steps = math.inf, 0.0, 0.0
+    near = False
+    if start != COLD:
+        _apply(case, 1.0, False)
+        near = _newton(case, body, max(tol, PATH_TOLERANCE), NEAR, MAX_TURN)
+    if not near and start != WARM_ONLY:
+        near = _from_no_load(case, body, tol, False) or _from_no_load(case, body, tol, True)
+    if near:
+        case.growth = _tip_growth(case.blocks, 3 if body.constants[GENERAL] != 0.0 else 2)
+    return near
+
+
+@inner
+def polish(case, body, tol, until, near_enough):
+    """Iterate a tip NEAR the equilibrium to the tolerance, with the matrix there; `case.status` is the result.
 
     Args:
         until: residual allowed at the base [rad]; near_enough: residual [rad] from which one more turn converges, 0
             where state and contact are wanted; both relative to how far the rod turns.
-
-    Returns:
-        Whether the search is over, with the result in `state.status`.
     """
-    general, phase = body.constants[GENERAL] != 0.0, state.phase
-    if phase == RETAKE:
-        outcome = newton(lanes, lane, state, general)
-        if outcome == AGAIN:
-            return _again(state, 1.0, 1.0)
-        if outcome != FOUND:
-            return True
-        state.phase, state.residual_before = POLISH, math.inf
-        return _again(state, state.turned, 0.0)
-    if lanes[WIDE * rows.EVENT + lane] == STUCK:
-        return _done(state, STEP_LIMIT)
-    size = state.turned = min(lanes[WIDE * rows.BEND + lane], 1.0)
-    if phase == JUDGE:
-        state.margin = lanes[WIDE * rows.MARGIN + lane]
-        return _done(state, OK if state.margin > 0.0 else UNSTABLE)
-    t, d = row3(lanes, T, lane), row3(lanes, D, lane)
-    r = misfit(t, d, general)
-    residual, before = math.sqrt(dot(r, r)), state.residual_before
-    state.residual = state.residual_before = residual
-    if is_clamped(t, d, general, max(until * size, ROUNDING * state.growth)):
-        if not _is_unsure(state):
-            return _done(state, OK)
-        state.phase = JUDGE
-        return _again(state, size, 1.0)
-    state.polishes += 1.0
-    if state.polishes >= MAX_POLISH:
-        return _done(state, NOT_CONVERGED)
-    if not residual < 0.5 * before:  # the path's matrix does not converge: compute it anew
-        begin_newton(state, 1e-6, 0.1)  # the tip is NEAR: a tenth of a radian from there is another branch
-        state.phase = RETAKE
-        return _again(state, 1.0, 1.0)
-    turn_tip(state.tip, target_rotation(t, d, general, state.inverse))
-    if residual < near_enough * size and not _is_unsure(state):
-        return _done(state, OK)
-    return _again(state, size, 0.0)
+    general = body.constants[GENERAL] != 0.0
+    tol = tol / min(case.growth, MAX_GROWTH)
+    before = math.inf
+    for _ in range(MAX_POLISH):
+        status, _margin, size = _sweep(case, body, tol, case.turned, False)
+        if status != OK:
+            case.status = STEP_LIMIT
+            return
+        case.turned = size
+        t, d = take(case.y, T), take(case.y, D)
+        r = misfit(t, d, general)
+        residual = case.residual = math.sqrt(dot(r, r))
+        unsure = is_judged(case.whole_load) and case.margin < SAFE_MARGIN  # of the sweeps of the path
+        if is_clamped(t, d, general, max(until * size, ROUNDING * case.growth)):
+            case.status = OK
+            if unsure:
+                status, case.margin, case.turned = _sweep(case, body, tol, size, True)
+                case.status = STEP_LIMIT if status != OK else OK if case.margin > 0.0 else UNSTABLE
+            return
+        if not residual < 0.5 * before:  # the path's matrix does not converge: compute it anew
+            # The tip is NEAR: a tenth of a radian from there is another branch.
+            if not _newton(case, body, tol, 1e-6, 0.1):
+                return
+            before = math.inf
+            continue
+        turn_tip(case.tip, target_rotation(t, d, general, case.inverse))
+        if residual < near_enough * size and not unsure:
+            case.status = OK
+            return
+        before = residual
+    case.status = NOT_CONVERGED

@@ -1,4 +1,4 @@
-"""Solve many cases: lanes take up the next case as they finish one; then one last sweep with all requested outputs.
+"""Solve cases one after the other: the tip is sought and polished, then one last sweep has all requested outputs.
 
 `solve_cases` is the entry point of the kernels from Python; `ScratchBuffers` is the memory that it works in.
 """
@@ -10,18 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from probedesign.core.frames import Array
-from probedesign.rod.kernels import inline_always, inlined, kernel
-from probedesign.rod.kernels import lanes as rows
-from probedesign.rod.kernels.equations import GENERAL, NOT_CONVERGED, OK, UNSTABLE
-from probedesign.rod.kernels.lane_sweep import SOLVER_STATE, arrive, body_of, launch, tick
-from probedesign.rod.kernels.lanes import GOING, READY, ROWS, STUCK
+from probedesign.rod.kernels import inlined, inner, kernel
+from probedesign.rod.kernels.equations import GENERAL, NOT_CONVERGED, OK, UNSTABLE, Body
 from probedesign.rod.kernels.linalg import dot, take
 from probedesign.rod.kernels.newton import (
+    CASE,
     MAX_GROWTH,
     ROUNDING,
     WARM,
-    begin_polish,
-    begin_search,
     is_clamped,
     is_judged,
     misfit,
@@ -30,10 +26,8 @@ from probedesign.rod.kernels.newton import (
     target_rotation,
     turn_tip,
 )
-from probedesign.rod.kernels.steps import BLOCK, COLUMN, STATE, WIDE, WORK, D, M, P, T
-from probedesign.rod.kernels.sweep import sensitivities, sweep
-
-SEEKING, POLISHING = 0, 1
+from probedesign.rod.kernels.steps import BLOCK, COLUMN, STATE, WIDE, D, M, P, T
+from probedesign.rod.kernels.sweep import FIRST_STEPS, sensitivities, sweep
 
 SOLUTION = np.dtype([
     ("status", "f8"), ("margin", "f8"), ("residual", "f8"), ("count", "f8"), ("tip", "f8", 6), ("moment", "f8", 3),
@@ -44,215 +38,27 @@ tip, base moment [N·m], and tangent and position from the base [m] of the conta
 INITIAL_TOLERANCE = 200.0
 """Times the tolerance, the residual from which one more turn of the tip is enough: Newton's matrix, computed NEAR the
 equilibrium, leaves a thousandth of it."""
-
-
-@inlined
-def _wants_tips(lanes, seats):
-    """Return whether a busy lane integrates the tip's columns."""
-    wanted = False
-    for lane in range(WIDE):
-        wanted = wanted or (seats[lane] >= 0.0 and lanes[WIDE * rows.WANTS_TIPS + lane] > 0.0)
-    return wanted
-
-
-@inlined
-def _clear(lanes, lane):
-    """Set a lane without a case to zero.
-
-    It computes beside the others. From what it had, or from uninitialised memory, it would come to subnormal numbers,
-    with which processors compute up to a hundred times as slowly; zeros give NaN, which costs nothing.
-    """
-    for row in range(ROWS):
-        lanes[WIDE * row + lane] = 0.0
-
-
-@inline_always
-def through(stage, count, lanes, seats, states, bodies, which, loads, directed, start, tol, until, initial_tolerance):
-    """Run all cases of a group through one stage.
-
-    Args:
-        count: of cases; which, loads: theirs.
-        directed: see `tick`.
-        seats: the case of each lane, -1: none, (WIDE,).
-        states: SOLVER_STATE of each case, with its tip's guess if there is one, (group,).
-    """
-    waiting, busy, general = 0, 0, directed is not None
-    for lane in range(WIDE):
-        seats[lane] = -1.0
-        _clear(lanes, lane)
-    while True:
-        for lane in range(WIDE):
-            while seats[lane] < 0.0 and waiting < count:
-                state, body = states[waiting], body_of(bodies, which[waiting])
-                if stage == SEEKING:
-                    begin_search(state, loads[waiting], start, body, tol)
-                elif state.status == OK:
-                    begin_polish(state, tol)
-                if stage == SEEKING or state.status == OK:
-                    seats[lane] = waiting
-                    busy += 1
-                    lanes[WIDE * rows.EVENT + lane] = READY
-                waiting += 1
-            case = int(seats[lane])
-            if case >= 0 and lanes[WIDE * rows.EVENT + lane] == READY:
-                launch(lanes, lane, states[case], body_of(bodies, which[case]), general)
-        if busy == 0:
-            break
-        tick(lanes, directed, _wants_tips(lanes, seats))
-        for lane in range(WIDE):
-            if seats[lane] >= 0.0 and lanes[WIDE * rows.EVENT + lane] != GOING:
-                case = int(seats[lane])
-                state, body = states[case], body_of(bodies, which[case])
-                if lanes[WIDE * rows.EVENT + lane] == STUCK or arrive(lanes, lane, state, body, general):
-                    if stage == SEEKING:
-                        over = seek(lanes, lane, state, body, tol)
-                    else:
-                        for q in range(STATE):
-                            state.base[q] = lanes[WIDE * q + lane]
-                        over = polish(lanes, lane, state, body, until, initial_tolerance)
-                    lanes[WIDE * rows.EVENT + lane] = READY
-                    if over:
-                        seats[lane] = -1.0
-                        busy -= 1
-                        if waiting == count:
-                            _clear(lanes, lane)
-
-
-@inline_always
-def report(state, work, body, load, tol, until, nodes, blocks, y, contact):
-    """Sweep a case once more, with the outputs beside base and contact.
-
-    Args:
-        state: of the case; its tip is turned a little more where necessary.
-        load: (13,), see `body`.
-        tol: error allowed a step [rad]; until: residual allowed at the base [rad];
-            both relative to how far the rod turns.
-        nodes: for shape and columns, (m · (1 + STATE + 36 chunks),).
-        blocks: columns at the base, (chunks · BLOCK,), may be none.
-        y, contact: state at the base, (STATE,), state and columns at s_c, (STATE + 36 chunks,).
-
-    Returns:
-        status, nodes filled, margin of stability, residual at the base [rad].
-    """
-    general, growth, size = body.constants[GENERAL] != 0.0, state.growth, state.turned
-    tol = tol / min(growth, MAX_GROWTH)
-    margin, residual, tip = state.margin, math.inf, state.tip[:]
-    for _ in range(6):  # the sweep with all outputs takes other steps than the search: one or two turns correct that
-        status, count, found, size, _steps = sweep(tip, y, work, blocks, body, load, tol, size, nodes, contact)
-        margin = found if blocks.shape[0] > 0 else margin
-        if status != OK:
-            return status, 0, margin, math.inf
-        t, d = take(y, T), take(y, D)
-        r = misfit(t, d, general)
-        residual = math.sqrt(dot(r, r))
-        if is_clamped(t, d, general, max(max(until, tol) * size, ROUNDING * growth)):
-            stable = margin > 0.0 or not is_judged(load)
-            return (OK if stable else UNSTABLE), count, margin, residual
-        turn_tip(state.tip, target_rotation(t, d, general, state.inverse))
-    return NOT_CONVERGED, 0, margin, residual
-
-
-@inlined
-def _write(row, state, y, contact, status, margin, residual, count):
-    """Store a result in its row."""
-    row.status, row.margin, row.residual, row.count = status, margin, residual, count
-    for q in range(6):
-        row.tip[q] = state.tip[q]
-    for q in range(3):
-        row.moment[q] = y[M + q]
-        row.tangent[q] = contact[T + q]
-        row.point[q] = contact[P + q] - y[P + q]
-
-
-@kernel
-def solve_cases(
-    first, last, bodies, which, loads, directed, start, chained, tol, until, states, lanes, nodes, blocks, y, contact,
-    turns, found, derivatives,
-):  # fmt: skip
-    """Solve for the equilibria of the cases first ... last - 1.
-
-    Args:
-        bodies: Body of stacked arrays, one row a rod; which: the rod of each case, (n,).
-        loads: (n, LOAD).
-        directed: None if all rods are round and straight, else 0.
-        start: COLD, WARM or WARM_ONLY; from a guess: the tip in the case's row of `found`.
-        chained: whether each case starts from the one before it, until one has no solution. If not, the solutions do
-            not depend on their order.
-        tol: error allowed a step [rad]; until: residual allowed at the base [rad]; both relative to how far the rod
-            turns.
-        states: scratch, SOLVER_STATE, (group,). As many cases are sought before any of them is polished: polishing
-            needs no columns, which a seeking lane beside it would integrate for both.
-        lanes: scratch of the lanes, the case of each and the work of a last sweep, (LANES,).
-        nodes, blocks, y, contact: see `report`; those of the last case on return. With neither nodes nor blocks
-            there is no last sweep, no section axes, and `y` and `contact` stay as they are.
-        turns: scratch, (3, k).
-        found: solutions, SOLUTION, (n,).
-        derivatives: of the base moment (3) and the contact's [t, x axis, position, y axis] (12), by k parameters,
-            and in the last column those twelve themselves, (n, 15, k + 1); filled if k > 0.
-
-    Returns:
-        How many cases were done.
-    """
-    seats, work = lanes[WIDE * ROWS : WIDE * ROWS + WIDE], lanes[WIDE * ROWS + WIDE :]
-    reports = nodes.shape[0] > 0 or blocks.shape[0] > 0
-    initial_tolerance = INITIAL_TOLERANCE * tol if reports else 0.0
-    case = first
-    while case < last:
-        count = 1 if chained else min(last - case, states.shape[0])
-        from_where = WARM if chained and case > first else start
-        for k in range(count):
-            guess = case - 1 if chained and case > first else case + k
-            for q in range(6):
-                states[k].tip[q] = found[guess].tip[q]
-        group, of = loads[case : case + count], which[case : case + count]
-        for stage in (SEEKING, POLISHING):
-            through(
-                stage, count, lanes, seats, states, bodies, of, group, directed, from_where, tol, until,
-                initial_tolerance,
-            )  # fmt: skip
-        for k in range(count):
-            state, row, filled = states[k], found[case + k], 0
-            body, load = body_of(bodies, of[k]), group[k]
-            status, margin, residual = state.status, state.margin, state.residual
-            if reports and status == OK:
-                code, filled, margin, residual = report(state, work, body, load, tol, until, nodes, blocks, y, contact)
-                status = float(code)
-                _write(row, state, y, contact, status, margin, residual, filled)
-            else:
-                _write(row, state, state.base[:], state.contact[:], status, margin, residual, filled)
-            if chained and status != OK:
-                return case + k + 1 - first
-            if turns.shape[1] > 0 and status == OK:
-                sensitivities(y, blocks, contact, body, load, turns, derivatives[case + k])
-        case += count
-    return last - first
-
-
-LANES = WIDE * ROWS + WIDE + WORK
-"""Numbers that solving works in beside the solver states."""
 SINGLE_ROD = np.zeros(1, dtype=np.int64)
 """Index of the rod of a single case."""
 
 
 class ScratchBuffers(NamedTuple):
-    """Memory of `solve_cases`, which allocates nothing: one set per thread. Its docstring describes each."""
+    """Memory of `solve_cases`, which allocates nothing: one set per thread; of the last case on return."""
 
-    states: NDArray[Any]
-    lanes: Array
-    nodes: Array
-    blocks: Array
-    y: Array
-    contact: Array
-    turns: Array
+    case: NDArray[Any]  #: CASE, (1,).
+    nodes: Array  #: shape and columns, (m · (1 + STATE + 36 chunks),), may be none.
+    blocks: Array  #: columns at the base, (chunks · BLOCK,), may be none.
+    y: Array  #: state at the base, (STATE,).
+    contact: Array  #: state and columns at s_c, (STATE + 36 chunks,).
+    turns: Array  #: rotations of the tip, see `sensitivities`, (3, k).
 
 
-def scratch_buffers(k: int, room: int, group: int = 1) -> ScratchBuffers:
-    """Return buffers for k sensitivities, `room` nodes of the shape and `group` cases side by side."""
+def scratch_buffers(k: int, room: int) -> ScratchBuffers:
+    """Return buffers for k sensitivities and `room` nodes of the shape."""
     chunks = chunks_of(k) if k else 0
     width = width_of(chunks)
     return ScratchBuffers(
-        states=np.empty(group, dtype=SOLVER_STATE),
-        lanes=np.empty(LANES),
+        case=np.empty(1, dtype=CASE),
         nodes=np.empty(room * width),
         blocks=np.empty(chunks * BLOCK),
         y=np.empty(STATE),
@@ -269,3 +75,107 @@ def chunks_of(k: int) -> int:
 def width_of(chunks: int) -> int:
     """Return the number of values of a node: arclength, state, columns."""
     return 1 + STATE + WIDE * COLUMN * chunks
+
+
+@inlined
+def _body_of(bodies, b):
+    """Return one of the bodies whose arrays are stacked."""
+    return Body(
+        bodies.knots[b], bodies.radii[b], bodies.volume_beyond[b], bodies.volume_by_knot[b], bodies.rest[b],
+        bodies.constants[b],
+    )  # fmt: skip
+
+
+@inner
+def _report(case, scratch, body, load, tol, until):
+    """Sweep a solved case once more, with the outputs beside base and contact; its tip is turned where necessary.
+
+    Args:
+        tol: error allowed a step [rad]; until: residual allowed at the base [rad];
+            both relative to how far the rod turns.
+
+    Returns:
+        How many nodes were filled.
+    """
+    general, growth, size, first = (
+        body.constants[GENERAL] != 0.0,
+        case.growth,
+        case.turned,
+        -body.knots[-1] / FIRST_STEPS,
+    )
+    tol = tol / min(growth, MAX_GROWTH)
+    for _ in range(6):  # the sweep with all outputs takes other steps than the search: one or two turns correct that
+        status, count, margin, size, _steps, _first = sweep(
+            case.tip[:], scratch.y, case.work[:], scratch.blocks, body, load, tol, size, first, True, scratch.nodes,
+            scratch.contact,
+        )  # fmt: skip
+        case.status = status
+        if scratch.blocks.shape[0] > 0:
+            case.margin = margin
+        if status != OK:
+            case.residual = math.inf
+            return 0
+        t, d = take(scratch.y, T), take(scratch.y, D)
+        r = misfit(t, d, general)
+        case.residual = math.sqrt(dot(r, r))
+        if is_clamped(t, d, general, max(max(until, tol) * size, ROUNDING * growth)):
+            case.status = OK if case.margin > 0.0 or not is_judged(load) else UNSTABLE
+            return count
+        turn_tip(case.tip, target_rotation(t, d, general, case.inverse))
+    case.status = NOT_CONVERGED
+    return 0
+
+
+@inlined
+def _write(solution, case, y, contact, count):
+    """Store a result in its row."""
+    solution.status, solution.margin, solution.residual, solution.count = case.status, case.margin, case.residual, count
+    for q in range(6):
+        solution.tip[q] = case.tip[q]
+    for q in range(3):
+        solution.moment[q] = y[M + q]
+        solution.tangent[q] = contact[T + q]
+        solution.point[q] = contact[P + q] - y[P + q]
+
+
+@kernel
+def solve_cases(first, last, bodies, which, loads, start, chained, tol, until, scratch, solutions, derivatives):
+    """Solve for the equilibria of the cases first ... last - 1.
+
+    Args:
+        bodies: Body of stacked arrays, one row a rod; which: the rod of each case, (n,).
+        loads: (n, LOAD).
+        start: COLD, WARM or WARM_ONLY; from a guess: the tip in the case's row of `solutions`.
+        chained: whether each case starts from the one before it, until one has no solution. If not, the solutions do
+            not depend on their order.
+        tol: error allowed a step [rad]; until: residual allowed at the base [rad]; both relative to how far the rod
+            turns.
+        scratch: ScratchBuffers. With neither nodes nor blocks there is no last sweep, no section axes, and `y` and
+            `contact` stay as they are.
+        solutions: SOLUTION, (n,).
+        derivatives: of the base moment (3) and the contact's [t, x axis, position, y axis] (12), by k parameters,
+            and in the last column those twelve themselves, (n, 15, k + 1); filled if k > 0.
+
+    Returns:
+        How many cases were done.
+    """
+    reports = scratch.nodes.shape[0] > 0 or scratch.blocks.shape[0] > 0
+    near_enough = INITIAL_TOLERANCE * tol if reports else 0.0
+    case = scratch.case[0]
+    for i in range(first, last):
+        body, load, solution = _body_of(bodies, which[i]), loads[i], solutions[i]
+        follows = chained and i > first
+        for q in range(6):
+            case.tip[q] = solutions[i - 1 if follows else i].tip[q]
+        if seek(case, load, WARM if follows else start, body, tol):
+            polish(case, body, tol, until, near_enough)
+        if reports and case.status == OK:
+            count = _report(case, scratch, body, load, tol, until)
+            _write(solution, case, scratch.y, scratch.contact, count)
+        else:
+            _write(solution, case, case.y, case.contact, 0)
+        if chained and case.status != OK:
+            return i + 1 - first
+        if scratch.turns.shape[1] > 0 and case.status == OK:
+            sensitivities(scratch.y, scratch.blocks, scratch.contact, body, load, scratch.turns, derivatives[i])
+    return last - first

@@ -12,11 +12,15 @@ import numpy as np
 
 from probedesign.rod.kernels import inlined, inner
 from probedesign.rod.kernels.equations import (
+    bending_compliance,
     changed,
     column_slopes,
-    compliance,
     full_slopes,
     rest_at,
+    round_column_slopes,
+    round_compliance,
+    round_slopes,
+    section_changes,
     section_properties,
 )
 from probedesign.rod.kernels.linalg import add, cross, minus, plus, put, take, times
@@ -142,8 +146,8 @@ STATE = 12
 T, M, P, D = np.arange(0, STATE, 3)
 """Offsets of the parts of a state. They are numpy integers, like all such indices here: for the literals 0, 3, 6 ...
 numba would compile each function once per value."""
-ROW = 25
-"""Numbers stored of a stage: [t, m, p', n, e, the rest of `section_properties`, on]."""
+ROW = 30
+"""Numbers stored of a stage: [t, m, p', n, e, the rest of `section_properties`, `bending_compliance`, on]."""
 NOTED = 2 * STATE
 WORK = NOTED + STAGES * ROW
 """Numbers that a step works in: the state, the next state, and what is stored of the stages."""
@@ -171,33 +175,85 @@ C1, C2, C3, C4, C6 = (float(C[j]) for j in (1, 2, 3, 4, 6))
 
 
 @inlined
-def _keep(work, j, t, m, p1, e, med, on):
+def _keep(work, j, t, m, p1, med, bending, on):
     """Store what the columns need of stage j."""
     o = NOTED + ROW * j
+    bend, beta, by_e = bending
     put(work, o, t)
     put(work, o + 3, m)
     put(work, o + 6, p1)
     put(work, o + 9, med[9])
-    put(work, o + 12, e)
     put(work, o + 15, (med[0], med[1], med[2]))
     put(work, o + 18, (med[3], med[4], med[5]))
     put(work, o + 21, (med[6], med[7], med[8]))
-    work[o + 24] = on
+    put(work, o + 24, bend)
+    put(work, o + 27, (beta, by_e, on))
 
 
 @inlined
-def _stage_slopes(s, j, t, m, d, work, frustum, rest, force, gravity, on):
-    """Return the slopes of any rod at stage j, and store the stage for the columns."""
+def _stage_slopes(s, j, t, m, d, work, rod, on, axes, columns):
+    """Return the slopes at stage j, and store the stage for the columns if there are any."""
+    frustum, rest, force, gravity = rod
     med = section_properties(s, frustum, force, gravity)
-    e = cross(t, d)
-    t1, m1, p1, d1 = full_slopes(t, m, d, e, rest_at(s, rest), med)
-    _keep(work, j, t, m, p1, e, med, on)
+    if axes:
+        e = cross(t, d)
+        t1, m1, p1, d1 = full_slopes(t, m, d, e, rest_at(s, rest), med)
+    else:
+        d1 = d  # nothing depends on it
+        t1, m1, p1 = round_slopes(t, m, med)
+    if columns:
+        bending = bending_compliance(t, m, e, med) if axes else round_compliance(t, m, med)
+        _keep(work, j, t, m, p1, med, bending, on)
+        if axes:
+            put(work, NOTED + ROW * j + 12, e)
     return t1, m1, p1, d1
+
+
+@inlined
+def _step(s, h, work, rod, on, axes, columns):
+    """Step as `full_step` and `round_step` do; axes: whether the section's axes are integrated."""
+    t, m, d = take(work, T), take(work, M), take(work, D)
+    t0, m0, p0, d0 = _stage_slopes(s, S0, t, m, d, work, rod, on, axes, columns)
+
+    tj, mj, dj = stage1(t, h, t0), stage1(m, h, m0), stage1(d, h, d0)
+    t1, m1, _p, d1 = _stage_slopes(s + C1 * h, S1, tj, mj, dj, work, rod, on, axes, columns)
+
+    tj, mj, dj = stage2(t, h, t0, t1), stage2(m, h, m0, m1), stage2(d, h, d0, d1)
+    t2, m2, p2, d2 = _stage_slopes(s + C2 * h, S2, tj, mj, dj, work, rod, on, axes, columns)
+
+    tj, mj = stage3(t, h, t0, t1, t2), stage3(m, h, m0, m1, m2)
+    dj = stage3(d, h, d0, d1, d2)
+    t3, m3, p3, d3 = _stage_slopes(s + C3 * h, S3, tj, mj, dj, work, rod, on, axes, columns)
+
+    tj, mj = stage4(t, h, t0, t1, t2, t3), stage4(m, h, m0, m1, m2, m3)
+    dj = stage4(d, h, d0, d1, d2, d3)
+    t4, m4, p4, d4 = _stage_slopes(s + C4 * h, S4, tj, mj, dj, work, rod, on, axes, columns)
+
+    tj, mj = stage5(t, h, t0, t1, t2, t3, t4), stage5(m, h, m0, m1, m2, m3, m4)
+    dj = stage5(d, h, d0, d1, d2, d3, d4)
+    t5, m5, p5, d5 = _stage_slopes(s + h, S5, tj, mj, dj, work, rod, on, axes, columns)
+
+    tj, mj = stage6(t, h, t0, t1, t2, t3, t4), stage6(m, h, m0, m1, m2, m3, m4)
+    dj = stage6(d, h, d0, d1, d2, d3, d4)
+    t6, m6, p6, d6 = _stage_slopes(s + C6 * h, S6, tj, mj, dj, work, rod, on, axes, columns)
+
+    tj, mj = stage7(t, h, t0, t1, t2, t3, t4, t6), stage7(m, h, m0, m1, m2, m3, m4, m6)
+    dj = stage7(d, h, d0, d1, d2, d3, d4, d6)
+    t7, m7, p7, d7 = _stage_slopes(s + h, S7, tj, mj, dj, work, rod, on, axes, columns)
+
+    put(work, STATE + T, step_result(t, h, t0, t2, t3, t4, t6, t7))
+    put(work, STATE + M, step_result(m, h, m0, m2, m3, m4, m6, m7))
+    put(work, STATE + P, step_result(take(work, P), h, p0, p2, p3, p4, p6, p7))
+    error = step_error(h, t0, t2, t3, t4, t5, t6, t7)
+    if axes:
+        put(work, STATE + D, step_result(d, h, d0, d2, d3, d4, d6, d7))
+        error += step_error(h, d0, d2, d3, d4, d5, d6, d7)
+    return error, step_error(h, m0, m2, m3, m4, m5, m6, m7), step_error(h, p0, p2, p3, p4, p5, p6, p7)
 
 
 @inner
 def full_step(s, h, work, frustum, rest, force, gravity, on):
-    """Step [t, m, p, d] of any rod from s by h (negative: towards the base).
+    """Step [t, m, p, d] of any rod from s by h (negative: towards the base), and store its stages for the columns.
 
     Args:
         work: state, next state, and what is stored of the stages, (WORK,).
@@ -208,76 +264,30 @@ def full_step(s, h, work, frustum, rest, force, gravity, on):
     Returns:
         Error estimates of t and d, of m and of p.
     """
-    t, m, d = take(work, T), take(work, M), take(work, D)
-    t0, m0, p0, d0 = _stage_slopes(s, S0, t, m, d, work, frustum, rest, force, gravity, on)
+    return _step(s, h, work, (frustum, rest, force, gravity), on, True, True)
 
-    tj, mj, dj = stage1(t, h, t0), stage1(m, h, m0), stage1(d, h, d0)
-    t1, m1, _p, d1 = _stage_slopes(s + C1 * h, S1, tj, mj, dj, work, frustum, rest, force, gravity, on)
 
-    tj, mj, dj = stage2(t, h, t0, t1), stage2(m, h, m0, m1), stage2(d, h, d0, d1)
-    t2, m2, p2, d2 = _stage_slopes(s + C2 * h, S2, tj, mj, dj, work, frustum, rest, force, gravity, on)
-
-    tj, mj = stage3(t, h, t0, t1, t2), stage3(m, h, m0, m1, m2)
-    dj = stage3(d, h, d0, d1, d2)
-    t3, m3, p3, d3 = _stage_slopes(s + C3 * h, S3, tj, mj, dj, work, frustum, rest, force, gravity, on)
-
-    tj, mj = stage4(t, h, t0, t1, t2, t3), stage4(m, h, m0, m1, m2, m3)
-    dj = stage4(d, h, d0, d1, d2, d3)
-    t4, m4, p4, d4 = _stage_slopes(s + C4 * h, S4, tj, mj, dj, work, frustum, rest, force, gravity, on)
-
-    tj, mj = stage5(t, h, t0, t1, t2, t3, t4), stage5(m, h, m0, m1, m2, m3, m4)
-    dj = stage5(d, h, d0, d1, d2, d3, d4)
-    t5, m5, p5, d5 = _stage_slopes(s + h, S5, tj, mj, dj, work, frustum, rest, force, gravity, on)
-
-    tj, mj = stage6(t, h, t0, t1, t2, t3, t4), stage6(m, h, m0, m1, m2, m3, m4)
-    dj = stage6(d, h, d0, d1, d2, d3, d4)
-    t6, m6, p6, d6 = _stage_slopes(s + C6 * h, S6, tj, mj, dj, work, frustum, rest, force, gravity, on)
-
-    tj, mj = stage7(t, h, t0, t1, t2, t3, t4, t6), stage7(m, h, m0, m1, m2, m3, m4, m6)
-    dj = stage7(d, h, d0, d1, d2, d3, d4, d6)
-    t7, m7, p7, d7 = _stage_slopes(s + h, S7, tj, mj, dj, work, frustum, rest, force, gravity, on)
-
-    put(work, STATE + T, step_result(t, h, t0, t2, t3, t4, t6, t7))
-    put(work, STATE + M, step_result(m, h, m0, m2, m3, m4, m6, m7))
-    put(work, STATE + P, step_result(take(work, P), h, p0, p2, p3, p4, p6, p7))
-    put(work, STATE + D, step_result(d, h, d0, d2, d3, d4, d6, d7))
-    return (
-        step_error(h, t0, t2, t3, t4, t5, t6, t7) + step_error(h, d0, d2, d3, d4, d5, d6, d7),
-        step_error(h, m0, m2, m3, m4, m5, m6, m7),
-        step_error(h, p0, p2, p3, p4, p5, p6, p7),
-    )
+@inner
+def round_step(s, h, work, frustum, force, gravity, on, columns):
+    """Step [t, m, p] of a round straight rod, which need no section axes; columns: whether the stages are stored."""
+    zero = (0.0, 0.0, 0.0)
+    return _step(s, h, work, (frustum, (0.0, zero, zero), force, gravity), on, False, columns)
 
 
 @inlined
 def _stage(work, j):
-    """Return what was stored of stage j: t, m, p', e and the section properties."""
+    """Return what was stored of stage j: t, m, p', e, the section properties and the compliance."""
     o = NOTED + ROW * j
     med = (*take(work, o + 15), *take(work, o + 18), *take(work, o + 21), take(work, o + 9))
-    return take(work, o), take(work, o + 3), take(work, o + 6), take(work, o + 12), med
+    bending = take(work, o + 24), work[o + 27], work[o + 28]
+    return take(work, o), take(work, o + 3), take(work, o + 6), take(work, o + 12), med, bending
 
 
 @inlined
-def _free(work, j):
-    """Return stage j with its compliance, for columns without forcing."""
-    t, m, p1, e, med = _stage(work, j)
-    bend, beta, by_e, _turns, _points = compliance(t, m, e, med)
-    return t, m, p1, e, med, (bend, beta, by_e)
-
-
-@inlined
-def _noted(work, j):
-    """Return stage j with its compliance, the derivatives of that, and whether the contact is beyond."""
-    t, m, p1, e, med = _stage(work, j)
-    bend, beta, by_e, turns, points = compliance(t, m, e, med)
-    return t, m, p1, e, med, (bend, beta, by_e), (turns, points), work[NOTED + ROW * j + 24]
-
-
-@inlined
-def _free_slopes(theta, v, stage):
-    """Return the slopes of a column without forcing at a stage."""
-    t, m, p1, e, med, compliances = stage
-    turn, q1 = column_slopes(theta, v, cross(med[9], theta), t, m, p1, e, med, compliances)
-    return turn, cross(med[9], q1), q1
+def _changing_stage(work, j):
+    """Return stage j with the derivatives of its compliance and whether the contact is beyond."""
+    t, m, p1, e, med, bending = _stage(work, j)
+    return t, m, p1, e, med, bending, section_changes(t, m, med, bending), work[NOTED + ROW * j + 29]
 
 
 @inlined
@@ -297,82 +307,87 @@ def _put3(block, row, lane, x):
 
 
 @inlined
-def _finish(block, lane, h, a, v, q, ka, kv, kq):
-    """Store the result of a step of one column and its error; ka, kv, kq: its slopes at the stages."""
-    a0, a2, a3, a4, a5, a6, a7 = ka
-    v0, v2, v3, v4, v5, v6, v7 = kv
-    q0, q2, q3, q4, q6, q7 = kq
-    _put3(block, NEXT, lane, step_result(a, h, a0, a2, a3, a4, a6, a7))
-    _put3(block, NEXT + 3, lane, step_result(v, h, v0, v2, v3, v4, v6, v7))
-    _put3(block, NEXT + 6, lane, step_result(q, h, q0, q2, q3, q4, q6, q7))
-    block[WIDE * ERRORS + lane] = step_error(h, a0, a2, a3, a4, a5, a6, a7)
-    block[WIDE * (ERRORS + 1) + lane] = step_error(h, v0, v2, v3, v4, v5, v6, v7)
+def _round_slopes(theta, v, stage, j, block, lane, gravity):
+    """Return the slopes of a column that moves neither load nor section, of a round straight rod."""
+    t, m, p1, _e, med, bending = stage
+    w = minus(v, cross(theta, m))
+    turn, q1 = round_column_slopes(theta, w, cross(med[9], theta), t, m, p1, med, bending)
+    return turn, cross(med[9], q1), q1
 
 
-@inner
-def free_columns_step(h, block, work):
-    """Step WIDE columns that move neither load nor section over the stages of the state's step.
-
-    Args:
-        block: (BLOCK,).
-    """
-    s0, s1, s2, s3 = _free(work, S0), _free(work, S1), _free(work, S2), _free(work, S3)
-    s4, s5, s6, s7 = _free(work, S4), _free(work, S5), _free(work, S6), _free(work, S7)
-    for lane in range(WIDE):
-        a, v, q = _row3(block, THETA, lane), _row3(block, V, lane), _row3(block, Q, lane)
-        a0, v0, q0 = _free_slopes(a, v, s0)
-        a1, v1, _q = _free_slopes(stage1(a, h, a0), stage1(v, h, v0), s1)
-        a2, v2, q2 = _free_slopes(stage2(a, h, a0, a1), stage2(v, h, v0, v1), s2)
-        aj, vj = stage3(a, h, a0, a1, a2), stage3(v, h, v0, v1, v2)
-        a3, v3, q3 = _free_slopes(aj, vj, s3)
-        aj, vj = stage4(a, h, a0, a1, a2, a3), stage4(v, h, v0, v1, v2, v3)
-        a4, v4, q4 = _free_slopes(aj, vj, s4)
-        aj, vj = stage5(a, h, a0, a1, a2, a3, a4), stage5(v, h, v0, v1, v2, v3, v4)
-        a5, v5, _q = _free_slopes(aj, vj, s5)
-        aj, vj = stage6(a, h, a0, a1, a2, a3, a4), stage6(v, h, v0, v1, v2, v3, v4)
-        a6, v6, q6 = _free_slopes(aj, vj, s6)
-        aj, vj = stage7(a, h, a0, a1, a2, a3, a4, a6), stage7(v, h, v0, v1, v2, v3, v4, v6)
-        a7, v7, q7 = _free_slopes(aj, vj, s7)
-        ka, kv = (a0, a2, a3, a4, a5, a6, a7), (v0, v2, v3, v4, v5, v6, v7)
-        _finish(block, lane, h, a, v, q, ka, kv, (q0, q2, q3, q4, q6, q7))
+@inlined
+def _free_slopes(theta, v, stage, j, block, lane, gravity):
+    """Return the slopes of a column that moves neither load nor section."""
+    t, m, p1, e, med, bending = stage
+    turn, q1 = column_slopes(theta, v, cross(med[9], theta), t, m, p1, e, med, bending)
+    return turn, cross(med[9], q1), q1
 
 
 @inlined
 def _forced_slopes(theta, v, stage, j, block, lane, gravity):
     """Return the slopes of a column that changes load or section, at stage j."""
-    t, m, p1, e, med, compliances, softens, on = stage
+    t, m, p1, e, med, bending, changes, on = stage
     force, g = _row3(block, BY_LOAD, lane), _row3(block, BY_LOAD + 3, lane)
     by_weight = block[WIDE * (BY_WEIGHT + j) + lane]
     h = add(add(times(on, force), med[5], g), by_weight, gravity)
     n = med[9]
-    turn, q1 = column_slopes(theta, v, plus(h, cross(n, theta)), t, m, p1, e, med, compliances)
+    turn, q1 = column_slopes(theta, v, plus(h, cross(n, theta)), t, m, p1, e, med, bending)
     log_E, log_G = block[WIDE * LOGS + lane], block[WIDE * (LOGS + 1) + lane]
     log_r, log_f = block[WIDE * (LOG_R + j) + lane], block[WIDE * (LOG_F + j) + lane]
-    turn, q1 = changed(turn, q1, softens, log_E, log_G, log_r, log_f)
+    turn, q1 = changed(turn, q1, changes, log_E, log_G, log_r, log_f)
     return turn, minus(cross(n, q1), cross(p1, h)), q1
+
+
+@inlined
+def _columns_step(h, block, work, stage, slopes, points, gravity):
+    """Step WIDE columns over the stages of the state's step.
+
+    Args:
+        block: (BLOCK,); gravity: (3,) tuple.
+        stage, slopes: functions, what is read of a stage, and the slopes of a column there.
+        points: whether q is integrated.
+    """
+    s0, s1, s2, s3 = stage(work, S0), stage(work, S1), stage(work, S2), stage(work, S3)
+    s4, s5, s6, s7 = stage(work, S4), stage(work, S5), stage(work, S6), stage(work, S7)
+    for lane in range(WIDE):
+        a, v = _row3(block, THETA, lane), _row3(block, V, lane)
+        a0, v0, q0 = slopes(a, v, s0, S0, block, lane, gravity)
+        aj, vj = stage1(a, h, a0), stage1(v, h, v0)
+        a1, v1, _q = slopes(aj, vj, s1, S1, block, lane, gravity)
+        aj, vj = stage2(a, h, a0, a1), stage2(v, h, v0, v1)
+        a2, v2, q2 = slopes(aj, vj, s2, S2, block, lane, gravity)
+        aj, vj = stage3(a, h, a0, a1, a2), stage3(v, h, v0, v1, v2)
+        a3, v3, q3 = slopes(aj, vj, s3, S3, block, lane, gravity)
+        aj, vj = stage4(a, h, a0, a1, a2, a3), stage4(v, h, v0, v1, v2, v3)
+        a4, v4, q4 = slopes(aj, vj, s4, S4, block, lane, gravity)
+        aj, vj = stage5(a, h, a0, a1, a2, a3, a4), stage5(v, h, v0, v1, v2, v3, v4)
+        a5, v5, _q = slopes(aj, vj, s5, S5, block, lane, gravity)
+        aj, vj = stage6(a, h, a0, a1, a2, a3, a4), stage6(v, h, v0, v1, v2, v3, v4)
+        a6, v6, q6 = slopes(aj, vj, s6, S6, block, lane, gravity)
+        aj, vj = stage7(a, h, a0, a1, a2, a3, a4, a6), stage7(v, h, v0, v1, v2, v3, v4, v6)
+        a7, v7, q7 = slopes(aj, vj, s7, S7, block, lane, gravity)
+        _put3(block, NEXT, lane, step_result(a, h, a0, a2, a3, a4, a6, a7))
+        _put3(block, NEXT + 3, lane, step_result(v, h, v0, v2, v3, v4, v6, v7))
+        if points:
+            q = _row3(block, Q, lane)
+            _put3(block, NEXT + 6, lane, step_result(q, h, q0, q2, q3, q4, q6, q7))
+        block[WIDE * ERRORS + lane] = step_error(h, a0, a2, a3, a4, a5, a6, a7)
+        block[WIDE * (ERRORS + 1) + lane] = step_error(h, v0, v2, v3, v4, v5, v6, v7)
+
+
+@inner
+def round_columns_step(h, block, work):
+    """Step [θ, v] of WIDE columns of a round straight rod that move neither load nor section."""
+    _columns_step(h, block, work, _stage, _round_slopes, False, (0.0, 0.0, 0.0))
+
+
+@inner
+def free_columns_step(h, block, work):
+    """Step WIDE columns that move neither load nor section over the stages of the state's step."""
+    _columns_step(h, block, work, _stage, _free_slopes, True, (0.0, 0.0, 0.0))
 
 
 @inner
 def forced_columns_step(h, block, work, gravity):
-    """Step WIDE columns as `free_columns_step` does, with their forcing; gravity (3,) tuple."""
-    s0, s1, s2, s3 = _noted(work, S0), _noted(work, S1), _noted(work, S2), _noted(work, S3)
-    s4, s5, s6, s7 = _noted(work, S4), _noted(work, S5), _noted(work, S6), _noted(work, S7)
-    for lane in range(WIDE):
-        a, v, q = _row3(block, THETA, lane), _row3(block, V, lane), _row3(block, Q, lane)
-        a0, v0, q0 = _forced_slopes(a, v, s0, S0, block, lane, gravity)
-        aj, vj = stage1(a, h, a0), stage1(v, h, v0)
-        a1, v1, _q = _forced_slopes(aj, vj, s1, S1, block, lane, gravity)
-        aj, vj = stage2(a, h, a0, a1), stage2(v, h, v0, v1)
-        a2, v2, q2 = _forced_slopes(aj, vj, s2, S2, block, lane, gravity)
-        aj, vj = stage3(a, h, a0, a1, a2), stage3(v, h, v0, v1, v2)
-        a3, v3, q3 = _forced_slopes(aj, vj, s3, S3, block, lane, gravity)
-        aj, vj = stage4(a, h, a0, a1, a2, a3), stage4(v, h, v0, v1, v2, v3)
-        a4, v4, q4 = _forced_slopes(aj, vj, s4, S4, block, lane, gravity)
-        aj, vj = stage5(a, h, a0, a1, a2, a3, a4), stage5(v, h, v0, v1, v2, v3, v4)
-        a5, v5, _q = _forced_slopes(aj, vj, s5, S5, block, lane, gravity)
-        aj, vj = stage6(a, h, a0, a1, a2, a3, a4), stage6(v, h, v0, v1, v2, v3, v4)
-        a6, v6, q6 = _forced_slopes(aj, vj, s6, S6, block, lane, gravity)
-        aj, vj = stage7(a, h, a0, a1, a2, a3, a4, a6), stage7(v, h, v0, v1, v2, v3, v4, v6)
-        a7, v7, q7 = _forced_slopes(aj, vj, s7, S7, block, lane, gravity)
-        ka, kv = (a0, a2, a3, a4, a5, a6, a7), (v0, v2, v3, v4, v5, v6, v7)
-        _finish(block, lane, h, a, v, q, ka, kv, (q0, q2, q3, q4, q6, q7))
+    """Step WIDE columns that change load or section over the stages of the state's step."""
+    _columns_step(h, block, work, _changing_stage, _forced_slopes, True, gravity)

@@ -64,11 +64,15 @@ from probedesign.rod.kernels.steps import (
     forced_columns_step,
     free_columns_step,
     full_step,
+    round_columns_step,
+    round_step,
 )
 
 # Lanes: 0, 1, 2 turn the tip about its section's x and y axes and its tangent; then the parameters.
 L_S_CONTACT, L_FORCE, L_COUPLE, L_GRAVITY = 3, 4, 7, 10
 L_E, L_G, L_DENSITY, L_DIAMETER, L_KNOTS = 13, 14, 15, 16, 17
+FIRST_STEPS = 6.0
+"""Length over the first step to try where nothing better is known."""
 
 
 @inlined
@@ -81,7 +85,7 @@ def lane_of(j):
 def begin(tip, blocks, chunks):
     """Set the columns at the tip: unit rotations about its axes, and unit parameters; tip [t, ..., d]."""
     t, d = take(tip, T), take(tip, tip.shape[0] - 3)
-    for q in range(chunks * BLOCK):
+    for q in range(chunks * BLOCK if chunks > 1 else chunks * WIDE * COLUMN):
         blocks[q] = 0.0
     if chunks > 0:
         e = cross(t, d)
@@ -147,14 +151,14 @@ def step_columns(s, h, i, in_root, work, blocks, chunks, body, gravity, on):
 
 
 @inlined
-def _jacobi_error(blocks, bend, tol):
+def _jacobi_error(blocks, axes, bend, tol):
     """Return the largest error of the tip's columns over a thousand times the state's tolerance, at most 1e-2.
 
     On a straight rod nothing else sees the steps, and long ones would pass over conjugate points.
     """
     loose = min(1000.0 * tol, 1e-2)
     worst = 0.0
-    for lane in range(3):
+    for lane in range(3 if axes else 2):
         size = abs(blocks[lane]) + abs(blocks[WIDE + lane]) + abs(blocks[2 * WIDE + lane])
         error = max(blocks[WIDE * ERRORS + lane], bend * blocks[WIDE * (ERRORS + 1) + lane])
         error = error / (max(1.0, size) * loose)
@@ -164,29 +168,34 @@ def _jacobi_error(blocks, bend, tol):
 
 
 @inline_always
-def _advance(s, stop, h, i, in_root, work, blocks, chunks, body, load, tol, size, on):
+def _advance(s, stop, h, i, in_root, frustum, work, blocks, chunks, body, load, tol, size, on, axes):
     """Take one accepted step towards `stop`; return new s, next step and tries, new s = NaN if none is accepted.
 
     Errors of tangents [rad] and of moments, by the bend they cause, are relative to how far the rod turns at all
     (`size`), so that a bend of a micrometre keeps its digits; those of points are relative to the length.
     """
     length = body.knots[-1]
-    frustum, rest = frustum_of(body, i, in_root), rest_of(body, i)
     force, gravity = times(on, take(load, FORCE)), take(load, GRAVITY)
     tries = 0
     while tries < MAX_TRIES:
         tries += 1
         last = s + 1.1 * h <= stop  # a step up to 10 % longer avoids a tiny step after it
         hs = stop - s if last else h
-        et, em, ep = full_step(s, hs, work, frustum, rest, force, gravity, on)
+        if axes:
+            et, em, ep = full_step(s, hs, work, frustum, rest_of(body, i), force, gravity, on)
+        else:
+            et, em, ep = round_step(s, hs, work, frustum, force, gravity, on, chunks > 0)
         r = frustum[1] + frustum[2] * (frustum[0] - s)
         bend = body.constants[BEND_X] * length / (r * r * r * r)
         error = max(max(et, bend * em) / (size * tol), ep / (length * tol))
         if not (et == et and em == em and ep == ep):
             error = math.inf
         if chunks > 0 and error <= 1.0:
-            step_columns(s, hs, i, in_root, work, blocks, chunks, body, gravity, on)
-            jacobi = _jacobi_error(blocks, bend, tol)
+            if axes:
+                step_columns(s, hs, i, in_root, work, blocks, chunks, body, gravity, on)
+            else:
+                round_columns_step(hs, blocks, work)
+            jacobi = _jacobi_error(blocks, axes, bend, tol)
             error = jacobi if not jacobi <= error else error
         if error <= 1.0:
             # Order 6: the error goes with h⁶. 0.9 keeps most next steps acceptable; the growth is limited because the
@@ -218,10 +227,10 @@ def _add_slopes(lane, change, s, i, in_root, y, blocks, body, load, on):
 @inner
 def _cross_contact(s, i, in_root, y, blocks, chunks, body, load):
     """Pass the contact: add the couple to the state, and the motion of the contact to the columns."""
-    if chunks > 0:
+    if chunks > 1:
         _add_slopes(L_S_CONTACT, 1.0, s, i, in_root, y, blocks, body, load, 0.0)
     put(y, M, plus(take(y, M), take(load, COUPLE)))
-    if chunks > 0:
+    if chunks > 1:
         _add_slopes(L_S_CONTACT, -1.0, s, i, in_root, y, blocks, body, load, 1.0)
     for lane in range(L_COUPLE, min(L_GRAVITY, WIDE * chunks)):
         blocks[_column_at(lane, BLOCK) + WIDE * (3 + lane - L_COUPLE)] += 1.0
@@ -230,15 +239,21 @@ def _cross_contact(s, i, in_root, y, blocks, chunks, body, load):
 @inlined
 def _margin(blocks):
     """Return the margin of any rod after a step; negative too if two fields turned over within the step."""
-    a, b, c = _rows3(blocks, S0), _rows3(blocks, S1), _rows3(blocks, S2)
+    a, b, c = row3(blocks, S0), row3(blocks, S1), row3(blocks, S2)
     o = WIDE * NEXT
-    x, y, z = _rows3(blocks, o + S0), _rows3(blocks, o + S1), _rows3(blocks, o + S2)
+    x, y, z = row3(blocks, o + S0), row3(blocks, o + S1), row3(blocks, o + S2)
     trace, minors, det = full_margin(a, b, c, x, y, z)
     return det if trace > 0.0 and minors > 0.0 else -abs(det)
 
 
 @inlined
-def _rows3(columns, o):
+def _carried(e, t, new):
+    """Return the normal e of the tangent t, transported to the tangent `new` without rotation about it."""
+    return add(e, -dot(e, new) / (1.0 + dot(t, new)), plus(t, new))
+
+
+@inlined
+def row3(columns, o):
     """Return three rows of a column, from offset o on."""
     return (columns[o], columns[o + WIDE], columns[o + 2 * WIDE])
 
@@ -263,7 +278,7 @@ def _note(y, blocks, chunks, row):
 
 
 @inner
-def sweep(tip, y, work, blocks, body, load, tol, size, nodes, contact):
+def sweep(tip, y, work, blocks, body, load, tol, size, first, axes, nodes, contact):
     """Integrate from the tip to the base.
 
     Args:
@@ -272,11 +287,15 @@ def sweep(tip, y, work, blocks, body, load, tol, size, nodes, contact):
         work: scratch, (WORK,).
         blocks: columns, (chunks · BLOCK,), WIDE to a block, may be none; at the base on return.
         tol: error allowed a step, relative to size; size: how far the rod turns from the axis, at most 1.
+        first: step from the tip to try first [m], negative.
+        axes: whether the section's axes are integrated; without them (round straight rods only) `y`, `nodes` and
+            `contact` keep those of the tip.
         nodes: rows [s, state, columns] from tip to base, (m · (1 + STATE + 36 chunks),); m may be 0.
         contact: state and columns at s_c, (STATE + 36 chunks,), filled on passing it.
 
     Returns:
-        Status, nodes filled, margin of stability (negative: unstable), how far the rod turned, steps taken.
+        Status, nodes filled, margin of stability (negative: unstable), how far the rod turned, steps tried, and
+        the first step that was accepted [m].
     """
     out = work[STATE : 2 * STATE]
     chunks = blocks.shape[0] // BLOCK
@@ -291,15 +310,12 @@ def sweep(tip, y, work, blocks, body, load, tol, size, nodes, contact):
     begin(tip, blocks, chunks)
     for q in range(STATE):
         work[q] = out[q] = y[q]
-    i, s, h = body.knots.shape[0] - 2, body.knots[-1], -body.knots[-1] / 6.0
+    i, s, h = body.knots.shape[0] - 2, body.knots[-1], first
+    stop, frustum = s, frustum_of(body, i, s <= reach)
     max_steps = MAX_STEPS * max(1.0, (1e-7 / tol) ** (1.0 / 6.0))
-    on, margin, steps, count, bend = (
-        0.0,
-        1.0,
-        0,
-        0,
-        1e-9,
-    )  # a straight rod has a size of 1e-9, so that errors stay finite
+    # A straight rod has a size of 1e-9, so that errors relative to it stay finite.
+    on, margin, steps, count, bend = 0.0, 1.0, 0, 0, 1e-9
+    e1, e2 = take(tip, M), cross(take(tip, T), take(tip, M))
     while True:
         in_root = s <= reach
         if on == 0.0 and s <= s_c:
@@ -313,22 +329,27 @@ def sweep(tip, y, work, blocks, body, load, tol, size, nodes, contact):
             count += 1
         bend = max(bend, math.sqrt(y[0] * y[0] + y[1] * y[1] + (y[2] - 1.0) ** 2))
         if s <= 0.0:
-            return OK, count, margin, min(bend, 1.0), steps
-        while i > 0 and s <= body.knots[i]:
-            i -= 1
+            return OK, count, margin, min(bend, 1.0), steps, first
+        if s == stop:  # only there, another frustum or the root begins
+            while i > 0 and s <= body.knots[i]:
+                i -= 1
+            frustum = frustum_of(body, i, in_root)
         stop = max(body.knots[i], s_c if on == 0.0 else 0.0, 0.0 if in_root else reach)
-        s, h, tries = _advance(s, stop, h, i, in_root, work, blocks, chunks, body, load, tol, size, on)
+        start = s
+        s, h, tries = _advance(s, stop, h, i, in_root, frustum, work, blocks, chunks, body, load, tol, size, on, axes)
+        if steps == 0:
+            first = max(s - start, h)
         steps += tries
         if steps > max_steps or math.isnan(s):
-            return STEP_LIMIT, count, -1.0, 1.0, steps
+            return STEP_LIMIT, count, -1.0, 1.0, steps, first
         if chunks > 0 and general:
             margin = min(margin, _margin(blocks))
             _accept(blocks, chunks)
         elif chunks > 0:
             _accept(blocks, chunks)
-            e1 = take(out, D)
-            e2 = cross(take(out, T), e1)
-            det, half_trace = round_margin(_rows3(blocks, S0), _rows3(blocks, S1), e1, e2)
+            t, new = take(y, T), take(out, T)
+            e1, e2 = _carried(e1, t, new), _carried(e2, t, new)
+            det, half_trace = round_margin(row3(blocks, S0), row3(blocks, S1), e1, e2)
             margin = min(margin, min(det, half_trace))
         for q in range(STATE):
             y[q] = work[q] = out[q]
@@ -343,7 +364,7 @@ def _column_at(lane, stride):
 @inner
 def _tips_for(columns, x):
     """Return the rotations of the tip about its three axes that rotate the base by x."""
-    a, b, c = _rows3(columns, S0), _rows3(columns, S1), _rows3(columns, S2)
+    a, b, c = row3(columns, S0), row3(columns, S1), row3(columns, S2)
     det = dot(a, cross(b, c))
     return dot(x, cross(b, c)) / det, dot(x, cross(c, a)) / det, dot(x, cross(a, b)) / det
 
@@ -352,16 +373,16 @@ def _tips_for(columns, x):
 def _turned(columns, row, tips):
     """Return three rows of the columns under a rotation of the tip about its three axes."""
     o = WIDE * row
-    turned = add(times(tips[0], _rows3(columns, o)), tips[1], _rows3(columns, o + 1))
-    return add(turned, tips[2], _rows3(columns, o + 2))
+    turned = add(times(tips[0], row3(columns, o)), tips[1], row3(columns, o + 1))
+    return add(turned, tips[2], row3(columns, o + 2))
 
 
 @inlined
 def _total(columns, stride, lane, row, turns):
     """Return three rows of a column with the tip rotated so that the base remains fixed."""
     o = WIDE * row
-    a, b, c = _rows3(columns, o), _rows3(columns, o + 1), _rows3(columns, o + 2)
-    x = _rows3(columns, o + _column_at(lane, stride))
+    a, b, c = row3(columns, o), row3(columns, o + 1), row3(columns, o + 2)
+    x = row3(columns, o + _column_at(lane, stride))
     return add(add(add(x, turns[0], a), turns[1], b), turns[2], c)
 
 
@@ -396,7 +417,7 @@ def sensitivities(y, blocks, contact, body, load, turns, derivatives):
     there = contact[STATE:]
     for j in range(k):
         lane = lane_of(j)
-        tips = times(-1.0, _tips_for(blocks, _rows3(blocks, _column_at(lane, BLOCK))))
+        tips = times(-1.0, _tips_for(blocks, row3(blocks, _column_at(lane, BLOCK))))
         v = _total(blocks, BLOCK, lane, V, tips)
         theta = _total(there, WIDE * COLUMN, lane, THETA, tips)
         q = minus(_total(there, WIDE * COLUMN, lane, Q, tips), _total(blocks, BLOCK, lane, Q, tips))
@@ -471,7 +492,10 @@ def linear_equilibrium(tip, load, body, tol, size, work, nodes, blocks, y, conta
     Returns:
         Status, residual at the base [rad], stability margin, largest rotation of the rod.
     """
-    status, _count, margin, size, _steps = sweep(tip, y, work, blocks, body, load, tol, size, nodes, contact)
+    first = -body.knots[-1] / FIRST_STEPS
+    status, _count, margin, size, _steps, _first = sweep(
+        tip, y, work, blocks, body, load, tol, size, first, True, nodes, contact
+    )
     if status != OK:
         return status, math.inf, -1.0, 1.0
     sensitivities(y, blocks, contact, body, load, turns, derivatives)
