@@ -274,7 +274,7 @@ class Curve:
     touches: tuple[Array | None, ...]  #: that make the moment there, (TOUCH,) each, (j,).
 
 
-def curve(rod: Rod, gravity: Array, moment: Array, T_world_base: Array) -> Curve:
+def equal_moments(rod: Rod, gravity: Array, moment: Array, T_world_base: Array) -> Curve:
     """Return for each station the force across the probe whose base moment comes nearest to the one read, all at once.
 
     Args:

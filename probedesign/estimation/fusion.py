@@ -18,8 +18,8 @@ from probedesign.core import statistics
 from probedesign.core.frames import Array
 from probedesign.core.statistics import MISFIT_CHANCE, RIVAL_CHI2, UNIFORM_STD, max_chi2
 from probedesign.estimation.error_sources import ErrorSources, across
-from probedesign.estimation.estimate import FusedEstimate, Result
-from probedesign.estimation.force_moment import Problem, closest_approaches, curve
+from probedesign.estimation.estimate import Candidate, FusedEstimate, Result
+from probedesign.estimation.force_moment import Problem, closest_approaches, equal_moments
 from probedesign.estimation.fusion_state import COMMON_FRICTION, FusionState, PointConstraint, dof_of
 from probedesign.estimation.likelihood import locate
 from probedesign.estimation.model import Observation, ProbeModel
@@ -102,18 +102,15 @@ class Fusion:
     def sources(self) -> tuple[ErrorSources, ...]:
         """Return the error sources at every pose; the sensor was tared at the first reading."""
         axes = across(self.gravity_world)
-        found: list[ErrorSources] = []
-        known: dict[bytes, ErrorSources] = {}
-        for reading in self.readings:
-            R = np.ascontiguousarray(reading.T_world_base[:3, :3])
-            key = R.tobytes()
-            if key not in known:
+        tared: ErrorSources | None = None
+        by_rotation: dict[bytes, ErrorSources] = {}
+        rotations = [np.ascontiguousarray(reading.T_world_base[:3, :3]) for reading in self.readings]
+        for reading, R in zip(self.readings, rotations, strict=True):
+            if R.tobytes() not in by_rotation:
                 free = self.model.rod.solve(reading.gravity)
-                known[key] = ErrorSources.of(
-                    self.model, self.priors, reading.gravity, free, found[0] if found else None, axes @ R, posed=True
-                )
-            found.append(known[key])
-        return tuple(found)
+                sources = ErrorSources.of(self.model, self.priors, reading.gravity, free, tared, axes @ R, posed=True)
+                by_rotation[R.tobytes()], tared = sources, tared or sources
+        return tuple(by_rotation[R.tobytes()] for R in rotations)
 
     @cached_property
     def whitening(self) -> Array:
@@ -159,22 +156,20 @@ class Fusion:
 
     def solve(self) -> FusedEstimate:
         """Return the fused estimate; see `Estimator.fuse`."""
-        found = self.solutions()
-        if isinstance(found, FusedEstimate):
-            return found
-        return self.answer(found)
+        solutions = self.solutions()
+        return solutions if isinstance(solutions, FusedEstimate) else self.answer(solutions)
 
     def solutions(self) -> list[Solution] | FusedEstimate:
         """Return every solution, best first, or the result that explains why there is none."""
         if not self.touched.any() or (self.moments_only and self.one_pose):
             return FusedEstimate("unobservable")
-        found: list[Solution] = []
-        dof = dof_of(self.model, self.channels, self.touched)
+        solutions: list[Solution] = []
+        limit = max_chi2(dof_of(self.model, self.channels, self.touched), MISFIT_CHANCE)
         for starts in self._starts():
-            found = _distinct([*found, *(self.refine(start) for start in starts)])
-            if any(place.chi2 <= max_chi2(dof, MISFIT_CHANCE) for place in found):
+            solutions = _distinct([*solutions, *(self.refine(start) for start in starts)])
+            if any(solution.chi2 <= limit for solution in solutions):
                 break
-        return found or FusedEstimate("not_converged")
+        return solutions or FusedEstimate("not_converged")
 
     def _starts(self) -> Iterable[list[Array]]:
         """Yield lists of initial touches, (k, TOUCH) each, the most likely first: from the single readings, from the
@@ -185,17 +180,19 @@ class Fusion:
         if k == 1 or self.one_pose:
             yield singles
             return
-        curves = [curve(self.model.rod, r.gravity, r.wrench[3:6], r.T_world_base) for r in self.readings if r.touched]
+        curves = [
+            equal_moments(self.model.rod, r.gravity, r.wrench[3:6], r.T_world_base) for r in self.readings if r.touched
+        ]
 
         def at(stations: tuple[int, ...]) -> list[Array]:
-            touches = [of.touches[j] for of, j in zip(curves, stations, strict=True)]
+            touches = [curve.touches[j] for curve, j in zip(curves, stations, strict=True)]
             if any(touch is None for touch in touches):
                 return []
             start = np.zeros((k, TOUCH))
             start[self.touched] = np.array(touches)
             return [start]
 
-        yield [*(start for place in closest_approaches(curves)[:STARTS] for start in at(place)), *singles]
+        yield [*(start for stations in closest_approaches(curves)[:STARTS] for start in at(stations)), *singles]
         if self.moments_only:
             yield self._from_single_readings()
         yield [start for j in ANYWHERE for start in at((j,) * len(curves))]
@@ -203,59 +200,63 @@ class Fusion:
     def _from_single_readings(self) -> list[Array]:
         """Return the touches estimated from each reading alone; an empty list if one has none."""
         start = np.zeros((len(self.readings), TOUCH))
-        for k, (reading, sources) in enumerate(zip(self.readings, self.sources, strict=True)):
+        for k, reading in enumerate(self.readings):
             if not reading.touched:
                 continue
-            whiten = statistics.whiten(reading.cov)
-            seen = Observation(reading.wrench, whiten, reading.gravity, self.model.mass * reading.gravity, math.inf)
-            places = locate(Problem(sources, seen, self.model.friction, reading.cov + sources.drift))
-            if not places or places[0].touch is None:
+            candidates = self._from_one(k, reading.wrench, reading.cov)
+            if not candidates or candidates[0].touch is None:
                 return []
-            start[k] = places[0].touch
+            start[k] = candidates[0].touch
         return [start]
+
+    def _from_one(self, k: int, wrench: Array, cov: Array) -> list[Candidate]:
+        """Return the touches that explain one reading (6,) with the covariance of its noise, at the pose k."""
+        sources, gravity = self.sources[k], self.readings[k].gravity
+        seen = Observation(wrench, statistics.whiten(cov), gravity, self.model.mass * gravity, math.inf)
+        return locate(Problem(sources, seen, self.model.friction, cov + sources.drift))
 
     def refine(self, start: Array, pin: PointConstraint | None = None) -> Solution | None:
         """Run Gauss-Newton from one initial guess of the touches, (k, TOUCH); return None if it does not converge."""
         state = self.state(start, pin)
-        share, last, way = 1.0, None, np.zeros(3)
+        damping, point, last_step = 1.0, None, np.zeros(3)
         for iteration in range(MAX_ITERATIONS):
             if not state.linearise():
                 return None
             chi2, x, cov = state.solved()
             if not math.isfinite(chi2):
                 return None
-            moved = x[:3] - (x[:3] if last is None else last)
+            step = x[:3] - (x[:3] if point is None else point)
             # Where the model fits badly whole steps go to and fro about the least misfit.
-            back = float(moved @ way) < -0.25 * float(way @ way)
-            share, way, last = (max(0.5 * share, 0.1) if back else min(2.0 * share, 1.0)), moved, x[:3].copy()
-            linearised = state.touches[: len(start)].copy()
-            size = state.step(share)
-            near = float(np.abs(moved).max()) <= CLOSE * statistics.rms(cov) + 1e-9
+            back = float(step @ last_step) < -0.25 * float(last_step @ last_step)
+            damping = max(0.5 * damping, 0.1) if back else min(2.0 * damping, 1.0)
+            last_step, point, linearised = step, x[:3].copy(), state.touches[: len(start)].copy()
+            size = state.step(damping)
+            near = float(np.abs(step).max()) <= CLOSE * statistics.rms(cov) + 1e-9
             if near and size <= SETTLED_STEP * math.sqrt(1.0 + chi2):
                 return Solution(x, cov, chi2, linearised, iteration + 1)
         return None
 
     # The result ------------------------------------------------------------------------------------------------------
 
-    def answer(self, found: list[Solution], brief: bool = False) -> FusedEstimate:
+    def answer(self, solutions: list[Solution], brief: bool = False) -> FusedEstimate:
         """Return the best solution with its result code.
 
         Args:
-            found: every solution, best first.
+            solutions: every one, best first.
             brief: leave out `rms_without` and `rms_with`.
         """
-        best = found[0]
+        best = solutions[0]
         state, linear = self.state(best.touches), statistics.rms(best.cov)
         if not state.linearise():
             return FusedEstimate("not_converged")
-        result: Result = "inconsistent" if state.has_moved() else self._result(found, state)
+        result: Result = "inconsistent" if state.has_moved() else self._result(solutions, state)
         cov, rms = state.solved()[2], linear
         added = added_contact = np.zeros((3, 3))
         if result == "ok":
             added, added_contact = self.curvature(best)
             rms = statistics.rms(cov + added)
             result = "ok" if rms < self.model.rod.length * UNIFORM_STD else state.uncertain
-        candidates = np.array([rival.x[:3] for rival in found if rival.chi2 < best.chi2 + RIVAL_CHI2])
+        candidates = np.array([rival.x[:3] for rival in solutions if rival.chi2 < best.chi2 + RIVAL_CHI2])
         estimate = state.estimate(result, best.chi2, rms, best.iterations, candidates)
         if estimate.ok:
             estimate = replace(estimate, cov_surface_world=cov + added,
@@ -313,66 +314,60 @@ class Fusion:
             if not std > 0.0:
                 continue
             a = best.cov @ axis / std
-            aside = [
-                (side, place.x[:3] - best.x[:3] - side * a)
+            bows = [
+                (side, solution.x[:3] - best.x[:3] - side * a)
                 for side in (-NODE, NODE)
-                if (place := self._constrained(best, axis, side * std)) is not None
+                if (solution := self._constrained(best, axis, side * std)) is not None
             ]
-            if not aside:
+            if not bows:
                 continue
             # With one side alone the cubic term is taken for zero.
-            b = sum((off for _, off in aside), np.zeros(3)) / (3.0 * len(aside))
-            c = sum((side * off for side, off in aside), np.zeros(3)) / 18.0 if len(aside) == 2 else np.zeros(3)
-            both = np.outer(a, c)
-            added += 3.0 * (both + both.T) + 3.0 * TAIL * np.outer(b, b) + 15.0 * np.outer(c, c)
+            b = sum((bow for _, bow in bows), np.zeros(3)) / (3.0 * len(bows))
+            c = sum((side * bow for side, bow in bows), np.zeros(3)) / 18.0 if len(bows) == 2 else np.zeros(3)
+            ac = np.outer(a, c)
+            added += 3.0 * (ac + ac.T) + 3.0 * TAIL * np.outer(b, b) + 15.0 * np.outer(c, c)
         return added, added
 
-    def _constrained(self, best: Solution, axis: Array, way: float) -> Solution | None:
-        """Return the solution with the point constrained at an offset along an axis: `way` [m], or further until the
-        misfit has risen by three.
+    def _constrained(self, best: Solution, axis: Array, offset: float) -> Solution | None:
+        """Return the solution with the point constrained at an offset along an axis [m], or further until the misfit
+        has risen by three.
         """
-        found, touches, pinned = None, best.touches, CONSTRAINT_STD * abs(way)
+        furthest, touches, std = None, best.touches, CONSTRAINT_STD * abs(offset)
         for _ in range(MAX_EXTENSIONS):
-            place = self.refine(touches, PointConstraint(axis, float(axis @ best.x[:3]) + way, pinned))
-            if place is None:
+            solution = self.refine(touches, PointConstraint(axis, float(axis @ best.x[:3]) + offset, std))
+            if solution is None:
                 break
-            found, touches = place, place.touches
-            rise = max(place.chi2 - best.chi2, 0.25 * NODE**2)
-            further = NODE / math.sqrt(rise)
-            if further < 1.02:  # below, the step is too small to make the stated error jump between neighbouring places
+            furthest, touches = solution, solution.touches
+            factor = NODE / math.sqrt(max(solution.chi2 - best.chi2, 0.25 * NODE**2))
+            if factor < 1.02:  # below, the step is too small to make the stated error jump between neighbouring places
                 break
-            way *= further
-        return found
+            offset *= factor
+        return furthest
 
     def _single_curvature(self) -> tuple[Array, Array]:
         """Return the curvature correction of the single estimate from the mean reading of one pose [m²], (3, 3)
         each.
         """
-        first = int(self.touched.argmax())
-        sources, reading = self.sources[first], self.readings[first]
-        wrenches = [r.wrench for r in self.readings if r.touched]
-        covs = [r.cov for r in self.readings if r.touched]
-        cov = np.mean(covs, axis=0) / len(covs)
-        whiten = statistics.whiten(cov)
-        hanging = self.model.mass * reading.gravity
-        seen = Observation(np.mean(wrenches, axis=0), whiten, reading.gravity, hanging, math.inf)
-        places = locate(Problem(sources, seen, self.model.friction, cov + sources.drift))
-        R, none = reading.T_world_base[:3, :3], np.zeros((3, 3))
-        if not places:
+        touched = [reading for reading in self.readings if reading.touched]
+        wrench = np.mean([reading.wrench for reading in touched], axis=0)
+        cov = np.mean([reading.cov for reading in touched], axis=0) / len(touched)
+        candidates = self._from_one(int(self.touched.argmax()), wrench, cov)
+        R, none = touched[0].T_world_base[:3, :3], np.zeros((3, 3))
+        if not candidates:
             return none, none
-        best = places[0]
+        best = candidates[0]
         added = (
             R @ (best.cov_surface_base - best.cov_linear_base) @ R.T,
             R @ (best.cov_contact_base - best.cov_linear_contact_base) @ R.T,
         )
-        return added if all(np.isfinite(of).all() for of in added) else (none, none)
+        return added if all(np.isfinite(cov).all() for cov in added) else (none, none)
 
-    def _result(self, found: list[Solution], state: FusionState) -> Result:
+    def _result(self, solutions: list[Solution], state: FusionState) -> Result:
         """Return the result code of the best solution among its rivals."""
-        best, rms = found[0], statistics.rms(found[0].cov)
+        best, rms = solutions[0], statistics.rms(solutions[0].cov)
         std = np.array([math.sqrt(float(reading.cov[0, 0])) for reading in self.readings])
         result = state.result(best.chi2, rms, std[self.touched])
-        for rival in found[1:] if result == "ok" else []:
+        for rival in solutions[1:] if result == "ok" else []:
             apart = float(np.linalg.norm(rival.x[:3] - best.x[:3]))
             if rival.chi2 < best.chi2 + RIVAL_CHI2 and apart > 3.0 * (rms + statistics.rms(rival.cov)):
                 return "ambiguous"
@@ -388,11 +383,11 @@ def _without(priors: Tolerances, group: str) -> Tolerances:
     return replace(priors, base_mm=0.0, robot_mm=0.0)
 
 
-def _distinct(found: Iterable[Solution | None]) -> list[Solution]:
+def _distinct(solutions: Iterable[Solution | None]) -> list[Solution]:
     """Return the distinct solutions, best first."""
     kept: list[Solution] = []
-    for place in sorted((place for place in found if place is not None), key=lambda of: of.chi2):
-        near = 0.1 * statistics.rms(place.cov) + 1e-6
-        if all(np.linalg.norm(place.x[:3] - of.x[:3]) > near for of in kept):
-            kept.append(place)
+    for solution in sorted((solution for solution in solutions if solution is not None), key=lambda other: other.chi2):
+        near = 0.1 * statistics.rms(solution.cov) + 1e-6
+        if all(np.linalg.norm(solution.x[:3] - other.x[:3]) > near for other in kept):
+            kept.append(solution)
     return kept
