@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from probedesign.core.frames import Array
 from probedesign.core.statistics import ellipsoid_95
 from probedesign.estimation.estimate import Estimate
-from probedesign.geometry.tube import BentShape, centreline
+from probedesign.geometry.tube import BentShape, centreline, disc_faces, tube_faces, tube_rings
 from probedesign.probe import Probe
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.studio.figures import DesignFigures, DrawnTouch, segment_colours, touched_shape
@@ -301,14 +301,8 @@ def _bent(eq: Equilibrium, probe: Probe) -> BentShape:
 
 def _tube_faces(rings: int) -> NDArray[np.uint32]:
     """Return the triangles of a tube: its side and, about its last vertex, the disc at its end."""
-    ring = np.arange(RING_POINTS)
-    after = (ring + 1) % RING_POINTS
-    first = RING_POINTS * np.arange(rings - 1)[:, None]
-    a, b = first + ring, first + after
-    side = np.stack([a, b, b + RING_POINTS, a, b + RING_POINTS, a + RING_POINTS], axis=-1).reshape(-1, 3)
-    last = (rings - 1) * RING_POINTS
-    disc = np.stack([last + ring, last + after, np.full(RING_POINTS, rings * RING_POINTS)], axis=1)
-    return np.concatenate([side, disc]).astype(np.uint32)
+    disc = disc_faces((rings - 1) * RING_POINTS, rings * RING_POINTS, RING_POINTS)
+    return np.concatenate([tube_faces(rings, RING_POINTS), disc]).astype(np.uint32)
 
 
 def _segments(shape: BentShape, probe: Probe, edges: Array) -> list[NDArray[np.float32]]:
@@ -318,11 +312,8 @@ def _segments(shape: BentShape, probe: Probe, edges: Array) -> list[NDArray[np.f
 
 def _tube(shape: BentShape, probe: Probe, fractions: Array) -> NDArray[np.float32]:
     """Return the vertices of the rings at fractions of the length, and of the last centre, in scene units."""
-    geometry = probe.geometry
-    angle = np.linspace(0.0, 2.0 * np.pi, RING_POINTS, endpoint=False)
-    flatness = probe.design.probe.flatness or 1.0
-    s = fractions * probe.length
-    p, x, y = centreline(shape, s)
-    r = np.interp(s, geometry.s, geometry.radius)[:, None, None]
-    rings = p[:, None] + r * (np.cos(angle)[:, None] * x[:, None] + flatness * np.sin(angle)[:, None] * y[:, None])
-    return (UNIT * np.vstack([rings.reshape(-1, 3), p[-1:]])).astype(np.float32)
+    geometry, s = probe.geometry, fractions * probe.length
+    radius = np.interp(s, geometry.s, geometry.radius)
+    rings = tube_rings(shape, s, radius, probe.design.probe.flatness or 1.0, RING_POINTS)
+    end = centreline(shape, s[-1:])[0]
+    return (UNIT * np.vstack([rings.reshape(-1, 3), end])).astype(np.float32)
