@@ -10,7 +10,7 @@ from probedesign.cli.options import DesignFile, JsonOutput
 from probedesign.core.files import check_overwrite
 
 if TYPE_CHECKING:
-    from probedesign.identification.coupon_scale import CouponScale
+    from probedesign.identification.measured_diameters import CouponScale
 
 
 def measured(
@@ -38,9 +38,14 @@ def measured(
     """
     from probedesign import pipeline
     from probedesign.design import load_design
-    from probedesign.identification.coupon_scale import fit_scale, is_coupon_sheet, read_coupon
     from probedesign.identification.design_update import write_changes
-    from probedesign.identification.measured_diameters import diameter_changes, read_calipers
+    from probedesign.identification.measured_diameters import (
+        diameter_changes,
+        fit_scale,
+        is_coupon_sheet,
+        read_calipers,
+        read_coupon,
+    )
     from probedesign.mount import build_geometry
 
     if out is not None:
@@ -83,8 +88,8 @@ def measured(
 
 def _write_scale(design: Path, found: "CouponScale", out: Path | None, force: bool, as_json: bool) -> None:
     """Write the scale of the next print, fitted to the sheet of a coupon."""
-    from probedesign.identification.coupon_scale import scale_changes
     from probedesign.identification.design_update import write_changes
+    from probedesign.identification.measured_diameters import scale_changes
 
     day = date.today().isoformat()
     changes = scale_changes(found, day)

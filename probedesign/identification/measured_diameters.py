@@ -4,7 +4,7 @@ The diameters d of the K knots have the prior N(d₀, c cᵀ + ε² d₀ d₀ᵀ
 a deviation c of all knots together and a scatter σ of each for itself, and a scale ε of the whole print, by which
 diameters that were not measured follow those that were. A reading at s is y = A(s) d + o + e, linear between the
 knots, with an error e of its own and an error o of the calipers that all readings share. The posterior covariance C
-goes into the design as the least a² 1 1ᵀ + b² I that covers it, so that no direction becomes more certain than C.
+goes into the design as a² 1 1ᵀ + b² I that covers it, so that no direction becomes more certain than C.
 Where readings contradict the prior, by the chi-square test of the least-squares knots, the prior's covariance is
 widened by that chi-square over its degrees of freedom.
 
@@ -14,20 +14,21 @@ these are greater than stated (R. T. Birge, Physical Review 40 (1932) 207).
 
 import json
 import re
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
-from probedesign.core.csv_tables import TableRows, TableSchema, read_rows
+from probedesign.core.csv_tables import TableRows, TableSchema, read_lines, read_rows
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.statistics import max_chi2
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.design.edit import Change
+from probedesign.design.schema import SCALE_RANGE
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.geometry.probe_geometry import filleted
 from probedesign.mount import build_geometry
@@ -110,7 +111,11 @@ def read_calipers(path: Path, design: Design) -> Calipers:
         InputError: the file cannot be used, is of another probe, or a place is not on the flank.
     """
     rows = read_rows(path, SCHEMA)
-    _check_fingerprint(rows, build_geometry(design).fingerprint)
+    fingerprint = build_geometry(design).fingerprint
+    for number, named in _named(rows, "fingerprint"):
+        if named.lower() != fingerprint:
+            rows.lines.fail(number, f"the calipers are of geometry {named!r}, the design has {fingerprint}; name the "
+                                    "design as it was printed, without measured diameters")  # fmt: skip
     values = rows.required("s", "diameter") / MM
     none_needed = np.zeros(len(rows), dtype=bool)
     std = rows.std("std", none_needed, "") / MM
@@ -128,15 +133,17 @@ def read_calipers(path: Path, design: Design) -> Calipers:
     return Calipers(values[:, 0], values[:, 1], std, places)
 
 
-def _check_fingerprint(rows: TableRows, fingerprint: str) -> None:
+def _named(rows: TableRows, key: str) -> Iterator[tuple[int, str]]:
+    """Yield the lines of comments `# key: VALUE` and their values."""
     for number, line in rows.lines.comments:
-        named = re.match(r"\s*#\s*fingerprint\s*[:=]\s*(\w*)", line, re.IGNORECASE)
-        if named and named[1].lower() != fingerprint:
-            rows.lines.fail(
-                number,
-                f"the calipers are of geometry {named[1]!r}, the design has {fingerprint}; name the design as it "
-                "was printed, without measured diameters",
-            )
+        match = re.match(rf"\s*#\s*{key}\s*[:=]\s*(\S*)", line, re.IGNORECASE)
+        if match:
+            yield number, match[1]
+
+
+def _check_shared_error(calipers_std_mm: float) -> None:
+    if not 0.0 <= calipers_std_mm <= 1.0:
+        raise InputError(f"calipers_std_mm = {calipers_std_mm:g} must lie in 0 ... 1")
 
 
 def fit_diameters(
@@ -160,36 +167,39 @@ def fit_diameters(
             f"{design.name}: its diameters are measured already; put all readings of the print into one table and "
             "apply it to the design as drawn, whose values the file keeps as comments"
         )
-    if not 0.0 <= calipers_std_mm <= 1.0:
-        raise InputError(f"calipers_std_mm = {calipers_std_mm:g} must lie in 0 ... 1")
+    _check_shared_error(calipers_std_mm)
     s, drawn = (np.array(column) for column in zip(*design.probe.blunt_mm, strict=True))
     common = np.maximum(tolerances.diameter_mm, tolerances.diameter_share * drawn)
-    scatter, one = tolerances.diameter_scatter_mm, design.probe.shape == "cylinder"
+    scatter, is_cylinder = tolerances.diameter_scatter_mm, design.probe.shape == "cylinder"
     # a cylinder's one diameter is the mean of its knots, whose scatter the readings have as well
-    A = np.ones((len(calipers.s), 1)) if one else _weights(s, calipers.s)
-    x, c = (drawn[:1], common[:1]) if one else (drawn, common)
-    prior = np.outer(c, c) + PRINT_SCALE_STD**2 * np.outer(x, x) + (0.0 if one else scatter**2) * np.eye(len(x))
-    own = calipers.std**2 + (scatter**2 if one else 0.0)
+    linear = np.column_stack([np.interp(calipers.s, s, unit) for unit in np.eye(len(s))])
+    A = np.ones((len(calipers.s), 1)) if is_cylinder else linear
+    x, c = (drawn[:1], common[:1]) if is_cylinder else (drawn, common)
+    prior = np.outer(c, c) + PRINT_SCALE_STD**2 * np.outer(x, x) + (0.0 if is_cylinder else scatter**2) * np.eye(len(x))
+    own = calipers.std**2 + (scatter**2 if is_cylinder else 0.0)
     scale = _scatter_of(A, calipers.diameter, np.sqrt(own))
     noise = np.diag(scale**2 * own) + calipers_std_mm**2
     deviation = calipers.diameter - A @ x
     stated = A @ prior @ A.T + np.diag(own) + calipers_std_mm**2  # not widened: another probe scatters, too
-    _check_probe(calipers, deviation, np.sqrt(np.diag(stated)))
+    allowed = MAX_DEVIATIONS * np.sqrt(np.diag(stated))
+    worst = int(np.argmax(np.abs(deviation) / allowed))
+    if abs(deviation[worst]) > allowed[worst]:
+        y = calipers.diameter[worst]
+        raise InputError(
+            f"{calipers.places[worst]}: diameter = {y:g} mm where the design has {y - deviation[worst]:.3f} mm at "
+            f"s = {calipers.s[worst]:g} mm; the tolerance of the print allows ±{allowed[worst]:.2f} mm: "
+            "check probe, unit and place, or widen diameter_mm in [tolerances]"
+        )
     prior_scale = _contradiction(A, prior, noise, deviation)
     prior = prior_scale**2 * prior
     gain = np.linalg.solve(A @ prior @ A.T + noise, A @ prior).T
     joseph = np.eye(len(x)) - gain @ A  # the form that stays positive
     cov = joseph @ prior @ joseph.T + gain @ noise @ gain.T
-    together, each = (float(np.sqrt(cov[0, 0])), scatter) if one else covering(cov)
+    together, each = (float(np.sqrt(cov[0, 0])), scatter) if is_cylinder else covering(cov)
     measured = np.round((x + gain @ deviation) * np.ones(len(s)), 3)  # a design gets micrometres
     return MeasuredDiameters(
         s, drawn, measured, cov, len(calipers.s), scale, prior_scale, (float(common.max()), scatter), (together, each)
     )
-
-
-def _weights(knots: Array, s: Array) -> Array:
-    """Return the weights of the knots at s, (n, K)."""
-    return np.column_stack([np.interp(s, knots, unit) for unit in np.eye(len(knots))])
 
 
 def _scatter_of(A: Array, y: Array, std: Array) -> float:
@@ -215,34 +225,16 @@ def _contradiction(A: Array, prior: Array, noise: Array, deviation: Array) -> fl
     return float(np.sqrt(square / rank)) if square > max_chi2(int(rank), CONTRADICTION) else 1.0
 
 
-def _check_probe(calipers: Calipers, deviation: Array, std: Array) -> None:
-    worst = int(np.argmax(np.abs(deviation) / std))
-    if abs(deviation[worst]) > MAX_DEVIATIONS * std[worst]:
-        y = calipers.diameter[worst]
-        raise InputError(
-            f"{calipers.places[worst]}: diameter = {y:g} mm where the design has {y - deviation[worst]:.3f} mm at "
-            f"s = {calipers.s[worst]:g} mm; the tolerance of the print allows ±{MAX_DEVIATIONS * std[worst]:.2f} mm: "
-            "check probe, unit and place, or widen diameter_mm in [tolerances]"
-        )
-
-
 def covering(cov: Array) -> tuple[float, float]:
-    """Return the least a and b with a² 1 1ᵀ + b² I ⪰ C, by the sum of the variances.
+    """Return a and b with a² 1 1ᵀ + b² I ⪰ C: by the mean covariance of two knots.
 
     Args:
         cov: C, positive definite, (K, K).
     """
-    ones = np.ones_like(cov)
-
-    def rest(square: float) -> float:
-        return max(float(np.linalg.eigvalsh(cov - square * ones)[-1]), 0.0)
-
-    most = float(np.diag(cov).max())
-    found = minimize_scalar(
-        lambda square: square + rest(square), bounds=(0.0, most), method="bounded", options={"xatol": 1e-9 * most}
-    )
-    square = float(found.x)
-    return float(np.sqrt(square)), float(np.sqrt(rest(square)))
+    n = len(cov)
+    together = max(float(cov.sum() - np.trace(cov)) / (n * (n - 1)), 0.0)
+    rest = float(np.linalg.eigvalsh(cov - together)[-1])
+    return float(np.sqrt(together)), float(np.sqrt(max(rest, 0.0)))
 
 
 def diameter_changes(found: MeasuredDiameters, design: Design, day: str) -> tuple[Change, ...]:
@@ -283,3 +275,115 @@ def diameter_changes(found: MeasuredDiameters, design: Design, day: str) -> tupl
         because = f"changed {day} with the base diameter, to the power {power:g}; identify again"
         changes.append(Change("material", "youngs_modulus_mpa", f"{E:.4g}", because))
     return tuple(changes)
+
+
+# the scale of the next print, from a coupon that was printed unscaled
+
+
+MIN_ROWS = 3
+COUPON_SCHEMA = TableSchema(
+    what="table of a coupon's diameters",
+    kinds={"part": "name", "s": "length", "drawn": "length", "diameter_x": "length", "diameter_y": "length"},
+    required=("drawn", "diameter_x"),
+    like="part,s_mm,drawn_mm,diameter_x_mm,diameter_y_mm",
+    aliases={},
+)
+
+
+@dataclass(frozen=True)
+class CouponScale:
+    """Scale that compensates for the shrinkage of a coupon."""
+
+    scale_xy: float  #: scale_xy, std: drawn over measured size, and its standard deviation.
+    std: float
+    #: offset_mm, offset_std_mm: by how much all diameters are wider, whatever their size, beside the scale; a scale
+    #: does not remove it [mm].
+    offset_mm: float
+    offset_std_mm: float
+    left_mm: float  #: largest deviation of a diameter from the scaled one [mm].
+    rows: int  #: number of places with a reading.
+
+    @property
+    def has_offset(self) -> bool:
+        """Whether the offset exceeds two of its standard deviations."""
+        return abs(self.offset_mm) > 2.0 * self.offset_std_mm
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        return asdict(self)
+
+
+def is_coupon_sheet(path: Path) -> bool:
+    """Return whether a file is the sheet of a coupon: its header has the column of drawn diameters."""
+    if not path.is_file():
+        return False
+    lines = read_lines(path, COUPON_SCHEMA.what, COUPON_SCHEMA.like)
+    return any(name.strip().startswith("drawn") for name in lines.header)
+
+
+def read_coupon(path: Path, resin: str) -> tuple[Array, Array, Array]:
+    """Read the sheet of a coupon.
+
+    Args:
+        path: of the sheet; a comment `# resin: NAME` states what the coupon was printed in.
+        resin: name of the resin of the probe.
+
+    Returns:
+        Drawn and mean measured diameter of each place with a reading [mm], and its number of readings, (n,) each.
+
+    Raises:
+        InputError: the file cannot be used, is of another resin, or too few places have a reading.
+    """
+    rows = read_rows(path, COUPON_SCHEMA)
+    for number, named in _named(rows, "resin"):
+        if named != resin:
+            rows.lines.fail(
+                number, f"the coupon is of {named!r}, the design of {resin}; a shrinkage is that of one resin"
+            )
+    values = rows.numbers("drawn", "diameter_x", "diameter_y") / MM
+    for row in np.flatnonzero(~(values[:, 0] > 0.0) | (values[:, 1:] <= 0.0).any(axis=1))[:1]:
+        rows.fail(int(row), "drawn_mm and the diameters must be positive; leave what was not measured empty")
+    count = np.isfinite(values[:, 1:]).sum(axis=1)
+    read = count > 0
+    if read.sum() < MIN_ROWS or len(set(values[read, 0])) < 2:
+        raise InputError(
+            f"{path}: {int(read.sum())} places with a reading; fill in at least {MIN_ROWS}, of two diameters"
+        )
+    return values[read, 0], np.nanmean(values[read, 1:], axis=1), count[read]
+
+
+def fit_scale(drawn: Array, measured: Array, count: Array, calipers_std_mm: float) -> CouponScale:
+    """Return the scale of the next print by weighted least squares.
+
+    Args:
+        drawn, measured: diameters of the coupon [mm], (n,).
+        count: number of readings of each, (n,).
+        calipers_std_mm: standard deviation of the error that all readings share [mm].
+
+    Raises:
+        InputError: the scale is out of the range of a shrinkage.
+    """
+    _check_shared_error(calipers_std_mm)
+    weights = count / READING_STD_MM**2
+    precision = float(weights @ drawn**2)
+    size = float(weights @ (measured * drawn)) / precision
+    if not SCALE_RANGE[0] <= 1.0 / size <= SCALE_RANGE[1]:
+        raise InputError(
+            f"the coupon is {size:.4g} times as large as drawn; allowed is 1/{SCALE_RANGE[1]:g} ... "
+            f"1/{SCALE_RANGE[0]:g}: check the unit and the sheet"
+        )
+    residuals = measured - size * drawn
+    A = np.column_stack([drawn, np.ones(len(drawn))]) * np.sqrt(weights)[:, None]
+    (_, offset), *_ = np.linalg.lstsq(A, measured * np.sqrt(weights), rcond=None)
+    # Readings that scatter more than stated count less (R. T. Birge, Physical Review 40 (1932) 207).
+    scatter = max(1.0, float(np.sqrt(weights @ residuals**2 / (len(drawn) - 1))))
+    shared = calipers_std_mm * float(weights @ drawn) / precision
+    std = float(np.hypot(scatter / np.sqrt(precision), shared)) / size**2
+    offset_std = float(np.hypot(np.sqrt(np.linalg.inv(A.T @ A)[1, 1]), calipers_std_mm))
+    return CouponScale(1.0 / size, std, float(offset), offset_std, float(np.abs(residuals).max()), len(drawn))
+
+
+def scale_changes(found: CouponScale, day: str) -> tuple[Change, ...]:
+    """Return the change of a design by the scale of a coupon; `day` is for the comment."""
+    note = f"measured {day} on a coupon, {found.rows} places: ± {found.std:.2g} (one standard deviation)"
+    return (Change("print", "scale_xy", f"{found.scale_xy:.4f}", note),)

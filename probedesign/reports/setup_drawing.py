@@ -1,12 +1,11 @@
 """Drawing of a test's set-up as SVG: mount, probe as it will bend, gravity, and the weight or the touching edge."""
 
 import math
-from dataclasses import dataclass, field
-from html import escape
 
 import numpy as np
 
 from probedesign.core.frames import Array
+from probedesign.core.svg import Anchor, Canvas
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.planning.candidates import CandidateTest
@@ -24,63 +23,6 @@ SENSOR, MOUNT = 0.10, 0.18
 """Lengths of the drawn sensor and robot adapter over the probe's."""
 
 
-@dataclass
-class _Canvas:
-    """Elements of the drawing, and its map from the world to pixels."""
-
-    origin: Array  #: origin, scale: of the map.
-    scale: float
-    elements: list[str] = field(default_factory=list)  #: SVG elements.
-
-    @classmethod
-    def fitting(cls, points: Array) -> "_Canvas":
-        """Return a canvas that shows all points of the world, (n, 3)."""
-        flat = points @ PROJECTION.T
-        low, high = flat.min(axis=0), flat.max(axis=0)
-        space = np.array([WIDTH - 2.0 * MARGIN, HEIGHT - 2.0 * MARGIN])
-        scale = float(np.min(space / np.maximum(high - low, 1e-6)))
-        return cls(0.5 * (low + high) - 0.5 * np.array([WIDTH, HEIGHT]) / scale, scale)
-
-    def at(self, points: Array) -> Array:
-        """Return pixels of points of the world, (..., 2)."""
-        return np.asarray((points @ PROJECTION.T - self.origin) * self.scale)
-
-    def polygon(self, pixels: Array, fill: str, stroke: str = "none") -> None:
-        """Draw a filled polygon."""
-        text = " ".join(f"{x:.1f},{y:.1f}" for x, y in pixels)
-        self.elements.append(f'<polygon points="{text}" fill="{fill}" stroke="{stroke}"/>')
-
-    def line(self, pixels: Array, colour: str, width: float = 1.5, dashes: str = "", arrow: bool = False) -> None:
-        """Draw a line through pixels, with an arrow head at its end on request."""
-        text = " ".join(f"{x:.1f},{y:.1f}" for x, y in pixels)
-        dashed = f' stroke-dasharray="{dashes}"' if dashes else ""
-        self.elements.append(
-            f'<polyline points="{text}" fill="none" stroke="{colour}" stroke-width="{width}"{dashed}/>'
-        )
-        if arrow:
-            tip, back = pixels[-1], pixels[-1] - pixels[-2]
-            along = back / max(float(np.linalg.norm(back)), 1e-9)
-            across = np.array([-along[1], along[0]])
-            self.polygon(np.array([tip + 3.0 * along, tip - 6.0 * along + 4.0 * across,
-                                   tip - 6.0 * along - 4.0 * across]), colour)  # fmt: skip
-
-    def text(self, pixel: Array, words: str, colour: str = MARK, anchor: str = "middle", size: float = 12.0) -> None:
-        """Write words at a pixel, moved into the drawing."""
-        half = 0.5 * 0.58 * size * len(words)
-        x = float(np.clip(pixel[0], half + 2.0, WIDTH - half - 2.0)) if anchor == "middle" else float(pixel[0])
-        y = float(np.clip(pixel[1], size, HEIGHT - 4.0))
-        self.elements.append(f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size:g}" text-anchor="{anchor}" '
-                             f'fill="{colour}" stroke="#fff" stroke-width="3" paint-order="stroke">'
-                             f"{escape(words)}</text>")  # fmt: skip
-
-    def svg(self, label: str) -> bytes:
-        """Return the document."""
-        return (f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" '
-                f'aria-label="{escape(label)}" font-family="Helvetica, Arial, sans-serif">'
-                f'<rect width="{WIDTH:g}" height="{HEIGHT:g}" fill="#fff"/>{"".join(self.elements)}</svg>\n'
-                ).encode()  # fmt: skip
-
-
 def set_up_drawing(model: ProbeModel, candidate: CandidateTest) -> bytes:
     """Return the drawing of a test.
 
@@ -91,93 +33,93 @@ def set_up_drawing(model: ProbeModel, candidate: CandidateTest) -> bytes:
     test, shape = candidate.test, candidate.shape
     assert test is not None and shape is not None
     T, rod = test.T_world_base, model.rod
+    R, base, axis = T[:3, :3], T[:3, 3], T[:3, 2]
     s = np.linspace(0.0, rod.length, STATIONS)
-    line = shape.p_at(s) @ T[:3, :3].T + T[:3, 3]
-    axis = T[:3, 2]
-    straight = T[:3, 3] + np.outer([0.0, rod.length], axis)
-    behind = T[:3, 3] - (SENSOR + MOUNT) * rod.length * axis
-    down = np.array([0.0, 0.0, -0.25 * rod.length])
-    loaded = line[np.searchsorted(s, candidate.mark)] if math.isfinite(candidate.mark) else line[0]
-    room = [loaded + (1.1 * down if candidate.mass else 0.0 * down)]
-    canvas = _Canvas.fitting(np.concatenate([line, straight, [behind], room]))
-    _mount(canvas, T, rod.length, float(rod.radius[0]))
-    canvas.line(canvas.at(straight), GREY, 1.0, "4 4")
-    pixels = canvas.at(line)
-    normal = _normals(pixels)
-    width = np.maximum(rod.radius_at(s) * canvas.scale, 1.2)[:, None]
-    canvas.polygon(np.concatenate([pixels + width * normal, (pixels - width * normal)[::-1]]), PROBE)
-    push = np.array([-1.0, 1.0]) / math.sqrt(2.0)  # of the load in the drawing
-    if test.force_world is None:
-        angle = DIRECTIONS[test.direction]
-        flat = PROJECTION @ T[:3, :3] @ np.array([math.cos(angle), math.sin(angle), 0.0])
-        push = flat / float(np.linalg.norm(flat))
-    if math.isfinite(candidate.mark):
-        i = int(np.searchsorted(s, candidate.mark))
-        away = push if test.force_world is None else -push
-        _mark(canvas, candidate.mark, pixels[i], normal[i], float(width[i, 0]), away)
-        if candidate.mass:
-            _weight(canvas, pixels[i], candidate.mass)
-        else:
-            _edge(canvas, pixels[i], push, candidate, float(width[i, 0]))
-    _gravity(canvas)
-    _axes(canvas, T)
-    return canvas.svg(candidate.words)
+    line = shape.p_at(s) @ R.T + base
+    straight = base + np.outer([0.0, rod.length], axis)
+    touched = int(np.searchsorted(s, candidate.mark)) if math.isfinite(candidate.mark) else 0
+    hanging = line[touched] - [0.0, 0.0, 0.275 * rod.length if candidate.mass else 0.0]
+    behind = base - (SENSOR + MOUNT) * rod.length * axis
+    flat = np.concatenate([line, straight, [behind, hanging]]) @ PROJECTION.T
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    size = np.array([WIDTH, HEIGHT])
+    scale = float(np.min((size - 2.0 * MARGIN) / np.maximum(high - low, 1e-6)))
 
+    def at(points: Array) -> Array:
+        """Return pixels of points of the world, (..., 2)."""
+        return np.asarray((points @ PROJECTION.T - 0.5 * (low + high)) * scale + 0.5 * size)
 
-def _normals(pixels: Array) -> Array:
+    canvas = Canvas(WIDTH, HEIGHT, title=candidate.words)
+    side = T[:3, 0] if abs(T[2, 0]) > abs(T[2, 1]) else T[:3, 1]
+    side = np.array([1.0, 0.0, 0.0]) if abs(axis[2]) > 0.9 else side
+    for start, end, half, fill in ((0.0, SENSOR, 1.45, "#999999"), (SENSOR, SENSOR + MOUNT, 2.6, "#cccccc")):
+        corners = [base - k * rod.length * axis + sign * half * float(rod.radius[0]) * side
+                   for k, sign in ((start, -1.0), (start, 1.0), (end, 1.0), (end, -1.0))]  # fmt: skip
+        canvas.area([at(np.array(corners))], fill, stroke="#555")
+    canvas.polylines([at(straight)], 1.0, GREY, "4 4")
+    pixels = at(line)
     along = np.gradient(pixels, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
-    return np.stack([-along[:, 1], along[:, 0]], axis=1)
-
-
-def _mount(canvas: _Canvas, T: Array, length: float, radius: float) -> None:
-    """Draw sensor and robot adapter behind the base."""
-    base, axis = T[:3, 3], T[:3, 2]
-    side = T[:3, 0] if abs(T[2, 0]) > abs(T[2, 1]) else T[:3, 1]
-    if abs(axis[2]) > 0.9:
-        side = np.array([1.0, 0.0, 0.0])
-    for start, end, half, fill in ((0.0, SENSOR, 1.45, "#999999"), (SENSOR, SENSOR + MOUNT, 2.6, "#cccccc")):
-        corners = [base - k * length * axis + sign * half * radius * side
-                   for k, sign in ((start, -1.0), (start, 1.0), (end, 1.0), (end, -1.0))]  # fmt: skip
-        canvas.polygon(canvas.at(np.array(corners)), fill, "#555")
-
-
-def _mark(canvas: _Canvas, mark: float, at: Array, normal: Array, width: float, label: Array) -> None:
-    """Draw the mark across the probe, with its arclength in the direction of `label`."""
-    reach = (width + 4.0) * normal
-    canvas.line(np.array([at - reach, at + reach]), MARK, 1.5)
-    side = np.array([34.0, 18.0]) * label
-    canvas.text(at + side + np.array([0.0, 4.0]), f"s = {mark / MM:g} mm")
-
-
-def _weight(canvas: _Canvas, at: Array, mass: float) -> None:
-    end = at + np.array([0.0, 34.0])
-    canvas.line(np.array([at, end]), LOAD, 1.2)
-    canvas.polygon(end + np.array([[-6.0, 0.0], [6.0, 0.0], [9.0, 16.0], [-9.0, 16.0]]), LOAD)
-    canvas.text(end + np.array([14.0, 13.0]), f"{1e3 * mass:g} g", LOAD_INK, "start")
-
-
-def _edge(canvas: _Canvas, at: Array, along: Array, candidate: CandidateTest, width: float) -> None:
-    """Draw the touching edge on the side that it pushes from, with an arrow along its displacement."""
-    assert candidate.test is not None
-    across, tip = np.array([-along[1], along[0]]), at - width * along
-    canvas.polygon(np.array([tip, tip - 16.0 * along + 7.0 * across, tip - 16.0 * along - 7.0 * across]), LOAD)
-    start = tip - 44.0 * along
-    canvas.line(np.array([start, tip - 20.0 * along]), LOAD, 2.0, arrow=True)
-    words = f"{candidate.displacement / MM:g} mm {candidate.test.direction}"
-    canvas.text(start - 10.0 * along + np.array([0.0, 4.0]), words, LOAD_INK)
-
-
-def _gravity(canvas: _Canvas) -> None:
-    start = np.array([WIDTH - 18.0, 14.0])
-    canvas.line(np.array([start, start + np.array([0.0, 30.0])]), GREY, 2.0, arrow=True)
-    canvas.text(start + np.array([-12.0, 22.0]), "g", GREY)
-
-
-def _axes(canvas: _Canvas, T: Array) -> None:
-    """Draw the axes of the base in a corner."""
-    origin = np.array([34.0, HEIGHT - 34.0])
+    normal = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    width = np.maximum(rod.radius_at(s) * scale, 1.2)[:, None]
+    canvas.area([np.concatenate([pixels + width * normal, (pixels - width * normal)[::-1]])], PROBE)
+    if math.isfinite(candidate.mark):
+        _load(canvas, candidate, pixels[touched], normal[touched], float(width[touched, 0]), PROJECTION @ R)
+    corner = np.array([WIDTH - 18.0, 14.0])
+    _arrow(canvas, corner, corner + np.array([0.0, 30.0]), GREY, 2.0)
+    _text(canvas, corner + np.array([-12.0, 22.0]), "g", GREY)
+    corner = np.array([34.0, HEIGHT - 34.0])  # the axes of the base
     for i, name in enumerate("xyz"):
-        flat = 22.0 * (PROJECTION @ T[:3, i])
-        canvas.line(np.array([origin, origin + flat]), MARK, 1.2, arrow=True)
-        canvas.text(origin + 1.45 * flat + np.array([0.0, 4.0]), name, size=11.0)
+        seen = 22.0 * (PROJECTION @ R[:, i])
+        _arrow(canvas, corner, corner + seen, MARK, 1.2)
+        _text(canvas, corner + 1.45 * seen + np.array([0.0, 4.0]), name, size=11.0)
+    return f"{canvas}\n".encode()
+
+
+def _load(canvas: Canvas, candidate: CandidateTest, at: Array, normal: Array, width: float, view: Array) -> None:
+    """Draw the mark across the probe with its arclength, and the weight or the edge that pushes there.
+
+    Args:
+        canvas: to draw on.
+        candidate: a weight or a touch.
+        at, normal, width: the marked section in pixels: centre (2,), unit vector across the probe (2,), half width.
+        view: projection of vectors in base axes, (2, 3).
+    """
+    test = candidate.test
+    assert test is not None
+    reach = (width + 4.0) * normal
+    canvas.polylines([[at - reach, at + reach]], 1.5, MARK)
+    label = np.array([1.0, -1.0]) / math.sqrt(2.0)
+    if candidate.mass:
+        end = at + np.array([0.0, 34.0])
+        canvas.polylines([[at, end]], 1.2, LOAD)
+        canvas.area([end + np.array([[-6.0, 0.0], [6.0, 0.0], [9.0, 16.0], [-9.0, 16.0]])], LOAD)
+        _text(canvas, end + np.array([14.0, 13.0]), f"{1e3 * candidate.mass:g} g", LOAD_INK, "start")
+    else:
+        angle = DIRECTIONS[test.direction]
+        push = view @ [math.cos(angle), math.sin(angle), 0.0]
+        label = push = push / float(np.linalg.norm(push))
+        across, tip = np.array([-push[1], push[0]]), at - width * push
+        canvas.area([[tip, tip - 16.0 * push + 7.0 * across, tip - 16.0 * push - 7.0 * across]], LOAD)
+        start = tip - 44.0 * push
+        _arrow(canvas, start, tip - 20.0 * push, LOAD, 2.0)
+        words = f"{candidate.displacement / MM:g} mm {test.direction}"
+        _text(canvas, start - 10.0 * push + np.array([0.0, 4.0]), words, LOAD_INK)
+    _text(canvas, at + np.array([34.0, 18.0]) * label + np.array([0.0, 4.0]), f"s = {candidate.mark / MM:g} mm")
+
+
+def _arrow(canvas: Canvas, start: Array, end: Array, colour: str, width: float) -> None:
+    along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
+    across = np.array([-along[1], along[0]])
+    canvas.polylines([[start, end]], width, colour)
+    canvas.area([[end + 3.0 * along, end - 6.0 * along + 4.0 * across, end - 6.0 * along - 4.0 * across]], colour)
+
+
+def _text(
+    canvas: Canvas, pixel: Array, words: str, colour: str = MARK, anchor: Anchor = "middle", size: float = 12.0
+) -> None:
+    """Write words at a pixel, moved into the drawing."""
+    half = 0.5 * 0.58 * size * len(words)
+    x = float(np.clip(pixel[0], half + 2.0, WIDTH - half - 2.0)) if anchor == "middle" else float(pixel[0])
+    y = float(np.clip(pixel[1], size, HEIGHT - 4.0))
+    canvas.text((x, y), words, size, anchor, fill=colour, stroke="#fff", stroke_width="3", paint_order="stroke")
