@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from probedesign.cli.console import plural, print_json, print_note, show_progress
+from probedesign.cli.console import plural, print_columns, print_json, print_note, show_progress
 from probedesign.cli.options import DesignFile, JsonOutput, TaskOptions
 from probedesign.core.errors import InputError
 from probedesign.core.files import exports_of, write_atomically
@@ -55,11 +55,9 @@ def compare(
         print_json({"task": task, "designs": document, "best": best, "page": file})
         return
     table = comparison_table(compared)
-    wide = max(len(row[0]) for row in table.rows)
     print(comparison_verdict(compared))
     print(task.text)
-    for row in (table.head, *table.rows):
-        print(f"  {row[0]:<{wide}}" + "".join(f"{cell:>18}" for cell in row[1:]))
+    print_columns(table.head, table.rows)
     print(f"wrote {file}" if file else "no page was written")
 
 
@@ -133,10 +131,9 @@ def _print_sweep(swept: "SweepResult", keys: list[str], task: str) -> None:
     good = sorted((r for r in swept.records if r["result"] == "ok"), key=lambda r: r["error_mm"])
     if good:
         print("\nsmallest error_mm")
-        wide = {key: max(16, len(key.rpartition(".")[2]) + 2) for key in [*keys, *SHOWN]}
-        print("".join(f"{key.rpartition('.')[2]:>{width}}" for key, width in wide.items()))
-        for record in good[:8]:
-            print("".join(f"{format_value(record[key]):>{width}}" for key, width in wide.items()))
+        shown = [*keys, *SHOWN]
+        rows = [[format_value(record[key]) for key in shown] for record in good[:8]]
+        print_columns([key.rpartition(".")[2] for key in shown], rows, left=0)
     for record in failed[:5]:
         print(f"  point {record['point']}: {record['result']}: {record['reason']}")
     if len(failed) > 5:

@@ -7,7 +7,7 @@ import json
 import math
 import signal
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -59,6 +59,24 @@ def print_table(rows: dict[str, str]) -> None:
     width = max(map(len, rows), default=0)
     for name, text in rows.items():
         print(f"  {name:<{width}}  {text}")
+
+
+def print_columns(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> None:
+    """Print a table as wide as its cells.
+
+    Args:
+        head: a name of each column; a second line of it, such as a unit, stands below the first.
+        rows: cells.
+        left: number of columns aligned to the left; the others are aligned to the right.
+    """
+    lines = max(name.count("\n") for name in head) + 1
+    heads = zip(*((name.split("\n") + [""] * lines)[:lines] for name in head), strict=True)
+    cells = [list(row) for row in (*heads, *rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    for row in cells:
+        padded = [cell.ljust(width) if i < left else cell.rjust(width)
+                  for i, (cell, width) in enumerate(zip(row, widths, strict=True))]  # fmt: skip
+        print(f"  {'  '.join(padded)}".rstrip())
 
 
 def plural(number: int, noun: str) -> str:

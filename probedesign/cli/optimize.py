@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from probedesign.cli.console import print_json, show_progress, write_files
+from probedesign.cli.console import print_columns, print_json, show_progress, write_files
 from probedesign.cli.options import DesignFile, JsonOutput, TaskOptions
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, check_writable
@@ -128,10 +128,9 @@ def _print(
     found: "Optimum", confirmed: "tuple[MonteCarloCheck | None, MonteCarloCheck] | None", front: "ParetoFront | None"
 ) -> None:
     print(f"{found.design.name}: {found.task.text}")
-    print(f"  {'':<16}{'start':>12}{'optimum':>12}")
     before, after = found.before.as_dict(), found.after.as_dict()
-    for name in after:
-        print(f"  {name:<16}{format_value(before[name]):>12}{format_value(after[name]):>12}")
+    rows = [[name, format_value(before[name]), format_value(after[name])] for name in after]
+    print_columns(["", "start", "optimum"], rows)
     if confirmed is not None:
         for name, one in zip(("start", "optimum"), confirmed, strict=True):
             if one is None:
@@ -153,6 +152,5 @@ def _print(
           f"{', '.join('infeasible' if v is None else f'{v:.4g}' for v in found.starts)}")  # fmt: skip
     if front is not None:
         print(f"\nPareto front: {len(front.rows)} of {front.n_evaluations} cones")
-        print("".join(f"{name:>12}" for name in front.rows[0]))
-        for row in front.rows[:: max(1, len(front.rows) // 12)]:
-            print("".join(f"{value:>12.4g}" for value in row.values()))
+        shown = front.rows[:: max(1, len(front.rows) // 12)]
+        print_columns(list(front.rows[0]), [[f"{value:.4g}" for value in row.values()] for row in shown], left=0)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from probedesign.cli.console import json_bytes, print_json, print_table, show_progress, write_files
+from probedesign.cli.console import json_bytes, print_columns, print_json, print_table, show_progress, write_files
 from probedesign.cli.options import DesignFile, JsonOutput
 from probedesign.core.errors import MissingDependencyError
 from probedesign.core.files import check_folder, exports_of
@@ -134,39 +134,33 @@ def _print_properties(prediction: "Prediction") -> None:
 def print_tables(prediction: "Prediction", verbose: bool = True) -> None:
     """Print errors and Monte Carlo of a prediction; verbose: sensitivity, error budgets, forces and workspace too."""
     print("\nContact error of one reading [mm], RMS, worst direction, all error sources")
-    print(_error_table(prediction, "predicted_error_mm"))
+    _print_errors(prediction, "predicted_error_mm")
     print("  - : detected, not located   . : not detected   ^ : beyond the sensor's range   / : the probe buckles")
     if prediction.monte_carlo:
         print("\nMonte Carlo, all error sources; * differs from the error budget by more than 10 %")
-        print(_monte_carlo_table(prediction))
-    if verbose:
-        _print_details(prediction)
-
-
-def _print_details(prediction: "Prediction") -> None:
+        _print_monte_carlo(prediction)
+    if not verbose:
+        return
     from probedesign.prediction.predict import HEADLINE_FORCE_N
 
-    print(
-        "\nContact error of one reading [mm], sensor noise and friction prior only, for a probe that equals its model"
-    )
-    print(_error_table(prediction, "noise_error_mm"))
+    print("\nContact error of one reading [mm], sensor noise and friction prior only; the probe equals its model")
+    _print_errors(prediction, "noise_error_mm")
     print("\nSensitivity at the lightest force, worst direction")
-    print(_sensitivity_table(prediction))
+    _print_sensitivity(prediction)
     _print_budget(prediction, prediction.conditions, HEADLINE_FORCE_N, "one reading at")
     _print_budget(prediction, prediction.fused, FUSED_BUDGET_FORCE_N, f"{prediction.pressing.text}, up to")
     print("  Tolerances are assumed unless the design states them: prediction.json, [tolerances].")
     print("\nForce limits and thresholds, full error budget, worst direction")
-    print(_threshold_table(prediction))
+    _print_thresholds(prediction)
     lightest = min((1e3 * c.force_N for c in prediction.fused), default=0.0)
     if any(f.force_mN_for_2_mm == lightest for f in prediction.fused_reach):
         print(f"  Fused touches: {lightest:g} mN is the lightest force evaluated; the true threshold may be lower.")
     _print_workspace(prediction.workspace)
 
 
-def _error_table(prediction: "Prediction", error: str) -> str:
-    """Return the largest error over the directions [mm], or a mark, by place and force."""
-    forces = sorted({c.force_N for c in prediction.conditions})
-    lines = ["  s/L  " + "".join(f"{1e3 * f:>7g} mN" for f in forces)]
+def _print_errors(prediction: "Prediction", error: str) -> None:
+    """Print the largest error over the directions [mm], or a mark, by place and force."""
+    forces, rows = sorted({c.force_N for c in prediction.conditions}), []
     for fraction in sorted({c.contact_fraction for c in prediction.conditions}):
         cells = []
         for force in forces:
@@ -174,15 +168,13 @@ def _error_table(prediction: "Prediction", error: str) -> str:
             failed = next((c.result for c in here if c.result != "ok"), None)
             worst = max((getattr(c, error) or 0.0 for c in here), default=0.0)
             cells.append(MARKS.get(failed, "/") if failed else f"{worst:.3g}")
-        lines.append(f"  {fraction:<5g}" + "".join(f"{cell:>10}" for cell in cells))
-    return "\n".join(lines)
+        rows.append([f"{fraction:g}", *cells])
+    print_columns(["s/L", *(f"{1e3 * force:g} mN" for force in forces)], rows)
 
 
-def _sensitivity_table(prediction: "Prediction") -> str:
-    """Return detectable force, and moments and force per contact force and per press depth, by place."""
-    lightest = min(c.force_N for c in prediction.conditions)
-    lines = ["  s/L    detectable    moment/force    moment/depth    force/depth",
-             "                 mN          N·mm/N         N·mm/mm          mN/mm"]  # fmt: skip
+def _print_sensitivity(prediction: "Prediction") -> None:
+    """Print detectable force, and moments and force per contact force and per press depth, by place."""
+    lightest, rows = min(c.force_N for c in prediction.conditions), []
     for fraction in sorted({c.contact_fraction for c in prediction.conditions}):
         here = [c for c in prediction.conditions if (c.contact_fraction, c.force_N) == (fraction, lightest)]
         detectable = [d.detectable_force_mN for d in prediction.detection if d.contact_fraction == fraction]
@@ -192,9 +184,9 @@ def _sensitivity_table(prediction: "Prediction") -> str:
             min((c.moment_per_mm_Nmm for c in here if c.moment_per_mm_Nmm is not None), default=None),
             min((1e3 * c.force_per_mm_N for c in here if c.force_per_mm_N is not None), default=None),
         )
-        cells = (_cell(value, width) for value, width in zip(values, (12, 16, 16, 15), strict=True))
-        lines.append(f"  {fraction:<5g}" + "".join(cells))
-    return "\n".join(lines)
+        rows.append([f"{fraction:g}", *map(_cell, values)])
+    head = ["s/L", "detectable\nmN", "moment/force\nN·mm/N", "moment/depth\nN·mm/mm", "force/depth\nmN/mm"]
+    print_columns(head, rows)
 
 
 def _print_budget(prediction: "Prediction", conditions: "Sequence[AnyCondition]", force_N: float, kind: str) -> None:
@@ -206,14 +198,13 @@ def _print_budget(prediction: "Prediction", conditions: "Sequence[AnyCondition]"
     force_mN = 1e3 * next(iter(worst.values())).force_N
     print(f"\nError budget [mm], RMS of {kind} {force_mN:g} mN by error source, worst direction")
     places = sorted(worst)
-    print("  s/L               " + "".join(f"{place:>7g}" for place in places))
     rows: dict[str, list[float | None]] = {
         cause: [(worst[place].budget_mm or {})[cause] for place in places] for cause in worst[places[0]].budget_mm or {}
     }
     rows["all"] = [worst[place].predicted_error_mm for place in places]
     rows["95 % radius"] = [worst[place].predicted_error_95_mm for place in places]
-    for name, values in rows.items():
-        print(f"  {name:<18}" + "".join(_small_cell(value, 7) for value in values))
+    print_columns(["s/L", *(f"{place:g}" for place in places)],
+                  [[name, *map(_small_cell, values)] for name, values in rows.items()])  # fmt: skip
     missing = ", ".join(f"{c:g}" for c in sorted({c.contact_fraction for c in prediction.conditions} - set(worst)))
     if missing:
         print(f"  Not located at this force: {missing}")
@@ -231,38 +222,32 @@ def _worst_directions(conditions: "Sequence[AnyCondition]", wanted_N: float) -> 
     return worst
 
 
-def _monte_carlo_table(prediction: "Prediction") -> str:
-    lines = ["  s/L     force  from  touches   budget   Monte Carlo         95 %   located"]
+def _print_monte_carlo(prediction: "Prediction") -> None:
+    rows = []
     for row in prediction.monte_carlo:
         error = "none" if row.error_mm is None else f"{row.error_mm:.3g} ± {row.standard_error_mm:.1g}"
-        lines.append(
-            f"  {row.contact_fraction:<5g}{1e3 * row.force_N:>5g} mN  {row.direction:<4}{row.touches:>9}"
-            f"{_cell(row.first_order_mm, 9)}{error:>14}{'*' if row.differs else ' '}{_cell(row.error_95_mm, 12)}"
-            f"{row.located / row.draws:>9.0%}"
-        )
-    return "\n".join(lines)
+        rows.append([f"{row.contact_fraction:g}", f"{1e3 * row.force_N:g} mN", row.direction, f"{row.touches}",
+                     _cell(row.first_order_mm), error + ("*" if row.differs else " "), _cell(row.error_95_mm),
+                     f"{row.located / row.draws:.0%}"])  # fmt: skip
+    print_columns(["s/L", "force", "from", "touches", "budget", "Monte Carlo ", "95 %", "located"], rows)
 
 
-def _threshold_table(prediction: "Prediction") -> str:
-    """Return the forces at which contacts are detected and located to 5, 2 and 1 mm, and the largest force."""
-    k = prediction.pressing.touches
-    lines = [f"  s/L  detect    5 mm    2 mm    1 mm  2 mm, {k:>2} fused    largest  limit       deflection",
-             "            mN      mN      mN      mN              mN         mN                     mm"]  # fmt: skip
+def _print_thresholds(prediction: "Prediction") -> None:
+    """Print the forces at which contacts are detected and located to 5, 2 and 1 mm, and the largest force."""
+    rows = []
     for place in sorted({r.contact_fraction for r in prediction.reach}):
         here = [r for r in prediction.reach if r.contact_fraction == place]
         weakest = min(here, key=lambda r: r.greatest_force_N or 0.0)
-        thresholds = [
+        values = [
             _max([d for d in prediction.detection if d.contact_fraction == place], "detectable_force_mN"),
             *(_max(here, f"force_mN_for_{mm}_mm") for mm in (5, 2, 1)),
             _max([f for f in prediction.fused_reach if f.contact_fraction == place], "force_mN_for_2_mm"),
+            None if weakest.greatest_force_N is None else 1e3 * weakest.greatest_force_N,
         ]
-        lines.append(
-            f"  {place:<5g}"
-            + "".join(_cell(value, width) for value, width in zip(thresholds, (7, 8, 8, 8, 16), strict=True))
-            + _cell(None if weakest.greatest_force_N is None else 1e3 * weakest.greatest_force_N, 11)
-            + f"  {LIMITS[weakest.limit]:<11}{_cell(weakest.deflection_mm, 10)}"
-        )
-    return "\n".join(lines)
+        rows.append([f"{place:g}", *map(_cell, values), LIMITS[weakest.limit], _cell(weakest.deflection_mm)])
+    fused = f"2 mm, {prediction.pressing.touches} fused\nmN"
+    print_columns(["s/L", "detect\nmN", "5 mm\nmN", "2 mm\nmN", "1 mm\nmN", fused, "largest\nmN", "limit",
+                   "deflection\nmm"], rows)  # fmt: skip
 
 
 def _print_workspace(workspace: "Workspace") -> None:
@@ -286,12 +271,12 @@ def _max(rows: "Sequence[Any]", name: str) -> float | None:
     return None if None in values else max(values)
 
 
-def _cell(value: float | None, width: int) -> str:
-    return f"{format_value(value, '.3g'):>{width}}"
+def _cell(value: float | None) -> str:
+    return format_value(value, ".3g")
 
 
-def _small_cell(value: float | None, width: int) -> str:
+def _small_cell(value: float | None) -> str:
     """Return the value [mm] to 0.01 mm; smaller parts of an error budget are negligible."""
     if value is None or value >= 100:
-        return _cell(value, width)
-    return f"{'<0.01' if value < 0.005 else f'{value:.2f}':>{width}}"
+        return _cell(value)
+    return "<0.01" if value < 0.005 else f"{value:.2f}"

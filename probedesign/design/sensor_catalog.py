@@ -326,4 +326,3 @@ def _known() -> dict[str, SensorModel]:
 
 
 SENSORS: dict[str, SensorModel] = _known()
-NANO17 = SENSORS[DEFAULT_SENSOR]

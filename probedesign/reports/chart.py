@@ -1,4 +1,4 @@
-"""Charts as data, drawn as an SVG element or into matplotlib axes.
+"""Charts as data, drawn as an SVG element; `reports.png` draws them into matplotlib axes.
 
 A chart lists axes, lines, areas, boxes and labels. The SVG has real text and needs no plotting library, so a page with
 a dozen charts takes a few milliseconds; both drawings are legible at half size and in print.
@@ -8,13 +8,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Distinct colours for colour-blind readers; markers and dashes distinguish lines in grey. Source: M. Okabe, K. Ito,
@@ -24,7 +21,7 @@ ORDERED = ("#440154", "#443983", "#31688e", "#21918c", "#35b779", "#90d743", "#f
 Source: viridis, S. van der Walt, N. Smith, 2015."""
 _LINES_TO = 3.5  # of `ORDERED`: lighter colours have a contrast below 3 on white paper (WCAG 2.2, 1.4.11)
 DASHES = ("", "7 4", "2 3", "9 3 2 3", "5 2", "1 2", "12 4")
-_NO_LINE = "0 99"  # dashes of a legend entry that shows a marker only
+NO_LINE = "0 99"  # dashes of a legend entry that shows a marker only
 MARKS = "osd^vx+"
 _WIDTH, _HEIGHT, _LEFT, _RIGHT, _TOP, _BOTTOM = 440.0, 290.0, 58.0, 16.0, 10.0, 46.0
 _LEGEND = 19.0  # height of a legend row
@@ -155,7 +152,7 @@ class LegendEntry(NamedTuple):
     mark: str = ""
 
 
-class _Line(NamedTuple):
+class ChartLine(NamedTuple):
     x: list[float]
     y: list[float]
     colour: str
@@ -165,7 +162,7 @@ class _Line(NamedTuple):
     name: str
 
 
-class _Area(NamedTuple):
+class ChartArea(NamedTuple):
     points: Sequence[tuple[float, float]]
     colour: str
     opacity: float
@@ -197,7 +194,7 @@ class Chart:
     square: bool = False  #: whether both axes have the same scale; the shorter axis is then extended at both ends.
     down: bool = False  #: whether y grows downwards.
     legend: list[LegendEntry] = field(default_factory=list)  #: its entries.
-    _elements: list[_Line | _Area | _Rectangle | _Label] = field(default_factory=list)
+    elements: list[ChartLine | ChartArea | _Rectangle | _Label] = field(default_factory=list)
 
     @classmethod
     def side_view(cls, points: ArrayLike, across: int) -> "Chart":
@@ -220,7 +217,7 @@ class Chart:
         width: float = 2.0,
     ) -> None:  # fmt: skip
         """Add a line, broken where a point is not finite, and its legend entry if it is named."""
-        self._elements.append(_Line(_floats(x), _floats(y), colour, dashes, mark, width, name))
+        self.elements.append(ChartLine(_floats(x), _floats(y), colour, dashes, mark, width, name))
         if name:
             self.legend.append(LegendEntry(name, colour, dashes, mark))
 
@@ -228,19 +225,19 @@ class Chart:
         """Add markers without a line at all finite points, and their legend entry if they are named."""
         for a, b in zip(_floats(x), _floats(y), strict=True):
             if math.isfinite(a) and math.isfinite(b):
-                self._elements.append(_Line([a], [b], colour, "", mark, 2.0, name))
+                self.elements.append(ChartLine([a], [b], colour, "", mark, 2.0, name))
         if name:
-            self.legend.append(LegendEntry(name, colour, _NO_LINE, mark))
+            self.legend.append(LegendEntry(name, colour, NO_LINE, mark))
 
     def area(self, points: Sequence[tuple[float, float]], colour: str, opacity: float = 0.2, name: str = "") -> None:
         """Add a filled polygon."""
-        self._elements.append(_Area(points, colour, opacity))
+        self.elements.append(ChartArea(points, colour, opacity))
         if name:
             self.legend.append(LegendEntry(name, colour))
 
     def box(self, x: tuple[float, float], y: tuple[float, float], fill: str, edge: str = "#fff") -> None:
         """Add a filled rectangle."""
-        self._elements.append(_Rectangle(x, y, fill, edge))
+        self.elements.append(_Rectangle(x, y, fill, edge))
 
     def text(
         self, x: float, y: float, text: str, colour: str = "#111", size: float = 12.0, turned: bool = False,
@@ -248,7 +245,7 @@ class Chart:
     ) -> None:  # fmt: skip
         """Add a label centred on a point; `turned` reads upwards, the fill `on` below it chooses its colour."""
         dark = ink_on(on, dark=True) if on else ""
-        self._elements.append(_Label(x, y, text, ink_on(on) if on else colour, dark, size, turned))
+        self.elements.append(_Label(x, y, text, ink_on(on) if on else colour, dark, size, turned))
 
     def at(self, x: float, y: float) -> tuple[float, float]:
         """Return the position of a point in the SVG, below the legend."""
@@ -268,18 +265,18 @@ class Chart:
         above = _LEGEND * len(rows)
         whole = above + _TOP + self._high + _BOTTOM + self.x.extra_height
         legend = "".join(_legend_row(row, _LEGEND * (i + 0.7)) for i, row in enumerate(rows))
-        drawn = "".join(map(self._element, self._elements))
+        drawn = "".join(map(self._element, self.elements))
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH:g} {whole:g}" '
             f'font-family="Helvetica, Arial, sans-serif" font-size="13">{legend}'
             f'<g transform="translate(0 {above:g})">{self._grid()}{drawn}{self._frame()}</g></svg>'
         ).encode()
 
-    def _element(self, element: _Line | _Area | _Rectangle | _Label) -> str:
+    def _element(self, element: ChartLine | ChartArea | _Rectangle | _Label) -> str:
         match element:
-            case _Line():
+            case ChartLine():
                 return self._polyline(element)
-            case _Area(points, colour, opacity):
+            case ChartArea(points, colour, opacity):
                 corners = " ".join(f"{p:.1f},{q:.1f}" for p, q in (self.at(*point) for point in points))
                 return f'<polygon points="{corners}" fill="{colour}" fill-opacity="{opacity:g}"/>'
             case _Rectangle(x, y, fill, edge):
@@ -293,7 +290,7 @@ class Chart:
                 return (f'<text x="{p:.1f}" y="{q + 0.36 * size:.1f}" text-anchor="middle" fill="{colour}" '
                         f'font-size="{size:g}"{turn}{swap}>{escape(text)}</text>')  # fmt: skip
 
-    def _polyline(self, line: _Line) -> str:
+    def _polyline(self, line: ChartLine) -> str:
         drawn, run = [], list[tuple[float, float]]()
         for a, b in [*zip(line.x, line.y, strict=True), (math.nan, math.nan)]:
             if math.isfinite(a) and math.isfinite(b):
@@ -309,7 +306,7 @@ class Chart:
                   if line.mark and math.isfinite(a) and math.isfinite(b)]  # fmt: skip
         return "".join(drawn)
 
-    def _tipped_mark(self, line: _Line, x: float, y: float) -> str:
+    def _tipped_mark(self, line: ChartLine, x: float, y: float) -> str:
         """Return a marker with its values, which a browser shows under the pointer."""
         p, q = self.at(x, y)
         name = f"{line.name}\n" if line.name else ""
@@ -349,45 +346,6 @@ class Chart:
         parts.append(f'<text x="15" y="{half}" text-anchor="middle" font-size="14" '
                      f'transform="rotate(-90 15 {half})">{escape(self.y.label)}</text>')  # fmt: skip
         return "".join(parts)
-
-    def draw_on(self, ax: "Axes", title: str, legend_size: float = 8.0) -> None:
-        """Draw the chart into matplotlib axes; boxes and labels are for the SVG alone."""
-        for element in self._elements:
-            match element:
-                case _Line(x, y, colour, dashes, mark, width, _):
-                    ax.plot(x, y, color=colour, lw=0.75 * width, ls=_linestyle(dashes), marker=mark, ms=4.5)
-                case _Area(points, colour, opacity):
-                    ax.fill(*zip(*points, strict=True), color=colour, alpha=opacity, lw=0)
-                case _:
-                    raise TypeError(f"matplotlib draws no {type(element).__name__} of a chart")
-        for entry in self.legend:
-            if entry.dashes is None:
-                ax.fill([], [], color=entry.colour, alpha=0.4, lw=0, label=entry.name)
-            else:
-                style = _linestyle(entry.dashes)
-                ax.plot([], [], color=entry.colour, ls=style, marker=entry.mark, ms=4.5, label=entry.name)
-        ax.set(xlabel=self.x.label, ylabel=self.y.label, title=title)
-        if self.square:  # matplotlib chooses limits that suit the shape of its axes
-            ax.set_aspect("equal", adjustable="datalim")
-        else:
-            for axis, name in ((self.x, "x"), (self.y, "y")):
-                ax.set(**{f"{name}scale": "log" if axis.log else "linear", f"{name}lim": (axis.low, axis.high)})
-                ax.set(**{f"{name}ticks": axis.shown_ticks, f"{name}ticklabels": axis.tick_labels})
-            ax.minorticks_off()
-            if self.x.upright:
-                ax.tick_params(axis="x", rotation=90.0, labelsize=8.0)
-        if self.down:
-            ax.invert_yaxis()
-        ax.grid(True, alpha=0.25)
-        if self.legend and legend_size:
-            ax.legend(fontsize=legend_size)
-
-
-def _linestyle(dashes: str) -> str | tuple[float, tuple[float, ...]]:
-    """Return matplotlib's line style of SVG dashes."""
-    if dashes == _NO_LINE:
-        return "none"
-    return (0.0, tuple(0.5 * float(n) for n in dashes.split())) if dashes else "-"
 
 
 def _extended(axis: ChartAxis, length: float) -> ChartAxis:

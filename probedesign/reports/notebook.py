@@ -27,6 +27,7 @@ from probedesign.prediction.predict import Prediction, condition_rows, worst
 from probedesign.probe import Probe
 from probedesign.reports.chart import COLOURS, DASHES, Chart, ChartAxis
 from probedesign.reports.identification_page import residual_chart
+from probedesign.reports.png import draw_chart
 from probedesign.reports.prediction_charts import STATIONS, error_chart, flanks
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ def plot_of(thing: object, ax: "Axes | None") -> "Axes":
     if summary.chart is None:
         ax.set(title=f"{summary.title}: no picture")
     else:
-        summary.chart().draw_on(ax, summary.title)
+        draw_chart(summary.chart(), ax, summary.title)
     return ax
 
 

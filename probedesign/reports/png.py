@@ -11,10 +11,11 @@ from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.predict import Prediction
-from probedesign.reports.chart import COLOURS, ORDERED
+from probedesign.reports.chart import COLOURS, NO_LINE, ORDERED, Chart, ChartArea, ChartLine
 from probedesign.reports.prediction_page import prediction_figures
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from probedesign.validation.validate import ValidationReport
@@ -34,7 +35,7 @@ def draw_prediction(prediction: Prediction, estimator: Estimator) -> bytes:
     figure = _new_figure(12, 1.25 + 3.68 * rows, (0.7, 0.1, 0.5, 0.75))
     axes: Any = figure.subplots(rows, 2, gridspec_kw={"wspace": 0.135, "hspace": 0.22}).ravel()
     for ax, panel in zip(axes, panels, strict=False):
-        panel.chart.draw_on(ax, panel.panel)
+        draw_chart(panel.chart, ax, panel.panel)
         ax.set_title(panel.panel, y=1.0)  # a fixed position, which matplotlib would otherwise search for
     for ax in axes[len(panels) :]:
         ax.set_axis_off()
@@ -100,10 +101,9 @@ def draw_validation(validation: "ValidationReport") -> bytes:
     for ax, trial in zip(axes, chosen, strict=False):
         off = "" if trial.contact_error is None else f", error {trial.contact_error.size / MM:.2g} mm"
         title = f"{trial.test.name}: {trial.force / MILLINEWTON:.3g} mN at {trial.fraction:.2g} L{off}"
-        shape_chart(trial, model).draw_on(ax, title, legend_size=0.0)
-    error_size_chart([t for t in validation.tests if t.contact_error is not None]).draw_on(
-        axes[len(chosen)], "Contact error: measured against stated"
-    )
+        draw_chart(shape_chart(trial, model), ax, title, legend_size=0.0)
+    errors = error_size_chart([t for t in validation.tests if t.contact_error is not None])
+    draw_chart(errors, axes[len(chosen)], "Contact error: measured against stated")
     for ax in axes[: len(chosen) + 1]:
         ax.title.set_fontsize(9)
         ax.tick_params(labelsize=8)
@@ -147,3 +147,43 @@ def _png_bytes(figure: "Figure") -> bytes:
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=110, metadata={"Software": None})
     return picture.getvalue()
+
+
+def draw_chart(chart: Chart, ax: "Axes", title: str, legend_size: float = 8.0) -> None:
+    """Draw a chart into matplotlib axes; boxes and labels are for the SVG alone."""
+    for element in chart.elements:
+        match element:
+            case ChartLine(x, y, colour, dashes, mark, width, _):
+                ax.plot(x, y, color=colour, lw=0.75 * width, ls=_linestyle(dashes), marker=mark, ms=4.5)
+            case ChartArea(points, colour, opacity):
+                ax.fill(*zip(*points, strict=True), color=colour, alpha=opacity, lw=0)
+            case _:
+                raise TypeError(f"matplotlib draws no {type(element).__name__} of a chart")
+    for entry in chart.legend:
+        if entry.dashes is None:
+            ax.fill([], [], color=entry.colour, alpha=0.4, lw=0, label=entry.name)
+        else:
+            style = _linestyle(entry.dashes)
+            ax.plot([], [], color=entry.colour, ls=style, marker=entry.mark, ms=4.5, label=entry.name)
+    ax.set(xlabel=chart.x.label, ylabel=chart.y.label, title=title)
+    if chart.square:  # matplotlib chooses limits that suit the shape of its axes
+        ax.set_aspect("equal", adjustable="datalim")
+    else:
+        for axis, name in ((chart.x, "x"), (chart.y, "y")):
+            ax.set(**{f"{name}scale": "log" if axis.log else "linear", f"{name}lim": (axis.low, axis.high)})
+            ax.set(**{f"{name}ticks": axis.shown_ticks, f"{name}ticklabels": axis.tick_labels})
+        ax.minorticks_off()
+        if chart.x.upright:
+            ax.tick_params(axis="x", rotation=90.0, labelsize=8.0)
+    if chart.down:
+        ax.invert_yaxis()
+    ax.grid(True, alpha=0.25)
+    if chart.legend and legend_size:
+        ax.legend(fontsize=legend_size)
+
+
+def _linestyle(dashes: str) -> str | tuple[float, tuple[float, ...]]:
+    """Return matplotlib's line style of SVG dashes."""
+    if dashes == NO_LINE:
+        return "none"
+    return (0.0, tuple(0.5 * float(n) for n in dashes.split())) if dashes else "-"

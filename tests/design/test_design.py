@@ -11,7 +11,7 @@ from probedesign.core.errors import InputError
 from probedesign.design import Design, check_design, load_design, parse_design
 from probedesign.design.catalog import RESINS, ROBOT_FLANGES
 from probedesign.design.io import default_name, default_tip_d_mm, draft_design, render_design, sensor_keys, write_design
-from probedesign.design.sensor_catalog import NANO17
+from probedesign.design.sensor_catalog import SENSORS
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 LARGE = (DESIGNS / "large.toml").read_text(encoding="utf-8")
@@ -411,7 +411,7 @@ def test_a_boolean_is_written_as_toml(tmp_path, tared):
     base=st.floats(0.3, 60.0),
     taper=st.none() | st.floats(0.0, 1.0),
     resin=st.sampled_from(sorted(RESINS)),
-    sensor=st.sampled_from(["nano17", *(c.name for c in NANO17.calibrations)]),
+    sensor=st.sampled_from(["nano17", *(c.name for c in SENSORS["nano17"].calibrations)]),
     robot_flange=st.sampled_from(sorted(ROBOT_FLANGES)),
 )
 def test_any_valid_parameters_read_back(shape, length, base, taper, resin, sensor, robot_flange):

@@ -20,6 +20,7 @@ from probedesign.probe import build_probe
 from probedesign.reports.chart import Chart, ChartAxis
 from probedesign.reports.comparison_page import best_design
 from probedesign.reports.html_page import ReportFigure, html_document
+from probedesign.reports.png import draw_chart
 from probedesign.reports.prediction_page import prediction_page
 from tests.reports.page_checks import browser
 
@@ -170,7 +171,7 @@ def test_matplotlib_draws_the_same_elements():
     chart = Chart(ChartAxis("x", 0.0, 4.0), ChartAxis("y [mm]", 0.1, 10.0, log=True), down=True)
     chart.line([0, 1, 2], [0.1, math.nan, 4.0], "#000", "7 4", "o", "a")
     chart.area([(0.0, 1.0), (4.0, 1.0), (4.0, 2.0)], "#f00", name="b")
-    chart.draw_on(axes, "title")
+    draw_chart(chart, axes, "title")
     drawn = axes.get_lines()[0]
     assert drawn.get_xdata().tolist() == [0, 1, 2] and drawn.get_marker() == "o"
     assert axes.patches[0].get_xy()[:3].tolist() == [[0.0, 1.0], [4.0, 1.0], [4.0, 2.0]]
