@@ -13,11 +13,9 @@ if TYPE_CHECKING:
     import cadquery as cq
 
 
-def _quiet(_: str) -> None:
-    """Ignore progress."""
-
-
-def export_parts(design: Design, out: Path | None = None, progress: Callable[[str], None] = _quiet) -> dict[str, Any]:
+def export_parts(
+    design: Design, out: Path | None = None, progress: Callable[[str], None] = lambda step: None
+) -> dict[str, Any]:
     """Build a design's parts, verify them, and write the files of one export.
 
     Args:
@@ -31,7 +29,7 @@ def export_parts(design: Design, out: Path | None = None, progress: Callable[[st
     Raises:
         InputError: the folder cannot be written, or the mount cannot clamp the probe.
         CheckFailedError: a part disagrees with its closed form; nothing is written.
-        MissingDependencyError: CadQuery or lib3mf is not installed.
+        MissingDependencyError: CadQuery, trimesh or lib3mf is not installed.
     """
     with _kernel():
         from probedesign.cad.export import export_parts as export
@@ -39,20 +37,10 @@ def export_parts(design: Design, out: Path | None = None, progress: Callable[[st
 
 
 def export_part(design: Design, part: str, out: Path | None = None) -> dict[str, Any]:
-    """Build one printed part, check its mesh, and write its STL file only.
+    """Write the STL file of one printed part only: probe, sensor_adapter, clamp_ring or flange_adapter.
 
-    Args:
-        design: the design to export.
-        part: probe, sensor_adapter, clamp_ring or flange_adapter.
-        out: output folder; `exports/NAME` if None.
-
-    Returns:
-        The file, its volume and its scale.
-
-    Raises:
-        InputError: the file cannot be written, or belongs to an export of another design.
-        CheckFailedError: the part is not one valid solid, or its mesh is not closed.
-        MissingDependencyError: CadQuery or lib3mf is not installed.
+    Returns the file, its volume and its scale; raises what `export_parts` raises, and an InputError where the file
+    belongs to an export of another design.
     """
     with _kernel():
         from probedesign.cad.mesh import export_part as export
@@ -72,7 +60,7 @@ def export_coupon(design: Design, out: Path | None = None) -> dict[str, Any]:
     Raises:
         InputError: the folder cannot be written, or a sheet there was filled in.
         CheckFailedError: a part disagrees with its closed form; nothing is written.
-        MissingDependencyError: CadQuery is not installed.
+        MissingDependencyError: CadQuery or trimesh is not installed.
     """
     with _kernel():
         from probedesign.cad.coupon import export_coupon as export
@@ -120,6 +108,13 @@ def flange_adapter(design: Design) -> "cq.Workplane":
     return _part(design, "flange_adapter")
 
 
+def _part(design: Design, part: str) -> "cq.Workplane":
+    with _kernel():
+        from probedesign.cad.workplanes import part_workplane
+    design.sensor_model.check_holes_known()
+    return part_workplane(design, part)
+
+
 def assembly(design: Design, **changed: "cq.Workplane") -> "cq.Assembly":
     """Return all parts, screws, pins and the sensor's envelope, named, coloured and placed in the sensor frame.
 
@@ -151,7 +146,7 @@ def export_changed(design: Design, out: Path, **changed: "cq.Workplane") -> dict
     Args:
         design: the design.
         out: output folder.
-        changed: printed parts that replace the design's, by name, each in its own frame.
+        changed: as for `assembly`.
 
     Returns:
         The manifest, with the output folder under `folder`; `changed` has the mass of each part beside that of the
@@ -160,19 +155,12 @@ def export_changed(design: Design, out: Path, **changed: "cq.Workplane") -> dict
     Raises:
         InputError: as `assembly`, or no part is given, or the folder cannot be written.
         CheckFailedError: a check fails; nothing is written.
-        MissingDependencyError: CadQuery is not installed.
+        MissingDependencyError: CadQuery or trimesh is not installed.
     """
     with _kernel():
         from probedesign.cad.workplanes import export_changed as export
     design.sensor_model.check_holes_known()
     return export(design, changed, out)
-
-
-def _part(design: Design, part: str) -> "cq.Workplane":
-    with _kernel():
-        from probedesign.cad.workplanes import part_workplane
-    design.sensor_model.check_holes_known()
-    return part_workplane(design, part)
 
 
 @contextmanager
@@ -181,13 +169,11 @@ def _kernel() -> Iterator[None]:
     try:
         with defer_sigint():  # Ctrl-C while the kernel loads would crash it
             yield
-    except ModuleNotFoundError as error:
-        if (error.name or "").startswith("probedesign"):
-            raise
-        raise MissingDependencyError.of_extra("export", "CadQuery", "cad") from None
     except ImportError as error:
         if (error.name or "").startswith("probedesign"):
             raise
+        if isinstance(error, ModuleNotFoundError):
+            raise MissingDependencyError.of_extra("export", "CadQuery", "cad") from None
         # CadQuery is installed, a system library is missing
         raise MissingDependencyError(
             f"CadQuery does not load: {error}; on Debian and Ubuntu: apt-get install libgl1 libexpat1"

@@ -28,6 +28,7 @@ from OCP.XCAFApp import XCAFApp_Application
 from OCP.XCAFDoc import XCAFDoc_ColorSurf, XCAFDoc_DocumentTool
 from OCP.XSControl import XSControl_WorkSession
 
+from probedesign.cad.kernel import PRODUCT
 from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.core.units import MM
 from probedesign.design import Design
@@ -37,8 +38,6 @@ EPOCH = "1970-01-01"
 """Date in the header of a file without one, as ISO 10303-21 requires a time."""
 DATE_VARIABLE = "SOURCE_DATE_EPOCH"
 """Environment variable with the time of the sources in seconds since 1970 (reproducible-builds.org)."""
-PRODUCT = "product"
-"""Key in the metadata of an assembly's piece: the name of its product."""
 _OCCURRENCE = re.compile(r"(NEXT_ASSEMBLY_USAGE_OCCURRENCE\(')\d+('.*?\);)", re.DOTALL)
 """A part in its assembly, with a number that the kernel counts through all assemblies of a process."""
 _LINE_BREAK = re.compile(r"\s*\n\s*")

@@ -8,7 +8,7 @@ from typing import Any
 import cadquery as cq
 import numpy as np
 
-from probedesign.cad.assembly_docs import Documents, bill_records, build_documents
+from probedesign.cad.documents import Documents, bill_records, build_documents
 from probedesign.cad.exchange import file_date, glb_bytes, step_bytes
 from probedesign.cad.folder import check_target, digests, write_export
 from probedesign.cad.kernel import mass_properties

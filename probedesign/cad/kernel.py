@@ -22,6 +22,8 @@ from probedesign.core.units import MM
 from probedesign.geometry.mass import MassProperties
 from probedesign.mount.engraving import DEPTH, XY, Engraving
 
+PRODUCT = "product"
+"""Key in the metadata of an assembly's piece: the name of its product."""
 ARCS = 8
 """Arcs of an ellipse. The kernel's quadrature is accurate to 1e-14 over an eighth, over a quarter only to 1e-8."""
 

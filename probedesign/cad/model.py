@@ -8,8 +8,7 @@ from itertools import combinations
 import cadquery as cq
 import numpy as np
 
-from probedesign.cad.exchange import PRODUCT
-from probedesign.cad.kernel import location, mass_properties, meshed, placed
+from probedesign.cad.kernel import PRODUCT, location, mass_properties, meshed, placed
 from probedesign.cad.solids import (
     ScrewGroup,
     clamp_ring_solid,

@@ -11,7 +11,7 @@ import cadquery as cq
 import numpy as np
 import trimesh
 
-from probedesign.cad.exploded_view import assembly_steps
+from probedesign.cad.documents import assembly_steps
 from probedesign.cad.kernel import block, cylinder, hexagon, placed, revolved, section_properties
 from probedesign.cad.mesh import MESH_LIMIT, volume_omitted
 from probedesign.cad.model import CadModel, CadPart, volume_inside

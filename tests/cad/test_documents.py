@@ -20,8 +20,7 @@ pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip i
 import trimesh
 from PIL import Image
 
-from probedesign.cad.assembly_docs import assembly_page, bill_of_materials
-from probedesign.cad.exploded_view import DOWN, EXPLOSION, assembly_steps
+from probedesign.cad.documents import DOWN, EXPLOSION, assembly_page, assembly_steps, bill_of_materials
 from probedesign.cad.inspection import inspection_sheets
 from probedesign.cad.model import CadModel, build_cad, overlaps
 from probedesign.cad.packages import read_back
@@ -91,7 +90,7 @@ def test_every_part_has_a_step_and_an_exploded_position(large: CadModel) -> None
 
 def test_exploded_parts_do_not_overlap(large: CadModel) -> None:
     """Each move takes its parts clear of all that is fixed before, along the axis."""
-    from probedesign.cad.exploded_view import exploded_bodies
+    from probedesign.cad.documents import exploded_bodies
     from probedesign.cad.render import render_body
 
     bodies = {name: render_body(part) for name, part in large.parts.items()}

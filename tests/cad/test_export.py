@@ -21,7 +21,7 @@ import cadquery as cq
 import trimesh
 
 from probedesign.cad import export_parts
-from probedesign.cad.assembly_docs import Documents
+from probedesign.cad.documents import Documents
 from probedesign.cad.exchange import reproducible, step_bytes
 from probedesign.cad.kernel import location
 from probedesign.cad.model import CadModel

@@ -13,7 +13,7 @@ pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip i
 import cadquery as cq
 import trimesh
 
-from probedesign.cad.exploded_view import assembly_steps
+from probedesign.cad.documents import assembly_steps
 from probedesign.cad.kernel import mass_properties
 from probedesign.cad.mesh import tessellate
 from probedesign.cad.model import FASTENERS, IN_SENSOR_FRAME, CadModel, CadPart, build_cad, build_parts, overlaps
