@@ -180,7 +180,6 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
 
 
 def _check_folder(folder: Path, design: Path, text: str) -> None:
-    """Refuse a folder that has other files than those of the demo."""
     if folder.is_dir() and any(folder.iterdir()) and not (design.is_file() and design.read_text("utf-8") == text):
         raise InputError(
             f"{folder} has files that the demo did not write. --force replaces them; --out names another folder"

@@ -100,7 +100,6 @@ def estimate(
 
 
 def _print_touches(touches: "list[RecordedTouch]") -> None:
-    """Print one line per touch."""
     for number, touch in enumerate(touches[:MAX_PRINTED], 1):
         print(f"  touch {number}: {touch.words}")
     if len(touches) > MAX_PRINTED:

@@ -112,7 +112,6 @@ def _open(
 
 
 def _print_touch(touch: "LocatedTouch") -> None:
-    """Print a note at the end of a touch of a live run."""
     print_note(f"touch {touch.segment.number} ended: {touch.result}")
 
 

@@ -236,5 +236,4 @@ def _print(
 
 
 def _is_terminal() -> bool:
-    """Return whether stdout is a terminal that can redraw a table."""
     return sys.stdout.isatty() and os.environ.get("TERM") != "dumb"

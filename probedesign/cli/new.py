@@ -147,7 +147,6 @@ def summary(design: "Design") -> dict[str, Any]:
 
 
 def _in_options(message: str) -> str:
-    """Replace the keys in an error message by the options that set them."""
     for key, option in OPTIONS.items():
         bare = key.rpartition(".")[2]
         message = message.replace(key, option).replace(f" {bare} = ", f" {option} = ")

@@ -45,7 +45,6 @@ def frozen_probe(given: Path) -> Path:
 
 
 def _in_project(path: Path, default: Path) -> Path:
-    """Return a path relative to the working directory or the first folder above it that has it."""
     for folder in (Path.cwd(), *Path.cwd().parents):
         if (folder / path).exists():
             return Path(os.path.relpath(folder / path))

@@ -133,12 +133,10 @@ def _place_of(loc: tuple[int | str, ...]) -> tuple[str, int | None, str]:
 
 
 def _of(table: int | None) -> str:
-    """Return the words for a table in a list of tables."""
     return "" if table is None else f" of table {table + 1}"
 
 
 def _others(details: list[Any]) -> str:
-    """Return the keys of all errors but the first."""
     keys = dict.fromkeys(".".join(map(str, detail["loc"])) for detail in details[1:])
     listed = one_line(", ".join(keys))
     return f" (also wrong: {listed})" if keys else ""

@@ -250,7 +250,6 @@ class NonlinearProgram:
         return f"{where}: {'; '.join(conflicts)}"
 
     def _max_violation(self, x: Array) -> float:
-        """Return the largest violation of a constraint."""
         return max(_BROKEN, *(-c.min_margin(x) for c in self.constraints))
 
     def _least_infeasible(self, x0: Array) -> Array:

@@ -237,7 +237,6 @@ def _load_factor_at(model: ProbeModel, s: float, force: float, limit: float) -> 
 
 
 def _lost_stiffness(free: float, pushed: float) -> float:
-    """Return the relative loss of stiffness."""
     return min(max(1.0 - free / pushed, _NONE_LOST), 1.0)
 
 

@@ -349,7 +349,6 @@ class Chart:
 
 
 def _extended(axis: ChartAxis, length: float) -> ChartAxis:
-    """Return the axis extended equally at both ends to a length."""
     more = (length - (axis.high - axis.low)) / 2.0
     return replace(axis, low=axis.low - more, high=axis.high + more)
 

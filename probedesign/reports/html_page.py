@@ -174,5 +174,4 @@ def _figures(sections: Sequence[ReportFigure]) -> str:
 
 
 def _labelled(section: ReportFigure) -> str:
-    """Return the figure with its heading as text alternative."""
     return section.svg.decode().replace("<svg ", f'<svg role="img" aria-label="{escape(section.heading)}" ', 1)

@@ -12,6 +12,7 @@ import numpy as np
 
 from probedesign.core import statistics
 from probedesign.core.frames import Array
+from probedesign.core.svg import Canvas, element
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.mapping.contact_map import (
     COVARIANCE_ENTRIES,
@@ -108,20 +109,20 @@ def map_symbols(ellipsoids: str, truth: bool) -> list[tuple[str, str]]:
     width = (SYMBOL_SIZE[0] - 4) / steps
     shades = [MIN_RMS_MM * (MAX_RMS_MM / MIN_RMS_MM) ** (i / (steps - 1)) for i in range(steps)]
     colour_scale = "".join(
-        f'<rect x="{2 + i * width:.2f}" y="4" width="{width:.2f}" height="6" fill="{hex_colour(shade)}"/>'
+        element("rect", x=2 + i * width, y=4, width=width, height=6, fill=hex_colour(shade))
         for i, shade in enumerate(shades)
     )
     symbols = [
-        (f'<circle cx="17" cy="7" r="2" fill="{blue}"/>', "point of the surface, with its number"),
-        (f'<ellipse cx="17" cy="7" rx="12" ry="5" fill="{blue}" fill-opacity="0.25" stroke="{blue}"/>',
+        (element("circle", cx=17, cy=7, r=2, fill=blue), "point of the surface, with its number"),
+        (element("ellipse", cx=17, cy=7, rx=12, ry=5, fill=blue, fill_opacity=0.25, stroke=blue),
          f"its 95 % ellipsoid, {ellipsoids}"),
         (colour_scale, f"RMS error from {MIN_RMS_MM:g} mm or less (blue) to {MAX_RMS_MM:g} mm or more (red)"),
-        (f'<path d="M6 7H28" stroke="{STROKE_COLOUR}"/>',
+        (element("path", d="M6 7H28", stroke=STROKE_COLOUR),
          "outward normal of the object, from the force on the probe; its length has no meaning"),
     ]  # fmt: skip
     if truth:
-        outline = f'<path d="M5 12L12 3H30L23 12Z" fill="none" stroke="{TRUTH_COLOUR}" stroke-width="0.8"/>'
-        edge = f'<path d="M5 12L12 3" stroke="{TRUTH_COLOUR}" stroke-width="2"/>'
+        outline = element("path", d="M5 12L12 3H30L23 12Z", fill="none", stroke=TRUTH_COLOUR, stroke_width=0.8)
+        edge = element("path", d="M5 12L12 3", stroke=TRUTH_COLOUR, stroke_width=2)
         meaning = "the simulated truth, not measured: touched objects, touched edges thick"
         symbols.append((outline + edge, meaning))
     return symbols
@@ -157,75 +158,35 @@ def map_svg(scene: MapScene) -> bytes:
         centre = np.array([0.5 * WIDTH, 0.5 * (HEIGHT + LEGEND_HEIGHT - MARGIN)])
         return np.asarray((flat - origin) * (scale, -scale) + centre)
 
-    body = [_polygon(at(polygon)) for polygon in polygons]
-    placed = [(point, at(flat)) for point, flat in zip(points, p, strict=True)]
-    body += [_normal(point, xy, view) for point, xy in placed]
-    body += [_ellipse(point, xy, times * scale, view) for point, xy in placed]
-    body += [
-        f'<text x="{x + 5:.1f}" y="{y - 5:.1f}" font-size="10" fill="#333">{i}</text>'
-        for i, (_, (x, y)) in enumerate(placed, 1)
-    ]
-    size = "in scale" if times == 1 else f"drawn {times} times as large"
-    legend = "".join(
-        f'<g transform="translate(16 {12 + 18 * i})">{svg}<text x="42" y="11" font-size="11" '
-        f'fill="#333">{escape(meaning)}</text></g>'
-        for i, (svg, meaning) in enumerate(map_symbols(size, bool(polygons)))
-    )
-    drawn = "\n".join([*body, _axes(view), _scale_bar(scale), legend])
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {HEIGHT:g}" '
-        'font-family="Helvetica,Arial,sans-serif">'
-        f'<rect width="{WIDTH:g}" height="{HEIGHT:g}" fill="#fff"/>{drawn}</svg>\n'
-    ).encode()
-
-
-def _polygon(flat: Array) -> str:
-    corners = [f"{x:.1f},{y:.1f}" for x, y in flat]
-    return (
-        f'<polygon points="{" ".join(corners)}" fill="#c9b98a" fill-opacity="0.10" stroke="{TRUTH_COLOUR}" '
-        f'stroke-width="0.6"/><path d="M{corners[0]}L{corners[1]}" stroke="{TRUTH_COLOUR}" stroke-width="2"/>'
-    )
-
-
-def _ellipse(point: MapPoint, at: Array, scale: float, view: ParallelProjection) -> str:
-    half_axes, axes = statistics.ellipsoid_95(view.axes @ point.cov_world @ view.axes.T)
-    ry, rx = half_axes / MM * scale
-    angle = math.atan2(axes[1, 1], axes[0, 1])
-    colour = hex_colour(point.rms / MM)
-    x, y = at
-    return (
-        f'<g transform="translate({x:.1f} {y:.1f}) rotate({-math.degrees(angle):.1f})"><ellipse rx="{rx:.1f}" '
-        f'ry="{max(ry, 0.4):.1f}" fill="{colour}" fill-opacity="0.25" stroke="{colour}"/>'
-        f'<circle r="2" fill="{colour}"/></g>'
-    )
-
-
-def _normal(point: MapPoint, at: Array, view: ParallelProjection) -> str:
-    """Return a stroke along the outward normal, of constant length in space."""
-    if point.direction is None:
-        return ""
-    right, up = NORMAL_LENGTH * (view.axes @ point.direction)
-    return f'<path d="M{at[0]:.1f} {at[1]:.1f}l{right:.1f} {-up:.1f}" stroke="{STROKE_COLOUR}"/>'
-
-
-def _axes(view: ParallelProjection) -> str:
-    drawn = []
-    for name, (right, up) in zip("xyz", 30.0 * view.axes.T, strict=True):
-        x, y = 50.0, HEIGHT - 50.0
-        drawn.append(
-            f'<path d="M{x:g} {y:g}l{right:.1f} {-up:.1f}" stroke="#555"/><text x="{x + 1.25 * right - 3:.1f}" '
-            f'y="{y - 1.25 * up + 4:.1f}" font-size="11" fill="#555">{name}</text>'
-        )
-    return "".join(drawn)
-
-
-def _scale_bar(scale: float) -> str:
+    canvas, placed = Canvas(WIDTH, HEIGHT), [at(flat) for flat in p]
+    for polygon in map(at, polygons):
+        canvas.area([polygon], "#c9b98a", fill_opacity="0.10", stroke=TRUTH_COLOUR, stroke_width="0.6")
+        canvas.polylines([polygon[:2]], 2.0, TRUTH_COLOUR)
+    normals = [(xy, xy + NORMAL_LENGTH * (view.axes @ point.direction) * (1.0, -1.0))
+               for point, xy in zip(points, placed, strict=True) if point.direction is not None]  # fmt: skip
+    canvas.polylines(normals, 1.0, STROKE_COLOUR)
+    for point, (x, y) in zip(points, placed, strict=True):
+        half_axes, axes = statistics.ellipsoid_95(view.axes @ point.cov_world @ view.axes.T)
+        ry, rx = half_axes / MM * times * scale
+        colour, turn = hex_colour(point.rms / MM), -math.degrees(math.atan2(axes[1, 1], axes[0, 1]))
+        ellipse = element("ellipse", rx=rx, ry=max(ry, 0.4), fill=colour, fill_opacity=0.25, stroke=colour)
+        centre = element("circle", r=2, fill=colour)
+        canvas.add("g", ellipse, centre, transform=f"translate({x:.1f} {y:.1f}) rotate({turn:.1f})")
+    for i, (x, y) in enumerate(placed, 1):
+        canvas.text((x + 5, y - 5), str(i), 10, "start", fill="#333")
+    corner = np.array([50.0, HEIGHT - 50.0])
+    for name, end in zip("xyz", 30.0 * view.axes.T * (1.0, -1.0), strict=True):
+        canvas.polylines([(corner, corner + end)], 1.0, "#555")
+        canvas.text(corner + 1.25 * end + (-3.0, 4.0), name, 11, "start", fill="#555")
     length = max((bar for bar in SCALE_BARS_MM if bar * scale <= 0.25 * WIDTH), default=SCALE_BARS_MM[0])
     right, y = WIDTH - 30.0, HEIGHT - 30.0
-    return (
-        f'<path d="M{right - length * scale:.1f} {y:g}H{right:g}" stroke="#111" stroke-width="2"/>'
-        f'<text x="{right:g}" y="{y - 6:g}" font-size="12" text-anchor="end">{length:g} mm</text>'
-    )
+    canvas.polylines([((right - length * scale, y), (right, y))], 2.0, "#111")
+    canvas.text((right, y - 6), f"{length:g} mm", 12, "end")
+    size = "in scale" if times == 1 else f"drawn {times} times as large"
+    for i, (symbol, meaning) in enumerate(map_symbols(size, bool(polygons))):
+        words = element("text", text=meaning, x=42, y=11, font_size=11, fill="#333")
+        canvas.add("g", symbol, words, transform=f"translate(16 {12 + 18 * i})")
+    return str(canvas).encode()
 
 
 # Page

@@ -143,7 +143,6 @@ def _new_figure(width: float, height: float, margins: tuple[float, float, float,
 
 
 def _png_bytes(figure: "Figure") -> bytes:
-    """Return the figure as a file."""
     picture = io.BytesIO()
     figure.savefig(picture, format="png", dpi=110, metadata={"Software": None})
     return picture.getvalue()
@@ -183,7 +182,6 @@ def draw_chart(chart: Chart, ax: "Axes", title: str, legend_size: float = 8.0) -
 
 
 def _linestyle(dashes: str) -> str | tuple[float, tuple[float, ...]]:
-    """Return matplotlib's line style of SVG dashes."""
     if dashes == NO_LINE:
         return "none"
     return (0.0, tuple(0.5 * float(n) for n in dashes.split())) if dashes else "-"

@@ -170,7 +170,6 @@ def _figures(rows: Sequence[Row]) -> list[ReportFigure]:
 
 
 def _over_time(rows: Sequence[Row], label: str, values: Sequence[float]) -> Chart:
-    """Return an empty chart of values against the time."""
     time = _column(rows, "time_s")
     x = ChartAxis("time [s]", float(time[0]), max(float(time[-1]), float(time[0]) + 1e-3))
     return Chart(x, ChartAxis.spanning(label, values))
@@ -181,7 +180,6 @@ def _draw(chart: Chart, rows: Sequence[Row], values: Array, colour: str, name: s
 
 
 def _runs(values: Array) -> list[tuple[int, int]]:
-    """Return start and end of each run of finite values."""
     finite = np.concatenate([[False], np.isfinite(values), [False]]).astype(int)
     starts, ends = np.flatnonzero(np.diff(finite) == 1), np.flatnonzero(np.diff(finite) == -1)
     return list(zip(starts.tolist(), ends.tolist(), strict=True))

@@ -144,5 +144,4 @@ def _vector(row: Row, name: str) -> Array:
 
 
 def _rounded(metres: Array) -> Any:
-    """Return millimetres with two decimals."""
     return np.round(metres / MM, 2).tolist()

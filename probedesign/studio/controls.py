@@ -159,5 +159,4 @@ def _set(handle: Any, value: Any) -> None:
 
 
 def _calibrations(session: Session) -> tuple[str, ...]:
-    """Return the names of the calibrations of the chosen sensor."""
     return tuple(calibration.name for calibration in session.design.sensor_model.calibrations)

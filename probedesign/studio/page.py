@@ -118,7 +118,6 @@ class StudioPage:
     # Requests
 
     def _request(self, change: Callable[[], None]) -> None:
-        """Put a request that is carried out in order."""
         self._requests.put(change)
 
     def move(self, key: str, value: Any) -> None:
@@ -382,7 +381,6 @@ class StudioPage:
         self._status.content = styled(f'<div class="{"bad" if bad else "note"}">{escape(text)}</div>')
 
     def _keep(self, text: str, bad: bool = False) -> None:
-        """Show a message until the next change."""
         self._kept = text, bad
         self._say(text, bad)
 

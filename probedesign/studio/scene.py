@@ -306,7 +306,6 @@ def _tube_faces(rings: int) -> NDArray[np.uint32]:
 
 
 def _segments(shape: BentShape, probe: Probe, edges: Array) -> list[NDArray[np.float32]]:
-    """Return the vertices of the segments between fractions of the length."""
     return [_tube(shape, probe, np.linspace(low, high, RINGS)) for low, high in pairwise(edges)]
 
 

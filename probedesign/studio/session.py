@@ -282,7 +282,6 @@ def changes(start: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") 
 
 
 def _text(value: Any) -> str:
-    """Return a value of a design file as TOML."""
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_text, value))}]"
     if isinstance(value, Mapping):

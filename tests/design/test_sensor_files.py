@@ -13,7 +13,7 @@ from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.design import check_design, load_design, parse_design
 from probedesign.design.catalog import CUSTOM
 from probedesign.design.io import render_design, write_design
-from probedesign.design.sensor_catalog import FILES, NANO17, SENSORS, load_sensor
+from probedesign.design.sensor_catalog import FILES, SENSORS, load_sensor
 from probedesign.frozen_probe import load_model, write_frozen
 from probedesign.live.view.scene import _sensor_part
 from probedesign.probe import build_probe
@@ -67,7 +67,7 @@ def test_screws_that_may_enter_too_deep_are_found_and_nothing_is_written(path, t
 def test_known_sensors_are_complete_files():
     """One file adds a sensor without any other change."""
     assert {path.stem for path in FILES.glob("*.toml")} == set(SENSORS)
-    assert next(iter(SENSORS.values())) is NANO17
+    assert next(iter(SENSORS.values())) is SENSORS["nano17"]
     for name, sensor in SENSORS.items():
         assert load_sensor(FILES / f"{name}.toml").sensor == sensor
         for calibration in sensor.calibrations:
@@ -76,7 +76,7 @@ def test_known_sensors_are_complete_files():
 
 def test_the_nano17_has_the_published_steps():
     """ATI: 1/320 N and 1/64 N·mm of SI-12-0.12, twice and four times as much of the others."""
-    for k, calibration in enumerate(NANO17.calibrations):
+    for k, calibration in enumerate(SENSORS["nano17"].calibrations):
         steps = [2**k / 320] * 3 + [2**k * 1e-3 / 64] * 3
         assert calibration.resolution == pytest.approx(steps, rel=1e-15)  # exact decimal numbers
         assert calibration.noise(4).std == pytest.approx(np.array(steps) / 2, rel=1e-15)
