@@ -25,7 +25,7 @@ from probedesign.core.frames import Array, pose, rotation_z
 from probedesign.design import Design, parse_design
 from probedesign.design.catalog import SCREWS
 from probedesign.design.io import render_design
-from probedesign.design.sensor_catalog import NANO17
+from probedesign.design.sensor_catalog import SENSORS
 from probedesign.design.sensors import ScrewPattern
 from probedesign.geometry import flange_for
 from probedesign.geometry.mass import combined
@@ -95,17 +95,17 @@ def test_tool_side_has_no_hole_of_the_mounting_side(large: CadModel, azimuth: fl
 
 def test_parts_on_another_sensor_agree_with_their_closed_form(large: CadModel) -> None:
     """A wider tool face, larger screws and another dowel circle: solids, screws and pins follow the interface."""
-    nano, screw = NANO17.interface, SCREWS["M4"]
+    nano, screw = SENSORS["nano17"].interface, SCREWS["M4"]
     tool = ScrewPattern(30e-3, 20e-3, (60.0, 180.0, 300.0), screw, min_entry=4e-3, max_entry=6e-3)
     dowels = replace(nano.dowels, circle_d=20e-3, diameter=3e-3, pin_length=5e-3)
     interface = replace(nano, body_d=40e-3, tool=tool, mounting=replace(tool, face_d=40e-3), dowels=dowels)
     geometry = replace(large.geometry, flange=flange_for(12e-3, tool.face_d))
-    a = sensor_adapter_for(geometry, replace(NANO17, interface=interface))
+    a = sensor_adapter_for(geometry, replace(SENSORS["nano17"], interface=interface))
     assert (tool.length, tool.grip) == (pytest.approx(8e-3), pytest.approx(3.5e-3))  # 8 - 4 - 0.29 - 0.15 mm
     # Heads of 7 mm on a circle of 20 mm reach beyond the land: they lie below the groove around it, 0.9 mm deep.
     assert a.floor == pytest.approx(tool.grip + screw.head_height + 0.2e-3 + 0.9e-3)
     plate = flange_adapter_for(
-        replace(NANO17, interface=interface), replace(large.plate.robot, face_d=80e-3, bolt_circle_d=70e-3)
+        replace(SENSORS["nano17"], interface=interface), replace(large.plate.robot, face_d=80e-3, bolt_circle_d=70e-3)
     )
     parts = build_parts(geometry, 1010.0, interface, a, plate, screw_groups(a, plate))
     assert max(overlaps(parts).values()) == 0.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from probedesign.design import check_design
-from probedesign.design.sensor_catalog import NANO17
+from probedesign.design.sensor_catalog import SENSORS
 from probedesign.geometry import ProbeGeometry, flange_for
 from probedesign.mount import build_geometry
 
@@ -112,4 +112,4 @@ def test_fingerprint_sees_the_section():
 def test_flange_carries_the_probe_and_covers_the_sensor():
     assert flange_for(0.012, 0.017).diameter > 0.017
     assert flange_for(0.003, 0.017).diameter == 0.017
-    assert geometry_of().flange == flange_for(geometry_of().base_radius * 2.0, NANO17.interface.tool.face_d)
+    assert geometry_of().flange == flange_for(geometry_of().base_radius * 2.0, SENSORS["nano17"].interface.tool.face_d)

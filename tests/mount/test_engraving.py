@@ -7,7 +7,7 @@ import pytest
 
 from probedesign.design import check_design
 from probedesign.design.catalog import M2
-from probedesign.design.sensor_catalog import NANO17
+from probedesign.design.sensor_catalog import SENSORS
 from probedesign.mount import SensorAdapter, build_geometry, sensor_adapter_for
 from probedesign.mount.engraving import CELL, DEPTH, GLYPHS, ROWS, Engraving, cut_outlines, cut_runs, glyph_width
 from probedesign.mount.mass import engraving_mass
@@ -17,7 +17,9 @@ BASES = [3.0, 10.0, 10.5, 12.0, 25.0]
 
 def adapter_of(base_d: float, name: str = "large") -> SensorAdapter:
     probe = {"length_mm": 150.0, "base_d_mm": base_d, "tip_d_mm": 2.0}
-    return sensor_adapter_for(build_geometry(check_design({"schema": 1, "name": name, "probe": probe})), NANO17, name)
+    return sensor_adapter_for(
+        build_geometry(check_design({"schema": 1, "name": name, "probe": probe})), SENSORS["nano17"], name
+    )
 
 
 def test_no_two_characters_look_alike_and_all_are_five_high() -> None:

@@ -11,7 +11,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import is_pose
 from probedesign.design import Design
 from probedesign.design.catalog import M2
-from probedesign.design.sensor_catalog import NANO17
+from probedesign.design.sensor_catalog import SENSORS
 from probedesign.mount import (
     SensorAdapter,
     build_geometry,
@@ -89,7 +89,7 @@ def test_base_sits_straight_above_the_tool_face() -> None:
 
 
 def test_screws_into_the_sensor_keep_its_limits() -> None:
-    for holes in (NANO17.interface.tool, NANO17.interface.mounting):
+    for holes in (SENSORS["nano17"].interface.tool, SENSORS["nano17"].interface.mounting):
         assert holes.min_entry < holes.length - holes.grip < holes.max_entry
         # 6.0 - 2.5 - 0.24 (screw) - 0.15 (print) = 3.11 mm, to 0.1 mm; sums of decimals, hence a picometre.
         assert (holes.length, holes.grip) == (6e-3, pytest.approx(3.1e-3, abs=1e-12))
@@ -108,7 +108,7 @@ def test_adapter_fits_together(base_d: float) -> None:
 
 def test_the_mount_mass_is_the_sum_of_its_parts() -> None:
     geometry = build_geometry(make_design())
-    adapter = sensor_adapter_for(geometry, NANO17)
+    adapter = sensor_adapter_for(geometry, SENSORS["nano17"])
     whole = mount_mass_properties(geometry, adapter, 1010.0)
     parts = mount_part_masses(geometry, adapter, 1010.0)
     gravity = np.array([3.0, -5.0, 8.0])
