@@ -11,18 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from probedesign.campaigns.cameras import calibration_exists, read_cameras
 from probedesign.campaigns.campaign import Test
 from probedesign.campaigns.manifest import FILE as MANIFEST
 from probedesign.campaigns.manifest import Manifest, read_manifest
-from probedesign.campaigns.reading import IMAGES, PIXELS, read_tests
+from probedesign.campaigns.reading import IMAGES, PIXELS, calibration_exists, read_cameras, read_tests
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, write_atomically
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.vision.camera import Camera
-from probedesign.vision.dots import Dot
-from probedesign.vision.markers import SUFFIXES, DetectedMarkers, ImageSide, find_markers, read_grey
+from probedesign.vision.markers import SUFFIXES, DetectedMarkers, Dot, ImageSide, find_markers, read_grey
 from probedesign.vision.triangulate import triangulate
 
 HEADER = "test,camera,marker,u_px,v_px,std_px"

@@ -33,8 +33,7 @@ from probedesign.identification.parameters import DEFAULT, IMPLIED, LOG_E, Commo
 from probedesign.identification.residuals import MassMeasurement, MeasuredTest, ResidualBlock
 from probedesign.identification.result import Identification, Outlier
 from probedesign.identification.robust_loss import outliers
-from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, fit
-from probedesign.identification.starting_values import solvable_tests, start_point
+from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, fit, solvable_tests, start_point
 
 MIN_READINGS = 8
 """Readings of one test from which on their scatter replaces the sensor's noise where it is larger."""

@@ -18,8 +18,15 @@ from probedesign.core.frames import Array
 from probedesign.identification.parameters import CHANNELS, COMPONENTS, OWNER, PRINT, CommonParameters
 from probedesign.identification.residuals import MeasuredTest
 from probedesign.identification.robust_loss import REJECTION_CHANCE, outliers
-from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, minimise
-from probedesign.identification.starting_values import spread, start_nuisance, start_points
+from probedesign.identification.solver import (
+    Fit,
+    LeastSquaresProblem,
+    Linearization,
+    minimise,
+    spread,
+    start_nuisance,
+    start_points,
+)
 
 MAX_REFINED, MAX_FACTORS, MAX_FIT_ROUNDS = 4, 3, 8
 """Mistakes that are fitted, the best by their start, factors on E that it is chosen from, and rounds of a fit."""

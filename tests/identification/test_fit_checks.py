@@ -14,8 +14,7 @@ from probedesign.identification.identify import IdentificationData, data_of, ide
 from probedesign.identification.residuals import MeasuredTest
 from probedesign.identification.result import Identification
 from probedesign.identification.robust_loss import REJECTION_CHANCE
-from probedesign.identification.solver import LeastSquaresProblem, fit
-from probedesign.identification.starting_values import start_point
+from probedesign.identification.solver import LeastSquaresProblem, fit, start_point
 
 
 def _with(data: IdentificationData, change: Callable[[MeasuredTest], MeasuredTest]) -> Identification:

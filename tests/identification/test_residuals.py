@@ -10,8 +10,7 @@ from probedesign.campaigns import Campaign
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.identify import IdentificationData, data_of
 from probedesign.identification.parameters import LOG_G, OWNER, PRINT, ParameterValues
-from probedesign.identification.solver import LeastSquaresProblem, Linearization, linearize
-from probedesign.identification.starting_values import start_nuisance
+from probedesign.identification.solver import LeastSquaresProblem, Linearization, linearize, start_nuisance
 
 
 def _data(campaign: Campaign, model: ProbeModel) -> IdentificationData:

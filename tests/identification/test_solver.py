@@ -10,8 +10,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.identification.identify import data_of
 from probedesign.identification.parameters import PARAMETERS, ROOT_RANGE, ParameterValues
 from probedesign.identification.residuals import MeasuredTest
-from probedesign.identification.solver import MIN_GAIN, LeastSquaresProblem, fit, linearize
-from probedesign.identification.starting_values import start_nuisance, start_point
+from probedesign.identification.solver import MIN_GAIN, LeastSquaresProblem, fit, linearize, start_nuisance, start_point
 from probedesign.identification.surface_touch import solve_touch
 
 

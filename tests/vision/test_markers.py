@@ -10,8 +10,7 @@ from scipy.ndimage import gaussian_filter
 
 from probedesign.core.errors import InputError
 from probedesign.simulation.stereo_rig import PaintedDots, RenderStyle, render
-from probedesign.vision.dots import fit_dot, patch_of
-from probedesign.vision.markers import find_markers, overlay, read_grey, write_png
+from probedesign.vision.markers import find_markers, fit_dot, overlay, patch_of, read_grey, write_png
 
 cv2 = pytest.importorskip("cv2")
 
