@@ -17,9 +17,11 @@ makes of them is solved for in the linearisation: with θ the section's turn,
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from probedesign.core.frames import Array
 from probedesign.rod.kernels import inner, kernel
 from probedesign.rod.kernels.equations import (
     ALL_COLUMNS,
@@ -73,32 +75,59 @@ NO_PARAMETERS = np.int64(0)
 more."""
 
 
+class TouchMemory(NamedTuple):
+    """Memory of `linearise`: views of one array. k columns of the rod, n of the linearisation."""
+
+    load: Array  #: of the rod, (LOAD,).
+    steps: Array  #: of the integration, (STEP_WORK,).
+    nodes: Array  #: none are recorded, (0,).
+    blocks: Array  #: columns of the rod at the base.
+    base: Array  #: state at the base, (STATE,).
+    contact: Array  #: state and columns at the contact.
+    turns: Array  #: rotation of the tip by the rod's columns, (3, k).
+    columns: Array  #: base moment and contact by the rod's columns, then their values, (15, k + 1).
+    change: Array  #: rotation of the tip that leads to the equilibrium, (3,).
+    system: Array  #: of the loads that turn with the section, (6, 6).
+    loads: Array  #: its right sides, then its solution: changes of force and couple, (6, n).
+    total: Array  #: as `columns`, by what is linearised, (15, n).
+
+
+def _sizes(parameters):
+    """Return k, n, the size of `blocks` and that of `contact`, and of the whole memory."""
+    k = CONTACT_COLUMNS if parameters == 0 else ALL_COLUMNS + parameters - OWN
+    n, chunks = 1 + UNKNOWNS + parameters, -(-(3 + k) // WIDE)
+    blocks, contact = chunks * BLOCK, STATE + WIDE * COLUMN * chunks
+    whole = LOAD + STEP_WORK + blocks + STATE + contact + 3 * k + 15 * (k + 1) + 3 + 36 + 21 * n
+    return k, n, blocks, contact, whole
+
+
+_sizes_kernel = inner(_sizes)
+
+
 def work_size(parameters: int) -> int:
     """Return how many numbers `linearise` works in, for so many parameters of the rod (0, or OWN and the knots)."""
-    return int(_parts(parameters)[-1])
-
-
-def _parts(parameters):
-    k = CONTACT_COLUMNS if parameters == 0 else ALL_COLUMNS + parameters - OWN
-    chunks = -(-(3 + k) // WIDE)
-    a = LOAD
-    b = a + STEP_WORK
-    c = b + chunks * BLOCK
-    d = c + STATE
-    e = d + STATE + WIDE * COLUMN * chunks
-    f = e + 3 * k
-    g = f + 15 * (k + 1)
-    h = g + 36 + 6 * (1 + UNKNOWNS + parameters) + 15 * (1 + UNKNOWNS + parameters)
-    return k, chunks, a, b, c, d, e, f, g, h
-
-
-_parts_kernel = inner(_parts)
+    return int(_sizes(parameters)[-1])
 
 
 @inner
 def sweep_work_size(parameters):
     """Return `work_size` to kernels."""
-    return _parts_kernel(parameters)[9]
+    return _sizes_kernel(parameters)[4]
+
+
+@inner
+def _memory(parameters, work):
+    k, n, blocks, contact, _whole = _sizes_kernel(parameters)
+    load, work = work[:LOAD], work[LOAD:]
+    steps, nodes, work = work[:STEP_WORK], work[:0], work[STEP_WORK:]
+    of_blocks, work = work[:blocks], work[blocks:]
+    base, work = work[:STATE], work[STATE:]
+    of_contact, work = work[:contact], work[contact:]
+    turns, work = work[: 3 * k].reshape((3, k)), work[3 * k :]
+    columns, work = work[: 15 * (k + 1)].reshape((15, k + 1)), work[15 * (k + 1) :]
+    change, system, work = work[:3], work[3:39].reshape((6, 6)), work[39:]
+    loads, total = work[: 6 * n].reshape((6, n)), work[6 * n : 21 * n].reshape((15, n))
+    return TouchMemory(load, steps, nodes, of_blocks, base, of_contact, turns, columns, change, system, loads, total)
 
 
 @inner
@@ -191,12 +220,10 @@ def linearise(body, gravity, mass, tol, size, touch, parameters, work, lin):
     Returns:
         Status, misfit at the clamp [rad] (inf: nothing was linearised), margin of stability, how far the rod turned.
     """
-    k, _chunks, a, b, c, d, e_, f_, g_, _h = _parts_kernel(parameters)
-    load, lacking, n_cols = work[:a], work[g_ : g_ + 3], 1 + UNKNOWNS + parameters
-    turns, columns = work[e_:f_].reshape((3, k)), work[f_:g_].reshape((15, k + 1))
-    A = work[g_ : g_ + 36].reshape((6, 6))
-    B = work[g_ + 36 : g_ + 36 + 6 * n_cols].reshape((6, n_cols))
-    total = work[g_ + 36 + 6 * n_cols :][: 15 * n_cols].reshape((15, n_cols))
+    memory = _memory(parameters, work)
+    load, contact, turns, columns = memory.load, memory.contact, memory.turns, memory.columns
+    A, B, total = memory.system, memory.loads, memory.total
+    k, n_cols = turns.shape[1], B.shape[1]
     s = touch[S]
     for q in range(LOAD):
         load[q] = 0.0
@@ -204,14 +231,13 @@ def linearise(body, gravity, mass, tol, size, touch, parameters, work, lin):
         load[FORCE + q], load[COUPLE + q] = touch[DEAD + q], touch[DEAD + 3 + q]
         load[GRAVITY + q] = gravity[q]
     load[S_CONTACT] = s
-    contact = work[d:e_]
     status, lack, margin, size = linear_equilibrium(
-        touch[TIP:], load, body, tol, size, work[a:b], work[g_:g_], work[b:c], work[c:d], contact, turns,
-        columns, lacking,
+        touch[TIP:], load, body, tol, size, memory.steps, memory.nodes, memory.blocks, memory.base, contact, turns,
+        columns, memory.change,
     )  # fmt: skip
     if status != OK or not lack < MAX_LACK:
         return status, math.inf, -1.0, size
-    change = (lacking[0], lacking[1], lacking[2])  # A shares its memory
+    change = (memory.change[0], memory.change[1], memory.change[2])
     beyond = minus(take(contact, M), take(load, COUPLE))
     on_base_side = take(contact, M)
     t, x_axis, y_axis = take3(columns, R_TANGENT, k), take3(columns, R_X, k), take3(columns, R_Y, k)
