@@ -71,7 +71,7 @@ def _fit(probe: "Probe") -> None:
     model, sources = probe.model, _sources(probe)
     fit_contacts(
         model.rod.body, model.rod.flank_end, model.gravity_base, model.mass, np.zeros(6), np.zeros((6, 6)), 1.0,
-        *sources.arguments(), False, np.empty(sources.room), np.empty(1, dtype=FIT_SCRATCH),
+        *sources.arguments, False, np.empty(sources.room), np.empty(1, dtype=FIT_SCRATCH),
         np.empty(MAX_STARTS, dtype=FIT),
     )  # fmt: skip
 

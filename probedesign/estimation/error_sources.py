@@ -63,15 +63,15 @@ def _wider_bore(rod: Rod) -> Array:
     bore has no row, (0, 4 + K).
     """
     area, moment, other, _ = rod.factors
-    found = np.zeros(4 + len(rod.s))
     if area == 1.0 or moment != other:
-        return found[None][:0]
+        return np.empty((0, 4 + len(rod.s)))
+    row = np.zeros(4 + len(rod.s))
     by_area, by_moment = (1.0 - area) / area, (1.0 - moment) / moment
     widened = MM / (math.sqrt(1.0 - area) * 2.0 * rod.radius)
-    found[4:] = -by_moment * widened
+    row[4:] = -by_moment * widened
     volume = np.convolve(np.diff(rod.s), (0.5, 0.5)) * rod.radius**2
-    found[2] = -2.0 * (by_area - by_moment) * float(widened @ volume / volume.sum())
-    return found[None]
+    row[2] = -2.0 * (by_area - by_moment) * float(widened @ volume / volume.sum())
+    return row[None]
 
 
 def across(gravity: Array) -> Array:
@@ -101,10 +101,10 @@ def turns_of(gravity: Array, tolerances: Tolerances, axes: Array | None = None) 
 
 def _filtered(rows: dict[str, Array]) -> tuple[Array, tuple[str, ...]]:
     """Return all rows that are not zero, one below the other, and the source of each."""
-    found = np.concatenate(list(rows.values()))
-    names = [name for name, of in rows.items() for _ in of]
-    kept = np.asarray(found.any(axis=1))
-    return np.ascontiguousarray(found[kept]), tuple(names[i] for i in np.flatnonzero(kept))
+    stacked = np.concatenate(list(rows.values()))
+    names = [name for name, its_rows in rows.items() for _ in its_rows]
+    kept = np.asarray(stacked.any(axis=1))
+    return np.ascontiguousarray(stacked[kept]), tuple(names[i] for i in np.flatnonzero(kept))
 
 
 @dataclass(frozen=True)
@@ -166,24 +166,16 @@ class ErrorSources:
         return self.names.index(name) if name in self.names else -1
 
     @cached_property
-    def _arguments(self) -> uncertainty_kernel.SourceArrays:
+    def arguments(self) -> uncertainty_kernel.SourceArrays:
+        """Return the sources as the compiled estimate takes them."""
         model, t = self.model, self.tolerances
         base_from_sensor = np.ascontiguousarray(wrench_map(inverse(model.T_sensor_base)))
         return uncertainty_kernel.SourceArrays(
-            self.rod,
-            self.base,
-            float(t.root_radii * model.rod.radius[0]),
-            np.full(6, t.gain),
+            self.rod, self.base, float(t.root_radii * model.rod.radius[0]), np.full(6, t.gain),
             np.ascontiguousarray(base_from_sensor @ model.payload_by_gravity),
-            np.ascontiguousarray(wrench_map(model.T_sensor_base)),
-            base_from_sensor,
-            np.ascontiguousarray(self.reference),
-            np.ascontiguousarray(self.tared),
-        )
-
-    def arguments(self) -> uncertainty_kernel.SourceArrays:
-        """Return the sources as the compiled estimate takes them."""
-        return self._arguments
+            np.ascontiguousarray(wrench_map(model.T_sensor_base)), base_from_sensor,
+            np.ascontiguousarray(self.reference), np.ascontiguousarray(self.tared),
+        )  # fmt: skip
 
     @cached_property
     def drift(self) -> Array:
@@ -204,7 +196,7 @@ class ErrorSources:
         D = np.empty((12, len(self.names)))
         work = np.empty(surface_contact.work_size(parameters))
         if not uncertainty_kernel.columns_of(
-            rod.body, self.gravity, self.model.mass, FINE, touch, self._arguments, work, lin, D
+            rod.body, self.gravity, self.model.mass, FINE, touch, self.arguments, work, lin, D
         ):
             lin[:], D[:] = np.nan, np.nan
         return lin, D

@@ -109,7 +109,7 @@ class Candidate:
 
     @property
     def friction_ratio(self) -> float:
-        """Return the tangential over the normal force at each pose, (k,)."""
+        """Return the tangential over the normal force; NaN without a normal force."""
         return self.force_tangential / self.force_normal if self.force_normal > 0.0 else math.nan
 
 
@@ -159,11 +159,7 @@ class Estimate(Tabular):
 
 @dataclass(frozen=True)
 class FusedEstimate(Tabular):
-    """One fixed point touched from several poses. With any result but "ok" the position is NaN.
-
-    Attributes:
-        friction_ratio: tangential over normal force at each pose, (k,).
-    """
+    """One fixed point touched from several poses. With any result but "ok" the position is NaN."""
 
     result: Result  #: one of `estimate.RESULTS`.
     #: the touched point of the object, which does not move [m], (3,).

@@ -145,7 +145,7 @@ class FusionState:
         """Linearise the touch of a row; return whether it has a stable equilibrium."""
         sources = self.sources[row]
         return bool(fusion_kernel.linearise_keyframe(
-            self.model.rod.body, sources.gravity, self.model.mass, FINE, self.touches[row], *sources.arguments(),
+            self.model.rod.body, sources.gravity, self.model.mass, FINE, self.touches[row], *sources.arguments,
             self._work.sweep, self.lin[row], self.D[row],
         ))  # fmt: skip
 

@@ -47,9 +47,9 @@ def locate(problem: Problem, near: Candidate | None = None) -> list[Candidate]:
         near: a touch close by: only from there is then searched, everywhere only if nothing is there.
     """
     if near is not None and near.touch is not None:
-        found = _places(problem, _fit(problem, near.touch))
-        if found and explains(found[0]):
-            return found[:1]
+        close = _places(problem, _fit(problem, near.touch))
+        if close and explains(close[0]):
+            return close[:1]
     places = _places(problem, _fit(problem, None))
     if not any(explains(place) for place in places):
         places += _scanned(problem)
@@ -74,8 +74,9 @@ def _at_rounded_tip(problem: Problem, places: list[Candidate]) -> list[Candidate
     if end is None or not explains(end):
         return []
     near = (
-        abs(p.s_contact - end.s_contact) <= 3.0 * (p.std_s + end.std_s) and not p.at_end for p in places if explains(p)
-    )
+        explains(place) and not place.at_end and abs(place.s_contact - end.s_contact) <= 3.0 * (place.std_s + end.std_s)
+        for place in places
+    )  # fmt: skip
     return [] if any(near) else [end]
 
 
@@ -101,27 +102,26 @@ def _fit(problem: Problem, near: Array | None) -> NDArray[Any]:
         work, scratch = np.empty(problem.sources.room), np.empty(1, dtype=FIT_SCRATCH)
     count = multistart.fit_contacts(
         model.rod.body, model.rod.flank_end, seen.gravity, model.mass, seen.wrench, problem.noise, problem.friction,
-        *problem.sources.arguments(), near is not None, work, scratch, rows,
+        *problem.sources.arguments, near is not None, work, scratch, rows,
     )  # fmt: skip
     spare.append((work, scratch))
     return rows[:count]
 
 
-def _places(problem: Problem, rows: NDArray[Any]) -> list[Candidate]:
-    """Return candidates of the fits that are least misfits, or that end where nothing explains the reading."""
-    places = []
-    for row in rows:
-        place = _candidate(problem, row)
-        if row["status"] == STALLED and explains(place):
-            pushes = place.force_normal > _PULLED * float(np.linalg.norm(place.force_base))
-            if pushes:
-                continue
-        places.append(place)
-    return places
-
-
 _PULLED = 1e-3
 """Share of the force that is normal below which a fit has run into the wall that keeps contacts from pulling."""
+
+
+def _places(problem: Problem, rows: NDArray[Any]) -> list[Candidate]:
+    """Return candidates of the fits that are least misfits, or that end where nothing explains the reading."""
+    candidates = [_candidate(problem, row) for row in rows]
+    return [
+        candidate
+        for candidate, row in zip(candidates, rows, strict=True)
+        if row["status"] != STALLED
+        or not explains(candidate)
+        or candidate.force_normal <= _PULLED * float(np.linalg.norm(candidate.force_base))
+    ]
 
 
 _FIELDS = FIT.names or ()
@@ -174,12 +174,12 @@ def profile_interval(problem: Problem, place: Candidate) -> tuple[float, float]:
     """
     rod = problem.sources.model.rod
     if place.touch is None:
-        low, high = (place.s_contact + way * 1.96 * place.std_s for way in (-1.0, 1.0))
+        low, high = (place.s_contact + sign * 1.96 * place.std_s for sign in (-1.0, 1.0))
         return max(low, 0.0), min(high, rod.length)
     return _bound(problem, place, -1.0), _bound(problem, place, 1.0)
 
 
-def _bound(problem: Problem, place: Candidate, way: float) -> float:
+def _bound(problem: Problem, place: Candidate, sign: float) -> float:
     """Return one end of `profile_interval`, by steps of a standard deviation and bisection."""
     assert place.touch is not None
     model, end = problem.sources.model, problem.sources.model.rod.flank_end
@@ -196,7 +196,7 @@ def _bound(problem: Problem, place: Candidate, way: float) -> float:
 
     inside, outside = s, math.nan
     for _ in range(MAX_PROFILE_STEPS):
-        there = min(max(inside + 0.7 * way * place.std_s, 0.0), end)
+        there = min(max(inside + 0.7 * sign * place.std_s, 0.0), end)
         before = touch.copy()
         if misfit(there) > limit:
             touch, outside = before, there
@@ -212,9 +212,9 @@ def _bound(problem: Problem, place: Candidate, way: float) -> float:
                 touch, outside = before, middle
             else:
                 inside = middle
-    found = np.empty(1)
-    multistart.contact_arclengths(model.rod.body, touch[None], found)
-    return float(min(max(found[0], 0.0), model.rod.length))
+    bound = np.empty(1)
+    multistart.contact_arclengths(model.rod.body, touch[None], bound)
+    return float(min(max(bound[0], 0.0), model.rod.length))
 
 
 MAX_PROFILE_STEPS = 12
@@ -225,17 +225,13 @@ def _distinct(problem: Problem, places: list[Candidate]) -> list[Candidate]:
     """Return each place once, best first."""
     if len(places) < 2:
         return places
-    found: list[Candidate] = []
-    length = problem.sources.model.rod.length
-    for place in sorted(places, key=lambda of: of.chi2):
-        same = (
-            np.linalg.norm(place.p_surface_base - of.p_surface_base)
-            < _SAME * length + _ALIKE * min(place.std_s, of.std_s)
-            for of in found
-        )
-        if not any(same):
-            found.append(place)
-    return found
+    kept: list[Candidate] = []
+    same = _SAME * problem.sources.model.rod.length
+    for place in sorted(places, key=lambda place: place.chi2):
+        if all(np.linalg.norm(place.p_surface_base - other.p_surface_base)
+               >= same + _ALIKE * min(place.std_s, other.std_s) for other in kept):  # fmt: skip
+            kept.append(place)
+    return kept
 
 
 ROUNDED_TIP_DOF = 3

@@ -76,8 +76,7 @@ class ProbeModel(Displayed):
 
     def gravity_wrench_sensor(self, gravity_base: ArrayLike) -> Array:
         """Return the wrench that the rigid parts between sensor face and s = 0 exert on the sensor, (6,)."""
-        weight: Array = self.payload_by_gravity @ np.asarray(gravity_base, dtype=float)
-        return weight
+        return np.asarray(self.payload_by_gravity @ np.asarray(gravity_base, dtype=float))
 
     @cached_property
     def payload_by_gravity(self) -> Array:
@@ -102,9 +101,8 @@ class ProbeModel(Displayed):
 
     def to_base(self, wrench_sensor: ArrayLike, gravity_base: ArrayLike) -> Array:
         """Return the wrench of the flexible part on its mount from the sensor's reading, (6,) or (n, 6)."""
-        own = np.asarray(wrench_sensor, dtype=float) - self.gravity_wrench_sensor(gravity_base)
-        carried: Array = own @ self._base_from_sensor.T
-        return carried
+        flexible = np.asarray(wrench_sensor, dtype=float) - self.gravity_wrench_sensor(gravity_base)
+        return np.asarray(flexible @ self._base_from_sensor.T)
 
     def in_range(self, wrench_sensor: Array) -> bool:
         """Return whether a reading (6,) is possible: finite and within every channel's range."""
@@ -121,8 +119,7 @@ class ProbeModel(Displayed):
 
     @cached_property
     def _noise_base(self) -> Array:
-        X = self._base_from_sensor
-        return np.asarray(X @ self.noise.cov @ X.T, dtype=float)
+        return np.asarray(self._base_from_sensor @ self.noise.cov @ self._base_from_sensor.T, dtype=float)
 
     @cached_property
     def whiten(self) -> Array:
@@ -242,10 +239,10 @@ class Observation:
             gravity: base axes [m/s²], (3,).
             free: the free probe's wrench under it, (6,).
         """
-        found = np.empty(1, dtype=OBSERVATION)
-        if not observe(window, gravity, free, model.mass, *model.observation_map, model.noise.std, found):
+        rows = np.empty(1, dtype=OBSERVATION)
+        if not observe(window, gravity, free, model.mass, *model.observation_map, model.noise.std, rows):
             return None
-        row, readings = found[0], len(window)
+        row, readings = rows[0], len(window)
         wrench, whiten, numerical = row["wrench"], row["whiten"], NUMERICAL * float(row["moment"])
         if numerical > NEGLIGIBLE * model.noise.moment / math.sqrt(readings):
             whiten = statistics.whiten(covariance(model, wrench, readings))

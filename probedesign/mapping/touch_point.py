@@ -213,8 +213,7 @@ def _fusion(segment: TouchSegment, estimator: Estimator, priors: Tolerances, gra
     around = [(segment.free_before, False), *((one, True) for one in segment.intervals), (segment.free_after, False)]
     used = [(interval, contact) for interval, contact in around if interval is not None]
     for interval, _ in used:
-        wrench_sensor = model.to_sensor(interval.wrench, interval.gravity)
-        if not (np.isfinite(wrench_sensor).all() and (np.abs(wrench_sensor) <= model.saturation_limit).all()):
+        if not model.in_range(model.to_sensor(interval.wrench, interval.gravity)):
             return None
         if not estimator.free(interval.gravity).ok:
             return None
