@@ -134,136 +134,6 @@ def assembly_steps(
     ]  # fmt: skip
 
 
-# ---- exploded views
-
-GAP = 8.0
-"""Distance between exploded parts [mm]."""
-EXPLODED_SIZE, STEP_SIZE = (560, 1300), (360, 320)
-ABOVE = 25.0
-"""Length of the probe that a step's picture shows above all other parts [mm]."""
-FIXED_PART = "sensor"
-LABEL_WIDTH, LINE = 285.0, 19.0
-"""Width of the label column, and line spacing of a label [px]."""
-FROM_ABOVE, FROM_BELOW = OrthographicCamera(), OrthographicCamera(elevation_deg=-28.0)
-
-Bodies = Mapping[str, RenderBody]
-
-
-@dataclass(frozen=True)
-class PartLabel:
-    """The label of a part."""
-
-    number: int  #: in the bill of materials.
-    lines: tuple[str, str]  #: its name and its description.
-
-
-def exploded_bodies(bodies: Bodies, moves: Iterable[Move], seat: float) -> dict[str, RenderBody]:
-    """Return the bodies with each move's parts translated away from their assembled position.
-
-    Args:
-        bodies: all in their places.
-        moves: each onto a body that is fixed or moved before.
-        seat: z up to which the probe counts [mm]: the ring is drawn around the probe, not beyond its tip.
-    """
-    lifts = dict.fromkeys(bodies, 0.0)
-    for move in moves:
-        spans = [bodies[name].span for name in move.parts]
-        bottom, top = bodies[move.onto].span
-        if move.onto == "probe":
-            top = seat
-        away = bottom - GAP - max(s[1] for s in spans) if move.side == DOWN else top + GAP - min(s[0] for s in spans)
-        lifts |= dict.fromkeys(move.parts, lifts[move.onto] + away)
-    return {name: body.translated(lifts[name]) for name, body in bodies.items()}
-
-
-def step_pictures(bodies: Bodies, steps: Sequence[AssemblyStep], seat: float) -> list[bytes]:
-    """Return a PNG of each step: its parts on their way, and the parts mounted before in a paler colour."""
-    pictures, there = [], [FIXED_PART]
-    for step in steps:
-        onto = [move.onto for move in step.moves if move.onto not in step.parts]
-        before = [name for name in (onto if step.on_bench else there) if name not in step.parts]
-        shown = {name: bodies[name].faded() for name in dict.fromkeys(before)}
-        shown |= {name: bodies[name] for name in step.parts}
-        exploded = exploded_bodies(shown, step.moves, seat)
-        camera = FROM_BELOW if step.seen_from_below else FROM_ABOVE
-        below = max(body.span[1] for name, body in exploded.items() if name != "probe") + ABOVE
-        pictures.append(render_png(list(exploded.values()), STEP_SIZE, camera, below))
-        if not step.on_bench:
-            there += [name for name in step.parts if name not in there]
-    return pictures
-
-
-def exploded_svg(bodies: Bodies, labels: Mapping[str, PartLabel], title: str, seat: float) -> Canvas:
-    """Return the exploded view of all parts with their labels.
-
-    Args:
-        bodies: all at their assembled positions.
-        labels: of each body.
-        title: text alternative.
-        seat: as for `exploded_bodies`.
-    """
-    exploded = exploded_bodies(bodies, explosion(bodies), seat)
-    names = list(exploded)
-    view = fit_view(list(exploded.values()), FROM_ABOVE, EXPLODED_SIZE)
-    pixels, owners = render_bodies(list(exploded.values()), view)
-    width, height = view.size
-    svg = Canvas(width + 2 * LABEL_WIDTH, height, unit="px", title=title)
-    picture = base64.b64encode(png_bytes(pixels)).decode()
-    svg.add("image", x=LABEL_WIDTH, y=0.0, width=width, height=height, href=f"data:image/png;base64,{picture}")
-
-    def middle(name: str) -> float:
-        rows = np.nonzero((owners == names.index(name)).any(axis=1))[0]
-        return float(rows.mean()) if len(rows) else 0.0
-
-    order = sorted(names, key=middle)
-    for side in (0, 1):  # alternating left and right, from the top
-        column = order[side::2]
-        anchors = [_anchor(owners, names.index(name), side) for name in column]
-        heights = _spread([y for _, y in anchors], 3.2 * LINE, height)
-        for name, anchor, y in zip(column, anchors, heights, strict=True):
-            _label(svg, labels[name], anchor, y, side, width)
-    return svg
-
-
-def _anchor(owners: NDArray[np.int16], who: int, side: int) -> tuple[float, float]:
-    """Return a visible pixel of a body, slightly inside its left or right edge."""
-    rows, columns = np.nonzero(owners == who)
-    if len(rows) == 0:
-        return owners.shape[1] / 2, owners.shape[0] / 2
-    edge = np.quantile(columns, 0.06 if side == 0 else 0.94)
-    i = int(np.argmin(np.abs(columns - edge) + 0.5 * np.abs(rows - np.median(rows))))
-    return float(columns[i]), float(rows[i])
-
-
-def _spread(wanted: Sequence[float], spacing: float, height: float) -> list[float]:
-    """Return heights near the wanted ones, at least `spacing` apart, inside the picture."""
-    order = np.argsort(wanted, kind="stable")
-    placed = np.array(wanted, dtype=float)
-    lowest = spacing / 2
-    for i in order:
-        placed[i] = lowest = max(lowest, placed[i])
-        lowest += spacing
-    highest = height - spacing / 2
-    for i in order[::-1]:
-        placed[i] = highest = min(highest, placed[i])
-        highest -= spacing
-    return [float(y) for y in placed]
-
-
-def _label(svg: Canvas, label: PartLabel, anchor: tuple[float, float], y: float, side: int, width: float) -> None:
-    inner = LABEL_WIDTH - 8.0 if side == 0 else LABEL_WIDTH + width + 8.0
-    outward = -1.0 if side == 0 else 1.0
-    svg.polylines([[(LABEL_WIDTH + anchor[0], anchor[1]), (inner, y)]], 1.2, "#444")
-    svg.circle((LABEL_WIDTH + anchor[0], anchor[1]), 3.2, fill="#444")
-    svg.circle((inner + 15 * outward, y), 14.0, fill="#fff", colour="#222", width=1.4)
-    svg.text((inner + 15 * outward, y + 5.5), str(label.number), 15.0, bold=True)
-    name, what = label.lines
-    x = inner + 36 * outward
-    anchored: Anchor = "end" if side == 0 else "start"
-    svg.text((x, y - 2.0), name, 15.5, anchor=anchored, bold=True)
-    svg.text((x, y - 2.0 + LINE), what, 13.0, anchor=anchored)
-
-
 # ---- bill of materials
 
 STEEL = "stainless steel A2"
@@ -330,6 +200,129 @@ def bill_csv(bill: list[BillItem]) -> bytes:
     return csv_tables.write(list(asdict(bill[0])), map(asdict, bill))
 
 
+# ---- exploded views
+
+GAP = 8.0
+"""Distance between exploded parts [mm]."""
+EXPLODED_SIZE, STEP_SIZE = (560, 1300), (360, 320)
+ABOVE = 25.0
+"""Length of the probe that a step's picture shows above all other parts [mm]."""
+FIXED_PART = "sensor"
+LABEL_WIDTH, LINE = 285.0, 19.0
+"""Width of the label column, and line spacing of a label [px]."""
+FROM_ABOVE, FROM_BELOW = OrthographicCamera(), OrthographicCamera(elevation_deg=-28.0)
+
+Bodies = Mapping[str, RenderBody]
+
+
+def exploded_bodies(bodies: Bodies, moves: Iterable[Move], seat: float) -> dict[str, RenderBody]:
+    """Return the bodies with each move's parts translated away from their assembled position.
+
+    Args:
+        bodies: all in their places.
+        moves: each onto a body that is fixed or moved before.
+        seat: z up to which the probe counts [mm]: the ring is drawn around the probe, not beyond its tip.
+    """
+    lifts = dict.fromkeys(bodies, 0.0)
+    for move in moves:
+        spans = [bodies[name].span for name in move.parts]
+        bottom, top = bodies[move.onto].span
+        if move.onto == "probe":
+            top = seat
+        away = bottom - GAP - max(s[1] for s in spans) if move.side == DOWN else top + GAP - min(s[0] for s in spans)
+        lifts |= dict.fromkeys(move.parts, lifts[move.onto] + away)
+    return {name: body.translated(lifts[name]) for name, body in bodies.items()}
+
+
+def step_pictures(bodies: Bodies, steps: Sequence[AssemblyStep], seat: float) -> list[bytes]:
+    """Return a PNG of each step: its parts on their way, and the parts mounted before in a paler colour."""
+    pictures, there = [], [FIXED_PART]
+    for step in steps:
+        onto = [move.onto for move in step.moves if move.onto not in step.parts]
+        before = [name for name in (onto if step.on_bench else there) if name not in step.parts]
+        shown = {name: bodies[name].faded() for name in dict.fromkeys(before)}
+        shown |= {name: bodies[name] for name in step.parts}
+        exploded = exploded_bodies(shown, step.moves, seat)
+        camera = FROM_BELOW if step.seen_from_below else FROM_ABOVE
+        below = max(body.span[1] for name, body in exploded.items() if name != "probe") + ABOVE
+        pictures.append(render_png(list(exploded.values()), STEP_SIZE, camera, below))
+        if not step.on_bench:
+            there += [name for name in step.parts if name not in there]
+    return pictures
+
+
+def exploded_svg(bodies: Bodies, bill: Sequence[BillItem], title: str, seat: float) -> Canvas:
+    """Return the exploded view of all parts with their numbers, names and descriptions.
+
+    Args:
+        bodies: all at their assembled positions.
+        bill: of materials.
+        title: text alternative.
+        seat: as for `exploded_bodies`.
+    """
+    exploded = exploded_bodies(bodies, explosion(bodies), seat)
+    names = list(exploded)
+    view = fit_view(list(exploded.values()), FROM_ABOVE, EXPLODED_SIZE)
+    pixels, owners = render_bodies(list(exploded.values()), view)
+    width, height = view.size
+    svg = Canvas(width + 2 * LABEL_WIDTH, height, unit="px", title=title)
+    picture = base64.b64encode(png_bytes(pixels)).decode()
+    svg.add("image", x=LABEL_WIDTH, y=0.0, width=width, height=height, href=f"data:image/png;base64,{picture}")
+
+    def middle(name: str) -> float:
+        rows = np.nonzero((owners == names.index(name)).any(axis=1))[0]
+        return float(rows.mean()) if len(rows) else 0.0
+
+    order, items = sorted(names, key=middle), {item.name: item for item in bill}
+    for side in (0, 1):  # alternating left and right, from the top
+        column = order[side::2]
+        anchors = [_anchor(owners, names.index(name), side) for name in column]
+        heights = _spread([y for _, y in anchors], 3.2 * LINE, height)
+        for name, anchor, y in zip(column, anchors, heights, strict=True):
+            _label(svg, items[name], anchor, y, side, width)
+    return svg
+
+
+def _anchor(owners: NDArray[np.int16], who: int, side: int) -> tuple[float, float]:
+    """Return a visible pixel of a body, slightly inside its left or right edge."""
+    rows, columns = np.nonzero(owners == who)
+    if len(rows) == 0:
+        return owners.shape[1] / 2, owners.shape[0] / 2
+    edge = np.quantile(columns, 0.06 if side == 0 else 0.94)
+    i = int(np.argmin(np.abs(columns - edge) + 0.5 * np.abs(rows - np.median(rows))))
+    return float(columns[i]), float(rows[i])
+
+
+def _spread(wanted: Sequence[float], spacing: float, height: float) -> list[float]:
+    """Return heights near the wanted ones, at least `spacing` apart, inside the picture."""
+    order = np.argsort(wanted, kind="stable")
+    placed = np.array(wanted, dtype=float)
+    lowest = spacing / 2
+    for i in order:
+        placed[i] = lowest = max(lowest, placed[i])
+        lowest += spacing
+    highest = height - spacing / 2
+    for i in order[::-1]:
+        placed[i] = highest = min(highest, placed[i])
+        highest -= spacing
+    return [float(y) for y in placed]
+
+
+def _label(svg: Canvas, item: BillItem, anchor: tuple[float, float], y: float, side: int, width: float) -> None:
+    inner = LABEL_WIDTH - 8.0 if side == 0 else LABEL_WIDTH + width + 8.0
+    outward = -1.0 if side == 0 else 1.0
+    svg.polylines([[(LABEL_WIDTH + anchor[0], anchor[1]), (inner, y)]], 1.2, "#444")
+    svg.circle((LABEL_WIDTH + anchor[0], anchor[1]), 3.2, fill="#444")
+    svg.circle((inner + 15 * outward, y), 14.0, fill="#fff", colour="#222", width=1.4)
+    svg.text((inner + 15 * outward, y + 5.5), str(item.number), 15.0, bold=True)
+    what = f"{item.quantity} × {item.what}" if item.quantity > 1 else item.what
+    what = f"{item.what}, {item.material}" if item.file else what
+    x = inner + 36 * outward
+    anchored: Anchor = "end" if side == 0 else "start"
+    svg.text((x, y - 2.0), item.title, 15.5, anchor=anchored, bold=True)
+    svg.text((x, y - 2.0 + LINE), what, 13.0, anchor=anchored)
+
+
 # ---- page
 
 STYLE = """body { max-width: 182mm }
@@ -372,14 +365,11 @@ def assembly_page(
         f'<div class="exploded"><h2>Exploded view</h2>{exploded}</div>',
         '<h2>Steps</h2><div class="steps">', *map(_step, range(1, len(steps) + 1), steps, pictures), "</div>",
     ]  # fmt: skip
-    return html_document(f"{model.design.name}: assembly", [_about(model)], "\n".join(sections) + "\n", STYLE)
-
-
-def _about(model: CadModel) -> str:
-    return (
+    about = (
         f"geometry {model.geometry.fingerprint} · {escape(_sensor_text(model))} · {escape(model.plate.robot.source)}"
         " · compare the geometry's number with the manifest and with the probe that <code>live</code> runs"
     )
+    return html_document(f"{model.design.name}: assembly", [about], "\n".join(sections) + "\n", STYLE)
 
 
 def _warning(model: CadModel) -> str:
@@ -518,13 +508,8 @@ def build_documents(model: CadModel) -> Documents:
         len(model.plate.p_centring_pins),
         model.design.mount.hold == "glued",
     )
-    labels = {}
-    for item in bill:
-        what = f"{item.quantity} × {item.what}" if item.quantity > 1 else item.what
-        what = f"{item.what}, {item.material}" if item.file else what
-        labels[item.name] = PartLabel(item.number, (item.title, what))
     seat = float(model.adapter.T_sensor_base[2, 3]) / MM
-    exploded = exploded_svg(bodies, labels, f"{model.design.name}: exploded view", seat)
+    exploded = exploded_svg(bodies, bill, f"{model.design.name}: exploded view", seat)
     files = {f"{part.name}.png": render_png([bodies[part.name]], PART_SIZE) for part in model.printed}
     files |= inspection_sheets(model)
     files["assembly.png"] = render_png(list(bodies.values()), ASSEMBLY_SIZE)

@@ -30,37 +30,6 @@ LIGHT = (-0.40, 0.58, 0.71)
 AMBIENT, DIRECT = 0.58, 0.50
 
 
-def rasterize(
-    corners: Array, normals: Array, owners: NDArray[np.int64], colours: Array, size: tuple[int, int], fine: int
-) -> tuple[NDArray[np.uint8], NDArray[np.int16]]:
-    """Render triangles on white.
-
-    Args:
-        corners: x to the right, y down, depth towards the eye, all in pixels, (m, 3, 3).
-        normals: outward unit normals at the corners, in axes right, up, towards the eye, (m, 3, 3).
-        owners: index of each triangle's body, (m,).
-        colours: red, green, blue 0 ... 1 of each body, (n, 3).
-        size: width and height [px].
-        fine: samples along each side of a pixel.
-
-    Returns:
-        Red, green, blue, (height, width, 3), and the body seen at each pixel or `BACKGROUND`, (height, width).
-    """
-    width, height = size[0] * fine, size[1] * fine
-    depth = np.full((height, width), -np.inf, dtype=np.float32)
-    owner = np.full((height, width), BACKGROUND, dtype=np.int16)
-    triangle = np.zeros((height, width), dtype=np.int32)
-    planes, first, last = _planes(corners * fine)
-    _fill(planes, first, last, owners, depth, owner, triangle)
-    # normal at 0, its change along x and along y
-    slopes = np.einsum("tij,tik->tjk", planes[:, :2], normals[:, 1:] - normals[:, :1])
-    slopes[:, 0] += normals[:, 0]
-    normal = np.zeros((height, width, 3), dtype=np.float32)
-    sums = np.zeros((size[1], size[0], 3), dtype=np.float32)
-    _shade(slopes, colours, depth, owner, triangle, fine, normal, sums)
-    return np.round(255.0 / fine**2 * sums).astype(np.uint8), owner[fine // 2 :: fine, fine // 2 :: fine]
-
-
 @njit(cache=True, error_model="numpy")
 def _shade(slopes, colours, depth, owner, triangle, fine, normal, sums):  # type: ignore[no-untyped-def]  # numba infers the types
     """Add the brightness of each sample to its pixel: shaded, an outline, or white paper.
@@ -118,7 +87,7 @@ def _fill(planes, first, last, owners, depth, owner, triangle):  # type: ignore[
         planes: per triangle, weights of corners b and c and depth, each as value at (0, 0), slope along x,
             slope along y, (m, 3, 3).
         first, last: rows that each triangle covers, (m,).
-        owners: as for `rasterize`.
+        owners: index of each triangle's body, (m,).
         depth, owner, triangle: nearest so far at each sample, (height, width); changed in place.
     """
     height, width = depth.shape
@@ -166,6 +135,7 @@ def _planes(corners: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]
 SMOOTH_RAD = 0.5
 """Facets that meet at a smaller angle are shaded as one round face."""
 SAMPLES = 2
+"""Samples along each side of a pixel."""
 MARGIN = 0.03
 """Free margin, as a share of the picture's larger side."""
 PALE = 0.3
@@ -262,20 +232,29 @@ def fit_view(
 
 
 def render_bodies(bodies: Sequence[RenderBody], view: ImageView) -> tuple[NDArray[np.uint8], NDArray[np.int16]]:
-    """Render the bodies in a view.
+    """Render the bodies on white.
 
     Returns:
-        Red, green, blue, (height, width, 3), and the index of each pixel's body, -1 for none, (height, width).
+        Red, green, blue, (height, width, 3), and the index of each pixel's body or `BACKGROUND`, (height, width).
     """
-    counts = [len(body.corners) for body in bodies]
-    return rasterize(
-        view.pixels(np.concatenate([body.corners for body in bodies])),
-        np.concatenate([body.normals for body in bodies]) @ view.axes.T,
-        np.repeat(np.arange(len(bodies)), counts),
-        np.array([body.colour for body in bodies]),
-        view.size,
-        SAMPLES,
-    )
+    corners = view.pixels(np.concatenate([body.corners for body in bodies]))
+    normals = np.concatenate([body.normals for body in bodies]) @ view.axes.T
+    owners = np.repeat(np.arange(len(bodies)), [len(body.corners) for body in bodies])
+    colours = np.array([body.colour for body in bodies])
+    width, height = view.size[0] * SAMPLES, view.size[1] * SAMPLES
+    depth = np.full((height, width), -np.inf, dtype=np.float32)
+    owner = np.full((height, width), BACKGROUND, dtype=np.int16)
+    triangle = np.zeros((height, width), dtype=np.int32)
+    planes, first, last = _planes(corners * SAMPLES)
+    _fill(planes, first, last, owners, depth, owner, triangle)
+    # normal at 0, its change along x and along y
+    slopes = np.einsum("tij,tik->tjk", planes[:, :2], normals[:, 1:] - normals[:, :1])
+    slopes[:, 0] += normals[:, 0]
+    normal = np.zeros((height, width, 3), dtype=np.float32)
+    sums = np.zeros((view.size[1], view.size[0], 3), dtype=np.float32)
+    _shade(slopes, colours, depth, owner, triangle, SAMPLES, normal, sums)
+    middle = SAMPLES // 2
+    return np.round(255.0 / SAMPLES**2 * sums).astype(np.uint8), owner[middle::SAMPLES, middle::SAMPLES]
 
 
 def png_bytes(pixels: NDArray[np.uint8], colours: int = 128) -> bytes:
