@@ -33,9 +33,6 @@ EXUDYN_ELEMENTS = (25, 50, 100, 200, 1600)
 """200 elements have an error of about 1 µm, and 1600 about that of `Rod.solve`."""
 REBUILT_ELEMENTS = 200
 """Elements of the row that includes building the model."""
-ELASTICA = {"documented clamp, 100 elements": (100, 0.0), "clamp at the middle of the first element, 50": (50, 0.5),
-            "clamp at the middle of the first element, 100": (100, 0.5)}  # fmt: skip
-
 CALLS = ("cold", "from a neighbouring load", "the same with the Jacobian by force and s_contact",
          "the same with all derivatives")  # fmt: skip
 
@@ -60,7 +57,7 @@ class Measurement(NamedTuple):
 
 def methods(rod: Rod, load: Load) -> dict[str, Method | None]:
     """Return all methods by name; None where a package is not installed."""
-    return {**by_rod(rod, load), **by_scipy(rod, load), **by_exudyn(rod, load), **by_elastica(rod, load)}
+    return {**by_rod(rod, load), **by_scipy(rod, load), **by_exudyn(rod, load)}
 
 
 def solver(rod: Rod, load: Load, columns: int, room: int, warm: bool = False) -> Callable[[], object]:
@@ -130,19 +127,6 @@ def by_exudyn(rod: Rod, load: Load) -> dict[str, Method | None]:
         return exudyn.solve(exudyn.build(rod, GRAVITY, load.force, load.s, REBUILT_ELEMENTS))
 
     return {**rows, f"Exudyn, {REBUILT_ELEMENTS} elements, model built": Method(with_building, with_building)}
-
-
-def by_elastica(rod: Rod, load: Load) -> dict[str, Method | None]:
-    """Return dynamic relaxation to the equilibrium."""
-    if find_spec("elastica") is None:
-        return {"PyElastica": None}
-    from benchmarks.peers.pyelastica import relax
-
-    rows: dict[str, Method | None] = {}
-    for name, (elements, behind) in ELASTICA.items():
-        solver = partial(relax, rod, GRAVITY, load.force, load.s, elements, behind)
-        rows[f"PyElastica, {name}"] = Method(solver, solver)
-    return rows
 
 
 def measure(rod: Rod, load: Load) -> dict[str, Measurement | None]:

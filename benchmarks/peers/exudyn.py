@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.peers.mesh import nodal_weights, stations
 from probedesign.core.frames import Array
 from probedesign.rod.rod import Rod
 
@@ -82,3 +81,29 @@ def _section(rod: Rod, radius: float) -> Any:
     section.massPerLength = rod.density * A  # required, but without effect in statics
     section.inertia = rod.density * A * radius * radius / 2.0 * np.eye(3)
     return section
+
+
+def stations(rod: Rod, s_contact: float, elements: int) -> Array:
+    """Return the ends of the elements [m], (elements + 1,), with one at s_contact and equal lengths on either side.
+
+    Args:
+        rod: the cone.
+        s_contact: arclength of the contact [m].
+        elements: number of elements.
+    """
+    if s_contact == rod.length:
+        before = elements
+    else:
+        before = min(max(1, round(elements * s_contact / rod.length)), elements - 1)
+    return np.append(
+        np.linspace(0.0, s_contact, before + 1), np.linspace(s_contact, rod.length, elements - before + 1)[1:]
+    )
+
+
+def nodal_weights(rod: Rod, s: Array, gravity: Array) -> Array:
+    """Return the nodal weights of the frusta between the stations s [N], (k, 3), with their true centres of mass."""
+    r0, r1 = rod.radius_at(s[:-1]), rod.radius_at(s[1:])
+    squares = r0 * r0 + r0 * r1 + r1 * r1
+    mass = rod.density * np.pi / 3.0 * np.diff(s) * squares
+    far = (r0 * r0 + 2.0 * r0 * r1 + 3.0 * r1 * r1) / (4.0 * squares)  # centre of mass over the length
+    return np.outer(np.append((1.0 - far) * mass, 0.0) + np.append(0.0, far * mass), gravity)

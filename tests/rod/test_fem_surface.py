@@ -1,6 +1,6 @@
 """The rod against three-dimensional finite elements of touches with friction on the surface of printed cones.
 
-The data and what each number means: `benchmarks/finite_elements.py`.
+The head of the data file states the method; docs/decisions/0006 has the script that computed it.
 """
 
 import json
