@@ -8,14 +8,20 @@ import os
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler, CompileResult
 from numba.core.cpu import CPUTargetOptions
 from numba.core.errors import NumbaError
+from packaging.requirements import Requirement
 
 from probedesign.rod.kernels import cache, kernel
+from probedesign.rod.kernels.linked import REPLACED
 
 INNER = "from probedesign.rod.kernels import inner\nFACTOR = 2.0\n\n@inner\ndef scaled(x):\n    return FACTOR * x\n"
 OUTER = (
@@ -166,7 +172,21 @@ def _allocates(x):
     return copied[0]
 
 
-@pytest.mark.skipif(not hasattr(CPUTargetOptions, "_nrt"), reason="this numba cannot switch its runtime off")
+def test_numba_has_the_private_names_that_the_kernels_replace():
+    """If this fails, numba changed what `linked` replaces: adapt it, or keep the bound of numba in pyproject.toml."""
+    missing = [name for name in REPLACED if not hasattr(JITCodeLibrary, name)]
+    assert not missing and hasattr(CPUTargetOptions, "_nrt")
+    assert hasattr(Compiler, "define_pipelines")
+    assert hasattr(CompileResult, "_reduce") and hasattr(CompileResult, "_rebuild")
+    assert hasattr(CompileResult, "_find_referenced_environments")
+
+
+def test_numba_is_bounded_to_the_minor_versions_with_those_names():
+    project = tomllib.loads((cache.PACKAGE.parent / "pyproject.toml").read_text())["project"]
+    (bound,) = (Requirement(text).specifier for text in project["dependencies"] if text.startswith("numba"))
+    assert numba.__version__ in bound and "1.0" not in bound
+
+
 def test_a_kernel_that_allocates_memory_does_not_compile():
     for _ in range(2):  # the first attempt leaves no lock behind
         with pytest.raises(NumbaError):

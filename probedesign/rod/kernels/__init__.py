@@ -12,17 +12,14 @@ from collections.abc import Callable
 from typing import Any
 
 from numba import njit
-from numba.core.cpu import CPUTargetOptions
 
 from probedesign.rod.kernels.cache import KernelCache
-from probedesign.rod.kernels.linked import compilers
+from probedesign.rod.kernels.linked import KernelCompiler, LinkedCompiler
 
-_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}}
-"""Division by zero gives inf or NaN, which the step control refuses; products and sums may be fused, not reordered."""
-if hasattr(CPUTargetOptions, "_nrt"):  # not part of numba's public interface
-    _OPTIONS["_nrt"] = False  # a kernel that allocates memory does not compile; without reference counts less compiles
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "_nrt": False}
+"""Division by zero gives inf or NaN, which the step control refuses; products and sums may be fused, not reordered.
+Without numba's runtime (`_nrt`, no public option), memory cannot be allocated in a kernel, and less is compiled."""
 _INTERNAL: dict[str, Any] = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-_KERNEL_COMPILER, _INNER_COMPILER = compilers()
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -41,7 +38,7 @@ def inlined(function: Callable[..., Any]) -> Any:
 
 
 def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Any:
-    compiler = _INNER_COMPILER if "no_cpython_wrapper" in options else _KERNEL_COMPILER
+    compiler = LinkedCompiler if "no_cpython_wrapper" in options else KernelCompiler
     dispatcher = njit(nogil=True, pipeline_class=compiler, **options)(function)
     if dispatcher is not function:  # NUMBA_DISABLE_JIT returns the function
         dispatcher._cache = KernelCache(dispatcher)

@@ -1,10 +1,10 @@
 """The cache of compiled kernels: one file for each compiled function, found by the content that it was compiled from.
 
 numba's own cache checks the file of a function, not what the function calls, and writes an index that can refer to
-older code when the disk is full. Here the name of a file contains a digest of the kernel's bytecode, of the values of
-the globals that it uses, and of all that for the kernels that it calls; nothing else refers to the file. An edited
-kernel or constant, another numba, Python or processor therefore has another name: a compiled function is either found
-whole and current or compiled anew. An edited comment changes nothing.
+older code when the disk is full. Here the name of a file contains a digest of the kernel's source file and of all files
+of the package that it imports, one through the other; nothing else refers to the file. An edited kernel or constant,
+another numba, Python or processor therefore has another name: a compiled function is either found whole and current or
+compiled anew.
 
 Places, in the order in which they are searched:
 
@@ -21,20 +21,18 @@ import hashlib
 import multiprocessing
 import os
 import pickle
+import re
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from types import CodeType, FunctionType, ModuleType, SimpleNamespace
 from typing import Any
 
 import llvmlite.binding
 import numba
-import numpy as np
 from numba.core import config
 from numba.core.serialize import dumps
 
@@ -73,17 +71,17 @@ class KernelCache:
         """Return the compiled function, None if it must be compiled; wait while another process compiles it."""
         self._unlock()  # of an attempt that failed
         target.refresh()
-        found = self._load(signature, target)
-        if found is None:
+        loaded = self._load(signature, target)
+        if loaded is None:
             self._lock = _lock(self._file(signature, compiled_for()))
             if self._lock is not None:
-                found = self._load(signature, target)
-        if found is None:
+                loaded = self._load(signature, target)
+        if loaded is None:
             _progress.start(self.name)
             _compile_beside()
         else:
             self._unlock()
-        return found
+        return loaded
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Save a compiled function. A folder that cannot be written costs one line, and later processes their time."""
@@ -101,11 +99,7 @@ class KernelCache:
     def flush(self) -> None:
         """Forget nothing: a file's name states its content."""
 
-    def enable(self) -> None:
-        """Do nothing: the cache is always enabled."""
-
-    def disable(self) -> None:
-        """Do nothing: the cache is always enabled."""
+    enable = disable = flush
 
     def _file(self, signature: Any, processor: str) -> Path:
         """Return the file of a signature relative to the folder of a place."""
@@ -209,72 +203,30 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
 
 def content_digest(dispatcher: Any) -> str:
     """Return the digest of all that a kernel's machine code follows from, but types, compiler and processor."""
-    function = dispatcher.py_func
-    options = getattr(dispatcher, "targetoptions", {})
-    compiler = getattr(getattr(dispatcher, "_compiler", None), "pipeline_class", type(None)).__name__
-    key = function, (compiler, *(f"{name} {options[name]!r}" for name in sorted(options)))
-    if key not in _digests:
-        _digests[key] = function.__qualname__  # where it calls itself
-        digest = _DIGEST(f"{key[1]}".encode())
-        cells = tuple(cell.cell_contents for cell in function.__closure__ or ())
-        for part in (*_content((cells, function.__defaults__)), *_code(function.__code__, function)):
-            digest.update(part.encode() + b"\0")
-        _digests[key] = digest.hexdigest()
-    return _digests[key]
+    options = sorted(dispatcher.targetoptions.items())
+    text = f"{dispatcher.py_func.__qualname__} {options!r} {_sources_digest(dispatcher.py_func.__code__.co_filename)}"
+    return _DIGEST(text.encode()).hexdigest()
 
 
-_digests: dict[tuple[FunctionType, tuple[str, ...]], str] = {}
-"""Digests of functions with their options: kernels have most of the functions that they call in common."""
+_IMPORT = re.compile(rf"^(?:from|import) ({PACKAGE.name}[\w.]*)(?: import ([\w, ]+))?", re.MULTILINE)
+"""An import of the package at the top of a file; what is imported elsewhere is no global of a kernel."""
 
 
-def _content(value: Any) -> Iterator[str]:
-    """Yield texts that determine a value which compiled code contains."""
-    function = getattr(value, "py_func", value)
-    if isinstance(function, FunctionType) and _is_ours(function.__module__):
-        yield f"{function.__module__}.{function.__qualname__}"
-        yield content_digest(value if function is not value else SimpleNamespace(py_func=function))
-    elif isinstance(value, np.ndarray | np.generic):
-        yield f"{value.dtype!r} {value.shape}"
-        yield value.tobytes().hex()
-    elif isinstance(value, tuple | list):
-        yield f"{type(value).__name__} {len(value)}"
-        for item in value:
-            yield from _content(item)
-    elif isinstance(value, set | frozenset):
-        yield from sorted(repr(item) for item in value)
-    elif isinstance(value, ModuleType):
-        yield value.__name__
-    elif isinstance(value, type):
-        yield f"{value.__module__}.{value.__qualname__} {getattr(value, '_fields', '')}"
-    else:  # numbers, texts, types of arrays and of numba
-        yield f"{type(value).__name__} {value!r}"
-
-
-def _code(code: CodeType, function: FunctionType) -> Iterator[str]:
-    """Yield texts that determine what bytecode computes: its own and the values of the names that it looks up."""
-    yield code.co_code.hex()
-    yield f"{code.co_names} {code.co_varnames} {code.co_freevars}"
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            yield from _code(constant, function)
-        elif constant != function.__doc__:
-            yield from _content(constant)
-    for name in code.co_names:
-        if name not in function.__globals__:
+@cache
+def _sources_digest(path: str) -> str:
+    """Return the digest of a source file and of the files of the package that it imports, one through the other."""
+    texts: dict[Path, str] = {}
+    waiting = [Path(path)]
+    while waiting:
+        file = waiting.pop()
+        if file in texts or not file.is_file():
             continue
-        value = function.__globals__[name]
-        yield name
-        yield from _content(value)
-        if _is_ours(getattr(value, "__module__" if isinstance(value, type) else "__name__", None)):
-            # Of a module or class: the bytecode does not state which names belong to it.
-            for attribute in code.co_names:
-                if attribute in getattr(value, "__dict__", {}):
-                    yield attribute
-                    yield from _content(vars(value)[attribute])
-
-
-def _is_ours(module: Any) -> bool:
-    return isinstance(module, str) and module.partition(".")[0] == PACKAGE.name
+        texts[file] = file.read_text(encoding="utf-8")
+        for module, names in _IMPORT.findall(texts[file]):
+            base = PACKAGE.parent.joinpath(*module.split("."))
+            modules = (base, base / "__init__", *(base / name.strip() for name in names.split(",") if name.strip()))
+            waiting += [part.with_suffix(".py") for part in modules]
+    return _DIGEST("\0".join(sorted(texts.values())).encode()).hexdigest()
 
 
 def version(processor: str) -> str:
@@ -325,8 +277,8 @@ def folders() -> list[Path]:
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     # Without a home, "~" stays and the path is relative.
     base = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
-    own = base / "probedesign" / _DIGEST(str(PACKAGE).encode()).hexdigest()[:16]
-    return [*([Path(chosen)] if chosen else []), BUILT, *([own] if base.is_absolute() else [])]
+    of_user = base / "probedesign" / _DIGEST(str(PACKAGE).encode()).hexdigest()[:16]
+    return [*([Path(chosen)] if chosen else []), BUILT, *([of_user] if base.is_absolute() else [])]
 
 
 @cache

@@ -4,8 +4,8 @@ numba makes every compiled function ready to be called from Python: it optimises
 and emits the machine code of all of it. LLVM links and optimises the function again in each of its callers. For a
 function that Python never calls, the first of these is lost, and it was a quarter of the time to compile.
 
-The classes replace methods of numba that are not part of its public interface. A numba that lacks one of them compiles
-in its own way, which takes longer and computes the same.
+The classes replace methods of numba that are not part of its public interface (`REPLACED`), so pyproject.toml limits
+numba to the versions that have them.
 """
 
 from typing import Any
@@ -14,7 +14,7 @@ import llvmlite.binding
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult, compile_result
 
-_REPLACED = (
+REPLACED = (
     "_optimize_final_module", "_finalize_final_module", "_finalize_dynamic_globals", "_get_module_for_linking",
     "get_pointer_to_function", "serialize_using_object_code",
 )  # fmt: skip
@@ -83,19 +83,16 @@ class _IntoLibrary(Compiler):
         return super().define_pipelines()
 
 
-class _KernelCompiler(_IntoLibrary):
+class KernelCompiler(_IntoLibrary):
+    """Compiler of kernels."""
+
     library = KernelLibrary
 
 
-class _LinkedCompiler(_IntoLibrary):
+class LinkedCompiler(_IntoLibrary):
+    """Compiler of functions that only kernels call."""
+
     library = LinkedLibrary
-
-
-def compilers() -> tuple[type[Compiler], type[Compiler]]:
-    """Return the compilers of kernels, and of functions that only kernels call."""
-    if all(hasattr(JITCodeLibrary, name) for name in _REPLACED):
-        return _KernelCompiler, _LinkedCompiler
-    return Compiler, Compiler
 
 
 def rebuild(target: Any, saved: tuple[Any, ...]) -> CompileResult:
