@@ -63,7 +63,10 @@ def plan(
             "--stage-mm 0: a stage measures a place with a standard deviation above 0; --no-stage plans without a stage"
         )
     names = check_requested([name for name in (part.strip() for part in for_.split(",")) if name])
-    _check_numbers(minutes, held_out)
+    if not 0.0 < minutes <= 10_000.0:
+        raise InputError(f"--minutes {minutes:g} must lie in 1 ... 10000")
+    if not 0 <= held_out <= 40:
+        raise InputError(f"--held-out {held_out} must lie in 0 ... 40")
     instruments = _instruments(stage_mm if stage else None, cameras_mm, weights_g, turn, balance_g, calipers_mm)
     start = load_design(design)
     folder = Path("data") / start.name if out is None else out
@@ -79,13 +82,6 @@ def plan(
         return
     _print(found)
     print(f"wrote {', '.join(map(str, files))}")
-
-
-def _check_numbers(minutes: float, held_out: int) -> None:
-    if not 0.0 < minutes <= 10_000.0:
-        raise InputError(f"--minutes {minutes:g} must lie in 1 ... 10000")
-    if not 0 <= held_out <= 40:
-        raise InputError(f"--held-out {held_out} must lie in 0 ... 40")
 
 
 def _instruments(

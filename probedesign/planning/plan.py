@@ -89,9 +89,9 @@ class Plan:
     @property
     def enough(self) -> PlannedTest:
         """The first test after which every standard deviation is at most a tenth above its final value."""
-        final = [one.std for one in self.expected]
+        final = [interval.std for interval in self.expected]
         for test in self.tests:
-            now = [one.std for one in test.expected]
+            now = [interval.std for interval in test.expected]
             if all(b is None or (a is not None and a <= ENOUGH * b) for a, b in zip(now, final, strict=True)):
                 return test
         return self.tests[-1]
@@ -99,24 +99,24 @@ class Plan:
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes for the user, each one line."""
-        own: tuple[str, ...] = ()
+        notes = list(self.unobservable)
         if self.identified != self.names:
-            own += ("The calipers determine the diameters: write them into the design with `probedesign measured`, and "
-                    f"identify --for {','.join(self.identified)}.",)  # fmt: skip
+            notes.append("The calipers determine the diameters: write them into the design with `probedesign "
+                         f"measured`, and identify --for {','.join(self.identified)}.")  # fmt: skip
         if assumed := ", ".join(self.bench.model.assumptions):
-            own += (f"assumed of the design: {assumed}",)
-        return (*self.unobservable, *own)
+            notes.append(f"assumed of the design: {assumed}")
+        return tuple(notes)
 
     @property
     def identified(self) -> tuple[str, ...]:
         """Parameters that `identify` estimates from the tests: all but the diameters, where calipers measure them."""
-        calipers = any(one.set_up == "calipers" for one in self.candidates)
+        calipers = any(candidate.set_up == "calipers" for candidate in self.candidates)
         return tuple(name for name in self.names if not (name == "diameters" and calipers)) or self.names
 
     @property
     def candidates(self) -> tuple[CandidateTest, ...]:
         """What is to be done, in order."""
-        return tuple(one.candidate for one in self.tests)
+        return tuple(test.candidate for test in self.tests)
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
@@ -129,11 +129,11 @@ class Plan:
             "minutes_planned": self.tests[-1].minutes,
             "enough_after": self.enough.candidate.name,
             "tests": [
-                {"name": one.candidate.name, "set_up": one.candidate.set_up, "what": one.candidate.words,
-                 "use": "validate" if one.candidate.held_out else "identify",
-                 "minutes": one.candidate.minutes, "minutes_since_start": one.minutes,
-                 "expected": [vars(interval) for interval in one.expected]}
-                for one in self.tests
+                {"name": test.candidate.name, "set_up": test.candidate.set_up, "what": test.candidate.words,
+                 "use": "validate" if test.candidate.held_out else "identify",
+                 "minutes": test.candidate.minutes, "minutes_since_start": test.minutes,
+                 "expected": [vars(interval) for interval in test.expected]}
+                for test in self.tests
             ],
             "unobservable": list(self.unobservable),
         }  # fmt: skip
@@ -174,16 +174,16 @@ class Information:
     @cached_property
     def blocks(self) -> dict[str, tuple[ResidualBlock, ...]]:
         """Residuals of each candidate by its name."""
-        found: dict[str, list[ResidualBlock]] = {one.name: [] for one in self.candidates}
+        blocks: dict[str, list[ResidualBlock]] = {candidate.name: [] for candidate in self.candidates}
         for block in self.whole.blocks:
-            found[block.test].append(block)
+            blocks[block.test].append(block)
         balance = self.bench.instruments.balance
-        if "weighing" in found and balance is not None:
+        if "weighing" in blocks and balance is not None:
             mass = MassMeasurement(0.0, balance, self.flange_volume).block(self.whole.values)
-            found["weighing"] = [mass._replace(r=0.0 * mass.r, residual=0.0 * mass.residual)]
-        if "calipers" in found:
-            found["calipers"] = [self._calipers()]
-        return {name: tuple(blocks) for name, blocks in found.items()}
+            blocks["weighing"] = [mass._replace(r=0.0 * mass.r, residual=0.0 * mass.residual)]
+        if "calipers" in blocks:
+            blocks["calipers"] = [self._calipers()]
+        return {name: tuple(of_candidate) for name, of_candidate in blocks.items()}
 
     def _calipers(self) -> ResidualBlock:
         """Return the residuals of diameters measured at the marks, with derivatives by differences: they are linear in
@@ -214,9 +214,9 @@ class Information:
         """Return the intervals that `identify` would state of these tests, and why parameters are not determined."""
         requested, why = tuple(names), list[str]()
         common = self.whole.problem.common
-        inside = {one.name for one in chosen}
+        inside = {candidate.name for candidate in chosen}
         solved = tuple(test for test in self.whole.tests if test.measured.name in inside)
-        blocks = tuple(block for one in chosen for block in self.blocks[one.name])
+        blocks = tuple(block for candidate in chosen for block in self.blocks[candidate.name])
         while requested:
             problem = LeastSquaresProblem(common, tuple(test.measured for test in solved), None,
                                           common.prior_without(requested))  # fmt: skip
@@ -234,18 +234,20 @@ class Information:
     ) -> tuple[ExpectedInterval, ...]:
         fit = Fit("ok", point, {})  # as designed, with every reading at full weight
         active = np.flatnonzero(point.problem.active)
-        found, quantile = [], float(norm.ppf(0.5 + LEVEL / 2.0))
+        intervals, quantile = [], float(norm.ppf(0.5 + LEVEL / 2.0))
         for label, column in zip(_components(names), columns_of(names), strict=True):
             owner = OWNER[column]
             if owner.name not in determined:
-                found.append(_unknown(label))
+                intervals.append(_unknown(label))
                 continue
             i = int(np.searchsorted(active, column))
             (_, std, _), of_print = conditional_estimate(fit, column), math.sqrt(fit.cov[i, i])
             rod, unit = self.bench.model.rod, 1.0 if owner.logarithm else owner.scale
             low, high = (owner.reported(rod, sign * quantile * std) for sign in (-1.0, 1.0))
-            found.append(ExpectedInterval(label, owner.unit, unit * std, low, high, unit * of_print, owner.logarithm))
-        return tuple(found)
+            intervals.append(
+                ExpectedInterval(label, owner.unit, unit * std, low, high, unit * of_print, owner.logarithm)
+            )
+        return tuple(intervals)
 
 
 def _components(names: Sequence[str]) -> list[str]:
@@ -253,7 +255,7 @@ def _components(names: Sequence[str]) -> list[str]:
 
 
 def _unknown(label: str) -> ExpectedInterval:
-    owner = next(one for one in PARAMETERS.values() if label in one.labels)
+    owner = next(parameter for parameter in PARAMETERS.values() if label in parameter.labels)
     return ExpectedInterval(label, owner.unit, None, None, None, None, owner.logarithm)
 
 
@@ -289,25 +291,27 @@ def make_plan(
     if len(candidates) == len(fixed):
         raise InputError("no test is possible besides the free hang; name a stage, cameras, weights, a balance or "
                          "calipers, or leave out --no-turn")  # fmt: skip
-    for_validation = _spread([one for one in candidates if one.set_up == "touch"], held_out)
-    reserved = PREPARATION + sum(one.minutes for one in (*fixed, *for_validation))
-    shortest = reserved + min((one.minutes for one in candidates[2:]), default=0.0)
+    for_validation = _spread([candidate for candidate in candidates if candidate.set_up == "touch"], held_out)
+    reserved = PREPARATION + sum(candidate.minutes for candidate in (*fixed, *for_validation))
+    shortest = reserved + min((candidate.minutes for candidate in candidates[2:]), default=0.0)
     if minutes < shortest:
         raise InputError(f"--minutes {minutes:g} is too short: {PREPARATION:g} min of preparation, two free hangs and "
                          f"{len(for_validation)} touches for validate need {shortest:g} min with one further test; "
                          "give more time, or fewer touches with --held-out")  # fmt: skip
     information = Information(bench, tuple(candidates), flange_volume)
-    free = [one for one in candidates[2:] if one not in for_validation]
+    free = [candidate for candidate in candidates[2:] if candidate not in for_validation]
     choice = _Choice(information, names, fixed)
-    validation = [replace(one, held_out=True) for one in sorted(for_validation, key=lambda one: one.mark)]
-    between, needed = -1, 0
-    while needed > between:  # more hangs leave time for fewer tests, which need no more hangs
-        between = needed
-        chosen = choice.best(free, minutes - reserved - between * hang.minutes)
-        away, mounted = ([one for one in _ordered(chosen) if (one.test is None) is off] for off in (True, False))
-        mounted += validation
-        needed = max(len(mounted) - 1, 0) // HANG_EVERY
-    return _scheduled(information, (*away, *_with_hangs(hang, mounted, needed)), tuple(names), minutes)
+    validation = [replace(touch, held_out=True) for touch in sorted(for_validation, key=lambda touch: touch.mark)]
+    hangs_between, hangs_needed = -1, 0
+    while hangs_needed > hangs_between:  # more hangs leave time for fewer tests, which need no more hangs
+        hangs_between = hangs_needed
+        chosen = choice.best(free, minutes - reserved - hangs_between * hang.minutes)
+        # one set-up after the other, the most informative test of each first
+        in_order = [candidate for set_up in ORDER for candidate in chosen if candidate.set_up == set_up]
+        apart = [candidate for candidate in in_order if candidate.test is None]
+        mounted = [candidate for candidate in in_order if candidate.test is not None] + validation
+        hangs_needed = max(len(mounted) - 1, 0) // HANG_EVERY
+    return _scheduled(information, (*apart, *_with_hangs(hang, mounted, hangs_needed)), tuple(names), minutes)
 
 
 def _with_hangs(hang: CandidateTest, tests: Sequence[CandidateTest], between: int) -> Iterator[CandidateTest]:
@@ -324,45 +328,43 @@ def _scheduled(
 ) -> Plan:
     """Return the plan of tests in their order, with their times and the intervals after each."""
     counts, clock, timed = dict.fromkeys(ORDER, 0), PREPARATION, list[tuple[CandidateTest, float]]()
-    for one in ordered:
-        clock += one.minutes
-        counts[one.set_up] += 1
-        if one.test is not None:
-            number = f"{counts[one.set_up]:d}" if one.set_up == "hang" else f"{counts[one.set_up]:02d}"
-            one = one.named(f"{one.set_up}-{number}", one.held_out, 60.0 * clock)
-        timed.append((one, clock))
-    last = Information(information.bench, tuple(one for one, _ in timed), information.flange_volume, scheduled=True)
+    for candidate in ordered:
+        clock += candidate.minutes
+        counts[candidate.set_up] += 1
+        if candidate.test is not None:
+            count, set_up = counts[candidate.set_up], candidate.set_up
+            name = f"{set_up}-{count:d}" if set_up == "hang" else f"{set_up}-{count:02d}"
+            candidate = candidate.named(name, candidate.held_out, 60.0 * clock)
+        timed.append((candidate, clock))
+    scheduled = tuple(candidate for candidate, _ in timed)
+    last = Information(information.bench, scheduled, information.flange_volume, scheduled=True)
     done, why = list[CandidateTest](), tuple[str, ...]()
     intervals: tuple[ExpectedInterval, ...] = tuple(_unknown(label) for label in _components(names))
     tests = []
-    for one, clock in timed:
-        if not one.held_out:
-            done.append(one)
+    for candidate, clock in timed:
+        if not candidate.held_out:
+            done.append(candidate)
             intervals, why = last.expected(done, names)
-        tests.append(PlannedTest(one, clock, intervals))
+        tests.append(PlannedTest(candidate, clock, intervals))
     return Plan(information.bench, names, minutes, tuple(tests), why)
-
-
-def _ordered(chosen: list[CandidateTest]) -> list[CandidateTest]:
-    """Return the chosen tests with one set-up after the other, the most informative test of each first."""
-    return [one for kind in ORDER for one in chosen if one.set_up == kind]
 
 
 def _spread(touches: list[CandidateTest], count: int) -> list[CandidateTest]:
     """Return touches at places along the probe, each in another direction and by another displacement."""
     if not touches or count <= 0:
         return []
-    marks = sorted({one.mark for one in touches})
-    directions = list(dict.fromkeys(one.test.direction for one in touches if one.test is not None))
-    found: list[CandidateTest] = []
+    marks = sorted({touch.mark for touch in touches})
+    directions = list(dict.fromkeys(touch.test.direction for touch in touches if touch.test is not None))
+    spread: list[CandidateTest] = []
     for k in range(count):
-        mark = marks[round((k + 0.5) / count * len(marks) - 0.5)]
-        here = [one for one in touches if one.mark == mark and one not in found]
-        own = [one for one in here if one.test is not None and one.test.direction == directions[k % len(directions)]]
-        pool = sorted(own or here, key=lambda one: one.displacement)
+        middle = round((k + 0.5) / count * len(marks) - 0.5)  # of the k-th part of the probe
+        mark, direction = marks[middle], directions[k % len(directions)]
+        here = [touch for touch in touches if touch.mark == mark and touch not in spread]
+        towards = [touch for touch in here if touch.test is not None and touch.test.direction == direction]
+        pool = sorted(towards or here, key=lambda touch: touch.displacement)
         if pool:
-            found.append(pool[k % len(pool)])
-    return found
+            spread.append(pool[k % len(pool)])
+    return spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -396,8 +398,8 @@ class _Choice:
     def matrices(self) -> dict[str, Array]:
         """Information of each candidate in units of the prior."""
         scale = self.scale[self.active]
-        return {one.name: scale[:, None] * self.information.matrix(one.name, self.active) * scale
-                for one in self.information.candidates}  # fmt: skip
+        return {candidate.name: scale[:, None] * self.information.matrix(candidate.name, self.active) * scale
+                for candidate in self.information.candidates}  # fmt: skip
 
     def value(self, matrices: Array) -> Array:
         """Return ½ log det of the marginal information on the requested parameters, of matrices (..., n, n)."""
@@ -407,12 +409,12 @@ class _Choice:
 
     def best(self, candidates: list[CandidateTest], minutes: float) -> list[CandidateTest]:
         """Return tests within the time, the most informative per minute first."""
-        total = np.eye(len(self.active)) + sum(self.matrices[one.name] for one in self.fixed)
+        total = np.eye(len(self.active)) + sum(self.matrices[candidate.name] for candidate in self.fixed)
         chosen: list[CandidateTest] = []
         left = minutes
-        while pool := [one for one in candidates if one not in chosen and one.minutes <= left]:
+        while pool := [other for other in candidates if other not in chosen and other.minutes <= left]:
             gains = self._values(total, pool) - self.value(total)
-            k = int(np.argmax(np.where(gains >= MIN_GAIN, gains / [one.minutes for one in pool], -np.inf)))
+            k = int(np.argmax(np.where(gains >= MIN_GAIN, gains / [other.minutes for other in pool], -np.inf)))
             if gains[k] < MIN_GAIN:
                 break
             chosen.append(pool[k])
@@ -421,7 +423,7 @@ class _Choice:
 
     def _values(self, total: Array, pool: list[CandidateTest]) -> Array:
         """Return the value with each candidate added."""
-        return self.value(total + np.stack([self.matrices[one.name] for one in pool]))
+        return self.value(total + np.stack([self.matrices[candidate.name] for candidate in pool]))
 
     def _exchanged(
         self, chosen: list[CandidateTest], candidates: list[CandidateTest], total: Array, left: float
@@ -429,11 +431,11 @@ class _Choice:
         """Return the tests after the exchanges that increase the determinant."""
         for _ in range(MAX_EXCHANGES):
             best, gain = None, MIN_GAIN
-            for i, one in enumerate(chosen):
-                free = left + one.minutes
+            for i, test in enumerate(chosen):
+                free = left + test.minutes
                 pool = [other for other in candidates if other not in chosen and other.minutes <= free]
                 if pool:
-                    gains = self._values(total - self.matrices[one.name], pool) - self.value(total)
+                    gains = self._values(total - self.matrices[test.name], pool) - self.value(total)
                     if gains.max() > gain:
                         best, gain = (i, pool[int(np.argmax(gains))]), float(gains.max())
             if best is None:
