@@ -6,7 +6,7 @@ For a body of revolution under a bending moment, u = (U cos θ, V sin θ, W cos 
 solid to its half plane. Displacement and pressure are independent (Taylor–Hood, Q2/Q1), which prevents locking of
 incompressible material. The end of a stub above the flange rotates by φ, and the rod without a flange by M ∫ ds/(E I);
 the difference as a length of rod in base radii is c = (∫ ds/(E I) - φ/M) E I₀/r₀. The force that compresses the lip
-between ring and land is that of the axisymmetric problem, of which the formula in `mount/clamping.py` is compared.
+between ring and land is that of the axisymmetric problem, of which the formula in `mount.lip.pad_force` is compared.
 scikit-fem is needed: pip install 'probedesign[bench]'.
 """
 
@@ -291,7 +291,7 @@ def report() -> None:
     """Print the result for the three designs, for other bases and thicknesses, and on finer meshes."""
     from probedesign.design import load_design
     from probedesign.mount import build_geometry
-    from probedesign.mount.root import exported_root_radii
+    from probedesign.mount.mount import exported_root_radii
 
     rows = []
     for name in ("large", "medium", "small"):

@@ -28,9 +28,17 @@ from probedesign.core.units import MM, MPA
 from probedesign.design.catalog import RIGID_RESIN
 from probedesign.design.sensors import DowelPattern
 from probedesign.geometry.mass import combined
-from probedesign.mount.clamping import NUT_FACTOR, RESIN_PRESSURE, clamp_force, hand_torque, ring_torque
 from probedesign.mount.flange_adapter import CENTRING_PIN_LENGTH
-from probedesign.mount.tolerance_stack import CALIPERS, measurements, tolerance_stacks
+from probedesign.mount.tolerance_stack import (
+    CALIPERS,
+    NUT_FACTOR,
+    RESIN_PRESSURE,
+    clamp_force,
+    hand_torque,
+    measurements,
+    ring_torque,
+    tolerance_stacks,
+)
 from probedesign.reports.html_page import html_document
 
 # ---- order

@@ -21,9 +21,8 @@ from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.geometry.mass import MassProperties, combined
 from probedesign.mount import exported_root_radii
-from probedesign.mount.clamping import clamp_force
-from probedesign.mount.root import ROOT_STD
-from probedesign.mount.tolerance_stack import measurements, tolerance_stacks
+from probedesign.mount.mount import ROOT_STD
+from probedesign.mount.tolerance_stack import clamp_force, measurements, tolerance_stacks
 from probedesign.printing.check import check_print, print_scale
 
 SCHEMA = 1

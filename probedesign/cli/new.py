@@ -77,7 +77,7 @@ def new(
     """
     from probedesign.design.io import draft_design, known_sensor, render_design, write_design
     from probedesign.mount.flange_adapter import fitting_flanges
-    from probedesign.mount.root import with_computed_root
+    from probedesign.mount.mount import with_computed_root
 
     try:
         fitting = fitting_flanges(known_sensor(sensor))

@@ -484,7 +484,7 @@ class Design(Table, Displayed):
             "shear_modulus_mpa": self.shear_modulus,
             "density_kg_m3": self.density,
         }
-        # 0.12 is a face bonded to something rigid; the exported flange is computed to yield (mount/root.py).
+        # 0.12 is a face bonded to something rigid; the exported flange is computed to yield (mount/mount.py).
         root = ("mount.root_rigid_radii",) if self.mount.root_rigid_radii != 0.0 else ()
         # An infinite friction leaves the direction of the force free: no number is assumed.
         friction, free = self.friction, math.isinf(self.friction.value)

@@ -14,7 +14,7 @@ from probedesign.design.edit import Change, edit_text
 from probedesign.design.io import load_design, write_design
 from probedesign.identification.parameters import PARAMETERS
 from probedesign.identification.result import Identification, Identified
-from probedesign.mount.root import stated_root_radii
+from probedesign.mount.mount import stated_root_radii
 
 IN_DESIGN = {name: one for name, one in PARAMETERS.items() if one.design_key}
 """Parameters that a design file holds."""

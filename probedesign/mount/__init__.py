@@ -6,10 +6,10 @@ from probedesign.mount.mass import mount_mass_properties as mount_mass_propertie
 from probedesign.mount.mass import mount_part_masses as mount_part_masses
 from probedesign.mount.mount import Mount as Mount
 from probedesign.mount.mount import build_geometry as build_geometry
+from probedesign.mount.mount import exported_root_radii as exported_root_radii
 from probedesign.mount.mount import flange_of as flange_of
 from probedesign.mount.mount import mount_options as mount_options
-from probedesign.mount.root import exported_root_radii as exported_root_radii
-from probedesign.mount.root import root_contradiction as root_contradiction
+from probedesign.mount.mount import root_contradiction as root_contradiction
 from probedesign.mount.sensor_adapter import MountOptions as MountOptions
 from probedesign.mount.sensor_adapter import SensorAdapter as SensorAdapter
 from probedesign.mount.sensor_adapter import max_ring_passage_d as max_ring_passage_d

@@ -21,12 +21,11 @@ from probedesign.design import Design
 from probedesign.design.catalog import PRINTERS, Printer
 from probedesign.geometry import FLANGE_LIP, ProbeGeometry
 from probedesign.mount import FlangeAdapter, Mount, SensorAdapter
-from probedesign.mount.clamping import clamp_force
 from probedesign.mount.engraving import XY
 from probedesign.mount.flange_adapter import TIE_SLOT
 from probedesign.mount.lip import MAX_BENDING_SHARE
 from probedesign.mount.sensor_adapter import MAX_OVERHANG, PEG_D
-from probedesign.mount.tolerance_stack import tolerance_stacks
+from probedesign.mount.tolerance_stack import clamp_force, tolerance_stacks
 from probedesign.printing.findings import Finding, Rule, Severity
 
 GUIDE = "Formlabs' design guide, Form 2, rigid resin"

@@ -31,10 +31,9 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import pose
 from probedesign.core.svg import Canvas
 from probedesign.design import Design, parse_design
-from probedesign.mount.clamping import RESIN_PRESSURE, hand_torque
 from probedesign.mount.engraving import Engraving
 from probedesign.mount.sensor_adapter import RING_VENT_HEIGHT
-from probedesign.mount.tolerance_stack import measurements
+from probedesign.mount.tolerance_stack import RESIN_PRESSURE, hand_torque, measurements
 from probedesign.printing.check import RAFT_MARGIN
 from tests.reports.page_checks import browser, check_page, sheets
 

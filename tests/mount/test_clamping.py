@@ -8,10 +8,10 @@ import pytest
 from probedesign.design import Design, parse_design
 from probedesign.design.sensor_catalog import SENSORS
 from probedesign.mount import Mount, mount_options
-from probedesign.mount.clamping import MODEL_RANGE, NUT_FACTOR, ClampForce, clamp_force, hand_torque
 from probedesign.mount.flange_adapter import fitting_flanges
 from probedesign.mount.lip import MAX_BENDING_SHARE, MIN_LIP, MIN_RELIEF, pad_force, plate_bending
 from probedesign.mount.sensor_adapter import WALL
+from probedesign.mount.tolerance_stack import MODEL_RANGE, NUT_FACTOR, ClampForce, clamp_force, hand_torque
 from probedesign.printing.check import check_print
 
 E = 2.32e6

@@ -12,7 +12,7 @@ from probedesign.design import parse_design
 from probedesign.design.catalog import SCREWS
 from probedesign.design.io import render_design
 from probedesign.mount import Mount, build_geometry
-from probedesign.mount.root import (
+from probedesign.mount.mount import (
     ROOT_STD,
     exported_root_radii,
     root_contradiction,
