@@ -85,13 +85,13 @@ def _remedy(extra: str, missing: list[dict[str, str | None]]) -> dict[str, Any]:
     """
     wanted = [f'"{package["requirement"]}"' for package in missing if package["extra"] == extra]
     install = f"pip install {' '.join(wanted)}"
-    return {"extra": extra, "needed_for": ENABLES[extra], "install": install, "note": _no_wheel(extra)}
-
-
-def _no_wheel(extra: str) -> str | None:
-    if extra in NO_WHEEL_ON_ARM and (platform.system(), platform.machine()) == ("Linux", "aarch64"):
-        return f"{NO_WHEEL_ON_ARM[extra]} has no wheel for Linux on ARM; use another machine, or build it"
-    return None
+    no_wheel = extra in NO_WHEEL_ON_ARM and (platform.system(), platform.machine()) == ("Linux", "aarch64")
+    note = (
+        f"{NO_WHEEL_ON_ARM[extra]} has no wheel for Linux on ARM; use another machine, or build it"
+        if no_wheel
+        else None
+    )
+    return {"extra": extra, "needed_for": ENABLES[extra], "install": install, "note": note if no_wheel else None}
 
 
 def _numba_cache() -> dict[str, Any]:

@@ -75,7 +75,11 @@ def explore(
     for note in (source.title, *source.notes, poses.title, *poses.notes, base_uncertainty.notice):
         print_note(note)
     priors = base_uncertainty.apply_to(estimator.priors)
-    on_touch = _print_touch if recording is None else lambda touch: None
+
+    def on_touch(touch: "LocatedTouch") -> None:
+        if recording is None:
+            print_note(f"touch {touch.segment.number} ended: {touch.result}")
+
     with interrupt_on_termination():
         exploration = pipeline.explore(estimator, source, processing, poses, print_note, priors, apart, on_touch)
     if exploration.n_without_pose:
@@ -109,10 +113,6 @@ def _open(
     with show_progress("loading the rod kernels"):
         warm_up(estimator, print_note, fusing=True)
         return reading.open(recording, estimator.model, poses, print_note), poses
-
-
-def _print_touch(touch: "LocatedTouch") -> None:
-    print_note(f"touch {touch.segment.number} ended: {touch.result}")
 
 
 def _true_outlines(source: "Source") -> "tuple[Array, ...]":

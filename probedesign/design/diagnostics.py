@@ -121,7 +121,8 @@ def first_problem(error: ValidationError, model: type[BaseModel], text: str) -> 
         message = str(cause)
     else:
         message = _explain(key, f"{_of(table)}{item}", detail, model)
-    return _line_of(key, text, table), f"{one_line(message)}{_others(details)}"
+    others = one_line(", ".join(dict.fromkeys(".".join(map(str, detail["loc"])) for detail in details[1:])))
+    return _line_of(key, text, table), one_line(message) + (f" (also wrong: {others})" if others else "")
 
 
 def _place_of(loc: tuple[int | str, ...]) -> tuple[str, int | None, str]:
@@ -134,12 +135,6 @@ def _place_of(loc: tuple[int | str, ...]) -> tuple[str, int | None, str]:
 
 def _of(table: int | None) -> str:
     return "" if table is None else f" of table {table + 1}"
-
-
-def _others(details: list[Any]) -> str:
-    keys = dict.fromkeys(".".join(map(str, detail["loc"])) for detail in details[1:])
-    listed = one_line(", ".join(keys))
-    return f" (also wrong: {listed})" if keys else ""
 
 
 def _explain(key: str, item: str, detail: Any, model: type[BaseModel]) -> str:

@@ -226,7 +226,9 @@ def render_design(design: Design, notes: Mapping[str, str] | None = None) -> str
         for key, value in values.items():
             lines.append(_commented(f"{key} = {_toml(value)}", comments.get(f"{table}.{key}")))
         if table == "probe" and design.probe.profile_mm is None:
-            lines.append(_commented(f"# profile_mm = {_toml(_example_profile(design))}", COMMENTS["probe.profile_mm"]))
+            (s0, d0), *_, (s1, d1) = design.probe.blunt_mm
+            example = _toml(((s0, d0), ((s0 + s1) / 2, (d0 + d1) / 2), (s1, d1)))
+            lines.append(_commented(f"# profile_mm = {example}", COMMENTS["probe.profile_mm"]))
     return "\n".join(lines) + "\n"
 
 
@@ -263,11 +265,6 @@ def _nested(table: str, values: dict[str, Any]) -> Iterator[tuple[str, dict[str,
     for key, items in lists.items():
         for item in items:
             yield f"[{table}.{key}]", {k: v for k, v in item.items() if v is not None}
-
-
-def _example_profile(design: Design) -> tuple[tuple[float, float], ...]:
-    (s0, d0), *_, (s1, d1) = design.probe.blunt_mm
-    return (s0, d0), ((s0 + s1) / 2, (d0 + d1) / 2), (s1, d1)
 
 
 def _commented(line: str, comment: str | None) -> str:

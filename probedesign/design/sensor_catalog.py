@@ -318,11 +318,9 @@ def load_sensor(path: Path) -> SensorRecord:
     return parse_toml(read_text(path, "sensor file"), SensorRecord, str(path))
 
 
-def _known() -> dict[str, SensorModel]:
-    """Return the known sensors by name, the default first."""
-    sensors = [load_sensor(path).sensor for path in sorted(FILES.glob("*.toml"))]
-    sensors.sort(key=lambda sensor: sensor.name != DEFAULT_SENSOR)
-    return {sensor.name: sensor for sensor in sensors}
-
-
-SENSORS: dict[str, SensorModel] = _known()
+SENSORS: dict[str, SensorModel] = {
+    sensor.name: sensor
+    for sensor in sorted((load_sensor(path).sensor for path in sorted(FILES.glob("*.toml"))),
+                         key=lambda sensor: sensor.name != DEFAULT_SENSOR)
+}  # fmt: skip
+"""Known sensors by name, the default first."""

@@ -151,7 +151,9 @@ def sweep(
         MissingDependencyError: there is a scheduler, and dask is not installed.
     """
     grid, base = grid_points(axes), tables_of(design)
-    request = {"schema": 1, "name": design.name, "design": fingerprint(base), "task": _plain(task),
+    plain_task = asdict(task) | {name: list(getattr(task, name)) for name in ("forces_N", "fractions")}
+    plain_task["gravities"] = [list(gravity) for gravity in task.gravities]
+    request = {"schema": 1, "name": design.name, "design": fingerprint(base), "task": plain_task,
              "vary": {axis.key: list(axis.values) for axis in axes}}  # fmt: skip
     journal = Journal.open(folder / PROGRESS, request)
     missing = [i for i in range(len(grid)) if i not in journal.results]
@@ -281,8 +283,3 @@ def _await_workers(client: "Client", scheduler: str) -> None:
     except TimeoutError:
         how = f"start some with: dask worker {scheduler}"
         raise InputError(f"--scheduler {scheduler}: has no workers; {how}") from None
-
-
-def _plain(task: Task) -> dict[str, Any]:
-    lists = {name: list(getattr(task, name)) for name in ("forces_N", "fractions")}
-    return asdict(task) | lists | {"gravities": [list(gravity) for gravity in task.gravities]}

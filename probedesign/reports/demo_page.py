@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
 
-from probedesign.reports.html_page import REPORT_STYLE, html_document
+from probedesign.reports.html_page import REPORT_STYLE, html_document, labelled
 
 _STYLE = """code { border: 0.4pt solid var(--rule); padding: 0.3mm 1.5mm; border-radius: 1mm; font-size: 9pt }
 .links a { margin-right: 4mm } .waiting { color: var(--soft); font-style: italic }
@@ -32,9 +32,7 @@ class DemoSection:
         if not self.text:
             body = '<p class="waiting">being made ...</p>'
         else:
-            shown = self.html or self.svg.decode().replace(
-                "<svg ", f'<svg role="img" aria-label="{escape(self.heading)}" ', 1
-            )
+            shown = self.html or labelled(self.svg, self.heading)
             if self.picture:
                 shown = f'<img src="{escape(self.picture)}" alt="{escape(self.heading)}">'
             links = "".join(f'<a href="{escape(file)}">{escape(what)}</a>' for file, what in self.links)

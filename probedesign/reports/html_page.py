@@ -169,9 +169,11 @@ def report_page(
 
 def _figures(sections: Sequence[ReportFigure]) -> str:
     return "".join(
-        f"<section><h2>{escape(s.heading)}</h2>{_labelled(s)}<p>{escape(s.caption)}</p></section>\n" for s in sections
+        f"<section><h2>{escape(s.heading)}</h2>{labelled(s.svg, s.heading)}<p>{escape(s.caption)}</p></section>\n"
+        for s in sections
     )
 
 
-def _labelled(section: ReportFigure) -> str:
-    return section.svg.decode().replace("<svg ", f'<svg role="img" aria-label="{escape(section.heading)}" ', 1)
+def labelled(svg: bytes, label: str) -> str:
+    """Return an SVG element with a text alternative."""
+    return svg.decode().replace("<svg ", f'<svg role="img" aria-label="{escape(label)}" ', 1)

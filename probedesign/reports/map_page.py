@@ -19,7 +19,6 @@ from probedesign.mapping.contact_map import (
     MAX_RMS_MM,
     MIN_RMS_MM,
     ContactMap,
-    MapPoint,
     point_line,
     rms_colour,
     touch_numbers,
@@ -216,11 +215,22 @@ def map_page(scene: MapScene, title: str, about: Sequence[str]) -> bytes:
         about: lines below it, on the data and assumptions.
     """
     data = json.dumps(_data(scene), allow_nan=False).replace("<", "\\u003c")
+    choices = "".join(
+        f'<label><input type="radio" name="times" value="{times}"{" checked" if times == scene.magnification else ""}>'
+        f"×{times}{' (in scale)' if times == 1 else ''}</label>"
+        for times in MAGNIFICATIONS
+    )
+    width, height = SYMBOL_SIZE
+    symbols = "".join(
+        f'<li><svg width="{width}" height="{height}" aria-hidden="true">{svg}</svg> {escape(meaning)}</li>'
+        for svg, meaning in map_symbols("magnified as chosen above", bool(scene.truth))
+    )
     unlocated = "".join(f"<p>{escape(line)}.</p>" for line in unlocated_lines(scene.contact_map))
     body = (
-        f"{_magnification_form(scene.magnification)}\n"
+        f'<form id="times">Magnification of ellipsoids {choices}</form>\n'
         '<canvas id="map" role="img" tabindex="0" aria-label="points and their ellipsoids"></canvas>'
-        f'<div class="still">{map_svg(scene).decode()}</div>\n<p id="status">{HINT}</p>\n{_legend(bool(scene.truth))}\n'
+        f'<div class="still">{map_svg(scene).decode()}</div>\n<p id="status">{HINT}</p>\n'
+        f'<ul class="legend">{symbols}</ul>\n'
         f"{_table(scene.contact_map)}{unlocated}\n"
         f'<script type="application/json" id="data">{data}</script>\n'
         f"<script>\n{ORBIT.read_text('utf-8')}{SCRIPT.read_text('utf-8')}</script>"
@@ -230,24 +240,6 @@ def map_page(scene: MapScene, title: str, about: Sequence[str]) -> bytes:
     return html_document(title, list(map(escape, about)), body, style, head)
 
 
-def _magnification_form(initial: int) -> str:
-    choices = "".join(
-        f'<label><input type="radio" name="times" value="{times}"{" checked" if times == initial else ""}>'
-        f"×{times}{' (in scale)' if times == 1 else ''}</label>"
-        for times in MAGNIFICATIONS
-    )
-    return f'<form id="times">Magnification of ellipsoids {choices}</form>'
-
-
-def _legend(truth: bool) -> str:
-    width, height = SYMBOL_SIZE
-    lines = "".join(
-        f'<li><svg width="{width}" height="{height}" aria-hidden="true">{svg}</svg> {escape(meaning)}</li>'
-        for svg, meaning in map_symbols("magnified as chosen above", truth)
-    )
-    return f'<ul class="legend">{lines}</ul>'
-
-
 def _data(scene: MapScene) -> dict[str, Any]:
     view = ParallelProjection()
     return {
@@ -255,16 +247,15 @@ def _data(scene: MapScene) -> dict[str, Any]:
         "radius": scene.radius_mm, "radius_95": statistics.sigmas_95(3), "normal": NORMAL_LENGTH, "hint": HINT,
         "truth": [(polygon / MM).tolist() for polygon in scene.truth], "truth_colour": TRUTH_COLOUR,
         "stroke_colour": STROKE_COLOUR,
-        "points": [_point(number, point) for number, point in enumerate(scene.contact_map.points, 1)],
-    }  # fmt: skip
-
-
-def _point(number: int, point: MapPoint) -> dict[str, Any]:
-    cov = point.cov_world / MM**2
-    return {
-        "p": (point.p_world / MM).tolist(), "cov": [float(cov[i, j]) for _, i, j in COVARIANCE_ENTRIES],
-        "colour": hex_colour(point.rms / MM), "text": point_line(number, point),
-        "normal": None if point.direction is None else point.direction.tolist(),
+        "points": [
+            {
+                "p": (point.p_world / MM).tolist(),
+                "cov": [float(point.cov_world[i, j] / MM**2) for _, i, j in COVARIANCE_ENTRIES],
+                "colour": hex_colour(point.rms / MM), "text": point_line(number, point),
+                "normal": None if point.direction is None else point.direction.tolist(),
+            }
+            for number, point in enumerate(scene.contact_map.points, 1)
+        ],
     }  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from probedesign.core.errors import require
 from probedesign.core.frames import Array
 from probedesign.core.units import GRAM, MILLINEWTON, MM, MPA, N_MM, format_value
 from probedesign.design import Design
-from probedesign.estimation.estimate import RESULTS, Candidate, Estimate, FusedEstimate
+from probedesign.estimation.estimate import RESULTS, Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.result import Identification, Identified
@@ -26,6 +26,7 @@ from probedesign.mount import build_geometry
 from probedesign.prediction.predict import Prediction, condition_rows, worst
 from probedesign.probe import Probe
 from probedesign.reports.chart import COLOURS, DASHES, Chart, ChartAxis
+from probedesign.reports.html_page import labelled
 from probedesign.reports.identification_page import residual_chart
 from probedesign.reports.png import draw_chart
 from probedesign.reports.prediction_charts import STATIONS, error_chart, flanks
@@ -59,8 +60,7 @@ def html_of(thing: object) -> str:
     table = f"<table>{head}<tbody>{rows}</tbody></table>"
     if summary.chart is None:
         return table
-    svg = summary.chart().svg().decode()
-    picture = svg.replace("<svg ", f'<svg role="img" aria-label="{escape(summary.title)}" ', 1)
+    picture = labelled(summary.chart().svg(), summary.title)
     # its inks are dark, and a notebook may be
     shown = f'<div style="background: #fff; width: 440px; max-width: 100%; {_STYLE}">{picture}</div>'
     return f'<div style="display: flex; flex-wrap: wrap; align-items: flex-start">{table}{shown}</div>'
@@ -201,7 +201,8 @@ def _(prediction: Prediction) -> Summary:
     errors = [
         (f"RMS error of {force / MILLINEWTON:g} mN at {touch.contact_fraction:g} of the length",
          format_value(touch.predicted_error_mm, ".3g", "mm", touch.result))
-        for force in forces if (touch := _headline(prediction, force)) is not None
+        for force in forces
+        for touch in sorted(worst(prediction.conditions, force), key=lambda c: abs(c.contact_fraction - 0.8))[:1]
     ]  # fmt: skip
     rows = [
         ("result", prediction.verdict),
@@ -212,12 +213,6 @@ def _(prediction: Prediction) -> Summary:
     ]
     located = any(c.predicted_error_mm is not None for c in prediction.conditions)
     return Summary(f"prediction of {prediction.name}", rows, (lambda: error_chart(prediction)) if located else None)
-
-
-def _headline(prediction: Prediction, force: float) -> Any:
-    """Return the condition nearest to 0.8 of the length, worst direction."""
-    here = worst(prediction.conditions, force)
-    return min(here, key=lambda c: abs(c.contact_fraction - 0.8), default=None)
 
 
 @rows_of.register
@@ -280,12 +275,11 @@ def _ellipse(cov: Array) -> Array:
 def _(estimate: Estimate) -> Rows:
     columns = ["s_contact_mm", "std_s_mm", *_axes("p_surface_base", "mm"), *_axes("force_base", "N"), "rms_mm",
                "force_normal_N", "force_tangential_N", "chi2"]  # fmt: skip
-    return columns, [dict(zip(columns, _candidate(one), strict=True)) for one in estimate.candidates]
-
-
-def _candidate(one: Candidate) -> list[float]:
-    place = [one.s_contact / MM, one.std_s / MM, *(one.p_surface_base / MM).tolist()]
-    return [*place, *one.force_base.tolist(), one.rms / MM, one.force_normal, one.force_tangential, one.chi2]
+    rows = [
+        [c.s_contact / MM, c.std_s / MM, *(c.p_surface_base / MM).tolist(), *c.force_base.tolist(), c.rms / MM,
+         c.force_normal, c.force_tangential, c.chi2] for c in estimate.candidates
+    ]  # fmt: skip
+    return columns, [dict(zip(columns, row, strict=True)) for row in rows]
 
 
 @summary_of.register

@@ -112,7 +112,10 @@ def recording_page(estimates: RecordingEstimates) -> bytes:
     replay = replay_element(estimates.estimator, rows, estimates.gravities, "The located touches, replayed")
     first = f'<section class="replay"><h2>The touches, replayed</h2>{replay}</section>\n' if replay else ""
     touches = touches_in(rows)
-    after = [("Touches", _touch_table(touches)), ("Estimates by result", _count_table(estimates.counts))]
+    counted = [[name, f"{estimates.counts[name]}", meaning]
+               for name, meaning in RESULTS.items() if name in estimates.counts]  # fmt: skip
+    by_result = HtmlTable(["result", "estimates", "meaning"], counted, worded=True)
+    after = [("Touches", _touch_table(touches)), ("Estimates by result", by_result)]
     title = f"{estimates.recording.path.name}: located touches"
     return report_page(
         title, about, None, _figures(rows), opened=after, verdict=verdict(estimates), first=first, style=STYLE
@@ -135,11 +138,6 @@ def _touch_table(touches: Sequence[RecordedTouch]) -> HtmlTable:
 def _cells(touch: RecordedTouch) -> tuple[str, str, str]:
     low, high = touch.s_mm
     return f"{low:.1f} ... {high:.1f}", f"{touch.force_mN:.3g}", f"{touch.rms_mm:.2g}"
-
-
-def _count_table(counts: dict[str, int]) -> HtmlTable:
-    rows = [[name, f"{counts[name]}", meaning] for name, meaning in RESULTS.items() if name in counts]
-    return HtmlTable(["result", "estimates", "meaning"], rows, worded=True)
 
 
 def _figures(rows: Sequence[Row]) -> list[ReportFigure]:

@@ -185,6 +185,11 @@ def _figures(
     )
 
 
+def _rgb(colour: str) -> tuple[int, int, int]:
+    red, green, blue = bytes.fromhex(colour[1:])
+    return red, green, blue
+
+
 def segment_colours(figures: DesignFigures, edges: Array, force_N: float) -> list[tuple[int, int, int]]:
     """Return the colour of each segment of the probe: the error of a touch there, by the levels of the page.
 
@@ -209,10 +214,6 @@ def colour_legend(force_mN: float) -> str:
     chips.append((f"rgb{NOT_LOCATED}", "not located"))
     items = "".join(f'<span><i style="background:{colour}"></i>{text}</span>' for colour, text in chips)
     return f"<div class=note>Colour of the probe: error of {force_mN:g} mN there</div><div class=chips>{items}</div>"
-
-
-def _rgb(colour: str) -> tuple[int, int, int]:
-    return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
 
 
 @dataclass(frozen=True)

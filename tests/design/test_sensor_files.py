@@ -15,8 +15,8 @@ from probedesign.design.catalog import CUSTOM
 from probedesign.design.io import render_design, write_design
 from probedesign.design.sensor_catalog import FILES, SENSORS, load_sensor
 from probedesign.frozen_probe import load_model, write_frozen
-from probedesign.live.view.scene import _sensor_part
 from probedesign.probe import build_probe
+from probedesign.web.rigid_parts import _sensor_part
 
 DESIGN = """\
 schema = 1
