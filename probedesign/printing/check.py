@@ -26,7 +26,7 @@ from probedesign.mount.flange_adapter import TIE_SLOT
 from probedesign.mount.lip import MAX_BENDING_SHARE
 from probedesign.mount.sensor_adapter import MAX_OVERHANG, PEG_D
 from probedesign.mount.tolerance_stack import clamp_force, tolerance_stacks
-from probedesign.printing.findings import Finding, Rule, Severity
+from probedesign.printing.findings import Finding, Rule
 
 GUIDE = "Formlabs' design guide, Form 2, rigid resin"
 DOUBLED = f"twice {GUIDE}, for soft resin (assumed)"
@@ -37,14 +37,9 @@ MAX_CUP_D = 10.0
 LAYER = 0.1
 """Elastic 50A has no other layer height. Source: PreForm's list of materials."""
 
-RAFT_THICKNESS = 2.0
-HEIGHT_ABOVE_RAFT = 5.0
-RAFT_MARGIN = 5.0
-SUPPORT_HEIGHT = RAFT_THICKNESS + HEIGHT_ABOVE_RAFT
-"""Raft and supports below the base and around it (assumed)."""
-BETWEEN = 5.0
-"""Distance between parts on the platform."""
-PLATFORM_SETUP = f"raft {RAFT_THICKNESS:g} mm, supports {HEIGHT_ABOVE_RAFT:g} mm, margin {RAFT_MARGIN:g} mm (assumed)"
+SUPPORT_HEIGHT, RAFT_MARGIN, BETWEEN = 7.0, 5.0, 5.0
+"""Raft of 2 mm and supports of 5 mm below the base, margin around it (assumed), and distance between parts."""
+PLATFORM_SETUP = f"raft 2 mm, supports 5 mm, margin {RAFT_MARGIN:g} mm (assumed)"
 
 SUPPORTED_WALL, UNSUPPORTED_WALL, MIN_HOLE_D = 0.4, 0.6, 0.5
 """Formlabs' limits for rigid resin: wall supported on two or more sides, wall supported on one side, open hole."""
@@ -58,7 +53,7 @@ MIN_OVERHANG, MIN_SOFT_OVERHANG = 19.0, 45.0
 MIN_DRAIN_D = 3.5
 
 BUILD_VOLUME = Rule("build_volume", "mm", f"PreForm's build volumes; {PLATFORM_SETUP}", "high")
-STACK = Rule("tolerance_stack", "mm", "worst case of the tolerances that the drawings state", "high")
+STACK = Rule("tolerance_stack", "mm", "worst case of the tolerances of prints and bought parts", "high")
 RING_BENDING = Rule("ring_bending", "mm", "Roark's formulas for annular plates, mean of two supports", "medium")
 CLAMP = Rule("clamp_force", "N", "Gent and Lindley 1959, compared with finite elements", "medium")
 SLENDERNESS = Rule("slenderness", "1", f"about the wires of {GUIDE}; an error below half of it (assumed)", "low")
@@ -215,8 +210,7 @@ Walls = list[tuple[str, float, float]]
 
 
 def _adapter_walls(a: SensorAdapter) -> Walls:
-    ring, rim, recess = _reach(a.p_ring_screws), a.body_d / 2, a.recess_d / 2
-    roof_hole = a.roof_hole_d / 2
+    ring, rim, recess, roof_hole = _reach(a.p_ring_screws), a.body_d / 2, a.recess_d / 2, a.roof_hole_d / 2
     hole, inner = a.ring_screw.clearance_d / 2, ring - a.nut_slot_reach - a.nut_slot_width / 2
     tool, dowel, foot = _reach(a.p_tool_screws), _reach(a.p_dowels), a.foot_d / 2
     land = a.land_d / 2 - tool - a.tool.screw.counterbore_d / 2  # below zero its edge crosses the heads' room
@@ -251,40 +245,30 @@ def _ring_walls(a: SensorAdapter) -> Walls:
 def _plate_walls(p: FlangeAdapter) -> Walls:
     robot, rim, screw = p.robot, p.plate_d / 2, p.mounting.screw
     bolts, screws = _reach(p.p_bolts), _reach(p.p_mounting_screws)
-    width, length = robot.pin_slot
-    slot = rim - math.hypot(bolts + length / 2, width / 2)
-    spigot = robot.spigot[0] / 2 - screws - screw.counterbore_d / 2
-    return [
+    (width, length), spigot_d = robot.pin_slot, robot.spigot[0]
+    walls = [
         ("thickness", p.plate_top, UNSUPPORTED_WALL),
         ("between bolt and rim", rim - bolts - robot.screw.clearance_d / 2, UNSUPPORTED_WALL),
-        *([("between pin slot and rim", slot, UNSUPPORTED_WALL)] if width > 0.0 else []),
-        (
-            "between the opening for the cable tie and rim",
-            rim - _reach(p.p_tie_slots) - max(TIE_SLOT) / 2,
-            UNSUPPORTED_WALL,
-        ),
-        *(
-            [("between pin and head's room", _apart(p), SUPPORTED_WALL)]
-            if p.p_centring_pins and p.centring_hole[1] < p.counterbore_top
-            else []
-        ),
-        *([("between a head's room and edge of the spigot", spigot, SUPPORTED_WALL)] if robot.spigot[0] > 0.0 else []),
+        ("between the opening for the cable tie and rim", rim - _reach(p.p_tie_slots) - max(TIE_SLOT) / 2,
+         UNSUPPORTED_WALL),
         ("under the heads of the sensor screws", p.mounting.grip, SUPPORTED_WALL),
-    ]
-
-
-def _apart(p: FlangeAdapter) -> float:
-    """Return the wall between the centring pins' holes and the rooms of the screws' heads [m]."""
-    nearest = min(math.dist(a, b) for a in p.p_centring_pins for b in p.p_mounting_screws)
-    return nearest - p.centring_hole[0] / 2 - p.mounting.screw.counterbore_d / 2
+    ]  # fmt: skip
+    if width > 0.0:
+        slot = rim - math.hypot(bolts + length / 2, width / 2)
+        walls.append(("between pin slot and rim", slot, UNSUPPORTED_WALL))
+    if p.p_centring_pins and p.centring_hole[1] < p.counterbore_top:
+        nearest = min(math.dist(a, b) for a in p.p_centring_pins for b in p.p_mounting_screws)
+        apart = nearest - p.centring_hole[0] / 2 - screw.counterbore_d / 2
+        walls.append(("between pin and head's room", apart, SUPPORTED_WALL))
+    if spigot_d > 0.0:
+        edge = spigot_d / 2 - screws - screw.counterbore_d / 2
+        walls.append(("between a head's room and edge of the spigot", edge, SUPPORTED_WALL))
+    return walls
 
 
 def _reach(points: Iterable[XY]) -> float:
     """Return the distance of equal features from the axis [m]; 0 without any."""
     return max((math.hypot(*p) for p in points), default=0.0)
-
-
-AS_DRAWN = (1.0, 1.0, 1.0)
 
 
 def print_scale(design: Design, part: str) -> tuple[float, float, float]:
@@ -295,7 +279,7 @@ def print_scale(design: Design, part: str) -> tuple[float, float, float]:
 def scale_note(design: Design, part: str) -> str:
     """Return the note for a part's file; empty if the part is printed as drawn."""
     scale = print_scale(design, part)
-    return "" if scale == AS_DRAWN else f" scaled {scale[0]:g} {scale[1]:g} {scale[2]:g}"
+    return "" if scale == (1.0, 1.0, 1.0) else f" scaled {scale[0]:g} {scale[1]:g} {scale[2]:g}"
 
 
 class Orientation(NamedTuple):
@@ -338,23 +322,20 @@ class PrintCheck:
     #: parts of each platform, the probe's first, with the position of their axes from its corner [mm].
     platforms: tuple[dict[str, XY], ...]
 
-    def _of(self, severity: Severity) -> list[Finding]:
-        return [finding for finding in self.findings if finding.severity == severity]
-
     @property
     def errors(self) -> list[Finding]:
         """Return the findings that are not expected to print."""
-        return self._of("error")
+        return [finding for finding in self.findings if finding.severity == "error"]
 
     @property
     def warnings(self) -> list[Finding]:
         """Return the findings that may fail or print badly."""
-        return self._of("warning")
+        return [finding for finding in self.findings if finding.severity == "warning"]
 
     @property
     def passed(self) -> list[Finding]:
         """Return the findings that meet their limit."""
-        return self._of("ok")
+        return [finding for finding in self.findings if finding.severity == "ok"]
 
     @property
     def fits(self) -> bool:
@@ -437,13 +418,10 @@ def packed(diameters_mm: Mapping[str, float], printer: Printer) -> list[dict[str
         platforms[-1][part] = (x + d / 2, y + d / 2)
         x, row = x + d + BETWEEN, max(row, d)
     for platform in platforms:
-        middles = []
-        for axis, side in enumerate(printer.build_volume_mm[:2]):
-            low = min(at[axis] - diameters_mm[part] / 2 for part, at in platform.items())
-            high = max(at[axis] + diameters_mm[part] / 2 for part, at in platform.items())
-            middles.append((side - low - high) / 2)
-        for part, at in platform.items():
-            platform[part] = (round(at[0] + middles[0], 3), round(at[1] + middles[1], 3))
+        axes, radii = np.array([*platform.values()]), np.array([[diameters_mm[part] / 2] for part in platform])
+        middle = ((axes - radii).min(axis=0) + (axes + radii).max(axis=0)) / 2
+        centred = np.round(axes - middle + np.array(printer.build_volume_mm[:2]) / 2, 3).tolist()
+        platform.update({part: (x, y) for part, (x, y) in zip(platform, centred, strict=True)})
     return platforms
 
 
