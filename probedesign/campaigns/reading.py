@@ -234,7 +234,7 @@ def read_wrench_table(folder: Path, tests: dict[str, int]) -> tuple[list[Array],
     if not path.exists():
         return [np.zeros((0, 6)) for _ in tests], [np.nan] * len(tests), "base", ()
     rows = read_rows(path, WRENCHES_SCHEMA)
-    frame = rows.lines.frame
+    frame = rows.lines.frame or "sensor"
     which = indices_of_tests(rows, tests)
     wrench = rows.required(*WRENCH)
     time, names = rows.numbers("time")[:, 0], rows.texts("test")
@@ -248,7 +248,7 @@ def read_wrench_table(folder: Path, tests: dict[str, int]) -> tuple[list[Array],
         [wrench[own] for own in of_tests],
         _test_times(rows, time, which, of_tests),
         frame,
-        () if rows.lines.names_frame else (note,),
+        () if rows.lines.frame else (note,),
     )
 
 

@@ -20,6 +20,8 @@ from probedesign.core.errors import InputError, quoted
 from probedesign.core.frames import Array
 
 Frame = Literal["sensor", "base"]
+FRAMES: dict[str, Frame] = {"sensor": "sensor", "base": "base"}
+"""Frames by name, as a file or a user states them."""
 
 UNITS = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
@@ -73,33 +75,21 @@ class CsvLines:
         raise InputError(f"{self.path}:{number}: {problem}")
 
     @property
-    def frame(self) -> Frame:
-        """Frame that a comment `# frame: ...` names; the sensor's own if none does.
+    def frame(self) -> Frame | None:
+        """Frame that a comment `# frame: ...` names; None if none does.
 
         Raises:
             InputError: a comment names another frame, or two.
         """
-        return self._named_frame or "sensor"
-
-    @property
-    def names_frame(self) -> bool:
-        """Whether a comment names a frame."""
-        return self._named_frame is not None
-
-    @property
-    def _named_frame(self) -> Frame | None:
         frames: set[Frame] = set()
         for number, line in self.comments:
             named = re.match(r"\s*#\s*frame\s*[:=](.*)", line, re.IGNORECASE)
             if not named:
                 continue
-            match named.group(1).strip().lower():
-                case "sensor":
-                    frames.add("sensor")
-                case "base":
-                    frames.add("base")
-                case other:
-                    self.fail(number, f"frame {quoted(other)} is not known; use sensor or base")
+            name = named.group(1).strip().lower()
+            if name not in FRAMES:
+                self.fail(number, f"frame {quoted(name)} is not known; use sensor or base")
+            frames.add(FRAMES[name])
         if len(frames) > 1:
             raise InputError(f"{self.path}: names two frames; a recording has one")
         return frames.pop() if frames else None
@@ -119,10 +109,10 @@ def read_lines(path: Path, what: str, like: str, max_bytes: int | None = None) -
     """
     text = read_text(path, what, max_bytes)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    filled = [(i, line) for i, line in enumerate(lines, 1) if line and not line.isspace()]
-    comments = [(i, line) for i, line in filled if line.lstrip().startswith("#")]
-    if comments:
-        filled = [(i, line) for i, line in filled if not line.lstrip().startswith("#")]
+    comments, filled = list[tuple[int, str]](), list[tuple[int, str]]()
+    for i, line in enumerate(lines, 1):
+        if line and not line.isspace():
+            (comments if line.lstrip().startswith("#") else filled).append((i, line))
     if not filled:
         raise InputError(f"{path}: is empty; a {what} starts with the header {like}")
     header_number, header = filled[0]

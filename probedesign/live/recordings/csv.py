@@ -8,7 +8,6 @@ Source: docs/recording-format.md.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -80,13 +79,14 @@ def read_recording(path: str | Path) -> Recording:
         raise InputError(f"{path}: no samples, only a header")
     faults = _faults(table, rows)
     values = _numeric_columns(table, rows, columns, faults)
-    _check(table, columns, values, faults)
     gravity = values[:, 7:] if values.shape[1] > 7 else None
     gaps, missing = gaps_in(values[:, 0])
     if gaps:
         notes += (f"{missing} samples are missing in {gaps} gaps",)
     dropped = len(table.rows) - len(rows)
-    return Recording(values[:, 0], values[:, 1:7], table.frame, gravity, gaps, missing, dropped, notes, faults)
+    return Recording(
+        values[:, 0], values[:, 1:7], table.frame or "sensor", gravity, gaps, missing, dropped, notes, faults
+    )
 
 
 def _faults(table: CsvLines, rows: list[str]) -> tuple[str, ...]:
@@ -127,55 +127,38 @@ def _is_cut(row: str, table: CsvLines, columns: list[Column]) -> bool:
     fields = row.split(",")
     if len(fields) < len(table.header):
         return True
-    last_is_read = len(table.header) - 1 in {column.index for column in columns}
-    return last_is_read and not _is_float(fields[-1])
-
-
-def _is_float(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
+    if len(table.header) - 1 not in {column.index for column in columns}:
         return False
-    return True
+    try:
+        float(fields[-1])
+    except ValueError:
+        return True
+    return False
 
 
 def _numeric_columns(table: CsvLines, rows: list[str], columns: list[Column], faults: tuple[str, ...]) -> Array:
-    """Return the columns in SI units, (n, len(columns)); an invalid number is located only if there is one.
+    """Return the columns in SI units, (n, len(columns)); what is invalid is located only if there is anything.
 
     A reading with a fault may have any wrench, but must have a time.
     """
-    index = [column.index for column in columns]
+    healthy = np.array([not fault for fault in faults] or [True] * len(rows))
     try:
+        index = [column.index for column in columns]
         values = np.loadtxt(rows, delimiter=",", usecols=index, comments=None, ndmin=2)
     except ValueError:
-        values = np.full((1, 1), np.nan)
-    if not np.isfinite(values[:, 0]).all() or not np.isfinite(_healthy(values, faults)).all():
-        _name_bad_number(table, rows, columns, faults)
-    return np.asarray(values * [column.factor for column in columns])
-
-
-def _healthy(values: Array, faults: tuple[str, ...]) -> Array:
-    """Return the rows without a fault."""
-    return values[[not fault for fault in faults]] if len(faults) == len(values) and any(faults) else values
-
-
-def _name_bad_number(table: CsvLines, rows: list[str], columns: list[Column], faults: tuple[str, ...]) -> NoReturn:
-    """Raise the error of the first field that is not a finite number; of a reading with a fault, only of its time."""
-    for i, (row, number) in enumerate(zip(rows, table.numbers, strict=False)):
-        fields = row.split(",")
-        for column in columns[:1] if faults and faults[i] else columns:
-            text = fields[column.index].strip()
-            if not csv_tables.NUMBER.fullmatch(text) or not np.isfinite(float(text)):
-                remedy = "correct the value or delete the line"
-                table.fail(number, f"{column.name} = {quoted(text)} is not a finite number; {remedy}")
-    raise InputError(f"{table.path}: its rows cannot be read as numbers")
-
-
-def _check(table: CsvLines, columns: list[Column], values: Array, faults: tuple[str, ...]) -> None:
-    """Refuse values beyond the range of any sensor, unless they are marked as a fault, and decreasing time."""
+        values = np.full((len(rows), len(columns)), np.nan)
+    if not np.isfinite(values[:, 0]).all() or not np.isfinite(values[healthy]).all():
+        for i, row in enumerate(rows):
+            fields = row.split(",")
+            for column in columns if healthy[i] else columns[:1]:
+                text = fields[column.index].strip()
+                if not csv_tables.NUMBER.fullmatch(text) or not np.isfinite(float(text)):
+                    problem = f"{column.name} = {quoted(text)} is not a finite number"
+                    table.fail(table.numbers[i], f"{problem}; correct the value or delete the line")
+        raise InputError(f"{table.path}: its rows cannot be read as numbers")
+    values = np.asarray(values * [column.factor for column in columns])
     absurd = np.abs(values) > [column.ceiling for column in columns]
-    if faults:
-        absurd[:, 1:] &= np.array([not fault for fault in faults])[:, None]
+    absurd[:, 1:] &= healthy[:, None]
     if absurd.any():
         i, j = np.argwhere(absurd)[0]
         value = f"{columns[j].name} = {values[i, j] / columns[j].factor:g}"
@@ -185,6 +168,7 @@ def _check(table: CsvLines, columns: list[Column], values: Array, faults: tuple[
         i = int(np.argmax(backward)) + 1
         times = f"from {values[i - 1, 0]:.9g} s to {values[i, 0]:.9g} s"
         table.fail(table.numbers[i], f"time decreases, {times}; sort the rows or split the recording")
+    return values
 
 
 def check_wrenches(path: Path, time: Array, wrench: Array) -> None:
