@@ -510,3 +510,10 @@ def test_the_sensors_own_moments_hold_no_noise_of_its_forces(large):
     model = large.model
     of = channels_of(model, "sensor")
     np.testing.assert_allclose(of @ model.noise_base() @ of.T, model.noise.moment**2 * np.eye(3), rtol=1e-9, atol=1e-22)
+
+
+def test_a_reading_is_compared_with_the_free_probe_of_its_own_pose(large, gravity):
+    """The base turns by 30° after a free reading: the second one is free as well, whatever the first one was."""
+    Ts = np.array([pose(), pose(rotation_z(math.radians(30.0))[:3, :3])])
+    free = [large.rod.solve(gravity @ T[:3, :3]).wrench_base for T in Ts]
+    assert large.estimator().fuse(free, Ts, gravity, touched=[False, True]).result == "no_contact"
