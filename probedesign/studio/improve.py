@@ -4,20 +4,21 @@ import math
 import threading
 from collections.abc import Callable
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import viser
 
 from probedesign.core.errors import InputError, report_defect
 from probedesign.design import Design
-from probedesign.optimization.constraints import Limit, OptimizationProblem, parse_limit
-from probedesign.optimization.design_space import INFEASIBLE, FreeParameter
-from probedesign.optimization.objective import FRACTIONS, Task
 from probedesign.reports.chart import COLOURS, Chart, ChartAxis
 from probedesign.studio.figures import DesignFigures, styled, summary_table
 from probedesign.studio.session import MOUNTINGS, PinnedDesign
 
-FREE: dict[str, tuple[FreeParameter, ...]] = {
+if TYPE_CHECKING:  # the optimiser is loaded with the first search
+    from probedesign.optimization.constraints import OptimizationProblem
+    from probedesign.optimization.design_space import FreeParameter
+
+FREE: "dict[str, tuple[FreeParameter, ...]]" = {
     "cone": ("cone",),
     "taper": ("taper",),
     "cone and length": ("cone", "length"),
@@ -35,19 +36,12 @@ class Improvement:
         text: state of the search in one line.
     """
 
-    def __init__(self, start: Design, free: tuple[FreeParameter, ...], task: Task, limits: tuple[Limit, ...]) -> None:
-        """Start the search.
-
-        Args:
-            start: the design to improve.
-            free: what of it may change.
-            task: what it is improved for.
-            limits: on its metrics.
-        """
-        self.start = start
+    def __init__(self, problem: "OptimizationProblem") -> None:
+        """Start the search for the best design of a problem."""
+        self.start = problem.start
         self.design: Design | None = None
         self.text = "searching"
-        self._problem = OptimizationProblem(start, free, task, "error-at-force", None, limits)
+        self._problem = problem
         self._thread = threading.Thread(target=self._search, name="improve", daemon=True)
         self._thread.start()
 
@@ -55,10 +49,6 @@ class Improvement:
     def running(self) -> bool:
         """Whether the search has not ended."""
         return self._thread.is_alive()
-
-    def wait(self) -> None:
-        """Wait until the search has ended."""
-        self._thread.join()
 
     def _search(self) -> None:
         from probedesign.optimization.optimum import optimum
@@ -85,6 +75,8 @@ class Improvement:
 
     def chart(self) -> Chart | None:
         """Return the errors of the evaluated designs in order; None before the second."""
+        from probedesign.optimization.design_space import INFEASIBLE
+
         found = self._problem.problem.evaluator.errors_mm
         path = [error if error < INFEASIBLE["error_mm"] else math.nan for error in found]
         if sum(map(math.isfinite, path)) < 2:
@@ -105,9 +97,7 @@ class ImproveTab:
         """Add the controls; the callbacks are called in a thread of the page."""
         self._force: Any = gui.add_slider("force of the task [mN]", 1.0, 50.0, 0.5, 5.0)
         self._touches: Any = gui.add_slider("fused touches of the task", 1, 8, 1, 5)
-        self._places: Any = gui.add_multi_slider(
-            "places, fractions of the length", 0.1, 1.0, 0.1, (FRACTIONS[0], FRACTIONS[-1])
-        )
+        self._places: Any = gui.add_multi_slider("places, fractions of the length", 0.1, 1.0, 0.1, (0.4, 0.9))
         self._mounting: Any = gui.add_dropdown("probe points", (AS_MOUNTED, ALL_MOUNTINGS))
         self._free: Any = gui.add_dropdown("what may change", tuple(FREE))
         self._sag: Any = gui.add_slider("largest tip sag [mm]", 1.0, 120.0, 1.0, 60.0)
@@ -124,27 +114,6 @@ class ImproveTab:
         self.search: Improvement | None = None
 
     @property
-    def task(self) -> Task:
-        """Return the chosen task."""
-        low, high = self._places.value
-        steps = range(round(10.0 * low), round(10.0 * high) + 1)
-        gravities = () if self._mounting.value == AS_MOUNTED else tuple(MOUNTINGS.values())
-        return Task(
-            forces_N=(1e-3 * self._force.value,), touches=int(self._touches.value),
-            fractions=tuple(k / 10.0 for k in steps), gravities=gravities,
-        )  # fmt: skip
-
-    @property
-    def limits(self) -> tuple[Limit, ...]:
-        """Return the chosen limits."""
-        texts = [f"sag_mm<={self._sag.value:g}", f"buckling_margin>={self._margin.value:g}"]
-        if "length" in FREE[self._free.value]:
-            texts.append(f"length_mm<={self._length.value:g}")
-        if self._printable.value:
-            texts.append("print_warnings<=0")
-        return tuple(map(parse_limit, texts))
-
-    @property
     def running(self) -> bool:
         """Whether a search runs."""
         return self.search is not None and self.search.running
@@ -155,8 +124,23 @@ class ImproveTab:
         Raises:
             InputError: the task or the limits contradict the design.
         """
-        if not self.running:
-            self.search = Improvement(design, FREE[self._free.value], self.task, self.limits)
+        if self.running:
+            return
+        from probedesign.optimization.constraints import OptimizationProblem, parse_limit
+        from probedesign.optimization.objective import Task
+
+        low, high = self._places.value
+        gravities = () if self._mounting.value == AS_MOUNTED else tuple(MOUNTINGS.values())
+        task = Task(
+            forces_N=(1e-3 * self._force.value,), touches=int(self._touches.value), gravities=gravities,
+            fractions=tuple(k / 10.0 for k in range(round(10.0 * low), round(10.0 * high) + 1)),
+        )  # fmt: skip
+        free = FREE[self._free.value]
+        limits = [f"sag_mm<={self._sag.value:g}", f"buckling_margin>={self._margin.value:g}"]
+        limits += [f"length_mm<={self._length.value:g}"] if "length" in free else []
+        limits += ["print_warnings<=0"] if self._printable.value else []
+        problem = OptimizationProblem(design, free, task, "error-at-force", None, tuple(map(parse_limit, limits)))
+        self.search = Improvement(problem)
 
     def drop(self) -> None:
         """Forget the search and its result."""
