@@ -1,23 +1,21 @@
-"""Errors of located contacts against the Cramér–Rao bound, by force, on Table I, and for gross errors.
+"""Errors of located contacts against the Cramér–Rao bound, by force, and on Table I; time of an estimate.
 
 All readings are synthetic. They are computed in the reference mode of the rod, not with the kernels of the estimator,
 and have the noise of the sensor.
 """
 
 import math
-from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from itertools import islice
+from functools import partial
+from itertools import count, islice
 
 import numpy as np
 
-from benchmarks import gross_errors
-from benchmarks.cases import GRAVITY
+from benchmarks.cases import GRAVITY, TABLE_I
 from benchmarks.error_statistics import ErrorStatistics
-from benchmarks.estimate_times import report as report_times
 from benchmarks.figures import draw_fusion, draw_table_one
-from benchmarks.timing import print_table
+from benchmarks.timing import format_seconds, interleaved, print_table
 from benchmarks.touches import (
     DECADES,
     Presses,
@@ -28,16 +26,19 @@ from benchmarks.touches import (
     random_touches,
     stiffened,
     table_one,
+    touch,
     with_noise,
 )
+from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.estimation.estimate import FusedEstimate
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.tracker import Tracker
 
-SINGLES, FUSIONS, ON_TABLE, GROSS_ERRORS, CASES = 2000, 100, 200, 60, 20
-"""Number of draws of each row, by table."""
+SINGLES, FUSIONS, ON_TABLE, CASES, TIMING_ROUNDS = 2000, 100, 200, 20, 9
+"""Number of draws of each row, by table, and rounds of the timed calls."""
 MAX_BOUND = 5.0 * MM
 """Largest bound of a draw that is counted."""
 PRIORS = replace(
@@ -60,9 +61,8 @@ def _row(statistics: ErrorStatistics) -> list[str]:
 
 def report() -> None:
     """Print all tables and draw the figures."""
-    report_times()
+    print_times()
     print_table_one()
-    print_gross_errors()
     print_singles()
     print_fusions()
     print_large()
@@ -194,18 +194,37 @@ def print_table_one() -> None:
     draw_table_one(drawn)
 
 
-# Gross errors
+def print_times() -> None:
+    """Print the time of an estimate."""
+    model = paper_models()["large"]
+    estimator = Estimator(model)
+    calls: dict[str, Callable[[], object]] = {
+        "free probe": partial(estimator.estimate, estimator.free(GRAVITY).wrench_base, GRAVITY)
+    }
+    for force, fraction in TABLE_I:
+        solved = touch(model, GRAVITY, fraction * model.rod.length, np.pi / 2, force)
+        assert solved is not None, "the large probe has an equilibrium under these touches of the paper"
+        name, wrench = f"{force:g} N at {fraction:g} L", solved.wrench
+        near = estimator.estimate(wrench, GRAVITY)
+        calls[f"{name}, ml, cold"] = partial(estimator.estimate, wrench, GRAVITY)
+        calls[f"{name}, ml, from a neighbour"] = partial(estimator.estimate, 1.0001 * wrench, GRAVITY, near=near)
+        calls[f"{name}, force–moment"] = partial(estimator.estimate, wrench, GRAVITY, method="force_moment")
+    pressed = presses(model, GRAVITY, 0.7 * model.rod.length, np.pi / 2, np.linspace(2e-3, 1e-2, 5))
+    assert pressed is not None, "the large probe has an equilibrium under a light press"
+    calls["fuse, five touches"] = partial(estimator.fuse, pressed.wrenches, pressed.Ts, GRAVITY)
+    calls["tracker, one more reading after five touches"] = _tracking(estimator, pressed.wrenches, pressed.Ts)
+    seconds = interleaved(calls, TIMING_ROUNDS)
+    print_table(
+        f"Time of one call from Python, large probe. Median of {TIMING_ROUNDS} interleaved rounds",
+        ["call", "time", "calls per second"],
+        [[name, format_seconds(t), f"{1.0 / t:.0f}"] for name, t in seconds.items()],
+    )
 
 
-def print_gross_errors() -> None:
-    """Print the share of estimates with an error above three stated standard deviations that are not "ok"."""
-    rows = []
-    for name, cases in gross_errors.KINDS.items():
-        outcomes = list(islice(cases(np.random.default_rng(5)), GROSS_ERRORS))
-        wrong = [outcome for outcome in outcomes if outcome.error > 3.0]
-        refused = sum(outcome.result != "ok" for outcome in wrong)
-        codes = Counter(outcome.result for outcome in outcomes)
-        rows.append([name, ", ".join(f"{code} {n}" for code, n in codes.most_common()), str(len(wrong)),
-                     f"{refused / len(wrong):.0%}" if wrong else "-"])  # fmt: skip
-    print_table(f"Gross errors, {GROSS_ERRORS} draws each",
-                ["condition", "results", "error > 3 std", "of these refused"], rows)  # fmt: skip
+def _tracking(estimator: Estimator, wrenches: Array, Ts: Array) -> Callable[[], object]:
+    """Return a call that updates a tracker after five touches."""
+    tracker, ticks = Tracker(estimator, gravity_world=GRAVITY), count(1)
+    for wrench, T in zip(wrenches, Ts, strict=True):
+        for _ in range(36):
+            tracker.update(wrench, T, next(ticks) / 7000.0)
+    return lambda: tracker.update(wrenches[-1], Ts[-1], next(ticks) / 7000.0)

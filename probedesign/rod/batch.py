@@ -167,21 +167,21 @@ def _cases(
     return loads, of.astype(np.int64)
 
 
-def _batch(found: NDArray[Any], derivatives: Array, loads: Array, bodies: Body, of: Array) -> Batch:
+def _batch(solutions: NDArray[Any], derivatives: Array, loads: Array, bodies: Body, of: Array) -> Batch:
     """Return the kernels' rows as a `Batch`."""
-    status = found["status"].astype(int)
+    status = solutions["status"].astype(int)
     bad = status != OK
     mass = (bodies.constants[:, DENSITY] * bodies.volume_beyond[:, 0])[of]
-    wrench = np.hstack([loads[:, 0:3] + mass[:, None] * loads[:, 3:6], found["moment"]])
-    for numbers in (wrench, found["residual"], found["tip"], found["point"], derivatives):
+    wrench = np.hstack([loads[:, 0:3] + mass[:, None] * loads[:, 3:6], solutions["moment"]])
+    for numbers in (wrench, solutions["residual"], solutions["tip"], solutions["point"], derivatives):
         numbers[bad] = np.nan
     return Batch(
         result=np.array([RESULTS[code] for code in range(len(RESULTS))])[status],
-        margin=found["margin"],
-        residual=found["residual"],
-        tip=found["tip"],
+        margin=solutions["margin"],
+        residual=solutions["residual"],
+        tip=solutions["tip"],
         wrench_base=wrench,
-        p_contact_base=found["point"],
+        p_contact_base=solutions["point"],
         d_moment=derivatives[:, :3, :-1],
         d_contact=derivatives[:, 3:, :-1],
         frame=derivatives[:, 3:, -1],
