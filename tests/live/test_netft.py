@@ -61,7 +61,7 @@ def test_the_transform_turns_about_x_then_the_new_y_then_the_new_z():
 def test_a_sensor_of_another_calibration_is_noted(estimator, ranges, noted):
     with box(estimator, replace(NATIVE, ranges=tuple(map(float, ranges)))) as peer:
         source = open_source(peer.source, estimator.model)
-    assert sum("another calibration" in note for note in source.notes) == noted
+    assert sum("the range of the box" in note for note in source.notes) == noted
 
 
 def test_pynetft_reads_the_same_from_our_box(estimator):

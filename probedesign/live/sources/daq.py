@@ -27,7 +27,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.blocks import Block, dropout_block
 from probedesign.live.sources.netft.configuration import parse_xml
-from probedesign.live.sources.source import STALE_TIME, DropoutMonitor, SourceParameter, parse_parameters
+from probedesign.live.sources.source import STALE_TIME, DropoutMonitor, SourceParameter, parse_parameters, range_note
 
 if TYPE_CHECKING:
     from nidaqmx.errors import DaqError
@@ -305,7 +305,10 @@ class DaqSource:
         self._card = DaqCard(target.removeprefix("//"), numbers["rate_hz"])
         self._gravity, self._log = model.gravity_base, log
         self.title = f"{self._card.name}, sensor {self.calibration.serial} {self.calibration.part}"
-        self.notes = ("gauges are assigned in the order of the channels", *_range_note(self.calibration, model))
+        self.notes = (
+            "gauges are assigned in the order of the channels",
+            *range_note("calibration", self.calibration.ranges, model),
+        )
 
     def __iter__(self) -> Generator[Block, None, None]:
         dropout, stretch = DropoutMonitor(self._card.name, self._log, NO_SAMPLE), 0
@@ -364,11 +367,3 @@ def _zero(text: str) -> Array:
             f"daq: zero_V = {text[:60]!r} must be {GAUGES} voltages within {MAX_GAUGE_VOLTS:g} V, with commas"
         )
     return volts
-
-
-def _range_note(calibration: GaugeCalibration, model: ProbeModel) -> tuple[str, ...]:
-    """Return a note if the range of the calibration differs from that of the probe's sensor."""
-    if np.allclose(calibration.ranges, model.wrench_range, rtol=0.01):
-        return ()
-    ranges = ", ".join(f"{value:g}" for value in calibration.ranges)
-    return (f"the calibration range {ranges} N, Nm differs from that of the probe's sensor: is it the right file?",)

@@ -14,7 +14,10 @@ from time import monotonic
 from typing import Protocol, runtime_checkable
 from urllib.parse import parse_qsl
 
+import numpy as np
+
 from probedesign.core.errors import InputError, ProbeDesignError
+from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.blocks import Block, WrenchReading, group_readings, paced
@@ -166,6 +169,14 @@ def _value(what: str, text: str, parameter: SourceParameter) -> float:
     if not parameter.minimum <= value <= parameter.maximum or (parameter.integer and value != int(value)):
         raise InputError(f"{what} = {text!r} must be {allowed}")
     return value
+
+
+def range_note(what: str, ranges: Array, model: ProbeModel) -> tuple[str, ...]:
+    """Return a note if the ranges of a sensor [N, N·m], (6,), differ from those of the probe's; `what` states them."""
+    if np.allclose(ranges, model.wrench_range, rtol=0.01):
+        return ()
+    listed = ", ".join(f"{value:g}" for value in ranges)
+    return (f"the range of the {what}, {listed} N, Nm, differs from that of the probe's sensor: is it the right one?",)
 
 
 STALE_TIME = 0.040

@@ -56,16 +56,10 @@ class NetFTConfiguration:
         _ = self.to_sensor  # raises for an unknown unit
 
     @property
-    def scale(self) -> Array:
-        """One count of each channel in SI units, (6,)."""
-        force = unit_of("scfgfu", self.force_unit, FORCE_UNITS) / self.counts_per_force
-        torque = unit_of("scfgtu", self.torque_unit, TORQUE_UNITS) / self.counts_per_torque
-        return np.repeat([force, torque], 3)
-
-    @property
-    def counts_of_unit(self) -> Array:
-        """Counts per unit of each channel, (6,)."""
-        return np.repeat([self.counts_per_force, self.counts_per_torque], 3)
+    def units(self) -> Array:
+        """Unit of each channel in SI, (6,)."""
+        force = unit_of("scfgfu", self.force_unit, FORCE_UNITS)
+        return np.repeat([force, unit_of("scfgtu", self.torque_unit, TORQUE_UNITS)], 3)
 
     @property
     def T_sensor_tool(self) -> Array:
@@ -85,7 +79,8 @@ class NetFTConfiguration:
     @cached_property
     def to_sensor(self) -> Array:
         """Matrix from counts to the wrench in the sensor frame [N, N·m], (6, 6)."""
-        return np.asarray(wrench_map(self.T_sensor_tool) * self.scale)
+        counts_of_unit = np.repeat([self.counts_per_force, self.counts_per_torque], 3)
+        return np.asarray(wrench_map(self.T_sensor_tool) * (self.units / counts_of_unit))
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ from probedesign.live.sources.netft.rdt import (
     fault_of,
 )
 from probedesign.live.sources.netft.session import RdtRecords, RdtSession
-from probedesign.live.sources.source import STALE_TIME, DropoutMonitor, SourceParameter, parse_parameters
+from probedesign.live.sources.source import STALE_TIME, DropoutMonitor, SourceParameter, parse_parameters, range_note
 
 COUNT_INTERVAL = 1.0
 """Interval at which the counts are updated [s]."""
@@ -239,7 +239,10 @@ class NetFTSource:
         self.configuration: NetFTConfiguration = fetch_configuration(*self._page)
         self._session = RdtSession(self._name, host, port, self.configuration.rate)
         self.title = f"{self._name}, {self.configuration.product}"
-        self.notes = self.configuration.notes + _range_note(self.configuration, model)
+        self.notes = self.configuration.notes
+        if len(self.configuration.ranges) == 6:
+            ranges = np.array(self.configuration.ranges) * self.configuration.units
+            self.notes += range_note("box", ranges, model)
         axia = "axia" in self.configuration.product.lower()  # assumed: the manual does not list the names
         self._table = STATUS_TABLES[texts["sensor"] or ("axia" if axia else "netbox")]
         self.notes += self._session.notes
@@ -266,17 +269,6 @@ class NetFTSource:
             finally:
                 decoder.count()
                 self._log(f"{self._name}: {summary(self.counts)}")
-
-
-def _range_note(configuration: NetFTConfiguration, model: ProbeModel) -> tuple[str, ...]:
-    """Return a note if the range of the box differs from that of the probe's sensor."""
-    if len(configuration.ranges) != 6:
-        return ()
-    reach = np.array(configuration.ranges) * configuration.scale * configuration.counts_of_unit
-    if np.allclose(reach, model.wrench_range, rtol=0.01):
-        return ()
-    ranges = ", ".join(f"{value:g}" for value in configuration.ranges)
-    return (f"the box's range {ranges} differs from that of the probe's sensor: is it another calibration?",)
 
 
 def _address(target: str) -> tuple[str, int]:
