@@ -17,11 +17,7 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 from packaging.tags import sys_tags
 
 BUILT = "probedesign/_compiled"
-
-
-def is_on() -> bool:
-    """Return whether the kernels are compiled with the wheel."""
-    return os.environ.get("PROBEDESIGN_PRECOMPILE", "0") == "1"
+IS_ON = os.environ.get("PROBEDESIGN_PRECOMPILE", "0") == "1"
 
 
 def wheel_tag() -> str:
@@ -44,11 +40,11 @@ class PrecompileHook(BuildHookInterface[Any]):
 
     def dependencies(self) -> list[str]:
         """Return what the build needs: what the kernels import."""
-        return list(self.metadata.core.dependencies) if is_on() else []
+        return list(self.metadata.core.dependencies) if IS_ON else []
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Compile, and name the files and the platform of the wheel."""
-        if not is_on():
+        if not IS_ON:
             return
         if version == "editable":
             self._compile(Path(self.root) / BUILT)

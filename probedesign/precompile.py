@@ -104,12 +104,20 @@ PARTS: dict[str, Callable[["Probe"], None]] = {
 """What compiles the kernels of one subject, by calling them."""
 
 
-def precompile(folder: Path) -> dict[str, float]:
-    """Compile all kernels for the baseline processor, or this machine's where it lacks it, into a folder.
+def main(arguments: list[str]) -> int:
+    """Compile the named parts into a folder, one after the other, or all of them in a process each.
 
-    Returns:
-        Wall time and processor time of the processes [s], and the number of compiled functions.
+    All parts are compiled for the baseline processor, or for this machine's where it lacks the baseline.
     """
+    folder = Path(arguments[0]).absolute()
+    if len(arguments) > 1:
+        from probedesign import build_probe, parse_design
+
+        cache.only = folder
+        probe = build_probe(parse_design(DESIGN))
+        for part in arguments[1:]:
+            PARTS[part](probe)
+        return 0
     environment = {**os.environ, "PYTHONPATH": str(cache.PACKAGE.parent)}
     if cache.BASELINE in cache.runs():
         environment |= {"NUMBA_CPU_NAME": cache.BASELINE, "NUMBA_CPU_FEATURES": ""}
@@ -120,27 +128,9 @@ def precompile(folder: Path) -> dict[str, float]:
     if failed:
         raise RuntimeError(f"{len(failed)} of {len(processes)} processes that compile the kernels failed")
     after = os.times()
-    return {
-        "wall_s": time.perf_counter() - began,
-        "processor_s": after.children_user + after.children_system - before.children_user - before.children_system,
-        "functions": len(list(folder.glob(f"*/*{cache.SUFFIX}"))),
-    }
-
-
-def main(arguments: list[str]) -> int:
-    """Compile the named parts into a folder, one after the other, or all of them in a process each."""
-    folder = Path(arguments[0]).absolute()
-    if len(arguments) > 1:
-        from probedesign import build_probe, parse_design
-
-        cache.only = folder
-        probe = build_probe(parse_design(DESIGN))
-        for part in arguments[1:]:
-            PARTS[part](probe)
-    else:
-        spent = precompile(folder)
-        print(f"{spent['functions']} functions compiled in {spent['wall_s']:.0f} s, "
-              f"{spent['processor_s']:.0f} s of processor time")  # fmt: skip
+    spent = after.children_user + after.children_system - before.children_user - before.children_system
+    print(f"{len(list(folder.glob(f'*/*{cache.SUFFIX}')))} functions compiled in {time.perf_counter() - began:.0f} s, "
+          f"{spent:.0f} s of processor time")  # fmt: skip
     return 0
 
 
