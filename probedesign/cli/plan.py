@@ -120,14 +120,15 @@ def _instruments(
 def _print(found: "Plan") -> None:
     from probedesign.reports.plan_page import interval_text
 
-    names = [one.name for one in found.expected]
+    names = [interval.name for interval in found.expected]
     print(f"{found.bench.model.name}  {len(found.tests)} measurements in {found.tests[-1].minutes:.0f} of "
           f"{found.minutes:g} min; expected 95 % intervals after each")  # fmt: skip
     print(f"  {'min':>4} {'test':<12}" + "".join(f"{name:>13}" for name in names) + "  what")
-    for one in found.tests:
-        cells = ["" if one.candidate.held_out else interval_text(interval) for interval in one.expected]
-        print(f"  {one.minutes:>4.0f} {one.candidate.name:<12}" + "".join(f"{cell:>13}" for cell in cells)
-              + f"  {one.candidate.words}{' For validate.' * one.candidate.held_out}")  # fmt: skip
+    for test in found.tests:
+        candidate = test.candidate
+        cells = ["" if candidate.held_out else interval_text(interval) for interval in test.expected]
+        print(f"  {test.minutes:>4.0f} {candidate.name:<12}" + "".join(f"{cell:>13}" for cell in cells)
+              + f"  {candidate.words}{' For validate.' * candidate.held_out}")  # fmt: skip
     enough = found.enough
     print(f"  after {enough.candidate.name} ({enough.minutes:.0f} min) every interval is within 10 % of the final one")
     for note in found.notes:

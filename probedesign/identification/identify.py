@@ -11,7 +11,6 @@ from probedesign.campaigns import Campaign, Test
 from probedesign.campaigns.campaign import TESTS, WRENCHES
 from probedesign.campaigns.checks import check_probe
 from probedesign.campaigns.manifest import WRIST
-from probedesign.core.csv_tables import Frame
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
@@ -30,7 +29,7 @@ from probedesign.identification.fit_checks import (
 )
 from probedesign.identification.mistakes import exchange_hint, explaining_mistakes, likely_causes
 from probedesign.identification.parameters import DEFAULT, IMPLIED, LOG_E, CommonParameters, check_requested, columns_of
-from probedesign.identification.residuals import MassMeasurement, MeasuredTest, ResidualBlock
+from probedesign.identification.residuals import MassMeasurement, MeasuredTest
 from probedesign.identification.result import Identification, Outlier
 from probedesign.identification.robust_loss import outliers
 from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, fit, solvable_tests, start_point
@@ -79,7 +78,7 @@ def data_of(campaign: Campaign, model: ProbeModel, flange_volume: float) -> Iden
         campaign.std_base,
         campaign.std_tilt,
         tuple(np.diff(seconds).tolist()),
-        _frame(campaign),
+        next((test.frame for test in campaign.tests if len(test.wrenches)), "base"),
     )
     held_out = sum(test.use == "validate" for test in campaign.tests)
     if held_out:
@@ -109,11 +108,6 @@ def data_of(campaign: Campaign, model: ProbeModel, flange_volume: float) -> Iden
         flange = flange_volume if weighing.of == "probe" else 0.0
         mass = MassMeasurement(weighing.mass, weighing.std, flange)
     return IdentificationData(common, tuple(tests), mass, str(campaign.folder), tuple(notes))
-
-
-def _frame(campaign: Campaign) -> Frame:
-    """Return the frame that wrenches.csv states."""
-    return next((test.frame for test in campaign.tests if len(test.wrenches)), "base")
 
 
 def _epochs(campaign: Campaign, notes: list[str]) -> tuple[dict[str, int], Array]:
@@ -247,7 +241,7 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
         found.noise, quantile,
         tuple(Outlier(block.test, block.kind, block.item, distance) for block, distance in off),
         result.error_budget(used, identified),
-        (*data.notes, *(() if why else _hints(*first)), *(one.description for one in unobservable),
+        (*data.notes, *(() if why else exchange_hint(*first)), *(one.description for one in unobservable),
          *outlier_notes(blocks, off),
          *_remarks(found)),
         result.residuals_of(found), time.perf_counter() - begun,
@@ -268,15 +262,6 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
             "by the residuals and by what the likely causes would change")  # fmt: skip
     unfinished = () if found.result == "ok" else ("the search ended before it converged: its numbers may be off",)
     return replace(whole, result="accepted", widening=widening, notes=(note, *unfinished, *whole.notes))
-
-
-def _hints(found: Fit, off: Sequence[tuple[ResidualBlock, float]]) -> tuple[str, ...]:
-    """Return what may be wrong with single outlying touches, which are no contradiction: exchanged readings."""
-    tests = {test.name: test for test in found.point.problem.tests}
-    wrong = [name for name in dict.fromkeys(block.test for block, _ in off) if name in tests]
-    touched = [name for name in wrong if not tests[name].free and tests[name].wrench_base is not None]
-    hint = exchange_hint(found, touched) if touched else ""
-    return (hint,) if hint else ()
 
 
 def _problem(data: IdentificationData, requested: Sequence[str]) -> LeastSquaresProblem:

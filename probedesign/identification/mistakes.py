@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from probedesign.core.csv_tables import Frame
 from probedesign.core.frames import Array
 from probedesign.identification.parameters import CHANNELS, COMPONENTS, OWNER, PRINT, CommonParameters
-from probedesign.identification.residuals import MeasuredTest
+from probedesign.identification.residuals import MeasuredTest, ResidualBlock
 from probedesign.identification.robust_loss import REJECTION_CHANCE, outliers
 from probedesign.identification.solver import (
     Fit,
@@ -92,19 +92,21 @@ def explaining_mistakes(problem: LeastSquaresProblem) -> tuple[LikelyCause, ...]
     return tuple(_fitted(replace(problem, tests=tuple(test for test in problem.tests if test.name in names)), None))
 
 
-def exchange_hint(fit: Fit, seeds: Sequence[str]) -> str:
-    """Return a note if an exchange of the readings of two tests, one of `seeds` among them, explains outliers."""
-    point, pair = fit.point, _best_exchange(fit.point, seeds[:MAX_SEEDS])
+def exchange_hint(fit: Fit, outlying: Sequence[tuple[ResidualBlock, float]]) -> tuple[str, ...]:
+    """Return a note if an exchange of the readings of two tests, one of them outlying, explains outliers."""
+    point, of = fit.point, {test.name: test for test in fit.point.problem.tests}
+    names = [name for name in dict.fromkeys(block.test for block, _ in outlying) if name in of]
+    seeds = [name for name in names if not of[name].free and of[name].wrench_base is not None]
+    pair = _best_exchange(point, seeds[:MAX_SEEDS])
     if pair is None:
-        return ""
-    of = {test.name: test for test in point.problem.tests}
+        return ()
     change = _exchange(point.problem.common, of, pair).change
     before = sum(_own_loss(point, of[name]) for name in pair)
     after = sum(_own_loss(point, change(of[name])) for name in pair)
     if before - after < np.log(len(of) * (len(of) - 1) / 2) - np.log(REJECTION_CHANCE):
-        return ""
+        return ()
     return (f"{pair[0]} and {pair[1]}: their readings may be exchanged: χ² of both falls from {2.0 * before:.4g} to "
-            f"{2.0 * after:.4g} that way; check wrenches.csv, or their places in tests.csv")  # fmt: skip
+            f"{2.0 * after:.4g} that way; check wrenches.csv, or their places in tests.csv",)  # fmt: skip
 
 
 # fits of changed tests

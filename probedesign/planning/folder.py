@@ -29,7 +29,8 @@ MARKER_COLUMNS = "test,marker,x_world_mm,y_world_mm,z_world_mm"
 
 def tables(plan: Plan) -> dict[str, str]:
     """Return the tables of the data folder by name, with a row for each planned test."""
-    return {"campaign.toml": _manifest(plan), TESTS: _tests(plan), WRENCHES: WRENCH_HEADER}
+    rows = [_row(candidate) for candidate in plan.candidates if candidate.test is not None]
+    return {"campaign.toml": _manifest(plan), TESTS: csv_tables.write(COLUMNS, rows).decode(), WRENCHES: WRENCH_HEADER}
 
 
 def _manifest(plan: Plan) -> str:
@@ -56,23 +57,18 @@ def _manifest(plan: Plan) -> str:
         lines += ["", "[markers]                   # marker 1 is the nearest to the base", f"s_mm = {_list(s)}",
                   "# side_deg = -110.0         # where the dots are on the surface; absent: on the axis",
                   f"std_mm = {bench.instruments.cameras / MM:g}"]  # fmt: skip
-    if any(one.set_up == "weighing" for one in plan.candidates) and bench.instruments.balance is not None:
+    if any(candidate.set_up == "weighing" for candidate in plan.candidates) and bench.instruments.balance is not None:
         lines += ["", "# [weighing]                # after weighing, remove the # of these lines",
                   "# mass_g =", f"# std_g = {1e3 * bench.instruments.balance:g}",
                   '# of = "probe"              # with its printed flange; "flexible": the soft part alone']  # fmt: skip
     return "\n".join([*lines, "", "[source]", 'by = ""', ""])
 
 
-def _tests(plan: Plan) -> str:
-    rows = [_row(plan, candidate) for candidate in plan.candidates if candidate.test is not None]
-    return csv_tables.write(COLUMNS, rows).decode()
-
-
-def _row(plan: Plan, one: CandidateTest) -> dict[str, str]:
+def _row(candidate: CandidateTest) -> dict[str, str]:
     """Return the row of a planned test: what is set beforehand; what is measured stays empty."""
-    test = one.test
+    test = candidate.test
     assert test is not None
-    row = {"test": test.name, "direction": test.direction, "use": test.use, "note": one.words}
+    row = {"test": test.name, "direction": test.direction, "use": test.use, "note": candidate.words}
     if test.force_world is not None:
         row |= {f"force_{axis}_world_N": f"{value + 0.0:.6g}"
                 for axis, value in zip("xyz", test.force_world, strict=True)}  # fmt: skip
@@ -80,7 +76,7 @@ def _row(plan: Plan, one: CandidateTest) -> dict[str, str]:
         row |= {"s_contact_mm": f"{test.s_contact / MM:.2f}", "std_s_mm": f"{test.std_s / MM:.2g}"}
     if test.force_world is None:
         row["std_contact_mm"] = f"{test.std_contact / MM:g}"
-    if one.set_up == "turned":
+    if candidate.set_up == "turned":
         T = test.T_world_base
         values = [*T[:3, 3] / MM, *_rotation_deg(T)]
         row |= {name: f"{value + 0.0:.4f}" for name, value in zip(COLUMNS[11:17], values, strict=True)}
@@ -105,9 +101,9 @@ def checklist(plan: Plan, folder: str) -> list[tuple[str, list[str]]]:
         plan: of the campaign.
         folder: of the data, as the commands at the end name it.
     """
-    kinds = {one.set_up for one in plan.candidates}
+    kinds = {candidate.set_up for candidate in plan.candidates}
     model = plan.bench.model
-    marks = sorted({one.mark for one in plan.candidates if np.isfinite(one.mark)})
+    marks = sorted({candidate.mark for candidate in plan.candidates if np.isfinite(candidate.mark)})
     before = [f"Check that the part bears the fingerprint {model.fingerprint}."]
     if marks:
         before.append(f"Draw marks around the probe at s = {', '.join(f'{s / MM:g}' for s in marks)} mm from the base, "
@@ -147,7 +143,7 @@ def checklist(plan: Plan, folder: str) -> list[tuple[str, list[str]]]:
     if plan.bench.instruments.cameras is not None:
         each.append(f"Markers: write their places into {MARKERS} with the columns {MARKER_COLUMNS}; or photograph "
                     "them with calibrated cameras (docs/stereo.md).")  # fmt: skip
-    held_out = [one.name for one in plan.candidates if one.held_out]
+    held_out = [candidate.name for candidate in plan.candidates if candidate.held_out]
     if held_out:
         each.append(f"{', '.join(held_out)}: measure them like the others. identify leaves them out, and validate "
                     "judges the probe by them.")  # fmt: skip

@@ -25,14 +25,14 @@ STYLE = """
 """
 
 
-def interval_text(one: ExpectedInterval) -> str:
+def interval_text(interval: ExpectedInterval) -> str:
     """Return half the width of the 95 % interval as text: relative for a factor, else in its unit."""
-    if one.std is None or one.low is None or one.high is None:
+    if interval.low is None or interval.high is None:
         return "—"
-    half = 0.5 * (one.high - one.low)
-    if one.relative:
-        return f"± {half / (0.5 * (one.high + one.low)):.1%}"
-    return f"± {half:.2g} {one.unit}".rstrip()
+    half = 0.5 * (interval.high - interval.low)
+    if interval.relative:
+        return f"± {half / (0.5 * (interval.high + interval.low)):.1%}"
+    return f"± {half:.2g} {interval.unit}".rstrip()
 
 
 def plan_page(plan: Plan, folder: str) -> bytes:
@@ -50,7 +50,7 @@ def plan_page(plan: Plan, folder: str) -> bytes:
         "final one.",
         *plan.notes,
     ]
-    drawings = "".join(_set_up(plan, one) for one in plan.candidates if one.shape is not None)
+    drawings = "".join(_set_up(plan, candidate) for candidate in plan.candidates if candidate.shape is not None)
     body = (
         f'<section class="plan"><h2>Expected 95 % intervals after each test</h2>{_table(plan).html()}</section>'
         f"{_chart_section(plan)}"
@@ -63,27 +63,23 @@ def plan_page(plan: Plan, folder: str) -> bytes:
 
 
 def _table(plan: Plan) -> HtmlTable:
-    head = ["test", "what", "min", "since start", *(one.name for one in plan.expected)]
-    rows = [
-        [
-            one.candidate.name,
-            one.candidate.words + (" For validate." if one.candidate.held_out else ""),
-            f"{one.candidate.minutes:g}",
-            f"{one.minutes:.0f}",
-            *("" if one.candidate.held_out else interval_text(interval) for interval in one.expected),
-        ]
-        for one in plan.tests
-    ]
+    head = ["test", "what", "min", "since start", *(interval.name for interval in plan.expected)]
+    rows = []
+    for test in plan.tests:
+        candidate = test.candidate
+        intervals = ("" if candidate.held_out else interval_text(interval) for interval in test.expected)
+        words = candidate.words + (" For validate." if candidate.held_out else "")
+        rows.append([candidate.name, words, f"{candidate.minutes:g}", f"{test.minutes:.0f}", *intervals])
     return HtmlTable(head, rows, "Intervals of identify with the design's dimensions; — : not determined yet.")
 
 
 def _chart_section(plan: Plan) -> str:
     """Return the chart of the intervals over time, relative to the final ones."""
-    times = [one.minutes for one in plan.tests]
+    times = [test.minutes for test in plan.tests]
     lines = {}
     for k, final in enumerate(plan.expected):
         if final.std is not None:
-            now = [one.expected[k].std for one in plan.tests]
+            now = [test.expected[k].std for test in plan.tests]
             lines[final.name] = [math.nan if std is None else std / final.std for std in now]
     if not lines:
         return ""
@@ -111,7 +107,7 @@ def _items(lines: Sequence[str], attribute: str = "") -> str:
     return f"<ul>{''.join(f'<li{attribute}>{escape(line)}</li>' for line in lines)}</ul>"
 
 
-def _set_up(plan: Plan, one: CandidateTest) -> str:
-    drawing = set_up_drawing(plan.bench.model, one).decode()
-    use = " For validate." if one.held_out else ""
-    return f"<section><h3>☐ {escape(one.name)}</h3>{drawing}<p>{escape(one.words)}{use}</p></section>"
+def _set_up(plan: Plan, candidate: CandidateTest) -> str:
+    drawing = set_up_drawing(plan.bench.model, candidate).decode()
+    use = " For validate." if candidate.held_out else ""
+    return f"<section><h3>☐ {escape(candidate.name)}</h3>{drawing}<p>{escape(candidate.words)}{use}</p></section>"
