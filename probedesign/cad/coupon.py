@@ -126,8 +126,8 @@ def _coupon_sheet(design: Design, parts: dict[str, list[Disc]]) -> str:
     ]
     for name, discs in parts.items():
         for d, low, high in discs:
-            places = (0.5,) if name == "coupon_steps" else (0.1, 0.5, 0.9)
-            lines += [f"{name},{low + share * (high - low):g},{d:g},," for share in places]
+            heights = (0.5,) if name == "coupon_steps" else (0.1, 0.5, 0.9)
+            lines += [f"{name},{low + height * (high - low):g},{d:g},," for height in heights]
     return "\n".join(lines) + "\n"
 
 
@@ -140,7 +140,7 @@ def _probe_sheet(design: Design, fingerprint: str) -> str:
         f"# diameters of {design.name}{along}; s from the top of the flange; std: of one reading, 0.03 mm if empty",
         "s_mm,diameter_mm,std_mm,note",
     ]
-    for share in np.linspace(0.05, 0.95, PLACES):
-        place = round(float(share) * probe.flank_end_mm, 1)
-        lines.append(f"{place:g},,,drawn {float(np.interp(place, s, d)):.3f} mm")
+    for height in np.linspace(0.05, 0.95, PLACES) * probe.flank_end_mm:
+        station = round(float(height), 1)
+        lines.append(f"{station:g},,,drawn {float(np.interp(station, s, d)):.3f} mm")
     return "\n".join(lines) + "\n"

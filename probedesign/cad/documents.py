@@ -198,16 +198,6 @@ def _sensor_text(model: CadModel) -> str:
     return f"{model.design.sensor_model.product}, {model.design.calibration.name.upper()}"
 
 
-def bill_records(bill: list[BillItem]) -> list[dict[str, Any]]:
-    """Return the bill for the manifest."""
-    return [{k: v for k, v in asdict(item).items() if v not in (None, "")} for item in bill]
-
-
-def bill_csv(bill: list[BillItem]) -> bytes:
-    """Return the bill as a CSV table."""
-    return csv_tables.write(list(asdict(bill[0])), map(asdict, bill))
-
-
 # ---- exploded views
 
 GAP = 8.0
@@ -501,7 +491,7 @@ class Documents:
     """The documents of an export."""
 
     files: dict[str, bytes]  #: by name.
-    bill: list[BillItem]  #: of materials.
+    bill: list[dict[str, Any]]  #: of materials, for the manifest.
     steps: list[str]  #: the instructions, in order.
 
 
@@ -522,6 +512,7 @@ def build_documents(model: CadModel) -> Documents:
     files |= inspection_sheets(model)
     files["assembly.png"] = render_png(list(bodies.values()), ASSEMBLY_SIZE)
     files["exploded.svg"] = bytes(exploded)
-    files["bill_of_materials.csv"] = bill_csv(bill)
+    files["bill_of_materials.csv"] = csv_tables.write(list(asdict(bill[0])), map(asdict, bill))
     files["assembly.html"] = assembly_page(model, bill, steps, exploded, step_pictures(bodies, steps, seat))
-    return Documents(files, bill, [step.text for step in steps])
+    records = [{key: value for key, value in asdict(item).items() if value not in (None, "")} for item in bill]
+    return Documents(files, records, [step.text for step in steps])

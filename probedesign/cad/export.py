@@ -8,7 +8,7 @@ from typing import Any
 import cadquery as cq
 import numpy as np
 
-from probedesign.cad.documents import Documents, bill_records, build_documents
+from probedesign.cad.documents import Documents, build_documents
 from probedesign.cad.exchange import file_date, glb_bytes, step_bytes
 from probedesign.cad.folder import check_target, digests, write_export
 from probedesign.cad.kernel import mass_properties
@@ -46,7 +46,7 @@ def manifest_of(
         "schema": SCHEMA,
         "kind": "export",
         **model_record(model, files, findings),
-        "bill_of_materials": bill_records(documents.bill),
+        "bill_of_materials": documents.bill,
         "clamp": clamp_force(a, model.plate, model.design.youngs_modulus.value).as_record(),
         "tolerance_stacks": [stack.as_record() for stack in tolerance_stacks(a, model.plate)],
         "measure_before_assembly": [row.as_record() for row in measurements(a, model.plate)],

@@ -1,6 +1,6 @@
 """CAD model of a design: every part as a solid placed in the sensor frame."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -208,15 +208,13 @@ def printed_solid(design: Design, part: str) -> cq.Solid:
                 f"{design.name}: the {stack.what} is {stack.outside / MM:.2g} mm beyond its limits at the worst corner "
                 f"of the tolerances; {stack.remedy}"
             )
-    match part:
-        case "probe":
-            return probe_solid(mount.geometry, adapter)
-        case "sensor_adapter":
-            return sensor_adapter_solid(adapter)
-        case "clamp_ring":
-            return clamp_ring_solid(adapter)
-        case _:
-            return flange_adapter_solid(plate)
+    draw: dict[str, Callable[[], cq.Solid]] = {
+        "probe": lambda: probe_solid(mount.geometry, adapter),
+        "sensor_adapter": lambda: sensor_adapter_solid(adapter),
+        "clamp_ring": lambda: clamp_ring_solid(adapter),
+        "flange_adapter": lambda: flange_adapter_solid(plate),
+    }
+    return draw[part]()
 
 
 def build_cad(design: Design) -> CadModel:

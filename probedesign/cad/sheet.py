@@ -50,8 +50,8 @@ def seen(shape: cq.Shape, side: ViewDirection) -> Lines:
     algorithm.Projector(HLRAlgo_Projector(axes))
     algorithm.Update()
     algorithm.Hide()
-    found = HLRBRep_HLRToShape(algorithm)
-    kinds = (found.VCompound(), found.OutLineVCompound())
+    lines = HLRBRep_HLRToShape(algorithm)
+    kinds = (lines.VCompound(), lines.OutLineVCompound())
     return [line for kind in kinds if kind is not None and not kind.IsNull() for line in _flat(kind)]
 
 

@@ -45,18 +45,18 @@ def blocked_tools(parts: dict[str, CadPart], screws: list[ScrewGroup], adapter: 
     """
     corridors = {use.name: screw_corridors(use) for use in screws} | _part_corridors(parts, adapter)
     centring_pins = len(parts["centring_pins"].places) if "centring_pins" in parts else 0
-    found: dict[str, float] = {}
+    blocked: dict[str, float] = {}
     present = ["sensor"]
     for step in assembly_steps(screws, adapter.dowels, 0.0, centring_pins):
         there = list(dict.fromkeys(move.onto for move in step.moves)) if step.on_bench else present
         for name in step.parts:
-            if name in corridors and name not in found:
+            if name in corridors and name not in blocked:
                 corridor = cq.Compound.makeCompound(corridors[name])
-                found[name] = volume_inside(corridor, [parts[other] for other in there])
+                blocked[name] = volume_inside(corridor, [parts[other] for other in there])
             if name not in there:  # the adapter comes with its nuts and pins
                 there.append(name)
         present += [name for name in step.parts if name not in present]
-    return found
+    return blocked
 
 
 def screw_corridors(use: ScrewGroup) -> list[cq.Solid]:

@@ -107,12 +107,12 @@ def _tagged(design: Design, part: str, solid: cq.Shape) -> cq.Workplane:
 
 def _face_at(solid: cq.Shape, z: float) -> cq.Face:
     """Return the largest flat face at a height [m], across the z axis."""
-    found = [
+    faces = [
         face
         for face in solid.Faces()
         if face.geomType() == "PLANE" and abs(face.Center().z - z / MM) < FLAT and abs(face.normalAt().z) > 1.0 - FLAT
     ]
-    return max(found, key=lambda face: face.Area())
+    return max(faces, key=lambda face: face.Area())
 
 
 def export_changed(design: Design, changed: Mapping[str, cq.Workplane], out: Path) -> dict[str, Any]:
@@ -128,20 +128,16 @@ def export_changed(design: Design, changed: Mapping[str, cq.Workplane], out: Pat
     for name, mesh in meshes.items():
         as_printed = scaled(mesh, print_scale(design, name))
         contents[f"{name}.stl"] = part_stl(design, name, as_printed, model.geometry.fingerprint)
+
+    def masses(part: CadPart) -> dict[str, float]:
+        solids = {"mass_kg": part.shape, "mass_as_designed_kg": printed_solid(design, part.name)}
+        return {key: mass_properties(solid, part.density).mass for key, solid in solids.items()}
+
     manifest = {
         "schema": SCHEMA,
         "kind": "changed parts",
         **model_record(model, digests(contents), findings),
-        "changed": {name: _masses(design, model.parts[name]) for name in changed},
+        "changed": {name: masses(model.parts[name]) for name in changed},
         "print_scale": {name: list(print_scale(design, name)) for name in changed},
     }
     return write_export(folder, contents, manifest)
-
-
-def _masses(design: Design, part: CadPart) -> dict[str, float]:
-    """Return the mass of a changed part beside that of the design's."""
-    drawn = printed_solid(design, part.name)
-    return {
-        "mass_kg": mass_properties(part.shape, part.density).mass,
-        "mass_as_designed_kg": mass_properties(drawn, part.density).mass,
-    }
