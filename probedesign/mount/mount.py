@@ -128,10 +128,10 @@ def root_contradiction(design: Design) -> str:
     stated, others = mount.root_rigid_radii, [hold for hold in _MISSING if hold != mount.hold]
     geometry = build_geometry(design)
     remedy = f"set it to {computed:g}, or change mount.hold"
-    off = abs(stated - computed)
+    difference = abs(stated - computed)
     for other in others:
         of_other = exported_root_radii(geometry, other)
-        if abs(stated - of_other) <= _ROUNDING < off:
+        if abs(stated - of_other) <= _ROUNDING < difference:
             return (
                 f"mount.root_rigid_radii = {stated:g} is that of a {other} flange, but mount.hold is "
                 f"{mount.hold!r}; {remedy}"
@@ -148,7 +148,7 @@ def root_contradiction(design: Design) -> str:
             f"mount.root_rigid_radii = {stated:g}, but {computed:g} is computed for the {mount.hold} flange of this "
             f"design; {remedy}, or state its standard deviation as tolerances.root_radii if you measured it"
         )
-    if std is None or off <= 2.0 * math.hypot(ROOT_STD, std):
+    if std is None or difference <= 2.0 * math.hypot(ROOT_STD, std):
         return ""
     return (
         f"mount.root_rigid_radii = {stated:g}, but {computed:g} ± {ROOT_STD:g} is computed for the exported "

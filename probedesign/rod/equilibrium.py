@@ -186,11 +186,11 @@ class Equilibrium:
         rows = np.full((len(s), width - 1), np.nan)
         if self.ok:
             inside = (s >= 0.0) & (s <= self.body.knots[-1])
-            found = np.empty((int(inside.sum()), width - 1))
+            on_rod = np.empty((int(inside.sum()), width - 1))
             chunks = (width - 1 - STATE) // (WIDE * COLUMN)
             work, blocks = np.empty(WORK), np.empty(chunks * BLOCK)
-            states_at(s[inside], self.nodes.ravel(), len(self.nodes), self.body, self.load, work, blocks, found)
-            rows[inside] = found
+            states_at(s[inside], self.nodes.ravel(), len(self.nodes), self.body, self.load, work, blocks, on_rod)
+            rows[inside] = on_rod
         return rows
 
     def _by_parameters(self, rows: Array) -> Array:

@@ -215,15 +215,15 @@ class Rod:
         load = self.load(gravity, force, s_contact, couple, tip_moment)
         k, room = self.columns_of(columns), _NODES[mode]
         start = COLD if guess is None else WARM_ONLY if guess_only else WARM
-        found, derivatives = np.empty(1, dtype=SOLUTION), np.empty((1, 15, k + 1))
+        solved, derivatives = np.empty(1, dtype=SOLUTION), np.empty((1, 15, k + 1))
         if guess is not None:
-            found["tip"] = _tip(guess)
+            solved["tip"] = _tip(guess)
         while True:
             work = scratch_buffers(k, room)
             solve_cases(
-                0, 1, self.stacked, SINGLE_ROD, load[None], start, False, *TOLERANCES[mode], work, found, derivatives
+                0, 1, self.stacked, SINGLE_ROD, load[None], start, False, *TOLERANCES[mode], work, solved, derivatives
             )
-            row = found[0]
+            row = solved[0]
             status, count = int(row["status"]), int(row["count"])
             shape = work.nodes.reshape(room, -1)[:count]
             if status != OK or shape[-1, 0] == 0.0:
@@ -313,9 +313,9 @@ def _tip(guess: ArrayLike) -> Array:
     norm = math.sqrt(d @ d)
     if norm < 1e-6:
         raise InputError(f"guess = {guess!r}: the x axis lies along the tangent")
-    found = np.empty(6)
-    found[:3], found[3:] = t, d / norm
-    return found
+    tip = np.empty(6)
+    tip[:3], tip[3:] = t, d / norm
+    return tip
 
 
 def _carried_x(t: Array) -> Array:

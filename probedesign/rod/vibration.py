@@ -43,8 +43,8 @@ def natural_frequency(rod: Rod, gravity: ArrayLike = (0.0, 0.0, 0.0)) -> float:
     mass = rod.density * area * np.pi * r**2 * ds
     tension = float(np.asarray(gravity, dtype=float)[2]) * (np.cumsum(mass[::-1])[::-1] - mass / 2.0) * ds
     # The slope is 0 at the clamped end. K is tridiagonal: row 0 holds its diagonal, row 1 what is beside it.
-    own, beside = stiffness / ds + tension / 4.0, tension / 4.0 - stiffness / ds
-    K = np.array([own + np.append(own[1:], 0.0), np.append(beside[1:], 0.0)])
+    diagonal, beside = stiffness / ds + tension / 4.0, tension / 4.0 - stiffness / ds
+    K = np.array([diagonal + np.append(diagonal[1:], 0.0), np.append(beside[1:], 0.0)])
     try:
         factor = cholesky_banded(K, lower=True)
     except np.linalg.LinAlgError:  # K is not positive definite: the weight buckles the rod

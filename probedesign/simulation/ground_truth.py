@@ -151,9 +151,9 @@ class BenchFlaws:
     def draw(cls, model: ProbeModel, plan: CampaignPlan, tolerances: Tolerances) -> "BenchFlaws":
         """Draw the flaws of a plan's bench."""
         rng, t = np.random.default_rng([plan.seed, 4]), tolerances if plan.flaws else Tolerances.none()
-        own = 0.0 if plan.exact or not plan.flaws else min(model.friction, MAX_FRICTION)
+        friction = 0.0 if plan.exact or not plan.flaws else min(model.friction, MAX_FRICTION)
         bench = float(plan.flaws and not plan.exact)
-        return cls(own if plan.friction is None else plan.friction, t.gain * rng.normal(size=6),
+        return cls(friction if plan.friction is None else plan.friction, t.gain * rng.normal(size=6),
                    t.root_radii * rng.normal(), t.creep * rng.normal(), t.stiffness_scatter, tolerances.drift_steps,
                    t.walk_steps, bench * LENGTH_SCALE * rng.normal(), t.robot_mm * MM,
                    bench * WEIGHT_STD)  # fmt: skip
@@ -212,28 +212,28 @@ class GroundTruth:
         weights = planned_weights(self.model) if self.plan.kind == "cameras" else []
         touches = planned_touches(self.model)
         benches = iter(self._benches(len(weights) + len(touches)))
-        found = [next(benches)._free("hang-1")]
+        tests = [next(benches)._free("hang-1")]
         for i, (fraction, newtons) in enumerate(weights, 1):
-            found.append(next(benches)._loaded(f"weight-{i}", fraction, newtons))
+            tests.append(next(benches)._loaded(f"weight-{i}", fraction, newtons))
         for i, touch in enumerate(touches, 1):
-            found.append(next(benches)._touched(f"touch-{i:02d}", *touch))
-        return [*found, next(benches)._free("hang-2")]
+            tests.append(next(benches)._touched(f"touch-{i:02d}", *touch))
+        return [*tests, next(benches)._free("hang-2")]
 
     def _benches(self, loaded: int) -> list["GroundTruth"]:
         """Return the truth during each test: the stiffness creeps and scatters, and each pose has an error of its own;
         the first and the last are free."""
         rng, rod = np.random.default_rng([self.plan.seed, 5]), self.rod
-        own = np.concatenate([[0.0], self.flaws.stiffness_scatter * rng.normal(size=loaded), [0.0]])
-        factors = np.exp(own - self.flaws.creep * (np.linspace(0.0, 1.0, loaded + 2) - 0.5)).tolist()
-        found = []
+        scatter = np.concatenate([[0.0], self.flaws.stiffness_scatter * rng.normal(size=loaded), [0.0]])
+        factors = np.exp(scatter - self.flaws.creep * (np.linspace(0.0, 1.0, loaded + 2) - 0.5)).tolist()
+        truths = []
         for f in factors:
             shift, turn = self.flaws.std_pose * rng.normal(size=(2, 3)) / [[1.0], [WRIST]]
             T = self.T_world_base @ _displacement(shift, turn) @ np.linalg.inv(self.T_world_base)
             softer = replace(rod, youngs_modulus=f * rod.youngs_modulus, shear_modulus=f * rod.shear_modulus)
-            found.append(
+            truths.append(
                 replace(self, rod=softer, T_world_mount=T @ self.T_world_mount, T_world_true=T @ self.T_world_true)
             )
-        return found
+        return truths
 
     @property
     def gravity_base(self) -> Array:
@@ -276,13 +276,13 @@ class GroundTruth:
             ratios = (size * math.cos(turn), size * math.sin(turn))
         s, angle = fraction * self.rod.length, DIRECTIONS[direction]
         for _ in range(MAX_HALVINGS):
-            found = solve_contact(self.rod, self.gravity_base, s, angle, newtons, ratios)
-            if found.result == "ok":
+            contact = solve_contact(self.rod, self.gravity_base, s, angle, newtons, ratios)
+            if contact.result == "ok":
                 break
             newtons /= 2.0
-        eq = found.equilibrium
-        surface = found.p_surface_base if eq.ok else None
-        return self._test(name, eq, surface, direction, None, found.s_contact, size)
+        eq = contact.equilibrium
+        surface = contact.p_surface_base if eq.ok else None
+        return self._test(name, eq, surface, direction, None, contact.s_contact, size)
 
     def _test(
         self,

@@ -71,9 +71,9 @@ class _PageHandler(BaseHTTPRequestHandler):
         if page is None:
             self.close_connection = True
             return
-        found = self.path.partition("?")[0] == PAGE
-        body = page if found else b""
-        self.send_response(200 if found else 404)
+        known = self.path.partition("?")[0] == PAGE
+        body = page if known else b""
+        self.send_response(200 if known else 404)
         self.send_header("Content-Type", "text/xml")
         self.send_header("Content-Length", str(len(body)))
         self.send_header("Connection", "close")
@@ -139,8 +139,8 @@ def parse_faults(texts: list[str], seed: int = 1) -> FaultInjector:
     rates_given: dict[str, float] = {}
     events = []
     for text in texts:
-        found = re.fullmatch(r"([a-z]+)([=@])(\d+\.?\d*|\.\d+)", text)
-        name, sign, number = found.groups() if found else ("", "", "")
+        match = re.fullmatch(r"([a-z]+)([=@])(\d+\.?\d*|\.\d+)", text)
+        name, sign, number = match.groups() if match else ("", "", "")
         if sign == "=" and name in rates and float(number) <= 1.0:
             rates_given[name] = float(number)
         elif sign == "@" and name in FAULT_EVENTS:

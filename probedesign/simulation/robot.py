@@ -81,9 +81,9 @@ class BaseMotion:
         index = np.where(since < 0.0, -1, np.minimum(index, len(self.objects) - 1))
         phase = since - index * self._object_time
         knots = np.cumsum([0.0, MOVE_TIME, PRESS_TIME, CYCLE_DWELL_TIME, PRESS_TIME])
-        share = np.interp(phase, knots, [0.0, 0.0, 1.0, 1.0, 0.0])
+        fraction = np.interp(phase, knots, [0.0, 0.0, 1.0, 1.0, 0.0])
         ends = np.array([obj.travel[-1] for obj in self.objects] + [0.0])  # index -1 selects the last entry
-        return index, share * ends[index], phase > MOVE_TIME + PRESS_TIME + CYCLE_DWELL_TIME
+        return index, fraction * ends[index], phase > MOVE_TIME + PRESS_TIME + CYCLE_DWELL_TIME
 
     @cached_property
     def _free(self) -> Array:

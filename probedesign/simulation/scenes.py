@@ -212,12 +212,12 @@ def _retract(press: StraightPress, free: Equilibrium, end: CoulombContact, touch
     step = (travels[0] - touched) / (N_KNOTS_BACK - 1)
     while contacts[-1].ok and travels[-1] > 0.0:
         travel = max(travels[-1] - step, 0.0)
-        found = press.at(travel, contacts[-1])
-        if not found.ok:
+        contact = press.at(travel, contacts[-1])
+        if not contact.ok:
             step *= 0.5
             if step > _RELEASE_TOLERANCE * press.solver.rod.length:
                 continue
-        contacts, travels = [*contacts, found], [*travels, travel]
+        contacts, travels = [*contacts, contact], [*travels, travel]
     back = np.array([0.0, *travels[::-1]])
     kept = np.concatenate([np.diff(back) > 0.0, [True]])
     return back[kept], _wrenches(free, contacts[::-1])[kept]
@@ -314,21 +314,21 @@ N_REPEATED = 5
 
 def touch_targets() -> tuple[TouchTarget, ...]:
     """Return the targets in touching order: 25 points, then five of them again at another fraction of the length."""
-    found = []
+    points = []
     for card in card_house():
         middle = np.array([0.5 * (card.start[0] + card.end[0]), 0.0, card.start[2]])
         if card.name == "roof":
-            found += [(card, np.array([1e-3 * x, 0.0, middle[2]]), np.array([0.0, 0.0, 1.0])) for x in _ROOF_X]
+            points += [(card, np.array([1e-3 * x, 0.0, middle[2]]), np.array([0.0, 0.0, 1.0])) for x in _ROOF_X]
             continue
         rise = card.along / card.along[2]
         # The outer side of a leaning card faces upwards.
         outward = card.normal if card.normal[2] > 0.0 else -card.normal
         for heights, direction in zip(_HEIGHTS[card.name], (-outward, outward), strict=True):
-            found += [(card, card.start + 1e-3 * height * rise, direction) for height in heights]
-    n = len(found)
+            points += [(card, card.start + 1e-3 * height * rise, direction) for height in heights]
+    n = len(points)
     # Neighbours on a card get fractions far apart: 7 and 25 have no common divisor.
     fractions = [MIN_FRACTION + (MAX_FRACTION - MIN_FRACTION) * (7 * i % n) / (n - 1) for i in range(n)]
-    first = [TouchTarget(*one, fraction) for one, fraction in zip(found, fractions, strict=True)]
+    first = [TouchTarget(*point, fraction) for point, fraction in zip(points, fractions, strict=True)]
     again = [first[i] for i in range(0, n, n // N_REPEATED)][:N_REPEATED]
     total = MIN_FRACTION + MAX_FRACTION
     return (*first, *(TouchTarget(t.card, t.p_world, t.direction, total - t.fraction, True) for t in again))

@@ -129,8 +129,8 @@ class SurfaceTube:
         outward = self.tangents_world[end] * (-1 if end == 0 else 1)
         with np.errstate(divide="ignore"):
             distance = (self.p_world[end] - origin) @ outward / (rays @ outward)
-        off = np.linalg.norm(origin + distance[:, None] * rays - self.p_world[end], axis=1)
-        first = (off <= self.diameter[end] / 2) & ~(hits.distance < distance)
+        from_axis = np.linalg.norm(origin + distance[:, None] * rays - self.p_world[end], axis=1)
+        first = (from_axis <= self.diameter[end] / 2) & ~(hits.distance < distance)
         return RayHits(
             np.where(first, distance, hits.distance),
             np.where(first, self.s[end], hits.s),
@@ -213,8 +213,8 @@ def render(
     for tube, painted, grey in ((mount, None, style.mount), (probe, dots, style.probe)):
         rows, columns = _window(camera, tube, size_px)
         if len(rows):
-            light, share = _drawn(camera, tube, painted, grey, rows, columns, style, rng)
-            picture[rows, columns] = (1 - share) * picture[rows, columns] + light
+            light, coverage = _drawn(camera, tube, painted, grey, rows, columns, style, rng)
+            picture[rows, columns] = (1 - coverage) * picture[rows, columns] + light
     return exposed(picture, style, rng)
 
 
@@ -250,7 +250,7 @@ def _drawn(
     centres = np.column_stack([columns, rows]).astype(float)
     near = tube.s[cKDTree(camera.project(tube.p_world)).query(centres)[1]]
     near = tube.intersect(camera.p_world, camera.rays(centres), near).s
-    light, share = np.zeros(len(rows)), np.zeros(len(rows))
+    light, coverage = np.zeros(len(rows)), np.zeros(len(rows))
     offsets = (np.arange(FINE) + 0.5) / FINE - 0.5
     for down in offsets:
         for right in offsets:
@@ -262,8 +262,8 @@ def _drawn(
             if dots is not None:
                 albedo = np.where(tube.in_dot(dots, hits), style.dot, albedo)
             light[met] += _shaded(albedo, hits.normal_world, rays[met], style)
-            share[met] += 1
-    return light / FINE**2, share / FINE**2
+            coverage[met] += 1
+    return light / FINE**2, coverage / FINE**2
 
 
 def _shaded(albedo: Array, normal: Array, rays: Array, style: RenderStyle) -> Array:
@@ -345,13 +345,13 @@ class StereoRig:
         """Left and right camera."""
         centre, size = self.workspace
         distance = FIELD_OF_VIEW * float(size.max()) * FOCAL_PX / SIZE_PX[0] + size.max() / 2.0
-        found = []
+        cameras = []
         for name, angle in (("left", -AZIMUTH), ("right", AZIMUTH)):
             direction = np.array([math.sin(angle), -math.cos(angle), math.tan(ELEVATION)])
             p = centre + distance * direction / np.linalg.norm(direction)
             lens = LENS[self.truth.plan.calibration]
-            found.append(Camera.looking(name, p, centre, FOCAL_PX, SIZE_PX, lens))
-        return found[0], found[1]
+            cameras.append(Camera.looking(name, p, centre, FOCAL_PX, SIZE_PX, lens))
+        return cameras[0], cameras[1]
 
     def tube(self, test: SimulatedTest) -> SurfaceTube:
         """Return the surface of the bent probe in the world."""
