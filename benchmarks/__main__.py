@@ -6,10 +6,10 @@ from importlib import import_module
 
 from benchmarks.timing import print_machine
 
+#: Benchmarks by module. Each is imported when it runs, because worker processes import this module again.
 PARTS = ("rod", "start", "install", "estimation", "detection", "prints", "identify", "pictured", "validation",
          "planning", "prediction", "table1", "optimisation", "sweep", "export", "live", "recording", "view",
          "studio", "day", "explore", "clamp", "coverage")  # fmt: skip
-"""Benchmarks by module. Each is imported when it runs, because worker processes import this module again."""
 
 
 def main(arguments: list[str]) -> int:

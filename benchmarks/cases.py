@@ -14,17 +14,14 @@ from probedesign.rod.rod import Rod
 
 LARGE = Path(__file__).parents[1] / "designs/large.toml"
 GRAVITY = np.array([9.81, 0.0, 0.0])
+#: Force [N] and place over the length of four of the paper's tests of the large probe.
 TABLE_I = ((0.25, 0.133), (0.103, 0.4), (0.032, 0.533), (0.006, 0.8))
-"""Force [N] and place over the length of four of the paper's tests of the large probe."""
 
+#: Ranges of length [m], base diameter [m], tip over base diameter and Young's modulus [Pa] of random probes.
 LENGTH, BASE, TAPER, MODULUS = (0.03, 0.2), (0.002, 0.02), (0.1, 1.0), (3e5, 1e7)
-"""Ranges of length [m], base diameter [m], tip over base diameter and Young's modulus [Pa] of random probes."""
-DENSITY, SHEAR = 1100.0, 1.0 / 2.98
-"""Density [kg/m³] and G/E of random probes."""
-CONTACT, AT_TIP = 0.02, 0.3
-"""Smallest contact place over the length, and share of contacts at the tip."""
-MAX_BEND = 1.5
-"""Largest F s²/(E I(0) r(s)/r(0)) of random loads; it rotates the tip by about 120°."""
+DENSITY, SHEAR = 1100.0, 1.0 / 2.98  #: Density [kg/m³] and G/E of random probes.
+CONTACT, AT_TIP = 0.02, 0.3  #: Smallest contact place over the length, and share of contacts at the tip.
+MAX_BEND = 1.5  #: Largest F s²/(E I(0) r(s)/r(0)) of random loads; it rotates the tip by about 120°.
 
 
 class Load(NamedTuple):

@@ -21,8 +21,7 @@ from benchmarks.timing import print_table
 
 ROOT = Path(__file__).parents[1]
 POISSON = 0.49
-STUB = 4.0
-"""Height of the stub in base radii. The effect of the root has decayed there by Saint-Venant's principle."""
+STUB = 4.0  #: Height of the stub in base radii. The effect of the root has decayed there by Saint-Venant's principle.
 Support = Literal["face", "glued", "clamped", "slipping", "hollow seat"]
 SUPPORTS: dict[Support, str] = {
     "face": "base bonded at s = 0, no flange",
@@ -164,8 +163,7 @@ def _fixed(base: ClampedBase, support: Support, u_basis: Any, p_basis: Any) -> n
     return np.concatenate([index[fixed], u_basis.N + np.flatnonzero(p_axis)])
 
 
-YOUNGS_MODULUS = 2.32
-"""E of Elastic 50A [MPa]; forces are proportional to it."""
+YOUNGS_MODULUS = 2.32  #: E of Elastic 50A [MPa]; forces are proportional to it.
 INCOMPRESSIBLE = 0.4999
 
 

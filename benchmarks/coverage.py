@@ -42,38 +42,31 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS
 from tests.reference.cosserat import solve
 
-PLACES = (0.3, 0.95)
-"""Range of the touched places over the length."""
-MAX_BOUND = 6.0 * MM
-"""Largest bound of a draw that is counted."""
-MAX_BEND = 0.8
-"""Largest F s²/(E I(0) r(s)/r(0)), which is about the angle by which the force bends the probe [rad]."""
-TOUCHES = 5
-"""Touches of a press."""
+PLACES = (0.3, 0.95)  #: Range of the touched places over the length.
+MAX_BOUND = 6.0 * MM  #: Largest bound of a draw that is counted.
+MAX_BEND = 0.8  #: Largest F s²/(E I(0) r(s)/r(0)), which is about the angle by which the force bends the probe [rad].
+TOUCHES = 5  #: Touches of a press.
+#: Largest distance that a sliding touch moves along the probe from the first to the last touch. Assumed.
 MAX_SLIDE = 1.0 * MM
-"""Largest distance that a sliding touch moves along the probe from the first to the last touch. Assumed."""
-SAMPLES = 36
-"""Samples of each touch for the tracker; their mean is the reading for `fuse`."""
-MIN_STD = 1e-6
-"""Smallest standard deviation of a point in any direction for its NEES [m]."""
-DRAWS, FUSED_DRAWS = 100, 30
-"""Default numbers of single and of fused touches of each row."""
+SAMPLES = 36  #: Samples of each touch for the tracker; their mean is the reading for `fuse`.
+MIN_STD = 1e-6  #: Smallest standard deviation of a point in any direction for its NEES [m].
+DRAWS, FUSED_DRAWS = 100, 30  #: Default numbers of single and of fused touches of each row.
+#: Model errors: factor or divisor of E and G, step of the object [m], and step of the bias [resolution]; the steps
+#: occur between the third and the fourth of five touches.
 STIFFNESS_FACTOR, OBJECT_STEP, BIAS_STEPS = 1.2, 1.0 * MM, 5.0
-"""Model errors: factor or divisor of E and G, step of the object [m], and step of the bias [resolution]; the steps
-occur between the third and the fourth of five touches."""
 
+#: Result code, touched point of the surface [m], (3,), and its covariance [m²], (3, 3).
 Estimate = tuple[str, Array, Array]
-"""Result code, touched point of the surface [m], (3,), and its covariance [m²], (3, 3)."""
 
 
 # Estimators under test
 
 
+#: Ranges of the magnitude of the force [N].
 DECADES = {"2-10 mN": (2e-3, 1e-2), "10-100 mN": (1e-2, 1e-1), "0.1-1 N": (1e-1, 1.0)}
-"""Ranges of the magnitude of the force [N]."""
 ALL_SOURCES = tuple(SOURCES)
+#: Error sources of a single touch, whose point is in the base frame.
 SINGLE_SOURCES = tuple(source for source in ALL_SOURCES if source != "robot")
-"""Error sources of a single touch, whose point is in the base frame."""
 
 
 @dataclass(frozen=True)
@@ -396,9 +389,9 @@ def run(cases: Sequence[Case], draws: int, fused_draws: int, workers: int,
     return [(case, total.summary()) for case, total in zip(cases, totals, strict=True)]
 
 
+#: `refused of wrong` counts estimates with an error above three standard deviations or that are refused as wrong.
 HEAD = ("draws", "located", "RMS [mm]", "bound [mm]", "RMS / bound", "in 95 %", "NEES (expected 3)",
         "in 95 % or refused", "refused of wrong", "best test", "other results")  # fmt: skip
-"""`refused of wrong` counts estimates with an error above three standard deviations or that are refused as wrong."""
 
 
 def _row(found: dict[str, Any]) -> list[str]:

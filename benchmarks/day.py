@@ -37,21 +37,16 @@ from probedesign.live.processing.touches import Contact
 from tests.reference.cosserat import solve
 
 HOURS = 8.0
+#: Random walk [steps/√s] and ramp [steps/s] of the bias, in steps of the resolution; signs of the ramp are random.
 WALK, RAMP = 0.05, 10.0 / 3600.0
-"""Random walk [steps/√s] and ramp [steps/s] of the bias, in steps of the resolution; signs of the ramp are random."""
-RATE, RATE_OF_BOX = 25.0, 7000.0
-"""Rates of the means and of the samples [Hz]."""
-PLACE, NEWTONS = 0.6, 10e-3
-"""Place over the length and force of the touches [N]."""
+RATE, RATE_OF_BOX = 25.0, 7000.0  #: Rates of the means and of the samples [Hz].
+PLACE, NEWTONS = 0.6, 10e-3  #: Place over the length and force of the touches [N].
+#: Times from touch to touch, from the start of a period to its touch, and at each pose [s].
 PERIOD, BEGIN, DWELL = 120.0, 60.0, 2.0
-"""Times from touch to touch, from the start of a period to its touch, and at each pose [s]."""
 TARE = TareWindow(0.0, 3.0)
-RETREAT = np.array([0.0, 0.0, 3.0 * MM])
-"""Displacement of the base while the probe is free [m]."""
-TRAVEL = 10.0
-"""Travel time of the base between touches [s]."""
-PARTS = 4
-"""Parts of the day in the table."""
+RETREAT = np.array([0.0, 0.0, 3.0 * MM])  #: Displacement of the base while the probe is free [m].
+TRAVEL = 10.0  #: Travel time of the base between touches [s].
+PARTS = 4  #: Parts of the day in the table.
 
 
 def report(hours: float = HOURS) -> None:

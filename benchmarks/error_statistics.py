@@ -12,8 +12,7 @@ from probedesign.core.frames import Array
 from probedesign.core.statistics import max_chi2
 from probedesign.core.units import MM
 
-CHI2_95 = max_chi2(3, 0.05)
-"""NEES of a point on the boundary of its 95 % ellipsoid."""
+CHI2_95 = max_chi2(3, 0.05)  #: NEES of a point on the boundary of its 95 % ellipsoid.
 
 
 def proportion_interval(hits: int, n: int) -> tuple[float, float]:

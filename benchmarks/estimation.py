@@ -37,14 +37,13 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.estimation.tracker import Tracker
 
+#: Number of draws of each row, by table, and rounds of the timed calls.
 SINGLES, FUSIONS, ON_TABLE, CASES, TIMING_ROUNDS = 2000, 100, 200, 20, 9
-"""Number of draws of each row, by table, and rounds of the timed calls."""
-MAX_BOUND = 5.0 * MM
-"""Largest bound of a draw that is counted."""
+MAX_BOUND = 5.0 * MM  #: Largest bound of a draw that is counted.
+#: Error sources of a fusion in these tables, with the values assumed in `Tolerances`.
 PRIORS = replace(
     Tolerances.none(), youngs_modulus=0.03, shear_modulus=0.03, base_mm=0.05, robot_mm=0.01, walk_steps=0.2
 )
-"""Error sources of a fusion in these tables, with the values assumed in `Tolerances`."""
 IDENTIFIED = replace(PRIORS, youngs_modulus=0.005, shear_modulus=0.005)
 
 

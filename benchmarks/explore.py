@@ -35,19 +35,16 @@ from probedesign.rod.friction import ASSUMED_FRICTION
 from probedesign.simulation.scenes import card_house, touch_targets
 from probedesign.simulation.simulated_run import RunErrors, SimulatedRun, simulate_run, write_run
 
+#: Simulated runs for the command and for `fuse`. All touches of a run have the same E and base errors, so their errors
+#: are correlated, and many runs estimate the coverage better than many touches of one run.
 COMMAND_RUNS, FUSE_RUNS = 3, 20
-"""Simulated runs for the command and for `fuse`. All touches of a run have the same E and base errors, so their errors
-are correlated, and many runs estimate the coverage better than many touches of one run."""
-READINGS = 50
-"""Readings at each pose for `fuse`: a quarter of a second of a Net F/T box, averaged by 36."""
-FRICTION = ASSUMED_FRICTION
-"""Median friction coefficient of the cards."""
-TARGET_MM = 2.0
-"""Target of the error of a located point."""
+READINGS = 50  #: Readings at each pose for `fuse`: a quarter of a second of a Net F/T box, averaged by 36.
+FRICTION = ASSUMED_FRICTION  #: Median friction coefficient of the cards.
+TARGET_MM = 2.0  #: Target of the error of a located point.
+#: Columns of the covariance in a row of position and covariance.
 SYMMETRIC = np.array([[3, 4, 5], [4, 6, 7], [5, 7, 8]])
-"""Columns of the covariance in a row of position and covariance."""
+#: Options of `explore` for a base whose stated poses have no error of rotation.
 EXACT_ROTATION = ("--tilt-deg", "0", "--clocking-deg", "0")
-"""Options of `explore` for a base whose stated poses have no error of rotation."""
 
 
 @dataclass(frozen=True)

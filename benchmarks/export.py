@@ -16,11 +16,11 @@ ROOT = Path(__file__).parents[1]
 PICTURE = ROOT / "docs/pictures/exploded.svg"
 COMMAND = (sys.executable, "-m", "probedesign.cli.main", "export", "designs/large.toml")
 RUNS = 3
+#: What is measured: its options, and the targets of wall time, CPU time and memory on an idle machine.
 CASES = (
     ("the whole export", (), ("≤ 15 s", "", "≤ 900 MB")),
     ("a single STL, --only probe", ("--only", "probe"), ("≤ 4 s", "", "")),
 )
-"""What is measured: its options, and the targets of wall time, CPU time and memory on an idle machine."""
 
 
 class Run(NamedTuple):

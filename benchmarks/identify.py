@@ -24,12 +24,11 @@ from probedesign.identification.result import Identification
 DRAWS, GROSS_DRAWS, WORKERS = 100, 12, 2
 PROBE = "large"
 KINDS = {kind.name: kind for kind in (CAMERAS, STAGE)}
-PRESSED = (0.6, 0.02)
-"""Fraction of the length and newtons of the push that a stiffness is determined by."""
+PRESSED = (0.6, 0.02)  #: Fraction of the length and newtons of the push that a stiffness is determined by.
+#: root_rigid_radii that is computed for the exported flange (decision 0006); the design states 0.12.
 FLANGE_ROOT = -0.18
-"""root_rigid_radii that is computed for the exported flange (decision 0006); the design states 0.12."""
+#: Tolerances of a bench without flaws, as its design then states them.
 PERFECT = {"gain": 0.0, "root_radii": 0.0, "creep": 0.0, "stiffness_scatter": 0.0, "walk_steps": 0.0, "robot_mm": 0.0}
-"""Tolerances of a bench without flaws, as its design then states them."""
 
 
 def _without(*names: str) -> dict[str, float]:
@@ -37,6 +36,7 @@ def _without(*names: str) -> dict[str, float]:
     return {name: value for name, value in PERFECT.items() if name not in names}
 
 
+#: Flaws of a bench, and the tolerances that its design states.
 BENCHES = {
     "none": Flaws(stated=PERFECT),
     "friction 0–0.5": Flaws(friction=0.5, stated=PERFECT),
@@ -50,7 +50,6 @@ BENCHES = {
     "length scale, weights, poses, creep": Flaws(reference=True, stated=_without("creep", "robot_mm")),
     "all together": Flaws(0.5, 0.02, 0.01, 120.0, None, True, True, {"gain": 0.01}),
 }
-"""Flaws of a bench, and the tolerances that its design states."""
 BENCHES["all together, by the reference rod"] = replace(BENCHES["all together"], independent=True)
 
 

@@ -25,8 +25,7 @@ from probedesign.cli.doctor import ENABLES
 
 PACKAGE = "probedesign"
 ROOT = Path(__file__).parents[1]
-LATER = 3
-"""Number of later processes."""
+LATER = 3  #: Number of later processes.
 SCRIPT = """
 import json, resource, time
 from probedesign import build_probe, load_design
@@ -41,8 +40,7 @@ estimate = probe.estimator().estimate(equilibrium.wrench_base)
 marks.append(spent())
 print(json.dumps([[b[i] - a[i] for i in (0, 1)] for a, b in zip(marks, marks[1:])] + [estimate.s_contact.hex()]))
 """
-Times = tuple[float, float]
-"""Wall time and processor time [s]."""
+Times = tuple[float, float]  #: Wall time and processor time [s].
 
 
 def run(command: list[str], folder: Path, **environment: str) -> tuple[Times, str]:

@@ -28,10 +28,9 @@ from probedesign.rod.rod import Rod
 from tests.reference.cosserat import solve
 from tests.reference.round_rods import Probes
 
+#: Standard deviations of the base pose in the world, the defaults of `campaign.toml`.
 STD_BASE, STD_TILT = 0.2 * MM, 0.2 * DEGREE
-"""Standard deviations of the base pose in the world, the defaults of `campaign.toml`."""
-ROWS = 20
-"""Readings of each test."""
+ROWS = 20  #: Readings of each test.
 
 
 @dataclass(frozen=True)
@@ -52,10 +51,10 @@ class Kind:
 
 CAMERAS = Kind("cameras", "markers to 3.6 mm", ((0.4, 0.2), (0.55, 0.1), (0.7, 0.06), (0.85, 0.04)),
              ("+x", "-x", "+y", "-y"), ((0.4, 0.05), (0.8, 0.005)), 4, 3.6 * MM, 3.6 * MM, 1.0 * MM)  # fmt: skip
+#: The large probe is bent by 5 to 70 mm. 3.6 mm is the RMS error of a marker in the paper, here on each axis, and of
+#: the contact by its cameras; a pencil mark determines the contact's arclength to a millimetre (assumed).
 STAGE = Kind("stage", "places to 0.05 mm", ((0.35, 0.2), (0.5, 0.1), (0.65, 0.05), (0.8, 0.025)),
              ("+x", "-x", "+y", "-y"), (), 4, 0.0, 0.05 * MM, 0.05 * MM)  # fmt: skip
-"""The large probe is bent by 5 to 70 mm. 3.6 mm is the RMS error of a marker in the paper, here on each axis, and of
-the contact by its cameras; a pencil mark determines the contact's arclength to a millimetre (assumed)."""
 DIMENSIONS = ("diameter", "diameter scatter", "length")
 MARKERS = np.linspace(10.0, 150.0, 15) * MM
 

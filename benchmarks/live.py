@@ -49,10 +49,8 @@ MINUTES = 1.0 / 3.0
 AVERAGE = 36
 TARE = TareWindow(0.0, 3.0)
 DESIGN = Path(__file__).parents[1] / "designs" / "large.toml"
-PARTS = 10
-"""Of the run, for what grows."""
-RARELY = 100
-"""Estimates from one look at the memory to the next, since that takes as long as some."""
+PARTS = 10  #: Of the run, for what grows.
+RARELY = 100  #: Estimates from one look at the memory to the next, since that takes as long as some.
 
 
 def report(minutes: float = MINUTES, view: bool = False, foxglove: bool = False) -> None:
@@ -188,8 +186,7 @@ def _faults(estimator: Estimator, spec: str, seconds: float) -> None:
     print_table(f"the box restarts, then stalls, for {FAULT_DURATION:g} s each", ["", "measured", "target"], rows)
 
 
-DATAGRAM_RATES = (1000, 2000, 4000, 7000, 10_000)
-"""Rates at which wrenches are sent by UDP [1/s]."""
+DATAGRAM_RATES = (1000, 2000, 4000, 7000, 10_000)  #: Rates at which wrenches are sent by UDP [1/s].
 DATAGRAM_SECONDS = 4.0
 SENDER = """
 import json, socket, sys, time

@@ -14,10 +14,9 @@ from probedesign.optimization.optimum import MonteCarloCheck, confirm, optimum
 
 START = Path(__file__).parents[1] / "designs/large.toml"
 SAG = Limit("sag_mm", True, 60.0)
+#: Relative standard deviation of E between prints; that of the design is smaller, because its E is identified.
 STIFFNESS_SPREAD = 0.03
-"""Relative standard deviation of E between prints; that of the design is smaller, because its E is identified."""
-DRAWS = 100
-"""Fusions at each of six places; 600 errors determine their RMS to about 3 %."""
+DRAWS = 100  #: Fusions at each of six places; 600 errors determine their RMS to about 3 %.
 SEED = 1
 
 

@@ -32,22 +32,20 @@ from probedesign.vision.markers import find_markers, write_png
 from probedesign.vision.triangulate import triangulate
 
 DRAWS = 40
-CLICK_PX, DOT_PX = 0.5, 0.2
-"""Standard deviations of a clicked control point and of a dot, as in docs/stereo.md."""
+CLICK_PX, DOT_PX = 0.5, 0.2  #: Standard deviations of a clicked control point and of a dot, as in docs/stereo.md.
 _EXACT = 1e-9  # [m]; the errors of the cameras are drawn in this module
 STEREO = Kind("stereo", "two cameras, 20 control points clicked to 0.5 px, dots to 0.2 px",
               ((0.4, 0.2), (0.55, 0.1), (0.7, 0.06), (0.85, 0.04)),
               ("+x", "-x", "+y", "-y", "+x", "-x", "+y", "-y"), (), 4, _EXACT, _EXACT, 1.0 * MM)  # fmt: skip
+#: Control points of the paper's box [m]. It has 20 points; their positions are assumed. Its x is the probe's z.
 BOX = np.array([(x, y, z) for x in np.linspace(0, 0.2, 5) for y in (-0.06, 0.06) for z in (-0.06, 0.06)])
-"""Control points of the paper's box [m]. It has 20 points; their positions are assumed. Its x is the probe's z."""
 TRUE_CAMERAS = tuple(
     Camera.looking(name, (x, -0.55, 0.25), (0.1, 0.0, 0.0), 3000.0, (1920, 1080))
     for name, x in (("left", -0.15), ("right", 0.35))
 )
 R_BOX_WORLD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
-PHOTO_SEED, PHOTO_TEST = 3, 2
-"""Seed of the campaign and index of the test in the photographs."""
+PHOTO_SEED, PHOTO_TEST = 3, 2  #: Seed of the campaign and index of the test in the photographs.
 STYLES = tuple(RenderStyle(blur_px=blur, noise=noise, seed=5) for blur, noise in ((0.8, 1.5), (0.8, 5.0), (1.4, 1.5)))
 
 

@@ -32,11 +32,11 @@ PICTURES = ROOT / "docs/pictures"
 CAMPAIGNS = 12
 MINUTES = 120.0
 NAMES = ("E", "root")
+#: Instruments of the benches, without calipers and balance, which do not affect the tests.
 BENCHES = {
     "stage 0.05 mm": Instruments(calipers=None, balance=None),
     "cameras 1 mm": Instruments(stage=None, cameras=1.0 * MM, calipers=None, balance=None),
 }
-"""Instruments of the benches, without calipers and balance, which do not affect the tests."""
 
 
 def report() -> None:

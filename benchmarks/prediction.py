@@ -23,9 +23,9 @@ from probedesign.probe import Probe, build_probe
 
 ROOT = Path(__file__).parents[1]
 PLACES, FORCES = np.linspace(0.05, 1.0, 40), np.geomspace(0.002, 0.2, 40)
+#: Monte Carlo estimates with sensor noise alone. With all error sources there are a tenth of them, because an estimate
+#: that fails the consistency test repeats the global search, which takes milliseconds.
 ESTIMATES = 100_000
-"""Monte Carlo estimates with sensor noise alone. With all error sources there are a tenth of them, because an estimate
-that fails the consistency test repeats the global search, which takes milliseconds."""
 RUNS = 3
 
 

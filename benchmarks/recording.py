@@ -19,8 +19,7 @@ from probedesign.probe import build_probe
 
 RATE = 7000
 SECONDS = int(os.environ.get("PROBEDESIGN_RECORDING_SECONDS", "10"))
-BLOCK_SIZES = (1, 7, 35)
-"""Readings in each block; a source that empties its queue returns several at once."""
+BLOCK_SIZES = (1, 7, 35)  #: Readings in each block; a source that empties its queue returns several at once.
 DESIGN = Path(__file__).parents[1] / "designs" / "large.toml"
 
 

@@ -20,6 +20,7 @@ from probedesign.estimation.tolerances import Tolerances
 from tests.reference.cosserat import Touches, solve
 from tests.reference.round_rods import Probes
 
+#: Error sources and the fields of `Tolerances` that state their standard deviations.
 SOURCES = {
     "E": ("youngs_modulus",),
     "G": ("shear_modulus",),
@@ -38,7 +39,6 @@ SOURCES = {
     "stiffness scatter": ("stiffness_scatter",),
     "robot": ("robot_mm",),
 }
-"""Error sources and the fields of `Tolerances` that state their standard deviations."""
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,10 @@ from probedesign.core.units import MM
 from tests.reference.cosserat import Touches, differences, press, solve
 from tests.reference.round_rods import Probes
 
-COLUMN_STEP = 0.05
-"""Step of the finite differences by the perturbations [standard deviations]."""
+COLUMN_STEP = 0.05  #: Step of the finite differences by the perturbations [standard deviations].
+#: Largest tangential over normal force of a sticking touch; presses beyond it are left out. Assumed.
 MAX_STICKING_RATIO = 1.0
-"""Largest tangential over normal force of a sticking touch; presses beyond it are left out. Assumed."""
-SAME_POINT_STD = 1e-6
-"""Standard deviation of the constraint that all touches are at one point [m]."""
+SAME_POINT_STD = 1e-6  #: Standard deviation of the constraint that all touches are at one point [m].
 
 
 @dataclass(frozen=True)

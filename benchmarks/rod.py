@@ -20,16 +20,15 @@ from probedesign.rod.kernels.newton import COLD
 from probedesign.rod.kernels.solve import SOLUTION, scratch_buffers, solve_cases
 from probedesign.rod.rod import RESULTS, TOLERANCES, Rod
 
+#: Targets of the time of a cold solve, a warm solve and a call from Python [s].
 MAX_COLD, MAX_WARM, MAX_CALL = 30e-6, 20e-6, 60e-6
-"""Targets of the time of a cold solve, a warm solve and a call from Python [s]."""
-MIN_BATCH_RATE = 80_000.0
-"""Target of the solutions per second on two cores."""
-CASES, SINGLE_CASES = 100_000, 10_000
-"""Cases of a batch, and cases that are timed one by one."""
+MIN_BATCH_RATE = 80_000.0  #: Target of the solutions per second on two cores.
+CASES, SINGLE_CASES = 100_000, 10_000  #: Cases of a batch, and cases that are timed one by one.
 ROUNDS, BATCH_ROUNDS = 9, 3
 
 COLD_SOLVE = "cold: tip, base moment, contact"
 JACOBIAN = "neighbouring load, with the Jacobian by force and s_contact"
+#: Derivatives, nodes of the shape and whether it starts from a neighbouring load, of each solve that is timed.
 SOLVES = {
     COLD_SOLVE: (0, 0, False),
     "cold with the shape": (0, NODES, False),
@@ -38,7 +37,6 @@ SOLVES = {
     JACOBIAN: (LOAD_COLUMNS, 0, True),
     "neighbouring load, with all 16 derivatives": (ALL_COLUMNS + 2, 0, True),
 }
-"""Derivatives, nodes of the shape and whether it starts from a neighbouring load, of each solve that is timed."""
 
 
 class Batch(NamedTuple):

@@ -18,26 +18,20 @@ from probedesign.rod.kernels.solve import SOLUTION, scratch_buffers, solve_cases
 from probedesign.rod.rod import TOLERANCES, Rod
 
 ROUNDS = 9
-COPIES = 100
-"""Copies of a case in one call of the kernel, so that the overhead of the call is negligible."""
-NODES = 64
-"""Nodes of the shape."""
-NEIGHBOUR = 1.01
-"""Factor on the force of the neighbouring load that a warm solve starts from."""
-STATIONS = 31
-"""Stations at which centrelines are compared."""
+COPIES = 100  #: Copies of a case in one call of the kernel, so that the overhead of the call is negligible.
+NODES = 64  #: Nodes of the shape.
+NEIGHBOUR = 1.01  #: Factor on the force of the neighbouring load that a warm solve starts from.
+STATIONS = 31  #: Stations at which centrelines are compared.
 ROD, KERNEL = "Rod.solve", "kernel of Rod.solve, with the shape"
+#: Target of the time over that of the kernel, by the first words of the method's row.
 TARGETS = {"RK45 shooting": 5000.0, "solve_bvp": 500.0, "Exudyn": 1000.0}
-"""Target of the time over that of the kernel, by the first words of the method's row."""
+#: 200 elements have an error of about 1 µm, and 1600 about that of `Rod.solve`.
 EXUDYN_ELEMENTS = (25, 50, 100, 200, 1600)
-"""200 elements have an error of about 1 µm, and 1600 about that of `Rod.solve`."""
-REBUILT_ELEMENTS = 200
-"""Elements of the row that includes building the model."""
+REBUILT_ELEMENTS = 200  #: Elements of the row that includes building the model.
 CALLS = ("cold", "from a neighbouring load", "the same with the Jacobian by force and s_contact",
          "the same with all derivatives")  # fmt: skip
 
-Centreline = tuple[Array, Array]
-"""Stations [m], (k,), and points of the centreline [m], (k, 3)."""
+Centreline = tuple[Array, Array]  #: Stations [m], (k,), and points of the centreline [m], (k, 3).
 
 
 class Method(NamedTuple):

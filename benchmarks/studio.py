@@ -19,10 +19,10 @@ from probedesign.studio.session import Session
 
 PICTURE = Path(__file__).parents[1] / "docs/pictures/studio.png"
 SIZE = {"width": 1280, "height": 720}
-MOVES = 60
-"""Moves of a slider for each probe."""
+MOVES = 60  #: Moves of a slider for each probe.
+#: Options of a browser without a GPU, which draws WebGL on the processor.
 ARGUMENTS = ["--enable-unsafe-swiftshader", "--no-sandbox"]
-"""Options of a browser without a GPU, which draws WebGL on the processor."""
+#: Script that records the time of the second frame after each change of a chart, when chart and shape are drawn.
 WATCH = """() => { window.seen = []; let last = ''; new MutationObserver(() => {
   const text = [...document.querySelectorAll('svg')].map(svg => svg.outerHTML.length + svg.textContent).join();
   if (text === last) return;
@@ -30,7 +30,6 @@ WATCH = """() => { window.seen = []; let last = ''; new MutationObserver(() => {
   const entry = [0, [...document.querySelectorAll('.st table')].map(table => table.textContent).join()];
   requestAnimationFrame(() => requestAnimationFrame(() => { entry[0] = Date.now(); window.seen.push(entry) }));
 }).observe(document.body, {childList: true, subtree: true, characterData: true, attributes: true}) }"""
-"""Script that records the time of the second frame after each change of a chart, when chart and shape are drawn."""
 
 
 def report() -> None:

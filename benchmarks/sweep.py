@@ -11,8 +11,7 @@ from pathlib import Path
 from benchmarks.timing import format_seconds, print_table
 
 DESIGN = Path(__file__).parents[1] / "designs/large.toml"
-VARY = ("probe.base_d_mm=8:15.8:0.2", "probe.tip_d_mm=1.6:4:0.1")
-"""40 times 25 designs, none of which buckles."""
+VARY = ("probe.base_d_mm=8:15.8:0.2", "probe.tip_d_mm=1.6:4:0.1")  #: 40 times 25 designs, none of which buckles.
 DESIGNS = 1000
 WORKERS = (1, 2)
 _POLL_PERIOD = 0.5

@@ -35,19 +35,17 @@ from probedesign.prediction.budget import LinearizedTouches
 from probedesign.prediction.touches import DIRECTIONS, touches_of
 from probedesign.rod.kernels.surface_contact import ALONG, UNKNOWNS
 
+#: RMS error of the stereo reference at the contact. Assumed, a round number: the paper gives none. Its smallest errors
+#: of 0.7 mm include it; its shapes differ by 3.6 mm, of which a contact point can have only a part.
 REFERENCE_MM = 1.0
-"""RMS error of the stereo reference at the contact. Assumed, a round number: the paper gives none. Its smallest errors
-of 0.7 mm include it; its shapes differ by 3.6 mm, of which a contact point can have only a part."""
 REFERENCES_MM = (0.0, 0.5, 0.7, 1.0, 1.3, 1.6, 2.0)
 THICKER_MM = (-0.5, -0.2, 0.2, 0.5)
 FACTOR = 2.0
-CONSTANT_MM = 2.25
-"""Constant with the most rows of Table I within a factor of two: 2.09 to 2.28 mm have 18."""
+CONSTANT_MM = 2.25  #: Constant with the most rows of Table I within a factor of two: 2.09 to 2.28 mm have 18.
+#: Force error [mN] and error of the reference [mm] with which the lever law has the most rows within a factor of two,
+#: fitted by hand to the whole table.
 LEVER_MN, LEVER_REFERENCE_MM = 0.52, 1.3
-"""Force error [mN] and error of the reference [mm] with which the lever law has the most rows within a factor of two,
-fitted by hand to the whole table."""
-Law = Callable[[Sequence[float]], Array]
-"""Predicted errors of all rows [mm] by the constants of a law."""
+Law = Callable[[Sequence[float]], Array]  #: Predicted errors of all rows [mm] by the constants of a law.
 
 
 @dataclass(frozen=True, eq=False)

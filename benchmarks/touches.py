@@ -22,12 +22,10 @@ from probedesign.rod.kernels import surface_contact as surface
 ROOT = Path(__file__).parents[1]
 TABLE_I_FILE = ROOT / "tests/data/table1.csv"
 DECADES = {"1-10 mN": (1e-3, 1e-2), "10-100 mN": (1e-2, 1e-1), "0.1-1.5 N": (1e-1, 1.5)}
+#: Ranges of length and base diameter [m] and of tip over base diameter of random probes.
 LENGTH, BASE, TAPER = (0.05, 0.18), (0.006, 0.014), (0.15, 0.6)
-"""Ranges of length and base diameter [m] and of tip over base diameter of random probes."""
-PLACE = (0.15, 0.97)
-"""Range of the contact place over the length."""
-MAX_BEND = 2.0
-"""Largest F s²/(E I(0) r(s)/r(0)) of random touches; the touches of Table I reach 1.5."""
+PLACE = (0.15, 0.97)  #: Range of the contact place over the length.
+MAX_BEND = 2.0  #: Largest F s²/(E I(0) r(s)/r(0)) of random touches; the touches of Table I reach 1.5.
 
 
 @dataclass(frozen=True)

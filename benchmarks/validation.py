@@ -22,8 +22,8 @@ from probedesign.validation.validate import validate
 from probedesign.validation.validated_test import ValidatedTest
 
 CAMPAIGNS = 150
+#: Reference measurement, and median friction coefficient of the touches.
 KINDS: tuple[tuple[CampaignKind, float], ...] = (("cameras", 0.0), ("stage", 0.0), ("cameras", 0.3), ("stage", 0.3))
-"""Reference measurement, and median friction coefficient of the touches."""
 
 
 def report() -> None:

@@ -30,12 +30,12 @@ from probedesign.probe import build_probe
 ROOT = Path(__file__).parents[1]
 PICTURE = ROOT / "docs/pictures/live-view.png"
 SIZE = {"width": 1440, "height": 860}
+#: Options of Chromium without a GPU and as root, as in a container.
 BROWSER_OPTIONS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
-"""Options of Chromium without a GPU and as root, as in a container."""
+#: Script that stops the clock of the page, which otherwise marks values as old after three seconds.
 STOP_CLOCK = "(() => { const now = Date.now(); Date.now = () => now; })()"
-"""Script that stops the clock of the page, which otherwise marks values as old after three seconds."""
+#: Waiting time for the fade-in of the scene, whose first frames are slow without a GPU [s].
 FADE_IN_SECONDS = float(os.environ.get("PROBEDESIGN_VIEW_SECONDS", "20"))
-"""Waiting time for the fade-in of the scene, whose first frames are slow without a GPU [s]."""
 
 
 def report() -> None:

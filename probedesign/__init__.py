@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from probedesign.rod.rod import Rod
     from probedesign.validation.validate import ValidationReport, validate
 
+#: Names of each module.
 _MODULES = {
     "campaigns": ("Campaign", "read_campaign"),
     "core.errors": ("InputError",),
@@ -71,12 +72,11 @@ _MODULES = {
     "rod.rod": ("Rod",),
     "validation.validate": ("ValidationReport", "validate"),
 }
-"""Names of each module."""
 _RENAMED = {"SensorModel": "Sensor"}
+#: Module and attribute of each public name; `Priors` is a second name of `Tolerances`, the priors of an estimator.
 _LOCATIONS = {
     _RENAMED.get(name, name): (f"probedesign.{module}", name) for module, names in _MODULES.items() for name in names
 } | {"Priors": ("probedesign.estimation.tolerances", "Tolerances")}
-"""Module and attribute of each public name; `Priors` is a second name of `Tolerances`, the priors of an estimator."""
 __all__ = [
     "Campaign", "CoulombSolver", "CrossSection", "Design", "Detector", "Equilibrium", "Estimate", "Estimator",
     "FusedEstimate", "Identification", "InputError", "Noise", "Prediction", "PressSchedule", "Priors", "Probe",

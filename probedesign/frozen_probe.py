@@ -30,15 +30,14 @@ from probedesign.geometry.mass import MassProperties
 from probedesign.rod.rod import Rod
 
 KIND = "probedesign frozen probe"
+#: Schemas that are read; the last one is written. 1: full round sections and linear strains only. 2: without `contact`
+#: and with fewer tolerances.
 SCHEMAS = (1, 2, 3)
-"""Schemas that are read; the last one is written. 1: full round sections and linear strains only. 2: without `contact`
-and with fewer tolerances."""
 SCHEMA = SCHEMAS[-1]
+#: Number of equidistant stations of the section table, beside the knots; for people and for the check on load.
 SECTION_STATIONS = 17
-"""Number of equidistant stations of the section table, beside the knots; for people and for the check on load."""
 _MAX_BYTES = 10_000_000
-MAX_TEXT = 500
-"""Maximum length of a text."""
+MAX_TEXT = 500  #: Maximum length of a text.
 
 
 # The table
@@ -134,12 +133,12 @@ def _read_flag(value: Any) -> bool:
 
 
 NUMBER, POSITIVE, SPREAD = _number(), _number(math.ulp(0.0)), _number(0.0, 0.5)
-OPTIONAL = SCHEMA + 1
-"""`Field.since` of a value that any file may lack."""
+OPTIONAL = SCHEMA + 1  #: `Field.since` of a value that any file may lack.
+#: Tolerances that files of the older schemas lack; they take their defaults and are listed as assumed.
 NEW_TOLERANCES = ("root_radii", "gain", "stiffness_scatter", "walk_steps")
-"""Tolerances that files of the older schemas lack; they take their defaults and are listed as assumed."""
 _UNITS = {"youngs_modulus": "Pa", "shear_modulus": "Pa", "density": "kg_m3"}
 _QUANTITY: dict[str, Callable[[Any], Any]] = {"value": NUMBER, "provenance": _read_text, "source": _read_text}
+#: Values of the file, in its order.
 FIELDS = (
     Field("name", "name", _read_name),
     Field("fingerprint", "fingerprint", _read_text),
@@ -195,7 +194,6 @@ FIELDS = (
     Field("sensor.height_m", "sensor_height", _number(1e-3, 1.0), OPTIONAL, NANO17_BODY[1]),
     Field("material.identified_tests", "identified_tests", _read_texts, OPTIONAL, ()),
 )
-"""Values of the file, in its order."""
 
 
 # Writing
@@ -237,7 +235,6 @@ def freeze(model: ProbeModel) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON has it: arrays and tuples as lists, infinity as the text "inf"."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, tuple):
@@ -403,6 +400,7 @@ def _sections(rod: Rod) -> dict[str, list[float]]:
     }
 
 
+#: Names of these columns in schema 1.
 _ROUND_NAMES = {
     "second_moment_xx_m4": "second_moment_m4",
     "second_moment_yy_m4": "second_moment_m4",
@@ -410,7 +408,6 @@ _ROUND_NAMES = {
     "EI_xx_Nm2": "EI_Nm2",
     "EI_yy_Nm2": "EI_Nm2",
 }
-"""Names of these columns in schema 1."""
 
 
 def _check_sections(data: dict[str, Any], rod: Rod) -> None:

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from probedesign.probe import Probe
     from probedesign.rod.equilibrium import Equilibrium
 
+#: Any design serves: the machine code does not depend on its numbers.
 DESIGN = """
 schema = 1
 name = "precompile"
@@ -33,7 +34,6 @@ length_mm = 150.0
 base_d_mm = 12.0
 tip_d_mm = 2.0
 """
-"""Any design serves: the machine code does not depend on its numbers."""
 
 
 def _rod(probe: "Probe") -> None:
@@ -92,6 +92,7 @@ def _live(probe: "Probe") -> None:
     warm_up(probe.estimator(), print, fusing=True)
 
 
+#: What compiles the kernels of one subject, by calling them.
 PARTS: dict[str, Callable[["Probe"], None]] = {
     "rod": _rod,
     "fit": _fit,
@@ -101,7 +102,6 @@ PARTS: dict[str, Callable[["Probe"], None]] = {
     "estimate": _estimate,
     "live": _live,
 }
-"""What compiles the kernels of one subject, by calling them."""
 
 
 def main(arguments: list[str]) -> int:

@@ -9,12 +9,12 @@ use_one_blas_thread()  # as every command does, before numpy is imported: waitin
 settings.register_profile("probedesign", deadline=None, max_examples=100, derandomize=True)
 settings.load_profile("probedesign")
 
+#: Files that take longest. They come first, so that at the end no worker waits for another with a long one.
 LONGEST = (
     "tests/cad/test_export.py", "tests/cad/test_parts.py", "tests/reports/test_every_page.py", "tests/test_docs.py",
     "tests/live/test_view_page.py", "tests/studio/test_page.py", "tests/identification/test_fit_checks.py",
     "tests/reports/test_notebook.py", "tests/cad/test_documents.py", "tests/live/test_netft.py",
 )  # fmt: skip
-"""Files that take longest. They come first, so that at the end no worker waits for another with a long one."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

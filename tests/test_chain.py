@@ -24,8 +24,8 @@ from probedesign.simulation.ground_truth import CampaignPlan
 
 LARGE = Path(__file__).parents[1] / "designs/large.toml"
 
+#: So slender that it has no stable equilibrium under gravity.
 SOFT = ("new", "soft", "--length", "400", "--base-d", "0.3")
-"""So slender that it has no stable equilibrium under gravity."""
 
 
 @pytest.fixture

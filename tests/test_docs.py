@@ -18,8 +18,8 @@ from probedesign.cli.main import run
 from probedesign.simulation import scenes
 
 ROOT = Path(__file__).parent.parent
+#: Pages whose examples follow from each other and print values.
 WITH_VALUES = ("mechanics", "estimation", "prediction", "stereo")
-"""Pages whose examples follow from each other and print values."""
 
 
 def blocks_of(page: Path, language: str) -> list[str]:
@@ -53,12 +53,11 @@ def steps_of(page: Path) -> list[list[str] | str]:
 
 ALL_PAGES = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
 PAGES = sorted(page for page in ALL_PAGES if steps_of(page))
-SLOW = {"choosing"}
-"""Pages whose commands take minutes: searches and Monte Carlo checks."""
+SLOW = {"choosing"}  #: Pages whose commands take minutes: searches and Monte Carlo checks.
 
 
+#: Every sixth touch of the card house that `explore --rehearse` simulates: one on each kind of edge.
 TOUCHES = scenes.touch_targets()[::6]
-"""Every sixth touch of the card house that `explore --rehearse` simulates: one on each kind of edge."""
 
 
 @pytest.fixture(scope="module")

@@ -23,20 +23,14 @@ from probedesign.design import Design
 from probedesign.mount import build_geometry
 
 STEPS = 5
+#: Height of a step [mm]: wider than the jaws of calipers, about 3 mm, with room to either edge (assumed).
 STEP_HEIGHT_MM = 8.0
-"""Height of a step [mm]: wider than the jaws of calipers, about 3 mm, with room to either edge (assumed)."""
-FOOT_RIM_MM, FOOT_HEIGHT_MM = 3.0, 3.0
-"""Rim and height of the foot [mm]: those of the probe's flange, about."""
-LEAST_RANGE = 0.7
-"""Smallest over largest diameter above which the steps go down to half of the largest."""
-SLENDERNESS = 10.0
-"""Length of the rod over its diameter, within 40 ... 100 mm."""
-PLACES = 7
-"""Places at which the probe is measured: from 5 to 95 % of its flank, one of them halfway."""
-CHECK_LIMIT = 1e-9
-"""Relative, of a solid's volume to its closed form, as in `verify`."""
-Disc = tuple[float, float, float]
-"""Diameter, and the heights between which it is [mm]."""
+FOOT_RIM_MM, FOOT_HEIGHT_MM = 3.0, 3.0  #: Rim and height of the foot [mm]: those of the probe's flange, about.
+LEAST_RANGE = 0.7  #: Smallest over largest diameter above which the steps go down to half of the largest.
+SLENDERNESS = 10.0  #: Length of the rod over its diameter, within 40 ... 100 mm.
+PLACES = 7  #: Places at which the probe is measured: from 5 to 95 % of its flank, one of them halfway.
+CHECK_LIMIT = 1e-9  #: Relative, of a solid's volume to its closed form, as in `verify`.
+Disc = tuple[float, float, float]  #: Diameter, and the heights between which it is [mm].
 
 
 def export_coupon(design: Design, out: Path | None) -> dict[str, Any]:

@@ -70,6 +70,7 @@ class AssemblyStep:
         return tuple(name for move in self.moves for name in move.parts)
 
 
+#: All parts moved away from the sensor, in the order of assembly.
 EXPLOSION = (
     Move(("centring_pins",), "sensor", DOWN),
     Move(("flange_adapter",), "centring_pins", DOWN),
@@ -83,7 +84,6 @@ EXPLOSION = (
     Move(("clamp_ring",), "probe", UP),
     Move(("ring_screws",), "clamp_ring", UP),
 )
-"""All parts moved away from the sensor, in the order of assembly."""
 
 
 def explosion(names: Collection[str]) -> tuple[Move, ...]:
@@ -200,14 +200,11 @@ def _sensor_text(model: CadModel) -> str:
 
 # ---- exploded views
 
-GAP = 8.0
-"""Distance between exploded parts [mm]."""
+GAP = 8.0  #: Distance between exploded parts [mm].
 EXPLODED_SIZE, STEP_SIZE = (560, 1300), (360, 320)
-ABOVE = 25.0
-"""Length of the probe that a step's picture shows above all other parts [mm]."""
+ABOVE = 25.0  #: Length of the probe that a step's picture shows above all other parts [mm].
 FIXED_PART = "sensor"
-LABEL_WIDTH, LINE = 285.0, 19.0
-"""Width of the label column, and line spacing of a label [px]."""
+LABEL_WIDTH, LINE = 285.0, 19.0  #: Width of the label column, and line spacing of a label [px].
 FROM_ABOVE, FROM_BELOW = OrthographicCamera(), OrthographicCamera(elevation_deg=-28.0)
 
 Bodies = Mapping[str, RenderBody]

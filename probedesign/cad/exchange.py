@@ -34,12 +34,11 @@ from probedesign.core.units import MM
 from probedesign.design import Design
 
 STEP_END = b"END-ISO-10303-21;"
-EPOCH = "1970-01-01"
-"""Date in the header of a file without one, as ISO 10303-21 requires a time."""
+EPOCH = "1970-01-01"  #: Date in the header of a file without one, as ISO 10303-21 requires a time.
+#: Environment variable with the time of the sources in seconds since 1970 (reproducible-builds.org).
 DATE_VARIABLE = "SOURCE_DATE_EPOCH"
-"""Environment variable with the time of the sources in seconds since 1970 (reproducible-builds.org)."""
+#: A part in its assembly, with a number that the kernel counts through all assemblies of a process.
 _OCCURRENCE = re.compile(r"(NEXT_ASSEMBLY_USAGE_OCCURRENCE\(')\d+('.*?\);)", re.DOTALL)
-"""A part in its assembly, with a number that the kernel counts through all assemblies of a process."""
 _LINE_BREAK = re.compile(r"\s*\n\s*")
 _ENTITY = re.compile(r"^#(\d+) = (.*?);$", re.MULTILINE | re.DOTALL)
 _REFERENCE = re.compile(r"#(\d+)")

@@ -44,8 +44,8 @@ from probedesign.mount.flange_adapter import CENTRING_PIN_D, TIE_APART, TIE_SLOT
 from probedesign.mount.sensor_adapter import PEG_D, RING_VENT_HEIGHT, SLIP, UNDERSIDE_DEG, VENT_WIDTH
 from probedesign.mount.tolerance_stack import measurements
 
+#: Tolerance of a stereolithography print; the manufacturer publishes none for the soft resin.
 TOLERANCE = "printed to ±0.5 %, at least ±0.15 mm (assumed)"
-"""Tolerance of a stereolithography print; the manufacturer publishes none for the soft resin."""
 
 
 def inspection_sheets(model: CadModel) -> dict[str, bytes]:
@@ -78,7 +78,6 @@ def _engraved(engraving: Engraving, where: str) -> list[str]:
 
 
 def _accepted(model: CadModel, part: str) -> list[str]:
-    """Return the ranges of the dimensions that are measured before the assembly."""
     return [
         f"{row.what.partition(': ')[2]}: {_mm(row.nominal)}, accept {_mm(row.accept[0])} … {_mm(row.accept[1])}"
         for row in measurements(model.adapter, model.plate)
@@ -256,10 +255,8 @@ def _free(points: Sequence[XY], labelled: Sequence[complex]) -> XY:
 # ---- probe
 
 
-NOTE_SPACING = 7.0
-"""Minimum distance between two notes [mm of paper]."""
-SIDE_X, SIDE_ROOM = 163.0, 42.0
-"""Middle of the views beside the probe, and the width of each [mm of paper]."""
+NOTE_SPACING = 7.0  #: Minimum distance between two notes [mm of paper].
+SIDE_X, SIDE_ROOM = 163.0, 42.0  #: Middle of the views beside the probe, and the width of each [mm of paper].
 
 
 def probe_sheet(model: CadModel, part: CadPart) -> Canvas:

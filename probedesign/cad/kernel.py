@@ -22,10 +22,9 @@ from probedesign.core.units import MM
 from probedesign.geometry.mass import MassProperties
 from probedesign.mount.engraving import DEPTH, XY, Engraving
 
-PRODUCT = "product"
-"""Key in the metadata of an assembly's piece: the name of its product."""
+PRODUCT = "product"  #: Key in the metadata of an assembly's piece: the name of its product.
+#: Arcs of an ellipse. The kernel's quadrature is accurate to 1e-14 over an eighth, over a quarter only to 1e-8.
 ARCS = 8
-"""Arcs of an ellipse. The kernel's quadrature is accurate to 1e-14 over an eighth, over a quarter only to 1e-8."""
 
 
 def revolved(outline: Sequence[XY]) -> cq.Solid:
@@ -90,7 +89,6 @@ def engraving_cuts(engraving: Engraving) -> list[cq.Solid]:
 
 
 def _turns(loop: list[XY]) -> float:
-    """Return twice the signed area of a polygon."""
     return sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(loop, [*loop[1:], loop[0]], strict=True))
 
 

@@ -31,8 +31,7 @@ from probedesign.mount import FlangeAdapter, Mount, SensorAdapter
 from probedesign.mount.tolerance_stack import tolerance_stacks
 
 IN_SENSOR_FRAME = pose()
-COARSE_MM, COARSE_RAD = 0.02, 0.3
-"""Tolerances of the facets of pictures: 0.02 mm is a fifth of a pixel."""
+COARSE_MM, COARSE_RAD = 0.02, 0.3  #: Tolerances of the facets of pictures: 0.02 mm is a fifth of a pixel.
 
 
 @dataclass(frozen=True)
@@ -145,8 +144,8 @@ def assembly_of(parts: dict[str, CadPart], name: str, displayed: bool = False) -
     return assembly
 
 
+#: Purchased parts on the sensor's tool side.
 FASTENERS = ("sensor_adapter_screws", "ring_screws", "ring_nuts", "dowel_pins")
-"""Purchased parts on the sensor's tool side."""
 
 
 @dataclass(frozen=True)

@@ -107,7 +107,6 @@ def _package(design: Design, parts: Sequence[PackedPart]) -> bytes:
 
 
 def _uuid(name: str) -> str:
-    """Return a UUID that depends on a name alone; the library would draw it."""
     return str(uuid.uuid5(uuid.NAMESPACE_OID, name))
 
 
@@ -142,10 +141,8 @@ def read_back(content: bytes) -> tuple[list[PackedPart], int]:
 
 
 def _structs(kind: Any, rows: NDArray[Any]) -> Any:
-    """Return rows of three numbers as an array of lib3mf's structures of three."""
     return (kind * len(rows)).from_buffer_copy(rows.tobytes())
 
 
 def _rows(kind: Any, structs: Any, dtype: str) -> NDArray[Any]:
-    """Return an array of lib3mf's structures as rows of three numbers."""
     return np.frombuffer((kind * len(structs))(*structs), dtype=dtype).reshape(-1, 3)

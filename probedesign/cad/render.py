@@ -19,12 +19,9 @@ from probedesign.core.frames import Array
 from probedesign.core.units import MM
 
 BACKGROUND = -1
-INK = 0.12
-"""Brightness of an outline."""
-CREASE_COS = 0.80
-"""Faces that meet at more than 37° are separated by a line; facets of one round face meet at 3°."""
-STEP_PX = 6.0
-"""A depth step of this many pixels on an oblique face is drawn as an outline."""
+INK = 0.12  #: Brightness of an outline.
+CREASE_COS = 0.80  #: Faces that meet at more than 37° are separated by a line; facets of one round face meet at 3°.
+STEP_PX = 6.0  #: A depth step of this many pixels on an oblique face is drawn as an outline.
 # From the upper left front, in image axes: right, up, towards the eye (chosen by eye).
 LIGHT = (-0.40, 0.58, 0.71)
 AMBIENT, DIRECT = 0.58, 0.50
@@ -132,14 +129,10 @@ def _planes(corners: Array) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]
     return planes, first, np.where(flat, first - 1, last)
 
 
-SMOOTH_RAD = 0.5
-"""Facets that meet at a smaller angle are shaded as one round face."""
-SAMPLES = 2
-"""Samples along each side of a pixel."""
-MARGIN = 0.03
-"""Free margin, as a share of the picture's larger side."""
-PALE = 0.3
-"""Share of its colour that a part mounted earlier keeps."""
+SMOOTH_RAD = 0.5  #: Facets that meet at a smaller angle are shaded as one round face.
+SAMPLES = 2  #: Samples along each side of a pixel.
+MARGIN = 0.03  #: Free margin, as a share of the picture's larger side.
+PALE = 0.3  #: Share of its colour that a part mounted earlier keeps.
 
 
 @dataclass(frozen=True)

@@ -20,12 +20,9 @@ XY = tuple[float, float]
 
 # ---- projections
 
-CURVE_POINTS = 48
-"""Points of a curved edge: a full circle Ø60 mm is drawn within 0.07 mm, less than its line width."""
-SAME_MM = 1e-4
-"""End points closer than this coincide."""
-Lines = list[Array]
-"""Polylines, each (k, 2), in millimetres: u to the right, v up."""
+CURVE_POINTS = 48  #: Points of a curved edge: a full circle Ø60 mm is drawn within 0.07 mm, less than its line width.
+SAME_MM = 1e-4  #: End points closer than this coincide.
+Lines = list[Array]  #: Polylines, each (k, 2), in millimetres: u to the right, v up.
 
 
 @dataclass(frozen=True)
@@ -38,8 +35,7 @@ class ViewDirection:
 
 FRONT = ViewDirection((0.0, -1.0, 0.0), (1.0, 0.0, 0.0))
 ABOVE = ViewDirection((0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
-BELOW = ViewDirection((0.0, 0.0, -1.0), (1.0, 0.0, 0.0))
-"""Keeps x to the right, so y points down."""
+BELOW = ViewDirection((0.0, 0.0, -1.0), (1.0, 0.0, 0.0))  #: Keeps x to the right, so y points down.
 
 
 def seen(shape: cq.Shape, side: ViewDirection) -> Lines:
@@ -106,23 +102,18 @@ def _points(edge: cq.Edge) -> Array:
 # ---- paper
 
 WIDTH, HEIGHT, EDGE = 210.0, 297.0, 12.0
-BOTTOM = HEIGHT - EDGE - 28.0
-"""Upper edge of the title block on the paper [mm]."""
+BOTTOM = HEIGHT - EDGE - 28.0  #: Upper edge of the title block on the paper [mm].
 SCALES = (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1)  # ISO 5455
 TEXT, SMALL = 3.2, 2.6
-LINE = 1.42
-"""Distance of two baselines over the size of the text."""
-TEXT_WIDTH = 0.58
-"""Mean width of a character of a sans-serif font, over its size."""
-THICK, THIN, CHAIN = 0.4, 0.18, "6 1.2 0.8 1.2"
-"""Widths of lines (ISO 128), and the dashes of a centre line."""
+LINE = 1.42  #: Distance of two baselines over the size of the text.
+TEXT_WIDTH = 0.58  #: Mean width of a character of a sans-serif font, over its size.
+THICK, THIN, CHAIN = 0.4, 0.18, "6 1.2 0.8 1.2"  #: Widths of lines (ISO 128), and the dashes of a centre line.
+#: Colour of cut material.
 CUT = "#dde3ea"
-"""Colour of cut material."""
 ARROW = 2.6
+#: Gap between the outline and an extension line, and its length beyond the dimension line.
 EXTENSION_GAP, EXTENSION_BEYOND = 1.2, 1.5
-"""Gap between the outline and an extension line, and its length beyond the dimension line."""
-STACK = 7.5
-"""Distance between dimension lines."""
+STACK = 7.5  #: Distance between dimension lines.
 
 
 def scale_for(size: XY, room: XY) -> float:

@@ -31,10 +31,10 @@ from probedesign.mount.engraving import XY
 from probedesign.mount.flange_adapter import CENTRING_PIN_D, CENTRING_PIN_LENGTH, TIE_SLOT
 from probedesign.mount.sensor_adapter import PEG_D, RING_VENT_HEIGHT, VENT_WIDTH, on_circle
 
+#: Minimum clearance to the sensor's body and cable: a contact across the split line would bypass the strain gauges.
 MIN_CLEARANCE = 0.5 * MM
-"""Minimum clearance to the sensor's body and cable: a contact across the split line would bypass the strain gauges."""
+#: Distance from the sensor's body up to which the cable's sector is checked; it exceeds every part of the mount.
 SECTOR_REACH = 31.5 * MM
-"""Distance from the sensor's body up to which the cable's sector is checked; it exceeds every part of the mount."""
 
 
 @dataclass(frozen=True)
@@ -170,12 +170,10 @@ def _nut(nut: Nut, bore_d: float) -> cq.Solid:
 
 
 def _upright(points: Iterable[XY], z: float) -> tuple[Array, ...]:
-    """Return poses at points of one height, each with x away from the axis."""
     return tuple(pose(rotation_z(math.atan2(p[1], p[0])), [*p, z]) for p in points)
 
 
 def _in_frame(points: Iterable[XY], T_a_b: Array) -> tuple[XY, ...]:
-    """Return points (x, y) of frame b in frame a; the z axes are parallel."""
     R, t = T_a_b[:2, :2], T_a_b[:2, 3]
     return tuple((float(q[0]), float(q[1])) for q in (R @ p + t for p in points))
 
@@ -318,7 +316,6 @@ def _threads(pattern: ScrewPattern, z0: float, z1: float) -> list[cq.Solid]:
 
 
 def _at_cable(shape: cq.Shape, cable: CableExit, turn_deg: float = 0.0) -> cq.Shape:
-    """Return a shape that is drawn about +x turned to the cable."""
     return shape.rotate((0, 0, 0), (0, 0, 1), cable.azimuth_deg + turn_deg)
 
 

@@ -28,8 +28,7 @@ from probedesign.mount.engraving import XY
 from probedesign.mount.tolerance_stack import tolerance_stacks
 from probedesign.printing.check import BETWEEN, RAFT_MARGIN
 
-CORRIDOR = 60.0 * MM
-"""Length of the corridors of nuts and pins around the adapter, which lies free on the bench."""
+CORRIDOR = 60.0 * MM  #: Length of the corridors of nuts and pins around the adapter, which lies free on the bench.
 
 
 def blocked_tools(parts: dict[str, CadPart], screws: list[ScrewGroup], adapter: SensorAdapter) -> dict[str, float]:
@@ -83,7 +82,6 @@ def _part_corridors(parts: dict[str, CadPart], a: SensorAdapter) -> dict[str, li
 
 
 def _nut_corridor(a: SensorAdapter, p: XY) -> cq.Shape:
-    """Return the corridor of a nut along its slot, from the outside."""
     nut, r = a.options.nut, float(np.hypot(*p))
     z = (a.nut_slot_z[1] - nut.height, a.nut_slot_z[1])
     ahead = block((r, r + CORRIDOR), (-nut.af / 2, nut.af / 2), z)
@@ -93,12 +91,9 @@ def _nut_corridor(a: SensorAdapter, p: XY) -> cq.Shape:
 
 Findings = dict[str, dict[str, Any]]
 
-SOLID_LIMIT = 1e-9
-"""Relative. The kernel integrates these surfaces to about 1e-14; modelling errors are far larger."""
-SECTION_LIMIT = 1e-6
-"""Relative, for cross-sections."""
-OVERLAP_LIMIT = 0.0
-"""Shared volume [m³]: touching faces share none, and no fit is drawn compressed."""
+SOLID_LIMIT = 1e-9  #: Relative. The kernel integrates these surfaces to about 1e-14; modelling errors are far larger.
+SECTION_LIMIT = 1e-6  #: Relative, for cross-sections.
+OVERLAP_LIMIT = 0.0  #: Shared volume [m³]: touching faces share none, and no fit is drawn compressed.
 STATIONS = 9
 
 
@@ -184,7 +179,6 @@ def _sections(model: CadModel) -> Findings:
 
 
 def _stations(geometry: ProbeGeometry) -> list[float]:
-    """Return evenly spread heights away from the knots, where a cut along an edge would be ill-posed."""
     even = (np.arange(STATIONS) + 0.5) / STATIONS * geometry.length
     gaps = np.diff(geometry.s)
     i = np.clip(np.searchsorted(geometry.s, even, side="right") - 1, 0, len(gaps) - 1)

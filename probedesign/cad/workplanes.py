@@ -22,10 +22,9 @@ from probedesign.mount import Mount
 from probedesign.mount.engraving import XY
 from probedesign.printing.check import print_scale
 
+#: Printed parts, which an assembly takes changed.
 CHANGEABLE = ("probe", "sensor_adapter", "clamp_ring", "flange_adapter")
-"""Printed parts, which an assembly takes changed."""
-FLAT = 1e-6
-"""Largest distance of a face from its plane [mm], which covers round-off of the kernel."""
+FLAT = 1e-6  #: Largest distance of a face from its plane [mm], which covers round-off of the kernel.
 
 
 def part_workplane(design: Design, part: str) -> cq.Workplane:

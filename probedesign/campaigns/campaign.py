@@ -13,11 +13,10 @@ from probedesign.core.csv_tables import Frame
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 
-Use = Literal["", "identify", "validate"]
-"""Command that a test is for; empty for both."""
+Use = Literal["", "identify", "validate"]  #: Command that a test is for; empty for both.
 TESTS, WRENCHES, MARKERS = "tests.csv", "wrenches.csv", "markers.csv"
+#: Unit vectors in base axes.
 PUSH_DIRECTIONS = {"+x": (1.0, 0.0, 0.0), "-x": (-1.0, 0.0, 0.0), "+y": (0.0, 1.0, 0.0), "-y": (0.0, -1.0, 0.0)}
-"""Unit vectors in base axes."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,32 +18,29 @@ from probedesign.core.units import GRAM, MM, N_MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 
+#: Margin for errors of the reference, noise and drift of the sensor, in standard deviations: exceeded by one valid pair
+#: in 3 million.
 DEVIATIONS = 5.0
-"""Margin for errors of the reference, noise and drift of the sensor, in standard deviations: exceeded by one valid pair
-in 3 million."""
+#: Relative elongation of a probe: it stretches by a percent or two under its own weight, and markers are set by hand
+#: (assumed).
 STRETCH = 0.05
-"""Relative elongation of a probe: it stretches by a percent or two under its own weight, and markers are set by hand
-(assumed)."""
+#: On the surface a bent probe is longer than on its axis, and the base's centre is a radius away [m]: those of the
+#: paper's large probe.
 SURFACE_STRETCH, SURFACE_OFFSET = 0.10, 6.0 * MM
-"""On the surface a bent probe is longer than on its axis, and the base's centre is a radius away [m]: those of the
-paper's large probe."""
-SETTING_ERROR = 1.0 * MM
-"""Of a marker on the probe [m]: assumed."""
-UNIT_FACTOR = 100.0
-"""Factor that no error of measurement makes, and a wrong unit exceeds tenfold (assumed)."""
+SETTING_ERROR = 1.0 * MM  #: Of a marker on the probe [m]: assumed.
+UNIT_FACTOR = 100.0  #: Factor that no error of measurement makes, and a wrong unit exceeds tenfold (assumed).
+#: Factor between a print's sag and the design's: published moduli of one resin differ by two (assumed).
 SAG_FACTOR = 5.0
-"""Factor between a print's sag and the design's: published moduli of one resin differ by two (assumed)."""
+#: Distance from the base, in lengths of the probe, at which a contact force may seem to act, even if part of it is
+#: lifted by another (assumed).
 MAX_LEVER = 3.0
-"""Distance from the base, in lengths of the probe, at which a contact force may seem to act, even if part of it is
-lifted by another (assumed)."""
+#: Fraction of a load, or of the distance from marker to marker, by which a reading may differ: gains, slopes and
+#: markers set by hand stay far below, wrong units and counts do not (assumed).
 HALF = 0.5
-"""Fraction of a load, or of the distance from marker to marker, by which a reading may differ: gains, slopes and
-markers set by hand stay far below, wrong units and counts do not (assumed)."""
+#: Fraction of the length up to which a probe is thick and hardly bent. The first two markers count in any case: bent by
+#: a right angle up to the second, the distance to it is shorter by a fifth of the marker spacing.
 NEAR_BASE = 0.3
-"""Fraction of the length up to which a probe is thick and hardly bent. The first two markers count in any case: bent
-by a right angle up to the second, the distance to it is shorter by a fifth of the marker spacing."""
-TINY = 1e-12
-"""A force that no sensor distinguishes from zero [N]."""
+TINY = 1e-12  #: A force that no sensor distinguishes from zero [N].
 
 
 # all checks

@@ -15,13 +15,12 @@ FILE = "campaign.toml"
 MAX_BYTES = 1_000_000
 MAX_MARKERS = 500
 STD_BASE_MM, STD_BASE_DEG = 0.2, 0.2
+#: Standard deviation of the length scale of the reference, relative. Assumed: 0.5 mm on a box of 100 mm.
 LENGTH_SCALE = 0.005
-"""Standard deviation of the length scale of the reference, relative. Assumed: 0.5 mm on a box of 100 mm."""
-WEIGHT_STD = 0.005
-"""Standard deviation of a known load, relative. Assumed: 5 mg on a weight of a gram."""
+WEIGHT_STD = 0.005  #: Standard deviation of a known load, relative. Assumed: 5 mg on a weight of a gram.
+#: Distance over which a robot's or a stage's repeatability becomes a rotation of the base [m]. Assumed: that of the
+#: base from the last axis.
 WRIST = 0.1
-"""Distance over which a robot's or a stage's repeatability becomes a rotation of the base [m]. Assumed: that of the
-base from the last axis."""
 """Default standard deviations of the base pose: assumed, a bracket set with a caliper and a level."""
 
 Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]

@@ -25,8 +25,7 @@ from probedesign.vision.triangulate import triangulate
 
 HEADER = "test,camera,marker,u_px,v_px,std_px"
 CACHE = f"{PIXELS}.unfinished"
-DETECTION_VERSION = 1
-"""Version of the detection; a cache of another version is not used."""
+DETECTION_VERSION = 1  #: Version of the detection; a cache of another version is not used.
 Progress = Callable[[str, float | None], None]
 
 

@@ -44,8 +44,8 @@ CONTROL_POINTS_SCHEMA = TableSchema(
     "point,x_world_mm,y_world_mm,z_world_mm,camera,u_px,v_px",
     {},
 )
+#: Name, control points [m], pixels and labels of one camera in; the camera out.
 Fit = Callable[[str, Array, Array, Sequence[str]], Camera]
-"""Name, control points [m], pixels and labels of one camera in; the camera out."""
 
 FORCE = ("force_x_world", "force_y_world", "force_z_world")
 CONTACT = ("contact_x_world", "contact_y_world", "contact_z_world")
@@ -202,7 +202,6 @@ def base_pose(manifest: Manifest) -> Array:
 
 
 def _std(rows: TableRows, given: NDArray[np.bool_], what: str, name: str) -> Array:
-    """Return the standard deviation of a quantity, which is required where that is given; none is assumed."""
     column = rows.columns[what].name if what in rows.columns else what
     return rows.std(name, given, f"{column} has no standard deviation; give it in {name}_mm")
 
@@ -271,7 +270,6 @@ def _test_times(
 
 
 def _begins_anew(time: Array, which: NDArray[np.intp]) -> bool:
-    """Return whether the clock starts again with every test."""
     first = np.flatnonzero(np.diff(which) != 0) + 1
     if not len(first):
         return False

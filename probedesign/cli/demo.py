@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from probedesign.reports.png import SweepSeries
 
 NAME = "demo"
+#: Heading and command of each section of the page.
 SECTIONS = {
     "predict": ("The probe, coloured by its predicted error", "probedesign predict {folder}/demo.toml"),
     "estimate": ("A simulated touch, located and replayed",
@@ -38,17 +39,16 @@ SECTIONS = {
     "explore": ("A card house, found by touch",
                 "probedesign explore {folder}/demo.probe.json --rehearse {folder}/rehearsal"),
 }  # fmt: skip
-"""Heading and command of each section of the page."""
+#: Files of the parts that the page links to.
 PART_LINKS = (
     ("assembly.html", "assembly instructions"),
     ("assembly.step", "assembly for CAD"),
     ("assembly.glb", "assembly for viewers"),
 )
-"""Files of the parts that the page links to."""
+#: Time without contact at the start of a rehearsal, and samples of one reading, as in docs/exploring.md.
 TARE, AVERAGE = "0.5:3.5", 36
-"""Time without contact at the start of a rehearsal, and samples of one reading, as in docs/exploring.md."""
+#: Simulated contact: 20 mN, swept along the probe and back, with the sensor's noise.
 TOUCH = "force_mN=20&seconds=20&rate_hz=10&speed=max"
-"""Simulated contact: 20 mN, swept along the probe and back, with the sensor's noise."""
 
 
 def demo(
@@ -232,7 +232,6 @@ def _explore(bundle: Path, folder: Path, skipped: list[str]) -> dict[str, str]:
 
 
 def _found(folder: Path) -> str:
-    """Return what `explore` found, in one sentence."""
     lines = (folder / "found/points.csv").read_text("utf-8").splitlines()
     rows = csv.DictReader(line for line in lines if not line.startswith("#"))
     count = sum(row["result"] == "ok" for row in rows)

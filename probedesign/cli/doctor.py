@@ -9,6 +9,7 @@ from typing import Any
 from probedesign.cli.console import print_json, print_table
 from probedesign.cli.options import JsonOutput
 
+#: Features that each extra of `all` enables; "" is for the required packages.
 ENABLES = {
     "": "everything",
     "plots": "plots of predict",
@@ -23,9 +24,8 @@ ENABLES = {
     "foxglove": "live --foxglove: the server for Foxglove and PlotJuggler",
     "vision": "markers: photographs, calibration files",
 }
-"""Features that each extra of `all` enables; "" is for the required packages."""
+#: Package of an extra that PyPI has no wheel of for Linux on ARM (aarch64, Python 3.11). Source: pypi.org, 2026-11.
 NO_WHEEL_ON_ARM = {"cad": "lib3mf"}
-"""Package of an extra that PyPI has no wheel of for Linux on ARM (aarch64, Python 3.11). Source: pypi.org, 2026-11."""
 
 
 def doctor(*, as_json: JsonOutput = False) -> int:

@@ -10,8 +10,7 @@ from probedesign.cli.options import FrozenProbe, JsonOutput, Method, Tare
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, write_atomically
 
-MAX_PRINTED = 20
-"""Number of touches that are printed."""
+MAX_PRINTED = 20  #: Number of touches that are printed.
 
 if TYPE_CHECKING:
     from probedesign.live.blocks import WrenchReading

@@ -18,6 +18,7 @@ class FileKind(NamedTuple):
     purpose: str
 
 
+#: The kind of a file by its suffix.
 FILE_KINDS = {
     ".3mf": FileKind("print", "to print"),
     ".stl": FileKind("print", "to print"),
@@ -29,7 +30,6 @@ FILE_KINDS = {
     ".csv": FileKind("record", "parts to print and to buy"),
     ".json": FileKind("record", "manifest with the results of all checks"),
 }
-"""The kind of a file by its suffix."""
 
 
 def export(

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from probedesign.design.edit import Change
     from probedesign.identification.result import Identification, Identified
 
-MAX_CAUSES = 4
-"""Likely causes of a contradiction that are printed; all are in identification.json."""
+MAX_CAUSES = 4  #: Likely causes of a contradiction that are printed; all are in identification.json.
 
 
 def identify(

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
     from cyclopts import App
 
+#: Commands in the order of the chain, each with its line of help. Kept here because reading it from the commands would
+#: import them all.
 COMMANDS = {
     "new": "Write designs/NAME.toml from a few dimensions.",
     "studio": "Design a probe in the browser by moving sliders.",
@@ -38,21 +40,17 @@ COMMANDS = {
     "demo": "Run the whole chain on a built-in example.",
     "doctor": "Report installed and missing packages.",
 }
-"""Commands in the order of the chain, each with its line of help. Kept here because reading it from the commands would
-import them all."""
 
+#: Module and function of a command, where they do not have its name.
 FUNCTIONS = {"sweep": "compare:sweep", "markers": "campaign:markers", "recover": "estimate:recover"}
-"""Module and function of a command, where they do not have its name."""
 
 DEBUG = "PROBEDESIGN_DEBUG"
+#: Prefix of the variables that set options, such as PROBEDESIGN_LIVE_SOURCE for --source of live.
 ENVIRONMENT = "PROBEDESIGN_"
-"""Prefix of the variables that set options, such as PROBEDESIGN_LIVE_SOURCE for --source of live."""
+#: File in the working directory or a folder above it that sets options, a table for each command.
 SETTINGS = "probedesign.toml"
-"""File in the working directory or a folder above it that sets options, a table for each command."""
-HELP = frozenset({"--help", "-h", "--version", "--install-completion"})
-"""Options that need no settings file."""
-INTERRUPTED = 130
-"""Exit status after SIGINT: 128 plus the number of the signal."""
+HELP = frozenset({"--help", "-h", "--version", "--install-completion"})  #: Options that need no settings file.
+INTERRUPTED = 130  #: Exit status after SIGINT: 128 plus the number of the signal.
 
 
 def build_app(with_settings: bool = True) -> "App":

@@ -13,8 +13,9 @@ if TYPE_CHECKING:
 
 FOLDER = Path("designs")
 DEFAULT_FLANGE = "iso-9409-1-50-4-m6"
+#: Fraction of the length, force [N] and direction of the touch that is reported: light, and near the tip.
 SUMMARY_TOUCH = (0.8, 0.010, "+y")
-"""Fraction of the length, force [N] and direction of the touch that is reported: light, and near the tip."""
+#: Option that sets a key of the design, so that errors name the option that the user typed.
 OPTIONS = {
     "probe.length_mm": "--length",
     "probe.base_d_mm": "--base-d",
@@ -28,7 +29,6 @@ OPTIONS = {
     "mount.robot_flange": "--robot-flange",
     "contact.friction": "--friction",
 }
-"""Option that sets a key of the design, so that errors name the option that the user typed."""
 
 
 def new(

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from probedesign.optimization.constraints import OptimizationProblem
     from probedesign.optimization.optimum import MonteCarloCheck, OptimizeResult, Optimum, ParetoFront
 
-MAX_SHOWN_CASES = 6
-"""Cases with a larger error than the start's that are printed."""
+MAX_SHOWN_CASES = 6  #: Cases with a larger error than the start's that are printed.
 Over = Literal["cone", "taper", "length", "section"]
 
 

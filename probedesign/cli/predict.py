@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
     AnyCondition = Condition | FusedCondition
 
+#: Contact force of the printed error budget of fused touches, which are located at lower forces.
 FUSED_BUDGET_FORCE_N = 0.005
-"""Contact force of the printed error budget of fused touches, which are located at lower forces."""
+#: Printed name of what limits the contact force.
 LIMITS = {"gives_way": "buckling", "sensor": "sensor", "slips_off": "slips off", "none": "none"}
-"""Printed name of what limits the contact force."""
+#: Printed instead of an error, by result code; any other code is "/".
 MARKS = {"too_light": "-", "unobservable": "-", "no_contact": ".", "out_of_range": "^"}
-"""Printed instead of an error, by result code; any other code is "/"."""
 
 
 def predict(

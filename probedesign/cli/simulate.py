@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from probedesign.live.sources.netft.configuration import NetFTConfiguration
     from probedesign.simulation.scenes import PressedObject
 
-MAX_SECONDS = 1e8
-"""Duration without --seconds: three years [s]."""
+MAX_SECONDS = 1e8  #: Duration without --seconds: three years [s].
 
 
 def simulate(
@@ -109,7 +108,6 @@ def _configuration(
 def _solved_scene(
     model: "ProbeModel", scene: str, friction: float, spread: float, seed: int
 ) -> "tuple[PressedObject, ...]":
-    """Return the objects of the scene, each with the solved readings of the probe that is pressed onto it."""
     from probedesign.simulation.scenes import press_scene
 
     with show_progress(f"solving the contacts of --scene {scene}"):

@@ -94,7 +94,6 @@ def _files(report: "ValidationReport", plots: bool | None) -> Iterator[tuple[str
 
 
 def _prefix(report: "ValidationReport", reports: "tuple[ValidationReport, ...]") -> str:
-    """Return the probe's name for lines about one of several probes."""
     return f"{report.estimator.model.name}: " if len(reports) > 1 else ""
 
 

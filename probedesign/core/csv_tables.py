@@ -20,9 +20,9 @@ from probedesign.core.errors import InputError, quoted
 from probedesign.core.frames import Array
 
 Frame = Literal["sensor", "base"]
-FRAMES: dict[str, Frame] = {"sensor": "sensor", "base": "base"}
-"""Frames by name, as a file or a user states them."""
+FRAMES: dict[str, Frame] = {"sensor": "sensor", "base": "base"}  #: Frames by name, as a file or a user states them.
 
+#: Factor to SI by kind of column and unit; case is ignored. A kind that is not here has no unit.
 UNITS = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "force": {"N": 1.0, "mN": 1e-3},
@@ -32,10 +32,12 @@ UNITS = {
     "angle": {"deg": 3.141592653589793 / 180.0, "rad": 1.0},
     "pixel": {"px": 1.0},
 }
-"""Factor to SI by kind of column and unit; case is ignored. A kind that is not here has no unit."""
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 WRENCH_KINDS = {**dict.fromkeys(WRENCH[:3], "force"), **dict.fromkeys(WRENCH[3:], "moment")}
 WRENCH_ALIASES = {"tx": "mx", "ty": "my", "tz": "mz"}
+#: Largest plausible value [s, N, N·m, m/s², m, rad, px]; a larger one is raw counts or a wrong unit. The largest
+#: calibration of the Nano17 reads 50 N and 0.5 N·m; a clock that counts milliseconds since 1970 as seconds reads
+#: 1.7e12; no laboratory is wider than 100 m, and no picture than a million pixels.
 CEILING = {
     "time": 1e11,
     "force": 1000.0,
@@ -45,12 +47,8 @@ CEILING = {
     "angle": 100.0,
     "pixel": 1e6,
 }
-"""Largest plausible value [s, N, N·m, m/s², m, rad, px]; a larger one is raw counts or a wrong unit. The largest
-calibration of the Nano17 reads 50 N and 0.5 N·m; a clock that counts milliseconds since 1970 as seconds reads 1.7e12;
-no laboratory is wider than 100 m, and no picture than a million pixels."""
 NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*", re.ASCII)
-NOTES = ("note", "notes", "comment", "remark")
-"""Names of free-text columns, which are not read."""
+NOTES = ("note", "notes", "comment", "remark")  #: Names of free-text columns, which are not read.
 MAX_BYTES = 50_000_000
 MAX_ROWS = 500_000
 
@@ -216,7 +214,6 @@ def _column(
 
 
 def _letters(unit: str) -> str:
-    """Return what the spellings of a unit have in common: N·mm, N-mm, N mm and Nmm."""
     return re.sub(r"[\W_]", "", unit.lower().replace("µ", "u"))
 
 
@@ -386,7 +383,6 @@ def _check_columns(lines: CsvLines, columns: dict[str, Column], schema: TableSch
 
 
 def _spelt(quantity: str, schema: TableSchema) -> str:
-    """Return a quantity as the header should have it."""
     alike = [name for name in schema.like.split(",") if name.lower().startswith(quantity)]
     unit = next(iter(UNITS.get(schema.kinds[quantity], {})), "")
     return alike[0] if alike else f"{quantity}_{unit}".rstrip("_")

@@ -142,10 +142,9 @@ def check_folder(folder: Path) -> None:
     _write_into(folder, folder)
 
 
+#: Folder of the written files, with a folder for each design, in a project; see `exports_of`.
 EXPORTS = Path("exports")
-"""Folder of the written files, with a folder for each design, in a project; see `exports_of`."""
-EXPORTS_VARIABLE = "PROBEDESIGN_EXPORTS"
-"""Environment variable that names another folder for all designs."""
+EXPORTS_VARIABLE = "PROBEDESIGN_EXPORTS"  #: Environment variable that names another folder for all designs.
 
 
 def chosen_exports() -> Path | None:
@@ -176,8 +175,8 @@ def exports_of(design: Path | None = None) -> Path:
     return EXPORTS if project == here else Path(os.path.relpath(project / EXPORTS))
 
 
+#: Names of designs and probes, which become names of files.
 PLAIN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
-"""Names of designs and probes, which become names of files."""
 
 
 def is_plain_name(name: str) -> bool:

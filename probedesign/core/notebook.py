@@ -37,7 +37,6 @@ class Displayed:
         return _views().html_of(self)
 
     def _repr_mimebundle_(self, include: "Any" = None, exclude: "Any" = None) -> dict[str, str]:
-        """Return HTML, which Jupyter shows, and text, which IPython shows in a terminal."""
         return {"text/html": self._repr_html_(), "text/plain": _views().text_of(self)}
 
     def plot(self, ax: "Axes | None" = None) -> "Axes":

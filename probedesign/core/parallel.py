@@ -19,8 +19,8 @@ from typing import Any, TypeVar
 from probedesign.core.errors import InputError
 
 Record = dict[str, Any]
+#: Receives the name of the current step and the completed fraction, None where that is unknown.
 OnProgress = Callable[[str, float | None], None]
-"""Receives the name of the current step and the completed fraction, None where that is unknown."""
 
 
 def quiet(_step: str, _share: float | None) -> None:
@@ -29,8 +29,8 @@ def quiet(_step: str, _share: float | None) -> None:
 
 T = TypeVar("T")
 R = TypeVar("R")
+#: Environment of workers: every core runs a worker, so further threads of the linear algebra compete with them.
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-"""Environment of workers: every core runs a worker, so further threads of the linear algebra compete with them."""
 
 
 # Worker processes

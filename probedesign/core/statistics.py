@@ -8,14 +8,12 @@ from scipy.special import chdtri
 
 from probedesign.core.frames import Array
 
-MISFIT_CHANCE = 1e-3
-"""Chance that a true single contact, or true touches of one fixed point, are called inconsistent."""
+MISFIT_CHANCE = 1e-3  #: Chance that a true single contact, or true touches of one fixed point, are called inconsistent.
+#: Chance that a free reading is called a contact, or stationary readings moving: one an hour at 7000/36 readings/s.
 FALSE_ALARM = 1.4e-6
-"""Chance that a free reading is called a contact, or stationary readings moving: one an hour at 7000/36 readings/s."""
-RIVAL_CHI2 = 9.0
-"""Solutions whose misfit χ² lies within 3² of the best explain the readings about as well."""
+RIVAL_CHI2 = 9.0  #: Solutions whose misfit χ² lies within 3² of the best explain the readings about as well.
+#: Standard deviation of a quantity somewhere in its range, over the range: a place known no better is not located.
 UNIFORM_STD = 1.0 / math.sqrt(12.0)
-"""Standard deviation of a quantity somewhere in its range, over the range: a place known no better is not located."""
 
 
 @cache

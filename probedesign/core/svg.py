@@ -9,8 +9,7 @@ from typing import Literal
 
 FONT = "Helvetica, Arial, 'Liberation Sans', 'DejaVu Sans', sans-serif"
 Anchor = Literal["start", "middle", "end"]
-Line = Iterable[Iterable[float]]
-"""Points (x, y) of a polyline."""
+Line = Iterable[Iterable[float]]  #: Points (x, y) of a polyline.
 
 
 def number(value: float) -> str:

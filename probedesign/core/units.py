@@ -5,16 +5,11 @@ import re
 
 from probedesign.core.errors import InputError
 
-MM = 1e-3
-"""One millimetre [m]."""
-MPA = 1e6
-"""One megapascal [Pa]."""
-MILLINEWTON = 1e-3
-"""One millinewton [N]."""
-N_MM = 1e-3
-"""One newton millimetre [N·m]."""
-GRAM = 1e-3
-"""One gram [kg]."""
+MM = 1e-3  #: One millimetre [m].
+MPA = 1e6  #: One megapascal [Pa].
+MILLINEWTON = 1e-3  #: One millinewton [N].
+N_MM = 1e-3  #: One newton millimetre [N·m].
+GRAM = 1e-3  #: One gram [kg].
 POUND_FORCE = 4.4482216152605  # exact, from the pound and standard gravity
 KILOGRAM_FORCE = 9.80665  # exact
 INCH, FOOT = 0.0254, 0.3048  # exact
@@ -27,8 +22,8 @@ TORQUE_UNITS = {
     "kgfcm": KILOGRAM_FORCE * 0.01, "kgcm": KILOGRAM_FORCE * 0.01,
 }  # fmt: skip
 LENGTH_UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": INCH, "ft": FOOT}
+#: Units in SI, by the letters of their names: boxes write N-mm, N·mm and Nmm.
 ANGLE_UNITS = {"degrees": math.pi / 180.0, "deg": math.pi / 180.0, "radians": 1.0, "rad": 1.0}
-"""Units in SI, by the letters of their names: boxes write N-mm, N·mm and Nmm."""
 
 
 def format_value(value: float | str | None, spec: str = ".4g", unit: str = "", missing: str = "none") -> str:

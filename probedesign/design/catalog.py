@@ -56,10 +56,10 @@ class Resin:
     cure: str = "wash and cure as the resin's data sheet says"  #: instruction for washing and curing.
 
 
+#: Friction of an elastic resin that has not been measured [-]. No value is published for Elastic 50A.
 ELASTIC_FRICTION = Quantity(
     0.6, "assumed", "soft polyurethane on card, plastic or metal: about 0.5 to 1; assumed until measured"
 )
-"""Friction of an elastic resin that has not been measured [-]. No value is published for Elastic 50A."""
 
 _PAPER = "paper, section IV: identified on the paper's prints, not on yours"
 
@@ -102,10 +102,10 @@ SILICONE_40A = _incompressible(
 
 RESINS = {resin.name: resin for resin in (ELASTIC_50A, FLEXIBLE_80A, SILICONE_40A)}
 
+#: Material of the adapters; any resin that is stiff against the probe is suitable.
 RIGID_RESIN = "rigid resin, e.g. Grey V4"
-"""Material of the adapters; any resin that is stiff against the probe is suitable."""
+#: Density of the rigid adapters [kg/m³]. Source: Formlabs Grey/Clear V4, 1.15-1.2 g/ml; the middle, assumed.
 RIGID_DENSITY = 1180.0
-"""Density of the rigid adapters [kg/m³]. Source: Formlabs Grey/Clear V4, 1.15-1.2 g/ml; the middle, assumed."""
 
 
 @dataclass(frozen=True)
@@ -117,6 +117,7 @@ class Printer:
     build_volume_mm: tuple[float, float, float]
 
 
+#: Source: PreForm.
 PRINTERS = {
     printer.name: printer
     for printer in (
@@ -127,7 +128,6 @@ PRINTERS = {
         Printer("form-4l", "Form 4L", (353.0, 196.0, 350.0)),
     )
 }
-"""Source: PreForm."""
 
 
 @dataclass(frozen=True)
@@ -162,8 +162,8 @@ class SocketScrew:
         return next(t for up_to, t in _JS15_MM if length / MM <= up_to + 1e-6) * MM
 
 
+#: Largest length and its tolerance.
 _JS15_MM = ((3.0, 0.20), (6.0, 0.24), (10.0, 0.29), (18.0, 0.35), (30.0, 0.42), (50.0, 0.50))
-"""Largest length and its tolerance."""
 
 
 @dataclass(frozen=True)
@@ -179,6 +179,7 @@ def _screw(thread: str, lengths_mm: tuple[float, ...], stock_mm: tuple[int, ...]
     return SocketScrew(thread, head_d, head, socket_af, socket, pitch_d, hole_d, key, stock_mm)
 
 
+#: Source: ISO 4762 (heads, sockets, lengths), ISO 724 (pitch diameters), ISO 273, medium (holes), ISO 2936 (keys).
 SCREWS = {
     screw.thread: screw
     for screw in (
@@ -190,15 +191,12 @@ SCREWS = {
         _screw("M8", (13.0, 8.0, 6.0, 4.0, 7.188, 9.0, 96.0), (12, 16, 20, 25, 30, 35)),
     )
 }
-"""Source: ISO 4762 (heads, sockets, lengths), ISO 724 (pitch diameters), ISO 273, medium (holes), ISO 2936 (keys)."""
 M2 = SCREWS["M2"]
 NUTS = {"M2": Nut(4.0 * MM, 1.6 * MM), "M3": Nut(5.5 * MM, 2.4 * MM)}
+#: Tolerance ± of a printed length, or 0.5 % where that is more: none is published (assumed).
 PRINT_TOLERANCE = 0.15 * MM
-"""Tolerance ± of a printed length, or 0.5 % where that is more: none is published (assumed)."""
-MIN_GRIP = 3.0 * MM
-"""Least resin under the head of a screw into a sensor [m] (assumed)."""
-STEEL_DENSITY = 7900.0
-"""Of screws, nuts and pins [kg/m³]. Source: stainless A2, any table; assumed."""
+MIN_GRIP = 3.0 * MM  #: Least resin under the head of a screw into a sensor [m] (assumed).
+STEEL_DENSITY = 7900.0  #: Of screws, nuts and pins [kg/m³]. Source: stainless A2, any table; assumed.
 
 
 @dataclass(frozen=True)
@@ -263,5 +261,4 @@ ROBOT_FLANGES = {
     )
 }
 
-CUSTOM = "own"
-"""Value of `mount.robot_flange` where the pattern is in the design file itself, in `[mount.flange]`."""
+CUSTOM = "own"  #: Value of `mount.robot_flange` where the pattern is in the design file itself, in `[mount.flange]`.

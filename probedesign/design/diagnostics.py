@@ -126,7 +126,6 @@ def first_problem(error: ValidationError, model: type[BaseModel], text: str) -> 
 
 
 def _place_of(loc: tuple[int | str, ...]) -> tuple[str, int | None, str]:
-    """Return the dotted key of a place, the number of its table in a list of tables from 0, and its item in words."""
     last = max((i for i, part in enumerate(loc) if isinstance(part, str)), default=-1)
     table = next((part for part in loc[:last] if isinstance(part, int)), None)
     item = "".join(f", item {int(part) + 1}" for part in loc[last + 1 :])

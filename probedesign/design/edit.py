@@ -14,8 +14,8 @@ from probedesign.core.errors import InputError
 from probedesign.design.io import COMMENT_COLUMN, check_design, parse_design
 from probedesign.design.schema import Design
 
+#: Keys of `[tolerances]` that `measured` writes for one print.
 _OF_A_PRINT = ("diameter_mm", "diameter_share", "diameter_scatter_mm")
-"""Keys of `[tolerances]` that `measured` writes for one print."""
 
 
 def tables_of(design: Design) -> dict[str, Any]:
@@ -37,7 +37,6 @@ def with_values(tables: Mapping[str, Any], values: Mapping[str, Any]) -> dict[st
 
 
 def _table(tables: Any, parents: Sequence[str], key: str) -> Any:
-    """Return the table with the dotted name `parents`; a missing one is added."""
     for name in parents:
         tables = tables.setdefault(name, {})
         if not isinstance(tables, dict):

@@ -15,10 +15,11 @@ from probedesign.design.sensor_catalog import FILES, SENSORS, load_sensor
 from probedesign.design.sensors import SensorModel
 
 COMMENT_COLUMN = 36
+#: Default tip: a sixth of the base, as of the large probe of the paper. Elastic 50A requires features of 1.5 mm; 2 mm
+#: leaves a margin for thin prints (assumed).
 TIP_RATIO, MIN_TIP_D_MM = 6.0, 2.0
-"""Default tip: a sixth of the base, as of the large probe of the paper. Elastic 50A requires features of 1.5 mm; 2 mm
-leaves a margin for thin prints (assumed)."""
 
+#: Comment beside a key, unless the notes of the design replace it.
 COMMENTS = {
     "date": "of the design, on the drawings",
     "probe.shape": "cone | cylinder | profile",
@@ -49,7 +50,6 @@ COMMENTS = {
     "mount.squeeze_mm": "compression of the lip; by default the least that the tolerances allow",
     "mount.root_rigid_radii": "bending that the base lacks, in base radii; 0 is the bare rod, below 0 it yields",
 }
-"""Comment beside a key, unless the notes of the design replace it."""
 
 HEADER = """\
 # A soft probe. Edit by hand: every load checks the file and names the line of what is wrong.
@@ -135,7 +135,6 @@ def material_keys(resin: Resin) -> dict[str, Any]:
 
 
 def _quantities(resin: Resin) -> dict[str, tuple[Quantity, float]]:
-    """Return the properties of the resin with their units, by key of the design file."""
     return {
         "youngs_modulus_mpa": (resin.youngs_modulus, MPA),
         "shear_modulus_mpa": (resin.shear_modulus, MPA),

@@ -8,16 +8,16 @@ from probedesign.design.catalog import ELASTIC_50A
 from probedesign.design.io import check_design
 from probedesign.design.schema import Design
 
+#: Length, base and tip diameter [mm]. The lengths are from Table I; all diameters except the large probe's base are
+#: assumed: the paper shows them in a figure without numbers.
 PROBES = {"large": (150.0, 12.0, 2.0), "medium": (100.0, 8.0, 2.0), "small": (50.0, 5.0, 1.5)}
-"""Length, base and tip diameter [mm]. The lengths are from Table I; all diameters except the large probe's base are
-assumed: the paper shows them in a figure without numbers."""
+#: Touches of Table I by probe: fraction of the length and force [N]. The directions of the pushes are not given.
 CONDITIONS = {
     "large": ((0.133, 0.25), (0.266, 0.22), (0.266, 0.053), (0.4, 0.103), (0.4, 0.052), (0.533, 0.014), (0.533, 0.032),
               (0.666, 0.011), (0.8, 0.006)),
     "medium": ((0.1, 1.5), (0.3, 0.23), (0.5, 0.126), (0.5, 0.055), (0.7, 0.26), (0.8, 0.02), (0.9, 0.005)),
     "small": ((0.2, 0.4), (0.4, 0.11), (0.4, 0.2), (0.6, 0.07), (0.6, 0.047), (0.6, 0.083), (0.8, 0.032)),
 }  # fmt: skip
-"""Touches of Table I by probe: fraction of the length and force [N]. The directions of the pushes are not given."""
 _MATERIAL = {"youngs_modulus_mpa": 2.32, "shear_modulus_mpa": 0.761, "density_kg_m3": 1010.0}
 _PROVENANCE = dict(zip(_MATERIAL, ("identified", "identified", "datasheet"), strict=True))
 

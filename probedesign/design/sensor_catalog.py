@@ -27,8 +27,7 @@ from probedesign.design.sensors import (
     SensorModel,
 )
 
-FILES = Path(__file__).parent / "sensor_files"
-"""Folder of the known sensors."""
+FILES = Path(__file__).parent / "sensor_files"  #: Folder of the known sensors.
 
 Positive = Annotated[float, Field(gt=0.0, le=1e5)]
 Millimetres = Annotated[float, Field(gt=0.0, le=300.0)]
@@ -318,9 +317,9 @@ def load_sensor(path: Path) -> SensorRecord:
     return parse_toml(read_text(path, "sensor file"), SensorRecord, str(path))
 
 
+#: Known sensors by name, the default first.
 SENSORS: dict[str, SensorModel] = {
     sensor.name: sensor
     for sensor in sorted((load_sensor(path).sensor for path in sorted(FILES.glob("*.toml"))),
                          key=lambda sensor: sensor.name != DEFAULT_SENSOR)
 }  # fmt: skip
-"""Known sensors by name, the default first."""

@@ -15,10 +15,8 @@ from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.design.catalog import MIN_GRIP, PRINT_TOLERANCE, SocketScrew
 
-DEFAULT_SENSOR = "nano17"
-"""Sensor of designs and frozen probes that name none."""
-NANO17_BODY = (17.0 * MM, 14.5 * MM)
-"""Diameter and height of its body [m], for frozen probes that lack them."""
+DEFAULT_SENSOR = "nano17"  #: Sensor of designs and frozen probes that name none.
+NANO17_BODY = (17.0 * MM, 14.5 * MM)  #: Diameter and height of its body [m], for frozen probes that lack them.
 
 
 @dataclass(frozen=True)

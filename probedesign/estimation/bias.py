@@ -19,14 +19,12 @@ import numpy as np
 from probedesign.core.frames import Array
 from probedesign.rod.kernels import inner, kernel
 
+#: Random walk of the bias in one second, in steps of the resolution, by default: `Tolerances.walk_steps`. Assumed.
 WALK_STEPS = 0.05
-"""Random walk of the bias in one second, in steps of the resolution, by default: `Tolerances.walk_steps`. Assumed."""
+#: Standard deviation of the rate at which the bias drifts, in steps a second: ten in an hour. Assumed.
 RAMP_STEPS = 10.0 / 3600.0
-"""Standard deviation of the rate at which the bias drifts, in steps a second: ten in an hour. Assumed."""
-RAMP_TIME = 3600.0
-"""Time in which that rate changes [s]: an hour. Assumed."""
-BLOCK_TIME = 0.2
-"""Longest duration of a block [s]: 1024 samples of a Net F/T box take 0.15 s."""
+RAMP_TIME = 3600.0  #: Time in which that rate changes [s]: an hour. Assumed.
+BLOCK_TIME = 0.2  #: Longest duration of a block [s]: 1024 samples of a Net F/T box take 0.15 s.
 
 BIAS, RATE = 0, 1
 NOW, AT = 0, 1

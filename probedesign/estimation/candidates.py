@@ -36,22 +36,19 @@ from probedesign.rod.kernels.surface_contact import (
     radius_and_slope,
 )
 
+#: Stations evaluated at equal distances along the probe, as many as the scan of `force_moment` has at most.
 STATIONS = 33
-"""Stations evaluated at equal distances along the probe, as many as the scan of `force_moment` has at most."""
+#: Numbers that a trace works in, and one more for each knot: states, misfits, first moments at the knots.
 ROOM = STATIONS * (WIDTH + 3)
-"""Numbers that a trace works in, and one more for each knot: states, misfits, first moments at the knots."""
-ROUGH = 1e-3
-"""Error of a step [rad] from which it is halved, and how often at most."""
+ROUGH = 1e-3  #: Error of a step [rad] from which it is halved, and how often at most.
 _HALVINGS = 4
+#: Cosine of the turn from one station to the next, a 32nd of the probe, at which the trace ends: beyond the contact the
+#: measured moment curls the thin tip up.
 CURLED = 0.5
-"""Cosine of the turn from one station to the next, a 32nd of the probe, at which the trace ends: beyond the contact
-the measured moment curls the thin tip up."""
-DROOPS = 8
-"""Steps along the free part."""
+DROOPS = 8  #: Steps along the free part.
+#: Share of a force that friction around the section usually has, and has at most, in a guess.
 USUAL, MAX_SINE = 0.6, 0.9
-"""Share of a force that friction around the section usually has, and has at most, in a guess."""
-MIN_PUSH = 0.2
-"""Share of a force that a guess takes for normal at least."""
+MIN_PUSH = 0.2  #: Share of a force that a guess takes for normal at least.
 
 
 @inner
@@ -139,7 +136,6 @@ def trace(body, end, gravity, force, moment, work, room):
 
 @inner
 def _misfit(room, j):
-    """Return the squared misfit of station j."""
     off = take(room, STATIONS * WIDTH + 3 * j)
     return dot(off, off)
 

@@ -35,35 +35,33 @@ from probedesign.rod.kernels.surface_contact import (
     plan_move,
 )
 
+#: Outcomes of a fit: a minimum of the misfit; one at an end of the probe; no lower misfit found although this is no
+#: minimum, as where no contact explains the reading; no equilibrium.
 FITTED, AT_END, STALLED, LOST = 0, 1, 2, 3
-"""Outcomes of a fit: a minimum of the misfit; one at an end of the probe; no lower misfit found although this is no
-minimum, as where no contact explains the reading; no equilibrium."""
-RESIDUALS = 8
-"""Six channels and two components of the friction."""
+RESIDUALS = 8  #: Six channels and two components of the friction.
+#: A smaller prior standard deviation of the friction ratio is taken for this one: the force is then normal to within a
+#: hundredth of the angle that any sensor resolves.
 MIN_FRICTION = 1e-4
-"""A smaller prior standard deviation of the friction ratio is taken for this one: the force is then normal to within a
-hundredth of the angle that any sensor resolves."""
+#: Error of a sweep's step [rad]: that of the rod's fast mode or, where the reading's noise hides more, so many standard
+#: deviations of the moment over the moment itself, up to the last.
 FINEST, COARSEST, OF_NOISE = 5e-7, 1e-5, 3e-3
-"""Error of a sweep's step [rad]: that of the rod's fast mode or, where the reading's noise hides more, so many
-standard deviations of the moment over the moment itself, up to the last."""
-CLOSE = 1e-7
-"""Step of arclength over length at which the fit ends."""
+CLOSE = 1e-7  #: Step of arclength over length at which the fit ends.
+#: Decrease of the misfit by a step at which the fit also ends: a hundredth of a standard deviation. That last step is
+#: taken, to first order.
 FLAT = 1e-4
-"""Decrease of the misfit by a step at which the fit also ends: a hundredth of a standard deviation. That last step is
-taken, to first order."""
-JITTER = 1e-3
-"""Increase of the misfit by the sweeps' errors that is accepted, in addition to a ten-thousandth of it."""
+JITTER = 1e-3  #: Increase of the misfit by the sweeps' errors that is accepted, in addition to a ten-thousandth of it.
+#: Sweeps of one fit: it takes 3 to 10 from a good guess; more means that it creeps along a flat valley.
 MAX_ITERATIONS = 30
-"""Sweeps of one fit: it takes 3 to 10 from a good guess; more means that it creeps along a flat valley."""
+#: Largest changes of arclength over length, of the tip [rad] and around the section [rad] in one iteration: within them
+#: the linearisation is useful.
 MAX_STEP, MAX_TURN, MAX_AROUND = 0.06, 0.5, 0.7
-"""Largest changes of arclength over length, of the tip [rad] and around the section [rad] in one iteration: within
-them the linearisation is useful."""
-MIN_PUSH = 0.25
-"""Share of the normal force that one iteration leaves at least: a contact pushes."""
+MIN_PUSH = 0.25  #: Share of the normal force that one iteration leaves at least: a contact pushes.
+#: Sweeps that end at the limit of their steps before a fit is given up; one costs as much as a hundred others.
 MAX_FAILED = 2
-"""Sweeps that end at the limit of their steps before a fit is given up; one costs as much as a hundred others."""
-_SMALLEST = 1e-4
-"""Share of a step below which it is not shortened any more."""
+_SMALLEST = 1e-4  #: Share of a step below which it is not shortened any more.
+#: Memory that a fit works in beside its sweeps: of Gauss-Newton the touch before a step, residuals, their derivatives,
+#: normal equations and the step; of the weights the whitening by noise alone and a covariance; of the covariance the
+#: derivatives of s_contact, and touch, residuals and directions of the valley (see `uncertainty_kernel`).
 FIT_SCRATCH = np.dtype([
     ("before", "f8", TOUCH), ("J", "f8", (RESIDUALS, UNKNOWNS)), ("r", "f8", RESIDUALS),
     ("H", "f8", (UNKNOWNS, UNKNOWNS)), ("full", "f8", (UNKNOWNS, UNKNOWNS)), ("b", "f8", UNKNOWNS),
@@ -73,9 +71,6 @@ FIT_SCRATCH = np.dtype([
     ("at", "f8", TOUCH), ("change", "f8", UNKNOWNS), ("beside", "f8", (RESIDUALS, UNKNOWNS)), ("axis", "f8", 3),
     ("along", "f8", UNKNOWNS), ("valley", "f8", (2, UNKNOWNS)), ("offsets", "f8", (2, 6)),
 ])  # fmt: skip
-"""Memory that a fit works in beside its sweeps: of Gauss-Newton the touch before a step, residuals, their derivatives,
-normal equations and the step; of the weights the whitening by noise alone and a covariance; of the covariance the
-derivatives of s_contact, and touch, residuals and directions of the valley (see `uncertainty_kernel`)."""
 
 
 class Measured(NamedTuple):

@@ -39,8 +39,7 @@ from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.rod.kernels import inner, kernel
 from probedesign.rod.kernels.linalg import forward
 
-LENGTHS = (1, 4, 16, 64, 256, 1024)
-"""Samples of each mean."""
+LENGTHS = (1, 4, 16, 64, 256, 1024)  #: Samples of each mean.
 RATIO = 4
 FREE, CONTACT, LOST, INVALID = 0, 1, 2, 3
 STATE_NOW, DETECTED_BY = 0, 1
@@ -175,14 +174,13 @@ def advance(
     return code
 
 
+#: `lost` is reported once, for the first reading after a touch.
 Touching = Literal["free", "contact", "lost", "out_of_range"]
-"""`lost` is reported once, for the first reading after a touch."""
 _STATES: dict[int, Touching] = {FREE: "free", CONTACT: "contact", LOST: "lost", INVALID: "out_of_range"}
+#: Weight of the sensor's own noise against the observed motion of the free probe, in means, and the number of means
+#: that the covariance averages over.
 PRIOR_WEIGHT = 400.0
-"""Weight of the sensor's own noise against the observed motion of the free probe, in means, and the number of means
-that the covariance averages over."""
-RELEASE_CHANCE = 1e-4
-"""Probability that the mean of a free probe still counts as contact."""
+RELEASE_CHANCE = 1e-4  #: Probability that the mean of a free probe still counts as contact.
 
 
 @dataclass

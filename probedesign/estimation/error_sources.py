@@ -20,9 +20,9 @@ from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.kernels import surface_contact
 from probedesign.rod.rod import Rod
 
+#: Of an error, in the order of the tables.
 CAUSES = ("noise", "drift", "E", "G", "density", "diameter", "diameter scatter", "bore", "length", "root",
           "base place", "base tilt", "clocking", "gravity", "gain", "creep", "stiffness scatter")  # fmt: skip
-"""Of an error, in the order of the tables."""
 
 
 def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[str, Array]:
@@ -215,7 +215,5 @@ class ErrorSources:
         return multistart.room_for(len(self.model.rod.s), len(self.names))
 
 
-FINE = 5e-7
-"""Error of a sweep's step [rad], that of the rod's fast mode."""
-NOTHING = 1e-15
-"""A normal force [N] that is none."""
+FINE = 5e-7  #: Error of a sweep's step [rad], that of the rod's fast mode.
+NOTHING = 1e-15  #: A normal force [N] that is none.

@@ -36,13 +36,12 @@ RESULTS: dict[Result, str] = {
     "no_tare": "the sensor's zero is not that of the free probe, and no tare was taken",
 }
 
+#: Where the moments are taken about that count alone: the base's origin, or the sensor's own.
 MomentsAbout = Literal["base", "sensor"]
-"""Where the moments are taken about that count alone: the base's origin, or the sensor's own."""
 
 
 @cache
 def _nan(*shape: int) -> Array:
-    """Return an array of NaN, which all results without a quantity share and nobody can write to."""
     array = np.full(shape, np.nan)
     array.flags.writeable = False
     return array

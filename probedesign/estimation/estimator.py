@@ -24,19 +24,18 @@ from probedesign.rod.equilibrium import Equilibrium
 if TYPE_CHECKING:
     from probedesign.estimation.fusion import Reading
 
-Method = Literal["ml", "force_moment"]
-"""Ways to locate a single contact."""
+Method = Literal["ml", "force_moment"]  #: Ways to locate a single contact.
 
 ALARM_CHI2 = max_chi2(6, FALSE_ALARM)
+#: Standard deviations of the force below which no position is given: s follows M/F, and its error is no longer normal
+#: where F is known to less than a fifth (tests/estimation/test_statistics.py).
 MIN_FORCE = 5.0
-"""Standard deviations of the force below which no position is given: s follows M/F, and its error is no longer
-normal where F is known to less than a fifth (tests/estimation/test_statistics.py)."""
+#: Difference of poses, in metres and in entries of the rotation, up to which they are one: far below any robot's.
 SAME_POSE = 1e-6
-"""Difference of poses, in metres and in entries of the rotation, up to which they are one: far below any robot's."""
+#: Number of estimators of other variances of the bias that are cached: those of one touch after the other.
 MAX_AGED = 8
-"""Number of estimators of other variances of the bias that are cached: those of one touch after the other."""
+#: Change of the base moment with s, over the force, below which the place of a force is not observable.
 MIN_LEVER = 0.1
-"""Change of the base moment with s, over the force, below which the place of a force is not observable."""
 
 
 @dataclass(frozen=True)
@@ -327,7 +326,6 @@ class Estimator:
         return self.with_drift(math.sqrt(walked + (RAMP_STEPS * seconds) ** 2))
 
     def _scatter(self, readings: int = 1) -> float:
-        """Return the variance of the mean of so many readings over that of their noise alone: they share the drift."""
         return 1.0 + readings * self.priors.drift_steps**2 * self.model.averaging_samples
 
     def detectable(self, wrench_by_force: Array) -> float:

@@ -33,30 +33,25 @@ from probedesign.rod.kernels.solve import SOLUTION, scratch_buffers, solve_cases
 from probedesign.rod.kernels.surface_contact import TIP, TOUCH
 from probedesign.rod.rod import Rod
 
-STATIONS = 33
-"""Arclengths scanned for candidates: L/32 apart, denser than the misfit's own waves (tests/estimation)."""
+STATIONS = 33  #: Arclengths scanned for candidates: L/32 apart, denser than the misfit's own waves (tests/estimation).
+#: Forces up to which fewer will do, as F L² r(0)/(E I(0) r(L)): a probe that hardly bends makes no waves.
 LIGHT = ((0.5, 9), (1.5, 17))
-"""Forces up to which fewer will do, as F L² r(0)/(E I(0) r(L)): a probe that hardly bends makes no waves."""
-SCAN_TOLERANCE = 1e-5
-"""Error a step [rad] while scanning."""
-ACROSS = 0.5
-"""Sine from which a force counts as across the free rod."""
-ALONG = 0.26
-"""Sine of 15°: a contact pushing closer to the surface would need a friction coefficient of 3.7."""
+SCAN_TOLERANCE = 1e-5  #: Error a step [rad] while scanning.
+ACROSS = 0.5  #: Sine from which a force counts as across the free rod.
+ALONG = 0.26  #: Sine of 15°: a contact pushing closer to the surface would need a friction coefficient of 3.7.
+#: Stations that a minimum may lie away from where the scan saw it: a probe bent by less than a thousandth of a radian
+#: feels the scan's own errors.
 REACH = 4
-"""Stations that a minimum may lie away from where the scan saw it: a probe bent by less than a thousandth of a
-radian feels the scan's own errors."""
+#: Share of the squared misfit that a last step may still take off: a hundred-thousandth of what is left unexplained,
+#: which the rod's own digits hide.
 FLAT = 1e-10
-"""Share of the squared misfit that a last step may still take off: a hundred-thousandth of what is left unexplained,
-which the rod's own digits hide."""
+#: A secant is used as the curvature of the misfit within this factor of the curvature of a linear moment.
 CURVED = 10.0
-"""A secant is used as the curvature of the misfit within this factor of the curvature of a linear moment."""
 _MAX_ITERATIONS = 60
 _CLOSE = 1e-10  # of the length: a hundredth of a nanometre on a long probe
 
 
 def _stations(rod: Rod, force: Array) -> int:
-    """Return how many arclengths to scan."""
     thinnest = float(rod.radius[rod.s <= rod.flank_end].min())
     stiffness = rod.youngs_modulus * math.pi / 4.0 * float(rod.radius[0]) ** 3 * thinnest
     bend = math.sqrt(force @ force) * rod.length**2 / stiffness
@@ -73,7 +68,6 @@ def _pushed(force: Array, free: Array, tangents: Array) -> int:
 
 
 def _sines(force: Array, tangents: Array) -> Array:
-    """Return the sine of the angle between a force and each tangent (j, 3); 0 without a force."""
     along = tangents @ (force / (math.sqrt(force @ force) or 1.0))
     whole = (tangents * tangents).sum(axis=1) if force.any() else along**2
     sines: Array = np.sqrt(np.maximum(whole - along**2, 0.0))
@@ -200,8 +194,7 @@ def touch_at(rod: Rod, s: float, force: Array, tangent: Array, x_axis: Array, ti
     return touch
 
 
-DOF = 2
-"""Three moments, one unknown."""
+DOF = 2  #: Three moments, one unknown.
 
 
 def locate(problem: Problem) -> list[Candidate]:
@@ -257,13 +250,10 @@ def _candidate(problem: Problem, eq: Equilibrium) -> Candidate:
 
 
 CURVE_STATIONS = 24
-NEAREST = 0.04
-"""Of the stations to the base, over the length."""
-MAX_BENT = 6.0
-"""F s² r(0)/(E I(0) r(s)) beyond which a push has no equilibrium; to search for one would take long."""
+NEAREST = 0.04  #: Of the stations to the base, over the length.
+MAX_BENT = 6.0  #: F s² r(0)/(E I(0) r(s)) beyond which a push has no equilibrium; to search for one would take long.
 _CURVE_ITERATIONS = 3
-X_AXIS, Y_AXIS = slice(3, 6), slice(9, 12)
-"""Of the section at the contact, in `Batch.frame`."""
+X_AXIS, Y_AXIS = slice(3, 6), slice(9, 12)  #: Of the section at the contact, in `Batch.frame`.
 
 
 @dataclass(frozen=True)
@@ -311,7 +301,6 @@ def _max_force(rod: Rod, s: Array) -> Array:
 
 
 def _across(batch: Batch, force: Array, moment: Array) -> Array:
-    """Return the forces across the sections whose base moments come nearest to the one read, to first order, (j, 3)."""
     across = np.stack([batch.frame[:, X_AXIS], batch.frame[:, Y_AXIS]], axis=2)
     by_force = batch.d_moment[:, :, :3]
     misfit = moment - batch.wrench_base[:, 3:6] + np.einsum("jik,jk->ji", by_force, force)

@@ -27,23 +27,18 @@ from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.estimation.uncertainty_kernel import NODE, TAIL
 from probedesign.rod.kernels.surface_contact import PHI, POINT, TIP, TOUCH, VALUE
 
-NEAR = 1e-9
-"""Poses whose numbers differ by no more, in metres too, are one."""
-STARTS = 3
-"""Closest approaches of the curves that a fusion starts from."""
-ANYWHERE = (4, 10, 16, 22)
-"""Stations to start from where no closest approach leads to a solution."""
+NEAR = 1e-9  #: Poses whose numbers differ by no more, in metres too, are one.
+STARTS = 3  #: Closest approaches of the curves that a fusion starts from.
+ANYWHERE = (4, 10, 16, 22)  #: Stations to start from where no closest approach leads to a solution.
 MAX_ITERATIONS = 40
-CLOSE = 1e-3
-"""Step of the touched point, in standard deviations, at which the iterations end."""
+CLOSE = 1e-3  #: Step of the touched point, in standard deviations, at which the iterations end.
+#: Step of a pose's own unknowns, in standard deviations given the point, at which they end too; it is taken.
 SETTLED_STEP = 0.03
-"""Step of a pose's own unknowns, in standard deviations given the point, at which they end too; it is taken."""
-GROUPS = ("stiffness", "bias", "robot")
-"""Groups of error sources whose absence `rms_without` reports."""
+GROUPS = ("stiffness", "bias", "robot")  #: Groups of error sources whose absence `rms_without` reports.
+#: Standard deviation, over that of the free point, to which `Fusion.curvature` constrains the point.
 CONSTRAINT_STD = 1e-3
-"""Standard deviation, over that of the free point, to which `Fusion.curvature` constrains the point."""
+#: Extensions of the offset at which the point is constrained, until the misfit has risen by about three.
 MAX_EXTENSIONS = 3
-"""Extensions of the offset at which the point is constrained, until the misfit has risen by about three."""
 
 
 @dataclass(frozen=True)
@@ -210,7 +205,6 @@ class Fusion:
         return [start]
 
     def _from_one(self, k: int, wrench: Array, cov: Array) -> list[Candidate]:
-        """Return the touches that explain one reading (6,) with the covariance of its noise, at the pose k."""
         sources, gravity = self.sources[k], self.readings[k].gravity
         seen = Observation(wrench, statistics.whiten(cov), gravity, self.model.mass * gravity, math.inf)
         return locate(Problem(sources, seen, self.model.friction, cov + sources.drift))

@@ -51,12 +51,9 @@ from probedesign.rod.kernels.surface_contact import (
 )
 
 BIAS, FRICTION = 6, 2
-LOCAL = UNKNOWNS + 1
-"""Unknowns of a pose alone: its touch and its stiffness."""
-PINNED = 1e-6
-"""Standard deviation of a bias, in steps, below which it counts as known."""
-EXACT = 1e-8
-"""Standard deviation of the base's place [m] below which a robot counts as exact."""
+LOCAL = UNKNOWNS + 1  #: Unknowns of a pose alone: its touch and its stiffness.
+PINNED = 1e-6  #: Standard deviation of a bias, in steps, below which it counts as known.
+EXACT = 1e-8  #: Standard deviation of the base's place [m] below which a robot counts as exact.
 
 
 def columns(causes: int) -> int:

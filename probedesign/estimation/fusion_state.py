@@ -23,17 +23,16 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.rod.kernels.surface_contact import ALONG, AROUND, DEAD, NORMAL, OWN, ROWS, TOUCH, UNKNOWNS, work_size
 
+#: Share of the friction ratio's variance that the touches of one object have in common. Assumed: they are of the same
+#: two materials and slip to the same side, but differ in how far each has slipped.
 COMMON_FRICTION = 0.5
-"""Share of the friction ratio's variance that the touches of one object have in common. Assumed: they are of the same
-two materials and slip to the same side, but differ in how far each has slipped."""
+#: Standard deviation of an object's step on each axis [m], if it moves between two touches. Assumed: a light object
+#: that is pushed over its support.
 OBJECT_STEP = 1e-3
-"""Standard deviation of an object's step on each axis [m], if it moves between two touches. Assumed: a light object
-that is pushed over its support."""
-MAX_STEP = 0.1
-"""Of arclength over length, in one step."""
+MAX_STEP = 0.1  #: Of arclength over length, in one step.
+#: Priors that `FusionState.rms` may change, by the error source whose columns go with them.
 _SCALED = {"E": "youngs_modulus", "G": "shear_modulus", "creep": "creep", "stiffness scatter": "stiffness_scatter",
            "base place": "base_mm"}  # fmt: skip
-"""Priors that `FusionState.rms` may change, by the error source whose columns go with them."""
 
 
 def channels_of(model: ProbeModel, moments: MomentsAbout | None) -> Array:
@@ -380,5 +379,4 @@ class FusionState:
 
 
 def _factor(memory: Array, n: int) -> tuple[Array, Array]:
-    """Return the Cholesky factor of the scaled information matrix, (n, n), and its scale, (n,), of `solve_reduced`."""
     return np.tril(memory[: n * n].reshape(n, n)), memory[n * n : n * n + n]

@@ -24,10 +24,8 @@ from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.kernels.surface_contact import ALONG, AROUND, DEAD, NORMAL, ROWS, TIP, UNKNOWNS, S, work_size
 from probedesign.rod.rod import Rod
 
-_SAME = 1e-5
-"""Places closer than this, over the length, are one."""
-_ALIKE = 0.05
-"""Two places closer than this, over a standard deviation, are one; a fit ends within a hundredth of it."""
+_SAME = 1e-5  #: Places closer than this, over the length, are one.
+_ALIKE = 0.05  #: Two places closer than this, over a standard deviation, are one; a fit ends within a hundredth of it.
 
 
 def dof_of(friction: float) -> int:
@@ -85,8 +83,8 @@ def explains(place: Candidate) -> bool:
     return place.chi2 <= max_chi2(place.dof, MISFIT_CHANCE)
 
 
+#: Memory of fits that have ended, by its size, for the next ones; threads do not share a piece.
 _spare: dict[int, list[tuple[Array, NDArray[Any]]]] = defaultdict(list)
-"""Memory of fits that have ended, by its size, for the next ones; threads do not share a piece."""
 
 
 def _fit(problem: Problem, near: Array | None) -> NDArray[Any]:
@@ -108,8 +106,8 @@ def _fit(problem: Problem, near: Array | None) -> NDArray[Any]:
     return rows[:count]
 
 
+#: Share of the force that is normal below which a fit has run into the wall that keeps contacts from pulling.
 _PULLED = 1e-3
-"""Share of the force that is normal below which a fit has run into the wall that keeps contacts from pulling."""
 
 
 def _places(problem: Problem, rows: NDArray[Any]) -> list[Candidate]:
@@ -217,8 +215,7 @@ def _bound(problem: Problem, place: Candidate, sign: float) -> float:
     return float(min(max(bound[0], 0.0), model.rod.length))
 
 
-MAX_PROFILE_STEPS = 12
-"""Steps of 0.7 standard deviations within which a bound of the interval is searched."""
+MAX_PROFILE_STEPS = 12  #: Steps of 0.7 standard deviations within which a bound of the interval is searched.
 
 
 def _distinct(problem: Problem, places: list[Candidate]) -> list[Candidate]:
@@ -234,15 +231,12 @@ def _distinct(problem: Problem, places: list[Candidate]) -> list[Candidate]:
     return kept
 
 
-ROUNDED_TIP_DOF = 3
-"""Six channels, three unknowns: the force."""
+ROUNDED_TIP_DOF = 3  #: Six channels, three unknowns: the force.
 _FORCE_ITERATIONS = 12
-_FORCE_CLOSE = 1e-3
-"""Step of the whitened misfit, in standard deviations, at which the search ends."""
-_LEANING = 3.0
-"""Standard deviations of the force by which it may seem to lean less than the flank's normal."""
+_FORCE_CLOSE = 1e-3  #: Step of the whitened misfit, in standard deviations, at which the search ends.
+_LEANING = 3.0  #: Standard deviations of the force by which it may seem to lean less than the flank's normal.
+#: Ratio of friction that is counted where the direction of the force is free: the touched point lies within R.
 MAX_FRICTION = 1.0
-"""Ratio of friction that is counted where the direction of the force is free: the touched point lies within R."""
 
 
 class _ForceFit(NamedTuple):

@@ -22,8 +22,8 @@ from probedesign.geometry.mass import MassProperties
 from probedesign.rod.kernels import kernel
 from probedesign.rod.rod import Rod
 
+#: Fraction of the range: a channel closer to its end counts as saturated. The resolution is 1/3840 of the range.
 FULL_SCALE = 1e-3
-"""Fraction of the range: a channel closer to its end counts as saturated. The resolution is 1/3840 of the range."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,6 @@ class ProbeModel(Displayed):
 
     @cached_property
     def _sensor_from_base(self) -> Array:
-        """Return the map of wrenches from the base's origin to the sensor's, (6, 6)."""
         return wrench_map(self.T_sensor_base)
 
     @cached_property
@@ -139,18 +138,16 @@ class ProbeModel(Displayed):
         return replace(self, noise=noise)
 
 
-NUMERICAL = 1e-6
-"""Relative error of the fast solver's base moment, the lower bound of a reading's standard deviation."""
-NEGLIGIBLE = 1e-2
-"""Fraction of the moment's standard deviation below which this error is neglected."""
+NUMERICAL = 1e-6  #: Relative error of the fast solver's base moment, the lower bound of a reading's standard deviation.
+NEGLIGIBLE = 1e-2  #: Fraction of the moment's standard deviation below which this error is neglected.
 
 
+#: What `observe` finds: the mean wrench, the flexible part's weight, the misfit of the free probe, the size of the
+#: moment, the misfit of a sensor that reads zero, and the mean's whitening.
 OBSERVATION = np.dtype([
     ("wrench", "f8", 6), ("weight", "f8", 3), ("chi2", "f8"), ("moment", "f8"), ("sensor_chi2", "f8"),
     ("whiten", "f8", (6, 6)),
 ])  # fmt: skip
-"""What `observe` finds: the mean wrench, the flexible part's weight, the misfit of the free probe, the size of the
-moment, the misfit of a sensor that reads zero, and the mean's whitening."""
 
 
 @kernel

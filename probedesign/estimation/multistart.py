@@ -61,35 +61,31 @@ from probedesign.rod.kernels.surface_contact import (
     work_size,
 )
 
-MAX_STARTS = 8
-"""Places that one reading is fitted from at most, the likeliest ones."""
+MAX_STARTS = 8  #: Places that one reading is fitted from at most, the likeliest ones.
+#: One fit: its outcome (FITTED, ...), the touch, squared misfit and the part of it due to friction, change of the base
+#: moment with s over the force, variance of s_contact [m²], covariance of the five unknowns, those of the touched point
+#: and of the centreline point [m²], both to first order alone, force [N], touched point and centreline point [m],
+#: s_contact [m], the reading's whitening, and how many sweeps the fit took under the weights of noise and drift and
+#: under all.
 FIT = np.dtype([
     ("status", "f8"), ("touch", "f8", TOUCH), ("chi2", "f8"), ("chi2_friction", "f8"), ("lever", "f8"), ("var_s", "f8"),
     ("cov_touch", "f8", (UNKNOWNS, UNKNOWNS)), ("cov_surface", "f8", (3, 3)), ("cov_centre", "f8", (3, 3)),
     ("cov_linear_surface", "f8", (3, 3)), ("cov_linear_centre", "f8", (3, 3)), ("force", "f8", 3),
     ("surface", "f8", 3), ("centre", "f8", 3), ("s_contact", "f8"), ("whiten", "f8", (6, 6)), ("sweeps", "f8", 2),
 ])  # fmt: skip
-"""One fit: its outcome (FITTED, ...), the touch, squared misfit and the part of it due to friction, change of the base
-moment with s over the force, variance of s_contact [m²], covariance of the five unknowns, those of the touched point
-and of the centreline point [m²], both to first order alone, force [N], touched point and centreline point [m],
-s_contact [m], the reading's whitening, and how many sweeps the fit took under the weights of noise and drift and under
-all."""
+#: Misfits of the trace beyond which no contact is fitted: standard deviations of the reading's moment and of its
+#: force's lever together, and over the moment itself. Friction around the section leaves a couple of its own, μ r F,
+#: which is added.
 LIKELY, SHARE = 8.0, 0.05
-"""Misfits of the trace beyond which no contact is fitted: standard deviations of the reading's moment and of its
-force's lever together, and over the moment itself. Friction around the section leaves a couple of its own, μ r F, which
-is added."""
+#: Of the length: how far before the likeliest place a second fit starts where the first one leads nowhere, as where the
+#: trace has run out of the thin tip.
 BACK = (0.0, 0.08)
-"""Of the length: how far before the likeliest place a second fit starts where the first one leads nowhere, as where
-the trace has run out of the thin tip."""
-FEW = 10
-"""Iterations for a place other than the likeliest: a rival that explains the reading is near its guess."""
-ROUNDS = 6
-"""Most recomputations of the weights: each changes them by a fraction of the change before."""
+FEW = 10  #: Iterations for a place other than the likeliest: a rival that explains the reading is near its guess.
+ROUNDS = 6  #: Most recomputations of the weights: each changes them by a fraction of the change before.
+#: Decrease of the misfit by a step under new weights, over one and the misfit, at which they are kept: a thirtieth of a
+#: standard deviation, taken to first order.
 SETTLED = 1e-3
-"""Decrease of the misfit by a step under new weights, over one and the misfit, at which they are kept: a thirtieth of a
-standard deviation, taken to first order."""
-MAX_FRICTION = 3.0
-"""Ratio of friction that the trace allows for where the direction of the force is free."""
+MAX_FRICTION = 3.0  #: Ratio of friction that the trace allows for where the direction of the force is free.
 
 
 def room_for(knots: int, causes: int) -> int:

@@ -8,15 +8,15 @@ from typing import Any, Protocol
 from probedesign.core.errors import InputError
 from probedesign.design.catalog import RESINS, Quantity
 
-IDENTIFIED = 0.005
-"""What an identification on the bench leaves of the stiffness, relative. Assumed."""
+IDENTIFIED = 0.005  #: What an identification on the bench leaves of the stiffness, relative. Assumed.
+#: Standard deviation of E where nothing was measured, relative: prints of one resin differ so. Assumed.
 ASSUMED_STIFFNESS = 0.03
-"""Standard deviation of E where nothing was measured, relative: prints of one resin differ so. Assumed."""
 
+#: Time [s] for which `drift_steps` and `walk_steps` are given. Assumed: the detector's walk of 0.05 steps a root of a
+#: second makes the default 0.2 steps of it.
 WALK_SECONDS = 16.0
-"""Time [s] for which `drift_steps` and `walk_steps` are given. Assumed: the detector's walk of 0.05 steps a root of a
-second makes the default 0.2 steps of it."""
 
+#: Source of each default, with the product of the resin and the source of its density in the places of the braces.
 SOURCES = {
     "drift_steps": "assumed, as in fusion",
     "walk_steps": "assumed: 0.05 steps a root of a second over a quarter of a minute, as drift_steps",
@@ -41,7 +41,6 @@ SOURCES = {
     "stiffness_scatter": "assumed: creep and hysteresis from touch to touch; nothing is published for {product}",
     "robot_mm": "assumed: ISO 9283 repeatability of ±0.03 mm of a small arm, taken as three standard deviations",
 }
-"""Source of each default, with the product of the resin and the source of its density in the places of the braces."""
 
 
 class KnownModel(Protocol):

@@ -29,26 +29,22 @@ from probedesign.estimation.fusion_state import FusionState, channels_of
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 
 MAX_KEYFRAMES = 8
+#: Readings of the last keyframe at which all keyframes are linearised anew: its first ones move the point most.
 LINEARISED_AT = (2.0, 4.0, 8.0, 16.0, 32.0)
-"""Readings of the last keyframe at which all keyframes are linearised anew: its first ones move the point most."""
-LINEARISED_EVERY = 4
-"""Readings, times the number of keyframes, after which they are linearised anew in any case."""
+LINEARISED_EVERY = 4  #: Readings, times the number of keyframes, after which they are linearised anew in any case.
+#: Least time from one evaluation of the curvature to the next, and the longest where the base moves on all the time.
 CURVATURE_SECONDS = (0.1, 1.0)
-"""Least time from one evaluation of the curvature to the next, and the longest where the base moves on all the time."""
-FIRST_CURVATURE = 16.0
-"""Readings of a keyframe after which the curvature is evaluated; then after four times as many."""
+FIRST_CURVATURE = 16.0  #: Readings of a keyframe after which the curvature is evaluated; then after four times as many.
+#: Readings from one start to the next, which come after 1, 2, 4 ... of them: a start may take a tenth of a second, and
+#: a touch that fits no single point must not hold up the readings.
 MAX_WAIT = 256
-"""Readings from one start to the next, which come after 1, 2, 4 ... of them: a start may take a tenth of a second, and
-a touch that fits no single point must not hold up the readings."""
-SETTLING = 8
-"""Gauss-Newton steps at the first readings, from the place that one reading by itself gives."""
-MAX_COUNT = 1e9
-"""Readings after which a mean follows like a low-pass filter."""
+SETTLING = 8  #: Gauss-Newton steps at the first readings, from the place that one reading by itself gives.
+MAX_COUNT = 1e9  #: Readings after which a mean follows like a low-pass filter.
+#: Distance [m] below which two poses are one, or three standard deviations of the robot's place if that is more; a
+#: rotation of 1 rad counts as a tenth of a metre.
 _APART = 5e-6
-"""Distance [m] below which two poses are one, or three standard deviations of the robot's place if that is more; a
-rotation of 1 rad counts as a tenth of a metre."""
+#: Distance [m], rotations included, above which two poses are not merged into one keyframe: their readings differ.
 _MIXED = 1e-4
-"""Distance [m], rotations included, above which two poses are not merged into one keyframe: their readings differ."""
 
 
 @dataclass(eq=False)
@@ -348,7 +344,6 @@ class Tracker:
                              dof=result.dof, rms=rms, iterations=1)  # fmt: skip
 
     def _is_due(self, touch: _Touch, size: float) -> bool:
-        """Return whether to evaluate the curvature again, which takes some milliseconds."""
         before, since, last = touch.curvature.size, self._time - touch.curvature.time, touch.keyframes[-1]
         if before == 0.0 or since < CURVATURE_SECONDS[0]:
             return before == 0.0
@@ -429,6 +424,5 @@ class Tracker:
 
 
 def _positive_part(A: Array) -> Array:
-    """Return the nearest positive semidefinite matrix to a symmetric one."""
     values, vectors = np.linalg.eigh(A)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

@@ -54,8 +54,7 @@ from probedesign.rod.kernels.surface_contact import (
     settle,
 )
 
-ROOT_CENTRE = 0.375
-"""Where the root's compliance is centred, in base radii (`rod.ROOT_CENTRE`, docs/decisions/0006)."""
+ROOT_CENTRE = 0.375  #: Where the root's compliance is centred, in base radii (`rod.ROOT_CENTRE`, docs/decisions/0006).
 
 
 @inner
@@ -248,27 +247,25 @@ def posterior(lin, touch, J, whiten, D, by_s, work, gain, fit):
     return True
 
 
-MIN_SHARE = 0.05
-"""Least share of the way to a node of the valley that second differences are divided by."""
+MIN_SHARE = 0.05  #: Least share of the way to a node of the valley that second differences are divided by.
+#: Standard deviations to either side at which the valley is evaluated: the nodes of Gauss-Hermite quadrature.
 NODE = math.sqrt(3.0)
-"""Standard deviations to either side at which the valley is evaluated: the nodes of Gauss-Hermite quadrature."""
+#: Sagitta of the valley, over the smallest standard deviation of the point, that a linear covariance may neglect.
 FLAT_ENOUGH = 0.2
-"""Sagitta of the valley, over the smallest standard deviation of the point, that a linear covariance may neglect."""
+#: Factor on the mean square of what bows. b δ² has the long tail of a χ² with one degree of freedom: with its mean
+#: square alone the 95 % ellipsoid of a bow much wider than the rest holds 92 %, with twice that 94.6 % (the integral of
+#: the standard normal over δ² + δ⁴/(3 TAIL) + χ²₁ <= χ²₃(95 %)).
 TAIL = 2.0
-"""Factor on the mean square of what bows. b δ² has the long tail of a χ² with one degree of freedom: with its mean
-square alone the 95 % ellipsoid of a bow much wider than the rest holds 92 %, with twice that 94.6 % (the integral of
-the standard normal over δ² + δ⁴/(3 TAIL) + χ²₁ <= χ²₃(95 %))."""
+#: Curvature of the valley times the length, at most: a probe bent to a quarter of a circle over its outer fifth.
 MAX_CURVATURE = 8.0
-"""Curvature of the valley times the length, at most: a probe bent to a quarter of a circle over its outer fifth."""
+#: Standard deviation of the point, over the length, from which the curve is evaluated on both sides; where it is less,
+#: the inner side is taken for both.
 WIDE = 0.02
-"""Standard deviation of the point, over the length, from which the curve is evaluated on both sides; where it is less,
-the inner side is taken for both."""
-BESIDE = 1e4
-"""Weight that keeps a point on the valley at its distance from the estimate, over its information."""
+BESIDE = 1e4  #: Weight that keeps a point on the valley at its distance from the estimate, over its information.
 
+#: Square of the correlation of touched point and centreline point along their principal axes from which both are
+#: evaluated at the same places of one valley.
 SAME_VALLEY = 0.99
-"""Square of the correlation of touched point and centreline point along their principal axes from which both are
-evaluated at the same places of one valley."""
 
 
 class _Valley(NamedTuple):

@@ -102,10 +102,9 @@ class ProbeGeometry:
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
+#: Thickness of the flange [m]: twice the 1.5 mm that Elastic 50A requires of a feature, to be clamped (assumed).
 FLANGE_THICKNESS = 3.0 * MM
-"""Thickness of the flange [m]: twice the 1.5 mm that Elastic 50A requires of a feature, to be clamped (assumed)."""
-FLANGE_LIP = 3.5 * MM
-"""Radial width under the clamp ring [m] (assumed)."""
+FLANGE_LIP = 3.5 * MM  #: Radial width under the clamp ring [m] (assumed).
 
 
 def flange_for(base_d: float, min_d: float, thickness: float = FLANGE_THICKNESS, lip: float = FLANGE_LIP) -> Flange:
@@ -123,9 +122,9 @@ def flange_for(base_d: float, min_d: float, thickness: float = FLANGE_THICKNESS,
 Knot = tuple[float, float]
 
 
+#: Largest deviation of the frusta from the sphere of a rounded tip [mm]: one pixel of a Form 3 in XY, the finest that
+#: it prints; its layers of Elastic 50A are 0.1 mm.
 DEVIATION_MM = 0.025
-"""Largest deviation of the frusta from the sphere of a rounded tip [mm]: one pixel of a Form 3 in XY, the finest that
-it prints; its layers of Elastic 50A are 0.1 mm."""
 
 
 _MAX_FACETS = 64

@@ -7,8 +7,7 @@ import numpy as np
 
 from probedesign.core.frames import Array
 
-RINGS, SIDES = 72, 36
-"""Of the mesh on a screen: uniform rings, and corners of each."""
+RINGS, SIDES = 72, 36  #: Of the mesh on a screen: uniform rings, and corners of each.
 
 
 @dataclass(frozen=True)

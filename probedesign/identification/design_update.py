@@ -16,11 +16,10 @@ from probedesign.identification.parameters import PARAMETERS
 from probedesign.identification.result import Identification, Identified
 from probedesign.mount.mount import stated_root_radii
 
-IN_DESIGN = {name: one for name, one in PARAMETERS.items() if one.design_key}
-"""Parameters that a design file holds."""
+IN_DESIGN = {name: one for name, one in PARAMETERS.items() if one.design_key}  #: Parameters that a design file holds.
 MATERIAL = {name: one for name, one in IN_DESIGN.items() if one.design_key.startswith("material.")}
+#: Keys that an identification of E replaces as well, where E was not identified before.
 REPLACED_WITH_E = ("material.stiffness_spread", "tolerances.youngs_modulus_by_diameter", "tolerances.root_radii")
-"""Keys that an identification of E replaces as well, where E was not identified before."""
 
 
 def design_changes(found: Identification, design: Design, day: str) -> tuple[Change, ...]:

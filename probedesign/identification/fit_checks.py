@@ -23,21 +23,21 @@ from probedesign.identification.residuals import MeasuredTest, ResidualBlock
 from probedesign.identification.robust_loss import READING_KINDS, REJECTION_CHANCE, ROBUST_KINDS, NoiseScale
 from probedesign.identification.solver import Fit, Linearization
 
-MIN_SHARE = 0.2
-"""Component of a unit direction from which on a parameter takes part in what cannot be separated."""
+MIN_SHARE = 0.2  #: Component of a unit direction from which on a parameter takes part in what cannot be separated.
+#: Usual fraction of gross errors. Source: F. Hampel et al., Robust Statistics, 1986: 1 to 10 % in routine data. Far
+#: below one half, the breakdown point of the median, which the search starts with.
 GROSS_ERROR_RATE = 0.05
-"""Usual fraction of gross errors. Source: F. Hampel et al., Robust Statistics, 1986: 1 to 10 % in routine data. Far
-below one half, the breakdown point of the median, which the search starts with."""
+#: Residuals of readings over the scatter of these readings from test to test, both RMS, from which on a fit does not
+#: explain them: it then accounts for less than three quarters of their variance (assumed).
 MAX_UNEXPLAINED = 0.5
-"""Residuals of readings over the scatter of these readings from test to test, both RMS, from which on a fit does not
-explain them: it then accounts for less than three quarters of their variance (assumed)."""
+#: Markers that scatter by more times their stated noise contradict the model if residuals of neighbours agree: noise of
+#: markers is independent, and an error of the model bends the whole probe (limit of the correlation assumed).
 MAX_NOISE_SCALE, MAX_NEIGHBOUR_CORRELATION = 3.0, 0.5
-"""Markers that scatter by more times their stated noise contradict the model if residuals of neighbours agree: noise of
-markers is independent, and an error of the model bends the whole probe (limit of the correlation assumed)."""
+#: Fraction of its variance that a residual must keep to be tested: below it the other readings do not check it.
 MIN_REDUNDANCY = 0.02
-"""Fraction of its variance that a residual must keep to be tested: below it the other readings do not check it."""
 LABELS = {"markers": "markers", "wrenches": "wrenches", "touches": "touched places", "places": "arclengths of loads",
           "weights": "known loads", "stiffness": "stiffnesses of tests", "friction": "frictions"}  # fmt: skip
+#: What to check in the data folder, by kind of reading.
 CHECKS = {
     "markers": "the unit of their columns, s_mm, side_deg and the base's rotation in campaign.toml, and the numbering "
     "of the markers",
@@ -48,15 +48,13 @@ CHECKS = {
     "places": "s_contact_mm and std_s_mm",
     "weights": "the known forces and their unit",
 }
-"""What to check in the data folder, by kind of reading."""
-DIMENSIONS = "dimensions as designed"
-"""Label of the prior on the print's dimensions."""
+DIMENSIONS = "dimensions as designed"  #: Label of the prior on the print's dimensions.
+#: Kinds of readings that have full weight: what they are, and what to check.
 SINGLE_READINGS = {
     "sags": ("the sag of {}", "tip_sag_mm: its sign, its unit and std_sag_mm"),
     "scales": ("the weighing", "mass_g, std_g and of in campaign.toml"),
     "poisson": ("Poisson's ratio", "the diameters of the print, and whether it is solid"),
 }
-"""Kinds of readings that have full weight: what they are, and what to check."""
 
 
 # observability
@@ -131,7 +129,6 @@ def conditional_estimate(fit: Fit, column: int) -> tuple[float, float, float | N
 
 
 def _of_print(fit: Fit, columns: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return which entries of the parameter vector are dimensions of the print."""
     modes = fit.point.problem.common.print_columns
     return np.asarray((modes.start <= columns) & (columns < modes.stop))
 

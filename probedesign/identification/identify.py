@@ -34,17 +34,15 @@ from probedesign.identification.result import Identification, Outlier
 from probedesign.identification.robust_loss import outliers
 from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, fit, solvable_tests, start_point
 
-MIN_READINGS = 8
-"""Readings of one test from which on their scatter replaces the sensor's noise where it is larger."""
+MIN_READINGS = 8  #: Readings of one test from which on their scatter replaces the sensor's noise where it is larger.
+#: Factor on the design's E from which on units are questioned: published values of one resin, 1.6 to 3.2 MPa, differ by
+#: two, and a factor on all forces cannot be distinguished from a factor on E.
 SUSPICIOUS_FACTOR = 3.0
-"""Factor on the design's E from which on units are questioned: published values of one resin, 1.6 to 3.2 MPa, differ by
-two, and a factor on all forces cannot be distinguished from a factor on E."""
+#: Factor on the limits of observability at the start of the search, where the parameters are rough.
 START_TOLERANCE = 3.0
-"""Factor on the limits of observability at the start of the search, where the parameters are rough."""
+#: Fraction of the tests that may be left out because most of their readings are outliers; one always (assumed).
 MAX_LEFT_OUT = 0.2
-"""Fraction of the tests that may be left out because most of their readings are outliers; one always (assumed)."""
-TEST_SECONDS = 60.0
-"""Time from one test to the next where wrenches.csv has no time_s (assumed)."""
+TEST_SECONDS = 60.0  #: Time from one test to the next where wrenches.csv has no time_s (assumed).
 
 
 @dataclass(frozen=True)
@@ -265,7 +263,6 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
 
 
 def _problem(data: IdentificationData, requested: Sequence[str]) -> LeastSquaresProblem:
-    """Return the fit of some requested parameters."""
     return LeastSquaresProblem(data.common, data.tests, data.mass, data.common.prior_without(requested))
 
 

@@ -33,18 +33,16 @@ from probedesign.estimation.tolerances import Tolerances
 from probedesign.geometry.probe_geometry import filleted
 from probedesign.mount import build_geometry
 
+#: Standard deviation of one reading where its cell is empty [mm]: the jaws indent a soft resin. Assumed.
 READING_STD_MM = 0.03
-"""Standard deviation of one reading where its cell is empty [mm]: the jaws indent a soft resin. Assumed."""
+#: Standard deviation of the error that all readings share [mm]: ±0.03 mm of digital calipers (DIN 862), and the force
+#: of the jaws on a soft resin. Assumed.
 CALIPERS_STD_MM = 0.02
-"""Standard deviation of the error that all readings share [mm]: ±0.03 mm of digital calipers (DIN 862), and the force
-of the jaws on a soft resin. Assumed."""
+#: Standard deviation of the scale of a whole print, relative. Assumed: the shrinkage of the resins is not published; a
+#: change of size by 2 % is taken as two standard deviations.
 PRINT_SCALE_STD = 0.01
-"""Standard deviation of the scale of a whole print, relative. Assumed: the shrinkage of the resins is not published; a
-change of size by 2 % is taken as two standard deviations."""
-CONTRADICTION = 0.001
-"""Chance of the chi-square test below which the readings contradict the prior."""
-MAX_DEVIATIONS = 4.0
-"""Standard deviations from the drawn diameter beyond which a reading is of another probe."""
+CONTRADICTION = 0.001  #: Chance of the chi-square test below which the readings contradict the prior.
+MAX_DEVIATIONS = 4.0  #: Standard deviations from the drawn diameter beyond which a reading is of another probe.
 SCHEMA = TableSchema(
     what="table of measured diameters",
     kinds={"s": "length", "diameter": "length", "std": "length"},
@@ -203,7 +201,6 @@ def fit_diameters(
 
 
 def _scatter_of(A: Array, y: Array, std: Array) -> float:
-    """Return by how much readings scatter about straight pieces, in their standard deviations; at least 1."""
     W = A / std[:, None]
     x, _, rank, _ = np.linalg.lstsq(W, y / std, rcond=None)
     free = len(y) - int(rank)

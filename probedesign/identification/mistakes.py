@@ -28,14 +28,13 @@ from probedesign.identification.solver import (
     start_points,
 )
 
+#: Mistakes that are fitted, the best by their start, factors on E that it is chosen from, and rounds of a fit.
 MAX_REFINED, MAX_FACTORS, MAX_FIT_ROUNDS = 4, 3, 8
-"""Mistakes that are fitted, the best by their start, factors on E that it is chosen from, and rounds of a fit."""
+#: Tests under load, free ones, and outlying ones that the checks are made with.
 MAX_LOADED, MAX_FREE, MAX_SEEDS = 6, 2, 4
-"""Tests under load, free ones, and outlying ones that the checks are made with."""
+#: Loss over its median for normal noise up to which tests agree: noise three times as large as stated (assumed).
 MAX_LOSS = 2.0
-"""Loss over its median for normal noise up to which tests agree: noise three times as large as stated (assumed)."""
-OTHER_PRINT = 30.0
-"""Factor on the tolerances of the dimensions for another probe (assumed)."""
+OTHER_PRINT = 30.0  #: Factor on the tolerances of the dimensions for another probe (assumed).
 
 Change = Callable[[MeasuredTest], MeasuredTest]
 
@@ -113,7 +112,6 @@ def exchange_hint(fit: Fit, outlying: Sequence[tuple[ResidualBlock, float]]) -> 
 
 
 def _some(tests: Sequence[MeasuredTest]) -> set[str]:
-    """Return tests that are spread over the campaign, most of them loaded: a mistake of the whole folder is in all."""
     loaded, free = [test for test in tests if not test.free], [test for test in tests if test.free]
     return {test.name for test in (*spread(loaded, MAX_LOADED), *spread(free, MAX_FREE))}
 
@@ -161,12 +159,10 @@ def _other_probe(stated: Linearization) -> LikelyCause:
 
 
 def _agrees(point: Linearization) -> bool:
-    """Return whether the residuals are within `MAX_LOSS` of normal noise."""
     return bool(point.loss({}) < MAX_LOSS * 0.5 * sum(chi2.median(len(block.r)) for block in point.blocks))
 
 
 def _moves(point: Linearization, stated: Linearization | None) -> dict[str, float]:
-    """Return what a cause changes of the requested numbers and of those that E implies."""
     if stated is None:
         return {}
     change = point.values.x - stated.values.x
@@ -278,7 +274,6 @@ def _resized(factor: float, test: MeasuredTest) -> MeasuredTest:
 
 
 def _shifted(shift: int, test: MeasuredTest) -> MeasuredTest:
-    """Return the test with the arclength of each marker that of its neighbour; that of the last one is extrapolated."""
     s = test.marker_s
     if len(s) < 2:
         return test

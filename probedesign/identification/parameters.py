@@ -27,39 +27,35 @@ from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.rod.rod import Rod
 
 DEGREE = math.pi / 180.0
-DEFAULT = ("E", "G")
-"""Parameters identified unless others are requested: those of the paper."""
+DEFAULT = ("E", "G")  #: Parameters identified unless others are requested: those of the paper.
+#: Step of root_rigid_radii for its central difference, the one derivative that the rod does not provide. The relative
+#: truncation error is 1e-4.
 ROOT_STEP = 0.02
-"""Step of root_rigid_radii for its central difference, the one derivative that the rod does not provide. The relative
-truncation error is 1e-4."""
-ROOT_RANGE = (-0.98, 2.0)
-"""Smallest and largest root_rigid_radii that the rod takes, with a margin of `ROOT_STEP`."""
-MAX_LOGARITHM = 3.0
-"""Of a factor on the design value: no probe is twenty times stiffer than designed."""
+ROOT_RANGE = (-0.98, 2.0)  #: Smallest and largest root_rigid_radii that the rod takes, with a margin of `ROOT_STEP`.
+MAX_LOGARITHM = 3.0  #: Of a factor on the design value: no probe is twenty times stiffer than designed.
+#: Fraction of the free probe's wrench that a tare with the probe hanging free absorbs as an error of its own weight.
+#: Covers 1 % of density, 2 % of area and the change of the sag by a third of E (assumed).
 TARE_FRACTION = 0.05
-"""Fraction of the free probe's wrench that a tare with the probe hanging free absorbs as an error of its own weight.
-Covers 1 % of density, 2 % of area and the change of the sag by a third of E (assumed)."""
 
-MAX_EXPONENT = 700.0
-"""Of a factor in a report: the end of an interval that is not bounded stays a finite number."""
+MAX_EXPONENT = 700.0  #: Of a factor in a report: the end of an interval that is not bounded stays a finite number.
+#: Poisson's ratio of an elastomer and its standard deviation. Source: R. H. Pritchard, P. Lava, D. Debruyne, E. M.
+#: Terentjev, Soft Matter 9, 2013, 6037: 0.49 to 0.5 for unfilled elastomers at small strain. The standard deviation is
+#: assumed and covers the solid photopolymers, whose bulk modulus is not published.
 POISSON, POISSON_STD = 0.49, 0.01
-"""Poisson's ratio of an elastomer and its standard deviation. Source: R. H. Pritchard, P. Lava, D. Debruyne,
-E. M. Terentjev, Soft Matter 9, 2013, 6037: 0.49 to 0.5 for unfilled elastomers at small strain. The standard deviation
-is assumed and covers the solid photopolymers, whose bulk modulus is not published."""
+#: root_rigid_radii of a bonded base and of the exported soft flange. Source: docs/decisions/0006.
 KNOWN_ROOTS = (0.12, -0.18)
-"""root_rigid_radii of a bonded base and of the exported soft flange. Source: docs/decisions/0006."""
+#: Largest distance of a known root from the design's, in standard deviations of the prior, where the design does not
+#: state a tolerance. A normal prior that is off by k of its standard deviations and contributes the fraction w of the
+#: information leaves P(|√w k + √(1-w) z| < 1.96) in the 95 % interval: at least 94 % for any w up to k = 1.2, and 75 %
+#: at k = 2 and w = 1/2.
 MAX_ROOT_DEVIATION = 1.2
-"""Largest distance of a known root from the design's, in standard deviations of the prior, where the design does not
-state a tolerance. A normal prior that is off by k of its standard deviations and contributes the fraction w of the
-information leaves P(|√w k + √(1-w) z| < 1.96) in the 95 % interval: at least 94 % for any w up to k = 1.2, and 75 %
-at k = 2 and w = 1/2."""
+#: Standard deviation of the stiffness from test to test on an ordinary bench, relative (assumed), and the smallest one
+#: that is used. Residuals of 16 touches do not reveal that a scatter is twice as large as stated, so a prior that is
+#: too small makes the intervals of E too small.
 ORDINARY_SCATTER, MIN_SCATTER = 0.02, 1e-4
-"""Standard deviation of the stiffness from test to test on an ordinary bench, relative (assumed), and the smallest one
-that is used. Residuals of 16 touches do not reveal that a scatter is twice as large as stated, so a prior that is too
-small makes the intervals of E too small."""
+#: Parameters that are estimated and reported with E although they are not requested: a probe's stiffness is that of all
+#: three together.
 IMPLIED = ("G", "root")
-"""Parameters that are estimated and reported with E although they are not requested: a probe's stiffness is that of all
-three together."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +126,6 @@ def _material(
 
 
 def _with_root(rod: Rod, x: float) -> Rod:
-    """Return the rod with another rigid length at its root, in base radii."""
     return replace(rod, rigid_length=rod.rigid_length + x * float(rod.radius[0]))
 
 
@@ -152,6 +147,11 @@ _BASE_ROTATION = ("rotation of the base",
 _MOUNTING = ("mounting of the probe on the sensor",
              "the frame of wrenches.csv, and the tolerances base_mm, tilt_deg and clocking_deg")  # fmt: skip
 
+#: By name. Of two parameters that cannot be separated, the later one stays at the design value. Base and mount rotate
+#: about their own axes [rad] and shift along them [m]; gravity rotates about two axes perpendicular to it [rad]; the
+#: bias is about the base [N, N·m]. Limits `max_std`: published values of E of one resin, 1.6 to 3.2 MPa, spread by 30
+#: %; G has a tenth, since a full round probe shows it by a shear of a tenth of a millimetre alone, which any other
+#: small error of the model makes as well; the others are assumed.
 PARAMETERS: dict[str, Parameter] = {
     one.name: one
     for one in (
@@ -206,19 +206,13 @@ PARAMETERS: dict[str, Parameter] = {
                   "creep"),
     )
 }  # fmt: skip
-"""By name. Of two parameters that cannot be separated, the later one stays at the design value.
-
-Base and mount rotate about their own axes [rad] and shift along them [m]; gravity rotates about two axes
-perpendicular to it [rad]; the bias is about the base [N, N·m]. Limits `max_std`: published values of E of one resin,
-1.6 to 3.2 MPa, spread by 30 %; G has a tenth, since a full round probe shows it by a shear of a tenth of a millimetre
-alone, which any other small error of the model makes as well; the others are assumed."""
 
 REQUESTABLE = tuple(name for name, one in PARAMETERS.items() if one.max_std is not None)
 COMPONENTS = tuple(label for one in PARAMETERS.values() for label in one.labels)
+#: Parameter that each entry of the vector belongs to.
 OWNER = tuple(one for one in PARAMETERS.values() for _ in one.labels)
-"""Parameter that each entry of the vector belongs to."""
+#: First entry of the print's dimension modes and, after them, of the steps of the bias; all have unit normal priors.
 PRINT = len(COMPONENTS)
-"""First entry of the print's dimension modes and, after them, of the steps of the bias; all have unit normal priors."""
 
 
 def _span(first: str, last: str) -> slice:

@@ -28,12 +28,10 @@ from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.kernels import equations
 from probedesign.rod.rod import Rod
 
-MIN_FRICTION = 1e-3
-"""Smallest prior standard deviation of the friction ratio, as in `probedesign.estimation`."""
+MIN_FRICTION = 1e-3  #: Smallest prior standard deviation of the friction ratio, as in `probedesign.estimation`.
 SCALE, CREEP = PARAMETERS["length_scale"].columns.start, PARAMETERS["creep"].columns.start
 GAIN, BIAS = PARAMETERS["gain"].columns, PARAMETERS["bias"].columns
-GRAVITY = slice(7, 10)
-"""Columns of the rod's sensitivities by gravity in base axes."""
+GRAVITY = slice(7, 10)  #: Columns of the rod's sensitivities by gravity in base axes.
 _TANGENT_STEP = 1e-5  # of arclength, for the rotation of a section by a difference of its tangent [m]
 
 
@@ -142,8 +140,9 @@ class RodVector(NamedTuple):
         return np.asarray(self.by("log_E", "log_G").sum(axis=-1, keepdims=True))
 
 
+#: Derivative of a vector in base axes (...) by a parameter's components, (..., k).
 Derivative = Callable[["SolvedTest", RodVector], Array]
-"""Derivative of a vector in base axes (...) by a parameter's components, (..., k)."""
+#: By the entries of `PARAMETERS` that change the solved rod; the others change axes and readings alone.
 DERIVATIVES: dict[str, Derivative] = {
     "E": lambda test, vector: vector.by("log_E"),
     "density": lambda test, vector: vector.by("log_density"),
@@ -156,7 +155,7 @@ DERIVATIVES: dict[str, Derivative] = {
     "mount_rotation": lambda test, vector: test.by_rotation(vector, test.values.T_mount_error),
     "creep": lambda test, vector: -test.measured.creep_ramp * vector.by_stiffness,
 }
-"""By the entries of `PARAMETERS` that change the solved rod; the others change axes and readings alone."""
+#: By the nuisance parameters; the error of the pose acts on blocks as the common one does.
 NUISANCE_DERIVATIVES: dict[str, Derivative] = {
     "force": lambda test, vector: vector.by_rod[..., 0:3],
     "angle": lambda test, vector: vector.by_angle[..., None],
@@ -164,7 +163,6 @@ NUISANCE_DERIVATIVES: dict[str, Derivative] = {
     "s": lambda test, vector: vector.by("s_contact"),
     "stiffness": lambda test, vector: vector.by_stiffness,
 }
-"""By the nuisance parameters; the error of the pose acts on blocks as the common one does."""
 
 
 @dataclass(frozen=True)
@@ -262,7 +260,6 @@ class SolvedTest:
         return RodVector(value, total, by_root + across @ couple_by_root, by_angle + across @ couple_by_angle)
 
     def _by_root(self, value: Callable[[Equilibrium], Array]) -> Array:
-        """Return the derivative of a value of the equilibrium by root_rigid_radii; zero where it is not needed."""
         if not self.root_solutions:
             return np.zeros_like(value(self.eq))
         less, more = map(value, self.root_solutions)
@@ -300,7 +297,6 @@ class SolvedTest:
             yield ResidualBlock(self.measured.name, kind, item, *parts)
 
     def _own(self, kind: str, name: str, std: ArrayLike, stated: float = 0.0) -> ResidualBlock:
-        """Return the residual of nuisance parameters from their stated value."""
         residual = stated - self.nuisance[self.measured.nuisance[name]]
         inverse = 1.0 / np.broadcast_to(std, residual.shape)
         J = np.zeros((len(residual), self.values.common.size + self.measured.nuisance_size))

@@ -31,20 +31,18 @@ from probedesign.identification.robust_loss import READING_KINDS, ROBUST_KINDS, 
 from probedesign.identification.solver import Fit
 
 CONFIDENCE = 0.95
+#: Units of residuals by kind of reading.
 UNITS = {"markers": "mm", "touches": "mm", "places": "mm", "sags": "mm", "wrenches": "N and N·m", "scales": "g",
          "friction": "share of the force", "weights": "share of the load", "stiffness": "logarithm of the stiffness",
          "poisson": "logarithm of E/G", "poses": "rad and m"}  # fmt: skip
-"""Units of residuals by kind of reading."""
+#: Fraction of `Parameter.max_std` from which on the standard deviation makes a parameter weakly identifiable (assumed).
 WEAK = 0.5
-"""Fraction of `Parameter.max_std` from which on the standard deviation makes a parameter weakly identifiable
-(assumed)."""
+#: Largest posterior over prior variance with which an implied parameter counts as identified by the tests: they then
+#: contain at least as much information on it as its prior.
 DATA_SHARE = 0.5
-"""Largest posterior over prior variance with which an implied parameter counts as identified by the tests: they then
-contain at least as much information on it as its prior."""
+#: Of the standard deviation of a number: smaller contributions to it, 1 % of its variance, are not listed.
 MIN_CONTRIBUTION = 0.1
-"""Of the standard deviation of a number: smaller contributions to it, 1 % of its variance, are not listed."""
-ACCEPTED = "accepted contradiction"
-"""Name of what the acceptance of a contradiction adds to an error budget."""
+ACCEPTED = "accepted contradiction"  #: Name of what the acceptance of a contradiction adds to an error budget.
 JSON_NAMES = {"caveat": "doubt"}
 
 
@@ -293,7 +291,6 @@ def _prior_of(fit: Fit, name: str, requested: bool) -> str:
 
 
 def _at(fit: Fit, column: int) -> int:
-    """Return the position of an entry of the parameter vector among the estimated ones."""
     return int(np.count_nonzero(fit.point.problem.active[:column]))
 
 

@@ -16,23 +16,18 @@ from scipy.stats import chi2
 from probedesign.core.frames import Array
 from probedesign.identification.residuals import ResidualBlock
 
-READING_KINDS = ("markers", "wrenches", "touches", "places", "weights")
-"""Kinds of readings that most tests have."""
+READING_KINDS = ("markers", "wrenches", "touches", "places", "weights")  #: Kinds of readings that most tests have.
+#: Kinds whose scatter is estimated where it exceeds the stated one; the others are prior knowledge or single readings.
+#: Stiffness and friction of each touch scatter as readings do, and one may be far from the others.
 ROBUST_KINDS = (*READING_KINDS, "stiffness", "friction")
-"""Kinds whose scatter is estimated where it exceeds the stated one; the others are prior knowledge or single readings.
-Stiffness and friction of each touch scatter as readings do, and one may be far from the others."""
-MIN_FREEDOM = 1.0
-"""Degrees of freedom from which on a scatter is judged."""
+MIN_FREEDOM = 1.0  #: Degrees of freedom from which on a scatter is judged.
+#: Equivalent degrees of freedom of a stated standard deviation, which has an uncertainty of about a third (assumed).
 STATED_FREEDOM = 4.0
-"""Equivalent degrees of freedom of a stated standard deviation, which has an uncertainty of about a third (assumed)."""
-FULL_WEIGHT = 0.99
-"""Quantile of χ² up to which a block has full weight."""
-REJECTION_CHANCE = 1e-3
-"""Chance, with noise as stated, that a prior is rejected."""
+FULL_WEIGHT = 0.99  #: Quantile of χ² up to which a block has full weight.
+REJECTION_CHANCE = 1e-3  #: Chance, with noise as stated, that a prior is rejected.
+#: Chance, with noise as stated, that a scatter is judged larger than stated and reported; it refuses nothing.
 SCATTER_CHANCE = 0.05
-"""Chance, with noise as stated, that a scatter is judged larger than stated and reported; it refuses nothing."""
-OUTLIER_CHANCE = 0.01
-"""Chance, with normal noise, that a campaign reports any outlier at all."""
+OUTLIER_CHANCE = 0.01  #: Chance, with normal noise, that a campaign reports any outlier at all.
 
 
 @dataclass(frozen=True)

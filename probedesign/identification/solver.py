@@ -33,26 +33,22 @@ from probedesign.identification.residuals import (
 from probedesign.identification.robust_loss import NoiseScale, median_scales, noise_scales, robust_loss, weights
 from probedesign.rod.rod import Rod
 
+#: Of reweighting in one search, and evaluations of the campaign in each round: most take one.
 MAX_ROUNDS, MAX_EVALUATIONS = 25, 6
-"""Of reweighting in one search, and evaluations of the campaign in each round: most take one."""
-SMALL_DECREASE = 0.5
-"""Relative decrease of the loss in a step that ends a round."""
+SMALL_DECREASE = 0.5  #: Relative decrease of the loss in a step that ends a round.
+#: Decrease of the loss, half a χ², that ends a search: within a twentieth of a standard deviation of the minimum. The
+#: rod's own tolerances, a micrometre and a millionth of the moment, make the loss uncertain by about as much.
 MIN_GAIN = 1e-3
-"""Decrease of the loss, half a χ², that ends a search: within a twentieth of a standard deviation of the minimum. The
-rod's own tolerances, a micrometre and a millionth of the moment, make the loss uncertain by about as much."""
-MAX_SCALE_ROUNDS = 4
-"""Estimates of the noise scales from the residuals."""
-SETTLED = 0.02
-"""Relative change of a noise scale below which it is settled."""
+MAX_SCALE_ROUNDS = 4  #: Estimates of the noise scales from the residuals.
+SETTLED = 0.02  #: Relative change of a noise scale below which it is settled.
+#: Information that is added to each unknown, relative to its own: what nothing determines has a large covariance.
 ROUNDING = 1e-13
-"""Information that is added to each unknown, relative to its own: what nothing determines has a large covariance."""
+#: Factors on E to start from: published values of one resin differ by two; 6 is for forces in a wrong unit.
 START_FACTORS = (1.0, 0.7, 1.5, 0.45, 2.5, 6.0)
-"""Factors on E to start from: published values of one resin differ by two; 6 is for forces in a wrong unit."""
+#: Largest F s²/(2 E I) of a load, the angle by which it would bend a rod of small deflection [rad] (assumed: far beyond
+#: any test).
 MAX_LOAD = 15.0
-"""Largest F s²/(2 E I) of a load, the angle by which it would bend a rod of small deflection [rad] (assumed: far
-beyond any test)."""
-MAX_COMPARED = 6
-"""Tests that the factors are compared by."""
+MAX_COMPARED = 6  #: Tests that the factors are compared by.
 
 
 @dataclass(frozen=True)
@@ -203,7 +199,6 @@ class Linearization:
 
 
 def _scaled(information: Array) -> tuple[Array, Array]:
-    """Return the information in units in which the unknowns are comparable, and these units."""
     diagonal = np.diag(information)
     unit = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     return information * np.outer(unit, unit) + ROUNDING * np.eye(len(unit)), unit

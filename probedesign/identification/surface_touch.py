@@ -18,14 +18,13 @@ from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.kernels.equations import ALL_COLUMNS, COUPLE, PARAMETERS
 from probedesign.rod.rod import Rod
 
+#: Columns of the rod's sensitivities by the couple.
 COUPLE_COLUMNS = slice(PARAMETERS.index("couple_x"), PARAMETERS.index("couple_z") + 1)
-"""Columns of the rod's sensitivities by the couple."""
 S_COLUMN, DIAMETER_COLUMN = PARAMETERS.index("s_contact"), PARAMETERS.index("log_diameter")
 MAX_ITERATIONS = 12
+#: Of the couple, relative to the force times the radius: a nanonewton metre for a touch of 20 mN.
 COUPLE_TOLERANCE = 1e-5
-"""Of the couple, relative to the force times the radius: a nanonewton metre for a touch of 20 mN."""
-MIN_NORMAL = 1e-3
-"""Smallest normal force of a touch over its force: with less it would pull."""
+MIN_NORMAL = 1e-3  #: Smallest normal force of a touch over its force: with less it would pull.
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,6 @@ class SurfaceTouch:
 
     @cached_property
     def _couple_jacobian(self) -> Array:
-        """Return the derivative of `couple` by the rod's parameters, (3, k)."""
         (_, e, _), d = self._directions
         J = -self.radius * skew(self.force) @ d[1] + np.outer(self.couple, self._d_log_radius)
         J[:, 0:3] += self.radius * skew(e)

@@ -3,8 +3,7 @@
 from collections.abc import Callable
 from urllib.parse import urlsplit
 
-Log = Callable[[str], None]
-"""Takes a message for the user."""
+Log = Callable[[str], None]  #: Takes a message for the user.
 
 
 def split_address(address: str, scheme: str) -> tuple[str, int | None]:

@@ -24,8 +24,8 @@ class TrueContact(NamedTuple):
     p_surface_base: Array  #: touched point of the surface [m], (3,).
 
 
+#: The true contact while nothing touches.
 NO_CONTACT = TrueContact(float("nan"), np.full(3, np.nan), np.full(3, np.nan), np.full(3, np.nan))
-"""The true contact while nothing touches."""
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,7 @@ from probedesign.core.errors import InputError, quoted
 from probedesign.live import split_address
 from probedesign.web import LOOPBACK
 
-MAX_DATAGRAM = 4096
-"""Maximum size of a datagram [bytes]; two or three hundred are needed."""
+MAX_DATAGRAM = 4096  #: Maximum size of a datagram [bytes]; two or three hundred are needed.
 
 
 def decode_object(content: str | bytes) -> dict[str, Any]:
@@ -47,8 +46,7 @@ def decode_object(content: str | bytes) -> dict[str, Any]:
     return values
 
 
-Spellings = Mapping[str, float]
-"""Names that a quantity may have in an object, each with the factor of its unit to SI."""
+Spellings = Mapping[str, float]  #: Names that a quantity may have in an object, each with the factor of its unit to SI.
 
 
 def spellings(field: str, kind: str, *other_stems: str) -> Spellings:
@@ -111,14 +109,10 @@ def parse_listen_address(option: str) -> tuple[str, int]:
     return host or LOOPBACK[0], port
 
 
-MAX_QUEUED = 8192
-"""Maximum number of queued values: a second of the fastest sensor."""
-TICK = 0.010
-"""Interval in which the number of datagrams is limited [s]. The system drops the rest of a flood."""
-MAX_BURSTS = 50
-"""Number of full ticks after which the user is informed: more than a busy machine causes."""
-BUFFER_BYTES = 1 << 22
-"""Size of the socket's buffer that is requested of the system; it may grant less."""
+MAX_QUEUED = 8192  #: Maximum number of queued values: a second of the fastest sensor.
+TICK = 0.010  #: Interval in which the number of datagrams is limited [s]. The system drops the rest of a flood.
+MAX_BURSTS = 50  #: Number of full ticks after which the user is informed: more than a busy machine causes.
+BUFFER_BYTES = 1 << 22  #: Size of the socket's buffer that is requested of the system; it may grant less.
 
 T = TypeVar("T")
 
@@ -235,10 +229,9 @@ class DatagramReceiver(ABC):
                 sleep(max(tick + TICK - monotonic(), 0.0))
 
 
+#: Time without a valid datagram [s] after which any sender may start anew, with another clock and another frame.
 SENDER_TIMEOUT = 1.0
-"""Time without a valid datagram [s] after which any sender may start anew, with another clock and another frame."""
-MAX_TIME_JUMP = 1.0
-"""Maximum advance of a time stamp beyond its arrival [s]; more indicates another clock."""
+MAX_TIME_JUMP = 1.0  #: Maximum advance of a time stamp beyond its arrival [s]; more indicates another clock.
 
 
 class Parsed(NamedTuple, Generic[T]):

@@ -12,11 +12,11 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
+#: Thread switch interval of the interpreter while streaming [s]. Another computing thread would keep the interpreter
+#: for Python's usual 5 ms, as long as the interval between two estimates.
 SWITCH_INTERVAL = 1e-4
-"""Thread switch interval of the interpreter while streaming [s]. Another computing thread would keep the interpreter
-for Python's usual 5 ms, as long as the interval between two estimates."""
+#: Real-time priorities. Any of them precedes every program without one; higher ones are for drivers and the system.
 OUTPUTS, ESTIMATES = 1, 2
-"""Real-time priorities. Any of them precedes every program without one; higher ones are for drivers and the system."""
 
 
 @contextmanager

@@ -109,11 +109,11 @@ def describe_counts(counts: dict[str, int]) -> str:
     return f"{sum(counts.values())} estimates" + (f": {text}" if text else "")
 
 
+#: Time after which the user is informed [s]: kernels that take longer are compiled, not loaded from the cache.
 NOTICE_DELAY = 6.0
-"""Time after which the user is informed [s]: kernels that take longer are compiled, not loaded from the cache."""
 WARM_UP_RATE = 7000.0
+#: More touches than the tracker has keyframes, so that it merges some; more samples than it linearizes in turn.
 WARM_UP_TOUCHES, WARM_UP_SAMPLES = 12, 8
-"""More touches than the tracker has keyframes, so that it merges some; more samples than it linearizes in turn."""
 
 
 def warm_up(estimator: Estimator, log: Log, *, fusing: bool = False) -> None:

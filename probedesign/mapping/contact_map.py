@@ -17,10 +17,9 @@ from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.mapping.touch_point import RESULT_MEANINGS, ConditionalPoint, LocatedTouch
 
-MIN_SEPARATION = 5e-3
-"""Default distance below which points of an object are not distinguished [m]."""
+MIN_SEPARATION = 5e-3  #: Default distance below which points of an object are not distinguished [m].
+#: Squared Mahalanobis distance of two touches of one point that is exceeded with probability 0.01.
 SAME_POINT_CHI2 = statistics.max_chi2(3, 0.01)
-"""Squared Mahalanobis distance of two touches of one point that is exceeded with probability 0.01."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +58,7 @@ class ContactMap:
     min_separation: float  #: distance below which points were not distinguished [m].
 
 
-_Group = tuple[ConditionalPoint, tuple[LocatedTouch, ...]]
-"""A point and its touches."""
+_Group = tuple[ConditionalPoint, tuple[LocatedTouch, ...]]  #: A point and its touches.
 
 
 def build_map(
@@ -131,17 +129,15 @@ def _closest_pair(points: Sequence[ConditionalPoint], min_separation: float) -> 
 # Tables and text
 
 COVARIANCE_ENTRIES = (("xx", 0, 0), ("xy", 0, 1), ("xz", 0, 2), ("yy", 1, 1), ("yz", 1, 2), ("zz", 2, 2))
+#: A row is a point, or a touch that was not located: it has a result code, but neither number nor position.
 COLUMNS = (
     "point", "result", "x_world_mm", "y_world_mm", "z_world_mm",
     *(f"cov_world_{name}_mm2" for name, _, _ in COVARIANCE_ENTRIES),
     "rms_mm", "common_rms_mm", "touches", "touch_numbers", "time_s", "force_N", "s_contact_mm",
 )  # fmt: skip
-"""A row is a point, or a touch that was not located: it has a result code, but neither number nor position."""
 Row = dict[str, Any]
-CONTRADICTORY = ("inconsistent", "not_converged")
-"""Results of touches whose poses are wrong."""
-MIN_CONTRADICTORY = 3
-"""Minimum number of contradictory touches from which the poses are questioned (assumed)."""
+CONTRADICTORY = ("inconsistent", "not_converged")  #: Results of touches whose poses are wrong.
+MIN_CONTRADICTORY = 3  #: Minimum number of contradictory touches from which the poses are questioned (assumed).
 
 
 def map_rows(contact_map: ContactMap) -> list[Row]:
@@ -223,10 +219,9 @@ def _warnings(contact_map: ContactMap) -> list[str]:
 
 # Colours and PLY
 
-MIN_RMS_MM, MAX_RMS_MM = 0.2, 5.0
-"""RMS errors at the ends of the colour scale, which is logarithmic [mm]."""
+MIN_RMS_MM, MAX_RMS_MM = 0.2, 5.0  #: RMS errors at the ends of the colour scale, which is logarithmic [mm].
+#: Red, green and blue, evenly along the scale: blue for accurate points to red for uncertain ones.
 _SCALE = ((31, 95, 168), (120, 120, 120), (217, 115, 13), (178, 24, 43))
-"""Red, green and blue, evenly along the scale: blue for accurate points to red for uncertain ones."""
 _PLY_PROPERTIES = (
     "float x", "float y", "float z", "uchar red", "uchar green", "uchar blue", "float rms_mm", "float force_N",
     "int touches",

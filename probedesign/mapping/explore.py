@@ -25,9 +25,9 @@ from probedesign.mapping.contact_map import MIN_SEPARATION, ContactMap, build_ma
 from probedesign.mapping.segmentation import TouchSegment, TouchSegmenter
 from probedesign.mapping.touch_point import LocatedTouch, locate_touch
 
+#: Least extent of the positions of a base that touches an object [m]: a touch with a free probe before it alone takes
+#: some millimetres of travel.
 MIN_EXTENT = 1e-3
-"""Least extent of the positions of a base that touches an object [m]: a touch with a free probe before it alone takes
-some millimetres of travel."""
 
 
 @dataclass

@@ -9,19 +9,17 @@ from probedesign.core.frames import Array
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.processing.touches import LEVER, SPAN
 
+#: Largest difference of poses of a stationary base [m], for rotations times `LEVER`: the repeatability of a robot
+#: (`Tolerances.robot_mm`, assumed).
 STATIONARY = 10e-6
-"""Largest difference of poses of a stationary base [m], for rotations times `LEVER`: the repeatability of a robot
-(`Tolerances.robot_mm`, assumed)."""
+#: Minimum number of readings and duration [s] of a valid interval; a shorter one is the end of a move.
 MIN_READINGS, MIN_DURATION = 3, 0.1
-"""Minimum number of readings and duration [s] of a valid interval; a shorter one is the end of a move."""
-FREE_SPAN = 2.0
-"""Longest interval of the free probe next to a touch [s], since the bias keeps walking."""
-MAX_INTERVALS = 20
-"""Maximum number of intervals of a touch that are used; of more, as many evenly chosen."""
+FREE_SPAN = 2.0  #: Longest interval of the free probe next to a touch [s], since the bias keeps walking.
+MAX_INTERVALS = 20  #: Maximum number of intervals of a touch that are used; of more, as many evenly chosen.
+#: A touch that is lost before any valid interval and detected again within this time [s] is one touch: where it begins
+#: the force is close to the noise, and consecutive means may differ in their detection. `live` reports "released", not
+#: "free", for the same time.
 REJOIN_TIME = SPAN
-"""A touch that is lost before any valid interval and detected again within this time [s] is one touch: where it begins
-the force is close to the noise, and consecutive means may differ in their detection. `live` reports "released", not
-"free", for the same time."""
 
 
 @dataclass

@@ -27,9 +27,9 @@ from probedesign.estimation.model import ProbeModel, covariance
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.mapping.segmentation import TouchSegment
 
+#: Largest standard deviations accepted: beyond them errors are no longer linear in a rotation, and touches of one point
+#: no longer lie near each other. Assumed; the `[tolerances]` of a design allow as many degrees.
 MAX_STD_MM, MAX_STD_DEG = 10.0, 10.0
-"""Largest standard deviations accepted: beyond them errors are no longer linear in a rotation, and touches of one point
-no longer lie near each other. Assumed; the `[tolerances]` of a design allow as many degrees."""
 
 
 @dataclass(frozen=True)
@@ -82,20 +82,20 @@ class BasePoseUncertainty:
         return f"{self.summary}; change it with --base-offset-mm, --base-repeat-mm, --tilt-deg, --clocking-deg"
 
 
+#: Standard deviation of the bias, in steps of the sensor's resolution, without readings of the free probe next to the
+#: touch: what the assumed random walk makes in 100 s.
 BIAS_STEPS = 0.5
-"""Standard deviation of the bias, in steps of the sensor's resolution, without readings of the free probe next to the
-touch: what the assumed random walk makes in 100 s."""
+#: Information on a common error source, relative to its prior, below which it is a rounding error.
 MIN_INFORMATION = 1e-9
-"""Information on a common error source, relative to its prior, below which it is a rounding error."""
+#: Standard deviation of the bias, in steps of the sensor's resolution, where readings of the free probe next to the
+#: touch determine it: practically unknown. An hour of the assumed random walk makes 3 (`bias.WALK_STEPS`).
 UNKNOWN_BIAS_STEPS = 10.0
-"""Standard deviation of the bias, in steps of the sensor's resolution, where readings of the free probe next to the
-touch determine it: practically unknown. An hour of the assumed random walk makes 3 (`bias.WALK_STEPS`)."""
 NEVER_SETTLED = "never_settled"
+#: Meaning of each result code of a touch.
 RESULT_MEANINGS: dict[str, str] = {
     **{str(result): meaning for result, meaning in RESULTS.items()},
     NEVER_SETTLED: "the base or the readings were never stationary during the touch",
 }
-"""Meaning of each result code of a touch."""
 
 
 @dataclass(frozen=True)

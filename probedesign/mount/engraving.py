@@ -13,13 +13,12 @@ import numpy as np
 from probedesign.core.frames import Array, pose, rotation_z
 from probedesign.core.units import MM
 
-XY = tuple[float, float]
-"""A point (x, y) [m]."""
+XY = tuple[float, float]  #: A point (x, y) [m].
 ROWS = 5
+#: Width of a stroke and of the wall between two strokes: the narrowest that is legible in Elastic 50A (assumed).
 CELL = 0.5 * MM
-"""Width of a stroke and of the wall between two strokes: the narrowest that is legible in Elastic 50A (assumed)."""
+#: Four layers of Elastic 50A; not deeper than wide, so that uncured resin can be washed out (assumed).
 DEPTH = 0.4 * MM
-"""Four layers of Elastic 50A; not deeper than wide, so that uncured resin can be washed out (assumed)."""
 HEIGHT = ROWS * CELL
 
 _GLYPHS = """
@@ -65,8 +64,8 @@ d ..# ..# ### #.# ###
 _ ... ... ... ... ###
 . . . . . #
 """
+#: Rows of each character from top to bottom; # is cut.
 GLYPHS = {line[0]: tuple(line[2:].split()) for line in _GLYPHS.strip().splitlines()} | {" ": ("..",) * ROWS}
-"""Rows of each character from top to bottom; # is cut."""
 
 Run = tuple[int, int, int]
 Loop = tuple[tuple[int, int], ...]
@@ -119,7 +118,6 @@ def cut_outlines(character: str) -> list[Loop]:
 
 
 def _corners(loop: list[tuple[int, int]]) -> Loop:
-    """Return a loop without the points that lie on a straight line between their neighbours."""
     around = zip([loop[-1], *loop[:-1]], loop, [*loop[1:], loop[0]], strict=True)
     return tuple(b for a, b, c in around if a[0] != c[0] and a[1] != c[1])
 

@@ -18,23 +18,19 @@ from probedesign.design.sensors import ScrewPattern, SensorModel
 from probedesign.mount.engraving import HEIGHT, XY, Engraving, engrave, free_arcs
 from probedesign.mount.sensor_adapter import FACE_LOSS, PRINTED_PIN_PLAY, SETTLING, length_tolerance, on_circle
 
+#: Depth of the pocket below the cable's exit, and 0.6 mm of it on every side: more than the 0.5 mm that are checked.
 CABLE_ROOM = 1.0 * MM
-"""Depth of the pocket below the cable's exit, and 0.6 mm of it on every side: more than the 0.5 mm that are checked."""
 CABLE_SIDE = 0.6 * MM
+#: Azimuths of the pins that centre the sensor's body, from the cable: between screws of the Nano17, clear of the
+#: cable's sector, and on all sides of the body.
 CENTRING_DEG = (35.0, 125.0, 245.0)
-"""Azimuths of the pins that centre the sensor's body, from the cable: between screws of the Nano17, clear of the
-cable's sector, and on all sides of the body."""
-SENSOR_BODY_TOLERANCE = 0.05 * MM
-"""Tolerance ± of the diameter of the sensor's body (assumed)."""
+SENSOR_BODY_TOLERANCE = 0.05 * MM  #: Tolerance ± of the diameter of the sensor's body (assumed).
+#: Stock pins, ISO 2338; their length above the plate stays far below the sensor's split line.
 CENTRING_PIN_D, CENTRING_PIN_LENGTH, CENTRING_ABOVE = 2.0 * MM, 6.0 * MM, 2.5 * MM
-"""Stock pins, ISO 2338; their length above the plate stays far below the sensor's split line."""
-TIE_SLOT = (1.6 * MM, 3.2 * MM)
-"""Radial and tangential width of a slot for a cable tie of 2.5 mm."""
-TIE_APART = 7.0 * MM
-"""Distance between the middles of the two slots, across the cable."""
+TIE_SLOT = (1.6 * MM, 3.2 * MM)  #: Radial and tangential width of a slot for a cable tie of 2.5 mm.
+TIE_APART = 7.0 * MM  #: Distance between the middles of the two slots, across the cable.
 EDGE = 1.8 * MM  # wall outside the pin slot
-MAX_SPIGOT_HEIGHT = 10.0 * MM
-"""Deepest recess of any robot flange; ISO 9409-1 has 4 to 6 mm (assumed)."""
+MAX_SPIGOT_HEIGHT = 10.0 * MM  #: Deepest recess of any robot flange; ISO 9409-1 has 4 to 6 mm (assumed).
 PLATE_LETTER_EDGE = 0.2 * MM  # from the characters to the pad and to the bolts' heads
 _NANO = 1e-9  # tolerance for round-off of sums [m]
 HEAD_EDGE = 1.5 * MM  # plate outside a bolt's head

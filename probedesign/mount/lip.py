@@ -18,23 +18,20 @@ import math
 from probedesign.core.units import MM, MPA
 from probedesign.design.sensors import ScrewPattern
 
-RIGID_MODULUS = 2500.0 * MPA
-"""E of the rigid parts: a cured rigid resin (assumed; data sheets state 2.2 to 2.8 GPa)."""
-MIN_LIP = 1.5 * MM
-"""Least width of the lip between the ring and the land."""
+RIGID_MODULUS = 2500.0 * MPA  #: E of the rigid parts: a cured rigid resin (assumed; data sheets state 2.2 to 2.8 GPa).
+MIN_LIP = 1.5 * MM  #: Least width of the lip between the ring and the land.
+#: Outer width of the lip below which the floor lies lower, so that pressed resin has room, and the least of it where a
+#: bulge of the probe or the heads below need a wide land (assumed; without room the lip of a wide flange needs
+#: thousands of newtons).
 LAND_RELIEF, MIN_RELIEF = 1.0 * MM, 0.4 * MM
-"""Outer width of the lip below which the floor lies lower, so that pressed resin has room, and the least of it where a
-bulge of the probe or the heads below need a wide land (assumed; without room the lip of a wide flange needs thousands
-of newtons)."""
+#: Of a head's room, from its middle: where the land's edge crosses it there or further in, the land ends in corners of
+#: at least 30°, not in blades.
 BLUNT = 0.7
-"""Of a head's room, from its middle: where the land's edge crosses it there or further in, the land ends in corners of
-at least 30°, not in blades."""
+#: Bending of the clamp ring over the compression of the lip: the lip keeps four fifths of it (assumed).
 MAX_BENDING_SHARE = 0.25
-"""Bending of the clamp ring over the compression of the lip: the lip keeps four fifths of it (assumed)."""
+#: Least E that the ring's thickness is chosen for: the greatest of the published fits for Elastic 50A.
 STIFF_RESIN = 3.15 * MPA
-"""Least E that the ring's thickness is chosen for: the greatest of the published fits for Elastic 50A."""
-_POISSON = 0.35
-"""Of a rigid resin (assumed)."""
+_POISSON = 0.35  #: Of a rigid resin (assumed).
 
 
 def pad_force(modulus: float, inner_d: float, outer_d: float, thickness: float, compression: float) -> float:

@@ -95,7 +95,6 @@ def common_part(d: float, hole_d: float, p: XY, z: XY, density: float) -> MassPr
 
 
 def _nut_slot(a: SensorAdapter, density: float, p: XY) -> MassProperties:
-    """Return the mass properties of a nut's slot: a half disc, and from its straight side to the rim."""
     half, inner = a.nut_slot_width / 2, float(np.hypot(*p)) - a.nut_slot_reach
     end = segment(half, 0.0, *a.nut_slot_z, density).moved(pose(rotation_z(np.pi), [inner, 0.0, 0.0]))
     straight = strip(a.body_d / 2, inner, half, *a.nut_slot_z, density)
@@ -116,7 +115,6 @@ def _dowel_hole(a: SensorAdapter, number: int, density: float) -> MassProperties
 
 
 def _clamp_ring(a: SensorAdapter, density: float) -> MassProperties:
-    """Return the ring's mass properties in its own frame, which is the base frame while the lip is unpressed."""
     bore = frustum(a.ring_bore_d / 2, a.ring_bore_top_d / 2, a.ring_thickness, 0.0, density)
     holes = [cylinder(a.ring_screw.clearance_d, 0.0, a.ring_thickness, density, p) for p in a.p_ring_screws]
     disc = cylinder(a.body_d, 0.0, a.ring_thickness, density)

@@ -79,22 +79,21 @@ class Mount:
 Hold = Literal["clamped", "glued"]
 
 _RATIO = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.1667, 6.6667, 10.0)
+#: `root_rigid_radii` by base radius over the flange's thickness. Source: `python -m benchmarks clamp`: linear finite
+#: elements of full round bases at ν = 0.49 with a flange of 3 mm.
 _MISSING: dict[Hold, tuple[float, ...]] = {
     "clamped": (-0.3686, -0.338, -0.3069, -0.2761, -0.2204, -0.1754, -0.1125, -0.0686, -0.0207, 0.0076),
     "glued": (-0.3684, -0.3342, -0.293, -0.2484, -0.1699, -0.1118, -0.0383, 0.006, 0.0479, 0.07),
 }
-"""`root_rigid_radii` by base radius over the flange's thickness. Source: `python -m benchmarks clamp`: linear finite
-elements of full round bases at ν = 0.49 with a flange of 3 mm."""
-_ROUNDING = 0.0051
-"""Error of a value that `new` rounded to two decimals."""
+_ROUNDING = 0.0051  #: Error of a value that `new` rounded to two decimals.
+#: Greatest difference of a value that `new` wrote from the one computed now: rounding, and the interpolation in base
+#: radius over thickness, 0.005 each.
 _NUMERICAL = 0.01
-"""Greatest difference of a value that `new` wrote from the one computed now: rounding, and the interpolation in base
-radius over thickness, 0.005 each."""
+#: Standard deviation of these values [base radii]: friction below the flange moves the clamped one by that much, the
+#: other thicknesses and Poisson's ratios less. The land, which supports the inner part of the lip alone, moves them by
+#: 0.006 at most (decision 0006); the rooms of the screw heads in it, which are not modelled, soften the root by an
+#: estimated 0.03. The squeezed lip is not modelled either (assumed).
 ROOT_STD = 0.05
-"""Standard deviation of these values [base radii]: friction below the flange moves the clamped one by that much, the
-other thicknesses and Poisson's ratios less. The land, which supports the inner part of the lip alone, moves them by
-0.006 at most (decision 0006); the rooms of the screw heads in it, which are not modelled, soften the root by an
-estimated 0.03. The squeezed lip is not modelled either (assumed)."""
 
 
 def exported_root_radii(geometry: ProbeGeometry, hold: Hold = "clamped") -> float:

@@ -29,62 +29,48 @@ from probedesign.mount.lip import (
     stiff_thickness,
 )
 
-HEAD_SUNK = 0.2 * MM
-"""A head lies this far below the face, so that it cannot dent the part that rests on it."""
-FOOT_HEIGHT = 0.6 * MM
-"""Height of the foot's edge above the tool face: clearance to the sensor's body and its cable."""
-MAX_OVERHANG = 1.0 * MM
-"""Longest horizontal overhang that prints without supports. Source: Formlabs' design guide."""
-FOOT_LEDGE = 0.4 * MM
-"""Horizontal overhang at the foot's edge."""
+HEAD_SUNK = 0.2 * MM  #: A head lies this far below the face, so that it cannot dent the part that rests on it.
+FOOT_HEIGHT = 0.6 * MM  #: Height of the foot's edge above the tool face: clearance to the sensor's body and its cable.
+MAX_OVERHANG = 1.0 * MM  #: Longest horizontal overhang that prints without supports. Source: Formlabs' design guide.
+FOOT_LEDGE = 0.4 * MM  #: Horizontal overhang at the foot's edge.
+#: Angle of the underside to the horizontal: from 19° it prints without supports (Formlabs' design guide).
 UNDERSIDE_DEG = 22.0
-"""Angle of the underside to the horizontal: from 19° it prints without supports (Formlabs' design guide)."""
 SLIP = 0.2 * MM  # on the diameter, rigid resin (assumed)
-MIN_SQUEEZE = 0.1 * MM
-"""Least compression of the flange's lip at the worst corner of the tolerances (assumed)."""
+MIN_SQUEEZE = 0.1 * MM  #: Least compression of the flange's lip at the worst corner of the tolerances (assumed).
+#: Greatest compression over the thickness: static face seals of elastomer are used up to about 0.3 (assumed).
 MAX_SQUEEZE_SHARE = 0.25
-"""Greatest compression over the thickness: static face seals of elastomer are used up to about 0.3 (assumed)."""
 PEG_D = 1.9 * MM
+#: From the peg's top up to the ring: more than both tolerances, so that the ring never rests on the peg.
 PEG_BELOW_RING = 0.4 * MM
-"""From the peg's top up to the ring: more than both tolerances, so that the ring never rests on the peg."""
+#: Radial clearance of the ring's bore at s = 0 to a probe of up to 30 mm, more by the tolerance of a wider one; the
+#: bore then widens by 45° to clear the bending probe.
 RING_CLEARANCE = 0.5 * MM
-"""Radial clearance of the ring's bore at s = 0 to a probe of up to 30 mm, more by the tolerance of a wider one; the
-bore then widens by 45° to clear the bending probe."""
 RING_AZIMUTHS_DEG = (45.0, 135.0, 225.0, 315.0)
-WALL = 0.6 * MM
-"""Between a nut's slot and the recess, and outside a hole."""
-THIN_WALL = 0.4 * MM
-"""Below a ring screw's blind hole: a wall that is supported on all sides."""
-ROOF = 1.0 * MM
-"""Least thickness above a nut, which the screw presses against the ring."""
+WALL = 0.6 * MM  #: Between a nut's slot and the recess, and outside a hole.
+THIN_WALL = 0.4 * MM  #: Below a ring screw's blind hole: a wall that is supported on all sides.
+ROOF = 1.0 * MM  #: Least thickness above a nut, which the screw presses against the ring.
 NUT_PLAY = 0.2 * MM
-TIP_ROOM = 0.85 * MM
-"""Depth of the blind hole below the point of a ring screw: more than its tolerances."""
+TIP_ROOM = 0.85 * MM  #: Depth of the blind hole below the point of a ring screw: more than its tolerances.
 HEAD_EDGE = 0.8 * MM  # ring outside a screw's head
-LETTER_EDGE = 0.8 * MM
-"""Distance from a hole or a screw head's seat to the nearest character."""
+LETTER_EDGE = 0.8 * MM  #: Distance from a hole or a screw head's seat to the nearest character.
+#: Offset inward from the middle of the lip: outside the hole the soft lip keeps 0.8 mm, twice the minimum wall
+#: (assumed), and the ring presses all around it.
 PEG_INWARD = 0.05 * MM
-"""Offset inward from the middle of the lip: outside the hole the soft lip keeps 0.8 mm, twice the minimum wall
-(assumed), and the ring presses all around it."""
-MARK_FLAT = 0.8 * MM
-"""Depth of the flat on the adapter's rim that marks +X on the outside."""
+MARK_FLAT = 0.8 * MM  #: Depth of the flat on the adapter's rim that marks +X on the outside.
+#: Of the notches at +X through the recess's wall and across the ring's underside: on the platform, resin and air pass
+#: through them, and they show the clocking.
 VENT_WIDTH = 2.0 * MM
-"""Of the notches at +X through the recess's wall and across the ring's underside: on the platform, resin and air pass
-through them, and they show the clocking."""
 RING_VENT_HEIGHT = 0.6 * MM
+#: On the diameter: a hole prints undersize by as much, which makes a press or slip fit (assumed).
 PRINTED_PIN_PLAY = 0.1 * MM
-"""On the diameter: a hole prints undersize by as much, which makes a press or slip fit (assumed)."""
-PIN_TOLERANCE = 0.25 * MM
-"""Tolerance ± of a dowel pin's length, ISO 2338."""
-PIN_ROOM = 0.1 * MM
-"""Least room beyond a dowel pin's end, so that the pin never lifts the adapter off the tool face."""
-SENSOR_HOLE_DISTANCE = 0.05 * MM
-"""Tolerance ± of the distance between the sensor's dowel holes (assumed)."""
+PIN_TOLERANCE = 0.25 * MM  #: Tolerance ± of a dowel pin's length, ISO 2338.
+PIN_ROOM = 0.1 * MM  #: Least room beyond a dowel pin's end, so that the pin never lifts the adapter off the tool face.
+SENSOR_HOLE_DISTANCE = 0.05 * MM  #: Tolerance ± of the distance between the sensor's dowel holes (assumed).
+#: Material that a printed face may lose on the platform, where the first layers are compressed, or by sanding (assumed:
+#: no number is published for the printers).
 FACE_LOSS = 0.15 * MM
-"""Material that a printed face may lose on the platform, where the first layers are compressed, or by sanding (assumed:
-no number is published for the printers)."""
+#: Depth to which a screw's head settles in printed resin after it was tightened (assumed: the resin creeps).
 SETTLING = 0.05 * MM
-"""Depth to which a screw's head settles in printed resin after it was tightened (assumed: the resin creeps)."""
 
 
 @dataclass(frozen=True)

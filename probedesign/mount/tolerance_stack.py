@@ -29,29 +29,25 @@ from probedesign.mount.sensor_adapter import (
     length_tolerance,
 )
 
-SENSOR_HOLE_TOLERANCE = 0.1 * MM
-"""Tolerance ± of the depth of the sensor's dowel holes (assumed)."""
+SENSOR_HOLE_TOLERANCE = 0.1 * MM  #: Tolerance ± of the depth of the sensor's dowel holes (assumed).
+#: Deviations by ISO 286-2: least of a pin h8 and greatest of a pin m6 of 3 to 6 mm; thinner ones deviate less.
 PIN_H8, PIN_M6 = -0.018 * MM, 0.012 * MM
-"""Deviations by ISO 286-2: least of a pin h8 and greatest of a pin m6 of 3 to 6 mm; thinner ones deviate less."""
 _H7_MM = ((3.0, 0.010), (6.0, 0.012), (10.0, 0.015), (18.0, 0.018), (30.0, 0.021), (50.0, 0.025), (80.0, 0.030),
           (120.0, 0.035), (180.0, 0.040), (250.0, 0.046), (315.0, 0.052))  # fmt: skip
+#: Greatest rotation of a part in the play of its pins: four standard deviations of the clocking (assumed).
 MAX_CLOCKING_DEG = 2.0
-"""Greatest rotation of a part in the play of its pins: four standard deviations of the clocking (assumed)."""
-SOFT_INTERFERENCE = 0.01
-"""Oversize of the flange in its recess, relative: it is pressed in by hand (assumed)."""
+SOFT_INTERFERENCE = 0.01  #: Oversize of the flange in its recess, relative: it is pressed in by hand (assumed).
+#: Oversize of the peg in the flange's hole, relative: the resin stretches by several times that (assumed).
 PEG_STRETCH = 0.2
-"""Oversize of the peg in the flange's hole, relative: the resin stretches by several times that (assumed)."""
+#: Offset of the clamp ring from the probe's axis after it was centred by eye: two fifths of the gap (assumed).
 RING_OFFSET = 0.2 * MM
-"""Offset of the clamp ring from the probe's axis after it was centred by eye: two fifths of the gap (assumed)."""
-MIN_PIN_HEIGHT = 1.0 * MM
-"""Least height of a centring pin beside the sensor (assumed)."""
+MIN_PIN_HEIGHT = 1.0 * MM  #: Least height of a centring pin beside the sensor (assumed).
+#: Greatest play of the sensor between its centring pins and of the spigot, or this fraction of the diameter where it is
+#: more: half of it moves the base aside (assumed).
 MAX_CENTRING_PLAY = 1.0 * MM, 0.02
-"""Greatest play of the sensor between its centring pins and of the spigot, or this fraction of the diameter where it is
-more: half of it moves the base aside (assumed)."""
+#: Least entry of a robot bolt at the worst corner, in diameters; at nominal size it is 0.8 (assumed).
 MIN_BOLT_THREADS = 0.6
-"""Least entry of a robot bolt at the worst corner, in diameters; at nominal size it is 0.8 (assumed)."""
-CALIPERS = 0.05 * MM
-"""Uncertainty of a depth or thickness measured with calipers in a printed part (assumed)."""
+CALIPERS = 0.05 * MM  #: Uncertainty of a depth or thickness measured with calipers in a printed part (assumed).
 PRINTED, SCREWED = "print, ±0.5 %, at least ±0.15 mm (assumed)", "ISO 4759-1, js15"
 
 
@@ -331,17 +327,17 @@ def measurements(a: SensorAdapter, plate: FlangeAdapter) -> list[Measurement]:
 
 # the clamp: force of the lip against the preload of the screws, and the bending of the ring; see `lip`
 
+#: Torque over preload and diameter, dry steel. Source: Shigley, Mechanical Engineering Design, table 8-15.
 NUT_FACTOR = 0.2
-"""Torque over preload and diameter, dry steel. Source: Shigley, Mechanical Engineering Design, table 8-15."""
+#: Permanent pressure under a screw's head: a third of a rigid resin's strength of about 60 MPa (assumed; it creeps).
 RESIN_PRESSURE = 20.0 * MPA
-"""Permanent pressure under a screw's head: a third of a rigid resin's strength of about 60 MPa (assumed; it creeps)."""
+#: Finite elements over the formula for bases of 5 to 25 mm and the default lip (`python -m benchmarks clamp`): with
+#: faces that slip and a flange that does not touch the recess's wall, and with faces that stick and a flange that moves
+#: out to the wall. Up to 2.2 if it has no play there from the beginning.
 MODEL_RANGE = 0.7, 1.8
-"""Finite elements over the formula for bases of 5 to 25 mm and the default lip (`python -m benchmarks clamp`): with
-faces that slip and a flange that does not touch the recess's wall, and with faces that stick and a flange that moves
-out to the wall. Up to 2.2 if it has no play there from the beginning."""
+#: Three standard deviations of E, relative: published fits for Elastic 50A lie between 2.3 and 3.15 MPa (assumed for
+#: other resins).
 MODULUS_TOLERANCE = 0.3
-"""Three standard deviations of E, relative: published fits for Elastic 50A lie between 2.3 and 3.15 MPa (assumed for
-other resins)."""
 
 
 def hand_torque(screw: SocketScrew, below_nut: float = math.inf) -> float:

@@ -24,6 +24,8 @@ from probedesign.optimization.displacement import CRASH, FORCE, MAX_DISTANCE_MM,
 from probedesign.optimization.objective import Task
 
 Goal = Literal["error-at-force", "force-for-error"]
+#: Metrics that may be limited. `buckling_margin` is the critical load over the task's force; `print_warnings` can only
+#: be excluded; `force_mN` and `crash_use` have a distance, as in `force_mN@10mm`.
 LIMITED_METRICS = (
     "error_mm",
     "worst_error_mm",
@@ -41,8 +43,6 @@ LIMITED_METRICS = (
     FORCE,
     CRASH,
 )
-"""Metrics that may be limited. `buckling_margin` is the critical load over the task's force; `print_warnings` can only
-be excluded; `force_mN` and `crash_use` have a distance, as in `force_mN@10mm`."""
 NO_WARNINGS = "print_warnings"
 _LIMIT = re.compile(r"\s*([A-Za-z_]+)(@\S+?)?\s*(<=|>=)\s*(\S+)\s*")
 
@@ -119,17 +119,15 @@ def check_limits(limits: list[Limit]) -> None:
                 raise InputError(f"--subject-to {low.text} and {high.text} contradict; drop one of them")
 
 
-SPARE = 1e-3
-"""Relative margin of a limit during the search, so that rounding the dimensions does not violate it."""
-FORCES = (0.05, 20.0)
-"""Bounds of the optimised force, over the task's."""
+SPARE = 1e-3  #: Relative margin of a limit during the search, so that rounding the dimensions does not violate it.
+FORCES = (0.05, 20.0)  #: Bounds of the optimised force, over the task's.
 _OPTIONS = {"maxiter": 40, "ftol": 1e-4}  # of a logarithm: smaller improvements of the error do not matter
+#: Slide that is allowed at the tip itself, where every press would otherwise count as slipping off.
 _SLIP_ALLOWANCE_MM = 0.5
-"""Slide that is allowed at the tip itself, where every press would otherwise count as slipping off."""
 _BROKEN = 1e-6
+#: Constraints violated by this fraction of the largest violation, at the least infeasible point, are reported as
+#: conflicting.
 _CONFLICT_SHARE = 0.5
-"""Constraints violated by this fraction of the largest violation, at the least infeasible point, are reported as
-conflicting."""
 
 
 class Constraint(NamedTuple):

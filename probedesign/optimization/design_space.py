@@ -27,17 +27,14 @@ from probedesign.rod.rod import Rod
 from probedesign.rod.vibration import natural_frequency
 
 FreeParameter = Literal["cone", "taper", "length", "section"]
-CONTROLS = 5
-"""Number of control diameters of a free taper, evenly spaced along the probe."""
-FRUSTA = 11
-"""Number of frusta of a free taper: none of the usual contact positions lies on a knot between two."""
+CONTROLS = 5  #: Number of control diameters of a free taper, evenly spaced along the probe.
+FRUSTA = 11  #: Number of frusta of a free taper: none of the usual contact positions lies on a knot between two.
 LENGTH_MM, RATIO = (20.0, 400.0), (0.2, 0.9)
+#: Units of the coordinates, chosen so that all of them are between one and fifty.
 _UNIT = {"length": 10.0, "section": 0.1}
-"""Units of the coordinates, chosen so that all of them are between one and fifty."""
+#: Margin of a rule's limit where a ratio varies: it is rounded like the diameters and must not violate the rule.
 _ROUNDING_MARGIN = 2e-3
-"""Margin of a rule's limit where a ratio varies: it is rounded like the diameters and must not violate the rule."""
-DIGITS = 3
-"""Decimals of a millimetre in a design file; no printer resolves the thousandth."""
+DIGITS = 3  #: Decimals of a millimetre in a design file; no printer resolves the thousandth.
 
 
 @dataclass(frozen=True)
@@ -189,14 +186,11 @@ class DesignSpace:
 # Buckling
 
 _WEAK_N = 1e-6
-_SQUARE = 2.0
-"""Power of the force by which the stiffness falls at first: the sign of the force does not matter."""
+_SQUARE = 2.0  #: Power of the force by which the stiffness falls at first: the sign of the force does not matter.
+#: Smallest relative loss of stiffness that is resolved: far from buckling the critical load needs no precision.
 _NONE_LOST = 1e-3
-"""Smallest relative loss of stiffness that is resolved: far from buckling the critical load needs no precision."""
-_SHORT = 0.97
-"""Fraction of the extrapolated critical load at which the stiffness is evaluated next."""
-_BACK = 0.7
-"""Fraction of the step that is kept where the evaluation is beyond the critical load."""
+_SHORT = 0.97  #: Fraction of the extrapolated critical load at which the stiffness is evaluated next.
+_BACK = 0.7  #: Fraction of the step that is kept where the evaluation is beyond the critical load.
 _MAX_EVALUATIONS = 4
 
 
@@ -248,22 +242,20 @@ def _compliance(model: ProbeModel, s: float, force: float) -> float:
     return float(np.linalg.norm(pushed.sensitivity.d_position[:, :3]))
 
 
-STEP = 1e-4
-"""Relative step of the finite differences; the error prediction is smooth to about 1e-8."""
+STEP = 1e-4  #: Relative step of the finite differences; the error prediction is smooth to about 1e-8.
 _EXACT = 12  # decimals: dimensions are not rounded noticeably
 _SMALL = 1e-4  # relative step of a radius, for differences of the free rod alone
+#: Critical load, over the task's force, that a design must have: the error does not show how near buckling is, and a
+#: print may be softer than designed by several times the 3 % standard deviation of E (assumed).
 SAFETY_FACTOR = 1.25
-"""Critical load, over the task's force, that a design must have: the error does not show how near buckling is, and a
-print may be softer than designed by several times the 3 % standard deviation of E (assumed)."""
-_NO_SLIDE_MM = 1e-3
-"""Slide below which an object counts as stationary."""
+_NO_SLIDE_MM = 1e-3  #: Slide below which an object counts as stationary.
 _MAX_LOAD = 1.1 * SAFETY_FACTOR  # beyond the safety factor, so that the constraint is smooth at its limit
+#: Metrics of a design that buckles: values that no optimiser accepts.
 INFEASIBLE = {"error_mm": 1e3, "worst_error_mm": 1e3, "sensor_use": 10.0, "slide_mm": 1e3, "sag_mm": 1e3,
             "reach_mm": 1e-3, "critical_load": 0.1, "buckling_margin": 0.1, "natural_frequency_Hz": 1e-3,
             "detectable_mN": 1e6, "thinnest_mm": 1e-3}  # fmt: skip
-"""Metrics of a design that buckles: values that no optimiser accepts."""
+#: Force or load of a crash where a push does not reach its distance; its inverse is the smallest force.
 _NO_FIGURE = 1e6
-"""Force or load of a crash where a push does not reach its distance; its inverse is the smallest force."""
 
 
 @dataclass

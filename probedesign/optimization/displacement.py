@@ -15,21 +15,17 @@ from probedesign.optimization.objective import Task
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
 
+#: Names of the metrics, before the distance. A lower limit on `FORCE` bounds `MIN_FORCE`, the smallest force.
 FORCE, MIN_FORCE, CRASH = "force_mN", "min_force_mN", "crash_use"
-"""Names of the metrics, before the distance. A lower limit on `FORCE` bounds `MIN_FORCE`, the smallest force."""
 MAX_DISTANCE_MM = 1000.0
-_TOLERANCE = 1e-6
-"""Relative accuracy of the distance: that of the rod's fast integration."""
-_MAX_STEP = 0.1
-"""Predicted displacement of the point in one step, in any direction, relative to the length."""
-_MIN_STEP = 1e-4
-"""Relative step of the force below which the rod has no stable equilibrium ahead."""
+_TOLERANCE = 1e-6  #: Relative accuracy of the distance: that of the rod's fast integration.
+_MAX_STEP = 0.1  #: Predicted displacement of the point in one step, in any direction, relative to the length.
+_MIN_STEP = 1e-4  #: Relative step of the force below which the rod has no stable equilibrium ahead.
 _MAX_SOLVES = 100
+#: Angles between the push of a crash and the line from tip to base. A push exactly along the axis of a straight rod has
+#: no preferred side to buckle to; 10° off, the rod bends aside as a real one does (assumed).
 CRASH_POLAR_DEG = (90.0, 45.0, 10.0)
-"""Angles between the push of a crash and the line from tip to base. A push exactly along the axis of a straight rod has
-no preferred side to buckle to; 10° off, the rod bends aside as a real one does (assumed)."""
-AZIMUTHS_DEG = (0.0, 90.0, 180.0, 270.0)
-"""Azimuths of the pushes from that of gravity."""
+AZIMUTHS_DEG = (0.0, 90.0, 180.0, 270.0)  #: Azimuths of the pushes from that of gravity.
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,9 @@ from probedesign.prediction.touches import SurfaceRod, slide, touches_of
 from probedesign.printing.check import check_print
 from probedesign.probe import build_probe
 
+#: Contact positions over the length whose error is averaged: the outer part without the tip itself.
 FRACTIONS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-"""Contact positions over the length whose error is averaged: the outer part without the tip itself."""
-MAX_GRAVITY = 100.0
-"""Largest gravity of a task on each axis [m/s²]."""
+MAX_GRAVITY = 100.0  #: Largest gravity of a task on each axis [m/s²].
 Combine = Literal["mean", "worst"]
 Vector = tuple[float, float, float]
 
@@ -132,10 +131,8 @@ def side_of(gravity: Array) -> float:
     return math.atan2(gravity[1], gravity[0]) + math.pi / 2.0
 
 
-DETECTION_FRACTION = 0.8
-"""Contact fraction whose detectable force is reported."""
-SHARED_PARTS = ("flange_adapter",)
-"""Parts that do not depend on the flexible part."""
+DETECTION_FRACTION = 0.8  #: Contact fraction whose detectable force is reported.
+SHARED_PARTS = ("flange_adapter",)  #: Parts that do not depend on the flexible part.
 _WEAK_N = 1e-6
 
 
@@ -185,8 +182,8 @@ class DesignMetrics:
         return asdict(self)
 
 
+#: Contact fractions at which designs are compared.
 COMPARED_FRACTIONS = tuple(round(0.2 + 0.05 * k, 2) for k in range(16))
-"""Contact fractions at which designs are compared."""
 METRICS = tuple(DesignMetrics.__dataclass_fields__)
 
 

@@ -35,12 +35,10 @@ if TYPE_CHECKING:
     from optuna.trial import Trial as Drawn
 
 
-STARTS = (1.0, 0.6)
-"""Factors on the diameters of the design, one start each."""
-AROUND = (0.5, 1.0, 2.0)
-"""Factors on the task's forces at which they are compared."""
+STARTS = (1.0, 0.6)  #: Factors on the diameters of the design, one start each.
+AROUND = (0.5, 1.0, 2.0)  #: Factors on the task's forces at which they are compared.
+#: Factor on the diameters of a start that buckles, and maximum number of times: its metrics have no gradient.
 _THICKER, _TIMES = 1.25, 8
-"""Factor on the diameters of a start that buckles, and maximum number of times: its metrics have no gradient."""
 
 
 @dataclass(frozen=True)
@@ -155,8 +153,7 @@ def _stable_start(problem: NonlinearProgram, x: Array) -> Array:
 
 # Monte Carlo check
 
-_CHUNK = 10
-"""Draws that a worker takes at a time: a few seconds."""
+_CHUNK = 10  #: Draws that a worker takes at a time: a few seconds.
 
 
 @dataclass(frozen=True)
@@ -242,8 +239,7 @@ def _errors(chunk: _Chunk) -> Array:
 
 
 POPULATION = 40
-MAX_BASE_D_MM = 25.0
-"""Largest base diameter tried: wider than the sensor, and no softer for it."""
+MAX_BASE_D_MM = 25.0  #: Largest base diameter tried: wider than the sensor, and no softer for it.
 LENGTHS_MM = (60.0, 200.0)
 _VARIABLES = ("base_d_mm", "tip_d_mm", "length_mm", "force_mN", "error_mm", "reach_mm", "sag_mm")
 
@@ -306,7 +302,6 @@ def pareto_front(
 
 
 def _known(design: Design, force: float) -> dict[str, float]:
-    """Return the variables of a known design, at a multiple of the task's force."""
     probe = design.probe
     tip = probe.blunt_mm[-1][1]
     low, high = FORCES

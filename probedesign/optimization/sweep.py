@@ -109,10 +109,8 @@ def _value(text: str) -> Any:
 
 PROGRESS = "sweep.jsonl"
 SCHEDULER_TIMEOUT_S = 10.0
-_Chunk = list[tuple[int, dict[str, Any]]]
-"""Number and varied keys of some designs."""
-_CHUNK = 8
-"""Designs that a worker takes at a time: half a second of work, so little is lost on interruption."""
+_Chunk = list[tuple[int, dict[str, Any]]]  #: Number and varied keys of some designs.
+_CHUNK = 8  #: Designs that a worker takes at a time: half a second of work, so little is lost on interruption.
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from probedesign.rod.equilibrium import Equilibrium
 from probedesign.simulation.ground_truth import BASE_POSITION, marker_arclengths
 
 SetUp = Literal["weighing", "calipers", "hang", "turned", "weight", "touch"]
+#: Duration of each kind of test [min], with the wait until creep has settled: assumed until a laboratory times its own.
 MINUTES: dict[SetUp, float] = {
     "weighing": 5.0,
     "calipers": 10.0,
@@ -34,30 +35,26 @@ MINUTES: dict[SetUp, float] = {
     "weight": 5.0,
     "touch": 4.0,
 }
-"""Duration of each kind of test [min], with the wait until creep has settled: assumed until a laboratory times its
-own."""
+#: Readings of the sensor in each test. Their noise is then below the drift of the bias, which more do not reduce.
 READINGS = 20
-"""Readings of the sensor in each test. Their noise is then below the drift of the bias, which more do not reduce."""
+#: Standard deviation of the arclength of a mark on the probe [m] (assumed: a pencil line set with a caliper).
 STD_MARK = 0.5 * MM
-"""Standard deviation of the arclength of a mark on the probe [m] (assumed: a pencil line set with a caliper)."""
 WEIGHT_PLACES = (0.4, 0.6, 0.8, 0.95)
-TOUCH_PLACES = (0.35, 0.5, 0.65, 0.8, 0.92)
-"""Fractions of the length with a mark."""
+TOUCH_PLACES = (0.35, 0.5, 0.65, 0.8, 0.92)  #: Fractions of the length with a mark.
+#: Displacement of the touched section over its arclength. Farther, the probe slides along the edge (assumed).
 DISPLACEMENTS = (0.06, 0.14, 0.25)
-"""Displacement of the touched section over its arclength. Farther, the probe slides along the edge (assumed)."""
-ROUNDED = 0.5 * MM
-"""Step of proposed marks and displacements."""
+ROUNDED = 0.5 * MM  #: Step of proposed marks and displacements.
+#: Bisection for the force of a displacement, and the relative error that ends it.
 MAX_PRESS_STEPS, DISPLACEMENT_ERROR = 40, 0.02
-"""Bisection for the force of a displacement, and the relative error that ends it."""
+#: Stated error of the located contact over the length up to which a touch is proposed. Simulated touches with a larger
+#: one are located in nine of ten campaigns or fewer (docs/measurements.md).
 MAX_STATED_ERROR = 0.06
-"""Stated error of the located contact over the length up to which a touch is proposed. Simulated touches with a larger
-one are located in nine of ten campaigns or fewer (docs/measurements.md)."""
+#: Displacement of the loaded section over its arclength up to which a weight is proposed: beyond it a thread slips on a
+#: steep probe (assumed).
 MAX_DEFLECTION = 0.6
-"""Displacement of the loaded section over its arclength up to which a weight is proposed: beyond it a thread slips on a
-steep probe (assumed)."""
+#: Orientations of the base: direction of gravity in base axes.
 TURNS = {"tip down": (0.0, 0.0, 1.0), "tip up": (0.0, 0.0, -1.0), "x down": (1.0, 0.0, 0.0), "x up": (-1.0, 0.0, 0.0),
          "y down": (0.0, 1.0, 0.0), "y up": (0.0, -1.0, 0.0)}  # fmt: skip
-"""Orientations of the base: direction of gravity in base axes."""
 
 
 @dataclass(frozen=True)
@@ -228,7 +225,6 @@ class Bench:
         return None
 
     def _located(self, eq: Equilibrium) -> bool:
-        """Return whether `estimate` locates such a touch well enough for `validate` to judge by it."""
         found = self._estimator.estimate(np.tile(eq.wrench_base, (READINGS, 1)), self.model.gravity_base)
         limit = MAX_STATED_ERROR * self.model.rod.length
         return found.ok and rms(found.cov_surface_base) < limit

@@ -28,23 +28,19 @@ from probedesign.identification.residuals import MassMeasurement, ResidualBlock,
 from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, linearize, start_nuisance
 from probedesign.planning.candidates import TOUCH_PLACES, Bench, CandidateTest, Instruments, SetUp
 
-DEFAULT = ("E", "G", "root", "diameters")
-"""Parameters that a plan is for unless others are requested."""
-PREPARATION = 20.0
-"""Time to mount the probe, to let sensor and resin settle and to zero [min] (assumed)."""
-HELD_OUT = 4
-"""Touches that a plan holds out for `validate`, if the bench can touch and the time allows it."""
+DEFAULT = ("E", "G", "root", "diameters")  #: Parameters that a plan is for unless others are requested.
+PREPARATION = 20.0  #: Time to mount the probe, to let sensor and resin settle and to zero [min] (assumed).
+HELD_OUT = 4  #: Touches that a plan holds out for `validate`, if the bench can touch and the time allows it.
+#: Gain of ½ log det below which a further test is not proposed: it narrows no interval by more than 1 %.
 MIN_GAIN = 0.01
-"""Gain of ½ log det below which a further test is not proposed: it narrows no interval by more than 1 %."""
 MAX_EXCHANGES = 10
-ENOUGH = 1.1
-"""Ratio of a standard deviation to the final one from which on further tests are not necessary."""
+ENOUGH = 1.1  #: Ratio of a standard deviation to the final one from which on further tests are not necessary.
+#: Tests on the sensor between two free hangs at most: with 4 minutes each the bias has walked for half an hour
+#: (assumed).
 HANG_EVERY = 8
-"""Tests on the sensor between two free hangs at most: with 4 minutes each the bias has walked for half an hour
-(assumed)."""
 LEVEL = 0.95
+#: Measurements away from the sensor come first. The others keep one set-up after the other.
 ORDER: tuple[SetUp, ...] = ("weighing", "calipers", "hang", "weight", "turned", "touch")
-"""Measurements away from the sensor come first. The others keep one set-up after the other."""
 
 
 @dataclass(frozen=True)
@@ -422,7 +418,6 @@ class _Choice:
         return self._exchanged(chosen, candidates, total, left)
 
     def _values(self, total: Array, pool: list[CandidateTest]) -> Array:
-        """Return the value with each candidate added."""
         return self.value(total + np.stack([self.matrices[candidate.name] for candidate in pool]))
 
     def _exchanged(

@@ -28,8 +28,7 @@ from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.model import covariance
 from probedesign.rod.kernels.surface_contact import ALONG, BY_TOUCH, CENTRE, POINT, UNKNOWNS, VALUE, S
 
-CAUSES = (*SOURCES, "friction")
-"""Error sources of a single touch, in the order of the tables."""
+CAUSES = (*SOURCES, "friction")  #: Error sources of a single touch, in the order of the tables.
 
 
 @dataclass(frozen=True)

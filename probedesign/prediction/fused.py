@@ -61,10 +61,8 @@ class PressSchedule:
         return f"{self.touches} touches fused as the base presses on, {counted}"
 
 
-FUSED_CAUSES = (*SOURCES, "friction", "robot")
-"""Error sources of fused touches, in the order of the tables."""
-_STEP = 2e-3
-"""Relative step of the differences; their error is its square."""
+FUSED_CAUSES = (*SOURCES, "friction", "robot")  #: Error sources of fused touches, in the order of the tables.
+_STEP = 2e-3  #: Relative step of the differences; their error is its square.
 _SCATTER = "stiffness scatter"
 
 
@@ -158,10 +156,8 @@ class LinearizedPresses:
         return D
 
 
-SHOWN_N = 0.005
-"""Largest force at which fused touches are shown: too light for a single touch to be located well."""
-Line = tuple[float, str]
-"""Contact fraction and direction."""
+SHOWN_N = 0.005  #: Largest force at which fused touches are shown: too light for a single touch to be located well.
+Line = tuple[float, str]  #: Contact fraction and direction.
 
 
 @dataclass(frozen=True)

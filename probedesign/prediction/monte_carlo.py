@@ -35,8 +35,8 @@ from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.kernels.surface_contact import POINT, VALUE
 from probedesign.rod.rod import Rod
 
+#: Sources that a single touch cannot distinguish: of fused touches the first grows, the second is drawn for each.
 _PER_TOUCH = ("creep", "stiffness scatter")
-"""Sources that a single touch cannot distinguish: of fused touches the first grows, the second is drawn for each."""
 
 
 @dataclass(frozen=True)
@@ -192,15 +192,13 @@ def perturbed_rod(rod: Rod, by: Array) -> Rod:
     )
 
 
+#: Relative difference between Monte Carlo and first order that is flagged, beyond two standard errors.
 MAX_DIFFERENCE = 0.10
-"""Relative difference between Monte Carlo and first order that is flagged, beyond two standard errors."""
-SAVE_EVERY_S = 2.0
-"""Interval at which the checkpoint is saved."""
+SAVE_EVERY_S = 2.0  #: Interval at which the checkpoint is saved.
 MAX_DRAWS = 1_000_000
+#: Results whose best candidate is counted; without "inconsistent" the draws would be selected by their error.
 LOCATED_RESULTS = ("ok", "inconsistent")
-"""Results whose best candidate is counted; without "inconsistent" the draws would be selected by their error."""
-Touch = tuple[float, float, str, int]
-"""Contact fraction, force [N], direction, and number of fused touches."""
+Touch = tuple[float, float, str, int]  #: Contact fraction, force [N], direction, and number of fused touches.
 
 
 @dataclass(frozen=True)
@@ -314,7 +312,6 @@ def _fused(estimator: Estimator, schedule: PressSchedule, wrenches: Array, place
 
 
 def _contains(cov: Array, off: Array) -> bool:
-    """Return whether the 95 % ellipsoid of a covariance contains an offset from its centre."""
     return bool(off @ np.linalg.lstsq(cov, off, rcond=1e-12)[0] <= max_chi2(3, 0.05))
 
 
@@ -366,8 +363,7 @@ def run_monte_carlo(
     return tuple(_result(plan, c, done[name]) for c in conditions if (name := _name(_touch(c))) in done)
 
 
-_worker_state: tuple[MonteCarloPlan, PrintSamples] | None = None
-"""Plan and print samples of a worker process."""
+_worker_state: tuple[MonteCarloPlan, PrintSamples] | None = None  #: Plan and print samples of a worker process.
 
 
 def _initialize(plan: MonteCarloPlan) -> None:

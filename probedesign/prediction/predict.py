@@ -35,9 +35,10 @@ from probedesign.rod.equilibrium import Equilibrium
 
 FRACTIONS = tuple(round(0.1 * k, 1) for k in range(1, 11))
 FORCES_N = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
+#: Touch that the verdict and the shown error budget describe: the smallest force of the paper's Table I, where its
+#: touches near the tip are.
 HEADLINE_FORCE_N, HEADLINE_FRACTION = 0.01, 0.8
-"""Touch that the verdict and the shown error budget describe: the smallest force of the paper's Table I, where its
-touches near the tip are."""
+#: Error sources with a common remedy.
 CAUSE_GROUPS = {
     "noise": ("noise",),
     "drift": ("drift",),
@@ -48,7 +49,6 @@ CAUSE_GROUPS = {
     "mount": ("base place", "base tilt", "clocking", "root", "gain"),
     "weight": ("density", "gravity"),
 }
-"""Error sources with a common remedy."""
 PRESSING, NO_WORKSPACE = PressSchedule(), Workspace()
 _WEAK_N = 1e-6  # small enough for the response to be linear
 

@@ -41,21 +41,18 @@ from probedesign.rod.kernels.surface_contact import (
 )
 from probedesign.rod.rod import Rod
 
+#: Force step, relative to the force reached, below which a press is not divided further: the probe buckles.
 _MIN_STEP = 1e-3
-"""Force step, relative to the force reached, below which a press is not divided further: the probe buckles."""
-_MAX_TURN = 0.3
-"""Predicted rotation of the tip in one step [rad]."""
+_MAX_TURN = 0.3  #: Predicted rotation of the tip in one step [rad].
+#: Rotation between the predicted and the solved tip [rad]; a larger one has left the solution branch.
 _MAX_PREDICTION_ERROR = 0.15
-"""Rotation between the predicted and the solved tip [rad]; a larger one has left the solution branch."""
 
 
 _MAX_ITERATIONS = 12
-_LATERAL_TOLERANCE = 1e-6
-"""Distance from the straight line of a press, relative to the length, that counts as zero."""
-_MAX_SLIDE = 0.05
-"""Slide in one iteration, relative to the length."""
+_LATERAL_TOLERANCE = 1e-6  #: Distance from the straight line of a press, relative to the length, that counts as zero.
+_MAX_SLIDE = 0.05  #: Slide in one iteration, relative to the length.
+#: Direction in which the object pushes, as an angle about the tangent from the section's x axis [rad].
 DIRECTIONS = {"+x": 0.0, "-x": math.pi, "+y": math.pi / 2, "-y": -math.pi / 2}
-"""Direction in which the object pushes, as an angle about the tangent from the section's x axis [rad]."""
 
 
 @dataclass(frozen=True)

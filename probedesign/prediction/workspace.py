@@ -10,10 +10,9 @@ from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.prediction.touches import DIRECTIONS, Touches
 
-ACCURACIES_MM = (1.0, 2.0, 5.0)
-"""RMS errors for which the required force is computed."""
+ACCURACIES_MM = (1.0, 2.0, 5.0)  #: RMS errors for which the required force is computed.
+#: Forces that are evaluated, from a sixth of one reading's resolution up to the range of the finest calibration.
 LADDER_N = tuple(float(f) for f in np.geomspace(5e-4, 12.0, 36))
-"""Forces that are evaluated, from a sixth of one reading's resolution up to the range of the finest calibration."""
 
 
 @dataclass(frozen=True)
@@ -113,11 +112,9 @@ def force_for_accuracy(
     return float(np.exp(np.interp(-np.log(accuracy), -y, x)))
 
 
-STEPS = 12
-"""Number of points of a path, evenly spaced from the untouched one."""
+STEPS = 12  #: Number of points of a path, evenly spaced from the untouched one.
 _TURNS = 24  # of the angle, for the volume
-_MIRRORED = 1e-3
-"""Largest fraction of gravity along y at which both sides across it count as symmetric."""
+_MIRRORED = 1e-3  #: Largest fraction of gravity along y at which both sides across it count as symmetric.
 
 
 @dataclass(frozen=True)
@@ -191,7 +188,6 @@ def _path(row: ForceThresholds, max_force: float, forces: Array, points: Array, 
 
 
 def _sheet(paths: Sequence[PressPath], side: str) -> Array:
-    """Return the paths of one direction from base to tip, (n + 1, STEPS, 3)."""
     along = sorted((path for path in paths if path.direction == side), key=lambda path: path.contact_fraction)
     return np.array([np.zeros((STEPS, 3)), *(path.points for path in along)])
 
@@ -217,7 +213,6 @@ def _volume(sheets: Mapping[str, Array]) -> float | None:
 
 
 def _between(change: Array, along: int) -> Array:
-    """Return differences along one axis as means over each cell's four edges."""
     for axis in range(3):
         if axis != along:
             n = change.shape[axis]

@@ -31,24 +31,20 @@ from probedesign.printing.findings import Finding, Rule
 GUIDE = "Formlabs' design guide, Form 2, rigid resin"
 DOUBLED = f"twice {GUIDE}, for soft resin (assumed)"
 
-MAX_CUP_D = 10.0
-"""Widest cup that the peel of a rigid resin stands [mm] (assumed)."""
+MAX_CUP_D = 10.0  #: Widest cup that the peel of a rigid resin stands [mm] (assumed).
 
-LAYER = 0.1
-"""Elastic 50A has no other layer height. Source: PreForm's list of materials."""
+LAYER = 0.1  #: Elastic 50A has no other layer height. Source: PreForm's list of materials.
 
+#: Raft of 2 mm and supports of 5 mm below the base, margin around it (assumed), and distance between parts.
 SUPPORT_HEIGHT, RAFT_MARGIN, BETWEEN = 7.0, 5.0, 5.0
-"""Raft of 2 mm and supports of 5 mm below the base, margin around it (assumed), and distance between parts."""
 PLATFORM_SETUP = f"raft 2 mm, supports 5 mm, margin {RAFT_MARGIN:g} mm (assumed)"
 
+#: Formlabs' limits for rigid resin: wall supported on two or more sides, wall supported on one side, open hole.
 SUPPORTED_WALL, UNSUPPORTED_WALL, MIN_HOLE_D = 0.4, 0.6, 0.5
-"""Formlabs' limits for rigid resin: wall supported on two or more sides, wall supported on one side, open hole."""
-SOFT_FACTOR = 2.0
-"""Factor on these three for soft resin (assumed)."""
-MIN_THICKNESS = 1.5
-"""Minimum thickness of an unsupported part of soft resin (assumed)."""
+SOFT_FACTOR = 2.0  #: Factor on these three for soft resin (assumed).
+MIN_THICKNESS = 1.5  #: Minimum thickness of an unsupported part of soft resin (assumed).
+#: Diameter over the height above it: vertical wires print from Ø0.3 (7 mm tall) to Ø1.5 (30 mm tall).
 GOOD_SLENDERNESS, MIN_SLENDERNESS = 0.05, 0.025
-"""Diameter over the height above it: vertical wires print from Ø0.3 (7 mm tall) to Ø1.5 (30 mm tall)."""
 MIN_OVERHANG, MIN_SOFT_OVERHANG = 19.0, 45.0
 MIN_DRAIN_D = 3.5
 
@@ -205,8 +201,7 @@ def clamp_findings(a: SensorAdapter, plate: FlangeAdapter, modulus: float) -> li
     ]  # fmt: skip
 
 
-Walls = list[tuple[str, float, float]]
-"""Thin features: name, thickness [m] and its limit [mm]."""
+Walls = list[tuple[str, float, float]]  #: Thin features: name, thickness [m] and its limit [mm].
 
 
 def _adapter_walls(a: SensorAdapter) -> Walls:
@@ -299,14 +294,14 @@ class Orientation(NamedTuple):
         return {**self._asdict(), "z_direction": [0.0, 0.0, 1.0 if self.upright else -1.0]}
 
 
+#: The orientation of each part. A test cuts the rigid parts of every known sensor and flange into layers: nothing
+#: hangs, begins in mid-air or encloses resin, so that no supports touch a face that carries a dimension.
 ORIENTATIONS = {
     "probe": Orientation("upright", "its flange", supports=True),
     "sensor_adapter": Orientation("upright", "its foot"),
     "clamp_ring": Orientation("upright", "its underside"),
     "flange_adapter": Orientation("upside down", "the sensor's seat"),
 }
-"""The orientation of each part. A test cuts the rigid parts of every known sensor and flange into layers: nothing
-hangs, begins in mid-air or encloses resin, so that no supports touch a face that carries a dimension."""
 
 
 @dataclass(frozen=True)
@@ -434,6 +429,5 @@ def _probe_size(design: Design, geometry: ProbeGeometry) -> list[Finding]:
 
 
 def _width_mm(design: Design, geometry: ProbeGeometry) -> float:
-    """Return the width of the probe with its flange, as printed."""
     width = max(geometry.flange.diameter, 2.0 * float(geometry.radius.max())) / MM
     return print_scale(design, "probe")[0] * width

@@ -6,8 +6,7 @@ from typing import Any, Literal
 Severity = Literal["ok", "warning", "error"]
 Confidence = Literal["high", "medium", "low"]
 Bound = Literal["at least", "at most"]
-ROUNDING = 1e-9
-"""Relative tolerance: sums such as 1.75 - 1.05 are off in the sixteenth digit."""
+ROUNDING = 1e-9  #: Relative tolerance: sums such as 1.75 - 1.05 are off in the sixteenth digit.
 
 
 @dataclass(frozen=True)

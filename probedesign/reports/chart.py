@@ -13,12 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+#: Distinct colours for colour-blind readers; markers and dashes distinguish lines in grey. Source: M. Okabe, K. Ito,
+#: Color Universal Design, 2008.
 COLOURS = ("#000000", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-"""Distinct colours for colour-blind readers; markers and dashes distinguish lines in grey. Source: M. Okabe, K. Ito,
-Color Universal Design, 2008."""
+#: Ordered colours from low to high, for colour-blind readers and in grey. Source: viridis, S. van der Walt, N. Smith,
+#: 2015.
 ORDERED = ("#440154", "#443983", "#31688e", "#21918c", "#35b779", "#90d743", "#fde725")
-"""Ordered colours from low to high, for colour-blind readers and in grey.
-Source: viridis, S. van der Walt, N. Smith, 2015."""
 _LINES_TO = 3.5  # of `ORDERED`: lighter colours have a contrast below 3 on white paper (WCAG 2.2, 1.4.11)
 DASHES = ("", "7 4", "2 3", "9 3 2 3", "5 2", "1 2", "12 4")
 NO_LINE = "0 99"  # dashes of a legend entry that shows a marker only
@@ -102,8 +102,8 @@ def ink_on(fill: str, dark: bool = False) -> str:
 
 
 _WEIGHTS = np.array([0.213, 0.715, 0.072])
+#: Of all hues. Source: Filter Effects Module Level 1, hue-rotate, with cos 180° = -1.
 _HALF_TURN = 2.0 * np.tile(_WEIGHTS, (3, 1)) - np.eye(3)
-"""Of all hues. Source: Filter Effects Module Level 1, hue-rotate, with cos 180° = -1."""
 
 
 def _floats(values: ArrayLike) -> list[float]:
@@ -124,7 +124,6 @@ def _log_ticks(low: float, high: float) -> tuple[float, ...]:
 
 
 def _even_ticks(low: float, high: float) -> tuple[float, ...]:
-    """Return multiples of 1, 2 or 5 times a power of ten, about five of them."""
     raw = (high - low) / 5.0
     power = 10.0 ** math.floor(math.log10(raw))
     step = next(k * power for k in (1.0, 2.0, 5.0, 10.0) if k * power >= 0.999 * raw)
@@ -307,7 +306,6 @@ class Chart:
         return "".join(drawn)
 
     def _tipped_mark(self, line: ChartLine, x: float, y: float) -> str:
-        """Return a marker with its values, which a browser shows under the pointer."""
         p, q = self.at(x, y)
         name = f"{line.name}\n" if line.name else ""
         tip = escape(f"{name}{self.x.label}: {x:.4g}\n{self.y.label}: {y:.3g}")

@@ -27,11 +27,10 @@ from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 
 MAX_DESIGNS = 6
-SIDE = "+y"
-"""Direction across gravity for a horizontal mount, as in the task."""
-NEUTRAL = ("length_mm", "thinnest_mm")
-"""Metrics of which neither a larger nor a smaller value is better."""
+SIDE = "+y"  #: Direction across gravity for a horizontal mount, as in the task.
+NEUTRAL = ("length_mm", "thinnest_mm")  #: Metrics of which neither a larger nor a smaller value is better.
 LARGER_IS_BETTER = ("reach_mm",)
+#: Names of the metrics in the table.
 LABELS = {
     "error_mm": "error of the task, RMS [mm]",
     "worst_error_mm": "largest error of the task [mm]",
@@ -46,7 +45,6 @@ LABELS = {
     "print_errors": "errors of the print check",
     "print_warnings": "warnings of the print check",
 }
-"""Names of the metrics in the table."""
 FORCES_N = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
 
 
@@ -193,7 +191,6 @@ def _lines(
 
 
 def _rows(rows: Sequence[Any], value: Callable[[Any], float | None], unit: float = 1.0) -> _Points:
-    """Return contact positions and a value of each row, NaN where it has none."""
     values = [math.nan if (v := value(row)) is None else unit * v for row in rows]
     return [row.contact_fraction for row in rows], values
 

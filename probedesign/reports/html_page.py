@@ -11,6 +11,7 @@ from pathlib import Path
 from probedesign.core.errors import InputError
 
 DOCTYPE = "<!DOCTYPE html>"
+#: Common to all pages; dark where the reader's system is, and always light in print.
 STYLE = """
 @page { size: A4; margin: 14mm }
 :root { color-scheme: light dark; --ink: #111; --soft: #444; --rule: #bbb; --paper: #fff; --link: #1a5fa8;
@@ -30,12 +31,11 @@ table { border-collapse: collapse; font-size: 9.5pt; break-inside: avoid }
 th, td { text-align: right; padding: 0.8mm 3mm; border-bottom: 0.4pt solid var(--rule); white-space: nowrap }
 thead th, thead td { border-bottom: 1pt solid var(--ink) }
 """
-"""Common to all pages; dark where the reader's system is, and always light in print."""
+#: After all other styles. A table as wide as the sheet wraps its cells, and repeats its head on each sheet.
 PRINT_STYLE = """@media print { body { margin: 0; padding: 0; max-width: none } .wide { overflow: visible }
   table { max-width: 100% } th { overflow-wrap: anywhere }
   th, td { white-space: normal; padding: 0.6mm 1mm } thead { display: table-header-group } }
 """
-"""After all other styles. A table as wide as the sheet wraps its cells, and repeats its head on each sheet."""
 REPORT_STYLE = """h2 { font-size: 12.5pt; margin: 0 0 1mm }
 .figures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(88mm, 100%), 1fr)); gap: 5mm }
 section { break-inside: avoid; margin: 0 0 4mm }

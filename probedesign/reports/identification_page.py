@@ -9,16 +9,15 @@ from probedesign.identification.result import Identification, Identified
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis, LegendEntry
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 
-MAX_TEST_NAMES = 36
-"""Maximum number of test names along an axis; of more tests, every second or third is named."""
+MAX_TEST_NAMES = 36  #: Maximum number of test names along an axis; of more tests, every second or third is named.
 KINDS = {"markers": "marker", "wrenches": "wrench", "touches": "place touched"}
 NOISE_KINDS = KINDS | {"places": "arclength of a load", "weights": "known load", "stiffness": "stiffness of a test",
                        "friction": "friction of a touch"}  # fmt: skip
+#: Colour and marker of each kind of reading.
 _SIGNS = {kind: (colour, mark) for kind, colour, mark in zip(KINDS, COLOURS[1:], MARKS, strict=False)}
-"""Colour and marker of each kind of reading."""
 _AXES = ("x", "y", "z")
+#: Colour of the diagonal of the correlation matrix.
 _SELF = "#dddddd"
-"""Colour of the diagonal of the correlation matrix."""
 
 
 def identification_page(found: Identification) -> bytes:

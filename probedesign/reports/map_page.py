@@ -28,12 +28,9 @@ from probedesign.reports.html_page import HtmlTable, html_document
 
 # Scene
 
-MIN_SPAN_MM = 10.0
-"""Minimum extent of what is shown, so that a single point is not magnified without bounds."""
-MAGNIFICATIONS = (1, 5, 10)
-"""Magnifications of ellipsoids that can be chosen."""
-MIN_VISIBLE = 0.02
-"""Half-axis over the radius of the scene from which an ellipsoid is visible: about five pixels."""
+MIN_SPAN_MM = 10.0  #: Minimum extent of what is shown, so that a single point is not magnified without bounds.
+MAGNIFICATIONS = (1, 5, 10)  #: Magnifications of ellipsoids that can be chosen.
+MIN_VISIBLE = 0.02  #: Half-axis over the radius of the scene from which an ellipsoid is visible: about five pixels.
 
 
 @dataclass(frozen=True)
@@ -93,8 +90,7 @@ class ParallelProjection:
 
 
 TRUTH_COLOUR, STROKE_COLOUR = "#a08c5a", "#999"
-SYMBOL_SIZE = (34, 14)
-"""Width and height of a symbol of the legend, in units of SVG."""
+SYMBOL_SIZE = (34, 14)  #: Width and height of a symbol of the legend, in units of SVG.
 
 
 def map_symbols(ellipsoids: str, truth: bool) -> list[tuple[str, str]]:
@@ -134,11 +130,10 @@ def hex_colour(rms_mm: float) -> str:
 
 # Still picture
 
+#: Size of the picture, its margin, and the space for the legend at the top.
 WIDTH, HEIGHT, MARGIN, LEGEND_HEIGHT = 760.0, 640.0, 46.0, 126.0
-"""Size of the picture, its margin, and the space for the legend at the top."""
 SCALE_BARS_MM = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
-NORMAL_LENGTH = 14.0
-"""Length of a normal that lies in the plane of the picture, in its units."""
+NORMAL_LENGTH = 14.0  #: Length of a normal that lies in the plane of the picture, in its units.
 
 
 def map_svg(scene: MapScene) -> bytes:
@@ -200,8 +195,8 @@ STYLE = """canvas { width: 100%; height: 150mm; border: 0.4pt solid #bbb; color:
 .legend svg { vertical-align: -2px; margin-right: 1.5mm }
 .still { display: none }
 """
+#: On paper and without scripts: the still picture, which has its own legend.
 STILL_STYLE = "canvas, #times, #status, .legend { display: none } .still { display: block }"
-"""On paper and without scripts: the still picture, which has its own legend."""
 HINT = "Drag or use the arrow keys to rotate, scroll to zoom, double-click to reset; point at a point to read it."
 HEAD = ("point", "x [mm]", "y [mm]", "z [mm]", "± [mm]", "common part [mm]", "force [mN]", "touches")
 

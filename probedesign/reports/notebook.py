@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
-_ARROW = 0.25
-"""Length of a force's arrow over that of the probe."""
+_ARROW = 0.25  #: Length of a force's arrow over that of the probe.
 _STYLE = "margin: 0.3em 0 0.3em 0.8em"
 
 
@@ -265,7 +264,6 @@ def _contact(estimate: Estimate) -> Chart:
 
 
 def _ellipse(cov: Array) -> Array:
-    """Return the outline of 95 % of a plane covariance (2, 2), (n, 2)."""
     half_axes, axes = statistics.ellipsoid_95(cov)
     turn = np.linspace(0.0, 2.0 * math.pi, 49)
     return np.asarray(half_axes * np.stack([np.cos(turn), np.sin(turn)], axis=1) @ axes.T)
@@ -346,7 +344,6 @@ def _(found: Identification) -> Summary:
 
 
 def _interval(one: Identified) -> str:
-    """Return a number with its 95 % interval, or the reason why it is not identified."""
     if one.low is None or one.high is None:
         return f"{one.design:.4g} {one.unit}".strip() + f" (design): {one.why}"
     unit = f" {one.unit}" if one.unit else ""

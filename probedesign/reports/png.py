@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from probedesign.validation.validate import ValidationReport
 
+#: Shapes in a row, and in the whole picture of a validation; one more panel shows the errors.
 COLUMNS, MAX_PICTURED = 3, 11
-"""Shapes in a row, and in the whole picture of a validation; one more panel shows the errors."""
 
 
 def draw_prediction(prediction: Prediction, estimator: Estimator) -> bytes:

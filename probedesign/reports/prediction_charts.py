@@ -19,24 +19,21 @@ from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, Ch
 from probedesign.rod.contact import solve_frictionless
 
 Cell = Condition | FusedCondition
+#: Including Okabe and Ito's eighth colour.
 _FILL = (*COLOURS, "#F0E442")
-"""Including Okabe and Ito's eighth colour."""
 _MIN_LABELLED = 0.09  # smallest share with space for its number
-LEVELS_MM = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
-"""Errors at which the colour of the map changes."""
+LEVELS_MM = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  #: Errors at which the colour of the map changes.
 RESULT_LABELS = {"too_light": "faint", "unobservable": "faint", "no_contact": "—", "out_of_range": "range"}
+#: Contact fraction and force [N] of the touches whose shapes are drawn.
 TOUCHES = ((0.4, 0.05), (0.6, 0.03), (0.8, 0.02))
-"""Contact fraction and force [N] of the touches whose shapes are drawn."""
+#: Text and marker of each limit of the force.
 LIMITS = {"gives_way": ("buckling", "o"), "sensor": ("sensor's range", "s"), "slips_off": ("slips off", "v"),
           "none": ("no limit found", "d")}  # fmt: skip
-"""Text and marker of each limit of the force."""
-STATIONS = 81
-"""Points of a centreline that is drawn."""
+STATIONS = 81  #: Points of a centreline that is drawn.
 _PLACE = "contact position, fraction of the length"
 
 
 def _along(label: str, values: Sequence[float], high: float = 1.05) -> Chart:
-    """Return an empty chart of positive values along the probe, with a logarithmic axis."""
     x = ChartAxis(_PLACE, 0.0, high, ticks=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0))
     return Chart(x, ChartAxis.spanning(label, values, log=True))
 

@@ -15,12 +15,11 @@ from probedesign.reports.chart import COLOURS, Chart, ChartAxis
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 from probedesign.reports.replay import STYLE, replay_element
 
-FREE = ("no_contact", "no_tare")
-"""Results of a reading that no touch contains."""
+FREE = ("no_contact", "no_tare")  #: Results of a reading that no touch contains.
+#: Results that neither begin nor end a touch: it is not known whether anything touches.
 UNKNOWN = ("out_of_range", "not_converged")
-"""Results that neither begin nor end a touch: it is not known whether anything touches."""
+#: Readings that are drawn as lines, and with a marker each; touches in the table of the page.
 MAX_POINTS, MAX_MARKED, MAX_TOUCHES = 1500, 400, 60
-"""Readings that are drawn as lines, and with a marker each; touches in the table of the page."""
 
 
 @dataclass(frozen=True)

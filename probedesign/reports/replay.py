@@ -20,14 +20,12 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.live.processing.estimates import COVARIANCE, Row
 from probedesign.mapping.contact_map import MAX_RMS_MM, MIN_RMS_MM, rms_colour
 
+#: Of a replay: readings that are shown, evenly chosen, and points of the centreline. A frame takes about half a
+#: kilobyte.
 MAX_FRAMES, STATIONS = 240, 25
-"""Of a replay: readings that are shown, evenly chosen, and points of the centreline. A frame takes about half a
-kilobyte."""
-ARROW = 0.25
-"""Length of the arrow of the largest force over that of the probe."""
+ARROW = 0.25  #: Length of the arrow of the largest force over that of the probe.
 AZIMUTH, ELEVATION = math.radians(-25.0), math.radians(18.0)
-FLAT = 2.2
-"""Width over height of a probe that lies, whose picture may be wider than high."""
+FLAT = 2.2  #: Width over height of a probe that lies, whose picture may be wider than high.
 FOLDER = Path(__file__).parent
 ORBIT = FOLDER / "orbit.js"
 STYLE = """#replay { width: 100%; height: 84mm; border: 0.4pt solid #bbb; color: #111; touch-action: pan-y;
@@ -139,7 +137,6 @@ def upright(gravity: Array) -> Array:
 
 
 def _vector(row: Row, name: str) -> Array:
-    """Return the components of a vector by the name of its columns; NaN where they are missing."""
     return np.array([float(row.get(name.format(axis), math.nan)) for axis in "xyz"])
 
 

@@ -12,15 +12,14 @@ from probedesign.planning.candidates import CandidateTest
 from probedesign.prediction.touches import DIRECTIONS
 
 WIDTH, HEIGHT, MARGIN = 360.0, 230.0, 26.0
+#: Colours of `reports.chart`.
 PROBE, LOAD, MARK, GREY = "#0072B2", "#D55E00", "#000000", "#666666"
-"""Colours of `reports.chart`."""
+#: That of the load darkened, for words.
 LOAD_INK = "#A34700"
-"""That of the load darkened, for words."""
+#: Oblique view of the world with x to the right, z up and y away from the viewer, in pixels downwards.
 PROJECTION = np.array([[1.0, 0.35, 0.0], [0.0, -0.28, -1.0]])
-"""Oblique view of the world with x to the right, z up and y away from the viewer, in pixels downwards."""
 STATIONS = 60
-SENSOR, MOUNT = 0.10, 0.18
-"""Lengths of the drawn sensor and robot adapter over the probe's."""
+SENSOR, MOUNT = 0.10, 0.18  #: Lengths of the drawn sensor and robot adapter over the probe's.
 
 
 def set_up_drawing(model: ProbeModel, candidate: CandidateTest) -> bytes:

@@ -15,12 +15,11 @@ from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 
 Record = Mapping[str, Any]
 METRIC = "error_mm"
-CURVES = ("error_mm", "worst_error_mm", "sag_mm", "detectable_mN")
-"""Metrics drawn over a single key."""
+CURVES = ("error_mm", "worst_error_mm", "sag_mm", "detectable_mN")  #: Metrics drawn over a single key.
 MAX_ROWS = 20
+#: Text of a cell without an error, by result.
 SHORT = {"refused": "invalid", "gives_way": "buckles", "unobservable": "unobs.", "out_of_range": "range",
          "failed": "failed"}  # fmt: skip
-"""Text of a cell without an error, by result."""
 
 
 def sweep_page(
@@ -128,7 +127,6 @@ def parallel_coordinates(records: Sequence[Record], keys: Sequence[str], low: fl
 
 
 def _scale(values: Sequence[Any]) -> dict[Any, float]:
-    """Return the height of each value: numbers in proportion, names in order."""
     found = list(dict.fromkeys(values))
     if all(isinstance(v, int | float) for v in found):
         low, high = min(found), max(found)
@@ -137,7 +135,6 @@ def _scale(values: Sequence[Any]) -> dict[Any, float]:
 
 
 def _level(error: float, low: float, high: float) -> int:
-    """Return the index of the colour of an error: the last for the smallest."""
     share = math.log(error / low) / math.log(high / low) if high > low else 0.0
     return len(ORDERED) - 1 - min(int(share * len(ORDERED)), len(ORDERED) - 1)
 

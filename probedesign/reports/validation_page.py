@@ -17,10 +17,8 @@ from probedesign.validation.validate import WHY, ErrorStatistics, ValidationRepo
 from probedesign.validation.validated_test import ValidatedTest
 
 MEASURED, ESTIMATED, CONTACT = COLOURS[0], COLOURS[1], COLOURS[2]
-POINTS = 80
-"""Arclengths at which a shape is drawn."""
-MAX_SHAPES = 24
-"""Further shapes are left out, with a note on the page."""
+POINTS = 80  #: Arclengths at which a shape is drawn.
+MAX_SHAPES = 24  #: Further shapes are left out, with a note on the page.
 
 
 def error_size_chart(trials: Sequence[ValidatedTest]) -> Chart:

@@ -100,7 +100,6 @@ def _newton(
 
 
 def _turned(axes: Array, unit: Array) -> Array:
-    """Return a load in base axes from that in section axes; linear in the axes, so it maps derivatives too."""
     return np.asarray((unit.reshape(-1, 3) @ axes.T).ravel())
 
 
@@ -306,10 +305,9 @@ def solve_contact(
     return RodContact("ok", eq, s_axis, eq.p_at(s_axis), contact.force_base, contact.p_surface_base)
 
 
-Numbers = NDArray[Any]
-"""Real or complex: derivatives are taken by complex steps."""
+Numbers = NDArray[Any]  #: Real or complex: derivatives are taken by complex steps.
+#: Half-width over which the normal rotates at a knot [rod lengths], at most a quarter of the adjacent frusta.
 _BLEND = 0.005
-"""Half-width over which the normal rotates at a knot [rod lengths], at most a quarter of the adjacent frusta."""
 
 
 class SurfaceProfile(NamedTuple):
@@ -342,12 +340,10 @@ def _straight(s: Numbers, knots: Array, values: Array) -> Numbers:
     return interpolated
 
 
-DEFAULT_FORCE = 20.0 * MILLINEWTON
-"""Default contact force [N], reduced for a probe that it would bend too far."""
+DEFAULT_FORCE = 20.0 * MILLINEWTON  #: Default contact force [N], reduced for a probe that it would bend too far.
+#: Maximum of F s² r(0)/(E I(0) r(s)): about one radian of bending, for any inclination of the force.
 MAX_BENDING = 0.85
-"""Maximum of F s² r(0)/(E I(0) r(s)): about one radian of bending, for any inclination of the force."""
-OUTERMOST = 0.95
-"""Largest fraction of the length at which simulated contacts are placed."""
+OUTERMOST = 0.95  #: Largest fraction of the length at which simulated contacts are placed.
 
 
 def safe_force(rod: Rod) -> float:

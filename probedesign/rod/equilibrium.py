@@ -68,7 +68,6 @@ class Sensitivity:
         return np.hstack([np.eye(3), self._by_turn(self.d_position) - skew(self.frame[6:9])])
 
     def _by_turn(self, columns: Array) -> Array:
-        """Return the columns by a rotation of the base from those by the load's vectors."""
         if columns.shape[1] < ALL_COLUMNS:
             raise InputError('derivatives by the base pose need columns = "all"')
         F, g, C = self.load[0:3], self.load[3:6], self.load[9:12]
@@ -203,7 +202,6 @@ class Equilibrium:
         return moved
 
     def _frames(self, states: Array) -> Array:
-        """Return the sections' frames, rotated about the tangent so that the base's is the identity."""
         t, d = states[:, 0:3], states[:, 9:12]
         across = np.cross(t, d)
         turn = -np.arctan2(self.y[10], self.y[9])
@@ -212,7 +210,6 @@ class Equilibrium:
 
 
 def _lanes(columns: Array) -> Array:
-    """Return the kernels' blocks of WIDE columns as (j, 9, lanes)."""
     blocks = columns.reshape(len(columns), -1, COLUMN, WIDE)
     lanes: Array = np.moveaxis(blocks, 1, 2).reshape(len(columns), COLUMN, -1)
     return lanes

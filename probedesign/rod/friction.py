@@ -38,35 +38,25 @@ from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.first_contact import FirstContactQuery, NearestPoint, Obstacle
 from probedesign.rod.rod import Mode, Rod, finite_vector, require_round_section
 
+#: Friction coefficient of the simulators: assumed, the lower end of about 0.5 to 1 for soft polyurethane on card,
+#: plastic or metal, which is to be measured for each resin.
 ASSUMED_FRICTION = 0.5
-"""Friction coefficient of the simulators: assumed, the lower end of about 0.5 to 1 for soft polyurethane on card,
-plastic or metal, which is to be measured for each resin."""
-ASSUMED_SPREAD = 0.2
-"""Standard deviation of ln μ from touch to touch in the simulators: assumed."""
+ASSUMED_SPREAD = 0.2  #: Standard deviation of ln μ from touch to touch in the simulators: assumed.
+#: Largest friction coefficient that the simulators take: rubber on dry glass reaches 1 to 2 (assumed bound).
 MAX_FRICTION = 3.0
-"""Largest friction coefficient that the simulators take: rubber on dry glass reaches 1 to 2 (assumed bound)."""
 
-_MAX_DISTANCE = 1e6
-"""Of an object, in rod lengths: beyond, rounding of the path exceeds the tolerance."""
-_U = 9
-"""Unknowns: force (3), couple (3), s, φ, λ."""
+_MAX_DISTANCE = 1e6  #: Of an object, in rod lengths: beyond, rounding of the path exceeds the tolerance.
+_U = 9  #: Unknowns: force (3), couple (3), s, φ, λ.
+#: Residual allowed, in rod lengths and relative to the force: the accuracy of the rod's own solve.
 _CLOSE = {"fast": 1e-8, "reference": 1e-11}
-"""Residual allowed, in rod lengths and relative to the force: the accuracy of the rod's own solve."""
-_MIN_FORCE = 1e-6
-"""In E I / L²; below it, the residual of forces is absolute."""
+_MIN_FORCE = 1e-6  #: In E I / L²; below it, the residual of forces is absolute.
 _MAX_ITERATIONS = 15
-_IMAGINARY = 1e-30
-"""Complex step of the derivatives: so small that no digit is lost."""
-_STEP = 0.005
-"""Longest step of the object [rod lengths]: bounds how far the sliding direction turns in one increment."""
-_MIN_STEP = 1e-6
-"""Smallest step [rod lengths]; if it fails, the path ends."""
-_LOST_STEP = 5e-4
-"""Step [rod lengths] up to which a lost contact is accepted; longer steps are repeated shorter."""
-_MAX_TURN = 0.2
-"""Rotation of the tip and of the normal in one step [rad]: stays on the branch."""
-_MAX_SLIDE = 0.02
-"""Slide in one step [rod lengths]: beyond, the rod has snapped past the object."""
+_IMAGINARY = 1e-30  #: Complex step of the derivatives: so small that no digit is lost.
+_STEP = 0.005  #: Longest step of the object [rod lengths]: bounds how far the sliding direction turns in one increment.
+_MIN_STEP = 1e-6  #: Smallest step [rod lengths]; if it fails, the path ends.
+_LOST_STEP = 5e-4  #: Step [rod lengths] up to which a lost contact is accepted; longer steps are repeated shorter.
+_MAX_TURN = 0.2  #: Rotation of the tip and of the normal in one step [rad]: stays on the branch.
+_MAX_SLIDE = 0.02  #: Slide in one step [rod lengths]: beyond, the rod has snapped past the object.
 
 
 def coulomb_residuals(
@@ -304,7 +294,6 @@ class CoulombSolver:
     def _without(
         self, result: str, eq: Equilibrium, gravity: Array, point: Array, direction: Array | None
     ) -> CoulombContact:
-        """Return a result without contact."""
         none = np.full(3, np.nan)
         return CoulombContact(result, "", eq, gravity, self.friction, math.nan, math.nan, 0.0, point, direction,
                               none, none, none, none)  # fmt: skip
@@ -460,7 +449,6 @@ class CoulombSolver:
         )  # fmt: skip
 
     def _unknowns(self, at: CoulombContact) -> Array:
-        """Return the unknowns of a contact, without dimension, (9,)."""
         length, unit = self._units
         on_surface = (at.s / length, at.angle, at.way / length)
         return np.concatenate([at.force_base / unit, at.couple_base / (unit * length), on_surface])

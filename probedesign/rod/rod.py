@@ -28,17 +28,16 @@ from probedesign.rod.kernels.solve import SINGLE_ROD, SOLUTION, scratch_buffers,
 Mode = Literal["fast", "reference"]
 Columns = Literal["none", "load", "contact", "all"]
 
+#: Error allowed per step [rad], residual allowed at the base [rad]. "fast" keeps the centreline within 1 µm and the
+#: base moment within 1e-6 of the reference (tests/rod/test_accuracy.py).
 TOLERANCES: dict[str, tuple[float, float]] = {"fast": (5e-7, 2e-8), "reference": (1e-13, 1e-12)}
-"""Error allowed per step [rad], residual allowed at the base [rad]. "fast" keeps the centreline within 1 µm and
-the base moment within 1e-6 of the reference (tests/rod/test_accuracy.py)."""
 RESULTS = {OK: "ok", NOT_CONVERGED: "not_converged", UNSTABLE: "unstable", STEP_LIMIT: "not_converged"}
+#: Nodes allocated for the shape at first; eight times as many where a rod needs more steps.
 _NODES = {"fast": 64, "reference": 512}
-"""Nodes allocated for the shape at first; eight times as many where a rod needs more steps."""
 
-ROOT_CENTRE = 0.375
-"""Centre of the missing compliance of a bonded root [base radii] (docs/decisions/0006)."""
+ROOT_CENTRE = 0.375  #: Centre of the missing compliance of a bonded root [base radii] (docs/decisions/0006).
+#: c₄ and c₅ of a full round neo-Hookean section with ν = 0.49 in finite bending (docs/decisions/0006).
 FINITE_BEND, FINITE_STRETCH = 0.369, 0.374
-"""c₄ and c₅ of a full round neo-Hookean section with ν = 0.49 in finite bending (docs/decisions/0006)."""
 
 
 @dataclass(frozen=True)
@@ -295,7 +294,6 @@ def require_round_section(rod: Rod) -> None:
 
 
 def _beyond(parts: Array) -> Array:
-    """Return the sums of the rows from each one on, and zero after the last."""
     sums = np.cumsum(parts[::-1], axis=0)[::-1]
     return np.ascontiguousarray(np.concatenate([sums, np.zeros((1, *parts.shape[1:]))]))
 
@@ -319,7 +317,6 @@ def _tip(guess: ArrayLike) -> Array:
 
 
 def _carried_x(t: Array) -> Array:
-    """Return the x axis rotated with z to t the shortest way."""
     if t[2] < -0.999:
         return np.array([-1.0, 0.0, 0.0])
     carried: Array = np.array([1.0, 0.0, 0.0]) - t[0] / (1.0 + t[2]) * (t + np.array([0.0, 0.0, 1.0]))

@@ -8,11 +8,10 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from probedesign.rod.rod import Rod
 
-_ELEMENTS = 160
-"""Elements of equal length: the frequency of a uniform cantilever is within 1e-4 of the exact one."""
+_ELEMENTS = 160  #: Elements of equal length: the frequency of a uniform cantilever is within 1e-4 of the exact one.
+#: Power iteration for the first mode. The second frequency of a beam is some times the first, its square ten times or
+#: more, so that a few iterations suffice.
 _MAX_ITERATIONS, _TOLERANCE = 200, 1e-9
-"""Power iteration for the first mode. The second frequency of a beam is some times the first, its square ten times or
-more, so that a few iterations suffice."""
 
 
 def natural_frequency(rod: Rod, gravity: ArrayLike = (0.0, 0.0, 0.0)) -> float:

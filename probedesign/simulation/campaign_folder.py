@@ -21,20 +21,15 @@ from probedesign.vision.camera import Camera
 from probedesign.vision.camera_files import assumed_covariance
 
 TRUTH = "truth.json"
+#: Standard deviation of a contact's position, on each axis [m]: a millimetre in space by two cameras (assumed, as in
+#: docs/prediction.md), a twentieth by a stage.
 STD_CONTACT = {"cameras": 0.6 * MM, "stage": 0.05 * MM}
-"""Standard deviation of a contact's position, on each axis [m]: a millimetre in space by two cameras (assumed, as in
-docs/prediction.md), a twentieth by a stage."""
-STD_WEIGHT_ARCLENGTH = 0.5 * MM
-"""Of the position of a thread [m] (assumed)."""
-STD_SAG = 0.5 * MM
-"""Of the tip's sag in a photograph with a scale [m] (assumed)."""
-STD_WEIGHING = 1e-5
-"""Of a laboratory balance [kg] (assumed)."""
+STD_WEIGHT_ARCLENGTH = 0.5 * MM  #: Of the position of a thread [m] (assumed).
+STD_SAG = 0.5 * MM  #: Of the tip's sag in a photograph with a scale [m] (assumed).
+STD_WEIGHING = 1e-5  #: Of a laboratory balance [kg] (assumed).
 
-TEST_SECONDS = 60.0
-"""Time from one test to the next (assumed)."""
-FILE_PX = 0.3
-"""Reprojection error that the simulated calibration files state [px] (assumed)."""
+TEST_SECONDS = 60.0  #: Time from one test to the next (assumed).
+FILE_PX = 0.3  #: Reprojection error that the simulated calibration files state [px] (assumed).
 
 TESTS_HEADER = (
     "test,force_x_world_N,force_y_world_N,force_z_world_N,s_contact_mm,std_s_mm,contact_x_world_mm,"

@@ -26,21 +26,16 @@ from probedesign.rod.rod import Rod
 CampaignKind = Literal["cameras", "stage"]
 CalibrationKind = Literal["box", "files"]
 LARGE_LENGTH, LARGE_BASE_RADIUS, LARGE_TIP_RADIUS = 150.0 * MM, 6.0 * MM, 1.0 * MM
-LARGE_MODULUS = 2.32e6
-"""Dimensions [m] and modulus [Pa] of the paper's large probe, from which forces are scaled."""
-MARKER_SPACING = 10.0 * MM
-"""Of equidistant markers [m]: that of the paper, about a centimetre."""
-TIP_MARGIN = 2.0 * MM
-"""Distance of the last marker from the tip [m], for the size of a dot (assumed)."""
+LARGE_MODULUS = 2.32e6  #: Dimensions [m] and modulus [Pa] of the paper's large probe, from which forces are scaled.
+MARKER_SPACING = 10.0 * MM  #: Of equidistant markers [m]: that of the paper, about a centimetre.
+TIP_MARGIN = 2.0 * MM  #: Distance of the last marker from the tip [m], for the size of a dot (assumed).
+#: Dead loads on the large probe, fraction of the length and force [N]: the first is that of the paper's figure 3.
 WEIGHTS = ((0.4, 0.014), (0.4, 0.05), (0.6, 0.01), (0.8, 0.005))
-"""Dead loads on the large probe, fraction of the length and force [N]: the first is that of the paper's figure 3."""
-BASE_POSITION = (0.0, 0.0, 0.25)
-"""Stated position of the base in the world [m]: above a table."""
+BASE_POSITION = (0.0, 0.0, 0.25)  #: Stated position of the base in the world [m]: above a table.
+#: Standard deviations of the base pose, on each axis [m], [rad]: assumed, a bracket measured by the cameras; a stage's
+#: repeatability over the length of a probe.
 STD_BASE = {"cameras": (0.2 * MM, math.radians(0.2)), "stage": (0.05 * MM, math.radians(0.05))}
-"""Standard deviations of the base pose, on each axis [m], [rad]: assumed, a bracket measured by the cameras; a stage's
-repeatability over the length of a probe."""
-MAX_HALVINGS = 12
-"""Of a force under which the probe buckles."""
+MAX_HALVINGS = 12  #: Of a force under which the probe buckles.
 
 
 # the plan

@@ -84,8 +84,8 @@ class _PageHandler(BaseHTTPRequestHandler):
         """Do not log requests."""
 
 
+#: Events that affect the box, for a second or permanently; `units`: another configuration is selected.
 FAULT_EVENTS = ("stall", "restart", "stolen", "units", "saturate")
-"""Events that affect the box, for a second or permanently; `units`: another configuration is selected."""
 
 
 @dataclass
@@ -155,13 +155,12 @@ def parse_faults(texts: list[str], seed: int = 1) -> FaultInjector:
 
 # the transducer
 
-Load = Callable[[Array], Array]
-"""Returns the wrench in the sensor frame [N, N·m], (n, 6), at times [s], (n,)."""
+Load = Callable[[Array], Array]  #: Returns the wrench in the sensor frame [N, N·m], (n, 6), at times [s], (n,).
 
+#: Reading of the unloaded transducer [N, N·m]: assumed; in reality caused by mounting stress.
 OFFSET = (0.3, -0.2, 0.5, 0.002, -0.003, 0.001)
-"""Reading of the unloaded transducer [N, N·m]: assumed; in reality caused by mounting stress."""
+#: Random walk of each channel, in units of the noise of one sample per √s: 0.2 after 10 s, assumed.
 DRIFT = 0.2 / math.sqrt(10.0)
-"""Random walk of each channel, in units of the noise of one sample per √s: 0.2 after 10 s, assumed."""
 MAX_COUNTS = 2**31 - 1
 
 
@@ -213,17 +212,14 @@ class SimulatedTransducer:
 
 # the box
 
-TICK = 0.001
-"""Interval between bursts of records [s], the resolution of Python's sleep."""
-MAX_BACKLOG = SAMPLES_PER_SECOND
-"""Maximum number of samples sent late; what a suspended process did not send is lost."""
+TICK = 0.001  #: Interval between bursts of records [s], the resolution of Python's sleep.
+MAX_BACKLOG = SAMPLES_PER_SECOND  #: Maximum number of samples sent late; what a suspended process did not send is lost.
+#: Samples since power-up at the start of the program: a box that has been on for two minutes.
 INITIAL_SAMPLES = 1_000_000
-"""Samples since power-up at the start of the program: a box that has been on for two minutes."""
-FAULT_DURATION = 1.0
-"""Duration of a restart and of other faults [s]; a real box takes about ten."""
+FAULT_DURATION = 1.0  #: Duration of a restart and of other faults [s]; a real box takes about ten.
 
+#: Configuration of a Nano17: torque in N·mm.
 NATIVE = NetFTConfiguration("Net F/T (simulated by probedesign)", "N", "N-mm", 1e6, 1e6, "Nano17")
-"""Configuration of a Nano17: torque in N·mm."""
 
 
 class SimulatedNetFT:
@@ -422,7 +418,6 @@ class SimulatedNetFT:
         return records
 
     def _samples(self) -> int:
-        """Return the number of samples since power-up."""
         return int((monotonic() - self._zero) * SAMPLES_PER_SECOND)
 
     def _run_events(self) -> None:

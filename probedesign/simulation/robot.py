@@ -29,10 +29,9 @@ from probedesign.simulation.scenes import PressedObject
 
 # cyclic motion
 
-REST_TIME = 5.0
-"""Free time at the start of a cycle [s], for a tare."""
+REST_TIME = 5.0  #: Free time at the start of a cycle [s], for a tare.
+#: Durations of the move to the next object, of the press and of the retraction, and of the dwell [s].
 MOVE_TIME, PRESS_TIME, CYCLE_DWELL_TIME = 1.0, 1.5, 3.0
-"""Durations of the move to the next object, of the press and of the retraction, and of the dwell [s]."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,6 @@ class BaseMotion:
 
 
 def _interpolated(at: Array, knots: Array, values: Array) -> Array:
-    """Return rows of values, linear between knots and constant beyond them, (n, 6)."""
     fraction = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, len(knots) - 2)
     low, high = knots[fraction], knots[fraction + 1]
     weight = np.clip((at - low) / (high - low), 0.0, 1.0)[:, None]
@@ -101,18 +99,14 @@ def _interpolated(at: Array, knots: Array, values: Array) -> Array:
 
 # trajectory of a mapping run
 
-TARE_TIME = 4.0
-"""Free time at the start [s], for a tare."""
+TARE_TIME = 4.0  #: Free time at the start [s], for a tare.
+#: Durations of the move to the next object, of the approach and the retreat, and from one press to the next [s].
 TRAVEL_TIME, APPROACH_TIME, STEP_TIME = 1.5, 1.0, 0.4
-"""Durations of the move to the next object, of the approach and the retreat, and from one press to the next [s]."""
-DWELL_TIME, FREE_TIME = 1.0, 2.0
-"""Durations of the dwell at each press, and free before and after each touch [s]."""
+DWELL_TIME, FREE_TIME = 1.0, 2.0  #: Durations of the dwell at each press, and free before and after each touch [s].
+#: Rates of sensor samples and of robot poses [Hz]. A Net F/T box sends 7000 samples; fewer make smaller files.
 SAMPLE_RATE, POSE_RATE = 3500.0, 50.0
-"""Rates of sensor samples and of robot poses [Hz]. A Net F/T box sends 7000 samples; fewer make smaller files."""
-BLOCK_LENGTH = 200
-"""Number of samples of a block."""
-STD_OFFSET_STEPS = 50.0
-"""Standard deviation of the constant bias, in steps of the resolution."""
+BLOCK_LENGTH = 200  #: Number of samples of a block.
+STD_OFFSET_STEPS = 50.0  #: Standard deviation of the constant bias, in steps of the resolution.
 
 
 @dataclass
@@ -210,8 +204,7 @@ class SimulatedTrajectory:
 
 # poses sent by UDP
 
-POSE_PERIOD = 0.008
-"""Interval between poses [s], as of a robot controller."""
+POSE_PERIOD = 0.008  #: Interval between poses [s], as of a robot controller.
 
 
 class SimulatedRobot:

@@ -29,8 +29,8 @@ from probedesign.rod.friction import (
 
 # a press along a straight line
 
+#: First step of the search for the travel that gives a force, and its tolerance [m].
 FIRST_STEP, DEPTH_TOLERANCE = 0.1 * MM, 1e-3 * MM
-"""First step of the search for the travel that gives a force, and its tolerance [m]."""
 
 
 @dataclass(frozen=True)
@@ -88,18 +88,14 @@ class StraightPress:
 
 # scenes of the simulated box
 
-LEAN = math.radians(15.0)
-"""Angle of a card of a tent from the vertical [rad]; assumed, such tents are stable."""
-CLEARANCE = 0.05
-"""Distance between probe and object before the base moves towards it, as a fraction of the length."""
+LEAN = math.radians(15.0)  #: Angle of a card of a tent from the vertical [rad]; assumed, such tents are stable.
+CLEARANCE = 0.05  #: Distance between probe and object before the base moves towards it, as a fraction of the length.
+#: Maximum depth of a press, as a fraction of the length: of an edge, and of a sharp point, off which it soon slips.
 MAX_DEPTH, MAX_POINT_DEPTH = 0.10, 0.005
-"""Maximum depth of a press, as a fraction of the length: of an edge, and of a sharp point, off which it soon slips."""
-_RELEASE_TOLERANCE = 1e-6
-"""Tolerance of the position where the probe leaves an object, as a fraction of the length."""
-N_KNOTS = 17
-"""Number of knots of a press; linear interpolation of the force between them is within a thousandth."""
+_RELEASE_TOLERANCE = 1e-6  #: Tolerance of the position where the probe leaves an object, as a fraction of the length.
+N_KNOTS = 17  #: Number of knots of a press; linear interpolation of the force between them is within a thousandth.
+#: Number of knots of the retraction with friction: at its start the friction reverses within a short distance.
 N_KNOTS_BACK = 65
-"""Number of knots of the retraction with friction: at its start the friction reverses within a short distance."""
 
 
 @dataclass(frozen=True)
@@ -111,6 +107,7 @@ class SceneObject:
     tilt: float | None  #: for an edge, angle from the y axis in the base's xy plane [rad]; None for a sharp point.
 
 
+#: Scenes by name. Cards lean from the vertical, which is the x axis of the base of a horizontal probe.
 SCENES = {
     "edges": tuple(SceneObject("edge", fraction, 0.0) for fraction in (0.4, 0.6, 0.8)),
     "points": tuple(SceneObject("point", fraction, None) for fraction in (0.4, 0.6, 0.8)),
@@ -123,7 +120,6 @@ SCENES = {
     ),
     "free": (),
 }
-"""Scenes by name. Cards lean from the vertical, which is the x axis of the base of a horizontal probe."""
 
 
 @dataclass(frozen=True)
@@ -229,12 +225,10 @@ def _retract(press: StraightPress, free: Equilibrium, end: CoulombContact, touch
 # within a tent. The cards extend from the plane y = 0, where their front edges are, to positive y. A tapered probe that
 # is pushed onto a card meets the front edge first and bends away from the card.
 
+#: Size of a poker card, 2.5 by 3.5 inches: depth and width in the house [m]; its thickness is neglected.
 CARD = (63.5e-3, 88.9e-3)
-"""Size of a poker card, 2.5 by 3.5 inches: depth and width in the house [m]; its thickness is neglected."""
-RIDGE = 30e-3
-"""Distance of the ridge of a lower tent from the middle of the house [m]; assumed."""
-SOURCE = "card house"
-"""Source stated in the recording of a simulated run, by which it is recognised."""
+RIDGE = 30e-3  #: Distance of the ridge of a lower tent from the middle of the house [m]; assumed.
+SOURCE = "card house"  #: Source stated in the recording of a simulated run, by which it is recognised.
 
 
 @dataclass(frozen=True)
@@ -295,6 +289,7 @@ def true_outlines(source: str) -> tuple[Array, ...]:
     return tuple(card.corners for card in card_house()) if source == SOURCE else ()
 
 
+#: Heights above the foot of a card at which it is touched from outside and from within its tent [mm].
 _HEIGHTS = {
     "left tent, left": ((20, 45, 70), (32, 57)),
     "left tent, right": ((25, 50), (37,)),
@@ -303,13 +298,9 @@ _HEIGHTS = {
     "upper tent, left": ((20, 45, 70), (33,)),
     "upper tent, right": ((25, 55), (40,)),
 }
-"""Heights above the foot of a card at which it is touched from outside and from within its tent [mm]."""
-_ROOF_X = (-20.0, 0.0, 20.0)
-"""Places where the roof is touched from below [mm]."""
-MIN_FRACTION, MAX_FRACTION = 0.50, 0.95
-"""Range of fractions of the length that touch: the distal half."""
-N_REPEATED = 5
-"""Number of targets that are touched twice, from another depth."""
+_ROOF_X = (-20.0, 0.0, 20.0)  #: Places where the roof is touched from below [mm].
+MIN_FRACTION, MAX_FRACTION = 0.50, 0.95  #: Range of fractions of the length that touch: the distal half.
+N_REPEATED = 5  #: Number of targets that are touched twice, from another depth.
 
 
 def touch_targets() -> tuple[TouchTarget, ...]:

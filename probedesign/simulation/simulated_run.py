@@ -32,16 +32,13 @@ from probedesign.rod.rod import Rod
 from probedesign.simulation.robot import SimulatedTrajectory
 from probedesign.simulation.scenes import SOURCE, StraightPress, TouchTarget
 
+#: Forces between which the base alternates [N]; the firm one stays below 5 mN when the robot is off its place.
 LIGHT_FORCE, FIRM_FORCE = 1.0 * MILLINEWTON, 3.5 * MILLINEWTON
-"""Forces between which the base alternates [N]; the firm one stays below 5 mN when the robot is off its place."""
-N_CYCLES = 3
-"""Number of light and firm presses of each target."""
-_SEARCH_DEPTH = 5.0 * MM
-"""Travel beyond the expected first contact within which it is searched [m]."""
-CLEARANCE = 3.0 * MM
-"""Distance from the expected first contact at which the base starts towards an edge [m]."""
+N_CYCLES = 3  #: Number of light and firm presses of each target.
+_SEARCH_DEPTH = 5.0 * MM  #: Travel beyond the expected first contact within which it is searched [m].
+CLEARANCE = 3.0 * MM  #: Distance from the expected first contact at which the base starts towards an edge [m].
+#: Pitch of the base upwards [rad], so that the probe beyond an edge stays clear of the card behind it.
 PITCH = np.radians(5.0)
-"""Pitch of the base upwards [rad], so that the probe beyond an edge stays clear of the card behind it."""
 
 
 @dataclass(frozen=True)
@@ -256,8 +253,7 @@ def _clearance(bench: _Bench, target: TouchTarget, p_base: Array, contact: Coulo
 
 # files
 
-CHUNK_SECONDS = 0.5
-"""Source time between the chunks of a recording [s], as `live` flushes its recordings."""
+CHUNK_SECONDS = 0.5  #: Source time between the chunks of a recording [s], as `live` flushes its recordings.
 FILES = ("house.mcap", "poses.csv", "truth.csv")
 TRUTH_COLUMNS = ("time_s", "x_world_mm", "y_world_mm", "z_world_mm", "fraction", "force_N", "again", "friction")
 
@@ -314,6 +310,5 @@ def write_run(
 
 
 def _csv(columns: Sequence[str], rows: Iterable[Iterable[float]]) -> bytes:
-    """Return a CSV table; numbers are rounded to the ninth decimal, beyond which they are rounding errors."""
     named = (dict(zip(columns, (round(number, 9) for number in row), strict=True)) for row in rows)
     return csv_tables.write(columns, named, "z.9g")

@@ -23,21 +23,19 @@ from probedesign.vision.markers import write_png
 
 Picture = NDArray[np.uint8]
 SIZE_PX = (1600, 1200)
+#: Picture and focal length of a compact camera, reduced to keep examples small (assumed); the paper's has 20
+#: megapixels.
 FOCAL_PX = 2200.0
-"""Picture and focal length of a compact camera, reduced to keep examples small (assumed); the paper's has
-20 megapixels."""
+#: Coefficients of distortion by the kind of calibration, as many as it determines by default (assumed: a barrel of 0.8
+#: % at the edge of the picture).
 LENS = {"box": (), "files": (-0.08, 0.05, 5e-4, -5e-4)}
-"""Coefficients of distortion by the kind of calibration, as many as it determines by default (assumed: a barrel of
-0.8 % at the edge of the picture)."""
+#: Of each camera to its side: 70° between the lines of sight give depth about the precision of the other axes.
 AZIMUTH = math.radians(35.0)
-"""Of each camera to its side: 70° between the lines of sight give depth about the precision of the other axes."""
 ELEVATION = math.radians(20.0)
-FIELD_OF_VIEW = 1.35
-"""Width of the field of view, over the largest extent of the box."""
+FIELD_OF_VIEW = 1.35  #: Width of the field of view, over the largest extent of the box.
+#: Standard deviations of clicked markers and control points (assumed: a person, a mouse, a dot of 3 mm).
 CLICK_PX, CONTROL_PX = 0.7, 0.5
-"""Standard deviations of clicked markers and control points (assumed: a person, a mouse, a dot of 3 mm)."""
-DOT_RATIO, MAX_DOT = 0.45, 3e-3
-"""Diameter of a dot over that of the probe, and its largest value [m]."""
+DOT_RATIO, MAX_DOT = 0.45, 3e-3  #: Diameter of a dot over that of the probe, and its largest value [m].
 FINE = 3  # rays along each side of a pixel
 _MOUNT = 0.012  # length of the mount below the base [m]
 
@@ -152,7 +150,6 @@ class SurfaceTube:
 
 
 def _across(vectors: Array, tangent: Array) -> Array:
-    """Return unit vectors in the section's plane, (n, 3)."""
     across = vectors - np.sum(vectors * tangent, axis=1)[:, None] * tangent
     length = np.linalg.norm(across, axis=1)[:, None]
     return np.asarray(across / np.maximum(length, 1e-12))  # zero on a flat end
@@ -291,7 +288,6 @@ def _background(size_px: tuple[int, int], style: RenderStyle, rng: np.random.Gen
 
 
 def _mount_of(probe: SurfaceTube) -> SurfaceTube:
-    """Return a stub below the base, twice as wide."""
     back = probe.p_world[0] - np.linspace(_MOUNT, 0.0, 60)[:, None] * probe.tangents_world[0]
     return SurfaceTube(back, np.full(60, 2 * probe.diameter[0]))
 

@@ -55,5 +55,5 @@ def deploy(design: Design, replace: bool) -> str:
 
 
 Action = Callable[[Design, bool], str]
+#: Label of a button and what it does.
 ACTIONS: dict[str, Action] = {"Save the design": save, "Export the parts": export, "Deploy the estimator": deploy}
-"""Label of a button and what it does."""

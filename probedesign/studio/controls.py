@@ -12,10 +12,8 @@ from probedesign.design.sensor_catalog import SENSORS
 from probedesign.prediction.predict import FORCES_N
 from probedesign.studio.session import MOUNTINGS, Session, knots_of, mounting_of
 
-MAX_FRICTION = 1.5
-"""Friction at the end of its slider."""
-Move = Callable[[str, Any], None]
-"""Receives the key of a change and its new value."""
+MAX_FRICTION = 1.5  #: Friction at the end of its slider.
+Move = Callable[[str, Any], None]  #: Receives the key of a change and its new value.
 
 
 class DesignControls:

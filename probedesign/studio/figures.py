@@ -37,6 +37,7 @@ from probedesign.rod.vibration import natural_frequency
 from probedesign.studio.session import PinnedDesign, StudioTouch
 
 _PLACE = ChartAxis("contact position, fraction of the length", 0.0, 1.02, ticks=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0))
+#: Style of the texts, tables and charts of the page.
 STYLE = """<style>.st table{border-collapse:collapse;font-size:12.5px;width:100%}
 .st .chips{display:flex;flex-wrap:wrap;gap:2px 10px;margin:4px 0;font-size:12px}
 .st .chips i{display:inline-block;width:12px;height:12px;margin-right:4px;vertical-align:-1px}
@@ -48,11 +49,8 @@ STYLE = """<style>.st table{border-collapse:collapse;font-size:12.5px;width:100%
 .st .better{color:#1b7f4b}.st .worse{color:#b3261e}.st svg{width:100%;height:auto;display:block;background:#fff}
 .st .bad{background:#b3261e;color:#fff;border-radius:6px;padding:6px 10px}
 .st .note{color:light-dark(#5b6570,#a9b2bb);font-size:12px}</style>"""
-"""Style of the texts, tables and charts of the page."""
-PREVIEWED = FRACTIONS[1::2]
-"""Contact positions that follow a slider, the one of the summary among them."""
-NOT_LOCATED = (150, 150, 150)
-"""Colour of a part of the probe that is not located."""
+PREVIEWED = FRACTIONS[1::2]  #: Contact positions that follow a slider, the one of the summary among them.
+NOT_LOCATED = (150, 150, 150)  #: Colour of a part of the probe that is not located.
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,12 @@ if TYPE_CHECKING:  # the optimiser is loaded with the first search
     from probedesign.optimization.constraints import OptimizationProblem
     from probedesign.optimization.design_space import FreeParameter
 
+#: What a search may change, by its name on the page.
 FREE: "dict[str, tuple[FreeParameter, ...]]" = {
     "cone": ("cone",),
     "taper": ("taper",),
     "cone and length": ("cone", "length"),
 }
-"""What a search may change, by its name on the page."""
 AS_MOUNTED, ALL_MOUNTINGS = "as mounted", ", ".join(MOUNTINGS)
 
 

@@ -47,12 +47,10 @@ from probedesign.studio.session import MOUNTINGS, PinnedDesign, Session, StudioT
 from probedesign.web.guard import LoopbackServer, protect
 
 TITLE = "probedesign studio"
-REST_SECONDS = 0.35
-"""Time without a change after which everything is predicted."""
+REST_SECONDS = 0.35  #: Time without a change after which everything is predicted.
+#: Widths of the panels, and of the scene below which the panels share one side [px].
 CONTROLS_WIDTH, CHARTS_WIDTH, MIN_SCENE_WIDTH = 310.0, 360.0, 300.0
-"""Widths of the panels, and of the scene below which the panels share one side [px]."""
-PHONE_WIDTH = 576
-"""Width up to which viser arranges the panels itself [px]."""
+PHONE_WIDTH = 576  #: Width up to which viser arranges the panels itself [px].
 
 
 class _RequestWaitsError(Exception):

@@ -31,24 +31,19 @@ from probedesign.web.scene import (
     quaternion,
 )
 
+#: Coloured segments of the drawn probe, rings of each, points of a ring: without a GPU, the triangles of the probe take
+#: half of a frame's time.
 SEGMENTS, RINGS, RING_POINTS = 20, 3, 20
-"""Coloured segments of the drawn probe, rings of each, points of a ring: without a GPU, the triangles of the probe take
-half of a frame's time."""
-EDGES = np.linspace(0.0, 1.0, SEGMENTS + 1)
-"""Fractions of the length between which the segments are."""
+EDGES = np.linspace(0.0, 1.0, SEGMENTS + 1)  #: Fractions of the length between which the segments are.
 KNOT_COLOUR = (38, 84, 124)
-GHOST_RINGS, GHOST_COLOUR = 40, (120, 126, 132)
-"""Rings and colour of a pinned probe."""
-MAX_KNOTS = 12
-"""Number of diameters of a profile that can be dragged; a profile with more is changed in its file."""
+GHOST_RINGS, GHOST_COLOUR = 40, (120, 126, 132)  #: Rings and colour of a pinned probe.
+MAX_KNOTS = 12  #: Number of diameters of a profile that can be dragged; a profile with more is changed in its file.
 FIELD_OF_VIEW = math.radians(40.0)
-MOUNT_LENGTH = 0.03
-"""Length behind the base that is seen as well: sensor and adapters [m]."""
+MOUNT_LENGTH = 0.03  #: Length behind the base that is seen as well: sensor and adapters [m].
+#: Distance of the camera and width of the scene at least [lengths of probe and mount], and the change of the probe's
+#: length that the camera follows.
 DISTANCE, SHOWN_WIDTH, MAX_GROWTH = 1.95, 1.3, 1.25
-"""Distance of the camera and width of the scene at least [lengths of probe and mount], and the change of the probe's
-length that the camera follows."""
-MIN_FRACTION, MAX_FORCE_MN, MIN_FORCE_MN = 0.05, 200.0, 0.5
-"""Range of the touch that is drawn."""
+MIN_FRACTION, MAX_FORCE_MN, MIN_FORCE_MN = 0.05, 200.0, 0.5  #: Range of the touch that is drawn.
 
 
 class StudioScene:
@@ -292,7 +287,6 @@ def force_of_arrow(length: float) -> float:
 
 
 def _bent(eq: Equilibrium, probe: Probe) -> BentShape:
-    """Return the shape of an equilibrium; straight where the probe buckles."""
     if eq.ok:
         return BentShape(eq.s, eq.p_base, eq.R_base)
     s = np.linspace(0.0, probe.length, 30)
@@ -300,7 +294,6 @@ def _bent(eq: Equilibrium, probe: Probe) -> BentShape:
 
 
 def _tube_faces(rings: int) -> NDArray[np.uint32]:
-    """Return the triangles of a tube: its side and, about its last vertex, the disc at its end."""
     disc = disc_faces((rings - 1) * RING_POINTS, rings * RING_POINTS, RING_POINTS)
     return np.concatenate([tube_faces(rings, RING_POINTS), disc]).astype(np.uint32)
 
@@ -310,7 +303,6 @@ def _segments(shape: BentShape, probe: Probe, edges: Array) -> list[NDArray[np.f
 
 
 def _tube(shape: BentShape, probe: Probe, fractions: Array) -> NDArray[np.float32]:
-    """Return the vertices of the rings at fractions of the length, and of the last centre, in scene units."""
     geometry, s = probe.geometry, fractions * probe.length
     radius = np.interp(s, geometry.s, geometry.radius)
     rings = tube_rings(shape, s, radius, probe.design.probe.flatness or 1.0, RING_POINTS)

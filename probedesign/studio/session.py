@@ -21,18 +21,13 @@ from probedesign.design.sensor_catalog import SENSORS
 from probedesign.design.sensors import DEFAULT_SENSOR
 from probedesign.prediction.predict import FORCES_N
 
-MAX_STEPS = 200
-"""Number of changes that can be undone."""
-MERGE_SECONDS = 1.0
-"""Changes of the same key within this time are undone together: one drag of a slider."""
-DEFAULT_FORCES_MN = (2.0, 5.0, 10.0, 20.0, 50.0)
-"""Contact forces whose errors are drawn at the start."""
-MAX_PINNED = 4
-"""Number of pinned designs that a chart distinguishes beside the current one."""
+MAX_STEPS = 200  #: Number of changes that can be undone.
+MERGE_SECONDS = 1.0  #: Changes of the same key within this time are undone together: one drag of a slider.
+DEFAULT_FORCES_MN = (2.0, 5.0, 10.0, 20.0, 50.0)  #: Contact forces whose errors are drawn at the start.
+MAX_PINNED = 4  #: Number of pinned designs that a chart distinguishes beside the current one.
+#: Gravity in base axes [m/s²] of the directions in which the probe points.
 MOUNTINGS = {"horizontal": (9.81, 0.0, 0.0), "down": (0.0, 0.0, 9.81), "up": (0.0, 0.0, -9.81)}
-"""Gravity in base axes [m/s²] of the directions in which the probe points."""
-INTERIOR_KNOTS = (0.25, 0.5, 0.75)
-"""Fractions of the length of the diameters that a free profile adds."""
+INTERIOR_KNOTS = (0.25, 0.5, 0.75)  #: Fractions of the length of the diameters that a free profile adds.
 
 
 @dataclass(frozen=True)
@@ -191,14 +186,13 @@ def _with_calibration(sensor: dict[str, Any], name: str) -> dict[str, Any]:
     return {key: value for key, value in sensor.items() if key != "own"} | sensor_keys(name)
 
 
+#: Keys that choose something by its name; others follow from them, unless they are given too.
 _FIRST = ("probe.shape", "probe.section", "material.resin", "sensor.model", "sensor.calibration")
-"""Keys that choose something by its name; others follow from them, unless they are given too."""
 _LAST = "probe.profile_mm"
 _ENDS = ("probe.length_mm", "probe.base_d_mm", "probe.tip_d_mm")
 
 
 def _with_keys(data: dict[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the tables of a design with some keys changed, and the keys that follow from them."""
     before, order = data, {key: i for i, key in enumerate(_FIRST)}
     for key in sorted(values, key=lambda key: len(_FIRST) + (key == _LAST) if key not in order else order[key]):
         data = _with_key(data, key, values[key])

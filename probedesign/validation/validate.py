@@ -22,29 +22,30 @@ from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.validation.validated_test import ValidatedTest, validate_test
 
+#: Columns of validation.csv; those of the paper's Table I keep their names.
 COLUMNS = ("probe", "length_mm", "test", "kind", "force_N", "contact_fraction", "direction", "method", "result",
            "shape_rms_mm", "shape_rms_percent", "reference_rms_mm", "contact_error_mm", "stated_error_mm",
            "predicted_error_mm", "reference_error_mm", "within_95", "nees", "z_x", "z_y", "z_z", "markers", "readings",
            "tares", "force_normal_N", "force_tangential_N", "friction_ratio", "held_out")  # fmt: skip
-"""Columns of validation.csv; those of the paper's Table I keep their names."""
+#: Columns of table1.csv; the first seven are the paper's.
 TABLE1_COLUMNS = ("probe", "length_mm", "force_N", "contact_fraction", "shape_rms_mm", "shape_rms_percent",
                   "contact_error_mm", "direction", "kind", "test", "method", "result", "stated_error_mm",
                   "predicted_error_mm", "within_95", "held_out")  # fmt: skip
-"""Columns of table1.csv; the first seven are the paper's."""
+#: Result codes in words.
 WHY: dict[str, str] = {**{str(code): words for code, words in RESULTS.items()}, "no_reading": "the sensor was not read"}
-"""Result codes in words."""
+#: Result codes expected of each kind. For a free probe the drift of the bias may be detected, but not located.
 EXPECTED_RESULTS = {
     "free": ("no_contact", "too_light", "out_of_range", "unobservable", "no_reading"),
     "weight": ("ok",),
     "touch": ("ok",),
 }
-"""Result codes expected of each kind. For a free probe the drift of the bias may be detected, but not located."""
+#: Touches from which on the coverage can be judged: of 20, 15 to 20 within are compatible with correct covariances.
 MIN_TOUCHES = 20
-"""Touches from which on the coverage can be judged: of 20, 15 to 20 within are compatible with correct covariances."""
 NOMINAL = 0.95
+#: Level of the intervals by which fewer than `MIN_TOUCHES` are judged: touches of one print share its errors, so of a
+#: few an interval of 95 % excludes the stated errors too often (assumed).
 FEW_LEVEL = 0.999
-"""Level of the intervals by which fewer than `MIN_TOUCHES` are judged: touches of one print share its errors, so of a
-few an interval of 95 % excludes the stated errors too often (assumed)."""
+#: Verdicts on the stated errors in words.
 VERDICTS = {
     "consistent": "The stated errors agree with the reference",
     "too_few": "The touches are too few for a verdict on the stated errors",
@@ -52,7 +53,6 @@ VERDICTS = {
     "conservative": "The stated errors are larger than necessary",
     "not_judged": "The stated errors cannot be judged",
 }
-"""Verdicts on the stated errors in words."""
 
 
 # coverage
@@ -309,7 +309,6 @@ def judged(tests: Sequence[ValidatedTest], include_identified: bool) -> tuple[Va
 
 
 def _table_order(one: ValidatedTest) -> tuple[int, float, float]:
-    """Return the sort key of Table I; a test without a place comes last."""
     kinds = ("free", "weight", "touch")
     fraction = 2.0 if math.isnan(one.fraction) else round(one.fraction, 2)
     return kinds.index(one.kind), fraction, -one.force

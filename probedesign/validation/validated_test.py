@@ -20,15 +20,13 @@ from probedesign.prediction.predict import predict_touch
 from probedesign.rod.equilibrium import Equilibrium
 
 TestKind = Literal["free", "weight", "touch"]
+#: Estimation method by kind. A known force is a dead load on the centreline, of any direction, which the force–moment
+#: method locates; a touch acts on the surface, by a force whose friction has a prior.
 METHODS: dict[TestKind, Method] = {"free": "ml", "weight": "force_moment", "touch": "ml"}
-"""Estimation method by kind. A known force is a dead load on the centreline, of any direction, which the force–moment
-method locates; a touch acts on the surface, by a force whose friction has a prior."""
+#: Cosine between directions of gravity up to which a free test tares another test.
 SAME_GRAVITY = math.cos(math.radians(1.0))
-"""Cosine between directions of gravity up to which a free test tares another test."""
-TAIL = 0.05
-"""Probability outside a 95 % ellipsoid."""
-MIN_REFERENCE_STD = 1e-3 * MM
-"""Smallest standard deviation of a reference [m], which keeps its covariance regular."""
+TAIL = 0.05  #: Probability outside a 95 % ellipsoid.
+MIN_REFERENCE_STD = 1e-3 * MM  #: Smallest standard deviation of a reference [m], which keeps its covariance regular.
 
 
 # error of a contact
@@ -294,7 +292,6 @@ def _force_base(test: Test, reading: TaredReading, model: ProbeModel) -> Array:
 
 
 def _push_direction(test: Test, force_base: Array) -> str:
-    """Return the stated direction, else the one nearest to the force."""
     across = force_base[:2]
     if test.direction or not across.any() or math.isnan(across[0]):
         return test.direction

@@ -15,28 +15,25 @@ from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.vision.camera import DISTORTIONS, LINEAR, Camera
 
+#: Control points that leave a plane by less [px, RMS] cannot be distinguished from coplanar ones: three times a click's
+#: error of about a pixel (assumed).
 FLAT_PX = 3.0
-"""Control points that leave a plane by less [px, RMS] cannot be distinguished from coplanar ones: three times a click's
-error of about a pixel (assumed)."""
-CLICK_PX = 1.0
-"""Standard deviation of a click where too few points remain to estimate it [px] (assumed)."""
+CLICK_PX = 1.0  #: Standard deviation of a click where too few points remain to estimate it [px] (assumed).
+#: Smallest standard deviation in any picture [px] (assumed); it keeps exact data from having outliers by rounding.
 MIN_NOISE_PX = 0.02
-"""Smallest standard deviation in any picture [px] (assumed); it keeps exact data from having outliers by rounding."""
-FALSE_ALARM = 1e-3
-"""Probability that a calibration without outliers reports one."""
+FALSE_ALARM = 1e-3  #: Probability that a calibration without outliers reports one.
+#: Random samples of points for a robust start, and their size: with three of twenty points wrong, one sample in four
+#: has none of them.
 SAMPLES, SAMPLE_SIZE = 200, 7
-"""Random samples of points for a robust start, and their size: with three of twenty points wrong, one sample in four
-has none of them."""
+#: Fraction of outliers that is accepted. More are not slips of the hand but points in a wrong order, and a regular box
+#: shifted by a row fits itself except for that row.
 MAX_OUTLIER_FRACTION = 0.15
-"""Fraction of outliers that is accepted. More are not slips of the hand but points in a wrong order, and a regular box
-shifted by a row fits itself except for that row."""
+#: Residual beyond which control points are not those of the camera of a calibration file: clicks err by a pixel
+#: (assumed).
 MAX_RESIDUAL_PX = 5.0
-"""Residual beyond which control points are not those of the camera of a calibration file: clicks err by a pixel
-(assumed)."""
-MAX_CONDITION = 1e8
-"""Condition number of the equations beyond which rounding dominates."""
+MAX_CONDITION = 1e8  #: Condition number of the equations beyond which rounding dominates.
+#: Relative standard deviation of the focal length from which on the points do not show depth (assumed).
 MAX_FOCAL_STD = 0.2
-"""Relative standard deviation of the focal length from which on the points do not show depth (assumed)."""
 
 
 # control points
@@ -155,13 +152,11 @@ def _projections(points_world: Array, pixels: Array) -> Array:
 
 
 def _depths(P: Array, points_world: Array) -> Array:
-    """Return the last homogeneous coordinate of projected points (..., n), negative behind the camera."""
     depth: Array = points_world @ P[..., 2, :3, None] + P[..., 2, 3, None, None]
     return depth[..., 0]
 
 
 def _pixels_of(P: Array, points_world: Array) -> Array:
-    """Return the pixels of points (n, 3) by projections (..., 3, 4), (..., n, 2)."""
     images = points_world @ np.swapaxes(P[..., :3], -1, -2) + P[..., None, :, 3]
     with np.errstate(divide="ignore", invalid="ignore"):  # a bad choice of points may put one at infinity
         return np.asarray(images[..., :2] / images[..., 2:])
@@ -297,7 +292,6 @@ def _linear(control: ControlPoints, distortion: int) -> Camera:
 
 
 def _scale(camera: Camera, points_world: Array) -> Array:
-    """Return the size of each parameter, for well-scaled equations."""
     focal, distance = camera.K[0, 0], float(np.mean(camera.depth(points_world)))
     radius = np.max(np.linalg.norm(camera.project(points_world) - camera.K[:2, 2], axis=1)) / focal
     bends = [radius**-power for power in (2, 4, 1, 1, 6)[: len(camera.distortion)]]

@@ -12,10 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from probedesign.core.frames import Array
 
-LINEAR = 11
-"""Parameters of a camera without distortion, as many as Direct Linear Transformation has."""
-DISTORTIONS = (0, 1, 2, 4, 5)
-"""Numbers of coefficients of distortion, in OpenCV's order: k1, k2, p1, p2, k3."""
+LINEAR = 11  #: Parameters of a camera without distortion, as many as Direct Linear Transformation has.
+DISTORTIONS = (0, 1, 2, 4, 5)  #: Numbers of coefficients of distortion, in OpenCV's order: k1, k2, p1, p2, k3.
 
 _RADIAL = (1, 2, 0, 0, 3)  # power of r² of each coefficient; 0 for the tangential ones
 _P1, _P2 = 2, 3
@@ -145,12 +143,10 @@ class Camera:
         return bool(np.any(slope <= 0))
 
     def _plane(self, points_world: ArrayLike) -> Array:
-        """Return points on the plane at distance one, before distortion, (..., 2)."""
         axes = (np.asarray(points_world, dtype=float) - self.p_world) @ self.R_camera_world.T
         return np.asarray(axes[..., :2] / axes[..., 2:])
 
     def _bent(self, seen: Array) -> Array:
-        """Return points of the plane (..., 2) after distortion."""
         return np.asarray(seen + self._bends(seen) @ self.distortion)
 
     def _bends(self, seen: Array) -> Array:
@@ -187,13 +183,11 @@ class Camera:
         return bent @ self.K[:2, :2].T + self.K[:2, 2]
 
     def _by_axes(self, points_world: Array) -> Array:
-        """Return derivatives of the pixels by the point in the camera's axes, (n, 2, 3)."""
         seen, depth = self._plane(points_world), self.depth(points_world)
         plane = np.concatenate([np.broadcast_to(np.eye(2), (len(seen), 2, 2)), -seen[:, :, None]], axis=2)
         return np.asarray(self.K[:2, :2] @ self._bending(seen) @ plane / depth[:, None, None])
 
 
 def _homogeneous(points: ArrayLike) -> Array:
-    """Return points (..., k) with a last coordinate 1, (..., k + 1)."""
     points = np.asarray(points, dtype=float)
     return np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1)

@@ -20,21 +20,18 @@ from probedesign.core.frames import Array, pose
 from probedesign.vision.camera import DISTORTIONS, LINEAR, Camera
 
 MAX_BYTES = 5_000_000
+#: Reprojection error of a file that states none [px] (assumed: a careful calibration reaches 0.1 to 0.5 px).
 ASSUMED_PX = 0.5
-"""Reprojection error of a file that states none [px] (assumed: a careful calibration reaches 0.1 to 0.5 px)."""
-ROTATION_TOLERANCE = 1e-3
-"""Largest deviation of Rᵀ R from the identity: files round to three digits or more."""
-BASELINE = (0.02, 10.0)
-"""Plausible distances between two cameras that see a probe [m] (assumed)."""
-DISTANCE = (0.05, 20.0)
-"""Plausible distances of a camera from the base of the probe [m] (assumed)."""
+ROTATION_TOLERANCE = 1e-3  #: Largest deviation of Rᵀ R from the identity: files round to three digits or more.
+BASELINE = (0.02, 10.0)  #: Plausible distances between two cameras that see a probe [m] (assumed).
+DISTANCE = (0.05, 20.0)  #: Plausible distances of a camera from the base of the probe [m] (assumed).
 MATRIX = ("camera_matrix", "Camera_Matrix", "cameraMatrix", "K", "M", "mtx")
 BENDS = ("distortion_coefficients", "Distortion_Coefficients", "distCoeffs", "dist_coeffs", "D", "dist")
 ROTATION, TRANSLATION = ("R", "rvec"), ("T", "tvec")
 WIDTH, HEIGHT, SIZE = (("image_width", "image_Width"), ("image_height", "image_Height"), ("image_size", "imageSize"))
 ERROR = ("avg_reprojection_error", "Avg_Reprojection_Error", "reprojection_error", "rms", "RMS")
+#: Names of the distortion models with k1, k2, p1, p2, k3 in ROS and Kalibr, and of none.
 PINHOLE = {"plumb_bob", "radtan", "none"}
-"""Names of the distortion models with k1, k2, p1, p2, k3 in ROS and Kalibr, and of none."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +134,6 @@ def read_camera_files(
 
 
 def _read(path: Path) -> _Document:
-    """Return the contents of a file of YAML or XML."""
     text = read_text(path, "calibration file", MAX_BYTES, "YAML or XML")
     values = _from_xml(path, text) if text.lstrip().startswith("<") else _from_yaml(path, text)
     if not isinstance(values, dict) or not values:
@@ -231,7 +227,6 @@ def _kalibr(document: _Document, names: Sequence[str]) -> list[Camera]:
 
 
 def _number(key: str) -> int:
-    """Return the number of a key cam0, cam1, ...; another key comes first."""
     return int(key[3:]) if re.fullmatch(r"cam\d{1,6}", key) else -1
 
 

@@ -22,34 +22,27 @@ from probedesign.vision import require_opencv
 
 # dots: detected as round spots, then fitted to a fraction of a pixel
 
-MIN_AREA_PX = 3.0
-"""Smallest area within the outermost pixels' centres; a smaller spot has neither shape nor centre."""
-MAX_SIZE_FRACTION = 0.1
-"""Largest diameter of a dot over the picture's height."""
-MIN_CONTRAST = 24.0
-"""Contrast of a dot in grey levels of 255: four times the noise of a dim photograph (assumed)."""
-GRAIN_PX = 0.8
-"""Standard deviation of the smoothing before detection, as wide as a usual lens' blur."""
-MAX_SPOTS = 300
-"""More spots are a texture."""
+MIN_AREA_PX = 3.0  #: Smallest area within the outermost pixels' centres; a smaller spot has neither shape nor centre.
+MAX_SIZE_FRACTION = 0.1  #: Largest diameter of a dot over the picture's height.
+MIN_CONTRAST = 24.0  #: Contrast of a dot in grey levels of 255: four times the noise of a dim photograph (assumed).
+GRAIN_PX = 0.8  #: Standard deviation of the smoothing before detection, as wide as a usual lens' blur.
+MAX_SPOTS = 300  #: More spots are a texture.
+#: Error of the fit in flat light, without noise and gloss [px, RMS per axis] (measured on synthetic photographs of dots
+#: from 5 to 30 px: 0.04 to 0.09).
 FLOOR_PX = 0.06
-"""Error of the fit in flat light, without noise and gloss [px, RMS per axis] (measured on synthetic photographs of dots
-from 5 to 30 px: 0.04 to 0.09)."""
+#: Radius of the fitted window, in radii of the dot: it includes the ground, but not the probe's edge.
 WINDOW_RADII = 1.45
-"""Radius of the fitted window, in radii of the dot: it includes the ground, but not the probe's edge."""
-SHADED_PX = 8.0
-"""Diameter from which on a light gradient across a dot can be separated from its position."""
-MAX_SHIFT = 0.25
-"""Largest distance of a fitted centre from the detected spot, in diameters, plus half a pixel."""
+SHADED_PX = 8.0  #: Diameter from which on a light gradient across a dot can be separated from its position.
+MAX_SHIFT = 0.25  #: Largest distance of a fitted centre from the detected spot, in diameters, plus half a pixel.
+#: A smaller dot has no outline to fit when the lens blurs it; the centre of its dark pixels has an error of less than
+#: half a pixel (measured on synthetic photographs).
 SMALL_PX, SMALL_STD_PX = 7.0, 0.4
-"""A smaller dot has no outline to fit when the lens blurs it; the centre of its dark pixels has an error of less than
-half a pixel (measured on synthetic photographs)."""
 MIN_SOFT_PX = 0.1  # no pixel resolves a sharper edge
 SOFT_PX = 0.8  # a usual lens' blur, to start from
 ROBUST = 3.0  # grey levels beyond which a pixel has less weight: an edge, a speck
+#: Prior standard deviation of a dot's radius over the probe's diameter: at most a quarter (docs/stereo.md), with the
+#: sign of the side that the dot is seen from.
 SUNK = 0.125
-"""Prior standard deviation of a dot's radius over the probe's diameter: at most a quarter (docs/stereo.md), with the
-sign of the side that the dot is seen from."""
 SINK, SOFT, GROUND, INK = 5, 6, slice(8, 14), slice(14, 16)  # among the fitted values
 
 
@@ -206,7 +199,6 @@ def _start(offsets: Array, levels: Array, shape: Array) -> Array | None:
 
 
 def _model(values: Array, offsets: Array, view: tuple[Array, Array]) -> Array:
-    """Return the grey levels of a dot with a soft edge on a smooth ground."""
     share = 0.5 * erfc(_outline_distance(values, offsets, view)[0] / (np.sqrt(2) * _softness(values)))
     ground, inked = _greys(values, offsets)
     return np.asarray(ground + share * (inked - ground))
@@ -231,7 +223,6 @@ def _softness(values: Array) -> float:
 
 
 def _greys(values: Array, offsets: Array) -> tuple[Array, Array]:
-    """Return the grey levels of the ground and of the dot."""
     u, v = offsets.T
     c, d = values[GROUND], values[INK]
     ground = c[0] + c[1] * u + c[2] * v + c[3] * u * u + c[4] * u * v + c[5] * v * v
@@ -274,24 +265,18 @@ def _ellipse_distance(shape: Array, places: Array) -> tuple[Array, Array, Array]
 
 ImageSide = Literal["left", "right", "top", "bottom"]
 
+#: Direction in the picture away from each of its sides.
 AWAY = {"left": (1, 0), "right": (-1, 0), "top": (0, 1), "bottom": (0, -1)}
-"""Direction in the picture away from each of its sides."""
 
+#: Largest change of the step from dot to dot, relative to its length: 35° of bending, or as much of foreshortening.
 MAX_STEP_CHANGE = 0.6
-"""Largest change of the step from dot to dot, relative to its length: 35° of bending, or as much of foreshortening."""
-MAX_GROWTH = 1.7
-"""Largest ratio of the sizes of neighbouring dots."""
-NEXT = 0.35
-"""Distance, in steps, within which a spot at the end of the row is one more dot."""
-NEIGHBOURS = 8
-"""Nearest spots that may follow the first of a row."""
-BEAM = 400
-"""Rows kept in each step of the search."""
-MAX_BYTES = 300_000_000
-"""Size of a photograph (assumed)."""
+MAX_GROWTH = 1.7  #: Largest ratio of the sizes of neighbouring dots.
+NEXT = 0.35  #: Distance, in steps, within which a spot at the end of the row is one more dot.
+NEIGHBOURS = 8  #: Nearest spots that may follow the first of a row.
+BEAM = 400  #: Rows kept in each step of the search.
+MAX_BYTES = 300_000_000  #: Size of a photograph (assumed).
 GREEN, YELLOW = (80, 220, 60), (0, 220, 255)  # blue, green, red
-WIDTH_PX = 1200
-"""Minimum width of the drawn part of a photograph."""
+WIDTH_PX = 1200  #: Minimum width of the drawn part of a photograph.
 _FRACTION = 4  # bits of a pixel's fraction, for lines that lie between pixels
 
 
@@ -389,13 +374,11 @@ class SequenceSearch:
         return sorted(rows, key=lambda row: row.cost)
 
     def _base_distance(self, pixel: Array) -> float:
-        """Return a measure that increases with the distance of a pixel from the base."""
         if isinstance(self.base, str):
             return float(np.dot(pixel, AWAY[self.base]))
         return float(np.linalg.norm(pixel - self.base))
 
     def _start_cost(self, first: Array, second: Array) -> float:
-        """Return the squared distance of the base from its extrapolation by the first step, in steps."""
         if isinstance(self.base, str):
             return 0.0
         step = (second - first) / self._steps[0]
@@ -415,7 +398,6 @@ class SequenceSearch:
         return [MarkerSequence((*row.chosen, int(j)), float(cost[j])) for j in np.flatnonzero(good)]
 
     def _alike(self, i: int) -> NDArray[np.bool_]:
-        """Return which spots may be neighbours of a spot, by their size."""
         ratio = self.spots.diameter_px / self.spots.diameter_px[i]
         return np.asarray((ratio < MAX_GROWTH) & (ratio > 1 / MAX_GROWTH))
 
@@ -515,7 +497,6 @@ def overlay(grey: NDArray[np.uint8], found: DetectedMarkers) -> NDArray[np.uint8
 
 
 def _part(grey: NDArray[np.uint8], found: DetectedMarkers) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the upper left and lower right corner of the drawn part."""
     margin = 0.12 * float(np.ptp(found.pixels, axis=0).max()) + 20.0
     size = np.array(grey.shape[::-1])
     low = np.clip(np.floor(found.pixels.min(axis=0) - margin), 0, size - 1).astype(np.int64)
@@ -524,12 +505,10 @@ def _part(grey: NDArray[np.uint8], found: DetectedMarkers) -> tuple[NDArray[np.i
 
 
 def _fixed(points: Array) -> NDArray[np.int32]:
-    """Return points between pixels in OpenCV's fixed-point format."""
     return np.asarray(np.round(points * 2**_FRACTION), dtype=np.int32).reshape(-1, 1, 2)
 
 
 def _normals(points: Array) -> Array:
-    """Return unit vectors across the row, (m, 2)."""
     along = np.gradient(points, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     return np.column_stack([along[:, 1], -along[:, 0]])

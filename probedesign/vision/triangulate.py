@@ -12,16 +12,14 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.vision.camera import Camera
 
+#: Angle between lines of sight below which there is no depth information: there an error is thirty times the one across
+#: (assumed).
 MIN_ANGLE_DEG = 2.0
-"""Angle between lines of sight below which there is no depth information: there an error is thirty times the one across
-(assumed)."""
-MIN_STD_PX = 0.02
-"""Smallest standard deviation of a pixel in any picture [px] (assumed)."""
-FALSE_ALARM = 1e-6
-"""Probability that valid pixels of a marker are refused."""
+MIN_STD_PX = 0.02  #: Smallest standard deviation of a pixel in any picture [px] (assumed).
+FALSE_ALARM = 1e-6  #: Probability that valid pixels of a marker are refused.
+#: Smallest residual of a wrong marker: dots are further apart (assumed). A smaller one means that the cameras are worse
+#: than stated, which `Triangulated.agreement` shows.
 MIN_RESIDUAL_PX = 2.0
-"""Smallest residual of a wrong marker: dots are further apart (assumed). A smaller one means that the cameras are worse
-than stated, which `Triangulated.agreement` shows."""
 _ITERATIONS = 10  # Gauss-Newton from the midpoint of the rays is exact to rounding after three or four
 
 
@@ -128,7 +126,6 @@ def _weights(seen: MarkerObservations, points: Array) -> Array:
 
 
 def _linearised(seen: MarkerObservations, points: Array) -> tuple[Array, Array]:
-    """Return residuals (m, 2c), zero where unseen, and their negative derivatives by the points (m, 2c, 3)."""
     residual = np.stack([p - c.project(points) for c, p in zip(seen.cameras, seen.pixels, strict=True)], axis=1)
     by_point = np.stack([camera.by_point(points) for camera in seen.cameras], axis=1)
     residual = np.where(seen.mask.T[..., None], residual, 0.0)
@@ -209,7 +206,6 @@ def _check_agreement(seen: MarkerObservations, found: Triangulated) -> None:
 
 
 def _wrong(seen: MarkerObservations, found: Triangulated) -> NDArray[np.bool_]:
-    """Return which markers are behind a camera or have implausible residuals, (m,)."""
     free = 2 * seen.mask.sum(axis=0) - 3
     rear = np.array([(c.depth(found.p_world) <= 0) & m for c, m in zip(seen.cameras, seen.mask, strict=True)])
     improbable = found.agreement * free > stats.chi2.isf(FALSE_ALARM, free)

@@ -22,21 +22,23 @@ from probedesign.web import LOOPBACK
 
 Handler = Callable[[server.ServerConnection, Request], Response | None]
 
+#: Headers of every response: no other page may show this one in a frame, under its own buttons.
 HEADERS = {
     "Content-Security-Policy": "frame-ancestors 'none'",
     "X-Frame-Options": "DENY",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
 }
-"""Headers of every response: no other page may show this one in a frame, under its own buttons."""
 NEEDS_TOKEN = "This page needs the address with its token, which the terminal of the run shows.\n"
 _ICON = (
     '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 32 32"><rect width="32" height="32" rx="6" fill="#26547c"/>'
     '<path d="M5 10h4v12H5z" fill="#d5dbe1"/><path d="M9 11l18 4v2L9 21z" fill="#ec9242"/>'
     '<circle cx="20" cy="13" r="3" fill="#c81e28"/></svg>'
 )
-FAVICON = f"data:image/svg+xml,{quote(_ICON)}"
-"""The probe with a contact, as the address of the icon."""
+FAVICON = f"data:image/svg+xml,{quote(_ICON)}"  #: The probe with a contact, as the address of the icon.
+#: Follows the browser's colour scheme. A tablet draws one pixel of the scene for each of the page: viser reports the
+#: width of the scene in drawn pixels, from which the panels are arranged. A browser without a GPU draws without
+#: antialiasing, a third of a frame's time.
 SCRIPT = """
 (function () {
   var query = new URLSearchParams(location.search);
@@ -56,9 +58,6 @@ SCRIPT = """
   };
 })();
 """
-"""Follows the browser's colour scheme. A tablet draws one pixel of the scene for each of the page: viser reports the
-width of the scene in drawn pixels, from which the panels are arranged. A browser without a GPU draws without
-antialiasing, a third of a frame's time."""
 
 
 class LoopbackServer(viser.ViserServer):
@@ -129,7 +128,6 @@ class RequestFilter:
         return hmac.compare_digest(text.encode(), self._token.encode())
 
     def _enter(self) -> Response:
-        """Return the page without the token in its address; the browser keeps it as a cookie for this session."""
         cookie = f"{self._cookie}={self._token}; HttpOnly; SameSite=Strict; Path=/"
         headers = Headers({"Location": "/", "Set-Cookie": cookie, "Content-Length": "0"} | HEADERS)
         return Response(http.HTTPStatus.SEE_OTHER, "See Other", headers)
@@ -151,14 +149,12 @@ class RequestFilter:
         return Response(response.status_code, response.reason_phrase, headers, body)
 
     def _page(self, text: str) -> str:
-        """Return viser's page with our head."""
         text = re.sub("<link[^>]*/>", f'<link rel="icon" href="{FAVICON}" />', text, count=1)
         before, _, after = text.partition("<title>Viser</title>")
         return f"{before}{self._head}{after}"
 
 
 def _name(host: str) -> str:
-    """Return the name in a header `Host`, without the port."""
     try:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:

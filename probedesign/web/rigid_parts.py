@@ -13,10 +13,9 @@ from probedesign.estimation.model import ProbeModel
 
 EXPORTED = ("sensor_adapter", "clamp_ring", "flange_adapter")
 MAX_FACETS = 200_000
+#: A triangle of a binary STL file.
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-"""A triangle of a binary STL file."""
-PREAMBLE = 84
-"""Bytes before the first triangle: 80 of header, and their number."""
+PREAMBLE = 84  #: Bytes before the first triangle: 80 of header, and their number.
 CYLINDER_SIDES = 48
 
 
@@ -83,7 +82,6 @@ def _placed(name: str, corners: Array, T: Array) -> RigidPart:
 
 
 def _sensor_part(model: ProbeModel) -> RigidPart:
-    """Return the body of the sensor; its tool face is the sensor frame's origin."""
     return _cylinder("sensor", model.sensor_d, -model.sensor_height, 0.0, inverse(model.T_sensor_base))
 
 

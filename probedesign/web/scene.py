@@ -5,12 +5,9 @@ import viser.transforms as tf
 
 from probedesign.core.frames import Array
 
-UNIT = 20.0
-"""Scene units per metre: viser's lights, camera and shadows suit objects of a few units."""
-MIN_HALF_AXIS = 0.9e-3
-"""Minimum half-axis of the drawn ellipsoid [m], so that it is visible."""
-ARROW = 0.03
-"""Length of the force arrow [m]; its label states the force."""
+UNIT = 20.0  #: Scene units per metre: viser's lights, camera and shadows suit objects of a few units.
+MIN_HALF_AXIS = 0.9e-3  #: Minimum half-axis of the drawn ellipsoid [m], so that it is visible.
+ARROW = 0.03  #: Length of the force arrow [m]; its label states the force.
 PROBE, CONTACT, SPREAD, STALE_COLOUR = (236, 148, 66), (150, 10, 30), (232, 72, 66), (150, 150, 150)
 METAL = (132, 142, 154)
 PART_COLOURS = {"sensor": (60, 64, 72), "flange": PROBE, "clamp_ring": (112, 122, 136),

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from probedesign.core.frames import inverse, is_pose, pose, rotation_z, skew, wrench_map
 
-EXACT = 1e-12
-"""Tolerance for values of order one after a few dozen roundings in double precision."""
+EXACT = 1e-12  #: Tolerance for values of order one after a few dozen roundings in double precision.
 
 vectors = arrays(float, 3, elements=st.floats(-1.0, 1.0))
 angles = st.sampled_from([0.0, 1e-9, 1e-4, 1.0, 3.0])  # near identity on purpose

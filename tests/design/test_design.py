@@ -83,8 +83,8 @@ def test_a_root_is_assumed_unless_there_is_none(root, assumed):
     assert ("mount.root_rigid_radii" in design.assumptions) == assumed
 
 
+#: Design file of a version without friction.
 WITHOUT_CONTACT = PLAIN[: PLAIN.index("[contact]")] + PLAIN[PLAIN.index("[print]") :]
-"""Design file of a version without friction."""
 
 
 @pytest.mark.parametrize("resin", sorted(RESINS))

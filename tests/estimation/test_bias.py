@@ -6,8 +6,7 @@ import pytest
 from probedesign.estimation.bias import RAMP_STEPS, WALK_STEPS
 from probedesign.estimation.detector import Detector
 
-RATE = 200.0
-"""Rate of the means [Hz], low so that a long time has few readings."""
+RATE = 200.0  #: Rate of the means [Hz], low so that a long time has few readings.
 
 
 @pytest.fixture

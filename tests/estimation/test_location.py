@@ -26,15 +26,15 @@ SHAPES = {
     },
 }
 FRACTIONS = (0.2, 0.4, 0.6, 0.8, 0.9, 0.97)
+#: Force over 3 E I/s², with I at the touched place, which is about the bending angle there [rad].
 BENDS = (0.05, 0.3, 1.0)
-"""Force over 3 E I/s², with I at the touched place, which is about the bending angle there [rad]."""
 FRICTIONS = (0.0, 0.2, 0.5, 0.8)
 SHARP = {"force_N": 1e-6, "moment_Nm": 1e-8}
+#: Both rods agree to about 1e-6 of the moment, where 1e-3 of it is a millimetre; of a fit that ends within a hundredth
+#: of a standard deviation its last step leaves less than a third of that.
 POINT_M, FORCE_SHARE, LEFT = 2e-6, 1e-5, 3e-3
-"""Both rods agree to about 1e-6 of the moment, where 1e-3 of it is a millimetre; of a fit that ends within a hundredth
-of a standard deviation its last step leaves less than a third of that."""
+#: Smallest cosine of the rotation of the touched section for which all touches must be located: 60 degrees.
 UPRIGHT = 0.5
-"""Smallest cosine of the rotation of the touched section for which all touches must be located: 60 degrees."""
 
 
 def model_of(name, probes):

@@ -12,11 +12,10 @@ from tests.estimation.true_touches import EXACT, settle, sources_of
 
 DRAWS, RARE = 150, 1e-4
 FRICTIONS = (0.0, 0.2, 0.5, 0.8)
+#: Share inside a 95 % ellipsoid that 150 draws may have: binomial, 0.95 ± 0.018, four standard deviations below; above,
+#: the bow that the covariance adds is none of a normal distribution's, so 99 % is the tolerance.
 LOW, HIGH = 0.88, 0.99
-"""Share inside a 95 % ellipsoid that 150 draws may have: binomial, 0.95 ± 0.018, four standard deviations below; above,
-the bow that the covariance adds is none of a normal distribution's, so 99 % is the tolerance."""
-MAX_BOUND = 6e-3
-"""Bound of the touched point [m] below which a touch must be located."""
+MAX_BOUND = 6e-3  #: Bound of the touched point [m] below which a touch must be located.
 CHI2_95 = stats.chi2(3).ppf(0.95)
 
 

@@ -39,13 +39,13 @@ RODS = {
     "hollow": replace(CONE, finite_strain=False, factors=(0.75, 0.9375, 0.9375, 0.9375)),
     "stiffer about one axis": replace(CONE, finite_strain=False, rigid_length=0.0, factors=(0.8, 0.9, 0.6, 0.7)),
 }
+#: Fraction of the length, angle, normal force [N], ratios of friction.
 TOUCHES = {
     "near the base, oblique": (0.25, 0.5, 0.2, 0.2, -0.3),
     "mid, without friction": (0.6, -1.6, 0.02, 0.0, 0.0),
     "far, sliding towards the base": (0.8, 2.2, 0.01, -0.5, 0.5),
     "tip": (0.95, 1.0, 0.004, 0.3, 0.3),
 }
-"""Fraction of the length, angle, normal force [N], ratios of friction."""
 
 
 def _arclength(rod, touch):

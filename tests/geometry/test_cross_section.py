@@ -9,10 +9,8 @@ from scipy.integrate import dblquad
 from probedesign.core.errors import InputError
 from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
 
-EXACT = 1e-12
-"""Relative tolerance of two closed forms."""
-QUADRATURE = 1e-9
-"""Relative tolerance; the tolerance of `dblquad` is ten times smaller."""
+EXACT = 1e-12  #: Relative tolerance of two closed forms.
+QUADRATURE = 1e-9  #: Relative tolerance; the tolerance of `dblquad` is ten times smaller.
 
 SECTIONS = [
     FULL_ROUND,

@@ -10,8 +10,7 @@ from probedesign.design.sensor_catalog import SENSORS
 from probedesign.geometry import ProbeGeometry, flange_for
 from probedesign.mount import build_geometry
 
-EXACT = 1e-12
-"""Relative tolerance for a few roundings in double precision."""
+EXACT = 1e-12  #: Relative tolerance for a few roundings in double precision.
 
 
 def geometry_of(

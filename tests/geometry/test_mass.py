@@ -15,10 +15,8 @@ from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
 from probedesign.geometry.mass import NOTHING, MassProperties, combined, flange_part, flexible_part, frustum
 
 DENSITY = 1010.0
-EXACT = 1e-12
-"""Relative tolerance of two closed forms, for a few dozen roundings in double precision."""
-QUADRATURE = 1e-9
-"""Relative tolerance of `quad`."""
+EXACT = 1e-12  #: Relative tolerance of two closed forms, for a few dozen roundings in double precision.
+QUADRATURE = 1e-9  #: Relative tolerance of `quad`.
 
 radii = st.floats(1e-4, 0.03)
 heights = st.floats(1e-3, 0.4)

@@ -12,8 +12,7 @@ from probedesign.simulation.ground_truth import CampaignPlan
 
 ROOT = Path(__file__).parents[2]
 LARGE = ROOT / "designs/large.toml"
-TRUE_E = 2.6e6
-"""12 % from the design's 2.32 MPa."""
+TRUE_E = 2.6e6  #: 12 % from the design's 2.32 MPa.
 
 
 @pytest.fixture(scope="session")

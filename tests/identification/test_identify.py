@@ -15,8 +15,7 @@ from probedesign.identification.parameters import MAX_ROOT_DEVIATION, CommonPara
 from probedesign.identification.residuals import MassMeasurement, MeasuredTest
 from tests.identification.conftest import TRUE_E
 
-FOUR = norm.isf(norm.sf(4.0))
-"""Standard deviations: with the seeds fixed a test fails by chance once in 16000 seeds."""
+FOUR = norm.isf(norm.sf(4.0))  #: Standard deviations: with the seeds fixed a test fails by chance once in 16000 seeds.
 
 
 def _data(campaign: Campaign, model: ProbeModel) -> IdentificationData:

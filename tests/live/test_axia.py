@@ -11,12 +11,12 @@ from probedesign.live.sources.source import open_source
 from probedesign.simulation.netft_box import NATIVE
 from tests.live.peers import Reader, box
 
+#: Patterns of one condition each: ATI, manual 9610-05-Ethernet Axia-09, table 4.9, page 37.
 PATTERNS = {
     0x80000001: "temperature", 0x80000002: "supply voltage", 0x80000004: "broken gauge", 0x80000008: "busy",
     0x80000020: "other error", 0x88000000: "gauge out of range", 0x10000000: "simulated", 0xA0000000: "checksum",
     0xC0000000: "force or torque out of range",
 }  # fmt: skip
-"""Patterns of one condition each: ATI, manual 9610-05-Ethernet Axia-09, table 4.9, page 37."""
 
 
 @pytest.mark.parametrize(("status", "text"), PATTERNS.items())

@@ -25,8 +25,7 @@ from probedesign.rod.contact import solve_frictionless
 from probedesign.simulation import scenes
 from probedesign.simulation.robot import CYCLE_DWELL_TIME, MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion, SimulatedRobot
 
-RATE, SAMPLES = 500.0, 5
-"""Of single samples [Hz], and to a mean: a hundred means a second."""
+RATE, SAMPLES = 500.0, 5  #: Of single samples [Hz], and to a mean: a hundred means a second.
 BIAS = np.array([0.3, -0.2, 0.5, 0.002, -0.003, 0.001])
 UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 

@@ -10,8 +10,7 @@ from probedesign.live.recordings.csv import CSV_HEADER, Recording, read_recordin
 from tests.live.mcap_files import read as read_blocks
 
 ROW = "0.5,-0.25,0.125,0.001,0.002,-0.003"
-EXACT = 1e-15
-"""Relative: one conversion of units."""
+EXACT = 1e-15  #: Relative: one conversion of units.
 
 
 @pytest.fixture(scope="module")
@@ -246,8 +245,7 @@ Status (hex), RDT Sequence, F/T Sequence, Fx, Fy, Fz, Tx, Ty, Tz, Time
 UNITS = ("0.15", "-0.25", "0.5", "1.5", "-2.5", "3.5")
 COUNTS = ("150000", "-250000", "500000", "1500000", "-2500000", "3500000")
 SI = [0.15, -0.25, 0.5, 1.5e-3, -2.5e-3, 3.5e-3]
-ROUNDED = 1e-15
-"""Relative: a product and a quotient."""
+ROUNDED = 1e-15  #: Relative: a product and a quotient.
 
 
 def row(rdt: int, sequence: int, values=UNITS, status: str = "0x0") -> str:

@@ -23,10 +23,9 @@ from probedesign.mapping.explore import check_poses
 from tests.live.peers import box
 
 RATE, SAMPLES = 2000.0, 36
-FAULT = (3.0, 4.5)
-"""Time of each fault [s], longer than the second in which a dead channel is found."""
+FAULT = (3.0, 4.5)  #: Time of each fault [s], longer than the second in which a dead channel is found.
+#: Time after its end by which a fault must have ended [s]: noise is measured over the last quarter of a second.
 MARGIN = 0.4
-"""Time after its end by which a fault must have ended [s]: noise is measured over the last quarter of a second."""
 
 
 @pytest.fixture(scope="module")

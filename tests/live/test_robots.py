@@ -15,8 +15,7 @@ from probedesign.live.poses.robots import RobotPoses
 from probedesign.live.poses.track import TimedPose, pose_matrix
 from tests.live.peers import until
 
-TURN = [0.3, -0.4, 1.2]
-"""Rotation vector [rad]."""
+TURN = [0.3, -0.4, 1.2]  #: Rotation vector [rad].
 
 
 class FakeRtde:

@@ -17,8 +17,7 @@ from probedesign.live.sources.replay import open_recording
 from tests.live.mcap_files import block, write
 
 PROGRAM = [sys.executable, "-m", "probedesign.cli.main"]
-LAST_SECOND = 1.0
-"""What a kill may cost [s]; the file is flushed every half second."""
+LAST_SECOND = 1.0  #: What a kill may cost [s]; the file is flushed every half second.
 
 
 @pytest.fixture(scope="module")

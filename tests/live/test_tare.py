@@ -20,8 +20,8 @@ from probedesign.live.processing.tare import TareWindow, parse_window, tare_of
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 
+#: [N, N·m]: of the size that a sensor shows after it was screwed down.
 BIAS = np.array([0.7, -0.3, 1.1, 0.004, -0.002, 0.001])
-"""[N, N·m]: of the size that a sensor shows after it was screwed down."""
 
 
 @pytest.fixture(scope="module")

@@ -31,10 +31,9 @@ from probedesign.live.view.sinks import BrowserView
 pytest.importorskip("viser")
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+#: A browser without a GPU, and as root in a container.
 SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
-"""A browser without a GPU, and as root in a container."""
-PATIENCE = 120_000
-"""A page drawn by a busy processor is slow, and no test is about that [ms]."""
+PATIENCE = 120_000  #: A page drawn by a busy processor is slow, and no test is about that [ms].
 
 
 def free_port() -> int:

@@ -8,8 +8,8 @@ from probedesign.mapping.touch_point import ConditionalPoint, LocatedTouch
 
 STD_E, STD_BASE = 0.01, 0.05e-3
 NAMES = ("E", "base place", "base place", "base place")
+#: A point shifts along the probe by half its lever arm times the error of stiffness.
 BY_STIFFNESS = np.array([0.0, 0.05, 0.0])
-"""A point shifts along the probe by half its lever arm times the error of stiffness."""
 
 
 def conditional_point(p, std, lever=1.0):

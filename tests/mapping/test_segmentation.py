@@ -9,8 +9,7 @@ from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.processing.touches import ContactHistory
 from probedesign.mapping.segmentation import REJOIN_TIME, TouchSegmenter
 
-STEP = 0.01
-"""Interval between estimates [s], about that of means of 36 samples at 3500 Hz."""
+STEP = 0.01  #: Interval between estimates [s], about that of means of 36 samples at 3500 Hz.
 
 
 def segments(*phases):

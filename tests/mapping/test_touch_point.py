@@ -15,8 +15,7 @@ from probedesign.simulation.scenes import touch_targets
 from probedesign.simulation.simulated_run import RunErrors, simulate_run
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
-TURN = np.radians([0.4, 0.4, 1.0])
-"""Two standard deviations of the assumed tolerances."""
+TURN = np.radians([0.4, 0.4, 1.0])  #: Two standard deviations of the assumed tolerances.
 
 
 @pytest.fixture(scope="module")

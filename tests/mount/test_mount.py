@@ -147,8 +147,8 @@ def test_the_mount_mass_needs_no_cad() -> None:
 
 
 BASES = np.arange(3.0, 25.01, 0.5)
+#: Minimum thickness of a wall supported on both sides (Formlabs' design guide for rigid resins, another printer).
 LEAST_WALL = 0.4e-3
-"""Minimum thickness of a wall supported on both sides (Formlabs' design guide for rigid resins, another printer)."""
 
 
 @pytest.mark.parametrize("base_d", BASES)

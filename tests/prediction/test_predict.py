@@ -44,6 +44,9 @@ def at_sensor_noise_alone(large, friction):
     return Estimator(large.model, Tolerances.none()).with_friction(friction)
 
 
+#: Cramér and Rao's bounds of the touched point [mm] by friction prior, contact fraction and force [N]: large probe,
+#: gravity across, noise white at the sensor's origin (0.52 mN, 2.6 µN·m), 8.2 mm below the base. Computed independently
+#: of this package, by a full-frame rod with the force at the surface, in the review that introduced the friction model.
 BOUNDS = {
     0.0: {(0.4, 0.005): 7.12, (0.4, 0.02): 1.78, (0.4, 0.05): 0.72, (0.6, 0.005): 10.28, (0.6, 0.02): 2.55,
           (0.6, 0.05): 0.94, (0.8, 0.005): 13.05, (0.8, 0.02): 2.21, (0.8, 0.05): 0.41, (0.95, 0.005): 8.14,
@@ -58,9 +61,6 @@ BOUNDS = {
                    (0.6, 0.05): 1.04, (0.8, 0.005): 13.46, (0.8, 0.02): 3.41, (0.8, 0.05): 1.44,
                    (0.95, 0.005): 16.01, (0.95, 0.02): 4.48},
 }  # fmt: skip
-"""Cramér and Rao's bounds of the touched point [mm] by friction prior, contact fraction and force [N]: large probe,
-gravity across, noise white at the sensor's origin (0.52 mN, 2.6 µN·m), 8.2 mm below the base. Computed independently of
-this package, by a full-frame rod with the force at the surface, in the review that introduced the friction model."""
 
 
 @pytest.mark.parametrize("friction", BOUNDS)
@@ -72,6 +72,9 @@ def test_noise_alone_gives_the_bounds_computed_independently(large, friction):
         assert error == pytest.approx(bound, rel=0.02, abs=0.01)
 
 
+#: The same of five touches pressed on, by place, greatest force [N] and standard deviation of E: moments about the base
+#: alone and all six channels [mm], for friction 0, 0.3 and 0.6; poses repeat to 0.01 mm, the bias of each channel about
+#: the base walks 0.2 steps a touch, independently of the others.
 FUSED = {
     (0.5, 0.002, 0.03): ((3.12, 2.98), (3.17, 3.03), (3.33, 3.16)),
     (0.5, 0.005, 0.03): ((1.46, 1.41), (1.57, 1.50), (1.79, 1.65)),
@@ -79,9 +82,6 @@ FUSED = {
     (0.8, 0.005, 0.03): ((1.08, 1.06), (1.12, 1.09), (1.21, 1.18)),
     (0.8, 0.005, 0.005): ((0.60, 0.55), (0.66, 0.62), (0.80, 0.76)),
 }
-"""The same of five touches pressed on, by place, greatest force [N] and standard deviation of E: moments about the base
-alone and all six channels [mm], for friction 0, 0.3 and 0.6; poses repeat to 0.01 mm, the bias of each channel about
-the base walks 0.2 steps a touch, independently of the others."""
 
 
 @pytest.mark.parametrize(("fraction", "force", "spread"), FUSED)

@@ -15,10 +15,8 @@ import trimesh
 from numpy.typing import NDArray
 
 Mask = NDArray[np.bool_]
-MIN_ANGLE_DEG = 19.0
-"""Least angle of an unsupported surface to the horizontal. Source: Formlabs' design guide."""
-ALONG = ((1, 0), (0, 1), (1, 1), (1, -1))
-"""Directions in which bridges are sought, in pixels."""
+MIN_ANGLE_DEG = 19.0  #: Least angle of an unsupported surface to the horizontal. Source: Formlabs' design guide.
+ALONG = ((1, 0), (0, 1), (1, 1), (1, -1))  #: Directions in which bridges are sought, in pixels.
 
 
 @dataclass(frozen=True)

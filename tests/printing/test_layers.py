@@ -12,8 +12,8 @@ from probedesign.printing.check import MAX_CUP_D, ORIENTATIONS, check_print
 from tests.printing.raster import LayerReport, examine_layers, grid_of, layers_of_mesh
 
 PIXEL, LAYER = 0.25, 0.1
+#: Longest bridge without supports [mm]: about half of the guide's 21 mm for a beam 5 mm wide and 3 mm thick.
 MAX_BRIDGE = 10.0
-"""Longest bridge without supports [mm]: about half of the guide's 21 mm for a beam 5 mm wide and 3 mm thick."""
 
 
 def examined(interior, height: float = 6.0) -> LayerReport:

@@ -36,17 +36,13 @@ from tests.reference.round_rods import (
     surface_axes,
 )
 
+#: Steps between two discontinuities; with FINE the relative error of wrench and points is below 1e-6
+#: (test_cosserat.py).
 COARSE, FINE = 8, 32
-"""Steps between two discontinuities; with FINE the relative error of wrench and points is below 1e-6
-(test_cosserat.py)."""
-CHUNK = 400
-"""Cases solved at once; their arrays fit the cache."""
-STEP = 1e-7
-"""Step of finite differences over the scale of each unknown."""
-MAX_ROTATION = 0.4
-"""Largest rotation of the tip in one iteration [rad]."""
-CONVERGED = 1e-10
-"""Largest residual at convergence [rad or lengths of the rod]."""
+CHUNK = 400  #: Cases solved at once; their arrays fit the cache.
+STEP = 1e-7  #: Step of finite differences over the scale of each unknown.
+MAX_ROTATION = 0.4  #: Largest rotation of the tip in one iteration [rad].
+CONVERGED = 1e-10  #: Largest residual at convergence [rad or lengths of the rod].
 
 
 @dataclass(frozen=True)
@@ -74,9 +70,9 @@ class Touches:
 # Newton's method
 
 
+#: Function of rods, unknowns other than the rotation of the tip, (j, m), and the case of each column, (m,). It returns
+#: the load and the function of the additional residuals, (j, m).
 Problem = Callable[[Probes, Array, Array], tuple[Load, Callable[[Ends], Array]]]
-"""Function of rods, unknowns other than the rotation of the tip, (j, m), and the case of each column, (m,). It returns
-the load and the function of the additional residuals, (j, m)."""
 
 
 def _columns(probes: Probes, tip: Array, z: Array, scale: Array, problem: Problem, steps: int,
@@ -323,8 +319,8 @@ def _numbers(value: ArrayLike, n: int) -> Array:
     return np.broadcast_to(np.asarray(value, dtype=float), (n,)).copy()
 
 
+#: Rods, gravity (n, 3), s, phi (n,) and force in the surface frame (n, 3) of slightly changed touches.
 Variant = tuple[Probes, Array, Array, Array, Array]
-"""Rods, gravity (n, 3), s, phi (n,) and force in the surface frame (n, 3) of slightly changed touches."""
 
 
 def differences(

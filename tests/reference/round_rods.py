@@ -14,10 +14,8 @@ from probedesign.rod.rod import Rod
 
 Array = NDArray[Any]
 
-ROOT_CENTRE = 0.375
-"""Centre of the missing compliance of a bonded root, in base radii. Source: docs/decisions/0006."""
-C4, C5 = 0.369, 0.374
-"""Coefficients of finite bending of a neo-Hookean round section. Source: docs/decisions/0006."""
+ROOT_CENTRE = 0.375  #: Centre of the missing compliance of a bonded root, in base radii. Source: docs/decisions/0006.
+C4, C5 = 0.369, 0.374  #: Coefficients of finite bending of a neo-Hookean round section. Source: docs/decisions/0006.
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,9 @@ from probedesign.core.errors import CheckFailedError
 from probedesign.core.frames import Array
 from probedesign.rod.rod import FINITE_BEND, FINITE_STRETCH, Rod
 
-LOOSE, TIGHT = 1e-7, 3e-13
-"""Relative tolerances of the integration: while the load is increased, and of the solution."""
-MAX_TURN = 0.6
-"""Largest rotation of the tip in one load step [rad]: a larger one may land on another branch."""
-MIN_LOAD_STEP = 1e-3
-"""Smallest load step, as a fraction of the load, before the load counts as out of reach."""
+LOOSE, TIGHT = 1e-7, 3e-13  #: Relative tolerances of the integration: while the load is increased, and of the solution.
+MAX_TURN = 0.6  #: Largest rotation of the tip in one load step [rad]: a larger one may land on another branch.
+MIN_LOAD_STEP = 1e-3  #: Smallest load step, as a fraction of the load, before the load counts as out of reach.
 
 
 @dataclass(frozen=True)

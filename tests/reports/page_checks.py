@@ -15,10 +15,8 @@ import numpy as np
 import pytest
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
-MIN_CONTRAST = 4.5
-"""Of text of normal size. Source: WCAG 2.2, success criterion 1.4.3, level AA."""
-SCALE = 2
-"""Pixels of a screenshot per pixel of the page, so that the strokes of a letter have their full colour."""
+MIN_CONTRAST = 4.5  #: Of text of normal size. Source: WCAG 2.2, success criterion 1.4.3, level AA.
+SCALE = 2  #: Pixels of a screenshot per pixel of the page, so that the strokes of a letter have their full colour.
 NARROW, WIDE, HEIGHT = 360, 1000, 800
 
 

@@ -10,8 +10,7 @@ from probedesign.reports.map_page import MapScene, map_page, map_svg
 from probedesign.simulation.scenes import SOURCE, card_house, touch_targets, true_outlines
 from tests.mapping.synthetic_touches import STD_E, touch
 
-OUTLINE = b'fill-opacity="0.10"'
-"""What only the outline of a touched object has."""
+OUTLINE = b'fill-opacity="0.10"'  #: What only the outline of a touched object has.
 
 
 def test_the_picture_contains_every_ellipsoid():

@@ -7,31 +7,30 @@ import numpy as np
 from probedesign.geometry.cross_section import CrossSection
 from probedesign.rod.rod import Rod
 
+#: Elastic 50A as the paper identified it [Pa, Pa], its datasheet's density [kg/m³].
 E, G, RHO = 2.32e6, 0.761e6, 1010.0
-"""Elastic 50A as the paper identified it [Pa, Pa], its datasheet's density [kg/m³]."""
 
 CONE = Rod(np.array([0.0, 0.15]), np.array([6e-3, 1e-3]), E, G, RHO)
 ROOTED_CONE = Rod(np.array([0.0, 0.15]), np.array([6e-3, 1e-3]), E, G, RHO, rigid_length=0.72e-3)
 CYLINDER = Rod(np.array([0.0, 0.1]), np.array([2e-3, 2e-3]), E, G, RHO)
+#: Two breaks of the taper, a shear coefficient and a rigid root.
 PROFILE = Rod(np.array([0.0, 0.03, 0.07, 0.12]), np.array([6e-3, 5e-3, 2e-3, 1.5e-3]), 1e6, 0.3e6, 1100.0, 0.9, 4e-3)
-"""Two breaks of the taper, a shear coefficient and a rigid root."""
 
+#: Round and straight rods, which are invariant under rotation about their axis.
 RODS = {"cone": CONE, "rooted": ROOTED_CONE, "cylinder": CYLINDER, "profile": PROFILE}
-"""Round and straight rods, which are invariant under rotation about their axis."""
 
 FLAT = CrossSection(flatness=0.7).factors
 TUBE = CrossSection(bore_ratio=0.6).factors
+#: Curvature and twist at the profile's knots [1/m]; unloaded, the tip tilts by 28°, sections rotate by up to 42°.
 CURVATURE = np.array([[6.0, -4.0, 5.0], [-4.0, 8.0, 20.0], [0.0, 6.0, -8.0], [10.0, 0.0, 2.0]])
-"""Curvature and twist at the profile's knots [1/m]; unloaded, the tip tilts by 28°, sections rotate by up to 42°."""
 
-YIELDING = replace(CONE, rigid_length=-1.5e-3)
-"""A root softer than the rod."""
+YIELDING = replace(CONE, rigid_length=-1.5e-3)  #: A root softer than the rod.
 FINITE = replace(ROOTED_CONE, finite_strain=True)
 HOLLOW = replace(CONE, factors=TUBE)
 ELLIPTIC = replace(CONE, factors=FLAT)
 CURVED = replace(PROFILE, rest_curvature=CURVATURE)
+#: Options that a rod with finite strain cannot have.
 EVERYTHING = replace(PROFILE, factors=FLAT, rest_curvature=CURVATURE, rigid_length=-3e-3)
-"""Options that a rod with finite strain cannot have."""
 
 MORE_RODS = {
     "yielding": YIELDING, "finite": FINITE, "hollow": HOLLOW, "elliptic": ELLIPTIC, "curved": CURVED,

@@ -9,8 +9,7 @@ from probedesign.rod import batch
 from probedesign.rod.batch import solve_batch
 
 GRAVITY = np.array([3.0, 4.0, -8.0])
-RODS = (PROFILE, CURVED, EVERYTHING)
-"""Rods with equal numbers of knots."""
+RODS = (PROFILE, CURVED, EVERYTHING)  #: Rods with equal numbers of knots.
 CASES = 40
 
 

@@ -17,8 +17,7 @@ from tests.reference.shooting import solve_by_shooting
 
 GRAVITY = np.array([6.0, 5.0, -6.0])
 RODS = {"cone": CONE, "rooted": ROOTED_CONE, "cylinder": CYLINDER, "profile": PROFILE}
-SIDE = np.array([math.cos(0.4), math.sin(0.4), 0.0])
-"""Side of the rod on which the object is."""
+SIDE = np.array([math.cos(0.4), math.sin(0.4), 0.0])  #: Side of the rod on which the object is.
 
 
 def approach(rod, fraction=0.5, depth=0.5, offset=0.2, line=False, gravity=GRAVITY):

@@ -10,8 +10,7 @@ from probedesign.rod.contact import solve_frictionless
 
 GRAVITY = (9.81, 0.0, 0.0)
 RODS = {"cone": CONE, "rooted": ROOTED_CONE, "cylinder": CYLINDER, "profile": PROFILE}
-STRENGTH = 0.4
-"""Bending angle [rad]; at 0.6 the profile, pushed up at its tip against gravity, buckles sideways."""
+STRENGTH = 0.4  #: Bending angle [rad]; at 0.6 the profile, pushed up at its tip against gravity, buckles sideways.
 PLACES = [(0.2, 0.0), (0.5, 2.0), (0.8, -1.0), (1.0, math.pi)]
 
 

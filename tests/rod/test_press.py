@@ -14,8 +14,7 @@ from probedesign.rod.rod import Rod
 
 GRAVITY = np.array([6.0, 5.0, -6.0])
 RODS = {"cone": CONE, "rooted": ROOTED_CONE, "cylinder": CYLINDER, "profile": PROFILE}
-SIDE = np.array([math.cos(0.4), math.sin(0.4), 0.0])
-"""Directions from which the flank is pressed."""
+SIDE = np.array([math.cos(0.4), math.sin(0.4), 0.0])  #: Directions from which the flank is pressed.
 PLACES = [(name, fraction) for name in RODS for fraction in (0.2, 0.5, 0.85)]
 
 

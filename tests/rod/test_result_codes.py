@@ -11,11 +11,11 @@ from probedesign.rod.rod import Rod
 
 ELASTICA = replace(CYLINDER, inextensible=True)
 EI = ELASTICA.youngs_modulus * np.pi / 4.0 * ELASTICA.radius[0] ** 4
+#: Critical load of a clamped-free column [N]: Gere & Timoshenko, Mechanics of Materials, chapter 11.
 EULER = np.pi**2 * EI / (4.0 * ELASTICA.length**2)
-"""Critical load of a clamped-free column [N]: Gere & Timoshenko, Mechanics of Materials, chapter 11."""
+#: Critical weight per length of a clamped-free column [N/m], 7.8373 = 9/4 · (first zero of J_-1/3)²: A. G. Greenhill,
+#: Proc. Cambridge Phil. Soc. 4 (1881) 65-73.
 GREENHILL = 7.8373474 * EI / ELASTICA.length**3
-"""Critical weight per length of a clamped-free column [N/m], 7.8373 = 9/4 · (first zero of J_-1/3)²:
-A. G. Greenhill, Proc. Cambridge Phil. Soc. 4 (1881) 65-73."""
 
 
 def upright(weight):

@@ -11,8 +11,7 @@ from probedesign.rod.rod import Rod
 
 GRAVITY = np.array([3.0, 4.0, -8.0])
 LOAD = (GRAVITY, bending_force(PROFILE, 0.07, 0.5) * np.array([1.0, 0.5, -0.3]), 0.07)
-LITTLE = 1e-7
-"""A force [N] that bends the cylinder by 1e-5: the square is left out of linear theory."""
+LITTLE = 1e-7  #: A force [N] that bends the cylinder by 1e-5: the square is left out of linear theory.
 
 
 def deflections(rod, s_c):

@@ -11,9 +11,8 @@ from probedesign.core.errors import InputError
 from probedesign.rod.kernels.equations import PARAMETERS
 
 GRAVITY = np.array([6.0, 5.0, -6.0])
+#: Of the differences: of the force's size, of the length, of their product, of the standard gravity, of the logarithm.
 STEPS = {"force": 1e-4, "s_contact": 1e-5, "couple": 1e-4, "gravity": 1e-3, "log": 1e-4}
-"""Of the differences: of the force's size, of the length, of their product, of the standard gravity, of the
-logarithm."""
 CASES = {
     # rod, s_c/L, couple as a share of force times length
     "cone": (CONE, 0.6, (0.0, 0.0, 0.0)),
@@ -29,8 +28,8 @@ CASES = {
     "curved at rest": (CURVED, 0.8, (0.0, 0.0, 0.0)),
     "everything": (EVERYTHING, 0.5, (0.02, 0.01, 0.03)),
 }
+#: Places on the centreline over the length: on both sides of every contact, and at the end of the root.
 PLACES = np.array([0.05, 0.3, 0.53, 0.7, 0.95, 1.0])
-"""Places on the centreline over the length: on both sides of every contact, and at the end of the root."""
 
 
 def problem(case):

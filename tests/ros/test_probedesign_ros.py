@@ -88,8 +88,7 @@ def a_run(node, estimator, record=None, seconds=4):
     return lines
 
 
-START = 1_800_000_000
-"""A constant wall clock [s]."""
+START = 1_800_000_000  #: A constant wall clock [s].
 
 
 def test_messages_equal_those_of_the_recording(node, estimator, tmp_path, monkeypatch):

@@ -23,12 +23,10 @@ from probedesign.studio.session import Session, knots_of
 from probedesign.web.scene import UNIT, level_rotation
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+#: A browser without a GPU, and as root in a container.
 SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
-"""A browser without a GPU, and as root in a container."""
-TABLET = {"device_scale_factor": 2, "has_touch": True, "is_mobile": True}
-"""Two drawn pixels for each of the page."""
-PATIENCE = 120_000
-"""A page drawn by a busy processor is slow, and no test is about that [ms]."""
+TABLET = {"device_scale_factor": 2, "has_touch": True, "is_mobile": True}  #: Two drawn pixels for each of the page.
+PATIENCE = 120_000  #: A page drawn by a busy processor is slow, and no test is about that [ms].
 
 
 @pytest.fixture(scope="module")

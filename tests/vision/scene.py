@@ -6,8 +6,8 @@ from probedesign.simulation.stereo_rig import PaintedDots, SurfaceTube
 from probedesign.vision.calibrate import calibrate
 from probedesign.vision.camera import Camera
 
+#: The paper's calibration box has 20 points; their places are assumed [m].
 BOX = np.array([(x, y, z) for x in np.linspace(0, 0.2, 5) for y in (-0.06, 0.06) for z in (-0.06, 0.06)])
-"""The paper's calibration box has 20 points; their places are assumed [m]."""
 SIZE = (1300, 820)
 MARKERS = np.column_stack([np.linspace(0.01, 0.15, 15), np.zeros(15), -1.5 * np.linspace(0.01, 0.15, 15) ** 2])
 

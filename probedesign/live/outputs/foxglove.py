@@ -16,12 +16,10 @@ from probedesign.web import LOOPBACK
 if TYPE_CHECKING:
     from foxglove.websocket import ServerListener
 
-DEFAULT_ADDRESS = ("127.0.0.1", 8765)
-"""Host and port that Foxglove proposes."""
+DEFAULT_ADDRESS = ("127.0.0.1", 8765)  #: Host and port that Foxglove proposes.
+#: Period in which messages are sent [s]; with the gathering of the thread, a message is up to 0.1 s old.
 FLUSH_PERIOD = 0.05
-"""Period in which messages are sent [s]; with the gathering of the thread, a message is up to 0.1 s old."""
-MAX_QUEUED_READINGS = 16_384
-"""Maximum number of readings that wait for the server: 2 s at 7000 per second."""
+MAX_QUEUED_READINGS = 16_384  #: Maximum number of readings that wait for the server: 2 s at 7000 per second.
 
 
 def parse_foxglove_address(text: str) -> tuple[str, int]:

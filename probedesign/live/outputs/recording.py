@@ -22,17 +22,13 @@ from probedesign.live.priority import yield_to_estimates
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.recordings import FileLock, part_path
 
-MAX_QUEUED_READINGS = 65_536
-"""Maximum number of queued readings: 9 s at the 7000 Hz of a Net F/T box, 5 MB."""
-FLUSH_PERIOD = 0.5
-"""Period of flushing to the disk [s]; a crash of the program loses at most this and the queue."""
+MAX_QUEUED_READINGS = 65_536  #: Maximum number of queued readings: 9 s at the 7000 Hz of a Net F/T box, 5 MB.
+FLUSH_PERIOD = 0.5  #: Period of flushing to the disk [s]; a crash of the program loses at most this and the queue.
+#: Interval in which readings are gathered for one write [s]: each wake-up of the thread interrupts the estimator.
 GATHER_TIME = 0.05
-"""Interval in which readings are gathered for one write [s]: each wake-up of the thread interrupts the estimator."""
-CLOSE_TIMEOUT = 30.0
-"""Maximum wait for the disk at the end [s]."""
+CLOSE_TIMEOUT = 30.0  #: Maximum wait for the disk at the end [s].
 
-Job = tuple[int, Callable[[], None]]
-"""Number of readings that a job writes, and the job."""
+Job = tuple[int, Callable[[], None]]  #: Number of readings that a job writes, and the job.
 
 
 class RecordingFile(Sink, Protocol):

@@ -16,10 +16,9 @@ from probedesign.live.recordings.messages import MessageEncoder
 from probedesign.live.recordings.schemas import Bytes, Nanoseconds, Topic
 
 SCHEME = "ros2:"
+#: Topics that are recorded but not sent: raw readings at full rate, what only a replay needs, and meshes.
 LEFT_OUT = (schemas.RAW, schemas.BLOCK, schemas.SCENE)
-"""Topics that are recorded but not sent: raw readings at full rate, what only a replay needs, and meshes."""
-STATIC_PERIOD = 2.0
-"""Interval at which the pose of the sensor is sent again, for a node that starts later [s]."""
+STATIC_PERIOD = 2.0  #: Interval at which the pose of the sensor is sent again, for a node that starts later [s].
 
 
 class RosPublisher(MessageEncoder, UdpPublisher):

@@ -12,10 +12,8 @@ from probedesign.live.blocks import Block
 from probedesign.live.poses.pose_sources import PoseStream
 from probedesign.live.poses.track import MAX_GAP, MAX_POSES, ClockOffset, PoseTrack, TimedPose
 
-POSE_WAIT = 2.0
-"""Maximum wait of an estimate for the next pose, in units of the maximum gap."""
-GRAVITY_WORLD = (0.0, 0.0, -9.81)
-"""Gravity in a world whose z axis points up [m/s²]."""
+POSE_WAIT = 2.0  #: Maximum wait of an estimate for the next pose, in units of the maximum gap.
+GRAVITY_WORLD = (0.0, 0.0, -9.81)  #: Gravity in a world whose z axis points up [m/s²].
 
 
 class BasePoses:
@@ -117,5 +115,4 @@ class BasePoses:
 
     @staticmethod
     def _delayed(pose: TimedPose, seconds: float) -> TimedPose:
-        """Return the pose with a later time stamp, rounded to nanoseconds so that a recording of it is exact."""
         return TimedPose(round(pose.time + seconds, 9), pose.p, pose.q)

@@ -15,10 +15,8 @@ from probedesign.live.sources.rosbag import is_bag_path, read_bag_poses
 from probedesign.live.sources.source import SourceParameter, parse_parameters
 
 FIXED = "fixed"
-MAX_LATENCY = 10.0
-"""Maximum latency [s]; a larger value indicates a wrong unit."""
-GRAVITY_RANGE = (1.0, 30.0)
-"""Range of the magnitude of gravity [m/s²], from the Moon's to the limit of recordings."""
+MAX_LATENCY = 10.0  #: Maximum latency [s]; a larger value indicates a wrong unit.
+GRAVITY_RANGE = (1.0, 30.0)  #: Range of the magnitude of gravity [m/s²], from the Moon's to the limit of recordings.
 
 
 def open_poses(

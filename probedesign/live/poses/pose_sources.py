@@ -18,12 +18,12 @@ from probedesign.live.datagrams import (
 )
 from probedesign.live.poses.track import TimedPose, timed_pose
 
+#: Names of the fields of a pose, in CSV, JSON lines and UDP packets.
 POSE_COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
-"""Names of the fields of a pose, in CSV, JSON lines and UDP packets."""
+#: Names that each may have: time and position may be in other units, as `time_ms` and `x_m`.
 POSE_FIELDS = {
     field: spellings(field, {"s": "time", "mm": "length", "": ""}[field.partition("_")[2]]) for field in POSE_COLUMNS
 }
-"""Names that each may have: time and position may be in other units, as `time_ms` and `x_m`."""
 
 
 def parse_pose(values: Mapping[str, Any]) -> Parsed[TimedPose]:
@@ -130,11 +130,11 @@ def listen(target: str, parameters: Mapping[str, str]) -> StreamListener[TimedPo
     return listener
 
 
+#: By scheme: an example, module and name of the function that opens the `PoseStream` from target and parameters, and
+#: the names of these parameters.
 POSE_STREAMS = {
     "udp": ("udp://:PORT", "probedesign.live.poses.pose_sources:listen", ()),
     "tf": ("tf://WORLD/BASE", "probedesign.live.sources.ros2.source:open_tf", ("python",)),
     "ur": ("ur://HOST", "probedesign.live.poses.robots:open_ur", ()),
     "franka": ("franka://HOST", "probedesign.live.poses.robots:open_franka", ()),
 }
-"""By scheme: an example, module and name of the function that opens the `PoseStream` from target and parameters, and
-the names of these parameters."""

@@ -16,15 +16,12 @@ from probedesign.live import split_address
 from probedesign.live.datagrams import Handover
 from probedesign.live.poses.track import TimedPose, timed_pose
 
+#: Interval at which a controller's newest state is read [s]: the period of an e-Series controller, 500 Hz.
 POLL_PERIOD = 0.002
-"""Interval at which a controller's newest state is read [s]: the period of an e-Series controller, 500 Hz."""
-RETRY_PERIOD = 1.0
-"""Interval between attempts to connect again [s]."""
-MAX_TRIES = 10
-"""Maximum number of attempts to read a pose and its time from the same state."""
+RETRY_PERIOD = 1.0  #: Interval between attempts to connect again [s].
+MAX_TRIES = 10  #: Maximum number of attempts to read a pose and its time from the same state.
 
-Reader = Callable[[], TimedPose]
-"""Returns the newest pose; raises any exception if the connection is lost."""
+Reader = Callable[[], TimedPose]  #: Returns the newest pose; raises any exception if the connection is lost.
 
 
 class RobotPoses:

@@ -10,12 +10,9 @@ import numpy as np
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, inverse, pose
 
-MAX_NORM_ERROR = 1e-3
-"""Maximum deviation of a quaternion's norm from 1: it may have been printed with four digits."""
-MAX_DISTANCE = 100.0
-"""Maximum distance of the base from the world origin [m]; a larger value indicates a wrong unit."""
-MAX_TIME = 1e11
-"""Maximum time stamp [s], as for recordings; a larger value is not in seconds."""
+MAX_NORM_ERROR = 1e-3  #: Maximum deviation of a quaternion's norm from 1: it may have been printed with four digits.
+MAX_DISTANCE = 100.0  #: Maximum distance of the base from the world origin [m]; a larger value indicates a wrong unit.
+MAX_TIME = 1e11  #: Maximum time stamp [s], as for recordings; a larger value is not in seconds.
 
 
 @dataclass(frozen=True)
@@ -94,11 +91,10 @@ def pose_from_matrix(time: float, T: Array) -> TimedPose:
     return TimedPose(time, tuple(T[:3, 3].tolist()), tuple(q.tolist()))
 
 
+#: Maximum interval between poses that are interpolated [s]: a base that accelerates at 1 m/s² deviates from the
+#: straight line by 0.3 mm in it. Robots publish at 100 Hz and more.
 MAX_GAP = 0.050
-"""Maximum interval between poses that are interpolated [s]: a base that accelerates at 1 m/s² deviates from the
-straight line by 0.3 mm in it. Robots publish at 100 Hz and more."""
-MAX_POSES = 20_000
-"""Maximum number of poses kept of a stream: 20 s of a fast one."""
+MAX_POSES = 20_000  #: Maximum number of poses kept of a stream: 20 s of a fast one.
 
 
 @dataclass
@@ -214,7 +210,6 @@ class TransformTree:
         return found
 
     def _to_root(self, frame: str) -> list[str]:
-        """Return the frame, its parent, and so on up to the root."""
         chain = [frame]
         while (parent := self._parent.get(chain[-1])) is not None and parent not in chain:
             chain.append(parent)
@@ -232,8 +227,8 @@ class TransformTree:
         return T
 
 
+#: Interval in which the minimum delay is taken [s]: clocks that differ by 50 ppm drift by 0.5 ms in it.
 OFFSET_WINDOW = 10
-"""Interval in which the minimum delay is taken [s]: clocks that differ by 50 ppm drift by 0.5 ms in it."""
 
 
 class ClockOffset:

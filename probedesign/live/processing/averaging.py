@@ -11,22 +11,19 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.blocks import AveragedBatch, BatchAverager, Block, joined
 
-MAX_MEAN_RATE = 500.0
-"""Rate above which readings are single samples unless their noise shows that they are not [Hz]."""
+MAX_MEAN_RATE = 500.0  #: Rate above which readings are single samples unless their noise shows that they are not [Hz].
+#: Least and largest number of first readings that decide, and their duration [s].
 MIN_READINGS, MAX_READINGS, MAX_TIME = 8, 64, 1.0
-"""Least and largest number of first readings that decide, and their duration [s]."""
+#: Correlation of successive second differences below which readings scatter by noise: -2/3 for noise, positive for a
+#: slow signal.
 WHITE = -0.35
-"""Correlation of successive second differences below which readings scatter by noise: -2/3 for noise, positive for a
-slow signal."""
+#: Factor between the measured variance and that of single samples, or of the model's means, within which readings are
+#: taken for those: 64 readings measure it to 15 %.
 NEAR = 2.0
-"""Factor between the measured variance and that of single samples, or of the model's means, within which readings are
-taken for those: 64 readings measure it to 15 %."""
-MEDIAN = 0.4549
-"""Median of χ² with one degree of freedom."""
+MEDIAN = 0.4549  #: Median of χ² with one degree of freedom.
 
 
-LONG_MEAN = 0.25
-"""Duration of a mean from which it is stated [s]: a touch counts as settled after so long."""
+LONG_MEAN = 0.25  #: Duration of a mean from which it is stated [s]: a touch counts as settled after so long.
 
 
 class Averaging(NamedTuple):

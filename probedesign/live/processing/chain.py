@@ -113,15 +113,13 @@ class LowPass:
         self._state = None
 
 
+#: Maximum age of a reading that is still located [s]. An older reading is skipped where a newer one has arrived: its
+#: estimate would be replaced at once, and delay all later ones. It is still recorded, monitored and fused. A reading
+#: that no contact explains takes longest, about 8 ms, so every estimate is available within 20 ms.
 MAX_AGE = 0.012
-"""Maximum age of a reading that is still located [s].
 
-An older reading is skipped where a newer one has arrived: its estimate would be replaced at once, and delay all later
-ones. It is still recorded, monitored and fused. A reading that no contact explains takes longest, about 8 ms, so every
-estimate is available within 20 ms."""
-
+#: Reporting period by the source's clock [s], and the fraction of skipped estimates that is reported at once.
 REPORT_PERIOD, MAX_SKIPPED_SHARE = 5.0, 0.05
-"""Reporting period by the source's clock [s], and the fraction of skipped estimates that is reported at once."""
 
 
 class EstimateScheduler:
@@ -184,10 +182,8 @@ class EstimateScheduler:
         self._overloaded = overloaded
 
 
-MIN_RATE_SAMPLES = 8
-"""Number of samples from which the rate of the source is determined before processing starts."""
-MAX_TARE_BATCHES = 1000
-"""Maximum number of batches of a tare window that calibrate the detector: the last ones."""
+MIN_RATE_SAMPLES = 8  #: Number of samples from which the rate of the source is determined before processing starts.
+MAX_TARE_BATCHES = 1000  #: Maximum number of batches of a tare window that calibrate the detector: the last ones.
 NO_TARE = (
     "no tare: the readings are not those of a free probe, so there is no position; give --tare auto if the probe is "
     "free in its first second at rest, --tare-s START:END, or --tare none if the sensor's zero was taken without the "
@@ -474,7 +470,6 @@ class Chain:
         return "" if free else f"the probe is {phase}; the previous tare is kept"
 
     def _update_state(self, batch: AveragedBatch) -> TouchState:
-        """Return the state of the touch monitor; unknown for a reading with a fault."""
         if self._monitor is None or batch.reading.fault or not self._zero_known:
             return TouchState("", None if self._poses is None else FusedEstimate("out_of_range"))
         T = None if self._poses is None else self._poses.at(batch.reading.time)

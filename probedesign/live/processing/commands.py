@@ -28,6 +28,7 @@ class CommandDescription(NamedTuple):
     text: str
 
 
+#: Every command. Keys, the page, datagrams and services of ROS 2 offer these, and `CommandQueue` executes them.
 COMMANDS: dict[CommandName, CommandDescription] = {
     "tare": CommandDescription("t", f"take a tare from the next {TARE_DURATION:g} s"),
     "mark": CommandDescription("m", "mark this time, with a note"),
@@ -35,9 +36,7 @@ COMMANDS: dict[CommandName, CommandDescription] = {
     "stop recording": CommandDescription("s", "stop the recording"),
     "stop": CommandDescription("q", "end the run"),
 }
-"""Every command. Keys, the page, datagrams and services of ROS 2 offer these, and `CommandQueue` executes them."""
-MAX_NOTE = 200
-"""Maximum number of characters of a mark."""
+MAX_NOTE = 200  #: Maximum number of characters of a mark.
 
 
 class CommandResult(NamedTuple):
@@ -102,8 +101,7 @@ class CommandQueue:
 
 
 SCHEMA = 1
-MAX_ID = 64
-"""Maximum length of the identifier of a datagram, which the reply repeats."""
+MAX_ID = 64  #: Maximum length of the identifier of a datagram, which the reply repeats.
 
 
 class KeyInput:

@@ -75,6 +75,8 @@ def wrench_without_bias(model: ProbeModel, reading: WrenchReading, tare: Tare | 
 Row = dict[str, float | str]
 
 COVARIANCE = (("xx", 0, 0), ("xy", 0, 1), ("xz", 0, 2), ("yy", 1, 1), ("yz", 1, 2), ("zz", 2, 2))
+#: Columns of an estimate. Contact: the point of the centreline nearest to the line of action of the force; surface: the
+#: touched point.
 COLUMNS = (
     "time_s",
     "result",
@@ -90,8 +92,7 @@ COLUMNS = (
     "force_tangential_N",
     "friction_ratio",
 )
-"""Columns of an estimate. Contact: the point of the centreline nearest to the line of action of the force; surface: the
-touched point."""
+#: Additional columns with poses of the base.
 WORLD_COLUMNS = (
     "phase",
     "fused_result",
@@ -102,7 +103,6 @@ WORLD_COLUMNS = (
     "stale",
     *(f"cov_surface_world_{pair}_mm2" for pair, _, _ in COVARIANCE),
 )
-"""Additional columns with poses of the base."""
 TRUE_COLUMNS = ("true_s_contact_mm", *(f"true_p_contact_base_{axis}_mm" for axis in "xyz"),
                 *(f"true_p_surface_base_{axis}_mm" for axis in "xyz"))  # fmt: skip
 

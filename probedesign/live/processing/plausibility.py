@@ -19,46 +19,42 @@ from probedesign.live.blocks import AveragedBatch, Block
 from probedesign.live.processing.averaging import second_differences
 from probedesign.live.processing.tare import CHANNELS
 
+#: Identical readings in all channels from which the signal counts as frozen. With a noise of half a step of the
+#: resolution, two raw readings are identical in all six channels once in sixty pairs, and eight once in 10¹².
 FROZEN_READINGS = 8
-"""Identical readings in all channels from which the signal counts as frozen. With a noise of half a step of the
-resolution, two raw readings are identical in all six channels once in sixty pairs, and eight once in 10¹²."""
+#: Duration [s] and number of identical readings of one channel from which it counts as dead.
 DEAD_TIME, DEAD_READINGS = 1.0, 20
-"""Duration [s] and number of identical readings of one channel from which it counts as dead."""
+#: Interval over which the noise is measured, and time from one measurement to the next [s]. A knock is shorter than
+#: half of the interval, and noise is found after that half.
 NOISE_WINDOW, NOISE_PERIOD = 0.25, 0.1
-"""Interval over which the noise is measured, and time from one measurement to the next [s]. A knock is shorter than
-half of the interval, and noise is found after that half."""
+#: Least number of readings of the first measurement, and of a complete window. Too little noise shows in the last
+#: readings of a window alone.
 MIN_NOISE_READINGS, WINDOW_READINGS = 8, 16
-"""Least number of readings of the first measurement, and of a complete window. Too little noise shows in the last
-readings of a window alone."""
+#: Limits of the measured noise over the stated one. Beyond the upper one, free readings count as touches; the lower one
+#: is that of values in a unit a thousand times too large, or of a filter far below the rate of the readings. Noise as
+#: stated exceeded the upper one in none of 300,000 simulated windows of the least number of readings.
 MAX_NOISE, MIN_NOISE = 4.0, 0.02
-"""Limits of the measured noise over the stated one. Beyond the upper one, free readings count as touches; the lower one
-is that of values in a unit a thousand times too large, or of a filter far below the rate of the readings.
-Noise as stated exceeded the upper one in none of 300,000 simulated windows of the least number of readings."""
+#: Rate below which the noise of a channel is not separated from motion [Hz]: second differences of a sway at 5 Hz by 3
+#: mN at mid-length reach the stated noise of means at 150 Hz. Below it, and while there are few readings, noise is
+#: measured in the dimensions that no force explains.
 MIN_NOISE_RATE = 150.0
-"""Rate below which the noise of a channel is not separated from motion [Hz]: second differences of a sway at 5 Hz by
-3 mN at mid-length reach the stated noise of means at 150 Hz. Below it, and while there are few readings, noise is
-measured in the dimensions that no force explains."""
+#: Dimensions in which one force on the probe changes the six channels. Sway and touch change them in so many.
 FORCE_DIMENSIONS = 3
-"""Dimensions in which one force on the probe changes the six channels. Sway and touch change them in so many."""
+#: Largest lead of the sensor's clock over its arrival that is no leap [s]. A reading that waited arrives late, never
+#: early.
 MAX_CLOCK_LEAP = 0.5
-"""Largest lead of the sensor's clock over its arrival that is no leap [s]. A reading that waited arrives late, never
-early."""
+#: Time without a leap of the clock after which readings count again [s]: five estimates at the usual 20 Hz.
 CLOCK_HOLD = 0.25
-"""Time without a leap of the clock after which readings count again [s]: five estimates at the usual 20 Hz."""
-CLOCK_SKEW = 1e-3
-"""Largest difference of the rates of two clocks. Assumed: twenty times that of quartz oscillators."""
+CLOCK_SKEW = 1e-3  #: Largest difference of the rates of two clocks. Assumed: twenty times that of quartz oscillators.
+#: Largest speed [m/s] and rate of rotation [rad/s] of a base. Assumed: faster than any arm moves a probe; light arms
+#: reach 2 m/s and 7 rad/s.
 MAX_SPEED, MAX_TURN = 5.0, 15.0
-"""Largest speed [m/s] and rate of rotation [rad/s] of a base. Assumed: faster than any arm moves a probe; light arms
-reach 2 m/s and 7 rad/s."""
-LEAP_HOLD = 0.25
-"""Time without a leap after which poses count again [s]: poses that flicker are not used in between."""
+LEAP_HOLD = 0.25  #: Time without a leap after which poses count again [s]: poses that flicker are not used in between.
+#: Deflection of the probe at the contact from which the travel of the base is compared with it [m], and its least share
+#: of it. A base that presses on a fixed point travels by all of it; in metres instead of millimetres, by a thousandth.
 MIN_DEFLECTION, MIN_TRAVEL_SHARE = 0.5e-3, 0.05
-"""Deflection of the probe at the contact from which the travel of the base is compared with it [m], and its least share
-of it. A base that presses on a fixed point travels by all of it; in metres instead of millimetres, by a thousandth."""
-LEVER = 0.1
-"""Lever arm that converts a rotation of the base to a distance [m], as in the tracker."""
-QUANTILE = 0.6745
-"""Median of the magnitude of a standard normal."""
+LEVER = 0.1  #: Lever arm that converts a rotation of the base to a distance [m], as in the tracker.
+QUANTILE = 0.6745  #: Median of the magnitude of a standard normal.
 
 
 class FaultReport:

@@ -12,24 +12,24 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.live import Log
 from probedesign.live.blocks import WrenchReading
 
+#: Minimum number of readings in a tare window: the mean of ten adds a tenth to the variance of every later reading.
 MIN_READINGS = 10
-"""Minimum number of readings in a tare window: the mean of ten adds a tenth to the variance of every later reading."""
+#: Maximum standard deviation of a channel, in units of its noise. Ten readings of pure noise exceed it once in 1e12
+#: windows.
 MAX_SCATTER = 3.0
-"""Maximum standard deviation of a channel, in units of its noise. Ten readings of pure noise exceed it once in 1e12
-windows."""
+#: Maximum step from the first half of a rest to the second, in units of its noise; 0.05 resolution steps of drift in a
+#: second add little to it.
 MAX_STEP = 5.0
-"""Maximum step from the first half of a rest to the second, in units of its noise; 0.05 resolution steps of drift in a
-second add little to it."""
+#: Duration of a tare requested during a run [s]; at 194 readings per second the noise of the mean is a twentieth of
+#: theirs.
 TARE_DURATION = 2.0
-"""Duration of a tare requested during a run [s]; at 194 readings per second the noise of the mean is a twentieth of
-theirs."""
+#: Duration of the rest that an automatic tare uses, and of the wait after which its reason is reported [s].
 REST_TIME, REST_WAIT = 1.0, 3.0
-"""Duration of the rest that an automatic tare uses, and of the wait after which its reason is reported [s]."""
 CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
+#: Zero of the sensor without a tare window: nothing, unless readings agree with the free probe without one; the first
+#: second at rest; or the sensor's own zero, taken without the probe.
 Zero = Literal["checked", "auto", "trusted"]
-"""Zero of the sensor without a tare window: nothing, unless readings agree with the free probe without one; the first
-second at rest; or the sensor's own zero, taken without the probe."""
 
 
 @dataclass(frozen=True)

@@ -35,20 +35,18 @@ from probedesign.live.processing.tare import Tare
 
 Phase = Literal["", "free", "moving", "touching", "settled", "released"]
 
+#: Length of the interval that is tested [s]; a soft probe of the paper's size oscillates 1.5 times in it. Assumed.
 SPAN = 0.25
-"""Length of the interval that is tested [s]; a soft probe of the paper's size oscillates 1.5 times in it. Assumed."""
+#: Maximum travel of a stationary base within `SPAN` [m]: five times the scatter of a robot's poses
+#: (`Tolerances.robot_mm`, assumed). Rotations count over `LEVER`.
 MAX_TRAVEL = 50e-6
-"""Maximum travel of a stationary base within `SPAN` [m]: five times the scatter of a robot's poses
-(`Tolerances.robot_mm`, assumed). Rotations count over `LEVER`."""
-LEVER = 0.1
-"""Lever arm that converts a rotation to a distance [m], as in the tracker."""
-MAX_MEANS = 64
-"""Maximum number of values in the span; more readings are averaged."""
+LEVER = 0.1  #: Lever arm that converts a rotation to a distance [m], as in the tracker.
+MAX_MEANS = 64  #: Maximum number of values in the span; more readings are averaged.
 
 
+#: Squares of the elements of a step between two poses (3, 4) to those of its distance, and of its angle times `LEVER`:
+#: the Frobenius norm |R - R'| is 2√2 sin(angle/2), which is √2 angle for small angles.
 _TRAVELS = np.zeros((12, 2))
-"""Squares of the elements of a step between two poses (3, 4) to those of its distance, and of its angle times `LEVER`:
-the Frobenius norm |R - R'| is 2√2 sin(angle/2), which is √2 angle for small angles."""
 _TRAVELS[3::4, 0] = 1.0
 _TRAVELS[np.arange(12) % 4 < 3, 1] = 0.5 * LEVER**2
 
@@ -143,8 +141,7 @@ class PhaseTracker:
         return "moving" if moving else "free"
 
 
-MAX_CONTACTS = 1000
-"""Maximum number of contacts in the list; older ones are dropped."""
+MAX_CONTACTS = 1000  #: Maximum number of contacts in the list; older ones are dropped.
 
 
 @dataclass(frozen=True)
@@ -371,26 +368,17 @@ class TouchMonitor:
         self._latency_check.add(time, T[:3, 3], excess)
 
 
-MAX_SHIFT = 0.200
-"""Maximum shift that is tested, in both directions [s]."""
-SHIFT_STEP = 0.004
-"""Step between shifts [s]."""
+MAX_SHIFT = 0.200  #: Maximum shift that is tested, in both directions [s].
+SHIFT_STEP = 0.004  #: Step between shifts [s].
+#: Minimum latency that is reported [s]: at 10 mm/s it is 0.1 mm, the tolerance of a tracker's keyframe.
 MIN_REPORTED = 0.010
-"""Minimum latency that is reported [s]: at 10 mm/s it is 0.1 mm, the tolerance of a tracker's keyframe."""
-MIN_CHI2_GAIN = 25.0
-"""Minimum decrease of χ² by the shift: five standard deviations."""
-MAX_STD_SHARE = 0.2
-"""Maximum standard deviation of the shift, as a fraction of `MIN_REPORTED`."""
-MIN_TRAVEL = 0.5e-3
-"""Minimum travel of the base [m]."""
-MAX_INTERVAL = 0.1
-"""Maximum interval between readings of a touch [s]."""
-MIN_READINGS = 20
-"""Minimum number of readings within the range of all shifts."""
-LATENCY_SPAN = 4.0
-"""Length of the last part of a touch that is used [s]."""
-MAX_READINGS = 800
-"""Maximum number of readings: `LATENCY_SPAN` at 7000/36 readings per second."""
+MIN_CHI2_GAIN = 25.0  #: Minimum decrease of χ² by the shift: five standard deviations.
+MAX_STD_SHARE = 0.2  #: Maximum standard deviation of the shift, as a fraction of `MIN_REPORTED`.
+MIN_TRAVEL = 0.5e-3  #: Minimum travel of the base [m].
+MAX_INTERVAL = 0.1  #: Maximum interval between readings of a touch [s].
+MIN_READINGS = 20  #: Minimum number of readings within the range of all shifts.
+LATENCY_SPAN = 4.0  #: Length of the last part of a touch that is used [s].
+MAX_READINGS = 800  #: Maximum number of readings: `LATENCY_SPAN` at 7000/36 readings per second.
 
 
 @dataclass
@@ -445,12 +433,10 @@ class LatencyCheck:
 
 
 def _principal_component(rows: Array) -> Array:
-    """Return the rows (n, k) along their principal direction, (n,)."""
     centred = rows - rows.mean(axis=0)
     return np.asarray(centred @ np.linalg.svd(centred, full_matrices=False)[2][0], dtype=float)
 
 
 def _residual(travel: Array, wrench: Array) -> float:
-    """Return the sum of squares of the wrench after fitting a parabola of the travel."""
     columns = np.stack([np.ones_like(travel), travel, travel * travel], axis=1)
     return float(np.sum((wrench - columns @ np.linalg.lstsq(columns, wrench)[0]) ** 2))

@@ -27,8 +27,7 @@ ALIASES = {"t": "time", "timestamp": "time", **csv_tables.WRENCH_ALIASES}
 
 CSV_HEADER = "time_s,Fx_N,Fy_N,Fz_N,Mx_Nm,My_Nm,Mz_Nm"
 GRAVITY_HEADER = "gx_m_s2,gy_m_s2,gz_m_s2"
-FAULT = "fault"
-"""Optional column with the fault of a reading as text; empty if there is none."""
+FAULT = "fault"  #: Optional column with the fault of a reading as text; empty if there is none.
 _NO_DELIMITERS = str.maketrans(',"', ";'")
 
 
@@ -47,8 +46,7 @@ def recording_columns(table: CsvLines) -> list[Column]:
     return [found[quantity] for quantity in wanted]
 
 
-GAP = 1.5
-"""Factor of the median interval above which an interval counts as a gap."""
+GAP = 1.5  #: Factor of the median interval above which an interval counts as a gap.
 
 
 @dataclass(frozen=True)

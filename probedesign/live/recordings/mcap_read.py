@@ -29,8 +29,7 @@ from probedesign.live.recordings.schemas import CLOCK_NAME, MCAP_MAGIC, OFFSET_K
 
 OFFSET = re.compile(r"-?[0-9]{1,19}")
 FOOTER_AND_MAGIC = 9 + 20 + 8
-MAX_PROBE_BYTES = 10_000_000
-"""Maximum length of an attachment that is read as a frozen probe [bytes]."""
+MAX_PROBE_BYTES = 10_000_000  #: Maximum length of an attachment that is read as a frozen probe [bytes].
 
 
 class McapBag:

@@ -20,13 +20,13 @@ from mcap.opcode import Opcode
 
 from probedesign.live.recordings.schemas import RECORD_PREFIX
 
+#: Maximum length of a record and of an unpacked chunk [bytes]: writers use chunks of 1 MB, plus large images.
 MAX_RECORD = 256 * 1024 * 1024
-"""Maximum length of a record and of an unpacked chunk [bytes]: writers use chunks of 1 MB, plus large images."""
 Record = TypeVar("Record", bound=records.McapRecord)
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 
+#: Channel, sequence number, time of recording and of publication [ns], and data.
 RawMessage = tuple[int, int, int, int, memoryview]
-"""Channel, sequence number, time of recording and of publication [ns], and data."""
 
 
 class DamagedError(Exception):
@@ -66,12 +66,12 @@ class Damage:
         return self._first + (f", and damage at {self._count - 1} more places" if self._count > 1 else "")
 
 
+#: Maximum number of places that look like a chunk and are none, before the search for one ends: each is unpacked.
 MAX_CANDIDATES = 16
-"""Maximum number of places that look like a chunk and are none, before the search for one ends: each is unpacked."""
+#: The compression in a chunk, by which its beginning is found.
 _COMPRESSIONS = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")
-"""The compression in a chunk, by which its beginning is found."""
+#: Length of a chunk record before its compression: prefix, two times, uncompressed size and checksum [bytes].
 _BEFORE_COMPRESSION = RECORD_PREFIX.size + 28
-"""Length of a chunk record before its compression: prefix, two times, uncompressed size and checksum [bytes]."""
 _SEARCHED = 1 << 20
 
 

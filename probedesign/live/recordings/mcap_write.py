@@ -37,8 +37,7 @@ from probedesign.live.recordings.schemas import (
 
 _HEAD = [("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("logged", "<u8"),
          ("published", "<u8")]  # fmt: skip
-_BEFORE_DATA = 22
-"""Length of a message record before its data: channel, sequence number and two times [bytes]."""
+_BEFORE_DATA = 22  #: Length of a message record before its data: channel, sequence number and two times [bytes].
 
 
 class McapWriter:

@@ -23,11 +23,10 @@ from probedesign.live.recordings import schemas
 from probedesign.live.recordings.scene import SCENE_PERIOD, SceneEncoder
 from probedesign.live.recordings.schemas import Bytes, Nanoseconds, Topic, nanoseconds, stamped, texts
 
+#: Maximum number of readings described by one block message: 0.1 s of the fastest source, so that encoding it does not
+#: occupy the interpreter for long.
 MAX_BLOCK = 700
-"""Maximum number of readings described by one block message: 0.1 s of the fastest source, so that encoding it does not
-occupy the interpreter for long."""
-_MAX_NS = 4 * 10**18
-"""Half the range of 63-bit nanoseconds."""
+_MAX_NS = 4 * 10**18  #: Half the range of 63-bit nanoseconds.
 
 
 class MessageEncoder(Sink, ABC):
@@ -154,12 +153,11 @@ class MessageEncoder(Sink, ABC):
 
 
 def _same_state(a: Block, b: Block) -> bool:
-    """Return whether one block message can describe both blocks."""
     return (a.fault, a.stretch) == (b.fault, b.stretch) and np.array_equal(a.gravity_base, b.gravity_base)
 
 
+#: Variance of each angle of a contact's orientation [rad²], which is not estimated: π in each direction.
 UNKNOWN_ROTATION_VAR = math.pi**2
-"""Variance of each angle of a contact's orientation [rad²], which is not estimated: π in each direction."""
 
 
 def update_messages(
@@ -204,14 +202,12 @@ def _state_values(update: EstimateUpdate) -> tuple[list[float], tuple[int, int]]
 
 
 def _pose_values(p: Array, cov: Array) -> list[float]:
-    """Return a point as a pose with covariance, (43,), with unknown orientation."""
     whole = UNKNOWN_ROTATION_VAR * np.eye(6)
     whole[:3, :3] = cov
     return [*p.tolist(), 0.0, 0.0, 0.0, 1.0, *whole.ravel().tolist()]
 
 
 def _estimate_json(update: EstimateUpdate) -> str:
-    """Return the estimate as JSON with the exact pose of the base, which a quaternion does not represent."""
     world = world_row(update) if update.fused is not None else {}
     line, T = json_line(estimate_row(update.reading, update.estimate) | world), update.T_world_base
     return f'{line[:-1]}, "T_world_base": {json.dumps(T.tolist())}}}' if np.isfinite(T).all() else line

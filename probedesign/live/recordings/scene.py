@@ -11,21 +11,16 @@ from probedesign.live.poses.track import pose_from_matrix
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.recordings.schemas import Bytes, CdrBuilder
 
-SCENE_PERIOD = 0.1
-"""Minimum interval of the source's clock between two scenes [s]: a scene takes some 20 kB."""
+SCENE_PERIOD = 0.1  #: Minimum interval of the source's clock between two scenes [s]: a scene takes some 20 kB.
 RINGS, SIDES = 16, 12
-CONTACT_LIFETIME = 1.0
-"""Time after which a contact without a newer scene disappears [s]."""
-MIN_DIAMETER = 1.8e-3
-"""Minimum diameter of the drawn ellipsoid [m], so that it is visible."""
-ARROW, SHAFT, HEAD = 0.030, 1.2e-3, 3.2e-3
-"""Length of the arrow of the force, and diameters of shaft and head [m]."""
+CONTACT_LIFETIME = 1.0  #: Time after which a contact without a newer scene disappears [s].
+MIN_DIAMETER = 1.8e-3  #: Minimum diameter of the drawn ellipsoid [m], so that it is visible.
+ARROW, SHAFT, HEAD = 0.030, 1.2e-3, 3.2e-3  #: Length of the arrow of the force, and diameters of shaft and head [m].
+#: Colours: red, green, blue, opacity.
 PROBE, SENSOR, CONTACT = (0.93, 0.57, 0.26, 0.6), (0.24, 0.25, 0.28, 1.0), (0.91, 0.28, 0.26, 1.0)
-"""Colours: red, green, blue, opacity."""
+#: Kinds of primitives of an entity, in the order arrows, cubes, spheres, cylinders, lines, triangles, texts, models.
 N_PRIMITIVES = 8
-"""Kinds of primitives of an entity, in the order arrows, cubes, spheres, cylinders, lines, triangles, texts, models."""
-UPRIGHT = (0.0, 0.0, 0.0, 1.0)
-"""Quaternion of the axes of the entity's frame."""
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)  #: Quaternion of the axes of the entity's frame.
 ARROWS, SPHERES, CYLINDERS, TRIANGLES = 0, 2, 3, 5
 
 
@@ -90,7 +85,6 @@ def _pose(scene: CdrBuilder, T: Array) -> CdrBuilder:
 
 
 def _x_along(force: Array) -> Array:
-    """Return a rotation whose x axis has the direction of a force, (3, 3)."""
     x = force / np.linalg.norm(force)
     z = np.cross(x, np.eye(3)[int(np.argmin(np.abs(x)))])
     z /= np.linalg.norm(z)

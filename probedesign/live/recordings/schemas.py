@@ -18,10 +18,8 @@ from probedesign.core.frames import Array
 from probedesign.estimation.estimate import RESULTS
 from probedesign.live.processing.estimates import COLUMNS, WORLD_COLUMNS
 
-MCAP_MAGIC = b"\x89MCAP0\r\n"
-"""The first and the last bytes of an MCAP file."""
-RECORD_PREFIX = struct.Struct("<BQ")
-"""Opcode of a record and the length of its content, before the content."""
+MCAP_MAGIC = b"\x89MCAP0\r\n"  #: The first and the last bytes of an MCAP file.
+RECORD_PREFIX = struct.Struct("<BQ")  #: Opcode of a record and the length of its content, before the content.
 
 
 class BagTopic(NamedTuple):
@@ -41,8 +39,7 @@ class Message(NamedTuple):
 
 
 Nanoseconds = NDArray[np.int64]
-Bytes = NDArray[np.void]
-"""Messages of equal length, (n,)."""
+Bytes = NDArray[np.void]  #: Messages of equal length, (n,).
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -52,11 +49,11 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 SCENE_UPDATE = "foxglove_msgs/msg/SceneUpdate"
 CONTACT_STATE = "probedesign_msgs/msg/Contact"
 
+#: Phases in the order of their numbers in `CONTACT_STATE`.
 PHASES = ("", "free", "moving", "touching", "settled", "released")
-"""Phases in the order of their numbers in `CONTACT_STATE`."""
+#: Numbers of `CONTACT_STATE` [SI], between its header and its codes.
 CONTACT_NUMBERS = ("s_contact", "std_s", "p_surface", "force", "force_norm", "force_normal", "force_tangential",
                    "friction_ratio", "detection_chi2")  # fmt: skip
-"""Numbers of `CONTACT_STATE` [SI], between its header and its codes."""
 
 _HEADER = {"std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
            "builtin_interfaces/Time": "int32 sec\nuint32 nanosec"}  # fmt: skip
@@ -67,7 +64,6 @@ _VECTOR = {"geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z"}
 
 
 def _constants(names: Sequence[str], prefix: str = "") -> str:
-    """Return the constants of an enumeration, numbered from zero."""
     return "\n".join(f"uint8 {prefix}{(name or 'unknown').upper()}={i}" for i, name in enumerate(names))
 
 
@@ -135,12 +131,11 @@ _DEFINITIONS = {
     SCENE_UPDATE: ("foxglove_msgs/SceneEntityDeletion[] deletions\nfoxglove_msgs/SceneEntity[] entities", _SCENE),
 }  # fmt: skip
 
+#: Encapsulation header of little-endian CDR. The fields after it are aligned as if it were at offset zero.
 CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-"""Encapsulation header of little-endian CDR. The fields after it are aligned as if it were at offset zero."""
 _SEPARATOR = "\n" + 80 * "=" + "\n"
 _SECONDS = (-(2**31), 2**31 - 1)
-_MAX_SECONDS = 9e9
-"""Maximum number of seconds in 63 bits of nanoseconds."""
+_MAX_SECONDS = 9e9  #: Maximum number of seconds in 63 bits of nanoseconds.
 
 
 def definition(name: str) -> bytes:
@@ -183,7 +178,6 @@ def stamped(frame: str, stamps: ArrayLike, values: ArrayLike, codes: ArrayLike |
 
 @cache
 def _message_dtype(name: int, doubles: int, codes: int = 0) -> np.dtype[np.void]:
-    """Return the layout of a message whose frame name has `name` bytes."""
     return np.dtype([
         ("encapsulation", "V4"), ("second", "<i4"), ("rest", "<u4"), ("length", "<u4"), ("name", f"V{name}"),
         ("padding", f"V{-(12 + name) % 8}"), ("values", "<f8", (doubles,)),
@@ -300,7 +294,6 @@ def read_text(data: bytes | memoryview) -> str:
 
 
 def _order(data: bytes | memoryview) -> str:
-    """Return the byte order of the encapsulation header, as a `struct` character."""
     if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
         raise ValueError("not a CDR message")
     return "<" if data[1] else ">"
@@ -310,10 +303,9 @@ def _string(data: bytes | memoryview) -> str:
     return bytes(data).rstrip(b"\0").decode("utf-8", errors="replace")
 
 
-METADATA_NAME = "probedesign"
-"""Name of the metadata record of our recordings."""
+METADATA_NAME = "probedesign"  #: Name of the metadata record of our recordings.
+#: Name of the metadata record with the offset of the clocks, and its key.
 CLOCK_NAME, OFFSET_KEY = "probedesign_clock", "wall_minus_source_ns"
-"""Name of the metadata record with the offset of the clocks, and its key."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,11 +325,9 @@ class Topic:
         return {"offered_qos_profiles": _qos(self.latched)} | known
 
 
+#: Metadata record without which newer versions of rosbag2 expect the policies of a QoS profile as words. Source:
+#: rosbag2_storage_mcap, `MCAPStorage::read_metadata`; rosbag2_storage, `qos.cpp`.
 QOS_METADATA = {"rosbag2": {"offered_qos_profiles": "numbers, as in version 8 of rosbag2's metadata"}}
-"""Metadata record without which newer versions of rosbag2 expect the policies of a QoS profile as words.
-
-Source: rosbag2_storage_mcap, `MCAPStorage::read_metadata`; rosbag2_storage, `qos.cpp`.
-"""
 _FOREVER = "\n    sec: 9223372036\n    nsec: 854775807"
 
 
@@ -352,7 +342,6 @@ def _qos(latched: bool) -> str:
 
 
 def _object(title: str, required: list[str], properties: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON Schema of a flat object; additional properties are allowed."""
     head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title, "type": "object"}
     return head | {"properties": properties, "required": required}
 
@@ -362,8 +351,8 @@ NUMBER_OR_NULL = {"type": ["number", "null"]}
 TEXT_VALUE = {"type": "string"}
 NUMBERS = {"type": "array", "items": NUMBER}
 
+#: Every reading as the sensor delivered it, in the sensor frame, bias included.
 RAW = Topic("/probedesign/wrench_raw", WRENCH, {})
-"""Every reading as the sensor delivered it, in the sensor frame, bias included."""
 BLOCK = Topic(
     "/probedesign/block",
     TEXT,
@@ -379,14 +368,12 @@ BLOCK = Topic(
         },
     ),
 )
+#: The wrench that was located: without bias, averaged, at the base.
 WITHOUT_BIAS = Topic("/probedesign/wrench", WRENCH, {})
-"""The wrench that was located: without bias, averaged, at the base."""
-CONTACT = Topic("/probedesign/contact", UNCERTAIN_POSE, {})
-"""Touched point in the base frame, for each result `ok`."""
+CONTACT = Topic("/probedesign/contact", UNCERTAIN_POSE, {})  #: Touched point in the base frame, for each result `ok`.
+#: Touched point from all readings of a touch, for each fused result `ok`.
 CONTACT_WORLD = Topic("/probedesign/contact_world", UNCERTAIN_POSE, {})
-"""Touched point from all readings of a touch, for each fused result `ok`."""
-BASE = Topic("/probedesign/base", POSE, {})
-"""Each pose of the base in the world that is used, by the source's clock."""
+BASE = Topic("/probedesign/base", POSE, {})  #: Each pose of the base in the world that is used, by the source's clock.
 ESTIMATE = Topic(
     "/probedesign/estimate",
     TEXT,
@@ -402,16 +389,14 @@ ESTIMATE = Topic(
         },
     ),
 )
+#: Tares, marks, silence, loss, faults.
 EVENT = Topic(
     "/probedesign/event", TEXT, _object("An event", ["event"], {"time_s": NUMBER_OR_NULL, "event": TEXT_VALUE})
 )
-"""Tares, marks, silence, loss, faults."""
+#: The numbers of each estimate with its result and its phase, for plots.
 STATE = Topic("/probedesign/state", CONTACT_STATE, {})
-"""The numbers of each estimate with its result and its phase, for plots."""
+#: The bent probe, the sensor, and the contact with its 95 % ellipsoid and its force.
 SCENE = Topic("/probedesign/scene", SCENE_UPDATE, {})
-"""The bent probe, the sensor, and the contact with its 95 % ellipsoid and its force."""
-TF = Topic("/tf", TRANSFORMS, {})
-"""Pose of the base in the world, as `BASE`."""
-TF_STATIC = Topic("/tf_static", TRANSFORMS, {}, latched=True)
-"""Pose of the sensor in the base."""
+TF = Topic("/tf", TRANSFORMS, {})  #: Pose of the base in the world, as `BASE`.
+TF_STATIC = Topic("/tf_static", TRANSFORMS, {}, latched=True)  #: Pose of the sensor in the base.
 TOPICS = (RAW, BLOCK, WITHOUT_BIAS, CONTACT, CONTACT_WORLD, BASE, ESTIMATE, EVENT, STATE, SCENE, TF, TF_STATIC)

@@ -36,10 +36,9 @@ if TYPE_CHECKING:
 
 CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 MAX_FILE_BYTES = 1 << 20
-MAX_GAUGE_VOLTS = 9.8
-"""Limit of a gauge voltage [V]; beyond it the amplifier clips and the sample is invalid."""
+MAX_GAUGE_VOLTS = 9.8  #: Limit of a gauge voltage [V]; beyond it the amplifier clips and the sample is invalid.
+#: Maximum condition number of the matrix with rows divided by full scale; a Nano17's is about 2.5.
 MAX_CONDITION = 100.0
-"""Maximum condition number of the matrix with rows divided by full scale; a Nano17's is about 2.5."""
 
 
 @dataclass(frozen=True)
@@ -132,19 +131,15 @@ def _numbers(element: Element, name: str, count: int) -> list[float]:
 
 
 GAUGES = 6
-INPUT_RANGE = 10.0
-"""Range of the card's inputs, ± [V]: that of ATI's amplifiers."""
-WAIT_TIME = 0.002
-"""Time to wait for samples at once [s]."""
-BUFFER_DURATION = 10.0
-"""Duration of the driver's buffer [s]."""
-MAX_READ = 0.1
-"""Maximum duration of the samples read at once [s]."""
+INPUT_RANGE = 10.0  #: Range of the card's inputs, ± [V]: that of ATI's amplifiers.
+WAIT_TIME = 0.002  #: Time to wait for samples at once [s].
+BUFFER_DURATION = 10.0  #: Duration of the driver's buffer [s].
+MAX_READ = 0.1  #: Maximum duration of the samples read at once [s].
 
 DRIVER = "NI-DAQmx; get it from ni.com/downloads and restart"
 NOT_YET_AVAILABLE = -200284  # SAMPLES_NOT_YET_AVAILABLE
+#: Error codes for samples that were overwritten before they were read or transferred.
 OVERRUN_CODES = (-200279, -200222, -200361, -200010)
-"""Error codes for samples that were overwritten before they were read or transferred."""
 
 
 @dataclass(frozen=True)
@@ -346,7 +341,6 @@ class DaqSource:
 
 
 def _fault(invalid: NDArray[np.bool_]) -> str:
-    """Return the fault of a sample: gauges beyond the amplifier's limit, or channels beyond the calibrated range."""
     gauges = ", ".join(str(i) for i in np.flatnonzero(invalid[:GAUGES]))
     if gauges:
         return f"transducer saturated: gauge {gauges} beyond {MAX_GAUGE_VOLTS:g} V"

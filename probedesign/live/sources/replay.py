@@ -201,8 +201,7 @@ def _checked(path: Path, blocks: Iterable[Block]) -> Iterator[Block]:
         yield block
 
 
-MAX_BLOCK = 1_000_000
-"""Maximum number of readings in a block: 2 minutes of the fastest source."""
+MAX_BLOCK = 1_000_000  #: Maximum number of readings in a block: 2 minutes of the fastest source.
 
 
 class NativeRecording:
@@ -268,12 +267,12 @@ def _finite_array(values: Any) -> Array:
 
 
 PARAMETERS = {"speed": SPEED, "other_probe": SourceParameter(0, 0, 1, integer=True)}
+#: Text parameters with their values; empty if any value is allowed.
 TEXT_PARAMETERS: dict[str, tuple[str, ...]] = {
     "topic": (),
     "frame": get_args(Frame),
     "moment_unit": get_args(MomentUnit),
 }
-"""Text parameters with their values; empty if any value is allowed."""
 
 
 class ReplaySource:

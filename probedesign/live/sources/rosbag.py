@@ -15,20 +15,16 @@ from probedesign.live.poses.track import TimedPose, TransformTree, timed_pose
 from probedesign.live.recordings import require_mcap
 from probedesign.live.recordings.schemas import MCAP_MAGIC, POSE, WRENCH, BagTopic, Message, read_stamped
 
-SQLITE_MAGIC = b"SQLite format 3\0"
-"""The first bytes of a `.db3` file."""
+SQLITE_MAGIC = b"SQLite format 3\0"  #: The first bytes of a `.db3` file.
 
 
 class Bag(Protocol):
     """A bag: messages in the order in which they were recorded."""
 
     path: Path
-    metadata: dict[str, dict[str, str]]
-    """Metadata by name; only MCAP has them."""
-    probe: dict[str, object] | None
-    """Attached frozen probe, if any."""
-    clock_offset: int
-    """Clock of the headers minus the source's clock [ns]; not 0 only in our own recordings."""
+    metadata: dict[str, dict[str, str]]  #: Metadata by name; only MCAP has them.
+    probe: dict[str, object] | None  #: Attached frozen probe, if any.
+    clock_offset: int  #: Clock of the headers minus the source's clock [ns]; not 0 only in our own recordings.
 
     @property
     def damage(self) -> str:
@@ -140,15 +136,12 @@ class RosBag:
             raise self._unreadable(error) from None
 
     def _unreadable(self, error: Exception) -> InputError:
-        """Return any exception of rosbags as an error of the bag: rosbags does not validate its input."""
         text = one_line(str(error), 200) or type(error).__name__
         return InputError(f"{self.path}: cannot be read as a ROS 2 bag: {text}")
 
 
-BLOCK_SIZE = 256
-"""Readings per block: few enough for a short delay, enough for efficiency."""
-Wrenches = tuple[Array, Array]
-"""Times [s], (n,), and wrenches as published, (n, 6)."""
+BLOCK_SIZE = 256  #: Readings per block: few enough for a short delay, enough for efficiency.
+Wrenches = tuple[Array, Array]  #: Times [s], (n,), and wrenches as published, (n, 6).
 
 
 @dataclass(frozen=True)

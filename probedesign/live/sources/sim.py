@@ -28,8 +28,8 @@ PARAMETERS = {
 
 PHASE = (0.0, 0.10, 0.15, 0.50, 0.85, 0.90, 1.0)
 POSITION = (0.3, 0.30, 0.30, OUTERMOST, 0.30, 0.30, 0.3)
+#: One period: free, loaded at 0.3 of the length, moved to 0.95 and back, released, free. Linear in between.
 LOAD = (0.0, 0.00, 1.00, 1.00, 1.00, 0.00, 0.0)
-"""One period: free, loaded at 0.3 of the length, moved to 0.95 and back, released, free. Linear in between."""
 
 
 def open_simulation(model: ProbeModel, target: str, query: str, log: Log) -> "SimulatedSource":

@@ -26,10 +26,8 @@ from probedesign.live.blocks import Block, WrenchReading, group_readings, paced
 class Source(Protocol):
     """A source of raw readings. Iterating opens it; closing the iterator closes it."""
 
-    title: str
-    """One line that describes the source."""
-    notes: tuple[str, ...]
-    """Notes for the user, one line each."""
+    title: str  #: One line that describes the source.
+    notes: tuple[str, ...]  #: Notes for the user, one line each.
 
     def __iter__(self) -> Generator[Block, None, None]:
         """Yield readings in order of time, in small blocks as soon as they are available.
@@ -46,6 +44,8 @@ class GatheringSource(Protocol):
         """State how many readings complete the next mean."""
 
 
+#: By scheme: an example, and module and name of the function or class that opens the source from model, target, query
+#: and log. It is imported when the source is used, because each needs packages of its own.
 SOURCES = {
     "netft": ("netft://HOST", "probedesign.live.sources.netft.source:NetFTSource"),
     "daq": ("daq://DEVICE/ai0:5?cal=FILE", "probedesign.live.sources.daq:DaqSource"),
@@ -54,10 +54,8 @@ SOURCES = {
     "udp": ("udp://:PORT", "probedesign.live.sources.udp:open_udp"),
     "ros2": ("ros2://TOPIC", "probedesign.live.sources.ros2.source:open_ros2"),
 }
-"""By scheme: an example, and module and name of the function or class that opens the source from model, target, query
-and log. It is imported when the source is used, because each needs packages of its own."""
+#: Group of entry points by which other packages add sources: scheme = "module:function", with the same arguments.
 ENTRY_POINTS = "probedesign.sources"
-"""Group of entry points by which other packages add sources: scheme = "module:function", with the same arguments."""
 
 
 def open_source(spec: str, model: ProbeModel, log: Log = lambda line: None) -> Source:
@@ -110,10 +108,9 @@ class SourceParameter:
     words: Mapping[str, float] = field(default_factory=dict)
 
 
+#: Playback speed relative to the source's own clock, for all sources without hardware.
 SPEED = SourceParameter(1.0, 1e-3, 1e6, words={"max": math.inf})
-"""Playback speed relative to the source's own clock, for all sources without hardware."""
-BLOCK_DURATION, MAX_BLOCK_READINGS = 0.002, 64
-"""Maximum duration [s] and size of a block of such sources."""
+BLOCK_DURATION, MAX_BLOCK_READINGS = 0.002, 64  #: Maximum duration [s] and size of a block of such sources.
 
 
 def played(readings: Iterable[WrenchReading], speed: float) -> Generator[Block, None, None]:
@@ -179,14 +176,12 @@ def range_note(what: str, ranges: Array, model: ProbeModel) -> tuple[str, ...]:
     return (f"the range of the {what}, {listed} N, Nm, differs from that of the probe's sensor: is it the right one?",)
 
 
+#: Time without a record of a sensor after which the last estimate is stale [s]; reported within 50 ms of the record.
 STALE_TIME = 0.040
-"""Time without a record of a sensor after which the last estimate is stale [s]; reported within 50 ms of the record."""
-FIRST_RECORD_TIMEOUT = 3.0
-"""Maximum wait for the first record of a box or card, which sends on request [s]."""
-REPORT_TIMES = (0.0, 2.0, 10.0, 60.0, 600.0)
-"""Durations of silence after which it is reported (again) [s]."""
+FIRST_RECORD_TIMEOUT = 3.0  #: Maximum wait for the first record of a box or card, which sends on request [s].
+REPORT_TIMES = (0.0, 2.0, 10.0, 60.0, 600.0)  #: Durations of silence after which it is reported (again) [s].
+#: Number of interruptions within a time [s] that indicates another client.
 MAX_INTERRUPTIONS, INTERRUPTION_WINDOW = 4, 10.0
-"""Number of interruptions within a time [s] that indicates another client."""
 
 
 class DropoutMonitor:

@@ -28,20 +28,18 @@ from probedesign.live.datagrams import (
 )
 from probedesign.live.sources.source import STALE_TIME, DropoutMonitor, SourceParameter, parse_parameters
 
-MAX_SEQUENCE = 1 << 63
-"""Sequence numbers are below this."""
-MAX_RATE = 20_000
-"""Maximum number of datagrams per second."""
+MAX_SEQUENCE = 1 << 63  #: Sequence numbers are below this.
+MAX_RATE = 20_000  #: Maximum number of datagrams per second.
+#: Components of a wrench and the names that each may have; torques may also be named `tx` ... `tz`.
 WRENCH_FIELDS = {
     f"{name}_{'N' if kind == 'force' else 'Nm'}": spellings(
         name, kind, *(other for other, usual in WRENCH_ALIASES.items() if usual == name)
     )
     for name, kind in WRENCH_KINDS.items()
 }
-"""Components of a wrench and the names that each may have; torques may also be named `tx` ... `tz`."""
 TIME = spellings("time_s", "time")
+#: Largest plausible components [N, N·m], (6,).
 MAX_WRENCH = np.array([CEILING[kind] for kind in WRENCH_KINDS.values()])
-"""Largest plausible components [N, N·m], (6,)."""
 
 
 class ReceivedWrench(NamedTuple):
@@ -84,12 +82,10 @@ def wrench_listener(
     return StreamListener(option, "wrenches", address, parse_wrench, MAX_RATE, title, sender)
 
 
-GATHER_TIME = 0.001
-"""Time in which datagrams are gathered [s]: a block of several costs less than several blocks."""
+GATHER_TIME = 0.001  #: Time in which datagrams are gathered [s]: a block of several costs less than several blocks.
+#: Number of intervals whose median is the usual one; silence is longer than so many of these, and than `STALE_TIME`.
 USUAL_INTERVALS, STALE_INTERVALS = 32, 5
-"""Number of intervals whose median is the usual one; silence is longer than so many of these, and than `STALE_TIME`."""
-REPORT_INTERVAL = 10.0
-"""Minimum interval between reports of lost datagrams [s]."""
+REPORT_INTERVAL = 10.0  #: Minimum interval between reports of lost datagrams [s].
 PARAMETERS = {"wait_s": SourceParameter(10.0, 0.1, 86_400.0)}
 TEXT_PARAMETERS = {"frame": get_args(Frame)}
 

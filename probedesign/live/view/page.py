@@ -34,10 +34,9 @@ from probedesign.web.scene import (
     quaternion,
 )
 
-MAX_SHOWN = 8
-"""Maximum number of events and touches on the page: the last ones."""
+MAX_SHOWN = 8  #: Maximum number of events and touches on the page: the last ones.
+#: Status lines that describe the run itself: they are current even if the values are old.
 CURRENT = ("rate", "loss", "fault", "tare", "recording")
-"""Status lines that describe the run itself: they are current even if the values are old."""
 
 
 def status_html(snapshot: Snapshot, beat: int = 0) -> str:
@@ -95,20 +94,18 @@ def _time_text(time: float) -> str:
     return f"{time:.1f} s" if math.isfinite(time) else ""
 
 
+#: Colours of x, y and z.
 AXIS_COLOURS = ("#d1495b", "#2e8b57", "#2a6fbb")
-"""Colours of x, y and z."""
+#: Colours of an estimate and of the ends of its interval.
 INTERVAL_COLOURS = ("#c81e28", "#e9a3a8", "#e9a3a8")
-"""Colours of an estimate and of the ends of its interval."""
+#: An axis whose colours are readable on light and on dark ground.
 AXIS: uplot.Axis = {"stroke": "#808b96", "grid": {"stroke": "rgba(128,139,150,0.22)", "width": 1},
                     "ticks": {"show": False}, "font": "11px sans-serif", "size": 24}  # fmt: skip
-"""An axis whose colours are readable on light and on dark ground."""
 HEIGHT = 142
-STATUS_WIDTH, CHARTS_WIDTH = 350.0, 300.0
-"""Widths of the panels [px]: of 1100, 450 are left for the scene."""
+STATUS_WIDTH, CHARTS_WIDTH = 350.0, 300.0  #: Widths of the panels [px]: of 1100, 450 are left for the scene.
 
 
-WINDOW = (-CHART_SECONDS, 0.0)
-"""Range of the charts [s], before now."""
+WINDOW = (-CHART_SECONDS, 0.0)  #: Range of the charts [s], before now.
 
 
 class Panel:
@@ -179,7 +176,6 @@ class Panel:
 
 
 def _range(lines: Iterable[Array]) -> tuple[float, float]:
-    """Return the range of the lines with a margin; NaN, which uPlot does not ignore, is removed."""
     values = np.concatenate(list(lines))
     values = values[np.isfinite(values)]
     low, high = (float(values.min()), float(values.max())) if len(values) else (0.0, 0.0)
@@ -209,22 +205,18 @@ def _chart(gui: viser.GuiApi, title: str, names: tuple[str, ...], dots: bool = F
 
 SendCommand = Callable[[str, str], None]
 
-MAX_MARKS = 24
-"""Maximum number of earlier touches that are drawn."""
-LABEL_GAP = 0.012
-"""Minimum distance between two numbered touches [m]."""
+MAX_MARKS = 24  #: Maximum number of earlier touches that are drawn.
+LABEL_GAP = 0.012  #: Minimum distance between two numbered touches [m].
 FIELD_OF_VIEW = math.radians(40.0)
+#: Distance of the camera at least, and width of the scene that is shown at least, in lengths of the probe.
 DISTANCE, SHOWN_WIDTH = 2.5, 1.6
-"""Distance of the camera at least, and width of the scene that is shown at least, in lengths of the probe."""
+#: Distance beside the middle of the view [lengths of the probe] from which a label extends toward the middle, and so is
+#: not behind a panel or beyond the edge of a small screen.
 LABEL_SIDE = 0.2
-"""Distance beside the middle of the view [lengths of the probe] from which a label extends toward the middle, and so is
-not behind a panel or beyond the edge of a small screen."""
+#: Size of the label of the contact at most, on a small screen [lengths of the probe]; numbers below it are hidden.
 LABEL_WIDTH, LABEL_HEIGHT = 0.7, 0.08
-"""Size of the label of the contact at most, on a small screen [lengths of the probe]; numbers below it are hidden."""
-SMALL_WIDTH = 576
-"""Width [px] up to which viser covers the lower part of the scene with its panel."""
-AGEING = 0.5
-"""Interval in which the charts of old data are drawn again [s]."""
+SMALL_WIDTH = 576  #: Width [px] up to which viser covers the lower part of the scene with its panel.
+AGEING = 0.5  #: Interval in which the charts of old data are drawn again [s].
 
 
 class ViewerPage:
@@ -358,7 +350,6 @@ class ViewerPage:
         return T
 
     def _scene_transform(self, marker: ContactMarker) -> tuple[Array, Array]:
-        """Return rotation and origin from the marker's frame to the scene."""
         if marker.in_world:
             return np.eye(3), np.zeros(3)
         T = self._base
@@ -393,14 +384,12 @@ class ViewerPage:
         self._label.text = f"{snapshot.age:.0f} s old: {place}" if snapshot.stale else fresh
 
     def _in_view(self, position: Array) -> tuple[float, float]:
-        """Return how far right of and above the middle of the first view a point is, in lengths of the probe."""
         right = np.cross(-self._direction, (0.0, 0.0, 1.0))
         right /= np.linalg.norm(right)
         off = (position - self._middle) / (UNIT * float(self._setup.tube.s[-1]))
         return float(off @ right), float(off @ np.cross(self._direction, right))
 
     def _is_covered(self, position: Array) -> bool:
-        """Return whether the label of the contact covers a point in the first view."""
         if not self._label.visible:
             return False
         (x, y), (x0, y0) = self._in_view(position), self._in_view(np.asarray(self._label.position))

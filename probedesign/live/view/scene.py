@@ -28,10 +28,8 @@ class SceneSetup:
 
 
 CHART_SECONDS = 15.0
-CHART_POINTS = 450
-"""Points of a chart: 30 per second."""
-REDRAW_PERIOD = 0.1
-"""Minimum interval between redraws [s]: all points are sent each time."""
+CHART_POINTS = 450  #: Points of a chart: 30 per second.
+REDRAW_PERIOD = 0.1  #: Minimum interval between redraws [s]: all points are sent each time.
 S, STD, FORCE = STRIP.index("s"), STRIP.index("std_s"), STRIP.index("force")
 
 

@@ -29,12 +29,9 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-PERIOD = 1.0 / 30.0
-"""Minimum interval between two frames [s]."""
-TOKEN_BYTES = 24
-"""Random bytes of the token of a page that is open to the network: 192 bits."""
-MAX_NOTE = 200
-"""Maximum number of characters of a mark."""
+PERIOD = 1.0 / 30.0  #: Minimum interval between two frames [s].
+TOKEN_BYTES = 24  #: Random bytes of the token of a page that is open to the network: 192 bits.
+MAX_NOTE = 200  #: Maximum number of characters of a mark.
 
 
 class BrowserView(ViewState):
@@ -134,7 +131,6 @@ class BrowserView(ViewState):
 
 
 def _address_for_others(url: str) -> str:
-    """Return the address of a page that listens on all addresses by the name of this machine."""
     parts = urlsplit(url)
     return f"http://{socket.gethostname()}:{parts.port}" if parts.hostname in ("0.0.0.0", "::") else url
 

@@ -38,8 +38,8 @@ class Event(NamedTuple):
     number: int = 1
 
 
+#: Columns of a row of a strip chart: [s], [N], [N·m], [m], [N].
 STRIP = ("time", "Fx", "Fy", "Fz", "Mx", "My", "Mz", "s", "std_s", "force")
-"""Columns of a row of a strip chart: [s], [N], [N·m], [m], [N]."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,7 @@ class Snapshot:
     events: tuple[Event, ...] = ()  #: last events, oldest first; similar ones are one.
 
 
-NEWTON_MM = 1e-3
-"""One N·mm in N·m."""
+NEWTON_MM = 1e-3  #: One N·mm in N·m.
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,6 @@ def _contact_lines(marker: ContactMarker | None) -> list[StatusLine]:
 
 
 def _fused_lines(update: EstimateUpdate) -> list[StatusLine]:
-    """Return the line of the fused estimate, or the reason why it is missing."""
     fused = update.fused
     if fused is None:
         return [StatusLine("fused", f"no {update.stale}", "fair")] if update.stale else []
@@ -182,10 +180,8 @@ def _numbers(values: Array, unit: float, digits: int = 1) -> str:
     return "(" + ", ".join(f"{float(value) / unit:z.{digits}f}" for value in values) + ")"
 
 
-MIN_STALE_TIME = 0.05
-"""Minimum silence that is stale [s], as for a Net F/T box."""
-STALE_GAPS = 5.0
-"""Silence that is stale, in units of the usual interval."""
+MIN_STALE_TIME = 0.05  #: Minimum silence that is stale [s], as for a Net F/T box.
+STALE_GAPS = 5.0  #: Silence that is stale, in units of the usual interval.
 
 
 class RateMeter:
@@ -222,16 +218,12 @@ class RateMeter:
         return self._clock() - arrivals[-1][0] > max(MIN_STALE_TIME, STALE_GAPS * usual)
 
 
-MAX_TOUCHES = 64
-"""Maximum number of earlier touches that are stored."""
-FREE_PHASES = ("free", "moving", "released")
-"""Phases without contact."""
-MAX_EVENTS = 12
-"""Maximum number of events that are kept, of those of the user and of the others each."""
+MAX_TOUCHES = 64  #: Maximum number of earlier touches that are stored.
+FREE_PHASES = ("free", "moving", "released")  #: Phases without contact.
+MAX_EVENTS = 12  #: Maximum number of events that are kept, of those of the user and of the others each.
+#: First words of the events that a user caused: each is kept, however many others follow.
 USER_EVENTS = ("tare", "mark", "recording", "recorded")
-"""First words of the events that a user caused: each is kept, however many others follow."""
-MAX_STRIP_ROWS = 4096
-"""Maximum number of queued chart rows; at 30 snapshots per second there are a few."""
+MAX_STRIP_ROWS = 4096  #: Maximum number of queued chart rows; at 30 snapshots per second there are a few.
 
 
 class EventList:
@@ -260,8 +252,8 @@ class EventList:
 
 
 Counts = Callable[[], Mapping[str, int]]
+#: Returns what is recorded, and why the last recording ended by itself; each may be empty.
 RecordingState = Callable[[], tuple[str, str]]
-"""Returns what is recorded, and why the last recording ended by itself; each may be empty."""
 
 
 def not_recording() -> tuple[str, str]:

@@ -1,5 +1,6 @@
 """Appearance of the page beyond viser's: styles for light and dark ground, and the check of the age of its data."""
 
+#: Colours of levels, readable on light and on dark ground.
 STYLE = """
 :root { --pd-good: #1b7f4b; --pd-fair: #9a5b00; --pd-bad: #b3261e; --pd-plain: #46525e; --pd-dim: #66717c; }
 [data-mantine-color-scheme="dark"] { --pd-dim: #9aa5b0; }
@@ -28,10 +29,9 @@ td.pd-good { color: var(--pd-good); } td.pd-fair { color: var(--pd-fair); } td.p
 .pd-lost .pd { filter: grayscale(1); opacity: 0.45; } .pd-lost .pd-banner { background: var(--pd-plain) !important; }
 .pd-lost canvas, .pd-lost .uplot { filter: grayscale(1); opacity: 0.45; }
 """
-"""Colours of levels, readable on light and on dark ground."""
 
-LOST_SECONDS = 3
-"""Age from which the values of a page are lost [s]; the server renews them every second."""
+LOST_SECONDS = 3  #: Age from which the values of a page are lost [s]; the server renews them every second.
+#: Marks all values as old when the server has not renewed them for a while.
 SCRIPT = """
 (function () {
   var beat = null, since = Date.now(), bar = null;
@@ -48,4 +48,3 @@ SCRIPT = """
   }, 500);
 })();
 """.replace("LOST_SECONDS", str(LOST_SECONDS))
-"""Marks all values as old when the server has not renewed them for a while."""

@@ -16,9 +16,9 @@ from numba import njit
 from probedesign.rod.kernels.cache import KernelCache
 from probedesign.rod.kernels.linked import KernelCompiler, LinkedCompiler
 
+#: Division by zero gives inf or NaN, which the step control refuses; products and sums may be fused, not reordered.
+#: Without numba's runtime (`_nrt`, no public option), memory cannot be allocated in a kernel, and less is compiled.
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "_nrt": False}
-"""Division by zero gives inf or NaN, which the step control refuses; products and sums may be fused, not reordered.
-Without numba's runtime (`_nrt`, no public option), memory cannot be allocated in a kernel, and less is compiled."""
 _INTERNAL: dict[str, Any] = {**_OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
 
@@ -45,5 +45,5 @@ def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     return dispatcher
 
 
+#: Compile a function with one caller as part of that caller, not by itself and then again.
 inline_always = njit(inline="always", **_INTERNAL)
-"""Compile a function with one caller as part of that caller, not by itself and then again."""

@@ -41,11 +41,10 @@ from probedesign.core.files import write_atomically
 from probedesign.rod.kernels.linked import rebuild
 
 PACKAGE = Path(__file__).parents[2]
-BUILT = PACKAGE / "_compiled"
-"""Kernels that were compiled when the wheel was built."""
+BUILT = PACKAGE / "_compiled"  #: Kernels that were compiled when the wheel was built.
+#: Processor that a wheel is compiled for: instructions of the x86-64 processors since about 2013. Source: x86-64 psABI,
+#: micro-architecture levels.
 BASELINE = "x86-64-v3"
-"""Processor that a wheel is compiled for: instructions of the x86-64 processors since about 2013. Source: x86-64 psABI,
-micro-architecture levels."""
 _BASELINE_FEATURES = ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
 SUFFIX = ".kernel"
 _DIGEST = hashlib.sha256
@@ -102,7 +101,6 @@ class KernelCache:
     enable = disable = flush
 
     def _file(self, signature: Any, processor: str) -> Path:
-        """Return the file of a signature relative to the folder of a place."""
         self._content = self._content or content_digest(self._dispatcher)
         types = _DIGEST(str(signature).encode()).hexdigest()
         return Path(version(processor)) / f"{self.name}-{self._content[:16]}-{types[:16]}{SUFFIX}"
@@ -171,8 +169,8 @@ def _lock(file: Path) -> Any:
     return lock
 
 
+#: Parts of `precompile` for each of the processes that compile beside the first one, which compiles the rod.
 BESIDE = ("fit", "detector"), ("columns", "touches")
-"""Parts of `precompile` for each of the processes that compile beside the first one, which compiles the rod."""
 
 
 @cache
@@ -208,8 +206,8 @@ def content_digest(dispatcher: Any) -> str:
     return _DIGEST(text.encode()).hexdigest()
 
 
+#: An import of the package at the top of a file; what is imported elsewhere is no global of a kernel.
 _IMPORT = re.compile(rf"^(?:from|import) ({PACKAGE.name}[\w.]*)(?: import ([\w, ]+))?", re.MULTILINE)
-"""An import of the package at the top of a file; what is imported elsewhere is no global of a kernel."""
 
 
 @cache
@@ -266,8 +264,7 @@ def _host_features() -> str:
     return str(features.flatten())
 
 
-only: Path | None = None
-"""The one folder that is searched and written, where kernels are compiled for others."""
+only: Path | None = None  #: The one folder that is searched and written, where kernels are compiled for others.
 
 
 def folders() -> list[Path]:
@@ -292,8 +289,7 @@ def writable_folder() -> Path | None:
     return None
 
 
-_warned: list[str] = []
-"""Why compiled kernels could not be saved in this process."""
+_warned: list[str] = []  #: Why compiled kernels could not be saved in this process.
 
 
 def _warn(reason: str) -> None:

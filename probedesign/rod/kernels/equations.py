@@ -38,25 +38,24 @@ class Body(NamedTuple):
     constants: Array  #: see the indices below, (12,).
 
 
+#: Compliances of a section of half-width 1 m in bending about x and about y, twist [m²/N], shear and stretch [m²/N];
+#: density [kg/m³]; volume of a cone over r² h; 1 where bending is anisotropic or the rod is curved at rest, 0 where it
+#: is round and straight.
 BEND_X, BEND_Y, TWIST, SHEAR, STRETCH, DENSITY, CONE, GENERAL = range(8)
-"""Compliances of a section of half-width 1 m in bending about x and about y, twist [m²/N], shear and stretch [m²/N];
-density [kg/m³]; volume of a cone over r² h; 1 where bending is anisotropic or the rod is curved at rest, 0 where it
-is round and straight."""
+#: Depth and reach of the bonded root, f(s) = 1 - depth (1 - s/reach)³ up to the reach [m], 1 beyond.
 ROOT_DEPTH, ROOT_REACH = 8, 9
-"""Depth and reach of the bonded root, f(s) = 1 - depth (1 - s/reach)³ up to the reach [m], 1 beyond."""
-FINITE_BEND, FINITE_STRETCH = 10, 11
-"""c₄ and c₅ of the section's finite strain; zeros: linear elasticity."""
+FINITE_BEND, FINITE_STRETCH = 10, 11  #: c₄ and c₅ of the section's finite strain; zeros: linear elasticity.
 
 LOAD = 13
+#: Offsets in a load of force [N], gravity [m/s²], moment at the tip and couple at the contact [N·m], all dead and in
+#: base axes, and s_contact [m].
 FORCE, GRAVITY, TIP_MOMENT, COUPLE, S_CONTACT = 0, 3, 6, 9, 12
-"""Offsets in a load of force [N], gravity [m/s²], moment at the tip and couple at the contact [N·m], all dead
-and in base axes, and s_contact [m]."""
 
+#: Parameters of the sensitivities; after these, the logarithm of the diameter at each knot.
 PARAMETERS = (
     "force_x", "force_y", "force_z", "s_contact", "couple_x", "couple_y", "couple_z",
     "gravity_x", "gravity_y", "gravity_z", "log_E", "log_G", "log_density", "log_diameter",
 )  # fmt: skip
-"""Parameters of the sensitivities; after these, the logarithm of the diameter at each knot."""
 LOAD_COLUMNS = 4
 CONTACT_COLUMNS = 7
 ALL_COLUMNS = len(PARAMETERS)

@@ -58,9 +58,9 @@ def put(array, i, a):
     array[i + 2] = a[2]
 
 
+#: Added to the diagonal of a scaled information matrix, so that a direction without information has a finite, huge
+#: variance; it is above the rounding of the factorisation.
 UNSEEN = 1e-13
-"""Added to the diagonal of a scaled information matrix, so that a direction without information has a finite, huge
-variance; it is above the rounding of the factorisation."""
 
 
 @inner

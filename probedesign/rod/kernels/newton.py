@@ -26,17 +26,13 @@ from probedesign.rod.kernels.linalg import add, cross, dot, put, take, times
 from probedesign.rod.kernels.steps import BLOCK, COLUMN, STATE, WIDE, WORK, D, T
 from probedesign.rod.kernels.sweep import FIRST_STEPS, row3, sweep
 
-MAX_NEWTON = 12
-"""Sweeps of Newton's method at one load: it converges quadratically in a few, or has left the branch."""
-MAX_TURN = 0.35
-"""Largest turn of the tip [rad] between prediction and solution of a load step: keeps the branch."""
-MIN_LOAD_STEP = 1e-4
-"""Smallest step along the load path, over the whole load: where even that fails, the branch ends."""
+MAX_NEWTON = 12  #: Sweeps of Newton's method at one load: it converges quadratically in a few, or has left the branch.
+MAX_TURN = 0.35  #: Largest turn of the tip [rad] between prediction and solution of a load step: keeps the branch.
+MIN_LOAD_STEP = 1e-4  #: Smallest step along the load path, over the whole load: where even that fails, the branch ends.
+#: Residual at the base [rad] of a predicted tip: above the first no second sweep is tried; load steps aim at the other.
 BAD_GUESS, GOOD_GUESS = 0.8, 0.2
-"""Residual at the base [rad] of a predicted tip: above the first no second sweep is tried; load steps aim at the
-other."""
+#: Integration steps that a path may take: a tenth of a second, a thousand times the usual; then the search ends.
 MAX_WORK = 40_000
-"""Integration steps that a path may take: a tenth of a second, a thousand times the usual; then the search ends."""
 
 
 @inlined
@@ -122,23 +118,24 @@ def is_judged(load):
     return m[0] == 0.0 and m[1] == 0.0 and m[2] == 0.0
 
 
-COLD, WARM, WARM_ONLY = 0, 1, 2
-"""Start from no load; from a guess, else from no load; from a guess or not at all."""
+COLD, WARM, WARM_ONLY = 0, 1, 2  #: Start from no load; from a guess, else from no load; from a guess or not at all.
+#: Error of a sweep's step on the way to the whole load [rad]; only the end of the way is reported.
 PATH_TOLERANCE = 1e-4
-"""Error of a sweep's step on the way to the whole load [rad]; only the end of the way is reported."""
-CAREFUL_TOLERANCE = 1e-9
-"""The same in a second try along the path."""
+CAREFUL_TOLERANCE = 1e-9  #: The same in a second try along the path.
+#: Margin of stability on the path from which it is not computed again: those sweeps have it to a hundredth.
 SAFE_MARGIN = 0.3
-"""Margin of stability on the path from which it is not computed again: those sweeps have it to a hundredth."""
-NEAR = 3e-3
-"""Turn of the tip [rad] from which the equilibrium of the whole load is polished."""
-ROUNDING = 1e-14
-"""Rounding error of the tip's turn [rad]; what it grows to at the base is accepted as residual."""
-MAX_GROWTH = 1e4
-"""Growth of a turn of the tip beyond which smaller steps do not help, as rounding dominates."""
-MAX_POLISH = 12
-"""Sweeps of polishing: with a fixed matrix each halves the residual at least, usually a thousandfold."""
+NEAR = 3e-3  #: Turn of the tip [rad] from which the equilibrium of the whole load is polished.
+ROUNDING = 1e-14  #: Rounding error of the tip's turn [rad]; what it grows to at the base is accepted as residual.
+MAX_GROWTH = 1e4  #: Growth of a turn of the tip beyond which smaller steps do not help, as rounding dominates.
+MAX_POLISH = 12  #: Sweeps of polishing: with a fixed matrix each halves the residual at least, usually a thousandfold.
 
+#: State and memory of the solver for one case. The status, the margin of stability, the residual at the base [rad], how
+#: far the rod turned, at most 1, and the growth of a turn of the tip on its way to the base. Of Newton's method: the
+#: tip's section and its guess, how far the tip came from it, the first residual [rad], and the matrix that gives the
+#: tip's turn from the base's residual, (3, 3). Of the load path: the load applied and the whole load, the tips of the
+#: last three solutions, and the integration steps of all sweeps. Of the sweeps: the first step that the sweep before
+#: found and the error that was allowed it, the states at the base and at the contact, the tip's columns, and what a
+#: step works in.
 CASE = np.dtype([
     ("status", "f8"), ("margin", "f8"), ("residual", "f8"), ("turned", "f8"), ("growth", "f8"),
     ("tip", "f8", 6), ("guess", "f8", 6), ("away", "f8"), ("first_residual", "f8"), ("inverse", "f8", 9),
@@ -146,18 +143,6 @@ CASE = np.dtype([
     ("first_step", "f8"), ("first_allowed", "f8"), ("y", "f8", STATE), ("contact", "f8", STATE + WIDE * COLUMN),
     ("blocks", "f8", BLOCK), ("work", "f8", WORK),
 ])  # fmt: skip
-"""State and memory of the solver for one case.
-
-The status, the margin of stability, the residual at the base [rad], how far the rod turned, at most 1, and the growth
-of a turn of the tip on its way to the base.
-
-Of Newton's method: the tip's section and its guess, how far the tip came from it, the first residual [rad], and the
-matrix that gives the tip's turn from the base's residual, (3, 3). Of the load path: the load applied and the whole
-load, the tips of the last three solutions, and the integration steps of all sweeps.
-
-Of the sweeps: the first step that the sweep before found and the error that was allowed it, the states at the base and
-at the contact, the tip's columns, and what a step works in.
-"""
 
 
 @inner
@@ -185,7 +170,6 @@ def _sweep(case, body, allowed, size, with_tips):
 
 @inlined
 def _distance(case, general):
-    """Return the distance of the tip's section from its guess."""
     dt = add(take(case.tip, 0), -1.0, take(case.guess, 0))
     dd = add(take(case.tip, 3), -1.0, take(case.guess, 3))
     return math.sqrt(dot(dt, dt) + (dot(dd, dd) if general else 0.0))
@@ -329,7 +313,6 @@ def _from_no_load(case, body, tol, careful):
 
 @inlined
 def _tip_growth(columns, axes):
-    """Return the largest magnification of a unit rotation of the tip at the base, 1 at least."""
     growth = 1.0
     for axis in range(axes):
         x, y, z = row3(columns, axis)

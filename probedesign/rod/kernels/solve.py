@@ -29,17 +29,16 @@ from probedesign.rod.kernels.newton import (
 from probedesign.rod.kernels.steps import BLOCK, COLUMN, STATE, WIDE, D, M, P, T
 from probedesign.rod.kernels.sweep import FIRST_STEPS, sensitivities, sweep
 
+#: Result of one case: status, margin of stability, residual at the base [rad], number of nodes filled, section of the
+#: tip, base moment [N·m], and tangent and position from the base [m] of the contact.
 SOLUTION = np.dtype([
     ("status", "f8"), ("margin", "f8"), ("residual", "f8"), ("count", "f8"), ("tip", "f8", 6), ("moment", "f8", 3),
     ("tangent", "f8", 3), ("point", "f8", 3),
 ])  # fmt: skip
-"""Result of one case: status, margin of stability, residual at the base [rad], number of nodes filled, section of the
-tip, base moment [N·m], and tangent and position from the base [m] of the contact."""
+#: Times the tolerance, the residual from which one more turn of the tip is enough: Newton's matrix, computed NEAR the
+#: equilibrium, leaves a thousandth of it.
 INITIAL_TOLERANCE = 200.0
-"""Times the tolerance, the residual from which one more turn of the tip is enough: Newton's matrix, computed NEAR the
-equilibrium, leaves a thousandth of it."""
-SINGLE_ROD = np.zeros(1, dtype=np.int64)
-"""Index of the rod of a single case."""
+SINGLE_ROD = np.zeros(1, dtype=np.int64)  #: Index of the rod of a single case.
 
 
 class ScratchBuffers(NamedTuple):
@@ -79,7 +78,6 @@ def width_of(chunks: int) -> int:
 
 @inlined
 def _body_of(bodies, b):
-    """Return one of the bodies whose arrays are stacked."""
     return Body(
         bodies.knots[b], bodies.radii[b], bodies.volume_beyond[b], bodies.volume_by_knot[b], bodies.rest[b],
         bodies.constants[b],

@@ -26,8 +26,7 @@ from probedesign.rod.kernels.equations import (
 from probedesign.rod.kernels.linalg import add, cross, minus, plus, put, take, times
 
 STAGES = 8
-C = np.array([0.0, 1 / 6, 4 / 15, 2 / 3, 5 / 6, 1.0, 1 / 15, 1.0])
-"""Positions of the stages within the step."""
+C = np.array([0.0, 1 / 6, 4 / 15, 2 / 3, 5 / 6, 1.0, 1 / 15, 1.0])  #: Positions of the stages within the step.
 A = np.zeros((STAGES, STAGES))
 A[1, :1] = [1 / 6]
 A[2, :2] = [4 / 75, 16 / 75]
@@ -50,8 +49,7 @@ A70, A71, A72, A73, A74, _, A76 = A[7, :7].tolist()
 B0, _, B2, B3, B4, _, B6, B7 = B.tolist()
 E0, _, E2, E3, E4, E5, E6, E7 = E.tolist()
 
-ROUNDING = 4e-15
-"""Rounding error of a slope, relative; error estimates below it are meaningless."""
+ROUNDING = 4e-15  #: Rounding error of a slope, relative; error estimates below it are meaningless.
 
 
 @inlined
@@ -141,36 +139,30 @@ def step_error(h, k0, k2, k3, k4, k5, k6, k7):
     return abs(h) * (abs(x) + abs(y) + abs(z) - ROUNDING * size)
 
 
-STATE = 12
-"""[t, m, p, d]: tangent, moment, point, the section's x axis."""
+STATE = 12  #: [t, m, p, d]: tangent, moment, point, the section's x axis.
+#: Offsets of the parts of a state. They are numpy integers, like all such indices here: for the literals 0, 3, 6 ...
+#: numba would compile each function once per value.
 T, M, P, D = np.arange(0, STATE, 3)
-"""Offsets of the parts of a state. They are numpy integers, like all such indices here: for the literals 0, 3, 6 ...
-numba would compile each function once per value."""
-ROW = 30
-"""Numbers stored of a stage: [t, m, p', n, e, the rest of `section_properties`, `bending_compliance`, on]."""
+ROW = 30  #: Numbers stored of a stage: [t, m, p', n, e, the rest of `section_properties`, `bending_compliance`, on].
 NOTED = 2 * STATE
+#: Numbers that a step works in: the state, the next state, and what is stored of the stages.
 WORK = NOTED + STAGES * ROW
-"""Numbers that a step works in: the state, the next state, and what is stored of the stages."""
-WIDE = 4
-"""Columns that step together: the lanes of a vector register of 256 bits."""
+WIDE = 4  #: Columns that step together: the lanes of a vector register of 256 bits.
+#: Most steps of one sweep at an error of 1e-7 a step, more where it is smaller: usual sweeps take tens of steps, so a
+#: load that needs more ends as STEP_LIMIT instead of blocking its caller.
 MAX_STEPS = 1000
-"""Most steps of one sweep at an error of 1e-7 a step, more where it is smaller: usual sweeps take tens of steps, so
-a load that needs more ends as STEP_LIMIT instead of blocking its caller."""
+#: Tries of one step: each refusal shortens it to 0.1 to 0.9 of itself, so that this number in a row is no progress.
 MAX_TRIES = 60
-"""Tries of one step: each refusal shortens it to 0.1 to 0.9 of itself, so that this number in a row is no progress."""
+#: Shortest step over the length: below it, rounding of the arclength exceeds the errors that the step control sees.
 MIN_STEP = 1e-10
-"""Shortest step over the length: below it, rounding of the arclength exceeds the errors that the step control sees."""
-COLUMN = 9
-"""[θ, v, q] of a column."""
+COLUMN = 9  #: [θ, v, q] of a column.
+#: Rows of a block of WIDE columns after the columns themselves: the next columns, errors of θ and v, their derivatives
+#: of force and gravity, of log E and log G, and at each stage of log radius, log f and the weight factor.
 NEXT, ERRORS, BY_LOAD, LOGS, LOG_R, LOG_F, BY_WEIGHT = 9, 18, 20, 26, 28, 36, 44
-"""Rows of a block of WIDE columns after the columns themselves: the next columns, errors of θ and v, their derivatives
-of force and gravity, of log E and log G, and at each stage of log radius, log f and the weight factor."""
 BLOCK = (BY_WEIGHT + STAGES) * WIDE
 
-THETA, V, Q = np.arange(0, COLUMN, 3)
-"""Rows of a column."""
-S0, S1, S2, S3, S4, S5, S6, S7 = np.arange(STAGES)
-"""The stages."""
+THETA, V, Q = np.arange(0, COLUMN, 3)  #: Rows of a column.
+S0, S1, S2, S3, S4, S5, S6, S7 = np.arange(STAGES)  #: The stages.
 C1, C2, C3, C4, C6 = (float(C[j]) for j in (1, 2, 3, 4, 6))
 
 
@@ -276,7 +268,6 @@ def round_step(s, h, work, frustum, force, gravity, on, columns):
 
 @inlined
 def _stage(work, j):
-    """Return what was stored of stage j: t, m, p', e, the section properties and the compliance."""
     o = NOTED + ROW * j
     med = (*take(work, o + 15), *take(work, o + 18), *take(work, o + 21), take(work, o + 9))
     bending = take(work, o + 24), work[o + 27], work[o + 28]
@@ -285,14 +276,12 @@ def _stage(work, j):
 
 @inlined
 def _changing_stage(work, j):
-    """Return stage j with the derivatives of its compliance and whether the contact is beyond."""
     t, m, p1, e, med, bending = _stage(work, j)
     return t, m, p1, e, med, bending, section_changes(t, m, med, bending), work[NOTED + ROW * j + 29]
 
 
 @inlined
 def _row3(block, row, lane):
-    """Return three rows of one lane."""
     o = WIDE * row
     return (block[o + lane], block[o + WIDE + lane], block[o + 2 * WIDE + lane])
 
@@ -308,7 +297,6 @@ def _put3(block, row, lane, x):
 
 @inlined
 def _round_slopes(theta, v, stage, j, block, lane, gravity):
-    """Return the slopes of a column that moves neither load nor section, of a round straight rod."""
     t, m, p1, _e, med, bending = stage
     w = minus(v, cross(theta, m))
     turn, q1 = round_column_slopes(theta, w, cross(med[9], theta), t, m, p1, med, bending)
@@ -317,7 +305,6 @@ def _round_slopes(theta, v, stage, j, block, lane, gravity):
 
 @inlined
 def _free_slopes(theta, v, stage, j, block, lane, gravity):
-    """Return the slopes of a column that moves neither load nor section."""
     t, m, p1, e, med, bending = stage
     turn, q1 = column_slopes(theta, v, cross(med[9], theta), t, m, p1, e, med, bending)
     return turn, cross(med[9], q1), q1

@@ -43,36 +43,33 @@ from probedesign.rod.kernels.steps import WORK as STEP_WORK
 from probedesign.rod.kernels.sweep import linear_equilibrium
 
 S, PHI, NORMAL, AROUND, ALONG = range(5)
+#: Of a touch: arclength [m], angle around the section [rad], normal force [N], ratios of friction around and along.
 UNKNOWNS = 5
-"""Of a touch: arclength [m], angle around the section [rad], normal force [N], ratios of friction around and along."""
+#: After them in a touch: force and couple that the rod is swept under (6), and the tip's section (6).
 DEAD, TIP, TOUCH = 5, 11, 17
-"""After them in a touch: force and couple that the rod is swept under (6), and the tip's section (6)."""
 
+#: Rows of a linearisation: base wrench (6), touched point (3) and point of the centreline (3) [m], what the dead force
+#: and couple lack of those of the touch (6), and the turn of the tip (3), which `advance` needs.
 WRENCH, POINT, CENTRE, LOADS, TURN, ROWS = 0, 6, 9, 12, 18, 21
-"""Rows of a linearisation: base wrench (6), touched point (3) and point of the centreline (3) [m], what the dead force
-and couple lack of those of the touch (6), and the turn of the tip (3), which `advance` needs."""
+#: Columns: the values, their derivatives by the unknowns, and by gravity (3), log E, log G, log density, log length and
+#: each knot's log diameter.
 VALUE, BY_TOUCH, BY_PARAMETER = 0, 1, 1 + UNKNOWNS
-"""Columns: the values, their derivatives by the unknowns, and by gravity (3), log E, log G, log density, log length and
-each knot's log diameter."""
-OWN = 7
-"""Parameters before the knots."""
+OWN = 7  #: Parameters before the knots.
 BY_GRAVITY, BY_E = BY_PARAMETER, BY_PARAMETER + 3
 
+#: Rows of the rod's columns after those of the base moment. As numpy integers: for the literals 3, 6 ... numba would
+#: compile each function once per value.
 _, R_TANGENT, R_X, R_P, R_Y = np.arange(0, 15, 3)
-"""Rows of the rod's columns after those of the base moment. As numpy integers: for the literals 3, 6 ... numba would
-compile each function once per value."""
+#: Columns of the rod; the first three are by the force.
 ROD_S, ROD_COUPLE, ROD_GRAVITY, ROD_DENSITY, ROD_DIAMETER = 3, 4, 7, 12, 13
-"""Columns of the rod; the first three are by the force."""
 
-MAX_LACK = 0.5
-"""Misfit at the clamp [rad] up to which a linear solution is useful."""
-CLAMPED = 1e-4
-"""Misfit at the clamp [rad] up to which it is exact: an error of its square."""
+MAX_LACK = 0.5  #: Misfit at the clamp [rad] up to which a linear solution is useful.
+CLAMPED = 1e-4  #: Misfit at the clamp [rad] up to which it is exact: an error of its square.
 
 
+#: Of the rod to differentiate by; for the literal 0 numba would compile `linearise` and its callers' copies of it once
+#: more.
 NO_PARAMETERS = np.int64(0)
-"""Of the rod to differentiate by; for the literal 0 numba would compile `linearise` and its callers' copies of it once
-more."""
 
 
 class TouchMemory(NamedTuple):
@@ -93,7 +90,6 @@ class TouchMemory(NamedTuple):
 
 
 def _sizes(parameters):
-    """Return k, n, the size of `blocks` and that of `contact`, and of the whole memory."""
     k = CONTACT_COLUMNS if parameters == 0 else ALL_COLUMNS + parameters - OWN
     n, chunks = 1 + UNKNOWNS + parameters, -(-(3 + k) // WIDE)
     blocks, contact = chunks * BLOCK, STATE + WIDE * COLUMN * chunks
@@ -140,7 +136,6 @@ def radius_and_slope(body, s):
 
 @inner
 def _turned(columns, j, in_frame):
-    """Return the derivative by a column of a vector fixed in the section, from its parts along X, Y and t."""
     by_xy = add(times(in_frame[0], take3(columns, R_X, j)), in_frame[1], take3(columns, R_Y, j))
     return add(by_xy, in_frame[2], take3(columns, R_TANGENT, j))
 
@@ -375,8 +370,8 @@ def s_contact(body, touch):
     return touch[S] + offset_along(r, tan * cos, cos, touch)[0]
 
 
+#: Numbers that carry a touch along a step: what its dead loads (6) and tip (3) lack, and how the step moves them.
 MOVE = 18
-"""Numbers that carry a touch along a step: what its dead loads (6) and tip (3) lack, and how the step moves them."""
 
 
 @inner

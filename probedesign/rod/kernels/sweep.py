@@ -71,8 +71,7 @@ from probedesign.rod.kernels.steps import (
 # Lanes: 0, 1, 2 turn the tip about its section's x and y axes and its tangent; then the parameters.
 L_S_CONTACT, L_FORCE, L_COUPLE, L_GRAVITY = 3, 4, 7, 10
 L_E, L_G, L_DENSITY, L_DIAMETER, L_KNOTS = 13, 14, 15, 16, 17
-FIRST_STEPS = 6.0
-"""Length over the first step to try where nothing better is known."""
+FIRST_STEPS = 6.0  #: Length over the first step to try where nothing better is known.
 
 
 @inlined
@@ -248,7 +247,6 @@ def _margin(blocks):
 
 @inlined
 def _carried(e, t, new):
-    """Return the normal e of the tangent t, transported to the tangent `new` without rotation about it."""
     return add(e, -dot(e, new) / (1.0 + dot(t, new)), plus(t, new))
 
 
@@ -357,13 +355,11 @@ def sweep(tip, y, work, blocks, body, load, tol, size, first, axes, nodes, conta
 
 @inlined
 def _column_at(lane, stride):
-    """Return the offset of a lane's column in blocks of `stride` numbers."""
     return lane // WIDE * stride + lane % WIDE
 
 
 @inner
 def _tips_for(columns, x):
-    """Return the rotations of the tip about its three axes that rotate the base by x."""
     a, b, c = row3(columns, S0), row3(columns, S1), row3(columns, S2)
     det = dot(a, cross(b, c))
     return dot(x, cross(b, c)) / det, dot(x, cross(c, a)) / det, dot(x, cross(a, b)) / det
@@ -371,7 +367,6 @@ def _tips_for(columns, x):
 
 @inlined
 def _turned(columns, row, tips):
-    """Return three rows of the columns under a rotation of the tip about its three axes."""
     o = WIDE * row
     turned = add(times(tips[0], row3(columns, o)), tips[1], row3(columns, o + 1))
     return add(turned, tips[2], row3(columns, o + 2))
@@ -379,7 +374,6 @@ def _turned(columns, row, tips):
 
 @inlined
 def _total(columns, stride, lane, row, turns):
-    """Return three rows of a column with the tip rotated so that the base remains fixed."""
     o = WIDE * row
     a, b, c = row3(columns, o), row3(columns, o + 1), row3(columns, o + 2)
     x = row3(columns, o + _column_at(lane, stride))

@@ -97,13 +97,13 @@ class NetFTConfiguration:
         return tuple(notes)
 
 
+#: Tags of the page, by attribute name.
 TAGS = {
     "product": "prodname", "name": "cfgnam", "force_unit": "scfgfu", "torque_unit": "scfgtu",
     "counts_per_force": "cfgcpf", "counts_per_torque": "cfgcpt", "ranges": "cfgmr", "tool": "cfgtfx",
     "length_unit": "scfgtdu", "angle_unit": "scfgtau", "rate": "comrdtrate", "records": "comrdtbsiz",
     "filter": "setuserfilter", "bias": "setbias",
 }  # fmt: skip
-"""Tags of the page, by attribute name."""
 REQUIRED_TAGS = ("scfgfu", "scfgtu", "cfgcpf", "cfgcpt")
 ARRAYS = ("ranges", "tool", "bias")
 TEXT_FIELDS = ("product", "name", "force_unit", "torque_unit", "length_unit", "angle_unit")
@@ -179,10 +179,8 @@ def _text(value: object) -> str:
     return "; ".join(f"{v:g}" for v in value) if isinstance(value, tuple) else str(value)
 
 
-MAX_PAGE_BYTES = 65536
-"""Maximum size of the page [bytes]; about ten thousand are usual."""
-PAGE_TIMEOUT = 2.0
-"""Maximum time to fetch the page [s]."""
+MAX_PAGE_BYTES = 65536  #: Maximum size of the page [bytes]; about ten thousand are usual.
+PAGE_TIMEOUT = 2.0  #: Maximum time to fetch the page [s].
 
 
 def fetch_configuration(host: str, port: int) -> NetFTConfiguration:

@@ -9,12 +9,9 @@ from numpy.typing import NDArray
 from probedesign.core.frames import Array
 from probedesign.live.sources.netft.rdt import SAMPLES_PER_SECOND
 
-WRAP = 1 << 32
-"""Both counters have 32 bits."""
-MAX_TICKS = 1 << 30
-"""Largest step of a counter that is surely forward; a larger one is examined."""
-MAX_MISSING = 4096
-"""Maximum number of lost records that are remembered, to recognise them if they arrive late."""
+WRAP = 1 << 32  #: Both counters have 32 bits.
+MAX_TICKS = 1 << 30  #: Largest step of a counter that is surely forward; a larger one is examined.
+MAX_MISSING = 4096  #: Maximum number of lost records that are remembered, to recognise them if they arrive late.
 
 
 class SequenceMonitor:
@@ -75,9 +72,9 @@ def _signed(difference: int) -> int:
     return (difference + WRAP // 2) % WRAP - WRAP // 2
 
 
+#: Maximum lead of the counter over the host's clock [s]; more indicates another counter. Buffers are shorter, and a
+#: suspended program finds no old records.
 MAX_LEAD = 10.0
-"""Maximum lead of the counter over the host's clock [s]; more indicates another counter. Buffers are shorter, and a
-suspended program finds no old records."""
 
 
 class RecordTimes(NamedTuple):
@@ -147,11 +144,11 @@ class SensorClock:
         return RecordTimes(new, counted / self._rate, restarted)
 
 
+#: Interval over which the rate of the counter is measured [s]; the host's clock is far better than the limit.
 RATE_PERIOD = 5.0
-"""Interval over which the rate of the counter is measured [s]; the host's clock is far better than the limit."""
+#: Fraction of the expected rate by which two successive measurements must deviate to be reported, and within which they
+#: must agree.
 MAX_RATE_ERROR, RATE_SCATTER = 0.05, 0.02
-"""Fraction of the expected rate by which two successive measurements must deviate to be reported, and within which they
-must agree."""
 
 
 class RateMonitor:

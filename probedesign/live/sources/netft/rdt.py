@@ -14,20 +14,18 @@ RDT_PORT = 49152
 HTTP_PORT = 80
 PAGE = "/netftapi2.xml"
 
+#: Sampling rate of the box, independent of the record rate, counted by `ft_sequence`. The record rate is an integer
+#: fraction of it.
 SAMPLES_PER_SECOND = 7000
-"""Sampling rate of the box, independent of the record rate, counted by `ft_sequence`. The record rate is an integer
-fraction of it."""
-MAX_RECORDS = 40
-"""Maximum number of records in a packet of buffered streaming."""
+MAX_RECORDS = 40  #: Maximum number of records in a packet of buffered streaming.
 
-STOP, REALTIME, BUFFERED, RESET_LATCH, BIAS = 0x0000, 0x0002, 0x0003, 0x0041, 0x0042
-"""Commands to the box."""
+STOP, REALTIME, BUFFERED, RESET_LATCH, BIAS = 0x0000, 0x0002, 0x0003, 0x0041, 0x0042  #: Commands to the box.
 
 HEADER = 0x1234
 REQUEST = struct.Struct(">HHI")
 RECORD = struct.Struct(">III6i")
+#: The record as an array type.
 RECORDS = np.dtype([("rdt", ">u4"), ("ft", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)])
-"""The record as an array type."""
 
 
 class Request(NamedTuple):
@@ -49,8 +47,8 @@ def parse_request(datagram: bytes) -> Request | None:
     return Request(command, count) if header == HEADER else None
 
 
+#: The second value: a monitor condition has been latched, which is not a fault of the sample.
 HEALTHY = (0x00000000, 0x80010000)
-"""The second value: a monitor condition has been latched, which is not a fault of the sample."""
 
 SUMMARY, LATCHED, SATURATED = 1 << 31, 1 << 16, 1 << 17
 HARMLESS = (*HEALTHY, LATCHED)
@@ -98,6 +96,7 @@ NET_BOX = StatusTable(
     },
     HARMLESS,
 )
+#: Bit 3 is no error by the manual, but readings are not reliable meanwhile.
 AXIA = StatusTable(
     "Axia",
     {
@@ -114,7 +113,6 @@ AXIA = StatusTable(
     },
     (0, LATCHED),
 )
-"""Bit 3 is no error by the manual, but readings are not reliable meanwhile."""
 
 
 def fault_of(status: int, table: StatusTable = NET_BOX) -> str:

@@ -21,13 +21,11 @@ from probedesign.live.sources.netft.counters import SequenceMonitor
 from probedesign.live.sources.netft.rdt import REALTIME, RECORD, SAMPLES_PER_SECOND, STOP, Request
 from probedesign.live.sources.source import STALE_TIME
 
-MAX_RECORDS = 700
-"""Maximum number of records that are gathered: 0.1 s."""
-MAX_DATAGRAM = 2048
-"""More bytes than any datagram of a box has."""
+MAX_RECORDS = 700  #: Maximum number of records that are gathered: 0.1 s.
+MAX_DATAGRAM = 2048  #: More bytes than any datagram of a box has.
+#: Options of Linux, without names in Python: each datagram comes with its time of arrival by the wall clock, and with
+#: the number of datagrams that were dropped since the buffer was full, once there is one.
 SO_TIMESTAMPNS, SO_RXQ_OVFL = 35, 40
-"""Options of Linux, without names in Python: each datagram comes with its time of arrival by the wall clock, and with
-the number of datagrams that were dropped since the buffer was full, once there is one."""
 
 
 class Datagrams(NamedTuple):
@@ -72,25 +70,21 @@ class SingleReceiver:
 
 
 def _words(rows: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """Return the numbers of records in bytes, (n, 36); see `Datagrams`."""
     words = rows.view(">i4").astype(np.int64)
     words[:, :3] &= 0xFFFFFFFF  # without a sign
     return words
 
 
+#: A `struct mmsghdr` of 64-bit Linux.
 _HEADS = np.dtype([("name", "u8"), ("name_length", "u8"), ("parts", "u8"), ("n_parts", "u8"), ("control", "u8"),
                    ("control_length", "u8"), ("flags", "u8"), ("length", "u4"), ("", "u4")])  # fmt: skip
-"""A `struct mmsghdr` of 64-bit Linux."""
-_PARTS = np.dtype([("base", "u8"), ("length", "u8")])
-"""A `struct iovec`."""
+_PARTS = np.dtype([("base", "u8"), ("length", "u8")])  #: A `struct iovec`.
+#: What the system states about a datagram, in this order: its arrival, and the number dropped once there is one.
 _CONTROL = np.dtype([("stamp_length", "u8"), ("stamp_level", "i4"), ("stamp_kind", "i4"), ("s", "i8"), ("ns", "i8"),
                      ("dropped_length", "u8"), ("dropped_level", "i4"), ("dropped_kind", "i4"), ("dropped", "u4"),
                      ("", "u4")])  # fmt: skip
-"""What the system states about a datagram, in this order: its arrival, and the number dropped once there is one."""
-_STAMP_LENGTH = 32
-"""Length of the first part of it [bytes]."""
-_ROW = 64
-"""Bytes for one datagram: more than those of a record, so that a longer one is recognised."""
+_STAMP_LENGTH = 32  #: Length of the first part of it [bytes].
+_ROW = 64  #: Bytes for one datagram: more than those of a record, so that a longer one is recognised.
 
 
 class BatchReceiver(SingleReceiver):
@@ -168,21 +162,19 @@ def open_receiver(link: socket.socket) -> SingleReceiver:
     return BatchReceiver(link, call)
 
 
+#: Least and largest time in which records are gathered [s]: waking up for a record costs more than reading it.
 GATHER_TIME, MAX_GATHER_TIME = 0.001, 0.010
-"""Least and largest time in which records are gathered [s]: waking up for a record costs more than reading it."""
+#: Least time of one sleep while records are gathered [s]: a program or a switch that sends records in bursts needs less
+#: for one of them.
 MIN_SLEEP = 0.0002
-"""Least time of one sleep while records are gathered [s]: a program or a switch that sends records in bursts needs less
-for one of them."""
+#: Number of readings together from which it is found when a record arrives at the earliest, 0.7 s of means.
 WINDOW = 128
-"""Number of readings together from which it is found when a record arrives at the earliest, 0.7 s of means."""
-REQUEST_INTERVAL = 0.5
-"""Minimum interval between requests for the stream [s]."""
-BUFFER_BYTES = 1 << 22
-"""Size of the socket's buffer that is requested of the system [bytes]."""
+REQUEST_INTERVAL = 0.5  #: Minimum interval between requests for the stream [s].
+BUFFER_BYTES = 1 << 22  #: Size of the socket's buffer that is requested of the system [bytes].
+#: Memory that Linux counts for one record in the buffer [bytes]: measured, 277 records fill 212,992 bytes.
 BYTES_PER_RECORD = 768
-"""Memory that Linux counts for one record in the buffer [bytes]: measured, 277 records fill 212,992 bytes."""
+#: Duration of the stream below which a smaller buffer is reported [s]: the longest pauses of a busy desktop.
 MIN_BUFFERED_TIME = 0.25
-"""Duration of the stream below which a smaller buffer is reported [s]: the longest pauses of a busy desktop."""
 
 
 @dataclass(frozen=True)

@@ -29,19 +29,16 @@ from probedesign.live.sources.netft.rdt import (
 from probedesign.live.sources.netft.session import RdtRecords, RdtSession
 from probedesign.live.sources.source import STALE_TIME, DropoutMonitor, SourceParameter, parse_parameters, range_note
 
-COUNT_INTERVAL = 1.0
-"""Interval at which the counts are updated [s]."""
-REPORT_INTERVAL = 10.0
-"""Minimum interval between reports of losses [s]."""
+COUNT_INTERVAL = 1.0  #: Interval at which the counts are updated [s].
+REPORT_INTERVAL = 10.0  #: Minimum interval between reports of losses [s].
 
+#: Texts of the counters, in the order of the summary.
 COUNTERS = {
     "lost": "lost", "late": "late and rejected", "doubled": "duplicated", "malformed": "malformed",
     "faults": "with a fault", "dropped": "lost because this computer read too slowly", "interruptions": "interruptions",
     "restarts": "restarts",
 }  # fmt: skip
-"""Texts of the counters, in the order of the summary."""
-REPORTED = ("lost", "dropped", "malformed")
-"""Counters that are reported while they increase."""
+REPORTED = ("lost", "dropped", "malformed")  #: Counters that are reported while they increase.
 
 
 def summary(counts: Counter[str]) -> str:
@@ -51,8 +48,7 @@ def summary(counts: Counter[str]) -> str:
 
 
 NO_RECORD = "the box responds to HTTP but sends no records; check the firewall and the port"
-FAULT_REPORT_INTERVAL = 1.0
-"""Minimum interval between reports of faults [s]: a load near the limit causes many."""
+FAULT_REPORT_INTERVAL = 1.0  #: Minimum interval between reports of faults [s]: a load near the limit causes many.
 
 
 class RecordDecoder:

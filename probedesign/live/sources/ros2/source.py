@@ -25,10 +25,9 @@ from probedesign.live.sources.udp import PARAMETERS, UdpSource, wrench_listener
 from probedesign.web import LOOPBACK
 
 BRIDGE = Path(__file__).with_name("bridge.py")
+#: Interpreters that may have rclpy where this one does not; ROS 2 installs it for the system's.
 SYSTEM_PYTHONS = ("/usr/bin/python3", "python3")
-"""Interpreters that may have rclpy where this one does not; ROS 2 installs it for the system's."""
-PROBE_TIMEOUT = 20.0
-"""Maximum time to import rclpy [s]."""
+PROBE_TIMEOUT = 20.0  #: Maximum time to import rclpy [s].
 TEXT_PARAMETERS: dict[str, tuple[str, ...]] = {
     "frame": get_args(Frame),
     "moment_unit": get_args(MomentUnit),
