@@ -263,7 +263,7 @@ def run_fused(case: Case, n: int, seed: int) -> ErrorStatistics:
     bound = _fused_bound(model, stated, case.place, case.newtons, case.kind == "moments")
     aside, slide = rng.uniform(-0.1, 0.1, n) if case.sticks else None, rng.uniform(0.0, MAX_SLIDE, n)
     samples = _with_wrong_stiffness(case, perturbations.samples(z))
-    pressed = solve_presses(samples, z, case.place, phi, ratios, case.newtons, slide, aside)
+    pressed = solve_presses(samples, z, case.place, phi, ratios, case.newtons, slide, aside=aside)
     wrenches, places = _with_wrong_readings(case, model, pressed.wrenches, pressed.places, rng)
     root = np.linalg.cholesky(noise).T
     for i in np.flatnonzero(pressed.ok):

@@ -157,7 +157,7 @@ class Presses:
 
 
 def solve_presses(samples: ProbeSamples, z: Array, fraction: float, phi: Array, ratios: Array, newtons: float,
-                  slide: Array, aside: Array | None = None, columns: bool = False) -> Presses:  # fmt: skip
+                  slide: Array, *, aside: Array | None = None, columns: bool = False) -> Presses:  # fmt: skip
     """Press probes against a fixed point, with about even steps from a fifth of the normal force to all of it.
 
     A sliding touch has the given friction ratios. The object drags the touched place along the probe in the mean

@@ -232,16 +232,20 @@ def estimate(
     recording: Path,
     window: "TareWindow | None",
     average: int | None,
+    *,
     method: "Method",
-    mend: bool,
     options: "RecordingOptions",
+    mend: bool = False,
     progress: "Progress" = iter,
     zero: "Zero" = "checked",
 ) -> "RecordingEstimates":
     """Locate the contacts of a recording; for the arguments see `estimate_recording`."""
     from probedesign.live.run import estimate_recording
 
-    return estimate_recording(estimator, recording, window, average, progress, mend, options, method, zero)
+    return estimate_recording(
+        estimator, recording, window, average, progress=progress, allow_incomplete=mend, options=options,
+        method=method, zero=zero,
+    )  # fmt: skip
 
 
 def live(

@@ -91,7 +91,7 @@ def test_the_pipeline_is_the_whole_chain_and_writes_no_files(workplace):
     readings = list(iter_readings(source))
     recording = workplace / "recording.csv"
     write_recording(recording, np.array([r.time for r in readings]), np.array([r.wrench_sensor for r in readings]))
-    estimates = pipeline.estimate(estimator, recording, None, 5, "ml", False, RecordingOptions())
+    estimates = pipeline.estimate(estimator, recording, None, 5, method="ml", options=RecordingOptions())
     assert len(estimates.rows) == len(readings) // 5
     source = SimulatedSource(estimator.model, "force_mN=20&seconds=2&rate_hz=50&speed=max")
     updates = list(pipeline.live(estimator, source, ProcessingOptions(count=3), print))

@@ -28,7 +28,7 @@ AMBIENT, DIRECT = 0.58, 0.50
 
 
 @njit(cache=True, error_model="numpy")
-def _shade(slopes, colours, depth, owner, triangle, fine, normal, sums):  # type: ignore[no-untyped-def]  # numba infers the types
+def _shade(slopes, colours, depth, owner, triangle, fine, normal, sums):  # type: ignore[no-untyped-def]  # noqa: C901
     """Add the brightness of each sample to its pixel: shaded, an outline, or white paper.
 
     Args:

@@ -82,7 +82,9 @@ def estimate(
     with show_progress("loading the rod kernels"):
         warm_up(estimator, print_note)
     options = RecordingOptions(topic, moment_unit=moment_unit, other_probe=other_probe)
-    estimates = pipeline.estimate(estimator, recording, window, average, method, mend, options, _track, zero)
+    estimates = pipeline.estimate(
+        estimator, recording, window, average, method=method, mend=mend, options=options, progress=_track, zero=zero
+    )
     for note in estimates.notes:
         print_note(note)
     if out is not None:

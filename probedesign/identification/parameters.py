@@ -104,7 +104,7 @@ class Parameter:
 
 
 def _material(
-    name: str, label: str, attribute: str, unit: str, si: float, max_std: float,
+    name: str, label: str, attribute: str, unit: str, si: float, max_std: float, *,
     design_key: str, prior_name: str = "", prior_source: str = "",
 ) -> Parameter:  # fmt: skip
     """Return the parameter of a material property, the logarithm of a factor on the design's."""

@@ -234,6 +234,7 @@ def estimate_recording(
     path: Path,
     window: TareWindow | None = None,
     samples: int | None = 1,
+    *,
     progress: Progress = iter,
     allow_incomplete: bool = False,
     options: RecordingOptions | None = None,

@@ -133,6 +133,7 @@ def report_page(
     sections: Sequence[ReportFigure],
     after: Sequence[tuple[str, HtmlTable]] = (),
     folded: Sequence[tuple[str, Sequence[ReportFigure]]] = (),
+    *,
     verdict: str = "",
     opened: Sequence[tuple[str, HtmlTable]] = (),
     first: str = "",

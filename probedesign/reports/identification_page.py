@@ -52,7 +52,7 @@ def identification_page(found: Identification) -> bytes:
         after.append(("Outliers", _outliers(found)))
     folded = [("Residuals of the wrenches", wrenches)]
     title = f"{found.name}: identified"
-    return report_page(title, about, _table(found), sections, after, folded, verdict(found))
+    return report_page(title, about, _table(found), sections, after, folded, verdict=verdict(found))
 
 
 def verdict(found: Identification) -> str:

@@ -157,7 +157,9 @@ def validation_page(validation: ValidationReport) -> bytes:
         more = [f"{len(drawn) - MAX_SHAPES} more shapes are not shown"] if len(drawn) > MAX_SHAPES else []
         after.append(("Notes", HtmlTable([""], [[note] for note in (*validation.notes, *more)])))
     title = f"{model.name}: validation against the reference"
-    return report_page(title, about, _summary(validation), _figures(validation), after, folded, coverage.sentence)
+    return report_page(
+        title, about, _summary(validation), _figures(validation), after, folded, verdict=coverage.sentence
+    )
 
 
 def _summary(validation: ValidationReport) -> HtmlTable:

@@ -104,7 +104,7 @@ def test_pressed_touches_are_at_the_point_that_the_robot_reports(aside):
     z = perturbations.draw(4, rng)
     samples = perturbations.samples(z)
     pressed = solve_presses(
-        samples, z, 0.5, rng.uniform(-3.0, 3.0, 4), np.full((4, 2), 0.2), 5e-3, np.full(4, 1e-3), aside
+        samples, z, 0.5, rng.uniform(-3.0, 3.0, 4), np.full((4, 2), 0.2), 5e-3, np.full(4, 1e-3), aside=aside
     )
     assert pressed.ok.all()
     for k, one in enumerate(pressed.readings):

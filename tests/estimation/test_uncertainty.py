@@ -71,7 +71,7 @@ def test_the_linear_covariance_is_that_of_the_formula(touch, tolerances, frictio
 
 
 @kernel
-def posterior_at(lin, touch, D, wrench, noise, friction, cov, whiten, scratch, gain, fits):
+def posterior_at(lin, touch, D, wrench, noise, friction, cov, whiten, scratch, gain, fits):  # noqa: PLR0917  # compiled
     """Return the covariances of one linearised touch; the inner kernels cannot be called from Python."""
     work = scratch[0]
     for i in range(5):

@@ -138,7 +138,7 @@ def integrate(probes: Probes, tip: Array, load: Load, steps: int) -> Ends:
     pushed = np.zeros((3, n))
     at_p, at_q, force, arm = np.zeros((3, n)), tip.copy(), np.zeros((3, n)), np.zeros((3, n))
     for k in range(len(bounds) - 1):
-        p, q, m = _segment(probes, p, q, m, bounds[k], bounds[k + 1], pushed, load.gravity, steps)
+        p, q, m = _segment(probes, p, q, m, bounds[k], bounds[k + 1], pushed, load.gravity, steps=steps)
         here = place == k
         if k < len(inner) and here.any():
             F, d = _push(probes, q, load)
@@ -172,7 +172,7 @@ def surface_axes(probes: Probes, s: Array, phi: Array) -> tuple[Array, Array, Ar
 
 
 def _segment(probes: Probes, p: Array, q: Array, m: Array, start: Array, end: Array, force: Array,
-             gravity: Array, steps: int) -> tuple[Array, Array, Array]:  # fmt: skip
+             gravity: Array, *, steps: int) -> tuple[Array, Array, Array]:  # fmt: skip
     """Integrate by RK4 over a segment without discontinuities, with steps proportional to the radius."""
     if not (start > end).any():
         return p, q, m

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import viser
 import viser.transforms
 
 from probedesign.cli.main import run

@@ -89,18 +89,13 @@ class OutputOptions:
             if isinstance(publisher, RosPublisher):
                 publisher.follow(poses)
         if self.page is not None:
+            host, port = self.page
             sinks.add(
                 BrowserView(
-                    estimator,
-                    self.parts_folder,
-                    commands,
-                    sinks.log,
-                    *self.page,
-                    counts,
-                    recordings.state,
-                    self.open_browser,
+                    estimator, self.parts_folder, commands, sinks.log, host=host, port=port, counts=counts,
+                    recording=recordings.state, open_browser=self.open_browser,
                 )
-            )
+            )  # fmt: skip
         if self.terminal:
             sinks.add(TerminalView(f"{estimator.model.name} {estimator.model.fingerprint}", counts, recordings.state))
         if self.record is not None:  # after the views, which show recording by its events

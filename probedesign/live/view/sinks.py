@@ -49,6 +49,7 @@ class BrowserView(ViewState):
         folder: Path,
         commands: CommandQueue,
         log: Log,
+        *,
         host: str = "127.0.0.1",
         port: int = 8080,
         counts: Counts = dict,
