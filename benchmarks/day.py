@@ -29,8 +29,7 @@ from probedesign.estimation.estimate import FusedEstimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.live.blocks import Block
-from probedesign.live.poses.base_poses import BasePoses
-from probedesign.live.poses.track import TimedPose
+from probedesign.live.poses.base_poses import BasePoses, TimedPose
 from probedesign.live.processing.chain import Chain, ProcessingOptions
 from probedesign.live.processing.tare import TareWindow
 from probedesign.live.processing.touches import Contact

@@ -24,7 +24,7 @@ from probedesign.core.units import MM
 from probedesign.estimation.bias import WALK_STEPS
 from probedesign.estimation.model import ProbeModel
 from probedesign.live.blocks import Block
-from probedesign.live.poses.track import TimedPose, pose_from_matrix
+from probedesign.live.poses.base_poses import TimedPose, pose_from_matrix
 from probedesign.simulation.scenes import PressedObject
 
 # cyclic motion

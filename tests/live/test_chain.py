@@ -10,10 +10,9 @@ from probedesign.core.frames import pose
 from probedesign.estimation.bias import WALK_STEPS
 from probedesign.live.blocks import Block
 from probedesign.live.datagrams import decode_object
-from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.poses.base_poses import BasePoses, TimedPose, pose_from_matrix
 from probedesign.live.poses.open import open_poses
 from probedesign.live.poses.pose_sources import parse_pose
-from probedesign.live.poses.track import TimedPose, pose_from_matrix
 from probedesign.live.processing.chain import Chain, LowPass, ProcessingOptions
 from probedesign.live.processing.estimates import estimate_row, json_line, world_row
 from probedesign.live.processing.tare import Tare, TareWindow

@@ -19,7 +19,7 @@ from rosbags.highlevel import AnyReader
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimate import Estimate
 from probedesign.live.blocks import Block, WrenchReading
-from probedesign.live.poses.track import pose_from_matrix
+from probedesign.live.poses.base_poses import pose_from_matrix
 from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, estimate_row, json_line
 from probedesign.live.processing.tare import TareWindow

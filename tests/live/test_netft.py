@@ -16,8 +16,7 @@ import pytest
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.live.sources.netft import rdt
-from probedesign.live.sources.netft.counters import SequenceMonitor
-from probedesign.live.sources.netft.rdt import RECORD, RECORDS, Request
+from probedesign.live.sources.netft.rdt import RECORD, RECORDS, Request, SequenceMonitor
 from probedesign.live.sources.netft.session import RdtSession
 from probedesign.live.sources.source import open_source
 from probedesign.simulation.netft_box import NATIVE, OFFSET, SimulatedNetFT, SimulatedTransducer, parse_faults

@@ -8,8 +8,7 @@ import pytest
 from probedesign.core.errors import InputError
 from probedesign.core.frames import pose
 from probedesign.live.blocks import Block
-from probedesign.live.poses.base_poses import BasePoses
-from probedesign.live.poses.track import TimedPose
+from probedesign.live.poses.base_poses import BasePoses, TimedPose
 from probedesign.live.processing.averaging import choose_averaging
 from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.plausibility import CLOCK_HOLD, LEAP_HOLD, TravelCheck

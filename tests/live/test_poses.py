@@ -13,10 +13,17 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import inverse, is_pose, pose
 from probedesign.live.blocks import Block
 from probedesign.live.datagrams import MAX_DATAGRAM
-from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.poses.base_poses import (
+    MAX_GAP,
+    OFFSET_WINDOW,
+    BasePoses,
+    ClockOffset,
+    PoseTrack,
+    TimedPose,
+    pose_from_matrix,
+)
 from probedesign.live.poses.open import open_poses
 from probedesign.live.poses.pose_sources import listen, read_pose_file
-from probedesign.live.poses.track import MAX_GAP, OFFSET_WINDOW, ClockOffset, PoseTrack, TimedPose, pose_from_matrix
 
 GOOD = {"time_s": 1.0, "x_mm": 1.0, "y_mm": 2.0, "z_mm": 3.0, "qx": 0.0, "qy": 0.0, "qz": 0.0, "qw": 1.0}
 

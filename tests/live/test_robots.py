@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.live.poses import robots
+from probedesign.live.poses.base_poses import TimedPose, pose_matrix
 from probedesign.live.poses.open import open_poses
 from probedesign.live.poses.robots import RobotPoses
-from probedesign.live.poses.track import TimedPose, pose_matrix
 from tests.live.peers import until
 
 TURN = [0.3, -0.4, 1.2]  #: Rotation vector [rad].

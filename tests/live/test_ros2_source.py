@@ -11,7 +11,7 @@ import pytest
 from probedesign.core.errors import InputError
 from probedesign.live.blocks import Block
 from probedesign.live.poses.open import open_poses
-from probedesign.live.sources.ros2.source import BRIDGE
+from probedesign.live.sources.ros2 import BRIDGE
 from probedesign.live.sources.source import open_source
 from tests.live.peers import until
 

@@ -18,8 +18,7 @@ from scipy.spatial.transform import Rotation
 from probedesign.design import load_design
 from probedesign.live.outputs.ros2 import RosPublisher
 from probedesign.live.outputs.sinks import SinkGroup
-from probedesign.live.poses.base_poses import BasePoses
-from probedesign.live.poses.track import TimedPose
+from probedesign.live.poses.base_poses import BasePoses, TimedPose
 from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.commands import COMMANDS as RUN_COMMANDS
 from probedesign.live.processing.commands import CommandQueue, DatagramInput

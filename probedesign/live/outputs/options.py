@@ -13,8 +13,7 @@ from probedesign.live import Log
 from probedesign.live.outputs.recording import RecordingSink, SplitLimits, check_suffix
 from probedesign.live.outputs.ros2 import SCHEME, RosPublisher
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
-from probedesign.live.poses.base_poses import BasePoses
-from probedesign.live.poses.track import TimedPose
+from probedesign.live.poses.base_poses import BasePoses, TimedPose
 from probedesign.live.processing.commands import CommandQueue
 from probedesign.live.sources.source import Source
 from probedesign.live.view.sinks import BrowserView, TerminalView

@@ -17,7 +17,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.blocks import Block
 from probedesign.live.outputs.sinks import Sink
-from probedesign.live.poses.track import TimedPose
+from probedesign.live.poses.base_poses import TimedPose
 from probedesign.live.priority import yield_to_estimates
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.recordings import FileLock, part_path

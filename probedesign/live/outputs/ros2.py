@@ -8,8 +8,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.blocks import Block
 from probedesign.live.outputs.sinks import UdpPublisher
-from probedesign.live.poses.base_poses import BasePoses
-from probedesign.live.poses.track import TimedPose
+from probedesign.live.poses.base_poses import BasePoses, TimedPose
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.recordings import schemas
 from probedesign.live.recordings.messages import MessageEncoder

@@ -8,9 +8,8 @@ import numpy as np
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.live import Log
-from probedesign.live.poses.base_poses import BasePoses
-from probedesign.live.poses.pose_sources import POSE_STREAMS, PoseStream, read_pose_file
-from probedesign.live.poses.track import MAX_GAP
+from probedesign.live.poses.base_poses import MAX_GAP, BasePoses, PoseStream
+from probedesign.live.poses.pose_sources import POSE_STREAMS, read_pose_file
 from probedesign.live.sources.rosbag import is_bag_path, read_bag_poses
 from probedesign.live.sources.source import SourceParameter, parse_parameters
 

@@ -4,7 +4,7 @@ import csv
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_regular
@@ -16,7 +16,7 @@ from probedesign.live.datagrams import (
     read_quantities,
     spellings,
 )
-from probedesign.live.poses.track import TimedPose, timed_pose
+from probedesign.live.poses.base_poses import TimedPose, timed_pose
 
 #: Names of the fields of a pose, in CSV, JSON lines and UDP packets.
 POSE_COLUMNS = ("time_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
@@ -94,30 +94,6 @@ def _lines(path: Path) -> list[tuple[int, str]]:
     return [(number, line) for number, line in numbered if line.strip() and not line.lstrip().startswith("#")]
 
 
-class PoseStream(Protocol):
-    """Poses of the base that arrive during the run, by the robot's clock."""
-
-    title: str  #: one line that describes the poses.
-    notes: tuple[str, ...]  #: notes for the user, one line each.
-
-    def pop(self) -> list[tuple[float, TimedPose, int]]:
-        """Return the poses since the last call.
-
-        Returns:
-            Arrival by `time.monotonic` [s], pose by its sender's clock, and number of the sender's session, for each.
-        """
-
-    def pop_messages(self) -> list[str]:
-        """Return the messages to the user since the last call."""
-
-    def close(self) -> None:
-        """End the stream."""
-
-    @property
-    def summary(self) -> str:
-        """The counts in one line."""
-
-
 def listen(target: str, parameters: Mapping[str, str]) -> StreamListener[TimedPose]:
     """Listen for poses on `udp://[HOST]:PORT`, one JSON or MessagePack object per datagram; there are no parameters.
 
@@ -134,7 +110,7 @@ def listen(target: str, parameters: Mapping[str, str]) -> StreamListener[TimedPo
 #: the names of these parameters.
 POSE_STREAMS = {
     "udp": ("udp://:PORT", "probedesign.live.poses.pose_sources:listen", ()),
-    "tf": ("tf://WORLD/BASE", "probedesign.live.sources.ros2.source:open_tf", ("python",)),
+    "tf": ("tf://WORLD/BASE", "probedesign.live.sources.ros2:open_tf", ("python",)),
     "ur": ("ur://HOST", "probedesign.live.poses.robots:open_ur", ()),
     "franka": ("franka://HOST", "probedesign.live.poses.robots:open_franka", ()),
 }

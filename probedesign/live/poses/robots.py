@@ -14,7 +14,7 @@ from time import monotonic, sleep
 from probedesign.core.errors import InputError, MissingDependencyError, one_line
 from probedesign.live import split_address
 from probedesign.live.datagrams import Handover
-from probedesign.live.poses.track import TimedPose, timed_pose
+from probedesign.live.poses.base_poses import TimedPose, timed_pose
 
 #: Interval at which a controller's newest state is read [s]: the period of an e-Series controller, 500 Hz.
 POLL_PERIOD = 0.002

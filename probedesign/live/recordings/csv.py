@@ -18,7 +18,7 @@ from probedesign.core.errors import InputError, one_line, quoted
 from probedesign.core.frames import Array
 from probedesign.live.blocks import Block
 from probedesign.live.outputs.sinks import Sink
-from probedesign.live.poses.track import TimedPose
+from probedesign.live.poses.base_poses import TimedPose
 from probedesign.live.recordings import AppendFile
 
 GRAVITY = ("gx", "gy", "gz")

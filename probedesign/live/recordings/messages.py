@@ -17,7 +17,7 @@ from probedesign.estimation.estimate import RESULTS
 from probedesign.estimation.model import ProbeModel
 from probedesign.live.blocks import Block, joined
 from probedesign.live.outputs.sinks import Sink
-from probedesign.live.poses.track import TimedPose, pose_from_matrix
+from probedesign.live.poses.base_poses import TimedPose, pose_from_matrix
 from probedesign.live.processing.estimates import EstimateUpdate, estimate_row, json_line, world_row
 from probedesign.live.recordings import schemas
 from probedesign.live.recordings.scene import SCENE_PERIOD, SceneEncoder

@@ -7,7 +7,7 @@ from probedesign.core.statistics import ellipsoid_95
 from probedesign.estimation.model import ProbeModel
 from probedesign.geometry.tube import TubeMesh
 from probedesign.live.outputs.drawing import bent_shape, contact_marker
-from probedesign.live.poses.track import pose_from_matrix
+from probedesign.live.poses.base_poses import pose_from_matrix
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.recordings.schemas import Bytes, CdrBuilder
 

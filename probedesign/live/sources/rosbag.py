@@ -11,7 +11,7 @@ import numpy as np
 
 from probedesign.core.errors import InputError, MissingDependencyError, one_line, quoted
 from probedesign.core.frames import Array
-from probedesign.live.poses.track import TimedPose, TransformTree, timed_pose
+from probedesign.live.poses.base_poses import TimedPose, TransformTree, timed_pose
 from probedesign.live.recordings import require_mcap
 from probedesign.live.recordings.schemas import MCAP_MAGIC, POSE, WRENCH, BagTopic, Message, read_stamped
 

@@ -52,7 +52,7 @@ SOURCES = {
     "replay": ("replay:FILE", "probedesign.live.sources.replay:ReplaySource"),
     "sim": ("sim:", "probedesign.live.sources.sim:open_simulation"),
     "udp": ("udp://:PORT", "probedesign.live.sources.udp:open_udp"),
-    "ros2": ("ros2://TOPIC", "probedesign.live.sources.ros2.source:open_ros2"),
+    "ros2": ("ros2://TOPIC", "probedesign.live.sources.ros2:open_ros2"),
 }
 #: Group of entry points by which other packages add sources: scheme = "module:function", with the same arguments.
 ENTRY_POINTS = "probedesign.sources"

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
-from probedesign.live.sources.netft.counters import SequenceMonitor
-from probedesign.live.sources.netft.rdt import REALTIME, RECORD, SAMPLES_PER_SECOND, STOP, Request
+from probedesign.live.sources.netft.rdt import REALTIME, RECORD, SAMPLES_PER_SECOND, STOP, Request, SequenceMonitor
 from probedesign.live.sources.source import STALE_TIME
 
 MAX_RECORDS = 700  #: Maximum number of records that are gathered: 0.1 s.

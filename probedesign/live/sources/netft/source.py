@@ -16,15 +16,17 @@ from probedesign.live import Log, split_address
 from probedesign.live.blocks import Block, dropout_block
 from probedesign.live.priority import prompt_estimates
 from probedesign.live.sources.netft.configuration import ConfigurationMonitor, NetFTConfiguration, fetch_configuration
-from probedesign.live.sources.netft.counters import RateMonitor, SensorClock, steps
 from probedesign.live.sources.netft.rdt import (
     AXIA,
     HTTP_PORT,
     NET_BOX,
     RDT_PORT,
     SAMPLES_PER_SECOND,
+    RateMonitor,
+    SensorClock,
     StatusTable,
     fault_of,
+    steps,
 )
 from probedesign.live.sources.netft.session import RdtRecords, RdtSession
 from probedesign.live.sources.source import STALE_TIME, DropoutMonitor, SourceParameter, parse_parameters, range_note

@@ -3,8 +3,8 @@
 This script uses nothing but the standard library and ROS 2, because the Python of a ROS 2 system is usually another one
 than that of probedesign. It ends when its standard input is closed.
 
-    bridge.py wrench TOPIC HOST PORT UNIT      geometry_msgs/WrenchStamped; UNIT of its moments is Nm or Nmm
-    bridge.py tf WORLD BASE HOST PORT          transform of frame BASE in frame WORLD
+    ros2_bridge.py wrench TOPIC HOST PORT UNIT      geometry_msgs/WrenchStamped; UNIT of its moments is Nm or Nmm
+    ros2_bridge.py tf WORLD BASE HOST PORT          transform of frame BASE in frame WORLD
 """
 
 import json

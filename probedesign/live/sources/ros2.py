@@ -17,14 +17,14 @@ from probedesign.core.errors import InputError, one_line
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.datagrams import StreamListener
+from probedesign.live.poses.base_poses import TimedPose
 from probedesign.live.poses.pose_sources import parse_pose
-from probedesign.live.poses.track import TimedPose
 from probedesign.live.sources.replay import MomentUnit
 from probedesign.live.sources.source import parse_parameters
 from probedesign.live.sources.udp import PARAMETERS, UdpSource, wrench_listener
 from probedesign.web import LOOPBACK
 
-BRIDGE = Path(__file__).with_name("bridge.py")
+BRIDGE = Path(__file__).with_name("ros2_bridge.py")
 #: Interpreters that may have rclpy where this one does not; ROS 2 installs it for the system's.
 SYSTEM_PYTHONS = ("/usr/bin/python3", "python3")
 PROBE_TIMEOUT = 20.0  #: Maximum time to import rclpy [s].
