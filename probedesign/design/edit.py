@@ -11,7 +11,8 @@ from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import InlineTable
 
 from probedesign.core.errors import InputError
-from probedesign.design.io import COMMENT_COLUMN, check_design, parse_design
+from probedesign.design.catalog import RESINS, find
+from probedesign.design.io import COMMENT_COLUMN, check_design, material_keys, parse_design
 from probedesign.design.schema import Design
 
 #: Keys of `[tolerances]` that `measured` writes for one print.
@@ -24,12 +25,20 @@ def tables_of(design: Design) -> dict[str, Any]:
 
 
 def with_values(tables: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return tables with the values of some keys, `table.key`, changed; a changed shape has no measured diameters.
+    """Return tables with the values of some keys, `table.key`, changed, and with what follows from them.
+
+    Another resin brings its modulus, density and friction, which `values` can replace. A changed shape has no measured
+    diameters.
 
     Raises:
-        InputError: a key lies in something that is not a table.
+        InputError: a key lies in something that is not a table, or the resin is not known.
     """
     changed: dict[str, Any] = json.loads(json.dumps(tables))
+    resin_key, name = "material.resin", values.get("material.resin")
+    if isinstance(name, str) and name != _table(changed, ["material"], resin_key).get("resin"):
+        resin = find(RESINS, name, resin_key)
+        changed["material"] |= material_keys(resin)
+        changed["contact"] = {"friction": resin.friction.value}
     for key, value in values.items():
         *parents, last = key.split(".")
         _table(changed, parents, key)[last] = value

@@ -16,7 +16,6 @@ from probedesign.rod.kernels.newton import COLD, WARM, WARM_ONLY
 from probedesign.rod.kernels.solve import SOLUTION, scratch_buffers, solve_cases
 from probedesign.rod.rod import RESULTS, TOLERANCES, Columns, Mode, Rod
 
-Indices = np.ndarray[tuple[int], np.dtype[np.int64]]
 #: Cases per task of a thread: a few milliseconds, so that interrupts are handled and all cores finish together.
 CHUNK = 256
 MIN_CHUNK = 32  #: Fewer cases per task cost more in threads than they save.

@@ -7,16 +7,14 @@ import json
 import shlex
 import tomllib
 from collections.abc import Mapping, Sequence
-from copy import deepcopy
 from dataclasses import dataclass, field
 from typing import Any
 
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import Design, check_design
-from probedesign.design.catalog import RESINS, find
 from probedesign.design.edit import as_new_print, tables_of, with_values
-from probedesign.design.io import default_tip_d_mm, material_keys, sensor_keys
+from probedesign.design.io import default_tip_d_mm, sensor_keys
 from probedesign.design.sensor_catalog import SENSORS
 from probedesign.design.sensors import DEFAULT_SENSOR
 from probedesign.prediction.predict import FORCES_N
@@ -204,12 +202,6 @@ def _with_key(data: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
     if (key in _FIRST and not isinstance(value, str)) or (key in _ENDS and not isinstance(value, float | int)):
         return with_values(data, {key: value})  # the check of the design refuses it
     match key:
-        case "material.resin":
-            data = deepcopy(data)
-            resin = find(RESINS, value, key)
-            data["material"] = {**data["material"], **material_keys(resin)}
-            data["contact"] = {"friction": resin.friction.value}
-            return data
         case "sensor.model":
             sensor = {k: v for k, v in data["sensor"].items() if k != "own"}
             return {**data, "sensor": sensor | sensor_keys(value)}

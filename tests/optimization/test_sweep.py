@@ -13,12 +13,14 @@ from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.core.parallel import Journal
 from probedesign.design import check_design, load_design
+from probedesign.design.catalog import RESINS
 from probedesign.design.edit import tables_of, with_values
 from probedesign.optimization import sweep
 from probedesign.optimization.design_space import DesignSpace
 from probedesign.optimization.objective import Task
 from probedesign.optimization.sweep import evaluate_point, grid_points, parse_axis
 from probedesign.probe import build_probe
+from probedesign.studio.session import Session
 
 LARGE = Path(__file__).parents[2] / "designs/large.toml"
 REQUEST = {"schema": 1, "vary": {"a": [1, 2]}}
@@ -166,6 +168,22 @@ def test_an_unreachable_scheduler_is_refused(tmp_path, capsys, monkeypatch):
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and "tcp://127.0.0.1:9: does not respond" in err
     assert not (tmp_path / "new").exists()
+
+
+def test_another_resin_brings_its_numbers_to_a_sweep_and_to_the_studio():
+    """The numbers that the file states are those of its own resin; a number varied beside the resin is kept."""
+    design = load_design(LARGE)
+    assert design.material.youngs_modulus_mpa and design.material.density_kg_m3
+    tables, change = tables_of(design), {"material.resin": "flexible-80a"}
+    swept = check_design(with_values(tables, change))
+    session = Session(design)
+    assert session.change(change, now=0.0) and session.design == swept
+    resin = RESINS["flexible-80a"]
+    for name in ("youngs_modulus", "shear_modulus", "density", "friction"):
+        assert getattr(swept, name).value == pytest.approx(getattr(resin, name).value, rel=1e-8)
+    stiffer = check_design(with_values(tables, {"material.youngs_modulus_mpa": 7.0, **change}))
+    assert stiffer.material.youngs_modulus_mpa == 7.0 and stiffer.density == swept.density
+    assert with_values(tables, {"material.resin": design.material.resin}) == tables
 
 
 def test_measured_diameters_hold_for_their_print_only():

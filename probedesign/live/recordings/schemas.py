@@ -51,9 +51,6 @@ CONTACT_STATE = "probedesign_msgs/msg/Contact"
 
 #: Phases in the order of their numbers in `CONTACT_STATE`.
 PHASES = ("", "free", "moving", "touching", "settled", "released")
-#: Numbers of `CONTACT_STATE` [SI], between its header and its codes.
-CONTACT_NUMBERS = ("s_contact", "std_s", "p_surface", "force", "force_norm", "force_normal", "force_tangential",
-                   "friction_ratio", "detection_chi2")  # fmt: skip
 
 _HEADER = {"std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
            "builtin_interfaces/Time": "int32 sec\nuint32 nanosec"}  # fmt: skip

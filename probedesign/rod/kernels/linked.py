@@ -4,7 +4,7 @@ numba makes every compiled function ready to be called from Python: it optimises
 and emits the machine code of all of it. LLVM links and optimises the function again in each of its callers. For a
 function that Python never calls, the first of these is lost, and it was a quarter of the time to compile.
 
-The classes replace methods of numba that are not part of its public interface (`REPLACED`), so pyproject.toml limits
+The classes replace methods of numba that are not part of its public interface, so pyproject.toml limits
 numba to the versions that have them.
 """
 
@@ -13,11 +13,6 @@ from typing import Any
 import llvmlite.binding
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult, compile_result
-
-REPLACED = (
-    "_optimize_final_module", "_finalize_final_module", "_finalize_dynamic_globals", "_get_module_for_linking",
-    "get_pointer_to_function", "serialize_using_object_code",
-)  # fmt: skip
 
 
 class KernelLibrary(JITCodeLibrary):
