@@ -20,50 +20,36 @@ BUILT = "probedesign/_compiled"
 IS_ON = os.environ.get("PROBEDESIGN_PRECOMPILE", "0") == "1"
 
 
-def wheel_tag() -> str:
-    """Return the tag of a wheel with kernels: this Python, this platform.
-
-    On Linux with glibc, llvmlite links the kernels when they are loaded, and to no library of the system: they run
-    where its own wheels do.
-    """
-    python = f"cp{sys.version_info.major}{sys.version_info.minor}"
-    libc, _ = platform.libc_ver()
-    if sys.platform == "linux" and libc == "glibc":
-        return f"{python}-{python}-manylinux_2_27_{platform.machine()}"
-    return next(str(tag) for tag in sys_tags())
-
-
 class PrecompileHook(BuildHookInterface[Any]):
     """Add the compiled kernels to a wheel; an editable installation gets them beside its sources."""
-
-    _folder: tempfile.TemporaryDirectory[str] | None = None
 
     def dependencies(self) -> list[str]:
         """Return what the build needs: what the kernels import."""
         return list(self.metadata.core.dependencies) if IS_ON else []
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Compile, and name the files and the platform of the wheel."""
+        """Compile, and name the files and the platform of the wheel: this Python, this platform.
+
+        On Linux with glibc, llvmlite links the kernels when they are loaded, and to no library of the system: they run
+        where its own wheels do.
+        """
         if not IS_ON:
             return
-        if version == "editable":
-            self._compile(Path(self.root) / BUILT)
-            return
         self._folder = tempfile.TemporaryDirectory(prefix="probedesign-kernels-")
-        folder = Path(self._folder.name)
-        self._compile(folder)
-        for file in folder.glob("*/*.kernel"):
-            build_data["force_include"][str(file)] = f"{BUILT}/{file.relative_to(folder).as_posix()}"
-        build_data["pure_python"] = False
-        build_data["tag"] = wheel_tag()
-
-    def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
-        """Remove the files that the wheel now contains."""
-        if self._folder is not None:
-            self._folder.cleanup()
-
-    def _compile(self, folder: Path) -> None:
-        """Compile all kernels into a folder; the build fails with them."""
+        folder = Path(self.root, BUILT) if version == "editable" else Path(self._folder.name)
         self.app.display_info("compiling the kernels of rod and estimator")
         command = [sys.executable, "-m", "probedesign.precompile", str(folder)]
         subprocess.run(command, cwd=self.root, check=True, env={**os.environ, "PYTHONPATH": self.root})
+        if version == "editable":
+            return
+        for file in folder.glob("*/*.kernel"):
+            build_data["force_include"][str(file)] = f"{BUILT}/{file.relative_to(folder).as_posix()}"
+        python = f"cp{sys.version_info.major}{sys.version_info.minor}"
+        on_glibc = sys.platform == "linux" and platform.libc_ver()[0] == "glibc"
+        manylinux = f"{python}-{python}-manylinux_2_27_{platform.machine()}"
+        build_data |= {"pure_python": False, "tag": manylinux if on_glibc else str(next(sys_tags()))}
+
+    def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
+        """Remove the files that the wheel now contains."""
+        if IS_ON:
+            self._folder.cleanup()

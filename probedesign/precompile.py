@@ -82,10 +82,6 @@ def _detector(probe: "Probe") -> None:
     Detector(probe.model, 100.0).run(np.zeros((2, 6)))
 
 
-def _estimate(probe: "Probe") -> None:
-    probe.estimator().estimate((0.25, 0.0, 0.0, 0.0, 0.012, 0.0))
-
-
 def _live(probe: "Probe") -> None:
     from probedesign.live.run import warm_up
 
@@ -94,45 +90,36 @@ def _live(probe: "Probe") -> None:
 
 #: What compiles the kernels of one subject, by calling them.
 PARTS: dict[str, Callable[["Probe"], None]] = {
-    "rod": _rod,
-    "fit": _fit,
-    "columns": _columns,
-    "touches": _touches,
-    "detector": _detector,
-    "estimate": _estimate,
-    "live": _live,
-}
+    "rod": _rod, "fit": _fit, "columns": _columns, "touches": _touches, "detector": _detector, "live": _live
+}  # fmt: skip
 
 
-def main(arguments: list[str]) -> int:
-    """Compile the named parts into a folder, one after the other, or all of them in a process each.
+def main(folder: str, *parts: str) -> None:
+    """Compile the named parts into a folder, one after the other, or all of them in several processes.
 
     All parts are compiled for the baseline processor, or for this machine's where it lacks the baseline.
     """
-    folder = Path(arguments[0]).absolute()
-    if len(arguments) > 1:
+    cache.only = Path(folder).absolute()
+    if parts:
         from probedesign import build_probe, parse_design
 
-        cache.only = folder
         probe = build_probe(parse_design(DESIGN))
-        for part in arguments[1:]:
+        for part in parts:
             PARTS[part](probe)
-        return 0
+        return
     environment = {**os.environ, "PYTHONPATH": str(cache.PACKAGE.parent)}
     if cache.BASELINE in cache.runs():
         environment |= {"NUMBA_CPU_NAME": cache.BASELINE, "NUMBA_CPU_FEATURES": ""}
-    began, before = time.perf_counter(), os.times()
-    processes = [subprocess.Popen([sys.executable, "-m", __spec__.name, str(folder), *parts], env=environment)
-                 for parts in (("rod", "estimate"), cache.BESIDE[0], (*cache.BESIDE[1], "live"))]  # fmt: skip
-    failed = [process.args for process in processes if process.wait()]
+    began = time.perf_counter()
+    command = [sys.executable, "-m", __spec__.name, str(cache.only)]
+    processes = [subprocess.Popen([*command, *shared], env=environment) for shared in (("rod", "live"), *cache.BESIDE)]
+    failed = sum(process.wait() != 0 for process in processes)
     if failed:
-        raise RuntimeError(f"{len(failed)} of {len(processes)} processes that compile the kernels failed")
-    after = os.times()
-    spent = after.children_user + after.children_system - before.children_user - before.children_system
-    print(f"{len(list(folder.glob(f'*/*{cache.SUFFIX}')))} functions compiled in {time.perf_counter() - began:.0f} s, "
-          f"{spent:.0f} s of processor time")  # fmt: skip
-    return 0
+        raise RuntimeError(f"{failed} of {len(processes)} processes that compile the kernels failed")
+    compiled, times = list(cache.only.glob(f"*/*{cache.SUFFIX}")), os.times()
+    print(f"{len(compiled)} functions compiled in {time.perf_counter() - began:.0f} s, "
+          f"{times.children_user + times.children_system:.0f} s of processor time")  # fmt: skip
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    main(*sys.argv[1:])

@@ -4,8 +4,8 @@ Read `equations` first, then `steps`: one step of the state and of its sensitivi
 evaluates the finished sweep, `newton` finds the section of the tip, and `solve` runs many cases for callers in Python.
 All of it works on flat arrays, records and tuples and allocates nothing: the caller provides the memory.
 
-This module has the decorators that compile the kernels: once, without Python objects. `linked` has their compilers,
-and `cache` keeps what is compiled.
+This module has the decorators that compile the kernels: once, without Python objects. `cache` has their compiler, and
+keeps what is compiled.
 """
 
 from collections.abc import Callable
@@ -13,8 +13,7 @@ from typing import Any
 
 from numba import njit
 
-from probedesign.rod.kernels.cache import KernelCache
-from probedesign.rod.kernels.linked import KernelCompiler, LinkedCompiler
+from probedesign.rod.kernels.cache import KernelCache, KernelCompiler
 
 #: Division by zero gives inf or NaN, which the step control refuses; products and sums may be fused, not reordered.
 #: Without numba's runtime (`_nrt`, no public option), memory cannot be allocated in a kernel, and less is compiled.
@@ -38,8 +37,7 @@ def inlined(function: Callable[..., Any]) -> Any:
 
 
 def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Any:
-    compiler = LinkedCompiler if "no_cpython_wrapper" in options else KernelCompiler
-    dispatcher = njit(nogil=True, pipeline_class=compiler, **options)(function)
+    dispatcher = njit(nogil=True, pipeline_class=KernelCompiler, **options)(function)
     if dispatcher is not function:  # NUMBA_DISABLE_JIT returns the function
         dispatcher._cache = KernelCache(dispatcher)
     return dispatcher

@@ -1,19 +1,15 @@
-"""The cache of compiled kernels: one file for each compiled function, found by the content that it was compiled from.
+"""How kernels are compiled, and the cache of what was compiled: one file a function, found by its content.
 
-numba's own cache checks the file of a function, not what the function calls, and writes an index that can refer to
-older code when the disk is full. Here the name of a file contains a digest of the kernel's source file and of all files
-of the package that it imports, one through the other; nothing else refers to the file. An edited kernel or constant,
-another numba, Python or processor therefore has another name: a compiled function is either found whole and current or
-compiled anew.
+What only kernels call becomes LLVM code for its callers, not machine code: numba makes every compiled function ready to
+be called from Python, and emits the machine code of it and of all that it calls, which LLVM does again in each caller.
 
-Places, in the order in which they are searched:
+numba's own cache checks the file of a function, not what the function calls. Here the name of a file contains a digest
+of the kernel's source file and of all files of the package that it imports, one through the other, so a compiled
+function is either found whole and current or compiled anew. Files are searched in `folders`, and saved in the first
+that can be written. The first process that compiles starts two others, which compile the estimator meanwhile.
 
-1. the folder `NUMBA_CACHE_DIR`, if it is set;
-2. `_compiled` in the installed package, which comes with a wheel;
-3. a folder of the user for this installation.
-
-What is compiled is saved in the first of them that can be written. The first process that compiles starts two
-others, which compile the kernels of the estimator meanwhile.
+The libraries replace methods of numba that are not part of its public interface, so pyproject.toml limits numba to the
+versions that have them.
 """
 
 import atexit
@@ -25,7 +21,6 @@ import re
 import subprocess
 import sys
 import tempfile
-import time
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -33,38 +28,102 @@ from typing import Any
 
 import llvmlite.binding
 import numba
-from numba.core import config
+from numba.core.caching import NullCache
+from numba.core.codegen import JITCodeLibrary, get_host_cpu_features
+from numba.core.compiler import Compiler, CompileResult, compile_result
+from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
 
 from probedesign.core.errors import InputError
 from probedesign.core.files import write_atomically
-from probedesign.rod.kernels.linked import rebuild
 
 PACKAGE = Path(__file__).parents[2]
 BUILT = PACKAGE / "_compiled"  #: Kernels that were compiled when the wheel was built.
 #: Processor that a wheel is compiled for: instructions of the x86-64 processors since about 2013. Source: x86-64 psABI,
 #: micro-architecture levels.
 BASELINE = "x86-64-v3"
-_BASELINE_FEATURES = ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
+_BASELINE_FEATURES = {"+avx", "+avx2", "+bmi", "+bmi2", "+f16c", "+fma", "+lzcnt", "+movbe"}
 SUFFIX = ".kernel"
 _DIGEST = hashlib.sha256
 _DIGEST_SIZE = 32
 
 
-class KernelCache:
+class KernelLibrary(JITCodeLibrary):
+    """Machine code of a kernel with its own copies of all that it calls.
+
+    Of a function that several libraries define, the process uses the copy that it loaded first. The copies are rounded
+    alike only if they were optimised alike, so results would depend on which kernels were compiled and which loaded.
+    """
+
+    def _optimize_final_module(self) -> None:
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage.name == "linkonce_odr":
+                function.linkage = "internal"
+        super()._optimize_final_module()
+
+
+class LinkedLibrary(JITCodeLibrary):
+    """LLVM code of a function and of those that it calls, to be linked into and optimised with its callers."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Return zero: there is no address without machine code."""
+        return 0
+
+    @property
+    def codegen(self) -> "LinkedLibrary":
+        """Return what the environment of the function is given to."""
+        return self
+
+    def set_env(self, name: str, environment: Any) -> None:
+        """Do nothing: an environment belongs to machine code. That of the caller gets it."""
+
+    def serialize_using_object_code(self) -> tuple[str, str, bytes]:
+        """Return what is saved."""
+        return self.name, "linked", self._get_module_for_linking().as_bitcode()
+
+
+class KernelCompiler(Compiler):
+    """numba's compiler, into the libraries above."""
+
+    def define_pipelines(self) -> Any:
+        """Return numba's passes, which compile into the library that is there."""
+        state = self.state
+        library = LinkedLibrary if state.flags.no_cpython_wrapper else KernelLibrary
+        state.library = library(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        return super().define_pipelines()
+
+
+def _rebuild(target: Any, saved: tuple[Any, ...]) -> CompileResult:
+    """Return a compiled function from what `CompileResult._reduce` returned in another process."""
+    (name, kind, code), fndesc, environment, signature, objectmode, lifted, annotation, reload_init, envs = saved
+    if kind != "linked":
+        return CompileResult._rebuild(target, *saved)
+    library = LinkedLibrary(target.codegen(), name)
+    library._final_module = library._shared_module = llvmlite.binding.parse_bitcode(code)
+    library._finalized = True
+    return compile_result(
+        target_context=target, typing_context=target.typing_context, library=library, environment=environment,
+        entry_point=target.get_executable(library, fndesc, environment), fndesc=fndesc, type_annotation=annotation,
+        signature=signature, objectmode=objectmode, lifted=lifted, reload_init=reload_init, referenced_envs=envs,
+    )  # fmt: skip
+
+
+class KernelCache(NullCache):
     """The cache of one kernel, as numba's dispatcher calls it."""
 
     def __init__(self, dispatcher: Any) -> None:
         function = dispatcher.py_func
         self.name = f"{function.__module__.partition('.')[2]}.{function.__name__}"
         self._dispatcher = dispatcher
-        self._content = ""
         self._lock: Any = None
-
-    @property
-    def cache_path(self) -> str:
-        """Return the first folder that is searched."""
-        return str(folders()[0])
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return the compiled function, None if it must be compiled; wait while another process compiles it."""
@@ -72,14 +131,13 @@ class KernelCache:
         target.refresh()
         loaded = self._load(signature, target)
         if loaded is None:
-            self._lock = _lock(self._file(signature, compiled_for()))
-            if self._lock is not None:
-                loaded = self._load(signature, target)
-        if loaded is None:
-            _progress.start(self.name)
-            _compile_beside()
-        else:
-            self._unlock()
+            self._lock = _lock(self._file(signature, runs()[0]))
+            loaded = self._load(signature, target) if self._lock is not None else None
+            if loaded is None:
+                _progress.start(self.name)
+                _compile_beside()
+            else:
+                self._unlock()
         return loaded
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
@@ -87,61 +145,38 @@ class KernelCache:
         _progress.finish()
         for environment in compiled._find_referenced_environments():
             compiled.library.codegen.set_env(environment.env_name, environment)  # of what was linked into it
+        folder, content = writable_folder(), dumps(compiled._reduce())
         try:
-            if not (compiled.lifted or compiled.library.has_dynamic_globals):
-                self._save(self._file(signature, compiled_for()), dumps(compiled._reduce()))
+            if folder is None:
+                _warn("no folder for them can be written")
+            else:
+                path = folder / self._file(signature, runs()[0])
+                write_atomically(path, _DIGEST(content).digest() + content, durable=False)  # `_load` checks it
+        except (OSError, InputError) as error:
+            _warn(str(error))
         finally:
-            if self._lock is not None:  # who waits for it finds the kernel
-                Path(self._lock.name).unlink(missing_ok=True)
             self._unlock()
 
-    def flush(self) -> None:
-        """Forget nothing: a file's name states its content."""
-
-    enable = disable = flush
-
     def _file(self, signature: Any, processor: str) -> Path:
-        self._content = self._content or content_digest(self._dispatcher)
         types = _DIGEST(str(signature).encode()).hexdigest()
-        return Path(version(processor)) / f"{self.name}-{self._content[:16]}-{types[:16]}{SUFFIX}"
+        return Path(version(processor)) / f"{self.name}-{content_digest(self._dispatcher)[:16]}-{types[:16]}{SUFFIX}"
 
     def _load(self, signature: Any, target: Any) -> Any:
         for processor in runs():
             file = self._file(signature, processor)
             for folder in folders():
-                content = _read(folder / file)
-                if content is not None:
-                    return rebuild(target, pickle.loads(content))
+                with suppress(OSError):
+                    saved = (folder / file).read_bytes()
+                    digest, content = saved[:_DIGEST_SIZE], saved[_DIGEST_SIZE:]
+                    if _DIGEST(content).digest() == digest:  # otherwise the file is damaged
+                        return _rebuild(target, pickle.loads(content))
         return None
-
-    def _save(self, file: Path, content: bytes) -> None:
-        folder = writable_folder()
-        if folder is None:
-            _warn("no folder for them can be written")
-            return
-        path = folder / file
-        try:
-            write_atomically(path, _DIGEST(content).digest() + content, durable=False)  # `_read` checks it
-            for other in path.parent.glob(f"{self.name}-*{SUFFIX}"):
-                if other.name.split("-")[1] != self._content[:16]:
-                    other.unlink(missing_ok=True)  # of a former version of this kernel
-        except (OSError, InputError) as error:
-            _warn(str(error))
 
     def _unlock(self) -> None:
         if self._lock is not None:
+            Path(self._lock.name).unlink(missing_ok=True)
             self._lock.close()
             self._lock = None
-
-
-def _read(path: Path) -> bytes | None:
-    """Return a file's content behind its digest, None if there is no such file or it is damaged."""
-    try:
-        content = path.read_bytes()
-    except OSError:
-        return None
-    digest, content = content[:_DIGEST_SIZE], content[_DIGEST_SIZE:]
-    return content if _DIGEST(content).digest() == digest else None
 
 
 def _lock(file: Path) -> Any:
@@ -184,21 +219,18 @@ def _compile_beside() -> None:
     if only is not None or folder is None or cores < 2 or multiprocessing.parent_process() is not None:
         return
     path = os.pathsep.join(filter(None, (str(PACKAGE.parent), os.environ.get("PYTHONPATH"))))
-    quiet = subprocess.DEVNULL
     for parts in BESIDE:
         command = [sys.executable, "-P", "-m", f"{PACKAGE.name}.precompile", str(folder), *parts]
         with suppress(OSError):
             helper = subprocess.Popen(
-                command, stdin=quiet, stdout=quiet, stderr=quiet, env=os.environ | {"PYTHONPATH": path}
-            )
-            atexit.register(_end, helper)
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                env=os.environ | {"PYTHONPATH": path},
+            )  # fmt: skip
+            atexit.register(helper.wait)  # last, so that its processor time counts as that of this process
+            atexit.register(helper.kill)
 
 
-def _end(process: "subprocess.Popen[bytes]") -> None:
-    process.kill()
-    process.wait()  # its processor time counts as that of this process
-
-
+@cache
 def content_digest(dispatcher: Any) -> str:
     """Return the digest of all that a kernel's machine code follows from, but types, compiler and processor."""
     options = sorted(dispatcher.targetoptions.items())
@@ -235,40 +267,19 @@ def version(processor: str) -> str:
 
 
 @cache
-def compiled_for() -> str:
-    """Return the processor that this process compiles for: its own, or what `NUMBA_CPU_NAME` and `_FEATURES` state."""
-    name = config.CPU_NAME or llvmlite.binding.get_host_cpu_name()
-    features = config.CPU_FEATURES
-    if features is None:
-        features = _host_features()
-    return f"{name}-{_DIGEST(features.encode()).hexdigest()[:8]}" if features else str(name)
-
-
-@cache
 def runs() -> tuple[str, ...]:
-    """Return the processors whose code may run here, the best first: a wheel's code may be built for the baseline."""
-    features = _host_features().split(",")
-    if all(f"+{feature}" in features for feature in _BASELINE_FEATURES):
-        return (compiled_for(), BASELINE) if compiled_for() != BASELINE else (BASELINE,)
-    return (compiled_for(),)
-
-
-@cache
-def _host_features() -> str:
-    try:
-        features = llvmlite.binding.get_host_cpu_features()
-    except RuntimeError:  # LLVM does not know this processor
-        return ""
-    if not config.ENABLE_AVX:
-        features.update({name: False for name in features if name.startswith("avx")})
-    return str(features.flatten())
+    """Return the processors whose code runs here: the one that this process compiles for, and that of a wheel."""
+    _triple, name, features = cpu_target.target_context.codegen().magic_tuple()
+    compiled_for = f"{name}-{_DIGEST(features.encode()).hexdigest()[:8]}" if features else str(name)
+    has_baseline = set(get_host_cpu_features().split(",")) >= _BASELINE_FEATURES
+    return (compiled_for, BASELINE) if has_baseline and compiled_for != BASELINE else (compiled_for,)
 
 
 only: Path | None = None  #: The one folder that is searched and written, where kernels are compiled for others.
 
 
 def folders() -> list[Path]:
-    """Return the places that are searched, see the module."""
+    """Return the folders that are searched: `NUMBA_CACHE_DIR`, that of the wheel, and one of the user."""
     if only is not None:
         return [only]
     chosen = os.environ.get("NUMBA_CACHE_DIR")
@@ -280,7 +291,7 @@ def folders() -> list[Path]:
 
 @cache
 def writable_folder() -> Path | None:
-    """Return the first place that can be written, None if none can."""
+    """Return the first folder that can be written, None if none can."""
     for folder in folders():
         with suppress(OSError):
             folder.mkdir(parents=True, exist_ok=True)
@@ -295,7 +306,7 @@ _warned: list[str] = []  #: Why compiled kernels could not be saved in this proc
 def _warn(reason: str) -> None:
     """Print one line, once in a process."""
     if not _warned:
-        _progress.clear()
+        _progress.show("")
         print(
             f"warning: the compiled kernels cannot be saved ({reason}), so every process compiles them again, which "
             "takes about a minute. Set NUMBA_CACHE_DIR to a folder that can be written.",
@@ -308,32 +319,21 @@ def _warn(reason: str) -> None:
 class _Progress:
     """One line on a terminal while kernels compile, removed when they are compiled."""
 
-    def __init__(self) -> None:
-        self.depth, self.done, self.began = 0, 0, 0.0
+    depth = compiled = 0
 
     def start(self, name: str) -> None:
-        """Show that a kernel compiles; kernels that it calls start before it finishes."""
-        if self.depth == 0 and self.done == 0:
-            self.began = time.perf_counter()
-        self.depth += 1
+        self.depth += 1  # kernels that it calls start before it finishes
         self.show(f"now {name}")
 
     def finish(self) -> None:
-        """Count a kernel."""
-        self.depth, self.done = max(self.depth - 1, 0), self.done + 1
+        self.depth, self.compiled = max(self.depth - 1, 0), self.compiled + 1
         if self.depth == 0:
-            self.clear()
-
-    def clear(self) -> None:
-        """Remove the line."""
-        if sys.stderr.isatty():
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+            self.show("")
 
     def show(self, now: str) -> None:
         """Replace the line."""
         if sys.stderr.isatty():
-            spent = time.perf_counter() - self.began if self.began else 0.0
-            text = f"Compiling the kernels, once, about a minute: {self.done} in {spent:.0f} s, {now}"
+            text = f"Compiling the kernels, once, about a minute: {self.compiled} done, {now}" if now else ""
             print(f"\r\x1b[K{text[:110]}", end="", file=sys.stderr, flush=True)
 
 
