@@ -71,7 +71,7 @@ def set_up_drawing(model: ProbeModel, candidate: CandidateTest) -> bytes:
     for i, name in enumerate("xyz"):
         seen = 22.0 * (PROJECTION @ R[:, i])
         _arrow(canvas, corner, corner + seen, MARK, 1.2)
-        _text(canvas, corner + 1.45 * seen + np.array([0.0, 4.0]), name, size=11.0)
+        _text(canvas, corner + 1.55 * seen + np.array([0.0, 4.0]), name)
     return f"{canvas}\n".encode()
 
 
