@@ -242,6 +242,27 @@ def _plain(value: Any) -> Any:
     return "inf" if value == math.inf else value
 
 
+def deploy_model(model: ProbeModel, path: Path) -> Path:
+    """Write the frozen probe and return its file, which may replace a frozen probe only.
+
+    Args:
+        model: to freeze.
+        path: a file, or a folder: one that exists, or a name that does not end in .json.
+
+    Raises:
+        InputError: another file has that name, or the parts exported beside it have another geometry.
+    """
+    if path.is_dir() or (path.suffix != ".json" and not path.exists()):
+        path /= f"{model.name}.probe.json"
+    if path.exists() and (path.is_dir() or _read_json(path, "frozen probe").get("kind") != KIND):
+        raise InputError(f"{path}: is not a frozen probe, so it is not replaced; name another file")
+    manifest = path.parent / "manifest.json"
+    if manifest.exists():
+        check_manifest(model.fingerprint, manifest)
+    write_frozen(model, path)
+    return path
+
+
 def write_frozen(model: ProbeModel, path: Path) -> None:
     """Write the frozen probe atomically; an existing file is replaced."""
     write_atomically(path, (json.dumps(freeze(model), indent=2) + "\n").encode())
@@ -299,16 +320,6 @@ def check_manifest(fingerprint: str, manifest: Path) -> None:
             f"{manifest}: the parts there have fingerprint {printed}, the probe has {fingerprint}; "
             "export the design again, or use the frozen probe that belongs to the printed part"
         )
-
-
-def check_replaceable(path: Path) -> None:
-    """Check that a path is free or holds a frozen probe, which may be replaced.
-
-    Raises:
-        InputError: another file or a folder has that name.
-    """
-    if path.exists() and (path.is_dir() or _read_json(path, "frozen probe").get("kind") != KIND):
-        raise InputError(f"{path}: is not a frozen probe, so it is not replaced; name another file")
 
 
 def _check_identity(data: dict[str, Any], path: Path) -> None:

@@ -115,7 +115,11 @@ def markers(
     with show_progress() as on_progress:
         tests, notes = find_all(data, base_side, {"dark": True, "light": False}.get(dots), skip, on_progress)
         if folder is not None:
-            _write_overlays(folder, tests)
+            from probedesign.vision.markers import overlay, read_grey, write_png
+
+            for test in tests:
+                for photograph, found in zip(test.photographs, test.found, strict=bool(test.found)):
+                    write_png(folder / f"{photograph.path.stem}.png", overlay(read_grey(photograph.path), found))
     path = write_pixels(data, tests, force)
     if as_json:
         print_json({"file": path, "overlays": folder, "notes": notes, "tests": [_record(test) for test in tests]})
@@ -126,15 +130,6 @@ def markers(
     used = sum(len(test.found) for test in tests)
     inspect = f"inspect the overlays in {folder}" if folder else "no overlays were written"
     print(f"wrote {path}: {plural(used, 'photograph')}; {inspect}")
-
-
-def _write_overlays(folder: Path, tests: "list[PhotographedTest]") -> None:
-    """Write the pictures with the markers outlined."""
-    from probedesign.vision.markers import overlay, read_grey, write_png
-
-    for test in tests:
-        for photograph, found in zip(test.photographs, test.found, strict=bool(test.found)):
-            write_png(folder / f"{photograph.path.stem}.png", overlay(read_grey(photograph.path), found))
 
 
 def _record(test: "PhotographedTest") -> dict[str, object]:

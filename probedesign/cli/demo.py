@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from probedesign.cli.console import print_json, print_step, write_files
-from probedesign.cli.deploy import write_bundle
 from probedesign.cli.export import FILE_KINDS
 from probedesign.cli.options import JsonOutput
 from probedesign.cli.predict import prediction_files
@@ -114,7 +113,11 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     drafted, notes = draft_design(NAME, shape="cone", length_mm=150.0, base_d_mm=12.0)
     text = render_design(drafted, notes)
     if not force:
-        _check_folder(folder, design, text)
+        unchanged = design.is_file() and design.read_text("utf-8") == text
+        if folder.is_dir() and any(folder.iterdir()) and not unchanged:
+            raise InputError(
+                f"{folder} has files that the demo did not write. --force replaces them; --out names another folder"
+            )
     write_design(text, design, force=True)
     made[str(design)] = "the design; edit it and run the chain again"
     page = write_demo_page(folder, list(sections.values()))
@@ -124,6 +127,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     import numpy as np
 
     from probedesign import pipeline
+    from probedesign.frozen_probe import deploy_model
     from probedesign.reports.prediction_charts import probe_chart
     from probedesign.reports.recording_page import recording_page
     from probedesign.reports.replay import STYLE, replay_element
@@ -135,7 +139,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     finish("predict", prediction.verdict, svg=probe_chart(prediction, probe.estimator()).svg(),
            links=[("prediction.html", "all predictions"), (design.name, "the design file")])  # fmt: skip
     print_step("freezing the estimator and its geometry")
-    bundle = write_bundle(probe, folder / f"{NAME}.probe.json")
+    bundle = deploy_model(probe.model, folder / f"{NAME}.probe.json")
     made[str(bundle)] = "the frozen probe for estimate and live"
     print_step("simulating a recording and locating its contacts")
     estimator = pipeline.load_estimator(bundle)
@@ -177,13 +181,6 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
         finish("explore", skipped[-1])
     made[str(page)] = "the page with all results"
     return {"made": made, "page": str(page), "skipped": skipped, **result}
-
-
-def _check_folder(folder: Path, design: Path, text: str) -> None:
-    if folder.is_dir() and any(folder.iterdir()) and not (design.is_file() and design.read_text("utf-8") == text):
-        raise InputError(
-            f"{folder} has files that the demo did not write. --force replaces them; --out names another folder"
-        )
 
 
 def _predict(probe: "Probe", prediction: "Prediction", folder: Path, skipped: list[str]) -> dict[str, str]:

@@ -41,17 +41,11 @@ def export(design: Design, replace: bool) -> str:
 
 def deploy(design: Design, replace: bool) -> str:
     """Write the frozen probe and return a message."""
-    from probedesign.frozen_probe import check_manifest, check_replaceable, write_frozen
+    from probedesign.frozen_probe import deploy_model
     from probedesign.probe import build_probe
 
-    path = exports_of() / design.name / f"{design.name}.probe.json"
-    check_replaceable(path)
-    model = build_probe(design).model
-    manifest = path.parent / "manifest.json"
-    if manifest.exists():
-        check_manifest(model.fingerprint, manifest)
-    write_frozen(model, path)
-    return f"wrote {path}"
+    folder = exports_of() / design.name
+    return f"wrote {deploy_model(build_probe(design).model, folder / f'{design.name}.probe.json')}"
 
 
 Action = Callable[[Design, bool], str]
