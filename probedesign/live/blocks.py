@@ -1,7 +1,7 @@
 """Wrench readings, and blocks of readings that a source delivers together.
 
 A source delivers raw readings in blocks of any size. Results do not depend on where a source cuts its blocks:
-`BatchAverager` cuts them again into batches of a fixed number of samples.
+`processing.averaging.Averager` cuts them again into batches of a fixed number of samples.
 """
 
 import time
@@ -136,28 +136,6 @@ def _block_of(readings: list[WrenchReading]) -> Block:
     )
 
 
-def mean_reading(blocks: list[Block]) -> WrenchReading:
-    """Return the mean of all readings, at their mean time and with the last arrival time.
-
-    The fault of any block becomes the fault of the mean. The true contact is free if it is free in any reading.
-    """
-    truths = [truth for block in blocks for truth in block.truths]
-    whole = joined(blocks)
-    gravity = whole.gravity_base  # the same object if it is constant
-    if any(block.gravity_base is not gravity for block in blocks):
-        rows = np.concatenate([np.tile(block.gravity_base, (len(block), 1)) for block in blocks])
-        gravity = gravity if (rows == gravity).all() else np.asarray(rows.mean(axis=0))
-    return WrenchReading(
-        float(whole.time.sum()) / len(whole),
-        whole.wrench_sensor.sum(axis=0) / len(whole),
-        gravity,
-        TrueContact(*(np.mean(values, axis=0) for values in zip(*truths, strict=True))) if truths else None,
-        next((block.fault for block in blocks if block.fault), ""),
-        blocks[-1].stretch,
-        float(whole.received[-1]),
-    )
-
-
 def paced(
     blocks: Iterable[Block],
     speed: float,
@@ -198,49 +176,3 @@ def limit_duration(
         if clock() - opened >= seconds:
             return
         yield block
-
-
-class AveragedBatch(NamedTuple):
-    """n consecutive samples of one stretch, with the gravity vector of the mean and the first fault, and their mean."""
-
-    block: Block
-    reading: WrenchReading
-
-
-class BatchAverager:
-    """Cut blocks into batches of n samples, independent of how the source cut its blocks."""
-
-    def __init__(self, samples: int) -> None:
-        self._samples = samples
-        self._pending: list[Block] = []
-        self._count = 0
-
-    @property
-    def pending(self) -> int:
-        """Number of readings of the incomplete batch."""
-        return self._count
-
-    def add(self, block: Block) -> Iterator[AveragedBatch]:
-        """Yield each batch that a block completes; an incomplete batch is dropped at the end of a stretch."""
-        if self._pending and self._pending[0].stretch != block.stretch:
-            self._pending, self._count = [], 0
-        start = 0
-        while self._count + len(block) - start >= self._samples:
-            end = start + self._samples - self._count
-            part = block if end - start == len(block) else block[start:end]
-            yield _joined_batch([*self._pending, part])
-            self._pending, self._count, start = [], 0, end
-        if start < len(block):
-            self._pending.append(block[start:])
-            self._count += len(block) - start
-
-
-def _joined_batch(parts: list[Block]) -> AveragedBatch:
-    if len(parts) == 1 and len(parts[0]) == 1:
-        return AveragedBatch(parts[0], next(parts[0].readings()))
-    reading = mean_reading(parts)
-    if len(parts) == 1:
-        return AveragedBatch(parts[0], reading)
-    return AveragedBatch(
-        replace(joined(parts), gravity_base=reading.gravity_base, fault=reading.fault, stretch=reading.stretch), reading
-    )

@@ -9,7 +9,7 @@ import time
 import numpy as np
 
 from probedesign.core.errors import InputError
-from probedesign.live.blocks import BatchAverager
+from probedesign.live.processing.averaging import Averager
 from probedesign.live.sources.source import open_source
 from probedesign.simulation.netft_box import NATIVE, SimulatedNetFT, SimulatedTransducer
 
@@ -109,5 +109,5 @@ def close(estimator, count):
 
 def averaged(blocks, samples):
     """The means of so many consecutive readings."""
-    batches = BatchAverager(samples)
+    batches = Averager(samples, None, print)
     return [batch.reading for block in blocks for batch in batches.add(block)]

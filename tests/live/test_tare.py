@@ -141,8 +141,7 @@ def test_a_reading_that_is_too_old_is_skipped_and_counted(monkeypatch):
 
 def test_the_newest_reading_is_not_skipped(monkeypatch):
     """Of readings every 50 ms, one that is 30 ms late is still the newest."""
-    kept = EstimateScheduler(100.0, print)
-    kept.set_period(0.05)
+    kept = EstimateScheduler(100.0, print, max_age=0.05)
     monkeypatch.setattr(due, "monotonic", lambda: 7.0 + 0.03)
     assert kept.is_due(replace(READING, received=7.0))
     monkeypatch.setattr(due, "monotonic", lambda: 7.0 + 0.06)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
-from probedesign.live.blocks import AveragedBatch, BatchAverager, Block, joined
+from probedesign.live.blocks import Block, TrueContact, WrenchReading, joined
 
 MAX_MEAN_RATE = 500.0  #: Rate above which readings are single samples unless their noise shows that they are not [Hz].
 #: Least and largest number of first readings that decide, and their duration [s].
@@ -97,23 +98,47 @@ def choose_averaging(time: Array, wrench_sensor: Array, model: ProbeModel) -> Av
     return Averaging(n, f"the readings scatter by {math.sqrt(variance):.2g} times the stated noise", n * step)
 
 
+class AveragedBatch(NamedTuple):
+    """n consecutive samples of one stretch, with the gravity vector of the mean and the first fault, and their mean."""
+
+    block: Block
+    reading: WrenchReading
+
+
+def mean_reading(blocks: list[Block]) -> WrenchReading:
+    """Return the mean of all readings, at their mean time and with the last arrival time.
+
+    The fault of any block becomes the fault of the mean. The true contact is free if it is free in any reading.
+    """
+    truths = [truth for block in blocks for truth in block.truths]
+    whole = joined(blocks)
+    gravity = whole.gravity_base  # the same object if it is constant
+    if any(block.gravity_base is not gravity for block in blocks):
+        rows = np.concatenate([np.tile(block.gravity_base, (len(block), 1)) for block in blocks])
+        gravity = gravity if (rows == gravity).all() else np.asarray(rows.mean(axis=0))
+    return WrenchReading(
+        float(whole.time.sum()) / len(whole),
+        whole.wrench_sensor.sum(axis=0) / len(whole),
+        gravity,
+        TrueContact(*(np.mean(values, axis=0) for values in zip(*truths, strict=True))) if truths else None,
+        next((block.fault for block in blocks if block.fault), ""),
+        blocks[-1].stretch,
+        float(whole.received[-1]),
+    )
+
+
 class Averager:
-    """Cuts blocks into batches of the readings that are averaged to one.
+    """Cuts blocks into batches of the readings that are averaged to one, independent of how the source cut its blocks.
 
     Attributes:
         samples: number of readings in a batch; 0 until it is known.
+        n_pending: number of readings of the incomplete batch.
     """
 
     def __init__(self, samples: int | None, model: ProbeModel, log: Log) -> None:
         """Start with no readings; without `samples` the first readings decide, and `log` receives the reason."""
-        self.samples, self._model, self._log = samples or 0, model, log
-        self._undecided: list[Block] = []
-        self._batches = BatchAverager(max(self.samples, 1))
-
-    @property
-    def n_pending(self) -> int:
-        """Number of readings of the incomplete batch."""
-        return self._batches.pending
+        self.samples, self.n_pending, self._model, self._log = samples or 0, 0, model, log
+        self._pending: list[Block] = []  # those of the incomplete batch, or all until the size of a batch is known
 
     @property
     def n_missing(self) -> int:
@@ -121,25 +146,44 @@ class Averager:
         return self.samples - self.n_pending if self.samples else 1
 
     def add(self, block: Block) -> Iterator[AveragedBatch]:
-        """Yield the batches that a block completes; none while their size is not known."""
-        if self.samples:
-            yield from self._batches.add(block)
+        """Yield each batch that a block completes; an incomplete batch is dropped at the end of a stretch.
+
+        Yield none while the size of a batch is not known.
+        """
+        if not self.samples:
+            self._pending.append(block)
+            if readings_needed(np.concatenate([block.time for block in self._pending])):
+                yield from self.finish()
             return
-        self._undecided.append(block)
-        if readings_needed(np.concatenate([block.time for block in self._undecided])):
-            yield from self.finish()
+        if self._pending and self._pending[0].stretch != block.stretch:
+            self._pending, self.n_pending = [], 0
+        start = 0
+        while self.n_pending + len(block) - start >= self.samples:
+            end = start + self.samples - self.n_pending
+            parts = [*self._pending, block if end - start == len(block) else block[start:end]]
+            self._pending, self.n_pending, start = [], 0, end
+            if len(parts) == 1 and len(parts[0]) == 1:
+                yield AveragedBatch(parts[0], next(parts[0].readings()))
+                continue
+            whole, reading = parts[0], mean_reading(parts)
+            if len(parts) > 1:
+                gravity, fault, stretch = reading.gravity_base, reading.fault, reading.stretch
+                whole = replace(joined(parts), gravity_base=gravity, fault=fault, stretch=stretch)
+            yield AveragedBatch(whole, reading)
+        if start < len(block):
+            self._pending.append(block[start:])
+            self.n_pending += len(block) - start
 
     def finish(self) -> Iterator[AveragedBatch]:
         """Choose the size of a batch by the readings so far, if it is not known, and yield their batches."""
-        if self.samples or not self._undecided:
+        if self.samples or not self._pending:
             return
-        whole = joined(self._undecided)
+        blocks, self._pending = self._pending, []
+        whole = joined(blocks)
         needed = readings_needed(whole.time) or len(whole)
         chosen = choose_averaging(whole.time[:needed], whole.wrench_sensor[:needed], self._model)
         if chosen.summary:
             self._log(chosen.summary)
         self.samples = chosen.samples
-        self._batches = BatchAverager(self.samples)
-        for block in self._undecided:
-            yield from self._batches.add(block)
-        self._undecided.clear()
+        for block in blocks:
+            yield from self.add(block)

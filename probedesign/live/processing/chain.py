@@ -18,9 +18,9 @@ from probedesign.core.frames import Array
 from probedesign.estimation.estimate import Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.live import Log
-from probedesign.live.blocks import AveragedBatch, Block, WrenchReading
+from probedesign.live.blocks import Block, WrenchReading
 from probedesign.live.poses.base_poses import BasePoses
-from probedesign.live.processing.averaging import Averager
+from probedesign.live.processing.averaging import AveragedBatch, Averager
 from probedesign.live.processing.estimates import (
     NO_DRIFT,
     UNKNOWN_POSE,
@@ -137,10 +137,6 @@ class EstimateScheduler:
         self._period, self._next = 1.0 / rate, -math.inf
         self.n_due = self.n_skipped = 0
         self._start, self._reported, self._overloaded = -math.inf, (0, 0), False
-
-    def set_period(self, period: float) -> None:
-        """State the interval between readings [s]: the newest reading is never skipped, however late it is."""
-        self.max_age = max(self.max_age, period)
 
     def is_due(self, reading: WrenchReading, ready: float = -math.inf) -> bool:
         """Return whether the reading is to be located.
@@ -309,7 +305,8 @@ class Chain:
         if math.isinf(self._rate):
             self._log("the source's clock does not advance: phases and filter are off")
             return True
-        self.scheduler.set_period(samples / self._rate)
+        # The newest reading is never skipped, however late it is.
+        self.scheduler.max_age = max(self.scheduler.max_age, samples / self._rate)
         if self._options.filter_hz is not None:
             self._low_pass = LowPass(self._options.filter_hz, self._rate)
             delay = 1e3 * self._low_pass.delay

@@ -78,31 +78,24 @@ COVARIANCE = (("xx", 0, 0), ("xy", 0, 1), ("xz", 0, 2), ("yy", 1, 1), ("yz", 1, 
 #: Columns of an estimate. Contact: the point of the centreline nearest to the line of action of the force; surface: the
 #: touched point.
 COLUMNS = (
-    "time_s",
-    "result",
-    "s_contact_mm",
-    "std_s_mm",
+    "time_s", "result", "s_contact_mm", "std_s_mm",
     *(f"p_contact_base_{axis}_mm" for axis in "xyz"),
     *(f"p_surface_base_{axis}_mm" for axis in "xyz"),
     *(f"force_base_{axis}_N" for axis in "xyz"),
     *(f"cov_contact_base_{pair}_mm2" for pair, _, _ in COVARIANCE),
     "detection_chi2",
     *(f"cov_surface_base_{pair}_mm2" for pair, _, _ in COVARIANCE),
-    "force_normal_N",
-    "force_tangential_N",
-    "friction_ratio",
-)
+    "force_normal_N", "force_tangential_N", "friction_ratio",
+)  # fmt: skip
 #: Additional columns with poses of the base.
 WORLD_COLUMNS = (
-    "phase",
-    "fused_result",
+    "phase", "fused_result",
     *(f"p_contact_world_{axis}_mm" for axis in "xyz"),
     *(f"p_surface_world_{axis}_mm" for axis in "xyz"),
     *(f"cov_contact_world_{pair}_mm2" for pair, _, _ in COVARIANCE),
-    "touch",
-    "stale",
+    "touch", "stale",
     *(f"cov_surface_world_{pair}_mm2" for pair, _, _ in COVARIANCE),
-)
+)  # fmt: skip
 TRUE_COLUMNS = ("true_s_contact_mm", *(f"true_p_contact_base_{axis}_mm" for axis in "xyz"),
                 *(f"true_p_surface_base_{axis}_mm" for axis in "xyz"))  # fmt: skip
 

@@ -15,8 +15,8 @@ import numpy as np
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
-from probedesign.live.blocks import AveragedBatch, Block
-from probedesign.live.processing.averaging import second_differences
+from probedesign.live.blocks import Block
+from probedesign.live.processing.averaging import AveragedBatch, second_differences
 from probedesign.live.processing.tare import CHANNELS
 
 #: Identical readings in all channels from which the signal counts as frozen. With a noise of half a step of the
@@ -154,8 +154,8 @@ class SignalMonitor:
             return ""
         frozen, identical = 0, np.logical_and.reduce(same, axis=1)
         if identical.any():
-            for one in identical.tolist():
-                self._repeats = self._repeats + 1 if one else 1
+            for is_identical in identical.tolist():
+                self._repeats = self._repeats + 1 if is_identical else 1
                 frozen = max(frozen, self._repeats)
         else:
             self._repeats = 1
@@ -218,37 +218,36 @@ def _unexplained(bends: Array) -> float:
 
 
 class PoseMonitor:
-    """Checks that the base moves as a robot can."""
+    """Checks that the base moves as a robot can.
+
+    Attributes:
+        leapt: time of the last leap [s]; minus infinity without one.
+    """
 
     def __init__(self) -> None:
         """Start without a pose."""
         self._last: tuple[float, Array] | None = None
-        self._leapt = -math.inf
+        self.leapt = -math.inf
         self._reason = ""
 
     def fault(self, time: float, T_world_base: Array) -> str:
         """Return the fault of the pose at a time [s], (4, 4); empty without one."""
         last, self._last = self._last, (time, T_world_base)
         if last is None or not time > last[0]:
-            return self._reason if time - self._leapt < LEAP_HOLD else ""
+            return self._reason if time - self.leapt < LEAP_HOLD else ""
         seconds = time - last[0]
         squares = np.square(T_world_base[:3] - last[1][:3])
         travel = math.sqrt(squares[:, 3].sum())
         chord = math.sqrt(squares[:, :3].sum())  # the Frobenius norm |R - R'|, which is 2√2 sin(angle/2)
         turn = 2.0 * math.asin(min(chord / (2.0 * math.sqrt(2.0)), 1.0))
         if travel > MAX_SPEED * seconds or turn > MAX_TURN * seconds:
-            self._leapt = time
+            self.leapt = time
             degrees = math.degrees(turn)
             self._reason = (
                 f"the base leapt by {1e3 * travel:.3g} mm and {degrees:.2g}° in {1e3 * seconds:.3g} ms; "
                 "positions in the wrong unit?"
             )
-        return self._reason if time - self._leapt < LEAP_HOLD else ""
-
-    @property
-    def leapt(self) -> float:
-        """Return the time of the last leap [s]; minus infinity without one."""
-        return self._leapt
+        return self._reason if time - self.leapt < LEAP_HOLD else ""
 
 
 class TravelCheck:

@@ -29,8 +29,9 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tracker import Tracker
 from probedesign.live import Log
-from probedesign.live.blocks import AveragedBatch, joined
+from probedesign.live.blocks import joined
 from probedesign.live.poses.base_poses import BasePoses
+from probedesign.live.processing.averaging import AveragedBatch
 from probedesign.live.processing.tare import Tare
 
 Phase = Literal["", "free", "moving", "touching", "settled", "released"]

@@ -183,15 +183,6 @@ MAX_PAGE_BYTES = 65536  #: Maximum size of the page [bytes]; about ten thousand 
 PAGE_TIMEOUT = 2.0  #: Maximum time to fetch the page [s].
 
 
-def fetch_configuration(host: str, port: int) -> NetFTConfiguration:
-    """Fetch the current configuration of the box at an address and the port of its HTTP server.
-
-    Raises:
-        InputError: the box does not respond, or not with the page of a Net F/T box.
-    """
-    return parse_configuration(fetch_page(host, port))
-
-
 def fetch_page(host: str, port: int, timeout: float = PAGE_TIMEOUT) -> bytes:
     """Fetch the page within a timeout [s], whatever the other side sends and at whatever pace.
 

@@ -15,7 +15,12 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log, split_address
 from probedesign.live.blocks import Block, dropout_block
 from probedesign.live.priority import prompt_estimates
-from probedesign.live.sources.netft.configuration import ConfigurationMonitor, NetFTConfiguration, fetch_configuration
+from probedesign.live.sources.netft.configuration import (
+    ConfigurationMonitor,
+    NetFTConfiguration,
+    fetch_page,
+    parse_configuration,
+)
 from probedesign.live.sources.netft.rdt import (
     AXIA,
     HTTP_PORT,
@@ -234,7 +239,7 @@ class NetFTSource:
         self._name = f"netft://{host}:{port}"
         self._page, self._check = (host, int(parameters["http"])), parameters["check_s"]
         self._gravity, self._log = model.gravity_base, log
-        self.configuration: NetFTConfiguration = fetch_configuration(*self._page)
+        self.configuration: NetFTConfiguration = parse_configuration(fetch_page(*self._page))
         self._session = RdtSession(self._name, host, port, self.configuration.rate)
         self.title = f"{self._name}, {self.configuration.product}"
         self.notes = self.configuration.notes
