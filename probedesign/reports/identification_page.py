@@ -21,11 +21,7 @@ _SELF = "#dddddd"
 
 
 def identification_page(found: Identification) -> bytes:
-    """Return the page of an identification.
-
-    Args:
-        found: the result.
-    """
+    """Return the page of an identification."""
     about = [
         f"{found.data}: {found.tests} tests, {found.numbers} measured values for {found.unknowns} unknowns; "
         f"geometry {found.fingerprint}. Result: {found.result}{': ' if found.why else ''}{found.why}.",
@@ -49,7 +45,9 @@ def identification_page(found: Identification) -> bytes:
         sections.append(_correlation(found))
     after = [("Scatter of the readings", _noise(found)), ("Error budget", _shifts(found))]
     if found.outliers:
-        after.append(("Outliers", _outliers(found)))
+        rows = [[one.words, f"{one.deviations:.1f}"] for one in found.outliers]
+        outliers = HtmlTable(["reading", "standard deviations"], rows, "Down-weighted in the fit.")
+        after.append(("Outliers", outliers))
     folded = [("Residuals of the wrenches", wrenches)]
     title = f"{found.name}: identified"
     return report_page(title, about, _table(found), sections, after, folded, verdict=verdict(found))
@@ -76,15 +74,8 @@ def _sentence(one: Identified) -> str:
 
 
 def _table(found: Identification) -> HtmlTable:
-    head = [
-        "",
-        "value",
-        "95 % interval",
-        f"with {found.dimensions}: value, 95 % interval",
-        "design",
-        "change",
-        "description",
-    ]
+    of_print = f"with {found.dimensions}: value, 95 % interval"
+    head = ["", "value", "95 % interval", of_print, "design", "change", "description"]
     return HtmlTable(head, [_row(one) for one in found.found], worded=True)
 
 
@@ -226,8 +217,3 @@ def _shifts(found: Identification) -> HtmlTable:
         "the number, which --write puts into [tolerances] and stiffness_spread."
     )
     return HtmlTable(["error source", "contribution to the parameter"], rows, note)
-
-
-def _outliers(found: Identification) -> HtmlTable:
-    rows = [[one.words, f"{one.deviations:.1f}"] for one in found.outliers]
-    return HtmlTable(["reading", "standard deviations"], rows, "Down-weighted in the fit.")

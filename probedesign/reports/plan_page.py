@@ -8,7 +8,7 @@ from probedesign.planning.candidates import CandidateTest
 from probedesign.planning.folder import checklist
 from probedesign.planning.plan import ENOUGH, ExpectedInterval, Plan
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis
-from probedesign.reports.html_page import REPORT_STYLE, HtmlTable, html_document
+from probedesign.reports.html_page import REPORT_STYLE, HtmlTable, html_document, labelled
 from probedesign.reports.setup_drawing import set_up_drawing
 
 STYLE = """
@@ -50,11 +50,19 @@ def plan_page(plan: Plan, folder: str) -> bytes:
         "final one.",
         *plan.notes,
     ]
-    drawings = "".join(_set_up(plan, candidate) for candidate in plan.candidates if candidate.shape is not None)
+    drawings = "".join(
+        f"<section><h3>☐ {escape(candidate.name)}</h3>{set_up_drawing(model, candidate).decode()}"
+        f"<p>{escape(_words(candidate))}</p></section>"
+        for candidate in plan.candidates
+        if candidate.shape is not None
+    )
+    *steps, (last, commands) = checklist(plan, folder)
+    lists = "".join(f"<h3>{escape(heading)}</h3>{_items(lines)}" for heading, lines in steps)
+    lists += f"<h3>{escape(last)}</h3>{_items(commands, ' class=command')}"
     body = (
         f'<section class="plan"><h2>Expected 95 % intervals after each test</h2>{_table(plan).html()}</section>'
         f"{_chart_section(plan)}"
-        f'<section class="steps" style="break-inside: auto"><h2>Checklist</h2>{_checklist(plan, folder)}</section>'
+        f'<section class="steps" style="break-inside: auto"><h2>Checklist</h2>{lists}</section>'
         f'<h2>Set-ups</h2><div class="sheet">{drawings}</div>'
     )
     return html_document(
@@ -68,8 +76,7 @@ def _table(plan: Plan) -> HtmlTable:
     for test in plan.tests:
         candidate = test.candidate
         intervals = ("" if candidate.held_out else interval_text(interval) for interval in test.expected)
-        words = candidate.words + (" For validate." if candidate.held_out else "")
-        rows.append([candidate.name, words, f"{candidate.minutes:g}", f"{test.minutes:.0f}", *intervals])
+        rows.append([candidate.name, _words(candidate), f"{candidate.minutes:g}", f"{test.minutes:.0f}", *intervals])
     return HtmlTable(head, rows, "Intervals of identify with the design's dimensions; — : not determined yet.")
 
 
@@ -92,22 +99,13 @@ def _chart_section(plan: Plan) -> str:
         style = (COLOURS[1 + i % 6], DASHES[i % len(DASHES)], MARKS[i % len(MARKS)])
         chart.line(times, line, *style, name=name)
     heading = "When to stop"
-    svg = chart.svg().decode().replace("<svg ", f'<svg role="img" aria-label="{heading}" ', 1)
     caption = "Where a line begins the tests first determine the parameter. It may rise where another one begins."
-    return f"<section class=stop><h2>{heading}</h2>{svg}<p>{caption}</p></section>"
+    return f"<section class=stop><h2>{heading}</h2>{labelled(chart.svg(), heading)}<p>{caption}</p></section>"
 
 
-def _checklist(plan: Plan, folder: str) -> str:
-    *steps, (last, commands) = checklist(plan, folder)
-    parts = [f"<h3>{escape(heading)}</h3>{_items(lines)}" for heading, lines in steps]
-    return "".join(parts) + f"<h3>{escape(last)}</h3>{_items(commands, ' class=command')}"
+def _words(candidate: CandidateTest) -> str:
+    return candidate.words + (" For validate." if candidate.held_out else "")
 
 
 def _items(lines: Sequence[str], attribute: str = "") -> str:
     return f"<ul>{''.join(f'<li{attribute}>{escape(line)}</li>' for line in lines)}</ul>"
-
-
-def _set_up(plan: Plan, candidate: CandidateTest) -> str:
-    drawing = set_up_drawing(plan.bench.model, candidate).decode()
-    use = " For validate." if candidate.held_out else ""
-    return f"<section><h3>☐ {escape(candidate.name)}</h3>{drawing}<p>{escape(candidate.words)}{use}</p></section>"

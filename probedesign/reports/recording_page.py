@@ -125,18 +125,14 @@ def _touch_table(touches: Sequence[RecordedTouch]) -> HtmlTable:
     head = ["touch", "start [s]", "end [s]", "readings", "located", "s [mm]", "force up to [mN]", "RMS error [mm]"]
     rows = [
         [f"{number}", f"{touch.start_s:.2f}", f"{touch.end_s:.2f}", f"{touch.readings}", f"{touch.located}",
-         *(_cells(touch) if touch.located else ("—", "—", "—"))]
+         *((f"{touch.s_mm[0]:.1f} ... {touch.s_mm[1]:.1f}", f"{touch.force_mN:.3g}", f"{touch.rms_mm:.2g}")
+           if touch.located else ("—", "—", "—"))]
         for number, touch in enumerate(touches[:MAX_TOUCHES], 1)
     ]  # fmt: skip
     left = len(touches) - MAX_TOUCHES
     more = f" {left} further touches are not listed." if left > 0 else ""
     note = f"A touch is a run of estimates with a contact. RMS error: stated, in the median of its readings.{more}"
     return HtmlTable(head, rows, note)
-
-
-def _cells(touch: RecordedTouch) -> tuple[str, str, str]:
-    low, high = touch.s_mm
-    return f"{low:.1f} ... {high:.1f}", f"{touch.force_mN:.3g}", f"{touch.rms_mm:.2g}"
 
 
 def _figures(rows: Sequence[Row]) -> list[ReportFigure]:
@@ -148,7 +144,8 @@ def _figures(rows: Sequence[Row]) -> list[ReportFigure]:
     gaps = " The lines end where no contact was located."
     s, std = (np.array([float(row[name]) for row in shown]) for name in ("s_contact_mm", "std_s_mm"))
     place = _over_time(shown, "arclength of the contact [mm]", [*(s - std), *(s + std)])
-    for low, high in _runs(s):
+    finite = np.concatenate([[False], np.isfinite(s), [False]])
+    for low, high in np.flatnonzero(np.diff(finite)).reshape(-1, 2).tolist():  # runs of located contacts
         time = _column(shown[low:high], "time_s")
         band = [*zip(time, (s + std)[low:high], strict=True), *zip(time[::-1], (s - std)[low:high][::-1], strict=True)]
         place.area([(float(a), float(b)) for a, b in band], COLOURS[1], 0.25)
@@ -174,9 +171,3 @@ def _over_time(rows: Sequence[Row], label: str, values: Sequence[float]) -> Char
 
 def _draw(chart: Chart, rows: Sequence[Row], values: Array, colour: str, name: str = "") -> None:
     chart.line(_column(rows, "time_s"), values, colour, mark="o" if len(rows) <= MAX_MARKED else "", name=name)
-
-
-def _runs(values: Array) -> list[tuple[int, int]]:
-    finite = np.concatenate([[False], np.isfinite(values), [False]]).astype(int)
-    starts, ends = np.flatnonzero(np.diff(finite) == 1), np.flatnonzero(np.diff(finite) == -1)
-    return list(zip(starts.tolist(), ends.tolist(), strict=True))
