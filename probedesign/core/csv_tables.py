@@ -39,14 +39,8 @@ WRENCH_ALIASES = {"tx": "mx", "ty": "my", "tz": "mz"}
 #: calibration of the Nano17 reads 50 N and 0.5 N·m; a clock that counts milliseconds since 1970 as seconds reads
 #: 1.7e12; no laboratory is wider than 100 m, and no picture than a million pixels.
 CEILING = {
-    "time": 1e11,
-    "force": 1000.0,
-    "moment": 50.0,
-    "gravity": 30.0,
-    "length": 100.0,
-    "angle": 100.0,
-    "pixel": 1e6,
-}
+    "time": 1e11, "force": 1000.0, "moment": 50.0, "gravity": 30.0, "length": 100.0, "angle": 100.0, "pixel": 1e6,
+}  # fmt: skip
 NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*", re.ASCII)
 NOTES = ("note", "notes", "comment", "remark")  #: Names of free-text columns, which are not read.
 MAX_BYTES = 50_000_000

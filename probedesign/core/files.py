@@ -71,13 +71,21 @@ def write_atomically(
                     os.fsync(file.fileno())
             if check is not None:
                 check(temporary)
-            if not replace:
-                _claim(path)
+            if not replace:  # created in one step, so that no other process can create it in between
+                try:
+                    path.open("x").close()
+                except FileExistsError:
+                    raise exists_already(path) from None
             os.replace(temporary, path)
         finally:
             temporary.unlink(missing_ok=True)
         if durable:
-            _flush_folder(path.parent)
+            with suppress(OSError):  # the entry of the renamed file; Windows does not allow it
+                handle = os.open(path.parent, os.O_RDONLY)
+                try:
+                    os.fsync(handle)
+                finally:
+                    os.close(handle)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
 
@@ -226,21 +234,3 @@ def check_overwrite(path: Path, force: bool) -> None:
 def exists_already(path: Path) -> InputError:
     """Return the error for a file or folder that is not replaced without --force."""
     return InputError(f"{path}: exists already; --force replaces it, or choose another name")
-
-
-def _claim(path: Path) -> None:
-    """Create the file, or refuse if it exists: one step, so that no other process can create it in between."""
-    try:
-        path.open("x").close()
-    except FileExistsError:
-        raise exists_already(path) from None
-
-
-def _flush_folder(folder: Path) -> None:
-    """Flush the entry of a renamed file to the disk, where the system allows it (Windows does not)."""
-    with suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from io import BufferedRandom
 from multiprocessing import forkserver
 from pathlib import Path
-from types import FrameType
 from typing import Any, TypeVar
 
 from probedesign.core.errors import InputError
@@ -85,11 +84,7 @@ def defer_sigint() -> Iterator[None]:
         yield
         return
     asked: list[int] = []
-
-    def remember(number: int, _: FrameType | None) -> None:
-        asked.append(number)
-
-    previous = signal.signal(signal.SIGINT, remember)
+    previous = signal.signal(signal.SIGINT, lambda number, frame: asked.append(number))
     try:
         yield
     finally:

@@ -143,14 +143,14 @@ def warm_up(estimator: Estimator, log: Log, *, fusing: bool = False) -> None:
 def _warm_up_touches(estimator: Estimator) -> list[tuple[Array, Array]]:
     """Return wrench and base pose of touches of the world origin, with increasing force."""
     model = estimator.model
-    s, found = 0.7 * model.rod.length, []
+    s, touches = 0.7 * model.rod.length, []
     for force in safe_force(model.rod) * np.linspace(0.5, 1.0, WARM_UP_TOUCHES):
         touch = solve_frictionless(model.rod, model.gravity_base, s, 0.5, float(force))
         if touch.result == "ok":
             eq = touch.equilibrium
             _ = eq.R_at(s)  # a simulated source uses this kernel
-            found.append((eq.wrench_base, pose(np.eye(3), -eq.p_contact_base)))
-    return found
+            touches.append((eq.wrench_base, pose(np.eye(3), -eq.p_contact_base)))
+    return touches
 
 
 def _warm_up_fusion(estimator: Estimator, touches: list[tuple[Array, Array]]) -> None:
@@ -282,9 +282,17 @@ def estimate_recording(
     ]
     gaps, lost = gaps_in(time)
     gap = (f"{lost} samples are missing in {gaps} gaps",) if gaps else ()
-    notes = (*dict.fromkeys((*recording.notes, *missing, *gap, *lines)), *_notes(len(time), samples, tare))
+    notes = [*dict.fromkeys((*recording.notes, *missing, *gap, *lines))]
+    if samples > 1:
+        unused = len(time) % samples
+        end = f"; {unused} readings at the end are not used" if unused else ""
+        notes.append(f"each estimate uses the mean of {samples} readings{end}")
+    if tare is not None:
+        notes.append(describe_tare(tare))
     gravities = [reading.gravity_base for reading in readings]
-    return RecordingEstimates(estimator, recording, len(time), lost, samples, tare, rows, gravities, notes, method)
+    return RecordingEstimates(
+        estimator, recording, len(time), lost, samples, tare, rows, gravities, tuple(notes), method
+    )
 
 
 def chain_updates(chain: Chain, blocks: Iterable[Block]) -> Iterator[EstimateUpdate]:
@@ -292,13 +300,3 @@ def chain_updates(chain: Chain, blocks: Iterable[Block]) -> Iterator[EstimateUpd
     for block in blocks:
         yield from chain.process(block)
     yield from chain.finish()
-
-
-def _notes(readings: int, samples: int, tare: Tare | None) -> tuple[str, ...]:
-    notes = []
-    if samples > 1:
-        left = f"; {readings % samples} readings at the end are not used" if readings % samples else ""
-        notes.append(f"each estimate uses the mean of {samples} readings{left}")
-    if tare is not None:
-        notes.append(describe_tare(tare))
-    return tuple(notes)

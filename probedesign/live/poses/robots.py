@@ -28,8 +28,6 @@ class RobotPoses:
     """Polls a controller in a thread and connects again when the connection is lost; see `PoseStream`.
 
     Attributes:
-        title: one line that describes the poses.
-        notes: notes for the user.
         counts: number of poses taken, invalid ones, and connections lost.
     """
 

@@ -30,7 +30,6 @@ from probedesign.live.sources.netft.configuration import parse_xml
 from probedesign.live.sources.source import STALE_TIME, DropoutMonitor, SourceParameter, parse_parameters, range_note
 
 if TYPE_CHECKING:
-    from nidaqmx.errors import DaqError
     from nidaqmx.task import Task
 
 
@@ -77,26 +76,26 @@ def read_calibration(path: Path) -> GaugeCalibration:
         why = getattr(error, "strerror", None) or str(error)
         raise InputError(f"{path}: cannot be read as a calibration: {why}") from None
     root = parse_xml(text, path)
-    found = root.find("Calibration")
-    if root.tag != "FTSensor" or found is None:
+    calibration = root.find("Calibration")
+    if root.tag != "FTSensor" or calibration is None:
         raise InputError(f"{path}: not an ATI calibration: FTSensor with a Calibration is missing")
     try:
-        force = unit_of("ForceUnits", found.get("ForceUnits", ""), FORCE_UNITS)
-        torque = unit_of("TorqueUnits", found.get("TorqueUnits", ""), TORQUE_UNITS)
-        user = found.findall("UserAxis")
-        rows = _by_name(user or found.findall("Axis"))
+        force = unit_of("ForceUnits", calibration.get("ForceUnits", ""), FORCE_UNITS)
+        torque = unit_of("TorqueUnits", calibration.get("TorqueUnits", ""), TORQUE_UNITS)
+        user = calibration.findall("UserAxis")
+        rows = _by_name(user or calibration.findall("Axis"))
         matrix = np.array([_numbers(row, "values", 6) for row in rows])
         ranges = np.array([_numbers(row, "max", 1)[0] for row in rows]) * np.repeat([force, torque], 3)
         if not user:
             matrix /= np.array([_numbers(row, "scale", 1) for row in rows])
         matrix *= np.repeat([force, torque], 3)[:, None]
         if not user:
-            _move_origin(matrix, found)
+            _move_origin(matrix, calibration)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     if not (ranges > 0.0).all() or not np.linalg.cond(matrix / ranges[:, None]) < MAX_CONDITION:
         raise InputError(f"{path}: its matrix is singular or its range not positive; is the file complete?")
-    return GaugeCalibration(str(root.get("Serial", "")), str(found.get("PartNumber", "")), matrix, ranges)
+    return GaugeCalibration(str(root.get("Serial", "")), str(calibration.get("PartNumber", "")), matrix, ranges)
 
 
 def _move_origin(matrix: Array, calibration: Element) -> None:
@@ -191,7 +190,8 @@ class DaqCard:
                     yield from self._from(task, interrupted)
             except DaqError as error:
                 if error.error_code not in OVERRUN_CODES or not self._n_read:
-                    raise self._driver_error(error) from None
+                    line = " ".join(str(error).split("\n\n")[0].split())
+                    raise InputError(f"{self.name}: NI's driver reports: {line} (error {error.error_code})") from None
                 interrupted = True
 
     def _from(self, task: "Task", interrupted: bool) -> Generator[GaugeSamples, None, None]:
@@ -232,10 +232,6 @@ class DaqCard:
             raise
         return task
 
-    def _driver_error(self, error: "DaqError") -> InputError:
-        line = " ".join(str(error).split("\n\n")[0].split())
-        return InputError(f"{self.name}: NI's driver reports: {line} (error {error.error_code})")
-
 
 def _device(channels: str) -> str:
     """Return the card whose six inputs these are."""
@@ -271,12 +267,7 @@ SAMPLES_LOST = "samples were lost because reading was too slow; the acquisition 
 
 
 class DaqSource:
-    """A sensor on a DAQ card.
-
-    Attributes:
-        title: one line that describes the source.
-        notes: notes for the user.
-    """
+    """A sensor on a DAQ card; see `Source`."""
 
     def __init__(self, model: ProbeModel, target: str, query: str, log: Log) -> None:
         """Read the calibration and find the card; nothing is acquired yet.
@@ -309,24 +300,24 @@ class DaqSource:
         dropout, stretch = DropoutMonitor(self._card.name, self._log, NO_SAMPLE), 0
         offset, last = 0.0, (0.0, -inf)  # time and arrival of the last sample
         with closing(self._card.acquired()) as stream:
-            for found in stream:
-                if not len(found.volts):
+            for samples in stream:
+                if not len(samples.volts):
                     dropout.on_silence(last[1], "still waiting")
                     if dropout.ongoing:
                         yield dropout_block(self._gravity, dropout.reason, stretch)
                     continue
-                ticks = np.arange(len(found.volts)) / found.rate
-                received = found.received - ticks[::-1]
+                ticks = np.arange(len(samples.volts)) / samples.rate
+                received = samples.received - ticks[::-1]
                 gap = float(received[0]) - last[1]
-                if isfinite(gap) and (found.interrupted or dropout.ongoing):
+                if isfinite(gap) and (samples.interrupted or dropout.ongoing):
                     stretch += 1
-                    if found.interrupted:  # the card's clock restarts at zero; the host's clock covers the gap
-                        offset = last[0] + max(gap, 1.0 / found.rate)
+                    if samples.interrupted:  # the card's clock restarts at zero; the host's clock covers the gap
+                        offset = last[0] + max(gap, 1.0 / samples.rate)
                         self._log(f"{self._card.name}: {SAMPLES_LOST}")
                     if dropout.ongoing:
                         dropout.on_resumed(gap)
-                time = offset + found.start + ticks
-                yield from self._blocks(found.volts, time, received, stretch)
+                time = offset + samples.start + ticks
+                yield from self._blocks(samples.volts, time, received, stretch)
                 last = float(time[-1]), float(received[-1])
 
     def _blocks(self, volts: Array, time: Array, received: Array, stretch: int) -> Generator[Block, None, None]:

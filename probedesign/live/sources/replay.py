@@ -269,18 +269,14 @@ def _finite_array(values: Any) -> Array:
 PARAMETERS = {"speed": SPEED, "other_probe": SourceParameter(0, 0, 1, integer=True)}
 #: Text parameters with their values; empty if any value is allowed.
 TEXT_PARAMETERS: dict[str, tuple[str, ...]] = {
-    "topic": (),
-    "frame": get_args(Frame),
-    "moment_unit": get_args(MomentUnit),
-}
+    "topic": (), "frame": get_args(Frame), "moment_unit": get_args(MomentUnit),
+}  # fmt: skip
 
 
 class ReplaySource:
-    """Plays a recording at its own speed or another.
+    """Plays a recording at its own speed or another; see `Source`.
 
     Attributes:
-        title: one line that describes the source.
-        notes: notes for the user about the file.
         recorded_from: source that was recorded, as stated in the recording; may be empty.
     """
 

@@ -29,10 +29,8 @@ BRIDGE = Path(__file__).with_name("ros2_bridge.py")
 SYSTEM_PYTHONS = ("/usr/bin/python3", "python3")
 PROBE_TIMEOUT = 20.0  #: Maximum time to import rclpy [s].
 TEXT_PARAMETERS: dict[str, tuple[str, ...]] = {
-    "frame": get_args(Frame),
-    "moment_unit": get_args(MomentUnit),
-    "python": (),
-}
+    "frame": get_args(Frame), "moment_unit": get_args(MomentUnit), "python": (),
+}  # fmt: skip
 
 
 def find_python(option: str, chosen: str = "") -> str:
@@ -44,12 +42,12 @@ def find_python(option: str, chosen: str = "") -> str:
     candidates = (chosen,) if chosen else (sys.executable, *SYSTEM_PYTHONS)
     for python in candidates:
         try:
-            found = subprocess.run(
+            finished = subprocess.run(
                 [python, "-c", "import rclpy"], capture_output=True, timeout=PROBE_TIMEOUT, stdin=subprocess.DEVNULL
             )
         except (OSError, ValueError, subprocess.SubprocessError):
             continue
-        if found.returncode == 0:
+        if finished.returncode == 0:
             return python
     raise InputError(
         f"{option}: {', '.join(candidates)} cannot import rclpy; source the set-up file of ROS 2, or name its "

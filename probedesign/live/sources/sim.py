@@ -40,13 +40,9 @@ def open_simulation(model: ProbeModel, target: str, query: str, log: Log) -> "Si
 
 
 class SimulatedSource:
-    """A contact that sweeps along the probe. Each iteration yields the same readings.
+    """A contact that sweeps along the probe; see `Source`. Each iteration yields the same readings."""
 
-    Attributes:
-        title: one line that describes the source.
-    """
-
-    notes: tuple[str, ...] = ()  #: empty.
+    notes: tuple[str, ...] = ()
 
     def __init__(self, model: ProbeModel, query: str = "") -> None:
         """Parse the parameters of `PARAMETERS`.

@@ -8,7 +8,7 @@ import difflib
 import math
 from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from pkgutil import resolve_name
 from time import monotonic
 from typing import Protocol, runtime_checkable
@@ -76,21 +76,15 @@ def open_source(spec: str, model: ProbeModel, log: Log = lambda line: None) -> S
         *examples, last = (*(example for example, _ in SOURCES.values()), *(f"{name}:" for name in sorted(added)))
         raise InputError(f"source {spec!r} is unknown; available are {', '.join(examples)} and {last}")
     target, _, query = rest.rpartition("?") if "?" in rest else (rest, "", "")
-    opened: Source = (
-        resolve_name(SOURCES[scheme][1])(model, target, query, log)
-        if scheme in SOURCES
-        else _open_added(added[scheme], model, target, query, log)
-    )
-    return opened
-
-
-def _open_added(entry: EntryPoint, model: ProbeModel, target: str, query: str, log: Log) -> Source:
-    """Open a source of another package, whose errors are reported in one line that names the package."""
+    if scheme in SOURCES:
+        opened: Source = resolve_name(SOURCES[scheme][1])(model, target, query, log)
+        return opened
+    entry = added[scheme]
     try:
-        opened: Source = entry.load()(model, target, query, log)
+        opened = entry.load()(model, target, query, log)
     except ProbeDesignError:
         raise
-    except Exception as error:
+    except Exception as error:  # reported in one line that names the package
         package = entry.dist.name if entry.dist is not None else entry.value
         why = f"{type(error).__name__}: {error}"
         raise InputError(f"source {entry.name}: of package {package} cannot be opened: {why}") from error

@@ -91,11 +91,9 @@ TEXT_PARAMETERS = {"frame": get_args(Frame)}
 
 
 class UdpSource:
-    """Wrenches that a listener receives.
+    """Wrenches that a listener receives; see `Source`.
 
     Attributes:
-        title: one line that describes the source.
-        notes: notes for the user.
         address: host and port that receive.
         counts: number of datagrams received, lost and malformed; interruptions.
     """

@@ -217,11 +217,9 @@ TEXT_PARAMETERS = {"sensor": tuple(STATUS_TABLES)}
 
 
 class NetFTSource:
-    """A box at an address.
+    """A box at an address; see `Source`.
 
     Attributes:
-        title: one line that describes the source.
-        notes: notes on the box's configuration.
         counts: number of records received, lost, late, doubled, malformed, with a fault, dropped by the queue;
             interruptions and restarts. Updated every second.
     """
