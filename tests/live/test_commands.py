@@ -274,14 +274,9 @@ def test_live_ends_quietly_with_its_reader(bundle):
 @pytest.mark.parametrize("arguments", [["estimate", "RECORDING"], ["live", "--source", SIM, "--count", "1"]])
 def test_nothing_of_the_design_side_is_imported(bundle, recording, arguments):
     heavy = (
-        "pydantic",
-        "cadquery",
-        "matplotlib",
-        "tomlkit",
-        "scipy.stats",
-        "probedesign.design.schema",
-        "probedesign.probe",
-    )
+        "pydantic", "cadquery", "matplotlib", "tomlkit", "scipy.stats",
+        "probedesign.design.schema", "probedesign.probe",
+    )  # fmt: skip
     name, *rest = [str(recording) if argument == "RECORDING" else argument for argument in arguments]
     code = (
         "import sys; from probedesign.cli.main import run;"

@@ -70,12 +70,12 @@ def select_channel(bag: Bag, types: Collection[str], topic: str = "") -> BagTopi
     Raises:
         InputError: there is no such channel, or there are several and no name is given.
     """
-    found = {channel.topic: channel for channel in bag.channels()}
-    fit = [name for name, channel in found.items() if channel.type in types and channel.encoding == "cdr"]
+    channels = {channel.topic: channel for channel in bag.channels()}
+    fit = [name for name, channel in channels.items() if channel.type in types and channel.encoding == "cdr"]
     wanted = " or ".join(sorted(name.rpartition("/")[2] for name in types))
     listed = ", ".join(map(quoted, fit[:10])) or "none"
-    if topic and topic in found and topic not in fit:
-        other = quoted(found[topic].type)
+    if topic and topic in channels and topic not in fit:
+        other = quoted(channels[topic].type)
         raise InputError(f"{bag.path}: topic {topic} has type {other}, not {wanted}; available are: {listed}")
     if topic and topic not in fit:
         near = difflib.get_close_matches(topic, fit, 1)
@@ -85,7 +85,7 @@ def select_channel(bag: Bag, types: Collection[str], topic: str = "") -> BagTopi
         raise InputError(f"{bag.path}: has no topic of {wanted}")
     if len(fit) > 1 and not topic:
         raise InputError(f"{bag.path}: has several topics of {wanted}: {listed}; select one with ?topic=")
-    return found[topic or fit[0]]
+    return channels[topic or fit[0]]
 
 
 class RosBag:
@@ -216,28 +216,28 @@ def read_bag_poses(path: Path, topic: str = "", world: str = "", base: str = "")
     if bool(world) != bool(base) or (world and topic):
         raise InputError(f"--pose {path}: use topic=/NAME, or world=FRAME&base=FRAME")
     bag = open_bag(path)
-    found = _poses_from_tf(bag, world, base) if world else _poses_from_topic(bag, topic)
+    poses = _poses_from_tf(bag, world, base) if world else _poses_from_topic(bag, topic)
     if bag.damage:
         raise InputError(f"{path}: is damaged: {bag.damage}; probedesign recover copies what is left")
-    return sorted(found, key=lambda pose: pose.time)
+    return sorted(poses, key=lambda pose: pose.time)
 
 
 def _poses_from_topic(bag: Bag, topic: str) -> list[TimedPose]:
     name = select_channel(bag, {POSE}, topic).topic
-    found, frames = [], set()
+    poses, frames = [], set()
     for message in bag.messages({name}):
         try:
             stamp, frame, numbers = read_stamped(message.data, 7)
-            found.append(_at(*divmod(stamp - bag.clock_offset, 1_000_000_000), numbers[:3], numbers[3:]))
+            poses.append(_at(*divmod(stamp - bag.clock_offset, 1_000_000_000), numbers[:3], numbers[3:]))
         except (InputError, ValueError) as error:
             raise InputError(f"{bag.path}: a pose on {name}: {error}") from None
         frames.add(frame)
-    if not found:
+    if not poses:
         raise InputError(f"{bag.path}: topic {name} has no poses" + (bag.damage and f"; {bag.damage}"))
     if len(frames) > 1:
         text = ", ".join(sorted(frames))[:80]
         raise InputError(f"{bag.path}: topic {name} has poses in several frames, {text}; one frame is required")
-    return found
+    return poses
 
 
 def _poses_from_tf(bag: Bag, world: str, base: str) -> list[TimedPose]:
