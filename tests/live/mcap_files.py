@@ -12,8 +12,8 @@ GRAVITY = np.array([9.81, 0.0, 0.0])
 
 
 def block(start: int, count: int, *, rate: float = 7000.0, fault: str = "", stretch: int = 0) -> Block:
-    """Readings of pure noise, the same for the same arguments; their times are no whole nanoseconds."""
-    time = np.arange(start, start + count) / rate
+    """Readings of pure noise, the same for the same arguments, at whole nanoseconds, which a recording keeps."""
+    time = np.rint(1e9 * np.arange(start, start + count) / rate) / 1e9
     wrench = np.random.default_rng(start).normal(0.0, 1e-3, (count, 6))
     return Block(time, wrench, GRAVITY, np.full(count, np.nan), fault, stretch)
 

@@ -125,7 +125,7 @@ class MessageEncoder(Sink, ABC):
             self.add(schemas.RAW, stamps, stamped("sensor", stamps, block.wrench_sensor), self._first)
         content = {
             "first": self._first,
-            "time_s": block.time.tolist(),
+            "readings": len(block),
             "gravity_base_m_s2": block.gravity_base.tolist(),
             "stretch": block.stretch,
             "fault": block.fault,

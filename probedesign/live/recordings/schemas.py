@@ -355,10 +355,10 @@ BLOCK = Topic(
     TEXT,
     _object(
         "A block of readings: the raw wrenches since the last block, and what their headers do not contain",
-        ["first", "time_s", "gravity_base_m_s2", "stretch", "fault"],
+        ["first", "readings", "gravity_base_m_s2", "stretch", "fault"],
         {
             "first": {"type": "integer", "description": "number of readings before it, including dropped ones"},
-            "time_s": {**NUMBERS, "description": "time of each reading, by the source's clock, exact"},
+            "readings": {"type": "integer", "description": "number of its readings, the last ones on the topic"},
             "gravity_base_m_s2": {**NUMBERS, "minItems": 3, "maxItems": 3},
             "stretch": {"type": "integer", "description": "number of the uninterrupted stretch of readings"},
             "fault": {**TEXT_VALUE, "description": "fault of all readings; empty if none"},

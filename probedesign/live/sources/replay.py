@@ -1,6 +1,6 @@
 """Recordings of any kind as blocks of readings, and the source `replay:FILE` that plays them.
 
-Our own MCAP recordings reproduce the blocks of the original source exactly. Other ROS 2 bags and CSV are read too.
+Our own MCAP recordings reproduce the readings of the original source, their times to the nanosecond. Other ROS 2 bags and CSV are read too.
 """
 
 import json
@@ -22,7 +22,7 @@ from probedesign.frozen_probe import freeze
 from probedesign.live import Log
 from probedesign.live.blocks import Block, WrenchReading
 from probedesign.live.recordings.csv import Recording, check_wrenches, read_recording
-from probedesign.live.recordings.schemas import BLOCK, METADATA_NAME, RAW, read_text, read_wrenches
+from probedesign.live.recordings.schemas import BLOCK, METADATA_NAME, RAW, Message, read_text, read_wrenches
 from probedesign.live.sources import rosbag
 from probedesign.live.sources.netft.demo_recording import is_ati_demo, read_ati_demo
 from probedesign.live.sources.rosbag import BLOCK_SIZE, Bag, RosWrenchTopic
@@ -205,7 +205,7 @@ MAX_BLOCK = 1_000_000  #: Maximum number of readings in a block: 2 minutes of th
 
 
 class NativeRecording:
-    """The blocks of our own recording, exactly as the source delivered them.
+    """The blocks of our own recording, their times to the nanosecond.
 
     Attributes:
         n_dropped: number of readings that the recorder dropped, as far as it was read.
@@ -222,17 +222,17 @@ class NativeRecording:
         Raises:
             InputError: the file is not a valid recording of ours.
         """
-        raw: list[bytes | memoryview] = []
+        raw: list[Message] = []
         self.n_dropped = 0
         n_read, n_gaps = 0, 0
         for message in self._bag.messages({RAW.name, BLOCK.name}):
             if message.topic == RAW.name:
-                raw.append(message.data)
+                raw.append(message)
                 if len(raw) > MAX_BLOCK:
                     raise InputError(f"{self._bag.path}: {len(raw)} readings without a {BLOCK.name}")
                 continue
             try:
-                first, block = _native_block(raw, read_text(message.data))
+                first, block = _native_block(raw, self._bag.clock_offset, read_text(message.data))
             except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
                 if self._bag.damage:  # the rest of this block lies in the damaged part
                     raw = []
@@ -245,17 +245,17 @@ class NativeRecording:
             yield replace(block, stretch=block.stretch + (n_gaps << 32)) if n_gaps else block
 
 
-def _native_block(raw: list[bytes | memoryview], text: str) -> tuple[int, Block]:
-    """Return the number of readings before the block, and the block."""
+def _native_block(raw: list[Message], clock_offset: int, text: str) -> tuple[int, Block]:
+    """Return the number of readings before the block, and the block, whose times are those of its messages."""
     content = json.loads(text)
-    time = _finite_array(content["time_s"])
     gravity = _finite_array(content["gravity_base_m_s2"])
     first, stretch, fault = content["first"], content["stretch"], content["fault"]
     if type(first) is not int or type(stretch) is not int or type(fault) is not str or gravity.shape != (3,):
         raise ValueError("it does not match its schema")
-    if len(time) != len(raw):
-        raise ValueError(f"it describes {len(time)} readings, but {len(raw)} wrenches precede it")
-    wrench = read_wrenches(raw)
+    if content["readings"] != len(raw):
+        raise ValueError(f"it describes {content['readings']!r:.20} readings, but {len(raw)} wrenches precede it")
+    time = np.array([(message.logged - clock_offset) / 1e9 for message in raw])
+    wrench = read_wrenches([message.data for message in raw]).copy()
     return first, Block(time, wrench, gravity, np.full(len(time), np.nan), one_line(fault, 200), stretch)
 
 
