@@ -1,6 +1,7 @@
 """Recordings of any kind as blocks of readings, and the source `replay:FILE` that plays them.
 
-Our own MCAP recordings reproduce the readings of the original source, their times to the nanosecond. Other ROS 2 bags and CSV are read too.
+Our own MCAP recordings reproduce the readings of the original source, their times to the nanosecond.
+Other ROS 2 bags and CSV are read too.
 """
 
 import json
