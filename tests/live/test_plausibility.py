@@ -135,7 +135,10 @@ def test_frozen_values_and_a_leap_of_the_counter_at_the_wire(estimator, tmp_path
         update.reading.time: update.reading.fault
         for update in estimate_stream(estimator, source, options, lambda line: None)
     }
-    assert {time: replayed[time] for time in by_time} == by_time
+    times = np.array(list(replayed))
+    for time, fault in by_time.items():  # a recording keeps times to the nanosecond
+        nearest = times[np.argmin(np.abs(times - time))]
+        assert nearest == pytest.approx(time, rel=0.0, abs=1.1e-9) and replayed[nearest] == fault
     # the live run may have skipped all of these as too late
     assert sum("leapt" in fault for fault in replayed.values()) > 0.5 * CLOCK_HOLD * 7000.0 / SAMPLES
 
