@@ -2,7 +2,6 @@
 
 import json
 import tomllib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +47,13 @@ def design_changes(found: Identification, design: Design, day: str) -> tuple[Cha
             spread = one.relative_std if one.name in MATERIAL else one.std
             note = f"identified {day}, all errors of the bench included" if one.identified else one.why
             changes.append(Change("tolerances", PARAMETERS[one.name].attribute, f"{spread:.2g}", note))
-    identified = [_split_key(one.name)[1] for one in numbers if one.name in MATERIAL and one.identified]
-    changes += _served(found, design, identified, day)
+    keys = [_split_key(one.name)[1] for one in numbers if one.name in MATERIAL and one.identified]
+    if found.served and keys:
+        sources = design.material.provenance.model_dump()
+        stay = any(sources[key] == "identified" for key in sources if key not in keys)
+        served = dict.fromkeys((*(design.material.identified_tests if stay else ()), *found.served))
+        note = f"identified {day}: fingerprints of the tests that served; validate leaves them out"
+        changes.append(Change("material", "identified_tests", json.dumps(list(served)), note))
     E = found.of("E")
     if E is None:
         return tuple(changes)
@@ -59,17 +63,6 @@ def design_changes(found: Identification, design: Design, day: str) -> tuple[Cha
         changes.append(Change("tolerances", "youngs_modulus_by_diameter", f"{E.by_diameter:.2f}",
                               f"identified {day}: E·d⁴ was measured, so E goes with the diameters"))  # fmt: skip
     return tuple(changes)
-
-
-def _served(found: Identification, design: Design, keys: Sequence[str], day: str) -> list[Change]:
-    """Return the change of the list of tests that served; those of values which stay identified are kept."""
-    if not found.served or not keys:
-        return []
-    provenance = design.material.provenance.model_dump()
-    stay = any(provenance[key] == "identified" for key in provenance if key not in keys)
-    served = dict.fromkeys((*(design.material.identified_tests if stay else ()), *found.served))
-    note = f"identified {day}: fingerprints of the tests that served; validate leaves them out"
-    return [Change("material", "identified_tests", json.dumps(list(served)), note)]
 
 
 def _split_key(name: str) -> tuple[str, str]:
@@ -120,9 +113,14 @@ def check_overwritable(design: Design, text: str, changes: tuple[Change, ...], w
     A material's value that is not identified yet is what an identification is for, and its uncertainty goes with it.
     """
     document = tomllib.loads(text)
-    present = [f"{one.table}.{one.key}" for one in changes
-               if not _replaceable(one, design)
-               and _value_in(document, one) not in (None, tomllib.loads(f"v = {one.text}")["v"])]  # fmt: skip
+    present = []
+    for change in changes:
+        value: Any = document
+        for part in (*change.table.split("."), change.key):
+            value = value.get(part) if isinstance(value, dict) else None
+        same = value is None or value == tomllib.loads(f"v = {change.text}")["v"]
+        if not same and not _replaceable(change, design):
+            present.append(f"{change.table}.{change.key}")
     if present and not force:
         raise InputError(f"{where}: set or identified already: {', '.join(present)}; --force replaces these values "
                          "and keeps them as comments, or write another file with --out")  # fmt: skip
@@ -150,14 +148,6 @@ def _replaceable(change: Change, design: Design) -> bool:
     return False
 
 
-def _value_in(document: dict[str, Any], change: Change) -> object:
-    """Return the value in a design file; None if there is none."""
-    value: Any = document
-    for part in (*change.table.split("."), change.key):
-        value = value.get(part) if isinstance(value, dict) else None
-    return value
-
-
 def design_diff(design: Design, fingerprint: str, file: Path) -> str:
     """Return which numbers of an earlier identification, in `file`, a design of this geometry lacks; empty if none."""
     try:
@@ -169,11 +159,9 @@ def design_diff(design: Design, fingerprint: str, file: Path) -> str:
             if one["result"] == "identified" and one["name"] in MATERIAL:
                 quantity = getattr(design, MATERIAL[one["name"]].attribute)
                 unit = MPA if one["unit"] == "MPa" else 1.0
-                # a design gets four digits
-                identified, present = f"{one['value']:.4g}", f"{quantity.value / unit:.4g}"
+                identified, present = f"{one['value']:.4g}", f"{quantity.value / unit:.4g}"  # as in a design file
                 if identified != present:
-                    text = f"{one['name']} {identified} {one['unit']}, where the design has {present}"
-                    differences.append(text)
+                    differences.append(f"{one['name']} {identified} {one['unit']}, where the design has {present}")
         return f"by {data['tests']} tests of {data['data']}, {', '.join(differences)}" if differences else ""
     except (OSError, ValueError, KeyError, TypeError):  # no identification was made, or another program's file
         return ""

@@ -12,6 +12,7 @@ standard deviations and V = I - J C Jᵀ the share of their unit variance that t
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -197,7 +198,9 @@ def inconsistency(
             return (f"{LABELS[one.kind]}: {share:.0%} of their RMS scatter is not explained by the probe as designed; "
                     f"check {CHECKS[one.kind]}")  # fmt: skip
         if one.kind == "markers" and one.scale > MAX_NOISE_SCALE:
-            correlation = _neighbour_correlation(blocks)
+            markers = [block for block in blocks if block.kind == "markers"]
+            products = sum(float(a.r @ b.r) for a, b in pairwise(markers) if a.test == b.test)
+            correlation = products / sum(block.squared_distance for block in markers)
             if correlation > MAX_NEIGHBOUR_CORRELATION:
                 return (f"markers scatter {one.scale:.2g} times as much as stated, and neighbours alike (correlation "
                         f"{correlation:.2f}), so the probe as designed does not explain them; check "
@@ -242,16 +245,13 @@ def _unexplained(blocks: Sequence[ResidualBlock], tests: Sequence[MeasuredTest],
         if block.kind == kind and value is not None:
             for i in range(0, len(value), 3):  # forces and moments apart
                 groups.setdefault((i, block.item), []).append((value[i : i + 3], block.residual[i : i + 3]))
-    ratios: dict[int, tuple[float, float]] = {}
+    squares: dict[int, Array] = {}  # of the scatter and of the residuals
     for (i, _), pairs in groups.items():
         if len(pairs) >= 3:
             values, residuals = (np.array(part) for part in zip(*pairs, strict=True))
-            scatter, off = ratios.get(i, (0.0, 0.0))
-            ratios[i] = (
-                scatter + float(np.sum((values - values.mean(axis=0)) ** 2)),
-                off + float(np.sum(residuals**2)),
-            )
-    return max((float(np.sqrt(off / scatter)) for scatter, off in ratios.values() if scatter > 0.0), default=0.0)
+            sums = np.sum((values - values.mean(axis=0)) ** 2), np.sum(residuals**2)
+            squares[i] = squares.get(i, np.zeros(2)) + sums
+    return max((float(np.sqrt(off / scatter)) for scatter, off in squares.values() if scatter > 0.0), default=0.0)
 
 
 def _value(test: MeasuredTest | None, block: ResidualBlock) -> Array | None:
@@ -261,18 +261,6 @@ def _value(test: MeasuredTest | None, block: ResidualBlock) -> Array | None:
     if block.kind == "markers":
         return np.asarray(test.p_markers_world[test.marker_numbers.index(block.item)])
     return {"wrenches": test.wrench_base, "touches": test.p_touch_world}.get(block.kind)
-
-
-def _neighbour_correlation(blocks: Sequence[ResidualBlock]) -> float:
-    """Return the correlation of the residuals of neighbouring markers."""
-    last, products, squares = None, 0.0, 0.0
-    for block in blocks:
-        if block.kind == "markers":
-            squares += block.squared_distance
-            if last is not None and last.test == block.test:
-                products += float(last.r @ block.r)
-            last = block
-    return products / squares if squares > 0.0 else 0.0
 
 
 def outlier_notes(blocks: Sequence[ResidualBlock], outliers: Sequence[tuple[ResidualBlock, float]]) -> list[str]:
@@ -322,11 +310,19 @@ class PriorTest:
 
 def check_priors(fit: Fit) -> list[PriorTest]:
     """Return the priors and single readings that the rest of the data reject, the least probable first."""
-    tests = sorted([*_test_priors(fit), *_test_single_readings(fit)], key=lambda test: test.chance)
-    return [test for test in tests if test.chance < REJECTION_CHANCE / len(tests)]
+    tests = []
+    for label, source, r, variance in _full_weight_residuals(fit):
+        sizes, directions = np.linalg.eigh(0.5 * (variance + variance.T))
+        checked = sizes > MIN_REDUNDANCY  # directions that the rest of the data check
+        if checked.any():
+            d2 = float(np.sum((directions.T @ r)[checked] ** 2 / sizes[checked]))
+            tests.append(PriorTest(label, source, float(chi2.sf(d2, int(checked.sum()))), d2**0.5))
+    rejected = [test for test in tests if test.chance < REJECTION_CHANCE / len(tests)]
+    return sorted(rejected, key=lambda test: test.chance)
 
 
-def _test_priors(fit: Fit) -> Iterator[PriorTest]:
+def _full_weight_residuals(fit: Fit) -> Iterator[tuple[str, str, Array, Array]]:
+    """Yield label, source, residuals and their remaining variance of each prior and of each single reading."""
     problem = fit.point.problem
     active = np.flatnonzero(problem.active)
     std = problem.prior[active]
@@ -344,23 +340,11 @@ def _test_priors(fit: Fit) -> Iterator[PriorTest]:
         at = np.flatnonzero(np.isin(active, columns) & np.isfinite(std))
         if len(at):
             variance = np.eye(len(at)) - fit.cov[np.ix_(at, at)] / np.outer(std[at], std[at])
-            yield from _tested(label, source, fit.point.prior_residual[at], variance)
-
-
-def _test_single_readings(fit: Fit) -> Iterator[PriorTest]:
+            yield label, source, fit.point.prior_residual[at], variance
     for i, block in enumerate(fit.point.blocks):
         if block.kind in SINGLE_READINGS:
             label, source = SINGLE_READINGS[block.kind]
-            yield from _tested(label.format(block.test), source, block.r, np.eye(len(block.r)) - fit.absorbed(i))
-
-
-def _tested(label: str, source: str, r: Array, variance: Array) -> Iterator[PriorTest]:
-    """Yield the χ² test along those directions that the rest of the data check, if there are any."""
-    sizes, directions = np.linalg.eigh(0.5 * (variance + variance.T))
-    checked = sizes > MIN_REDUNDANCY
-    if checked.any():
-        d2 = float(np.sum((directions.T @ r)[checked] ** 2 / sizes[checked]))
-        yield PriorTest(label, source, float(chi2.sf(d2, int(checked.sum()))), d2**0.5)
+            yield label.format(block.test), source, block.r, np.eye(len(block.r)) - fit.absorbed(i)
 
 
 def widened(fit: Fit, moves: Mapping[str, float]) -> Fit:
@@ -374,21 +358,16 @@ def widened(fit: Fit, moves: Mapping[str, float]) -> Fit:
         fit: of the tests.
         moves: what the likely cause changes of the components of the parameter vector.
     """
-    problem = fit.point.problem
+    point, problem = fit.point, fit.point.problem
     active = np.flatnonzero(problem.active)
-    move = np.array([moves.get(COMPONENTS[c], 0.0) if c < PRINT else 0.0 for c in active])
-    cov = max(_birge_ratio(fit), 1.0) ** 2 * fit.stated_cov + np.outer(move, move)
-    size = np.maximum(np.sqrt(np.diag(cov)) / problem.prior[active], 1.0)
-    return replace(fit, added_cov=cov / np.outer(size, size) - fit.stated_cov)
-
-
-def _birge_ratio(fit: Fit) -> float:
-    """Return the RMS of all residuals and priors with their robust weights and noise scales; 1 for those as stated."""
-    point = fit.point
     squares = float(point.prior_residual @ point.prior_residual)
-    freedom = float(np.isfinite(point.problem.prior[point.problem.active]).sum()) - point.problem.size
+    freedom = float(np.isfinite(problem.prior[active]).sum()) - problem.size
     for block, weight in zip(point.blocks, fit.weight, strict=True):
         scale = fit.scales.get(block.kind, 1.0) if block.kind in ROBUST_KINDS else 1.0
         squares += weight * block.squared_distance
         freedom += weight * scale**2 * len(block.r)
-    return float(np.sqrt(squares / max(freedom, 1.0)))
+    birge_ratio = float(np.sqrt(squares / max(freedom, 1.0)))
+    move = np.array([moves.get(COMPONENTS[c], 0.0) if c < PRINT else 0.0 for c in active])
+    cov = max(birge_ratio, 1.0) ** 2 * fit.stated_cov + np.outer(move, move)
+    size = np.maximum(np.sqrt(np.diag(cov)) / problem.prior[active], 1.0)
+    return replace(fit, added_cov=cov / np.outer(size, size) - fit.stated_cov)

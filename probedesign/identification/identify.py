@@ -140,11 +140,21 @@ def _measured(test: Test, campaign: Campaign, common: CommonParameters) -> Measu
         sag=test.tip_sag, std_sag=test.std_sag, std_place=common.tolerances.robot_mm * MM,
         std_turn=common.tolerances.robot_mm * MM / WRIST,
     )  # fmt: skip
+    model, n = common.model, len(test.wrenches)
     if measured.touched and np.isfinite(test.s_contact):
-        measured = _at_touched_section(measured, common.model)
-    if len(test.wrenches):
-        wrench, cov = _mean_reading(test, common)
-        measured = replace(measured, wrench_base=wrench, cov_wrench=cov)
+        # The touched section, without friction r tan α nearer to the tip than where the force's line meets the axis.
+        # Friction, whose direction is not known beforehand, moves the line by up to μ r.
+        s = min(test.s_contact, model.rod.length)
+        radius, friction = float(model.rod.radius_at(s)), min(model.friction, 1.0)
+        section = min(s + radius * float(model.rod.taper_at(s)), model.rod.flank_end)
+        measured = replace(measured, s_contact=section, std_s=math.hypot(measured.std_s, friction * radius))
+    if n:
+        noise = model.noise_base()
+        if n >= MIN_READINGS:
+            scatter = np.var(test.wrenches_base(model), axis=0, ddof=1)
+            ratio = np.sqrt(np.maximum(scatter / np.diag(noise), 1.0))
+            noise = noise * np.outer(ratio, ratio)
+        measured = replace(measured, wrench_base=test.mean_wrench_base(model), cov_wrench=noise / n)
     if test.markers is None or not len(test.markers):
         return measured
     markers = test.markers
@@ -153,29 +163,6 @@ def _measured(test: Test, campaign: Campaign, common: CommonParameters) -> Measu
         cov_markers=markers.cov_world, marker_numbers=tuple(int(i) + 1 for i in markers.numbers),
         marker_side=campaign.marker_side,
     )  # fmt: skip
-
-
-def _at_touched_section(measured: MeasuredTest, model: ProbeModel) -> MeasuredTest:
-    """Return a touch with the arclength of the touched section instead of where the force's line meets the axis.
-
-    Without friction the section lies r tan α nearer to the tip. Friction, whose direction is not known beforehand,
-    moves the line by up to μ r.
-    """
-    s = min(measured.s_contact, model.rod.length)
-    radius, friction = float(model.rod.radius_at(s)), min(model.friction, 1.0)
-    section = min(s + radius * float(model.rod.taper_at(s)), model.rod.flank_end)
-    return replace(measured, s_contact=section, std_s=math.hypot(measured.std_s, friction * radius))
-
-
-def _mean_reading(test: Test, common: CommonParameters) -> tuple[Array, Array]:
-    """Return the mean of a test's readings at the base, and its covariance."""
-    model, n = common.model, len(test.wrenches)
-    noise = model.noise_base()
-    if n >= MIN_READINGS:
-        scatter = np.var(test.wrenches_base(model), axis=0, ddof=1)
-        ratio = np.sqrt(np.maximum(scatter / np.diag(noise), 1.0))
-        noise = noise * np.outer(ratio, ratio)
-    return test.mean_wrench_base(model), noise / n
 
 
 def _unusable(test: MeasuredTest) -> str:
@@ -282,20 +269,15 @@ def _search(
         if lost is None:
             found = fit(replace(start, problem=problem))
             lost = unobservable_direction(found.point, found.weight, requested)
-            if lost is None or _contradicts(found):
+            # Contradictory tests have little weight left; at the start, with full weight, they determined everything.
+            off = outliers(found.point.blocks, found.scales)
+            if lost is None or inconsistency(found.point.blocks, off, found.noise, data.tests):
                 return found, requested, unobservable
         unobservable.append(lost)
         requested = tuple(name for name in requested if name != lost.name)
     raise InputError(
         f"{data.where}: too few tests, or too weak ones: {'; '.join(one.description for one in unobservable)}"
     )
-
-
-def _contradicts(found: Fit) -> bool:
-    """Return whether the tests contradict each other, so that little weight is left. At the start, with full weight,
-    they would have determined all parameters."""
-    off = outliers(found.point.blocks, found.scales)
-    return bool(inconsistency(found.point.blocks, off, found.noise, found.point.problem.tests))
 
 
 def _solvable(data: IdentificationData, names: Sequence[str]) -> tuple[IdentificationData, Linearization]:

@@ -13,6 +13,7 @@ these are greater than stated (R. T. Birge, Physical Review 40 (1932) 207).
 """
 
 import json
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -175,18 +176,20 @@ def fit_diameters(
     x, c = (drawn[:1], common[:1]) if is_cylinder else (drawn, common)
     prior = np.outer(c, c) + PRINT_SCALE_STD**2 * np.outer(x, x) + (0.0 if is_cylinder else scatter**2) * np.eye(len(x))
     own = calipers.std**2 + (scatter**2 if is_cylinder else 0.0)
-    scale = _scatter_of(A, calipers.diameter, np.sqrt(own))
+    W, y = A / np.sqrt(own)[:, None], calipers.diameter / np.sqrt(own)
+    knots, _, rank, _ = np.linalg.lstsq(W, y, rcond=None)
+    scale = max(1.0, float(np.linalg.norm(W @ knots - y)) / math.sqrt(max(len(y) - int(rank), 1)))
     noise = np.diag(scale**2 * own) + calipers_std_mm**2
     deviation = calipers.diameter - A @ x
     stated = A @ prior @ A.T + np.diag(own) + calipers_std_mm**2  # not widened: another probe scatters, too
     allowed = MAX_DEVIATIONS * np.sqrt(np.diag(stated))
     worst = int(np.argmax(np.abs(deviation) / allowed))
     if abs(deviation[worst]) > allowed[worst]:
-        y = calipers.diameter[worst]
+        read = calipers.diameter[worst]
         raise InputError(
-            f"{calipers.places[worst]}: diameter = {y:g} mm where the design has {y - deviation[worst]:.3f} mm at "
-            f"s = {calipers.s[worst]:g} mm; the tolerance of the print allows ±{allowed[worst]:.2f} mm: "
-            "check probe, unit and place, or widen diameter_mm in [tolerances]"
+            f"{calipers.places[worst]}: diameter = {read:g} mm where the design has "
+            f"{read - deviation[worst]:.3f} mm at s = {calipers.s[worst]:g} mm; the tolerance of the print "
+            f"allows ±{allowed[worst]:.2f} mm: check probe, unit and place, or widen diameter_mm in [tolerances]"
         )
     prior_scale = _contradiction(A, prior, noise, deviation)
     prior = prior_scale**2 * prior
@@ -198,13 +201,6 @@ def fit_diameters(
     return MeasuredDiameters(
         s, drawn, measured, cov, len(calipers.s), scale, prior_scale, (float(common.max()), scatter), (together, each)
     )
-
-
-def _scatter_of(A: Array, y: Array, std: Array) -> float:
-    W = A / std[:, None]
-    x, _, rank, _ = np.linalg.lstsq(W, y / std, rcond=None)
-    free = len(y) - int(rank)
-    return 1.0 if free < 1 else max(1.0, float(np.linalg.norm(W @ x - y / std)) / float(np.sqrt(free)))
 
 
 def _contradiction(A: Array, prior: Array, noise: Array, deviation: Array) -> float:

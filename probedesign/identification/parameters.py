@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from probedesign.campaigns.manifest import LENGTH_SCALE
 from probedesign.core.csv_tables import Frame
 from probedesign.core.errors import InputError, unknown_name
-from probedesign.core.frames import Array, pose, wrench_map
+from probedesign.core.frames import Array, pose
 from probedesign.core.units import MM, MPA
 from probedesign.estimation.error_sources import parameters_of
 from probedesign.estimation.model import ProbeModel
@@ -125,10 +125,6 @@ def _material(
     )  # fmt: skip
 
 
-def _with_root(rod: Rod, x: float) -> Rod:
-    return replace(rod, rigid_length=rod.rigid_length + x * float(rod.radius[0]))
-
-
 def scaled_diameters(rod: Rod, factor: float | Array) -> Rod:
     """Return the rod with its diameters times a factor, one for all or one per knot; the root scales with the base."""
     radius = rod.radius * factor
@@ -163,7 +159,9 @@ PARAMETERS: dict[str, Parameter] = {
                   prior_name="design shear modulus",
                   prior_source="shear_modulus_mpa in the design, and its tolerance"),
         Parameter("root", {"root": "compliance that the base lacks, in base radii"},
-                  lambda common: common.root_std, _with_root, bounds=ROOT_RANGE, max_std=0.3,
+                  lambda common: common.root_std,
+                  lambda rod, x: replace(rod, rigid_length=rod.rigid_length + x * float(rod.radius[0])),
+                  bounds=ROOT_RANGE, max_std=0.3,
                   design_value=lambda rod: float(rod.rigid_length / rod.radius[0]), attribute="root_radii",
                   design_key="mount.root_rigid_radii", prior_name="root of the probe",
                   prior_source="root_rigid_radii in the design (-0.18 is computed for the exported flange), and the "
@@ -186,7 +184,8 @@ PARAMETERS: dict[str, Parameter] = {
                   lambda rod, x: scaled_diameters(rod, math.exp(x)), logarithm=True,
                   max_std=0.1, design_value=lambda rod: 1.0),
         Parameter("mount_rotation", _xyz("mount_rotation", "rotation of the probe on the sensor about {}"),
-                  lambda common: common.mount_rotation_std, prior_name=_MOUNTING[0], prior_source=_MOUNTING[1]),
+                  lambda common: [common.tolerances.tilt_deg * DEGREE] * 2 + [common.tolerances.clocking_deg * DEGREE],
+                  prior_name=_MOUNTING[0], prior_source=_MOUNTING[1]),
         Parameter("mount_offset", _xyz("mount_offset", "position of the probe on the sensor along {}"),
                   lambda common: common.tolerances.base_mm * MM,
                   prior_name=_MOUNTING[0], prior_source=_MOUNTING[1]),
@@ -306,34 +305,21 @@ class CommonParameters:
         return max(stated if stated != Tolerances.stiffness_scatter else ORDINARY_SCATTER, MIN_SCATTER)
 
     @property
-    def mount_rotation_std(self) -> Array:
-        """Standard deviations of the probe's rotation on the sensor [rad], (3,)."""
-        t = self.tolerances
-        return np.array([t.tilt_deg, t.tilt_deg, t.clocking_deg]) * DEGREE
-
-    @cached_property
-    def drift_cov(self) -> Array:
-        """Covariance of the bias drift from the tare to the first test, at the base [N², N·m²], (6, 6)."""
-        steps = self.tolerances.drift_steps**2 * self.model.averaging_samples
-        return np.asarray(steps * self.model.noise_base())
-
-    @cached_property
     def bias_std(self) -> Array:
         """Standard deviations of the first test's bias [N, N·m], (6,): drift, and what a tare absorbed.
 
         A tare absorbs the errors of the free probe's wrench, and those of the weight between base and sensor, which
         the sensor's gain and the tilt of the base change.
         """
-        absorbed = np.zeros(6)
+        variance = self.tolerances.drift_steps**2 * self.model.averaging_samples * np.diag(self.model.noise_base())
         free = self.model.rod.solve(self.model.gravity_base)
         if self.tolerances.tared and free.ok:
             force, moment = np.linalg.norm(free.wrench_base.reshape(2, 3), axis=1)
             payload = np.linalg.norm((self.model.payload_by_gravity @ self.model.gravity_base).reshape(2, 3), axis=1)
             error = math.hypot(self.tolerances.gain, self.std_tilt)
-            absorbed[:] = np.repeat(
-                [TARE_FRACTION * force + error * payload[0], TARE_FRACTION * moment + error * payload[1]], 3
-            )
-        return np.asarray(np.sqrt(np.diag(self.drift_cov) + absorbed**2))
+            absorbed = [TARE_FRACTION * force + error * payload[0], TARE_FRACTION * moment + error * payload[1]]
+            variance = variance + np.repeat(np.square(absorbed), 3)
+        return np.asarray(np.sqrt(variance))
 
     @cached_property
     def prior(self) -> Array:
@@ -389,14 +375,6 @@ class ParameterValues:
         moved.__dict__["rod"] = self.rod  # poses do not change it
         return moved
 
-    def rod_at(self, log_stiffness: float) -> Rod:
-        """Return the rod with E and G changed by the logarithm of a factor."""
-        if log_stiffness == 0.0:
-            return self.rod
-        factor = math.exp(log_stiffness)
-        return replace(self.rod, youngs_modulus=factor * self.rod.youngs_modulus,
-                       shear_modulus=factor * self.rod.shear_modulus)  # fmt: skip
-
     def bias(self, epoch: int) -> Array:
         """Return the bias of the sensor at a test, at the base [N, N·m], (6,)."""
         walked = self.common.walk_modes[:, : 6 * epoch] @ self.x[self.common.walk_columns(epoch)]
@@ -416,11 +394,6 @@ class ParameterValues:
     def T_stated_base(self) -> Array:
         """Actual pose of the probe's base in the base frame as the campaign states it, (4, 4)."""
         return np.asarray(self.T_base_error @ self.T_mount_error)
-
-    @cached_property
-    def mount_wrench_map(self) -> Array:
-        """Map of wrenches at the probe's base to the base frame of the sensor, (6, 6)."""
-        return wrench_map(self.T_mount_error)
 
     def gravity(self, gravity_world: Array) -> tuple[Array, Array]:
         """Return gravity in the world [m/s²], (3,), and its derivatives by its two rotations, (3, 2)."""

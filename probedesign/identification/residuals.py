@@ -1,5 +1,6 @@
 """Residuals of one test, of the weighing and of Poisson's ratio: whitened, with derivatives, in blocks."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -304,7 +305,7 @@ class SolvedTest:
         return ResidualBlock(self.measured.name, kind, 0, inverse * residual, J, residual)
 
     def _wrench(self) -> Iterator[ResidualBlock]:
-        measured, common, X = self.measured, self.values.common, self.values.mount_wrench_map
+        measured, common, X = self.measured, self.values.common, wrench_map(self.values.T_mount_error)
         by_root = self._by_root(lambda eq: eq.wrench_base)
         vector = self.vector(self.eq.wrench_base, self.sensitivity.d_wrench, by_root)
         modelled, J = X @ vector.value, X @ self.jacobian(vector)
@@ -402,9 +403,11 @@ def solve_test(
     else:
         force = R.T @ measured.force_world * (1.0 + (nuisance[at["weight"]][0] if "weight" in at else 0.0))
     s = nuisance[at["s"]][0] if "s" in at else (None if measured.free else measured.s_contact)
-    own = nuisance[at["stiffness"]][0] if "stiffness" in at else 0.0
-    factor = own - values.x[CREEP] * measured.creep_ramp
-    rod, touch = values.rod_at(factor), None
+    scatter = nuisance[at["stiffness"]][0] if "stiffness" in at else 0.0
+    factor = math.exp(scatter - values.x[CREEP] * measured.creep_ramp)
+    rod, touch = values.rod, None
+    if factor != 1.0:
+        rod = replace(rod, youngs_modulus=factor * rod.youngs_modulus, shear_modulus=factor * rod.shear_modulus)
     if measured.touched:
         assert s is not None
         angle, couple = nuisance[at["angle"]][0], np.zeros(3) if last is None else last.eq.load[9:12]

@@ -225,9 +225,7 @@ class Identification(Tabular):
     def as_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
         document = asdict(self)
-        document["found"] = [
-            {JSON_NAMES.get(key, key): value for key, value in one.items()} for one in document["found"]
-        ]
+        document["found"] = [{JSON_NAMES.get(key, key): one[key] for key in one} for one in document["found"]]
         document["correlation"] = self.correlation.tolist()
         document["residuals"] = [{**row, "unit": UNITS[row["kind"]]} for row in document["residuals"]]
         return document
@@ -332,14 +330,14 @@ def residuals_of(fit: Fit) -> tuple[Residual, ...]:
     return tuple(found)
 
 
-def farthest_tests(residuals: Sequence[Residual], count: int = 3) -> str:
-    """Return a line that names the tests whose readings are farthest from the fit, by their RMS."""
+def farthest_tests(residuals: Sequence[Residual]) -> str:
+    """Return a line that names the three tests whose readings are farthest from the fit, by their RMS."""
     by_test: dict[str, list[float]] = {}
     for row in residuals:
         if row.test and row.kind in READING_KINDS:
             by_test.setdefault(row.test, []).append(row.deviations**2)
     rms = {test: math.sqrt(sum(squares) / len(squares)) for test, squares in by_test.items()}
-    worst = sorted(rms, key=lambda test: -rms[test])[:count]
+    worst = sorted(rms, key=lambda test: -rms[test])[:3]
     return "farthest from the fit: " + ", ".join(f"{test} by {rms[test]:.3g} standard deviations" for test in worst)
 
 
@@ -403,13 +401,12 @@ def beyond_limits(fit: Fit, names: Sequence[str]) -> tuple[UnobservableDirection
 
 def with_caveats(numbers: Sequence[Identified]) -> tuple[Identified, ...]:
     """Return the numbers, with caveats where one is near the limit of observability."""
-    return tuple(replace(one, caveat=_caveat(one)) if one.identified else one for one in numbers)
-
-
-def _caveat(one: Identified) -> str:
-    parameter = PARAMETERS.get(one.name)
-    limit = parameter.max_std if parameter is not None and parameter.logarithm else None
-    if limit is None or one.relative_std < WEAK * limit:
-        return ""
-    return (f"weakly identifiable: standard deviation {one.relative_std:.0%} (limit {limit:.0%}); consider "
-            "fixing it at the design value")  # fmt: skip
+    result = []
+    for one in numbers:
+        parameter = PARAMETERS.get(one.name)
+        limit = parameter.max_std if parameter is not None and parameter.logarithm else None
+        if one.identified and limit is not None and one.relative_std >= WEAK * limit:
+            caveat = f"weakly identifiable: standard deviation {one.relative_std:.0%} (limit {limit:.0%})"
+            one = replace(one, caveat=f"{caveat}; consider fixing it at the design value")
+        result.append(one)
+    return tuple(result)

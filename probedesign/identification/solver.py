@@ -398,19 +398,14 @@ def _at_factor(problem: LeastSquaresProblem, factor: float) -> Linearization:
         x[LOG_G] = x[LOG_E]  # as Poisson's ratio has it
     values = ParameterValues(problem.common, x)
     nuisance = start_nuisance(problem.tests, problem.common.model.rod)
-    if any(_absurd(test, own, values.rod) for test, own in zip(problem.tests, nuisance, strict=True)):
-        return Linearization(problem, values, (), ())
+    stiffness = values.rod.youngs_modulus * 0.25 * np.pi * float(values.rod.radius.max()) ** 4
+    for test, own in zip(problem.tests, nuisance, strict=True):
+        force = own[test.nuisance["force"]] if test.force_world is None else test.force_world
+        s = own[test.nuisance["s"]][0] if "s" in test.nuisance else test.s_contact
+        # no test bends the probe by more, and the solver takes long to find that out
+        if not test.free and np.linalg.norm(force) * s**2 > 2.0 * MAX_LOAD * stiffness:
+            return Linearization(problem, values, (), ())
     return linearize(problem, values, nuisance)
-
-
-def _absurd(test: MeasuredTest, nuisance: Array, rod: Rod) -> bool:
-    """Return whether the load would bend the probe by more than `MAX_LOAD`: no test does, and the solver takes long to
-    find that out."""
-    at = test.nuisance
-    force = nuisance[at["force"]] if test.force_world is None else test.force_world
-    s = nuisance[at["s"]][0] if "s" in at else test.s_contact
-    stiffness = rod.youngs_modulus * 0.25 * np.pi * float(rod.radius.max()) ** 4
-    return not test.free and bool(np.linalg.norm(force) * s**2 > 2.0 * MAX_LOAD * stiffness)
 
 
 def solvable_tests(problem: LeastSquaresProblem, free_E: bool) -> tuple[list[MeasuredTest], list[MeasuredTest]]:

@@ -82,17 +82,12 @@ class SurfaceTouch:
         return np.asarray(-self.radius * (skew(self.force) @ self._directions[0][1]))
 
     @cached_property
-    def _couple_jacobian(self) -> Array:
+    def couple_jacobian(self) -> Array:
+        """Derivatives of the couple by the rod's parameters, at a given section, (3, k)."""
         (_, e, _), d = self._directions
         J = -self.radius * skew(self.force) @ d[1] + np.outer(self.couple, self._d_log_radius)
         J[:, 0:3] += self.radius * skew(e)
         return np.asarray(J)
-
-    def next_couple(self) -> Array:
-        """Return the couple by a step of Newton's method from that of the equilibrium [N·m], (3,)."""
-        used = self.eq.load[COUPLE : COUPLE + 3]
-        matrix = np.eye(3) - self._couple_jacobian[:, COUPLE_COLUMNS]
-        return np.asarray(used + np.linalg.solve(matrix, self.couple - used))
 
     @property
     def converged(self) -> bool:
@@ -103,7 +98,7 @@ class SurfaceTouch:
     @cached_property
     def couple_response(self) -> tuple[Array, Array, Array]:
         """Derivatives of the couple at equilibrium by the rod's parameters (3, k), the root (3,) and the angle (3,)."""
-        J = self._couple_jacobian
+        J = self.couple_jacobian
         h = self._directions[0][2]
         root = -self.radius * (skew(self.force) @ self._by_root[1])
         direct = J.copy()
@@ -178,5 +173,6 @@ def solve_touch(
         touch = SurfaceTouch(rod, eq, force, angle, np.zeros((3, 3)))
         if touch.converged:
             return eq, touch.pushes
-        couple, tip = touch.next_couple(), eq.tip
+        matrix = np.eye(3) - touch.couple_jacobian[:, COUPLE_COLUMNS]  # a step of Newton's method
+        couple, tip = couple + np.linalg.solve(matrix, touch.couple - couple), eq.tip
     return eq, False
