@@ -57,23 +57,23 @@ def check_probe(campaign: Campaign, model: ProbeModel) -> None:
         InputError: the fingerprints or the names differ; a place is beyond the tip; or values are not plausible.
     """
     _check_identity(campaign, model)
-    beyond = f"is beyond the tip of {model.name} at {model.rod.length / MM:g} mm"
     longest = model.rod.length * (1.0 + 1e-9)
     for number, s in enumerate(campaign.marker_s, 1):
         if s > longest:
-            raise InputError(f"{campaign.folder / MANIFEST}: marker {number} at s = {s / MM:g} mm {beyond}; correct "
-                             "markers.s_mm in campaign.toml")  # fmt: skip
+            raise InputError(f"{campaign.folder / MANIFEST}: marker {number} at s = {s / MM:g} mm {_beyond(model)}; "
+                             "correct markers.s_mm in campaign.toml")  # fmt: skip
+    mass = model.mass if campaign.weighing is None else campaign.weighing.mass
+    if not model.mass / UNIT_FACTOR < mass < model.mass * UNIT_FACTOR:  # a whole print weighs a few times as much
+        raise InputError(
+            f"{campaign.folder}/{MANIFEST}: weighing: mass_g = {mass / GRAM:.4g}, of a probe whose flexible part "
+            f"weighs {model.mass / GRAM:.4g} g as designed; grams?"
+        )
     for test in campaign.tests:
-        if test.s_contact > longest:
-            _refuse(
-                campaign,
-                TESTS,
-                test,
-                f"s_contact_mm = {test.s_contact / MM:g} {beyond}; a wrong unit, or another probe?",
-            )
-    for check in (_check_mass, _check_arclengths, _check_sag, _check_contacts, _check_marker_distances,
-                  _check_known_forces, _check_range, _check_lever):  # fmt: skip
-        check(campaign, model)
+        if problem := _implausible(test, campaign, model):
+            _refuse(campaign, TESTS, test, problem)
+    _check_metres(campaign, model)
+    _check_range(campaign, model)
+    _check_lever(campaign, model)
     pushes = _pushes(campaign, model)
     _check_loads(campaign, pushes)
     _check_directions(campaign, pushes)
@@ -98,6 +98,10 @@ def _refuse(campaign: Campaign, file: str, test: Test, problem: str) -> NoReturn
 
 def _length(model: ProbeModel) -> str:
     return f"{model.name} is {model.rod.length / MM:g} mm long"
+
+
+def _beyond(model: ProbeModel) -> str:
+    return f"is beyond the tip of {model.name} at {model.rod.length / MM:g} mm"
 
 
 # order of the markers
@@ -150,89 +154,62 @@ def check_marker_order(
 # plausible values
 
 
-def _check_mass(campaign: Campaign, model: ProbeModel) -> None:
-    """Refuse a mass far from the designed flexible part's; a whole print weighs a few times as much."""
-    mass = model.mass if campaign.weighing is None else campaign.weighing.mass
-    if not model.mass / UNIT_FACTOR < mass < model.mass * UNIT_FACTOR:
-        raise InputError(
-            f"{campaign.folder}/{MANIFEST}: weighing: mass_g = {mass / GRAM:.4g}, of a probe whose flexible part "
-            f"weighs {model.mass / GRAM:.4g} g as designed; grams?"
-        )
+def _implausible(test: Test, campaign: Campaign, model: ProbeModel) -> str:
+    """Return which value of a row of `tests.csv` this probe cannot have, and what may be wrong; empty if none."""
+    length, from_base = model.rod.length, 0.0
+    if test.p_contact_world is not None:
+        from_base = float(np.linalg.norm(test.p_contact_world - test.T_world_base[:3, 3]))
+    farthest = (1.0 + SURFACE_STRETCH) * length + float(model.rod.radius.max())
+    known = 0.0 if test.force_world is None else float(np.linalg.norm(test.force_world))
+    if test.s_contact > length * (1.0 + 1e-9):
+        return f"s_contact_mm = {test.s_contact / MM:g} {_beyond(model)}; a wrong unit, or another probe?"
+    if from_base > farthest + DEVIATIONS * (test.std_contact + campaign.std_base):
+        return (f"contact is {from_base / MM:.4g} mm from the base, {_length(model)}; a wrong unit, or another pose of "
+                "the base?")  # fmt: skip
+    if known > model.wrench_range[:3].max():
+        return f"known force of {known:.4g} N exceeds the sensor's range; millinewtons in a column of newtons?"
+    return "" if np.isnan(test.tip_sag) else _implausible_sag(test, model)
 
 
-def _check_metres(
-    campaign: Campaign, model: ProbeModel, file: str, distances: list[tuple[Test, float]], what: str
-) -> None:
-    """Refuse distances from the base [m] that are all a hundredth of the probe; `what` has a field for the largest."""
-    test, farthest = max(distances, key=lambda pair: pair[1], default=(None, math.inf))
-    if test is not None and farthest < model.rod.length / UNIT_FACTOR:
-        problem = what.format(f"{farthest / MM:.4g}")
-        _refuse(campaign, file, test, f"{problem}, {_length(model)}; metres in a column of millimetres?")
+def _implausible_sag(test: Test, model: ProbeModel) -> str:
+    """Return what is wrong with a sag: longer than the probe, of the wrong sign, or far from the design's."""
+    sag, margin, designed = test.tip_sag, DEVIATIONS * test.std_sag, 0.0
+    value, length, gravity = f"tip_sag_mm = {sag / MM:.4g}", model.rod.length, test.gravity_base
+    if test.free and gravity.any() and (free := model.rod.solve(gravity)).ok:
+        displacement = free.p_at(length) - np.array([0.0, 0.0, length])
+        designed = float(displacement @ gravity / np.linalg.norm(gravity))
+    if abs(sag) > length * (1.0 + SURFACE_STRETCH) + margin:
+        return f"{value}, {_length(model)}; a wrong unit?"
+    if sag < -margin:
+        return f"{value}: a tip hangs below its undeformed place, which is positive"
+    if not designed / SAG_FACTOR - margin < sag < designed * SAG_FACTOR + margin and designed > margin:
+        return (f"{value}, of a probe with a sag of {designed / MM:.3g} mm as designed; centimetres, or another pose "
+                "of the base?")  # fmt: skip
+    return ""
 
 
-def _check_arclengths(campaign: Campaign, model: ProbeModel) -> None:
-    known = [(test, test.s_contact) for test in campaign.tests if not np.isnan(test.s_contact)]
-    _check_metres(campaign, model, TESTS, known, "s_contact_mm = {} is the largest")
+def _check_metres(campaign: Campaign, model: ProbeModel) -> None:
+    """Refuse places of one kind that are all within a hundredth of the probe from its base; `check_marker_order`
+    refuses markers that are too far."""
+    kinds: list[tuple[str, list[tuple[Test, str, float]]]] = [
+        ("s_contact_mm = {} is the largest",
+         [(test, TESTS, test.s_contact) for test in campaign.tests if not np.isnan(test.s_contact)]),
+        ("contact is {} mm from the base, the farthest",
+         [(test, TESTS, _farthest(test, test.p_contact_world[None])) for test in campaign.tests
+          if test.p_contact_world is not None]),
+        ("a marker is {} mm from the base, the farthest",
+         [(test, test.markers.file, _farthest(test, test.markers.p_world)) for test in campaign.tests
+          if test.markers is not None]),
+    ]  # fmt: skip
+    for words, distances in kinds:
+        test, file, farthest = max(distances, key=lambda place: place[2], default=(None, "", math.inf))
+        if test is not None and farthest < model.rod.length / UNIT_FACTOR:
+            problem = words.format(f"{farthest / MM:.4g}")
+            _refuse(campaign, file, test, f"{problem}, {_length(model)}; metres in a column of millimetres?")
 
 
-def _check_sag(campaign: Campaign, model: ProbeModel) -> None:
-    """Refuse a sag longer than the probe, of the wrong sign, or far from the design's."""
-    for test in campaign.tests:
-        sag, margin = test.tip_sag, DEVIATIONS * test.std_sag
-        if np.isnan(sag):
-            continue
-        value, problem = f"tip_sag_mm = {sag / MM:.4g}", ""
-        designed = _design_sag(test.gravity_base, model) if test.free else 0.0
-        if abs(sag) > model.rod.length * (1.0 + SURFACE_STRETCH) + margin:
-            problem = f", {_length(model)}; a wrong unit?"
-        elif sag < -margin:
-            problem = ": a tip hangs below its undeformed place, which is positive"
-        elif not designed / SAG_FACTOR - margin < sag < designed * SAG_FACTOR + margin and designed > margin:
-            problem = (f", of a probe with a sag of {designed / MM:.3g} mm as designed; centimetres, or another pose "
-                       "of the base?")  # fmt: skip
-        if problem:
-            _refuse(campaign, TESTS, test, value + problem)
-
-
-def _design_sag(gravity: Array, model: ProbeModel) -> float:
-    """Return the displacement of the free tip along gravity [m]; 0 where the design has no stable equilibrium."""
-    free = model.rod.solve(gravity)
-    if not free.ok or not gravity.any():
-        return 0.0
-    displacement = free.p_at(model.rod.length) - np.array([0.0, 0.0, model.rod.length])
-    return float(displacement @ gravity / np.linalg.norm(gravity))
-
-
-def _check_contacts(campaign: Campaign, model: ProbeModel) -> None:
-    """Refuse a touched point beyond the probe, and touched points that are all at the base."""
-    longest = (1.0 + SURFACE_STRETCH) * model.rod.length + float(model.rod.radius.max())
-    distances = []
-    for test in campaign.tests:
-        if test.p_contact_world is None:
-            continue
-        distance = float(np.linalg.norm(test.p_contact_world - test.T_world_base[:3, 3]))
-        distances.append((test, distance))
-        if distance > longest + DEVIATIONS * (test.std_contact + campaign.std_base):
-            problem = f"contact is {distance / MM:.4g} mm from the base, {_length(model)}"
-            _refuse(campaign, TESTS, test, f"{problem}; a wrong unit, or another pose of the base?")
-    _check_metres(campaign, model, TESTS, distances, "contact is {} mm from the base, the farthest")
-
-
-def _check_marker_distances(campaign: Campaign, model: ProbeModel) -> None:
-    """Refuse markers that are all at the base; `check_marker_order` refuses those beyond the probe."""
-    seen = {test: test.markers for test in campaign.tests if test.markers is not None}
-    distances = [(test, float(np.linalg.norm(markers.p_world - test.T_world_base[:3, 3], axis=1).max()))
-                 for test, markers in seen.items()]  # fmt: skip
-    file = next(iter(seen.values())).file if seen else ""
-    _check_metres(campaign, model, file, distances, "a marker is {} mm from the base, the farthest")
-
-
-def _check_known_forces(campaign: Campaign, model: ProbeModel) -> None:
-    for test in campaign.tests:
-        known = 0.0 if test.force_world is None else float(np.linalg.norm(test.force_world))
-        if known > model.wrench_range[:3].max():
-            _refuse(campaign, TESTS, test, f"known force of {known:.4g} N exceeds the sensor's range; millinewtons in "
-                                           "a column of newtons?")  # fmt: skip
+def _farthest(test: Test, p_world: Array) -> float:
+    return float(np.linalg.norm(p_world - test.T_world_base[:3, 3], axis=1).max())
 
 
 def _check_range(campaign: Campaign, model: ProbeModel) -> None:
