@@ -12,20 +12,23 @@ from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from functools import partial
 from html import escape
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import viser
 
 from probedesign.core import statistics
-from probedesign.core.errors import InputError, report_defect
+from probedesign.core.errors import InputError, MissingDependencyError, report_defect
+from probedesign.core.files import exports_of
 from probedesign.core.units import MM
-from probedesign.design import Design
+from probedesign.design import Design, check_design
+from probedesign.design.edit import tables_of
+from probedesign.design.io import render_design, write_design
 from probedesign.design.paper import PROBES, paper_design
 from probedesign.estimation.estimate import Estimate
 from probedesign.probe import build_probe
 from probedesign.reports.chart import Chart
-from probedesign.studio import actions
 from probedesign.studio.controls import DesignControls
 from probedesign.studio.figures import (
     DesignFigures,
@@ -51,6 +54,35 @@ REST_SECONDS = 0.35  #: Time without a change after which everything is predicte
 #: Widths of the panels, and of the scene below which the panels share one side [px].
 CONTROLS_WIDTH, CHARTS_WIDTH, MIN_SCENE_WIDTH = 310.0, 360.0, 300.0
 PHONE_WIDTH = 576  #: Width up to which viser arranges the panels itself [px].
+
+
+def _save(design: Design, replace: bool) -> str:
+    path = Path("designs") / f"{design.name}.toml"
+    write_design(render_design(design), path, replace)
+    return f"wrote {path}"
+
+
+def _export(design: Design, replace: bool) -> str:
+    from probedesign import pipeline
+
+    try:
+        manifest = pipeline.export(design, exports_of() / design.name, lambda _: None)
+    except MissingDependencyError as error:
+        raise InputError(str(error)) from None
+    return f"wrote {manifest['folder']}: {len(manifest['files']) + 1} files; open assembly.html"
+
+
+def _deploy(design: Design, replace: bool) -> str:
+    from probedesign.frozen_probe import deploy_model
+
+    path = exports_of() / design.name / f"{design.name}.probe.json"
+    return f"wrote {deploy_model(build_probe(design).model, path)}"
+
+
+#: Writes files of a design, which may be replaced where the second argument says so, and returns a message.
+Action = Callable[[Design, bool], str]
+#: Action of each button by its label.
+ACTIONS: dict[str, Action] = {"Save the design": _save, "Export the parts": _export, "Deploy the estimator": _deploy}
 
 
 class _RequestWaitsError(Exception):
@@ -217,11 +249,18 @@ class StudioPage:
         self._design_controls = DesignControls(gui, self.session, self.move)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Probe"):
-            self._probe_tab(gui)
+            preset = gui.add_dropdown("preset", ("-", *PROBES), initial_value="-")
+            preset.on_update(lambda _: self._preset(preset))
+            steps = gui.add_button_group("changes", ("undo", "redo"))
+            steps.on_click(lambda _: self._request(lambda: self._step(steps.value)))
+            self._design_controls.add_probe()
         with tabs.add_tab("Bench"):
             self._design_controls.add_bench()
         with tabs.add_tab("Touch"):
-            self._touch_tab(gui)
+            self._design_controls.add_touch()
+            gui.add_markdown("Drag the red point along the probe, or the end of its arrow: its direction is that of "
+                             "the force, and it grows with the logarithm of the force.")  # fmt: skip
+            self._touch_text = gui.add_html("")
         with tabs.add_tab("Improve"):
             self._improve = ImproveTab(
                 gui, lambda: self._request(self._start_search),
@@ -241,19 +280,6 @@ class StudioPage:
         charts.dock_left()
         charts.set_width(CHARTS_WIDTH)
 
-    def _probe_tab(self, gui: viser.GuiApi) -> None:
-        preset = gui.add_dropdown("preset", ("-", *PROBES), initial_value="-")
-        preset.on_update(lambda _: self._preset(preset))
-        steps = gui.add_button_group("changes", ("undo", "redo"))
-        steps.on_click(lambda _: self._request(lambda: self._step(steps.value)))
-        self._design_controls.add_probe()
-
-    def _touch_tab(self, gui: viser.GuiApi) -> None:
-        self._design_controls.add_touch()
-        gui.add_markdown("Drag the red point along the probe, or the end of its arrow: its direction is that of the "
-                         "force, and it grows with the logarithm of the force.")  # fmt: skip
-        self._touch_text = gui.add_html("")
-
     def _save_tab(self, gui: viser.GuiApi) -> None:
         pin = gui.add_button("Pin this design", icon=viser.Icon.PINNED)
         pin.on_click(lambda _: self._request(self._pin))
@@ -261,7 +287,7 @@ class StudioPage:
         unpin.on_click(lambda _: self._request(self._unpin))
         self._name: Any = gui.add_text("name", self.session.design.name)
         self._replace = gui.add_checkbox("replace existing files", False)
-        for label, action in actions.ACTIONS.items():
+        for label, action in ACTIONS.items():
             gui.add_button(label).on_click(partial(self._press, action))
         self._command: Any = gui.add_text("command that restores this state", "", multiline=True)
         dark = gui.add_checkbox("dark page", False)
@@ -322,13 +348,13 @@ class StudioPage:
             self.session.unpin(self.session.pinned[-1].label)
         self._refresh(moved=False)
 
-    def _press(self, action: actions.Action, _: Any) -> None:
+    def _press(self, action: Action, _: Any) -> None:
         self._request(partial(self._act, action))
 
-    def _act(self, action: actions.Action) -> None:
+    def _act(self, action: Action) -> None:
         design = self.session.design.model_copy(update={"name": self._name.value.strip()})
         self._say("working ...")
-        self._keep(action(actions.checked(design), self._replace.value))
+        self._keep(action(check_design(tables_of(design)), self._replace.value))  # its name may be no file name
 
     def _start_search(self) -> None:
         """Start a search in a thread of its own; its path is drawn as it goes."""
