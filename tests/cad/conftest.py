@@ -2,7 +2,6 @@
 
 import fcntl
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +16,6 @@ LARGE = "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0"
 def design_of(probe: str = LARGE, robot_flange: str = "iso-9409-1-50-4-m6", name: str = "large") -> Design:
     mount = f'[mount]\nrobot_flange = "{robot_flange}"\n'
     return parse_design(f'schema = 1\nname = "{name}"\n[probe]\n{probe}\n{mount}')
-
-
-@pytest.fixture(scope="session")
-def make_design() -> Callable[..., Design]:
-    return design_of
 
 
 @pytest.fixture(scope="session")

@@ -4,7 +4,6 @@ import csv
 import io
 import re
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
 from itertools import combinations, pairwise
@@ -30,11 +29,12 @@ from probedesign.cad.solids import clamp_ring_solid
 from probedesign.core.errors import InputError
 from probedesign.core.frames import pose
 from probedesign.core.svg import Canvas
-from probedesign.design import Design, parse_design
+from probedesign.design import parse_design
 from probedesign.mount.engraving import Engraving
 from probedesign.mount.sensor_adapter import RING_VENT_HEIGHT
 from probedesign.mount.tolerance_stack import RESIN_PRESSURE, hand_torque, measurements
 from probedesign.printing.check import RAFT_MARGIN
+from tests.cad.conftest import design_of
 from tests.reports.page_checks import browser, check_page, sheets
 
 Exported = tuple[Path, dict[str, Any]]
@@ -180,7 +180,6 @@ def words_of(svg: bytes) -> list[str]:
 
 @pytest.fixture(scope="module")
 def drawings(large: CadModel) -> dict[str, bytes]:
-    """The files of the drawings by name."""
     return inspection_sheets(large)
 
 
@@ -249,8 +248,8 @@ ODD = {
 
 
 @pytest.mark.parametrize("probe", ODD.values(), ids=ODD)
-def test_drawings_stay_in_their_frame(make_design: Callable[..., Design], probe: str) -> None:
-    model = build_cad(make_design(probe))
+def test_drawings_stay_in_their_frame(probe: str) -> None:
+    model = build_cad(design_of(probe))
     for name, sheet in inspection_sheets(model).items():
         root = ET.fromstring(sheet)
         for element in root.iter():
@@ -366,8 +365,8 @@ def test_the_page_is_legible_and_prints_on_four_sheets(exported: Exported) -> No
         assert sheets(running, file) == (4, [])
 
 
-def test_names_from_outside_are_escaped(make_design: Callable[..., Design], large: CadModel) -> None:
-    model = replace(large, design=make_design().model_copy(update={"name": "<b>&"}))
+def test_names_from_outside_are_escaped(large: CadModel) -> None:
+    model = replace(large, design=design_of().model_copy(update={"name": "<b>&"}))
     page = assembly_page(model, [], [], Canvas(1.0, 1.0), []).decode()
     assert "<b>&" not in page and page.count("&lt;b&gt;&amp;: assembly") == 2  # title and heading
 

@@ -23,6 +23,7 @@ import trimesh
 from probedesign.cad import export_parts
 from probedesign.cad.documents import Documents
 from probedesign.cad.exchange import reproducible, step_bytes
+from probedesign.cad.inspection import inspection_sheets
 from probedesign.cad.kernel import location
 from probedesign.cad.model import CadModel
 from probedesign.cli.export import FILE_KINDS
@@ -47,7 +48,6 @@ Exported = tuple[Path, dict[str, Any]]
 
 
 def test_every_kind_of_file_has_a_stated_purpose() -> None:
-    """The commands state what each exported file is for."""
     assert {Path(name).suffix for name in FILES} == set(FILE_KINDS)
 
 
@@ -63,9 +63,9 @@ def test_files_and_their_digests(exported: Exported) -> None:
         assert hashlib.sha256(content).hexdigest() == record["sha256"] and len(content) == record["size_bytes"]
 
 
-def test_manifest_describes_the_export(exported: Exported, make_design: Callable[..., Design]) -> None:
+def test_manifest_describes_the_export(exported: Exported) -> None:
     _, manifest = exported
-    design = make_design()
+    design = design_of()
     assert manifest["schema"] == 1 and manifest["name"] == "large"
     assert manifest["fingerprint"] == build_geometry(design).fingerprint
     assert Design.model_validate_json(json.dumps(manifest["design"])) == design  # the echo is the design
@@ -79,9 +79,9 @@ def test_manifest_describes_the_export(exported: Exported, make_design: Callable
     assert manifest["base"]["root_rigid_radii_computed"] == pytest.approx(-0.18, abs=0.01)  # Ø12 mm
 
 
-def test_manifest_masses_equal_those_of_the_mechanics(exported: Exported, make_design: Callable[..., Design]) -> None:
+def test_manifest_masses_equal_those_of_the_mechanics(exported: Exported) -> None:
     _, manifest = exported
-    design = make_design()
+    design = design_of()
     geometry = build_geometry(design)
     adapter = sensor_adapter_for(geometry, design.sensor_model, design.name)
     rigid = mount_mass_properties(geometry, adapter, design.density.value)
@@ -201,13 +201,20 @@ PROBES = {
 }
 
 
+def with_sheets_only(model: CadModel) -> Documents:
+    """The documents of another section: pictures show the meshes that are compared, and take half of an export."""
+    return Documents(inspection_sheets(model), [], [])
+
+
 @pytest.fixture(scope="module", params=["hollow", "elliptic"])
 def other_section(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[str, Path, dict[str, Any]]:
     """The probe with another section, exported: section, folder and manifest."""
     folder = tmp_path_factory.mktemp("exports") / "other"
-    return request.param, folder, export_parts(design_of(PROBES[request.param]), folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("probedesign.cad.export.build_documents", with_sheets_only)
+        return request.param, folder, export_parts(design_of(PROBES[request.param]), folder)
 
 
 def test_files_of_other_sections(other_section: tuple[str, Path, dict[str, Any]]) -> None:
@@ -229,11 +236,9 @@ def test_files_of_other_sections(other_section: tuple[str, Path, dict[str, Any]]
 
 
 @pytest.mark.usefixtures("undocumented")
-def test_scale_compensation_reaches_the_files_to_print_and_nothing_else(
-    exported: Exported, make_design: Callable[..., Design], tmp_path: Path
-) -> None:
+def test_scale_compensation_reaches_the_files_to_print_and_nothing_else(exported: Exported, tmp_path: Path) -> None:
     scaled = f"{LARGE}\n[print]\nscale_xy = 1.02\nscale_z = 0.99\nrigid_scale_xy = 1.01\n"
-    (folder, drawn), printed = exported, export_parts(make_design(scaled), tmp_path / "printed")
+    (folder, drawn), printed = exported, export_parts(design_of(scaled), tmp_path / "printed")
     for name, factor in (("probe", (1.02, 1.02, 0.99)), ("clamp_ring", (1.01, 1.01, 1.0))):
         a, b = (trimesh.load(parent / f"{name}.stl") for parent in (folder, tmp_path / "printed"))
         # Both are written in single precision, 150 mm to half of 1.5e-5 mm.
@@ -269,14 +274,14 @@ def exported_again(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     folder = tmp_path_factory.mktemp("again")
     code = (
-        "import json, sys; from pathlib import Path; from tests.cad.conftest import design_of;"
-        "from probedesign.cad import export_parts;"
-        "progress = lambda step: print(step, file=sys.stderr);"
-        "[export_parts(design_of(probe), Path(sys.argv[1]) / name, progress)"
-        " for name, probe in json.loads(sys.argv[2]).items()]"
+        "import sys; from tests.cad.test_export import *; from probedesign.cad import export\n"
+        "for name, probe in PROBES.items():\n"
+        "    if name != 'large':\n"
+        "        export.build_documents, export.verify = with_sheets_only, lambda *_: {}\n"
+        "    export_parts(design_of(probe), Path(sys.argv[1]) / name, lambda step: print(step, file=sys.stderr))"
     )
     result = subprocess.run(
-        [sys.executable, "-c", code, str(folder), json.dumps(PROBES)],
+        [sys.executable, "-c", code, str(folder)],
         env={**os.environ, "PYTHONHASHSEED": "12345"}, cwd=Path(__file__).parents[2],
         check=True, capture_output=True, text=True,
     )  # fmt: skip
@@ -295,21 +300,23 @@ def test_exports_are_reproducible(exported: Exported, exported_again: Path) -> N
 def test_other_sections_are_reproducible(other_section: tuple[str, Path, dict[str, Any]], exported_again: Path) -> None:
     """The kernel keeps one of two coincident vertices by its address, which differs between processes."""
     section, folder, _ = other_section
-    for path in folder.iterdir():
-        assert path.read_bytes() == (exported_again / section / path.name).read_bytes(), path.name
+    again = exported_again / section
+    for path in set(folder.iterdir()) - {folder / "manifest.json"}:
+        assert path.read_bytes() == (again / path.name).read_bytes(), path.name
+    manifests = (json.loads((parent / "manifest.json").read_text("utf-8")) for parent in (folder, again))
+    first, second = (manifest | {"verification": {}} for manifest in manifests)  # it is done once
+    assert first == second
 
 
 def test_a_step_file_does_not_depend_on_the_order_in_which_the_kernel_writes_styles() -> None:
-    blocks = [
-        f"#{n} = MECHANICAL_DESIGN_GEOMETRIC_PRESENTATION_REPRESENTATION('',(\n    #{n + 1}),#{shape});\n"
-        f"#{n + 1} = STYLED_ITEM('color',(#{n + 2}),#{shape - 1});\n#{n + 2} = STYLE(#{colour});\n"
-        for n, shape, colour in ((100, 20, 103), (104, 10, 103))
-    ]
-    swapped = [
-        f"#{n} = MECHANICAL_DESIGN_GEOMETRIC_PRESENTATION_REPRESENTATION('',(\n    #{n + 1}),#{shape});\n"
-        f"#{n + 1} = STYLED_ITEM('color',(#{n + 2}),#{shape - 1});\n#{n + 2} = STYLE(#{colour});\n"
-        for n, shape, colour in ((100, 10, 103), (104, 20, 103))
-    ]
+    blocks, swapped = (
+        [
+            f"#{n} = MECHANICAL_DESIGN_GEOMETRIC_PRESENTATION_REPRESENTATION('',(\n    #{n + 1}),#{shape});\n"
+            f"#{n + 1} = STYLED_ITEM('color',(#{n + 2}),#{shape - 1});\n#{n + 2} = STYLE(#103);\n"
+            for n, shape in zip((100, 104), shapes, strict=True)
+        ]
+        for shapes in ((20, 10), (10, 20))
+    )
     files = [f"HEADER;\n#9 = SHAPE();\n{one}#103 = RGB(0.5);\n{two}ENDSEC;\nEND;\n" for one, two in (blocks, swapped)]
     assert reproducible(files[0]) == reproducible(files[1])
     assert reproducible(files[0]).count("#20") == 1 and "#9 = SHAPE" in reproducible(files[0])
@@ -338,53 +345,49 @@ def stop_at(step: str) -> Callable[[str], None]:
 
 @pytest.mark.usefixtures("drawn_before")
 @pytest.mark.parametrize("trouble", [KeyboardInterrupt, OSError(28, "No space left on device")])
-def test_interrupted_export_leaves_nothing(
-    make_design: Callable[..., Design], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trouble: Any
-) -> None:
+def test_interrupted_export_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trouble: Any) -> None:
     def fail(*_: Any) -> None:
         assert any(tmp_path.rglob("probe.stl"))  # half of the files are there already
         raise trouble
 
     monkeypatch.setattr("probedesign.cad.folder.manifest_json", fail)
     with pytest.raises((KeyboardInterrupt, InputError), match=r"^$|cannot be written: No space left on device$"):
-        export_parts(make_design(), tmp_path / "large")
+        export_parts(design_of(), tmp_path / "large")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.usefixtures("drawn_before")
-def test_foreign_files_and_an_older_export_survive(make_design: Callable[..., Design], tmp_path: Path) -> None:
+def test_foreign_files_and_an_older_export_survive(tmp_path: Path) -> None:
     folder = tmp_path / "large"
     folder.mkdir()
     ours, foreign = folder / "manifest.json", folder / "large.probe.json"
     for path in (ours, foreign):
         path.write_text("earlier")
     with pytest.raises(KeyboardInterrupt):
-        export_parts(make_design(), folder, stop_at("meshing"))
+        export_parts(design_of(), folder, stop_at("meshing"))
     assert sorted(folder.iterdir()) == sorted([ours, foreign])
     assert ours.read_text() == foreign.read_text() == "earlier"
-    export_parts(make_design(), folder)
+    export_parts(design_of(), folder)
     made = json.loads(ours.read_text("utf-8"))
     assert {p.name for p in folder.iterdir()} == {*made["files"], ours.name, foreign.name}
     assert foreign.read_text() == "earlier" and made["name"] == "large"
 
 
-def test_a_target_that_cannot_be_written_is_one_line(make_design: Callable[..., Design], tmp_path: Path) -> None:
+def test_a_target_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.write_text("mine")
     for target in (file, file / "below"):
         with pytest.raises(InputError) as error:
-            export_parts(make_design(), target)
+            export_parts(design_of(), target)
         assert "\n" not in str(error.value) and str(target) in str(error.value)
     assert file.read_text() == "mine" and list(tmp_path.iterdir()) == [file]
 
 
 @pytest.mark.parametrize("package", ["cadquery", "lib3mf", "PIL"])
-def test_a_missing_package_is_one_line(
-    make_design: Callable[..., Design], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
-) -> None:
+def test_a_missing_package_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str) -> None:
     for name in [name for name in sys.modules if name.startswith("probedesign.cad.")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(MissingDependencyError, match=r"^export needs .*pip install 'probedesign\[cad\]'$"):
-        export_parts(make_design(), tmp_path / "large")
+        export_parts(design_of(), tmp_path / "large")
     assert list(tmp_path.iterdir()) == []

@@ -24,7 +24,6 @@ def manifest(*files: str) -> str:
 
 
 def run(folder: Path, inside: str) -> subprocess.CompletedProcess[str]:
-    """A process that stages one file and then does something."""
     code = (
         "import os, signal, sys; from pathlib import Path; from probedesign.cad.folder import staged\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored in a shell's background

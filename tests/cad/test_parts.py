@@ -1,6 +1,5 @@
 """The drawn parts, checked by points, slices and overlaps, independently of the drawing code."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -33,7 +32,7 @@ from probedesign.mount import flange_adapter_for, mount_part_masses, sensor_adap
 from probedesign.mount.engraving import Engraving
 from probedesign.mount.tolerance_stack import tolerance_stacks
 from probedesign.printing.check import check_print
-from tests.cad.conftest import LARGE
+from tests.cad.conftest import LARGE, design_of
 
 Meshes = tuple[dict[str, trimesh.Trimesh], dict[str, list[PackedPart]], dict[str, bytes]]
 PROFILE = (
@@ -49,7 +48,6 @@ NEARLY_A_CYLINDER = "length_mm = 400.0\nbase_d_mm = 12.0\ntip_d_mm = 11.98"
 
 
 def at(azimuth_deg: float, r: float, z: float) -> Array:
-    """A point in millimetres by azimuth, radius and height."""
     a = np.radians(azimuth_deg)
     return np.array([r * np.cos(a), r * np.sin(a), z])
 
@@ -233,10 +231,8 @@ def test_mounting_triad_is_turned_from_the_tool_triad(large: CadModel) -> None:
 @pytest.mark.parametrize(
     ("flange", "reach", "spigot_r"), [("iso-9409-1-50-4-m6", 25.0, 15.65), ("iso-9409-1-31.5-4-m5", 15.75, 9.9)]
 )
-def test_robot_side(
-    make_design: Callable[..., Design], large: CadModel, flange: str, reach: float, spigot_r: float
-) -> None:
-    design = make_design(robot_flange=flange)
+def test_robot_side(large: CadModel, flange: str, reach: float, spigot_r: float) -> None:
+    design = design_of(robot_flange=flange)
     model = large if design == large.design else build_cad(design)
     plate = model.parts["flange_adapter"].shape
     for azimuth in (45, 135, 225, 315):  # from the dowel, through and through
@@ -391,8 +387,8 @@ def test_every_part_is_mounted_onto_a_present_part(large: CadModel) -> None:
         "elliptic profile, rounded",
     ],
 )
-def test_solids_agree_with_the_formulae(make_design: Callable[..., Design], probe: str) -> None:
-    model = build_cad(make_design(probe))
+def test_solids_agree_with_the_formulae(probe: str) -> None:
+    model = build_cad(design_of(probe))
     findings = verify(model, *meshed(model))
     assert all(f["ok"] for f in findings.values())
     # The limit is 1e-9; the kernel is far better, so growth of these numbers indicates a change. It integrates along
@@ -405,7 +401,6 @@ def test_solids_agree_with_the_formulae(make_design: Callable[..., Design], prob
 
 
 def waisted(base_d: float, length: float, tip_d: float) -> str:
-    """A profile that swells, narrows and swells again to its tip."""
     waist = max(0.5 * base_d, 1.2)
     knots = [[0.0, base_d], [length / 4, base_d + 2.0], [length / 2, waist], [length, tip_d]]
     return f'shape = "profile"\nprofile_mm = {knots}\n'
@@ -426,15 +421,13 @@ KINDS = {
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("base_d", [3.0, 7.5, 12.0, 18.5, 25.0])
 @pytest.mark.parametrize(("length", "thick"), [(30.0, 0.0), (30.0, 1.0), (100.0, 0.4), (180.0, 0.0), (180.0, 1.0)])
-def test_grid_of_designs(
-    make_design: Callable[..., Design], base_d: float, length: float, thick: float, kind: str
-) -> None:
+def test_grid_of_designs(base_d: float, length: float, thick: float, kind: str) -> None:
     """Every part valid, closed, as the mechanics knows it, free of interference and within reach; `thick` takes the
     tip from 1.2 mm to the base's diameter."""
     tip_d = 1.2 + thick * (base_d - 1.2)
     sizes = f"length_mm = {length}\nbase_d_mm = {base_d}\ntip_d_mm = {tip_d}\n"
     flange = "iso-9409-1-50-4-m6" if thick else "iso-9409-1-31.5-4-m5"
-    model = build_cad(make_design(sizes + KINDS[kind](base_d, length, tip_d), flange))
+    model = build_cad(design_of(sizes + KINDS[kind](base_d, length, tip_d), flange))
     assert all(f["ok"] for f in verify(model, *meshed(model)).values())
 
 
@@ -442,9 +435,9 @@ def test_grid_of_designs(
 @pytest.mark.parametrize("flange", ["iso-9409-1-50-4-m6", "iso-9409-1-31.5-4-m5"])
 @pytest.mark.parametrize("base_d", [0.5, 3, 6, 9, 12, 18, 25, 40, 60])
 @pytest.mark.parametrize("length", [5.0, 400.0])
-def test_wider_grid(make_design: Callable[..., Design], base_d: float, length: float, flange: str) -> None:
+def test_wider_grid(base_d: float, length: float, flange: str) -> None:
     probe = f"length_mm = {length}\nbase_d_mm = {float(base_d)}\ntip_d_mm = 0.3"
-    model = build_cad(make_design(probe, flange))
+    model = build_cad(design_of(probe, flange))
     assert all(f["ok"] for f in verify(model, *meshed(model)).values())
 
 
@@ -457,8 +450,8 @@ def test_wider_grid(make_design: Callable[..., Design], base_d: float, length: f
 @pytest.mark.parametrize(
     "sizes", [(150.0, 12.0, 2.0), (50.0, 3.0, 1.0), (400.0, 60.0, 2.0), (5.0, 60.0, 5.0), (80.0, 6.0, 6.0)]
 )
-def test_grid_of_sections(make_design: Callable[..., Design], section: str, sizes: tuple[float, float, float]) -> None:
-    model = build_cad(make_design("length_mm = {}\nbase_d_mm = {}\ntip_d_mm = {}\n".format(*sizes) + section))
+def test_grid_of_sections(section: str, sizes: tuple[float, float, float]) -> None:
+    model = build_cad(design_of("length_mm = {}\nbase_d_mm = {}\ntip_d_mm = {}\n".format(*sizes) + section))
     assert all(f["ok"] for f in verify(model, *meshed(model)).values())
 
 
@@ -516,8 +509,8 @@ FIXED = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("probe", FIXED.values(), ids=FIXED)
-def test_fixed_designs(make_design: Callable[..., Design], probe: str) -> None:
-    check_all(make_design(probe))
+def test_fixed_designs(probe: str) -> None:
+    check_all(design_of(probe))
 
 
 def check_all(design: Design) -> None:
@@ -529,8 +522,8 @@ def check_all(design: Design) -> None:
     assert [f.message for f in check_print(design).findings if f.severity == "error"] == []
 
 
-def test_a_bore_is_open_from_tip_to_underside(make_design: Callable[..., Design]) -> None:
-    probe = build_cad(make_design(HOLLOW + "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0")).parts["probe"]
+def test_a_bore_is_open_from_tip_to_underside() -> None:
+    probe = build_cad(design_of(HOLLOW + "length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0")).parts["probe"]
     for z in (-2.99, -0.1, 0.1, 75.0, 149.99):
         outer = 6.0 if z < 0.0 else 6.0 - z / 30.0  # below s = 0 the bore keeps its width
         for azimuth in (20.0, 110.0, 200.0, 290.0):
@@ -539,8 +532,8 @@ def test_a_bore_is_open_from_tip_to_underside(make_design: Callable[..., Design]
 
 
 @pytest.fixture(scope="module")
-def elliptic(make_design: Callable[..., Design]) -> CadModel:
-    return build_cad(make_design(ELLIPTIC + LARGE))
+def elliptic() -> CadModel:
+    return build_cad(design_of(ELLIPTIC + LARGE))
 
 
 def test_a_flattened_probe_is_wide_along_the_clocking_mark(elliptic: CadModel) -> None:
@@ -604,11 +597,3 @@ def test_overlap_is_detected(large: CadModel) -> None:
                        0.0, 0.2e-3, epsabs=1e-22, epsrel=1e-12)  # fmt: skip
     expected = np.pi / 4 * a.flange.diameter**2 * 0.2e-3 - inner - notch
     assert shared == pytest.approx(expected, rel=1e-9)  # exact surfaces
-
-
-def test_same_triangles_on_every_run(make_design: Callable[..., Design], large: CadModel, large_meshes: Meshes) -> None:
-    again = build_cad(make_design())
-    for name, mesh in large_meshes[0].items():
-        fresh = tessellate(again.parts[name].shape)
-        assert np.array_equal(mesh.vertices, fresh.vertices)
-        assert np.array_equal(mesh.faces, fresh.faces)
