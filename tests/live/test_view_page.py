@@ -6,7 +6,6 @@ import gzip
 import io
 import json
 import re
-import shutil
 import signal
 import socket
 import subprocess
@@ -27,13 +26,9 @@ from probedesign.live.processing.commands import COMMANDS, CommandQueue
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.view.sinks import BrowserView
+from tests.reports.page_checks import PATIENCE, SOFTWARE, browser
 
 pytest.importorskip("viser")
-
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
-#: A browser without a GPU, and as root in a container.
-SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
-PATIENCE = 120_000  #: A page drawn by a busy processor is slow, and no test is about that [ms].
 
 
 def free_port() -> int:
@@ -258,19 +253,14 @@ def test_lines_of_json_stay_clean_beside_a_page(bundle, capfd):
 @pytest.fixture(scope="module")
 def tab(view):
     """The page in a headless browser, opened once: it is drawn by the processor."""
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if CHROMIUM is None:
-        pytest.skip("no Chromium or Chrome on the path to look at the page with")
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
-        tab = browser.new_page(viewport={"width": 1000, "height": 480})
+    with browser(*SOFTWARE) as running:
+        tab = running.new_page(viewport={"width": 1000, "height": 480})
         tab.foreign = []
         tab.on("request", lambda request: tab.foreign.append(request.url))
         tab.goto(view.url, timeout=PATIENCE)
         tab.get_by_text("Touches so far").wait_for(timeout=PATIENCE)
         yield tab
         tab.close()  # a browser that still draws takes half a minute to close
-        browser.close()
 
 
 def test_a_browser_shows_status_and_sends_commands(view, tab):

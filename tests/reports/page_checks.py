@@ -15,19 +15,20 @@ import numpy as np
 import pytest
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]  #: A scene without a GPU.
+PATIENCE = 120_000  #: A page drawn by a busy processor is slow, and no test is about that [ms].
 MIN_CONTRAST = 4.5  #: Of text of normal size. Source: WCAG 2.2, success criterion 1.4.3, level AA.
 SCALE = 2  #: Pixels of a screenshot per pixel of the page, so that the strokes of a letter have their full colour.
 NARROW, WIDE, HEIGHT = 360, 1000, 800
 
 
 @contextmanager
-def browser() -> Iterator[Any]:
-    """Start Chromium, or skip the test."""
+def browser(*flags: str) -> Iterator[Any]:
     if CHROMIUM is None:
         pytest.skip("no Chromium")
     playwright = pytest.importorskip("playwright.sync_api")
     with playwright.sync_playwright() as driver:
-        running = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        running = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox", *flags])
         yield running
         running.close()
 

@@ -2,7 +2,6 @@
 
 import math
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -20,29 +19,21 @@ from probedesign.geometry.tube import centreline
 from probedesign.studio.page import CHARTS_WIDTH, CONTROLS_WIDTH, StudioPage
 from probedesign.studio.session import Session, knots_of
 from probedesign.web.scene import UNIT, level_rotation
+from tests.reports.page_checks import PATIENCE, SOFTWARE, browser
 
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
-#: A browser without a GPU, and as root in a container.
-SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
 TABLET = {"device_scale_factor": 2, "has_touch": True, "is_mobile": True}  #: Two drawn pixels for each of the page.
-PATIENCE = 120_000  #: A page drawn by a busy processor is slow, and no test is about that [ms].
 
 
 @pytest.fixture(scope="module")
-def browser():
-    if CHROMIUM is None:
-        pytest.skip("no Chromium")
-    playwright = pytest.importorskip("playwright.sync_api")
-    with playwright.sync_playwright() as driver:
-        running = driver.chromium.launch(executable_path=CHROMIUM, args=SOFTWARE)
-        yield running
-        running.close()
+def running():
+    with browser(*SOFTWARE) as started:
+        yield started
 
 
 @contextmanager
-def opened(browser, page, width=1280, height=720, **options):
+def opened(running, page, width=1280, height=720, **options):
     """Open the studio in a tab; yields it and what its console reports as errors."""
-    context = browser.new_context(viewport={"width": width, "height": height}, **options)
+    context = running.new_context(viewport={"width": width, "height": height}, **options)
     tab, faults = context.new_page(), []
     tab.set_default_timeout(PATIENCE)
     tab.on("console", lambda message: faults.append(message.text) if message.type == "error" else None)
@@ -62,12 +53,21 @@ def page(tmp_path, monkeypatch):
     served.stop()
 
 
-def test_two_tabs_show_one_state_without_errors(page, browser):
-    """One of a screen, and one of a tablet with two pixels for each of the page."""
-    with opened(browser, page) as (wide, one), opened(browser, page, 820, 1180, **TABLET) as (narrow, two):
+def assert_scene_is_wide(tab, width):
+    # Edges and handles of the panels take some pixels.
+    tab.wait_for_function(
+        "wide => Math.abs([...document.querySelectorAll('canvas')].at(-1).clientWidth - wide) < 20", arg=width
+    )
+
+
+def test_tabs_show_one_state_and_the_scene_what_the_panels_leave(page, running):
+    """A screen and a tablet, whose charts are below the controls, where they would leave the scene too little."""
+    beside_both = 1280 - CONTROLS_WIDTH - CHARTS_WIDTH
+    with opened(running, page) as (wide, wide_faults), opened(running, page, 820, 1180, **TABLET) as (narrow, faults):
         tabs = wide, narrow
-        for tab in tabs:
+        for tab, width in zip(tabs, (beside_both, 820 - CONTROLS_WIDTH), strict=True):
             tab.wait_for_selector("text=/One reading of 10 mN is located/")
+            assert_scene_is_wide(tab, width)
         assert wide.get_by_role("textbox").nth(0).is_visible()
         page.move("probe.length_mm", 60.0)
         page.settle()
@@ -81,30 +81,18 @@ def test_two_tabs_show_one_state_without_errors(page, browser):
         wide.get_by_role("button", name="undo").click()
         narrow.wait_for_function("() => [...document.querySelectorAll('input')].some(i => i.value === '50')")
         assert page.session.design == paper_design("small")
-        assert not [fault for fault in one + two if "favicon" not in fault]
+        assert not [fault for fault in wide_faults + faults if "favicon" not in fault]
+    with opened(running, page) as (tab, _):  # however the tab before was arranged
+        assert_scene_is_wide(tab, beside_both)
 
 
-def test_the_scene_has_what_the_panels_leave(page, browser):
-    """The charts are below the controls where they would leave too little, however the tab before was arranged."""
-    wide = (1280, 720), {}, CONTROLS_WIDTH + CHARTS_WIDTH
-    narrow = (820, 1180), TABLET, CONTROLS_WIDTH
-    for size, options, panels in (wide, narrow, wide):
-        with opened(browser, page, *size, **options) as (tab, _):
-            tab.wait_for_selector("text=/One reading of 10 mN is located/")
-            # Edges and handles of the panels take some pixels.
-            tab.wait_for_function(
-                "wide => Math.abs([...document.querySelectorAll('canvas')].at(-1).clientWidth - wide) < 20",
-                arg=size[0] - panels,
-            )
-
-
-def test_a_knot_of_a_profile_is_dragged_with_the_pointer(page, browser):
+def test_a_knot_of_a_profile_is_dragged_with_the_pointer(page, running):
     """The pointer goes out from the knot across the probe to three times the radius: the diameter becomes as large."""
     page.move("probe.shape", "profile")
     page.settle()
     index, _, d = knots_of(page.session.design)[1]
     others = {i: other for i, _, other in knots_of(page.session.design) if i != index}
-    with opened(browser, page) as (tab, _):
+    with opened(running, page) as (tab, _):
         tab.wait_for_selector("text=/One reading of 10 mN is located/")
         tab.wait_for_timeout(3000)  # the scene is drawn after the panels
         start, end = (knot_on_screen(page, tab, 1, stretch) for stretch in (1.0, 3.0))
@@ -140,8 +128,8 @@ def knot_on_screen(page, tab, i, stretch):
     )
 
 
-def test_the_buttons_write_what_the_commands_write(page, browser, tmp_path):
-    with opened(browser, page) as (tab, _):
+def test_the_buttons_write_what_the_commands_write(page, running, tmp_path):
+    with opened(running, page) as (tab, _):
         tab.get_by_role("tab", name="Save").click()
         tab.get_by_role("button", name="Save the design").click()
         tab.wait_for_selector("text=/wrote designs.small.toml/")
@@ -218,15 +206,12 @@ def test_bad_arguments_give_one_line(arguments, capsys, tmp_path, monkeypatch):
 
 def test_ctrl_c_leaves_nothing_running(tmp_path):
     """The studio hears SIGINT even if these tests run in a shell's background, where it is inherited as ignored."""
-    command = [sys.executable, "-m", "probedesign.cli.main", "studio", "small", "--no-open"]
     process = subprocess.Popen(
-        command,
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        text=True,
+        [sys.executable, "-m", "probedesign.cli.main", "studio", "small", "--no-open"],
+        cwd=tmp_path, stdout=subprocess.PIPE, text=True,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
+    )  # fmt: skip
     assert process.stdout is not None
     assert process.stdout.readline().startswith("studio: http")  # nothing else is printed before
     process.send_signal(signal.SIGINT)
