@@ -23,7 +23,6 @@ NEW = ("new", "--length", "150", "--base-d", "12")
 
 
 def command(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """Run `probedesign` in a process of its own."""
     return subprocess.run(
         [sys.executable, "-m", "probedesign.cli.main", *arguments],
         cwd=cwd,
@@ -333,7 +332,6 @@ def test_doctor_names_what_has_no_wheel_on_arm(monkeypatch):
 
 
 def without(monkeypatch, *names: str) -> None:
-    """Make the named packages appear not to be installed."""
     installed = metadata.version
 
     def version(name):

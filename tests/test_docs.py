@@ -23,7 +23,6 @@ WITH_VALUES = ("mechanics", "estimation", "prediction", "stereo")
 
 
 def blocks_of(page: Path, language: str) -> list[str]:
-    """Return the code blocks of a page in one language."""
     return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
 
 
@@ -40,7 +39,6 @@ def test_the_examples_print_the_values_in_their_comments(page, monkeypatch):
 
 
 def steps_of(page: Path) -> list[list[str] | str]:
-    """Return the probedesign commands of a page and its Python blocks that run by themselves, in order."""
     found: list[list[str] | str] = []
     for language, block in re.findall(r"```(sh|python)\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
         if language == "sh":

@@ -41,7 +41,6 @@ def path(tmp_path):
 
 
 def leaves(data, at=()):
-    """Paths of every number, text and empty list in nested data."""
     if isinstance(data, dict) and data:
         return [leaf for key, value in data.items() for leaf in leaves(value, (*at, key))]
     if isinstance(data, list) and data:
@@ -50,7 +49,6 @@ def leaves(data, at=()):
 
 
 def with_changed(data, at, change):
-    """A copy with the value at a path changed."""
     data = copy.deepcopy(data)
     parent = data
     for key in at[:-1]:
@@ -74,7 +72,6 @@ def remove(parent, key):
 
 
 def refused(path, content, message=None):
-    """The one line that a file is refused with."""
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(InputError, match=message) as error:
         load_model(path)
@@ -318,7 +315,6 @@ def test_an_older_probe_is_frozen_again_in_the_current_schema(schema, path):
 
 
 def signed(data):
-    """The text of a frozen probe under a checksum of its own."""
     body = {key: value for key, value in data.items() if key != "checksum"}
     return json.dumps({**body, "checksum": frozen_probe._checksum(body)})
 

@@ -17,7 +17,6 @@ VERBS = {"build_probe", "identify", "load_design", "load_estimator", "predict", 
 
 
 def modules_after(code: str) -> set[str]:
-    """Return the names of the modules that are loaded after some code, in a new process."""
     done = subprocess.run(
         [sys.executable, "-c", f"{code}\nimport sys; print(*sys.modules, sep='\\n')"],
         capture_output=True, text=True, timeout=300, check=True,

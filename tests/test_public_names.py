@@ -19,7 +19,6 @@ def listed(*patterns):
 
 
 def names_in(tree):
-    """Return how often each name stands in code, imports and strings of one word."""
     found = Counter()
     for node in ast.walk(tree):
         match node:

@@ -19,7 +19,6 @@ SINGLE = tuple(source for source in SOURCES if source != "robot")
 
 
 def touched(perturbations, z):
-    """Return samples and their touches at one place over the length with one force."""
     samples = perturbations.samples(z)
     touches = solve(samples.at_touch(0), samples.gravity, 0.6 * samples.probes.length, 0.7, (0.05, 0.01, -0.02),
                     axes="surface")  # fmt: skip

@@ -28,7 +28,6 @@ def changed(campaign: Campaign, change: Callable[[tables.Test], tables.Test]) ->
 
 
 def in_base(campaign: Campaign, model: ProbeModel) -> Campaign:
-    """Return the same readings about the base."""
 
     def converted(test: tables.Test) -> tables.Test:
         gravity = test.T_world_base[:3, :3].T @ campaign.gravity_world

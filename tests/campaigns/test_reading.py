@@ -48,7 +48,6 @@ hang,1,68,0,0,0,4,0
 
 @pytest.fixture
 def folder(tmp_path):
-    """A small campaign with a marker table."""
     for name, text in (("campaign.toml", TOML), ("tests.csv", TESTS), ("markers.csv", MARKERS),
                        ("wrenches.csv", WRENCHES)):  # fmt: skip
         (tmp_path / name).write_text(text)
@@ -75,7 +74,6 @@ def seen(folder):
 
 
 def refusal(folder, file, old, new) -> str:
-    """Return the error message after one mistake."""
     text = (folder / file).read_text()
     assert old in text
     (folder / file).write_text(text.replace(old, new))
@@ -218,7 +216,6 @@ def test_missing_and_invalid_files_are_refused(tmp_path, folder):
 
 @pytest.fixture(scope="module")
 def large():
-    """The model of the paper's large probe."""
     return build_probe(paper_design("large")).model
 
 

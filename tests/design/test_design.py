@@ -32,7 +32,6 @@ def one_line(error: pytest.ExceptionInfo[InputError]) -> str:
 
 
 def problem(old: str, new: str) -> str:
-    """Return the error of the large probe's file with a replaced part."""
     assert old in PLAIN
     with pytest.raises(InputError) as error:
         parse_design(PLAIN.replace(old, new, 1), "large.toml")
@@ -340,7 +339,6 @@ def write_new(path: Path, **changes: object) -> Design:
 
 
 def optional(**keys: st.SearchStrategy[object]) -> st.SearchStrategy[dict[str, object]]:
-    """Return the tables that contain any of these keys."""
     return st.fixed_dictionaries({}, optional=keys)
 
 

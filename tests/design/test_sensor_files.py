@@ -44,7 +44,6 @@ def record(**noise):
 
 @pytest.fixture
 def path(tmp_path):
-    """Return a design file that refers to a sensor file in its folder."""
     (tmp_path / "my").mkdir()
     (tmp_path / "my" / "sensor.toml").write_text(record())
     (tmp_path / "design.toml").write_text(DESIGN)
@@ -169,7 +168,6 @@ def test_a_wrong_sensor_file_is_refused_in_one_line(path, old, new, message):
 
 
 def line_named(path: Path) -> str:
-    """The text of the line that the error of a sensor file names."""
     with pytest.raises(InputError) as error:
         load_sensor(path)
     found = re.match(r".*\.toml:(\d+): (.*)$", str(error.value))

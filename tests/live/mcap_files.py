@@ -19,7 +19,6 @@ def block(start: int, count: int, *, rate: float = 7000.0, fault: str = "", stre
 
 
 def write(path: Path, model, blocks: list[Block], chunk: int = 1, closed: bool = True) -> Path:
-    """A recording of the blocks, a chunk for every so many."""
     file = McapRecorder(path, model)
     for i, each in enumerate(blocks, 1):
         file.on_samples(each)
@@ -31,19 +30,16 @@ def write(path: Path, model, blocks: list[Block], chunk: int = 1, closed: bool =
 
 
 def read(path: Path, model, choice: RecordingOptions | None = None) -> tuple[OpenRecording, list[Block]]:
-    """The recording and all its blocks."""
     recorded = open_recording(path, model, choice)
     return recorded, list(recorded.blocks())
 
 
 def same(a: Block, b: Block) -> bool:
-    """Whether two blocks are the same to the last bit."""
     arrays = ((a.time, b.time), (a.wrench_sensor, b.wrench_sensor), (a.gravity_base, b.gravity_base))
     return (a.fault, a.stretch) == (b.fault, b.stretch) and all(x.tobytes() == y.tobytes() for x, y in arrays)
 
 
 def joined(blocks: list[Block]) -> list[bytes]:
-    """Times and wrenches of all of them, however they were cut."""
     return [b"".join(getattr(each, name).tobytes() for each in blocks) for name in ("time", "wrench_sensor")]
 
 

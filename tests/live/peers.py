@@ -108,6 +108,5 @@ def close(estimator, count):
 
 
 def averaged(blocks, samples):
-    """The means of so many consecutive readings."""
     batches = Averager(samples, None, print)
     return [batch.reading for block in blocks for batch in batches.add(block)]

@@ -70,7 +70,6 @@ def test_faults_of_the_stream_are_decoded_by_the_table(estimator):
 
 
 def rates_of(rate, assumed, seconds=4 * RATE_PERIOD):
-    """What a monitor measures of a counter that is read a hundred times a second."""
     monitor = RateMonitor(assumed)
     found = [monitor.measured(0.01 * i * rate / assumed, 100.0 + 0.01 * i) for i in range(round(100 * seconds))]
     return [each for each in found if each is not None]

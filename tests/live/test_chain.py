@@ -49,7 +49,6 @@ def blocks(model, wrench_sensor, time, size=25, seed=1, walk=0.0):
 
 
 def touch(motion, **options):
-    """Blocks of the whole touch, and of a second of rest after it."""
     time = np.arange(int((motion.cycle_time + 1.0) * RATE)) / RATE
     return blocks(motion.model, motion.wrench_sensor(time) + BIAS, time, **options)
 

@@ -51,7 +51,6 @@ def run(estimator, tmp_path):
 
 
 def results_of(run, *names):
-    """Results of commands that are queued together."""
     commands, _, updates = run
     results: list[CommandResult] = []
     for name in names:

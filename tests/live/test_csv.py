@@ -190,7 +190,6 @@ def test_any_mutation_of_a_recording(path, data):
 
 
 def assert_recording_or_one_line(path, content: bytes) -> None:
-    """Either a whole and plausible recording or a one-line error with the reason."""
     try:
         recording = read(path, content)
     except InputError as error:

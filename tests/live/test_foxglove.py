@@ -221,8 +221,6 @@ def test_the_reader_of_the_foxglove_sdk_reads_a_recording(recorded):
             return path.open("rb")
 
     class Factory:
-        """Decodes by the definitions in the file."""
-
         def decoder_for(self, encoding, schema):
             assert (encoding, schema.encoding) == ("cdr", "ros2msg")
             store = get_typestore(Stores.EMPTY)

@@ -261,7 +261,6 @@ def intact_or_one_line(path: Path, model) -> list[Block]:
 
 
 def chunk_offsets(path: Path) -> list[int]:
-    """Where the chunks of a closed file begin."""
     with path.open("rb") as file:
         return [index.chunk_start_offset for index in make_reader(file).get_summary().chunk_indexes]
 

@@ -82,7 +82,6 @@ def test_pynetft_reads_the_same_from_our_box(estimator):
 
 @pytest.fixture
 def asked(estimator):
-    """Asks a box for records and returns its datagrams."""
 
     def asked(peer: SimulatedNetFT, command: int, records: int, packets: int) -> list[bytes]:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:

@@ -37,7 +37,6 @@ def receivers(link):
 
 
 def record(number):
-    """A record with the largest unsigned numbers and signed counts of both signs."""
     return RECORD.pack(number, 2**32 - 1 - number, 2**31, -number, number, -(2**31), 2**31 - 1, 0, 5)
 
 

@@ -26,7 +26,6 @@ def run(estimator, source, plan=None, sink=None):
 
 @pytest.fixture(scope="module")
 def recorded(estimator, tmp_path_factory):
-    """A recording and the estimates that were made while it was taken."""
     path = tmp_path_factory.mktemp("replay") / "sim.csv"
     with closing(CsvRecorder(path)) as file:
         answers = run(estimator, SimulatedSource(estimator.model, QUERY), sink=file)

@@ -80,8 +80,6 @@ def readings(blocks) -> list[WrenchReading]:
 
 
 class Known:
-    """A source of known blocks."""
-
     title, notes = "", ()
 
     def __init__(self, blocks: list[Block]) -> None:
@@ -92,7 +90,6 @@ class Known:
 
 
 def answered(estimator, times: list[float], rate: float) -> list[float]:
-    """Times of the estimates at a maximum rate."""
     answers = estimate_stream(estimator, Known(stream(*times)), ProcessingOptions(rate=rate), lambda line: None)
     return [answer.reading.time for answer in answers]
 

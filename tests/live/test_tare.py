@@ -101,8 +101,6 @@ def test_a_window():
 
 
 class Fixed:
-    """A source of known readings."""
-
     title, notes = "", ()
 
     def __init__(self, readings) -> None:

@@ -29,8 +29,6 @@ WRENCH = np.array(list(GOOD.values()))
 
 
 class Waiting(Reader):
-    """A reader that does not expect readings at once."""
-
     def more(self, count=0):
         return None
 
@@ -54,7 +52,6 @@ class Sender:
 
 @pytest.fixture
 def opened(estimator):
-    """A reader of a source, and its sender."""
     sender = Sender()
     with Waiting(sender, estimator) as reader:
         yield reader, sender.connect(reader)

@@ -27,7 +27,6 @@ def arguments(probe, folder, *more, poses="poses.csv"):
 
 @pytest.fixture(scope="module")
 def explored(probe, house, tmp_path_factory):
-    """Return the folder that the command writes, and the JSON that it prints."""
     out, printed = tmp_path_factory.mktemp("found"), io.StringIO()
     with redirect_stdout(printed):
         assert run(arguments(probe, house[1], "--out", out, "--json")) == 0

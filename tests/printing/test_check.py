@@ -28,7 +28,6 @@ def design_of(length=150.0, base=12.0, tip=2.0, profile=None, print_="", **more)
 
 
 def found(design, rule, what=""):
-    """Return the most severe finding of a rule on the probe whose text contains `what`."""
     rank = ("ok", "warning", "error").index
     every = check_print(design).findings
     findings = [f for f in every if (f.rule, f.part) == (rule, "probe") and what in f.what]

@@ -85,7 +85,6 @@ def test_an_enclosed_volume_is_measured() -> None:
 
 
 def mounts() -> list[tuple[str, str, str]]:
-    """Every known sensor with every flange that fits it, by names, and both screws of the ring."""
     fitting = [(sensor, flange) for sensor, model in SENSORS.items() for flange in fitting_flanges(model)]
     return [(*pair, ("M2", "M3")[i % 2]) for i, pair in enumerate(fitting)]
 

@@ -33,7 +33,6 @@ PLACES = np.array([0.05, 0.3, 0.53, 0.7, 0.95, 1.0])
 
 
 def problem(case):
-    """Return rod, gravity, force, couple and s_contact of a case."""
     rod, fraction, couple = CASES[case]
     s_c = fraction * rod.length
     force = bending_force(rod, s_c, 0.8) * np.array([0.6, -0.7, 0.4])
@@ -55,7 +54,6 @@ def kind_of(name):
 
 
 def size_of(name, rod, force):
-    """Return the scale of the parameter."""
     F, L = np.linalg.norm(force), rod.length
     return {"force": F, "s_contact": L, "couple": F * L, "gravity": 9.81, "log": 1.0}[kind_of(name)]
 

@@ -40,7 +40,6 @@ def test_the_preview_has_the_numbers_of_predict(name):
 
 
 def assert_close(a, b):
-    """Both are None, or equal within a hundred thousandth."""
     assert (a is None) is (b is None)
     assert a is None or a == pytest.approx(b, rel=1e-5)
 

@@ -27,7 +27,6 @@ def small():
 
 @pytest.fixture(scope="module")
 def folder(small, tmp_path_factory):
-    """Seven touches on a stage, three of them held out."""
     plan = CampaignPlan("stage", 2, hold_out=True)
     return make_campaign(small, tmp_path_factory.mktemp("data") / "small", plan).folder
 
@@ -93,8 +92,6 @@ def test_the_intervals_of_coverage_and_ratio_have_their_width():
 
 
 class _Error:
-    """Of a touch with a given NEES of three degrees of freedom."""
-
     dof = 3
 
     def __init__(self, nees):

@@ -35,7 +35,6 @@ DESIGNS = Path(__file__).parents[2] / "designs"
 
 @pytest.fixture(scope="module")
 def large():
-    """The model of the paper's large probe."""
     return build_probe(paper_design("large")).model
 
 
@@ -47,7 +46,6 @@ def made(large, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def found(large, made):
-    """The same, validated."""
     return validate(Estimator(large), read_campaign(made))
 
 

@@ -19,7 +19,6 @@ def camera(name="left", distortion=(), focal=3000.0, size=(1920, 1080)):
 
 
 def calibrated(true, rng, std_px=0.5, **options):
-    """A camera from its noisy control points."""
     pixels = true.project(BOX) + rng.normal(0, std_px, (len(BOX), 2))
     return calibrate(true.name, BOX, pixels, len(true.distortion), **options)
 

@@ -20,7 +20,6 @@ T = TRUE[1].R_camera_world @ (TRUE[0].p_world - TRUE[1].p_world)
 
 
 def store(path, **values):
-    """Write a storage file with OpenCV."""
     file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     for key, value in values.items():
         file.write(key, value)

@@ -32,7 +32,6 @@ def usual(tmp_path_factory):
 
 
 def where(dots=DOTS, tube=TUBE):
-    """Return the pixels of the painted centres of dots."""
     return SIGHT.project(tube.dot_positions(dots))
 
 
