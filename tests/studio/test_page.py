@@ -54,6 +54,7 @@ def page(tmp_path, monkeypatch):
 
 
 def assert_scene_is_wide(tab, width):
+    tab.wait_for_selector("text=/One reading of 10 mN is located/")
     # Edges and handles of the panels take some pixels.
     tab.wait_for_function(
         "wide => Math.abs([...document.querySelectorAll('canvas')].at(-1).clientWidth - wide) < 20", arg=width
@@ -63,25 +64,25 @@ def assert_scene_is_wide(tab, width):
 def test_tabs_show_one_state_and_the_scene_what_the_panels_leave(page, running):
     """A screen and a tablet, whose charts are below the controls, where they would leave the scene too little."""
     beside_both = 1280 - CONTROLS_WIDTH - CHARTS_WIDTH
-    with opened(running, page) as (wide, wide_faults), opened(running, page, 820, 1180, **TABLET) as (narrow, faults):
-        tabs = wide, narrow
-        for tab, width in zip(tabs, (beside_both, 820 - CONTROLS_WIDTH), strict=True):
-            tab.wait_for_selector("text=/One reading of 10 mN is located/")
-            assert_scene_is_wide(tab, width)
-        assert wide.get_by_role("textbox").nth(0).is_visible()
-        page.move("probe.length_mm", 60.0)
-        page.settle()
-        for tab in tabs:
-            tab.wait_for_function("() => [...document.querySelectorAll('input')].some(i => i.value === '60')")
-        # An impossible design: the reason, and the last valid design is kept.
-        page.move("probe.tip_d_mm", 11.0)
-        for tab in tabs:
-            tab.wait_for_selector("text=/Not applied: .*tip_d_mm/")
-        assert page.session.design.probe.length_mm == 60.0 and page.session.design.probe.tip_d_mm == 1.5
-        wide.get_by_role("button", name="undo").click()
-        narrow.wait_for_function("() => [...document.querySelectorAll('input')].some(i => i.value === '50')")
-        assert page.session.design == paper_design("small")
-        assert not [fault for fault in wide_faults + faults if "favicon" not in fault]
+    with opened(running, page) as (wide, wide_faults):
+        assert_scene_is_wide(wide, beside_both)
+        with opened(running, page, 820, 1180, **TABLET) as (narrow, faults):
+            assert_scene_is_wide(narrow, 820 - CONTROLS_WIDTH)
+            tabs = wide, narrow
+            assert wide.get_by_role("textbox").nth(0).is_visible()
+            page.move("probe.length_mm", 60.0)
+            page.settle()
+            for tab in tabs:
+                tab.wait_for_function("() => [...document.querySelectorAll('input')].some(i => i.value === '60')")
+            # An impossible design: the reason, and the last valid design is kept.
+            page.move("probe.tip_d_mm", 11.0)
+            for tab in tabs:
+                tab.wait_for_selector("text=/Not applied: .*tip_d_mm/")
+            assert page.session.design.probe.length_mm == 60.0 and page.session.design.probe.tip_d_mm == 1.5
+            wide.get_by_role("button", name="undo").click()
+            narrow.wait_for_function("() => [...document.querySelectorAll('input')].some(i => i.value === '50')")
+            assert page.session.design == paper_design("small")
+            assert not [fault for fault in wide_faults + faults if "favicon" not in fault]
     with opened(running, page) as (tab, _):  # however the tab before was arranged
         assert_scene_is_wide(tab, beside_both)
 
