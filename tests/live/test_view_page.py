@@ -132,7 +132,7 @@ def public(estimator, tmp_path_factory, view):
     port = int(view.url.rpartition(":")[2])
     with contextlib.redirect_stderr(shown):
         public = BrowserView(
-            estimator, tmp_path_factory.mktemp("public"), CommandQueue(), log_lines.append, "0.0.0.0", port
+            estimator, tmp_path_factory.mktemp("public"), CommandQueue(), log_lines.append, host="0.0.0.0", port=port
         )
     public.local = public.url.replace("0.0.0.0", "127.0.0.1")
     public.token = re.search(r"view: open http://\S+:\d+/\?token=(\S+)", shown.getvalue())[1]
