@@ -1,7 +1,7 @@
 """The frozen probe: all that `estimate` and `live` need of a probe, in one JSON file that people can read.
 
-`FIELDS` is the file format: one row for each value, with its key, the attribute of `ProbeModel` that has it, and the
-schema from which a file must have it. `freeze` writes a model by this table, and `load_model` reads one back.
+`FIELDS` is the file format: one row for each value, with its key and the attribute of `ProbeModel` that has it.
+`freeze` writes a model by this table, and `load_model` reads one back.
 """
 
 import hashlib
@@ -19,21 +19,18 @@ import numpy as np
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_regular, file_in, is_plain_name, write_atomically
 from probedesign.core.frames import Array, is_pose
-from probedesign.design.catalog import ELASTIC_FRICTION, Provenance, Quantity
+from probedesign.design.catalog import Provenance, Quantity
 from probedesign.design.sensors import DEFAULT_SENSOR, NANO17_BODY, Noise
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.geometry import Flange, ProbeGeometry
-from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
+from probedesign.geometry.cross_section import CrossSection
 from probedesign.geometry.mass import MassProperties
 from probedesign.rod.rod import Rod
 
 KIND = "probedesign frozen probe"
-#: Schemas that are read; the last one is written. 1: full round sections and linear strains only. 2: without `contact`
-#: and with fewer tolerances.
-SCHEMAS = (1, 2, 3)
-SCHEMA = SCHEMAS[-1]
+SCHEMA = 3  #: Version of the file format; no other one is read.
 #: Number of equidistant stations of the section table, beside the knots; for people and for the check on load.
 SECTION_STATIONS = 17
 _MAX_BYTES = 10_000_000
@@ -51,9 +48,8 @@ class Field(NamedTuple):
     #: checks the value of the file and returns that of the model; its errors begin after the key. None: the value is
     #: written for people and not read.
     read: Callable[[Any], Any] | None
-    since: int = 1  #: schema from which a file must have it.
-    default: Any = None  #: value for an older file that lacks it.
-    assumed: bool = False  #: such a default is listed among the assumptions of the probe.
+    optional: bool = False  #: a file may lack it.
+    default: Any = None  #: value for a file that lacks it.
 
 
 def _array(*shape: int) -> Callable[[Any], Array]:
@@ -133,9 +129,6 @@ def _read_flag(value: Any) -> bool:
 
 
 NUMBER, POSITIVE, SPREAD = _number(), _number(math.ulp(0.0)), _number(0.0, 0.5)
-OPTIONAL = SCHEMA + 1  #: `Field.since` of a value that any file may lack.
-#: Tolerances that files of the older schemas lack; they take their defaults and are listed as assumed.
-NEW_TOLERANCES = ("root_radii", "gain", "stiffness_scatter", "walk_steps")
 _UNITS = {"youngs_modulus": "Pa", "shear_modulus": "Pa", "density": "kg_m3"}
 _QUANTITY: dict[str, Callable[[Any], Any]] = {"value": NUMBER, "provenance": _read_text, "source": _read_text}
 #: Values of the file, in its order.
@@ -145,12 +138,12 @@ FIELDS = (
     Field("assumptions", "assumptions", _read_texts),
     Field("rod.s_m", "rod.s", _array()),
     Field("rod.radius_m", "rod.radius", _array()),
-    Field("rod.section.bore_ratio", "cross_section.bore_ratio", NUMBER, 2, FULL_ROUND.bore_ratio),
-    Field("rod.section.flatness", "cross_section.flatness", NUMBER, 2, FULL_ROUND.flatness),
+    Field("rod.section.bore_ratio", "cross_section.bore_ratio", NUMBER),
+    Field("rod.section.flatness", "cross_section.flatness", NUMBER),
     Field("rod.rigid_length_m", "rod.rigid_length", NUMBER),
-    Field("rod.finite_strain", "rod.finite_strain", _read_flag, 2, False),
+    Field("rod.finite_strain", "rod.finite_strain", _read_flag),
     Field("rod.shear_coefficient", "rod.shear_coefficient", NUMBER),
-    Field("rod.rounded_from_m", "rod.rounded_from", NUMBER, OPTIONAL),
+    Field("rod.rounded_from_m", "rod.rounded_from", NUMBER, optional=True),
     Field("flange.diameter_m", "flange.diameter", NUMBER),
     Field("flange.thickness_m", "flange.thickness", NUMBER),
     *(
@@ -158,20 +151,13 @@ FIELDS = (
         for name, unit in _UNITS.items()
         for part, read in _QUANTITY.items()
     ),
-    Field("contact.friction", "friction", _read_friction, 3, ELASTIC_FRICTION.value, True),
-    Field("contact.provenance", "friction_provenance", _read_provenance, 3, ELASTIC_FRICTION.provenance),
-    Field("contact.source", "friction_source", _read_text, 3, ELASTIC_FRICTION.source),
-    Field("spread.stiffness", "stiffness_spread", lambda value: None if value is None else SPREAD(value), 3),
-    Field("spread.creep", "creep_spread", SPREAD, 3, 0.0),
+    Field("contact.friction", "friction", _read_friction),
+    Field("contact.provenance", "friction_provenance", _read_provenance),
+    Field("contact.source", "friction_source", _read_text),
+    Field("spread.stiffness", "stiffness_spread", lambda value: None if value is None else SPREAD(value)),
+    Field("spread.creep", "creep_spread", SPREAD),
     *(  # `Tolerances` checks the ranges
-        Field(
-            f"tolerances.{name}",
-            f"tolerances.{name}",
-            _read_flag if isinstance(default, bool) else NUMBER,
-            3,
-            default,
-            name in NEW_TOLERANCES,
-        )
+        Field(f"tolerances.{name}", f"tolerances.{name}", _read_flag if isinstance(default, bool) else NUMBER)
         for name, default in asdict(Tolerances()).items()
     ),
     Field("sections", "sections", None),
@@ -187,12 +173,12 @@ FIELDS = (
     Field("sensor.moment_range_Nm", "moment_range", _array(3)),
     Field("sensor.noise_force_N", "noise.force", POSITIVE),
     Field("sensor.noise_moment_Nm", "noise.moment", POSITIVE),
-    Field("sensor.noise_cov", "noise_cov", _read_cov, OPTIONAL),
+    Field("sensor.noise_cov", "noise_cov", _read_cov, optional=True),
     Field("sensor.averaging_samples", "averaging_samples", int),
-    Field("sensor.model", "sensor", _read_text, OPTIONAL, DEFAULT_SENSOR),
-    Field("sensor.body_d_m", "sensor_d", _number(1e-3, 1.0), OPTIONAL, NANO17_BODY[0]),
-    Field("sensor.height_m", "sensor_height", _number(1e-3, 1.0), OPTIONAL, NANO17_BODY[1]),
-    Field("material.identified_tests", "identified_tests", _read_texts, OPTIONAL, ()),
+    Field("sensor.model", "sensor", _read_text, optional=True, default=DEFAULT_SENSOR),
+    Field("sensor.body_d_m", "sensor_d", _number(1e-3, 1.0), optional=True, default=NANO17_BODY[0]),
+    Field("sensor.height_m", "sensor_height", _number(1e-3, 1.0), optional=True, default=NANO17_BODY[1]),
+    Field("material.identified_tests", "identified_tests", _read_texts, optional=True, default=()),
 )
 
 
@@ -224,7 +210,7 @@ def freeze(model: ProbeModel) -> dict[str, Any]:
         value: Any = ChainMap(computed, vars(model))
         for name in field.attribute.split("."):
             value = value[name] if isinstance(value, Mapping) else getattr(value, name)
-        if value is None and field.since == OPTIONAL:
+        if value is None and field.optional:
             continue
         *tables, key = field.key.split(".")
         table = data
@@ -295,7 +281,10 @@ def load_model(path: str | Path, manifest: str | Path | None = None) -> ProbeMod
     _check_identity(data, path)
     try:
         model = _model_of(data)
-        _check_sections(data, model.rod)
+        for name, values in _sections(model.rod).items():
+            # JSON keeps doubles to the last digit; 1e-12 allows for another libm.
+            if not np.allclose(_array()(data["sections"][name]), values, rtol=1e-12, atol=0.0):
+                raise InputError(f"sections.{name} does not follow from the rod")
     except InputError as error:
         raise InputError(f"{path}: {error}; deploy it again") from None
     except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
@@ -325,10 +314,11 @@ def check_manifest(fingerprint: str, manifest: Path) -> None:
 def _check_identity(data: dict[str, Any], path: Path) -> None:
     if data.get("kind") != KIND:
         raise InputError(f"{path}: not a frozen probe; make one with: probedesign deploy DESIGN")
-    if data.get("schema") not in SCHEMAS:
-        known = f"this version reads {SCHEMAS[0]} to {SCHEMA}"
-        remedy = "upgrade probedesign, or deploy the probe again with this version"
-        raise InputError(f"{path}: schema {data.get('schema')} is not known here ({known}); {remedy}")
+    if data.get("schema") != SCHEMA:
+        raise InputError(
+            f"{path}: schema {data.get('schema')} is not known, this version reads {SCHEMA}; "
+            "make the file again with: probedesign deploy DESIGN"
+        )
     body = {key: value for key, value in data.items() if key != "checksum"}
     if data.get("checksum") != _checksum(body):
         raise InputError(f"{path}: does not match its own checksum; it was altered or cut: deploy it again")
@@ -336,8 +326,23 @@ def _check_identity(data: dict[str, Any], path: Path) -> None:
 
 def _model_of(data: dict[str, Any]) -> ProbeModel:
     """Return the model that the content of a file describes; the inverse of `freeze`."""
-    values = {field.attribute: _value_of(data, field, field.read) for field in FIELDS if field.read is not None}
-    unknown = set(data.get("tolerances") or {}) - {entry.name for entry in fields(Tolerances)}
+    values = {}
+    for field in FIELDS:
+        if field.read is None:
+            continue
+        value: Any = data
+        for name in field.key.split("."):
+            if field.optional and name not in value:
+                value = field.default
+                break
+            value = value[name]
+        else:
+            try:
+                value = field.read(value)
+            except InputError as error:
+                raise InputError(f"{field.key} {error}") from None
+        values[field.attribute] = value
+    unknown = set(data["tolerances"]) - {entry.name for entry in fields(Tolerances)}
     if unknown:
         raise InputError(f"tolerances: {', '.join(sorted(unknown))} is not known")
 
@@ -351,10 +356,8 @@ def _model_of(data: dict[str, Any]) -> ProbeModel:
     top = {name: value for name, value in values.items() if "." not in name}
     wrench_range = np.concatenate([top.pop("force_range"), top.pop("moment_range")])
     noise_cov = top.pop("noise_cov")
-    frozen_tolerances = data["schema"] == SCHEMA or data.get("tolerances") is not None
-    added = [field.key for field in FIELDS if field.assumed and field.since > data["schema"]]
     model = ProbeModel(
-        **(top | {"assumptions": (*top["assumptions"], *added)}),
+        **top,
         flange=Flange(**part("flange")),
         rod=Rod(**part("rod"), **stiffness, factors=section.factors),
         payload=MassProperties(**part("payload")),
@@ -362,7 +365,7 @@ def _model_of(data: dict[str, Any]) -> ProbeModel:
         noise=Noise.isotropic(**part("noise")) if noise_cov is None else Noise(noise_cov),
         material=material,
         cross_section=section,
-        tolerances=Tolerances(**part("tolerances")) if frozen_tolerances else None,
+        tolerances=Tolerances(**part("tolerances")),
     )
     geometry = ProbeGeometry(model.rod.s, model.rod.radius, model.flange, section)
     if geometry.fingerprint != model.fingerprint:
@@ -370,24 +373,6 @@ def _model_of(data: dict[str, Any]) -> ProbeModel:
     if model.averaging_samples < 1 or not (wrench_range > 0).all():
         raise InputError("sensor: ranges and averaging_samples must be positive")
     return model
-
-
-def _value_of(data: dict[str, Any], field: Field, read: Callable[[Any], Any]) -> Any:
-    """Return the value of a field, or its default where an older file lacks it.
-
-    Raises:
-        InputError: the value is out of range.
-        KeyError: the file must have it and does not.
-    """
-    found: Any = data
-    for name in field.key.split("."):
-        if field.since > data["schema"] and (not isinstance(found, dict) or name not in found):
-            return field.default
-        found = found[name]
-    try:
-        return read(found)
-    except InputError as error:
-        raise InputError(f"{field.key} {error}") from None
 
 
 def _sections(rod: Rod) -> dict[str, list[float]]:
@@ -409,25 +394,6 @@ def _sections(rod: Rod) -> dict[str, list[float]]:
         "EI_yy_Nm2": (rod.youngs_modulus * yy).tolist(),
         "GJ_Nm2": (rod.shear_modulus * torsion).tolist(),
     }
-
-
-#: Names of these columns in schema 1.
-_ROUND_NAMES = {
-    "second_moment_xx_m4": "second_moment_m4",
-    "second_moment_yy_m4": "second_moment_m4",
-    "torsion_constant_m4": "polar_moment_m4",
-    "EI_xx_Nm2": "EI_Nm2",
-    "EI_yy_Nm2": "EI_Nm2",
-}
-
-
-def _check_sections(data: dict[str, Any], rod: Rod) -> None:
-    """Refuse a section table that does not follow from the rod."""
-    for name, values in _sections(rod).items():
-        written = data["sections"][_ROUND_NAMES.get(name, name) if data["schema"] == 1 else name]
-        # JSON keeps doubles to the last digit; 1e-12 allows for another libm.
-        if not np.allclose(_array()(written), values, rtol=1e-12, atol=0.0):
-            raise InputError(f"sections.{name} does not follow from the rod")
 
 
 def _read_json(path: Path, what: str) -> dict[str, Any]:
