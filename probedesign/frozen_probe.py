@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
-from probedesign.core.errors import InputError
+from probedesign.core.errors import InputError, quoted
 from probedesign.core.files import check_regular, file_in, is_plain_name, write_atomically
 from probedesign.core.frames import Array, is_pose
 from probedesign.design.catalog import Provenance, Quantity
@@ -316,7 +316,7 @@ def _check_identity(data: dict[str, Any], path: Path) -> None:
         raise InputError(f"{path}: not a frozen probe; make one with: probedesign deploy DESIGN")
     if data.get("schema") != SCHEMA:
         raise InputError(
-            f"{path}: schema {data.get('schema')} is not known, this version reads {SCHEMA}; "
+            f"{path}: schema {quoted(data.get('schema'))} is not known, this version reads {SCHEMA}; "
             "make the file again with: probedesign deploy DESIGN"
         )
     body = {key: value for key, value in data.items() if key != "checksum"}

@@ -13,7 +13,7 @@ from contextlib import redirect_stdout
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import viser
@@ -87,6 +87,14 @@ ACTIONS: dict[str, Action] = {"Save the design": _save, "Export the parts": _exp
 
 class _RequestWaitsError(Exception):
     """A request ends what is computed while the hand rests."""
+
+
+class SaveTab(NamedTuple):
+    """Controls of the tab "Save", which are read when a button is pressed."""
+
+    name: Any  #: Name of the design.
+    replace: Any  #: Whether existing files may be replaced.
+    command: Any  #: Command that restores the state.
 
 
 class StudioPage:
@@ -268,7 +276,7 @@ class StudioPage:
                 lambda: self._request(self._improve.drop),
             )  # fmt: skip
         with tabs.add_tab("Save"):
-            self._save_tab(gui)
+            self._save = self._save_tab(gui)
         self._stacked, self._panel = False, gui.add_panel()
         charts = self._panel
         with charts.add_tab("Error"):
@@ -280,18 +288,19 @@ class StudioPage:
         charts.dock_left()
         charts.set_width(CHARTS_WIDTH)
 
-    def _save_tab(self, gui: viser.GuiApi) -> None:
+    def _save_tab(self, gui: viser.GuiApi) -> SaveTab:
         pin = gui.add_button("Pin this design", icon=viser.Icon.PINNED)
         pin.on_click(lambda _: self._request(self._pin))
         unpin = gui.add_button("Remove the last pin")
         unpin.on_click(lambda _: self._request(self._unpin))
-        self._name: Any = gui.add_text("name", self.session.design.name)
-        self._replace = gui.add_checkbox("replace existing files", False)
+        name = gui.add_text("name", self.session.design.name)
+        replace = gui.add_checkbox("replace existing files", False)
         for label, action in ACTIONS.items():
             gui.add_button(label).on_click(partial(self._press, action))
-        self._command: Any = gui.add_text("command that restores this state", "", multiline=True)
+        command = gui.add_text("command that restores this state", "", multiline=True)
         dark = gui.add_checkbox("dark page", False)
         dark.on_update(lambda _: self._theme(dark.value))
+        return SaveTab(name, replace, command)
 
     def _theme(self, dark: bool) -> None:
         self._server.gui.configure_theme(
@@ -332,7 +341,7 @@ class StudioPage:
 
     def _load(self, design: Design) -> None:
         self.session.replace_design(design)
-        self._name.value = design.name
+        self._save.name.value = design.name
         self._refresh()
 
     def _step(self, name: str) -> None:
@@ -352,9 +361,9 @@ class StudioPage:
         self._request(partial(self._act, action))
 
     def _act(self, action: Action) -> None:
-        design = self.session.design.model_copy(update={"name": self._name.value.strip()})
+        design = self.session.design.model_copy(update={"name": self._save.name.value.strip()})
         self._say("working ...")
-        self._keep(action(check_design(tables_of(design)), self._replace.value))  # its name may be no file name
+        self._keep(action(check_design(tables_of(design)), self._save.replace.value))  # its name may be no file name
 
     def _start_search(self) -> None:
         """Start a search in a thread of its own; its path is drawn as it goes."""
@@ -431,7 +440,7 @@ class StudioPage:
         dotted = "<p class=note>Solid: all error sources. Dotted: an exact probe. Dashed: pinned designs.</p>"
         dotted += colour_legend(session.touch.force_mN)
         self._charts["summary"].content = styled(dotted + summary_table(figures, pinned) + check)
-        self._command.value = session.command_line
+        self._save.command.value = session.command_line
 
 
 def _touch_html(estimate: Estimate | None) -> str:

@@ -190,7 +190,7 @@ def test_live_stops_at_count_and_seconds(call, bundle):
 
 
 def test_live_records_what_it_read(call, bundle, recording, tmp_path):
-    """Every reading, also those that are averaged, and to the last bit: the fixture is the same run."""
+    """Every reading, also those that are averaged; the fixture is the same run."""
     path = tmp_path / "new" / "record.csv"
     status, *_ = call("live", bundle, "--source", SIM, "--average", 5, "--record", path)
     assert status == 0
