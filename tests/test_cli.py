@@ -317,9 +317,11 @@ def test_doctor_reports_what_is_installed(capsys):
     assert {"scipy", "numba", "cadquery", "lib3mf", "matplotlib"} <= versions.keys()
 
 
-def test_doctor_looks_for_every_package_that_all_installs():
+def test_doctor_looks_for_every_package_that_all_and_notebook_install():
     required = [line.partition(";") for line in metadata.requires("probedesign")]
-    every = {requirement.strip() for requirement, _, marker in required if re.search("extra == .all.", marker)}
+    every = {
+        requirement.strip() for requirement, _, marker in required if re.search("extra == .(all|notebook).", marker)
+    }
     assert every == {package["requirement"] for package in doctor.examine()["packages"] if package["extra"]}
 
 
