@@ -152,12 +152,16 @@ class KernelCache(NullCache):
             else:
                 path = folder / self._file(signature, runs()[0])
                 write_atomically(path, _DIGEST(content).digest() + content, durable=False)  # `_load` checks it
+                for other in path.parent.glob(f"{self.name}-*{SUFFIX}"):
+                    if other.name.split("-")[1] != path.name.split("-")[1]:
+                        other.unlink(missing_ok=True)  # of a former version of this kernel
         except (OSError, InputError) as error:
             _warn(str(error))
         finally:
             self._unlock()
 
     def _file(self, signature: Any, processor: str) -> Path:
+        assert " at 0x" not in str(signature), f"{self.name}: no other process finds a file named by an address"
         types = _DIGEST(str(signature).encode()).hexdigest()
         return Path(version(processor)) / f"{self.name}-{content_digest(self._dispatcher)[:16]}-{types[:16]}{SUFFIX}"
 

@@ -10,7 +10,7 @@ in tests/rod/test_order.py. Written out because many coefficients are zero and t
 
 import numpy as np
 
-from probedesign.rod.kernels import inlined, inner
+from probedesign.rod.kernels import inline_always, inlined, inner
 from probedesign.rod.kernels.equations import (
     bending_compliance,
     changed,
@@ -325,7 +325,7 @@ def _forced_slopes(theta, v, stage, j, block, lane, gravity):
     return turn, minus(cross(n, q1), cross(p1, h)), q1
 
 
-@inlined
+@inline_always
 def _columns_step(h, block, work, stage, slopes, points, gravity):
     """Step WIDE columns over the stages of the state's step.
 
@@ -333,6 +333,9 @@ def _columns_step(h, block, work, stage, slopes, points, gravity):
         block: (BLOCK,); gravity: (3,) tuple.
         stage, slopes: functions, what is read of a stage, and the slopes of a column there.
         points: whether q is integrated.
+
+    The types of functions contain their addresses, so this one is compiled as a part of its callers: no other process
+    would find its file.
     """
     s0, s1, s2, s3 = stage(work, S0), stage(work, S1), stage(work, S2), stage(work, S3)
     s4, s5, s6, s7 = stage(work, S4), stage(work, S5), stage(work, S6), stage(work, S7)
