@@ -84,8 +84,8 @@ class Change:
 def edit_text(text: str, changes: Sequence[Change], when: str, where: str) -> str:
     """Return the text of a design file with some values changed, its comments and order kept.
 
-    A replaced value remains above the new one as a comment with the day; a missing table is added to its parent, or at
-    the end.
+    A replaced value remains above the new one, or above its inline table, as a comment with the day; a missing table is
+    added to its parent, or at the end.
 
     Args:
         text: of the file.
@@ -118,20 +118,21 @@ def _edit(table: Any, change: Change, when: str) -> None:
     """Set the value of a key in a document, in a new table if necessary."""
     for name in change.table.split("."):
         if name not in table:
-            table.add(name, tomlkit.table())
+            table[name] = tomlkit.table()
         table = table[name]
     value, old = tomlkit.value(change.text), table.get(change.key)
+    inline = isinstance(table, InlineTable)  # one line, without room for comments
+    note = "" if inline else change.note
     same = old is not None and old.as_string() == change.text
-    if same and (not change.note or old.trivia.comment == f"# {change.note}"):
+    if same and (not note or old.trivia.comment == f"# {note}"):
         return
     former = "" if old is None else f"{change.key} = {old.as_string()}{old.trivia.comment_ws}{old.trivia.comment}"
     table[change.key] = value
-    if isinstance(table, InlineTable):  # one line, without room for comments
-        return
-    if change.note:
-        value.comment(change.note)
+    if note:
+        value.comment(note)
         value.trivia.comment_ws = " " * max(COMMENT_COLUMN - len(f"{change.key} = {change.text}"), 1)
-    elif old is not None:
+    elif old is not None and not inline:
         value.trivia.comment_ws = value.trivia.comment = ""
     if former:  # what stands before a key is its indent, the only place for lines above it
-        value.trivia.indent += f"# until {when}: " + former.replace("\n", "\n# ") + "\n" + value.trivia.indent
+        trivia = table.trivia if inline else value.trivia
+        trivia.indent += f"# until {when}: " + former.rstrip().replace("\n", "\n# ") + "\n" + trivia.indent
