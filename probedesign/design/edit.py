@@ -17,6 +17,13 @@ from probedesign.design.schema import Design
 
 #: Keys of `[tolerances]` that `measured` writes for one print.
 _OF_A_PRINT = ("diameter_mm", "diameter_share", "diameter_scatter_mm")
+#: Keys that state what was measured of one resin and how well it is known, by table.
+_OF_A_RESIN = {
+    "material": ("identified_tests", "stiffness_spread", "creep_spread"),
+    "print": ("scale_xy", "scale_z"),
+    "tolerances": ("youngs_modulus", "shear_modulus", "youngs_modulus_by_diameter", "density", "creep",
+                   "stiffness_scatter"),
+}  # fmt: skip
 
 
 def tables_of(design: Design) -> dict[str, Any]:
@@ -27,8 +34,8 @@ def tables_of(design: Design) -> dict[str, Any]:
 def with_values(tables: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
     """Return tables with the values of some keys, `table.key`, changed, and with what follows from them.
 
-    Another resin brings its modulus, density and friction, which `values` can replace. A changed shape has no measured
-    diameters.
+    Another resin brings its moduli, density and friction, which `values` can replace; what was measured of the former
+    resin and on its print goes. A changed shape has no measured diameters.
 
     Raises:
         InputError: a key lies in something that is not a table, or the resin is not known.
@@ -37,6 +44,9 @@ def with_values(tables: Mapping[str, Any], values: Mapping[str, Any]) -> dict[st
     resin_key, name = "material.resin", values.get("material.resin")
     if isinstance(name, str) and name != _table(changed, ["material"], resin_key).get("resin"):
         resin = find(RESINS, name, resin_key)
+        changed = as_new_print(changed)
+        for table, keys in _OF_A_RESIN.items():
+            changed[table] = {k: v for k, v in changed.get(table, {}).items() if k not in keys}
         changed["material"] |= material_keys(resin)
         changed["contact"] = {"friction": resin.friction.value}
     for key, value in values.items():

@@ -15,6 +15,7 @@ from probedesign.core.parallel import Journal
 from probedesign.design import check_design, load_design
 from probedesign.design.catalog import RESINS
 from probedesign.design.edit import tables_of, with_values
+from probedesign.estimation.tolerances import ASSUMED_STIFFNESS
 from probedesign.optimization import sweep
 from probedesign.optimization.design_space import DesignSpace
 from probedesign.optimization.objective import Task
@@ -184,6 +185,26 @@ def test_another_resin_brings_its_numbers_to_a_sweep_and_to_the_studio():
     stiffer = check_design(with_values(tables, {"material.youngs_modulus_mpa": 7.0, **change}))
     assert stiffer.material.youngs_modulus_mpa == 7.0 and stiffer.density == swept.density
     assert with_values(tables, {"material.resin": design.material.resin}) == tables
+
+
+def test_what_was_measured_of_a_resin_does_not_hold_for_another():
+    """Tests, spreads, tolerances of the material, coupon and calipers belong to the former resin and its print."""
+    tables = tables_of(load_design(LARGE))
+    tables["probe"]["measured"] = ["tip_d_mm"]
+    tables["material"] |= {"identified_tests": ["01234567"], "stiffness_spread": 0.004, "creep_spread": 0.002}
+    tables["print"] |= {"scale_xy": 1.01, "scale_z": 1.02, "rigid_scale_xy": 1.03}
+    of_the_print = {"youngs_modulus": 0.004, "shear_modulus": 0.02, "youngs_modulus_by_diameter": -3.9,
+                    "density": 0.001, "creep": 0.002, "stiffness_scatter": 0.002, "diameter_mm": 0.02}  # fmt: skip
+    of_the_bench = {"gravity_deg": 0.1, "gain": 0.001, "root_radii": 0.05}
+    tables["tolerances"] |= of_the_print | of_the_bench
+    change = {"material.resin": "flexible-80a", "material.creep_spread": 0.03}
+    session = Session(check_design(tables))
+    assert session.change(change, now=0.0) and session.design == check_design(with_values(tables, change))
+    material, print_ = session.design.material, session.design.print_
+    assert (material.identified_tests, material.stiffness_spread, material.creep_spread) == ((), None, 0.03)
+    assert (print_.scale, print_.rigid_scale_xy, session.design.probe.measured) == ((1.0, 1.0, 1.0), 1.03, ())
+    assert session.design.tolerances.model_dump(exclude_none=True) == of_the_bench
+    assert build_probe(session.design).tolerances.youngs_modulus == ASSUMED_STIFFNESS
 
 
 def test_measured_diameters_hold_for_their_print_only():
