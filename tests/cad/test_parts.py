@@ -597,3 +597,11 @@ def test_overlap_is_detected(large: CadModel) -> None:
                        0.0, 0.2e-3, epsabs=1e-22, epsrel=1e-12)  # fmt: skip
     expected = np.pi / 4 * a.flange.diameter**2 * 0.2e-3 - inner - notch
     assert shared == pytest.approx(expected, rel=1e-9)  # exact surfaces
+
+
+def test_same_triangles_on_every_run(large: CadModel, large_meshes: Meshes) -> None:
+    again = build_cad(design_of())
+    for name, mesh in large_meshes[0].items():
+        fresh = tessellate(again.parts[name].shape)
+        assert np.array_equal(mesh.vertices, fresh.vertices)
+        assert np.array_equal(mesh.faces, fresh.faces)
