@@ -184,7 +184,7 @@ def flange_adapter_sheet(model: CadModel, part: CadPart) -> Canvas:
         fits.append(f"⌀{_mm(spigot_d)} enters ⌀{_mm(spigot_d + p.robot.spigot_play)} H7")
     (r0, r1), (v0, v1), (z0, z1) = p.cable_pocket
     notes = [
-        f"z = 0 rests on the robot, {p.robot.source}; the sensor sits on the top face",
+        *f"z = 0 rests on the robot, {p.robot.source}; the sensor sits on the top face".split("; "),
         f"pocket for the cable at {number(p.cable_deg)}°: r = {_mm(r0)} to {_mm(r1)}, {_mm(v1 - v0)} wide, "
         f"{_mm(z1 - z0)} deep",
         *(["; ".join(fits)] if fits else []),
@@ -215,7 +215,9 @@ def _disc(
     section.outline(edges)
     section.axis(low, high)
     for i, (below, above) in enumerate(sorted(heights, key=lambda ends: ends[1] - ends[0]), 1):
-        section.dimension_v(below / MM, above / MM, rim, STACK * i, _mm(above - below))
+        section.dimension_v(
+            below / MM, above / MM, rim, STACK * i, _mm(above - below), below=below == z[0] < above < z[1]
+        )
     for values, v, side in ((diameters[0], high, 1.0), (diameters[1], low, -1.0)):
         for i, d in enumerate(sorted(values), 1):
             section.dimension_u(-d / 2 / MM, d / 2 / MM, v, side * STACK * i, f"⌀{_mm(d)}")
@@ -231,13 +233,14 @@ def _disc(
         view.cross(rim)
         view.caption(f"{name}, +x to the right", -rim, 15.0)
         labelled: list[complex] = []
-        for group in groups:
+        numbered = list(enumerate(groups, len(table) + 1))
+        table += [f"{label}: {group.text}" for label, group in numbered]
+        for label, group in sorted(numbered, key=lambda entry: len(entry[1].points)):  # a single hole has no choice
             points = [(x / MM, (-y if direction is BELOW else y) / MM) for x, y in group.points]
             view.holes(points, 0.6 * group.size / MM, group.on_circle)
             chosen = _free(points, labelled)
             labelled.append(complex(*chosen))
-            table.append(f"{len(table) + 1}: {group.text}")
-            view.label(chosen, rim, str(len(table)))
+            view.label(chosen, rim, str(label))
     lines = [*table, *notes, *_accepted(model, part.name.replace("_", " "))]
     note(sheet, (EDGE + 6.0, BOTTOM - LINE * TEXT * len(lines)), lines)
     return sheet

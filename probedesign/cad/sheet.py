@@ -207,20 +207,23 @@ class View:
         self._dimension((feet[0][0], level), (feet[1][0], level), feet, words)
 
     def dimension_v(
-        self, v0: float, v1: float, from_u: float, offset: float, words: str, top_u: float | None = None
-    ) -> None:
+        self, v0: float, v1: float, from_u: float, offset: float, words: str, top_u: float | None = None,
+        below: bool = False,
+    ) -> None:  # fmt: skip
         """Draw a dimension along v, `offset` to the right (+) or left (-) of u [mm of paper].
 
-        At v1 the extension line starts at `top_u`, if given.
+        At v1 the extension line starts at `top_u`, if given. A text that does not fit between the arrows is `below`
+        v0, or else above v1: where no other extension line crosses it.
         """
         low, high = self.at((from_u, v0)), self.at((from_u if top_u is None else top_u, v1))
         level = low[0] + offset
-        self._dimension((level, high[1]), (level, low[1]), (high, low), words)
+        self._dimension((level, high[1]), (level, low[1]), (high, low), words, below)
 
-    def _dimension(self, a: XY, b: XY, feet: tuple[XY, XY], words: str) -> None:
+    def _dimension(self, a: XY, b: XY, feet: tuple[XY, XY], words: str, below: bool = False) -> None:
         """Draw line, arrows and text from a to b, which lies to the right of a or below it.
 
-        The arrows of a short dimension are outside, and so is a text that does not fit between them.
+        The arrows of a short dimension are outside, and so is a text that does not fit between them: to the right of
+        b, above a, or `below` b.
         """
         upright = a[0] == b[0]
         along = np.array([0.0, 1.0] if upright else [1.0, 0.0])
@@ -237,8 +240,8 @@ class View:
         x, y = np.add(a, b) / 2 - along[::-1]
         anchor: Anchor = "middle"
         if TEXT_WIDTH * TEXT * len(words) > length - 1.0:
-            beyond, anchor = length / 2 + 2 * ARROW + 0.8, "start"
-            x, y = (x, y - beyond) if upright else (x + beyond, y + 2.1)
+            beyond, anchor = length / 2 + 2 * ARROW + 0.8, "end" if below else "start"
+            x, y = (x, y + (beyond if below else -beyond)) if upright else (x + beyond, y + 2.1)
         self.sheet.text((x, y), words, TEXT, anchor, turned=upright)
 
     def _arrow(self, tip: Iterable[float], direction: Iterable[float]) -> None:
