@@ -114,9 +114,12 @@ def test_version_is_that_of_the_package(capsys):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_has_help(name, capsys):
+def test_the_help_of_a_command_is_its_docstring(name, capsys):
     assert run([name, "--help"]) == 0
-    assert COMMANDS[name].split(":")[0].split(";")[0].rstrip(".") in " ".join(capsys.readouterr().out.split())
+    shown = " ".join(capsys.readouterr().out.split())
+    module, function = main.FUNCTIONS.get(name, f"{name}:{name}").split(":")
+    command = getattr(importlib.import_module(f"probedesign.cli.{module}"), function)
+    assert " ".join(command.__doc__.partition("Args:")[0].split()) in shown
 
 
 @pytest.mark.parametrize(
@@ -142,7 +145,7 @@ def test_error_is_one_line_and_a_status(monkeypatch, capsys, error, status, mess
     def app(arguments):
         raise error
 
-    monkeypatch.setattr(main, "build_app", lambda _with_settings: app)
+    monkeypatch.setattr(main, "build_app", lambda *_: app)
     monkeypatch.delenv(main.DEBUG, raising=False)
     assert run([]) == status
     captured = capsys.readouterr()

@@ -9,7 +9,7 @@ from typing import Any
 from probedesign.cli.console import print_json, print_table
 from probedesign.cli.options import JsonOutput
 
-#: Features that each extra of `all` enables; "" is for the required packages.
+#: Features that each extra of `all`, and `notebook`, enables; "" is for the required packages.
 ENABLES = {
     "": "everything",
     "plots": "plots of predict",

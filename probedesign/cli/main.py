@@ -54,11 +54,12 @@ HELP = frozenset({"--help", "-h", "--version", "--install-completion"})  #: Opti
 INTERRUPTED = 130  #: Exit status after SIGINT: 128 plus the number of the signal.
 
 
-def build_app(with_settings: bool = True) -> "App":
+def build_app(with_settings: bool = True, command: str = "") -> "App":
     """Return the command line application, to be called with a list of arguments.
 
     Args:
         with_settings: read the settings file; help needs none, and must be there when the file is wrong.
+        command: its name, if one is called: its help is then its whole docstring, and not its line in the list.
     """
     from importlib.metadata import version
 
@@ -71,7 +72,7 @@ def build_app(with_settings: bool = True) -> "App":
         help="Design, fabricate and run soft conic probes that locate contacts from the wrench at their base.",
         version=lambda: version("probedesign"),
         default_parameter=Parameter(negative=()),
-        help_format="plaintext",
+        help_format="markdown",  # fills the lines
         print_error=False,
         exit_on_error=False,
         suppress_keyboard_interrupt=False,
@@ -80,7 +81,8 @@ def build_app(with_settings: bool = True) -> "App":
     )
     for sort_key, (name, line) in enumerate(COMMANDS.items()):
         function = FUNCTIONS.get(name, f"{name}:{name}")
-        app.command(f"probedesign.cli.{function}", name=name, help=line, sort_key=sort_key)
+        words = None if name == command else line
+        app.command(f"probedesign.cli.{function}", name=name, help=words, sort_key=sort_key)
     app.register_install_completion_command(
         add_to_startup=True, help="Install completion of commands and options for bash, zsh or fish."
     )
@@ -154,7 +156,7 @@ def _run(arguments: list[str]) -> int:
     from probedesign.core.errors import InputError, MissingDependencyError
 
     try:
-        status = build_app(bool(arguments) and HELP.isdisjoint(arguments))(arguments)
+        status = build_app(bool(arguments) and HELP.isdisjoint(arguments), "".join(arguments[:1]))(arguments)
         sys.stdout.flush()
         return status if isinstance(status, int) else 0
     except (CycloptsError, InputError, MissingDependencyError) as error:

@@ -40,9 +40,8 @@ def optimize(
 ) -> None:
     """Optimize the shape of a probe for a task, and write the optimum as a design file.
 
-    The printing rules and the sensor's range are always constraints. Further constraints: METRIC<=NUMBER or
-    METRIC>=NUMBER with error_mm, worst_error_mm, sag_mm, reach_mm, sensor_use, slide_mm, mass_g or length_mm. More:
-    docs/choosing.md.
+    The printing rules and the sensor's range are always constraints. Further constraints: FIGURE<=NUMBER or
+    FIGURE>=NUMBER, such as "sag_mm<=60"; all figures: docs/choosing.md.
 
     Args:
         design: the design file of the start, or its name; keys that are not varied are copied from it.
