@@ -1,14 +1,20 @@
 """Contact with Coulomb friction between the rod and an object: stick and slip.
 
-A force F acts at the point x = p(s) + r(s) e(φ) of the deformed surface, e(φ) = R(s) [cos φ, sin φ, 0], whose outward
-unit normal is N = cos α e + sin α t with tan α = -dr/ds. On the centreline at s the force F acts together with the
-couple C = (x - p) × F. The couple depends on the deformed section and the section on the couple, so both are solved
-for together by Newton's method with the rod's exact sensitivities.
+A force F acts at the point x = p(s) + r(s) e(φ) of the deformed surface, e(φ) = R(s) [cos φ, sin φ, 0]. With ω the
+rotation of the section per arclength, the surface has the tangents r h, h = ∂e/∂φ, and t + r' e + r ω × e. Its outward
+unit normal is N = cos α e + sin α t with
+
+    tan α = -r'/(1 - r ω · h),
+
+where shear and stretch are neglected beside t, and ω is the mean of both sides of the contact (`contact_curvature`). On
+the centreline at s the force F acts together with the couple C = (x - p) × F. The couple depends on the deformed
+section and the section on the couple, so both are solved for together by Newton's method with the rod's exact
+sensitivities.
 
 The object is a sharp point, or a straight edge that touches the rod where both are tangent, N · d = 0. It moves along
 a path in base axes, x = X. In a step of that path the object slides over the rod by the backward-Euler increment
 
-    g = Δs / cos α a + r Δφ h - Δλ d,    a = cos α t - sin α e,    h = ∂e/∂φ,
+    g = Δs / cos α a + r Δφ h - Δλ d,    a = cos α t - sin α e,
 
 with λ the way along the edge, so that a rod that rolls on an edge does not slide. With F_n = -F · N and F_t the part
 of F in the tangent plane, Coulomb's law is
@@ -36,6 +42,7 @@ from probedesign.core.frames import Array
 from probedesign.rod.contact import Numbers, SurfaceProfile
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.first_contact import FirstContactQuery, NearestPoint, Obstacle
+from probedesign.rod.kernels.sweep import contact_curvature
 from probedesign.rod.rod import Mode, Rod, finite_vector, require_round_section
 
 #: Friction coefficient of the simulators: assumed, the lower end of about 0.5 to 1 for soft polyurethane on card,
@@ -65,6 +72,7 @@ def coulomb_residuals(
     point: Array,
     direction: Array | None,
     profile: SurfaceProfile,
+    curvature: Array,
     friction: float,
     stiffness: float | None,
 ) -> Numbers:
@@ -77,12 +85,13 @@ def coulomb_residuals(
         point: of the object, over the rod's length, (3,).
         direction: of its edge, unit, (3,); None for a point.
         profile: of the rod.
+        curvature: ω about the section's x and y axes, times the rod's length, (2,).
         friction: coefficient μ.
         stiffness: k of the slip law; None for stick.
     """
     F, C, s, angle, way = z[0:3], z[3:6], z[6], z[7], z[8]
     t, x, p, y = z[9:12], z[12:15], z[15:18], z[18:21]
-    radius, tan = profile.at(s)
+    radius, tan = _radius_and_lean(profile, s, angle, curvature)
     cos = 1.0 / np.sqrt(1.0 + tan * tan)
     e, h = np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
     a, normal = cos * (t - tan * e), cos * (e + tan * t)
@@ -107,6 +116,12 @@ def coulomb_residuals(
             limit = -friction * dot(F, normal) / np.sqrt(tau_a * tau_a + tau_h * tau_h + 1e-300)
             law = (F_a - limit * tau_a, F_h - limit * tau_h)
     return np.stack([*couple, *apart, edge, *law])
+
+
+def _radius_and_lean(profile: SurfaceProfile, s: Numbers, angle: Numbers, curvature: Array) -> tuple[Numbers, Numbers]:
+    """Return the radius and tan α of the bent surface; arguments as in `coulomb_residuals`."""
+    radius, tan = profile.at(s)
+    return radius, tan / (1.0 + radius * (curvature[0] * np.sin(angle) - curvature[1] * np.cos(angle)))
 
 
 def dot(a: Numbers, b: Numbers) -> Numbers:
@@ -304,13 +319,19 @@ class CoulombSolver:
         line = np.zeros(3) if d is None else d
 
         def residual(v: Array) -> Array:
-            s_on_rod = min(max(v[0], 0.0), 1.0) * length
-            p, R = free.p_at(s_on_rod), free.R_at(s_on_rod)
-            e = math.cos(v[1]) * R[:, 0] + math.sin(v[1]) * R[:, 1]
-            radius, tan = (float(f) for f in self._profile.at(np.array(v[0])))
+            radius, e, normal = surface_at(v[0], v[1])
+            p = free.p_at(min(max(v[0], 0.0), 1.0) * length)
             apart = (p - obstacle.at(v[3])) / length + radius * e - v[2] * line
-            flat = v[2] if d is None else float((e + tan * R[:, 2]) @ line)
-            return np.append(apart, flat)
+            return np.append(apart, v[2] if d is None else float(normal @ line))
+
+        def surface_at(x: float, angle: float) -> tuple[float, Array, Array]:
+            s = min(max(x, 0.0), 1.0) * length
+            R = free.R_at(s)
+            curvature = self._curvature(free, s, free.states_at(s)[0], R)
+            radius, tan = _radius_and_lean(self._profile, np.array(x), np.array(angle), curvature)
+            e = math.cos(angle) * R[:, 0] + math.sin(angle) * R[:, 1]
+            normal = e + float(tan) * R[:, 2]
+            return float(radius), e, normal / float(np.linalg.norm(normal))
 
         p, R = free.p_at(near.s), free.R_at(near.s)
         out = R.T @ (obstacle.at(part) + near.way * line - p)
@@ -331,14 +352,11 @@ class CoulombSolver:
         if not size < 1e-8:
             return replace(blank, result="not_converged")
         s, angle, way, part = (float(value) for value in best)
-        R = free.R_at(min(s, 1.0) * length)
-        tan = float(self._profile.at(np.array(s))[1])
-        normal = math.cos(angle) * R[:, 0] + math.sin(angle) * R[:, 1] + tan * R[:, 2]
         still = np.zeros(3)
         return replace(
             blank, result="ok", state="stick", s=s * length, angle=angle, way=way * length,
             object_point=obstacle.at(part), force_base=still, couple_base=still,
-            normal=normal / float(np.linalg.norm(normal)), slide=still,
+            normal=surface_at(s, angle)[2], slide=still,
         )  # fmt: skip
 
     def _increment(
@@ -405,15 +423,18 @@ class CoulombSolver:
             scales = np.repeat([1.0, 1.0, 1.0 / length, 1.0], 3)
             loads = np.array([unit] * 3 + [length] + [unit * length] * 3)
             d = scales[:, None] * eq.sensitivity.d_contact * loads
-            inputs = np.concatenate([x, scales * eq.sensitivity.frame])
+            frame = eq.sensitivity.frame
+            axes = np.stack([frame[3:6], frame[9:12]], axis=1)
+            curvature = self._curvature(eq, eq.s_contact, eq.contact, axes)
+            inputs = np.concatenate([x, scales * frame])
             steps = inputs[:, None] + 1j * _IMAGINARY * np.eye(len(inputs))
             residuals = coulomb_residuals(steps, before, goal.object_point / length, goal.direction, self._profile,
-                                          self.friction, stiffness)  # fmt: skip
+                                          curvature, self.friction, stiffness)  # fmt: skip
             misfit, by = residuals[:, 0].real, residuals.imag / _IMAGINARY
             of_force = close * max(float(np.linalg.norm(x[0:3])), _MIN_FORCE)
             allowed = np.array([of_force] * 3 + [close] * 4 + [close if stiffness is None else of_force] * 2)
             if (np.abs(misfit) <= allowed).all():
-                return self._contact(goal, x, before, eq, "stick" if stiffness is None else "slip")
+                return self._contact(goal, x, before, eq, curvature, "stick" if stiffness is None else "slip")
             frame_by_unknowns = np.zeros((12, _U))
             frame_by_unknowns[:, 0:3], frame_by_unknowns[:, 3:6] = d[:, 0:3], d[:, 4:7]
             frame_by_unknowns[:, 6] = d[:, 3]
@@ -428,12 +449,14 @@ class CoulombSolver:
             x, tip = x - shrink * change, eq.tip
         return "not_converged"
 
-    def _contact(self, goal: CoulombContact, x: Array, before: Array, eq: Equilibrium, state: str) -> CoulombContact:
+    def _contact(
+        self, goal: CoulombContact, x: Array, before: Array, eq: Equilibrium, curvature: Array, state: str
+    ) -> CoulombContact:
         """Return the contact with its units."""
         length, unit = self._units
         assert eq.sensitivity is not None
         f = eq.sensitivity.frame
-        radius, tan = (float(value) for value in self._profile.at(np.array(x[6])))
+        radius, tan = (float(value) for value in _radius_and_lean(self._profile, x[6], x[7], curvature))
         cos = 1.0 / math.hypot(1.0, tan)
         t, ex, ey = f[0:3], f[3:6], f[9:12]
         e, h = math.cos(x[7]) * ex + math.sin(x[7]) * ey, math.cos(x[7]) * ey - math.sin(x[7]) * ex
@@ -447,6 +470,12 @@ class CoulombSolver:
             goal, state=state, equilibrium=eq, s=float(x[6]) * length, angle=float(x[7]), way=float(x[8]) * length,
             force_base=unit * x[0:3], couple_base=unit * length * x[3:6], normal=normal, slide=length * slide,
         )  # fmt: skip
+
+    def _curvature(self, eq: Equilibrium, s: float, state: Array, axes: Array) -> Array:
+        """Return ω at the contact about the section's x and y axes, the first columns of `axes`, in 1/L, (2,)."""
+        omega = np.empty(3)
+        contact_curvature(s, state, eq.body, eq.load, omega)
+        return np.asarray(self.rod.length * (omega @ axes[:, :2]))
 
     def _unknowns(self, at: CoulombContact) -> Array:
         length, unit = self._units

@@ -1,5 +1,6 @@
 """Rods that the tests of this folder share."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -60,3 +61,35 @@ def rest_shape(rod, s):
     if rod.rest_curvature is None:
         return np.zeros((len(s), 3))
     return np.stack([np.interp(s, rod.s, column) for column in rod.rest_curvature.T], axis=1)
+
+
+#: Side of the rod, in section axes, from which an object presses.
+SIDE = np.array([math.cos(0.4), math.sin(0.4), 0.0])
+
+
+def approach(rod, gravity, fraction=0.5, depth=0.5, offset=0.2, line=False):
+    """Return point, travel and direction or None of an object that moves `depth` radii into the free rod's flank."""
+    free = rod.solve(gravity, mode="reference")
+    s = fraction * rod.length
+    R, r = free.R_at(s), float(rod.radius_at(s))
+    out, across = R @ SIDE, R @ np.cross([0.0, 0.0, 1.0], SIDE)
+    point = free.p_at(s) + r * ((math.sqrt(1.0 - offset**2) - depth) * out + offset * across)
+    travel = -(depth + 3.0) * r * (out + 0.1 * R[:, 2])
+    return point, travel, across + 0.3 * R[:, 2] + 0.2 * out if line else None
+
+
+def surface_point(rod, eq, s, angle):
+    """Return point and unit normal of the bent body at a material point, from its shape and radius; not for blends.
+
+    The surface has the tangents r ∂e/∂φ and t + r' e + r ∂e/∂s, the last the mean of both sides by differences.
+    """
+
+    def out(place):
+        return eq.R_at(place) @ [math.cos(angle), math.sin(angle), 0.0]
+
+    R, r, step = eq.R_at(s), float(rod.radius_at(s)), 1e-5 * rod.length
+    once, twice = out(s + step) - out(s - step), out(s + 2.0 * step) - out(s - 2.0 * step)
+    e, turned_e = out(s), (4.0 * once - twice) / (4.0 * step)
+    along = R[:, 2] - rod.taper_at(s) * e + r * turned_e
+    normal = np.cross(R @ [-math.sin(angle), math.cos(angle), 0.0], along)
+    return eq.p_at(s) + r * e, normal / np.linalg.norm(normal)

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from rods import CONE, CYLINDER, ELLIPTIC, PROFILE, ROOTED_CONE, turned
+from rods import CONE, CYLINDER, ELLIPTIC, PROFILE, ROOTED_CONE, approach, surface_point, turned
 
 from probedesign.core.errors import InputError
 from probedesign.rod.contact import line_of_action, solve_surface_force
@@ -17,18 +17,6 @@ from tests.reference.shooting import solve_by_shooting
 
 GRAVITY = np.array([6.0, 5.0, -6.0])
 RODS = {"cone": CONE, "rooted": ROOTED_CONE, "cylinder": CYLINDER, "profile": PROFILE}
-SIDE = np.array([math.cos(0.4), math.sin(0.4), 0.0])  #: Side of the rod on which the object is.
-
-
-def approach(rod, fraction=0.5, depth=0.5, offset=0.2, line=False, gravity=GRAVITY):
-    """Return point, travel and direction or None of an object that moves `depth` radii into the free rod's flank."""
-    free = rod.solve(gravity, mode="reference")
-    s = fraction * rod.length
-    R, r = free.R_at(s), float(rod.radius_at(s))
-    out, across = R @ SIDE, R @ np.cross([0.0, 0.0, 1.0], SIDE)
-    point = free.p_at(s) + r * ((math.sqrt(1.0 - offset**2) - depth) * out + offset * across)
-    travel = -(depth + 3.0) * r * (out + 0.1 * R[:, 2])
-    return point, travel, across + 0.3 * R[:, 2] + 0.2 * out if line else None
 
 
 def followed(solver, first, point, steps=12):
@@ -39,14 +27,6 @@ def followed(solver, first, point, steps=12):
     return contacts[1:]
 
 
-def surface_point(rod, contact):
-    """Return point and normal of the bent body at the material point, from shape and radius; not for blends."""
-    R, r = contact.equilibrium.R_at(contact.s), float(rod.radius_at(contact.s))
-    e = math.cos(contact.angle) * R[:, 0] + math.sin(contact.angle) * R[:, 1]
-    alpha = math.atan(rod.taper_at(contact.s))
-    return contact.equilibrium.p_at(contact.s) + r * e, math.cos(alpha) * e + math.sin(alpha) * R[:, 2]
-
-
 @pytest.mark.parametrize("line", [False, True])
 @pytest.mark.parametrize("friction", [0.1, 0.5, 1.0])
 @pytest.mark.parametrize("name", RODS)
@@ -54,13 +34,13 @@ def test_coulombs_law_at_the_touched_point(name, friction, line):
     """In every step: the touched point is the object's, a line is tangent, the force stays in the cone, and where it
     slips it lies on the cone and drags the rod with the object."""
     rod = RODS[name]
-    point, travel, d = approach(rod, line=line)
+    point, travel, d = approach(rod, GRAVITY, line=line)
     solver = CoulombSolver(rod, friction, "reference")
     first = solver.touch(GRAVITY, point, travel, d)
     assert first.ok and first.magnitude == 0.0
     states = set()
     for contact in followed(solver, first, point):
-        x, normal = surface_point(rod, contact)
+        x, normal = surface_point(rod, contact.equilibrium, contact.s, contact.angle)
         states.add(contact.state)
         assert contact.ok and contact.normal_force > 0.0
         assert np.linalg.norm(x - contact.p_surface_base) < 1e-9
@@ -83,7 +63,7 @@ def test_the_base_bears_the_contact_and_the_weight(name):
     """Force F + m g and moment x × F + ∫ p × ρ A g ds over the rod solved by shooting, which shares
     no code with the compiled one: its centreline is integrated by Gauss's rule between the knots."""
     rod = RODS[name]
-    point, travel, _ = approach(rod)
+    point, travel, _ = approach(rod, GRAVITY)
     contact = CoulombSolver(rod, 0.5, "reference").press(GRAVITY, point, travel)
     nodes, weights = np.polynomial.legendre.leggauss(12)
     breaks = np.unique(np.concatenate([rod.s, [contact.s]]))
@@ -107,7 +87,7 @@ def led_along(solver, steps=40, step=5e-8):
     towards the base, and μ F_n bends it back and forth by a micrometre.
     """
     gravity = np.zeros(3)
-    point, travel, _ = approach(solver.rod, 0.5, 0.3, 0.0, gravity=gravity)
+    point, travel, _ = approach(solver.rod, gravity, 0.5, 0.3, 0.0)
     pressed = CoulombSolver(solver.rod, 0.4, "reference").press(gravity, point, travel)
     out = [pressed]
     for i in range(1, steps + 1):
@@ -158,7 +138,7 @@ def test_contact_equals_sticking_up_to_the_transition():
 
 def test_sticking_is_path_independent():
     """Without slip the force depends on the place alone: a loop leads back to it."""
-    point, travel, _ = approach(CONE)
+    point, travel, _ = approach(CONE, GRAVITY)
     begun = CoulombSolver(CONE, 0.5, "reference").press(GRAVITY, point, travel)
     solver = CoulombSolver(CONE, math.inf, "reference")
     moved = solver.advance(begun, point + np.array([0.0, 1e-5, 1e-6]))
@@ -170,7 +150,7 @@ def test_sticking_is_path_independent():
 
 def test_steps_of_the_path_hardly_matter():
     """The direction of sliding rotates during the motion; halving the steps has a small, first-order effect."""
-    point, travel, _ = approach(CONE)
+    point, travel, _ = approach(CONE, GRAVITY)
     solver = CoulombSolver(CONE, 0.5, "reference")
     first = solver.touch(GRAVITY, point, travel)
     forces = [followed(solver, first, point, steps)[-1].force_base for steps in (16, 32, 64)]
@@ -180,7 +160,7 @@ def test_steps_of_the_path_hardly_matter():
 
 def test_a_round_probe_has_no_preferred_side():
     """A rotation about z of rod, gravity and object rotates the solution; the tolerance is 1e-8 of the force."""
-    point, travel, d = approach(CONE, line=True)
+    point, travel, d = approach(CONE, GRAVITY, line=True)
     solver = CoulombSolver(CONE, 0.5, "reference")
     here = solver.press(GRAVITY, point, travel, d)
     there = solver.press(*(turned(1.1, v) for v in (GRAVITY, point, travel, d)))
@@ -192,7 +172,7 @@ def test_a_round_probe_has_no_preferred_side():
 
 def test_moving_away_ends_the_contact():
     """No force at the end, at any step a push: there is no adhesion."""
-    point, travel, _ = approach(CONE)
+    point, travel, _ = approach(CONE, GRAVITY)
     solver = CoulombSolver(CONE, 0.5, "reference")
     contact = solver.press(GRAVITY, point, travel)
     left = followed(solver, contact, point - travel, 40)
@@ -206,7 +186,7 @@ def test_moving_away_ends_the_contact():
 
 def test_an_edge_may_roll_without_sliding():
     """A line across a sticking rod that is led along itself takes the rod along; the touched place moves on both."""
-    point, travel, d = approach(CYLINDER, line=True, gravity=np.zeros(3))
+    point, travel, d = approach(CYLINDER, np.zeros(3), line=True)
     begun = CoulombSolver(CYLINDER, 0.5, "reference").press(np.zeros(3), point, travel, d)
     solver = CoulombSolver(CYLINDER, math.inf, "reference")
     moved = solver.advance(begun, point + 1e-5 * d / np.linalg.norm(d))
@@ -219,7 +199,7 @@ def test_an_edge_may_roll_without_sliding():
 
 def test_gravity_may_turn_while_it_touches():
     """A rotation of the base about x in one step or in two has the same result as long as the contact sticks."""
-    point, travel, _ = approach(CONE)
+    point, travel, _ = approach(CONE, GRAVITY)
     solver = CoulombSolver(CONE, math.inf, "reference")
     begun = solver.press(GRAVITY, point, travel)
     whole = solver.advance(begun, point, gravity=0.8 * GRAVITY)
@@ -260,13 +240,14 @@ def test_bad_input_is_refused():
 def test_a_given_force_on_the_surface_is_that_of_the_contact(name):
     """With the components of a solved contact, the same equilibrium follows."""
     rod = RODS[name]
-    point, travel, _ = approach(rod, 0.6, 0.4)
+    point, travel, _ = approach(rod, GRAVITY, 0.6, 0.4)
     contact = CoulombSolver(rod, 0.5, "reference").press(GRAVITY, point, travel)
-    R = contact.equilibrium.R_at(contact.s)
-    h = math.cos(contact.angle) * R[:, 1] - math.sin(contact.angle) * R[:, 0]
-    a = np.cross(contact.normal, h)
-    ratios = tuple(float(contact.force_base @ v) / contact.normal_force for v in (a, h))
-    given = solve_surface_force(rod, GRAVITY, contact.s, contact.angle, contact.normal_force, ratios, "reference")
+    R, alpha = contact.equilibrium.R_at(contact.s), math.atan(rod.taper_at(contact.s))
+    e, h = (R @ [math.cos(phi), math.sin(phi), 0.0] for phi in (contact.angle, contact.angle + math.pi / 2.0))
+    normal = math.cos(alpha) * e + math.sin(alpha) * R[:, 2]  # of the straight rod, by which the force is given
+    normal_force = -float(contact.force_base @ normal)
+    ratios = tuple(float(contact.force_base @ v) / normal_force for v in (np.cross(normal, h), h))
+    given = solve_surface_force(rod, GRAVITY, contact.s, contact.angle, normal_force, ratios, "reference")
     assert given.result == "ok"
     assert np.allclose(given.force_base, contact.force_base, rtol=0.0, atol=1e-7 * contact.magnitude)
     assert np.allclose(given.p_surface_base, contact.p_surface_base, rtol=0.0, atol=1e-9)

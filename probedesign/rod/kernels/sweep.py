@@ -431,6 +431,24 @@ def sensitivities(y, blocks, contact, body, load, turns, derivatives):
 
 
 @kernel
+def contact_curvature(s, state, body, load, omega):
+    """Fill in the rotation of the section per arclength [1/m], (3,), at the contact: the mean of its two sides.
+
+    Curvature and twist jump there by what the contact's couple does. A force that moves over the surface does the work
+    of their mean, because the elastic energy is quadratic in the moment.
+
+    Args:
+        s: of the contact [m], or any arclength of a rod without one; state: there, on the base's side, (STATE,).
+    """
+    i = frustum_at(body, s)
+    frustum, rest = frustum_of(body, i, s <= body.constants[ROOT_REACH]), rest_at(s, rest_of(body, i))
+    t, d = take(state, T), take(state, D)
+    m = add(take(state, M), -0.5, take(load, COUPLE))
+    med = section_properties(s, frustum, times(0.5, take(load, FORCE)), take(load, GRAVITY))
+    put(omega, 0, turning(t, m, d, cross(t, d), rest, med))
+
+
+@kernel
 def states_at(s, nodes, count, body, load, work, blocks, result):
     """Fill in states and columns at arclengths s (j,), by one step from the node above each.
 
