@@ -2,7 +2,8 @@
 
 Each check undoes one mistake in a few tests of the campaign and fits them again with the stated noise. It is a likely
 cause where χ² falls by more than chance explains. It explains the contradiction where the residuals are within
-`MAX_LOSS` of normal noise and were not before. Mistakes of columns are undone in the frame of wrenches.csv.
+`MAX_LOSS` of normal noise and were not before. Where no mistake explains it, another probe is the first cause.
+Mistakes of columns are undone in the frame of wrenches.csv.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -72,17 +73,14 @@ def likely_causes(fit: Fit) -> tuple[LikelyCause, ...]:
         pair = _best_exchange(fit.point, seeds[:MAX_SEEDS])
     names = {*_some(problem.tests), *seeds[:MAX_SEEDS], *(pair or ())}
     some = replace(problem, tests=tuple(test for test in problem.tests if test.name in names))
-    own = [test.nuisance for test in fit.point.tests if test.measured.name in names]
-    stated = Linearization(some, fit.point.values, (), ()).at(
-        np.concatenate([fit.point.unknowns[: some.n_active], *own])
-    )
-    if not stated.ok:
-        return ()
-    stated = minimise(stated, {})[0]
+    # as the fit solved them: from no initial guess, tests far off the design may have no solution
+    solved = tuple(test for test in fit.point.tests if test.measured.name in names)
+    blocks = tuple(block for block in fit.point.blocks if block.test in names or not block.test)
+    stated = minimise(Linearization(some, fit.point.values, solved, blocks), {})[0]
     causes = _fitted(some, stated, pair)
-    if not any(cause.explains for cause in causes) and not _agrees(stated):
-        causes.append(_other_probe(stated))
-    return tuple(causes)
+    if any(cause.explains for cause in causes) or _agrees(stated):
+        return tuple(causes)
+    return _other_probe(stated), *causes
 
 
 def explaining_mistakes(problem: LeastSquaresProblem) -> tuple[LikelyCause, ...]:
@@ -151,7 +149,7 @@ def _other_probe(stated: Linearization) -> LikelyCause:
     point = minimise(replace(stated, problem=replace(problem, prior=prior)), {})[0]
     radius = point.values.rod.radius / common.model.rod.radius
     before, after = 2.0 * stated.loss({}), 2.0 * point.loss({})
-    evidence = (f"χ² of {len(problem.tests)} tests falls from {before:.4g} to {after:.4g} with diameters of "
+    evidence = (f"χ² of {len(problem.tests)} tests is {before:.4g}, and {after:.4g} with free diameters, "
                 f"{radius.min():.2f} to {radius.max():.2f} times the design's")  # fmt: skip
     words = ("probe: another probe than the design's, or a mistake that is not listed here; check probe and "
              "fingerprint in campaign.toml, and the diameters of the print")  # fmt: skip

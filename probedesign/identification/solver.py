@@ -186,8 +186,8 @@ class Linearization:
 
     def information(self, weight: Array) -> Array:
         """Return the information on all unknowns with a weight of each block, (size, size)."""
-        J = self.rows[1]
-        return np.asarray(J.T @ (self.by_row(weight)[:, None] * J))
+        weighted = np.sqrt(self.by_row(weight))[:, None] * self.rows[1]
+        return np.asarray(weighted.T @ weighted)  # of one matrix with itself: half the products
 
     def marginal(self, weight: Array, columns: Sequence[int]) -> Array:
         """Return the information on some unknowns, all others marginalised, (n, n)."""

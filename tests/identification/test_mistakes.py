@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from probedesign.campaigns import Campaign, read_campaign
+from probedesign.core.frames import Array
 from probedesign.design import load_design
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.design_update import design_changes
-from probedesign.identification.identify import data_of, identify
+from probedesign.identification.identify import IdentificationData, data_of, identify
+from probedesign.identification.residuals import MeasuredTest
 from probedesign.identification.result import Identification
 from probedesign.simulation.campaign_folder import make_campaign
 from probedesign.simulation.ground_truth import CampaignPlan
@@ -109,40 +111,76 @@ def test_exchanged_touches_are_named(
         assert 1e6 * E.low < TRUE_E < 1e6 * E.high
 
 
-def test_moments_in_another_unit_are_named(stage: Campaign, model: ProbeModel) -> None:
-    """The campaign's own checks refuse a thousand times too large moments of a file before the fit."""
-    data = data_of(stage, model, 0.0)
-    tests = tuple(replace(one, wrench_base=one.wrench_base * np.repeat([1.0, 1e3], 3)) for one in data.tests)
-    common = replace(data.common, frame="base")  # the columns are those about the base
-    found = identify(replace(data, common=common, tests=tests), ("E",))
-    assert found.result == "inconsistent" and found.likely_causes[0].name == "unit"
-    assert "moments a thousand times too large" in found.likely_causes[0].words
+def _unit(data: IdentificationData) -> IdentificationData:
+    """Moments in N·mm; the campaign's own checks refuse them in a file before the fit."""
+    return _with_wrenches(data, lambda test, wrench: wrench * np.repeat([1.0, 1e3], 3))
 
 
-def test_shifted_marker_numbers_are_named(cameras: Campaign, model: ProbeModel) -> None:
+def _sign(data: IdentificationData) -> IdentificationData:
+    return _with_wrenches(data, lambda test, wrench: wrench * [1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
+
+
+def _frame(data: IdentificationData) -> IdentificationData:
+    return _with_wrenches(data, lambda test, wrench: data.common.model.to_sensor(wrench, test.gravity_base))
+
+
+def _with_wrenches(data: IdentificationData, change: Callable[[MeasuredTest, Array], Array]) -> IdentificationData:
+    """Return data whose columns are those about the base, changed."""
+    tests = tuple(
+        one if one.wrench_base is None else replace(one, wrench_base=change(one, one.wrench_base)) for one in data.tests
+    )
+    return replace(data, common=replace(data.common, frame="base"), tests=tests)
+
+
+def _marker(data: IdentificationData) -> IdentificationData:
     """Marker 1 was not seen, and the numbers of the others begin with it."""
-    data = data_of(cameras, model, 0.0)
     tests = tuple(
         replace(one, marker_s=one.marker_s[:-1], marker_numbers=one.marker_numbers[:-1],
                 p_markers_world=one.p_markers_world[1:], cov_markers=one.cov_markers[1:])
         if len(one.marker_s) > 1 else one
         for one in data.tests
     )  # fmt: skip
-    found = identify(replace(data, tests=tests), ("E",))
-    assert found.result == "inconsistent" and found.likely_causes[0].name == "marker"
-    assert "too low by 1" in found.likely_causes[0].words and found.likely_causes[0].explains
+    return replace(data, tests=tests)
 
 
-def test_another_probe_is_named_where_no_mistake_explains_the_tests(cameras: Campaign, model: ProbeModel) -> None:
+def _probe(data: IdentificationData) -> IdentificationData:
     """The cone tapers half as much as drawn, which no factor on E and no column explains."""
-    data = data_of(cameras, model, 0.0)
-    rod = model.rod
+    rod = data.common.model.rod
     other = replace(rod, radius=rod.radius * np.interp(rod.s, [0.0, rod.length], [1.25, 0.8]))
-    common = replace(data.common, model=replace(model, rod=other))
-    found = identify(replace(data, common=common), ("E",))
-    assert found.result == "inconsistent"
-    assert [one.name for one in found.likely_causes][-1] == "probe"
-    assert "fingerprint in campaign.toml" in found.likely_causes[-1].words
+    return replace(data, common=replace(data.common, model=replace(data.common.model, rod=other)))
+
+
+@pytest.mark.parametrize(
+    ("bench", "mistake", "words", "explains"),
+    [
+        ("stage", _unit, "moments a thousand times too large", True),
+        ("cameras", _unit, "moments a thousand times too large", True),
+        ("cameras", _sign, "Fy with the opposite sign", True),
+        ("cameras", _frame, "its values are those of '# frame: sensor'", True),
+        ("cameras", _marker, "too low by 1", True),
+        ("stage", _probe, "fingerprint in campaign.toml", False),
+        ("cameras", _probe, "fingerprint in campaign.toml", False),
+    ],
+)
+def test_each_check_names_its_mistake_first(
+    bench: str, mistake: Callable[[IdentificationData], IdentificationData], words: str, explains: bool,
+    model: ProbeModel, request: pytest.FixtureRequest,
+) -> None:  # fmt: skip
+    found = identify(mistake(data_of(request.getfixturevalue(bench), model, 0.0)), ("E",))
+    first = found.likely_causes[0]
+    assert found.result == "inconsistent" and first.name == mistake.__name__[1:] and words in first.words
+    assert first.explains or not explains
+
+
+def test_exchanged_touches_before_cameras_are_named(cameras: Campaign, model: ProbeModel) -> None:
+    data = data_of(cameras, model, 0.0)
+    a, b = [one for one in data.tests if one.touched][1:5:3]
+    other = {a.name: b, b.name: a}
+    found = identify(replace(data, tests=tuple(
+        replace(one, wrench_base=other.get(one.name, one).wrench_base, cov_wrench=other.get(one.name, one).cov_wrench)
+        for one in data.tests)), ("E",))  # fmt: skip
+    named = [found.likely_causes[0].words] if found.likely_causes else found.notes
+    assert any("exchange" in words and a.name in words and b.name in words for words in named)
 
 
 def test_a_contradiction_that_leaves_too_much_uncertainty_gives_no_number(
