@@ -30,6 +30,7 @@ from probedesign.cad.sheet import (
     cut,
     note,
     page,
+    rows_of,
     scale_for,
     scale_text,
     seen,
@@ -184,7 +185,7 @@ def flange_adapter_sheet(model: CadModel, part: CadPart) -> Canvas:
         fits.append(f"⌀{_mm(spigot_d)} enters ⌀{_mm(spigot_d + p.robot.spigot_play)} H7")
     (r0, r1), (v0, v1), (z0, z1) = p.cable_pocket
     notes = [
-        *f"z = 0 rests on the robot, {p.robot.source}; the sensor sits on the top face".split("; "),
+        f"z = 0 rests on the robot, {p.robot.source}; the sensor sits on the top face",
         f"pocket for the cable at {number(p.cable_deg)}°: r = {_mm(r0)} to {_mm(r1)}, {_mm(v1 - v0)} wide, "
         f"{_mm(z1 - z0)} deep",
         *(["; ".join(fits)] if fits else []),
@@ -242,7 +243,8 @@ def _disc(
             labelled.append(complex(*chosen))
             view.label(chosen, rim, str(label))
     lines = [*table, *notes, *_accepted(model, part.name.replace("_", " "))]
-    note(sheet, (EDGE + 6.0, BOTTOM - LINE * TEXT * len(lines)), lines)
+    rows = rows_of(lines, WIDTH - 2 * EDGE - 6.0)
+    note(sheet, (EDGE + 6.0, BOTTOM - LINE * TEXT * len(rows)), rows)
     return sheet
 
 
@@ -356,10 +358,12 @@ def _underside(model: CadModel, part: CadPart, sheet: Canvas) -> None:
     view.dimension_u(0.0, a.peg_x / MM, rim / 2, STACK, _mm(a.peg_x))
     view.caption(f"from below, {scale_text(scale)}", -rim / 2, 14.0)
     x, y = view.at((-rim / 2, -rim / 2))
-    note(sheet, (min(x, SIDE_X - SIDE_ROOM / 2), y + 22.0), [
+    left = min(x, SIDE_X - SIDE_ROOM / 2)
+    lines = [
         f"hole ⌀{_mm(a.peg_hole_d)} through the flange:",
         "it marks +x of the base frame",
         "s = 0 is the flange's top",
         *(part for text in (*_engraved(a.on_flange, "the flange's top"), *_accepted(model, "probe"))
           for part in text.replace(": ", ":\n").splitlines()),
-    ], SMALL)  # fmt: skip
+    ]  # fmt: skip
+    note(sheet, (left, y + 22.0), rows_of(lines, WIDTH - EDGE - left, SMALL), SMALL)

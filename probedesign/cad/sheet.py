@@ -3,6 +3,7 @@
 Paper in millimetres, y down. Points of the part are (u, v) in millimetres, v up.
 """
 
+import textwrap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -106,7 +107,8 @@ BOTTOM = HEIGHT - EDGE - 28.0  #: Upper edge of the title block on the paper [mm
 SCALES = (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1)  # ISO 5455
 TEXT, SMALL = 3.2, 2.6
 LINE = 1.42  #: Distance of two baselines over the size of the text.
-TEXT_WIDTH = 0.58  #: Mean width of a character of a sans-serif font, over its size.
+#: Widths of a character of a sans-serif font over its size: of digits, and the mean of prose.
+TEXT_WIDTH, PROSE_WIDTH = 0.58, 0.5
 THICK, THIN, CHAIN = 0.4, 0.18, "6 1.2 0.8 1.2"  #: Widths of lines (ISO 128), and the dashes of a centre line.
 #: Colour of cut material.
 CUT = "#dde3ea"
@@ -133,9 +135,15 @@ def page(title: str, lines: Sequence[str]) -> Canvas:
     left, right, bottom = EDGE, WIDTH - EDGE, HEIGHT - EDGE
     frame = [(left, EDGE), (right, EDGE), (right, bottom), (left, bottom), (left, EDGE)]
     sheet.polylines([frame, [(left, BOTTOM), (right, BOTTOM)]], THICK)
-    sheet.text((left + 4, BOTTOM + 8), title, 5.0, "start", bold=True)
+    size = min(5.0, (right - left - 8) / (TEXT_WIDTH * len(title)))
+    sheet.text((left + 4, BOTTOM + 8), title, size, "start", bold=True)
     note(sheet, (left + 4, BOTTOM + 14.5), lines)
     return sheet
+
+
+def rows_of(lines: Iterable[str], room: float, size: float = TEXT) -> list[str]:
+    """Return lines of text as rows that fit into a width on paper [mm]."""
+    return [row for line in lines for row in textwrap.wrap(line, int(room / (PROSE_WIDTH * size)))]
 
 
 def note(sheet: Canvas, at: XY, lines: Sequence[str], size: float = TEXT) -> None:

@@ -253,7 +253,8 @@ SENSORS = {"mini40": "iso-9409-1-63-6-m6", "gamma": "iso-9409-1-100-6-m8"}  #: W
 @pytest.mark.parametrize("probe", [*ODD.values(), *SENSORS], ids=[*ODD, *SENSORS])
 def test_drawings_stay_in_their_frame_and_are_legible(probe: str) -> None:
     sensor = f'[sensor]\nmodel = "{probe}"\n'
-    design = design_of(f"{LARGE}\n{sensor}", SENSORS[probe]) if probe in SENSORS else design_of(probe)
+    longest = "name-of-" + 14 * "four"
+    design = design_of(f"{LARGE}\n{sensor}", SENSORS[probe], longest) if probe in SENSORS else design_of(probe)
     for name, sheet in inspection_sheets(build_cad(design)).items():
         root = ET.fromstring(sheet)
         boxes = {element: _box(element) for element in root.iter(f"{SVG}text")}
