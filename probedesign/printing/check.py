@@ -32,6 +32,8 @@ GUIDE = "Formlabs' design guide, Form 2, rigid resin"
 DOUBLED = f"twice {GUIDE}, for soft resin (assumed)"
 
 MAX_CUP_D = 10.0  #: Widest cup that the peel of a rigid resin stands [mm] (assumed).
+#: Longest bridge without supports [mm]: about half of the guide's 21 mm for a beam 5 mm wide and 3 mm thick (assumed).
+MAX_BRIDGE = 10.0
 
 LAYER = 0.1  #: Elastic 50A has no other layer height. Source: PreForm's list of materials.
 
@@ -61,6 +63,8 @@ SOFT_HOLE = Rule("hole", "mm", DOUBLED, "low")
 NO_OVERHANG = Rule("overhang", "deg", f"{GUIDE}; a warning below {MIN_SOFT_OVERHANG:g} for soft resin (assumed)", "low")
 TRAPPED_VOLUME = Rule("trapped_volume", "mm", f"drain hole of {GUIDE}", "medium")
 LAYER_OVERHANG = Rule("overhang", "mm", "Formlabs' design guide: 1 mm, or 19° to the horizontal", "medium")
+BRIDGE = Rule("bridge", "mm", "half of the 21 mm of Formlabs' design guide (assumed)", "low")
+ISLAND = Rule("island", "mm", "what begins in mid-air is lost", "high")
 CUP = Rule("cup", "mm", "assumed: suction of a shallow cup that a rigid resin stands", "low")
 MOUNT = Rule("mount", "mm", "the adapter's own dimensions", "high")
 
@@ -168,10 +172,16 @@ def mount_findings(a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
         "sensor_adapter", "roof of a nut's slot beside the screw's hole", a.roof_overhang / MM, MAX_OVERHANG / MM,
         "take M2 screws",
     ))  # fmt: skip
-    for part, pattern in (("sensor_adapter", a.tool), ("flange_adapter", plate.mounting)):
-        room = pattern.screw.counterbore_d / MM
-        findings.append(CUP.warn_above(part, "rooms of the screws' heads, cups on the platform", room, MAX_CUP_D,
-                                       "drill a vent"))  # fmt: skip
+    nearest = min(math.dist((a.peg_x, 0.0), p) for p in a.p_tool_screws)
+    findings.append(ISLAND.at_least(
+        "sensor_adapter", "clocking peg, beside the room of a screw's head",
+        (nearest - PEG_D / 2 - a.tool.screw.counterbore_d / 2) / MM, 0.0, remedy="change mount.flange_lip_mm",
+    ))  # fmt: skip
+    for part, (roofs, cups) in _voids(a, plate).items():
+        findings += [BRIDGE.warn_above(part, what, span / MM, MAX_BRIDGE, "supports must carry it")
+                     for what, span in roofs.items()]  # fmt: skip
+        findings += [CUP.warn_above(part, f"{what}, cups on the platform", d / MM, MAX_CUP_D, "drill a vent")
+                     for what, d in cups.items()]  # fmt: skip
     for part, (walls, holes) in parts.items():
         for what, thickness, limit in walls:
             findings.append(WALL.at_least(part, what, thickness / MM, limit, remedy="make it thicker"))
@@ -261,6 +271,26 @@ def _plate_walls(p: FlangeAdapter) -> Walls:
     return walls
 
 
+def _voids(a: SensorAdapter, p: FlangeAdapter) -> dict[str, tuple[dict[str, float], dict[str, float]]]:
+    """Return the voids of the parts as they stand on the platform whose width follows from sensor and robot: spans of
+    their roofs, and diameters of those that the platform closes [m]."""
+    (r0, r1), (v0, v1), _ = p.cable_pocket
+    inside = r1 < p.plate_d / 2  # otherwise the pocket is open at the rim
+    pocket = min(r1 - r0, v1 - v0) if inside else v1 - v0
+    heads, slot = "rooms of the screws' heads", min(p.robot.pin_slot)
+    return {
+        "sensor_adapter": (
+            {"roof of a dowel hole": a.dowel_d}, {heads: a.tool.screw.counterbore_d, "dowel holes": a.dowel_d}
+        ),
+        "flange_adapter": (
+            {"roof of the cable's pocket": pocket},
+            {heads: p.mounting.screw.counterbore_d}
+            | ({"pin slot": slot} if slot > 0.0 else {})
+            | ({"pocket of the cable": pocket} if inside else {}),
+        ),
+    }  # fmt: skip
+
+
 def _reach(points: Iterable[XY]) -> float:
     """Return the distance of equal features from the axis [m]; 0 without any."""
     return max((math.hypot(*p) for p in points), default=0.0)
@@ -295,7 +325,8 @@ class Orientation(NamedTuple):
 
 
 #: The orientation of each part. A test cuts the rigid parts of every known sensor and flange into layers: nothing
-#: hangs, begins in mid-air or encloses resin, so that no supports touch a face that carries a dimension.
+#: hangs, begins in mid-air or encloses resin, so that no supports touch a face that carries a dimension. What another
+#: sensor or flange can change of this has the rules `bridge`, `island` and `cup`.
 ORIENTATIONS = {
     "probe": Orientation("upright", "its flange", supports=True),
     "sensor_adapter": Orientation("upright", "its foot"),
@@ -386,8 +417,8 @@ def check_print(design: Design) -> PrintCheck:
             for part, stands in ORIENTATIONS.items()
             if not stands.supports
         ),
-        *([f"the rigid parts do not fit on one platform of a {printer.name}: adapters.3mf and adapters_2.3mf"]
-          if len(platforms) > 2 else []),
+        *([f"the rigid parts do not fit on one platform of a {printer.name}: print all {len(platforms) - 1} packages, "
+           f"adapters.3mf to adapters_{len(platforms) - 1}.3mf"] if len(platforms) > 2 else []),
     )  # fmt: skip
     return PrintCheck(design.name, geometry.fingerprint, printer.name, design.resin.name, tuple(findings), advice,
                       tuple(platforms))  # fmt: skip

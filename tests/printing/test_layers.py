@@ -1,19 +1,23 @@
 """Layers of bodies whose overhangs, bridges, cups and enclosed volumes are known, and of the exported rigid parts."""
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
+from probedesign.core.errors import CheckFailedError
 from probedesign.design import parse_design
+from probedesign.design.catalog import ROBOT_FLANGES
 from probedesign.design.sensor_catalog import SENSORS
-from probedesign.mount import Mount
+from probedesign.design.sensors import DowelPattern
+from probedesign.mount import FlangeAdapter, Mount, SensorAdapter, flange_adapter_for, sensor_adapter_for
 from probedesign.mount.flange_adapter import fitting_flanges
 from probedesign.mount.sensor_adapter import MAX_OVERHANG
-from probedesign.printing.check import MAX_CUP_D, ORIENTATIONS, check_print
+from probedesign.printing.check import MAX_BRIDGE, MAX_CUP_D, ORIENTATIONS, check_print, mount_findings
 from tests.printing.raster import LayerReport, examine_layers, grid_of, layers_of_mesh
 
 PIXEL, LAYER = 0.25, 0.1
-#: Longest bridge without supports [mm]: about half of the guide's 21 mm for a beam 5 mm wide and 3 mm thick.
-MAX_BRIDGE = 10.0
 
 
 def examined(interior, height: float = 6.0) -> LayerReport:
@@ -84,42 +88,91 @@ def test_an_enclosed_volume_is_measured() -> None:
     assert examined(lambda x, y, z: np.hypot(x, y) < 7.0).trapped == 0.0
 
 
-def mounts() -> list[tuple[str, str, str]]:
+def mounts() -> list[tuple[str, str, float, str]]:
+    """Every known sensor on every flange that leaves it room, and narrow and wide probes with a thick flange."""
     fitting = [(sensor, flange) for sensor, model in SENSORS.items() for flange in fitting_flanges(model)]
-    return [(*pair, ("M2", "M3")[i % 2]) for i, pair in enumerate(fitting)]
+    known = [(*pair, 12.0, f'ring_screw = "{("M2", "M3")[i % 2]}"') for i, pair in enumerate(fitting)]
+    small, thick = ("nano17", "iso-9409-1-31.5-4-m5"), "flange_thickness_mm = 5.0"
+    other = [(*small, 12.0, thick), *((*small, base, mount) for base in (3.0, 25.0) for mount in ("", thick))]
+    return [*known, *other]
 
 
-@pytest.mark.parametrize(("sensor", "flange", "screw"), mounts())
-def test_rigid_parts_print_on_the_platform_in_their_constant_orientation(sensor: str, flange: str, screw: str) -> None:
+def sliced(name: str, solid: Any) -> tuple[LayerReport, float]:
+    """What the layers of a part show as it stands on the platform, and the width of a pixel."""
+    from probedesign.cad.mesh import tessellate
+
+    mesh = tessellate(solid, 0.05, 0.3)
+    if not ORIENTATIONS[name].upright:
+        mesh.apply_transform(np.diag([1.0, -1.0, -1.0, 1.0]))
+    mesh.apply_translation([0.0, 0.0, -mesh.bounds[0, 2]])
+    pixel = 0.2 * max(1.0, mesh.bounds[1, 0] / 32.0)
+    layers = layers_of_mesh(mesh, pixel, LAYER)
+    assert layers.sum() * pixel**2 * LAYER == pytest.approx(mesh.volume, rel=0.02)  # of the raster
+    # The raster shows a length to half a pixel; the test of the roof above a nut has it exactly.
+    return examine_layers(layers, 1e3 * MAX_OVERHANG + pixel / 2, MAX_BRIDGE, pixel, LAYER), pixel
+
+
+@pytest.mark.parametrize(("sensor", "flange", "base", "mount"), mounts())
+def test_rigid_parts_print_in_their_constant_orientation(sensor: str, flange: str, base: float, mount: str) -> None:
     """The exported solids, engraving included, need no supports and enclose no resin."""
     pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip install 'probedesign[cad]'")
-    from probedesign.cad.mesh import tessellate
     from probedesign.cad.solids import clamp_ring_solid, flange_adapter_solid, sensor_adapter_solid
 
     design = parse_design(
-        f'schema = 1\nname = "x"\n[probe]\nlength_mm = 60.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n[sensor]\n'
-        f'model = "{sensor}"\n[mount]\nrobot_flange = "{flange}"\nring_screw = "{screw}"\n'
+        f'schema = 1\nname = "x"\n[probe]\nlength_mm = 60.0\nbase_d_mm = {base}\ntip_d_mm = 2.0\n[sensor]\n'
+        f'model = "{sensor}"\n[mount]\nrobot_flange = "{flange}"\n{mount}\n'
     )
-    mount = Mount.of(design)
-    a, plate = mount.sensor_adapter, mount.flange_adapter
+    whole = Mount.of(design)
+    a, plate = whole.sensor_adapter, whole.flange_adapter
     solids = {"flange_adapter": flange_adapter_solid(plate)}
-    if flange == fitting_flanges(design.sensor_model)[0]:  # these do not depend on the flange
+    if flange == fitting_flanges(design.sensor_model)[0] or "M" not in mount:  # these do not depend on the flange
         solids |= {"sensor_adapter": sensor_adapter_solid(a), "clamp_ring": clamp_ring_solid(a)}
     for name, solid in solids.items():
-        mesh = tessellate(solid, 0.05, 0.3)
-        if not ORIENTATIONS[name].upright:
-            mesh.apply_transform(np.diag([1.0, -1.0, -1.0, 1.0]))
-        mesh.apply_translation([0.0, 0.0, -mesh.bounds[0, 2]])
-        pixel = 0.2 * max(1.0, mesh.bounds[1, 0] / 32.0)
-        layers = layers_of_mesh(mesh, pixel, LAYER)
-        assert layers.sum() * pixel**2 * LAYER == pytest.approx(mesh.volume, rel=0.02)  # of the raster
-        # The raster shows a length to half a pixel; the test below has the roof above a nut exactly.
-        report = examine_layers(layers, 1e3 * MAX_OVERHANG + pixel / 2, MAX_BRIDGE, pixel, LAYER)
+        report, pixel = sliced(name, solid)
         assert report.hanging_area == 0.0 and report.islands == 0 and report.trapped == 0.0, (name, report)
         assert report.bridge <= MAX_BRIDGE and not ORIENTATIONS[name].supports
         rooms = {"sensor_adapter": a.tool, "flange_adapter": plate.mounting}
         room = 1e3 * rooms[name].screw.counterbore_d if name in rooms else 0.0  # what the check warns of
         assert report.cup_d <= max(MAX_CUP_D, room + 2 * pixel)
+    assert [f.message for f in mount_findings(a, plate) if f.rule in ("bridge", "island")
+            and f.severity != "ok"] == []  # fmt: skip
+
+
+def test_the_check_finds_what_an_own_sensor_and_an_own_flange_make_unprintable() -> None:
+    """A wide exit of the cable, thick dowel pins and a wide pin of the robot, as the layers of the solids show them."""
+    pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip install 'probedesign[cad]'")
+    from probedesign.cad.solids import flange_adapter_solid, sensor_adapter_solid
+
+    design = parse_design(
+        'schema = 1\nname = "x"\n[probe]\nlength_mm = 60.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n'
+        '[sensor]\nmodel = "mini40"'
+    )
+    known = SENSORS["mini40"]
+    robot = replace(ROBOT_FLANGES["iso-9409-1-100-6-m8"], pin_slot=(14e-3, 16e-3))
+
+    def adapters(**changed: Any) -> tuple[SensorAdapter, FlangeAdapter]:
+        sensor = replace(known, interface=replace(known.interface, **changed))
+        return sensor_adapter_for(Mount.of(design).geometry, sensor), flange_adapter_for(sensor, robot)
+
+    def worst(rule: str, part: str) -> float:
+        wrong = [f for f in mount_findings(a, plate) if (f.rule, f.part) == (rule, part) and f.severity != "ok"]
+        return max(f.measured for f in wrong)
+
+    dowels = DowelPattern(12e-3, 3e-3, 22e-3, (0.0, 180.0), 10e-3)
+    a, plate = adapters(cable=replace(known.interface.cable, width=11e-3, reach=33e-3), dowels=dowels)
+    report, pixel = sliced("flange_adapter", flange_adapter_solid(plate))
+    assert worst("bridge", "flange_adapter") == pytest.approx(12.2) and report.hanging_area > 0.0  # 0.6 mm beside it
+    assert worst("cup", "flange_adapter") == pytest.approx(14.0) == pytest.approx(report.cup_d, abs=2 * pixel)
+    report, pixel = sliced("sensor_adapter", sensor_adapter_solid(a))
+    assert worst("bridge", "sensor_adapter") == pytest.approx(12.1) and report.hanging_area > 0.0
+    assert worst("cup", "sensor_adapter") == pytest.approx(12.1) == pytest.approx(report.cup_d, abs=2 * pixel)
+    # A screw at 0° under the clocking peg: the kernel draws a peg without a foot.
+    tool = replace(known.interface.tool, bolt_circle_d=36e-3, azimuths_deg=(0.0, 120.0, 240.0))
+    a, plate = adapters(tool=tool)
+    (peg,) = [f for f in mount_findings(a, plate) if f.rule == "island"]
+    assert peg.severity == "error" and peg.measured == pytest.approx(0.2 - 1.9 / 2 - 5.9 / 2)
+    with pytest.raises(CheckFailedError):
+        sensor_adapter_solid(a)
 
 
 @pytest.mark.parametrize("screw", ["M2", "M3"])
