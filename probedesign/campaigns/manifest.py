@@ -14,6 +14,7 @@ from probedesign.design.schema import MAX_GRAVITY
 FILE = "campaign.toml"
 MAX_BYTES = 1_000_000
 MAX_MARKERS = 500
+#: Default standard deviations of the base pose: assumed, a bracket set with a caliper and a level.
 STD_BASE_MM, STD_BASE_DEG = 0.2, 0.2
 #: Standard deviation of the length scale of the reference, relative. Assumed: 0.5 mm on a box of 100 mm.
 LENGTH_SCALE = 0.005
@@ -21,7 +22,6 @@ WEIGHT_STD = 0.005  #: Standard deviation of a known load, relative. Assumed: 5 
 #: Distance over which a robot's or a stage's repeatability becomes a rotation of the base [m]. Assumed: that of the
 #: base from the last axis.
 WRIST = 0.1
-"""Default standard deviations of the base pose: assumed, a bracket set with a caliper and a level."""
 
 Coordinate = Annotated[float, Field(ge=-1e5, le=1e5)]
 Std = Annotated[float, Field(gt=0.0, le=100.0)]

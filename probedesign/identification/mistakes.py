@@ -49,6 +49,14 @@ class Mistake(NamedTuple):
     price: float = 0.0  #: logarithm of the number of mistakes of this kind among which it was selected.
 
 
+class Exchange(NamedTuple):
+    """Two tests that agree better with the fit after an exchange of their readings."""
+
+    pair: tuple[str, str]  #: their names.
+    before: float  #: loss of both as stated.
+    after: float  #: loss of both after the exchange.
+
+
 @dataclass(frozen=True)
 class LikelyCause:
     """A likely cause of a contradiction."""
@@ -68,9 +76,9 @@ def likely_causes(fit: Fit) -> tuple[LikelyCause, ...]:
     """Return what may explain a contradiction, the likeliest first."""
     problem = fit.point.problem
     seeds = list(dict.fromkeys(block.test for block, _ in outliers(fit.point.blocks, fit.scales)))
-    pair = None
-    if 2 * len(seeds) <= len(problem.tests):  # two exchanged tests do not make most others outlying
-        pair = _best_exchange(fit.point, seeds[:MAX_SEEDS])
+    few = 2 * len(seeds) <= len(problem.tests)  # two exchanged tests do not make most others outlying
+    exchange = _best_exchange(fit.point, seeds[:MAX_SEEDS]) if few else None
+    pair = None if exchange is None else exchange.pair
     names = {*_some(problem.tests), *seeds[:MAX_SEEDS], *(pair or ())}
     some = replace(problem, tests=tuple(test for test in problem.tests if test.name in names))
     # as the fit solved them: from no initial guess, tests far off the design may have no solution
@@ -91,19 +99,15 @@ def explaining_mistakes(problem: LeastSquaresProblem) -> tuple[LikelyCause, ...]
 
 def exchange_hint(fit: Fit, outlying: Sequence[tuple[ResidualBlock, float]]) -> tuple[str, ...]:
     """Return a note if an exchange of the readings of two tests, one of them outlying, explains outliers."""
-    point, of = fit.point, {test.name: test for test in fit.point.problem.tests}
+    of = {test.name: test for test in fit.point.problem.tests}
     names = [name for name in dict.fromkeys(block.test for block, _ in outlying) if name in of]
-    seeds = [name for name in names if not of[name].free and of[name].wrench_base is not None]
-    pair = _best_exchange(point, seeds[:MAX_SEEDS])
-    if pair is None:
+    exchange = _best_exchange(fit.point, [name for name in names if not of[name].free][:MAX_SEEDS])
+    price = np.log(len(of) * (len(of) - 1) / 2) - np.log(REJECTION_CHANCE)
+    if exchange is None or exchange.before - exchange.after < price:
         return ()
-    change = _exchange(point.problem.common, of, pair).change
-    before = sum(_own_loss(point, of[name]) for name in pair)
-    after = sum(_own_loss(point, change(of[name])) for name in pair)
-    if before - after < np.log(len(of) * (len(of) - 1) / 2) - np.log(REJECTION_CHANCE):
-        return ()
-    return (f"{pair[0]} and {pair[1]}: their readings may be exchanged: χ² of both falls from {2.0 * before:.4g} to "
-            f"{2.0 * after:.4g} that way; check wrenches.csv, or their places in tests.csv",)  # fmt: skip
+    return (f"{' and '.join(exchange.pair)}: their readings may be exchanged: χ² of both falls from "
+            f"{2.0 * exchange.before:.4g} to {2.0 * exchange.after:.4g} that way; check "
+            "wrenches.csv, or their places in tests.csv",)  # fmt: skip
 
 
 # fits of changed tests
@@ -168,21 +172,20 @@ def _moves(point: Linearization, stated: Linearization | None) -> dict[str, floa
             if OWNER[c].max_std is not None and stated.problem.active[c]}  # fmt: skip
 
 
-def _best_exchange(point: Linearization, seeds: Sequence[str]) -> tuple[str, str] | None:
+def _best_exchange(point: Linearization, seeds: Sequence[str]) -> Exchange | None:
     """Return the two tests, one of them outlying, whose loss falls most by an exchange of their readings."""
     common, of = point.problem.common, {test.name: test for test in point.problem.tests}
     read = [name for name, test in of.items() if test.wrench_base is not None]
-    gains: dict[tuple[str, str], float] = {}
-    before = {name: _own_loss(point, of[name]) for name in read} if seeds else {}
-    for a in (name for name in seeds if name in read):
-        for b in read:
-            if b != a and (b, a) not in gains:
-                change = _exchange(common, of, (a, b)).change
-                after = _own_loss(point, change(of[a]))
-                if after < before[a] + before[b]:
-                    gains[a, b] = before[a] + before[b] - after - _own_loss(point, change(of[b]))
-    best = max(gains, key=lambda pair: gains[pair], default=None)
-    return best if best is not None and gains[best] > 0.0 else None
+    seeds = [name for name in seeds if name in read]
+    stated = {name: _own_loss(point, of[name]) for name in read} if seeds else {}
+    exchanges = []
+    for a, b in dict.fromkeys((min(a, b), max(a, b)) for a in seeds for b in read if a != b):
+        change, before = _exchange(common, of, (a, b)).change, stated[a] + stated[b]
+        after = _own_loss(point, change(of[a]))
+        after += _own_loss(point, change(of[b])) if after < before else 0.0
+        if after < before:
+            exchanges.append(Exchange((a, b), before, after))
+    return max(exchanges, key=lambda exchange: exchange.before - exchange.after, default=None)
 
 
 def _own_loss(point: Linearization, test: MeasuredTest) -> float:

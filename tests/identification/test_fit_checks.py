@@ -54,7 +54,9 @@ def _in_metres(trial: MeasuredTest) -> MeasuredTest:
 def test_a_kind_with_only_gross_errors_is_inconsistent(
     mistake: Callable[[MeasuredTest], MeasuredTest], stage: Campaign, model: ProbeModel
 ) -> None:
-    _assert_no_number(_with(data_of(stage, model, 0.0), mistake))
+    found = _with(data_of(stage, model, 0.0), mistake)
+    _assert_no_number(found)
+    assert found.likely_causes
 
 
 def test_forces_in_millinewtons_are_refused(stage: Campaign, model: ProbeModel) -> None:
