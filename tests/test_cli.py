@@ -20,6 +20,7 @@ from probedesign.rod.kernels import cache
 
 LARGE = Path(__file__).parents[1] / "designs/large.toml"
 NEW = ("new", "--length", "150", "--base-d", "12")
+REMEDY = "set PROBEDESIGN_DEBUG=1 for a traceback)"
 
 
 def command(*arguments: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -127,16 +128,8 @@ def test_the_help_of_a_command_is_its_docstring(name, capsys):
     [
         (InputError("a.toml:3: wrong\nin two lines"), 2, "a.toml:3: wrong in two lines"),
         (MissingDependencyError("needs CadQuery"), 2, "needs CadQuery"),
-        (
-            CheckFailedError("the mesh is open"),
-            1,
-            "the mesh is open (CheckFailedError; set PROBEDESIGN_DEBUG=1 for a traceback)",
-        ),
-        (
-            ZeroDivisionError("division by zero"),
-            1,
-            "division by zero (ZeroDivisionError; set PROBEDESIGN_DEBUG=1 for a traceback)",
-        ),
+        (CheckFailedError("the mesh is open"), 1, f"the mesh is open (CheckFailedError; {REMEDY}"),
+        (ZeroDivisionError("division by zero"), 1, f"division by zero (ZeroDivisionError; {REMEDY}"),
         (KeyboardInterrupt(), 130, "interrupted"),
         (KeyboardInterrupt("2 of 3 conditions are kept"), 130, "2 of 3 conditions are kept"),
     ],
@@ -173,16 +166,11 @@ def workplace(tmp_path, monkeypatch):
 
     def summary(design):
         return {
-            "mass_g": 6.822,
-            "sag_mm": 12.3,
-            "thinnest_mm": 2.0,
-            "fits_upright": design.probe.length_mm < 185,
-            "printer": design.print_.printer,
-            "print_check": {"errors": 0, "warnings": 1, "findings": []},
-            "expected_error_mm": float("inf"),
-            "expected_error_condition": "one touch of 10 mN at 0.8 of the length",
+            "mass_g": 6.822, "sag_mm": 12.3, "thinnest_mm": 2.0, "fits_upright": design.probe.length_mm < 185,
+            "printer": design.print_.printer, "print_check": {"errors": 0, "warnings": 1, "findings": []},
+            "expected_error_mm": float("inf"), "expected_error_condition": "one touch of 10 mN at 0.8 of the length",
             "assumptions": design.assumptions,
-        }
+        }  # fmt: skip
 
     monkeypatch.setattr(importlib.import_module("probedesign.cli.new"), "summary", summary)
     monkeypatch.chdir(tmp_path)
@@ -194,11 +182,8 @@ def test_new_writes_the_file_and_prints_its_figures(workplace, capsys):
     design = load_design("designs/cone-150x12x2.5.toml")
     assert design.probe.knots_mm == ((0.0, 12.0), (150.0, 2.5))
     rows = dict(re.findall(r"^  (\w[\w ]*?)  +(.*)$", capsys.readouterr().out, re.MULTILINE))
-    assert (rows["mass"], rows["sag"].split(" mm")[0], rows["expected error"].split(",")[0]) == (
-        "6.82 g",
-        "12.3",
-        "inf mm",
-    )
+    assert [rows["mass"], *rows["sag"].split(" mm")[:1]] == ["6.82 g", "12.3"]
+    assert rows["expected error"].split(",")[0] == "inf mm"
     assert rows["assumed"].split(", ") == list(design.assumptions)
 
 

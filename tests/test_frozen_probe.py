@@ -320,9 +320,7 @@ def test_contradicting_values_are_refused_under_a_valid_checksum(frozen, path):
         (("hanging", "p_com_m"), shorten, "shape"),
     ]
     for at, change, message in contradictions:
-        data = with_changed(frozen, at, change)
-        del data["checksum"]
-        refused(path, json.dumps({**data, "checksum": frozen_probe._checksum(data)}), message)
+        refused(path, signed(with_changed(frozen, at, change)), message)
 
 
 def test_noise_of_unequal_channels_and_the_sensor_read_back(model, path):
@@ -334,10 +332,8 @@ def test_noise_of_unequal_channels_and_the_sensor_read_back(model, path):
     assert data["sensor"]["noise_force_N"] == read.noise.force == 2e-3  # the largest of its channels
     assert "noise_cov" not in freeze(model)["sensor"]
     for wrong in (-cov, cov + np.eye(6, k=1), cov[:5]):
-        del data["checksum"]
         data["sensor"]["noise_cov"] = wrong.tolist()
-        data["checksum"] = frozen_probe._checksum(data)
-        refused(path, json.dumps(data), "noise_cov|shape")
+        refused(path, signed(data), "noise_cov|shape")
 
 
 def alter_by_tenth(parent, key):
@@ -381,15 +377,11 @@ def test_other_content_is_refused(content, path):
     refused(path, content)
 
 
-def huge(path):
+def test_a_huge_file_is_refused(path):
     with path.open("wb") as file:
         file.truncate(11_000_000)
-    return path
-
-
-def test_a_huge_file_is_refused(path):
     with pytest.raises(InputError, match="too large"):
-        load_model(huge(path))
+        load_model(path)
 
 
 def test_a_missing_file_is_refused(tmp_path):

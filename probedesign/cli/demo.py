@@ -170,7 +170,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     parts = _export(probe, folder, skipped)
     made |= parts
     exploded = next((Path(name).name for name in parts if Path(name).name == "exploded.svg"), "")
-    finish("export", "The parts to print, with drawings and assembly instructions." if parts else skipped[-1],
+    finish("export", "The parts to print, with inspection sheets and assembly instructions." if parts else skipped[-1],
            picture=exploded, links=PART_LINKS if parts else ())  # fmt: skip
     print_step("touching a simulated card house")
     made |= _explore(bundle, folder, skipped)

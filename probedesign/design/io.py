@@ -21,7 +21,7 @@ TIP_RATIO, MIN_TIP_D_MM = 6.0, 2.0
 
 #: Comment beside a key, unless the notes of the design replace it.
 COMMENTS = {
-    "date": "of the design, on the drawings",
+    "date": "of the design, on its sheets",
     "probe.shape": "cone | cylinder | profile",
     "probe.length_mm": "of the flexible part, base to tip",
     "probe.profile_mm": 's, diameter; only for shape = "profile"',
@@ -181,16 +181,8 @@ def draft_design(
     if tip_d_mm is None and shape != "cylinder":
         tip_d_mm = default_tip_d_mm(base_d_mm)
         notes["probe.tip_d_mm"] = f"by default base / {TIP_RATIO:g}, at least {MIN_TIP_D_MM:g} mm"
-    probe = {
-        "shape": shape,
-        "length_mm": length_mm,
-        "base_d_mm": base_d_mm,
-        "tip_d_mm": tip_d_mm,
-        "tip": tip,
-        "section": section,
-        "bore_ratio": bore_ratio,
-        "flatness": flatness,
-    }
+    probe = {"shape": shape, "length_mm": length_mm, "base_d_mm": base_d_mm, "tip_d_mm": tip_d_mm, "tip": tip,
+             "section": section, "bore_ratio": bore_ratio, "flatness": flatness}  # fmt: skip
     if name is None:
         ratio = flatness if bore_ratio is None else bore_ratio
         name = default_name(shape, length_mm, base_d_mm, tip_d_mm, section, ratio)

@@ -28,7 +28,7 @@ from probedesign.design.catalog import (
     find,
 )
 from probedesign.design.diagnostics import FromArray, Inconsistent, Table
-from probedesign.design.sensor_catalog import SENSORS, SensorRecord
+from probedesign.design.sensor_catalog import SENSORS, Millimetres, SensorRecord
 from probedesign.design.sensors import DEFAULT_SENSOR, Calibration, SensorModel
 from probedesign.geometry.cross_section import CrossSection
 from probedesign.geometry.probe_geometry import filleted, rounded, rounding_height_mm
@@ -36,8 +36,7 @@ from probedesign.geometry.probe_geometry import filleted, rounded, rounding_heig
 ProbeShape = Literal["cone", "cylinder", "profile"]
 SectionKind = Literal["round", "hollow", "elliptic"]
 TipKind = Literal["blunt", "rounded"]
-MAX_GRAVITY = 30.0
-"""Largest accepted gravity [m/s²]; a larger one is given in another unit."""
+MAX_GRAVITY = 30.0  #: Largest accepted gravity [m/s²]; a larger one is given in another unit.
 MAX_PROFILE_POINTS = 64
 
 MIN_DIAMETER_MM, MAX_DIAMETER_MM = 0.3, 60.0
@@ -47,15 +46,15 @@ Diameter = Annotated[float, Field(ge=MIN_DIAMETER_MM, le=MAX_DIAMETER_MM)]
 RelativeStd = Annotated[float, Field(ge=0.0, le=0.5)]
 BoreRatio = Annotated[float, Field(ge=0.05, le=0.9)]
 Flatness = Annotated[float, Field(ge=0.2, le=1.0)]
+#: Printed over drawn size. Resins shrink by a percent or two, so more than a tenth is a mistake (assumed).
 SCALE_RANGE = (0.9, 1.1)
 Scale = Annotated[float, Field(ge=SCALE_RANGE[0], le=SCALE_RANGE[1])]
-"""Printed over drawn size. Resins shrink by a percent or two, so more than a tenth is a mistake (assumed)."""
 
+#: Section to which a key belongs, and the message when the key is missing, by key.
 SECTION_KEYS = {
     "bore_ratio": ("hollow", "a hollow section needs its inner over its outer diameter"),
     "flatness": ("elliptic", "an elliptic section needs its diameter along y over that along x"),
 }
-"""Section to which a key belongs, and the message when the key is missing, by key."""
 
 
 class ProbeTable(Table):
@@ -202,8 +201,7 @@ class ProvenanceTable(Table):
     density_kg_m3: Provenance = "assumed"
 
 
-Digest = Annotated[str, Field(pattern="^[0-9a-f]{8}$")]
-"""`campaigns.Test.digest` of a test."""
+Digest = Annotated[str, Field(pattern="^[0-9a-f]{8}$")]  #: `campaigns.Test.digest` of a test.
 
 
 class MaterialTable(Table):
@@ -238,9 +236,6 @@ class SensorTable(Table):
             unused = f"is only for model = {CUSTOM!r}; remove it or change model"
             raise Inconsistent("own", missing if self.own is None else unused)
         return self
-
-
-Millimetres = Annotated[float, Field(gt=0.0, le=300.0)]
 
 
 class FlangeTable(Table):

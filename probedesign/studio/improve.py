@@ -24,6 +24,7 @@ FREE: "dict[str, tuple[FreeParameter, ...]]" = {
     "taper": ("taper",),
     "cone and length": ("cone", "length"),
 }
+PLACES = (0.4, 0.9)  #: First and last of `optimization.objective.FRACTIONS`.
 AS_MOUNTED, ALL_MOUNTINGS = "as mounted", ", ".join(MOUNTINGS)
 
 
@@ -97,7 +98,7 @@ class ImproveTab:
         """Add the controls; the callbacks are called in a thread of the page."""
         self._force: Any = gui.add_slider("force of the task [mN]", 1.0, 50.0, 0.5, 5.0)
         self._touches: Any = gui.add_slider("fused touches of the task", 1, 8, 1, 5)
-        self._places: Any = gui.add_multi_slider("places, fractions of the length", 0.1, 1.0, 0.1, (0.4, 0.9))
+        self._places: Any = gui.add_multi_slider("places, fractions of the length", 0.1, 1.0, 0.1, PLACES)
         self._mounting: Any = gui.add_dropdown("probe points", (AS_MOUNTED, ALL_MOUNTINGS))
         self._free: Any = gui.add_dropdown("what may change", tuple(FREE))
         self._sag: Any = gui.add_slider("largest tip sag [mm]", 1.0, 120.0, 1.0, 60.0)

@@ -344,6 +344,7 @@ def optional(**keys: st.SearchStrategy[object]) -> st.SearchStrategy[dict[str, o
 
 PROVENANCE = st.sampled_from(["assumed", "datasheet", "identified"])
 SMALL, ANGLE = st.floats(0.0, 0.5), st.floats(0.0, 10.0)
+FLANGE_SIZES = ("bolt_circle_d_mm", "max_bolt_entry_mm", "bolt_length_mm", "face_d_mm")
 TABLES = optional(
     material=optional(
         resin=st.sampled_from(sorted(RESINS)),
@@ -361,14 +362,8 @@ TABLES = optional(
         {
             "robot_flange": st.just("own"),
             "flange": st.fixed_dictionaries(
-                {
-                    "bolt": st.sampled_from(["M4", "M8"]),
-                    "bolt_azimuths_deg": st.just([10.0, 200.0]),
-                    **{
-                        key: st.floats(0.1, 300.0)
-                        for key in ("bolt_circle_d_mm", "max_bolt_entry_mm", "bolt_length_mm", "face_d_mm")
-                    },
-                },
+                {"bolt": st.sampled_from(["M4", "M8"]), "bolt_azimuths_deg": st.just([10.0, 200.0])}
+                | dict.fromkeys(FLANGE_SIZES, st.floats(0.1, 300.0)),
                 optional={"spigot_mm": st.just([10.0, 2.0])},
             ),
         }

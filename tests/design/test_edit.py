@@ -28,9 +28,7 @@ CHANGES = [
     Change("tolerances", "diameter_mm", "0.03", "measured"),
     Change("print", "scale_xy", "1.01"),
 ]
-COMMENTS = st.sampled_from(
-    ["", " # why", "\t# [probe] = \"x\" # '''", " # \N{GREEK SMALL LETTER MU}m \N{LINE SEPARATOR}"]
-)
+COMMENTS = st.sampled_from(["", " # why", "\t# [probe] = \"x\" # '''", " # µm \N{LINE SEPARATOR}"])
 KEYS = st.sampled_from(["{}", '"{}"', "'{}'"])
 
 

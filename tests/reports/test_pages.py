@@ -114,10 +114,10 @@ def test_the_best_design_of_a_metric_is_named_unless_values_are_printed_alike():
 
 
 def test_the_prediction_page_fits_a_browser(tmp_path):
-    """No horizontal scrolling, no error, no request; the pointer finds the values of a dot; tables open."""
+    """No horizontal scrolling, no fault, no request; the pointer finds the values of a dot; what is folded opens."""
     probe = build_probe(load_design(DESIGNS / "small.toml"))
     prediction = probe.predict(fractions=(0.4, 0.8), forces_N=(0.01, 0.02), directions=("+y",))
-    file = tmp_path / "prediction.html"
+    file, error_mm = tmp_path / "prediction.html", prediction.conditions[0].predicted_error_mm
     file.write_bytes(prediction_page(prediction, probe.estimator()))
     with browser() as running:
         for width, scheme in itertools.product((360, 1280), ("light", "dark")):
@@ -128,9 +128,7 @@ def test_the_prediction_page_fits_a_browser(tmp_path):
             page.on("request", lambda request, requests=requests: requests.append(request.url))
             page.goto(file.as_uri())
             assert page.evaluate("document.documentElement.scrollWidth") <= width
-            assert (
-                f"{prediction.conditions[0].predicted_error_mm:.3g}" in page.locator("svg title").first.text_content()
-            )
+            assert f"{error_mm:.3g}" in page.locator("svg title").first.text_content()
             for folded in ("svg", "table"):
                 assert not page.locator(f"details {folded}").first.is_visible()
                 page.locator(f"details:has({folded}) summary").first.click()
