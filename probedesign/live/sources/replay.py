@@ -120,6 +120,13 @@ def _table_blocks(recording: Recording, model: ProbeModel) -> Iterator[Block]:
 
 def _open_native(bag: Bag, model: ProbeModel, options: RecordingOptions) -> OpenRecording:
     notes = _check_probe(bag, model, options)
+    metadata = bag.metadata[METADATA_NAME]
+    first = next(iter(bag.messages({BLOCK.name})), None)
+    if first is not None and b'"time_s"' in bytes(first.data):
+        raise InputError(
+            f"{bag.path}: an earlier version wrote it: its blocks lack the number of their readings; read it with that "
+            f"version, or only its wrenches with --topic {RAW.name} (replay:FILE?topic={RAW.name})"
+        )
     blocks = NativeRecording(bag)
 
     def missing() -> tuple[str, ...]:
@@ -131,7 +138,6 @@ def _open_native(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Open
             notes.append(f"incomplete: {bag.damage}")
         return tuple(notes)
 
-    metadata = bag.metadata[METADATA_NAME]
     source = one_line(metadata.get("source", ""))
     description = f"recorded {one_line(metadata.get('started', ''))} from {source}"
     return OpenRecording(bag.path, description, "sensor", notes, lambda: _checked(bag.path, blocks), missing, source)
