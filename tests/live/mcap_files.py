@@ -9,6 +9,8 @@ from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.sources.replay import OpenRecording, RecordingOptions, open_recording
 
 GRAVITY = np.array([9.81, 0.0, 0.0])
+#: A recording keeps times to the nearest nanosecond; the rest is the rounding of the double of a time below a minute.
+TIME_ROUNDING = 0.5e-9 + 2.0 * np.spacing(60.0)
 
 
 def block(start: int, count: int, *, rate: float = 7000.0, fault: str = "", stretch: int = 0) -> Block:

@@ -5,6 +5,7 @@ import re
 import struct
 import tomllib
 import tracemalloc
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,9 +17,11 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
+from probedesign.cli.main import run
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimate import Estimate
 from probedesign.live.blocks import Block, WrenchReading
+from probedesign.live.outputs.recording import RecordingSink
 from probedesign.live.poses.base_poses import pose_from_matrix
 from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, estimate_row, json_line
@@ -29,7 +32,8 @@ from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_recording, estimate_stream
 from probedesign.live.sources.replay import RecordingOptions, ReplaySource
 from probedesign.live.sources.sim import SimulatedSource
-from tests.live.mcap_files import GRAVITY, block, read, same, write
+from tests.live.mcap_files import GRAVITY, TIME_ROUNDING, block, read, same, write
+from tests.live.peers import until
 
 MAGIC = b"\x89MCAP0\r\n"
 BLOCKS = [block(0, 3), block(3, 36), block(39, 1, fault="saturated"), block(40, 20, stretch=1)]
@@ -60,24 +64,49 @@ def test_blocks_come_back_to_the_last_bit(whole, model):
     assert (recorded.notes, recorded.missing(), recorded.frame) == ((), (), "sensor")
 
 
+times = st.floats(-4e9, 4e9)
+
+
 @few
 @given(
-    start=st.floats(-3.9e9, 2.3e9),
-    later=st.lists(st.floats(0.0, 1.6e9), min_size=1, max_size=5).map(sorted),
+    start=times,
+    later=st.lists(st.floats(0.0, 1.7e9), max_size=3),
+    last=st.floats(0.0, 6e9),
     values=st.lists(st.floats(-50.0, 50.0), min_size=30, max_size=30),
     gravity=st.lists(st.floats(-9.81, 9.81), min_size=3, max_size=3),
 )
-def test_any_readings_come_back_to_the_nanosecond(model, tmp_path, start, later, values, gravity):
-    """Times beyond the range of a ROS header, too. A log time is no earlier than 1970 and no later than 2^63 ns, which
-    bounds the times; a double of 10^7 s and more is coarser than a nanosecond."""
-    times = [start + elapsed for elapsed in later]
+def test_any_readings_come_back_to_the_nanosecond(model, tmp_path, start, later, last, values, gravity):
+    """All times that a recording promises, beyond the range of a ROS header, too: up to 1.7e9 s before the end of its
+    first block and 6e9 s after it. A double of 10^7 s and more is coarser than a nanosecond."""
+    first = np.minimum(np.sort([start, *(start + np.array(later))]), 4e9)
+    end = min(first[-1] + last, 4e9)
     path = tmp_path / "any.mcap"
     path.unlink(missing_ok=True)
-    wrench = np.array(values).reshape(5, 6)[: len(times)]
-    written = Block(np.array(times), wrench, np.array(gravity), np.full(len(times), np.nan))
-    restored = read(write(path, model, [written]), model)[1][0]
-    assert (np.abs(restored.time - written.time) <= 1e-9 + 2.0 * np.spacing(np.abs(written.time))).all()
-    assert same(replace(restored, time=written.time), written)
+    wrench, unread = np.array(values).reshape(5, 6), np.full(5, np.nan)
+    written = [
+        Block(time, wrench[:n], np.array(gravity), unread[:n])
+        for time, n in ((first, len(first)), (np.array([end]), 1))
+    ]
+    (restored,) = read(write(path, model, written, chunk=9), model)[1]
+    time = np.append(first, end)
+    assert (np.abs(restored.time - time) <= 0.5e-9 + 2.0 * np.spacing(np.abs(time))).all()
+    assert restored.wrench_sensor.tobytes() == np.concatenate([each.wrench_sensor for each in written]).tobytes()
+    assert restored.gravity_base.tobytes() == np.array(gravity).tobytes()
+
+
+@pytest.mark.parametrize("time", [-4.1e9, 4.1e9, 1e12, -3e9])
+def test_a_time_that_a_recording_cannot_hold_ends_it_with_a_line(model, tmp_path, time):
+    """The last one is before 1970 by the wall clock."""
+    path, log_lines = tmp_path / "long.mcap", []
+    with closing(RecordingSink(path, model, log_lines.append)) as sink:
+        sink.start()
+        sink.on_samples(block(0, 5))
+        until(lambda: sink.state()[0].endswith("5 readings"))
+        sink.on_samples(replace(block(5, 1), time=np.array([time])))
+    assert "recording ended: time" in log_lines[0] and "record to NAME.csv" in log_lines[0]
+    assert log_lines[1].startswith(f"recorded 5 readings to {path}; it ended early: time {time:.6g} s is outside")
+    recorded, blocks = read(path, model)
+    assert [same(each, block(0, 5)) for each in blocks] == [True] and not recorded.missing()
 
 
 def test_silence_is_recorded_too(model, tmp_path):
@@ -87,29 +116,32 @@ def test_silence_is_recorded_too(model, tmp_path):
 
 
 def test_a_replay_gives_the_same_rows_at_times_equal_to_a_nanosecond(estimator, tmp_path):
-    """Tared and averaged; `estimate` gives them too."""
+    """Tared and averaged; `estimate` gives them too. The wrenches are equal to the last bit. The variance of the bias'
+    drift grows with the interval between means, 1/8 s, and with it vary all numbers of an estimate: relatively by no
+    more than the interval of two rounded times does, 1 ns of it."""
 
-    def values(lines):
-        return [{name: value for name, value in json.loads(line).items() if name != "time_s"} for line in lines]
-
-    def times(lines):
-        return pytest.approx([json.loads(line)["time_s"] for line in lines], abs=1.1e-9)
+    def parts(line):
+        row = json.loads(line)
+        numbers = {name: value for name, value in row.items() if isinstance(value, float)}
+        return numbers.pop("time_s"), numbers, {name: row[name] for name in row.keys() - numbers.keys() - {"time_s"}}
 
     path, plan = tmp_path / "live.mcap", ProcessingOptions(TareWindow(0.0, 1.7), samples=3)
     file = McapRecorder(path, estimator.model)
     sim = SimulatedSource(estimator.model, "speed=max&rate_hz=24&seconds=6")
-    before = rows(estimate_stream(estimator, sim, plan, print, file))
+    answers = list(estimate_stream(estimator, sim, plan, print, file))
     file.close()
-    replay = ReplaySource(estimator.model, path, "speed=max")
-    replayed = rows(estimate_stream(estimator, replay, plan, print))
+    replayed = list(estimate_stream(estimator, ReplaySource(estimator.model, path, "speed=max"), plan, print))
+    assert [answer.reading.wrench_sensor.tobytes() for answer in replayed] == [
+        answer.reading.wrench_sensor.tobytes() for answer in answers
+    ]
+    before = rows(answers)
     offline = estimate_recording(estimator, path, TareWindow(0.0, 1.7), 3).rows
-    for after in (replayed, [json_line(each) for each in offline][-len(before) :]):
-        for row, row_before in zip(values(after), values(before), strict=True):
-            numbers = {name: value for name, value in row_before.items() if isinstance(value, float)}
-            # Drift and filters follow the time: a nanosecond of the 1/24 s between readings is 2.4e-8 of it.
-            assert {name: row[name] for name in numbers} == pytest.approx(numbers, rel=1e-6, abs=1e-9)
-            assert {**row, **numbers} == row_before
-        assert [json.loads(line)["time_s"] for line in after] == times(before)
+    for after in (rows(replayed), [json_line(each) for each in offline][-len(before) :]):
+        for line, line_before in zip(after, before, strict=True):
+            (time, numbers, others), (time_before, numbers_before, others_before) = parts(line), parts(line_before)
+            assert time == pytest.approx(time_before, abs=TIME_ROUNDING)
+            assert numbers == pytest.approx(numbers_before, rel=2.0 * TIME_ROUNDING / (3 / 24), abs=0.0)
+            assert others == others_before
     assert sum('"ok"' in line for line in before) > 10
 
 
@@ -358,6 +390,26 @@ def test_an_inconsistent_block_is_refused(model, tmp_path, content, problem):
     file.close()
     with pytest.raises(InputError, match=problem):
         read(tmp_path / "lie.mcap", model)
+
+
+def test_a_recording_of_the_former_layout_is_refused_with_its_remedy(bundle, model, tmp_path, capsys):
+    """Its blocks had the times of their readings, and not their number. Its wrenches can be read."""
+    path, now = tmp_path / "former.mcap", np.array([0, 10_000_000])
+    file = McapRecorder(path, model)
+    wrenches = [[0.1 * i + j for i in range(6)] for j in range(2)]
+    file.add(schemas.RAW, now, schemas.stamped("sensor", now, wrenches))
+    former = {"first": 0, "time_s": [0.0, 0.01], "gravity_base_m_s2": [9.81, 0.0, 0.0], "stretch": 0, "fault": ""}
+    file.add(schemas.BLOCK, now[1:], schemas.texts([json.dumps(former)]))
+    file.close()
+    for command in (["estimate", bundle, path, "--out", tmp_path / "new.csv"],
+                    ["live", bundle, "--source", f"replay:{path}", "--record", tmp_path / "new.mcap"]):  # fmt: skip
+        assert run(list(map(str, command))) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert f"{path}: an earlier version wrote it: its blocks lack the number of their readings; read it" in line
+        assert "with --topic /probedesign/wrench_raw (replay:FILE?topic=/probedesign/wrench_raw)" in line
+    assert not list(tmp_path.glob("new*"))
+    _, (recorded,) = read(path, model, RecordingOptions(topic=schemas.RAW.name))
+    assert recorded.wrench_sensor.tolist() == wrenches
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from probedesign.live.run import estimate_recording, estimate_stream
 from probedesign.live.sources.replay import ReplaySource
 from probedesign.live.sources.source import open_source
 from probedesign.mapping.explore import check_poses
+from tests.live.mcap_files import TIME_ROUNDING
 from tests.live.peers import box
 
 RATE, SAMPLES = 2000.0, 36
@@ -138,7 +139,7 @@ def test_frozen_values_and_a_leap_of_the_counter_at_the_wire(estimator, tmp_path
     times = np.array(list(replayed))
     for time, fault in by_time.items():  # a recording keeps times to the nanosecond
         nearest = times[np.argmin(np.abs(times - time))]
-        assert nearest == pytest.approx(time, rel=0.0, abs=1.1e-9) and replayed[nearest] == fault
+        assert nearest == pytest.approx(time, abs=TIME_ROUNDING) and replayed[nearest] == fault
     # the live run may have skipped all of these as too late
     assert sum("leapt" in fault for fault in replayed.values()) > 0.5 * CLOCK_HOLD * 7000.0 / SAMPLES
 

@@ -21,7 +21,7 @@ from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.replay import open_recording
 from probedesign.live.sources.sim import SimulatedSource
-from tests.live.mcap_files import block, joined, read, same
+from tests.live.mcap_files import TIME_ROUNDING, block, joined, read, same
 from tests.live.peers import until
 
 SIM = "speed=max&rate_hz=60&seconds=4"
@@ -131,7 +131,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_run(estimator, tmp_path, mon
         assert room == 0 or read_recording(path).dropped_lines == 0
     else:
         time = [time for each in read(path, estimator.model)[1] for time in each.time]
-        assert time == pytest.approx([i / 60.0 for i in range(len(time))], abs=1e-9)
+        assert time == pytest.approx([i / 60.0 for i in range(len(time))], abs=TIME_ROUNDING)
         n = len(time)
     assert n < 240 and bool(n) == bool(room)
     assert f"the file contains {n} readings" in line  # the counts are those of the file

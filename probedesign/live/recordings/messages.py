@@ -11,7 +11,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, inverse
 from probedesign.estimation.estimate import RESULTS
 from probedesign.estimation.model import ProbeModel
@@ -26,7 +28,9 @@ from probedesign.live.recordings.schemas import Bytes, Nanoseconds, Topic, nanos
 #: Maximum number of readings described by one block message: 0.1 s of the fastest source, so that encoding it does not
 #: occupy the interpreter for long.
 MAX_BLOCK = 700
-_MAX_NS = 4 * 10**18  #: Half the range of 63-bit nanoseconds.
+#: Largest magnitude of a source's time, and largest log time [ns]: 127 years, and the year 2223. Their sums and
+#: differences fit in 64 bits, which cannot count beyond 292 years.
+MAX_TIME, MAX_LOG_TIME = 4 * 10**18, 8 * 10**18
 
 
 class MessageEncoder(Sink, ABC):
@@ -43,7 +47,7 @@ class MessageEncoder(Sink, ABC):
         self._pending: list[Block] = []
         self._updates: list[EstimateUpdate] = []
         self._count = self._first = 0
-        self._logged, self._epoch = time.time_ns(), (0, 0)
+        self._logged = time.time_ns()
         self._scene_due = -math.inf
         self.clock_offset: int | None = None
 
@@ -60,9 +64,15 @@ class MessageEncoder(Sink, ABC):
         return None
 
     def on_samples(self, block: Block) -> None:
-        """Buffer readings until `encode` or until the state of the source changes."""
-        if self.clock_offset is None and len(block):
-            self._start_clock(int(nanoseconds(block.time[-1:])[0]), float(block.received[-1]))
+        """Buffer readings until `encode` or until the state of the source changes.
+
+        Raises:
+            InputError: a time cannot be recorded; so do `on_pose` and `on_event`.
+        """
+        if len(block):
+            if self.clock_offset is None:
+                self._start_clock(block.time[-1], float(block.received[-1]))
+            self._wall(block.time[[0, -1]])  # time does not decrease
         if self._pending and not (_same_state(self._pending[0], block) and self._count < MAX_BLOCK):
             self.encode()
         self._pending.append(block)
@@ -74,14 +84,14 @@ class MessageEncoder(Sink, ABC):
 
     def on_pose(self, pose: TimedPose) -> None:
         """Encode a pose of the base, as received."""
-        stamp = self._wall(nanoseconds([pose.time]))
+        stamp = self._wall([pose.time])
         self.add(schemas.BASE, stamp, stamped("world", stamp, [[*pose.p, *pose.q]]))
         self.add(schemas.TF, stamp, schemas.transform("world", "base", int(stamp[0]), pose.p, pose.q))
 
     def on_event(self, time: float, line: str) -> None:
-        """Encode an event; without a time it has that of the last message."""
+        """Encode an event; without a time it has that of the last reading or message."""
         known = math.isfinite(time)
-        stamp = self._wall(nanoseconds([time])) if known else np.array([self._logged])
+        stamp = self._wall([time]) if known else np.array([self._logged])
         event = {"time_s": time if known else None, "event": line}
         self.add(schemas.EVENT, stamp, texts([json.dumps(event)]))
 
@@ -102,7 +112,7 @@ class MessageEncoder(Sink, ABC):
         """Encode the buffer: estimates, readings as wrenches, and what their headers do not contain."""
         updates, self._updates = self._updates, []
         if updates:
-            stamps = self._wall(nanoseconds([update.reading.time for update in updates]))
+            stamps = self._wall([update.reading.time for update in updates])
             for topic, chosen, data in update_messages(updates, stamps):
                 self.add(topic, chosen, data)
             self._encode_scenes(updates, stamps)
@@ -120,7 +130,7 @@ class MessageEncoder(Sink, ABC):
                 self.add(schemas.SCENE, np.array([stamp]), self._scene.encode(update, int(stamp)))
 
     def _encode_block(self, block: Block) -> None:
-        stamps = self._wall(nanoseconds(block.time)) if len(block) else np.array([self._logged])
+        stamps = self._wall(block.time) if len(block) else np.array([self._logged])
         if len(block) and self.is_wanted(schemas.RAW):
             self.add(schemas.RAW, stamps, stamped("sensor", stamps, block.wrench_sensor), self._first)
         content = {
@@ -134,20 +144,31 @@ class MessageEncoder(Sink, ABC):
         if self.is_wanted(schemas.BLOCK):
             self.add(schemas.BLOCK, stamps[-1:], texts([json.dumps(content)]))
 
-    def _start_clock(self, stamp: int, received: float = math.nan) -> None:
-        """Relate a time of the source [ns] to the wall clock at its arrival by `time.monotonic` [s], or now."""
+    def _start_clock(self, source_time: float, received: float = math.nan) -> None:
+        """Relate a time of the source [s] to the wall clock at its arrival by `time.monotonic` [s], or now."""
         age = time.monotonic() - received
         now = time.time_ns() - (round(1e9 * age) if math.isfinite(age) else 0)
-        self._epoch = int(np.clip(stamp, -_MAX_NS, _MAX_NS)), now
-        self.clock_offset, self._logged = now - self._epoch[0], max(now, 0)
+        self.clock_offset, self._logged = now - int(nanoseconds(source_time)), now
         self.on_clock()
 
-    def _wall(self, stamps: Nanoseconds) -> Nanoseconds:
-        """Return the wall clock at times of the source [ns], limited to what a log time can represent."""
+    def _wall(self, times: ArrayLike) -> Nanoseconds:
+        """Return the wall clock [ns] at times of the source [s], (n,).
+
+        Raises:
+            InputError: a time is beyond what a log time can represent.
+        """
+        stamps = nanoseconds(times)
         if self.clock_offset is None:
-            self._start_clock(int(stamps[0]))
-        stamp, now = self._epoch
-        wall = now + np.clip(np.clip(stamps, -_MAX_NS, _MAX_NS) - stamp, -now, 2 * _MAX_NS - now)
+            self._start_clock(np.ravel(times)[0])
+        assert self.clock_offset is not None
+        earliest, latest = max(-MAX_TIME, -self.clock_offset), min(MAX_TIME, MAX_LOG_TIME - self.clock_offset)
+        beyond = np.ravel(times)[(stamps < earliest) | (stamps > latest)]
+        if len(beyond):
+            raise InputError(
+                f"time {beyond[0]:.6g} s is outside {earliest / 1e9:.6g} ... {latest / 1e9:.6g} s, which an MCAP "
+                "recording can state; record to NAME.csv, or restart the source's clock"
+            )
+        wall: Nanoseconds = stamps + self.clock_offset
         self._logged = int(wall[-1])
         return wall
 

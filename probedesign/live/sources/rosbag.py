@@ -228,7 +228,7 @@ def _poses_from_topic(bag: Bag, topic: str) -> list[TimedPose]:
     for message in bag.messages({name}):
         try:
             stamp, frame, numbers = read_stamped(message.data, 7)
-            poses.append(_at(*divmod(stamp - bag.clock_offset, 1_000_000_000), numbers[:3], numbers[3:]))
+            poses.append(_at(bag, message, stamp, numbers[:3], numbers[3:]))
         except (InputError, ValueError) as error:
             raise InputError(f"{bag.path}: a pose on {name}: {error}") from None
         frames.add(frame)
@@ -251,8 +251,8 @@ def _poses_from_tf(bag: Bag, world: str, base: str) -> list[TimedPose]:
             decoded: Any = types.deserialize_cdr(bytes(message.data), TF)
             for edge in decoded.transforms:
                 p, q, stamp = edge.transform.translation, edge.transform.rotation, edge.header.stamp
-                at = divmod(stamp.sec * 1_000_000_000 + stamp.nanosec - bag.clock_offset, 1_000_000_000)
-                pose = _at(at[0], at[1], (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+                at = stamp.sec * 1_000_000_000 + stamp.nanosec
+                pose = _at(bag, message, at, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
                 edges.append((edge.header.frame_id, edge.child_frame_id, pose, message.topic == STATIC))
         except Exception as error:  # rosbags may raise anything on invalid bytes
             why = one_line(str(error), 120) or type(error).__name__
@@ -265,5 +265,7 @@ def _poses_from_tf(bag: Bag, world: str, base: str) -> list[TimedPose]:
         raise InputError(f"{bag.path}: {error}") from None
 
 
-def _at(second: int, nanosecond: int, p: Sequence[float], q: Sequence[float]) -> TimedPose:
+def _at(bag: Bag, message: Message, stamp: int, p: Sequence[float], q: Sequence[float]) -> TimedPose:
+    """Return a pose at the time of its header [ns]; in our own recordings that of its log time, which ends later."""
+    second, nanosecond = divmod((message.logged if bag.clock_offset else stamp) - bag.clock_offset, 1_000_000_000)
     return timed_pose(second + nanosecond * 1e-9, p, q)
