@@ -174,13 +174,7 @@ def _batch(solutions: NDArray[Any], derivatives: Array, loads: Array, bodies: Bo
     for numbers in (wrench, solutions["residual"], solutions["tip"], solutions["point"], derivatives):
         numbers[bad] = np.nan
     return Batch(
-        result=np.array([RESULTS[code] for code in range(len(RESULTS))])[status],
-        margin=solutions["margin"],
-        residual=solutions["residual"],
-        tip=solutions["tip"],
-        wrench_base=wrench,
-        p_contact_base=solutions["point"],
-        d_moment=derivatives[:, :3, :-1],
-        d_contact=derivatives[:, 3:, :-1],
-        frame=derivatives[:, 3:, -1],
-    )
+        result=np.array([RESULTS[code] for code in range(len(RESULTS))])[status], margin=solutions["margin"],
+        residual=solutions["residual"], tip=solutions["tip"], wrench_base=wrench, p_contact_base=solutions["point"],
+        d_moment=derivatives[:, :3, :-1], d_contact=derivatives[:, 3:, :-1], frame=derivatives[:, 3:, -1],
+    )  # fmt: skip

@@ -97,11 +97,6 @@ class Equilibrium:
         return self.result == "ok"
 
     @property
-    def stable(self) -> bool:
-        """Return whether the second variation of the energy is positive."""
-        return self.margin > 0.0
-
-    @property
     def s_contact(self) -> float:
         """Return the arclength where the force acts [m]."""
         return float(self.load[12])
@@ -172,7 +167,11 @@ class Equilibrium:
         """Return the derivatives of the centreline at fixed arclengths s [m] by the parameters, (j, 3, k)."""
         if self.sensitivity is None:
             raise InputError('derivatives of the centreline need columns = "load", "contact" or "all"')
-        return self._by_parameters(self._at(s))
+        rows, turns = self._at(s), self.sensitivity.turns
+        lanes = [lane_of.py_func(j) for j in range(turns.shape[1])]
+        columns = _lanes(rows[:, STATE:]) - _lanes(self.nodes[-1:, 1 + STATE :])
+        moved: Array = columns[:, 6:9, lanes] + columns[:, 6:9, 0:3] @ turns
+        return moved
 
     def states_at(self, s: ArrayLike) -> Array:
         """Return the kernels' states [t, m, p from the tip, d] at arclengths s [m], (j, 12); NaN off the rod."""
@@ -191,15 +190,6 @@ class Equilibrium:
             states_at(s[inside], self.nodes.ravel(), len(self.nodes), self.body, self.load, work, blocks, on_rod)
             rows[inside] = on_rod
         return rows
-
-    def _by_parameters(self, rows: Array) -> Array:
-        """Return the derivatives of the points for a fixed base, (j, 3, k)."""
-        assert self.sensitivity is not None
-        turns, k = self.sensitivity.turns, self.sensitivity.turns.shape[1]
-        lanes = [lane_of.py_func(j) for j in range(k)]
-        columns = _lanes(rows[:, STATE:]) - _lanes(self.nodes[-1:, 1 + STATE :])
-        moved: Array = columns[:, 6:9, lanes] + columns[:, 6:9, 0:3] @ turns
-        return moved
 
     def _frames(self, states: Array) -> Array:
         t, d = states[:, 0:3], states[:, 9:12]

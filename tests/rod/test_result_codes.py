@@ -37,7 +37,7 @@ def assert_no_numbers(eq):
 @pytest.mark.parametrize("share", [0.5, 0.999])
 def test_below_eulers_load_a_straight_column_is_stable(share, mode):
     eq = ELASTICA.solve(force=(0, 0, -share * EULER), mode=mode)
-    assert eq.result == "ok" and eq.stable
+    assert eq.result == "ok" and eq.margin > 0.0
     np.testing.assert_array_equal(eq.p_base[:, :2], 0.0)
     np.testing.assert_allclose(eq.p_base[-1, 2], ELASTICA.length, rtol=1e-14)
 
@@ -117,7 +117,7 @@ def test_a_hanging_cone_is_stable(pull):
 
 def test_a_push_a_little_off_the_axis_bends_round_on_the_stable_branch():
     eq = ELASTICA.solve(force=(1e-3 * EULER, 0, -1.1 * EULER), mode="reference")
-    assert eq.result == "ok" and eq.stable
+    assert eq.result == "ok" and eq.margin > 0.0
     assert eq.p_base[-1, 0] > 0.1 * ELASTICA.length  # bent well over, the way it was pushed
 
 

@@ -237,19 +237,9 @@ def principal_axis(cov, u):
 def smallest_variance(cov):
     """Return det over the product of the other two, from the invariants of a covariance (3, 3): a lower bound."""
     trace = cov[0, 0] + cov[1, 1] + cov[2, 2]
-    minors = (
-        cov[0, 0] * cov[1, 1]
-        - cov[0, 1] * cov[1, 0]
-        + cov[0, 0] * cov[2, 2]
-        - cov[0, 2] * cov[2, 0]
-        + cov[1, 1] * cov[2, 2]
-        - cov[1, 2] * cov[2, 1]
-    )
-    det = (
-        cov[0, 0] * (cov[1, 1] * cov[2, 2] - cov[1, 2] * cov[2, 1])
-        - cov[0, 1] * (cov[1, 0] * cov[2, 2] - cov[1, 2] * cov[2, 0])
-        + cov[0, 2] * (cov[1, 0] * cov[2, 1] - cov[1, 1] * cov[2, 0])
-    )
+    a, b, c = take(cov[0], 0), take(cov[1], 0), take(cov[2], 0)
+    by_a = cross(b, c)
+    minors, det = by_a[0] + cross(c, a)[1] + cross(a, b)[2], dot(a, by_a)
     return max(det / max(minors, 1e-300), 0.0) if trace > 0.0 else 0.0
 
 

@@ -168,13 +168,6 @@ def _sweep(case, body, allowed, size, with_tips):
     return status, margin, turned
 
 
-@inlined
-def _distance(case, general):
-    dt = add(take(case.tip, 0), -1.0, take(case.guess, 0))
-    dd = add(take(case.tip, 3), -1.0, take(case.guess, 3))
-    return math.sqrt(dot(dt, dt) + (dot(dd, dd) if general else 0.0))
-
-
 @inner
 def _newton(case, body, tol, until, reach):
     """Turn the tip from its guess until the next rotation would be below `until` [rad]; return whether it converged.
@@ -212,7 +205,9 @@ def _newton(case, body, tol, until, reach):
         if iteration == 0 and reach < 0.0:
             for q in range(6):
                 case.guess[q] = case.tip[q]
-        case.away = _distance(case, general)
+        dt = add(take(case.tip, 0), -1.0, take(case.guess, 0))
+        dd = add(take(case.tip, 3), -1.0, take(case.guess, 3))
+        case.away = math.sqrt(dot(dt, dt) + (dot(dd, dd) if general else 0.0))
         if angle > 1.0 or case.away > abs(reach):
             case.away = max(case.away, angle)
             return False
@@ -311,15 +306,6 @@ def _from_no_load(case, body, tol, careful):
     return _follow_path(case, body, tol, careful and not judged)
 
 
-@inlined
-def _tip_growth(columns, axes):
-    growth = 1.0
-    for axis in range(axes):
-        x, y, z = row3(columns, axis)
-        growth = max(growth, max(abs(x), max(abs(y), abs(z))))
-    return growth
-
-
 @inner
 def seek(case, load, start, body, tol):
     """Bring the tip NEAR the equilibrium under a load; return whether it is, else `case.status` is why not.
@@ -337,7 +323,10 @@ def seek(case, load, start, body, tol):
     if not near and start != WARM_ONLY:
         near = _from_no_load(case, body, tol, False) or _from_no_load(case, body, tol, True)
     if near:
-        case.growth = _tip_growth(case.blocks, 3 if body.constants[GENERAL] != 0.0 else 2)
+        case.growth = 1.0
+        for axis in range(3 if body.constants[GENERAL] != 0.0 else 2):
+            x, y, z = row3(case.blocks, axis)
+            case.growth = max(case.growth, max(abs(x), max(abs(y), abs(z))))
     return near
 
 

@@ -54,26 +54,12 @@ class ScratchBuffers(NamedTuple):
 
 def scratch_buffers(k: int, room: int) -> ScratchBuffers:
     """Return buffers for k sensitivities and `room` nodes of the shape."""
-    chunks = chunks_of(k) if k else 0
-    width = width_of(chunks)
+    chunks = -(-(3 + k) // WIDE) if k else 0  # of the k columns and the three rotations of the tip
+    width = 1 + STATE + WIDE * COLUMN * chunks  # of a node: arclength, state, columns
     return ScratchBuffers(
-        case=np.empty(1, dtype=CASE),
-        nodes=np.empty(room * width),
-        blocks=np.empty(chunks * BLOCK),
-        y=np.empty(STATE),
-        contact=np.empty(width - 1),
-        turns=np.empty((3, k)),
-    )
-
-
-def chunks_of(k: int) -> int:
-    """Return how many blocks of columns contain k sensitivities and the three rotations of the tip."""
-    return -(-(3 + k) // WIDE)
-
-
-def width_of(chunks: int) -> int:
-    """Return the number of values of a node: arclength, state, columns."""
-    return 1 + STATE + WIDE * COLUMN * chunks
+        case=np.empty(1, dtype=CASE), nodes=np.empty(room * width), blocks=np.empty(chunks * BLOCK), y=np.empty(STATE),
+        contact=np.empty(width - 1), turns=np.empty((3, k)),
+    )  # fmt: skip
 
 
 @inlined
@@ -95,12 +81,8 @@ def _report(case, scratch, body, load, tol, until):
     Returns:
         How many nodes were filled.
     """
-    general, growth, size, first = (
-        body.constants[GENERAL] != 0.0,
-        case.growth,
-        case.turned,
-        -body.knots[-1] / FIRST_STEPS,
-    )
+    general, growth, size = body.constants[GENERAL] != 0.0, case.growth, case.turned
+    first = -body.knots[-1] / FIRST_STEPS
     tol = tol / min(growth, MAX_GROWTH)
     for _ in range(6):  # the sweep with all outputs takes other steps than the search: one or two turns correct that
         status, count, margin, size, _steps, _first = sweep(

@@ -208,15 +208,19 @@ def _advance(s, stop, h, i, in_root, frustum, work, blocks, chunks, body, load, 
     return math.nan, h, tries
 
 
+@inlined
+def _slopes_at(s, i, in_root, state, m, force, body, load):
+    """Return rotation ω, m' and p' of a section under a moment m and the contact's force, or a part of them."""
+    t, d = take(state, T), take(state, D)
+    med = section_properties(s, frustum_of(body, i, in_root), force, take(load, GRAVITY))
+    _t1, m1, p1 = round_slopes(t, m, med)
+    return turning(t, m, d, cross(t, d), rest_at(s, rest_of(body, i)), med), m1, p1
+
+
 @inner
 def _add_slopes(lane, change, s, i, in_root, y, blocks, body, load, on):
     """Add to a column `change` times the state's slopes at s, as rotation, moment and point."""
-    t, m, d = take(y, T), take(y, M), take(y, D)
-    force = times(on, take(load, FORCE))
-    med = section_properties(s, frustum_of(body, i, in_root), force, take(load, GRAVITY))
-    turn = turning(t, m, d, cross(t, d), rest_at(s, rest_of(body, i)), med)
-    _t1, m1, p1 = round_slopes(t, m, med)
-    rows = (turn, m1, p1)
+    rows = _slopes_at(s, i, in_root, y, take(y, M), times(on, take(load, FORCE)), body, load)
     o = _column_at(lane, BLOCK)
     for j in range(3):
         for q in range(3):
@@ -403,11 +407,8 @@ def sensitivities(y, blocks, contact, body, load, turns, derivatives):
     place = minus(take(contact, P), take(y, P))
     s = load[S_CONTACT]
     i = frustum_at(body, s)
-    med = section_properties(
-        s, frustum_of(body, i, s <= body.constants[ROOT_REACH]), take(load, FORCE), take(load, GRAVITY)
-    )
-    turn_s = turning(t, take(contact, M), d, e, rest_at(s, rest_of(body, i)), med)
-    _t1, _m1, p_s = round_slopes(t, take(contact, M), med)
+    in_root = s <= body.constants[ROOT_REACH]
+    turn_s, _m1, p_s = _slopes_at(s, i, in_root, contact, take(contact, M), take(load, FORCE), body, load)
     there = contact[STATE:]
     for j in range(k):
         lane = lane_of(j)
@@ -440,12 +441,9 @@ def contact_curvature(s, state, body, load, omega):
     Args:
         s: of the contact [m], or any arclength of a rod without one; state: there, on the base's side, (STATE,).
     """
-    i = frustum_at(body, s)
-    frustum, rest = frustum_of(body, i, s <= body.constants[ROOT_REACH]), rest_at(s, rest_of(body, i))
-    t, d = take(state, T), take(state, D)
-    m = add(take(state, M), -0.5, take(load, COUPLE))
-    med = section_properties(s, frustum, times(0.5, take(load, FORCE)), take(load, GRAVITY))
-    put(omega, 0, turning(t, m, d, cross(t, d), rest, med))
+    i, in_root = frustum_at(body, s), s <= body.constants[ROOT_REACH]
+    m, force = add(take(state, M), -0.5, take(load, COUPLE)), times(0.5, take(load, FORCE))
+    put(omega, 0, _slopes_at(s, i, in_root, state, m, force, body, load)[0])
 
 
 @kernel
