@@ -229,7 +229,8 @@ def _draw_touches(
     The error of one touch is at least about s σ_F/F, so lighter touches need not be solved.
     """
     rod = model.rod
-    fraction, newtons = rng.uniform(*PLACES, 200 * n), np.exp(rng.uniform(*np.log(forces), 200 * n))
+    low, high = np.log(forces)
+    fraction, newtons = rng.uniform(*PLACES, 200 * n), np.exp(rng.uniform(low, high, 200 * n))
     s = fraction * rod.length
     stiffness = rod.youngs_modulus * np.pi / 4.0 * rod.radius[0] ** 3 * rod.radius_at(s)
     moderate = newtons * s * s < MAX_BEND * stiffness
@@ -299,7 +300,7 @@ def _best_powers(
     wrong = solve_presses(_with_wrong_stiffness(case, samples), z, case.place, phi, ratios, case.newtons, slide)
     wrenches, places = _with_wrong_readings(case, model, wrong.wrenches, wrong.places, np.random.default_rng(seed + 1))
     powers = []
-    for i in np.flatnonzero(right.ok & wrong.ok):
+    for i in np.flatnonzero(np.logical_and(right.ok, wrong.ok)):
         chi2_wrong, chi2_right = (
             estimator.fuse(w, _poses(p), model.gravity_base, moments_only=case.kind == "moments").chi2
             for w, p in ((wrenches[i], places[i]), (right.wrenches[i], right.places[i]))
@@ -460,5 +461,5 @@ def report(draws: int = DRAWS, only: str | None = None, bounds_only: bool = Fals
         print(json.dumps([{"group": case.group, "case": case.name, **row} for case, row in found], indent=2))
         return
     for group in dict.fromkeys(case.group for case in cases):
-        rows = [[case.name, *_row(row)] for case, row in found if case.group == group]
-        print_table(group, ["case", *HEAD], rows)
+        table = [[case.name, *_row(row)] for case, row in found if case.group == group]
+        print_table(group, ["case", *HEAD], table)

@@ -14,7 +14,7 @@ import numpy as np
 from probedesign.core.frames import Array
 from probedesign.rod.rod import Rod
 
-sys.exudynFast = True  # selects the build without range checks
+vars(sys)["exudynFast"] = True  # selects the build without range checks
 with contextlib.redirect_stdout(io.StringIO()):  # suppresses the message about that build
     import exudyn
     from exudyn import itemInterface as item
