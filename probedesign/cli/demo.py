@@ -210,14 +210,14 @@ def _explore(bundle: Path, folder: Path, skipped: list[str]) -> dict[str, str]:
     from probedesign.cli.explore import FILES, explore
     from probedesign.cli.options import BaseOptions, ReadingOptions, RehearsalOptions
 
-    rehearsal, found = folder / "rehearsal", folder / "found"
+    rehearsal, maps = folder / "rehearsal", folder / "found"
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             explore(bundle, rehearsal=RehearsalOptions(rehearse=rehearsal), force=True)
             explore(
                 bundle,
                 rehearsal / "house.mcap",
-                out=found,
+                out=maps,
                 force=True,
                 reading=ReadingOptions(tare_s=TARE, average=AVERAGE),
                 base=BaseOptions(pose=str(rehearsal / "poses.csv")),
@@ -225,7 +225,7 @@ def _explore(bundle: Path, folder: Path, skipped: list[str]) -> dict[str, str]:
     except MissingDependencyError as error:
         skipped.append(str(error))
         return {}
-    return {str(found / name): "points of a simulated card house" for name in FILES}
+    return {str(maps / name): "points of a simulated card house" for name in FILES}
 
 
 def _found(folder: Path) -> str:
@@ -273,13 +273,13 @@ def _sweep(estimates: "RecordingEstimates") -> "SweepSeries":
     def columns(*names: str) -> "Array":
         return np.array([[row[name] for name in names] for row in estimates.rows], dtype=float)
 
-    found, true = (columns(*(f"{kind}p_surface_base_{a}_mm" for a in "xyz")) for kind in ("", "true_"))
+    located, true = (columns(*(f"{kind}p_surface_base_{a}_mm" for a in "xyz")) for kind in ("", "true_"))
     variance = columns(*(f"cov_surface_base_{a}{a}_mm2" for a in "xyz"))
     return SweepSeries(
         time_s=columns("time_s")[:, 0],
         true_s_mm=columns("true_s_contact_mm")[:, 0],
         s_mm=columns("s_contact_mm")[:, 0],
         std_s_mm=columns("std_s_mm")[:, 0],
-        error_mm=np.linalg.norm(found - true, axis=1),
+        error_mm=np.linalg.norm(located - true, axis=1),
         predicted_mm=np.sqrt(variance.sum(axis=1)),
     )

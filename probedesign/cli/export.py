@@ -47,26 +47,26 @@ def check(design: DesignFile, /, *, as_json: JsonOutput = False) -> int:
     from probedesign.mount import root_contradiction
 
     checked = load_design(design)
-    found, root = pipeline.check(checked), root_contradiction(checked)
+    report, root = pipeline.check(checked), root_contradiction(checked)
     if as_json:
-        passed = [finding.as_record() for finding in found.passed]
-        record = {"name": found.name, "fingerprint": found.fingerprint, **found.as_record(), "passed": passed}
+        passed = [finding.as_record() for finding in report.passed]
+        record = {"name": report.name, "fingerprint": report.fingerprint, **report.as_record(), "passed": passed}
         print_json(record | {"root_warning": root or None})
     else:
-        print(f"{found.name}  geometry {found.fingerprint}  {found.resin} on a {found.printer}")
-        for finding in (*found.errors, *found.warnings):
+        print(f"{report.name}  geometry {report.fingerprint}  {report.resin} on a {report.printer}")
+        for finding in (*report.errors, *report.warnings):
             print(f"  {finding.severity:<7}  {finding.message}")
             print(f"           {finding.rule}, {finding.confidence} confidence: {finding.source}")
         print(
-            f"{plural(len(found.errors), 'error')}, {plural(len(found.warnings), 'warning')}; "
-            f"{len(found.passed)} of {len(found.findings)} checks passed"
+            f"{plural(len(report.errors), 'error')}, {plural(len(report.warnings), 'warning')}; "
+            f"{len(report.passed)} of {len(report.findings)} checks passed"
         )
         print("\nadvice for printing")
-        for advice in found.advice:
+        for advice in report.advice:
             print(f"  {advice}")
         if root:
             print(f"\nwarning: {root}")
-    return 1 if found.errors else 0
+    return 1 if report.errors else 0
 
 
 def export(

@@ -131,14 +131,14 @@ def summary(design: "Design") -> dict[str, Any]:
     estimator = probe.estimator()
     fraction, force_N, direction = SUMMARY_TOUCH
     touch = predict_touch(estimator, fraction, force_N, direction)
-    found = pipeline.check(design)
+    check = pipeline.check(design)
     return {
         "mass_g": 1e3 * probe.mass,
         "sag_mm": tip_sag_mm(estimator),
         "thinnest_mm": probe.geometry.thinnest / MM,
-        "fits_upright": found.fits,
-        "printer": found.printer,
-        "print_check": found.as_record(),
+        "fits_upright": check.fits,
+        "printer": check.printer,
+        "print_check": check.as_record(),
         "expected_error_mm": touch.predicted_error_mm if touch.result == "ok" else None,
         "expected_error_condition": f"RMS, {1e3 * force_N:g} mN at {fraction:g} of the length, one reading "
         f"of {design.sensor.averaging_samples} samples ({touch.result})",

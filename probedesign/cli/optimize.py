@@ -72,14 +72,14 @@ def optimize(
         start, tuple(over or ["cone"]), (options or TaskOptions()).task(), goal, error_mm, tuple(limits)
     )
     with show_progress() as on_progress:
-        found = _run(
+        result = _run(
             search, out or Path("designs") / f"{start.name}-best.toml", force, confirm, pareto, seed, on_progress
         )
     if as_json:
-        print_json(found.as_dict())
+        print_json(result.as_dict())
     else:
-        _print(found.optimum, found.confirmed, found.front)
-        print("wrote", ", ".join(map(str, found.files)))
+        _print(result.optimum, result.confirmed, result.front)
+        print("wrote", ", ".join(map(str, result.files)))
 
 
 def _run(
@@ -123,10 +123,10 @@ def _run(
 
 
 def _print(
-    found: "Optimum", confirmed: "tuple[MonteCarloCheck | None, MonteCarloCheck] | None", front: "ParetoFront | None"
+    best: "Optimum", confirmed: "tuple[MonteCarloCheck | None, MonteCarloCheck] | None", front: "ParetoFront | None"
 ) -> None:
-    print(f"{found.design.name}: {found.task.text}")
-    before, after = found.before.as_dict(), found.after.as_dict()
+    print(f"{best.design.name}: {best.task.text}")
+    before, after = best.before.as_dict(), best.after.as_dict()
     rows = [[name, format_value(before[name]), format_value(after[name])] for name in after]
     print_columns(["", "start", "optimum"], rows)
     if confirmed is not None:
@@ -137,8 +137,8 @@ def _print(
             print(f"  Monte Carlo, {name}: {one.rms_mm:.3g} ± {one.standard_error_mm:.1g} mm RMS, predicted "
                   f"{one.bound_mm:.3g} mm; {one.located} of {one.drawn} located, {one.inside} of them "
                   "inside their 95 % ellipsoid")  # fmt: skip
-    print(f"  active constraints: {', '.join(found.active_constraints) or 'none'}")
-    ranked = sorted(found.worse, key=lambda row: (row.best_error_mm or math.inf) / row.start_error_mm, reverse=True)
+    print(f"  active constraints: {', '.join(best.active_constraints) or 'none'}")
+    ranked = sorted(best.worse, key=lambda row: (row.best_error_mm or math.inf) / row.start_error_mm, reverse=True)
     for place in ranked[:MAX_SHOWN_CASES]:
         error = "buckles" if place.best_error_mm is None else f"{place.best_error_mm:.3g} mm"
         gravity = ",".join(f"{g:g}" for g in place.gravity_base_m_s2)
@@ -146,8 +146,8 @@ def _print(
               f"gravity {gravity} m/s²: {error}, start {place.start_error_mm:.3g} mm")  # fmt: skip
     if len(ranked) > MAX_SHOWN_CASES:
         print(f"  and in {len(ranked) - MAX_SHOWN_CASES} more cases; --json lists all")
-    print(f"  {found.n_evaluations} designs evaluated from {len(found.starts)} starts, objective: "
-          f"{', '.join('infeasible' if v is None else f'{v:.4g}' for v in found.starts)}")  # fmt: skip
+    print(f"  {best.n_evaluations} designs evaluated from {len(best.starts)} starts, objective: "
+          f"{', '.join('infeasible' if v is None else f'{v:.4g}' for v in best.starts)}")  # fmt: skip
     if front is not None:
         print(f"\nPareto front: {len(front.rows)} of {front.n_evaluations} cones")
         shown = front.rows[:: max(1, len(front.rows) // 12)]

@@ -49,13 +49,13 @@ def studio(
         raise InputError(f"--host {host}: the studio is open to this machine only; use one of {', '.join(LOOPBACK)}")
     with show_progress() as on_progress:
         on_progress("loading the design", None)
-        found = _design(design, set_ or [])
+        current = _design(design, set_ or [])
         on_progress("predicting (the first run compiles the rod and the estimator, half a minute)", None)
         from probedesign.design.edit import tables_of
         from probedesign.studio.page import StudioPage
         from probedesign.studio.session import Session
 
-        session = Session(found, source=design, start=tables_of(_design(design, [])))
+        session = Session(current, source=design, start=tables_of(_design(design, [])))
         session.restore(touch, forces_mN, pin or [])
         page = StudioPage(session, host, port)
     try:
@@ -76,5 +76,5 @@ def _design(name: str, changes: list[str]) -> "Design":
     from probedesign.studio.session import with_options
 
     file = design_file(Path(name))
-    found = paper_design(name) if name in PROBES and not file.exists() else load_design(file)
-    return with_options(found, changes)
+    start = paper_design(name) if name in PROBES and not file.exists() else load_design(file)
+    return with_options(start, changes)

@@ -115,11 +115,11 @@ class DesignSpace:
     @property
     def bounds(self) -> list[tuple[float, float]]:
         """Return the lower and upper bound of each coordinate."""
-        found = [(max(MIN_DIAMETER_MM, 0.8 * limits.MIN_THICKNESS), MAX_DIAMETER_MM)] * self.controls
+        intervals = [(max(MIN_DIAMETER_MM, 0.8 * limits.MIN_THICKNESS), MAX_DIAMETER_MM)] * self.controls
         for name, (low, high) in {"length": LENGTH_MM, "section": RATIO}.items():
             if name in self.free:
-                found.append((low / _UNIT[name], high / _UNIT[name]))
-        return found
+                intervals.append((low / _UNIT[name], high / _UNIT[name]))
+        return intervals
 
     def printable(self, x: Array, *, without_warnings: bool = False) -> dict[str, Array]:
         """Return the margins of the print rules; 0 is the limit below which they report an error.
@@ -216,8 +216,8 @@ def _load_factor_at(model: ProbeModel, s: float, force: float, limit: float) -> 
     free = _compliance(model, s, _WEAK_N)
     here, lost, power = 1.0, _lost_stiffness(free, _compliance(model, s, force)), _SQUARE
     for _ in range(_MAX_EVALUATIONS):
-        found = here * float(lost ** (-1.0 / power))
-        ahead = min(_SHORT * found, limit)
+        estimate = here * float(lost ** (-1.0 / power))
+        ahead = min(_SHORT * estimate, limit)
         if ahead <= here:
             break
         there = _compliance(model, s, ahead * force)
@@ -373,13 +373,13 @@ class DesignEvaluator:
 
 def finite_differences(f: Callable[[Array], float | Array], x: Array, central: bool) -> Array:
     """Return finite differences of a function of n numbers, (n,), or (n, m) of m functions."""
-    found, here = list[Array](), 0.0 if central else f(x)
+    columns, here = list[Array](), 0.0 if central else f(x)
     for i in range(len(x)):
         step = np.zeros(len(x))
         step[i] = STEP * max(abs(float(x[i])), 1.0)
         risen = (f(x + step) - f(x - step)) / 2.0 if central else f(x + step) - here
-        found.append(np.asarray(risen / step[i]))
-    return np.array(found)
+        columns.append(np.asarray(risen / step[i]))
+    return np.array(columns)
 
 
 def _by_base(rod: Rod, gravity: Array) -> Array:

@@ -117,7 +117,7 @@ def forces_at_deflection_mN(model: ProbeModel, task: Task, deflection_mm: float)
     Returns:
         The forces; None where a push does not reach the distance, because the probe snaps before or is not that long.
     """
-    found = list[float]()
+    forces = list[float]()
     for under in task.models(model):
         down = math.atan2(under.gravity_base[1], under.gravity_base[0])
         for fraction, azimuth in itertools.product(task.fractions, np.radians(AZIMUTHS_DEG)):
@@ -125,8 +125,8 @@ def forces_at_deflection_mN(model: ProbeModel, task: Task, deflection_mm: float)
             pushed = push(under.rod, under.gravity_base, e, 1e-3 * deflection_mm, fraction * under.rod.length)
             if not pushed.ok:
                 return None
-            found.append(1e3 * pushed.force)
-    return min(found), max(found)
+            forces.append(1e3 * pushed.force)
+    return min(forces), max(forces)
 
 
 def crash_use(model: ProbeModel, task: Task, distance_mm: float, overload: ArrayLike) -> float | None:

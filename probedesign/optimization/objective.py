@@ -191,7 +191,7 @@ def design_metrics(design: Design, task: Task) -> DesignMetrics:
     """Compute the metrics of a design; this takes about 50 ms."""
     probe = build_probe(design)
     touched = predict_task(probe.model, task)
-    found = [f.severity for f in check_print(design).findings if f.part not in SHARED_PARTS]
+    severities = [f.severity for f in check_print(design).findings if f.part not in SHARED_PARTS]
     free = probe.rod.solve(probe.model.gravity_base)
     return DesignMetrics(
         error_mm=finite_or_none(task.combined(touched.errors) / MM),
@@ -204,8 +204,8 @@ def design_metrics(design: Design, task: Task) -> DesignMetrics:
         mass_g=float(1e3 * probe.mass),
         length_mm=probe.length / MM,
         thinnest_mm=probe.geometry.thinnest / MM,
-        print_errors=found.count("error"),
-        print_warnings=found.count("warning"),
+        print_errors=severities.count("error"),
+        print_warnings=severities.count("warning"),
     )
 
 
@@ -250,7 +250,7 @@ def _errors_at(
         if touch is None:
             break
         reached[force] = touch
-    found = dict[float, tuple[float, float]]()
+    errors = dict[float, tuple[float, float]]()
     for force, of in parts.items():
         if force not in reached:
             continue
@@ -267,8 +267,8 @@ def _errors_at(
             cov, wrench = fused.cov(), fused.wrenches[-1]
         if np.isfinite(cov).all():
             use = np.abs(model.to_sensor(wrench, model.gravity_base)) / model.wrench_range
-            found[force] = rms(cov), float(use.max())
-    return found
+            errors[force] = rms(cov), float(use.max())
+    return errors
 
 
 def detectable_mN(model: ProbeModel, task: Task) -> float | None:

@@ -52,10 +52,10 @@ def parse_axis(text: str) -> GridAxis:
         raise unknown_name("--vary", key, table or known)
     if ":" in values:
         return GridAxis(key, numbers_of(f"--vary {key}", values))
-    found = tuple(_value(part.strip()) for part in values.split(","))
-    if any(value == "" for value in found):
+    listed = tuple(_value(part.strip()) for part in values.split(","))
+    if any(value == "" for value in listed):
         raise InputError(f"--vary {text!r}: an empty value; {_HOW}")
-    return GridAxis(key, found)
+    return GridAxis(key, listed)
 
 
 def grid_points(axes: list[GridAxis]) -> list[dict[str, Any]]:
@@ -182,19 +182,19 @@ def evaluate_point(base: dict[str, Any], number: int, point: dict[str, Any], tas
     """Return the record of one design; an invalid or unstable one gives the reason and does not stop the sweep."""
     result, reason = "ok", ""
     try:
-        found = design_metrics(check_design(with_values(base, point)), task)
+        metrics = design_metrics(check_design(with_values(base, point)), task)
     except InputError as error:
         return _without_metrics(number, point, "refused", str(error))
     except Exception as error:  # the failure of one design must not end the sweep
         return _without_metrics(number, point, "failed", f"{type(error).__name__}: {error}")
-    if found.error_mm is None:
+    if metrics.error_mm is None:
         result, reason = "gives_way", "the probe buckles under the force at one position or more"
-    elif not found.is_observable:
+    elif not metrics.is_observable:
         result = "unobservable"
-        reason = f"the largest error, {found.worst_error_mm:.3g} mm, is not smaller than without a reading"
-    elif found.sensor_use is not None and found.sensor_use > 1.0:
-        result, reason = "out_of_range", f"the readings take {found.sensor_use:.3g} times the sensor's range"
-    return {"point": number, **point, "result": result, "reason": reason, **found.as_dict()}
+        reason = f"the largest error, {metrics.worst_error_mm:.3g} mm, is not smaller than without a reading"
+    elif metrics.sensor_use is not None and metrics.sensor_use > 1.0:
+        result, reason = "out_of_range", f"the readings take {metrics.sensor_use:.3g} times the sensor's range"
+    return {"point": number, **point, "result": result, "reason": reason, **metrics.as_dict()}
 
 
 def _without_metrics(number: int, point: dict[str, Any], result: str, reason: str) -> Record:

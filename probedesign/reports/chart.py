@@ -107,8 +107,8 @@ _HALF_TURN = 2.0 * np.tile(_WEIGHTS, (3, 1)) - np.eye(3)
 
 
 def _floats(values: ArrayLike) -> list[float]:
-    found: list[float] = np.asarray(values, dtype=float).ravel().tolist()
-    return found
+    numbers: list[float] = np.asarray(values, dtype=float).ravel().tolist()
+    return numbers
 
 
 def _log_ticks(low: float, high: float) -> tuple[float, ...]:
@@ -116,8 +116,8 @@ def _log_ticks(low: float, high: float) -> tuple[float, ...]:
     powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     wide = math.log10(high / low) > 3.2
     for digits in ((1,),) if wide else ((1, 2, 5), range(1, 10)):
-        found = [float(f"{digit * 10.0**k:.3g}") for k in powers for digit in digits]
-        ticks = tuple(v for v in found if low * 0.999 <= v <= high * 1.001)
+        candidates = [float(f"{digit * 10.0**k:.3g}") for k in powers for digit in digits]
+        ticks = tuple(v for v in candidates if low * 0.999 <= v <= high * 1.001)
         if len(ticks) > 1:
             return ticks
     return _even_ticks(low, high)  # within one step of the first digit
@@ -133,13 +133,13 @@ def _even_ticks(low: float, high: float) -> tuple[float, ...]:
 
 def line_colours(n: int) -> list[str]:
     """Return ordered colours of n lines, the first one darkest."""
-    found = []
+    colours = []
     for place in (_LINES_TO * i / max(n - 1, 1) for i in range(n)):
         k = int(place)
         one, two = ([int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in ORDERED[k : k + 2])
         mixed = (round(a + (place - k) * (b - a)) for a, b in zip(one, two, strict=True))
-        found.append("#" + "".join(f"{value:02x}" for value in mixed))
-    return found
+        colours.append("#" + "".join(f"{value:02x}" for value in mixed))
+    return colours
 
 
 class LegendEntry(NamedTuple):

@@ -73,7 +73,7 @@ def detection_chart(prediction: Prediction) -> Chart:
 
 def force_chart(prediction: Prediction) -> Chart:
     """Return the forces for detection, for given accuracies by one reading or by fused touches, and the limit."""
-    k, found = prediction.pressing.touches, dict[str, tuple[list[float], list[float]]]()
+    k, curves = prediction.pressing.touches, dict[str, tuple[list[float], list[float]]]()
     lines: list[tuple[str, Sequence[Any], str]] = [
         ("detected", prediction.detection, "detectable_force_mN"),
         (f"2 mm, {k} fused", prediction.fused_reach, "force_mN_for_2_mm"),
@@ -87,9 +87,9 @@ def force_chart(prediction: Prediction) -> Chart:
         choose, unit = (max, 1.0) if "mN" in key else (min, 1e3)
         places = sorted({row.contact_fraction for row in rows})
         values = [[getattr(row, key) for row in rows if row.contact_fraction == place] for place in places]
-        found[name] = places, [math.nan if None in here else unit * choose(here) for here in values]
-    chart = _along("contact force [mN]", [v for _, forces in found.values() for v in forces])
-    for (name, (x, y)), colour, dashes, mark in zip(found.items(), COLOURS, DASHES, MARKS, strict=False):
+        curves[name] = places, [math.nan if None in here else unit * choose(here) for here in values]
+    chart = _along("contact force [mN]", [v for _, forces in curves.values() for v in forces])
+    for (name, (x, y)), colour, dashes, mark in zip(curves.items(), COLOURS, DASHES, MARKS, strict=False):
         chart.line(x, y, colour, dashes, mark, name)
     return chart
 

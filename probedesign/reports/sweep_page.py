@@ -73,12 +73,12 @@ def verdict(records: Sequence[Record], keys: Sequence[str]) -> str:
 def heat_map(records: Sequence[Record], keys: Sequence[str], low: float, high: float) -> Chart:
     """Return the error over two keys as a map, with colours in equal steps of its logarithm from `low` to `high`."""
     values = [list(dict.fromkeys(record[key] for record in records)) for key in keys]
-    x, y = (ChartAxis.named(key, [format_value(v) for v in found]) for key, found in zip(keys, values, strict=True))
+    x, y = (ChartAxis.named(key, [format_value(v) for v in steps]) for key, steps in zip(keys, values, strict=True))
     chart = Chart(x, y)
     best = min((r for r in records if r["result"] == "ok"), key=lambda r: float(r[METRIC]), default=None)
     frame = None
     for record in records:
-        i, j = (found.index(record[key]) + 1 for key, found in zip(keys, values, strict=True))
+        i, j = (steps.index(record[key]) + 1 for key, steps in zip(keys, values, strict=True))
         box = (i - 0.5, i + 0.5), (j - 0.5, j + 0.5)
         if record["result"] != "ok":
             chart.box(*box, "#e4e4e4")
@@ -127,11 +127,11 @@ def parallel_coordinates(records: Sequence[Record], keys: Sequence[str], low: fl
 
 
 def _scale(values: Sequence[Any]) -> dict[Any, float]:
-    found = list(dict.fromkeys(values))
-    if all(isinstance(v, int | float) for v in found):
-        low, high = min(found), max(found)
-        return {v: (v - low) / (high - low) if high > low else 0.5 for v in found}
-    return {v: k / max(len(found) - 1, 1) for k, v in enumerate(found)}
+    distinct = list(dict.fromkeys(values))
+    if all(isinstance(v, int | float) for v in distinct):
+        low, high = min(distinct), max(distinct)
+        return {v: (v - low) / (high - low) if high > low else 0.5 for v in distinct}
+    return {v: k / max(len(distinct) - 1, 1) for k, v in enumerate(distinct)}
 
 
 def _level(error: float, low: float, high: float) -> int:

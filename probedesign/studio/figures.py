@@ -89,9 +89,9 @@ class DesignFigures:
     def at(self, fraction: float, force_N: float) -> Condition | None:
         """Return the worst direction at a position and the nearest force; None where a touch of any is not located."""
         here = [c for c in self.prediction.conditions if c.contact_fraction == fraction]
-        found = worst(here, force_N)
-        lost = any(c.result != "ok" for c in here if found and c.force_N == found[0].force_N)
-        return None if lost or not found else found[0]
+        conditions = worst(here, force_N)
+        lost = any(c.result != "ok" for c in here if conditions and c.force_N == conditions[0].force_N)
+        return None if lost or not conditions else conditions[0]
 
     def summary(self) -> list[Figure]:
         """Return the figures of the summary, each the number that `predict` reports."""
@@ -158,10 +158,10 @@ def complete(design: Design, on_progress: OnProgress = quiet) -> DesignFigures:
         on_progress: as in `predict`; an exception that it raises ends the prediction.
     """
     if design not in _COMPLETE:
-        found = _figures(build_probe(design), FRACTIONS, FORCES_N, False, on_progress)
+        figures = _figures(build_probe(design), FRACTIONS, FORCES_N, False, on_progress)
         while len(_COMPLETE) >= _MAX_KEPT:
             _COMPLETE.pop(next(iter(_COMPLETE)))
-        _COMPLETE[design] = found
+        _COMPLETE[design] = figures
     return _COMPLETE[design]
 
 
@@ -173,13 +173,13 @@ def _figures(
     on_progress: OnProgress = quiet,
 ) -> DesignFigures:
     model = probe.model
-    found = check_print(probe.design)
+    check = check_print(probe.design)
     return DesignFigures(
         probe,
         predict(model, fractions, forces_N, only_single=only_single, on_progress=on_progress),
         not only_single,
         natural_frequency(probe.rod, model.gravity_base),
-        tuple(f"{finding.severity}: {finding.message}" for finding in (*found.errors, *found.warnings)),
+        tuple(f"{finding.severity}: {finding.message}" for finding in (*check.errors, *check.warnings)),
     )
 
 
@@ -198,11 +198,11 @@ def segment_colours(figures: DesignFigures, edges: Array, force_N: float) -> lis
     """
     located = {c.contact_fraction: c.predicted_error_mm for c in worst(figures.prediction.conditions, force_N)}
     places = np.array(sorted({c.contact_fraction for c in figures.prediction.conditions}))
-    found = []
+    colours = []
     for middle in (edges[1:] + edges[:-1]) / 2.0:
         error = located.get(float(places[np.argmin(np.abs(places - middle))]))
-        found.append(NOT_LOCATED if error is None else _rgb(ORDERED[error_level(error)]))
-    return found
+        colours.append(NOT_LOCATED if error is None else _rgb(ORDERED[error_level(error)]))
+    return colours
 
 
 def colour_legend(force_mN: float) -> str:
@@ -229,12 +229,12 @@ def drawn_touch(probe: Probe, touch: StudioTouch) -> DrawnTouch | None:
     model = probe.model
     if not model.rod.solve(model.gravity_base).ok:
         return None
-    s, found = _touched(probe, touch)
-    if found.result != "ok":
+    s, touched = _touched(probe, touch)
+    if touched.result != "ok":
         return None
-    normal = found.force_base / np.linalg.norm(found.force_base)
+    normal = touched.force_base / np.linalg.norm(touched.force_base)
     r = float(model.rod.radius_at(s)) * math.cos(math.atan(model.rod.taper_at(s)))
-    return DrawnTouch(found, s, found.equilibrium.p_contact_base - r * normal, normal)
+    return DrawnTouch(touched, s, touched.equilibrium.p_contact_base - r * normal, normal)
 
 
 def located(probe: Probe, drawn: DrawnTouch) -> Estimate:
@@ -266,16 +266,16 @@ def error_chart(
     by_force = _curves(figures.prediction.conditions, forces_N)
     lines = [curve for curves in by_force.values() for curve in curves]
     others = [(pin, _curves(other.prediction.conditions, forces_N)) for pin, other in pinned]
-    lines += [curves[0] for _, found in others for curves in found.values()]
+    lines += [curves[0] for _, curves_of in others for curves in curves_of.values()]
     values = [value for _, errors in lines for value in errors]
     chart = Chart(_PLACE, ChartAxis.spanning("contact error, RMS [mm]", values, log=True))
     drawn = zip(by_force.items(), line_colours(len(by_force)), itertools.cycle(MARKS), strict=False)
     for (force, ((x, total), (_, noise))), colour, mark in drawn:
         chart.line(x, noise, colour, "1 4", width=1.4)
         chart.line(x, total, colour, "", mark, f"{1e3 * force:g} mN")
-        for (_, found), dashes in zip(others, DASHES[1:], strict=False):
-            if force in found:
-                chart.line(*found[force][0], colour, dashes, width=1.6)
+        for (_, curves_of), dashes in zip(others, DASHES[1:], strict=False):
+            if force in curves_of:
+                chart.line(*curves_of[force][0], colour, dashes, width=1.6)
     return chart
 
 
@@ -287,7 +287,7 @@ def _curves(conditions: Sequence[Condition], forces_N: Sequence[float]) -> dict[
 
     A curve ends where a touch of any direction is not located.
     """
-    found = {}
+    curves = {}
     for force in forces_N:
         here = [c for c in conditions if math.isclose(c.force_N, force)]
         lost = {c.contact_fraction for c in here if c.result != "ok"}
@@ -296,16 +296,16 @@ def _curves(conditions: Sequence[Condition], forces_N: Sequence[float]) -> dict[
         total = [math.nan if c.predicted_error_mm is None else c.predicted_error_mm for c in rows]
         noise = [math.nan if c.noise_error_mm is None else c.noise_error_mm for c in rows]
         if x:
-            found[force] = (x, total), (x, noise)
-    return found
+            curves[force] = (x, total), (x, noise)
+    return curves
 
 
 def fused_chart(figures: DesignFigures, pinned: Sequence[tuple[PinnedDesign, DesignFigures]]) -> Chart | None:
     """Return the error of fused touches along the probe; None until it was predicted."""
     lines = []
     designs = [("this design", figures), *((pin.label, other) for pin, other in pinned)]
-    for (label, one), colour, dashes in zip(designs, COLOURS, DASHES, strict=False):
-        rows = shown(one.prediction.fused, SHOWN_N) if one.complete else ()
+    for (label, shown_figures), colour, dashes in zip(designs, COLOURS, DASHES, strict=False):
+        rows = shown(shown_figures.prediction.fused, SHOWN_N) if shown_figures.complete else ()
         if rows:
             errors = [math.nan if c.predicted_error_mm is None else c.predicted_error_mm for c in rows]
             lines.append((label, [c.contact_fraction for c in rows], errors, colour, dashes))
@@ -333,7 +333,7 @@ def summary_table(
     head = "".join(f"<th>{escape(label)}</th>" for label, _ in others)
     body = ""
     for row in rows:
-        cells = "".join(_difference(row, found.get(row.name)) for _, found in others)
+        cells = "".join(_difference(row, by_name.get(row.name)) for _, by_name in others)
         body += f"<tr><td>{escape(row.name)}</td><td>{escape(row.text)}</td>{cells}</tr>"
     return f"<table><tr><th></th><th>{escape(label)}</th>{head}</tr>{body}</table>"
 

@@ -56,20 +56,20 @@ class Improvement:
 
         name = f"{self.start.name.removesuffix('-best')}-best"
         try:
-            found = optimum(self._problem, name, self._progress)
+            best = optimum(self._problem, name, self._progress)
         except InputError as error:
             self.text = str(error)
         except Exception as error:  # the page shows it; nobody waits for this thread
             self.text = f"The search failed: {report_defect(error)}"
         else:
-            before, after = found.before.error_mm, found.after.error_mm
+            before, after = best.before.error_mm, best.after.error_mm
             was = "not located" if before is None else f"{before:.3g} mm"
             now = "not located" if after is None else f"{after:.3g} mm"
-            limited = ", ".join(found.active_constraints)
+            limited = ", ".join(best.active_constraints)
             self.text = f"{self._problem.task.text}: {was} before, {now} after" + (
                 f"; limited by {limited}" if limited else ""
             )
-            self.design = found.design
+            self.design = best.design
 
     def _progress(self, step: str, _: float | None) -> None:
         self.text = step
@@ -78,8 +78,8 @@ class Improvement:
         """Return the errors of the evaluated designs in order; None before the second."""
         from probedesign.optimization.design_space import INFEASIBLE
 
-        found = self._problem.problem.evaluator.errors_mm
-        path = [error if error < INFEASIBLE["error_mm"] else math.nan for error in found]
+        errors = self._problem.problem.evaluator.errors_mm
+        path = [error if error < INFEASIBLE["error_mm"] else math.nan for error in errors]
         if sum(map(math.isfinite, path)) < 2:
             return None
         chart = Chart(
@@ -154,15 +154,15 @@ class ImproveTab:
         Args:
             complete: returns all figures of a design.
         """
-        found = self.search
-        if found is None:
+        search = self.search
+        if search is None:
             return
-        chart, design = found.chart(), found.design
-        content = f'<div class="note">{escape(found.text)}</div>'
+        chart, design = search.chart(), search.design
+        content = f'<div class="note">{escape(search.text)}</div>'
         content += "" if chart is None else chart.svg().decode()
         if design is not None:
-            start = PinnedDesign("start", found.start)
-            content += summary_table(complete(design), [(start, complete(found.start))], "result")
+            start = PinnedDesign("start", search.start)
+            content += summary_table(complete(design), [(start, complete(search.start))], "result")
         self._path.content = styled(content)
         self._accept.visible = self._drop.visible = design is not None
 

@@ -180,13 +180,13 @@ class StudioScene:
         self._parts_of = key
         for part in self._parts:
             part.remove()
-        found, _ = rigid_parts(model, Path())
+        parts, _ = rigid_parts(model, Path())
         self._parts = [
             self._scene.add_mesh_simple(
                 f"/base/part/{part.name}", UNIT * part.vertices, part.faces,
                 color=PART_COLOURS.get(part.name, STALE_COLOUR), flat_shading=True,
             )
-            for part in found
+            for part in parts
         ]  # fmt: skip
 
     # Camera

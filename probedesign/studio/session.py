@@ -111,17 +111,17 @@ class Session:
 
     def pin(self) -> PinnedDesign | None:
         """Keep the current design for comparison; None if it is kept already."""
-        if any(one.design == self.design for one in self.pinned):
+        if any(other.design == self.design for other in self.pinned):
             return None
-        taken = {one.label for one in self.pinned}
+        taken = {other.label for other in self.pinned}
         label = next(f"pin {n}" for n in range(1, len(taken) + 2) if f"pin {n}" not in taken)
-        found = PinnedDesign(label, self.design)
-        self.pinned = [*self.pinned, found][-MAX_PINNED:]
-        return found
+        pin = PinnedDesign(label, self.design)
+        self.pinned = [*self.pinned, pin][-MAX_PINNED:]
+        return pin
 
     def unpin(self, label: str) -> None:
         """Drop a pinned design."""
-        self.pinned = [one for one in self.pinned if one.label != label]
+        self.pinned = [pin for pin in self.pinned if pin.label != label]
 
     @property
     def command_line(self) -> str:
@@ -150,13 +150,15 @@ class Session:
             InputError: a text cannot be read, or a design is not valid.
         """
         if touch is not None:
-            found = _numbers("--touch", touch, "PLACE,DEGREES,MILLINEWTONS such as 0.8,90,10")
-            if len(found) != 3 or not (0.05 <= found[0] <= 1.0 and abs(found[1]) <= 180.0 and 0.5 <= found[2] <= 200.0):
+            numbers = _numbers("--touch", touch, "PLACE,DEGREES,MILLINEWTONS such as 0.8,90,10")
+            if len(numbers) != 3 or not (
+                0.05 <= numbers[0] <= 1.0 and abs(numbers[1]) <= 180.0 and 0.5 <= numbers[2] <= 200.0
+            ):
                 raise InputError(
                     f"--touch {touch!r}: write place (0.05 ... 1), direction (-180 ... 180 degrees) and force "
                     "(0.5 ... 200 mN), such as 0.8,90,10"
                 )
-            self.touch = StudioTouch(*found)
+            self.touch = StudioTouch(*numbers)
         if forces is not None:
             known = tuple(round(1e3 * force, 6) for force in FORCES_N)
             chosen = _numbers("--forces-mN", forces, "some of the drawn forces, such as 5,10")
@@ -258,20 +260,20 @@ def with_knots(design: Design, diameters_mm: Mapping[int, float]) -> dict[str, A
 
 def changes(start: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """Return the keys of a design whose values differ from those at the start, with the new values."""
-    found: dict[str, Any] = {}
+    changed: dict[str, Any] = {}
     for key, value in now.items():
         if isinstance(value, Mapping):
-            found |= changes(start.get(key) or {}, value, f"{prefix}{key}.")
+            changed |= changes(start.get(key) or {}, value, f"{prefix}{key}.")
         elif value != start.get(key):
-            found[f"{prefix}{key}"] = value
-    return found
+            changed[f"{prefix}{key}"] = value
+    return changed
 
 
 def _text(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_text, value))}]"
     if isinstance(value, Mapping):
-        return f"{{{', '.join(f'{key} = {_text(one)}' for key, one in value.items())}}}"
+        return f"{{{', '.join(f'{key} = {_text(inner)}' for key, inner in value.items())}}}"
     return f"{value:.10g}" if isinstance(value, float) else json.dumps(value)
 
 
@@ -282,12 +284,12 @@ def _table(text: str) -> dict[str, Any]:
         InputError: the text is none.
     """
     try:
-        found = tomllib.loads(f"value = {text}")["value"]
+        table = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"--pin {text!r} is not an inline table of TOML: {error}") from None
-    if not isinstance(found, dict):
+    if not isinstance(table, dict):
         raise InputError(f"--pin {text!r} is not an inline table, such as '{{probe.length_mm = 140}}'")
-    return found
+    return table
 
 
 def _numbers(option: str, text: str, form: str) -> tuple[float, ...]:
