@@ -195,41 +195,41 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
     names = check_requested(names)
     data, start = _solvable(data, names)
     _check_counts(data, names)
-    found, identified, unobservable = _search(data, names, start)
-    off = outliers(found.point.blocks, found.scales)
-    first = found, off
-    left_out = bad_tests(found.point.blocks, off)
+    fitted, identified, unobservable = _search(data, names, start)
+    outlying = outliers(fitted.point.blocks, fitted.scales)
+    first = fitted, outlying
+    left_out = bad_tests(fitted.point.blocks, outlying)
     if left_out and len(left_out) <= max(1, int(MAX_LEFT_OUT * len(data.tests))):
-        counts = {name: sum(block.test == name for block, _ in off) for name in left_out}
+        counts = {name: sum(block.test == name for block, _ in outlying) for name in left_out}
         notes = [f"{name}: left out: {n} of its readings are outliers; check the known force and s_contact_mm, the "
                  "marker numbers, the wrench and the base pose" for name, n in counts.items()]  # fmt: skip
         kept = tuple(test for test in data.tests if test.name not in left_out)
         data, start = _solvable(replace(data, tests=kept, notes=(*data.notes, *notes)), names)
-        found, identified, unobservable = _search(data, names, start)
-        off = outliers(found.point.blocks, found.scales)
-    problem, blocks = found.point.problem, found.point.blocks
-    rejected = check_priors(found)
-    why = inconsistency(blocks, off, found.noise, data.tests) or (str(rejected[0]) if rejected else "")
-    quantile = result.student_quantile(found)
-    causes = likely_causes(found) if why or found.result != "ok" else ()
+        fitted, identified, unobservable = _search(data, names, start)
+        outlying = outliers(fitted.point.blocks, fitted.scales)
+    problem, blocks = fitted.point.problem, fitted.point.blocks
+    rejected = check_priors(fitted)
+    why = inconsistency(blocks, outlying, fitted.noise, data.tests) or (str(rejected[0]) if rejected else "")
+    quantile = result.student_quantile(fitted)
+    causes = likely_causes(fitted) if why or fitted.result != "ok" else ()
     why = why or ("the search did not converge" if causes else "")
-    used = widened(found, causes[0].moves if causes else {}) if why and accept else found
-    if used is not found:
+    used = widened(fitted, causes[0].moves if causes else {}) if why and accept else fitted
+    if used is not fitted:
         lost = result.beyond_limits(used, identified)
         identified = tuple(name for name in identified if name not in [one.name for one in lost])
         unobservable += [one for one in lost if "E" not in identified or one.name not in IMPLIED]
     numbers, correlation, correlated = result.identified_numbers(used, identified, unobservable, names, quantile)
     numbers = result.with_caveats(numbers)
     whole = Identification(
-        found.result, data.common.model.name, data.common.model.fingerprint, data.where, len(data.tests),
+        fitted.result, data.common.model.name, data.common.model.fingerprint, data.where, len(data.tests),
         sum(len(block.r) for block in blocks), problem.size, numbers, correlation, correlated,
-        found.noise, quantile,
-        tuple(Outlier(block.test, block.kind, block.item, distance) for block, distance in off),
+        fitted.noise, quantile,
+        tuple(Outlier(block.test, block.kind, block.item, distance) for block, distance in outlying),
         result.error_budget(used, identified),
         (*data.notes, *(() if why else exchange_hint(*first)), *(one.description for one in unobservable),
-         *outlier_notes(blocks, off),
-         *_remarks(found)),
-        result.residuals_of(found), time.perf_counter() - begun,
+         *outlier_notes(blocks, outlying),
+         *_remarks(fitted)),
+        result.residuals_of(fitted), time.perf_counter() - begun,
     )  # fmt: skip
     if not why:
         return whole
@@ -245,7 +245,7 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
     widening = result.widening(used, identified)
     note = (f"accepted although inconsistent: {reason}; standard deviations are up to {widening:.3g} times as large, "
             "by the residuals and by what the likely causes would change")  # fmt: skip
-    unfinished = () if found.result == "ok" else ("the search ended before it converged: its numbers may be off",)
+    unfinished = () if fitted.result == "ok" else ("the search ended before it converged: its numbers may be off",)
     return replace(whole, result="accepted", widening=widening, notes=(note, *unfinished, *whole.notes))
 
 
@@ -261,18 +261,18 @@ def _search(
     while requested:
         problem = _problem(data, requested)
         if unobservable:
-            found_start = start_point(problem, "E" in requested)
-            assert found_start is not None  # by `_solvable`, test by test
-            start = found_start
+            begin = start_point(problem, "E" in requested)
+            assert begin is not None  # by `_solvable`, test by test
+            start = begin
         # with full weight: what is far off at the start is not an outlier yet
         lost = unobservable_direction(start, np.ones(len(start.blocks)), requested, START_TOLERANCE)
         if lost is None:
-            found = fit(replace(start, problem=problem))
-            lost = unobservable_direction(found.point, found.weight, requested)
+            fitted = fit(replace(start, problem=problem))
+            lost = unobservable_direction(fitted.point, fitted.weight, requested)
             # Contradictory tests have little weight left; at the start, with full weight, they determined everything.
-            off = outliers(found.point.blocks, found.scales)
-            if lost is None or inconsistency(found.point.blocks, off, found.noise, data.tests):
-                return found, requested, unobservable
+            outlying = outliers(fitted.point.blocks, fitted.scales)
+            if lost is None or inconsistency(fitted.point.blocks, outlying, fitted.noise, data.tests):
+                return fitted, requested, unobservable
         unobservable.append(lost)
         requested = tuple(name for name in requested if name != lost.name)
     raise InputError(
@@ -323,14 +323,14 @@ def _check_counts(data: IdentificationData, names: Sequence[str]) -> None:
         )
 
 
-def _remarks(found: Fit) -> list[str]:
+def _remarks(fitted: Fit) -> list[str]:
     """Return notes on the fit for the user."""
     notes = []
-    factor = math.exp(found.point.values.x[LOG_E])
+    factor = math.exp(fitted.point.values.x[LOG_E])
     if not 1.0 / SUSPICIOUS_FACTOR < factor < SUSPICIOUS_FACTOR:
         notes.append(f"E is {factor:.3g} times the design's: are forces and moments in their columns' units?")
     return notes + [
         f"{LABELS[one.kind]} scatter {one.scale:.2g} times as much as stated; the intervals include it"
-        for one in found.noise
+        for one in fitted.noise
         if one.measured
     ]

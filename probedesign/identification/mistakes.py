@@ -177,18 +177,18 @@ def _best_exchange(point: Linearization, seeds: Sequence[str]) -> Exchange | Non
     common, of = point.problem.common, {test.name: test for test in point.problem.tests}
     read = [name for name, test in of.items() if test.wrench_base is not None]
     seeds = [name for name in seeds if name in read]
-    stated = {name: _own_loss(point, of[name]) for name in read} if seeds else {}
+    stated = {name: _loss_of_test(point, of[name]) for name in read} if seeds else {}
     exchanges = []
     for a, b in dict.fromkeys((min(a, b), max(a, b)) for a in seeds for b in read if a != b):
         change, before = _exchange(common, of, (a, b)).change, stated[a] + stated[b]
-        after = _own_loss(point, change(of[a]))
-        after += _own_loss(point, change(of[b])) if after < before else 0.0
+        after = _loss_of_test(point, change(of[a]))
+        after += _loss_of_test(point, change(of[b])) if after < before else 0.0
         if after < before:
             exchanges.append(Exchange((a, b), before, after))
     return max(exchanges, key=lambda exchange: exchange.before - exchange.after, default=None)
 
 
-def _own_loss(point: Linearization, test: MeasuredTest) -> float:
+def _loss_of_test(point: Linearization, test: MeasuredTest) -> float:
     """Return the loss of one test by its own unknowns, at the common parameters of a fit; infinite without an
     equilibrium."""
     fixed = replace(point.problem, tests=(test,), mass=None, prior=np.zeros(point.problem.common.size))

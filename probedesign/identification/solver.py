@@ -74,7 +74,7 @@ class LeastSquaresProblem:
         return int(self.active.sum())
 
     @cached_property
-    def own(self) -> dict[str, slice]:
+    def nuisance_columns(self) -> dict[str, slice]:
         """Position of the nuisance parameters of each test among the unknowns, by its name."""
         ends = np.cumsum([self.n_active, *(test.nuisance_size for test in self.tests)]).tolist()
         return {test.name: slice(a, b) for test, a, b in zip(self.tests, ends, ends[1:], strict=False)}
@@ -96,11 +96,11 @@ class LeastSquaresProblem:
         bounds = np.full((2, self.size), np.inf) * [[-1.0], [1.0]]
         bounds[:, : self.n_active] = self.common.bounds[:, self.active]
         for test in self.tests:
-            own = bounds[:, self.own[test.name]]  # a view
+            of_test = bounds[:, self.nuisance_columns[test.name]]  # a view
             if "s" in test.nuisance:
-                own[:, test.nuisance["s"]] = [[0.0], [self.common.model.rod.flank_end]]
+                of_test[:, test.nuisance["s"]] = [[0.0], [self.common.model.rod.flank_end]]
             if "stiffness" in test.nuisance:
-                own[:, test.nuisance["stiffness"]] = [[-MAX_LOGARITHM], [MAX_LOGARITHM]]
+                of_test[:, test.nuisance["stiffness"]] = [[-MAX_LOGARITHM], [MAX_LOGARITHM]]
         return bounds
 
 
@@ -127,8 +127,8 @@ class Linearization:
         """Return the campaign at other values of the unknowns; this one is the initial guess of the equilibria."""
         x = self.values.x.copy()
         x[self.problem.active] = unknowns[: self.problem.n_active]
-        own = [unknowns[self.problem.own[test.name]] for test in self.problem.tests]
-        return linearize(self.problem, ParameterValues(self.problem.common, x), own, self)
+        nuisance = [unknowns[self.problem.nuisance_columns[test.name]] for test in self.problem.tests]
+        return linearize(self.problem, ParameterValues(self.problem.common, x), nuisance, self)
 
     @cached_property
     def prior_residual(self) -> Array:
@@ -151,7 +151,7 @@ class Linearization:
             end = at + len(block.r)
             J[at:end, : problem.n_active] = block.J[:, :size][:, problem.active]
             if block.test and block.J.shape[1] > size:
-                J[at:end, problem.own[block.test]] = block.J[:, size:]
+                J[at:end, problem.nuisance_columns[block.test]] = block.J[:, size:]
             at = end
         std = problem.prior[problem.active]
         J[at:, : problem.n_active] = np.diag(np.where(np.isinf(std), 0.0, 1.0 / std))
@@ -218,8 +218,10 @@ def linearize(
     """
     root = root or bool(problem.active[columns_of(["root"])[0]])
     solved: list[SolvedTest] = []
-    for i, (test, own) in enumerate(zip(problem.tests, nuisance, strict=True)):
-        solved.append(solve_test(test, values, own, last.tests[i] if last is not None and last.tests else None, root))
+    for i, (test, of_test) in enumerate(zip(problem.tests, nuisance, strict=True)):
+        solved.append(
+            solve_test(test, values, of_test, last.tests[i] if last is not None and last.tests else None, root)
+        )
         if not solved[-1].ok:
             return Linearization(problem, values, tuple(solved), ())
     blocks = [block for test in solved for block in test.blocks()]
@@ -287,17 +289,17 @@ def fit(start: Linearization) -> Fit:
     from the residuals and their degrees of freedom, and the search continues from there.
     """
     point, converged = minimise(start, None)
-    found = Fit("ok" if converged else "not_converged", point, {})
+    result = Fit("ok" if converged else "not_converged", point, {})
     for _ in range(MAX_SCALE_ROUNDS):
-        noise = noise_scales(point.blocks, found.weight, found.leverage, found.scales)
+        noise = noise_scales(point.blocks, result.weight, result.leverage, result.scales)
         scales = {one.kind: one.scale for one in noise}
-        settled = all(abs(scales[kind] / found.scales.get(kind, np.inf) - 1.0) < SETTLED for kind in scales)
+        settled = all(abs(scales[kind] / result.scales.get(kind, np.inf) - 1.0) < SETTLED for kind in scales)
         if converged:  # of contradictory tests more steps change no more than the noise
             point, converged = minimise(point, scales)
-        found = Fit("ok" if converged else "not_converged", point, scales, tuple(noise))
+        result = Fit("ok" if converged else "not_converged", point, scales, tuple(noise))
         if settled or not converged:
             break
-    return found
+    return result
 
 
 def minimise(
@@ -399,9 +401,9 @@ def _at_factor(problem: LeastSquaresProblem, factor: float) -> Linearization:
     values = ParameterValues(problem.common, x)
     nuisance = start_nuisance(problem.tests, problem.common.model.rod)
     stiffness = values.rod.youngs_modulus * 0.25 * np.pi * float(values.rod.radius.max()) ** 4
-    for test, own in zip(problem.tests, nuisance, strict=True):
-        force = own[test.nuisance["force"]] if test.force_world is None else test.force_world
-        s = own[test.nuisance["s"]][0] if "s" in test.nuisance else test.s_contact
+    for test, of_test in zip(problem.tests, nuisance, strict=True):
+        force = of_test[test.nuisance["force"]] if test.force_world is None else test.force_world
+        s = of_test[test.nuisance["s"]][0] if "s" in test.nuisance else test.s_contact
         # no test bends the probe by more, and the solver takes long to find that out
         if not test.free and np.linalg.norm(force) * s**2 > 2.0 * MAX_LOAD * stiffness:
             return Linearization(problem, values, (), ())

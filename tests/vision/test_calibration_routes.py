@@ -8,10 +8,12 @@ import pytest
 
 from probedesign import pipeline
 from probedesign.campaigns import read_campaign
+from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.simulation.campaign_folder import make_campaign
 from probedesign.simulation.ground_truth import CampaignPlan, GroundTruth
 from probedesign.simulation.stereo_rig import StereoRig
+from probedesign.vision.markers import write_png
 
 DESIGN = Path(__file__).parents[2] / "designs" / "large.toml"
 PLAN = CampaignPlan(seed=1, calibration="files")
@@ -102,3 +104,15 @@ def test_a_folder_that_cannot_be_used_is_refused_in_one_line(data, rig, spoil, w
     with pytest.raises(InputError) as caught:
         read_campaign(data)
     assert words in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_photograph_of_another_size_than_the_file_is_refused(data, capsys):
+    (data / "pixels.csv").unlink()
+    (data / "images").mkdir()
+    name = read_campaign(data).tests[0].name
+    for camera in ("left", "right"):
+        write_png(data / "images" / f"{name}-{camera}.png", np.full((600, 800), 90, dtype=np.uint8))
+    assert run(["markers", str(data), "--no-overlays"]) == 2
+    error = capsys.readouterr().err
+    assert "800 x 600" in error and "calibrated for 1600 x 1200" in error and error.count("\n") == 1
+    assert not (data / "pixels.csv").exists()
