@@ -8,7 +8,7 @@ import time
 from collections import Counter
 from contextlib import closing
 from dataclasses import replace
-from itertools import islice, pairwise
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -64,17 +64,18 @@ def test_a_sensor_of_another_calibration_is_noted(estimator, ranges, noted):
 
 
 def test_pynetft_reads_the_same_from_our_box(estimator):
-    """An independent client, with its own reading of the page."""
+    """An independent client, with its own reading of the page. Its socket holds 277 records: beyond these a busy
+    machine may lose some, which lack in both numbers. It must not connect anew where the box is not run for 0.1 s."""
     pynetft = pytest.importorskip("pynetft")
     with box(estimator) as peer:
-        config = pynetft.Config(sensor_host="127.0.0.1", rdt_port=peer.address[1], http_port=peer.http_port)
+        config = pynetft.Config("127.0.0.1", peer.address[1], peer.http_port, receive_timeout=5.0)
         with pynetft.Client(config, queue_size=8192) as client:
             samples = list(islice(client.samples(timeout=5.0), 700))
     assert {(s.force_unit.value, s.torque_unit.value) for s in samples} == {("N", "N-mm")}
     wrench = np.mean([s.wrench for s in samples], axis=0) * ([1.0] * 3 + [1e-3] * 3)
     assert (np.abs(wrench - LOAD - OFFSET) <= close(estimator, 700) + 1e-6).all()
-    assert [s.rdt_sequence for s in samples[:3]] == [1, 2, 3]
-    assert {b.ft_sequence - a.ft_sequence for a, b in pairwise(samples)} == {1}
+    assert [s.rdt_sequence for s in samples[:277]] == list(range(1, 278))
+    assert {s.ft_sequence - s.rdt_sequence for s in samples} == {samples[0].ft_sequence - 1}
 
 
 # the wire, by hand
