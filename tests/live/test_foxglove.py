@@ -22,9 +22,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.estimation.estimate import RESULTS, Estimate
-from probedesign.live.outputs.drawing import bent_shape
 from probedesign.live.poses.base_poses import pose_from_matrix
 from probedesign.live.processing.chain import ProcessingOptions
+from probedesign.live.processing.estimates import bent_shape
 from probedesign.live.recordings import schemas
 from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_stream

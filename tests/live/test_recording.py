@@ -115,7 +115,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_run(estimator, tmp_path, mon
     path, log_lines = tmp_path / f"full.{kind}", []
     recordings = RecordingSink(path, estimator.model, log_lines.append)
     recordings.start()
-    recordings._current[1]._flush_period = 0.0
+    recordings._current._flush_period = 0.0
     full_after(monkeypatch, room)
     answers = list(
         estimate_stream(
@@ -207,7 +207,7 @@ def test_a_recording_is_split_by_size_without_a_reading_lost(model, tmp_path, ki
     log_lines, path = [], tmp_path / f"r.{kind}"
     sink = RecordingSink(path, model, log_lines.append, limits=SplitLimits(size=40_000))
     sink.start()
-    sink._current[1]._flush_period = 0.0
+    sink._current._flush_period = 0.0
     written = [block(i * 100, 100) for i in range(12)]
     for each in written:
         sink.on_samples(each)
@@ -231,7 +231,7 @@ def test_no_part_of_a_split_recording_is_replaced_while_it_is_written(model, tmp
         sink.start()
         for i in range(4):
             sink.on_samples(block(i * 10, 10))
-            until(lambda i=i: sink._current[1].readings == 10 * i + 10)
+            until(lambda i=i: sink._current.readings == 10 * i + 10)
         contents = {part: part.read_bytes() for part in tmp_path.iterdir()}
         assert len(contents) == 4
         for part in contents:
@@ -251,9 +251,9 @@ def test_complete_parts_may_be_moved_while_the_recording_continues(model, tmp_pa
         sink.start()
         for i in range(4):
             sink.on_samples(block(i * 10, 10))
-            until(lambda i=i: sink._current[1].readings == 10 * i + 10)
+            until(lambda i=i: sink._current.readings == 10 * i + 10)
             path.unlink(missing_ok=True)
-        assert not sink._current[1].failure
+        assert not sink._current.failure
     assert sorted(part.name for part in tmp_path.iterdir()) == ["r-2.csv", "r-3.csv", "r-4.csv"]
 
 
@@ -261,7 +261,7 @@ def test_a_recording_is_split_by_time(model, tmp_path):
     path = tmp_path / "r.csv"
     sink = RecordingSink(path, model, print, limits=SplitLimits(duration=0.15))
     sink.start()
-    sink._current[1]._flush_period = 0.0
+    sink._current._flush_period = 0.0
     for i in range(5):
         sink.on_samples(block(i * 10, 10))
         time.sleep(0.1)

@@ -16,9 +16,8 @@ from probedesign.core.statistics import ellipsoid_95
 from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.geometry.tube import SIDES, BentShape, TubeMesh, centreline
 from probedesign.live.blocks import Block, WrenchReading
-from probedesign.live.outputs.drawing import ContactMarker
 from probedesign.live.processing.chain import ProcessingOptions
-from probedesign.live.processing.estimates import EstimateUpdate, readable_line
+from probedesign.live.processing.estimates import ContactMarker, EstimateUpdate, readable_line
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.view.page import events_html, status_html

@@ -68,13 +68,23 @@ class BackgroundWriter(Sink):
         max_queued: int = MAX_QUEUED_READINGS,
         flush_period: float = FLUSH_PERIOD,
         cause: str = "the disk",
+        next_file: Callable[[RecordingFile], RecordingFile] = lambda file: file,
     ) -> None:
-        """Start the thread; it alone uses the file from now on, and `log` is called from both threads.
+        """Start the thread; it alone uses the file from now on, and calls `log`, as this one does, and `next_file`.
 
-        `cause` names what may be too slow.
+        Args:
+            file: what is written.
+            name: its name, for messages.
+            log: callback for messages.
+            max_queued: maximum number of queued readings.
+            flush_period: period of flushing [s].
+            cause: what may be too slow.
+            next_file: returns the file in which a recording continues, given the current one, before readings are
+                written: that one, or another after it has been closed.
         """
         self._file, self._name, self._log = file, name, log
         self._max_queued, self._flush_period, self._cause = max_queued, flush_period, cause
+        self._next_file, self._n_before = next_file, 0
         self._queue: SimpleQueue[Job | None] = SimpleQueue()
         self._queued = self._done = 0
         self._counting = threading.Lock()  # events come from several threads
@@ -86,12 +96,12 @@ class BackgroundWriter(Sink):
 
     @property
     def readings(self) -> int:
-        """Number of readings in the file."""
-        return self._file.readings
+        """Number of readings in the files."""
+        return self._n_before + self._file.readings
 
     def on_samples(self, block: Block) -> None:
         """Queue readings; see `Sink`."""
-        if self._enqueue(len(block) or 1, partial(self._file.on_samples, block)):
+        if self._enqueue(len(block) or 1, partial(self._write_samples, block)):
             return
         if not self.dropped:
             self._log(f"{self._name}: {self._cause} is too slow; readings are dropped")
@@ -100,20 +110,20 @@ class BackgroundWriter(Sink):
 
     def on_estimate(self, update: EstimateUpdate) -> None:
         """Queue an estimate; see `Sink`."""
-        self._enqueue_other(partial(self._file.on_estimate, update))
+        self._enqueue_other(lambda: self._file.on_estimate(update))
 
     def on_pose(self, pose: TimedPose) -> None:
         """Queue a pose; see `RecordingFile`."""
-        self._enqueue_other(partial(self._file.on_pose, pose))
+        self._enqueue_other(lambda: self._file.on_pose(pose))
 
     def on_event(self, time: float, line: str) -> None:
         """Queue an event; see `Sink`."""
-        self._enqueue_other(partial(self._file.on_event, time, line))
+        self._enqueue_other(lambda: self._file.on_event(time, line))
 
     def close(self) -> None:
         """Write the queue and close the file."""
         if any(self._dropped):
-            self._queue.put((0, partial(self._file.on_dropped, *self._dropped)))
+            self._queue_dropped()
         self._queue.put(None)
         self._thread.join(CLOSE_TIMEOUT)
         if self._thread.is_alive():
@@ -130,8 +140,7 @@ class BackgroundWriter(Sink):
             if waiting and waiting + weight > self._max_queued:
                 return False
             if any(self._dropped):
-                self._queue.put((0, partial(self._file.on_dropped, *self._dropped)))
-                self._dropped = [0, 0]
+                self._queue_dropped()
             self._queued += weight
             self._queue.put((weight, job))
         return True
@@ -139,6 +148,17 @@ class BackgroundWriter(Sink):
     def _enqueue_other(self, job: Callable[[], None]) -> None:
         if not self._enqueue(1, job):
             self._dropped[1] += 1
+
+    def _queue_dropped(self) -> None:
+        (readings, others), self._dropped = self._dropped, [0, 0]
+        self._queue.put((0, lambda: self._file.on_dropped(readings, others)))
+
+    def _write_samples(self, block: Block) -> None:
+        following = self._next_file(self._file)
+        if following is not self._file:
+            self._n_before += self._file.readings
+            self._file = following
+        self._file.on_samples(block)
 
     def _work(self) -> None:
         """Run jobs until the end and flush periodically; after a failure only count them."""
@@ -151,7 +171,7 @@ class BackgroundWriter(Sink):
             known = str(error) if isinstance(error, ProbeDesignError) else f"{type(error).__name__}: {error}"
             reason = error.strerror if isinstance(error, OSError) else known
             self.failure = reason or known
-            contents = f"the file contains {self._file.readings} readings, " if self._cause == "the disk" else ""
+            contents = f"the file contains {self.readings} readings, " if self._cause == "the disk" else ""
             self._log(f"{self._name}: recording ended: {reason}; {contents}the run continues")
             while (job := self._queue.get()) is not None:
                 self._done += job[0]
@@ -229,79 +249,6 @@ class SplitLimits:
         return cls(1e6 * (megabytes or math.inf), 60.0 * (minutes or math.inf))
 
 
-class SplitRecording(Sink):
-    """A recording in several files; each is complete and can be read by itself.
-
-    Attributes:
-        path: path of the current file.
-        first_path: path of the first one.
-    """
-
-    def __init__(self, open_next: Callable[[], tuple[Path, RecordingFile]], limits: SplitLimits, log: Log) -> None:
-        """Open the first file; `open_next` opens a file, and `log` receives a line for each further one."""
-        self._open_next, self._limits, self._log = open_next, limits, log
-        self._n_before = 0
-        self._first_lock: FileLock | None = None
-        self.path, self._file = open_next()
-        self.first_path = self.path
-        self._opened = time.monotonic()
-
-    @property
-    def readings(self) -> int:
-        """Number of readings in all files; see `RecordingFile`."""
-        return self._n_before + self._file.readings
-
-    @property
-    def size(self) -> int:
-        """Length of the current file [bytes]."""
-        return self._file.size
-
-    def on_samples(self, block: Block) -> None:
-        """Write readings, beyond a limit to the next file; see `Sink`."""
-        age = time.monotonic() - self._opened
-        if self._file.size >= self._limits.size or age >= self._limits.duration:
-            self._continue()
-        self._file.on_samples(block)
-
-    def _continue(self) -> None:
-        """Close the file and open the next; the first one stays locked, and with it the series."""
-        self._file.close()
-        with suppress(OSError):  # the user has moved it
-            self._first_lock = self._first_lock or FileLock(self.first_path)
-        path, file = self._open_next()
-        self._n_before += self._file.readings
-        self.path, self._file, self._opened = path, file, time.monotonic()
-        self._log(f"recording continues in {path}")
-
-    def on_estimate(self, update: EstimateUpdate) -> None:
-        """Write an estimate; see `Sink`."""
-        self._file.on_estimate(update)
-
-    def on_pose(self, pose: TimedPose) -> None:
-        """Write a pose; see `RecordingFile`."""
-        self._file.on_pose(pose)
-
-    def on_event(self, time: float, line: str) -> None:
-        """Write an event; see `Sink`."""
-        self._file.on_event(time, line)
-
-    def on_dropped(self, readings: int, others: int) -> None:
-        """Write the number of what was dropped; see `RecordingFile`."""
-        self._file.on_dropped(readings, others)
-
-    def flush(self) -> None:
-        """Flush the current file; see `RecordingFile`."""
-        self._file.flush()
-
-    def close(self) -> None:
-        """Close the file."""
-        try:
-            self._file.close()
-        finally:
-            if self._first_lock is not None:
-                self._first_lock.close()
-
-
 class RecordingSink(Sink):
     """Sink that records between `start` and `stop`, to a new file each time; no file is ever overwritten unasked."""
 
@@ -324,25 +271,27 @@ class RecordingSink(Sink):
             metadata: additional metadata of an MCAP file.
             limits: when a recording continues in a new file.
         """
-        self._path = path or DEFAULT_FOLDER / f"{model.name}-{datetime.now():%Y%m%d-%H%M%S}.mcap"
+        self._named = path or DEFAULT_FOLDER / f"{model.name}-{datetime.now():%Y%m%d-%H%M%S}.mcap"
         self._model, self._log, self._metadata = model, log, metadata or {}
         self._force, self._limits = force and path is not None, limits
-        self._current: tuple[SplitRecording, BackgroundWriter] | None = None
+        self._current: BackgroundWriter | None = None
         self._number = 0  # of the newest file
+        self._paths: list[Path] = []
+        self._opened = -math.inf
+        self._first_lock: FileLock | None = None
 
     @property
     def path(self) -> Path | None:
         """Path of the current file, or None."""
-        return self._current and self._current[0].path
+        return self._paths[-1] if self._current is not None else None
 
     def state(self) -> tuple[str, str]:
         """Return what is recorded, and why the recording ended by itself; each may be empty."""
         if self._current is None:
             return "", ""
-        recording, writer = self._current
-        if writer.failure:
-            return "", f"ended: {writer.failure}"
-        return f"to {recording.path}, {writer.readings} readings", ""
+        if self._current.failure:
+            return "", f"ended: {self._current.failure}"
+        return f"to {self.path}, {self._current.readings} readings", ""
 
     def start(self) -> str:
         """Open the next file, and return a line that names it.
@@ -351,20 +300,33 @@ class RecordingSink(Sink):
             InputError: a recording is active already, or the file exists or cannot be written.
             MissingDependencyError: the package that writes it is not installed.
         """
-        if self._current is not None and not self._current[1].failure:
+        if self._current is not None and not self._current.failure:
             raise InputError(f"recording to {self.path} is already active")
         self.close()
-        recording = SplitRecording(self._open_next, self._limits, self._log)
-        self._current = recording, BackgroundWriter(recording, str(recording.path), self._log)
-        return f"recording to {recording.path}"
+        self._paths = []
+        file = self._open_next()
+        self._current = BackgroundWriter(file, str(self._paths[0]), self._log, next_file=self._next_file)
+        return f"recording to {self.path}"
 
-    def _open_next(self) -> tuple[Path, RecordingFile]:
-        number, path = self._number + 1, self._path
-        while number > 1 and (path := part_path(self._path, number)).exists():
+    def _open_next(self) -> RecordingFile:
+        number, path = self._number + 1, self._named
+        while number > 1 and (path := part_path(self._named, number)).exists():
             number += 1
         file = open_recording_file(path, self._model, self._force and number == 1, self._metadata)
-        self._number = number
-        return path, file
+        self._number, self._opened = number, time.monotonic()
+        self._paths.append(path)
+        return file
+
+    def _next_file(self, file: RecordingFile) -> RecordingFile:
+        """Return the file, or beyond a limit the next one; the first one stays locked, and with it the series."""
+        if file.size < self._limits.size and time.monotonic() - self._opened < self._limits.duration:
+            return file
+        file.close()
+        with suppress(OSError):  # the user has moved it
+            self._first_lock = self._first_lock or FileLock(self._paths[0])
+        following = self._open_next()
+        self._log(f"recording continues in {self._paths[-1]}")
+        return following
 
     def stop(self) -> str:
         """Close the file, and return a line that names it.
@@ -374,32 +336,35 @@ class RecordingSink(Sink):
         """
         if self._current is None:
             raise InputError("no recording is active")
-        (recording, writer), self._current = self._current, None
+        writer, self._current = self._current, None
         writer.close()
-        first = recording.first_path
-        files = f"{recording.path}" if first == recording.path else f"{first} ... {recording.path.name}"
+        if self._first_lock is not None:
+            self._first_lock.close()
+            self._first_lock = None
+        first, last = self._paths[0], self._paths[-1]
+        files = f"{last}" if first == last else f"{first} ... {last.name}"
         early = f"; it ended early: {writer.failure}" if writer.failure else ""
         return f"recorded {writer.readings} readings to {files}{early}"
 
     def on_samples(self, block: Block) -> None:
         """Record readings; see `Sink`."""
         if self._current is not None:
-            self._current[1].on_samples(block)
+            self._current.on_samples(block)
 
     def on_estimate(self, update: EstimateUpdate) -> None:
         """Record an estimate; see `Sink`."""
         if self._current is not None:
-            self._current[1].on_estimate(update)
+            self._current.on_estimate(update)
 
     def on_pose(self, pose: TimedPose) -> None:
         """Record a pose of the base, by the source's clock."""
         if self._current is not None:
-            self._current[1].on_pose(pose)
+            self._current.on_pose(pose)
 
     def on_event(self, time: float, line: str) -> None:
         """Record an event; see `Sink`."""
         if self._current is not None:
-            self._current[1].on_event(time, line)
+            self._current.on_event(time, line)
 
     def close(self) -> None:
         """Close the current file, if any, and report it."""

@@ -1,4 +1,4 @@
-"""Estimates of single readings, with their rows for CSV and JSON and their line for the terminal."""
+"""Estimates of single readings: rows for CSV and JSON, the line for the terminal, and what is drawn of them."""
 
 import json
 import math
@@ -12,6 +12,7 @@ from probedesign.estimation.bias import KnownBias
 from probedesign.estimation.estimate import Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.estimation.model import ProbeModel
+from probedesign.geometry.tube import BentShape
 from probedesign.live.blocks import WrenchReading
 from probedesign.live.processing.tare import Tare
 from probedesign.live.processing.touches import Contact, Phase
@@ -189,3 +190,41 @@ def _format_or_blank(template: str, *values: float) -> str:
     if all(math.isfinite(value) for value in values):
         return template.format(*values)
     return " " * len(template.format(*[0.0] * len(values)))
+
+
+@dataclass(frozen=True)
+class ContactMarker:
+    """A located contact."""
+
+    p_surface: Array  #: touched point [m], (3,).
+    cov: Array  #: its covariance [m²], (3, 3).
+    force: Array  #: force of the object on the probe [N], (3,).
+    s: float  #: s, std_s: arclength and its standard deviation [m].
+    std_s: float
+    in_world: bool  #: whether all this is in the world frame; otherwise in the base frame.
+    time: float  #: time by the source's clock [s].
+    number: int  #: number of the touch, from 1.
+    friction_ratio: float = float("nan")  #: tangential over normal force; NaN if unknown.
+
+
+def contact_marker(update: EstimateUpdate, number: int) -> ContactMarker | None:
+    """Return the contact, fused if available, otherwise of this reading; None if the estimate is not ok."""
+    estimate, fused, T = update.estimate, update.fused, update.T_world_base
+    if not estimate.ok:
+        return None
+    contact = (estimate.force_base, estimate.s_contact, estimate.std_s)
+    when = (update.reading.time, number, estimate.friction_ratio)
+    if not np.isfinite(T).all():
+        return ContactMarker(estimate.p_surface_base, estimate.cov_surface_base, *contact, False, *when)
+    R, origin = T[:3, :3], T[:3, 3]
+    contact = (R @ estimate.force_base, estimate.s_contact, estimate.std_s)
+    if fused is not None and fused.ok:
+        return ContactMarker(fused.p_surface_world, fused.cov_surface_world, *contact, True, *when)
+    surface = R @ estimate.p_surface_base + origin
+    return ContactMarker(surface, R @ estimate.cov_surface_base @ R.T, *contact, True, *when)
+
+
+def bent_shape(update: EstimateUpdate) -> BentShape | None:
+    """Return the estimated shape of the probe; None if it is unknown."""
+    eq = update.estimate.shape
+    return BentShape(eq.s, eq.p_base, eq.R_base) if eq is not None and eq.ok else None

@@ -6,9 +6,8 @@ from probedesign.core.frames import Array, pose
 from probedesign.core.statistics import ellipsoid_95
 from probedesign.estimation.model import ProbeModel
 from probedesign.geometry.tube import TubeMesh
-from probedesign.live.outputs.drawing import bent_shape, contact_marker
 from probedesign.live.poses.base_poses import pose_from_matrix
-from probedesign.live.processing.estimates import EstimateUpdate
+from probedesign.live.processing.estimates import EstimateUpdate, bent_shape, contact_marker
 from probedesign.live.recordings.schemas import Bytes, CdrBuilder
 
 SCENE_PERIOD = 0.1  #: Minimum interval of the source's clock between two scenes [s]: a scene takes some 20 kB.

@@ -16,7 +16,7 @@ from viser import uplot
 from probedesign.core.frames import Array
 from probedesign.core.statistics import ellipsoid_95
 from probedesign.core.units import MM
-from probedesign.live.outputs.drawing import ContactMarker
+from probedesign.live.processing.estimates import ContactMarker
 from probedesign.live.view.scene import CHART_SECONDS, SceneSetup, StripCharts
 from probedesign.live.view.state import Snapshot, StatusLine
 from probedesign.web.guard import LoopbackServer

@@ -15,9 +15,8 @@ from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimate import RESULTS
 from probedesign.geometry.tube import BentShape
 from probedesign.live.blocks import Block
-from probedesign.live.outputs.drawing import ContactMarker, bent_shape, contact_marker
 from probedesign.live.outputs.sinks import Sink
-from probedesign.live.processing.estimates import EstimateUpdate
+from probedesign.live.processing.estimates import ContactMarker, EstimateUpdate, bent_shape, contact_marker
 
 Level = Literal["good", "fair", "bad", "plain"]
 
