@@ -128,6 +128,14 @@ def test_no_prior_hides_a_large_friction(large, gravity, exact, touched):
 # The force–moment method
 
 
+def test_the_published_method_takes_the_couple_of_friction_for_a_lever_arm(exact, gravity, touched):
+    """A ratio of 0.3 leaves a couple of r F 0.3, which displaces its point by as much."""
+    wrench = touched(0.075, 0.05, along=0.3)
+    published, maximum = (exact.estimate(wrench, gravity, method=name) for name in ("force_moment", "ml"))
+    assert published.result == maximum.result == "ok"
+    assert np.linalg.norm(published.p_contact_base - maximum.p_contact_base) < 3e-3
+
+
 def test_a_dead_force_on_the_centreline_is_found_by_the_published_method(large, exact):
     """Nine oblique forces and mounts are located correctly."""
     rng = np.random.default_rng(3)
