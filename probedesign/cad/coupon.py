@@ -37,7 +37,10 @@ def export_coupon(design: Design, out: Path | None) -> dict[str, Any]:
     """Draw, check and write the coupons; see `probedesign.cad.export_coupon`."""
     folder = Path(os.path.abspath(out or Path("exports") / design.name / "coupon"))
     check_target(folder, "coupon")
-    _check_sheets(folder)
+    listed = listed_digests(folder)
+    for path in (folder / "coupon.csv", folder / "calipers.csv"):
+        if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() != listed.get(path.name):
+            raise InputError(f"{path}: was filled in; move it, or name another folder with --out")
     fingerprint = build_geometry(design).fingerprint
     steps, (rod_d, rod_length) = coupon_steps_mm(design), coupon_rod_mm(design)
     parts = {
@@ -100,15 +103,6 @@ def _solid(name: str, discs: list[Disc]) -> cq.Solid:
     if not solid.isValid() or abs(solid.Volume() / volume - 1.0) > CHECK_LIMIT:
         raise CheckFailedError(f"{name}: the solid is not valid, or differs from its volume of {volume:.6g} mm³")
     return solid
-
-
-def _check_sheets(folder: Path) -> None:
-    """Refuse to replace a sheet that was filled in."""
-    listed = listed_digests(folder)
-    for name in ("coupon.csv", "calipers.csv"):
-        path = folder / name
-        if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() != listed.get(name):
-            raise InputError(f"{path}: was filled in; move it, or name another folder with --out")
 
 
 def _coupon_sheet(design: Design, parts: dict[str, list[Disc]]) -> str:

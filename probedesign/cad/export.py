@@ -13,7 +13,7 @@ from probedesign.cad.exchange import file_date, glb_bytes, step_bytes
 from probedesign.cad.folder import check_target, digests, write_export
 from probedesign.cad.kernel import mass_properties
 from probedesign.cad.mesh import part_stl, scaled, tessellate
-from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad
+from probedesign.cad.model import CadModel, assembly_of, build_cad
 from probedesign.cad.packages import package_files, packed_parts
 from probedesign.cad.verify import Findings, verify
 from probedesign.core.frames import Array
@@ -84,7 +84,11 @@ def model_record(model: CadModel, files: dict[str, dict[str, Any]], findings: Fi
             "clamp",
         ],
         "files": files,
-        "parts": {part.name: _part(part) for part in model.printed},
+        "parts": {
+            part.name: {"frame": part.frame, "T_sensor_part": _pose(part.T_sensor_part), "density_kg_m3": part.density}
+            | _body(mass_properties(part.shape, part.density))
+            for part in model.printed
+        },
         "poses": "4x4, in metres; T_a_b maps b's coordinates into a's",
         "T_sensor_base": _pose(model.adapter.T_sensor_base),
         "T_sensor_robotflange": _pose(model.plate.T_sensor_robotflange),
@@ -93,15 +97,6 @@ def model_record(model: CadModel, files: dict[str, dict[str, Any]], findings: Fi
         "screws": [use.as_record() for use in model.screws],
         "verification": findings,
         "intersections_m3": model.shared_volumes,
-    }
-
-
-def _part(part: CadPart) -> dict[str, Any]:
-    return {
-        "frame": part.frame,
-        "T_sensor_part": _pose(part.T_sensor_part),
-        "density_kg_m3": part.density,
-        **_body(mass_properties(part.shape, part.density)),
     }
 
 

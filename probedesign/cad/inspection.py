@@ -239,22 +239,14 @@ def _disc(
         for label, group in sorted(numbered, key=lambda entry: len(entry[1].points)):  # a single hole has no choice
             points = [(x / MM, (-y if direction is BELOW else y) / MM) for x, y in group.points]
             view.holes(points, 0.6 * group.size / MM, group.on_circle)
-            chosen = _free(points, labelled)
+            rooms = [min((abs(float(np.angle(complex(*p) / q))) for q in labelled), default=np.pi) for p in points]
+            chosen = points[int(np.argmax(np.round(rooms, 6)))]  # in the direction farthest from other labels
             labelled.append(complex(*chosen))
             view.label(chosen, rim, str(label))
     lines = [*table, *notes, *_accepted(model, part.name.replace("_", " "))]
     rows = rows_of(lines, WIDTH - 2 * EDGE - 6.0)
     note(sheet, (EDGE + 6.0, BOTTOM - LINE * TEXT * len(rows)), rows)
     return sheet
-
-
-def _free(points: Sequence[XY], labelled: Sequence[complex]) -> XY:
-    """Return the point whose direction from the centre is farthest from those that have a label."""
-
-    def room(p: XY) -> float:
-        return min((abs(float(np.angle(complex(*p) / other))) for other in labelled), default=np.pi)
-
-    return max(points, key=lambda p: round(room(p), 6))
 
 
 # ---- probe

@@ -79,17 +79,16 @@ def size_findings(part: str, printer: Printer, width: float, height: float, reme
         remedy: against the height, besides a larger printer.
     """
     width, height = width + 2 * RAFT_MARGIN, height + SUPPORT_HEIGHT
-    larger = "it fits no known printer"
-    for other in sorted(PRINTERS.values(), key=lambda one: math.prod(one.build_volume_mm)):
-        x, y, z = other.build_volume_mm
-        if width <= min(x, y) and height <= z:
-            larger = f"it fits a {other.name}"
-            break
+    fitting = (
+        f"it fits a {other.name}"
+        for other in sorted(PRINTERS.values(), key=lambda other: math.prod(other.build_volume_mm))
+        if width <= min(other.build_volume_mm[:2]) and height <= other.build_volume_mm[2]
+    )
+    larger = next(fitting, "it fits no known printer")
     x, y, z = printer.build_volume_mm
-    remedies = "; ".join(filter(None, (remedy, larger)))
     return [
         BUILD_VOLUME.at_most(part, "width with its raft", width, min(x, y), larger),
-        BUILD_VOLUME.at_most(part, "height with its supports", height, z, remedies),
+        BUILD_VOLUME.at_most(part, "height with its supports", height, z, "; ".join(filter(None, (remedy, larger)))),
     ]
 
 
@@ -100,12 +99,10 @@ def probe_findings(geometry: ProbeGeometry) -> list[Finding]:
     thin, bore_ratio = section.flatness * d, section.bore_ratio
     flank = s <= geometry.flank_end / MM  # a rounded tip is not a wire
     i = int(np.argmin(thin[flank]))
-    findings = [
-        SMALLEST_FEATURE.at_least(
-            part, f"minimum thickness, at s = {s[i]:g} mm", float(thin[i]), MIN_THICKNESS,
-            remedy=f"make it {MIN_THICKNESS:g} mm there",
-        )
-    ]  # fmt: skip
+    findings = [SMALLEST_FEATURE.at_least(
+        part, f"minimum thickness, at s = {s[i]:g} mm", float(thin[i]), MIN_THICKNESS,
+        remedy=f"make it {MIN_THICKNESS:g} mm there",
+    )]  # fmt: skip
     # Each knot's diameter over the height above it; between knots the ratio has no minimum.
     height = s[-1] - s[:-1]
     ratio = thin[:-1] / height
@@ -157,40 +154,45 @@ def flange_findings(adapter: SensorAdapter) -> list[Finding]:
 
 def mount_findings(a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
     """Return the findings on the rigid parts, as drawn."""
-    screw, slot = plate.mounting.screw, plate.robot.pin_slot[0]
-    bolt_hole = {"bolt hole": plate.robot.screw.clearance_d} | ({"pin slot": slot} if slot > 0.0 else {})
+    screw, robot = plate.mounting.screw, plate.robot
     parts = {
         "sensor_adapter": (_adapter_walls(a), {"screw hole": a.ring_screw.clearance_d, "dowel hole": a.dowel_d}),
         "clamp_ring": (_ring_walls(a), {"screw hole": a.ring_screw.clearance_d}),
-        "flange_adapter": (_plate_walls(plate), {"sensor screw hole": screw.clearance_d} | bolt_hole),
-    }
-    findings = [SLENDERNESS.at_least(
-        "sensor_adapter", "clocking peg, diameter over height", PEG_D / (a.peg_top - a.groove_floor), GOOD_SLENDERNESS,
-        remedy="make it thicker",
-    )]  # fmt: skip
-    findings.append(LAYER_OVERHANG.warn_above(
-        "sensor_adapter", "roof of a nut's slot beside the screw's hole", a.roof_overhang / MM, MAX_OVERHANG / MM,
-        "take M2 screws",
-    ))  # fmt: skip
+        "flange_adapter": (_plate_walls(plate), {"sensor screw hole": screw.clearance_d,
+                                                 "bolt hole": robot.screw.clearance_d, "pin slot": robot.pin_slot[0]}),
+    }  # fmt: skip
     nearest = min(math.dist((a.peg_x, 0.0), p) for p in a.p_tool_screws)
-    findings.append(ISLAND.at_least(
-        "sensor_adapter", "clocking peg, beside the room of a screw's head",
-        (nearest - PEG_D / 2 - a.tool.screw.counterbore_d / 2) / MM, 0.0, remedy="change mount.flange_lip_mm",
-    ))  # fmt: skip
-    for part, (roofs, cups) in _voids(a, plate).items():
-        findings += [BRIDGE.warn_above(part, what, span / MM, MAX_BRIDGE, "supports must carry it")
-                     for what, span in roofs.items()]  # fmt: skip
+    findings = [
+        SLENDERNESS.at_least("sensor_adapter", "clocking peg, diameter over height",
+                             PEG_D / (a.peg_top - a.groove_floor), GOOD_SLENDERNESS, remedy="make it thicker"),
+        ISLAND.at_least("sensor_adapter", "clocking peg, beside the room of a screw's head",
+                        (nearest - PEG_D / 2 - a.tool.screw.counterbore_d / 2) / MM, 0.0,
+                        remedy="change mount.flange_lip_mm"),
+        LAYER_OVERHANG.warn_above("sensor_adapter", "roof of a nut's slot beside the screw's hole",
+                                  a.roof_overhang / MM, MAX_OVERHANG / MM, "take M2 screws"),
+    ]  # fmt: skip
+    # Voids whose width follows from sensor and robot: a roof, and those that the platform closes.
+    (r0, r1), (v0, v1), _ = plate.cable_pocket
+    cut = r1 >= plate.plate_d / 2  # the pocket is open at the rim
+    pocket = v1 - v0 if cut else min(r1 - r0, v1 - v0)
+    heads = "rooms of the screws' heads"
+    for part, roof, span, cups in (
+        ("sensor_adapter", "roof of a dowel hole", a.dowel_d,
+         {heads: a.tool.screw.counterbore_d, "dowel holes": a.dowel_d}),
+        ("flange_adapter", "roof of the cable's pocket", pocket,
+         {heads: screw.counterbore_d, "pin slot": min(robot.pin_slot), "cable's pocket": 0.0 if cut else pocket}),
+    ):  # fmt: skip
+        findings.append(BRIDGE.warn_above(part, roof, span / MM, MAX_BRIDGE, "supports must carry it"))
         findings += [CUP.warn_above(part, f"{what}, cups on the platform", d / MM, MAX_CUP_D, "drill a vent")
-                     for what, d in cups.items()]  # fmt: skip
+                     for what, d in cups.items() if d > 0.0]  # fmt: skip
     for part, (walls, holes) in parts.items():
         for what, thickness, limit in walls:
             findings.append(WALL.at_least(part, what, thickness / MM, limit, remedy="make it thicker"))
-        for what, d in holes.items():
-            findings.append(OPEN_HOLE.at_least(part, what, d / MM, MIN_HOLE_D, remedy="make it wider"))
-    for stack in tolerance_stacks(a, plate):
-        what = f"{stack.what}, beyond its limits at the worst corner of the tolerances"
-        findings.append(STACK.at_most("mount", what, stack.outside / MM, 0.0, stack.remedy))
-    return findings
+        findings += [OPEN_HOLE.at_least(part, what, d / MM, MIN_HOLE_D, remedy="make it wider")
+                     for what, d in holes.items() if d > 0.0]  # fmt: skip
+    beyond = "beyond its limits at the worst corner of the tolerances"
+    return findings + [STACK.at_most("mount", f"{stack.what}, {beyond}", stack.outside / MM, 0.0, stack.remedy)
+                       for stack in tolerance_stacks(a, plate)]  # fmt: skip
 
 
 def clamp_findings(a: SensorAdapter, plate: FlangeAdapter, modulus: float) -> list[Finding]:
@@ -203,11 +205,9 @@ def clamp_findings(a: SensorAdapter, plate: FlangeAdapter, modulus: float) -> li
     what = f"preload of the ring's {clamp.screws} screws at {clamp.torque:g} N·m, to compress the flange's lip"
     return [
         CLAMP.at_least("mount", what, clamp.preload, clamp.range[1], clamp.nominal, remedy),
-        RING_BENDING.warn_above(
-            "clamp_ring", "bending under the force of the lip, instead of compressing it", sum(clamp.bending) / 2 / MM,
-            MAX_BENDING_SHARE * clamp.squeeze / MM,
-            f"{more}increase mount.flange_thickness_mm, or reduce probe.base_d_mm",
-        ),
+        RING_BENDING.warn_above("clamp_ring", "bending under the force of the lip, instead of compressing it",
+                                sum(clamp.bending) / 2 / MM, MAX_BENDING_SHARE * clamp.squeeze / MM,
+                                f"{more}increase mount.flange_thickness_mm, or reduce probe.base_d_mm"),
     ]  # fmt: skip
 
 
@@ -271,26 +271,6 @@ def _plate_walls(p: FlangeAdapter) -> Walls:
     return walls
 
 
-def _voids(a: SensorAdapter, p: FlangeAdapter) -> dict[str, tuple[dict[str, float], dict[str, float]]]:
-    """Return the voids of the parts as they stand on the platform whose width follows from sensor and robot: spans of
-    their roofs, and diameters of those that the platform closes [m]."""
-    (r0, r1), (v0, v1), _ = p.cable_pocket
-    inside = r1 < p.plate_d / 2  # otherwise the pocket is open at the rim
-    pocket = min(r1 - r0, v1 - v0) if inside else v1 - v0
-    heads, slot = "rooms of the screws' heads", min(p.robot.pin_slot)
-    return {
-        "sensor_adapter": (
-            {"roof of a dowel hole": a.dowel_d}, {heads: a.tool.screw.counterbore_d, "dowel holes": a.dowel_d}
-        ),
-        "flange_adapter": (
-            {"roof of the cable's pocket": pocket},
-            {heads: p.mounting.screw.counterbore_d}
-            | ({"pin slot": slot} if slot > 0.0 else {})
-            | ({"pocket of the cable": pocket} if inside else {}),
-        ),
-    }  # fmt: skip
-
-
 def _reach(points: Iterable[XY]) -> float:
     """Return the distance of equal features from the axis [m]; 0 without any."""
     return max((math.hypot(*p) for p in points), default=0.0)
@@ -318,10 +298,6 @@ class Orientation(NamedTuple):
     def upright(self) -> bool:
         """Return whether the part's z axis points away from the platform."""
         return self.side == "upright"
-
-    def as_record(self) -> dict[str, Any]:
-        """Return the orientation for JSON and the manifest."""
-        return {**self._asdict(), "z_direction": [0.0, 0.0, 1.0 if self.upright else -1.0]}
 
 
 #: The orientation of each part. A test cuts the rigid parts of every known sensor and flange into layers: nothing
@@ -379,17 +355,23 @@ class PrintCheck:
             "warnings": len(self.warnings),
             "findings": [f.as_record() for f in (*self.errors, *self.warnings)],
             "advice": list(self.advice),
-            "orientation": {part: orientation.as_record() for part, orientation in ORIENTATIONS.items()},
+            "orientation": {part: {**stands._asdict(), "z_direction": [0.0, 0.0, 1.0 if stands.upright else -1.0]}
+                            for part, stands in ORIENTATIONS.items()},
             "platforms": [{part: list(axis) for part, axis in platform.items()} for platform in self.platforms],
-        }
+        }  # fmt: skip
 
 
 def check_print(design: Design) -> PrintCheck:
     """Check a design against the rules of its printer and of both resins."""
     mount, printer = Mount.of(design), design.printer
-    geometry = mount.geometry
-    findings = [*_probe_size(design, geometry), *probe_findings(geometry)]
-    platforms = packed({"probe": _width_mm(design, geometry)}, printer)
+    geometry, (sx, _, sz) = mount.geometry, print_scale(design, "probe")
+    width = sx * max(geometry.flange.diameter, 2.0 * float(geometry.radius.max())) / MM
+    below = geometry.flange.thickness / MM
+    longest = (printer.build_volume_mm[2] - SUPPORT_HEIGHT) / sz - below
+    remedy = f"the longest probe for a {printer.name} is {int(longest)} mm" if longest > 0 else ""
+    findings = [*size_findings("probe", printer, width, sz * (below + geometry.length / MM), remedy),
+                *probe_findings(geometry)]  # fmt: skip
+    platforms = packed({"probe": width}, printer)
     plate = mount.flange_adapter
     try:
         a = mount.sensor_adapter
@@ -449,16 +431,3 @@ def packed(diameters_mm: Mapping[str, float], printer: Printer) -> list[dict[str
         centred = np.round(axes - middle + np.array(printer.build_volume_mm[:2]) / 2, 3).tolist()
         platform.update({part: (x, y) for part, (x, y) in zip(platform, centred, strict=True)})
     return platforms
-
-
-def _probe_size(design: Design, geometry: ProbeGeometry) -> list[Finding]:
-    sz, printer = print_scale(design, "probe")[2], design.printer
-    below = geometry.flange.thickness / MM
-    longest = (printer.build_volume_mm[2] - SUPPORT_HEIGHT) / sz - below
-    remedy = f"the longest probe for a {printer.name} is {int(longest)} mm" if longest > 0 else ""
-    return size_findings("probe", printer, _width_mm(design, geometry), sz * (below + geometry.length / MM), remedy)
-
-
-def _width_mm(design: Design, geometry: ProbeGeometry) -> float:
-    width = max(geometry.flange.diameter, 2.0 * float(geometry.radius.max())) / MM
-    return print_scale(design, "probe")[0] * width
