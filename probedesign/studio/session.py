@@ -201,8 +201,9 @@ def _with_keys(data: dict[str, Any], values: Mapping[str, Any]) -> dict[str, Any
 
 def _with_key(data: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
     """Return the tables of a design with one key changed, and the keys that follow from it."""
-    if (key in _FIRST and not isinstance(value, str)) or (key in _ENDS and not isinstance(value, float | int)):
-        return with_values(data, {key: value})  # the check of the design refuses it
+    wrong = (key in _FIRST and not isinstance(value, str)) or (key in _ENDS and not isinstance(value, float | int))
+    if wrong or not isinstance(data.get(key.partition(".")[0]), dict):
+        return with_values(data, {key: value})  # it or the check of the design refuses what is wrong
     match key:
         case "sensor.model":
             sensor = {k: v for k, v in data["sensor"].items() if k != "own"}
@@ -216,9 +217,7 @@ def _with_key(data: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
             probe = {k: v for k, v in data["probe"].items() if k not in ("bore_ratio", "flatness")}
             return {**data, "probe": {**probe, "section": value, **ratios}}
         case "material.youngs_modulus_mpa":  # chosen by hand: no longer what was identified
-            data = with_values(data, {key: value})
-            data["material"].setdefault("provenance", {})["youngs_modulus_mpa"] = "assumed"
-            return data
+            return with_values(data, {key: value, "material.provenance.youngs_modulus_mpa": "assumed"})
         case "probe.length_mm" | "probe.base_d_mm" | "probe.tip_d_mm" if data["probe"].get("profile_mm"):
             return _with_profile_end(data, key, value)
     return with_values(data, {key: value})
