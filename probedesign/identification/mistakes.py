@@ -152,9 +152,8 @@ def _other_probe(stated: Linearization) -> LikelyCause:
     prior[common.print_columns] *= OTHER_PRINT
     point = minimise(replace(stated, problem=replace(problem, prior=prior)), {})[0]
     radius = point.values.rod.radius / common.model.rod.radius
-    before, after = 2.0 * stated.loss({}), 2.0 * point.loss({})
-    evidence = (f"χ² of {len(problem.tests)} tests is {before:.4g}, and {after:.4g} with free diameters, "
-                f"{radius.min():.2f} to {radius.max():.2f} times the design's")  # fmt: skip
+    evidence = (f"χ² of {len(problem.tests)} tests is {2.0 * stated.loss({}):.4g}, and {2.0 * point.loss({}):.4g} with "
+                f"free diameters, {radius.min():.2f} to {radius.max():.2f} times the design's")  # fmt: skip
     words = ("probe: another probe than the design's, or a mistake that is not listed here; check probe and "
              "fingerprint in campaign.toml, and the diameters of the print")  # fmt: skip
     return LikelyCause("probe", words, evidence, _agrees(point), _moves(point, stated))
@@ -176,10 +175,9 @@ def _best_exchange(point: Linearization, seeds: Sequence[str]) -> Exchange | Non
     """Return the two tests, one of them outlying, whose loss falls most by an exchange of their readings."""
     common, of = point.problem.common, {test.name: test for test in point.problem.tests}
     read = [name for name, test in of.items() if test.wrench_base is not None]
-    seeds = [name for name in seeds if name in read]
     stated = {name: _loss_of_test(point, of[name]) for name in read} if seeds else {}
     exchanges = []
-    for a, b in dict.fromkeys((min(a, b), max(a, b)) for a in seeds for b in read if a != b):
+    for a, b in dict.fromkeys((min(a, b), max(a, b)) for a in seeds if a in read for b in read if a != b):
         change, before = _exchange(common, of, (a, b)).change, stated[a] + stated[b]
         after = _loss_of_test(point, change(of[a]))
         after += _loss_of_test(point, change(of[b])) if after < before else 0.0
@@ -189,8 +187,7 @@ def _best_exchange(point: Linearization, seeds: Sequence[str]) -> Exchange | Non
 
 
 def _loss_of_test(point: Linearization, test: MeasuredTest) -> float:
-    """Return the loss of one test by its own unknowns, at the common parameters of a fit; infinite without an
-    equilibrium."""
+    """Return the loss of one test by its own unknowns at a fit's common parameters; infinite without equilibrium."""
     fixed = replace(point.problem, tests=(test,), mass=None, prior=np.zeros(point.problem.common.size))
     start = Linearization(fixed, point.values, (), ()).at(start_nuisance((test,), point.values.rod)[0])
     return minimise(start, {})[0].loss({}) if start.ok else np.inf
