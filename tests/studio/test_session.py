@@ -84,7 +84,8 @@ def test_the_command_line_restores_the_design(session):
 @pytest.mark.parametrize(
     "options",
     ["probe.length_mm", "=3", "probe.lenght_mm=3", "probe.length_mm=nan", "probe.length_mm=-5", "probe.length_mm.x=3",
-     "probe=[] probe.length_mm=3", "sensor=3 sensor.model=gamma", "material.provenance=3 material.youngs_modulus_mpa=3"],
+     "probe=[] probe.length_mm=3", "sensor=3 sensor.model=gamma",
+     "material.provenance=3 material.youngs_modulus_mpa=3"],
 )  # fmt: skip
 def test_bad_options_give_one_line(options):
     with pytest.raises(InputError) as error:
