@@ -139,9 +139,9 @@ class Estimator:
         chi2 = seen.chi2 / self._scatter(readings)
         if chi2 < ALARM_CHI2:
             return Estimate("no_contact", detection_chi2=chi2, solve_shape=lambda: free)
-        if seen.sensor_chi2 / self._scatter(readings) < ALARM_CHI2:
-            # The sensor itself reads zero: it was tared with the probe mounted, and that zero was not taken into
-            # account. A contact that balances all six channels is not a coincidence to believe in.
+        if seen.zero_chi2 / self._scatter(readings) < ALARM_CHI2:
+            # Zero is read: the sensor was tared with the probe mounted, and that zero was not taken into account.
+            # A contact that balances all six channels is not a coincidence to believe in.
             return Estimate("no_tare", detection_chi2=chi2)
         sources = self.sources(gravity)
         noise = covariance(self.model, seen.wrench, readings) + sources.drift

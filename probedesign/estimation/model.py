@@ -143,9 +143,9 @@ NEGLIGIBLE = 1e-2  #: Fraction of the moment's standard deviation below which th
 
 
 #: What `observe` finds: the mean wrench, the flexible part's weight, the misfit of the free probe, the size of the
-#: moment, the misfit of a sensor that reads zero, and the mean's whitening.
+#: moment, the misfit of a reading of zero, and the mean's whitening.
 OBSERVATION = np.dtype([
-    ("wrench", "f8", 6), ("weight", "f8", 3), ("chi2", "f8"), ("moment", "f8"), ("sensor_chi2", "f8"),
+    ("wrench", "f8", 6), ("weight", "f8", 3), ("chi2", "f8"), ("moment", "f8"), ("zero_chi2", "f8"),
     ("whiten", "f8", (6, 6)),
 ])  # fmt: skip
 
@@ -186,7 +186,7 @@ def observe(
             row.wrench[i] += window[k, i] / n
     for q in range(3):
         row.weight[q] = mass * gravity[q]
-    root, chi2, sensor_chi2 = math.sqrt(n), 0.0, 0.0
+    root, chi2, sensor_chi2, base_chi2 = math.sqrt(n), 0.0, 0.0, 0.0
     for i in range(6):
         reading = 0.0
         for j in range(6):
@@ -194,12 +194,14 @@ def observe(
         for j in range(3):
             reading += payload[i, j] * gravity[j]
         sensor_chi2 += n * (reading / std[i]) ** 2
-        off = 0.0
+        off, from_zero = 0.0, 0.0
         for j in range(6):
             row.whiten[i, j] = root * whiten[i, j]
             off += root * whiten[i, j] * (row.wrench[j] - free[j])
+            from_zero += root * whiten[i, j] * row.wrench[j]
         chi2 += off * off
-    row.chi2, row.sensor_chi2 = chi2, sensor_chi2
+        base_chi2 += from_zero * from_zero
+    row.chi2, row.zero_chi2 = chi2, min(sensor_chi2, base_chi2)
     row.moment = math.sqrt(row.wrench[3] ** 2 + row.wrench[4] ** 2 + row.wrench[5] ** 2)
     return True
 
@@ -224,7 +226,8 @@ class Observation:
     gravity: Array  #: base axes [m/s²], (3,).
     weight: Array  #: of the flexible part [N], (3,).
     chi2: float  #: how far it is from the free probe's, six degrees of freedom.
-    sensor_chi2: float = math.inf  #: how far the sensor's own reading is from zero, six degrees of freedom.
+    #: how far the reading of the sensor, or that at the base, is from zero, the less of both; six degrees of freedom.
+    zero_chi2: float = math.inf
 
     @classmethod
     def of(cls, model: ProbeModel, window: Array, gravity: Array, free: Array) -> "Observation | None":
@@ -243,7 +246,7 @@ class Observation:
         wrench, whiten, numerical = row["wrench"], row["whiten"], NUMERICAL * float(row["moment"])
         if numerical > NEGLIGIBLE * model.noise.moment / math.sqrt(readings):
             whiten = statistics.whiten(covariance(model, wrench, readings))
-        return cls(wrench, whiten, gravity, row["weight"], float(row["chi2"]), float(row["sensor_chi2"]))
+        return cls(wrench, whiten, gravity, row["weight"], float(row["chi2"]), float(row["zero_chi2"]))
 
     @property
     def cov(self) -> Array:

@@ -60,6 +60,22 @@ def test_a_free_probe_whose_bias_was_taken_with_the_probe_mounted_has_no_tare(es
         assert_no_position(c)
 
 
+@pytest.mark.parametrize("method", ["ml", "force_moment"])
+def test_a_reading_of_zero_at_the_base_has_no_tare(method, estimator, gravity):
+    """So reads who passes on what the sensor shows; the payload of this probe is far beyond the noise."""
+    model = estimator.model
+    assert np.abs(model.gravity_wrench_sensor(gravity)).max() > 100.0 * model.noise.force
+    noise = np.linalg.cholesky(model.noise_base()) @ np.random.default_rng(5).normal(size=6)
+    for wrench in (np.zeros(6), noise, np.tile(noise, (4, 1))):
+        c = estimator.estimate(wrench, gravity, method=method)
+        assert c.result == "no_tare"
+        assert_no_position(c)
+
+
+def test_a_reading_of_zero_of_a_weightless_probe_is_no_contact(estimator):
+    assert estimator.estimate(np.zeros(6), (0.0, 0.0, 0.0)).result == "no_contact"
+
+
 def test_a_drifting_free_probe_is_no_contact_where_drift_is_counted(large, gravity):
     """The bias is the only error source, as some commands set it; a step is 6 times the noise."""
     rng, model, steps = np.random.default_rng(4), large.model, 1.0
