@@ -114,9 +114,8 @@ def test_only_ok_has_numbers(model, updates, tmp_path, result):
     with AnyReader([tmp_path / "one.mcap"]) as reader:
         found = {c.topic: reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()}
     assert math.isnan(found[schemas.STATE.name].s_contact) == (result != "ok")
-    names = {entity.id for entity in found[schemas.SCENE.name].entities}
-    assert ("contact" in names) == (result == "ok")
-    assert [each.id for each in found[schemas.SCENE.name].deletions] == ([] if result == "ok" else ["contact"])
+    contact = [marker for marker in found[schemas.SCENE.name].markers if marker.ns == "contact"]
+    assert [(marker.id, marker.action) for marker in contact] == [(i, 0 if result == "ok" else 2) for i in (0, 1)]
 
 
 # time stamps
@@ -170,29 +169,27 @@ def test_transforms_are_those_of_the_probe(decoded, model, updates):
 
 def test_the_scene_contains_the_bent_probe_and_its_contact(decoded, updates):
     ok = [each for each in updates if each.estimate.ok]
-    scenes = [(logged, message) for logged, message in decoded[schemas.SCENE.name]]
-    _, scene = next(pair for pair in reversed(scenes) if len(pair[1].entities) == 3)
-    entities = {entity.id: entity for entity in scene.entities}
-    (probe,) = entities["probe"].triangles
-    points = np.array([[p.x, p.y, p.z] for p in probe.points])
-    assert probe.indices.max() == len(points) - 1 and len(probe.indices) % 3 == 0
+    scenes = [message.markers for _, message in decoded[schemas.SCENE.name]]
+    markers = next({(m.ns, m.id): m for m in scene} for scene in reversed(scenes) if scene[-1].action == 0)
+    points = np.array([[p.x, p.y, p.z] for p in markers["probe", 0].points])
+    assert markers["probe", 0].type == 11 and len(points) % 3 == 0  # triangles
     tips = [bent_shape(each).p_base[-1] for each in ok]
     # the centre of the cap at the tip, to a micrometre, for one of the estimates
     assert min(np.linalg.norm(points - tip, axis=1).min() for tip in tips) < 1e-6
-    (ball,), (arrow,) = entities["contact"].spheres, entities["contact"].arrows
+    ball, arrow = markers["contact", 0], markers["contact", 1]
     found = np.array([ball.pose.position.x, ball.pose.position.y, ball.pose.position.z])
     touched = min(ok, key=lambda each: np.linalg.norm(each.estimate.p_surface_base - found)).estimate
     assert found == pytest.approx(touched.p_surface_base)
     # the 95 % ellipsoid: the largest diameter is 2 · 2.7955 of the largest standard deviation
-    assert ball.size.z == pytest.approx(
+    assert ball.scale.z == pytest.approx(
         2 * 2.7955 * math.sqrt(np.linalg.eigvalsh(touched.cov_surface_base)[-1]), rel=1e-3
     )
-    q = arrow.pose.orientation  # its x axis is the direction of the force, and its head ends at the touched point
-    x = np.array([1 - 2 * (q.y**2 + q.z**2), 2 * (q.x * q.y + q.z * q.w), 2 * (q.x * q.z - q.y * q.w)])
-    assert x == pytest.approx(touched.force_base / np.linalg.norm(touched.force_base), abs=1e-9)
-    tail = np.array([arrow.pose.position.x, arrow.pose.position.y, arrow.pose.position.z])
-    assert tail + (arrow.shaft_length + arrow.head_length) * x == pytest.approx(found)
-    assert entities["contact"].lifetime.sec == 1  # an old contact disappears by itself
+    tail, head = (np.array([p.x, p.y, p.z]) for p in arrow.points)
+    assert head == pytest.approx(found)
+    assert (head - tail) / np.linalg.norm(head - tail) == pytest.approx(
+        touched.force_base / np.linalg.norm(touched.force_base), abs=1e-9
+    )
+    assert ball.lifetime.sec == arrow.lifetime.sec == 1  # an old contact disappears by itself
 
 
 # what rosbag2 and Foxglove need
@@ -323,7 +320,7 @@ def test_a_subscriber_receives_the_messages_of_a_recording(server, updates):
     state = decode(by_topic[schemas.STATE.name], data)
     assert state.s_contact == ok.estimate.s_contact and stamp(state) == logged
     scene = decode(by_topic[schemas.SCENE.name], found[schemas.SCENE.name][1])
-    assert {entity.id for entity in scene.entities} == {"probe", "sensor", "contact"}
+    assert {(marker.ns, marker.action) for marker in scene.markers} == {("probe", 0), ("sensor", 0), ("contact", 0)}
     assert b"mark: here" in found[schemas.EVENT.name][1]
 
 
@@ -399,4 +396,5 @@ def test_the_estimate_of_a_fault_is_encoded(model, tmp_path):
     with AnyReader([tmp_path / "fault.mcap"]) as reader:
         found = {c.topic: reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()}
     assert found[schemas.STATE.name].result == list(RESULTS).index("out_of_range")
-    assert {entity.id for entity in found[schemas.SCENE.name].entities} == {"sensor"}
+    shown = [marker.ns for marker in found[schemas.SCENE.name].markers if marker.action == 0]
+    assert shown == ["sensor"]

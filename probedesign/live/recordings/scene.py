@@ -1,4 +1,6 @@
-"""The bent probe, the sensor and the contact as a `SceneUpdate`, which Foxglove draws."""
+"""The bent probe, the sensor and the contact as a `MarkerArray`, which RViz and Foxglove draw."""
+
+from typing import Any
 
 import numpy as np
 
@@ -8,19 +10,17 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.geometry.tube import TubeMesh
 from probedesign.live.poses.base_poses import pose_from_matrix
 from probedesign.live.processing.estimates import EstimateUpdate, bent_shape, contact_marker
-from probedesign.live.recordings.schemas import Bytes, CdrBuilder
+from probedesign.live.recordings.schemas import MARKERS, Bytes, header_time, type_store
 
-SCENE_PERIOD = 0.1  #: Minimum interval of the source's clock between two scenes [s]: a scene takes some 20 kB.
-RINGS, SIDES = 16, 12
-CONTACT_LIFETIME = 1.0  #: Time after which a contact without a newer scene disappears [s].
+SCENE_PERIOD = 0.1  #: Minimum interval of the source's clock between two scenes [s]: a scene takes some 15 kB.
+RINGS, SIDES = 12, 8
+CONTACT_LIFETIME = 1  #: Time after which a contact without a newer scene disappears [s].
 MIN_DIAMETER = 1.8e-3  #: Minimum diameter of the drawn ellipsoid [m], so that it is visible.
-ARROW, SHAFT, HEAD = 0.030, 1.2e-3, 3.2e-3  #: Length of the arrow of the force, and diameters of shaft and head [m].
+ARROW = 0.030  #: Length of the arrow of the force [m].
+ARROW_SIZE = (1.2e-3, 3.2e-3, 3.2e-3)  #: Diameters of its shaft and head, and length of the head [m].
+UNSCALED = (1.0, 1.0, 1.0)
 #: Colours: red, green, blue, opacity.
 PROBE, SENSOR, CONTACT = (0.93, 0.57, 0.26, 0.6), (0.24, 0.25, 0.28, 1.0), (0.91, 0.28, 0.26, 1.0)
-#: Kinds of primitives of an entity, in the order arrows, cubes, spheres, cylinders, lines, triangles, texts, models.
-N_PRIMITIVES = 8
-UPRIGHT = (0.0, 0.0, 0.0, 1.0)  #: Quaternion of the axes of the entity's frame.
-ARROWS, SPHERES, CYLINDERS, TRIANGLES = 0, 2, 3, 5
 
 
 class SceneEncoder:
@@ -29,62 +29,45 @@ class SceneEncoder:
     def __init__(self, model: ProbeModel) -> None:
         rod = model.rod
         self._tube = TubeMesh(rod.s, rod.radius, model.cross_section.flatness, RINGS, SIDES)
-        self._faces = self._tube.faces.reshape(-1)
-        self._body_d, self._height = model.sensor_d, model.sensor_height
+        self._size = (model.sensor_d, model.sensor_d, model.sensor_height)
+        self._T_sensor = pose(np.eye(3), np.array([0.0, 0.0, -0.5 * model.sensor_height]))  # below its tool face
 
     def encode(self, update: EstimateUpdate, stamp: int) -> Bytes:
         """Return the message, (1,), with a time stamp [ns]; the shape of the probe is solved here."""
-        shape, marker = bent_shape(update), contact_marker(update, 1)
-        scene = CdrBuilder()
-        if marker is None:
-            scene.pack("I", 1).time(stamp).pack("B", 0).string("contact")
-        else:
-            scene.pack("I", 0)
-        scene.pack("I", 1 + (shape is not None) + (marker is not None))
-        self._sensor(scene, stamp)
+        store = type_store()
+        types: dict[str, Any] = {name.rpartition("/")[2]: kind for name, kind in store.types.items()}
+        Marker, time, no_time = types["Marker"], types["Time"](*header_time(stamp)), types["Time"](0, 0)
+        no_image = types["CompressedImage"](types["Header"](no_time, ""), "", np.zeros(0, np.uint8))
+        no_mesh = types["MeshFile"]("", np.zeros(0, np.uint8))
+
+        def marker(
+            name: str, number: int, frame: str, kind: int, T: Array, colour: Any, size: Any, points: Any = ()
+        ) -> Any:
+            at = pose_from_matrix(0.0, T)
+            return Marker(
+                types["Header"](time, frame), name, number, kind, Marker.DELETE if size is None else Marker.ADD,
+                types["Pose"](types["Point"](*at.p), types["Quaternion"](*at.q)),
+                types["Vector3"](*(size or UNSCALED)), types["ColorRGBA"](*colour),
+                types["Duration"](CONTACT_LIFETIME if name == "contact" else 0, 0), True,
+                [types["Point"](*point) for point in np.reshape(points, (-1, 3)).tolist()], [], "", no_image, [], "",
+                "", no_mesh, False,
+            )  # fmt: skip
+
+        shape, contact = bent_shape(update), contact_marker(update, 1)
+        markers = [marker("sensor", 0, "sensor", Marker.CYLINDER, self._T_sensor, SENSOR, self._size)]
         if shape is not None:
-            _begin(scene, "probe", "base", stamp, 0.0)
-            for kind in range(N_PRIMITIVES):
-                scene.pack("I", kind == TRIANGLES)
-                if kind == TRIANGLES:
-                    scene.pack("d", 0.0, 0.0, 0.0, *UPRIGHT).array(self._tube.vertices(shape), "<f8").pack("d", *PROBE)
-                    scene.pack("I", 0).array(self._faces, "<u4")
-        if marker is not None:
-            _begin(scene, "contact", "world" if marker.in_world else "base", stamp, CONTACT_LIFETIME)
-            half_axes, axes = ellipsoid_95(marker.cov)
-            for kind in range(N_PRIMITIVES):
-                scene.pack("I", kind in (ARROWS, SPHERES))
-                if kind == ARROWS:
-                    R = _x_along(marker.force)
-                    _pose(scene, pose(R, marker.p_surface - ARROW * R[:, 0]))
-                    scene.pack("d", ARROW - HEAD, SHAFT, HEAD, HEAD, *CONTACT)
-                elif kind == SPHERES:
-                    diameters = np.maximum(2.0 * half_axes, MIN_DIAMETER)
-                    _pose(scene, pose(axes, marker.p_surface)).pack("d", *diameters, *CONTACT)
-        return scene.message()
-
-    def _sensor(self, scene: CdrBuilder, stamp: int) -> None:
-        """Append the body of the sensor; its tool face is the origin of the sensor's frame."""
-        _begin(scene, "sensor", "sensor", stamp, 0.0)
-        for kind in range(N_PRIMITIVES):
-            scene.pack("I", kind == CYLINDERS)
-            if kind == CYLINDERS:
-                scene.pack("d", 0.0, 0.0, -0.5 * self._height, *UPRIGHT)
-                scene.pack("d", self._body_d, self._body_d, self._height, 1.0, 1.0, *SENSOR)
-
-
-def _begin(scene: CdrBuilder, name: str, frame: str, stamp: int, lifetime: float) -> None:
-    """Append an entity up to its primitives; it follows its frame."""
-    scene.time(stamp).string(frame).string(name).time(round(lifetime * 1e9)).pack("?", True).pack("I", 0)
-
-
-def _pose(scene: CdrBuilder, T: Array) -> CdrBuilder:
-    """Append a pose (4, 4)."""
-    return scene.pack("d", *T[:3, 3], *pose_from_matrix(0.0, T).q)
-
-
-def _x_along(force: Array) -> Array:
-    x = force / np.linalg.norm(force)
-    z = np.cross(x, np.eye(3)[int(np.argmin(np.abs(x)))])
-    z /= np.linalg.norm(z)
-    return np.stack([x, np.cross(z, x), z], axis=1)
+            corners = self._tube.vertices(shape)[self._tube.faces]
+            markers.append(marker("probe", 0, "base", Marker.TRIANGLE_LIST, np.eye(4), PROBE, UNSCALED, corners))
+        frame, T, ball, arrow = "base", np.eye(4), None, None
+        ends: tuple[Array, ...] = ()
+        if contact is not None:
+            frame = "world" if contact.in_world else "base"
+            half_axes, axes = ellipsoid_95(contact.cov)
+            T, arrow = pose(axes, contact.p_surface), ARROW_SIZE
+            ball = tuple(np.maximum(2.0 * half_axes, MIN_DIAMETER).tolist())
+            tail = contact.p_surface - ARROW * contact.force / np.linalg.norm(contact.force)
+            ends = (tail, contact.p_surface)
+        markers.append(marker("contact", 0, frame, Marker.SPHERE, T, CONTACT, ball))
+        markers.append(marker("contact", 1, frame, Marker.ARROW, np.eye(4), CONTACT, arrow, ends))
+        message = bytes(store.serialize_cdr(types["MarkerArray"](markers), MARKERS))
+        return np.frombuffer(message, f"V{len(message)}")

@@ -1,7 +1,7 @@
 """Topics and ROS 2 messages of a recording and of the Foxglove server: definitions, CDR encoding, QoS, JSON schemas.
 
-Source: OMG DDSI-RTPS, CDR encapsulation; the definitions are those of ROS 2's common_interfaces and geometry2, and of
-foxglove_msgs 3 (`SceneUpdate`); `probedesign_msgs/msg/Contact` is this project's.
+Source: OMG DDSI-RTPS, CDR encapsulation; the definitions are those of ROS 2's common_interfaces and geometry2, from
+rosbags; `probedesign_msgs/msg/Contact` is this project's.
 """
 
 import json
@@ -9,14 +9,18 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from probedesign.core.errors import require
 from probedesign.core.frames import Array
 from probedesign.estimation.estimate import RESULTS
 from probedesign.live.processing.estimates import COLUMNS, WORLD_COLUMNS
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"  #: The first and the last bytes of an MCAP file.
 RECORD_PREFIX = struct.Struct("<BQ")  #: Opcode of a record and the length of its content, before the content.
@@ -46,18 +50,11 @@ POSE = "geometry_msgs/msg/PoseStamped"
 UNCERTAIN_POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TEXT = "std_msgs/msg/String"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
-SCENE_UPDATE = "foxglove_msgs/msg/SceneUpdate"
+MARKERS = "visualization_msgs/msg/MarkerArray"
 CONTACT_STATE = "probedesign_msgs/msg/Contact"
 
 #: Phases in the order of their numbers in `CONTACT_STATE`.
 PHASES = ("", "free", "moving", "touching", "settled", "released")
-
-_HEADER = {"std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
-           "builtin_interfaces/Time": "int32 sec\nuint32 nanosec"}  # fmt: skip
-_POSE = {"geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
-         "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z",
-         "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w"}  # fmt: skip
-_VECTOR = {"geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z"}
 
 
 def _constants(names: Sequence[str], prefix: str = "") -> str:
@@ -79,66 +76,32 @@ uint8 result
 {_constants(PHASES, "PHASE_")}
 uint8 phase"""
 
-_PRIMITIVE = "geometry_msgs/Pose pose\n{}\nfoxglove_msgs/Color color"
-_COLOURED = "geometry_msgs/Point[] points\nfoxglove_msgs/Color color\nfoxglove_msgs/Color[] colors\nuint32[] indices"
-_TIME = {"builtin_interfaces/Time": "int32 sec\nuint32 nanosec"}
-_SCENE = _TIME | _POSE | _VECTOR | {
-    "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec",
-    "foxglove_msgs/SceneEntityDeletion":
-        "builtin_interfaces/Time timestamp\nuint8 MATCHING_ID=0\nuint8 ALL=1\nuint8 type\nstring id",
-    "foxglove_msgs/SceneEntity":
-        "builtin_interfaces/Time timestamp\nstring frame_id\nstring id\nbuiltin_interfaces/Duration lifetime\n"
-        "bool frame_locked\nfoxglove_msgs/KeyValuePair[] metadata\nfoxglove_msgs/ArrowPrimitive[] arrows\n"
-        "foxglove_msgs/CubePrimitive[] cubes\nfoxglove_msgs/SpherePrimitive[] spheres\n"
-        "foxglove_msgs/CylinderPrimitive[] cylinders\nfoxglove_msgs/LinePrimitive[] lines\n"
-        "foxglove_msgs/TriangleListPrimitive[] triangles\nfoxglove_msgs/TextPrimitive[] texts\n"
-        "foxglove_msgs/ModelPrimitive[] models",
-    "foxglove_msgs/KeyValuePair": "string key\nstring value",
-    "foxglove_msgs/Color": "float64 r\nfloat64 g\nfloat64 b\nfloat64 a",
-    "foxglove_msgs/ArrowPrimitive": _PRIMITIVE.format(
-        "float64 shaft_length\nfloat64 shaft_diameter\nfloat64 head_length\nfloat64 head_diameter"),
-    "foxglove_msgs/CubePrimitive": _PRIMITIVE.format("geometry_msgs/Vector3 size"),
-    "foxglove_msgs/SpherePrimitive": _PRIMITIVE.format("geometry_msgs/Vector3 size"),
-    "foxglove_msgs/CylinderPrimitive": _PRIMITIVE.format(
-        "geometry_msgs/Vector3 size\nfloat64 bottom_scale\nfloat64 top_scale"),
-    "foxglove_msgs/LinePrimitive":
-        "uint8 LINE_STRIP=0\nuint8 LINE_LOOP=1\nuint8 LINE_LIST=2\nuint8 type\ngeometry_msgs/Pose pose\n"
-        f"float64 thickness\nbool scale_invariant\n{_COLOURED}",
-    "foxglove_msgs/TriangleListPrimitive": f"geometry_msgs/Pose pose\n{_COLOURED}",
-    "foxglove_msgs/TextPrimitive": "geometry_msgs/Pose pose\nbool billboard\nfloat64 font_size\n"
-        "bool scale_invariant\nfoxglove_msgs/Color color\nstring text",
-    "foxglove_msgs/ModelPrimitive": "geometry_msgs/Pose pose\ngeometry_msgs/Vector3 scale\n"
-        "foxglove_msgs/Color color\nbool override_color\nstring url\nstring media_type\nuint8[] data",
-}  # fmt: skip
-_DEFINITIONS = {
-    WRENCH: ("std_msgs/Header header\ngeometry_msgs/Wrench wrench",
-             _HEADER | _VECTOR
-             | {"geometry_msgs/Wrench": "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque"}),
-    POSE: ("std_msgs/Header header\ngeometry_msgs/Pose pose", _HEADER | _POSE),
-    UNCERTAIN_POSE: ("std_msgs/Header header\ngeometry_msgs/PoseWithCovariance pose", _HEADER
-                     | {"geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance"}
-                     | _POSE),
-    TEXT: ("string data", {}),
-    TRANSFORMS: ("geometry_msgs/TransformStamped[] transforms", _HEADER | _VECTOR | {
-        "geometry_msgs/TransformStamped":
-            "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform",
-        "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation",
-        "geometry_msgs/Quaternion": _POSE["geometry_msgs/Quaternion"]}),
-    CONTACT_STATE: (_CONTACT, _HEADER | _VECTOR | {"geometry_msgs/Point": _POSE["geometry_msgs/Point"]}),
-    SCENE_UPDATE: ("foxglove_msgs/SceneEntityDeletion[] deletions\nfoxglove_msgs/SceneEntity[] entities", _SCENE),
-}  # fmt: skip
-
 #: Encapsulation header of little-endian CDR. The fields after it are aligned as if it were at offset zero.
 CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-_SEPARATOR = "\n" + 80 * "=" + "\n"
 _SECONDS = (-(2**31), 2**31 - 1)
 _MAX_SECONDS = 9e9  #: Maximum number of seconds in 63 bits of nanoseconds.
 
 
+@cache
+def type_store() -> "Typestore":
+    """Return the message types of ROS 2, from Humble on, and our own.
+
+    Raises:
+        MissingDependencyError: rosbags, which has them, is not installed.
+    """
+    require("rosbags", "an MCAP recording or --foxglove", "live")
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg(_CONTACT, CONTACT_STATE))
+    return store
+
+
 def definition(name: str) -> bytes:
     """Return the definition of a message type with all types it contains, in the `ros2msg` format."""
-    own, parts = _DEFINITIONS[name]
-    return (_SEPARATOR.join([own, *(f"MSG: {part}\n{text}" for part, text in parts.items())]) + "\n").encode()
+    text, _ = type_store().generate_msgdef(name, ros_version=2)
+    _, separator, parts = text.partition("=" * 80)
+    return (f"{_CONTACT}\n{separator}{parts}" if name == CONTACT_STATE else text).encode()  # ours has comments
 
 
 def nanoseconds(time: ArrayLike) -> Nanoseconds:
@@ -146,6 +109,12 @@ def nanoseconds(time: ArrayLike) -> Nanoseconds:
     seconds_known = np.nan_to_num(np.asarray(time, dtype=float))
     whole: Nanoseconds = np.rint(np.clip(seconds_known, -_MAX_SECONDS, _MAX_SECONDS) * 1e9).astype(np.int64)
     return whole
+
+
+def header_time(stamp: int) -> tuple[int, int]:
+    """Return seconds, limited to the 32 bits of a header, and nanoseconds of a time stamp [ns]."""
+    second, rest = divmod(stamp, 1_000_000_000)
+    return max(min(second, _SECONDS[1]), _SECONDS[0]), rest
 
 
 def stamped(frame: str, stamps: ArrayLike, values: ArrayLike, codes: ArrayLike | None = None) -> Bytes:
@@ -191,47 +160,6 @@ def texts(data: Sequence[str]) -> Bytes:
     return np.frombuffer(whole, f"V{len(head) + length + 1}")
 
 
-class CdrBuilder:
-    """Builds one message of any type, field by field; each is aligned to its size."""
-
-    def __init__(self) -> None:
-        self._data = bytearray(CDR_LITTLE_ENDIAN)
-
-    def pack(self, kind: str, *values: float) -> "CdrBuilder":
-        """Append numbers of one `struct` kind: b, B, ?, i, I, d."""
-        self._align(struct.calcsize(f"<{kind}"))
-        self._data += struct.pack(f"<{len(values)}{kind}", *values)
-        return self
-
-    def time(self, stamp: int) -> "CdrBuilder":
-        """Append a time stamp [ns], limited to 32 bits of seconds."""
-        second, rest = divmod(stamp, 1_000_000_000)
-        return self.pack("i", max(min(second, _SECONDS[1]), _SECONDS[0])).pack("I", rest)
-
-    def string(self, text: str) -> "CdrBuilder":
-        """Append a string."""
-        content = text.encode() + b"\0"
-        self.pack("I", len(content))
-        self._data += content
-        return self
-
-    def array(self, values: NDArray[Any], kind: str) -> "CdrBuilder":
-        """Append a sequence: the number of rows, then all numbers as one `numpy` kind: <f8, <u4."""
-        self.pack("I", len(values))
-        if len(values):
-            data = np.ascontiguousarray(values, kind)
-            self._align(data.itemsize)
-            self._data += data.tobytes()
-        return self
-
-    def message(self) -> Bytes:
-        """Return the message, (1,)."""
-        return np.frombuffer(bytes(self._data), f"V{len(self._data)}")
-
-    def _align(self, size: int) -> None:
-        self._data += bytes(-(len(self._data) - len(CDR_LITTLE_ENDIAN)) % size)
-
-
 def transform(parent: str, child: str, stamp: int, p: Sequence[float], q: Sequence[float]) -> Bytes:
     """Return a TF message with one transform, (1,).
 
@@ -242,8 +170,12 @@ def transform(parent: str, child: str, stamp: int, p: Sequence[float], q: Sequen
         p: origin of the child [m], three numbers.
         q: orientation as a quaternion x, y, z, w.
     """
-    builder = CdrBuilder().pack("I", 1).time(stamp).string(parent).string(child)
-    return builder.pack("d", *p, *q).message()
+    data = struct.pack("<IiI", 1, *header_time(stamp))
+    for name, alignment in ((parent, 4), (child, 8)):  # of what follows
+        data += struct.pack("<I", len(name.encode()) + 1) + name.encode() + b"\0"
+        data += bytes(-len(data) % alignment)
+    message = CDR_LITTLE_ENDIAN + data + struct.pack("<7d", *p, *q)
+    return np.frombuffer(message, f"V{len(message)}")
 
 
 def read_stamped(data: bytes | memoryview, doubles: int) -> tuple[int, str, tuple[float, ...]]:
@@ -393,7 +325,7 @@ EVENT = Topic(
 #: The numbers of each estimate with its result and its phase, for plots.
 STATE = Topic("/probedesign/state", CONTACT_STATE, {})
 #: The bent probe, the sensor, and the contact with its 95 % ellipsoid and its force.
-SCENE = Topic("/probedesign/scene", SCENE_UPDATE, {})
+SCENE = Topic("/probedesign/scene", MARKERS, {})
 TF = Topic("/tf", TRANSFORMS, {})  #: Pose of the base in the world, as `BASE`.
 TF_STATIC = Topic("/tf_static", TRANSFORMS, {}, latched=True)  #: Pose of the sensor in the base.
 TOPICS = (RAW, BLOCK, WITHOUT_BIAS, CONTACT, CONTACT_WORLD, BASE, ESTIMATE, EVENT, STATE, SCENE, TF, TF_STATIC)
