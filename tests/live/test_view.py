@@ -21,9 +21,8 @@ from probedesign.live.processing.estimates import ContactMarker, EstimateUpdate,
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.view.page import events_html, status_html
-from probedesign.live.view.scene import StripCharts
 from probedesign.live.view.sinks import TerminalView, scene_setup, table_of
-from probedesign.live.view.state import STRIP, Event, Snapshot, StatusLine, ViewState
+from probedesign.live.view.state import MAX_EVENTS, STRIP, Event, Snapshot, StatusLine, StripCharts, ViewState
 from probedesign.web.rigid_parts import RECORD, read_stl, rigid_parts
 
 
@@ -259,14 +258,9 @@ def test_tares_and_marks_stay_visible_among_many_other_events():
         state.on_event(3.0 + i, f"touch {i}, {i}.02 ... {i}.90 s: single reading: s {i}.5 mm")
         state.on_event(3.5 + i, f"192.168.1.1: {i} records lost on the way")
     events = state.snapshot().events
-    assert [(event.line[:4], event.number) for event in events] == [
-        ("tare", 1), ("mark", 1), ("touc", 300), ("192.", 300)
-    ]  # fmt: skip
-    assert events[2].line.startswith("touch 299,") and "(×300)" in events_html(state.snapshot())
-    for i in range(100):  # of as many kinds
-        state.on_event(400.0, "".join(chr(97 + int(digit)) for digit in f"{i:03}") + " went wrong")
-    assert len(state.snapshot().events) <= 16
-    assert {"mark: third card", "tare from 100 readings"} <= {e.line for e in state.snapshot().events}
+    assert [event.line[:4] for event in events[:2]] == ["tare", "mark"]
+    assert len(events) == 2 + MAX_EVENTS and events[-2].line.startswith("touch 299,")
+    assert "touch 299, 299.02" in events_html(state.snapshot())
 
 
 def test_the_end_of_a_run_is_shown_without_a_green_banner(estimator):

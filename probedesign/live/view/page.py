@@ -17,8 +17,7 @@ from probedesign.core.frames import Array
 from probedesign.core.statistics import ellipsoid_95
 from probedesign.core.units import MM
 from probedesign.live.processing.estimates import ContactMarker
-from probedesign.live.view.scene import CHART_SECONDS, SceneSetup, StripCharts
-from probedesign.live.view.state import Snapshot, StatusLine
+from probedesign.live.view.state import CHART_SECONDS, SceneSetup, Snapshot, StripCharts
 from probedesign.web.guard import LoopbackServer
 from probedesign.web.scene import (
     ARROW,
@@ -47,7 +46,11 @@ def status_html(snapshot: Snapshot, beat: int = 0) -> str:
     if not snapshot.status:
         return ""
     first, *rest = snapshot.status
-    rows = "".join(_status_row(line) for line in rest)
+    rows = ""
+    for line in rest:
+        now = " pd-now" if line.name in CURRENT else ""
+        rows += f'<tr><td class="pd-name{now}">{escape(line.name)}</td>'
+        rows += f'<td class="pd-{line.level}{now}">{escape(line.text)}</td></tr>'
     old = ' class="pd-old"' if snapshot.stale else ""
     recording = f'<div class="pd-rec">● recording {escape(snapshot.recording)}</div>' if snapshot.recording else ""
     return (
@@ -56,42 +59,23 @@ def status_html(snapshot: Snapshot, beat: int = 0) -> str:
     )
 
 
-def _status_row(line: StatusLine) -> str:
-    now = " pd-now" if line.name in CURRENT else ""
-    return (
-        f'<tr><td class="pd-name{now}">{escape(line.name)}</td>'
-        f'<td class="pd-{line.level}{now}">{escape(line.text)}</td></tr>'
-    )
-
-
 def events_html(snapshot: Snapshot) -> str:
-    """Return the last events, newest first; similar ones are one line with their number."""
-    lines = "".join(
-        f"<tr><td>{_time_text(event.time)}</td><td>{escape(event.line)}"
-        f"{f' <b>(×{event.number})</b>' if event.number > 1 else ''}</td></tr>"
-        for event in reversed(snapshot.events)
-    )
-    return f'<div class="pd pd-small"><table>{lines}</table></div>'
+    """Return the last events, newest first."""
+    times = [f"{event.time:.1f} s" if math.isfinite(event.time) else "" for event in snapshot.events]
+    rows = [f"<tr><td>{t}</td><td>{escape(e.line)}</td></tr>" for t, e in zip(times, snapshot.events, strict=True)]
+    return f'<div class="pd pd-small"><table>{"".join(reversed(rows))}</table></div>'
 
 
 def touches_html(touches: tuple[ContactMarker, ...]) -> str:
     """Return the earlier touches, newest first."""
     if not touches:
         return '<div class="pd pd-small">none yet; added when a touch ends</div>'
-    rows = "".join(_touch(marker) for marker in reversed(touches[-MAX_SHOWN:]))
-    head = "<tr><td>no.</td><td>s ± std [mm]</td><td>x, y, z [mm]</td><td>frame</td></tr>"
-    return f'<div class="pd pd-small"><table>{head}{rows}</table></div>'
-
-
-def _touch(marker: ContactMarker) -> str:
-    x, y, z = (f"{float(value) / MM:z.1f}" for value in marker.p_surface)
-    frame = "world" if marker.in_world else "base"
-    s = f"{marker.s / MM:.1f} ± {marker.std_s / MM:.1f}"
-    return f"<tr><td>{marker.number}</td><td>{s}</td><td>{x}, {y}, {z}</td><td>{frame}</td></tr>"
-
-
-def _time_text(time: float) -> str:
-    return f"{time:.1f} s" if math.isfinite(time) else ""
+    rows = "<tr><td>no.</td><td>s ± std [mm]</td><td>x, y, z [mm]</td><td>frame</td></tr>"
+    for marker in reversed(touches[-MAX_SHOWN:]):
+        x, y, z = (f"{float(value) / MM:z.1f}" for value in marker.p_surface)
+        rows += f"<tr><td>{marker.number}</td><td>{marker.s / MM:.1f} ± {marker.std_s / MM:.1f}</td>"
+        rows += f"<td>{x}, {y}, {z}</td><td>{'world' if marker.in_world else 'base'}</td></tr>"
+    return f'<div class="pd pd-small"><table>{rows}</table></div>'
 
 
 #: Colours of x, y and z.
@@ -120,8 +104,16 @@ class Panel:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(STATUS_WIDTH)
         self._texts = [gui.add_html("")]
-        self._recording = False
-        self._start, self._stop = self._buttons(gui, send_command)
+        tare = gui.add_button("Tare: the probe is free", icon=viser.Icon.SCALE)
+        tare.on_click(lambda _: send_command("tare", ""))
+        text = gui.add_text("Note", "")
+        mark = gui.add_button("Mark this time", icon=viser.Icon.FLAG)
+        mark.on_click(lambda _: send_command("mark", text.value))
+        self._start = gui.add_button("Start recording", icon=viser.Icon.PLAYER_RECORD, color="red")
+        self._start.on_click(lambda _: send_command("start recording", ""))
+        self._stop = gui.add_button("Stop recording", icon=viser.Icon.PLAYER_STOP, color="gray")
+        self._stop.on_click(lambda _: send_command("stop recording", ""))
+        self._stop.disabled = True
         for title in ("Events", "Touches so far"):
             with gui.add_folder(title):
                 self._texts.append(gui.add_html(""))
@@ -138,30 +130,10 @@ class Panel:
         strips.dock_left()
         strips.set_width(CHARTS_WIDTH)
 
-    def _buttons(
-        self, gui: viser.GuiApi, send_command: Callable[[str, str], None]
-    ) -> tuple[viser.GuiButtonHandle, viser.GuiButtonHandle]:
-        """Create the buttons; return those that start and stop a recording."""
-        tare = gui.add_button("Tare: the probe is free", icon=viser.Icon.SCALE)
-        tare.on_click(lambda _: send_command("tare", ""))
-        text = gui.add_text("Note", "")
-        mark = gui.add_button("Mark this time", icon=viser.Icon.FLAG)
-        mark.on_click(lambda _: send_command("mark", text.value))
-        start = gui.add_button("Start recording", icon=viser.Icon.PLAYER_RECORD, color="red")
-        start.on_click(lambda _: send_command("start recording", ""))
-        stop = gui.add_button("Stop recording", icon=viser.Icon.PLAYER_STOP, color="gray")
-        stop.on_click(lambda _: send_command("stop recording", ""))
-        stop.disabled = True
-        return start, stop
-
-    def show_recording(self, active: bool) -> None:
-        """Enable the button that applies."""
-        if active != self._recording:
-            self._recording = self._start.disabled = active
-            self._stop.disabled = not active
-
-    def show_text(self, *texts: str) -> None:
-        """Update status, events and touches where they have changed."""
+    def show(self, recording: bool, *texts: str) -> None:
+        """Update status, events and touches, and enable the button that applies, where they have changed."""
+        if recording != self._start.disabled:
+            self._start.disabled, self._stop.disabled = recording, not recording
         for shown, text in zip(self._texts, texts, strict=True):
             if shown.content != text:
                 shown.content = text
@@ -203,8 +175,6 @@ def _chart(gui: viser.GuiApi, title: str, names: tuple[str, ...], dots: bool = F
     )
 
 
-SendCommand = Callable[[str, str], None]
-
 MAX_MARKS = 24  #: Maximum number of earlier touches that are drawn.
 LABEL_GAP = 0.012  #: Minimum distance between two numbered touches [m].
 FIELD_OF_VIEW = math.radians(40.0)
@@ -222,7 +192,7 @@ AGEING = 0.5  #: Interval in which the charts of old data are drawn again [s].
 class ViewerPage:
     """Shows one snapshot after another in every connected browser."""
 
-    def __init__(self, setup: SceneSetup, send_command: SendCommand) -> None:
+    def __init__(self, setup: SceneSetup, send_command: Callable[[str, str], None]) -> None:
         """Start the server and show the free probe; `send_command` receives a command and its text."""
         self._setup, self._charts = setup, StripCharts()
         self._drawn_age = 0.0
@@ -251,9 +221,8 @@ class ViewerPage:
             self._show_probe(snapshot)
             self._show_contact(snapshot)
             self._show_touches(snapshot.touches)
-            status = status_html(snapshot, int(time.monotonic()))
-            self._panel.show_text(status, events_html(snapshot), touches_html(snapshot.touches))
-            self._panel.show_recording(bool(snapshot.recording))
+            status, touches = status_html(snapshot, int(time.monotonic())), touches_html(snapshot.touches)
+            self._panel.show(bool(snapshot.recording), status, events_html(snapshot), touches)
             age = snapshot.age if snapshot.stale and math.isfinite(snapshot.age) else 0.0
             if self._charts.add(snapshot.strip) or abs(age - self._drawn_age) > AGEING:
                 self._panel.draw(self._charts, age)
@@ -334,20 +303,16 @@ class ViewerPage:
 
     def _show_probe(self, snapshot: Snapshot) -> None:
         """Show the estimated shape; grey and unchanged if it is unknown."""
-        T = self._pose(snapshot)
+        T = np.eye(4)  # of the base in the scene: in the world, or upright by gravity if it is unknown
+        if np.isfinite(snapshot.T_world_base).all():
+            T = snapshot.T_world_base
+        else:
+            T[:3, :3] = level_rotation(snapshot.gravity_base)
         self._base.wxyz, self._base.position = quaternion(T[:3, :3]), UNIT * T[:3, 3]
         if snapshot.shape is not None:
             self._probe.vertices = (UNIT * self._setup.tube.vertices(snapshot.shape)).astype(np.float32)
         current = (snapshot.shape is not None and not snapshot.stale) or not snapshot.result
         self._probe.color = PROBE if current else STALE_COLOUR
-
-    def _pose(self, snapshot: Snapshot) -> Array:
-        """Return the base pose in the scene: in the world, or upright by gravity if it is unknown."""
-        if np.isfinite(snapshot.T_world_base).all():
-            return snapshot.T_world_base
-        T = np.eye(4)
-        T[:3, :3] = level_rotation(snapshot.gravity_base)
-        return T
 
     def _scene_transform(self, marker: ContactMarker) -> tuple[Array, Array]:
         if marker.in_world:

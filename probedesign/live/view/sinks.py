@@ -19,8 +19,7 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.geometry.tube import BentShape, TubeMesh
 from probedesign.live import Log
 from probedesign.live.processing.commands import CommandName, CommandQueue
-from probedesign.live.view.scene import SceneSetup
-from probedesign.live.view.state import Counts, Level, RecordingState, Snapshot, ViewState, not_recording
+from probedesign.live.view.state import Counts, Level, RecordingState, SceneSetup, Snapshot, ViewState, not_recording
 from probedesign.web import LOOPBACK
 from probedesign.web.rigid_parts import rigid_parts
 
@@ -72,18 +71,39 @@ class BrowserView(ViewState):
             MissingDependencyError: viser is not installed.
         """
         require("viser", "--view", "view")
-        _check_address(host, port)
+        if not 0 < port < 65536:
+            raise InputError(f"--view-port {port} must be in 1 ... 65535")
+        try:  # viser reports a port in use only
+            address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+            with socket.socket(*address[:3]) as trial:
+                trial.bind(address[4])
+        except (OSError, UnicodeError) as error:
+            reason = getattr(error, "strerror", None) or error
+            raise InputError(f"--view-host {host}: {reason}; use an address of this machine") from None
         self._commands, self._log = commands, log
         super().__init__(counts, recording=recording)
         self._ended = threading.Event()
-        self._process = process = _start_process()
+        paths = os.pathsep.join(filter(None, [str(Path(__file__).parents[3]), os.environ.get("PYTHONPATH", "")]))
+        # neither Ctrl-C nor a closing terminal ends it, only the end of its input
+        self._process = process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "probedesign.live.view"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            env=os.environ | {"PYTHONPATH": paths}, start_new_session=True,
+        )  # fmt: skip
         assert process.stdin is not None and process.stdout is not None
         token = "" if host in LOOPBACK else secrets.token_urlsafe(TOKEN_BYTES)
         with suppress(BrokenPipeError):  # the next line reports the reason
             self._send(process.stdin, scene_setup(estimator, folder, host, port, log, token))
-        self.url = self._wait_for_url(process.stdout)
+        message = _parse_message(process.stdout.readline())
+        if "url" not in message:
+            process.kill()
+            why = message.get("error", "its process ended")
+            raise InputError(f"--view: the page could not be opened: {why}")
+        self.url = str(message["url"])
         if token:  # not to the log, which recordings and the network receive
-            print(f"view: open {_address_for_others(self.url)}/?token={token}", file=sys.stderr, flush=True)
+            parts = urlsplit(self.url)
+            everywhere = parts.hostname in ("0.0.0.0", "::")
+            named = f"http://{socket.gethostname()}:{parts.port}" if everywhere else self.url
+            print(f"view: open {named}/?token={token}", file=sys.stderr, flush=True)
         log(f"view: {self.url}, open to {'the network, with its token' if token else 'this machine only'}")
         if open_browser and not webbrowser.open(f"{self.url}/?token={token}" if token else self.url):
             log("view: no browser was found; open the address by hand")
@@ -110,15 +130,6 @@ class BrowserView(ViewState):
         pickle.dump(what, page, protocol=pickle.HIGHEST_PROTOCOL)
         page.flush()
 
-    def _wait_for_url(self, page: IO[bytes]) -> str:
-        """Return the address of the page when it is open."""
-        message = _parse_message(page.readline())
-        if "url" not in message:
-            self._process.kill()
-            why = message.get("error", "its process ended")
-            raise InputError(f"--view: the page could not be opened: {why}")
-        return str(message["url"])
-
     def _read(self, page: IO[bytes]) -> None:
         why = "its process ended"
         for line in page:
@@ -129,11 +140,6 @@ class BrowserView(ViewState):
                     self._commands.put(name, message.get("text", "")[:MAX_NOTE])
         if not self._ended.is_set():
             self._log(f"view: the page has closed: {why}; the run continues")
-
-
-def _address_for_others(url: str) -> str:
-    parts = urlsplit(url)
-    return f"http://{socket.gethostname()}:{parts.port}" if parts.hostname in ("0.0.0.0", "::") else url
 
 
 def scene_setup(estimator: Estimator, folder: Path, host: str, port: int, log: Log, token: str = "") -> SceneSetup:
@@ -153,38 +159,12 @@ def scene_setup(estimator: Estimator, folder: Path, host: str, port: int, log: L
     )  # fmt: skip
 
 
-def _start_process() -> "subprocess.Popen[bytes]":
-    """Start the process of the page; neither Ctrl-C nor a closing terminal ends it, only the end of its input."""
-    here = str(Path(__file__).parents[3])
-    paths = os.pathsep.join(filter(None, [here, os.environ.get("PYTHONPATH", "")]))
-    return subprocess.Popen(
-        [sys.executable, "-P", "-m", "probedesign.live.view"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        env=os.environ | {"PYTHONPATH": paths},
-        start_new_session=True,
-    )
-
-
 def _parse_message(line: bytes) -> dict[str, Any]:
     try:
         message = json.loads(line)
     except ValueError:
         message = None
     return message if isinstance(message, dict) else {}
-
-
-def _check_address(host: str, port: int) -> None:
-    """Check that the address belongs to this machine; viser does not report other errors."""
-    if not 0 < port < 65536:
-        raise InputError(f"--view-port {port} must be in 1 ... 65535")
-    try:
-        found = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
-        with socket.socket(*found[:3]) as trial:
-            trial.bind(found[4])
-    except (OSError, UnicodeError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError(f"--view-host {host}: {reason}; use an address of this machine") from None
 
 
 REFRESH_RATE = 8
@@ -205,16 +185,15 @@ class TerminalView(ViewState):
         from rich.live import Live
 
         super().__init__(counts, recording=recording)
-        self._title = title
-        self._live = Live(console=console, get_renderable=self._table, refresh_per_second=REFRESH_RATE)
+        self._live = Live(
+            console=console, get_renderable=lambda: table_of(title, self.snapshot(shaped=False)),
+            refresh_per_second=REFRESH_RATE,
+        )  # fmt: skip
         self._live.start()
 
     def close(self) -> None:
         """Stop updating; the last table remains and the cursor is restored."""
         self._live.stop()
-
-    def _table(self) -> "Table":
-        return table_of(self._title, self.snapshot(shaped=False))
 
 
 def table_of(title: str, snapshot: Snapshot) -> "Table":

@@ -1,22 +1,23 @@
-"""State of a run for the views: a sink that stores the latest data, and snapshots of it with status lines."""
+"""State of a run for the views: a sink that stores the latest data, snapshots of it, status lines, and chart data."""
 
 import math
 import re
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from probedesign.core.frames import Array
-from probedesign.core.units import MILLINEWTON, MM
+from probedesign.core.units import MILLINEWTON, MM, N_MM
 from probedesign.estimation.estimate import RESULTS
-from probedesign.geometry.tube import BentShape
+from probedesign.geometry.tube import BentShape, TubeMesh
 from probedesign.live.blocks import Block
 from probedesign.live.outputs.sinks import Sink
 from probedesign.live.processing.estimates import ContactMarker, EstimateUpdate, bent_shape, contact_marker
+from probedesign.web.rigid_parts import RigidPart
 
 Level = Literal["good", "fair", "bad", "plain"]
 
@@ -30,11 +31,10 @@ class StatusLine(NamedTuple):
 
 
 class Event(NamedTuple):
-    """An event, or several similar ones of which it is the last: its source's time [s], its text, their number."""
+    """An event: its source's time [s] and its text."""
 
     time: float
     line: str
-    number: int = 1
 
 
 #: Columns of a row of a strip chart: [s], [N], [N·m], [m], [N].
@@ -60,59 +60,15 @@ class Snapshot:
     gravity_base: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))  #: gravity vector [m/s²], (3,).
     #: rows of `STRIP` since the last snapshot, (j, 10).
     strip: Array = field(default_factory=lambda: np.empty((0, len(STRIP))))
-    events: tuple[Event, ...] = ()  #: last events, oldest first; similar ones are one.
+    events: tuple[Event, ...] = ()  #: last events, oldest first.
 
 
-NEWTON_MM = 1e-3  #: One N·mm in N·m.
-
-
-@dataclass(frozen=True)
-class RunHealth:
-    """Condition of the run."""
-
-    stale: bool = False  #: no reading for longer than usual.
-    no_estimate: bool = False  #: no estimate for longer than usual.
-    silent_for: float = float("nan")  #: time since the last reading [s].
-    rate: float = float("nan")  #: rate, estimate_rate: readings and estimates per second.
-    estimate_rate: float = float("nan")
-    fault: str = ""  #: fault of the last readings.
-    n_readings: int = 0  #: number of readings so far.
-    counts: Mapping[str, int] = field(default_factory=dict)  #: counters of the source.
-    tare: str = ""  #: last event on it; empty if there was none.
-    recording: str = ""  #: what is recorded; empty if nothing is.
-    recording_failed: str = ""  #: why the last recording ended by itself; empty if it did not.
-    ended: bool = False  #: whether the source has ended.
-
-
-def status_lines(
-    update: EstimateUpdate | None, marker: ContactMarker | None, health: RunHealth
-) -> tuple[StatusLine, ...]:
-    """Return all status lines, most important first."""
-    lines = [_result_line(update, health)]
-    if update is not None:
-        lines.append(StatusLine("phase", update.phase or "not monitored"))
-        lines += _contact_lines(marker)
-        lines += _fused_lines(update)
-        lines += _wrench_lines(update.wrench_base)
-    return (*lines, *_health_lines(update, health))
-
-
-def _result_line(update: EstimateUpdate | None, health: RunHealth) -> StatusLine:
-    if health.ended:
-        return StatusLine("result", f"the run has ended: all values are {_age_text(health.silent_for)} old")
-    if health.stale:
-        return StatusLine("result", f"stale: no reading for {_age_text(health.silent_for)}", "bad")
-    if update is None:
-        return StatusLine("result", "no estimate yet" if health.n_readings else "no reading yet", "fair")
-    if health.no_estimate:
-        return StatusLine("result", "no recent estimate: the values shown are old", "bad")
-    result = update.estimate.result
-    levels: dict[str, Level] = {"ok": "good", "no_contact": "plain", "too_light": "fair", "ambiguous": "fair"}
-    return StatusLine("result", f"{result}: {RESULTS[result]}", levels.get(result, "bad"))
+#: Level of each result, "bad" of all others.
+LEVELS: dict[str, Level] = {"ok": "good", "no_contact": "plain", "too_light": "fair", "ambiguous": "fair"}
+LOSSES = ("lost", "late", "dropped", "faults")  #: Counters of the source that are shown.
 
 
 def _contact_lines(marker: ContactMarker | None) -> list[StatusLine]:
-    """Return the lines of the contact; dashes if it is unknown, so that the lines keep their positions."""
     if marker is None:
         return [StatusLine(name, "–") for name in ("contact", "point", "force")]
     frame = "world" if marker.in_world else "base"
@@ -124,48 +80,6 @@ def _contact_lines(marker: ContactMarker | None) -> list[StatusLine]:
         StatusLine("point", f"{_numbers(marker.p_surface, MM)} mm, {frame}; ± {stds} mm"),
         StatusLine("force", f"{float(np.linalg.norm(marker.force)) / MILLINEWTON:.1f} mN{friction}"),
     ]
-
-
-def _fused_lines(update: EstimateUpdate) -> list[StatusLine]:
-    fused = update.fused
-    if fused is None:
-        return [StatusLine("fused", f"no {update.stale}", "fair")] if update.stale else []
-    place = f"{_numbers(fused.p_surface_world, MM)} mm, world, ± {fused.rms / MM:.1f} mm"
-    return [StatusLine("fused", place if fused.ok else fused.result)]
-
-
-def _wrench_lines(wrench: Array) -> list[StatusLine]:
-    """Return the lines of the wrench at the base."""
-    if not np.isfinite(wrench).all():
-        return [StatusLine("forces", "–"), StatusLine("moments", "–")]
-    return [
-        StatusLine("forces", f"{_numbers(wrench[:3], MILLINEWTON)} mN at the base"),
-        StatusLine("moments", f"{_numbers(wrench[3:], NEWTON_MM, 2)} N·mm"),
-    ]
-
-
-def _health_lines(update: EstimateUpdate | None, health: RunHealth) -> list[StatusLine]:
-    rates = [f"{health.rate:.0f} readings/s", f"{health.estimate_rate:.0f} estimates/s"]
-    if update is not None and np.isfinite(latency := update.computed - update.reading.received):
-        rates.append(f"{1e3 * latency:.1f} ms from reading to estimate")
-    names = ("lost", "late", "dropped", "faults")
-    lost = ", ".join(f"{health.counts[name]} {name}" for name in names if health.counts.get(name))
-    loss = f"{lost or 'none known'} of {health.n_readings} readings"
-    return [
-        *([StatusLine("fault", health.fault, "bad")] if health.fault else []),
-        StatusLine("rate", ", ".join(rates).replace("nan", "–")),
-        StatusLine("loss", loss, "fair" if lost else "plain"),
-        StatusLine("tare", health.tare.removeprefix("tare").lstrip(": ") or "none taken"),
-        _recording_line(health),
-    ]
-
-
-def _recording_line(health: RunHealth) -> StatusLine:
-    if health.recording:
-        return StatusLine("recording", health.recording, "good")
-    if health.recording_failed:
-        return StatusLine("recording", health.recording_failed, "bad")
-    return StatusLine("recording", "no")
 
 
 def _age_text(age: float) -> str:
@@ -220,34 +134,9 @@ class RateMeter:
 MAX_TOUCHES = 64  #: Maximum number of earlier touches that are stored.
 FREE_PHASES = ("free", "moving", "released")  #: Phases without contact.
 MAX_EVENTS = 12  #: Maximum number of events that are kept, of those of the user and of the others each.
-#: First words of the events that a user caused: each is kept, however many others follow.
+#: First words of the events that a user caused.
 USER_EVENTS = ("tare", "mark", "recording", "recorded")
 MAX_STRIP_ROWS = 4096  #: Maximum number of queued chart rows; at 30 snapshots per second there are a few.
-
-
-class EventList:
-    """The last events: those of the user one by one, others with similar ones as one, so that none hides the rest."""
-
-    def __init__(self) -> None:
-        self._user: deque[Event] = deque(maxlen=MAX_EVENTS)
-        self._others: dict[tuple[str, ...], Event] = {}
-
-    def add(self, time: float, line: str) -> None:
-        """Add an event; a similar earlier one is replaced and counted."""
-        words = re.findall(r"[A-Za-z]{2,}", line)
-        if words and words[0].lower() in USER_EVENTS:
-            self._user.append(Event(time, line))
-            return
-        kind = ("touch",) if words[:1] == ["touch"] else tuple(words[:3])
-        former = self._others.pop(kind, None)
-        self._others[kind] = Event(time, line, former.number + 1 if former else 1)
-        if len(self._others) > MAX_EVENTS:
-            del self._others[next(iter(self._others))]
-
-    def last(self) -> tuple[Event, ...]:
-        """Return the events, oldest first; those without a time come first."""
-        both = (*self._others.copy().values(), *tuple(self._user))
-        return tuple(sorted(both, key=lambda event: event.time if math.isfinite(event.time) else -math.inf))
 
 
 Counts = Callable[[], Mapping[str, int]]
@@ -276,7 +165,8 @@ class ViewState(Sink):
         self._fault, self._n_readings = "", 0
         self._readings, self._updates = RateMeter(clock), RateMeter(clock)
         self._strip: deque[tuple[float, ...]] = deque(maxlen=MAX_STRIP_ROWS)
-        self._events, self._tare = EventList(), ""
+        self._user_events, self._other_events = deque[Event](maxlen=MAX_EVENTS), deque[Event](maxlen=MAX_EVENTS)
+        self._tare = ""
         self._earlier: deque[ContactMarker] = deque(maxlen=MAX_TOUCHES)
         self._current: ContactMarker | None = None
         self._settled = False
@@ -299,8 +189,10 @@ class ViewState(Sink):
         self._strip.append((update.reading.time, *update.wrench_base.tolist(), *contact))
 
     def on_event(self, time: float, line: str) -> None:
-        """Store an event."""
-        self._events.add(time, line)
+        """Store an event; others never displace those of the user."""
+        words = re.findall(r"[A-Za-z]{2,}", line.lower())
+        events = self._user_events if words and words[0] in USER_EVENTS else self._other_events
+        events.append(Event(time, line))
         if line.startswith("tare"):
             self._tare = line
 
@@ -310,39 +202,75 @@ class ViewState(Sink):
 
     def snapshot(self, shaped: bool = True) -> Snapshot:
         """Return the current snapshot; the probe's shape is solved here, in the calling thread, if requested."""
-        update = self._update
-        health = RunHealth(
-            self._readings.stale, self._updates.stale, self._readings.silent_for, self._readings.rate,
-            self._updates.rate, self._fault, self._n_readings, dict(self._counts()), self._tare, *self._recording(),
-            self._has_ended,
-        )  # fmt: skip
-        events, strip = self._events.last(), self._pop_strip()
+        update, recording = self._update, self._recording()
+        marker = None if update is None else contact_marker(update, self._touch_number(update))
+        events = (*self._user_events.copy(), *self._other_events.copy())  # those without a time come first
+        rows = [self._strip.popleft() for _ in range(len(self._strip))]
+        known = Snapshot(
+            recording=recording[0],
+            status=tuple(self._status(update, marker, *recording)),
+            events=tuple(sorted(events, key=lambda event: event.time if math.isfinite(event.time) else -math.inf)),
+            strip=np.array(rows).reshape(-1, len(STRIP)),
+        )
         if update is None:
-            lines = status_lines(None, None, health)
-            return Snapshot(status=lines, events=events, strip=strip, recording=health.recording)
-        marker = contact_marker(update, self._touch_number(update))
-        return Snapshot(
+            return known
+        return replace(
+            known,
             time=update.reading.time,
             age=self._updates.silent_for,
             result=update.estimate.result,
-            stale=health.stale or health.no_estimate or health.ended,
-            recording=health.recording,
-            status=status_lines(update, marker, health),
+            stale=self._readings.stale or self._updates.stale or self._has_ended,
             shape=bent_shape(update) if shaped else None,
             marker=marker,
             touches=tuple(self._earlier),
             T_world_base=update.T_world_base,
             gravity_base=update.reading.gravity_base,
-            strip=strip,
-            events=events,
         )
 
-    def _pop_strip(self) -> Array:
-        rows = [self._strip.popleft() for _ in range(len(self._strip))]
-        return np.array(rows).reshape(-1, len(STRIP))
+    def _status(
+        self, update: EstimateUpdate | None, marker: ContactMarker | None, recording: str, recording_failed: str
+    ) -> Iterator[StatusLine]:
+        """Yield all status lines, most important first; dashes where unknown, so that lines keep their positions."""
+        yield self._result_line(update)
+        rates = [f"{self._readings.rate:.0f} readings/s", f"{self._updates.rate:.0f} estimates/s"]
+        if update is not None:
+            yield StatusLine("phase", update.phase or "not monitored")
+            yield from _contact_lines(marker)
+            if (fused := update.fused) is not None:
+                point = f"{_numbers(fused.p_surface_world, MM)} mm, world, ± {fused.rms / MM:.1f} mm"
+                yield StatusLine("fused", point if fused.ok else fused.result)
+            elif update.stale:
+                yield StatusLine("fused", f"no {update.stale}", "fair")
+            known, wrench = bool(np.isfinite(update.wrench_base).all()), update.wrench_base
+            forces, moments = _numbers(wrench[:3], MILLINEWTON), _numbers(wrench[3:], N_MM, 2)
+            yield StatusLine("forces", f"{forces} mN at the base" if known else "–")
+            yield StatusLine("moments", f"{moments} N·mm" if known else "–")
+            if np.isfinite(latency := update.computed - update.reading.received):
+                rates.append(f"{1e3 * latency:.1f} ms from reading to estimate")
+        if self._fault:
+            yield StatusLine("fault", self._fault, "bad")
+        yield StatusLine("rate", ", ".join(rates).replace("nan", "–"))
+        counts = dict(self._counts())
+        lost = ", ".join(f"{counts[name]} {name}" for name in LOSSES if counts.get(name))
+        yield StatusLine("loss", f"{lost or 'none known'} of {self._n_readings} readings", "fair" if lost else "plain")
+        yield StatusLine("tare", self._tare.removeprefix("tare").lstrip(": ") or "none taken")
+        level: Level = "good" if recording else "bad" if recording_failed else "plain"
+        yield StatusLine("recording", recording or recording_failed or "no", level)
+
+    def _result_line(self, update: EstimateUpdate | None) -> StatusLine:
+        age = self._readings.silent_for
+        if self._has_ended:
+            return StatusLine("result", f"the run has ended: all values are {_age_text(age)} old")
+        if self._readings.stale:
+            return StatusLine("result", f"stale: no reading for {_age_text(age)}", "bad")
+        if update is None:
+            return StatusLine("result", "no estimate yet" if self._n_readings else "no reading yet", "fair")
+        if self._updates.stale:
+            return StatusLine("result", "no recent estimate: the values shown are old", "bad")
+        result = update.estimate.result
+        return StatusLine("result", f"{result}: {RESULTS[result]}", LEVELS.get(result, "bad"))
 
     def _touch_number(self, update: EstimateUpdate) -> int:
-        """Return the number of the current touch, from the contacts if they are monitored."""
         return update.contacts[-1].number if update.contacts else self._number
 
     def _follow(self, update: EstimateUpdate) -> None:
@@ -358,3 +286,67 @@ class ViewState(Sink):
         if free and self._current is not None:
             self._earlier.append(self._current)
             self._current, self._settled, self._number = None, False, self._number + 1
+
+
+CHART_SECONDS = 15.0
+CHART_POINTS = 450  #: Points of a chart: 30 per second.
+REDRAW_PERIOD = 0.1  #: Minimum interval between redraws [s]: all points are sent each time.
+S, STD, FORCE = STRIP.index("s"), STRIP.index("std_s"), STRIP.index("force")
+
+
+class StripCharts:
+    """Data of the strip charts over the last seconds; NaN where unknown."""
+
+    def __init__(self) -> None:
+        self._rows: deque[Array] = deque(maxlen=CHART_POINTS)
+        self._due = self._last_drawn = -np.inf
+
+    def add(self, strip: Array) -> bool:
+        """Add rows of `STRIP`, thinned; return whether to redraw. Decreasing time clears the charts."""
+        for row in strip:
+            if row[0] < self._due - 2.0 * CHART_SECONDS / CHART_POINTS:
+                self._rows.clear()
+                self._due = self._last_drawn = -np.inf
+            if row[0] >= self._due:
+                self._rows.append(row)
+                self._due = row[0] + 0.9 * CHART_SECONDS / CHART_POINTS
+        due = self._due >= self._last_drawn + REDRAW_PERIOD
+        if due:
+            self._last_drawn = self._due
+        return due
+
+    def lines(self, age: float = 0.0) -> dict[str, tuple[Array, ...]]:
+        """Return the data of the charts, each after the times [s], which are negative: seconds before now.
+
+        Position s [mm] with its 95 % interval, contact force [mN], and force [mN] and moment [N·mm] at the base.
+
+        Args:
+            age: time since the last row [s]: old data move out of the charts.
+        """
+        rows = np.array(self._rows).reshape(-1, len(STRIP))
+        last = float(rows[-1, 0]) if len(rows) else 0.0
+        rows = rows[rows[:, 0] >= last + age - CHART_SECONDS]
+        if not len(rows):
+            rows = np.full((1, len(STRIP)), np.nan)
+        time, s, wide = rows[:, 0] - last - age, rows[:, S] / MM, 1.96 * rows[:, STD] / MM
+        return {
+            "place": (time, s, s - wide, s + wide),
+            "push": (time, rows[:, FORCE] / MILLINEWTON),
+            "forces": (time, *(rows[:, 1:4] / MILLINEWTON).T),
+            "moments": (time, *(rows[:, 4:7] / MM).T),
+        }
+
+
+@dataclass(frozen=True)
+class SceneSetup:
+    """Static content of the page."""
+
+    title: str  #: title of the page.
+    host: str  #: host, port: address of the server; the next free port is used.
+    port: int
+    tube: TubeMesh  #: mesh of the probe.
+    free: BentShape  #: shape of the free probe.
+    parts: tuple[RigidPart, ...]  #: parts at its base.
+    gravity_base: Array  #: gravity vector [m/s²], (3,).
+    note: str = ""  #: note on what is drawn, if any.
+    token: str = ""  #: secret that a browser must know; empty on an address of this machine only.
