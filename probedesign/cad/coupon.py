@@ -42,7 +42,13 @@ def export_coupon(design: Design, out: Path | None) -> dict[str, Any]:
         if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() != listed.get(path.name):
             raise InputError(f"{path}: was filled in; move it, or name another folder with --out")
     fingerprint = build_geometry(design).fingerprint
-    steps, (rod_d, rod_length) = coupon_steps_mm(design), coupon_rod_mm(design)
+    s, diameters = zip(*design.probe.blunt_mm, strict=True)
+    largest, smallest = max(diameters), min(diameters)
+    if smallest > LEAST_RANGE * largest:
+        smallest = largest / 2.0
+    steps = tuple(round(float(d), 2) for d in np.linspace(largest, smallest, STEPS))
+    rod_d = round(float(np.interp(design.probe.length_mm / 2.0, s, diameters)), 2)
+    rod_length = round(min(max(SLENDERNESS * rod_d, 40.0), 100.0), 1)
     parts = {
         "coupon_steps": [(d, i * STEP_HEIGHT_MM, (i + 1) * STEP_HEIGHT_MM) for i, d in enumerate(steps)],
         "coupon_rod": [(rod_d, 0.0, rod_length)],
@@ -72,22 +78,6 @@ def export_coupon(design: Design, out: Path | None) -> dict[str, Any]:
         "files": digests(contents),
     }
     return write_export(folder, contents, manifest)
-
-
-def coupon_steps_mm(design: Design) -> tuple[float, ...]:
-    """Return the diameters of the stepped cone [mm]: the range of the design's, the widest first."""
-    diameters = [d for _, d in design.probe.blunt_mm]
-    largest, smallest = max(diameters), min(diameters)
-    if smallest > LEAST_RANGE * largest:
-        smallest = largest / 2.0
-    return tuple(round(float(d), 2) for d in np.linspace(largest, smallest, STEPS))
-
-
-def coupon_rod_mm(design: Design) -> tuple[float, float]:
-    """Return diameter and length of the rod [mm]: the diameter of the probe halfway up."""
-    s, d = zip(*design.probe.blunt_mm, strict=True)
-    diameter = round(float(np.interp(design.probe.length_mm / 2.0, s, d)), 2)
-    return diameter, round(min(max(SLENDERNESS * diameter, 40.0), 100.0), 1)
 
 
 def _solid(name: str, discs: list[Disc]) -> cq.Solid:
@@ -128,7 +118,6 @@ def _probe_sheet(design: Design, fingerprint: str) -> str:
         f"# diameters of {design.name}{along}; s from the top of the flange; std: of one reading, 0.03 mm if empty",
         "s_mm,diameter_mm,std_mm,note",
     ]
-    for height in np.linspace(0.05, 0.95, PLACES) * probe.flank_end_mm:
-        station = round(float(height), 1)
+    for station in np.round(np.linspace(0.05, 0.95, PLACES) * probe.flank_end_mm, 1).tolist():
         lines.append(f"{station:g},,,drawn {float(np.interp(station, s, d)):.3f} mm")
     return "\n".join(lines) + "\n"

@@ -7,7 +7,6 @@ from html import escape
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from probedesign.cad.inspection import inspection_sheets
 from probedesign.cad.kernel import mass_properties
@@ -268,24 +267,23 @@ def exploded_svg(bodies: Bodies, bill: Sequence[BillItem], title: str, seat: flo
         rows = np.nonzero((owners == names.index(name)).any(axis=1))[0]
         return float(rows.mean()) if len(rows) else 0.0
 
+    def visible_pixel(name: str, side: int) -> tuple[float, float]:
+        """Return a visible pixel of a body, slightly inside its left or right edge."""
+        rows, columns = np.nonzero(owners == names.index(name))
+        if len(rows) == 0:
+            return width / 2, height / 2
+        edge = np.quantile(columns, 0.06 if side == 0 else 0.94)
+        i = int(np.argmin(np.abs(columns - edge) + 0.5 * np.abs(rows - np.median(rows))))
+        return float(columns[i]), float(rows[i])
+
     order, items = sorted(names, key=middle), {item.name: item for item in bill}
     for side in (0, 1):  # alternating left and right, from the top
         column = order[side::2]
-        anchors = [_anchor(owners, names.index(name), side) for name in column]
+        anchors = [visible_pixel(name, side) for name in column]
         heights = _spread([y for _, y in anchors], 3.2 * LINE, height)
         for name, anchor, y in zip(column, anchors, heights, strict=True):
             _label(svg, items[name], anchor, y, side, width)
     return svg
-
-
-def _anchor(owners: NDArray[np.int16], who: int, side: int) -> tuple[float, float]:
-    """Return a visible pixel of a body, slightly inside its left or right edge."""
-    rows, columns = np.nonzero(owners == who)
-    if len(rows) == 0:
-        return owners.shape[1] / 2, owners.shape[0] / 2
-    edge = np.quantile(columns, 0.06 if side == 0 else 0.94)
-    i = int(np.argmin(np.abs(columns - edge) + 0.5 * np.abs(rows - np.median(rows))))
-    return float(columns[i]), float(rows[i])
 
 
 def _spread(wanted: Sequence[float], spacing: float, height: float) -> list[float]:
@@ -354,12 +352,24 @@ def assembly_page(
         exploded: the exploded view with the bill's numbers.
         pictures: a PNG of each step.
     """
+    keys = dict.fromkeys((use.screw for use in model.screws), "") | {
+        model.adapter.ring_screw: " with a long arm, to reach past the probe"
+    }
+    tools = [
+        *(f"hexagon key {screw.socket_af / MM:g} mm ({screw.thread}){note}" for screw, note in keys.items()),
+        "calipers with a depth rod, for the dimensions above and the probe's diameters",
+        "tweezers, for nuts and pins",
+    ]
     sections = [
-        _warning(model), _measure(model),
-        "<h2>Parts</h2>", _parts(bill), _tightening(model), _tools(model), _frames(model),
-        f'<div class="exploded"><h2>Exploded view</h2>{exploded}</div>',
-        '<h2>Steps</h2><div class="steps">', *map(_step, range(1, len(steps) + 1), steps, pictures), "</div>",
+        _warning(model), _measure(model), "<h2>Parts</h2>", _parts(bill), _tightening(model),
+        f"<h2>Tools</h2><ul class=tools>{''.join(f'<li>{escape(tool)}</li>' for tool in tools)}</ul>", _frames(model),
+        f'<div class="exploded"><h2>Exploded view</h2>{exploded}</div>', '<h2>Steps</h2><div class="steps">',
     ]  # fmt: skip
+    for number, (step, picture) in enumerate(zip(steps, pictures, strict=True), 1):
+        source, text = base64.b64encode(picture).decode(), escape(step.text[0].upper() + step.text[1:])
+        image = f'<img alt="step {number}" src="data:image/png;base64,{source}">'
+        sections.append(f'<div class="step">{image}<b>{number}</b>{text}.</div>')
+    sections.append("</div>")
     about = (
         f"geometry {model.geometry.fingerprint} · {escape(_sensor_text(model))} · {escape(model.plate.robot.source)}"
         " · compare the geometry's number with the manifest and with the probe that <code>live</code> runs"
@@ -414,26 +424,6 @@ def _parts(bill: Sequence[BillItem]) -> str:
             f"<td class=n>{mass}</td><td class=n>{torque}</td></tr>"
         )
     return f'<div class="wide" tabindex="0"><table>{head}<tbody>{"".join(rows)}</tbody></table></div>'
-
-
-def _tools(model: CadModel) -> str:
-    keys = dict.fromkeys((use.screw for use in model.screws), "") | {
-        model.adapter.ring_screw: " with a long arm, to reach past the probe"
-    }
-    tools = [
-        *(f"hexagon key {screw.socket_af / MM:g} mm ({screw.thread}){note}" for screw, note in keys.items()),
-        "calipers with a depth rod, for the dimensions above and the probe's diameters",
-        "tweezers, for nuts and pins",
-    ]
-    return f"<h2>Tools</h2><ul class=tools>{''.join(f'<li>{escape(tool)}</li>' for tool in tools)}</ul>"
-
-
-def _step(number: int, step: AssemblyStep, picture: bytes) -> str:
-    text = escape(step.text[0].upper() + step.text[1:])
-    image = base64.b64encode(picture).decode()
-    return (
-        f'<div class="step"><img alt="step {number}" src="data:image/png;base64,{image}"><b>{number}</b>{text}.</div>'
-    )
 
 
 def _tightening(model: CadModel) -> str:

@@ -39,7 +39,8 @@ def manifest_of(
         files: sha256 and size by name.
         findings: of `verify`.
     """
-    a, robot = model.adapter, model.plate.robot
+    a, robot, flange, mount = model.adapter, model.plate.robot, model.geometry.flange, model.design.mount
+    root = exported_root_radii(model.geometry, mount.hold)
     robot_pin = {f"dowel pin of {robot.pin_d / MM:g} mm that the robot's flange takes": 1} if robot.pin_d else {}
     pin = f"dowel pin {a.dowels.diameter / MM:g}x{a.dowels.pin_length / MM:g} mm"
     return {
@@ -64,13 +65,24 @@ def manifest_of(
             "flange_adapter": model.plate.on_plate.text,
         },
         "assembly_order": documents.steps,
-        "base": _base(model),
+        "base": {
+            "held_by": f"soft flange Ø{flange.diameter / MM:g} x {flange.thickness / MM:g} mm in one piece with "
+            f"the probe; the clamp ring presses its lip from Ø{a.ring_bore_d / MM:g} mm outwards by "
+            f"{a.squeeze / MM:.3g} mm",
+            "root_rigid_radii": mount.root_rigid_radii,
+            "root_rigid_radii_computed": round(root, 3),
+            "root_rigid_radii_means": "bending compliance that the base lacks, in base radii; 0.12 is that of a face "
+            f"bonded to a rigid part, that of this {mount.hold} soft flange about {root:.2f} ± {ROOT_STD:g}, "
+            "computed for a full round probe, not measured: identify it on the bench",
+            "drawn": "with the lip not yet pressed: screwed down, the ring and its screws lie lower by as much",
+        },
     }
 
 
 def model_record(model: CadModel, files: dict[str, dict[str, Any]], findings: Findings) -> dict[str, Any]:
     """Return what the manifests of all exports have in common; the arguments are those of `manifest_of`."""
-    design = model.design
+    design, sensor, bodies = model.design, model.design.sensor_model, model.bodies
+    rigid = combined(body for name, body in bodies.items() if name != "flexible")
     return {
         "name": design.name,
         "fingerprint": model.geometry.fingerprint,
@@ -92,8 +104,24 @@ def model_record(model: CadModel, files: dict[str, dict[str, Any]], findings: Fi
         "poses": "4x4, in metres; T_a_b maps b's coordinates into a's",
         "T_sensor_base": _pose(model.adapter.T_sensor_base),
         "T_sensor_robotflange": _pose(model.plate.T_sensor_robotflange),
-        "mass": _mass(model),
-        "sensor": _sensor(model),
+        "mass": {
+            "frame": "sensor; inertia about the centre of mass",
+            "counts": "everything beyond the tool face: the probe with its flange, sensor adapter, clamp ring, "
+            "and the screws, nuts and dowel pins on the tool side",
+            "bodies": {name: _body(body) for name, body in bodies.items()},
+            "rigid": _body(rigid),
+            "whole": _body(combined([bodies["flexible"], rigid])),
+        },
+        "sensor": {
+            "frame": "sensor; the centre of mass is at half height unless the sensor file states it",
+            "product": sensor.product,
+            "source": sensor.source,
+            "assumed": list(sensor.assumed),
+            "mass_kg": sensor.interface.mass,
+            "p_com_m": list(sensor.interface.p_com),
+            "overload_N": None if sensor.overload is None else list(sensor.overload[:3]),
+            "overload_Nm": None if sensor.overload is None else list(sensor.overload[3:]),
+        },
         "screws": [use.as_record() for use in model.screws],
         "verification": findings,
         "intersections_m3": model.shared_volumes,
@@ -105,55 +133,12 @@ def _pose(T: Array) -> list[list[float]]:
     return [[float(x) for x in row] for row in rounded]
 
 
-def _mass(model: CadModel) -> dict[str, Any]:
-    bodies = model.bodies
-    rigid = combined(body for name, body in bodies.items() if name != "flexible")
-    return {
-        "frame": "sensor; inertia about the centre of mass",
-        "counts": "everything beyond the tool face: the probe with its flange, sensor adapter, clamp ring, "
-        "and the screws, nuts and dowel pins on the tool side",
-        "bodies": {name: _body(body) for name, body in bodies.items()},
-        "rigid": _body(rigid),
-        "whole": _body(combined([bodies["flexible"], rigid])),
-    }
-
-
-def _sensor(model: CadModel) -> dict[str, Any]:
-    sensor = model.design.sensor_model
-    return {
-        "frame": "sensor; the centre of mass is at half height unless the sensor file states it",
-        "product": sensor.product,
-        "source": sensor.source,
-        "assumed": list(sensor.assumed),
-        "mass_kg": sensor.interface.mass,
-        "p_com_m": list(sensor.interface.p_com),
-        "overload_N": None if sensor.overload is None else list(sensor.overload[:3]),
-        "overload_Nm": None if sensor.overload is None else list(sensor.overload[3:]),
-    }
-
-
 def _body(body: MassProperties) -> dict[str, Any]:
     return {
         "volume_m3": body.volume,
         "mass_kg": body.mass,
         "p_com_m": body.p_com.tolist(),
         "inertia_kg_m2": body.inertia.tolist(),
-    }
-
-
-def _base(model: CadModel) -> dict[str, Any]:
-    flange, a = model.geometry.flange, model.adapter
-    return {
-        "held_by": f"soft flange Ø{flange.diameter / MM:g} x {flange.thickness / MM:g} mm in one piece with "
-        f"the probe; the clamp ring presses its lip from Ø{a.ring_bore_d / MM:g} mm outwards by "
-        f"{a.squeeze / MM:.3g} mm",
-        "root_rigid_radii": model.design.mount.root_rigid_radii,
-        "root_rigid_radii_computed": round(exported_root_radii(model.geometry, model.design.mount.hold), 3),
-        "root_rigid_radii_means": "bending compliance that the base lacks, in base radii; 0.12 is that of a face "
-        f"bonded to a rigid part, that of this {model.design.mount.hold} soft flange about "
-        f"{exported_root_radii(model.geometry, model.design.mount.hold):.2f} ± {ROOT_STD:g}, "
-        "computed for a full round probe, not measured: identify it on the bench",
-        "drawn": "with the lip not yet pressed: screwed down, the ring and its screws lie lower by as much",
     }
 
 
@@ -190,15 +175,11 @@ def cad_files(model: CadModel, parts: Iterable[str]) -> dict[str, bytes]:
     def step(assembly: cq.Assembly, file: str, what: str) -> bytes:
         return step_bytes(assembly, file, f"{name}: {what}, geometry {fingerprint}, units mm", date)
 
-    alone = {
-        part: cq.Assembly(model.parts[part].shape, name=part, color=cq.Color(*model.parts[part].color))
-        for part in parts
-    }
-    return {
+    files = {
         "assembly.step": step(assembly_of(model.parts, name), "assembly.step", "assembly in the sensor frame"),
         "assembly.glb": glb_bytes(assembly_of(model.parts, name, displayed=True), "assembly.glb"),
-        **{
-            f"{part}.step": step(assembly, f"{part}.step", f"{part} in the {model.parts[part].frame} frame")
-            for part, assembly in alone.items()
-        },
     }
+    for part in map(model.parts.__getitem__, parts):
+        alone = cq.Assembly(part.shape, name=part.name, color=cq.Color(*part.color))
+        files[f"{part.name}.step"] = step(alone, f"{part.name}.step", f"{part.name} in the {part.frame} frame")
+    return files

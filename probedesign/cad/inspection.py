@@ -24,7 +24,6 @@ from probedesign.cad.sheet import (
     STACK,
     TEXT,
     WIDTH,
-    Lines,
     View,
     cross_section,
     cut,
@@ -264,8 +263,16 @@ def probe_sheet(model: CadModel, part: CadPart) -> Canvas:
     sheet = _page(model, part, scale)
     front = View(sheet, (88.0, (EDGE + BOTTOM) / 2 - 4.0 + scale * (length - thick) / 2), scale)
     edges, faces = cut(part.shape) if g.cross_section.hollow else (seen(part.shape, FRONT), [])
+    probe = model.design.probe
+    fillet = 0.0 if probe.base_fillet_mm is None else filleted(probe.blunt_mm, probe.base_fillet_mm)[1]
+    rounded = [(0.0, fillet), (g.flank_end / MM, length)]  # approximated by facets, whose edges are not drawn
+
+    def facet(line: Array) -> bool:
+        low, high = float(line[:, 1].min()), float(line[:, 1].max())
+        return high - low < SAME_MM and any(a + SAME_MM < low < b - SAME_MM for a, b in rounded)
+
     front.section(faces)
-    front.outline(_without_facets(model, edges))
+    front.outline([line for line in edges if not facet(line)])
     front.axis(-thick, length)
     front.dimension_v(0.0, length, rim / 2, 2 * STACK, number(length), top_u=g.tip_radius / MM)
     front.dimension_v(-thick, 0.0, rim / 2, STACK, number(thick))
@@ -280,23 +287,10 @@ def probe_sheet(model: CadModel, part: CadPart) -> Canvas:
     return sheet
 
 
-def _without_facets(model: CadModel, lines: Lines) -> Lines:
-    """Return edges without those between the facets of a rounded tip and of a fillet, which approximate one surface."""
-    g, probe = model.geometry, model.design.probe
-    fillet = 0.0 if probe.base_fillet_mm is None else filleted(probe.blunt_mm, probe.base_fillet_mm)[1]
-    inside = [(0.0, fillet), (g.flank_end / MM, g.length / MM)]
-
-    def facet(line: Array) -> bool:
-        low, high = float(line[:, 1].min()), float(line[:, 1].max())
-        return high - low < SAME_MM and any(a + SAME_MM < low < b - SAME_MM for a, b in inside)
-
-    return [line for line in lines if not facet(line)]
-
-
 def _stations(model: CadModel, apart: float) -> Iterable[tuple[float, float, str]]:
     """Yield height and half-width [mm] with its text: both ends and the middle of the flank, which calipers measure,
     knots at least `apart` [mm] from others, and the radii of a rounded tip and of a fillet."""
-    probe, g = model.design.probe, model.geometry
+    probe, g, section = model.design.probe, model.geometry, model.geometry.cross_section
     length, end = g.length / MM, g.flank_end / MM
     knots = [(s, d / 2) for s, d in probe.blunt_mm[:-1]] + [(end, float(g.radius_at(g.flank_end)) / MM)]
     wanted = [knots[0], knots[-1], (length / 2, float(g.radius_at(g.length / 2)) / MM), *knots[1:-1]]
@@ -305,20 +299,18 @@ def _stations(model: CadModel, apart: float) -> Iterable[tuple[float, float, str
     for s, r in wanted:
         if all(abs(s - other) >= apart for other in (*placed, *(t for t in tip if s != end))):
             placed.append(s)
-            words = f"{_width(model, r)} at s = {number(s)}"
+            if section.flatness != 1.0:
+                width = f"{number(2 * r)} × {number(2 * r * section.flatness)}"
+            else:
+                bore = f" / bore {number(2 * r * section.bore_ratio)}" if section.hollow else ""
+                width = f"⌀{number(2 * r)}{bore}"
+            words = f"{width} at s = {number(s)}"
             if s == 0.0 and probe.base_fillet_mm is not None:
                 words = f"{words}\nfillet R{number(probe.base_fillet_mm)}"
             if s == end and tip:
                 radius = rounding_radius_mm(*probe.blunt_mm[-2:])
                 words = f"{words}\nround tip R{number(radius)}, facets within {DEVIATION_MM:g}"
             yield s, r, words
-
-
-def _width(model: CadModel, r: float) -> str:
-    section = model.geometry.cross_section
-    if section.hollow:
-        return f"⌀{number(2 * r)} / bore {number(2 * r * section.bore_ratio)}"
-    return f"{number(2 * r)} × {number(2 * r * section.flatness)}" if section.flatness != 1.0 else f"⌀{number(2 * r)}"
 
 
 def _halfway(model: CadModel, part: CadPart, sheet: Canvas) -> None:

@@ -80,16 +80,16 @@ def hexagon(af: float, z0: float, z1: float, p: XY, turn_deg: float = 0.0) -> cq
 def engraving_cuts(engraving: Engraving) -> list[cq.Solid]:
     """Return the solids that an engraving removes, one per character."""
     solids, up = [], cq.Vector(0, 0, DEPTH / MM)
+
+    def turns(loop: list[XY]) -> float:
+        return sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(loop, [*loop[1:], loop[0]], strict=True))
+
     for loops in filter(None, engraving.outlines()):
         # Every character is connected; a loop of the other orientation is an island in it.
-        corners = [[_vector(p, engraving.top - DEPTH) for p in loop] for loop in sorted(loops, key=_turns)]
+        corners = [[_vector(p, engraving.top - DEPTH) for p in loop] for loop in sorted(loops, key=turns)]
         *islands, cut = [cq.Wire.makePolygon(points, close=True) for points in corners]
         solids.append(cq.Solid.extrudeLinear(cq.Face.makeFromWires(cut, islands), up))
     return solids
-
-
-def _turns(loop: list[XY]) -> float:
-    return sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(loop, [*loop[1:], loop[0]], strict=True))
 
 
 def round_slot(width: float, x: XY, z: XY, p: XY, azimuth_deg: float, both_ends: bool = False) -> cq.Solid:
@@ -163,36 +163,27 @@ def mass_properties(shape: cq.Shape, density: float) -> MassProperties:
 
 
 def section_properties(solid: cq.Solid, z: float) -> tuple[float, float, float]:
-    """Return area [m²] and second moments ∫y², ∫x² [m⁴] about the centroid of a solid's cut at height z [m], where its
-    faces are ruled about the axis."""
+    """Return area [m²] and second moments ∫y², ∫x² [m⁴] about the centroid of a solid's cut at height z [m].
+
+    The faces are ruled about the axis and cut along their own coordinate lines. A cut by a plane is not exact: through
+    a cone of less than about 0.02° and through an elliptic face the kernel fits a curve to 1e-5.
+    """
+    lines, height = [], z / MM
+    for face in solid.Faces():
+        box = face.BoundingBox()
+        if not box.zmin < height < box.zmax:
+            continue
+        surface, (u, _, v0, v1) = BRep_Tool.Surface_s(face.wrapped), BRepTools.UVBounds_s(face.wrapped)
+        z0, z1 = (surface.Value(u, v).Z() for v in (v0, v1))
+        curve = surface.VIso(v0 + (height - z0) / (z1 - z0) * (v1 - v0))
+        lines.append(cq.Edge(BRepBuilderAPI_MakeEdge(curve).Edge()))
+        if max(abs(lines[-1].positionAt(t).z - height) for t in (0.0, 0.25, 0.5, 0.75)) > 1e-9:
+            raise CheckFailedError(f"the face at z = {height:g} mm is not ruled about the axis")
+    inside_out = sorted(cq.Wire.combine(lines), key=lambda wire: wire.BoundingBox().DiagonalLength)
     gprops = GProp_GProps()
-    BRepGProp.SurfaceProperties_s(_iso_cut(solid, z / MM).wrapped, gprops)
+    BRepGProp.SurfaceProperties_s(cq.Face.makeFromWires(inside_out[-1], inside_out[:-1]).wrapped, gprops)
     matrix = gprops.MatrixOfInertia()
     return gprops.Mass() * MM**2, matrix.Value(1, 1) * MM**4, matrix.Value(2, 2) * MM**4
-
-
-def _iso_cut(solid: cq.Solid, z: float) -> cq.Face:
-    """Return the cut at height z [mm] through ruled faces, along the faces' own coordinate lines.
-
-    A cut by a plane is not exact: through a cone of less than about 0.02° and through an elliptic face the kernel fits
-    a curve to 1e-5. The coordinate lines are.
-    """
-    boxes = ((face, face.BoundingBox()) for face in solid.Faces())
-    lines = [_iso_line(face, z) for face, box in boxes if box.zmin < z < box.zmax]
-    inside_out = sorted(cq.Wire.combine(lines), key=lambda wire: wire.BoundingBox().DiagonalLength)
-    return cq.Face.makeFromWires(inside_out[-1], inside_out[:-1])
-
-
-def _iso_line(face: cq.Face, z: float) -> cq.Edge:
-    """Return the coordinate line at height z [mm] of a face that is ruled about the axis."""
-    surface = BRep_Tool.Surface_s(face.wrapped)
-    u, _, v0, v1 = BRepTools.UVBounds_s(face.wrapped)
-    z0, z1 = (surface.Value(u, v).Z() for v in (v0, v1))
-    curve = surface.VIso(v0 + (z - z0) / (z1 - z0) * (v1 - v0))
-    edge = cq.Edge(BRepBuilderAPI_MakeEdge(curve).Edge())
-    if max(abs(edge.positionAt(t).z - z) for t in (0.0, 0.25, 0.5, 0.75)) > 1e-9:
-        raise CheckFailedError(f"the face at z = {z:g} mm is not ruled about the axis")
-    return edge
 
 
 def _vector(p: XY, z: float) -> cq.Vector:

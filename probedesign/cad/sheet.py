@@ -48,8 +48,12 @@ def seen(shape: cq.Shape, side: ViewDirection) -> Lines:
     algorithm.Update()
     algorithm.Hide()
     lines = HLRBRep_HLRToShape(algorithm)
-    kinds = (lines.VCompound(), lines.OutLineVCompound())
-    return [line for kind in kinds if kind is not None and not kind.IsNull() for line in _flat(kind)]
+    drawn: Lines = []
+    for kind in (lines.VCompound(), lines.OutLineVCompound()):
+        if kind is not None and not kind.IsNull():
+            BRepLib.BuildCurves3d_s(kind)
+            drawn += [_points(edge)[:, :2] for edge in cq.Shape.cast(kind).Edges()]
+    return drawn
 
 
 def cut(shape: cq.Shape) -> tuple[Lines, list[Lines]]:
@@ -70,11 +74,6 @@ def cross_section(shape: cq.Shape, z: float) -> list[Lines]:
     reach = 4.0 * shape.BoundingBox().DiagonalLength
     plane = cq.Face.makePlane(reach, reach, cq.Vector(0.0, 0.0, z))
     return [[_loop(wire, [0, 1]) for wire in face.Wires()] for face in shape.intersect(plane).Faces()]
-
-
-def _flat(wrapped: object) -> Lines:
-    BRepLib.BuildCurves3d_s(wrapped)
-    return [_points(edge)[:, :2] for edge in cq.Shape.cast(wrapped).Edges()]
 
 
 def _loop(wire: cq.Wire, axes: list[int]) -> Array:

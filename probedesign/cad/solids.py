@@ -1,7 +1,7 @@
 """Solids of the printed parts, screws, nuts and pins, and the volumes around the sensor; in millimetres."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -23,7 +23,7 @@ from probedesign.cad.kernel import (
 from probedesign.core.errors import CheckFailedError
 from probedesign.core.frames import Array, pose, rotation_z
 from probedesign.core.units import MM
-from probedesign.design.catalog import Nut, SocketScrew
+from probedesign.design.catalog import SocketScrew
 from probedesign.design.sensors import CableExit, ScrewPattern, SensorInterface
 from probedesign.geometry import ProbeGeometry
 from probedesign.mount import FlangeAdapter, SensorAdapter
@@ -136,9 +136,15 @@ class Fasteners:
 def fasteners(a: SensorAdapter, plate: FlangeAdapter, screws: list[ScrewGroup]) -> list[Fasteners]:
     """Return all screws, nuts and pins of the assembly."""
     d, length, nut = a.dowels.diameter, a.dowels.pin_length, a.options.nut
-    groups = [
+
+    def drawn_nut() -> cq.Solid:
+        """Return a nut about z on z = 0, two sides along x."""
+        hole = cylinder(a.ring_screw.pitch_d, 0.0, nut.height)
+        return single_solid(hexagon(nut.af, 0.0, nut.height, (0.0, 0.0), 30.0).cut(hole))
+
+    groups: list[tuple[str, str, Callable[[], cq.Solid], tuple[Array, ...]]] = [
         *((use.name, use.standard, partial(_screw, use.screw, use.length), use.poses) for use in screws),
-        ("ring_nuts", f"ISO 4032 {a.ring_screw.thread}", partial(_nut, nut, a.ring_screw.pitch_d),
+        ("ring_nuts", f"ISO 4032 {a.ring_screw.thread}", drawn_nut,
          _upright(a.p_ring_screws, a.nut_slot_z[1] - nut.height)),
         # h8 is a slip fit in the sensor's hole; m6 would be a press fit
         ("dowel_pins", f"ISO 2338 {d / MM:g} h8x{length / MM:g}", partial(cylinder, d, 0.0, length),
@@ -147,8 +153,8 @@ def fasteners(a: SensorAdapter, plate: FlangeAdapter, screws: list[ScrewGroup]) 
     if plate.p_centring_pins:
         T, pin = plate.T_sensor_robotflange, f"{CENTRING_PIN_D / MM:g} h8x{CENTRING_PIN_LENGTH / MM:g}"
         poses = _upright(_in_frame(plate.p_centring_pins, T), float(T[2, 3]) + plate.centring_hole[1])
-        draw = partial(cylinder, CENTRING_PIN_D, 0.0, CENTRING_PIN_LENGTH)
-        groups.append(("centring_pins", f"ISO 2338 {pin}", draw, poses))
+        cylindrical = partial(cylinder, CENTRING_PIN_D, 0.0, CENTRING_PIN_LENGTH)
+        groups.append(("centring_pins", f"ISO 2338 {pin}", cylindrical, poses))
     solids: dict[str, cq.Solid] = {}
     for _, standard, draw, _ in groups:
         if standard not in solids:
@@ -161,12 +167,6 @@ def _screw(screw: SocketScrew, length: float) -> cq.Solid:
     head, shank = cylinder(screw.head_d, 0.0, screw.head_height), cylinder(screw.pitch_d, -length, 0.0)
     socket = hexagon(screw.socket_af, screw.head_height - screw.socket_depth, screw.head_height, (0.0, 0.0))
     return single_solid(head.fuse(shank).cut(socket))
-
-
-def _nut(nut: Nut, bore_d: float) -> cq.Solid:
-    """Return a nut about z on z = 0, two sides along x."""
-    z = (0.0, nut.height)
-    return single_solid(hexagon(nut.af, *z, (0.0, 0.0), 30.0).cut(cylinder(bore_d, *z)))
 
 
 def _upright(points: Iterable[XY], z: float) -> tuple[Array, ...]:
@@ -190,35 +190,19 @@ def probe_solid(geometry: ProbeGeometry, adapter: SensorAdapter) -> cq.Solid:
         The solid in millimetres in the base frame: flexible part above z = 0, flange below.
     """
     mark = cylinder(adapter.peg_hole_d, -geometry.flange.thickness, 0.0, (adapter.peg_x, 0.0))
-    body = _turned(geometry) if geometry.cross_section.full_round else _ruled(geometry)
+    section, flange, underside = geometry.cross_section, geometry.flange, -geometry.flange.thickness
+    taper = [(float(r), float(s)) for s, r in zip(geometry.s, geometry.radius, strict=True)]
+    if section.full_round:
+        rim = flange.diameter / 2
+        body = revolved([(0.0, underside), (rim, underside), (rim, 0.0), *taper, (0.0, geometry.length)])
+    else:
+        # A hollow one is not revolved: the kernel confuses a cone of a thin bore with a cylinder, and meshes it with
+        # hundreds of thousands of triangles.
+        body = cylinder(flange.diameter, underside, 0.0).fuse(frusta(taper, section.flatness))
+        if section.hollow:  # open from tip to underside, so that resin drains at both ends
+            bore = [(section.bore_ratio * r, s) for r, s in taper]
+            body = body.cut(frusta([(geometry.bore_radius, underside), *bore]))
     return single_solid(body.cut(mark, *engraving_cuts(adapter.on_flange)))
-
-
-def _turned(geometry: ProbeGeometry) -> cq.Shape:
-    rim, underside = geometry.flange.diameter / 2, -geometry.flange.thickness
-    taper = _taper(geometry)
-    return revolved([(0.0, underside), (rim, underside), (rim, 0.0), *taper, (0.0, geometry.length)])
-
-
-def _ruled(geometry: ProbeGeometry) -> cq.Shape:
-    """Loft a body of any cross-section.
-
-    A hollow one is not revolved: the kernel confuses a cone of a thin bore with a cylinder, and meshes it with hundreds
-    of thousands of triangles.
-    """
-    section, taper = geometry.cross_section, _taper(geometry)
-    disc = cylinder(geometry.flange.diameter, -geometry.flange.thickness, 0.0)
-    body = disc.fuse(frusta(taper, section.flatness))
-    if not section.hollow:
-        return body
-    # Open from tip to underside, so that resin drains at both ends.
-    bore = [(section.bore_ratio * r, s) for r, s in taper]
-    return body.cut(frusta([(geometry.bore_radius, -geometry.flange.thickness), *bore]))
-
-
-def _taper(geometry: ProbeGeometry) -> list[XY]:
-    """Return (radius, s) at the knots [m]."""
-    return [(float(r), float(s)) for s, r in zip(geometry.s, geometry.radius, strict=True)]
 
 
 def sensor_adapter_solid(a: SensorAdapter) -> cq.Solid:
