@@ -49,6 +49,7 @@ class Resin:
     product: str  #: name of the product, in messages and sources.
     youngs_modulus: Quantity  #: E at small strain [Pa].
     shear_modulus: Quantity  #: G [Pa]; independent of E on purpose (docs/decisions/0004).
+    stiffness_spread: Quantity  #: standard deviation of E, and of G, of a print that was not identified, relative [-].
     density: Quantity  #: cured [kg/m³].
     #: tangential over normal force of a touch [-], standard deviation of the prior per tangential direction.
     friction: Quantity
@@ -61,46 +62,69 @@ ELASTIC_FRICTION = Quantity(
     0.6, "assumed", "soft polyurethane on card, plastic or metal: about 0.5 to 1; assumed until measured"
 )
 
-_PAPER = "paper, section IV: identified on the paper's prints, not on yours"
+#: E, and G, of a print that was not identified [-].
+STIFFNESS_SPREAD = Quantity(0.1, "assumed", "published values of E of one resin differ by 20 %: half of it")
+#: The same where no measurement of this very resin is known [-].
+UNMEASURED_SPREAD = Quantity(0.2, "assumed", "no measurement of this resin is known; those of one resin differ by 20 %")
+
+_PAPER = "paper, section IV: identified on the paper's prints of Elastic 50A V1, not on yours"
 
 ELASTIC_50A = Resin(
     name="elastic-50a",
-    product="Elastic 50A",
+    product="Elastic 50A V1",
     youngs_modulus=Quantity(2.32 * MPA, "assumed", _PAPER),
     shear_modulus=Quantity(0.761 * MPA, "assumed", _PAPER),
+    stiffness_spread=STIFFNESS_SPREAD,
     density=Quantity(1010.0, "datasheet", "Formlabs Elastic 50A V1, 1.00-1.02 g/ml"),
     friction=ELASTIC_FRICTION,
     density_tolerance_source="datasheet: Formlabs Elastic 50A V1, 1.00-1.02 g/ml, its half width taken for one "
     "standard deviation",
     cure="wash 20 min, cure 20 min at 60 °C (Formlabs, Elastic 50A)",
 )
+#: What is sold as Elastic 50A today. Its stiffness and density have not been found published.
+ELASTIC_50A_V2 = replace(
+    ELASTIC_50A,
+    name="elastic-50a-v2",
+    product="Elastic 50A V2",
+    youngs_modulus=Quantity(2.32 * MPA, "assumed", "as Elastic 50A V1: identify before you rely on it"),
+    shear_modulus=Quantity(0.761 * MPA, "assumed", "as Elastic 50A V1: identify before you rely on it"),
+    stiffness_spread=UNMEASURED_SPREAD,
+    density=Quantity(1010.0, "assumed", "as Elastic 50A V1: weigh the print"),
+    density_tolerance_source="assumed: 1 %, as of Elastic 50A V1; no density of Elastic 50A V2 is known",
+)
 
 
-def _incompressible(name: str, product: str, E_mpa: float, density: float, E_source: str, density_source: str) -> Resin:
+def _incompressible(
+    name: str, product: str, E_mpa: float, density: float, E_source: str, spread: Quantity, density_source: str
+) -> Resin:
     """Return a soft resin of which E alone is known: G = E/3, the incompressible limit, marked as assumed."""
     return Resin(
         name=name,
         product=product,
         youngs_modulus=Quantity(E_mpa * MPA, "assumed", E_source),
         shear_modulus=Quantity(E_mpa * MPA / 3.0, "assumed", "E/3, the incompressible limit"),
+        stiffness_spread=spread,
         density=Quantity(density, "datasheet", density_source),
         friction=ELASTIC_FRICTION,
-        density_tolerance_source=f"assumed: 1 %, as of Elastic 50A; the data sheet of {product} has no range",
+        density_tolerance_source=f"assumed: 1 %, as of Elastic 50A V1; the data sheet of {product} has no range",
     )
 
 
 FLEXIBLE_80A = _incompressible(
     "flexible-80a", "Flexible 80A", 6.3, 1120.0,
     "stress at 100 % strain (V1) taken for E: identify before you rely on it",
+    UNMEASURED_SPREAD,
     "Formlabs Flexible 80A V2, 1.12 g/ml",
 )  # fmt: skip
 SILICONE_40A = _incompressible(
-    "silicone-40a", "Silicone 40A", 1.7, 1040.0,
-    "rule of thumb for Shore 40A (Gent's relation): identify before you rely on it",
+    "silicone-40a", "Silicone 40A", 0.95, 1040.0,
+    "36 prints by others, washed in two ways: 0.93 and 1.01 MPa, from a Phrozen Sonic Mini 8K, soaked in saline "
+    "(Scientific Data 2025, doi 10.1038/s41597-025-05738-7): identify yours",
+    Quantity(0.1, "assumed", "5 and 13 % within the two groups of the prints that E is from"),
     "Formlabs Silicone 40A, 1.04 g/ml",
 )  # fmt: skip
 
-RESINS = {resin.name: resin for resin in (ELASTIC_50A, FLEXIBLE_80A, SILICONE_40A)}
+RESINS = {resin.name: resin for resin in (ELASTIC_50A, ELASTIC_50A_V2, FLEXIBLE_80A, SILICONE_40A)}
 
 #: Material of the adapters; any resin that is stiff against the probe is suitable.
 RIGID_RESIN = "rigid resin, e.g. Grey V4"

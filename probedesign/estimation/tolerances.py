@@ -6,21 +6,23 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
 from probedesign.core.errors import InputError
-from probedesign.design.catalog import RESINS, Quantity
+from probedesign.design.catalog import RESINS, STIFFNESS_SPREAD, Quantity
 
 IDENTIFIED = 0.005  #: What an identification on the bench leaves of the stiffness, relative. Assumed.
-#: Standard deviation of E where nothing was measured, relative: prints of one resin differ so. Assumed.
-ASSUMED_STIFFNESS = 0.03
+#: What an hour on the bench leaves of the stiffness, relative. `plan --minutes 60` expects 3.0 to 3.4 % of the large
+#: probe with cameras of 1 mm or a stage of 0.05 mm, 4.4 % of the small one; two hours leave 1.2 to 3.7 %.
+AFTER_AN_HOUR = 0.03
 
 #: Time [s] for which `drift_steps` and `walk_steps` are given. Assumed: the detector's walk of 0.05 steps a root of a
 #: second makes the default 0.2 steps of it.
 WALK_SECONDS = 16.0
 
-#: Source of each default, with the product of the resin and the source of its density in the places of the braces.
+#: Source of each default, with the product of the resin and the sources of its stiffness and density in the places
+#: of the braces.
 SOURCES = {
     "drift_steps": "assumed, as in fusion",
     "walk_steps": "assumed: 0.05 steps a root of a second over a quarter of a minute, as drift_steps",
-    "youngs_modulus": "assumed: prints of one resin differ so; 0.005 where E is identified",
+    "youngs_modulus": "assumed: {stiffness}; 0.005 where E is identified",
     "shear_modulus": "assumed, as E",
     "youngs_modulus_by_diameter": "assumed: E is known apart from the diameters",
     "density": "{density}",
@@ -59,6 +61,10 @@ class KnownModel(Protocol):
         """Standard deviation of E and of G, relative; None: by where E comes from."""
 
     @property
+    def resin(self) -> str:
+        """Name of the resin; empty if unknown."""
+
+    @property
     def creep_spread(self) -> float:
         """Standard deviation of how far it relaxes while touches are fused, relative."""
 
@@ -70,8 +76,9 @@ class Tolerances:
     #: of the sensor's bias since a tare of a quarter of a minute ago, on each channel, in steps of its resolution;
     #: `Estimator.with_tare_age` lets it grow with the root of time.
     drift_steps: float = 0.2
-    youngs_modulus: float = 0.03  #: youngs_modulus, shear_modulus, density: relative, each by itself.
-    shear_modulus: float = 0.03
+    #: youngs_modulus, shear_modulus, density: relative, each by itself.
+    youngs_modulus: float = STIFFNESS_SPREAD.value
+    shear_modulus: float = STIFFNESS_SPREAD.value
     density: float = 0.01
     #: diameter_mm, diameter_share: of all diameters together, the greater of millimetres and share of each.
     diameter_mm: float = 0.075
@@ -125,7 +132,7 @@ class Tolerances:
             return model.tolerances
         spread, E = model.stiffness_spread, model.material.get("youngs_modulus")
         if spread is None:
-            spread = IDENTIFIED if E is not None and E.provenance == "identified" else ASSUMED_STIFFNESS
+            spread = IDENTIFIED if E is not None and E.provenance == "identified" else _unidentified(model.resin).value
         own = cls(youngs_modulus=spread, shear_modulus=spread, creep=model.creep_spread or cls.creep)
         return replace(own, **{name: value for name, value in (given or {}).items() if value is not None})
 
@@ -157,9 +164,16 @@ class Tolerances:
         known = RESINS.get(resin)
         product = "the resin" if known is None else known.product
         density = "assumed" if known is None else known.density_tolerance_source
+        spread = _unidentified(resin)
+        usual = {"youngs_modulus": spread.value, "shear_modulus": spread.value}
         return {
-            name: text.format(product=product, density=density)
-            if getattr(self, name) == getattr(Tolerances, name)
+            name: text.format(product=product, density=density, stiffness=spread.source)
+            if getattr(self, name) == usual.get(name, getattr(Tolerances, name))
             else "design"
             for name, text in SOURCES.items()
         }
+
+
+def _unidentified(resin: str) -> Quantity:
+    """Return the standard deviation of E of a print of a resin that was not identified, relative."""
+    return RESINS[resin].stiffness_spread if resin in RESINS else STIFFNESS_SPREAD

@@ -246,7 +246,7 @@ STEP = 1e-4  #: Relative step of the finite differences; the error prediction is
 _EXACT = 12  # decimals: dimensions are not rounded noticeably
 _SMALL = 1e-4  # relative step of a radius, for differences of the free rod alone
 #: Critical load, over the task's force, that a design must have: the error does not show how near buckling is, and a
-#: print may be softer than designed by several times the 3 % standard deviation of E (assumed).
+#: print may be softer than designed by two standard deviations of E, 10 % each (assumed).
 SAFETY_FACTOR = 1.25
 _NO_SLIDE_MM = 1e-3  #: Slide below which an object counts as stationary.
 _MAX_LOAD = 1.1 * SAFETY_FACTOR  # beyond the safety factor, so that the constraint is smooth at its limit

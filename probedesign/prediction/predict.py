@@ -3,7 +3,7 @@ error."""
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from probedesign.core.parallel import OnProgress, quiet
 from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.tolerances import AFTER_AN_HOUR, Tolerances
 from probedesign.prediction.budget import CAUSES
 from probedesign.prediction.fused import (
     FUSED_CAUSES,
@@ -114,6 +114,26 @@ class MonteCarloResult:
 
 
 @dataclass(frozen=True)
+class BenchGain:
+    """Errors of one probe with its stiffness known as after an hour on the bench, the rest as before; None where
+    nothing is located."""
+
+    stiffness: float  #: standard deviation of E and of G then, relative.
+    contact_fraction: float  #: arclength of the touched section over the length.
+    #: RMS distance of one reading of `HEADLINE_FORCE_N`, worst direction, by all error sources.
+    predicted_error_mm: float | None
+    fused_error_mm: float | None  #: the same of fused touches up to `SHOWN_N`.
+
+    @property
+    def text(self) -> str:
+        """Return the gain in words."""
+        single, fused = ("not located" if error is None else f"{error:.2g} mm RMS"
+                         for error in (self.predicted_error_mm, self.fused_error_mm))  # fmt: skip
+        return (f"an hour of it, E known to {self.stiffness:.0%}: at {self.contact_fraction:g} L one reading of "
+                f"{1e3 * HEADLINE_FORCE_N:g} mN {single}, fused up to {1e3 * SHOWN_N:g} mN {fused}")  # fmt: skip
+
+
+@dataclass(frozen=True)
 class Prediction(Tabular):
     """Predicted performance of a probe."""
 
@@ -136,6 +156,8 @@ class Prediction(Tabular):
     workspace: Workspace = NO_WORKSPACE  #: reachable contact points with a fixed base.
     monte_carlo: tuple[MonteCarloResult, ...] = ()  #: of the conditions that are located; empty if none was run.
     resin: str = ""  #: name of the resin; empty if unknown.
+    #: what an hour on the bench gains; None if the stiffness is known as well already, and in a preview.
+    bench_gain: BenchGain | None = None
 
     @property
     def verdict(self) -> str:
@@ -219,7 +241,7 @@ def predict(
     lines = [(fraction, direction) for fraction in fractions for direction in directions]
     ends = [(end, direction) for direction in directions if (end, direction) not in lines]
     # What holds for a probe without a stable free equilibrium, and what a preview leaves out.
-    workspace = NO_WORKSPACE
+    workspace, gain = NO_WORKSPACE, None
     reach = tuple(ForceThresholds(*line, None, None, None, None, "gives_way", None) for line in lines)
     detection = tuple(Detection(*line, None) for line in lines)
     conditions = {(*line, force): Condition(line[0], force, line[1], "gives_way")
@@ -240,6 +262,7 @@ def predict(
             limits = [row.greatest_force_N for row in reach]
             fused = fused_conditions(lines, touches, forces_N, pressing, on_progress)
             workspace = workspace_of(reach, touches, model.gravity_base)
+            gain = _bench_gain(estimator, fractions, directions, pressing)
         detection = tuple(
             _detection(touches[_WEAK_N], i, line, limit)
             for i, (line, limit) in enumerate(zip(lines, limits, strict=True))
@@ -265,7 +288,26 @@ def predict(
         workspace=workspace,
         pressing=pressing,
         resin=model.resin,
+        bench_gain=gain,
     )  # fmt: skip
+
+
+def _bench_gain(
+    estimator: Estimator, fractions: Sequence[float], directions: Sequence[str], pressing: PressSchedule
+) -> BenchGain | None:
+    known = estimator.priors
+    better = replace(known, youngs_modulus=min(known.youngs_modulus, AFTER_AN_HOUR),
+                     shear_modulus=min(known.shear_modulus, AFTER_AN_HOUR))  # fmt: skip
+    if better == known:
+        return None
+    place = min(fractions, key=lambda fraction: abs(fraction - HEADLINE_FRACTION))
+    lines = [(place, direction) for direction in directions]
+    touches = touches_of(estimator.with_tolerances(better), lines, (HEADLINE_FORCE_N, *pressing.forces(SHOWN_N)))
+    single = worst(conditions_of(touches[HEADLINE_FORCE_N], lines), HEADLINE_FORCE_N)
+    fused = fused_headline_of(fused_conditions(lines, touches, (SHOWN_N,), pressing), pressing.touches, place)
+    return BenchGain(
+        better.youngs_modulus, place, single[0].predicted_error_mm if single else None, fused.predicted_error_mm
+    )
 
 
 def worst(conditions: Sequence[Condition], force_N: float) -> list[Condition]:

@@ -15,7 +15,6 @@ from probedesign.core.parallel import Journal
 from probedesign.design import check_design, load_design
 from probedesign.design.catalog import RESINS
 from probedesign.design.edit import tables_of, with_values
-from probedesign.estimation.tolerances import ASSUMED_STIFFNESS
 from probedesign.optimization import sweep
 from probedesign.optimization.design_space import DesignSpace
 from probedesign.optimization.objective import Task
@@ -204,7 +203,7 @@ def test_what_was_measured_of_a_resin_does_not_hold_for_another():
     assert (material.identified_tests, material.stiffness_spread, material.creep_spread) == ((), None, 0.03)
     assert (print_.scale, print_.rigid_scale_xy, session.design.probe.measured) == ((1.0, 1.0, 1.0), 1.03, ())
     assert session.design.tolerances.model_dump(exclude_none=True) == of_the_bench
-    assert build_probe(session.design).tolerances.youngs_modulus == ASSUMED_STIFFNESS
+    assert build_probe(session.design).tolerances.youngs_modulus == RESINS["flexible-80a"].stiffness_spread.value
 
 
 def test_measured_diameters_hold_for_their_print_only():

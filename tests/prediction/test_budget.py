@@ -315,6 +315,8 @@ def test_the_sources_of_tolerances_cite_the_resin_of_the_design(large, resin):
     product = RESINS[resin].product
     for name in ("density", "diameter_mm", "creep", "stiffness_scatter"):
         assert product in sources[name], name
+    assert probe.tolerances.youngs_modulus == RESINS[resin].stiffness_spread.value
+    assert RESINS[resin].stiffness_spread.source in sources["youngs_modulus"]
     for other in {one.product for one in RESINS.values()} - {product}:
         assert all(other not in text or text.startswith("assumed: 1 %, as of") for text in sources.values())
     assert not any("{" in text for text in Tolerances().sources().values())
