@@ -1,31 +1,204 @@
-"""Reads MCAP files without trusting them, and recovers files that were not closed or are damaged."""
+"""Reads MCAP files without trusting them, and recovers files that were not closed or are damaged.
+
+The `mcap` package parses the records; claimed lengths are checked here first, so that no file makes the program
+allocate memory that the file does not fill.
+"""
 
 import json
 import os
 import re
 import struct
 import tempfile
+import zlib
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TypeVar
 
+import zstandard
+from lz4.frame import LZ4FrameDecompressor
 from mcap import records
+from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.writer import Writer
 
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite
-from probedesign.live.recordings.mcap_records import (
-    Damage,
-    DamagedError,
-    parse,
-    split_intact,
-    split_message,
-    walk,
-    walk_intact,
-)
-from probedesign.live.recordings.schemas import CLOCK_NAME, MCAP_MAGIC, OFFSET_KEY, BagTopic, Message
+from probedesign.live.recordings.schemas import CLOCK_NAME, MCAP_MAGIC, OFFSET_KEY, RECORD_PREFIX, BagTopic, Message
+
+#: Maximum length of a record and of an unpacked chunk [bytes]: writers use chunks of 1 MB, plus large images.
+MAX_RECORD = 256 * 1024 * 1024
+Record = TypeVar("Record", bound=records.McapRecord)
+_MESSAGE_HEAD = struct.Struct("<HIQQ")
+
+
+class DamagedError(Exception):
+    """The file is damaged; the text describes how."""
+
+
+def walk(file: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and content of each record up to and including the footer.
+
+    Raises:
+        DamagedError: the file ends before the footer, or a record is too long.
+    """
+    opcode, end = 0, os.fstat(file.fileno()).st_size
+    while opcode != Opcode.FOOTER:
+        prefix = file.read(RECORD_PREFIX.size)
+        if len(prefix) < RECORD_PREFIX.size:
+            raise DamagedError("it was cut off")
+        opcode, length = RECORD_PREFIX.unpack(prefix)
+        if not 0 < opcode < 128 or length > MAX_RECORD:
+            raise DamagedError(f"a record of kind {opcode} claims {length} bytes")
+        if length > end - file.tell():
+            raise DamagedError("it was cut off")
+        yield opcode, file.read(length)
+
+
+class Damage:
+    """The damage found in a file: the first place, and how many there are."""
+
+    def __init__(self) -> None:
+        self._first, self._count = "", 0
+
+    def add(self, text: str) -> None:
+        """Count a damaged place."""
+        self._first, self._count = self._first or text, self._count + 1
+
+    def __str__(self) -> str:
+        return self._first + (f", and damage at {self._count - 1} more places" if self._count > 1 else "")
+
+
+#: Maximum number of places that look like a chunk and are none, before the search for one ends: each is unpacked.
+MAX_CANDIDATES = 16
+#: The compression in a chunk, by which its beginning is found.
+_COMPRESSIONS = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")
+#: Length of a chunk record before its compression: prefix, two times, uncompressed size and checksum [bytes].
+_BEFORE_COMPRESSION = RECORD_PREFIX.size + 28
+_SEARCHED = 1 << 20
+
+
+def walk_intact(file: BinaryIO, damage: Damage) -> Iterator[tuple[int, bytes]]:
+    """Yield records like `walk`; after a damaged prefix it continues at the next intact chunk."""
+    while True:
+        start = file.tell()
+        try:
+            for opcode, content in walk(file):
+                yield opcode, content
+                start = file.tell()
+            return
+        except DamagedError as error:
+            damage.add(str(error))
+        chunk = _next_chunk(file, start + 1)
+        if chunk is None:
+            return
+        file.seek(chunk)
+
+
+def _next_chunk(file: BinaryIO, start: int) -> int | None:
+    """Return the offset of the next chunk that matches its checksum, from an offset on; None if there is none."""
+    failed, at = 0, start
+    while failed < MAX_CANDIDATES:
+        file.seek(at)
+        data = file.read(_SEARCHED)
+        for match in _COMPRESSIONS.finditer(data):
+            offset = at + match.start() - _BEFORE_COMPRESSION
+            if offset < start:
+                continue
+            file.seek(offset)
+            with suppress(DamagedError):
+                opcode, content = next(walk(file))
+                if opcode == Opcode.CHUNK:
+                    unpack(content)
+                    return offset
+            failed += 1
+            if failed == MAX_CANDIDATES:
+                return None
+        if len(data) < _SEARCHED:
+            return None
+        at += _SEARCHED - _BEFORE_COMPRESSION
+    return None
+
+
+def split_intact(content: bytes, damage: Damage) -> Iterator[tuple[int, memoryview]]:
+    """Yield opcode and content of the records of a chunk, up to its first damage."""
+    try:
+        yield from split(unpack(content))
+    except DamagedError as error:
+        damage.add(str(error))
+
+
+def parse(kind: type[Record], content: bytes) -> Record:
+    """Return a record parsed by the `mcap` package.
+
+    Raises:
+        DamagedError: it cannot be parsed.
+    """
+    try:
+        record: Record = kind.read(ReadDataStream(BytesIO(content)))  # type: ignore[attr-defined]  # not in its stubs
+    except Exception as error:  # the package does not validate: any exception is the file's fault
+        raise DamagedError(f"a {kind.__name__} record cannot be read ({type(error).__name__})") from None
+    return record
+
+
+def unpack(content: bytes) -> bytes:
+    """Return the content of a chunk.
+
+    Raises:
+        DamagedError: the content does not match the length or the checksum of the chunk.
+    """
+    chunk = parse(records.Chunk, content)
+    size = chunk.uncompressed_size
+    if size > MAX_RECORD:
+        raise DamagedError(f"a chunk claims {size} bytes")
+    try:
+        match chunk.compression:
+            case "":
+                data = chunk.data
+            case "zstd":
+                data = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(size + 1)
+            case "lz4":
+                data = LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+            case other:
+                raise DamagedError(f"a chunk is compressed by {other[:20]!r}; zstd and lz4 are known")
+    except (zstandard.ZstdError, RuntimeError, MemoryError):
+        raise DamagedError("a chunk does not unpack") from None
+    if len(data) != size or (chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc):
+        raise DamagedError("a chunk does not match its own checksum")
+    return bytes(data)
+
+
+def split(data: bytes) -> Iterator[tuple[int, memoryview]]:
+    """Yield opcode and content of each record in a chunk.
+
+    Raises:
+        DamagedError: the last record does not end with the chunk.
+    """
+    at, view = 0, memoryview(data)
+    while at < len(view):
+        if at + RECORD_PREFIX.size > len(view):
+            raise DamagedError("a chunk ends in part of a record")
+        opcode, length = RECORD_PREFIX.unpack_from(view, at)
+        at += RECORD_PREFIX.size
+        if length > len(view) - at:
+            raise DamagedError("a chunk ends in part of a record")
+        yield opcode, view[at : at + length]
+        at += length
+
+
+def split_message(content: memoryview) -> tuple[int, int, int, int, memoryview]:
+    """Return channel, sequence number, time of recording and of publication [ns], and data of a message record.
+
+    Raises:
+        DamagedError: it is too short.
+    """
+    if len(content) < _MESSAGE_HEAD.size:
+        raise DamagedError("a message is too short")
+    channel, sequence, logged, published = _MESSAGE_HEAD.unpack_from(content)
+    return channel, sequence, logged, published, content[_MESSAGE_HEAD.size :]
+
 
 OFFSET = re.compile(r"-?[0-9]{1,19}")
 FOOTER_AND_MAGIC = 9 + 20 + 8
@@ -54,7 +227,24 @@ class McapBag:
         self._channels: dict[int, BagTopic] = {}
         self._schemas: dict[int, str] = {}
         try:
-            self._read_head()
+            with path.open("rb") as file:
+                if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
+                    raise InputError(f"{path}: not an MCAP file: wrong first bytes")
+                for opcode, content in walk(file):
+                    if opcode == Opcode.ATTACHMENT and len(content) < MAX_PROBE_BYTES:
+                        attachment = parse(records.Attachment, content)
+                        if attachment.name.endswith(".probe.json"):
+                            try:
+                                probe = json.loads(attachment.data)
+                            except (ValueError, RecursionError):
+                                raise DamagedError("the frozen probe in it is not JSON") from None
+                            self.probe = probe if isinstance(probe, dict) else None
+                    elif opcode in (Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL):
+                        self._register(opcode, content)
+                    elif opcode not in (Opcode.HEADER, Opcode.ATTACHMENT):
+                        break
+        except DamagedError as error:
+            self._damage.add(str(error))
         except FileNotFoundError:
             raise InputError(f"{path}: no such recording") from None
         except OSError as error:
@@ -68,7 +258,15 @@ class McapBag:
     def channels(self) -> list[BagTopic]:
         """Return all channels, from the summary at the end or by reading the whole file; see `Bag`."""
         try:
-            self._read_summary()
+            with self.path.open("rb") as file:
+                size = file.seek(0, 2)
+                file.seek(max(size - FOOTER_AND_MAGIC, len(MCAP_MAGIC)))
+                footers = [parse(records.Footer, content) for opcode, content in walk(file) if opcode == Opcode.FOOTER]
+                if len(footers) != 1 or file.read() != MCAP_MAGIC or not 0 < footers[0].summary_start < size:
+                    raise DamagedError("it has no summary")
+                file.seek(footers[0].summary_start)
+                for opcode, content in walk(file):
+                    self._register(opcode, content)
         except DamagedError:
             for _ in self.messages(()):
                 pass
@@ -80,25 +278,20 @@ class McapBag:
         try:
             for opcode, content in self._records():
                 try:
-                    message = self._message(opcode, content, topics)
+                    if opcode != Opcode.MESSAGE:
+                        self._register(opcode, bytes(content))
+                        continue
+                    number, _, logged, _, data = split_message(memoryview(content))
+                    channel = self._channels.get(number)
+                    if channel is None:
+                        raise DamagedError(f"a message belongs to channel {number}, which does not exist")
                 except DamagedError as error:
                     self._damage.add(str(error))
                     continue
-                if message is not None:
-                    yield message
+                if channel.topic in topics:
+                    yield Message(channel.topic, logged, data)
         except OSError as error:
             raise InputError(f"{self.path}: cannot be read: {error.strerror}") from None
-
-    def _message(self, opcode: int, content: bytes | memoryview, topics: Collection[str]) -> Message | None:
-        """Return the message in a record, if it is one of the topics; store what other records contain."""
-        if opcode != Opcode.MESSAGE:
-            self._register(opcode, bytes(content))
-            return None
-        number, _, logged, _, data = split_message(memoryview(content))
-        channel = self._channels.get(number)
-        if channel is None:
-            raise DamagedError(f"a message belongs to channel {number}, which does not exist")
-        return Message(channel.topic, logged, data) if channel.topic in topics else None
 
     def _records(self) -> Iterator[tuple[int, bytes | memoryview]]:
         """Yield all records up to the end of the data, including those in chunks."""
@@ -126,41 +319,6 @@ class McapBag:
             self.metadata.setdefault(metadata.name, metadata.metadata)
             if metadata.name == CLOCK_NAME and OFFSET.fullmatch(text := metadata.metadata.get(OFFSET_KEY, "")):
                 self.clock_offset = int(text)
-
-    def _read_head(self) -> None:
-        with self.path.open("rb") as file:
-            if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
-                raise InputError(f"{self.path}: not an MCAP file: wrong first bytes")
-            try:
-                for opcode, content in walk(file):
-                    if opcode == Opcode.ATTACHMENT and len(content) < MAX_PROBE_BYTES:
-                        self._read_attachment(parse(records.Attachment, content))
-                    elif opcode in (Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL):
-                        self._register(opcode, content)
-                    elif opcode not in (Opcode.HEADER, Opcode.ATTACHMENT):
-                        return
-            except DamagedError as error:
-                self._damage.add(str(error))
-
-    def _read_attachment(self, attachment: records.Attachment) -> None:
-        if attachment.name.endswith(".probe.json"):
-            try:
-                probe = json.loads(attachment.data)
-            except (ValueError, RecursionError):
-                raise DamagedError("the frozen probe in it is not JSON") from None
-            self.probe = probe if isinstance(probe, dict) else None
-
-    def _read_summary(self) -> None:
-        """Read schemas and channels from the end of the file."""
-        with self.path.open("rb") as file:
-            size = file.seek(0, 2)
-            file.seek(max(size - FOOTER_AND_MAGIC, len(MCAP_MAGIC)))
-            footers = [parse(records.Footer, content) for opcode, content in walk(file) if opcode == Opcode.FOOTER]
-            if len(footers) != 1 or file.read() != MCAP_MAGIC or not 0 < footers[0].summary_start < size:
-                raise DamagedError("it has no summary")
-            file.seek(footers[0].summary_start)
-            for opcode, content in walk(file):
-                self._register(opcode, content)
 
 
 @dataclass(frozen=True)

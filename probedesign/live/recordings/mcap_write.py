@@ -99,7 +99,8 @@ class McapWriter:
         offsets = self._pending + laid.dtype.itemsize * np.arange(n)
         self._index.setdefault(channel, []).append(np.stack([logged, offsets], axis=1))
         self._counts[channel] = self._counts.get(channel, 0) + n
-        self._append(laid.tobytes())
+        self._chunk.append(laid.tobytes())
+        self._pending += laid.nbytes
 
     def flush(self) -> None:
         """End the chunk and pass it to the operating system.
@@ -139,10 +140,6 @@ class McapWriter:
         self._chunk: list[bytes] = []
         self._pending = 0
         self._index: dict[int, list[Nanoseconds]] = {}
-
-    def _append(self, data: bytes) -> None:
-        self._chunk.append(data)
-        self._pending += len(data)
 
     def _write_chunk(self) -> None:
         data = b"".join(self._chunk)
@@ -221,7 +218,10 @@ class McapRecorder(MessageEncoder):
         self._writer.add_metadata(METADATA_NAME, metadata | started | UNITS | dict(about or {}))
         for name, content in schemas.QOS_METADATA.items():
             self._writer.add_metadata(name, content)
-        self._channels = {topic.name: self._channel(topic) for topic in schemas.TOPICS}
+        self._channels = {
+            topic.name: self._writer.register(topic.name, topic.type, schemas.definition(topic.type), topic.metadata)
+            for topic in schemas.TOPICS
+        }
         try:
             self._file.flush()
         except OSError:
@@ -259,7 +259,3 @@ class McapRecorder(MessageEncoder):
             self._writer.finish()
         finally:
             self._file.close()
-
-    def _channel(self, topic: Topic) -> int:
-        definition = schemas.definition(topic.type)
-        return self._writer.register(topic.name, topic.type, definition, topic.metadata)

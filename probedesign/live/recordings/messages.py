@@ -73,8 +73,11 @@ class MessageEncoder(Sink, ABC):
             if self.clock_offset is None:
                 self._start_clock(block.time[-1], float(block.received[-1]))
             self._wall(block.time[[0, -1]])  # time does not decrease
-        if self._pending and not (_same_state(self._pending[0], block) and self._count < MAX_BLOCK):
-            self.encode()
+        if self._pending:
+            first = self._pending[0]
+            same = (first.fault, first.stretch) == (block.fault, block.stretch)
+            if not (same and np.array_equal(first.gravity_base, block.gravity_base) and self._count < MAX_BLOCK):
+                self.encode()
         self._pending.append(block)
         self._count += len(block)
 
@@ -115,34 +118,26 @@ class MessageEncoder(Sink, ABC):
             stamps = self._wall([update.reading.time for update in updates])
             for topic, chosen, data in update_messages(updates, stamps):
                 self.add(topic, chosen, data)
-            self._encode_scenes(updates, stamps)
-        if self._pending:
-            block, self._pending, self._count = joined(self._pending), [], 0
-            self._encode_block(block)
-
-    def _encode_scenes(self, updates: Sequence[EstimateUpdate], stamps: Nanoseconds) -> None:
-        """Encode a scene of those estimates that are due."""
-        if not self.is_wanted(schemas.SCENE):
+            for update, stamp in zip(updates, stamps, strict=True) if self.is_wanted(schemas.SCENE) else ():
+                if not self._scene_due - 1.0 <= update.reading.time < self._scene_due:
+                    self._scene_due = update.reading.time + 0.9 * SCENE_PERIOD
+                    self.add(schemas.SCENE, np.array([stamp]), self._scene.encode(update, int(stamp)))
+        if not self._pending:
             return
-        for update, stamp in zip(updates, stamps, strict=True):
-            if update.reading.time >= self._scene_due or update.reading.time < self._scene_due - 1.0:
-                self._scene_due = update.reading.time + 0.9 * SCENE_PERIOD
-                self.add(schemas.SCENE, np.array([stamp]), self._scene.encode(update, int(stamp)))
-
-    def _encode_block(self, block: Block) -> None:
+        block, self._pending, self._count = joined(self._pending), [], 0
         stamps = self._wall(block.time) if len(block) else np.array([self._logged])
         if len(block) and self.is_wanted(schemas.RAW):
             self.add(schemas.RAW, stamps, stamped("sensor", stamps, block.wrench_sensor), self._first)
-        content = {
-            "first": self._first,
-            "readings": len(block),
-            "gravity_base_m_s2": block.gravity_base.tolist(),
-            "stretch": block.stretch,
-            "fault": block.fault,
-        }
-        self._first += len(block)
         if self.is_wanted(schemas.BLOCK):
+            content = {
+                "first": self._first,
+                "readings": len(block),
+                "gravity_base_m_s2": block.gravity_base.tolist(),
+                "stretch": block.stretch,
+                "fault": block.fault,
+            }
             self.add(schemas.BLOCK, stamps[-1:], texts([json.dumps(content)]))
+        self._first += len(block)
 
     def _start_clock(self, source_time: float, received: float = math.nan) -> None:
         """Relate a time of the source [s] to the wall clock at its arrival by `time.monotonic` [s], or now."""
@@ -173,10 +168,6 @@ class MessageEncoder(Sink, ABC):
         return wall
 
 
-def _same_state(a: Block, b: Block) -> bool:
-    return (a.fault, a.stretch) == (b.fault, b.stretch) and np.array_equal(a.gravity_base, b.gravity_base)
-
-
 #: Variance of each angle of a contact's orientation [rad²], which is not estimated: π in each direction.
 UNKNOWN_ROTATION_VAR = math.pi**2
 
@@ -192,43 +183,37 @@ def update_messages(
     wrenches = [(t, a.wrench_base.tolist()) for t, a in numbered if np.isfinite(a.wrench_base).all()]
     contacts = [(t, a.estimate) for t, a in numbered if a.estimate.ok]
     fused = [(t, a.fused) for t, a in numbered if a.fused is not None and a.fused.ok]
-    found = [(t, _pose_values(e.p_surface_base, e.cov_surface_base)) for t, e in contacts]
-    found_world = [(t, _pose_values(f.p_surface_world, f.cov_surface_world)) for t, f in fused]
+    points = [(t, _pose_values(e.p_surface_base, e.cov_surface_base)) for t, e in contacts]
+    points_world = [(t, _pose_values(f.p_surface_world, f.cov_surface_world)) for t, f in fused]
     for topic, frame, values in (
         (schemas.WITHOUT_BIAS, "base", wrenches),
-        (schemas.CONTACT, "base", found),
-        (schemas.CONTACT_WORLD, "world", found_world),
+        (schemas.CONTACT, "base", points),
+        (schemas.CONTACT_WORLD, "world", points_world),
     ):
         if values:
             chosen = np.array([stamp for stamp, _ in values])
             yield topic, chosen, stamped(frame, chosen, [numbers for _, numbers in values])
-    numbers, codes = zip(*map(_state_values, updates), strict=True)
+    numbers, codes, lines = [], [], []
+    for update in updates:
+        estimate = update.estimate
+        contact = [estimate.s_contact, estimate.std_s, *estimate.p_surface_base, *estimate.force_base]
+        contact += [float(np.linalg.norm(estimate.force_base)), estimate.force_normal, estimate.force_tangential]
+        contact.append(estimate.friction_ratio)
+        if not estimate.ok:
+            contact = [math.nan] * len(contact)
+        numbers.append([*map(float, contact), float(estimate.detection_chi2)])
+        codes.append((_RESULT_CODES[estimate.result], schemas.PHASES.index(update.phase)))
+        world = world_row(update) if update.fused is not None else {}
+        line, T = json_line(estimate_row(update.reading, estimate) | world), update.T_world_base
+        lines.append(f'{line[:-1]}, "T_world_base": {json.dumps(T.tolist())}}}' if np.isfinite(T).all() else line)
     yield schemas.STATE, stamps, stamped("base", stamps, numbers, codes)
-    yield schemas.ESTIMATE, stamps, texts([_estimate_json(update) for update in updates])
+    yield schemas.ESTIMATE, stamps, texts(lines)
 
 
 _RESULT_CODES = {result: code for code, result in enumerate(RESULTS)}
-
-
-def _state_values(update: EstimateUpdate) -> tuple[list[float], tuple[int, int]]:
-    """Return numbers and codes of `schemas.CONTACT_STATE`; the numbers of a contact are NaN without a contact."""
-    estimate = update.estimate
-    contact = [estimate.s_contact, estimate.std_s, *estimate.p_surface_base, *estimate.force_base]
-    contact += [float(np.linalg.norm(estimate.force_base)), estimate.force_normal, estimate.force_tangential]
-    contact.append(estimate.friction_ratio)
-    if not estimate.ok:
-        contact = [math.nan] * len(contact)
-    codes = _RESULT_CODES[estimate.result], schemas.PHASES.index(update.phase)
-    return [*map(float, contact), float(estimate.detection_chi2)], codes
 
 
 def _pose_values(p: Array, cov: Array) -> list[float]:
     whole = UNKNOWN_ROTATION_VAR * np.eye(6)
     whole[:3, :3] = cov
     return [*p.tolist(), 0.0, 0.0, 0.0, 1.0, *whole.ravel().tolist()]
-
-
-def _estimate_json(update: EstimateUpdate) -> str:
-    world = world_row(update) if update.fused is not None else {}
-    line, T = json_line(estimate_row(update.reading, update.estimate) | world), update.T_world_base
-    return f'{line[:-1]}, "T_world_base": {json.dumps(T.tolist())}}}' if np.isfinite(T).all() else line

@@ -249,25 +249,24 @@ class Topic:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """Metadata of the channel: the QoS profile that rosbag2 needs to play it, and the JSON Schema."""
+        """Metadata of the channel: the QoS profile that rosbag2 needs to play it, and the JSON Schema.
+
+        A publisher keeps the last messages, is reliable, volatile or transient local, and its liveliness automatic.
+        """
         known = {"json_schema": json.dumps(self.schema)} if self.schema else {}
-        return {"offered_qos_profiles": _qos(self.latched)} | known
+        history, depth, reliability, durability, liveliness = 1, 10, 1, 1 if self.latched else 2, 1
+        qos = (
+            f"- history: {history}\n  depth: {depth}\n  reliability: {reliability}\n  durability: {durability}\n"
+            f"  deadline:{_FOREVER}\n  lifespan:{_FOREVER}\n  liveliness: {liveliness}\n"
+            f"  liveliness_lease_duration:{_FOREVER}\n  avoid_ros_namespace_conventions: false"
+        )
+        return {"offered_qos_profiles": qos} | known
 
 
 #: Metadata record without which newer versions of rosbag2 expect the policies of a QoS profile as words. Source:
 #: rosbag2_storage_mcap, `MCAPStorage::read_metadata`; rosbag2_storage, `qos.cpp`.
 QOS_METADATA = {"rosbag2": {"offered_qos_profiles": "numbers, as in version 8 of rosbag2's metadata"}}
 _FOREVER = "\n    sec: 9223372036\n    nsec: 854775807"
-
-
-def _qos(latched: bool) -> str:
-    """Return the QoS profile of a publisher as YAML: keep last, reliable, volatile or transient local, automatic."""
-    history, depth, reliability, durability, liveliness = 1, 10, 1, 1 if latched else 2, 1
-    return (
-        f"- history: {history}\n  depth: {depth}\n  reliability: {reliability}\n  durability: {durability}\n"
-        f"  deadline:{_FOREVER}\n  lifespan:{_FOREVER}\n  liveliness: {liveliness}\n"
-        f"  liveliness_lease_duration:{_FOREVER}\n  avoid_ros_namespace_conventions: false"
-    )
 
 
 def _object(title: str, required: list[str], properties: dict[str, Any]) -> dict[str, Any]:
