@@ -73,10 +73,8 @@ def a_run(node, estimator, record=None, seconds=4):
     sinks.add(publisher)
     poses = BasePoses("still", [TimedPose(0.04 * i, (0.4, 0.0, 0.3), (0.0, 0.6, 0.0, 0.8)) for i in range(120)])
     if record is not None:
-        file = McapRecorder(record, estimator.model)
-        sinks.add(file)
-        poses.on_pose = file.on_pose
-    publisher.follow(poses)
+        sinks.add(McapRecorder(record, estimator.model))
+    poses.on_pose = sinks.on_pose
     source = SimulatedSource(estimator.model, f"speed=max&seconds={seconds}&rate_hz=10&period_s=5")
     options = ProcessingOptions(samples=1, zero="trusted")
     for _ in estimate_stream(estimator, source, options, lines.append, sinks, None, poses):

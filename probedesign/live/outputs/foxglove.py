@@ -1,7 +1,5 @@
 """Sink that serves the messages of a recording live to Foxglove and PlotJuggler, by the Foxglove WebSocket protocol."""
 
-from typing import TYPE_CHECKING
-
 from probedesign.core.errors import InputError, require
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log, split_address
@@ -12,9 +10,6 @@ from probedesign.live.recordings import schemas
 from probedesign.live.recordings.messages import MessageEncoder
 from probedesign.live.recordings.schemas import Bytes, Nanoseconds, Topic
 from probedesign.web import LOOPBACK
-
-if TYPE_CHECKING:
-    from foxglove.websocket import ServerListener
 
 DEFAULT_ADDRESS = ("127.0.0.1", 8765)  #: Host and port that Foxglove proposes.
 #: Period in which messages are sent [s]; with the gathering of the thread, a message is up to 0.1 s old.
@@ -61,6 +56,17 @@ class FoxgloveServer(MessageEncoder):
         """
         require("foxglove", "--foxglove", "foxglove", "foxglove-sdk")
         import foxglove
+        from foxglove import websocket
+
+        static = self.encode_static
+
+        class Listener(websocket.ServerListener):
+            """Sends the static transform to every new subscriber, in a thread of the server: nothing is kept."""
+
+            def on_subscribe(self, client: websocket.Client, channel: websocket.ChannelView) -> None:
+                """Send it where it is subscribed."""
+                if channel.topic == schemas.TF_STATIC.name:
+                    static()
 
         super().__init__(model)
         context = self._context = foxglove.Context()  # channels live as long as it
@@ -81,7 +87,7 @@ class FoxgloveServer(MessageEncoder):
                 host=host,
                 port=port,
                 context=context,
-                server_listener=_static_sender(self),
+                server_listener=Listener(),
             )
         except Exception as error:  # the package raises its own type for each reason
             reason = " ".join(str(error).split())
@@ -101,12 +107,12 @@ class FoxgloveServer(MessageEncoder):
 
     def on_samples(self, block: Block) -> None:
         """Encode readings if somebody listens; see `MessageEncoder`."""
-        if self._is_watched():
+        if any(channel.has_sinks() for channel in self._channels.values()):
             super().on_samples(block)
 
     def on_estimate(self, update: EstimateUpdate) -> None:
         """Encode an estimate if somebody listens; see `MessageEncoder`."""
-        if self._is_watched():
+        if any(channel.has_sinks() for channel in self._channels.values()):
             super().on_estimate(update)
 
     def flush(self) -> None:
@@ -117,21 +123,6 @@ class FoxgloveServer(MessageEncoder):
         """Send what is buffered, and stop the server."""
         self.encode()
         self._server.stop()
-
-    def _is_watched(self) -> bool:
-        return any(channel.has_sinks() for channel in self._channels.values())
-
-
-def _static_sender(server: FoxgloveServer) -> "ServerListener":
-    """Return a listener that sends the static transform to every new subscriber: the protocol keeps no message."""
-    from foxglove import websocket
-
-    class Listener(websocket.ServerListener):
-        def on_subscribe(self, client: websocket.Client, channel: websocket.ChannelView) -> None:
-            if channel.topic == schemas.TF_STATIC.name:  # in a thread of the server
-                server.encode_static()
-
-    return Listener()
 
 
 class FoxgloveSink(BackgroundWriter):

@@ -1,6 +1,6 @@
 """The outputs that the user of a run selected, and their sinks."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,7 @@ from probedesign.live import Log
 from probedesign.live.outputs.recording import RecordingSink, SplitLimits, check_suffix
 from probedesign.live.outputs.ros2 import SCHEME, RosPublisher
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
-from probedesign.live.poses.base_poses import BasePoses, TimedPose
+from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.processing.commands import CommandQueue
 from probedesign.live.sources.source import Source
 from probedesign.live.view.sinks import BrowserView, TerminalView
@@ -76,17 +76,12 @@ class OutputOptions:
         commands.register("start recording", lambda command: recordings.start())
         commands.register("stop recording", lambda command: recordings.stop())
         sinks.add(recordings)
-        takers = [recordings.on_pose]
         if self.foxglove is not None:
             from probedesign.live.outputs.foxglove import FoxgloveSink
 
-            server = FoxgloveSink(estimator.model, self.foxglove, sinks.log)
-            sinks.add(server)
-            takers.append(server.on_pose)
+            sinks.add(FoxgloveSink(estimator.model, self.foxglove, sinks.log))
         if poses is not None:
-            poses.on_pose = partial(_give_to_all, takers)
-            if isinstance(publisher, RosPublisher):
-                publisher.follow(poses)
+            poses.on_pose = sinks.on_pose
         if self.page is not None:
             host, port = self.page
             sinks.add(
@@ -99,8 +94,3 @@ class OutputOptions:
             sinks.add(TerminalView(f"{estimator.model.name} {estimator.model.fingerprint}", counts, recordings.state))
         if self.record is not None:  # after the views, which show recording by its events
             sinks.log(recordings.start())
-
-
-def _give_to_all(takers: Sequence[Callable[[TimedPose], None]], pose: TimedPose) -> None:
-    for take in takers:
-        take(pose)

@@ -3,11 +3,11 @@
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
-from functools import partial
+from itertools import chain
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Protocol
@@ -44,9 +44,6 @@ class RecordingFile(Sink, Protocol):
 
     def flush(self) -> None:
         """Pass everything to the operating system; from then on it survives this program."""
-
-    def on_pose(self, pose: TimedPose) -> None:
-        """Receive a pose of the base."""
 
     def on_dropped(self, readings: int, others: int) -> None:
         """Receive the number of readings, and of estimates and events, that were dropped before this point."""
@@ -101,7 +98,15 @@ class BackgroundWriter(Sink):
 
     def on_samples(self, block: Block) -> None:
         """Queue readings; see `Sink`."""
-        if self._enqueue(len(block) or 1, partial(self._write_samples, block)):
+
+        def write() -> None:
+            following = self._next_file(self._file)
+            if following is not self._file:
+                self._n_before += self._file.readings
+                self._file = following
+            self._file.on_samples(block)
+
+        if self._enqueue(len(block) or 1, write):
             return
         if not self.dropped:
             self._log(f"{self._name}: {self._cause} is too slow; readings are dropped")
@@ -113,7 +118,7 @@ class BackgroundWriter(Sink):
         self._enqueue_other(lambda: self._file.on_estimate(update))
 
     def on_pose(self, pose: TimedPose) -> None:
-        """Queue a pose; see `RecordingFile`."""
+        """Queue a pose; see `Sink`."""
         self._enqueue_other(lambda: self._file.on_pose(pose))
 
     def on_event(self, time: float, line: str) -> None:
@@ -153,13 +158,6 @@ class BackgroundWriter(Sink):
         (readings, others), self._dropped = self._dropped, [0, 0]
         self._queue.put((0, lambda: self._file.on_dropped(readings, others)))
 
-    def _write_samples(self, block: Block) -> None:
-        following = self._next_file(self._file)
-        if following is not self._file:
-            self._n_before += self._file.readings
-            self._file = following
-        self._file.on_samples(block)
-
     def _work(self) -> None:
         """Run jobs until the end and flush periodically; after a failure only count them."""
         yield_to_estimates()
@@ -179,7 +177,12 @@ class BackgroundWriter(Sink):
     def _write(self) -> None:
         flushed = time.monotonic()
         while True:
-            for job in self._gather():
+            first: Job | None = (0, lambda: None)  # if a flush is due before one arrives
+            with suppress(Empty):
+                first = self._queue.get(timeout=self._flush_period)
+                if first is not None:
+                    time.sleep(GATHER_TIME)
+            for job in chain([first], (self._queue.get_nowait() for _ in range(self._queue.qsize()))):
                 if job is None:
                     self._queue.put(None)  # the end marker again, for the counting loop if closing fails
                     self._file.close()
@@ -189,19 +192,6 @@ class BackgroundWriter(Sink):
                 if time.monotonic() - flushed >= self._flush_period:
                     self._file.flush()
                     flushed = time.monotonic()
-
-    def _gather(self) -> Iterator[Job | None]:
-        """Yield the jobs that arrive within the gathering interval, or an empty one when a flush is due before."""
-        try:
-            first = self._queue.get(timeout=self._flush_period)
-        except Empty:
-            yield 0, lambda: None
-            return
-        if first is not None:
-            time.sleep(GATHER_TIME)
-        yield first
-        for _ in range(self._queue.qsize()):
-            yield self._queue.get_nowait()
 
 
 SUFFIXES = (".mcap", ".csv")
@@ -357,7 +347,7 @@ class RecordingSink(Sink):
             self._current.on_estimate(update)
 
     def on_pose(self, pose: TimedPose) -> None:
-        """Record a pose of the base, by the source's clock."""
+        """Record a pose of the base; see `Sink`."""
         if self._current is not None:
             self._current.on_pose(pose)
 

@@ -8,7 +8,6 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.blocks import Block
 from probedesign.live.outputs.sinks import UdpPublisher
-from probedesign.live.poses.base_poses import BasePoses, TimedPose
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.recordings import schemas
 from probedesign.live.recordings.messages import MessageEncoder
@@ -36,16 +35,6 @@ class RosPublisher(MessageEncoder, UdpPublisher):
         UdpPublisher.__init__(self, address.replace(SCHEME, "udp:", 1), log)
         MessageEncoder.__init__(self, model)
         self._static_sent = -math.inf
-
-    def follow(self, poses: BasePoses) -> None:
-        """Send the poses of the base too, after those that already receive them."""
-        before = poses.on_pose
-
-        def on_pose(pose: TimedPose) -> None:
-            before(pose)
-            self.on_pose(pose)
-
-        poses.on_pose = on_pose
 
     def is_wanted(self, topic: Topic) -> bool:
         """Return whether messages of a topic are sent."""

@@ -10,6 +10,7 @@ from typing import Protocol
 from probedesign.core.errors import InputError
 from probedesign.live import Log, split_address
 from probedesign.live.blocks import Block
+from probedesign.live.poses.base_poses import TimedPose
 from probedesign.live.processing.estimates import EstimateUpdate, Row, estimate_row, json_line, world_row
 
 
@@ -25,6 +26,10 @@ class Sink(Protocol):
 
     def on_estimate(self, update: EstimateUpdate) -> None:
         """Receive an estimate, at the rate of estimates."""
+        return None
+
+    def on_pose(self, pose: TimedPose) -> None:
+        """Receive a pose of the base by the source's clock, once and in order, as the readings reach it."""
         return None
 
     def on_event(self, time: float, line: str) -> None:
@@ -60,6 +65,10 @@ class SinkGroup:
     def on_estimate(self, update: EstimateUpdate) -> None:
         """Forward an estimate."""
         self._call_all(lambda sink: sink.on_estimate(update))
+
+    def on_pose(self, pose: TimedPose) -> None:
+        """Forward a pose of the base."""
+        self._call_all(lambda sink: sink.on_pose(pose))
 
     def on_event(self, time: float, line: str) -> None:
         """Forward an event."""
@@ -127,8 +136,8 @@ class UdpPublisher(Sink):
         if not host or not port:
             raise InputError(f"--publish {address}: write udp://HOST:PORT, as udp://127.0.0.1:9000")
         try:
-            found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
-            self._socket, self._receiver = socket.socket(*found[:3]), found[4]
+            receiver = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+            self._socket, self._receiver = socket.socket(*receiver[:3]), receiver[4]
         except OSError as error:
             raise InputError(f"--publish {address}: {error.strerror or error}") from None
         self._socket.setblocking(False)

@@ -18,7 +18,6 @@ from probedesign.core.errors import InputError, one_line, quoted
 from probedesign.core.frames import Array
 from probedesign.live.blocks import Block
 from probedesign.live.outputs.sinks import Sink
-from probedesign.live.poses.base_poses import TimedPose
 from probedesign.live.recordings import AppendFile
 
 GRAVITY = ("gx", "gy", "gz")
@@ -262,9 +261,6 @@ class CsvRecorder(Sink):
         self._file.write("".join(lines).encode())
         self._n_pending += len(block)
         self.flush()  # little data, so it is written at once
-
-    def on_pose(self, pose: TimedPose) -> None:
-        """Ignore poses: CSV contains raw readings only."""
 
     def on_dropped(self, readings: int, others: int) -> None:
         """Write a comment."""
