@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from probedesign.campaigns.manifest import LENGTH_SCALE, WEIGHT_STD, WRIST
 from probedesign.core.frames import Array, pose, wrench_map
 from probedesign.core.units import MM
-from probedesign.estimation.error_sources import parameters_of, turns_of
+from probedesign.estimation.error_sources import BEFORE_KNOTS, parameters_of, turns_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.identification.identify import IdentificationData
@@ -87,7 +87,7 @@ class Truth:
     """True probe and bench of a campaign."""
 
     rod: Rod  #: true rod.
-    factors: Array  #: logarithms of the ratios of E, G, density, length and diameters to the design, (4 + K).
+    factors: Array  #: what `perturbed_rod` changed of the rod as designed, (6 + K).
     T_mount: Array  #: true pose of the base relative to its stated pose, (4, 4).
     T_seat: Array  #: true pose of the base relative to its stated pose on the sensor, (4, 4).
     gravity_base: Array  #: in the true base frame [m/s²].
@@ -124,7 +124,7 @@ def _truth(
     model: ProbeModel, tolerances: Tolerances, rng: np.random.Generator, dimensions: bool, spread: float, flaws: Flaws
 ) -> Truth:
     K = len(model.rod.s)
-    factors = np.zeros(4 + K)
+    factors = np.zeros(BEFORE_KNOTS + K)
     sources = parameters_of(model.rod, replace(tolerances, youngs_modulus=spread, creep=0.0, stiffness_scatter=0.0))
     for source, rows in sources.items():
         deviation = rng.normal(size=len(rows)) @ rows

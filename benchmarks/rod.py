@@ -35,7 +35,7 @@ SOLVES = {
     "cold, with the Jacobian by force and s_contact": (LOAD_COLUMNS, 0, False),
     "neighbouring load": (0, 0, True),
     JACOBIAN: (LOAD_COLUMNS, 0, True),
-    "neighbouring load, with all 16 derivatives": (ALL_COLUMNS + 2, 0, True),
+    "neighbouring load, with all 18 derivatives": (ALL_COLUMNS + 2, 0, True),
 }
 
 

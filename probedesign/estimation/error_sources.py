@@ -24,6 +24,10 @@ from probedesign.rod.rod import Rod
 CAUSES = ("noise", "drift", "E", "G", "density", "diameter", "diameter scatter", "bore", "length", "root",
           "base place", "base tilt", "clocking", "gravity", "gain", "creep", "stiffness scatter")  # fmt: skip
 
+#: Changes of a rod before those of its knots' log diameters: of log E, log G, log density and log length, and the
+#: curvature at rest about x and y [1/m].
+BEFORE_KNOTS = surface_contact.OWN - 3
+
 
 def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[str, Array]:
     """Return one standard deviation of each source of the rod itself: log E and what follows it, a row each.
@@ -36,7 +40,7 @@ def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[
         hung: whether only what a touch adds creeps: a rod that is lighter by as much as it is softer hangs the same.
     """
     K, diameters = len(rod.s), 2.0 * rod.radius / MM
-    unit = np.eye(4 + K)
+    unit = np.eye(BEFORE_KNOTS + K)
     t = tolerances
     common = np.maximum(t.diameter_mm, t.diameter_share * diameters) / diameters
     length = max(t.length_mm, t.length_share * rod.length / MM) * MM / rod.length
@@ -45,8 +49,8 @@ def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[
         "E": t.youngs_modulus * unit[0:1],
         "G": t.shear_modulus * unit[1:2],
         "density": t.density * unit[2:3],
-        "diameter": (common @ unit[4:] + t.youngs_modulus_by_diameter * common[0] * unit[0])[None],
-        "diameter scatter": (t.diameter_scatter_mm / diameters)[:, None] * unit[4:],
+        "diameter": (common @ unit[BEFORE_KNOTS:] + t.youngs_modulus_by_diameter * common[0] * unit[0])[None],
+        "diameter scatter": (t.diameter_scatter_mm / diameters)[:, None] * unit[BEFORE_KNOTS:],
         "bore": t.bore_mm * _wider_bore(rod),
         "length": length * unit[3:4],
         "creep": t.creep * softer,
@@ -55,20 +59,20 @@ def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[
 
 
 def _wider_bore(rod: Rod) -> Array:
-    """Return the change of log E, G, density, length and diameters that acts as a bore wider by 1 mm, (1, 4 + K).
+    """Return the change of log E, G, density, length and diameters that acts as a bore wider by 1 mm, (1, 6 + K).
 
     With β the bore ratio and ε = δ/(β d) the relative change of the bore, bending and torsional stiffness change by
     -4 β⁴/(1 - β⁴) ε, which is that of a diameter changed by -β⁴/(1 - β⁴) ε at the same place; the mass changes by
     -2 β²/(1 - β²) ε, whose rest is put into the density, averaged over the volume. A section without a
-    bore has no row, (0, 4 + K).
+    bore has no row, (0, 6 + K).
     """
     area, moment, other, _ = rod.factors
     if area == 1.0 or moment != other:
-        return np.empty((0, 4 + len(rod.s)))
-    row = np.zeros(4 + len(rod.s))
+        return np.empty((0, BEFORE_KNOTS + len(rod.s)))
+    row = np.zeros(BEFORE_KNOTS + len(rod.s))
     by_area, by_moment = (1.0 - area) / area, (1.0 - moment) / moment
     widened = MM / (math.sqrt(1.0 - area) * 2.0 * rod.radius)
-    row[4:] = -by_moment * widened
+    row[BEFORE_KNOTS:] = -by_moment * widened
     volume = np.convolve(np.diff(rod.s), (0.5, 0.5)) * rod.radius**2
     row[2] = -2.0 * (by_area - by_moment) * float(widened @ volume / volume.sum())
     return row[None]
@@ -114,7 +118,7 @@ class ErrorSources:
     model: ProbeModel  #: of the probe.
     tolerances: Tolerances  #: how well it is known.
     gravity: Array  #: base axes [m/s²], (3,).
-    rod: Array  #: of the rod's own sources, log E and what follows it, (a, 4 + K).
+    rod: Array  #: of the rod's own sources, log E and what follows it, (a, 6 + K).
     base: Array  #: of the others, (b, 9), see `turns_of`, or (b, 12) with the displacement of the point alone [m].
     names: tuple[str, ...]  #: the source of each of the J columns.
     reference: Array  #: wrench at the base at which the sensor reads zero, (6,).
@@ -184,7 +188,7 @@ class ErrorSources:
         return np.asarray(steps**2 * self.model.averaging_samples * self.model.noise_base())
 
     def columns_at(self, touch: Array) -> tuple[Array, Array]:
-        """Return the linearisation of a touch (ROWS, 1 + 5 + 7 + K), and what one standard deviation of each source
+        """Return the linearisation of a touch (ROWS, 1 + 5 + OWN + K), and what one standard deviation of each source
         does to base wrench, touched point and centreline point, (12, J); NaN where there is no equilibrium.
 
         Args:

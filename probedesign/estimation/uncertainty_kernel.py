@@ -83,7 +83,7 @@ def _moved(lin, gravity, shift, turn, change, D, c):
 class SourceArrays(NamedTuple):
     """Error sources as `error_columns` takes them, one standard deviation each."""
 
-    rod: Array  #: of log E and what follows it, a source a row, (a, 4 + K).
+    rod: Array  #: of log E and what follows it, a source a row, (a, 6 + K).
     #: of the base's shift and turn and of gravity [m, rad, m/s²], a source a row, (b, 9); with three more columns the
     #: displacement of the points that no reading shows [m].
     base: Array

@@ -21,7 +21,7 @@ from probedesign.core.csv_tables import Frame
 from probedesign.core.errors import InputError, unknown_name
 from probedesign.core.frames import Array, pose
 from probedesign.core.units import MM, MPA
-from probedesign.estimation.error_sources import parameters_of
+from probedesign.estimation.error_sources import BEFORE_KNOTS, parameters_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.rod.rod import Rod
@@ -258,7 +258,7 @@ class CommonParameters:
         rod = self.model.rod
         sources = parameters_of(rod, self.tolerances)
         taper = -np.gradient(rod.radius, rod.s) * rod.s / rod.radius
-        rows = np.concatenate([sources["diameter"][:, 4:], sources["diameter scatter"][:, 4:],
+        rows = np.concatenate([sources["diameter"][:, BEFORE_KNOTS:], sources["diameter scatter"][:, BEFORE_KNOTS:],
                                (taper * sources["length"][0, 3])[None]])  # fmt: skip
         return np.asarray(rows[np.abs(rows).max(axis=1) > 0.0], dtype=float)
 

@@ -24,7 +24,7 @@ from probedesign.core.frames import Array, inverse, pose, wrench_map
 from probedesign.core.parallel import process_map
 from probedesign.core.statistics import max_chi2
 from probedesign.core.units import MM
-from probedesign.estimation.error_sources import parameters_of, turns_of
+from probedesign.estimation.error_sources import BEFORE_KNOTS, parameters_of, turns_of
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
@@ -57,7 +57,7 @@ class PrintSample:
     def draw(cls, model: ProbeModel, tolerances: Tolerances, rng: np.random.Generator) -> "PrintSample":
         """Draw one sample from the priors."""
         gravity = model.gravity_base
-        parameters, turns = np.zeros(4 + len(model.rod.s)), np.zeros(9)
+        parameters, turns = np.zeros(BEFORE_KNOTS + len(model.rod.s)), np.zeros(9)
         for name, rows in parameters_of(model.rod, tolerances).items():
             z = rng.normal(size=len(rows))
             if name not in _PER_TOUCH:
@@ -172,14 +172,19 @@ class PrintSamples:
 
 
 def perturbed_rod(rod: Rod, by: Array) -> Rod:
-    """Return a rod with changed logarithms of E, G, density, length and radii.
+    """Return a rod with changed logarithms of E, G, density, length and radii, and another curvature at rest.
+
+    A longer rod keeps the shape of its axis.
 
     Args:
         rod: nominal.
-        by: changes, (4 + knots,).
+        by: changes, as in `error_sources.parameters_of`, (6 + knots,).
     """
     E, G, density, length = np.exp(by[:4]).tolist()
-    radius = rod.radius * np.exp(by[4:])
+    radius = rod.radius * np.exp(by[BEFORE_KNOTS:])
+    rest = rod.rest_curvature
+    if rest is not None or by[4:BEFORE_KNOTS].any():
+        rest = (0.0 if rest is None else rest / length) + np.tile([*by[4:BEFORE_KNOTS], 0.0], (len(rod.s), 1))
     return replace(
         rod,
         s=rod.s * length,
@@ -189,6 +194,7 @@ def perturbed_rod(rod: Rod, by: Array) -> Rod:
         density=rod.density * density,
         rigid_length=rod.rigid_length * float(radius[0] / rod.radius[0]),
         rounded_from=None if rod.rounded_from is None else rod.rounded_from * length,
+        rest_curvature=rest,
     )
 
 

@@ -10,7 +10,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, skew
 from probedesign.rod.kernels.equations import ALL_COLUMNS, CONE, DENSITY, PARAMETERS, Body
 from probedesign.rod.kernels.steps import BLOCK, COLUMN, STATE, WIDE, WORK
-from probedesign.rod.kernels.sweep import lane_of, states_at
+from probedesign.rod.kernels.sweep import REST_X, lane_of, states_at
 
 
 @dataclass(frozen=True)
@@ -169,8 +169,12 @@ class Equilibrium:
             raise InputError('derivatives of the centreline need columns = "load", "contact" or "all"')
         rows, turns = self._at(s), self.sensitivity.turns
         lanes = [lane_of.py_func(j) for j in range(turns.shape[1])]
-        columns = _lanes(rows[:, STATE:]) - _lanes(self.nodes[-1:, 1 + STATE :])
-        moved: Array = columns[:, 6:9, lanes] + columns[:, 6:9, 0:3] @ turns
+        columns = (_lanes(rows[:, STATE:]) - _lanes(self.nodes[-1:, 1 + STATE :]))[:, 6:9]
+        own = columns[:, :, lanes]
+        if len(lanes) > REST_X + 1:  # of the tip's own axes, see `sensitivities`
+            x, y = self.y[9:11] / np.hypot(self.y[9], self.y[10])
+            own[:, :, REST_X : REST_X + 2] = own[:, :, REST_X : REST_X + 2] @ np.array([[x, y], [-y, x]])
+        moved: Array = own + columns[:, :, 0:3] @ turns
         return moved
 
     def states_at(self, s: ArrayLike) -> Array:

@@ -13,7 +13,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose, rotation_under_gravity, wrench_map
 from probedesign.core.units import MM
 from probedesign.design.paper import CONDITIONS
-from probedesign.estimation.error_sources import parameters_of, turns_of
+from probedesign.estimation.error_sources import BEFORE_KNOTS, parameters_of, turns_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.monte_carlo import perturbed_rod
@@ -310,8 +310,7 @@ def _rod(
 
     Creep and the stiffness scatter between touches are not properties of the print.
     """
-    K = len(model.rod.s)
-    by = np.zeros(4 + K)
+    by = np.zeros(BEFORE_KNOTS + len(model.rod.s))
     for rows in parameters_of(model.rod, replace(tolerances, stiffness_scatter=0.0, creep=0.0)).values():
         by += rng.normal(size=len(rows)) @ rows
     if plan.youngs_modulus is not None:

@@ -20,6 +20,7 @@ from probedesign.core.files import check_overwrite, write_atomically
 from probedesign.core.frames import Array, pose
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.bias import WALK_STEPS
+from probedesign.estimation.error_sources import BEFORE_KNOTS
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.live.poses.pose_sources import POSE_COLUMNS
@@ -123,7 +124,7 @@ def simulate_run(
         InputError: the probe has no stable equilibrium, or misses an edge.
     """
     errors = errors or RunErrors()
-    log_changes = np.zeros(4 + len(model.rod.s))
+    log_changes = np.zeros(BEFORE_KNOTS + len(model.rod.s))
     log_changes[0:2] = rng.normal(0.0, errors.stiffness)  # E and G
     offset = rng.normal(0.0, errors.base_offset, 3)
     # A separate random stream: all other draws are the same with and without a rotation error.

@@ -37,6 +37,13 @@ RODS = {
         1e-3 * np.array([0.0, 40.0, 80.0, 120.0]), 1e-3 * np.array([5.0, 2.5, 3.0, 1.0]), **MATERIAL, finite_strain=True
     ),
     "hollow": replace(CONE, finite_strain=False, factors=(0.75, 0.9375, 0.9375, 0.9375)),
+    "arc": replace(CONE, rest_curvature=np.tile([10.0, 0.0, 0.0], (2, 1))),
+    "bent and twisted profile": Rod(
+        1e-3 * np.array([0.0, 40.0, 80.0, 120.0]),
+        1e-3 * np.array([5.0, 3.5, 3.0, 1.0]),
+        **MATERIAL,
+        rest_curvature=np.array([[6.0, -4.0, 5.0], [-4.0, 8.0, 20.0], [0.0, 6.0, -8.0], [10.0, 0.0, 2.0]]),
+    ),
     "stiffer about one axis": replace(CONE, finite_strain=False, rigid_length=0.0, factors=(0.8, 0.9, 0.6, 0.7)),
 }
 #: Fraction of the length, angle, normal force [N], ratios of friction.
@@ -62,7 +69,7 @@ def at(rod, name):
 
 
 def compiled(rod, gravity, touch, tip=None):
-    """Return the linearisation, (ROWS, 1 + 5 + 7 + K), of a converged touch, and the touch, (TOUCH,)."""
+    """Return the linearisation, (ROWS, 1 + 5 + OWN + K), of a converged touch, and the touch, (TOUCH,)."""
     settled = np.zeros(TOUCH)
     settled[:UNKNOWNS] = touch.s, touch.phi, touch.normal, touch.around, touch.along
     settled[TIP:] = rod.solve(gravity).tip if tip is None else tip
@@ -105,7 +112,8 @@ def test_derivatives_by_the_unknowns_are_differences(case):
 
 
 def moved(rod, j, by):
-    """Return rod, gravity and factor of the arclength with one parameter changed: gravity (3), then logarithms."""
+    """Return rod, gravity and factor of the arclength with one parameter changed: gravity (3), then logarithms,
+    the curvature at rest (2) [1/m] among them."""
     gravity, factor = GRAVITY.copy(), np.exp(by)
     if j < 3:
         gravity[j] += by
@@ -113,22 +121,25 @@ def moved(rod, j, by):
     if j < 6:
         name = ("youngs_modulus", "shear_modulus", "density")[j - 3]
         return replace(rod, **{name: factor * getattr(rod, name)}), gravity, 1.0
-    if j == 6:
-        return replace(rod, s=factor * rod.s), gravity, factor
+    rest = np.zeros((len(rod.s), 3)) if rod.rest_curvature is None else rod.rest_curvature
+    if j == 6:  # the axis keeps its shape
+        return replace(rod, s=factor * rod.s, rest_curvature=rest / factor), gravity, factor
+    if j < OWN:
+        return replace(rod, rest_curvature=rest + by * np.eye(3)[j - 7]), gravity, 1.0
     radius = rod.radius.copy()
     radius[j - OWN] *= factor
     return replace(rod, radius=radius), gravity, 1.0
 
 
 @pytest.mark.parametrize("touch_name", list(TOUCHES)[:3])
-@pytest.mark.parametrize("rod_name", ["cone", "swelling profile", "hollow"])
+@pytest.mark.parametrize("rod_name", ["cone", "swelling profile", "hollow", "arc", "bent and twisted profile"])
 def test_derivatives_by_the_probe_are_those_of_other_probes(rod_name, touch_name):
     """The touch keeps its place over the length. The rods have no bonded root: its reach depends on the base radius."""
     rod = replace(RODS[rod_name], rigid_length=0.0)
     touch = at(rod, touch_name)
     lin, _settled = compiled(rod, GRAVITY, touch, solve_touch(rod, GRAVITY, touch).equilibrium.tip)
     for j in range(OWN + len(rod.s)):
-        h = 1e-3 if j < 3 else 1e-4
+        h = 1e-3 if j < 3 or j in (7, 8) else 1e-4
         rows = []
         for way in (h, -h):
             other, gravity, factor = moved(rod, j, way)

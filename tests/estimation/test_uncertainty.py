@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from probedesign.core.frames import inverse as inverse_pose
 from probedesign.core.frames import pose, wrench_map
 from probedesign.estimation.contact_fit import FIT_SCRATCH, residuals
-from probedesign.estimation.error_sources import CAUSES, ErrorSources
+from probedesign.estimation.error_sources import BEFORE_KNOTS, CAUSES, ErrorSources
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.multistart import FIT
 from probedesign.estimation.tolerances import Tolerances
@@ -144,16 +144,18 @@ def true_reading(model, gravity, touch, own, turn, root, tared):
 
     Args:
         touch: (s, φ, f_n, a_1, a_2) of the modelled probe; s keeps its place over the length.
-        own: off in log E, log G, log density, log length and log diameters, (4 + K,).
+        own: off in log E, log G, log density, log length, curvature at rest about x and y, and log diameters, (6 + K,).
         turn: shift and turn of the base [m, rad] and change of gravity [m/s²], (9,).
         root: more of `rigid_length` [m].
         tared: whether the free probe's reading is taken away.
     """
-    e, g, density, length, *knots = np.exp(own)
+    e, g, density, length = np.exp(own[:4])
+    knots, bent = np.exp(own[BEFORE_KNOTS:]), [*own[4:BEFORE_KNOTS], 0.0]
     rod = replace(
         model.rod,
         s=length * model.rod.s,
-        radius=model.rod.radius * np.array(knots),
+        radius=model.rod.radius * knots,
+        rest_curvature=np.tile(bent, (len(knots), 1)),
         youngs_modulus=e * model.rod.youngs_modulus,
         shear_modulus=g * model.rod.shear_modulus,
         density=density * model.rod.density,
@@ -193,7 +195,7 @@ def test_error_columns_are_differences_of_other_probes(touch, tared, large):
     D = settle(sources, y).D
     rows = [
         *((row, np.zeros(9)) for row in sources.rod),
-        *((np.zeros(4 + len(model.rod.s)), row) for row in sources.base),
+        *((np.zeros(BEFORE_KNOTS + len(model.rod.s)), row) for row in sources.base),
     ]
     assert len(rows) + 7 == D.shape[1]
     h = 0.05  # of a standard deviation: third order is below a thousandth
@@ -208,7 +210,7 @@ def test_the_column_of_the_root_is_a_difference(touch, rigid_radii, large, gravi
     r0 = large.model.rod.radius[0]
     model = replace(large.model, rod=replace(large.model.rod, rigid_length=rigid_radii * r0))
     sources = sources_of(model, gravity, replace(EXACT, root_radii=0.15))
-    y, none = unknowns(model, touch), np.zeros(4 + len(model.rod.s))
+    y, none = unknowns(model, touch), np.zeros(BEFORE_KNOTS + len(model.rod.s))
     h = 0.01
     high, low = (true_reading(model, gravity, y, none, np.zeros(9), way * 0.15 * r0, tared=True) for way in (h, -h))
     column = settle(sources, y).D[:, sources.names.index("root")]

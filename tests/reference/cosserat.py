@@ -6,15 +6,15 @@ tip with derivatives by finite differences, for many rods at once. With the stat
 
     p' = R v,   q' = q (0, u)/2,   m' = -u × m - v × Rᵀn,   n = F [s ≤ s_c] + ρ V(s) g
     v = (n₁/(k G A), n₂/(k G A), 1 + e + e² + c₅ f B),   e = n₃/(E A),   B = r² (m₁² + m₂²)/(E I)²
-    u = (f β m₁/(E I), f β m₂/(E I), m₃/(G J)),   β = 1 + 3 e + c₄ B,   f(s) = 1 - depth (1 - s/reach)³
+    u = u* + (f β m₁/(E I), f β m₂/(E I), m₃/(G J)),   β = 1 + 3 e + c₄ B,   f(s) = 1 - depth (1 - s/reach)³
 
 The force F acts at the point x = p(s_c) + r(s_c) R(s_c) e(φ) of the deformed surface, so that m jumps there by its
 couple (x - p) × F. The frame of the surface moves with the section: with α the half-angle of the cone,
 
     inward normal -(cos α e + sin α t),   circumferential e'(φ),   along cos α t - sin α e
 
-Only straight rods with solid round sections are supported. The public functions have one case per row; internally
-the cases are the last axis (`round_rods.py`).
+u* is the curvature of the undeformed axis. Only solid round sections are supported. The public functions have one case
+per row; internally the cases are the last axis (`round_rods.py`).
 """
 
 from collections.abc import Callable, Sequence
@@ -228,7 +228,7 @@ def solve(
 
         own = np.arange(len(rows))
         if start is None:
-            tip = np.tile(np.array([1.0, 0.0, 0.0, 0.0])[:, None], len(rows))
+            tip = _tip_at_rest(mine)
             shares = np.linspace(0.0, 1.0, loads + 1)[1:]
         else:
             tip, shares = np.nan_to_num(start[rows].T, nan=0.5), np.ones(1)
@@ -238,6 +238,15 @@ def solve(
         return _touches(mine, tip, ends, load, worst)
 
     return _chunked(n, chunk)
+
+
+def _tip_at_rest(probes: Probes) -> Array:
+    """Return the quaternions of the tips without any load, (4, n): the base's with the tip as it is, inverted."""
+    n, unit = len(probes), np.array([1.0, 0.0, 0.0, 0.0])
+    zero = np.zeros((3, n))
+    load = Load(zero, np.zeros(n), np.zeros(n), zero, zero, np.zeros(n), False)
+    base = integrate(probes, np.tile(unit[:, None], n), load, COARSE).q
+    return base * np.array([1.0, -1.0, -1.0, -1.0])[:, None]
 
 
 def press(

@@ -20,7 +20,7 @@ C4, C5 = 0.369, 0.374  #: Coefficients of finite bending of a neo-Hookean round 
 
 @dataclass(frozen=True)
 class Probes:
-    """n straight rods with solid round sections and equal numbers of knots."""
+    """n rods with solid round sections and equal numbers of knots."""
 
     s: Array  #: arclengths of the knots [m], (K, n).
     radius: Array  #: radii at the knots [m], (K, n).
@@ -30,18 +30,23 @@ class Probes:
     shear: Array
     missing: Array  #: missing bending compliance of the root as a length of rigid rod [m], (n,).
     finite: Array  #: 1 with finite strain, 0 without, (n,).
+    rest: (
+        Array  #: curvature and twist of the unloaded rod at the knots in section axes, linear between [1/m], (K, 3, n).
+    )
 
     @classmethod
     def of(cls, rods: Rod | Sequence[Rod]) -> "Probes":
         """Return rods of the package in this form."""
         rods = [rods] if isinstance(rods, Rod) else list(rods)
-        assert all(rod.factors == (1.0, 1.0, 1.0, 1.0) and rod.rest_curvature is None for rod in rods)
+        assert all(rod.factors == (1.0, 1.0, 1.0, 1.0) for rod in rods)
 
         def row(name: str) -> Array:
             return np.array([getattr(rod, name) for rod in rods], dtype=float)
 
         return cls(row("s").T, row("radius").T, row("youngs_modulus"), row("shear_modulus"), row("density"),
-                   row("shear_coefficient"), row("rigid_length"), row("finite_strain"))  # fmt: skip
+                   row("shear_coefficient"), row("rigid_length"), row("finite_strain"),
+                   np.stack([np.zeros((len(rod.s), 3)) if rod.rest_curvature is None else rod.rest_curvature
+                             for rod in rods], axis=-1))  # fmt: skip
 
     @classmethod
     def joined(cls, parts: Sequence["Probes"]) -> "Probes":
@@ -79,6 +84,14 @@ class Probes:
         beyond = np.concatenate([np.cumsum(volumes[::-1], axis=0)[::-1], np.zeros((1, n))])
         at = np.arange(n)
         return self.s[i, at], self.s[i + 1, at], r[i, at], r[i + 1, at], beyond[i + 1, at]
+
+    def rest_at(self, s: Array, middle: Array) -> Array:
+        """Return curvature and twist of the unloaded rod at s [1/m], (3, n), on the frustum that `middle` [m] is in."""
+        upper = np.clip((middle > self.s).sum(axis=0), 1, len(self.s) - 1)
+        at = np.arange(len(self))
+        low, high = self.s[upper - 1, at], self.s[upper, at]
+        share = (s - low) / (high - low)
+        return (1.0 - share) * self.rest[upper - 1, :, at].T + share * self.rest[upper, :, at].T
 
     def radius_at(self, s: Array) -> Array:
         """Return the radius at s [m], (n,)."""
@@ -178,7 +191,7 @@ def _segment(probes: Probes, p: Array, q: Array, m: Array, start: Array, end: Ar
         return p, q, m
     middle = 0.5 * (start + end)
     low, high, r0, r1, beyond = probes.frustum(middle)
-    slope = (r1 - r0) / (high - low)
+    slope, curved = (r1 - r0) / (high - low), bool(probes.rest.any())
     depth, reach = probes.root
     depth = np.where((middle < reach) & (start > end), depth, 0.0)
     reach = np.where(reach > 0.0, reach, 1.0)
@@ -189,7 +202,7 @@ def _segment(probes: Probes, p: Array, q: Array, m: Array, start: Array, end: Ar
     def at(tau: float) -> Array:
         return start + (end - start) * np.where(flat, tau, (safe**tau - 1.0) / (safe - 1.0))
 
-    def medium(s: Array) -> tuple[Array, ...]:
+    def medium(s: Array) -> tuple[Any, ...]:
         r = r0 + slope * (s - low)
         area = np.pi * r * r
         stiff = probes.E * area * r * r / 4.0
@@ -199,7 +212,7 @@ def _segment(probes: Probes, p: Array, q: Array, m: Array, start: Array, end: Ar
         twist = 2.0 / (probes.G * area * r * r)
         n = force + probes.density * weight * gravity
         return (f, 1.0 / stiff, twist, 1.0 / (probes.shear * probes.G * area), 1.0 / (probes.E * area), large,
-                probes.finite, n)  # fmt: skip
+                probes.finite, probes.rest_at(s, middle) if curved else 0.0, n)  # fmt: skip
 
     s, here = at(0.0), medium(at(0.0))
     for step in range(steps):
@@ -219,14 +232,15 @@ def _segment(probes: Probes, p: Array, q: Array, m: Array, start: Array, end: Ar
     return p, q, m
 
 
-def _slopes(q: Array, m: Array, medium: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+def _slopes(q: Array, m: Array, medium: tuple[Any, ...]) -> tuple[Array, Array, Array]:
     """Return p', q', m' of the equations in `cosserat.py`."""
-    f, bend, twist, shear, stretch, large, finite, n_base = medium
+    f, bend, twist, shear, stretch, large, finite, rest, n_base = medium
     n = rotate_back(q, n_base)
     e, B = stretch * n[2], large * (m[0] * m[0] + m[1] * m[1])
     compliance = f * bend * (1.0 + finite * 3.0 * e + C4 * B)
     u, v = np.empty_like(m), np.empty_like(m)
     u[0], u[1], u[2] = compliance * m[0], compliance * m[1], twist * m[2]
+    u += rest
     v[0], v[1], v[2] = shear * n[0], shear * n[1], 1.0 + e + finite * e * e + C5 * f * B
     w, x, y, z = q
     dq = 0.5 * np.stack([

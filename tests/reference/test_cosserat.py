@@ -1,5 +1,7 @@
 """Compare the reference rod with the rod of the package, and its presses with solves of the same touches."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -20,6 +22,10 @@ RODS = {
     "compliant root": Rod(LARGE.s, LARGE.radius, 2.32e6, 0.761e6, 1010.0, rigid_length=-1.5e-3, finite_strain=True),
     "cylinder": Rod(np.array([0.0, 0.1]), np.array([2e-3, 2e-3]), 2.32e6, 0.761e6, 1010.0),
     "profile": PROFILE,
+    "curved": replace(
+        PROFILE, rest_curvature=np.array([[6.0, -4.0, 5.0], [-4.0, 8.0, 20.0], [0.0, 6.0, -8.0], [10.0, 0.0, 2.0]])
+    ),
+    "arc of a right angle": replace(LARGE, rest_curvature=np.tile([0.0, np.pi / 2.0 / LARGE.length, 0.0], (2, 1))),
 }
 
 

@@ -11,8 +11,9 @@ from probedesign.core.errors import InputError
 from probedesign.rod.kernels.equations import PARAMETERS
 
 GRAVITY = np.array([6.0, 5.0, -6.0])
-#: Of the differences: of the force's size, of the length, of their product, of the standard gravity, of the logarithm.
-STEPS = {"force": 1e-4, "s_contact": 1e-5, "couple": 1e-4, "gravity": 1e-3, "log": 1e-4}
+#: Of the differences: of the force's size, of the length, of their product, of the standard gravity, of the logarithm,
+#: of a radian over the length.
+STEPS = {"force": 1e-4, "s_contact": 1e-5, "couple": 1e-4, "gravity": 1e-3, "log": 1e-4, "rest": 1e-4}
 CASES = {
     # rod, s_c/L, couple as a share of force times length
     "cone": (CONE, 0.6, (0.0, 0.0, 0.0)),
@@ -55,7 +56,7 @@ def kind_of(name):
 
 def size_of(name, rod, force):
     F, L = np.linalg.norm(force), rod.length
-    return {"force": F, "s_contact": L, "couple": F * L, "gravity": 9.81, "log": 1.0}[kind_of(name)]
+    return {"force": F, "s_contact": L, "couple": F * L, "gravity": 9.81, "log": 1.0, "rest": 1.0 / L}[kind_of(name)]
 
 
 def moved(name, h, rod, gravity, force, couple, s_c):
@@ -70,6 +71,9 @@ def moved(name, h, rod, gravity, force, couple, s_c):
         rod = replace(rod, **{key: getattr(rod, key) * np.exp(h)})
     elif name == "s_contact":
         s_c = s_c + h
+    elif name.startswith("rest"):
+        rest = np.zeros((len(rod.s), 3)) if rod.rest_curvature is None else rod.rest_curvature
+        rod = replace(rod, rest_curvature=rest + h * np.eye(3)["xy".index(name[-1])])
     else:
         by = h * np.eye(3)["xyz".index(name[-1])]
         gravity = gravity + by if name.startswith("gravity") else gravity

@@ -17,7 +17,7 @@ those of the compliances alone:
 
     θ' = ∂ω/∂m w + ∂ω/∂n z + δω,   q' = θ × p' + ∂p'/∂n z + ∂p'/∂m w + δp',   v' = -q' × n - p' × δn
 
-with δω, δp' from the section's own change (E, G, radius, f).
+with δω, δp' from the section's own change (E, G, radius, f), and δω = R δu_rest.
 """
 
 from typing import NamedTuple
@@ -51,10 +51,11 @@ LOAD = 13
 #: base axes, and s_contact [m].
 FORCE, GRAVITY, TIP_MOMENT, COUPLE, S_CONTACT = 0, 3, 6, 9, 12
 
-#: Parameters of the sensitivities; after these, the logarithm of the diameter at each knot.
+#: Parameters of the sensitivities; after these, the logarithm of the diameter at each knot. rest_x and rest_y are a
+#: constant curvature of the unloaded rod about its section's x and y axes [1/m], added to that at the knots.
 PARAMETERS = (
     "force_x", "force_y", "force_z", "s_contact", "couple_x", "couple_y", "couple_z",
-    "gravity_x", "gravity_y", "gravity_z", "log_E", "log_G", "log_density", "log_diameter",
+    "gravity_x", "gravity_y", "gravity_z", "log_E", "log_G", "log_density", "log_diameter", "rest_x", "rest_y",
 )  # fmt: skip
 LOAD_COLUMNS = 4
 CONTACT_COLUMNS = 7

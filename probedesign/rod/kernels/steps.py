@@ -157,8 +157,9 @@ MAX_TRIES = 60
 MIN_STEP = 1e-10
 COLUMN = 9  #: [θ, v, q] of a column.
 #: Rows of a block of WIDE columns after the columns themselves: the next columns, errors of θ and v, their derivatives
-#: of force and gravity, of log E and log G, and at each stage of log radius, log f and the weight factor.
-NEXT, ERRORS, BY_LOAD, LOGS, LOG_R, LOG_F, BY_WEIGHT = 9, 18, 20, 26, 28, 36, 44
+#: of force and gravity, of log E and log G, of the curvature at rest, and at each stage of log radius, log f and the
+#: weight factor.
+NEXT, ERRORS, BY_LOAD, LOGS, REST, LOG_R, LOG_F, BY_WEIGHT = 9, 18, 20, 26, 28, 30, 38, 46
 BLOCK = (BY_WEIGHT + STAGES) * WIDE
 
 THETA, V, Q = np.arange(0, COLUMN, 3)  #: Rows of a column.
@@ -277,7 +278,7 @@ def _stage(work, j):
 @inlined
 def _changing_stage(work, j):
     t, m, p1, e, med, bending = _stage(work, j)
-    return t, m, p1, e, med, bending, section_changes(t, m, med, bending), work[NOTED + ROW * j + 29]
+    return t, m, p1, e, med, bending, section_changes(t, m, med, bending), work[NOTED + ROW * j + 29], cross(e, t)
 
 
 @inlined
@@ -313,7 +314,7 @@ def _free_slopes(theta, v, stage, j, block, lane, gravity):
 @inlined
 def _forced_slopes(theta, v, stage, j, block, lane, gravity):
     """Return the slopes of a column that changes load or section, at stage j."""
-    t, m, p1, e, med, bending, changes, on = stage
+    t, m, p1, e, med, bending, changes, on, d = stage
     force, g = _row3(block, BY_LOAD, lane), _row3(block, BY_LOAD + 3, lane)
     by_weight = block[WIDE * (BY_WEIGHT + j) + lane]
     h = add(add(times(on, force), med[5], g), by_weight, gravity)
@@ -322,6 +323,7 @@ def _forced_slopes(theta, v, stage, j, block, lane, gravity):
     log_E, log_G = block[WIDE * LOGS + lane], block[WIDE * (LOGS + 1) + lane]
     log_r, log_f = block[WIDE * (LOG_R + j) + lane], block[WIDE * (LOG_F + j) + lane]
     turn, q1 = changed(turn, q1, changes, log_E, log_G, log_r, log_f)
+    turn = add(add(turn, block[WIDE * REST + lane], d), block[WIDE * (REST + 1) + lane], e)
     return turn, minus(cross(n, q1), cross(p1, h)), q1
 
 

@@ -35,6 +35,8 @@ from probedesign.rod.kernels.equations import (
     OK,
     S_CONTACT,
     frustum_at,
+    rest_at,
+    rest_of,
 )
 from probedesign.rod.kernels.linalg import add, cross, dot, minus, plus, put3, solve_square, take, take3, times
 from probedesign.rod.kernels.newton import turn_tip
@@ -51,10 +53,11 @@ DEAD, TIP, TOUCH = 5, 11, 17
 #: Rows of a linearisation: base wrench (6), touched point (3) and point of the centreline (3) [m], what the dead force
 #: and couple lack of those of the touch (6), and the turn of the tip (3), which `advance` needs.
 WRENCH, POINT, CENTRE, LOADS, TURN, ROWS = 0, 6, 9, 12, 18, 21
-#: Columns: the values, their derivatives by the unknowns, and by gravity (3), log E, log G, log density, log length and
-#: each knot's log diameter.
+#: Columns: the values, their derivatives by the unknowns, and by gravity (3), log E, log G, log density, log length (of
+#: the axis with its shape at rest, diameters kept), a constant curvature at rest about the section's x and y axes (2)
+#: and each knot's log diameter.
 VALUE, BY_TOUCH, BY_PARAMETER = 0, 1, 1 + UNKNOWNS
-OWN = 7  #: Parameters before the knots.
+OWN = 9  #: Parameters before the knots.
 BY_GRAVITY, BY_E = BY_PARAMETER, BY_PARAMETER + 3
 
 #: Rows of the rod's columns after those of the base moment. As numpy integers: for the literals 3, 6 ... numba would
@@ -332,7 +335,8 @@ def _outputs(body, gravity, mass, touch, i, r, tan, cos, sin, co, si, on_base_si
     moment = on_base_side if shift < 0.0 else beyond
     thin = 1.0 / (r * r)
     bend = times(thin * thin * body.constants[BEND_X], add(moment, -dot(moment, t), t))
-    curve = cross(bend, t)
+    rest = rest_at(s, rest_of(body, i))
+    curve = cross(add(add(bend, rest[0], x_axis), rest[1], y_axis), t)
     for j in range(n_cols):
         p, dt = take3(total, R_P, j), take3(total, R_TANGENT, j)
         de = add(times(co, take3(total, R_X, j)), si, take3(total, R_Y, j))

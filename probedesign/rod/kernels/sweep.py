@@ -16,6 +16,7 @@ from probedesign.rod.kernels.equations import (
     GENERAL,
     GRAVITY,
     OK,
+    PARAMETERS,
     ROOT_DEPTH,
     ROOT_REACH,
     S_CONTACT,
@@ -46,6 +47,7 @@ from probedesign.rod.kernels.steps import (
     MIN_STEP,
     NEXT,
     NOTED,
+    REST,
     ROW,
     S0,
     S1,
@@ -70,7 +72,8 @@ from probedesign.rod.kernels.steps import (
 
 # Lanes: 0, 1, 2 turn the tip about its section's x and y axes and its tangent; then the parameters.
 L_S_CONTACT, L_FORCE, L_COUPLE, L_GRAVITY = 3, 4, 7, 10
-L_E, L_G, L_DENSITY, L_DIAMETER, L_KNOTS = 13, 14, 15, 16, 17
+L_E, L_G, L_DENSITY, L_DIAMETER, L_REST, L_KNOTS = 13, 14, 15, 16, 17, 19
+REST_X = PARAMETERS.index("rest_x")  #: Its column; that of rest_y is the next.
 FIRST_STEPS = 6.0  #: Length over the first step to try where nothing better is known.
 
 
@@ -100,6 +103,8 @@ def begin(tip, blocks, chunks):
             blocks[o + WIDE * (BY_LOAD + 3 + lane - L_GRAVITY)] = 1.0
         elif lane in (L_E, L_G):
             blocks[o + WIDE * (LOGS + lane - L_E)] = 1.0
+        elif L_REST <= lane < L_KNOTS:
+            blocks[o + WIDE * (REST + lane - L_REST)] = 1.0
 
 
 @inner
@@ -119,7 +124,7 @@ def _reshape(s, h, i, in_root, blocks, chunks, body, work):
         r = r1 + (r0 - r1) * x
         weight = work[NOTED + ROW * j + 20]
         for lane in range(L_DENSITY, min(WIDE * chunks, L_KNOTS + knots)):
-            log_r, by_weight = 0.0, weight
+            log_r, by_weight = 0.0, weight if lane == L_DENSITY else 0.0
             if lane == L_DIAMETER:
                 log_r, by_weight = 1.0, 2.0 * weight
             elif lane >= L_KNOTS:
@@ -385,6 +390,14 @@ def _total(columns, stride, lane, row, turns):
 
 
 @inner
+def _turn_rest(co, si, columns):
+    """Turn the columns of the curvature at rest from the tip's section axes to those with e_x at the base."""
+    for r in range(columns.shape[0]):
+        x, y = columns[r, REST_X], columns[r, REST_X + 1]
+        columns[r, REST_X], columns[r, REST_X + 1] = co * x + si * y, co * y - si * x
+
+
+@inner
 def sensitivities(y, blocks, contact, body, load, turns, derivatives):
     """Fill in the total derivatives of the base moment and of the contact's frame and position.
 
@@ -425,6 +438,9 @@ def sensitivities(y, blocks, contact, body, load, turns, derivatives):
         put3(derivatives, 6, j, dx)
         put3(derivatives, 9, j, q)
         put3(derivatives, 12, j, dy)
+    if k > REST_X:
+        _turn_rest(co, si, turns)
+        _turn_rest(co, si, derivatives)
     put3(derivatives, 3, k, t)
     put3(derivatives, 6, k, x_axis)
     put3(derivatives, 9, k, place)
