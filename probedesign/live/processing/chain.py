@@ -333,7 +333,11 @@ class Chain:
         fault = batch.reading.fault or self._signals.fault(batch)
         whole = batch.reading if fault == batch.reading.fault else replace(batch.reading, fault=fault)
         reading = self._with_gravity(whole)
-        self._report_pose(reading)
+        T = None if self._poses is None else self._poses.at(reading.time)
+        if self._poses is not None and (T is None) != self._pose_missing:
+            self._pose_missing = T is None
+            why = f"{self._poses.reason(reading.time)}; no estimates until one is available"
+            self._log(why if T is None else "the base pose is available again")
         self._faults.update(reading.time, "" if batch.reading.fault or self._pose_missing else reading.fault)
         if self._base.leapt == reading.time and self._monitor is not None:
             self._monitor.on_leap(reading.time)
@@ -352,7 +356,10 @@ class Chain:
             if not self._zero_known and not self._zero_reported:
                 self._zero_reported = True
                 self._log(NO_TARE)
-        self._state = self._update_state(AveragedBatch(batch.block, reading))
+        if self._monitor is None or reading.fault or not self._zero_known:
+            self._state = TouchState("", None if self._poses is None else FusedEstimate("out_of_range"))
+        else:
+            self._state = self._monitor.update(AveragedBatch(batch.block, reading), self.tare, T)
         if self.scheduler.is_due(reading, ready):
             yield self._estimate(reading if smooth is None else self._with_gravity(smooth))
 
@@ -411,14 +418,6 @@ class Chain:
         leap = self._base.fault(reading.time, T)
         return replace(reading, gravity_base=self._poses.gravity(T), fault=reading.fault or leap)
 
-    def _report_pose(self, reading: WrenchReading) -> None:
-        """Report when poses become unavailable and available again."""
-        if self._poses is None or (missing := self._poses.at(reading.time) is None) == self._pose_missing:
-            return
-        self._pose_missing = missing
-        why = self._poses.reason(reading.time) + "; no estimates until one is available"
-        self._log(why if missing else "the base pose is available again")
-
     def _filtered(self, block: Block, reading: WrenchReading) -> WrenchReading | None:
         """Return the filtered reading at the time it represents; None without a filter."""
         if self._low_pass is None:
@@ -465,9 +464,3 @@ class Chain:
         phase = self._state.phase
         free = not self._zero_known or phase in ("", "free")
         return "" if free else f"the probe is {phase}; the previous tare is kept"
-
-    def _update_state(self, batch: AveragedBatch) -> TouchState:
-        if self._monitor is None or batch.reading.fault or not self._zero_known:
-            return TouchState("", None if self._poses is None else FusedEstimate("out_of_range"))
-        T = None if self._poses is None else self._poses.at(batch.reading.time)
-        return self._monitor.update(batch, self.tare, T)

@@ -81,23 +81,21 @@ class CommandQueue:
                 command = self._queue.get_nowait()
             except Empty:
                 return False
-            result = self._execute(command)
+            handler = self._handlers.get(command.name)
+            if command.name == "stop":
+                result = CommandResult(True, "the run is ended by a command")
+            elif handler is None:
+                result = CommandResult(False, f"{command.name} is not available here")
+            else:
+                try:
+                    result = CommandResult(True, handler(command) or "")
+                except ProbeDesignError as error:
+                    result = CommandResult(False, f"{command.name} refused: {error}")
             if result.text:
                 log(result.text)
             command.reply(result)
             if command.name == "stop":
                 return True
-
-    def _execute(self, command: Command) -> CommandResult:
-        if command.name == "stop":
-            return CommandResult(True, "the run is ended by a command")
-        handler = self._handlers.get(command.name)
-        if handler is None:
-            return CommandResult(False, f"{command.name} is not available here")
-        try:
-            return CommandResult(True, handler(command) or "")
-        except ProbeDesignError as error:
-            return CommandResult(False, f"{command.name} refused: {error}")
 
 
 SCHEMA = 1
@@ -116,7 +114,14 @@ class KeyInput:
         self._wake, self._end = os.pipe()
         self._fd, self._saved = -1, None
         with suppress(Exception):  # no terminal, no descriptor, or no termios on this system
-            self._switch(sys.stdin.fileno() if fd is None else fd)
+            import termios
+            import tty
+
+            fd = sys.stdin.fileno() if fd is None else fd
+            if os.tcgetpgrp(fd) == os.getpgrp():  # a background job that switches the terminal would be stopped
+                saved: Any = termios.tcgetattr(fd)
+                tty.setcbreak(fd)
+                self._fd, self._saved = fd, saved
         if self._saved is None:
             return
         self._thread = threading.Thread(target=self._read, name="keys", daemon=True)
@@ -133,16 +138,6 @@ class KeyInput:
             with suppress(termios.error):  # the terminal has been closed
                 termios.tcsetattr(self._fd, termios.TCSADRAIN, self._saved)
         os.close(self._wake)
-
-    def _switch(self, fd: int) -> None:
-        import termios
-        import tty
-
-        if os.tcgetpgrp(fd) != os.getpgrp():
-            return  # a background job that switches the terminal would be stopped
-        saved: Any = termios.tcgetattr(fd)
-        tty.setcbreak(fd)
-        self._fd, self._saved = fd, saved
 
     def _read(self) -> None:
         names = {command.key: name for name, command in COMMANDS.items()}

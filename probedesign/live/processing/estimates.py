@@ -139,15 +139,9 @@ def _mm(p: Array) -> list[float]:
 
 def csv_line(row: Row) -> str:
     """Return the row's `COLUMNS` as a line of CSV: nine digits, the time exactly, empty fields for NaN."""
-    return ",".join(_csv_field(name, row[name]) for name in COLUMNS) + "\n"
-
-
-def _csv_field(name: str, value: float | str) -> str:
-    if isinstance(value, str):
-        return value
-    if math.isnan(value):
-        return ""
-    return repr(value) if name == "time_s" else f"{value:.9g}"
+    time, *values = (row[name] for name in COLUMNS)
+    fields = [v if isinstance(v, str) else "" if math.isnan(v) else f"{v:.9g}" for v in values]
+    return ",".join([repr(time), *fields]) + "\n"
 
 
 def json_line(row: Row) -> str:

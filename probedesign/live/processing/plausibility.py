@@ -138,7 +138,14 @@ class SignalMonitor:
             i, channel = np.argwhere(beyond)[0]
             return f"{CHANNELS[channel]} is at its limit or not a number: {rows[i, channel]:.4g}"
         still = self._standstill(rows, time)
-        self._measure_noise(rows, float(time[-1]))
+        self._window.append(rows)
+        self._in_window += len(rows)
+        while self._in_window - len(self._window[0]) >= self._window_readings:
+            self._in_window -= len(self._window.popleft())
+        now = float(time[-1])
+        if self._in_window >= self._next_count or now >= self._next_noise:  # twice as many as before, or periodically
+            self._next_noise, self._next_count = now + NOISE_PERIOD, 2 * self._in_window
+            self._noise_fault = self._noise_of(np.concatenate(self._window))
         return still or self._noise_fault
 
     def _standstill(self, rows: Array, time: Array) -> str:
@@ -173,16 +180,6 @@ class SignalMonitor:
             channel = int(np.argmax(dead))
             return f"{CHANNELS[channel]} has not changed for {lasting[channel]:.3g} s: dead, or rounded too coarsely"
         return ""
-
-    def _measure_noise(self, rows: Array, now: float) -> None:
-        """Add readings to the window, and measure its noise: when it has twice as many as before, or periodically."""
-        self._window.append(rows)
-        self._in_window += len(rows)
-        while self._in_window - len(self._window[0]) >= self._window_readings:
-            self._in_window -= len(self._window.popleft())
-        if self._in_window >= self._next_count or now >= self._next_noise:
-            self._next_noise, self._next_count = now + NOISE_PERIOD, 2 * self._in_window
-            self._noise_fault = self._noise_of(np.concatenate(self._window))
 
     def _noise_of(self, rows: Array) -> str:
         """Return the fault of the noise of readings (n, 6), by second differences, which no slow signal shows in."""

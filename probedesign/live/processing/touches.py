@@ -125,21 +125,16 @@ class PhaseTracker:
         if touching == "lost" or (touching == "contact") != (self._phase in ("touching", "settled")):
             stationarity.reset()
         stationarity.update(wrench, T_world_base)
-        self._phase = self._next_phase(touching)
-        return self._phase
-
-    def _next_phase(self, touching: Touching) -> Phase:
-        stationarity, before = self.stationarity, self._phase
-        if touching == "lost":
-            return "released"
-        if touching == "contact":
-            return "settled" if stationarity.stationary and not stationarity.moving else "touching"
-        if before == "released" and not stationarity.full:
-            return "released"
         moving = stationarity.moving
-        if moving is None:
-            moving = stationarity.full and not stationarity.stationary
-        return "moving" if moving else "free"
+        if touching == "lost":
+            self._phase = "released"
+        elif touching == "contact":
+            self._phase = "settled" if stationarity.stationary and not moving else "touching"
+        elif self._phase != "released" or stationarity.full:
+            if moving is None:
+                moving = stationarity.full and not stationarity.stationary
+            self._phase = "moving" if moving else "free"
+        return self._phase
 
 
 MAX_CONTACTS = 1000  #: Maximum number of contacts in the list; older ones are dropped.
