@@ -83,39 +83,32 @@ def read_calibration(path: Path) -> GaugeCalibration:
         force = unit_of("ForceUnits", calibration.get("ForceUnits", ""), FORCE_UNITS)
         torque = unit_of("TorqueUnits", calibration.get("TorqueUnits", ""), TORQUE_UNITS)
         user = calibration.findall("UserAxis")
-        rows = _by_name(user or calibration.findall("Axis"))
+        axes = user or calibration.findall("Axis")
+        named = {axis.get("Name"): axis for axis in axes}
+        if len(axes) != 6 or set(named) != set(CHANNELS):
+            raise InputError(f"has {len(axes)} axes; a calibration has {', '.join(CHANNELS)}, once each")
+        rows = [named[name] for name in CHANNELS]
         matrix = np.array([_numbers(row, "values", 6) for row in rows])
         ranges = np.array([_numbers(row, "max", 1)[0] for row in rows]) * np.repeat([force, torque], 3)
         if not user:
             matrix /= np.array([_numbers(row, "scale", 1) for row in rows])
         matrix *= np.repeat([force, torque], 3)[:, None]
-        if not user:
-            _move_origin(matrix, calibration)
+        if not user:  # move the origin along z
+            transform = calibration.find("BasicTransform")
+            if transform is None:
+                raise InputError("has neither UserAxis nor BasicTransform, so its origin is unknown")
+            turned = [name for name in ("Dx", "Dy", "Rx", "Ry", "Rz") if _numbers(transform, name, 1)[0] != 0.0]
+            if turned:
+                raise InputError(f"BasicTransform has {', '.join(turned)}; only Dz is supported")
+            unit = unit_of("DistUnits", calibration.get("DistUnits", ""), LENGTH_UNITS)
+            dz = _numbers(transform, "Dz", 1)[0] * unit
+            matrix[3] += dz * matrix[1]
+            matrix[4] -= dz * matrix[0]
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     if not (ranges > 0.0).all() or not np.linalg.cond(matrix / ranges[:, None]) < MAX_CONDITION:
         raise InputError(f"{path}: its matrix is singular or its range not positive; is the file complete?")
     return GaugeCalibration(str(root.get("Serial", "")), str(calibration.get("PartNumber", "")), matrix, ranges)
-
-
-def _move_origin(matrix: Array, calibration: Element) -> None:
-    """Move the origin along z, in place."""
-    transform = calibration.find("BasicTransform")
-    if transform is None:
-        raise InputError("has neither UserAxis nor BasicTransform, so its origin is unknown")
-    turned = [name for name in ("Dx", "Dy", "Rx", "Ry", "Rz") if _numbers(transform, name, 1)[0] != 0.0]
-    if turned:
-        raise InputError(f"BasicTransform has {', '.join(turned)}; only Dz is supported")
-    dz = _numbers(transform, "Dz", 1)[0] * unit_of("DistUnits", calibration.get("DistUnits", ""), LENGTH_UNITS)
-    matrix[3] += dz * matrix[1]
-    matrix[4] -= dz * matrix[0]
-
-
-def _by_name(axes: list[Element]) -> list[Element]:
-    named = {axis.get("Name"): axis for axis in axes}
-    if len(axes) != 6 or set(named) != set(CHANNELS):
-        raise InputError(f"has {len(axes)} axes; a calibration has {', '.join(CHANNELS)}, once each")
-    return [named[name] for name in CHANNELS]
 
 
 def _numbers(element: Element, name: str, count: int) -> list[float]:
@@ -169,8 +162,13 @@ class DaqCard:
         self.name = f"daq://{channels}"
         self._channels, self._rate = channels, rate
         self._n_read = 0  # since the acquisition began
-        device = _device(channels)
-        names = _devices()
+        pattern = re.compile(r"\s*([^/,:\s]+)/ai(\d{1,4})(?::(?:ai)?(\d{1,4}))?\s*")
+        parts = [match.groups() for part in channels.split(",") if (match := pattern.fullmatch(part))]
+        count = sum(abs(int(last or first) - int(first)) + 1 for _, first, last in parts)
+        cards = {card for card, _, _ in parts}
+        if count != GAUGES or len(cards) != 1 or len(parts) <= channels.count(","):
+            raise InputError(f"daq://{channels}: name six inputs of one card, as daq://Dev1/ai0:5?cal=FILE")
+        device, names = cards.pop(), _devices()
         if device.lower() not in (name.lower() for name in names):
             there = f"available are {', '.join(names)}" if names else "none is present"
             raise InputError(f"{self.name}: no card {device}; {there}; NI's tools list and rename them")
@@ -231,17 +229,6 @@ class DaqCard:
             task.close()
             raise
         return task
-
-
-def _device(channels: str) -> str:
-    """Return the card whose six inputs these are."""
-    pattern = re.compile(r"\s*([^/,:\s]+)/ai(\d{1,4})(?::(?:ai)?(\d{1,4}))?\s*")
-    parts = [found.groups() for part in channels.split(",") if (found := pattern.fullmatch(part))]
-    count = sum(abs(int(last or first) - int(first)) + 1 for _, first, last in parts)
-    cards = {card for card, _, _ in parts}
-    if count != GAUGES or len(cards) != 1 or len(parts) <= channels.count(","):
-        raise InputError(f"daq://{channels}: name six inputs of one card, as daq://Dev1/ai0:5?cal=FILE")
-    return cards.pop()
 
 
 def _devices() -> list[str]:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from probedesign.live.recordings.csv import Recording, check_wrenches, read_reco
 from probedesign.live.recordings.schemas import BLOCK, METADATA_NAME, RAW, Message, read_text, read_wrenches
 from probedesign.live.sources import rosbag
 from probedesign.live.sources.netft.demo_recording import is_ati_demo, read_ati_demo
-from probedesign.live.sources.rosbag import BLOCK_SIZE, Bag, RosWrenchTopic
+from probedesign.live.sources.rosbag import BLOCK_SIZE, Bag
 from probedesign.live.sources.source import SPEED, SourceParameter, parse_parameters, played
 
 MomentUnit = Literal["Nm", "Nmm"]
@@ -119,7 +119,14 @@ def _table_blocks(recording: Recording, model: ProbeModel) -> Iterator[Block]:
 
 
 def _open_native(bag: Bag, model: ProbeModel, options: RecordingOptions) -> OpenRecording:
-    notes = _check_probe(bag, model, options)
+    probe, notes = bag.probe or {}, tuple[str, ...]()
+    name, fingerprint = str(probe.get("name"))[:80], str(probe.get("fingerprint"))[:80]
+    if fingerprint != model.fingerprint:
+        notes = (f"recorded with probe {quoted(name)}, fingerprint {quoted(fingerprint)}, not {model.fingerprint}",)
+        if not options.other_probe:
+            raise InputError(f"{bag.path}: {notes[0]}; use its own frozen probe, or allow it with other_probe")
+    elif probe.get("checksum") != freeze(model)["checksum"]:
+        notes = ("recorded with another frozen version of this probe (material, sensor): estimates may differ",)
     metadata = bag.metadata[METADATA_NAME]
     first = next(iter(bag.messages({BLOCK.name})), None)
     if first is not None and b'"time_s"' in bytes(first.data):
@@ -130,32 +137,17 @@ def _open_native(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Open
     blocks = NativeRecording(bag)
 
     def missing() -> tuple[str, ...]:
-        notes = []
+        lines = []
         if blocks.n_dropped:
             why = "lie in damaged parts" if bag.damage else "were dropped by the recorder: the disk was too slow"
-            notes.append(f"{blocks.n_dropped} readings {why}")
+            lines.append(f"{blocks.n_dropped} readings {why}")
         if bag.damage:
-            notes.append(f"incomplete: {bag.damage}")
-        return tuple(notes)
+            lines.append(f"incomplete: {bag.damage}")
+        return tuple(lines)
 
     source = one_line(metadata.get("source", ""))
     description = f"recorded {one_line(metadata.get('started', ''))} from {source}"
     return OpenRecording(bag.path, description, "sensor", notes, lambda: _checked(bag.path, blocks), missing, source)
-
-
-def _check_probe(bag: Bag, model: ProbeModel, options: RecordingOptions) -> tuple[str, ...]:
-    """Return notes on the recorded probe."""
-    probe = bag.probe or {}
-    name, fingerprint = str(probe.get("name"))[:80], str(probe.get("fingerprint"))[:80]
-    if fingerprint != model.fingerprint:
-        recorded = f"probe {quoted(name)}, fingerprint {quoted(fingerprint)}"
-        note = f"recorded with {recorded}, not {model.fingerprint}"
-        if not options.other_probe:
-            raise InputError(f"{bag.path}: {note}; use its own frozen probe, or allow it with other_probe")
-        return (note,)
-    if probe.get("checksum") == freeze(model)["checksum"]:
-        return ()
-    return ("recorded with another frozen version of this probe (material, sensor): estimates may differ",)
 
 
 def _open_foreign(bag: Bag, model: ProbeModel, options: RecordingOptions) -> OpenRecording:
@@ -166,7 +158,13 @@ def _open_foreign(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Ope
     notes = [f"{topic}, frame {quoted(published.frame_id)}, interpreted as the {frame} frame"]
     if published.unstamped:
         notes.append("its headers have no time stamp: the time of recording is used")
-    notes += _check_unit(published, model, options)
+    _, wrench = next(published.wrenches())
+    typical, limit = np.median(np.abs(wrench[:, 3:]), axis=0), model.wrench_range[3:]
+    if options.moment_unit == "Nm" and (typical > limit).any() and (typical * MM <= limit).all():
+        notes.append(
+            f"moments of {typical.max():.3g} N·m are beyond the sensor's {limit.max():.3g} N·m; "
+            "if they are in N·mm, use moment_unit=Nmm"
+        )
     factors = np.array([1.0] * 3 + [MM if options.moment_unit == "Nmm" else 1.0] * 3)
     unread = np.full(BLOCK_SIZE, np.nan)
 
@@ -180,17 +178,6 @@ def _open_foreign(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Ope
     return OpenRecording(bag.path, topic, frame, tuple(notes),
                     lambda: _checked(bag.path, blocks()),
                     lambda: (f"incomplete: {bag.damage}",) if bag.damage else ())  # fmt: skip
-
-
-def _check_unit(published: RosWrenchTopic, model: ProbeModel, options: RecordingOptions) -> list[str]:
-    """Return a warning if moments are probably in N·mm: beyond the sensor's range in N·m, within it in N·mm."""
-    _, wrench = next(published.wrenches())
-    typical = np.median(np.abs(wrench[:, 3:]), axis=0)
-    limit = model.wrench_range[3:]
-    if options.moment_unit == "Nm" and (typical > limit).any() and (typical * MM <= limit).all():
-        return [f"moments of {typical.max():.3g} N·m are beyond the sensor's {limit.max():.3g} N·m; "
-                "if they are in N·mm, use moment_unit=Nmm"]  # fmt: skip
-    return []
 
 
 def _checked(path: Path, blocks: Iterable[Block]) -> Iterator[Block]:
@@ -255,7 +242,9 @@ class NativeRecording:
 def _native_block(raw: list[Message], clock_offset: int, text: str) -> tuple[int, Block]:
     """Return the number of readings before the block, and the block, whose times are those of its messages."""
     content = json.loads(text)
-    gravity = _finite_array(content["gravity_base_m_s2"])
+    gravity = np.array(content["gravity_base_m_s2"], dtype=float)
+    if not np.isfinite(gravity).all():
+        raise ValueError("its numbers are not finite")
     first, stretch, fault = content["first"], content["stretch"], content["fault"]
     if type(first) is not int or type(stretch) is not int or type(fault) is not str or gravity.shape != (3,):
         raise ValueError("it does not match its schema")
@@ -264,13 +253,6 @@ def _native_block(raw: list[Message], clock_offset: int, text: str) -> tuple[int
     time = np.array([(message.logged - clock_offset) / 1e9 for message in raw])
     wrench = read_wrenches([message.data for message in raw]).copy()
     return first, Block(time, wrench, gravity, np.full(len(time), np.nan), one_line(fault, 200), stretch)
-
-
-def _finite_array(values: Any) -> Array:
-    array = np.array(values, dtype=float)
-    if array.ndim != 1 or not np.isfinite(array).all():
-        raise ValueError("its numbers are not finite")
-    return array
 
 
 PARAMETERS = {"speed": SPEED, "other_probe": SourceParameter(0, 0, 1, integer=True)}

@@ -13,7 +13,16 @@ from probedesign.core.errors import InputError, MissingDependencyError, one_line
 from probedesign.core.frames import Array
 from probedesign.live.poses.base_poses import TimedPose, TransformTree, timed_pose
 from probedesign.live.recordings import require_mcap
-from probedesign.live.recordings.schemas import MCAP_MAGIC, POSE, WRENCH, BagTopic, Message, read_stamped
+from probedesign.live.recordings.schemas import (
+    MCAP_MAGIC,
+    POSE,
+    TRANSFORMS,
+    WRENCH,
+    BagTopic,
+    Message,
+    read_stamped,
+    type_store,
+)
 
 SQLITE_MAGIC = b"SQLite format 3\0"  #: The first bytes of a `.db3` file.
 
@@ -191,7 +200,6 @@ def _read_wrench(bag: Bag, message: Message) -> tuple[int, str, tuple[float, ...
         raise InputError(f"{bag.path}: a message of {quoted(message.topic)} logged at {at}: {error}") from None
 
 
-TF = "tf2_msgs/msg/TFMessage"
 STATIC = "/tf_static"
 
 
@@ -241,14 +249,10 @@ def _poses_from_topic(bag: Bag, topic: str) -> list[TimedPose]:
 
 
 def _poses_from_tf(bag: Bag, world: str, base: str) -> list[TimedPose]:
-    try:
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise MissingDependencyError.of_extra("reading TF", "rosbags", "live") from None
-    types, edges, tree = get_typestore(Stores.LATEST), [], TransformTree()
-    for message in bag.messages({channel.topic for channel in bag.channels() if channel.type == TF}):
+    types, edges, tree = type_store(), [], TransformTree()
+    for message in bag.messages({channel.topic for channel in bag.channels() if channel.type == TRANSFORMS}):
         try:
-            decoded: Any = types.deserialize_cdr(bytes(message.data), TF)
+            decoded: Any = types.deserialize_cdr(bytes(message.data), TRANSFORMS)
             for edge in decoded.transforms:
                 p, q, stamp = edge.transform.translation, edge.transform.rotation, edge.header.stamp
                 at = stamp.sec * 1_000_000_000 + stamp.nanosec

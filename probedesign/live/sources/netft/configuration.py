@@ -116,7 +116,13 @@ def parse_configuration(page: bytes) -> NetFTConfiguration:
         InputError: it is not XML, declares entities, or a tag is missing, duplicated or not a number.
         MissingDependencyError: defusedxml is not installed.
     """
-    texts = _texts(parse_xml(page, "netftapi2.xml"))
+    texts: dict[str, str] = {}
+    for element in parse_xml(page, "netftapi2.xml").iter():
+        if element.tag in TAGS.values():
+            text = (element.text or "").strip()
+            if element.tag in texts or len(element) or len(text) > MAX_TEXT:
+                raise InputError(f"netftapi2.xml: {element.tag} must occur once, as a short text")
+            texts[element.tag] = text
     missing = [tag for tag in REQUIRED_TAGS if tag not in texts]
     if missing:
         raise InputError(f"netftapi2.xml: has no {', '.join(missing)}; is this a Net F/T box?")
@@ -147,19 +153,6 @@ def parse_xml(content: bytes, file: str | Path) -> Element:
     except (ParseError, DefusedXmlException, ValueError, LookupError) as error:
         raise InputError(f"{file}: not valid or safe XML: {type(error).__name__}") from None
     return root
-
-
-def _texts(root: Element) -> dict[str, str]:
-    """Return the text of every known tag."""
-    texts: dict[str, str] = {}
-    for element in root.iter():
-        if element.tag not in TAGS.values():
-            continue
-        text = (element.text or "").strip()
-        if element.tag in texts or len(element) or len(text) > MAX_TEXT:
-            raise InputError(f"netftapi2.xml: {element.tag} must occur once, as a short text")
-        texts[element.tag] = text
-    return texts
 
 
 def _value(name: str, tag: str, text: str) -> str | float | tuple[float, ...]:
@@ -193,10 +186,17 @@ def fetch_page(host: str, port: int, timeout: float = PAGE_TIMEOUT) -> bytes:
     connection = HTTPConnection(host, port, timeout=timeout)
     late = threading.Event()
     deadline = threading.Timer(timeout, late.set)
+
+    def give_up(link: socket.socket) -> None:
+        """End the connection, so that whoever waits for it continues."""
+        late.set()
+        with suppress(OSError):  # it may just have been closed
+            link.shutdown(socket.SHUT_RDWR)
+
     try:
         connection.connect()
         # a timeout of the socket alone limits each byte, not all of them; http.client limits the size of the headers
-        deadline = threading.Timer(timeout, _give_up, (connection.sock, late))
+        deadline = threading.Timer(timeout, give_up, (connection.sock,))
         deadline.daemon = True
         deadline.start()
         connection.request("GET", PAGE, headers={"Connection": "close"})
@@ -216,13 +216,6 @@ def fetch_page(host: str, port: int, timeout: float = PAGE_TIMEOUT) -> bytes:
     if response.status != 200:
         raise InputError(f"{address}: HTTP status {response.status}; is this a Net F/T box?")
     return page
-
-
-def _give_up(link: socket.socket, late: threading.Event) -> None:
-    """End the connection, so that whoever waits for it continues."""
-    late.set()
-    with suppress(OSError):  # it may just have been closed
-        link.shutdown(socket.SHUT_RDWR)
 
 
 class ConfigurationMonitor:

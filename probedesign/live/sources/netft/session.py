@@ -226,9 +226,9 @@ class RdtSession:
         self._sequence = SequenceMonitor(self.counts)
         self._rate, self._requested, self._received = rate, -math.inf, -math.inf
         try:
-            found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
-            link = socket.socket(*found[:3])
-            link.connect(found[4])  # from then on the system accepts datagrams of this address only
+            address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+            link = socket.socket(*address[:3])
+            link.connect(address[4])  # from then on the system accepts datagrams of this address only
         except OSError as error:
             raise InputError(f"{name}: {error.strerror or error}") from None
         link.setblocking(False)
@@ -262,9 +262,18 @@ class RdtSession:
                 now, n = monotonic(), self._receiver.count
                 gathered = max(self.wanted, self._rate * GATHER_TIME)
                 if n and (n > gathered - 1.0 or now - started > MAX_GATHER_TIME or n == MAX_RECORDS):
-                    if len(records := self._decoded()):
+                    words, received, dropped = self._receiver.take()
+                    rdt, ft = words[:, 0], words[:, 1]
+                    records = RdtRecords(ft, words[:, 2], self._arrival(received), words[:, 3:])
+                    self.counts["received"] += len(words)
+                    if dropped is not None:
+                        self.counts["dropped"] = dropped
+                    self._newest = int(rdt[-1])
+                    self._delays.append(self._received - self._newest / self._rate)
+                    new = self._sequence.accept(rdt, ft)
+                    if new is None or new.any():
                         last = now
-                        yield records
+                        yield records if new is None else records[new]
                 elif n > before:
                     sleep(min(max(self._due(gathered) - now, MIN_SLEEP), MAX_GATHER_TIME))
                 elif now - last <= STALE_TIME:  # the next record, or the silence
@@ -295,19 +304,6 @@ class RdtSession:
     def _send(self, request: Request) -> None:
         with suppress(OSError):  # the box is off or the network is down: the silence is reported
             self._link.send(request.packed())
-
-    def _decoded(self) -> RdtRecords:
-        """Return the new records among those that were gathered."""
-        words, received, dropped = self._receiver.take()
-        rdt, ft = words[:, 0], words[:, 1]
-        records = RdtRecords(ft, words[:, 2], self._arrival(received), words[:, 3:])
-        self.counts["received"] += len(words)
-        if dropped is not None:
-            self.counts["dropped"] = dropped
-        self._newest = int(rdt[-1])
-        self._delays.append(self._received - self._newest / self._rate)
-        new = self._sequence.accept(rdt, ft)
-        return records if new is None else records[new]
 
     def _arrival(self, received: Array) -> Array:
         """Return the arrival of datagrams, (n,), neither before that of the last ones nor after now.

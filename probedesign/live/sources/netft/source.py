@@ -110,7 +110,11 @@ class RecordDecoder:
                 self._check_configuration()
                 if monotonic() - self._counted > COUNT_INTERVAL:
                     self.count()
-                    self._report_losses()
+                    more = {name: self.counts[name] - self._reported[name] for name in REPORTED}
+                    if any(more.values()) and monotonic() - self._report_time > REPORT_INTERVAL:
+                        text = ", ".join(f"{count} {COUNTERS[name]}" for name, count in more.items() if count)
+                        self._log(f"{self._name}: {text}; {self.counts['received']} received so far")
+                        self._reported, self._report_time = self.counts.copy(), monotonic()
                 yield from self._decode(records) if len(records) else self._report_silence()
 
     def count(self) -> None:
@@ -120,14 +124,6 @@ class RecordDecoder:
             self.counts[name] = count
         # what did not fit into the buffer is missing in the numbers of the records, too
         self.counts["lost"] = max(self.counts["lost"] - self.counts["dropped"], 0)
-
-    def _report_losses(self) -> None:
-        """Report the increase of the counters since the last report, at limited frequency."""
-        more = {name: self.counts[name] - self._reported[name] for name in REPORTED}
-        if any(more.values()) and monotonic() - self._report_time > REPORT_INTERVAL:
-            text = ", ".join(f"{count} {COUNTERS[name]}" for name, count in more.items() if count)
-            self._log(f"{self._name}: {text}; {self.counts['received']} received so far")
-            self._reported, self._report_time = self.counts.copy(), monotonic()
 
     def _decode(self, records: RdtRecords) -> Generator[Block, None, None]:
         """Yield blocks of records, split where the stream was interrupted and where the fault changes."""
@@ -152,10 +148,19 @@ class RecordDecoder:
                     yield from self._report_silence("its page does not respond")
                     return
             wrench = records.counts[start:end] @ self._to_sensor.T
-            fault = self._report_fault(int(status[start]), end - start)
+            fault = fault_of(int(status[start]), self._table) if status[start] else ""
+            if fault:
+                self.counts["faults"] += end - start
+            if fault != self._fault and (not fault or monotonic() - self._faulted > FAULT_REPORT_INTERVAL):
+                self._log(f"{self._name}: {fault or 'healthy again'}")
+                self._fault, self._faulted = fault, monotonic()
             yield Block(time[start:end], wrench, self._gravity, received, fault, self._stretch)
             self._last = float(received[-1])
-            self._check_rate(float(time[end - 1]))
+            if (rate := self._rate.measured(float(time[end - 1]), self._last)) is not None:
+                self._log(
+                    f"{self._name}: its counter advances by {rate:.0f} a second, so all times are wrong; "
+                    f"restart with ?clock_hz={rate:.0f}"
+                )
 
     def _report_silence(self, hint: str = "asking again") -> Generator[Block, None, None]:
         """Report silence; yield a block without readings if there have been any."""
@@ -178,24 +183,6 @@ class RecordDecoder:
             self._log(f"{self._name}: its clock restarted; the previous tare is kept, take a new one")
         self._dropout.on_resumed(received - self._last)
         return True
-
-    def _report_fault(self, status: int, count: int) -> str:
-        """Return the fault of a status word; report where it begins and ends."""
-        fault = fault_of(status, self._table) if status else ""
-        if fault:
-            self.counts["faults"] += count
-        if fault != self._fault and (not fault or monotonic() - self._faulted > FAULT_REPORT_INTERVAL):
-            self._log(f"{self._name}: {fault or 'healthy again'}")
-            self._fault, self._faulted = fault, monotonic()
-        return fault
-
-    def _check_rate(self, time: float) -> None:
-        """Report a counter whose rate is not the assumed one: all times would be wrong by this factor."""
-        if (rate := self._rate.measured(time, self._last)) is not None:
-            self._log(
-                f"{self._name}: its counter advances by {rate:.0f} a second, so all times are wrong; "
-                f"restart with ?clock_hz={rate:.0f}"
-            )
 
     def _check_configuration(self) -> None:
         """Check that the configuration is unchanged."""
@@ -232,7 +219,13 @@ class NetFTSource:
         Raises:
             InputError: the address or a parameter is invalid, or no box responds.
         """
-        host, port = _address(target)
+        try:
+            host, port = split_address(f"netft:{target}", "netft")
+        except ValueError:
+            host, port = "", None
+        if not host or port == 0:
+            raise InputError(f"netft:{target}: write netft://HOST or netft://HOST:PORT")
+        port = RDT_PORT if port is None else port
         parameters, texts = parse_parameters("netft:", query, PARAMETERS, TEXT_PARAMETERS)
         self._name = f"netft://{host}:{port}"
         self._page, self._check = (host, int(parameters["http"])), parameters["check_s"]
@@ -270,14 +263,3 @@ class NetFTSource:
             finally:
                 decoder.count()
                 self._log(f"{self._name}: {summary(self.counts)}")
-
-
-def _address(target: str) -> tuple[str, int]:
-    """Return host and port of `//HOST[:PORT]`."""
-    try:
-        host, port = split_address(f"netft:{target}", "netft")
-    except ValueError:
-        host, port = "", None
-    if not host or port == 0:
-        raise InputError(f"netft:{target}: write netft://HOST or netft://HOST:PORT")
-    return host, RDT_PORT if port is None else port
