@@ -94,10 +94,6 @@ class CamerasTable(Table):
         if self.distortion is not None and self.calibration:
             text = "is that of the calibration files; remove the key"
             raise Inconsistent("cameras.distortion", text)
-        return self
-
-    @model_validator(mode="after")
-    def _named(self) -> Self:
         if len(self.names) < 2 or len(set(self.names)) < len(self.names):
             raise Inconsistent("cameras.names", f"= {list(self.names)} must be two or more different names")
         for name in self.names:

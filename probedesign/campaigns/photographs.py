@@ -5,6 +5,7 @@ import itertools
 import json
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -87,18 +88,21 @@ def find_all(
     progress = (number / total for number in itertools.count())
     first: dict[str, tuple[Path, tuple[int, ...]]] = {}
 
-    def detect(one: Photograph) -> DetectedMarkers:
+    def detect(photograph: Photograph) -> DetectedMarkers:
         """Return the markers of one photograph."""
-        on_progress(f"dots of {one.path.name}", next(progress))
-        size = read_grey(one.path).shape[::-1]
-        if one.camera in by_name:
-            _check_size(one, size, by_name[one.camera])
-        path, other = first.setdefault(one.camera, (one.path, size))
+        path, name = photograph.path, photograph.camera
+        on_progress(f"dots of {path.name}", next(progress))
+        width, height = size = read_grey(path).shape[::-1]
+        stated = by_name[name].size_px if name in by_name else None
+        if stated is not None and size != stated:
+            raise InputError(f"{path}: has {width} x {height} px, but camera {name} was calibrated for {stated[0]} x "
+                             f"{stated[1]}; take both with one setting")  # fmt: skip
+        earlier, other = first.setdefault(name, (path, size))
         if size != other:
-            raise InputError(f"{one.path}: has {size[0]} x {size[1]} px, but {path.name} of the same camera has "
+            raise InputError(f"{path}: has {width} x {height} px, but {earlier.name} of the same camera has "
                              f"{other[0]} x {other[1]}; take all with one setting")  # fmt: skip
-        base = base_side or by_name[one.camera].project(one.test.T_world_base[:3, 3])
-        return cache.detect(one.path, s, base, dark)
+        base = base_side or by_name[name].project(photograph.test.T_world_base[:3, 3])
+        return cache.detect(path, s, base, dark)
 
     tests = []
     for photographs in taken:
@@ -119,23 +123,15 @@ def find_all(
     return tests, (*notes, *cached)
 
 
-def _check_size(one: Photograph, size_px: tuple[int, ...], camera: Camera) -> None:
-    """Refuse a photograph of another size than the camera was calibrated for."""
-    if camera.size_px is not None and size_px != camera.size_px:
-        raise InputError(f"{one.path}: has {size_px[0]} x {size_px[1]} px, but camera {camera.name} was calibrated for "
-                         f"{camera.size_px[0]} x {camera.size_px[1]}; take both with one setting")  # fmt: skip
-
-
 def _checked(
     photographs: tuple[Photograph, ...], found: tuple[DetectedMarkers, ...], cameras: dict[str, Camera]
 ) -> PhotographedTest:
     """Return one test, its markers checked by triangulation if the cameras are calibrated."""
     if not cameras:
         return PhotographedTest(photographs, found)
-    taken_by = [cameras[one.camera] for one in photographs]
-    pixels, std_px = (np.array([getattr(one, name) for one in found]) for name in ("pixels", "std_px"))
+    pixels, std_px = (np.array([getattr(markers, name) for markers in found]) for name in ("pixels", "std_px"))
     try:
-        located = triangulate(taken_by, pixels, std_px)
+        located = triangulate([cameras[photograph.camera] for photograph in photographs], pixels, std_px)
     except InputError as error:
         raise InputError(f"photographs of test {photographs[0].test.name}: {error}") from None
     return PhotographedTest(photographs, found, float(np.sqrt(np.nanmean(located.residual_px**2))))
@@ -156,7 +152,7 @@ def write_pixels(folder: Path, tests: list[PhotographedTest], force: bool) -> Pa
         for number, ((u, v), std) in enumerate(zip(found.pixels, found.std_px, strict=True), 1)
     ]
     write_atomically(path, "\n".join([HEADER, *lines, ""]).encode())
-    DetectionCache(folder).remove()
+    DetectionCache(folder).path.unlink(missing_ok=True)
     return path
 
 
@@ -195,17 +191,6 @@ def _photographs(folder: Path, manifest: Manifest, tests: list[Test]) -> list[tu
 # cache of finished photographs
 
 
-def cache_key(photograph: Path, s: Array, base: Array | ImageSide, dark: bool | None) -> str:
-    """Return the hash of everything that a detection depends on: the photograph's content and the arguments."""
-    try:
-        with photograph.open("rb") as file:
-            content = hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(f"{photograph}: cannot be read: {error.strerror}") from None
-    arguments = json.dumps([DETECTION_VERSION, content, s.tolist(), np.asarray(base).tolist(), dark])
-    return hashlib.sha256(arguments.encode()).hexdigest()
-
-
 @dataclass
 class DetectionCache:
     """Finished photographs of a campaign."""
@@ -220,7 +205,15 @@ class DetectionCache:
             lines = self.path.read_text(encoding="utf-8").splitlines()
         except (OSError, ValueError):
             lines = []
-        self._done = dict(pair for line in lines if (pair := _parsed(line)))
+        self._done = {}
+        for line in lines:
+            with suppress(ValueError, TypeError, KeyError):
+                entry: dict[str, Any] = json.loads(line)
+                rows = np.array(entry["dots"], dtype=float)
+                if rows.ndim == 2 and rows.shape[1] == 7 and np.isfinite(rows).all():
+                    dots = tuple(Dot(row[:2], float(row[2]), row[3:].reshape(2, 2)) for row in rows)
+                    markers = DetectedMarkers(rows[:, :2], rows[:, 2], dots, bool(entry["dark"]))
+                    self._done[str(entry["key"])] = markers
 
     @property
     def path(self) -> Path:
@@ -229,7 +222,13 @@ class DetectionCache:
 
     def detect(self, photograph: Path, s: Array, base: Array | ImageSide, dark: bool | None) -> DetectedMarkers:
         """Return the markers of a photograph, see `find_markers`; appended to the file if it was not finished."""
-        key = cache_key(photograph, s, base, dark)
+        try:
+            with photograph.open("rb") as file:
+                content = hashlib.file_digest(file, "sha256").hexdigest()
+        except OSError as error:
+            raise InputError(f"{photograph}: cannot be read: {error.strerror}") from None
+        arguments = json.dumps([DETECTION_VERSION, content, s.tolist(), np.asarray(base).tolist(), dark])
+        key = hashlib.sha256(arguments.encode()).hexdigest()
         if key in self._done:
             self.used += 1
             return self._done[key]
@@ -244,22 +243,6 @@ class DetectionCache:
         self._done[key] = found
         return found
 
-    def remove(self) -> None:
-        """Delete the file."""
-        self.path.unlink(missing_ok=True)
-
     def __len__(self) -> int:
         """Return the number of finished photographs."""
         return len(self._done)
-
-
-def _parsed(line: str) -> tuple[str, DetectedMarkers] | None:
-    try:
-        entry: dict[str, Any] = json.loads(line)
-        rows = np.array(entry["dots"], dtype=float)
-        if rows.ndim != 2 or rows.shape[1] != 7 or not np.isfinite(rows).all():
-            return None
-        dots = tuple(Dot(row[:2], float(row[2]), row[3:].reshape(2, 2)) for row in rows)
-        return str(entry["key"]), DetectedMarkers(rows[:, :2], rows[:, 2], dots, bool(entry["dark"]))
-    except (ValueError, TypeError, KeyError):
-        return None

@@ -244,7 +244,7 @@ def read_wrench_table(folder: Path, tests: dict[str, int]) -> tuple[list[Array],
     note = f"{WRENCHES}: names no frame, the sensor's is assumed; its first line should be `# frame: sensor` or `base`"
     of_tests = [which == i for i in range(len(tests))]
     return (
-        [wrench[own] for own in of_tests],
+        [wrench[of_test] for of_test in of_tests],
         _test_times(rows, time, which, of_tests),
         frame,
         () if rows.lines.frame else (note,),
@@ -260,21 +260,15 @@ def _test_times(
         InputError: time runs backward, within a test or from some tests to the next.
     """
     given = np.flatnonzero(np.isfinite(time))
-    anew = _begins_anew(time[given], which[given])
+    t, first = time[given], np.flatnonzero(np.diff(which[given]) != 0) + 1  # of the rows of a test
+    # with single readings, all may be at 0 s
+    anew = len(first) > 0 and bool((t[first] == t[0]).all() or (t[first] < t[first - 1]).all())
     for last, row in itertools.pairwise(given):
         if time[row] < time[last] and (not anew or which[row] == which[last]):
             rows.fail(int(row), f"{rows.columns['time'].name} runs backward, from {time[last]:g} s to "
                                 f"{time[row]:g} s; use one clock and keep the rows in the order of time")  # fmt: skip
-    means = [time[own & np.isfinite(time)] for own in of_tests]
-    return [float(own.mean()) if len(own) and not anew else np.nan for own in means]
-
-
-def _begins_anew(time: Array, which: NDArray[np.intp]) -> bool:
-    first = np.flatnonzero(np.diff(which) != 0) + 1
-    if not len(first):
-        return False
-    same = bool((time[first] == time[0]).all())  # single readings, all at 0 s
-    return same or bool((time[first] < time[first - 1]).all())
+    times = [time[of_test & np.isfinite(time)] for of_test in of_tests]
+    return [float(of_test.mean()) if len(of_test) and not anew else np.nan for of_test in times]
 
 
 def read_markers(folder: Path, manifest: Manifest, tests: dict[str, int]) -> list[Markers | None]:
@@ -295,13 +289,13 @@ def read_markers(folder: Path, manifest: Manifest, tests: dict[str, int]) -> lis
     p, needed = rows.required(*POSITION), np.full(len(rows), default is None)
     std = rows.std("std", needed, "no std_mm here, nor markers.std_mm in campaign.toml; give one of them")
     std = np.where(np.isnan(std), np.nan if default is None else default * MM, std)
-    found: list[Markers | None] = []
+    markers: list[Markers | None] = []
     for test in range(len(tests)):
-        own = np.flatnonzero(which == test)
-        own = own[np.argsort(numbers[own])]
-        cov = std[own, None, None] ** 2 * np.eye(3)
-        found.append(Markers(numbers[own], p[own], cov, MARKERS) if len(own) else None)
-    return found
+        of_test = np.flatnonzero(which == test)
+        of_test = of_test[np.argsort(numbers[of_test])]
+        cov = std[of_test, None, None] ** 2 * np.eye(3)
+        markers.append(Markers(numbers[of_test], p[of_test], cov, MARKERS) if len(of_test) else None)
+    return markers
 
 
 def marker_numbers(rows: TableRows, manifest: Manifest) -> NDArray[np.intp]:
@@ -336,27 +330,28 @@ def read_pixels(
         return [None] * len(tests), (note,) if without else ()
     rows = read_rows(path, PIXELS_SCHEMA)
     which, numbers = indices_of_tests(rows, tests), marker_numbers(rows, manifest)
-    names, of_camera = (
-        rows.texts("test"),
-        camera_names(rows, () if manifest.cameras is None else manifest.cameras.names),
-    )
+    names, known = rows.texts("test"), () if manifest.cameras is None else manifest.cameras.names
+    of_camera = camera_names(rows, known)
     rows.check_unique(list(zip(names, of_camera, numbers.tolist(), strict=True)),
                       lambda i: f"test {names[i]}, camera {of_camera[i]}, marker {numbers[i] + 1}")  # fmt: skip
     uv, std = rows.required(*PIXEL), rows.std("std", np.zeros(len(rows), dtype=bool), "")
     cameras, notes = read_cameras(folder, manifest)
     order = [camera.name for camera in cameras]
-    for row, name in enumerate(of_camera):
-        check_inside(rows, row, cameras[order.index(name)], uv[row])
+    for row, ((u, v), name) in enumerate(zip(uv, of_camera, strict=True)):
+        width, height = cameras[order.index(name)].size_px or (np.inf, np.inf)
+        if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
+            rows.fail(row, f"pixel {u:g}, {v:g} lies outside the pictures of {width} x {height} px that camera {name} "
+                           "was calibrated for; was the photograph scaled?")  # fmt: skip
     camera_index = np.array([order.index(name) for name in of_camera])
-    found: list[Markers | None] = [None] * len(tests)
+    markers: list[Markers | None] = [None] * len(tests)
     for name, test in tests.items():
-        own = np.flatnonzero(which == test)
-        if len(own):
+        of_test = which == test
+        if of_test.any():
             try:
-                found[test] = _located(cameras, camera_index[own], numbers[own], uv[own], std[own])
+                markers[test] = _located(cameras, camera_index[of_test], numbers[of_test], uv[of_test], std[of_test])
             except InputError as error:
                 raise InputError(f"{path}: test {name}: {error}") from None
-    return found, notes
+    return markers, notes
 
 
 def _located(
@@ -447,11 +442,3 @@ def camera_names(rows: TableRows, known: Sequence[str]) -> list[str]:
             rows.fail(row, f"camera {name[:40]!r} is not in cameras.names of campaign.toml, which has "
                            f"{', '.join(known) or 'none'}")  # fmt: skip
     return names
-
-
-def check_inside(rows: TableRows, row: int, camera: Camera, uv: Array) -> None:
-    """Refuse a pixel outside the pictures that its camera was calibrated for."""
-    size = camera.size_px
-    if size is not None and not ((uv >= -0.5) & (uv <= np.array(size) - 0.5)).all():
-        rows.fail(row, f"pixel {uv[0]:g}, {uv[1]:g} lies outside the pictures of {size[0]} x {size[1]} px that camera "
-                       f"{camera.name} was calibrated for; was the photograph scaled?")  # fmt: skip

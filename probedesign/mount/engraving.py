@@ -113,13 +113,9 @@ def cut_outlines(character: str) -> list[Loop]:
         loop = [min(ahead)]
         while loop[-1] in ahead:
             loop.append(ahead.pop(loop[-1]))
-        loops.append(_corners(loop[:-1]))
+        around = zip([loop[-2], *loop[:-2]], loop[:-1], loop[1:], strict=True)
+        loops.append(tuple(b for a, b, c in around if a[0] != c[0] and a[1] != c[1]))  # the corners
     return loops
-
-
-def _corners(loop: list[tuple[int, int]]) -> Loop:
-    around = zip([loop[-1], *loop[:-1]], loop, [*loop[1:], loop[0]], strict=True)
-    return tuple(b for a, b, c in around if a[0] != c[0] and a[1] != c[1])
 
 
 @dataclass(frozen=True)

@@ -62,11 +62,6 @@ class FlangeAdapter:
     T_sensor_robotflange: Array  #: pose of this frame in the sensor frame, (4, 4).
 
     @property
-    def centring_d(self) -> float:
-        """Return the diameter of the circle that the centring pins enclose [m]."""
-        return 2.0 * math.hypot(*self.p_centring_pins[0]) - CENTRING_PIN_D
-
-    @property
     def counterbore_top(self) -> float:
         """Return z of the seat of the sensor's mounting screws, whose heads lie below it [m]."""
         return self.plate_top - self.mounting.grip
@@ -76,13 +71,6 @@ def bolt_margin(robot: RobotFlange, length: float) -> float:
     """Return the margin [m] to the deepest allowed entry of a robot bolt: tolerances of bolt and plate, and a head that
     settles."""
     return robot.screw.length_tolerance(length) + PRINT_TOLERANCE + FACE_LOSS + SETTLING
-
-
-def centring_play(body_d: float) -> float:
-    """Return the radial play [m] with which the sensor's body passes between its pins at every corner of the
-    tolerances."""
-    play = PRINTED_PIN_PLAY + SENSOR_BODY_TOLERANCE
-    return (length_tolerance(1.02 * body_d) + play) / 2  # the pins enclose up to 2 % more
 
 
 def flange_adapter_for(sensor: SensorModel, robot: RobotFlange, fingerprint: str = "", name: str = "") -> FlangeAdapter:
@@ -111,7 +99,9 @@ def flange_adapter_for(sensor: SensorModel, robot: RobotFlange, fingerprint: str
     cable, cable_deg = interface.cable, (robot.bolt_azimuths_deg[0] + robot.bolt_azimuths_deg[1]) / 2
     dowel_deg = cable.azimuth_deg - cable_deg
     reach, body_r = robot.bolt_circle_d / 2, interface.body_d / 2
-    pins_r = body_r + centring_play(interface.body_d) + CENTRING_PIN_D / 2
+    # The body passes between its pins, which enclose up to 2 % more, at every corner of the tolerances.
+    play = (length_tolerance(1.02 * interface.body_d) + PRINTED_PIN_PLAY + SENSOR_BODY_TOLERANCE) / 2
+    pins_r = body_r + play + CENTRING_PIN_D / 2
     room = pins_r + CENTRING_PIN_D / 2 + 0.3 * MM < reach - robot.screw.head_d / 2
     pins = on_circle(2 * pins_r, (cable_deg + a for a in CENTRING_DEG)) if room else ()
     pocket = (
@@ -124,6 +114,8 @@ def flange_adapter_for(sensor: SensorModel, robot: RobotFlange, fingerprint: str
         reach + robot.screw.head_d / 2 + HEAD_EDGE,
         float(np.hypot(reach + robot.pin_slot[1] / 2, robot.pin_slot[0] / 2)) + EDGE,
     )
+    tie_r, half = rim - EDGE - TIE_SLOT[0] / 2 - 0.5 * MM, TIE_APART / 2
+    c, s = math.cos(math.radians(cable_deg)), math.sin(math.radians(cable_deg))
     return FlangeAdapter(
         robot=robot,
         mounting=mounting,
@@ -135,19 +127,12 @@ def flange_adapter_for(sensor: SensorModel, robot: RobotFlange, fingerprint: str
         centring_hole=(CENTRING_PIN_D + PRINTED_PIN_PLAY, plate_top - (CENTRING_PIN_LENGTH - CENTRING_ABOVE)),
         body_d=interface.body_d,
         free_height=interface.cable.free_height,
-        p_tie_slots=_tie_slots(rim, cable_deg),
+        p_tie_slots=tuple((tie_r * c - side * s, tie_r * s + side * c) for side in (-half, half)),
         p_mounting_screws=on_circle(mounting.bolt_circle_d, (a - dowel_deg for a in mounting.azimuths_deg)),
         p_bolts=on_circle(robot.bolt_circle_d, robot.bolt_azimuths_deg),
         on_plate=_engraving(robot, fingerprint, name, plate_top, (body_r, pins, pocket, cable_deg)),
         T_sensor_robotflange=pose(rotation_z(np.radians(dowel_deg)), [0.0, 0.0, -interface.height - plate_top]),
     )
-
-
-def _tie_slots(rim: float, cable_deg: float) -> tuple[XY, ...]:
-    """Return (x, y) of the two slots for the cable tie, on both sides of the cable near the rim [m]."""
-    r, half = rim - EDGE - TIE_SLOT[0] / 2 - 0.5 * MM, TIE_APART / 2
-    c, s = math.cos(math.radians(cable_deg)), math.sin(math.radians(cable_deg))
-    return tuple((r * c - side * s, r * s + side * c) for side in (-half, half))
 
 
 def fitting_flanges(sensor: SensorModel) -> list[str]:

@@ -87,11 +87,6 @@ class MountOptions:
         """Return the nut of the ring's screws."""
         return NUTS[self.ring_screw.thread]
 
-    @property
-    def min_ring_thickness(self) -> float:
-        """Return the least thickness of the clamp ring [m]: a wide one is thicker."""
-        return (2.5 if self.ring_screw is M2 else 4.0) * MM
-
 
 @dataclass(frozen=True)
 class SensorAdapter:
@@ -261,14 +256,20 @@ def sensor_adapter_for(
     # The nut's two inner corners, at (af/√12, af/2) from its axis, touch the slot's round end.
     reach = _up(nut.af / math.sqrt(12.0) - math.sqrt((width / 2) ** 2 - (nut.af / 2) ** 2))
     circle_d = _up(recess_d + 2 * (WALL + width / 2 + reach))
-    bore_d = _ring_bore_d(geometry)
+    # The ring passes over the tip and the widest section.
+    probe_d, max_d = 2.0 * float(geometry.radius.max()), max_ring_passage_d(flange)
+    if probe_d > max_d + 1e-9:  # round-off of sums
+        raise InputError(
+            f"probe.profile_mm: {probe_d / MM:g} mm at its widest, so the clamp ring cannot pass; at most "
+            f"{max_d / MM:.4g} mm with a base of {2 * geometry.base_radius / MM:g} mm"
+        )
+    bore_d = probe_d + 2 * RING_CLEARANCE + 2 * _beyond_least(probe_d)
     land_d = land_diameter(2 * geometry.base_radius, options.lip, flange.diameter, bore_d, tool, WALL)
     stock = [n * MM for n in screw.stock_mm]
     thickest = stock[-1] - ROOF - nut.height - nut_slack(screw, stock[-1])
     force = pad_force(options.lip_modulus, bore_d, land_d, flange.thickness, squeeze)
-    stiff = stiff_thickness(
-        RIGID_MODULUS, options.min_ring_thickness, bore_d, recess_d, (bore_d + land_d) / 2, force, squeeze
-    )
+    thinnest = (2.5 if screw is M2 else 4.0) * MM
+    stiff = stiff_thickness(RIGID_MODULUS, thinnest, bore_d, recess_d, (bore_d + land_d) / 2, force, squeeze)
     ring_thickness = min(stiff, thickest)
     needed = ring_thickness + ROOF + nut.height
     length = next(n for n in stock if n >= needed + nut_slack(screw, n) - 1e-9)
@@ -328,7 +329,7 @@ def sensor_adapter_for(
         peg_hole_d=peg_hole_d,
         flange=flange,
         squeeze=squeeze,
-        probe_d=2.0 * float(geometry.radius.max()),
+        probe_d=probe_d,
         ring_bore_d=bore_d,
         ring_bore_top_d=min(bore_d + 2 * ring_thickness, head_clear_d, flange.diameter - 2 * RING_CLEARANCE),
         ring_thickness=ring_thickness,
@@ -380,17 +381,6 @@ def _squeeze(flange: Flange, options: MountOptions) -> float:
             f"allowed is {low / MM:.3g} ... {high / MM:.3g} mm"
         )
     return squeeze
-
-
-def _ring_bore_d(geometry: ProbeGeometry) -> float:
-    """Return the narrowest diameter of the ring's bore [m]: the ring passes over the tip and the widest section."""
-    probe_d, max_d = 2.0 * float(geometry.radius.max()), max_ring_passage_d(geometry.flange)
-    if probe_d > max_d + 1e-9:  # round-off of sums
-        raise InputError(
-            f"probe.profile_mm: {probe_d / MM:g} mm at its widest, so the clamp ring cannot pass; at most "
-            f"{max_d / MM:.4g} mm with a base of {2 * geometry.base_radius / MM:g} mm"
-        )
-    return probe_d + 2 * RING_CLEARANCE + 2 * _beyond_least(probe_d)
 
 
 def _beyond_least(length: float) -> float:

@@ -159,7 +159,6 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
     recess, apart = a.body_top - a.floor, a.dowel_distance
     slot, distance = length_tolerance(a.dowel_slot) / 2, length_tolerance(apart)
     hole_d, hole_bottom = plate.centring_hole
-    play = hole_d - CENTRING_PIN_D
     recess_d = robot.spigot[0] + robot.spigot_play
     lost = StackItem("face compressed on the platform or sanded", 0.0, 0.0, FACE_LOSS, "assumed")
     settling = StackItem("head that settles in the resin", 0.0, 0.0, SETTLING, "assumed")
@@ -227,8 +226,9 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
     if plate.p_centring_pins:
         rows += [
             ("centring_fit", "play of the sensor's body between its pins",
-             (_printed("circle that the pins enclose", plate.centring_d), replace(h8(0.0), name="diameter of the pins"),
-              _within("play of the pins in their holes", 0.0, play),
+             (_printed("circle that the pins enclose", 2.0 * math.hypot(*plate.p_centring_pins[0]) - CENTRING_PIN_D),
+              replace(h8(0.0), name="diameter of the pins"),
+              _within("play of the pins in their holes", 0.0, hole_d - CENTRING_PIN_D),
               _within("diameter of the body", -plate.body_d, SENSOR_BODY_TOLERANCE)),
              (0.0, max(MAX_CENTRING_PLAY[0], MAX_CENTRING_PLAY[1] * plate.body_d)),
              "interface.body_d_mm of the sensor"),
@@ -275,54 +275,31 @@ class Measurement:
 
 def measurements(a: SensorAdapter, plate: FlangeAdapter) -> list[Measurement]:
     """Return what to measure before the first screw; a screw that enters too deep destroys the sensor."""
-    rows = []
+    rows: list[tuple[str, float, float, float, str]] = []
     for part, pattern in (("sensor adapter", a.tool), ("flange adapter", plate.mounting)):
-        length, screw = pattern.length, pattern.screw
-        tolerance = screw.length_tolerance(length)
+        length, screw, grip = pattern.length, pattern.screw, pattern.grip
+        shortest, longest = (length + side * screw.length_tolerance(length) for side in (-1.0, 1.0))
+        least, most = pattern.min_entry, pattern.max_entry - CALIPERS - SETTLING
+        pressed = "in its hole, head pressed on its seat: its point beyond the sensor's face"
         rows += [
-            Measurement(
-                f"{part}: each {screw.thread}×{length / MM:g} in its hole, head pressed on its seat: its point beyond "
-                "the sensor's face",
-                length - pattern.grip,
-                (pattern.min_entry, pattern.max_entry - CALIPERS - SETTLING),
-                "more: do not use it, the sensor would be destroyed; less: the screw does not hold",
-            ),
-            Measurement(
-                f"{part}: thickness under each head of those screws",
-                pattern.grip,
-                (length + tolerance - pattern.max_entry + CALIPERS + SETTLING, length - tolerance - pattern.min_entry),
-                "thinner: print it again; thicker: print it again, never take a longer screw",
-            ),
-        ]
-    recess, flange = a.body_top - a.floor, a.flange.thickness
-    rigid, soft = length_tolerance(recess), length_tolerance(flange)
-    return [
-        *rows,
-        Measurement(
-            "sensor adapter: depth of the recess, to its land",
-            recess,
-            (recess - rigid, recess + rigid),
-            "decided by the difference below",
-        ),
-        Measurement(
-            "sensor adapter: depth of the groove around the land, after its resin was cleared",
-            a.groove,
-            (a.groove - rigid + CALIPERS, a.groove + rigid),
-            "less: clear groove and notch of resin, or print it again; more: print it again",
-        ),
-        Measurement(
-            "probe: thickness of the flange's rim",
-            flange,
-            (flange - soft, flange + soft),
-            "decided by the difference below",
-        ),
-        Measurement(
-            "flange minus recess: compression of the lip",
-            a.squeeze,
-            (MIN_SQUEEZE + 2 * CALIPERS, MAX_SQUEEZE_SHARE * flange - 2 * CALIPERS),
-            "less: the ring does not clamp, print the adapter again; more: the lip is overloaded",
-        ),
-    ]
+            (f"{part}: each {screw.thread}×{length / MM:g} {pressed}", length - grip, least, most,
+             "more: do not use it, the sensor would be destroyed; less: the screw does not hold"),
+            (f"{part}: thickness under each head of those screws", grip, longest - most, shortest - least,
+             "thinner: print it again; thicker: print it again, never take a longer screw"),
+        ]  # fmt: skip
+    recess, groove, flange = a.body_top - a.floor, a.groove, a.flange.thickness
+    rigid, soft, decided = length_tolerance(recess), length_tolerance(flange), "decided by the difference below"
+    rows += [
+        ("sensor adapter: depth of the recess, to its land", recess, recess - rigid, recess + rigid, decided),
+        ("sensor adapter: depth of the groove around the land, after its resin was cleared",
+         groove, groove - rigid + CALIPERS, groove + rigid,
+         "less: clear groove and notch of resin, or print it again; more: print it again"),
+        ("probe: thickness of the flange's rim", flange, flange - soft, flange + soft, decided),
+        ("flange minus recess: compression of the lip",
+         a.squeeze, MIN_SQUEEZE + 2 * CALIPERS, MAX_SQUEEZE_SHARE * flange - 2 * CALIPERS,
+         "less: the ring does not clamp, print the adapter again; more: the lip is overloaded"),
+    ]  # fmt: skip
+    return [Measurement(what, nominal, (low, high), otherwise) for what, nominal, low, high, otherwise in rows]
 
 
 # the clamp: force of the lip against the preload of the screws, and the bending of the ring; see `lip`

@@ -155,9 +155,15 @@ def flange_findings(adapter: SensorAdapter) -> list[Finding]:
 def mount_findings(a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
     """Return the findings on the rigid parts, as drawn."""
     screw, robot = plate.mounting.screw, plate.robot
+    ring, hole = _reach(a.p_ring_screws), a.ring_screw.clearance_d / 2
+    ring_walls: Walls = [
+        ("thickness", a.ring_thickness, UNSUPPORTED_WALL),
+        ("between screw hole and rim", a.body_d / 2 - ring - hole, UNSUPPORTED_WALL),
+        ("between screw hole and bore", ring - hole - a.ring_bore_top_d / 2, UNSUPPORTED_WALL),
+    ]
     parts = {
-        "sensor_adapter": (_adapter_walls(a), {"screw hole": a.ring_screw.clearance_d, "dowel hole": a.dowel_d}),
-        "clamp_ring": (_ring_walls(a), {"screw hole": a.ring_screw.clearance_d}),
+        "sensor_adapter": (_adapter_walls(a), {"screw hole": 2 * hole, "dowel hole": a.dowel_d}),
+        "clamp_ring": (ring_walls, {"screw hole": 2 * hole}),
         "flange_adapter": (_plate_walls(plate), {"sensor screw hole": screw.clearance_d,
                                                  "bolt hole": robot.screw.clearance_d, "pin slot": robot.pin_slot[0]}),
     }  # fmt: skip
@@ -235,15 +241,6 @@ def _adapter_walls(a: SensorAdapter) -> Walls:
         ("over a dowel hole", a.groove_floor - a.dowel_depth, SUPPORTED_WALL),
         ("below the groove, at the notch", a.groove_floor - a.cone_top, UNSUPPORTED_WALL),
         ("under the heads of the sensor screws", a.tool.grip, SUPPORTED_WALL),
-    ]
-
-
-def _ring_walls(a: SensorAdapter) -> Walls:
-    ring, hole = _reach(a.p_ring_screws), a.ring_screw.clearance_d / 2
-    return [
-        ("thickness", a.ring_thickness, UNSUPPORTED_WALL),
-        ("between screw hole and rim", a.body_d / 2 - ring - hole, UNSUPPORTED_WALL),
-        ("between screw hole and bore", ring - hole - a.ring_bore_top_d / 2, UNSUPPORTED_WALL),
     ]
 
 
