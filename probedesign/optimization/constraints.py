@@ -142,6 +142,10 @@ class Constraint(NamedTuple):
         return float(np.min(self.margin(x)))
 
 
+def _by_differences(text: str, margin: Callable[[Array], Array], central: bool) -> Constraint:
+    return Constraint(text, margin, lambda x: finite_differences(margin, x, central=central).T)
+
+
 @dataclass(frozen=True)
 class NonlinearProgram:
     """The objective over a design space, with its constraints."""
@@ -175,36 +179,32 @@ class NonlinearProgram:
         """Return one constraint for each limit and print rule, for buckling and for slipping."""
         space = self.evaluator.space
         rules = space.printable(space.x_of(space.start), without_warnings=self.without_warnings)
-        limits = [limit for limit in self.limits if limit.metric != NO_WARNINGS]
-        slips = [self._slip_constraint] if self.evaluator.task.touches > 1 else []
-        return [*map(self._limit, limits), self._buckling_constraint, *slips, *map(self._rule, rules)]
+        limits = [self._limit(limit) for limit in self.limits if limit.metric != NO_WARNINGS]
+        task, metrics = self.evaluator.task, self.evaluator.metrics
+
+        def bears(x: Array) -> Array:
+            """Return the margin of the critical load over the task's force to the safety factor."""
+            return np.array([np.log(metrics(x)["critical_load"] / SAFETY_FACTOR) - SPARE])
+
+        def slips(x: Array) -> Array:
+            """Return the margin of the slide while the base presses on, which ends at the tip."""
+            left = (1.0 - max(task.fractions)) * metrics(x)["length_mm"] + _SLIP_ALLOWANCE_MM
+            return np.array([np.log(left / metrics(x)["slide_mm"]) - SPARE])
+
+        def printable(name: str) -> Callable[[Array], Array]:
+            return lambda x: space.printable(x[: space.size], without_warnings=self.without_warnings)[name]
+
+        return [
+            *limits,
+            _by_differences(f"bears {SAFETY_FACTOR:g} x the force", bears, central=False),
+            *([_by_differences("does not slip off", slips, central=False)] if task.touches > 1 else []),
+            *(_by_differences(name, printable(name), central=True) for name in rules),
+        ]
 
     @property
     def without_warnings(self) -> bool:
         """Return whether designs with warnings of the print check are excluded."""
         return any(limit.metric == NO_WARNINGS for limit in self.limits)
-
-    @property
-    def _slip_constraint(self) -> Constraint:
-        """Return the constraint that the object does not slip off the tip while the base presses on."""
-        metrics, outermost = self.evaluator.metrics, max(self.evaluator.task.fractions)
-
-        def margin(x: Array) -> Array:
-            # A slide as long as the distance from the outermost position to the tip ends there.
-            left = (1.0 - outermost) * metrics(x)["length_mm"] + _SLIP_ALLOWANCE_MM
-            return np.array([np.log(left / metrics(x)["slide_mm"]) - SPARE])
-
-        return Constraint("does not slip off", margin, lambda x: finite_differences(margin, x, central=False).T)
-
-    @property
-    def _buckling_constraint(self) -> Constraint:
-        """Return the constraint that the critical load exceeds the task's force by the safety factor."""
-        metrics, name = self.evaluator.metrics, f"bears {SAFETY_FACTOR:g} x the force"
-
-        def margin(x: Array) -> Array:
-            return np.array([np.log(metrics(x)["critical_load"] / SAFETY_FACTOR) - SPARE])
-
-        return Constraint(name, margin, lambda x: finite_differences(margin, x, central=False).T)
 
     def _limit(self, limit: Limit) -> Constraint:
         # In logarithms: an error may be a hundred times too large, and SQP linearises the constraints.
@@ -214,14 +214,6 @@ class NonlinearProgram:
             lambda x: np.array([sign * np.log(evaluator.metrics(x)[name] / limit.value) - SPARE]),
             lambda x: sign * evaluator.gradient(name, x)[None] / evaluator.metrics(x)[name],
         )
-
-    def _rule(self, name: str) -> Constraint:
-        space = self.evaluator.space
-
-        def margin(x: Array) -> Array:
-            return space.printable(x[: space.size], without_warnings=self.without_warnings)[name]
-
-        return Constraint(name, margin, lambda x: finite_differences(margin, x, central=True).T)
 
     def solve(self, x0: Array) -> Array:
         """Return the local optimum reached from a start, feasible or not."""
@@ -238,7 +230,7 @@ class NonlinearProgram:
 
     def infeasibility_report(self, starts: list[Array]) -> str:
         """Return a message with the conflicting constraints at the least infeasible point."""
-        nearest = min((self._least_infeasible(x0) for x0 in starts), key=self._max_violation)
+        nearest = min(map(self._least_infeasible, starts), key=self._max_violation)
         limit, conflicts = -_CONFLICT_SHARE * self._max_violation(nearest), []
         metrics, of = self.evaluator.metrics(nearest), {limit.text: limit.figure for limit in self.limits}
         for c in self.constraints:

@@ -23,7 +23,6 @@ from probedesign.prediction.predict import tip_sag
 from probedesign.printing import check as limits
 from probedesign.probe import Probe, build_probe
 from probedesign.rod.contact import solve_frictionless
-from probedesign.rod.rod import Rod
 from probedesign.rod.vibration import natural_frequency
 
 FreeParameter = Literal["cone", "taper", "length", "section"]
@@ -306,37 +305,37 @@ class DesignEvaluator:
         pushed = {
             name: 1.0 / _NO_FIGURE if name.startswith(MIN_FORCE) else _NO_FIGURE for name in self.limited if "@" in name
         }
-        found = {**INFEASIBLE, **pushed}
-        found |= {"length_mm": self.space.length_mm(x), "mass_g": 1e3}
+        metrics = {**INFEASIBLE, **pushed}
+        metrics |= {"length_mm": self.space.length_mm(x), "mass_g": 1e3}
         try:
             probe = self.probe(x)
             model = probe.model
         except InputError:
-            return found
-        found |= {"mass_g": 1e3 * probe.mass, "thinnest_mm": probe.geometry.thinnest / MM}
+            return metrics
+        metrics |= {"mass_g": 1e3 * probe.mass, "thinnest_mm": probe.geometry.thinnest / MM}
         task = self.task_at(x)
         touched = predict_task(model, task)
         error = task.combined(touched.errors)
         if math.isfinite(error):
             slid = min(max(touched.slide / MM, _NO_SLIDE_MM), INFEASIBLE["slide_mm"])
-            found |= {"error_mm": error / MM, "worst_error_mm": max(touched.errors) / MM, "slide_mm": slid,
+            metrics |= {"error_mm": error / MM, "worst_error_mm": max(touched.errors) / MM, "slide_mm": slid,
                       "sensor_use": touched.sensor_use,
                       "critical_load": critical_load_factor(model, task, self.max_load)}  # fmt: skip
-            found["buckling_margin"] = found["critical_load"]
+            metrics["buckling_margin"] = metrics["critical_load"]
         if "natural_frequency_Hz" in self.limited:
             frequency = natural_frequency(model.rod, model.gravity_base)
-            found["natural_frequency_Hz"] = frequency if math.isfinite(frequency) else 1e-3
+            metrics["natural_frequency_Hz"] = frequency if math.isfinite(frequency) else 1e-3
         if "detectable_mN" in self.limited:
-            found["detectable_mN"] = detectable_mN(model, task) or INFEASIBLE["detectable_mN"]
+            metrics["detectable_mN"] = detectable_mN(model, task) or INFEASIBLE["detectable_mN"]
         overload = self.space.start.sensor_model.overload
         for name, unknown in pushed.items():
-            found[name] = displacement_metric(name, model, task, overload) or unknown
+            metrics[name] = displacement_metric(name, model, task, overload) or unknown
         free = probe.rod.solve(model.gravity_base)
         if free.ok:
             tip = free.p_at(probe.length)
-            found["sag_mm"] = tip_sag(free, probe.length, model.gravity_base) / MM
-            found["reach_mm"] = float(np.linalg.norm(tip)) / MM
-        return found
+            metrics["sag_mm"] = tip_sag(free, probe.length, model.gravity_base) / MM
+            metrics["reach_mm"] = float(np.linalg.norm(tip)) / MM
+        return metrics
 
     def probe(self, x: Array) -> Probe:
         """Return the probe of a point, dimensions not rounded, so that its differences are smooth."""
@@ -364,8 +363,13 @@ class DesignEvaluator:
             return None
         first = eq.sensitivity.names.index("log_diameter_0")
         by_knot = eq.sensitivity.d_position[:, first : first + len(rod.s)] / (2.0 * rod.radius)
-        # The rigid root scales with the base, for which the rod has no sensitivity column.
-        by_knot[:, 0] = _by_base(rod, gravity)
+        ends = list[Array]()  # the rigid root scales with the base, for which the rod has no sensitivity column
+        for factor in (1.0 - _SMALL, 1.0 + _SMALL):
+            radius = rod.radius.copy()
+            radius[0] *= factor
+            other = replace(rod, radius=radius, rigid_length=factor * rod.rigid_length)
+            ends.append(other.solve(gravity, mode="reference").p_at(rod.length))
+        by_knot[:, 0] = (ends[1] - ends[0]) / (4.0 * _SMALL * rod.radius[0])
         by_control, tip = by_knot @ self.space.spline, eq.p_at(rod.length)
         down = gravity / max(float(np.linalg.norm(gravity)), 1e-300)
         return {"sag_mm": down @ by_control, "reach_mm": tip @ by_control / np.linalg.norm(tip)}
@@ -380,14 +384,3 @@ def finite_differences(f: Callable[[Array], float | Array], x: Array, central: b
         risen = (f(x + step) - f(x - step)) / 2.0 if central else f(x + step) - here
         columns.append(np.asarray(risen / step[i]))
     return np.array(columns)
-
-
-def _by_base(rod: Rod, gravity: Array) -> Array:
-    """Return the derivative of the free tip by the base diameter with the rigid root, by two solves, (3,)."""
-    ends = list[Array]()
-    for factor in (1.0 - _SMALL, 1.0 + _SMALL):
-        radius = rod.radius.copy()
-        radius[0] *= factor
-        other = replace(rod, radius=radius, rigid_length=factor * rod.rigid_length)
-        ends.append(other.solve(gravity, mode="reference").p_at(rod.length))
-    return np.asarray((ends[1] - ends[0]) / (4.0 * _SMALL * rod.radius[0]))

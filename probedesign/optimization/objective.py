@@ -9,7 +9,7 @@ import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
-from probedesign.core.statistics import UNIFORM_STD, rms
+from probedesign.core.statistics import rms
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.estimation.error_sources import ErrorSources
@@ -172,11 +172,6 @@ class DesignMetrics:
     print_errors: int  #: print_errors, print_warnings: findings of the print rules, except for `SHARED_PARTS`.
     print_warnings: int
 
-    @property
-    def is_observable(self) -> bool:
-        """Return whether the error of every case is smaller than that of a uniform prior along the probe, L/√12."""
-        return self.worst_error_mm is not None and self.worst_error_mm < self.length_mm * UNIFORM_STD
-
     def as_dict(self) -> dict[str, Any]:
         """Return plain data; every key ends in its unit."""
         return asdict(self)
@@ -224,10 +219,10 @@ def predict_task(model: ProbeModel, task: Task, slipping: bool = True) -> TaskEr
         on = SurfaceRod(under.rod, under.gravity_base, under.mass, free)
         sources = ErrorSources.of(under, estimator.priors, under.gravity_base, free) if free.ok else None
         for fraction in task.fractions:
-            found = {} if sources is None else _errors_at(estimator, on, sources, fraction, task)
+            by_force = {} if sources is None else _errors_at(estimator, on, sources, fraction, task)
             for force in task.forces_N:
                 cases.append(Case(fraction, force, tuple(under.gravity_base.tolist())))
-                error, used = found.get(force, (math.inf, math.inf))
+                error, used = by_force.get(force, (math.inf, math.inf))
                 errors.append(error)
                 use = max(use, used)
             if slipping and task.schedule is not None and free.ok:

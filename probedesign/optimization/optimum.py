@@ -89,22 +89,16 @@ def optimum(search: OptimizationProblem, name: str, on_progress: OnProgress) -> 
             designs.append(_named(cones.problem, _solve(cones.problem, designs, on_progress)[0], "cone"))
     x, values = _solve(problem, designs, on_progress)
     best, task = _named(problem, x, name), problem.evaluator.task_at(x)
-    return Optimum(
-        best, task, design_metrics(search.start, task), design_metrics(best, task), problem.active_constraints(x),
-        problem.evaluator.n_evaluations, values, _worse(search.start, best, task),
-    )  # fmt: skip
-
-
-def _worse(start: Design, best: Design, task: Task) -> tuple[WorseCase, ...]:
-    """Return the cases, at and around the task's, in which the optimum has a larger error than the start."""
     forces = tuple(sorted({factor * force for force in task.forces_N for factor in AROUND}))
     wide = replace(task, fractions=tuple(sorted({*COMPARED_FRACTIONS, *task.fractions})), forces_N=forces)
-    before, after = (predict_task(build_probe(design).model, wide, slipping=False) for design in (start, best))
-    return tuple(
+    before, after = (predict_task(build_probe(design).model, wide, slipping=False) for design in (search.start, best))
+    worse = tuple(
         WorseCase(*case, was / MM, now / MM if math.isfinite(now) else None)
         for case, was, now in zip(before.cases, before.errors, after.errors, strict=True)
         if math.isfinite(was) and not now <= 1.01 * was
     )
+    return Optimum(best, task, design_metrics(search.start, task), design_metrics(best, task),
+                   problem.active_constraints(x), problem.evaluator.n_evaluations, values, worse)  # fmt: skip
 
 
 def _named(problem: NonlinearProgram, x: Array, name: str) -> Design:
@@ -129,26 +123,25 @@ def _solve(
 
 
 def _starts(problem: NonlinearProgram, designs: list[Design]) -> list[Array]:
-    """Return the designs, and the first of them thinner, or shorter where its diameters are fixed."""
-    space, found = problem.evaluator.space, list[Array]()
+    """Return the designs, and the first of them thinner, or shorter where its diameters are fixed.
+
+    A start that buckles under the force is replaced by one that is thick enough, if there is one.
+    """
+    space, starts = problem.evaluator.space, list[Array]()
+    force = [float(np.log(FORCES[1]) / 2.0)] if problem.evaluator.with_force else []
     for design, factor in [(designs[0], factor) for factor in STARTS] + [(design, 1.0) for design in designs[1:]]:
         x = space.x_of(design)
         x[: space.controls or None] *= factor
-        force = [float(np.log(FORCES[1]) / 2.0)] if problem.evaluator.with_force else []
-        found.append(_stable_start(problem, problem.clip(np.append(x, force))))
-    return found
-
-
-def _stable_start(problem: NonlinearProgram, x: Array) -> Array:
-    """Return the start, or one thick enough to be stable under the force; unchanged if none is."""
-    thicker, diameters = x, slice(problem.evaluator.space.controls)
-    for _ in range(_TIMES):
-        if problem.evaluator.is_stable(thicker):
-            return thicker
-        thicker = thicker.copy()
-        thicker[diameters] *= _THICKER
-        thicker = problem.clip(thicker)
-    return x
+        start = thicker = problem.clip(np.append(x, force))
+        for _ in range(_TIMES):
+            if problem.evaluator.is_stable(thicker):
+                start = thicker
+                break
+            thicker = thicker.copy()
+            thicker[: space.controls] *= _THICKER
+            thicker = problem.clip(thicker)
+        starts.append(start)
+    return starts
 
 
 # Monte Carlo check
@@ -210,11 +203,11 @@ def confirm(
         for place, (under, fraction, force) in enumerate(cases)
         for first in range(0, draws, _CHUNK)
     ]
-    found = dict[int, Array]()
+    parts = dict[int, Array]()
     for i, part in process_map(_errors, chunks, workers):
-        found[i] = part
-        on_progress("Monte Carlo check", len(found) / len(chunks))
-    errors, located, inside = np.concatenate([found[i] for i in range(len(chunks))]).T
+        parts[i] = part
+        on_progress("Monte Carlo check", len(parts) / len(chunks))
+    errors, located, inside = np.concatenate([parts[i] for i in range(len(chunks))]).T
     squares = errors[np.isfinite(errors)] ** 2 / MM**2
     rms = float(np.sqrt(squares.mean())) if len(squares) else math.nan
     spread = float(squares.std() / math.sqrt(len(squares)) / (2.0 * rms)) if len(squares) > 1 else math.nan
@@ -345,7 +338,7 @@ class OptimizeResult:
     def as_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
         best, checks = self.optimum, zip(("start", "best"), self.confirmed or (), strict=False)
-        confirmed = {name: None if one is None else asdict(one) for name, one in checks}
+        confirmed = {name: None if check is None else asdict(check) for name, check in checks}
         return {
             "schema": 1,
             "goal": self.search.goal,
@@ -363,13 +356,13 @@ class OptimizeResult:
         }
 
 
-def design_text(search: OptimizationProblem, found: Optimum) -> str:
+def design_text(search: OptimizationProblem, best: Optimum) -> str:
     """Return the design file of the optimum; its first lines describe the task and the result."""
-    before, after = found.before.error_mm, found.after.error_mm
+    before, after = best.before.error_mm, best.after.error_mm
     was = "none: it buckles" if before is None else f"{before:.3g} mm"
     kept = ", ".join(limit.text for limit in search.limits) or "no further limits"
     about = (
         f"Optimised for {search.goal} from {search.start.name}; {kept}.\n"
-        f"{found.task.text}:\npredicted error {after:.3g} mm by all error sources; {search.start.name}: {was}."
+        f"{best.task.text}:\npredicted error {after:.3g} mm by all error sources; {search.start.name}: {was}."
     )
-    return render_design(found.design, {"": about})
+    return render_design(best.design, {"": about})

@@ -1,7 +1,5 @@
 """Parameter sweep: a grid of designs, computed by processes of this machine or by dask workers, recorded one by one."""
 
-import csv
-import io
 import itertools
 import math
 from collections.abc import Iterator
@@ -12,9 +10,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from probedesign.core import csv_tables
 from probedesign.core.errors import InputError, MissingDependencyError, unknown_name
 from probedesign.core.files import write_atomically
 from probedesign.core.parallel import Journal, OnProgress, Record, fingerprint, process_map
+from probedesign.core.statistics import UNIFORM_STD
 from probedesign.design import Design, check_design
 from probedesign.design.diagnostics import known_keys
 from probedesign.design.edit import tables_of, with_values
@@ -168,13 +168,8 @@ def sweep(
                 appender.add(record)
                 on_progress(f"sweep: {len(journal.results)} of {len(grid)} designs", done / len(missing))
     records = [journal.results[i] for i in range(len(grid))]
-    text = io.StringIO()
-    writer = csv.DictWriter(
-        text, ["point", *(axis.key for axis in axes), "result", "reason", *METRICS], lineterminator="\n"
-    )
-    writer.writeheader()
-    writer.writerows(records)
-    write_atomically(folder / "sweep.csv", text.getvalue().encode())
+    columns = ["point", *(axis.key for axis in axes), "result", "reason", *METRICS]
+    write_atomically(folder / "sweep.csv", csv_tables.write(columns, records))
     return SweepResult(records, len(missing), [folder / "sweep.csv", folder / PROGRESS], journal.notes)
 
 
@@ -189,8 +184,8 @@ def evaluate_point(base: dict[str, Any], number: int, point: dict[str, Any], tas
         return _without_metrics(number, point, "failed", f"{type(error).__name__}: {error}")
     if metrics.error_mm is None:
         result, reason = "gives_way", "the probe buckles under the force at one position or more"
-    elif not metrics.is_observable:
-        result = "unobservable"
+    elif metrics.worst_error_mm is None or metrics.worst_error_mm >= metrics.length_mm * UNIFORM_STD:
+        result = "unobservable"  # not less than the error of a uniform prior along the probe, L/√12
         reason = f"the largest error, {metrics.worst_error_mm:.3g} mm, is not smaller than without a reading"
     elif metrics.sensor_use is not None and metrics.sensor_use > 1.0:
         result, reason = "out_of_range", f"the readings take {metrics.sensor_use:.3g} times the sensor's range"
@@ -208,11 +203,7 @@ def _evaluate_chunk(base: dict[str, Any], task: Task, chunk: _Chunk) -> list[Rec
 def _computed_here(
     base: dict[str, Any], task: Task, chunks: list[_Chunk], workers: int, on_progress: OnProgress
 ) -> Iterator[Record]:
-    """Yield the records that processes of this machine compute, in the order of completion.
-
-    Raises:
-        InputError: a process was ended from outside.
-    """
+    """Yield the records that processes of this machine compute, in the order of completion."""
     count = min(workers, len(chunks))
     on_progress(f"starting {count} workers", None)
     evaluate = partial(_evaluate_chunk, base, task)
@@ -266,18 +257,9 @@ def _client(scheduler: str, on_progress: OnProgress) -> Iterator["Client"]:
         except (ValueError, TypeError) as error:
             raise InputError(f"--scheduler {scheduler}: {error}; {how}") from None
         with client:
-            _await_workers(client, scheduler)
+            try:
+                client.wait_for_workers(1, timeout=SCHEDULER_TIMEOUT_S)  # without them a sweep would wait forever
+            except TimeoutError:
+                how = f"start some with: dask worker {scheduler}"
+                raise InputError(f"--scheduler {scheduler}: has no workers; {how}") from None
             yield client
-
-
-def _await_workers(client: "Client", scheduler: str) -> None:
-    """Check that a scheduler has workers; without them a sweep would wait forever.
-
-    Raises:
-        InputError: it has none.
-    """
-    try:
-        client.wait_for_workers(1, timeout=SCHEDULER_TIMEOUT_S)
-    except TimeoutError:
-        how = f"start some with: dask worker {scheduler}"
-        raise InputError(f"--scheduler {scheduler}: has no workers; {how}") from None

@@ -7,13 +7,12 @@ goes through the same residuals and derivatives as a measured one.
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from probedesign.campaigns.campaign import Campaign, Markers, Test, Use
+from probedesign.campaigns.campaign import MARKERS, Campaign, Markers, Test, Use
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose, rotation_under_gravity
 from probedesign.core.statistics import rms
@@ -27,14 +26,7 @@ from probedesign.simulation.ground_truth import BASE_POSITION, marker_arclengths
 
 SetUp = Literal["weighing", "calipers", "hang", "turned", "weight", "touch"]
 #: Duration of each kind of test [min], with the wait until creep has settled: assumed until a laboratory times its own.
-MINUTES: dict[SetUp, float] = {
-    "weighing": 5.0,
-    "calipers": 10.0,
-    "hang": 4.0,
-    "turned": 8.0,
-    "weight": 5.0,
-    "touch": 4.0,
-}
+MINUTES: dict[SetUp, float] = dict(weighing=5.0, calipers=10.0, hang=4.0, turned=8.0, weight=5.0, touch=4.0)
 #: Readings of the sensor in each test. Their noise is then below the drift of the bias, which more do not reduce.
 READINGS = 20
 #: Standard deviation of the arclength of a mark on the probe [m] (assumed: a pencil line set with a caliper).
@@ -132,7 +124,7 @@ class Bench:
         """Return the candidates' tests as a campaign; its weighing is apart."""
         model, std = self.model, self.instruments.std_base
         marker_s = np.array(marker_arclengths(model.rod.length)) if self.instruments.cameras else np.zeros(0)
-        tests = tuple(one.test for one in candidates if one.test is not None)
+        tests = tuple(candidate.test for candidate in candidates if candidate.test is not None)
         return Campaign(model.name, model.fingerprint, self.T_world_base(model.gravity_base), *std,
                         self.gravity_world, marker_s, None, tests, None, Path("plan"))  # fmt: skip
 
@@ -142,25 +134,22 @@ class Bench:
         Raises:
             InputError: the designed probe does not hang stably in its mount.
         """
-        found = [self.hang()]
-        if self.instruments.turnable:
-            found += self._turned()
-        found += self._weights()
-        if self.instruments.std_place is not None:
-            found += self._touches()
-        if self.instruments.balance is not None:
-            found.append(CandidateTest("weighing", None, None, "Weigh the printed probe with its flange."))
-        if self.instruments.calipers is not None:
-            words = "Measure the diameter at each mark, twice, at a right angle, without pressing it in."
-            found.append(CandidateTest("calipers", None, None, words))
-        return found
-
-    def hang(self) -> CandidateTest:
-        """Return the free hang as mounted."""
         eq = self.model.rod.solve(self.model.gravity_base)
         if not eq.ok:
             raise InputError(f"{self.model.name} has no stable equilibrium in its mount ({eq.result})")
-        return self._candidate("hang", "hang", eq, np.zeros(3), words="Let the probe hang free as mounted.")
+        words = "Let the probe hang free as mounted."
+        candidates = [self._candidate("hang", "hang", eq, np.zeros(3), words=words)]
+        if self.instruments.turnable:
+            candidates += self._turned()
+        candidates += self._weights()
+        if self.instruments.std_place is not None:
+            candidates += self._touches()
+        if self.instruments.balance is not None:
+            candidates.append(CandidateTest("weighing", None, None, "Weigh the printed probe with its flange."))
+        if self.instruments.calipers is not None:
+            words = "Measure the diameter at each mark, twice, at a right angle, without pressing it in."
+            candidates.append(CandidateTest("calipers", None, None, words))
+        return candidates
 
     def _turned(self) -> Iterator[CandidateTest]:
         size = float(np.linalg.norm(self.model.gravity_base))
@@ -188,14 +177,17 @@ class Bench:
                                       words=words, mass=mass, mark=s)  # fmt: skip
 
     def _touches(self) -> Iterator[CandidateTest]:
-        rod = self.model.rod
+        rod, gravity, estimator = self.model.rod, self.model.gravity_base, Estimator(self.model)
         for fraction in TOUCH_PLACES:
             s = _rounded(fraction * rod.length)
             for direction in DIRECTIONS:
                 for share in DISPLACEMENTS:
                     moved = _rounded(share * s)
                     eq = self._pressed(s, DIRECTIONS[direction], moved)
-                    if eq is None or not self._located(eq):
+                    if eq is None:
+                        continue
+                    estimate = estimator.estimate(np.tile(eq.wrench_base, (READINGS, 1)), gravity)
+                    if not estimate.ok or rms(estimate.cov_surface_base) >= MAX_STATED_ERROR * rod.length:
                         continue
                     words = f"Push the mark s = {s / MM:g} mm by {moved / MM:g} mm toward {direction} of the base."
                     name = f"touch-{s / MM:g}-{direction}-{moved / MM:g}"
@@ -215,23 +207,14 @@ class Bench:
         low, high = 0.0, math.nan
         force = 0.75 * math.pi * rod.youngs_modulus * radius**4 * displacement / s**3  # of a cantilever
         for _ in range(MAX_PRESS_STEPS):
-            found = solve_frictionless(rod, gravity, s, angle, force)
-            eq = found.equilibrium
-            moved = float(np.linalg.norm(eq.p_at(s) - start)) if found.result == "ok" else math.inf
+            contact = solve_frictionless(rod, gravity, s, angle, force)
+            eq = contact.equilibrium
+            moved = float(np.linalg.norm(eq.p_at(s) - start)) if contact.result == "ok" else math.inf
             if abs(moved - displacement) < DISPLACEMENT_ERROR * displacement:
                 return eq if self.model.in_range(self.model.to_sensor(eq.wrench_base, gravity)) else None
             low, high = (force, high) if moved < displacement else (low, force)
             force = 2.0 * force if math.isnan(high) else 0.5 * (low + high)
         return None
-
-    def _located(self, eq: Equilibrium) -> bool:
-        found = self._estimator.estimate(np.tile(eq.wrench_base, (READINGS, 1)), self.model.gravity_base)
-        limit = MAX_STATED_ERROR * self.model.rod.length
-        return found.ok and rms(found.cov_surface_base) < limit
-
-    @cached_property
-    def _estimator(self) -> Estimator:
-        return Estimator(self.model)
 
     def _candidate(
         self,
@@ -250,24 +233,20 @@ class Bench:
     ) -> CandidateTest:
         gravity = self.model.gravity_base if gravity_base is None else gravity_base
         T = self.T_world_base(gravity)
-        place, std_place = None, math.nan
+        rod, touched, std_place, markers = self.model.rod, None, math.nan, None
         if force_world is None:
             assert self.instruments.std_place is not None
-            place, std_place = (T[:3, :3] @ surface_point(self.model.rod, eq) + T[:3, 3], self.instruments.std_place)
+            touched, std_place = T[:3, :3] @ surface_point(rod, eq) + T[:3, 3], self.instruments.std_place
+        if (std := self.instruments.cameras) is not None:
+            marked = np.array(marker_arclengths(rod.length))
+            p, n = eq.p_at(np.minimum(marked, rod.length)) @ T[:3, :3].T + T[:3, 3], len(marked)
+            markers = Markers(np.arange(n), p, np.tile(std**2 * np.eye(3), (n, 1, 1)), MARKERS)
         std_s = math.nan if math.isnan(s) else STD_MARK
         test = Test(
-            name, T, self.gravity_world, force_world, s, std_s, place, std_place, direction, math.nan, math.nan,
-            np.tile(eq.wrench_base, (READINGS, 1)), "base", self._markers(eq, T),
+            name, T, self.gravity_world, force_world, s, std_s, touched, std_place, direction, math.nan, math.nan,
+            np.tile(eq.wrench_base, (READINGS, 1)), "base", markers,
         )  # fmt: skip
         return CandidateTest(set_up, test, eq, words, mass, mark, displacement)
-
-    def _markers(self, eq: Equilibrium, T: Array) -> Markers | None:
-        std = self.instruments.cameras
-        if std is None:
-            return None
-        s = np.array(marker_arclengths(self.model.rod.length))
-        p = eq.p_at(np.minimum(s, self.model.rod.length)) @ T[:3, :3].T + T[:3, 3]
-        return Markers(np.arange(len(s)), p, np.tile(std**2 * np.eye(3), (len(s), 1, 1)), "markers.csv")
 
 
 def _rounded(length: float) -> float:

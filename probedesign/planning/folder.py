@@ -30,10 +30,6 @@ MARKER_COLUMNS = "test,marker,x_world_mm,y_world_mm,z_world_mm"
 def tables(plan: Plan) -> dict[str, str]:
     """Return the tables of the data folder by name, with a row for each planned test."""
     rows = [_row(candidate) for candidate in plan.candidates if candidate.test is not None]
-    return {"campaign.toml": _manifest(plan), TESTS: csv_tables.write(COLUMNS, rows).decode(), WRENCHES: WRENCH_HEADER}
-
-
-def _manifest(plan: Plan) -> str:
     model, bench = plan.bench.model, plan.bench
     T = bench.T_world_base(model.gravity_base)
     place, turn = bench.instruments.std_base
@@ -61,7 +57,8 @@ def _manifest(plan: Plan) -> str:
         lines += ["", "# [weighing]                # after weighing, remove the # of these lines",
                   "# mass_g =", f"# std_g = {1e3 * bench.instruments.balance:g}",
                   '# of = "probe"              # with its printed flange; "flexible": the soft part alone']  # fmt: skip
-    return "\n".join([*lines, "", "[source]", 'by = ""', ""])
+    manifest = "\n".join([*lines, "", "[source]", 'by = ""', ""])
+    return {"campaign.toml": manifest, TESTS: csv_tables.write(COLUMNS, rows).decode(), WRENCHES: WRENCH_HEADER}
 
 
 def _row(candidate: CandidateTest) -> dict[str, str]:

@@ -7,7 +7,7 @@ others as long as that increases it. Source: V. Fedorov, Theory of Optimal Exper
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -177,31 +177,25 @@ class Information:
         if "weighing" in blocks and balance is not None:
             mass = MassMeasurement(0.0, balance, self.flange_volume).block(self.whole.values)
             blocks["weighing"] = [mass._replace(r=0.0 * mass.r, residual=0.0 * mass.residual)]
-        if "calipers" in blocks:
-            blocks["calipers"] = [self._calipers()]
-        return {name: tuple(of_candidate) for name, of_candidate in blocks.items()}
-
-    def _calipers(self) -> ResidualBlock:
-        """Return the residuals of diameters measured at the marks, with derivatives by differences: they are linear in
-        the logarithms of the diameters."""
         std, rod, step = self.bench.instruments.calipers, self.bench.model.rod, 1e-5
-        assert std is not None
-        s = np.array([0.02, *TOUCH_PLACES]) * rod.length
-        common = self.whole.problem.common
-        J = np.zeros((len(s), common.size))
-        for column in (*columns_of(["diameters"]), *range(common.size)[common.print_columns]):
-            x = np.zeros(common.size)
-            x[column] = step
-            J[:, column] = -2.0 * (ParameterValues(common, x).rod.radius_at(s) - rod.radius_at(s)) / (step * std)
-        return ResidualBlock("", "calipers", 0, np.zeros(len(s)), J, np.zeros(len(s)))
+        if "calipers" in blocks and std is not None:
+            # Diameters measured at the marks; derivatives by differences, as they are linear in their logarithms.
+            s, common = np.array([0.02, *TOUCH_PLACES]) * rod.length, self.whole.problem.common
+            J = np.zeros((len(s), common.size))
+            for column in (*columns_of(["diameters"]), *range(common.size)[common.print_columns]):
+                x = np.zeros(common.size)
+                x[column] = step
+                J[:, column] = -2.0 * (ParameterValues(common, x).rod.radius_at(s) - rod.radius_at(s)) / (step * std)
+            blocks["calipers"] = [ResidualBlock("", "calipers", 0, np.zeros(len(s)), J, np.zeros(len(s)))]
+        return {name: tuple(of_candidate) for name, of_candidate in blocks.items()}
 
     def matrix(self, name: str, active: NDArray[np.intp]) -> Array:
         """Return the information of one candidate on the active parameters, its own unknowns marginalised."""
         every = np.concatenate([block.J for block in self.blocks[name]])
-        J, own = every[:, active], every[:, self.whole.problem.common.size :]
-        if own.shape[1]:
-            size = np.maximum(np.linalg.norm(own, axis=0), 1e-300)
-            J = J - (own / size) @ np.linalg.lstsq(own / size, J, rcond=None)[0]
+        J, of_test = every[:, active], every[:, self.whole.problem.common.size :]
+        if of_test.shape[1]:
+            scaled = of_test / np.maximum(np.linalg.norm(of_test, axis=0), 1e-300)
+            J = J - scaled @ np.linalg.lstsq(scaled, J, rcond=None)[0]
         return np.asarray(J.T @ J)
 
     def expected(
@@ -307,16 +301,10 @@ def make_plan(
         apart = [candidate for candidate in in_order if candidate.test is None]
         mounted = [candidate for candidate in in_order if candidate.test is not None] + validation
         hangs_needed = max(len(mounted) - 1, 0) // HANG_EVERY
-    return _scheduled(information, (*apart, *_with_hangs(hang, mounted, hangs_needed)), tuple(names), minutes)
-
-
-def _with_hangs(hang: CandidateTest, tests: Sequence[CandidateTest], between: int) -> Iterator[CandidateTest]:
-    """Yield the tests in their order with a free hang before, after and at so many places between them, evenly."""
-    yield hang
-    ends = [round(len(tests) * k / (between + 1)) for k in range(between + 2)]
-    for start, end in pairwise(ends):
-        yield from tests[start:end]
-        yield hang
+    ordered = [*apart, hang]  # and one after the tests and between them, evenly
+    for start, end in pairwise(round(len(mounted) * k / (hangs_needed + 1)) for k in range(hangs_needed + 2)):
+        ordered += [*mounted[start:end], hang]
+    return _scheduled(information, ordered, tuple(names), minutes)
 
 
 def _scheduled(
