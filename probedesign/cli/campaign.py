@@ -118,11 +118,22 @@ def markers(
             from probedesign.vision.markers import overlay, read_grey, write_png
 
             for test in tests:
-                for photograph, found in zip(test.photographs, test.found, strict=bool(test.found)):
-                    write_png(folder / f"{photograph.path.stem}.png", overlay(read_grey(photograph.path), found))
+                for photograph, markers in zip(test.photographs, test.found, strict=bool(test.found)):
+                    write_png(folder / f"{photograph.path.stem}.png", overlay(read_grey(photograph.path), markers))
     path = write_pixels(data, tests, force)
     if as_json:
-        print_json({"file": path, "overlays": folder, "notes": notes, "tests": [_record(test) for test in tests]})
+        records = [
+            {
+                "test": test.test,
+                "photographs": [photograph.path for photograph in test.photographs],
+                "markers": len(test.found[0].pixels) if test.found else 0,
+                "largest_std_px": max((float(markers.std_px.max()) for markers in test.found), default=None),
+                "residual_px": test.residual_px,
+                "problem": test.problem or None,
+            }
+            for test in tests
+        ]
+        print_json({"file": path, "overlays": folder, "notes": notes, "tests": records})
         return
     for note in notes:
         print(note)
@@ -130,17 +141,6 @@ def markers(
     used = sum(len(test.found) for test in tests)
     inspect = f"inspect the overlays in {folder}" if folder else "no overlays were written"
     print(f"wrote {path}: {plural(used, 'photograph')}; {inspect}")
-
-
-def _record(test: "PhotographedTest") -> dict[str, object]:
-    return {
-        "test": test.test,
-        "photographs": [photograph.path for photograph in test.photographs],
-        "markers": len(test.found[0].pixels) if test.found else 0,
-        "largest_std_px": max((float(found.std_px.max()) for found in test.found), default=None),
-        "residual_px": test.residual_px,
-        "problem": test.problem or None,
-    }
 
 
 def _line(test: "PhotographedTest") -> str:

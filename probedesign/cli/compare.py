@@ -13,7 +13,7 @@ from probedesign.core.files import exports_of, write_atomically
 from probedesign.core.units import format_value
 
 if TYPE_CHECKING:
-    from probedesign.optimization.sweep import SweepResult
+    pass
 
 
 def compare(
@@ -121,18 +121,14 @@ def sweep(
     swept.files.append(page)
     if as_json:
         print_json({"task": task, "computed": swept.computed, "files": swept.files, "points": swept.records})
-    else:
-        _print_sweep(swept, keys, task.text)
-
-
-def _print_sweep(swept: "SweepResult", keys: list[str], task: str) -> None:
-    done, failed = len(swept.records), swept.failed
-    print(f"{plural(done, 'design')}, {swept.computed} computed in this run; {task}")
-    good = sorted((r for r in swept.records if r["result"] == "ok"), key=lambda r: r["error_mm"])
+        return
+    print(f"{plural(len(swept.records), 'design')}, {swept.computed} computed in this run; {task.text}")
+    failed, good = swept.failed, [record for record in swept.records if record["result"] == "ok"]
     if good:
         print("\nsmallest error_mm")
         shown = [*keys, *SHOWN]
-        rows = [[format_value(record[key]) for key in shown] for record in good[:8]]
+        best = sorted(good, key=lambda record: record["error_mm"])[:8]
+        rows = [[format_value(record[key]) for key in shown] for record in best]
         print_columns([key.rpartition(".")[2] for key in shown], rows, left=0)
     for record in failed[:5]:
         print(f"  point {record['point']}: {record['result']}: {record['reason']}")

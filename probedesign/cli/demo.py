@@ -175,7 +175,11 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     print_step("touching a simulated card house")
     made |= _explore(bundle, folder, skipped)
     if (folder / "found/points.svg").exists():
-        finish("explore", _found(folder), picture="found/points.svg",
+        table = (folder / "found/points.csv").read_text("utf-8").splitlines()
+        points = csv.DictReader(line for line in table if not line.startswith("#"))
+        count = sum(point["result"] == "ok" for point in points)
+        text = f"A base touches a simulated card house with friction: {count} points of its edges, each with its "
+        finish("explore", f"{text}ellipsoid.", picture="found/points.svg",
                links=[("found/points.html", "the points in three dimensions")])  # fmt: skip
     else:
         finish("explore", skipped[-1])
@@ -226,13 +230,6 @@ def _explore(bundle: Path, folder: Path, skipped: list[str]) -> dict[str, str]:
         skipped.append(str(error))
         return {}
     return {str(maps / name): "points of a simulated card house" for name in FILES}
-
-
-def _found(folder: Path) -> str:
-    lines = (folder / "found/points.csv").read_text("utf-8").splitlines()
-    rows = csv.DictReader(line for line in lines if not line.startswith("#"))
-    count = sum(row["result"] == "ok" for row in rows)
-    return f"A base touches a simulated card house with friction: {count} points of its edges, each with its ellipsoid."
 
 
 def _draw(sweep: "SweepSeries", path: Path) -> dict[str, str]:

@@ -3,6 +3,7 @@
 import os
 import platform
 import re
+from contextlib import suppress
 from importlib import metadata
 from typing import Any
 
@@ -46,7 +47,17 @@ def doctor(*, as_json: JsonOutput = False) -> int:
 
 def examine() -> dict[str, Any]:
     """Return the versions of all packages, the missing ones, and the state of the compiled kernels."""
-    packages = [_package(extra, requirement) for extra, requirement in _requirements()]
+    packages = []
+    for line in metadata.requires("probedesign") or []:
+        requirement, _, marker = line.partition(";")
+        of_extra = re.search(r"extra\s*==\s*['\"](.+?)['\"]", marker)
+        extra, requirement = of_extra.group(1) if of_extra else "", requirement.strip()
+        if extra in ENABLES:
+            name = re.split(r"[^A-Za-z0-9._-]", requirement, maxsplit=1)[0]
+            installed = None
+            with suppress(metadata.PackageNotFoundError):
+                installed = metadata.version(name)
+            packages.append({"name": name, "version": installed, "requirement": requirement, "extra": extra})
     missing = [package for package in packages if package["version"] is None]
     return {
         "ok": all(package["extra"] for package in missing),
@@ -59,25 +70,6 @@ def examine() -> dict[str, Any]:
     }
 
 
-def _requirements() -> list[tuple[str, str]]:
-    """Return (extra, requirement) of each declared dependency; the extra is "" for a required one."""
-    declared = []
-    for line in metadata.requires("probedesign") or []:
-        requirement, _, marker = line.partition(";")
-        extra = re.search(r"extra\s*==\s*['\"](.+?)['\"]", marker)
-        declared.append((extra.group(1) if extra else "", requirement.strip()))
-    return [(extra, requirement) for extra, requirement in declared if extra in ENABLES]
-
-
-def _package(extra: str, requirement: str) -> dict[str, str | None]:
-    name = re.split(r"[^A-Za-z0-9._-]", requirement, maxsplit=1)[0]
-    try:
-        installed = metadata.version(name)
-    except metadata.PackageNotFoundError:
-        installed = None
-    return {"name": name, "version": installed, "requirement": requirement, "extra": extra}
-
-
 def _remedy(extra: str, missing: list[dict[str, str | None]]) -> dict[str, Any]:
     """Return the disabled feature and the command that installs its packages.
 
@@ -85,13 +77,10 @@ def _remedy(extra: str, missing: list[dict[str, str | None]]) -> dict[str, Any]:
     """
     wanted = [f'"{package["requirement"]}"' for package in missing if package["extra"] == extra]
     install = f"pip install {' '.join(wanted)}"
-    no_wheel = extra in NO_WHEEL_ON_ARM and (platform.system(), platform.machine()) == ("Linux", "aarch64")
-    note = (
-        f"{NO_WHEEL_ON_ARM[extra]} has no wheel for Linux on ARM; use another machine, or build it"
-        if no_wheel
-        else None
-    )
-    return {"extra": extra, "needed_for": ENABLES[extra], "install": install, "note": note if no_wheel else None}
+    note = None
+    if extra in NO_WHEEL_ON_ARM and (platform.system(), platform.machine()) == ("Linux", "aarch64"):
+        note = f"{NO_WHEEL_ON_ARM[extra]} has no wheel for Linux on ARM; use another machine, or build it"
+    return {"extra": extra, "needed_for": ENABLES[extra], "install": install, "note": note}
 
 
 def _numba_cache() -> dict[str, Any]:

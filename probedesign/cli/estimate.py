@@ -14,7 +14,6 @@ MAX_PRINTED = 20  #: Number of touches that are printed.
 
 if TYPE_CHECKING:
     from probedesign.live.blocks import WrenchReading
-    from probedesign.reports.recording_page import RecordedTouch
 
 
 def estimate(
@@ -72,8 +71,10 @@ def estimate(
     from probedesign.live.sources.replay import RecordingOptions, check_readable
     from probedesign.reports.recording_page import recording_page, touches_in
 
-    for target in (out, page):
-        _check_target(target, recording, force)
+    for target in (path for path in (out, page) if path is not None):
+        if target.exists() and recording.exists() and target.samefile(recording):
+            raise InputError(f"{target} is the recording itself; choose another output file")
+        check_overwrite(target, force)
     if out is not None and out == page:
         raise InputError(f"--out and --page both name {out}; choose two files")
     check_readable(recording)
@@ -97,23 +98,11 @@ def estimate(
         sys.stdout.write(estimates.csv())
     else:
         print(f"wrote {', '.join(str(file) for file in (out, page) if file)}: {describe_counts(estimates.counts)}")
-        _print_touches(touches_in(estimates.rows))
-
-
-def _print_touches(touches: "list[RecordedTouch]") -> None:
-    for number, touch in enumerate(touches[:MAX_PRINTED], 1):
-        print(f"  touch {number}: {touch.words}")
-    if len(touches) > MAX_PRINTED:
-        print(f"  and {len(touches) - MAX_PRINTED} more touches")
-
-
-def _check_target(out: Path | None, recording: Path, force: bool) -> None:
-    """Refuse an output file that exists and may not be replaced, or that is the recording."""
-    if out is None:
-        return
-    if out.exists() and recording.exists() and out.samefile(recording):
-        raise InputError(f"{out} is the recording itself; choose another output file")
-    check_overwrite(out, force)
+        touches = touches_in(estimates.rows)
+        for number, touch in enumerate(touches[:MAX_PRINTED], 1):
+            print(f"  touch {number}: {touch.words}")
+        if len(touches) > MAX_PRINTED:
+            print(f"  and {len(touches) - MAX_PRINTED} more touches")
 
 
 def _track(readings: "list[WrenchReading]") -> "Iterable[WrenchReading]":

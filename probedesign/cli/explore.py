@@ -9,7 +9,6 @@ from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, check_writable
 
 if TYPE_CHECKING:
-    from probedesign.core.frames import Array
     from probedesign.estimation.estimator import Estimator
     from probedesign.live.poses.base_poses import BasePoses
     from probedesign.live.sources.source import Source
@@ -55,9 +54,10 @@ def explore(
         as_json: print one JSON document with the points and their uncertainty.
     """
     from probedesign import pipeline
-    from probedesign.live.sources.replay import check_readable
-    from probedesign.mapping.explore import parse_min_separation
+    from probedesign.live.sources.replay import ReplaySource, check_readable
+    from probedesign.mapping.explore import LoadedRecording, parse_min_separation
     from probedesign.reports.map_page import MapScene
+    from probedesign.simulation.scenes import true_outlines
 
     reading, base = reading or ReadingOptions(), base or BaseOptions()
     if rehearsal is not None and rehearsal.rehearse is not None:
@@ -66,7 +66,11 @@ def explore(
         return print(f"wrote {', '.join(map(str, written))}")
     processing, apart = reading.processing(recording), parse_min_separation(apart_mm)
     if out is not None:
-        _check_out(out, force)
+        if out.exists() and not out.is_dir():
+            raise InputError(f"--out {out} is a file; choose a folder")
+        check_writable(out / FILES[0])
+        for name in FILES:
+            check_overwrite(out / name, force)
     if recording is not None:
         check_readable(recording)
     estimator = pipeline.load_estimator(bundle, manifest)
@@ -89,17 +93,9 @@ def explore(
     cloud, probe = exploration.map(), f"{model.name} {model.fingerprint}"
     if out is not None:
         notes = [source.title, f"probe {probe}", _summary(cloud), base_uncertainty.summary]
-        _write(out, MapScene(cloud, _true_outlines(source)), probe, notes)
+        recorded_from = source.recorded_from if isinstance(source, LoadedRecording | ReplaySource) else ""
+        _write(out, MapScene(cloud, true_outlines(recorded_from)), probe, notes)
     _print(cloud, out, as_json)
-
-
-def _check_out(out: Path, force: bool) -> None:
-    """Refuse a folder that cannot be written to, or that has one of the files if `force` is not set."""
-    if out.exists() and not out.is_dir():
-        raise InputError(f"--out {out} is a file; choose a folder")
-    check_writable(out / FILES[0])
-    for name in FILES:
-        check_overwrite(out / name, force)
 
 
 def _open(
@@ -113,15 +109,6 @@ def _open(
     with show_progress("loading the rod kernels"):
         warm_up(estimator, print_note, fusing=True)
         return reading.open(recording, estimator.model, poses, print_note), poses
-
-
-def _true_outlines(source: "Source") -> "tuple[Array, ...]":
-    """Return the true outlines of a simulated object [m], (k, 3) each; none for a measured one."""
-    from probedesign.live.sources.replay import ReplaySource
-    from probedesign.mapping.explore import LoadedRecording
-    from probedesign.simulation.scenes import true_outlines
-
-    return true_outlines(source.recorded_from) if isinstance(source, LoadedRecording | ReplaySource) else ()
 
 
 def _write(out: Path, scene: "MapScene", probe: str, notes: list[str]) -> None:

@@ -61,44 +61,48 @@ def identify(
     with show_progress("identifying"):
         start = load_design(design)
         names = check_requested(names)
-        found = pipeline.identify(start, read_campaign(data), names, accept)
-        place = exports_of(design) / start.name / "identification" if folder is None else folder
-        files = write_files(place, _files(found, page))
+        identified = pipeline.identify(start, read_campaign(data), names, accept)
+        folder = exports_of(design) / start.name / "identification" if folder is None else folder
+        files = write_files(folder, _files(identified, page))
     if not as_json:
-        _print(found)
+        _print(identified)
         print("wrote", ", ".join(map(str, files)))
     changes: tuple[Change, ...] = ()
     path = backup = refused = None
     try:
-        changes, path, backup = _write_design(found, design, out, write, force)
+        changes, path, backup = _write_design(identified, design, out, write, force)
     except InputError as error:
         if write or out is not None:
             raise
         refused = error
     if as_json:
-        print_json(
-            {**found.as_dict(), "files": files, "changes": changes, "design_written": path, "design_kept": backup}
-        )
+        print_json({**identified.as_dict(), "files": files, "changes": changes, "design_written": path,
+                    "design_kept": backup})  # fmt: skip
     elif changes:
-        _print_changes(changes, path, design)
+        preview = f"--write would change {design} (values set or identified before only with --force):"
+        print(f"wrote {path}; the former values are kept as comments:" if path else preview)
+        for change in changes:
+            print(f"  [{change.table}] {change.key} = {change.text}")
+        if path is None:
+            print(f"{design} was not changed. Write these values with --write, or to a copy with --out")
     if backup is not None and not as_json:
         print(f"kept the former {out} as {backup}")
     if refused is not None:  # raised last, so that all results are printed first
         raise refused
 
 
-def _files(found: "Identification", page: bool) -> Iterator[tuple[str, bytes]]:
+def _files(fit: "Identification", page: bool) -> Iterator[tuple[str, bytes]]:
     """Yield the names and contents of the files of an identification."""
-    yield "identification.json", json_bytes(found.as_dict(), ascii_only=False)
-    yield "residuals.csv", found.csv()
+    yield "identification.json", json_bytes(fit.as_dict(), ascii_only=False)
+    yield "residuals.csv", fit.csv()
     if page:
         from probedesign.reports.identification_page import identification_page
 
-        yield "identification.html", identification_page(found)
+        yield "identification.html", identification_page(fit)
 
 
 def _write_design(
-    found: "Identification", design_path: Path, out: Path | None, write: bool, force: bool
+    fit: "Identification", design_path: Path, out: Path | None, write: bool, force: bool
 ) -> "tuple[tuple[Change, ...], Path | None, Path | None]":
     """Write identified parameters into a design file, which keeps its comments, its layout and the former values.
 
@@ -110,59 +114,50 @@ def _write_design(
     from probedesign.identification.design_update import design_changes, write_changes
 
     day = date.today().isoformat()
-    changes = design_changes(found, load_design(design_path), day)
+    changes = design_changes(fit, load_design(design_path), day)
     if not write and out is None:  # checked all the same
         edit_text(design_path.read_bytes().decode("utf-8-sig"), changes, day, str(design_path))
         return changes, None, None
     return changes, *write_changes(design_path, changes, day, out, force)
 
 
-def _print(found: "Identification") -> None:
-    head = f"{found.name}  geometry {found.fingerprint}  {plural(found.tests, 'test')} of {found.data}"
-    print(f"{head}: {found.result}")
-    print_table({one.name: _value(one, found.dimensions) for one in found.found})
-    for outlier in found.outliers[:5]:
+def _print(fit: "Identification") -> None:
+    head = f"{fit.name}  geometry {fit.fingerprint}  {plural(fit.tests, 'test')} of {fit.data}"
+    print(f"{head}: {fit.result}")
+    print_table({number.name: _value(number, fit.dimensions) for number in fit.found})
+    for outlier in fit.outliers[:5]:
         print(f"  outlier: {outlier.words}, {outlier.deviations:.1f} standard deviations; down-weighted")
-    if len(found.outliers) > 5:
-        print(f"  and {len(found.outliers) - 5} more outliers, in residuals.csv")
-    for name in dict.fromkeys(one.of for one in found.shifts):
-        number = found.of(name)
+    if len(fit.outliers) > 5:
+        print(f"  and {len(fit.outliers) - 5} more outliers, in residuals.csv")
+    for name in dict.fromkeys(shift.of for shift in fit.shifts):
+        number = fit.of(name)
         if number is not None:
-            shares = ", ".join(f"{one.cause} {one.percent:.2g} %" for one in found.shifts if one.of == name)
+            shares = ", ".join(f"{shift.cause} {shift.percent:.2g} %" for shift in fit.shifts if shift.of == name)
             print(f"  {name} ± {number.relative_std:.2%} (one standard deviation): {shares}")
-    for rank, cause in enumerate(found.likely_causes[:MAX_CAUSES], 1):
+    for rank, cause in enumerate(fit.likely_causes[:MAX_CAUSES], 1):
         print(f"  likely cause {rank}: {cause}")
-    for note in (*found.caveats, *found.notes):
+    for note in (*fit.caveats, *fit.notes):
         print(f"  note: {note}")
 
 
-def _value(one: "Identified", dimensions: str) -> str:
+def _value(number: "Identified", dimensions: str) -> str:
     """Return a parameter's value and 95 % interval.
 
     Args:
-        one: the parameter.
+        number: the identified parameter.
         dimensions: uncertainty of the print's dimensions; the interval that includes it is added where it is wider.
     """
-    value = f"{one.value:.4g} {one.unit or f'({one.words})'}"
-    if not one.estimated:
-        return f"{value} (design value; {one.state})"
-    text = f"{value}, 95 % interval {one.low:.4g} ... {one.high:.4g}"
-    assert one.std is not None and one.std_of_print is not None
-    if one.std_of_print > 1.1 * one.std:
-        of_print = f"{one.value_of_print:.4g} {one.unit}".rstrip()
+    value = f"{number.value:.4g} {number.unit or f'({number.words})'}"
+    if not number.estimated:
+        return f"{value} (design value; {number.state})"
+    text = f"{value}, 95 % interval {number.low:.4g} ... {number.high:.4g}"
+    assert number.std is not None and number.std_of_print is not None
+    if number.std_of_print > 1.1 * number.std:
+        of_print = f"{number.value_of_print:.4g} {number.unit}".rstrip()
         text += (
-            f" with the design's dimensions; {of_print}, {one.low_of_print:.4g} ... {one.high_of_print:.4g} with "
+            f" with the design's dimensions; {of_print}, {number.low_of_print:.4g} ... {number.high_of_print:.4g} with "
             f"{dimensions}"
         )
-    if one.change:
-        text += f"; {one.change} from the design's {one.design:.4g}"
-    return text if one.identified else f"{text} ({one.why})"
-
-
-def _print_changes(changes: "tuple[Change, ...]", path: Path | None, design: Path) -> None:
-    preview = f"--write would change {design} (values set or identified before only with --force):"
-    print(f"wrote {path}; the former values are kept as comments:" if path else preview)
-    for change in changes:
-        print(f"  [{change.table}] {change.key} = {change.text}")
-    if path is None:
-        print(f"{design} was not changed. Write these values with --write, or to a copy with --out")
+    if number.change:
+        text += f"; {number.change} from the design's {number.design:.4g}"
+    return text if number.identified else f"{text} ({number.why})"

@@ -103,6 +103,7 @@ def live(
     """
     from probedesign import pipeline
     from probedesign.live.datagrams import parse_listen_address
+    from probedesign.live.outputs.foxglove import parse_foxglove_address
     from probedesign.live.outputs.options import OutputOptions
     from probedesign.live.outputs.recording import SplitLimits
     from probedesign.live.processing.chain import ProcessingOptions
@@ -134,7 +135,7 @@ def live(
         parts_folder=bundle.parent,
         metadata={name: _setting_text(value) for name, value in settings.items()},
         split=SplitLimits.of_options(split_mb, split_minutes),
-        foxglove=_server_address(foxglove),
+        foxglove=None if foxglove is False else parse_foxglove_address("" if foxglove is True else foxglove),
         open_browser=open_ and _is_terminal(),
     )
     outputs.check(source)
@@ -196,13 +197,6 @@ def _setting_text(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _server_address(foxglove: str | bool) -> tuple[str, int] | None:
-    """Return host and port of the Foxglove server; None without one."""
-    from probedesign.live.outputs.foxglove import parse_foxglove_address
-
-    return None if foxglove is False else parse_foxglove_address("" if foxglove is True else foxglove)
 
 
 def _print(

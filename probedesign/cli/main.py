@@ -108,21 +108,20 @@ def read_settings() -> "tuple[dict[str, Any], str]":
             return {}, SETTINGS
     try:
         with open(path, "rb") as file:
-            found = tomllib.load(file)
+            settings = tomllib.load(file)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"{path}: cannot be read as TOML: {error}") from None
-    exports = found.pop("exports", None)
+    exports = settings.pop("exports", None)
     if isinstance(exports, str) and exports:
-        place = os.path.join(os.path.dirname(path), os.path.expanduser(exports))
-        os.environ.setdefault(EXPORTS_VARIABLE, place)
+        os.environ.setdefault(EXPORTS_VARIABLE, os.path.join(os.path.dirname(path), os.path.expanduser(exports)))
     elif exports is not None:
         raise InputError(f"{path}: exports = {exports!r} is not the path of a folder")
-    for name, table in found.items():
+    for name, table in settings.items():
         if not isinstance(table, dict):
             raise InputError(f"{path}: {name} is not in a table; use a table for each command, such as [live]")
         if name not in COMMANDS:
             raise InputError(f"{path}: [{name}] is not a command; see probedesign --help")
-    return found, path
+    return settings, path
 
 
 def run(arguments: list[str]) -> int:

@@ -30,9 +30,9 @@ def coupon(design: DesignFile, /, *, out: Path | None = None, as_json: JsonOutpu
         print_json(manifest)
         return
     print(f"wrote {manifest['folder']}: {', '.join(manifest['files'])}")
-    diameters = ", ".join(f"{d:g}" for d in manifest["steps_mm"])
-    (rod_d, rod_length) = manifest["rod_mm"]
-    print(f"  stepped cone: Ø {diameters} mm, {manifest['step_height_mm']:g} mm each")
+    steps = ", ".join(f"{d:g}" for d in manifest["steps_mm"])
+    rod_d, rod_length = manifest["rod_mm"]
+    print(f"  stepped cone: Ø {steps} mm, {manifest['step_height_mm']:g} mm each")
     print(f"  straight rod: Ø {rod_d:g} mm, {rod_length:g} mm long")
     print(f"  coupon.csv: diameters of these unscaled parts, for: probedesign measured {design} coupon.csv")
     print(f"  calipers.csv: diameters of the probe, for: probedesign measured {design} calipers.csv")
@@ -80,56 +80,58 @@ def measured(
         scale = fit_scale(*read_coupon(calipers, start.resin.name), calipers_std_mm)
         _write_scale(design, scale, out, force, as_json)
         return
-    found = pipeline.measure(start, read_calipers(calipers, start), calipers_std_mm)
+    diameters = pipeline.measure(start, read_calipers(calipers, start), calipers_std_mm)
     day = date.today().isoformat()
-    changes = diameter_changes(found, start, day)
+    changes = diameter_changes(diameters, start, day)
     path, kept = write_changes(design, changes, day, out, force)
     fingerprint = build_geometry(load_design(path)).fingerprint
     if as_json:
-        print_json({**found.as_dict(), "fingerprint": fingerprint, "changes": changes,
+        print_json({**diameters.as_dict(), "fingerprint": fingerprint, "changes": changes,
                     "design_written": path, "design_kept": kept})  # fmt: skip
         return
-    print(f"wrote {path}: {plural(found.readings, 'reading')}; the former values are kept as comments")
-    for s, drawn, mean, std in zip(found.s, found.drawn, found.measured, found.std, strict=True):
+    print(f"wrote {path}: {plural(diameters.readings, 'reading')}; the former values are kept as comments")
+    for s, drawn, mean, std in zip(diameters.s, diameters.drawn, diameters.measured, diameters.std, strict=True):
         print(f"  s = {s:g} mm: {mean:.3f} ± {std:.3f} mm (drawn: {drawn:g} mm; one standard deviation)")
-    (common, scatter), (together, each) = found.before, found.after
+    (common, scatter), (together, each) = diameters.before, diameters.after
     print(f"  tolerance of all diameters together: {together:.3f} mm (before: {common:.3f} mm); "
           f"of each for itself: {each:.3f} mm (before: {scatter:.3f} mm)")  # fmt: skip
     if math.hypot(together, each) > math.hypot(common, scatter):
         print("  note: where nothing was measured the tolerance is wider than before, because a print may be larger or "
               "smaller as a whole by 1 % (assumed); measure near base and tip")  # fmt: skip
-    if found.scale > 1.0:
-        print(f"  note: the readings scatter by {found.scale:.1f} times their standard deviation, which was widened")
-    if found.prior_scale > 1.0:
-        worst = max(found.measured - found.drawn, key=abs)
+    if diameters.scale > 1.0:
+        print(
+            f"  note: the readings scatter by {diameters.scale:.1f} times their standard deviation, which was widened"
+        )
+    if diameters.prior_scale > 1.0:
+        worst = max(diameters.measured - diameters.drawn, key=abs)
         print(
             f"  note: the diameters are up to {worst:+.3f} mm off, more than the tolerance of the print explains; it "
-            f"was widened {found.prior_scale:.1f} times. Check the calipers, or print a coupon for scale_xy"
+            f"was widened {diameters.prior_scale:.1f} times. Check the calipers, or print a coupon for scale_xy"
         )
     print(f"  the geometry is now {fingerprint}: deploy the probe again, with this design")
     if kept is not None:
         print(f"kept the former {out} as {kept}")
 
 
-def _write_scale(design: Path, found: "CouponScale", out: Path | None, force: bool, as_json: bool) -> None:
+def _write_scale(design: Path, scale: "CouponScale", out: Path | None, force: bool, as_json: bool) -> None:
     """Write the scale of the next print, fitted to the sheet of a coupon."""
     from probedesign.identification.design_update import write_changes
     from probedesign.identification.measured_diameters import scale_changes
 
     day = date.today().isoformat()
-    changes = scale_changes(found, day)
+    changes = scale_changes(scale, day)
     path, kept = write_changes(design, changes, day, out, force)
     if as_json:
-        print_json({**found.as_dict(), "changes": changes, "design_written": path, "design_kept": kept})
+        print_json({**scale.as_dict(), "changes": changes, "design_written": path, "design_kept": kept})
         return
     print(
-        f"wrote {path}: scale_xy = {found.scale_xy:.4f} ± {found.std:.2g} of [print], from "
-        f"{plural(found.rows, 'place')} on the coupon"
+        f"wrote {path}: scale_xy = {scale.scale_xy:.4f} ± {scale.std:.2g} of [print], from "
+        f"{plural(scale.rows, 'place')} on the coupon"
     )
-    print(f"  the diameters deviate from one scale by up to {found.left_mm:.3f} mm")
-    if found.has_offset:
+    print(f"  the diameters deviate from one scale by up to {scale.left_mm:.3f} mm")
+    if scale.has_offset:
         print(
-            f"  note: all diameters are {found.offset_mm:+.3f} ± {found.offset_std_mm:.2g} mm off, whatever their "
+            f"  note: all diameters are {scale.offset_mm:+.3f} ± {scale.offset_std_mm:.2g} mm off, whatever their "
             "size, which a scale does not remove; measure the probe itself"
         )
     print("  export again: only the files to print change, and the tolerance of the diameters stays")

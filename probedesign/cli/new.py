@@ -17,18 +17,11 @@ DEFAULT_FLANGE = "iso-9409-1-50-4-m6"
 SUMMARY_TOUCH = (0.8, 0.010, "+y")
 #: Option that sets a key of the design, so that errors name the option that the user typed.
 OPTIONS = {
-    "probe.length_mm": "--length",
-    "probe.base_d_mm": "--base-d",
-    "probe.tip_d_mm": "--tip-d",
-    "probe.tip": "--tip",
-    "probe.section": "--section",
-    "probe.bore_ratio": "--bore-ratio",
-    "probe.flatness": "--flatness",
-    "material.resin": "--resin",
-    "sensor.calibration": "--sensor",
-    "mount.robot_flange": "--robot-flange",
+    "probe.length_mm": "--length", "probe.base_d_mm": "--base-d", "probe.tip_d_mm": "--tip-d", "probe.tip": "--tip",
+    "probe.section": "--section", "probe.bore_ratio": "--bore-ratio", "probe.flatness": "--flatness",
+    "material.resin": "--resin", "sensor.calibration": "--sensor", "mount.robot_flange": "--robot-flange",
     "contact.friction": "--friction",
-}
+}  # fmt: skip
 
 
 def new(
@@ -107,7 +100,10 @@ def new(
             )
         design, root_notes = with_computed_root(design, hold)
     except InputError as error:
-        raise InputError(_in_options(str(error))) from None
+        message = str(error)
+        for key, option in OPTIONS.items():
+            message = message.replace(key, option).replace(f" {key.rpartition('.')[2]} = ", f" {option} = ")
+        raise InputError(message) from None
     path = FOLDER / f"{design.name}.toml"
     with show_progress("predicting its performance"):
         figures = summary(design)  # first: a design that fits no mount is not written
@@ -144,13 +140,6 @@ def summary(design: "Design") -> dict[str, Any]:
         f"of {design.sensor.averaging_samples} samples ({touch.result})",
         "assumptions": list(design.assumptions),
     }
-
-
-def _in_options(message: str) -> str:
-    for key, option in OPTIONS.items():
-        bare = key.rpartition(".")[2]
-        message = message.replace(key, option).replace(f" {bare} = ", f" {option} = ")
-    return message
 
 
 def _print(document: dict[str, Any], tip_note: str | None) -> None:

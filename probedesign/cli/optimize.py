@@ -130,12 +130,12 @@ def _print(
     rows = [[name, format_value(before[name]), format_value(after[name])] for name in after]
     print_columns(["", "start", "optimum"], rows)
     if confirmed is not None:
-        for name, one in zip(("start", "optimum"), confirmed, strict=True):
-            if one is None:
+        for name, check in zip(("start", "optimum"), confirmed, strict=True):
+            if check is None:
                 print(f"  Monte Carlo, {name}: not run, because the probe buckles")
                 continue
-            print(f"  Monte Carlo, {name}: {one.rms_mm:.3g} ± {one.standard_error_mm:.1g} mm RMS, predicted "
-                  f"{one.bound_mm:.3g} mm; {one.located} of {one.drawn} located, {one.inside} of them "
+            print(f"  Monte Carlo, {name}: {check.rms_mm:.3g} ± {check.standard_error_mm:.1g} mm RMS, predicted "
+                  f"{check.bound_mm:.3g} mm; {check.located} of {check.drawn} located, {check.inside} of them "
                   "inside their 95 % ellipsoid")  # fmt: skip
     print(f"  active constraints: {', '.join(best.active_constraints) or 'none'}")
     ranked = sorted(best.worse, key=lambda row: (row.best_error_mm or math.inf) / row.start_error_mm, reverse=True)

@@ -72,26 +72,23 @@ def plan(
     folder = Path("data") / start.name if out is None else out
     check_target(folder, force)
     with show_progress("planning"):
-        found = pipeline.plan(start, minutes, names, instruments, held_out)
-        contents = [(name, text.encode()) for name, text in tables(found).items()]
-        contents += [(CHECKLIST, checklist_text(found, str(folder)).encode()), (PAGE, plan_page(found, str(folder))),
-                     (PLAN, json_bytes(found.as_dict(), ascii_only=False))]  # fmt: skip
+        planned = pipeline.plan(start, minutes, names, instruments, held_out)
+        contents = [(name, text.encode()) for name, text in tables(planned).items()]
+        contents += [(CHECKLIST, checklist_text(planned, str(folder)).encode()),
+                     (PAGE, plan_page(planned, str(folder))),
+                     (PLAN, json_bytes(planned.as_dict(), ascii_only=False))]  # fmt: skip
         files = write_folder(folder, contents, force)
     if as_json:
-        print_json({**found.as_dict(), "files": files})
+        print_json({**planned.as_dict(), "files": files})
         return
-    _print(found)
+    _print(planned)
     print(f"wrote {', '.join(map(str, files))}")
 
 
 def _instruments(
-    stage_mm: float | None,
-    cameras_mm: float | None,
-    weights_g: str,
-    turn: bool,
-    balance_g: float | None,
+    stage_mm: float | None, cameras_mm: float | None, weights_g: str, turn: bool, balance_g: float | None,
     calipers_mm: float | None,
-) -> "Instruments":
+) -> "Instruments":  # fmt: skip
     """Return the instruments of the options, in SI; refuse values that no instrument has."""
     from probedesign.core.units import GRAM, MM
     from probedesign.planning.candidates import Instruments
@@ -117,19 +114,19 @@ def _instruments(
                        si("balance-g", balance_g, GRAM, 10.0), si("calipers-mm", calipers_mm, MM, 2.0))  # fmt: skip
 
 
-def _print(found: "Plan") -> None:
+def _print(plan: "Plan") -> None:
     from probedesign.reports.plan_page import interval_text
 
-    names = [interval.name for interval in found.expected]
-    print(f"{found.bench.model.name}  {len(found.tests)} measurements in {found.tests[-1].minutes:.0f} of "
-          f"{found.minutes:g} min; expected 95 % intervals after each")  # fmt: skip
+    names = [interval.name for interval in plan.expected]
+    print(f"{plan.bench.model.name}  {len(plan.tests)} measurements in {plan.tests[-1].minutes:.0f} of "
+          f"{plan.minutes:g} min; expected 95 % intervals after each")  # fmt: skip
     print(f"  {'min':>4} {'test':<12}" + "".join(f"{name:>13}" for name in names) + "  what")
-    for test in found.tests:
+    for test in plan.tests:
         candidate = test.candidate
         cells = ["" if candidate.held_out else interval_text(interval) for interval in test.expected]
         print(f"  {test.minutes:>4.0f} {candidate.name:<12}" + "".join(f"{cell:>13}" for cell in cells)
               + f"  {candidate.words}{' For validate.' * candidate.held_out}")  # fmt: skip
-    enough = found.enough
+    enough = plan.enough
     print(f"  after {enough.candidate.name} ({enough.minutes:.0f} min) every interval is within 10 % of the final one")
-    for note in found.notes:
+    for note in plan.notes:
         print(f"  note: {note}")

@@ -137,25 +137,26 @@ def print_tables(prediction: "Prediction", verbose: bool = True) -> None:
     print("\nContact error of one reading [mm], RMS, worst direction, all error sources")
     _print_errors(prediction, "predicted_error_mm")
     print("  - : detected, not located   . : not detected   ^ : beyond the sensor's range   / : the probe buckles")
-    if prediction.monte_carlo:
+    rows = []
+    for row in prediction.monte_carlo:
+        error = "none" if row.error_mm is None else f"{row.error_mm:.3g} ± {row.standard_error_mm:.1g}"
+        rows.append([f"{row.contact_fraction:g}", f"{1e3 * row.force_N:g} mN", row.direction, f"{row.touches}",
+                     _cell(row.first_order_mm), error + ("*" if row.differs else " "), _cell(row.error_95_mm),
+                     f"{row.located / row.draws:.0%}"])  # fmt: skip
+    if rows:
         print("\nMonte Carlo, all error sources; * differs from the error budget by more than 10 %")
-        _print_monte_carlo(prediction)
+        print_columns(["s/L", "force", "from", "touches", "budget", "Monte Carlo ", "95 %", "located"], rows)
     if not verbose:
         return
     from probedesign.prediction.predict import HEADLINE_FORCE_N
 
     print("\nContact error of one reading [mm], sensor noise and friction prior only; the probe equals its model")
     _print_errors(prediction, "noise_error_mm")
-    print("\nSensitivity at the lightest force, worst direction")
     _print_sensitivity(prediction)
     _print_budget(prediction, prediction.conditions, HEADLINE_FORCE_N, "one reading at")
     _print_budget(prediction, prediction.fused, FUSED_BUDGET_FORCE_N, f"{prediction.pressing.text}, up to")
     print("  Tolerances are assumed unless the design states them: prediction.json, [tolerances].")
-    print("\nForce limits and thresholds, full error budget, worst direction")
     _print_thresholds(prediction)
-    lightest = min((1e3 * c.force_N for c in prediction.fused), default=0.0)
-    if any(f.force_mN_for_2_mm == lightest for f in prediction.fused_reach):
-        print(f"  Fused touches: {lightest:g} mN is the lightest force evaluated; the true threshold may be lower.")
     _print_workspace(prediction.workspace)
 
 
@@ -175,6 +176,7 @@ def _print_errors(prediction: "Prediction", error: str) -> None:
 
 def _print_sensitivity(prediction: "Prediction") -> None:
     """Print detectable force, and moments and force per contact force and per press depth, by place."""
+    print("\nSensitivity at the lightest force, worst direction")
     lightest, rows = min(c.force_N for c in prediction.conditions), []
     for fraction in sorted({c.contact_fraction for c in prediction.conditions}):
         here = [c for c in prediction.conditions if (c.contact_fraction, c.force_N) == (fraction, lightest)]
@@ -192,49 +194,40 @@ def _print_sensitivity(prediction: "Prediction") -> None:
 
 def _print_budget(prediction: "Prediction", conditions: "Sequence[AnyCondition]", force_N: float, kind: str) -> None:
     """Print the error budget of the worst direction at each located place, for the force nearest to `force_N` [N]."""
-    worst = _worst_directions(conditions, force_N)
+    force = min((c.force_N for c in conditions), key=lambda f: abs(f - force_N), default=0.0)
+    worst: dict[float, AnyCondition] = {}  # the largest error at each located place
+    for c in conditions:
+        if c.force_N == force and c.result == "ok" and c.budget_mm is not None:
+            before = worst.get(c.contact_fraction)
+            if before is None or (c.predicted_error_mm or 0.0) > (before.predicted_error_mm or 0.0):
+                worst[c.contact_fraction] = c
     if not worst:
         print(f"\nError budget of {kind} this force: none, no place is located")
         return
-    force_mN = 1e3 * next(iter(worst.values())).force_N
-    print(f"\nError budget [mm], RMS of {kind} {force_mN:g} mN by error source, worst direction")
+    print(f"\nError budget [mm], RMS of {kind} {1e3 * force:g} mN by error source, worst direction")
     places = sorted(worst)
     rows: dict[str, list[float | None]] = {
         cause: [(worst[place].budget_mm or {})[cause] for place in places] for cause in worst[places[0]].budget_mm or {}
     }
     rows["all"] = [worst[place].predicted_error_mm for place in places]
     rows["95 % radius"] = [worst[place].predicted_error_95_mm for place in places]
+
+    def cell(value: float | None) -> str:
+        """Return the value [mm] to 0.01 mm; smaller parts of an error budget are negligible."""
+        if value is None or value >= 100:
+            return _cell(value)
+        return "<0.01" if value < 0.005 else f"{value:.2f}"
+
     print_columns(["s/L", *(f"{place:g}" for place in places)],
-                  [[name, *map(_small_cell, values)] for name, values in rows.items()])  # fmt: skip
+                  [[name, *map(cell, values)] for name, values in rows.items()])  # fmt: skip
     missing = ", ".join(f"{c:g}" for c in sorted({c.contact_fraction for c in prediction.conditions} - set(worst)))
     if missing:
         print(f"  Not located at this force: {missing}")
 
 
-def _worst_directions(conditions: "Sequence[AnyCondition]", wanted_N: float) -> "dict[float, AnyCondition]":
-    """Return the condition with the largest error at each located place, at the grid's force nearest to the wanted."""
-    force = min((c.force_N for c in conditions), key=lambda f: abs(f - wanted_N), default=0.0)
-    worst: dict[float, AnyCondition] = {}
-    for c in conditions:
-        if c.force_N == force and c.result == "ok" and c.budget_mm is not None:
-            before = worst.get(c.contact_fraction)
-            if before is None or (c.predicted_error_mm or 0.0) > (before.predicted_error_mm or 0.0):
-                worst[c.contact_fraction] = c
-    return worst
-
-
-def _print_monte_carlo(prediction: "Prediction") -> None:
-    rows = []
-    for row in prediction.monte_carlo:
-        error = "none" if row.error_mm is None else f"{row.error_mm:.3g} ± {row.standard_error_mm:.1g}"
-        rows.append([f"{row.contact_fraction:g}", f"{1e3 * row.force_N:g} mN", row.direction, f"{row.touches}",
-                     _cell(row.first_order_mm), error + ("*" if row.differs else " "), _cell(row.error_95_mm),
-                     f"{row.located / row.draws:.0%}"])  # fmt: skip
-    print_columns(["s/L", "force", "from", "touches", "budget", "Monte Carlo ", "95 %", "located"], rows)
-
-
 def _print_thresholds(prediction: "Prediction") -> None:
     """Print the forces at which contacts are detected and located to 5, 2 and 1 mm, and the largest force."""
+    print("\nForce limits and thresholds, full error budget, worst direction")
     rows = []
     for place in sorted({r.contact_fraction for r in prediction.reach}):
         here = [r for r in prediction.reach if r.contact_fraction == place]
@@ -249,6 +242,9 @@ def _print_thresholds(prediction: "Prediction") -> None:
     fused = f"2 mm, {prediction.pressing.touches} fused\nmN"
     print_columns(["s/L", "detect\nmN", "5 mm\nmN", "2 mm\nmN", "1 mm\nmN", fused, "largest\nmN", "limit",
                    "deflection\nmm"], rows)  # fmt: skip
+    lightest = min((1e3 * c.force_N for c in prediction.fused), default=0.0)
+    if any(f.force_mN_for_2_mm == lightest for f in prediction.fused_reach):
+        print(f"  Fused touches: {lightest:g} mN is the lightest force evaluated; the true threshold may be lower.")
 
 
 def _print_workspace(workspace: "Workspace") -> None:
@@ -274,10 +270,3 @@ def _max(rows: "Sequence[Any]", name: str) -> float | None:
 
 def _cell(value: float | None) -> str:
     return format_value(value, ".3g")
-
-
-def _small_cell(value: float | None) -> str:
-    """Return the value [mm] to 0.01 mm; smaller parts of an error budget are negligible."""
-    if value is None or value >= 100:
-        return _cell(value)
-    return "<0.01" if value < 0.005 else f"{value:.2f}"

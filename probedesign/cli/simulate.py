@@ -3,7 +3,6 @@
 import time
 from contextlib import ExitStack, suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from probedesign.cli.console import show_progress
@@ -13,7 +12,6 @@ from probedesign.core.errors import InputError
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
     from probedesign.live.sources.netft.configuration import NetFTConfiguration
-    from probedesign.simulation.scenes import PressedObject
 
 MAX_SECONDS = 1e8  #: Duration without --seconds: three years [s].
 
@@ -63,10 +61,12 @@ def simulate(
     from probedesign.frozen_probe import load_estimator
     from probedesign.simulation.netft_box import SimulatedNetFT, SimulatedTransducer, parse_faults
     from probedesign.simulation.robot import BaseMotion, SimulatedRobot
+    from probedesign.simulation.scenes import press_scene
 
     faults, model = parse_faults(fault or [], seed), load_estimator(bundle).model
     configuration = _configuration(model, torque_unit, rate_hz, records, seconds)
-    objects = _solved_scene(model, scene, friction, friction_spread, seed)
+    with show_progress(f"solving the contacts of --scene {scene}"):
+        objects = press_scene(model, scene, friction, friction_spread, seed)
     motion = BaseMotion(model, objects)
     transducer = SimulatedTransducer(model, motion.wrench_sensor, seed)
     with ExitStack() as stack:
@@ -75,8 +75,12 @@ def simulate(
         )
         if pose_to is not None:
             stack.enter_context(SimulatedRobot(motion, lambda: box.motion_time, pose_to))
-        for line in (*(one.summary for one in objects), *_listening(host, box.source, bundle)):
-            print(line, flush=True)
+        for pressed in objects:
+            print(pressed.summary)
+        if not host.startswith("127."):
+            print(f"warning: with --host {host}, anyone on that network can read and disturb this box")
+        print(f"listening on {box.source.removeprefix('netft://')}; read it with")
+        print(f'  probedesign live {bundle} --source "{box.source}" --tare-s 0:3 --average 36', flush=True)
         with suppress(KeyboardInterrupt):
             time.sleep(seconds if seconds is not None else MAX_SECONDS)
 
@@ -103,23 +107,3 @@ def _configuration(
     ranges = (force, force, model.wrench_range[2], *[moment * (1.0 if torque_unit == "N-m" else 1e3)] * 3)
     rate = SAMPLES_PER_SECOND / round(divisor)
     return replace(NATIVE, torque_unit=torque_unit, rate=rate, records=float(records), ranges=ranges)
-
-
-def _solved_scene(
-    model: "ProbeModel", scene: str, friction: float, spread: float, seed: int
-) -> "tuple[PressedObject, ...]":
-    from probedesign.simulation.scenes import press_scene
-
-    with show_progress(f"solving the contacts of --scene {scene}"):
-        return press_scene(model, scene, friction, spread, seed)
-
-
-def _listening(host: str, source: str, bundle: Path) -> list[str]:
-    """Return the address of the box, the command that reads it and a warning where the network can reach it."""
-    lines = [
-        f"listening on {source.removeprefix('netft://')}; read it with",
-        f'  probedesign live {bundle} --source "{source}" --tare-s 0:3 --average 36',
-    ]
-    if not host.startswith("127."):
-        lines.insert(0, f"warning: with --host {host}, anyone on that network can read and disturb this box")
-    return lines

@@ -1,6 +1,6 @@
 """`probedesign validate`: compare a frozen probe's estimates with a reference."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -42,10 +42,10 @@ def validate(
     """
     from probedesign import pipeline
     from probedesign.campaigns import read_campaign
-    from probedesign.validation.validate import MultiProbeReport, check_names
+    from probedesign.validation.validate import MultiProbeReport, ValidationReport, check_names
 
     pairs = _pairs(bundles_and_data)
-    found, files = [], list[Path]()
+    reports, files = list[ValidationReport](), list[Path]()
     with show_progress() as on_progress:
         estimators = [pipeline.load_estimator(bundle) for bundle, _ in pairs]
         if len(pairs) > 1:
@@ -57,9 +57,8 @@ def validate(
             report = pipeline.validate(estimator, campaign, exact_model, on_progress, include_identified)
             on_progress("drawing", None)
             files += write_files(folder, list(_files(report, plots)))  # all or none, if a picture cannot be drawn
-            found.append(report)
-        reports = tuple(found)
-        joined = MultiProbeReport(reports)
+            reports.append(report)
+        joined = MultiProbeReport(tuple(reports))
         if len(pairs) > 1:
             files += write_files(out or exports_of(), [("table1.csv", joined.csv())])
     if as_json:
@@ -93,11 +92,11 @@ def _files(report: "ValidationReport", plots: bool | None) -> Iterator[tuple[str
             yield "validation.png", draw_validation(report)
 
 
-def _prefix(report: "ValidationReport", reports: "tuple[ValidationReport, ...]") -> str:
+def _prefix(report: "ValidationReport", reports: "Sequence[ValidationReport]") -> str:
     return f"{report.estimator.model.name}: " if len(reports) > 1 else ""
 
 
-def _print(reports: "tuple[ValidationReport, ...]") -> None:
+def _print(reports: "Sequence[ValidationReport]") -> None:
     for report in reports:
         model = report.estimator.model
         print(f"{model.name}  geometry {model.fingerprint}  {report.campaign.folder}")
@@ -111,7 +110,15 @@ def _print(reports: "tuple[ValidationReport, ...]") -> None:
         for row in report.rows():
             print(_line(row))
     for report in reports:
-        _print_summary(report, _prefix(report, reports))
+        prefix = _prefix(report, reports)
+        print()
+        for kind, means in report.summary.items():
+            shape, contact = means["shape_rms_mm"], means["contact_error_mm"]
+            print(f"  {prefix}{kind:<8}shape RMS mean {_mm(shape.mean)}, largest {_mm(shape.largest)}; "
+                  f"contact error mean {_mm(contact.mean)}, RMS {_mm(contact.rms)}")  # fmt: skip
+        print()
+        for line in report.coverage.words:
+            print(f"  {prefix}{line}")
     print()
 
 
@@ -124,17 +131,6 @@ def _line(row: dict[str, Any]) -> str:
             f"{_cell(row['contact_error_mm'], 8)}{_cell(row['stated_error_mm'], 8)}"
             f"{_cell(row['predicted_error_mm'], 8)}{inside:>6}   {row['method']:<13}"
             f"{row['result']}{served}")  # fmt: skip
-
-
-def _print_summary(report: "ValidationReport", prefix: str) -> None:
-    print()
-    for kind, means in report.summary.items():
-        shape, contact = means["shape_rms_mm"], means["contact_error_mm"]
-        print(f"  {prefix}{kind:<8}shape RMS mean {_mm(shape.mean)}, largest {_mm(shape.largest)}; "
-              f"contact error mean {_mm(contact.mean)}, RMS {_mm(contact.rms)}")  # fmt: skip
-    print()
-    for line in report.coverage.words:
-        print(f"  {prefix}{line}")
 
 
 def _cell(value: Any, width: int) -> str:
