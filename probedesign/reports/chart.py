@@ -4,14 +4,16 @@ A chart lists axes, lines, areas, boxes and labels. The SVG has real text and ne
 a dozen charts takes a few milliseconds; both drawings are legible at half size and in print.
 """
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from html import escape
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from probedesign.core.svg import element, number, path_data
 
 #: Distinct colours for colour-blind readers; markers and dashes distinguish lines in grey. Source: M. Okabe, K. Ito,
 #: Color Universal Design, 2008.
@@ -71,7 +73,19 @@ class ChartAxis:
         """Return the values with a tick."""
         if self.ticks is not None:
             return tuple(t for t in self.ticks if self.low <= t <= self.high)
-        return _log_ticks(self.low, self.high) if self.log else _even_ticks(self.low, self.high)
+        if self.log:  # powers of ten over more than three decades, else 1, 2 and 5 times them; more where too few
+            powers = range(math.floor(math.log10(self.low)), math.ceil(math.log10(self.high)) + 1)
+            wide = math.log10(self.high / self.low) > 3.2
+            for digits in ((1,),) if wide else ((1, 2, 5), range(1, 10)):
+                candidates = [float(f"{digit * 10.0**k:.3g}") for k in powers for digit in digits]
+                ticks = tuple(v for v in candidates if self.low * 0.999 <= v <= self.high * 1.001)
+                if len(ticks) > 1:
+                    return ticks
+        raw = (self.high - self.low) / 5.0  # also for a logarithmic axis within one step of the first digit
+        power = 10.0 ** math.floor(math.log10(raw))
+        step = next(k * power for k in (1.0, 2.0, 5.0, 10.0) if k * power >= 0.999 * raw)
+        first = math.ceil(self.low / step - 1e-9)
+        return tuple(round(k * step, 12) for k in range(first, math.floor(self.high / step + 1e-9) + 1))
 
     @property
     def tick_labels(self) -> tuple[str, ...]:
@@ -111,33 +125,13 @@ def _floats(values: ArrayLike) -> list[float]:
     return numbers
 
 
-def _log_ticks(low: float, high: float) -> tuple[float, ...]:
-    """Return powers of ten over more than three decades, else 1, 2 and 5 times them; more where these are too few."""
-    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    wide = math.log10(high / low) > 3.2
-    for digits in ((1,),) if wide else ((1, 2, 5), range(1, 10)):
-        candidates = [float(f"{digit * 10.0**k:.3g}") for k in powers for digit in digits]
-        ticks = tuple(v for v in candidates if low * 0.999 <= v <= high * 1.001)
-        if len(ticks) > 1:
-            return ticks
-    return _even_ticks(low, high)  # within one step of the first digit
-
-
-def _even_ticks(low: float, high: float) -> tuple[float, ...]:
-    raw = (high - low) / 5.0
-    power = 10.0 ** math.floor(math.log10(raw))
-    step = next(k * power for k in (1.0, 2.0, 5.0, 10.0) if k * power >= 0.999 * raw)
-    first = math.ceil(low / step - 1e-9)
-    return tuple(round(k * step, 12) for k in range(first, math.floor(high / step + 1e-9) + 1))
-
-
 def line_colours(n: int) -> list[str]:
     """Return ordered colours of n lines, the first one darkest."""
     colours = []
-    for place in (_LINES_TO * i / max(n - 1, 1) for i in range(n)):
-        k = int(place)
-        one, two = ([int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in ORDERED[k : k + 2])
-        mixed = (round(a + (place - k) * (b - a)) for a, b in zip(one, two, strict=True))
+    for level in (_LINES_TO * i / max(n - 1, 1) for i in range(n)):
+        k = int(level)
+        below, above = ([int(colour[i : i + 2], 16) for i in (1, 3, 5)] for colour in ORDERED[k : k + 2])
+        mixed = (round(a + (level - k) * (b - a)) for a, b in zip(below, above, strict=True))
         colours.append("#" + "".join(f"{value:02x}" for value in mixed))
     return colours
 
@@ -259,91 +253,80 @@ class Chart:
         return _HEIGHT - _TOP - _BOTTOM - (2 * _LEGEND if self.square else 0.0)
 
     def svg(self) -> bytes:
-        """Return the SVG element."""
-        rows = _legend_rows(self.legend)
-        above = _LEGEND * len(rows)
+        """Return the SVG element, with the legend on as few rows as possible above the axes."""
+        legend, x, row = list[str](), _WIDTH, 0
+        for name, colour, dashes, mark in self.legend:
+            wide = 42.0 + _LETTER * len(name)
+            if x + wide > _WIDTH:
+                x, row = _LEFT, row + 1
+            y = _LEGEND * (row - 0.3)
+            if dashes is None:  # of an area
+                legend.append(element("rect", x=x + 6, y=y - 6, width=14, height=12, fill=colour))
+            else:
+                legend.append(element("path", d=f"M{number(x)} {number(y)}h26", stroke=colour, stroke_width=2,
+                                      stroke_dasharray=dashes or None))  # fmt: skip
+                legend.append(_mark(mark, x + 13, y, colour))
+            legend.append(element("text", text=name, x=x + 31, y=y + 4.5))
+            x += wide
+        above = _LEGEND * row
         whole = above + _TOP + self._high + _BOTTOM + self.x.extra_height
-        legend = "".join(_legend_row(row, _LEGEND * (i + 0.7)) for i, row in enumerate(rows))
-        drawn = "".join(map(self._element, self.elements))
-        return (
-            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH:g} {whole:g}" '
-            f'font-family="Helvetica, Arial, sans-serif" font-size="13">{legend}'
-            f'<g transform="translate(0 {above:g})">{self._grid()}{drawn}{self._frame()}</g></svg>'
-        ).encode()
+        drawn = [part for item in self.elements for part in self._drawn(item)]
+        body = element("g", *self._grid(), *drawn, *self._frame(), transform=f"translate(0 {number(above)})")
+        return element("svg", *legend, body, xmlns="http://www.w3.org/2000/svg", font_size=13,
+                       viewBox=f"0 0 {number(_WIDTH)} {number(whole)}",
+                       font_family="Helvetica, Arial, sans-serif").encode()  # fmt: skip
 
-    def _element(self, element: ChartLine | ChartArea | _Rectangle | _Label) -> str:
-        match element:
-            case ChartLine():
-                return self._polyline(element)
+    def _drawn(self, item: ChartLine | ChartArea | _Rectangle | _Label) -> Iterator[str]:
+        match item:
+            case ChartLine(x, y, colour, dashes, mark, width, name):
+                places = [self.at(a, b) if math.isfinite(a) and math.isfinite(b) else None
+                          for a, b in zip(x, y, strict=True)]  # fmt: skip
+                for _, run in itertools.groupby(places, lambda at: at is None):
+                    if len(line := [at for at in run if at is not None]) > 1:
+                        yield element("path", d=path_data([line]), fill="none", stroke=colour, stroke_width=width,
+                                      stroke_dasharray=dashes or None, stroke_linejoin="round")  # fmt: skip
+                for at, a, b in zip(places, x, y, strict=True):
+                    if mark and at is not None:
+                        tip = f"{name}\n" * bool(name) + f"{self.x.label}: {a:.4g}\n{self.y.label}: {b:.3g}"
+                        target = element("circle", cx=at[0], cy=at[1], r=8, fill="transparent")
+                        yield element("g", element("title", text=tip), target, _mark(mark, *at, colour))
             case ChartArea(points, colour, opacity):
-                corners = " ".join(f"{p:.1f},{q:.1f}" for p, q in (self.at(*point) for point in points))
-                return f'<polygon points="{corners}" fill="{colour}" fill-opacity="{opacity:g}"/>'
+                corners = path_data([[self.at(*point) for point in points]], closed=True)
+                yield element("path", d=corners, fill=colour, fill_opacity=opacity)
             case _Rectangle(x, y, fill, edge):
                 (a, b), (c, d) = self.at(x[0], y[0]), self.at(x[1], y[1])
-                return (f'<rect x="{min(a, c):.1f}" y="{min(b, d):.1f}" width="{abs(c - a):.1f}" '
-                        f'height="{abs(d - b):.1f}" fill="{fill}" stroke="{edge}"/>')  # fmt: skip
+                yield element("rect", x=min(a, c), y=min(b, d), width=abs(c - a), height=abs(d - b), fill=fill,
+                              stroke=edge)  # fmt: skip
             case _Label(x, y, text, colour, dark, size, turned):
-                swap = f' style="--dark: {dark}"' if dark else ""
                 p, q = self.at(x, y)
-                turn = f' transform="rotate(-90 {p:.1f} {q:.1f})"' if turned else ""
-                return (f'<text x="{p:.1f}" y="{q + 0.36 * size:.1f}" text-anchor="middle" fill="{colour}" '
-                        f'font-size="{size:g}"{turn}{swap}>{escape(text)}</text>')  # fmt: skip
+                yield element("text", text=text, x=p, y=q + 0.36 * size, text_anchor="middle", fill=colour,
+                              font_size=size, style=f"--dark: {dark}" if dark else None,
+                              transform=f"rotate(-90 {number(p)} {number(q)})" if turned else None)  # fmt: skip
 
-    def _polyline(self, line: ChartLine) -> str:
-        drawn, run = [], list[tuple[float, float]]()
-        for a, b in [*zip(line.x, line.y, strict=True), (math.nan, math.nan)]:
-            if math.isfinite(a) and math.isfinite(b):
-                run.append(self.at(a, b))
-                continue
-            if len(run) > 1:
-                path = "M" + "L".join(f"{p:.1f} {q:.1f}" for p, q in run)
-                drawn.append(f'<path d="{path}" fill="none" stroke="{line.colour}" '
-                             f'stroke-width="{line.width:g}" stroke-dasharray="{line.dashes}" '
-                             'stroke-linejoin="round"/>')  # fmt: skip
-            run = []
-        drawn += [self._tipped_mark(line, a, b) for a, b in zip(line.x, line.y, strict=True)
-                  if line.mark and math.isfinite(a) and math.isfinite(b)]  # fmt: skip
-        return "".join(drawn)
+    def _grid(self) -> Iterator[str]:
+        if not self.x.names:  # otherwise boxes fill the chart
+            x, y = (self.x.low, self.x.high), (self.y.low, self.y.high)
+            across = [[self.at(end, v) for end in x] for v in self.y.shown_ticks]
+            up = [[self.at(v, end) for end in y] for v in self.x.shown_ticks]
+            yield element("path", d=path_data([*across, *up]), stroke="#ddd", fill="none")
 
-    def _tipped_mark(self, line: ChartLine, x: float, y: float) -> str:
-        p, q = self.at(x, y)
-        name = f"{line.name}\n" if line.name else ""
-        tip = escape(f"{name}{self.x.label}: {x:.4g}\n{self.y.label}: {y:.3g}")
-        target = f'<circle cx="{p:.1f}" cy="{q:.1f}" r="8" fill="transparent"/>'
-        return f"<g><title>{tip}</title>{target}{_mark(line.mark, p, q, line.colour)}</g>"
-
-    def _grid(self) -> str:
-        left, right, top, bottom = _LEFT, _WIDTH - _RIGHT, _TOP, _TOP + self._high
-        if self.x.names:  # boxes fill the chart
-            return ""
-        across = "".join(f"M{left} {self.at(self.x.low, v)[1]:.1f}H{right}" for v in self.y.shown_ticks)
-        up = "".join(f"M{self.at(v, self.y.low)[0]:.1f} {top}V{bottom}" for v in self.x.shown_ticks)
-        return f'<path d="{across}{up}" stroke="#ddd" fill="none"/>'
-
-    def _x_label(self, x: float, y: float, text: str) -> str:
-        if not self.x.upright:
-            return f'<text x="{x:.1f}" y="{y + 17}" text-anchor="middle">{escape(text)}</text>'
-        return (
-            f'<text x="{x + 3.5:.1f}" y="{y + 7}" text-anchor="end" font-size="10" '
-            f'transform="rotate(-90 {x + 3.5:.1f} {y + 7})">{escape(text)}</text>'
-        )
-
-    def _frame(self) -> str:
-        left, top, high = _LEFT, _TOP, self._high
-        parts = [f'<rect x="{left}" y="{top}" width="{_WIDTH - _LEFT - _RIGHT}" height="{high}" fill="none" '
-                 'stroke="#111"/>']  # fmt: skip
+    def _frame(self) -> Iterator[str]:
+        left, right, top, high = _LEFT, _WIDTH - _RIGHT, _TOP, self._high
+        yield element("rect", x=left, y=top, width=right - left, height=high, fill="none", stroke="#111")
+        bottom, upright = top + high, self.x.upright
         for v, text in zip(self.x.shown_ticks, self.x.tick_labels, strict=True):
-            parts.append(self._x_label(self.at(v, self.y.low)[0], top + high, text))
+            x = self.at(v, self.y.low)[0]
+            turn = f"rotate(-90 {number(x + 3.5)} {number(bottom + 7)})"
+            yield (element("text", text=text, x=x + 3.5, y=bottom + 7, text_anchor="end", font_size=10, transform=turn)
+                   if upright else element("text", text=text, x=x, y=bottom + 17, text_anchor="middle"))  # fmt: skip
         for v, text in zip(self.y.shown_ticks, self.y.tick_labels, strict=True):
-            size = ' font-size="10"' if len(text) > _LETTERS else ""
-            parts.append(f'<text x="{left - 6}" y="{self.at(self.x.low, v)[1] + 4.5:.1f}" '
-                         f'text-anchor="end"{size}>{escape(text)}</text>')  # fmt: skip
-        middle, half = (_LEFT + _WIDTH - _RIGHT) / 2.0, top + high / 2.0
-        parts.append(f'<text x="{middle}" y="{top + high + 38 + self.x.extra_height:g}" text-anchor="middle" '
-                     f'font-size="14">{escape(self.x.label)}</text>')  # fmt: skip
-        parts.append(f'<text x="15" y="{half}" text-anchor="middle" font-size="14" '
-                     f'transform="rotate(-90 15 {half})">{escape(self.y.label)}</text>')  # fmt: skip
-        return "".join(parts)
+            yield element("text", text=text, x=left - 6, y=self.at(self.x.low, v)[1] + 4.5, text_anchor="end",
+                          font_size=10 if len(text) > _LETTERS else None)  # fmt: skip
+        half = top + high / 2.0
+        yield element("text", text=self.x.label, x=(left + right) / 2.0, y=bottom + 38 + self.x.extra_height,
+                      text_anchor="middle", font_size=14)  # fmt: skip
+        yield element("text", text=self.y.label, x=15, y=half, text_anchor="middle", font_size=14,
+                      transform=f"rotate(-90 15 {number(half)})")  # fmt: skip
 
 
 def _extended(axis: ChartAxis, length: float) -> ChartAxis:
@@ -351,40 +334,13 @@ def _extended(axis: ChartAxis, length: float) -> ChartAxis:
     return replace(axis, low=axis.low - more, high=axis.high + more)
 
 
-def _legend_rows(legend: Sequence[LegendEntry]) -> list[list[tuple[float, LegendEntry]]]:
-    """Distribute entries with their x positions over as few rows as possible."""
-    rows: list[list[tuple[float, LegendEntry]]] = []
-    x = _WIDTH
-    for entry in legend:
-        wide = 42.0 + _LETTER * len(entry.name)
-        if x + wide > _WIDTH:
-            rows.append([])
-            x = _LEFT
-        rows[-1].append((x, entry))
-        x += wide
-    return rows
-
-
-def _legend_row(row: Sequence[tuple[float, LegendEntry]], y: float) -> str:
-    """Return one row of a legend: a stroke for a line, a square for an area."""
-    parts = []
-    for x, (name, colour, dashes, mark) in row:
-        if dashes is None:
-            parts.append(f'<rect x="{x + 6:g}" y="{y - 6:g}" width="14" height="12" fill="{colour}"/>')
-        else:
-            parts.append(f'<path d="M{x:g} {y:g}h26" stroke="{colour}" stroke-width="2" stroke-dasharray="{dashes}"/>')
-            parts.append(_mark(mark, x + 13, y, colour))
-        parts.append(f'<text x="{x + 31:g}" y="{y + 4.5:g}">{escape(name)}</text>')
-    return "".join(parts)
-
-
 def _mark(mark: str, x: float, y: float, colour: str) -> str:
     """Return a marker about a point."""
     if mark == "o":
-        return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="3.4" fill="{colour}"/>'
+        return element("circle", cx=x, cy=y, r=3.4, fill=colour)
     shapes = {"s": "M-3.2-3.2h6.4v6.4h-6.4z", "d": "M0-4.4l4.4 4.4-4.4 4.4-4.4-4.4z", "^": "M0-4.2l4.2 7.4h-8.4z",
               "v": "M0 4.2l4.2-7.4h-8.4z", "x": "M-4-4l8 8m0-8l-8 8", "+": "M-4 0h8m-4-4v8"}  # fmt: skip
     if mark not in shapes:
         return ""
-    ink = f'fill="none" stroke="{colour}" stroke-width="2"' if mark in "x+" else f'fill="{colour}"'
-    return f'<path transform="translate({x:.1f} {y:.1f})" d="{shapes[mark]}" {ink}/>'
+    ink = {"fill": "none", "stroke": colour, "stroke_width": "2"} if mark in "x+" else {"fill": colour}
+    return element("path", transform=f"translate({number(x)} {number(y)})", d=shapes[mark], **ink)

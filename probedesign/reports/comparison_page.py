@@ -69,25 +69,21 @@ def compare(designs: Sequence[Design], task: Task) -> list[ComparedDesign]:
     """
     if not 2 <= len(designs) <= MAX_DESIGNS:
         raise InputError(f"compare takes 2 to {MAX_DESIGNS} designs; {len(designs)} given")
-    return [_compared(design, task) for design in designs]
-
-
-def _compared(design: Design, task: Task) -> ComparedDesign:
-    probe = build_probe(design)
-    model, moments = probe.model, task.moments_about
-    prediction = probe.predict(
-        forces_N=(task.force_N,), directions=(SIDE,),
-        tolerances=task.priors(model),
-        pressing=PressSchedule(min(max(task.touches, 2), MAX_TOUCHES), moments),
-    )  # fmt: skip
-    rms = tuple(
-        task.combined(predict_task(model, replace(task, forces_N=(f,)), slipping=False).errors) for f in FORCES_N
-    )
     along = replace(task, fractions=COMPARED_FRACTIONS, forces_N=(task.force_N,), gravities=task.gravities[:1])
-    return ComparedDesign(
-        design, design_metrics(design, task), predict_task(model, along, slipping=False), rms, prediction,
-        fused_headline(model),
-    )  # fmt: skip
+    by_force = [replace(task, forces_N=(force,)) for force in FORCES_N]
+    pressing = PressSchedule(min(max(task.touches, 2), MAX_TOUCHES), task.moments_about)
+    compared = []
+    for design in designs:
+        probe = build_probe(design)
+        model = probe.model
+        prediction = probe.predict(
+            forces_N=(task.force_N,), directions=(SIDE,), tolerances=task.priors(model), pressing=pressing
+        )
+        rms = tuple(task.combined(predict_task(model, other, slipping=False).errors) for other in by_force)
+        touches = predict_task(model, along, slipping=False)
+        metrics = design_metrics(design, task)
+        compared.append(ComparedDesign(design, metrics, touches, rms, prediction, fused_headline(model)))
+    return compared
 
 
 def best_design(compared: Sequence[ComparedDesign], metric: str) -> str | None:
@@ -97,7 +93,7 @@ def best_design(compared: Sequence[ComparedDesign], metric: str) -> str | None:
     """
     if metric in NEUTRAL:
         return None
-    values = {one.design.name: getattr(one.metrics, metric) for one in compared}
+    values = {entry.design.name: getattr(entry.metrics, metric) for entry in compared}
     return _best(values, max if metric in LARGER_IS_BETTER else min)
 
 
@@ -114,22 +110,21 @@ def _best(values: Mapping[str, float | None], choose: Callable[..., str]) -> str
 def comparison_table(compared: Sequence[ComparedDesign]) -> HtmlTable:
     """Return one row per metric, one column per design, and the best of them."""
     rows = [
-        [
-            LABELS[name],
-            *(format_value(getattr(one.metrics, name)) for one in compared),
-            best_design(compared, name) or "-",
-        ]
+        [LABELS[name], *(format_value(getattr(entry.metrics, name)) for entry in compared),
+         best_design(compared, name) or "-"]
         for name in METRICS
-    ]
-    fused = {one.design.name: one.fused.predicted_error_mm for one in compared}
+    ]  # fmt: skip
+    fused = {entry.design.name: entry.fused.predicted_error_mm for entry in compared}
     label = f"error of {compared[0].fused.label} [mm]"
     rows.insert(1, [label, *map(format_value, fused.values()), _best(fused, min) or "-"])
-    return HtmlTable(["", *(one.design.name for one in compared), "best"], rows)
+    return HtmlTable(["", *(entry.design.name for entry in compared), "best"], rows)
 
 
 def comparison_verdict(compared: Sequence[ComparedDesign]) -> str:
     """Return which design locates the task's touches best, in one sentence."""
-    located = sorted((one.metrics.error_mm, one.design.name) for one in compared if one.metrics.error_mm is not None)
+    located = sorted(
+        (entry.metrics.error_mm, entry.design.name) for entry in compared if entry.metrics.error_mm is not None
+    )
     if not located:
         return "No design locates every touch of the task."
     (error, name), others = located[0], located[1:]
@@ -149,24 +144,24 @@ def comparison_page(compared: Sequence[ComparedDesign], task: Task) -> bytes:
     sections = [
         _lines("Error along the probe",
                f"{task.touches_text}, all error sources. A line ends where the probe buckles.", compared,
-               lambda one: (COMPARED_FRACTIONS, _in_mm(one.along.errors)), _PLACE, _ERROR),
+               lambda entry: (COMPARED_FRACTIONS, _in_mm(entry.along.errors)), _PLACE, _ERROR),
         _lines("Error by force", "As before, over the task's positions, by the largest force.", compared,
-               lambda one: ([1e3 * f for f in FORCES_N], _in_mm(one.by_force)), force, _ERROR),
+               lambda entry: ([1e3 * f for f in FORCES_N], _in_mm(entry.by_force)), force, _ERROR),
         _lines("Detection limit", "Force detected with probability 0.5 at one false alarm an hour.", compared,
-               lambda one: _rows(one.prediction.detection, lambda d: d.detectable_force_mN), _PLACE,
+               lambda entry: _rows(entry.prediction.detection, lambda d: d.detectable_force_mN), _PLACE,
                "smallest detectable force [mN]"),
         _lines("Maximum force", "Force at which the probe buckles, an object slips off the tip or the sensor's range "
                "ends; pushed sideways.", compared,
-               lambda one: _rows(one.prediction.reach, lambda r: r.greatest_force_N, 1e3), _PLACE,
+               lambda entry: _rows(entry.prediction.reach, lambda r: r.greatest_force_N, 1e3), _PLACE,
                "maximum force [mN]"),
         _lines("Diameter", "Diameter along the undeformed axis.", compared,
-               lambda one: ([s for s, _ in one.design.probe.knots_mm], [d for _, d in one.design.probe.knots_mm]),
+               lambda entry: ([s for s, _ in entry.design.probe.knots_mm], [d for _, d in entry.design.probe.knots_mm]),
                "arclength s [mm]", "diameter [mm]", from_zero=True),
         ReportFigure("Sag", "Without contact, under gravity as mounted, seen along y, x downwards.",
                 _sag_chart(compared).svg()),
     ]  # fmt: skip
-    assumed = [f"{one.design.name} assumes {', '.join(one.design.assumptions) or 'nothing'}" for one in compared]
-    title = f"Comparison: {' · '.join(one.design.name for one in compared)}"
+    assumed = [f"{entry.design.name} assumes {', '.join(entry.design.assumptions) or 'nothing'}" for entry in compared]
+    title = f"Comparison: {' · '.join(entry.design.name for entry in compared)}"
     table, verdict = comparison_table(compared), comparison_verdict(compared)
     return report_page(title, [task.text, *assumed], table, sections, verdict=verdict)
 
@@ -181,12 +176,12 @@ def _lines(
     x: ChartAxis | str, y: str, from_zero: bool = False,
 ) -> ReportFigure:  # fmt: skip
     """Return a figure with one line per design; its y axis is logarithmic unless it starts at zero."""
-    lines = [line(one) for one in compared]
+    lines = [line(entry) for entry in compared]
     along = x if isinstance(x, ChartAxis) else ChartAxis.spanning(x, [v for values, _ in lines for v in values])
     upwards = ChartAxis.spanning(y, [v for _, values in lines for v in values], log=not from_zero)
     chart = Chart(along, replace(upwards, low=0.0) if from_zero else upwards)
-    for one, points, colour, dashes, mark in zip(compared, lines, COLOURS, DASHES, MARKS, strict=False):
-        chart.line(*points, colour, dashes, mark, one.design.name)
+    for entry, points, colour, dashes, mark in zip(compared, lines, COLOURS, DASHES, MARKS, strict=False):
+        chart.line(*points, colour, dashes, mark, entry.design.name)
     return ReportFigure(heading, caption, chart.svg())
 
 
@@ -198,14 +193,14 @@ def _rows(rows: Sequence[Any], value: Callable[[Any], float | None], unit: float
 def _sag_chart(compared: Sequence[ComparedDesign]) -> Chart:
     """Return the free shapes from the side."""
     shapes = []
-    for one in compared:
-        probe = build_probe(one.design)
+    for entry in compared:
+        probe = build_probe(entry.design)
         free = probe.rod.solve(probe.model.gravity_base)
         s = np.linspace(0.0, probe.length, 60)
         shapes.append(free.p_at(s) / MM if free.ok else np.full((1, 3), np.nan))
     chart = Chart.side_view(np.concatenate(shapes), 0)
-    for one, p, colour, dashes in zip(compared, shapes, COLOURS, DASHES, strict=False):
-        chart.line(p[:, 2], p[:, 0], colour, dashes, name=one.design.name)
+    for entry, p, colour, dashes in zip(compared, shapes, COLOURS, DASHES, strict=False):
+        chart.line(p[:, 2], p[:, 0], colour, dashes, name=entry.design.name)
     return chart
 
 

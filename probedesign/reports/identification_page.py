@@ -20,84 +20,99 @@ _AXES = ("x", "y", "z")
 _SELF = "#dddddd"
 
 
-def identification_page(found: Identification) -> bytes:
+def identification_page(fit: Identification) -> bytes:
     """Return the page of an identification."""
     about = [
-        f"{found.data}: {found.tests} tests, {found.numbers} measured values for {found.unknowns} unknowns; "
-        f"geometry {found.fingerprint}. Result: {found.result}{': ' if found.why else ''}{found.why}.",
-        f"Intervals are 95 %: {found.quantile:.3g} standard deviations. First with the design's dimensions, as the "
+        f"{fit.data}: {fit.tests} tests, {fit.numbers} measured values for {fit.unknowns} unknowns; "
+        f"geometry {fit.fingerprint}. Result: {fit.result}{': ' if fit.why else ''}{fit.why}.",
+        f"Intervals are 95 %: {fit.quantile:.3g} standard deviations. First with the design's dimensions, as the "
         "frozen probe uses them and as written to a design, including all errors of the bench; then with "
-        f"{found.dimensions}, as a property of the material.",
-        *(f"Likely cause {rank}: {cause}." for rank, cause in enumerate(found.likely_causes, 1)),
-        *found.caveats,
-        *found.notes,
+        f"{fit.dimensions}, as a property of the material.",
+        *(f"Likely cause {rank}: {cause}." for rank, cause in enumerate(fit.likely_causes, 1)),
+        *fit.caveats,
+        *fit.notes,
     ]
-    kinds = {one.kind for one in found.residuals}
+    kinds = {residual.kind for residual in fit.residuals}
     sections = []
     if kinds & set(KINDS):
         caption = "Noise as stated, or as measured where that is larger. Tests are in the order of their table."
-        by_test = ReportFigure("Residuals by test", caption, residual_chart(found).svg())
-        sections = [by_test, _normal(found)]
+        by_test = ReportFigure("Residuals by test", caption, residual_chart(fit).svg())
+        sections = [by_test, _normal(fit)]
     if "markers" in kinds:
-        sections.append(_along(found))
-    wrenches = [_wrenches(found, "forces"), _wrenches(found, "moments")] if "wrenches" in kinds else []
-    if len(found.correlated) > 1:
-        sections.append(_correlation(found))
-    after = [("Scatter of the readings", _noise(found)), ("Error budget", _shifts(found))]
-    if found.outliers:
-        rows = [[one.words, f"{one.deviations:.1f}"] for one in found.outliers]
+        sections.append(_along(fit))
+    wrenches = [_wrenches(fit, "forces"), _wrenches(fit, "moments")] if "wrenches" in kinds else []
+    if len(fit.correlated) > 1:
+        sections.append(_correlation(fit))
+    shares = [[cause, ", ".join(f"{share.of} {share.percent:.2g} %" for share in of)]
+              for cause, of in fit.causes.items()]  # fmt: skip
+    note = (
+        "One standard deviation each, of the prior in [tolerances] where there is one; the squares add up to that of "
+        "the number, which --write puts into [tolerances] and stiffness_spread."
+    )
+    budget = HtmlTable(["error source", "contribution to the parameter"], shares, note)
+    after = [("Scatter of the readings", _noise(fit)), ("Error budget", budget)]
+    if fit.outliers:
+        rows = [[outlier.words, f"{outlier.deviations:.1f}"] for outlier in fit.outliers]
         outliers = HtmlTable(["reading", "standard deviations"], rows, "Down-weighted in the fit.")
         after.append(("Outliers", outliers))
     folded = [("Residuals of the wrenches", wrenches)]
-    title = f"{found.name}: identified"
-    return report_page(title, about, _table(found), sections, after, folded, verdict=verdict(found))
+    title = f"{fit.name}: identified"
+    return report_page(title, about, _table(fit), sections, after, folded, verdict=verdict(fit))
 
 
-def verdict(found: Identification) -> str:
+def verdict(fit: Identification) -> str:
     """Return the result of an identification, one sentence for each number."""
-    if not found.valid:
-        return f"No number is identified: {found.why or found.result}."
-    if not any(one.identified for one in found.found):
+    if not fit.valid:
+        return f"No number is identified: {fit.why or fit.result}."
+    if not any(number.identified for number in fit.found):
         return "The tests determine none of the requested numbers."
-    return " ".join(f"{_sentence(one)}." for one in found.found)
+    sentences = []
+    for number in fit.found:
+        unit, design = f" {number.unit}" if number.unit else "", f"{number.design:.4g}"
+        if not number.estimated:
+            sentences.append(f"{number.name} is {number.state} and stays at the design's {design}{unit}.")
+            continue
+        change = f" (design {design}{unit}, change {number.change})" if number.change else ""
+        why = "" if number.identified else f"; {number.why}"
+        sentences.append(f"{number.name} is {number.value:.4g}{unit}, with a 95 % interval of {number.low:.4g} to "
+                         f"{number.high:.4g}{unit}{change}{why}.")  # fmt: skip
+    return " ".join(sentences)
 
 
-def _sentence(one: Identified) -> str:
-    """Return what a number is and how far it is from the design, or that it is not observable."""
-    unit = f" {one.unit}" if one.unit else ""
-    if not one.estimated:
-        return f"{one.name} is {one.state} and stays at the design's {one.design:.4g}{unit}"
-    text = f"{one.name} is {one.value:.4g}{unit}, with a 95 % interval of {one.low:.4g} to {one.high:.4g}{unit}"
-    if one.change:
-        text += f" (design {one.design:.4g}{unit}, change {one.change})"
-    return text if one.identified else f"{text}; {one.why}"
-
-
-def _table(found: Identification) -> HtmlTable:
-    of_print = f"with {found.dimensions}: value, 95 % interval"
+def _table(fit: Identification) -> HtmlTable:
+    of_print = f"with {fit.dimensions}: value, 95 % interval"
     head = ["", "value", "95 % interval", of_print, "design", "change", "description"]
-    return HtmlTable(head, [_row(one) for one in found.found], worded=True)
+    return HtmlTable(head, [_row(number) for number in fit.found], worded=True)
 
 
-def _row(one: Identified) -> list[str]:
-    design = f"{one.design:.4g} {one.unit}"
-    if not one.estimated:
-        return [one.name, one.state, "", "", design, "", one.why]
-    own, of_print = f"{one.low:.4g} ... {one.high:.4g}", f"{one.low_of_print:.4g} ... {one.high_of_print:.4g}"
-    of_print = f"{one.value_of_print:.4g} {one.unit}".rstrip() + f", {of_print}"
-    return [one.name, f"{one.value:.4g} {one.unit}", own, of_print, design, one.change, one.why or one.words]
+def _row(number: Identified) -> list[str]:
+    design = f"{number.design:.4g} {number.unit}"
+    if not number.estimated:
+        return [number.name, number.state, "", "", design, "", number.why]
+    interval = f"{number.low:.4g} ... {number.high:.4g}"
+    of_print = f"{number.value_of_print:.4g} {number.unit}".rstrip()
+    of_print += f", {number.low_of_print:.4g} ... {number.high_of_print:.4g}"
+    return [
+        number.name,
+        f"{number.value:.4g} {number.unit}",
+        interval,
+        of_print,
+        design,
+        number.change,
+        number.why or number.words,
+    ]
 
 
-def residual_chart(found: Identification) -> Chart:
+def residual_chart(fit: Identification) -> Chart:
     """Return the RMS of each test's normalised residuals by kind."""
-    tests = list(dict.fromkeys(one.test for one in found.residuals if one.kind in KINDS))
+    tests = list(dict.fromkeys(residual.test for residual in fit.residuals if residual.kind in KINDS))
     each = math.ceil(len(tests) / MAX_TEST_NAMES)
     x = ChartAxis.named("", [test if i % each == 0 else "" for i, test in enumerate(tests)], upright=True)
     lines = {}
     for kind in KINDS:
-        of = [[r.deviations for r in found.residuals if (r.kind, r.test) == (kind, test)] for test in tests]
+        of = [[r.deviations for r in fit.residuals if (r.kind, r.test) == (kind, test)] for test in tests]
         if any(of):
-            lines[kind] = [math.sqrt(sum(d * d for d in own) / len(own)) if own else math.nan for own in of]
+            lines[kind] = [math.sqrt(sum(d * d for d in each) / len(each)) if each else math.nan for each in of]
     high = max([v for line in lines.values() for v in line if math.isfinite(v)] + [2.0])
     chart = Chart(x, ChartAxis("RMS residual [standard deviations]", 0.0, 1.08 * high))
     for kind, line in lines.items():
@@ -107,12 +122,12 @@ def residual_chart(found: Identification) -> Chart:
     return chart
 
 
-def _normal(found: Identification) -> ReportFigure:
+def _normal(fit: Identification) -> ReportFigure:
     """Return the normalised residuals against their quantiles under normal noise."""
     sizes = {"markers": 3, "wrenches": 6, "touches": 3}
     lines = {}
     for kind, k in sizes.items():
-        far = sorted(r.deviations for r in found.residuals if r.kind == kind)
+        far = sorted(r.deviations for r in fit.residuals if r.kind == kind)
         if len(far) > 2:
             shares = (np.arange(len(far)) + 0.5) / len(far)
             lines[kind] = (np.sqrt(chi2.ppf(shares, k) / k).tolist(), far)
@@ -133,11 +148,11 @@ def _normal(found: Identification) -> ReportFigure:
     )
 
 
-def _along(found: Identification) -> ReportFigure:
+def _along(fit: Identification) -> ReportFigure:
     """Return the markers' residuals along the probe: mean over the tests and its scatter."""
-    rows = [one for one in found.residuals if one.kind == "markers" and one.s_mm is not None]
-    places = sorted({one.s_mm for one in rows if one.s_mm is not None})
-    each = [np.array([one.off for one in rows if one.s_mm == s]) for s in places]
+    rows = [residual for residual in fit.residuals if residual.kind == "markers" and residual.s_mm is not None]
+    places = sorted({residual.s_mm for residual in rows if residual.s_mm is not None})
+    each = [np.array([residual.off for residual in rows if residual.s_mm == s]) for s in places]
     means = np.array([v.mean(axis=0) for v in each]).reshape(-1, 3)
     scatter = [v.std(axis=0, ddof=1) / math.sqrt(len(v)) if len(v) > 1 else np.zeros(3) for v in each]
     margins = 2.0 * np.array(scatter).reshape(-1, 3)
@@ -158,10 +173,12 @@ def _along(found: Identification) -> ReportFigure:
     return ReportFigure("Residuals along the probe", caption, chart.svg())
 
 
-def _wrenches(found: Identification, what: str) -> ReportFigure:
+def _wrenches(fit: Identification, what: str) -> ReportFigure:
     """Return each reading's residual by channel: the forces, or the moments."""
     first, unit, size, letter = {"forces": (0, "mN", 1e3, "F"), "moments": (3, "µN·m", 1e6, "M")}[what]
-    off = size * np.array([one.off[first : first + 3] for one in found.residuals if one.kind == "wrenches"])
+    off = size * np.array(
+        [residual.off[first : first + 3] for residual in fit.residuals if residual.kind == "wrenches"]
+    )
     chart = Chart(
         ChartAxis.named("", [f"{letter}{axis}" for axis in _AXES]),
         ChartAxis.spanning(f"residual, measured - fitted [{unit}]", [*off.flat, 0.0]),
@@ -179,13 +196,13 @@ def _wrenches(found: Identification, what: str) -> ReportFigure:
     )
 
 
-def _correlation(found: Identification) -> ReportFigure:
+def _correlation(fit: Identification) -> ReportFigure:
     """Return the correlation matrix of the parameters' errors."""
-    n, names = len(found.correlated), list(found.correlated)
+    n, names = len(fit.correlated), list(fit.correlated)
     chart = Chart(ChartAxis.named("", names), ChartAxis.named("", names[::-1]))
     for i in range(n):
         for j in range(n):
-            value = float(found.correlation[i, j])
+            value = float(fit.correlation[i, j])
             strength = round(255 * (1.0 - min(abs(value), 1.0)))
             fill = f"#ff{strength:02x}{strength:02x}" if value > 0 else f"#{strength:02x}{strength:02x}ff"
             fill = _SELF if i == j else fill
@@ -201,19 +218,10 @@ def _correlation(found: Identification) -> ReportFigure:
     )
 
 
-def _noise(found: Identification) -> HtmlTable:
+def _noise(fit: Identification) -> HtmlTable:
     rows = [
-        [NOISE_KINDS[one.kind], f"{one.groups}", f"{one.scale:.3g}", f"{one.freedom:.0f}",
-         "measured, larger than stated" if one.measured else "as stated"]
-        for one in found.noise
+        [NOISE_KINDS[residual.kind], f"{residual.groups}", f"{residual.scale:.3g}", f"{residual.freedom:.0f}",
+         "measured, larger than stated" if residual.measured else "as stated"]
+        for residual in fit.noise
     ]  # fmt: skip
     return HtmlTable(["readings", "number", "scatter over stated", "degrees of freedom", "noise used"], rows)
-
-
-def _shifts(found: Identification) -> HtmlTable:
-    rows = [[cause, ", ".join(f"{one.of} {one.percent:.2g} %" for one in of)] for cause, of in found.causes.items()]
-    note = (
-        "One standard deviation each, of the prior in [tolerances] where there is one; the squares add up to that of "
-        "the number, which --write puts into [tolerances] and stiffness_spread."
-    )
-    return HtmlTable(["error source", "contribution to the parameter"], rows, note)

@@ -331,26 +331,26 @@ def _axes(name: str, unit: str) -> list[str]:
 
 
 @summary_of.register
-def _(found: Identification) -> Summary:
+def _(fit: Identification) -> Summary:
     rows = [
-        ("result", f"{found.result}{': ' if found.why else ''}{found.why}"),
-        ("data", f"{found.tests} tests, {found.numbers} values for {found.unknowns} unknowns"),
-        *((one.name, _interval(one)) for one in found.found),
-        *(("likely cause", str(cause)) for cause in found.likely_causes),
-        *(("caveat", caveat) for caveat in found.caveats),
+        ("result", f"{fit.result}{': ' if fit.why else ''}{fit.why}"),
+        ("data", f"{fit.tests} tests, {fit.numbers} values for {fit.unknowns} unknowns"),
+        *((number.name, _interval(number)) for number in fit.found),
+        *(("likely cause", str(cause)) for cause in fit.likely_causes),
+        *(("caveat", caveat) for caveat in fit.caveats),
     ]
-    drawn = any(one.kind in ("markers", "wrenches", "touches") for one in found.residuals)
-    return Summary(f"identification of {found.name}", rows, (lambda: residual_chart(found)) if drawn else None)
+    drawn = any(residual.kind in ("markers", "wrenches", "touches") for residual in fit.residuals)
+    return Summary(f"identification of {fit.name}", rows, (lambda: residual_chart(fit)) if drawn else None)
 
 
-def _interval(one: Identified) -> str:
-    if one.low is None or one.high is None:
-        return f"{one.design:.4g} {one.unit}".strip() + f" (design): {one.why}"
-    unit = f" {one.unit}" if one.unit else ""
-    return f"{one.value:.4g}{unit}, 95 % interval {one.low:.4g} ... {one.high:.4g}; design {one.design:.4g}"
+def _interval(number: Identified) -> str:
+    if number.low is None or number.high is None:
+        return f"{number.design:.4g} {number.unit}".strip() + f" (design): {number.why}"
+    unit = f" {number.unit}" if number.unit else ""
+    return f"{number.value:.4g}{unit}, 95 % interval {number.low:.4g} ... {number.high:.4g}; design {number.design:.4g}"
 
 
 @rows_of.register
-def _(found: Identification) -> Rows:
-    rows = [asdict(one) for one in found.found]
+def _(fit: Identification) -> Rows:
+    rows = [asdict(number) for number in fit.found]
     return list(Identified.__dataclass_fields__), rows

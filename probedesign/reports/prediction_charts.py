@@ -205,7 +205,8 @@ def probe_chart(prediction: Prediction, estimator: Estimator) -> Chart:
     shown = {level for level in levels if level is not None}
     outline = np.concatenate([upper, lower[::-1], upper[:1]])
     chart.line(outline[:, 0], outline[:, 1], COLOURS[0], width=1.0)
-    chart.legend += [LegendEntry(_level_label(level), ORDERED[level]) for level in sorted(shown, reverse=True)]
+    labels = [*(f"up to {limit:g} mm" for limit in LEVELS_MM), f"over {LEVELS_MM[-1]:g} mm"][::-1]
+    chart.legend += [LegendEntry(labels[level], ORDERED[level]) for level in sorted(shown, reverse=True)]
     return chart
 
 
@@ -226,13 +227,6 @@ def flanks(shape: Array, radius: Array) -> tuple[Array, Array]:
 def error_level(error_mm: float) -> int:
     """Return the index of an error's colour, the largest for the smallest error."""
     return len(ORDERED) - 1 - sum(error_mm > limit for limit in LEVELS_MM)
-
-
-def _level_label(level: int) -> str:
-    above = len(ORDERED) - 1 - level  # number of limits that the error exceeds
-    if above == len(LEVELS_MM):
-        return f"over {LEVELS_MM[-1]:g} mm"
-    return f"up to {LEVELS_MM[above]:g} mm"
 
 
 def bending_chart(estimator: Estimator) -> Chart:

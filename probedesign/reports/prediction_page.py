@@ -141,14 +141,22 @@ def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence
     sections = dict[str, list[ReportFigure]]()
     for figure in prediction_figures(prediction, estimator):
         if figure.heading:
-            one = ReportFigure(figure.heading, figure.caption, figure.chart.svg())
-            sections.setdefault(figure.group, []).append(one)
+            section = ReportFigure(figure.heading, figure.caption, figure.chart.svg())
+            sections.setdefault(figure.group, []).append(section)
     shown_first = [*sections.pop("", []), *more]
     sources = prediction.tolerances.sources(prediction.resin)
     rows = [[name, f"{getattr(prediction.tolerances, name):g}", source] for name, source in sources.items()]
     tables = [("Force thresholds along the probe", _table(prediction))]
     if prediction.monte_carlo:
-        tables.append(("Monte Carlo simulation with the estimator", _sampled(prediction)))
+        head = ["contact", "touches", "force", "direction", "budget", "Monte Carlo", "95 % within", "located"]
+        sampled = [
+            [f"{r.contact_fraction:g} L", f"{r.touches}", f"{1e3 * r.force_N:g} mN", r.direction,
+             _mm(r.first_order_mm), _mm(r.error_mm) + (" *" if r.differs else ""), _mm(r.error_95_mm),
+             f"{r.located / r.draws:.0%}"]
+            for r in prediction.monte_carlo
+        ]  # fmt: skip
+        note = "* differs from the budget by more than a tenth; the Monte Carlo value is more reliable"
+        tables.append(("Monte Carlo simulation with the estimator", HtmlTable(head, sampled, note)))
     tables.append(("Tolerances: standard deviations", HtmlTable(["[tolerances]", "value", "source"], rows)))
     title = f"{prediction.name}: predicted contact errors"
     return report_page(title, about, None, shown_first, tables, list(sections.items()), verdict=prediction.verdict)
@@ -183,18 +191,6 @@ def _force(values: Sequence[float | None]) -> str:
         return "none"
     largest = max(known)
     return f"{largest:.3g} mN" if largest < 1000.0 else f"{1e-3 * largest:.3g} N"
-
-
-def _sampled(prediction: Prediction) -> HtmlTable:
-    """Return the results of the Monte Carlo simulation beside the budget's."""
-    head = ["contact", "touches", "force", "direction", "budget", "Monte Carlo", "95 % within", "located"]
-    rows = [
-        [f"{r.contact_fraction:g} L", f"{r.touches}", f"{1e3 * r.force_N:g} mN", r.direction, _mm(r.first_order_mm),
-         _mm(r.error_mm) + (" *" if r.differs else ""), _mm(r.error_95_mm), f"{r.located / r.draws:.0%}"]
-        for r in prediction.monte_carlo
-    ]  # fmt: skip
-    note = "* differs from the budget by more than a tenth; the Monte Carlo value is more reliable"
-    return HtmlTable(head, rows, note)
 
 
 def _mm(value: float | None) -> str:

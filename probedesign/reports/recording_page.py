@@ -53,20 +53,19 @@ def touches_in(rows: Sequence[Row]) -> list[RecordedTouch]:
             runs.append([])
         elif runs[-1] or row["result"] not in UNKNOWN:
             runs[-1].append(row)
-    return [_touch(run) for run in runs if run]
-
-
-def _touch(run: list[Row]) -> RecordedTouch:
-    while run[-1]["result"] in UNKNOWN:
-        run = run[:-1]
-    located = [row for row in run if row["result"] == "ok"]
-    s = _column(located, "s_contact_mm")
-    return RecordedTouch(
-        float(run[0]["time_s"]), float(run[-1]["time_s"]), len(run), len(located),
-        (float(s.min()), float(s.max())) if located else (math.nan, math.nan),
-        float(_force(located).max()) if located else math.nan,
-        float(np.median(_rms(located))) if located else math.nan,
-    )  # fmt: skip
+    touches = []
+    for run in filter(None, runs):
+        while run[-1]["result"] in UNKNOWN:
+            run.pop()
+        located = [row for row in run if row["result"] == "ok"]
+        s, force, rms = (math.nan, math.nan), math.nan, math.nan
+        if located:
+            at = _column(located, "s_contact_mm")
+            s, force = (float(at.min()), float(at.max())), float(_force(located).max())
+            rms = float(np.median(_rms(located)))
+        times = float(run[0]["time_s"]), float(run[-1]["time_s"])
+        touches.append(RecordedTouch(*times, len(run), len(located), s, force, rms))
+    return touches
 
 
 def _column(rows: Sequence[Row], name: str) -> Array:
@@ -114,16 +113,7 @@ def recording_page(estimates: RecordingEstimates) -> bytes:
     counted = [[name, f"{estimates.counts[name]}", meaning]
                for name, meaning in RESULTS.items() if name in estimates.counts]  # fmt: skip
     by_result = HtmlTable(["result", "estimates", "meaning"], counted, worded=True)
-    after = [("Touches", _touch_table(touches)), ("Estimates by result", by_result)]
-    title = f"{estimates.recording.path.name}: located touches"
-    return report_page(
-        title, about, None, _figures(rows), opened=after, verdict=verdict(estimates), first=first, style=STYLE
-    )
-
-
-def _touch_table(touches: Sequence[RecordedTouch]) -> HtmlTable:
-    head = ["touch", "start [s]", "end [s]", "readings", "located", "s [mm]", "force up to [mN]", "RMS error [mm]"]
-    rows = [
+    listed = [
         [f"{number}", f"{touch.start_s:.2f}", f"{touch.end_s:.2f}", f"{touch.readings}", f"{touch.located}",
          *((f"{touch.s_mm[0]:.1f} ... {touch.s_mm[1]:.1f}", f"{touch.force_mN:.3g}", f"{touch.rms_mm:.2g}")
            if touch.located else ("—", "—", "—"))]
@@ -132,7 +122,12 @@ def _touch_table(touches: Sequence[RecordedTouch]) -> HtmlTable:
     left = len(touches) - MAX_TOUCHES
     more = f" {left} further touches are not listed." if left > 0 else ""
     note = f"A touch is a run of estimates with a contact. RMS error: stated, in the median of its readings.{more}"
-    return HtmlTable(head, rows, note)
+    head = ["touch", "start [s]", "end [s]", "readings", "located", "s [mm]", "force up to [mN]", "RMS error [mm]"]
+    after = [("Touches", HtmlTable(head, listed, note)), ("Estimates by result", by_result)]
+    title = f"{estimates.recording.path.name}: located touches"
+    return report_page(
+        title, about, None, _figures(rows), opened=after, verdict=verdict(estimates), first=first, style=STYLE
+    )
 
 
 def _figures(rows: Sequence[Row]) -> list[ReportFigure]:

@@ -37,32 +37,6 @@ def error_size_chart(trials: Sequence[ValidatedTest]) -> Chart:
     return chart
 
 
-def nees_chart(trials: Sequence[ValidatedTest]) -> Chart:
-    """Return the sorted normalised errors squared against the quantiles of their χ² distribution."""
-    errors = [trial.contact_error for trial in trials if trial.measured and trial.contact_error is not None]
-    scaled = sorted(error.nees / error.dof for error in errors)
-    dof, n = errors[0].dof if errors else 3, len(scaled)
-    expected = (chi2.ppf((np.arange(n) + 0.5) / max(n, 1), dof) / dof).tolist()
-    high = max([*scaled, *expected, 1.0]) * 1.1
-    chart = Chart(
-        ChartAxis("expected quantile of the NEES per degree of freedom", 0.0, high),
-        ChartAxis("NEES per degree of freedom", 0.0, high),
-    )
-    chart.line([0.0, high], [0.0, high], "#888", "5 2", name="consistent")
-    chart.line(expected, scaled, ESTIMATED, mark="o", name="touches")
-    return chart
-
-
-def internal_load_chart(shape: Equilibrium, what: str) -> Chart:
-    """Return internal force or moment along the probe."""
-    s, values = internal_load(shape, what)
-    unit = "internal force [mN]" if what == "force" else "internal moment [N·mm]"
-    chart = Chart(ChartAxis("arclength s [mm]", 0.0, float(s[-1]) / MM), ChartAxis.spanning(unit, values))
-    for i, (axis, dashes) in enumerate(zip("xyz", DASHES, strict=False)):
-        chart.line(s / MM, values[:, i], COLOURS[i + 1], dashes, name=axis)
-    return chart
-
-
 def internal_load(shape: Equilibrium, what: str) -> tuple[Array, Array]:
     """Return arclengths [m], (k,), and internal force [mN] or moment [N·mm], on both sides of the contact, (k, 3)."""
     length = float(shape.s[-1])
@@ -213,13 +187,24 @@ def _figures(validation: ValidationReport) -> list[ReportFigure]:
     located = [trial for trial in validation.judged if trial.contact_error is not None]
     if not located:
         return []
+    errors = [trial.contact_error for trial in located if trial.measured and trial.contact_error is not None]
+    scaled = sorted(error.nees / error.dof for error in errors)
+    dof, n = errors[0].dof if errors else 3, len(scaled)
+    expected = (chi2.ppf((np.arange(n) + 0.5) / max(n, 1), dof) / dof).tolist()
+    high = max([*scaled, *expected, 1.0]) * 1.1
+    nees = Chart(
+        ChartAxis("expected quantile of the NEES per degree of freedom", 0.0, high),
+        ChartAxis("NEES per degree of freedom", 0.0, high),
+    )
+    nees.line([0.0, high], [0.0, high], "#888", "5 2", name="consistent")
+    nees.line(expected, scaled, ESTIMATED, mark="o", name="touches")
     return [
         ReportFigure("Stated and measured error", "Distance of each contact from the reference against the RMS "
                 "distance stated by estimate and reference. About two of three should lie below the line.",
                 error_size_chart(located).svg()),
         ReportFigure("Consistency of the stated covariance", "Normalised estimation error squared, sorted, against "
                 "the quantiles of its distribution. Above the line the stated covariance is too small.",
-                nees_chart(located).svg()),
+                nees.svg()),
     ]  # fmt: skip
 
 
@@ -234,9 +219,14 @@ def _internal_loads(validation: ValidationReport) -> list[ReportFigure]:
         caption = "In base axes."
         if trial.kind != "free":
             caption += " At the contact the force jumps, and the moment by the couple of that force about the axis."
-        for what in ("force", "moment"):
+        for what, unit in (("force", "mN"), ("moment", "N·mm")):
+            s, values = internal_load(trial.shape, what)
+            chart = Chart(ChartAxis("arclength s [mm]", 0.0, float(s[-1]) / MM),
+                          ChartAxis.spanning(f"internal {what} [{unit}]", values))  # fmt: skip
+            for i, (axis, dashes) in enumerate(zip("xyz", DASHES, strict=False)):
+                chart.line(s / MM, values[:, i], COLOURS[i + 1], dashes, name=axis)
             heading = f"Internal {what}: {trial.test.name}, {_words(trial)}"
-            sections.append(ReportFigure(heading, caption, internal_load_chart(trial.shape, what).svg()))
+            sections.append(ReportFigure(heading, caption, chart.svg()))
     return sections
 
 
