@@ -168,13 +168,10 @@ def _implausible(test: Test, campaign: Campaign, model: ProbeModel) -> str:
                 "the base?")  # fmt: skip
     if known > model.wrench_range[:3].max():
         return f"known force of {known:.4g} N exceeds the sensor's range; millinewtons in a column of newtons?"
-    return "" if np.isnan(test.tip_sag) else _implausible_sag(test, model)
-
-
-def _implausible_sag(test: Test, model: ProbeModel) -> str:
-    """Return what is wrong with a sag: longer than the probe, of the wrong sign, or far from the design's."""
+    if np.isnan(test.tip_sag):
+        return ""
     sag, margin, designed = test.tip_sag, DEVIATIONS * test.std_sag, 0.0
-    value, length, gravity = f"tip_sag_mm = {sag / MM:.4g}", model.rod.length, test.gravity_base
+    value, gravity = f"tip_sag_mm = {sag / MM:.4g}", test.gravity_base
     if test.free and gravity.any() and (free := model.rod.solve(gravity)).ok:
         displacement = free.p_at(length) - np.array([0.0, 0.0, length])
         designed = float(displacement @ gravity / np.linalg.norm(gravity))
@@ -191,14 +188,18 @@ def _implausible_sag(test: Test, model: ProbeModel) -> str:
 def _check_metres(campaign: Campaign, model: ProbeModel) -> None:
     """Refuse places of one kind that are all within a hundredth of the probe from its base; `check_marker_order`
     refuses markers that are too far."""
+
+    def farthest_from_base(test: Test, p_world: Array) -> float:
+        return float(np.linalg.norm(p_world - test.T_world_base[:3, 3], axis=-1).max())
+
     kinds: list[tuple[str, list[tuple[Test, str, float]]]] = [
         ("s_contact_mm = {} is the largest",
          [(test, TESTS, test.s_contact) for test in campaign.tests if not np.isnan(test.s_contact)]),
         ("contact is {} mm from the base, the farthest",
-         [(test, TESTS, _farthest(test, test.p_contact_world[None])) for test in campaign.tests
+         [(test, TESTS, farthest_from_base(test, test.p_contact_world)) for test in campaign.tests
           if test.p_contact_world is not None]),
         ("a marker is {} mm from the base, the farthest",
-         [(test, test.markers.file, _farthest(test, test.markers.p_world)) for test in campaign.tests
+         [(test, test.markers.file, farthest_from_base(test, test.markers.p_world)) for test in campaign.tests
           if test.markers is not None]),
     ]  # fmt: skip
     for words, distances in kinds:
@@ -206,10 +207,6 @@ def _check_metres(campaign: Campaign, model: ProbeModel) -> None:
         if test is not None and farthest < model.rod.length / UNIT_FACTOR:
             problem = words.format(f"{farthest / MM:.4g}")
             _refuse(campaign, file, test, f"{problem}, {_length(model)}; metres in a column of millimetres?")
-
-
-def _farthest(test: Test, p_world: Array) -> float:
-    return float(np.linalg.norm(p_world - test.T_world_base[:3, 3], axis=1).max())
 
 
 def _check_range(campaign: Campaign, model: ProbeModel) -> None:
@@ -260,26 +257,22 @@ class MeasuredPush:
     force: Array  #: by the sensor, less weight and readings of the free probe, in base axes [N], (3,).
     margin: float  #: for noise and drift [N].
 
-    def contradicts(self, known: Array) -> bool:
-        """Return whether the force cannot be the known one [N], (3,)."""
-        return bool(np.linalg.norm(self.force - known) > HALF * np.linalg.norm(known) + self.margin)
-
 
 def _pushes(campaign: Campaign, model: ProbeModel) -> list[MeasuredPush]:
     """Return the measured push of every loaded test with readings."""
-    off = {test.name: test.mean_wrench_base(model)[:3] - model.mass * test.gravity_base
-           for test in campaign.tests if len(test.wrenches)}  # fmt: skip
-    free = [off[test.name] for test in campaign.tests if test.free and test.name in off]
+    read = {test.name: test.mean_wrench_base(model)[:3] - model.mass * test.gravity_base
+            for test in campaign.tests if len(test.wrenches)}  # fmt: skip
+    free = [read[test.name] for test in campaign.tests if test.free and test.name in read]
     zero = np.mean(free, axis=0) if free else np.zeros(3)
     # Without a free test, a tare may have removed the whole weight.
     weight = 0.0 if free else model.mass * float(np.linalg.norm(campaign.gravity_world))
     drift = Tolerances.of(model).drift_steps ** 2 * model.averaging_samples
-    found = []
+    pushes = []
     for test in campaign.tests:
-        if test.name in off and not test.free:
+        if test.name in read and not test.free:
             std = model.noise.force * math.sqrt(2.0 * (1.0 / len(test.wrenches) + drift))
-            found.append(MeasuredPush(test, off[test.name] - zero, DEVIATIONS * std + weight))
-    return found
+            pushes.append(MeasuredPush(test, read[test.name] - zero, DEVIATIONS * std + weight))
+    return pushes
 
 
 def _check_loads(campaign: Campaign, pushes: list[MeasuredPush]) -> None:
@@ -290,7 +283,8 @@ def _check_loads(campaign: Campaign, pushes: list[MeasuredPush]) -> None:
         if (force := push.test.force_base) is not None
         and max(np.linalg.norm(force), np.linalg.norm(push.force)) > 2.0 * push.margin
     ]
-    wrong = [(push, force) for push, force in loads if push.contradicts(force)]
+    wrong = [(push, force) for push, force in loads
+             if np.linalg.norm(push.force - force) > HALF * np.linalg.norm(force) + push.margin]  # fmt: skip
     if 2 * len(wrong) > len(loads):
         push, force = max(wrong, key=lambda pair: float(pair[1] @ pair[1]))
         _refuse(campaign, TESTS, push.test,

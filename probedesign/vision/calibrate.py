@@ -156,21 +156,6 @@ def _depths(P: Array, points_world: Array) -> Array:
     return depth[..., 0]
 
 
-def _pixels_of(P: Array, points_world: Array) -> Array:
-    images = points_world @ np.swapaxes(P[..., :3], -1, -2) + P[..., None, :, 3]
-    with np.errstate(divide="ignore", invalid="ignore"):  # a bad choice of points may put one at infinity
-        return np.asarray(images[..., :2] / images[..., 2:])
-
-
-def _decomposed(P: Array) -> tuple[Array, Array, Array]:
-    """Return K, R and centre of a projection; R has determinant -1 if the picture is mirrored."""
-    K, R = rq(P[:, :3])
-    signs = np.sign(np.diag(K))
-    K, R = K * signs, signs[:, None] * R
-    centre = -np.linalg.solve(P[:, :3], P[:, 3])
-    return np.asarray(K / K[2, 2], dtype=float), np.asarray(R), np.asarray(centre)
-
-
 def scaled(points: Array) -> tuple[Array, Array]:
     """Return points (..., n, k) about their mean in units of their spread, and the map (..., k + 1, k + 1) to them."""
     k = points.shape[-1]
@@ -224,7 +209,13 @@ def calibrate(
             f"({control.named(left_out)}); check their order and their units"
         )
     control.subset(inside).check_depth(max(FLAT_PX, 5 * camera.std_px))
-    _check_known(camera, control)
+    focal = float(np.sqrt(max(camera.cov[0, 0], camera.cov[1, 1])) / min(camera.K[0, 0], camera.K[1, 1]))
+    if not focal < MAX_FOCAL_STD:
+        control.fail(f"its control points determine the focal length only to ±{focal:.0%}; spread them more in depth")
+    if (camera.depth(control.points_world) <= 0).any():
+        control.fail("control points lie on both sides of it; check their order and their pixels")
+    if camera.folds(control.points_world):
+        control.fail(f"{len(camera.distortion)} distortion coefficients fit no lens; fit fewer")
     residuals = control.pixels - camera.project(control.points_world)
     outliers = tuple(label for label, out in zip(control.labels, left_out, strict=True) if out)
     return replace(camera, residuals_px=residuals, outliers=outliers)
@@ -240,7 +231,9 @@ def _start(control: ControlPoints) -> NDArray[np.bool_]:
         return np.ones(number, dtype=bool)
     shuffled = np.random.default_rng(0).random((SAMPLES, number)).argsort(axis=1)[:, :SAMPLE_SIZE]
     P = _projections(control.points_world[shuffled], control.pixels[shuffled])
-    error = np.linalg.norm(_pixels_of(P, control.points_world) - control.pixels, axis=2)
+    images = control.points_world @ np.swapaxes(P[..., :3], -1, -2) + P[..., None, :, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):  # a bad choice of points may put one at infinity
+        error = np.linalg.norm(images[..., :2] / images[..., 2:] - control.pixels, axis=2)
     error = np.nan_to_num(error, nan=np.inf)
     kept = max(SAMPLE_SIZE + 1, (2 * number) // 3)
     best = error[np.argmin(np.median(error, axis=1))]
@@ -262,10 +255,10 @@ def _fitted(control: ControlPoints, distortion: int) -> Camera:
         return np.asarray(moved.by_parameters(control.points_world).reshape(-1, len(scale)) * scale)
 
     # The rotation is counted from the start's; its derivative at a step of a thousandth is near enough to converge.
-    found = least_squares(residuals, np.zeros(len(scale)), derivative, method="lm", xtol=1e-14, ftol=1e-14)
-    camera = start.moved(found.x * scale)
+    fit = least_squares(residuals, np.zeros(len(scale)), derivative, method="lm", xtol=1e-14, ftol=1e-14)
+    camera = start.moved(fit.x * scale)
     spare = 2 * len(control.labels) - len(scale)
-    std_px = float(np.sqrt(2 * found.cost / spare))
+    std_px = float(np.sqrt(2 * fit.cost / spare))
     student = std_px * np.sqrt(spare / (spare - 2)) if spare > 2 else max(std_px, CLICK_PX)
     jacobian = camera.by_parameters(control.points_world).reshape(-1, len(scale)) * scale
     if np.linalg.cond(jacobian) > MAX_CONDITION:
@@ -283,12 +276,15 @@ def _linear(control: ControlPoints, distortion: int) -> Camera:
         control.fail(
             f"control {control.named(rear)} would lie behind it; check the order of the points and their pixels"
         )
-    K, R, centre = _decomposed(P)
+    K, R = rq(P[:, :3])
+    signs = np.sign(np.diag(K))
+    K, R, centre = K * signs, signs[:, None] * R, -np.linalg.solve(P[:, :3], P[:, 3])
     if np.linalg.det(R) < 0:
         control.fail("its control points are mirrored: the world's axes must be right-handed, u count to the right and "
                      "v downwards")  # fmt: skip
     number = LINEAR + distortion
-    return Camera(control.camera, K, R, centre, np.zeros(distortion), np.zeros((number, number)))
+    return Camera(control.camera, np.asarray(K / K[2, 2], dtype=float), np.asarray(R), np.asarray(centre),
+                  np.zeros(distortion), np.zeros((number, number)))  # fmt: skip
 
 
 def _scale(camera: Camera, points_world: Array) -> Array:
@@ -321,17 +317,6 @@ def _fits(camera: Camera, control: ControlPoints, inside: NDArray[np.bool_]) -> 
             allowed = stats.f.isf(FALSE_ALARM / len(residual), 2, free)
             fits[i] = share / 2 <= allowed * max(rest / free, MIN_NOISE_PX**2)
     return fits
-
-
-def _check_known(camera: Camera, control: ControlPoints) -> None:
-    """Refuse a camera that the points do not determine."""
-    focal = float(np.sqrt(max(camera.cov[0, 0], camera.cov[1, 1])) / min(camera.K[0, 0], camera.K[1, 1]))
-    if not focal < MAX_FOCAL_STD:
-        control.fail(f"its control points determine the focal length only to ±{focal:.0%}; spread them more in depth")
-    if (camera.depth(control.points_world) <= 0).any():
-        control.fail("control points lie on both sides of it; check their order and their pixels")
-    if camera.folds(control.points_world):
-        control.fail(f"{len(camera.distortion)} distortion coefficients fit no lens; fit fewer")
 
 
 def locate(camera: Camera, points_world: ArrayLike, pixels: ArrayLike, labels: Sequence[str]) -> Camera:
@@ -380,17 +365,17 @@ def locate(camera: Camera, points_world: ArrayLike, pixels: ArrayLike, labels: S
 
     def residuals(step: Array) -> Array:
         """Return the residuals of the pixels and of the prior over their standard deviations."""
-        off = moved(step).project(points[inside]) - seen[inside]
-        return np.concatenate([off.ravel() / std_px, prior @ step])
+        residual = moved(step).project(points[inside]) - seen[inside]
+        return np.concatenate([residual.ravel() / std_px, prior @ step])
 
     step = np.zeros(len(free))
     for _ in range(8):
         step = least_squares(residuals, step, rows, method="lm").x
-        off = seen - moved(step).project(points)
-        std_px = max(float(np.sqrt(np.mean(off[inside] ** 2) * inside.sum() / max(inside.sum() - 3, 1))), MIN_NOISE_PX)
-        spread = 1.4826 * float(np.median(np.abs(off)))  # the normal standard deviation, without outliers
+        miss, n = seen - moved(step).project(points), inside.sum()
+        std_px = max(float(np.sqrt(np.mean(miss[inside] ** 2) * n / max(n - 3, 1))), MIN_NOISE_PX)
+        spread = 1.4826 * float(np.median(np.abs(miss)))  # the normal standard deviation, without outliers
         limit = stats.chi2.isf(FALSE_ALARM / len(points), 2) * max(spread, MIN_NOISE_PX) ** 2
-        fits = np.sum(off**2, axis=1) <= limit
+        fits = np.sum(miss**2, axis=1) <= limit
         if (fits == inside).all():
             break
         inside = fits
@@ -402,7 +387,7 @@ def locate(camera: Camera, points_world: ArrayLike, pixels: ArrayLike, labels: S
     cov = np.zeros((len(scale), len(scale)))
     J = rows(step)
     cov[np.ix_(free, free)] = np.linalg.inv(J.T @ J) * np.outer(scale[free], scale[free])
-    placed = replace(moved(step), cov=cov, std_px=std_px, residuals_px=off,
+    placed = replace(moved(step), cov=cov, std_px=std_px, residuals_px=miss,
                      outliers=tuple(label for label, fit in zip(labels, inside, strict=True) if not fit))  # fmt: skip
     if (placed.depth(points) <= 0).any():
         control.fail("control points lie behind it; check their order and their pixels")

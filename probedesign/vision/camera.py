@@ -92,22 +92,21 @@ class Camera:
 
     def project(self, points_world: ArrayLike) -> Array:
         """Project points in front of the camera [m], (..., 3), into the picture: pixels u, v (..., 2)."""
-        seen = self._plane(points_world)
-        return np.asarray(self._pixels(self._bent(seen)))
+        return np.asarray(self._bent(self._plane(points_world)) @ self.K[:2, :2].T + self.K[:2, 2])
 
     def rays(self, pixels: ArrayLike) -> Array:
         """Return the directions of pixels u, v (..., 2) in the world, unit vectors (..., 3)."""
-        off = np.asarray(pixels, dtype=float) - self.K[:2, 2]
-        down = off[..., 1] / self.K[1, 1]
-        bent = np.stack([(off[..., 0] - self.K[0, 1] * down) / self.K[0, 0], down], axis=-1)
+        centred = np.asarray(pixels, dtype=float) - self.K[:2, 2]
+        down = centred[..., 1] / self.K[1, 1]
+        bent = np.stack([(centred[..., 0] - self.K[0, 1] * down) / self.K[0, 0], down], axis=-1)
         seen = bent.copy()
         # a step gains a factor |3 k1 r²|, a fifth or less for any lens used for measuring
         for _ in range(30 if len(self.distortion) else 0):
-            off = bent - self._bent(seen)
-            seen = seen + off
-            if not np.nanmax(np.abs(off), initial=0.0) > 1e-13:
+            step = bent - self._bent(seen)
+            seen = seen + step
+            if not np.nanmax(np.abs(step), initial=0.0) > 1e-13:
                 break
-        directions = _homogeneous(seen) @ self.R_camera_world
+        directions = np.concatenate([seen, np.ones((*seen.shape[:-1], 1))], axis=-1) @ self.R_camera_world
         return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
 
     def by_point(self, points_world: Array) -> Array:
@@ -179,15 +178,7 @@ class Camera:
             bending = bending + coefficient * slope
         return bending
 
-    def _pixels(self, bent: Array) -> Array:
-        return bent @ self.K[:2, :2].T + self.K[:2, 2]
-
     def _by_axes(self, points_world: Array) -> Array:
         seen, depth = self._plane(points_world), self.depth(points_world)
         plane = np.concatenate([np.broadcast_to(np.eye(2), (len(seen), 2, 2)), -seen[:, :, None]], axis=2)
         return np.asarray(self.K[:2, :2] @ self._bending(seen) @ plane / depth[:, None, None])
-
-
-def _homogeneous(points: ArrayLike) -> Array:
-    points = np.asarray(points, dtype=float)
-    return np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1)

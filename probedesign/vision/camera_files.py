@@ -63,14 +63,14 @@ class _Document:
         if isinstance(value, Mapping):
             value = value.get("data")
         try:
-            found = np.array(value, dtype=float).ravel()
+            numbers = np.array(value, dtype=float).ravel()
         except (TypeError, ValueError, OverflowError):
             raise self.fail(f"{key} is not a matrix of numbers") from None
-        if len(found) not in counts:
-            raise self.fail(f"{key} has {len(found)} numbers; {' or '.join(map(str, counts))} are needed")
-        if not np.isfinite(found).all():
+        if len(numbers) not in counts:
+            raise self.fail(f"{key} has {len(numbers)} numbers; {' or '.join(map(str, counts))} are needed")
+        if not np.isfinite(numbers).all():
             raise self.fail(f"{key} has a number that is not finite")
-        return found
+        return numbers
 
     def number(self, key: str) -> float:
         return float(self.numbers(key, (1,))[0])
@@ -93,9 +93,8 @@ def read_camera_files(
             camera; one line.
     """
     documents = [_read(path) for path in paths]
-    merged = _Document(
-        ", ".join(str(path) for path in paths), {k: v for one in documents for k, v in one.values.items()}
-    )
+    values = {key: value for document in documents for key, value in document.values.items()}
+    merged = _Document(", ".join(map(str, paths)), values)
     poses: dict[str, Array] = {}
     if "cam0" in merged.values:
         cameras = _kalibr(merged, names)
@@ -116,18 +115,26 @@ def read_camera_files(
         if poses and len(poses) < len(names):
             lacking = next(name for name in names if name not in poses)
             raise merged.fail(f"camera {lacking} has no R and T, but another camera has; all or none state their pose")
-    found, notes = [], []
+    located, notes = [], []
     for camera, error in zip(cameras, errors, strict=True):
         px = reprojection_px or error or ASSUMED_PX
         source = "given in campaign.toml" if reprojection_px else "of the file" if error else "assumed"
         notes.append(f"camera {camera.name}: calibration file, reprojection error {px:g} px ({source})")
-        found.append(_uncertain(camera, px, poses.get(camera.name), target_world, merged))
-    for a, b in combinations(found if poses else (), 2):
+        distance, T = 0.0, poses.get(camera.name)  # T_camera_world
+        if T is not None:
+            centre = -T[:3, :3].T @ T[:3, 3]
+            distance = float(np.linalg.norm(centre - target_world))
+            if not DISTANCE[0] < distance < DISTANCE[1]:
+                raise merged.fail(f"camera {camera.name} would be {distance:.3g} m from the base of the probe; check "
+                                  "cameras.length_unit and base.p_world_mm in campaign.toml")  # fmt: skip
+            camera = replace(camera, R_camera_world=T[:3, :3], p_world=centre)
+        located.append(replace(camera, cov=assumed_covariance(camera, px, distance), std_px=px))
+    for a, b in combinations(located if poses else (), 2):
         baseline = float(np.linalg.norm(a.p_world - b.p_world))
         if not BASELINE[0] < baseline < BASELINE[1]:
             raise merged.fail(f"cameras {a.name} and {b.name} would be {baseline:.3g} m apart; check "
                               "cameras.length_unit in campaign.toml")  # fmt: skip
-    return StatedCalibration(tuple(found), bool(poses), tuple(notes))
+    return StatedCalibration(tuple(located), bool(poses), tuple(notes))
 
 
 # formats
@@ -181,7 +188,7 @@ def _from_xml(path: Path, text: str) -> dict[str, Any]:
         raise InputError(f"{path}: is not plain XML: it declares entities") from None
     if root.tag != "opencv_storage":
         raise InputError(f"{path}: is XML, but not of OpenCV: its root is {quoted(root.tag)}")
-    words = {one.tag: (one.findtext("data") or one.text or "").split() for one in root}
+    words = {entry.tag: (entry.findtext("data") or entry.text or "").split() for entry in root}
     return {tag: value[0] if len(value) == 1 else value for tag, value in words.items()}
 
 
@@ -208,21 +215,20 @@ def _kalibr(document: _Document, names: Sequence[str]) -> list[Camera]:
         raise document.fail(f"has {len(chain)} cameras, but cameras.names {len(names)}")
     cameras: list[Camera] = []
     for i, (name, values) in enumerate(zip(names, chain, strict=True)):
-        one = _Document(f"{document.name}: cam{i}", values if isinstance(values, dict) else {})
+        of_camera = _Document(f"{document.name}: cam{i}", values if isinstance(values, dict) else {})
         for key in ("camera_model", "distortion_model", "intrinsics", "distortion_coeffs"):
-            if key not in one.values:
-                raise one.fail(f"has no {key}")
+            if key not in of_camera.values:
+                raise of_camera.fail(f"has no {key}")
         for key, known in (("camera_model", {"pinhole"}), ("distortion_model", PINHOLE)):
-            model = str(one.values[key])
+            model = str(of_camera.values[key])
             if model not in known:
-                raise one.fail(f"{key} {quoted(model)} is not supported; calibrate with pinhole-radtan")
-        fu, fv, u, v = one.numbers("intrinsics", (4,))
+                raise of_camera.fail(f"{key} {quoted(model)} is not supported; calibrate with pinhole-radtan")
+        fu, fv, u, v = of_camera.numbers("intrinsics", (4,))
         K = np.array([[fu, 0.0, u], [0.0, fv, v], [0.0, 0.0, 1.0]])
         size = None
-        if "resolution" in one.values:
-            width, height = one.numbers("resolution", (2,))
-            size = _whole(one, width, height)
-        cameras.append(_camera(one, name, K, one.numbers("distortion_coeffs", (0, 4)), size))
+        if "resolution" in of_camera.values:
+            size = _whole(of_camera, *of_camera.numbers("resolution", (2,)))
+        cameras.append(_camera(of_camera, name, K, of_camera.numbers("distortion_coeffs", (0, 4)), size))
     return cameras
 
 
@@ -291,18 +297,14 @@ def _stated_pose(document: _Document, unit: float | None) -> Array | None:
 
         R = Rotation.from_rotvec(numbers).as_matrix()
     else:
-        R = _rotation(document, turn, numbers.reshape(3, 3))
+        R = numbers.reshape(3, 3)
+        if np.abs(R.T @ R - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(R) < 0:
+            raise document.fail(
+                f"{turn} is not a rotation: its columns are not of unit length at right angles, or it mirrors"
+            )
+        U, _, Vh = np.linalg.svd(R)  # the nearest rotation, without the rounding
+        R = U @ Vh
     return pose(R, unit * document.numbers(shift, (3,)))
-
-
-def _rotation(document: _Document, key: str, R: Array) -> Array:
-    """Return the rotation nearest to a matrix that is one but for rounding."""
-    if np.abs(R.T @ R - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(R) < 0:
-        raise document.fail(
-            f"{key} is not a rotation: its columns are not of unit length at right angles, or it mirrors"
-        )
-    U, _, Vh = np.linalg.svd(R)
-    return np.asarray(U @ Vh)
 
 
 # uncertainty
@@ -326,16 +328,3 @@ def assumed_covariance(camera: Camera, px: float, distance: float) -> Array:
     std = [*2 * [share / radius], 0.0, *2 * [share], *3 * [share / focal], *3 * [share * distance / focal],
            *bends[: len(camera.distortion)]]  # fmt: skip
     return np.diag(np.square(std))
-
-
-def _uncertain(camera: Camera, px: float, T: Array | None, target: Array, document: _Document) -> Camera:
-    """Return a camera with its pose T_camera_world, if stated, and its assumed covariance."""
-    distance = 0.0
-    if T is not None:
-        centre = -T[:3, :3].T @ T[:3, 3]
-        distance = float(np.linalg.norm(centre - target))
-        if not DISTANCE[0] < distance < DISTANCE[1]:
-            raise document.fail(f"camera {camera.name} would be {distance:.3g} m from the base of the probe; check "
-                                "cameras.length_unit and base.p_world_mm in campaign.toml")  # fmt: skip
-        camera = replace(camera, R_camera_world=T[:3, :3], p_world=centre)
-    return replace(camera, cov=assumed_covariance(camera, px, distance), std_px=px)

@@ -4,6 +4,7 @@ The model of a dot is an ellipse with a blurred edge, bent round the probe, on a
 Least squares on the grey levels estimate its centre and the standard deviation.
 """
 
+import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -70,10 +71,10 @@ def detect_spots(grey: NDArray[np.uint8], dark: bool) -> DetectedSpots:
     settings.minThreshold, settings.maxThreshold = 5, 250
     settings.minDistBetweenBlobs = 3
     # Unsmoothed grain has ten thousand outlines per threshold and takes nine tenths of the time.
-    found = cv2.SimpleBlobDetector.create(settings).detect(cv2.GaussianBlur(grey, (3, 3), GRAIN_PX))
-    found = sorted(found, key=lambda spot: -spot.size)[:MAX_SPOTS]
-    pixels = np.array([spot.pt for spot in found], dtype=float).reshape(-1, 2)
-    return DetectedSpots(pixels, np.array([spot.size for spot in found], dtype=float), dark)
+    spots = cv2.SimpleBlobDetector.create(settings).detect(cv2.GaussianBlur(grey, (3, 3), GRAIN_PX))
+    spots = sorted(spots, key=lambda spot: -spot.size)[:MAX_SPOTS]
+    pixels = np.array([spot.pt for spot in spots], dtype=float).reshape(-1, 2)
+    return DetectedSpots(pixels, np.array([spot.size for spot in spots], dtype=float), dark)
 
 
 @dataclass(frozen=True)
@@ -114,8 +115,12 @@ def _fitted(grey: NDArray[np.uint8], pixel: Array, shape: Array, along: Array) -
     start = _start(offsets, levels, shape)
     if start is None or len(levels) < len(start) + 10:
         return None
-    view, radius = _view(shape, along), float(1 / np.sqrt(np.linalg.det(shape)))
-    weight = ROBUST / SUNK
+    # On a round probe: the vector whose product with an offset is its distance round the probe, in radii of the dot
+    # [1/px], and the displacement of a point that sinks by the dot's radius [px].
+    axis, ((wide, narrow), axes) = shape @ along, np.linalg.eigh(shape)
+    around = np.array([-axis[1], axis[0]]) / np.linalg.norm(axis) @ shape
+    view = around, axes[:, 1] / wide * np.sqrt(1 - (wide / narrow) ** 2)
+    weight, radius = ROBUST / SUNK, float(1 / np.sqrt(np.linalg.det(shape)))
 
     def residual(values: Array) -> Array:
         """Return the grey levels' residuals and the prior's."""
@@ -125,9 +130,8 @@ def _fitted(grey: NDArray[np.uint8], pixel: Array, shape: Array, along: Array) -
         """Return the derivatives of the residuals."""
         return np.vstack([_by_values(values, offsets, view), weight * np.eye(len(values))[SINK]])
 
-    found = least_squares(residual, start, by_values, loss="soft_l1", f_scale=ROBUST, x_scale=np.abs(start) + 0.1,
-                          xtol=1e-5, ftol=1e-6, max_nfev=60)  # fmt: skip
-    values = found.x
+    values = least_squares(residual, start, by_values, loss="soft_l1", f_scale=ROBUST, x_scale=np.abs(start) + 0.1,
+                           xtol=1e-5, ftol=1e-6, max_nfev=60).x  # fmt: skip
     fitted = np.array([[values[2], values[3]], [values[3], values[4]]])
     if not (np.linalg.eigvalsh(fitted) > 0).all() or np.hypot(*values[:2]) > radius:
         return None
@@ -162,16 +166,6 @@ def patch_of(residual: Array, offsets: Array) -> float:
     by_lag = np.bincount(lag.ravel(), correlation.ravel()) / np.bincount(lag.ravel())
     end = int(np.argmax(by_lag <= 0)) if (by_lag <= 0).any() else len(by_lag)
     return max(float(correlation[lag < end].sum()), 1.0)
-
-
-def _view(shape: Array, along: Array) -> tuple[Array, Array]:
-    """Return the view of a dot on a round probe: the vector whose product with an offset is its distance round the
-    probe, in radii of the dot [1/px], (2,), and the displacement of a point that sinks by the dot's radius
-    [px], (2,)."""
-    axis = shape @ along
-    around = np.array([-axis[1], axis[0]]) / np.linalg.norm(axis) @ shape
-    (wide, narrow), ways = np.linalg.eigh(shape)
-    return np.asarray(around), np.asarray(ways[:, 1] / wide * np.sqrt(1 - (wide / narrow) ** 2))
 
 
 def _window(grey: NDArray[np.uint8], pixel: Array, shape: Array) -> tuple[Array, Array]:
@@ -351,7 +345,7 @@ class SequenceSearch:
             best = rows[0]
             if len(best.chosen) == len(self.s):
                 break
-            longer = [one for row in rows for one in self._longer(row)]
+            longer = itertools.chain.from_iterable(map(self._longer, rows))
             rows = sorted(longer, key=lambda row: row.cost)[:BEAM]
         return best
 
@@ -370,20 +364,18 @@ class SequenceSearch:
             nearest = np.argsort(np.where(alike, np.linalg.norm(pixels - pixel, axis=1), np.inf))
             for j in nearest[: NEIGHBOURS + 1]:
                 if j != i and alike[j] and self._base_distance(pixel) < self._base_distance(pixels[j]):
-                    rows.append(MarkerSequence((i, int(j)), self._start_cost(pixel, pixels[j])))
+                    cost = 0.0
+                    if not isinstance(self.base, str):  # how far the row, extended to s = 0, misses the base
+                        step = (pixels[j] - pixel) / self._steps[0]
+                        extrapolated = pixel - step * self.s[0] / np.mean(np.diff(self.s))
+                        cost = float(np.sum((extrapolated - self.base) ** 2) / np.sum(step**2))
+                    rows.append(MarkerSequence((i, int(j)), cost))
         return sorted(rows, key=lambda row: row.cost)
 
     def _base_distance(self, pixel: Array) -> float:
         if isinstance(self.base, str):
             return float(np.dot(pixel, AWAY[self.base]))
         return float(np.linalg.norm(pixel - self.base))
-
-    def _start_cost(self, first: Array, second: Array) -> float:
-        if isinstance(self.base, str):
-            return 0.0
-        step = (second - first) / self._steps[0]
-        extrapolated = first - step * self.s[0] / np.mean(np.diff(self.s))
-        return float(np.sum((extrapolated - self.base) ** 2) / np.sum(step**2))
 
     def _longer(self, row: MarkerSequence) -> list[MarkerSequence]:
         """Return the row with one more spot, for each spot that continues it."""
@@ -445,7 +437,7 @@ def find_markers(path: Path, s: ArrayLike, base: Array | ImageSide, dark: bool |
             f"{path}: {count}, but {len(places)} are expected (the markers' s_mm); dots must be sharp, round and all "
             "visible; otherwise click them into pixels.csv"
         )
-    search, row = min(complete, key=lambda one: one[1].cost)
+    search, row = min(complete, key=lambda pair: pair[1].cost)
     if search.continues_beyond(row):
         raise InputError(
             f"{path}: more dots in a row than the {len(places)} expected (the markers' s_mm); cover spots that are not "
@@ -475,7 +467,10 @@ def overlay(grey: NDArray[np.uint8], found: DetectedMarkers) -> NDArray[np.uint8
     require_opencv()
     import cv2
 
-    low, high = _part(grey, found)
+    margin = 0.12 * float(np.ptp(found.pixels, axis=0).max()) + 20.0
+    size = np.array(grey.shape[::-1])
+    low = np.clip(np.floor(found.pixels.min(axis=0) - margin), 0, size - 1).astype(np.int64)
+    high = np.clip(np.ceil(found.pixels.max(axis=0) + margin), low + 1, size).astype(np.int64)
     part = grey[low[1] : high[1], low[0] : high[0]]
     scale = max(1, int(np.ceil(WIDTH_PX / part.shape[1])))
     large = cv2.resize(part, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
@@ -484,7 +479,8 @@ def overlay(grey: NDArray[np.uint8], found: DetectedMarkers) -> NDArray[np.uint8
     pixels = np.array([dot.pixel for dot in found.dots])
     points = np.asarray((pixels - low + 0.5) * scale - 0.5, dtype=np.float64)
     cv2.polylines(picture, [_fixed(points)], False, YELLOW, 1, cv2.LINE_AA, _FRACTION)
-    normals, angle = _normals(points), np.linspace(0.0, 2 * np.pi, 60, endpoint=False)
+    along, angle = np.gradient(points, axis=0), np.linspace(0.0, 2 * np.pi, 60, endpoint=False)
+    normals = np.column_stack([along[:, 1], -along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
     circle = np.array([np.cos(angle), np.sin(angle)])
     for number, (dot, point) in enumerate(zip(found.dots, points, strict=True), 1):
         outline = _fixed(point + scale * np.linalg.solve(dot.shape, circle).T)
@@ -496,19 +492,5 @@ def overlay(grey: NDArray[np.uint8], found: DetectedMarkers) -> NDArray[np.uint8
     return np.asarray(picture, dtype=np.uint8)
 
 
-def _part(grey: NDArray[np.uint8], found: DetectedMarkers) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    margin = 0.12 * float(np.ptp(found.pixels, axis=0).max()) + 20.0
-    size = np.array(grey.shape[::-1])
-    low = np.clip(np.floor(found.pixels.min(axis=0) - margin), 0, size - 1).astype(np.int64)
-    high = np.clip(np.ceil(found.pixels.max(axis=0) + margin), low + 1, size).astype(np.int64)
-    return low, high
-
-
 def _fixed(points: Array) -> NDArray[np.int32]:
     return np.asarray(np.round(points * 2**_FRACTION), dtype=np.int32).reshape(-1, 1, 2)
-
-
-def _normals(points: Array) -> Array:
-    along = np.gradient(points, axis=0)
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    return np.column_stack([along[:, 1], -along[:, 0]])

@@ -71,14 +71,21 @@ def triangulate(
             that contradict each other: swapped cameras, markers out of order.
     """
     seen = observations(cameras, pixels, std_px, labels)
-    found = _located(seen)
-    _check_agreement(seen, found)
-    return found
+    located = _located(seen)
+    _check_agreement(seen, located)
+    return located
 
 
 def _located(seen: MarkerObservations) -> Triangulated:
     """Return the markers, whatever their residuals."""
-    points = _ray_midpoints(seen)
+    # Start from the point with the least squared distances from the rays of each marker.
+    across, target = np.zeros((seen.mask.shape[1], 3, 3)), np.zeros((seen.mask.shape[1], 3))
+    for camera, pixels, mask in zip(seen.cameras, seen.pixels, seen.mask, strict=True):
+        d = camera.rays(np.where(mask[:, None], pixels, 0.0))
+        projector = mask[:, None, None] * (np.eye(3) - d[:, :, None] * d[:, None, :])
+        across += projector
+        target += projector @ camera.p_world
+    points: Array = np.asarray(np.linalg.solve(across, target[..., None])[..., 0])
     weights = _weights(seen, points)
     for _ in range(_ITERATIONS):
         residual, by_point = _linearised(seen, points)
@@ -98,26 +105,14 @@ def _located(seen: MarkerObservations) -> Triangulated:
     return Triangulated(points, np.asarray(cov), np.asarray(cov_noise), residual_px, agreement)
 
 
-def _ray_midpoints(seen: MarkerObservations) -> Array:
-    """Return the point with the least squared distances from the rays of each marker, (m, 3)."""
-    across = np.zeros((seen.mask.shape[1], 3, 3))
-    target = np.zeros((seen.mask.shape[1], 3))
-    for camera, pixels, mask in zip(seen.cameras, seen.pixels, seen.mask, strict=True):
-        d = camera.rays(np.where(mask[:, None], pixels, 0.0))
-        off = mask[:, None, None] * (np.eye(3) - d[:, :, None] * d[:, None, :])
-        across += off
-        target += off @ camera.p_world
-    return np.asarray(np.linalg.solve(across, target[..., None])[..., 0])
-
-
 def _weights(seen: MarkerObservations, points: Array) -> Array:
     """Return the inverse covariance of the pixels of each marker in all cameras, (m, 2c, 2c); zero where unseen."""
     cameras, number = seen.cameras, len(points)
     by = [camera.by_parameters(points) for camera in cameras]
     cov = np.zeros((number, len(cameras), 2, len(cameras), 2))
     for i, camera in enumerate(cameras):
-        own = by[i] @ camera.cov @ np.swapaxes(by[i], 1, 2)
-        cov[:, i, :, i] = own + seen.std_px[i][:, None, None] ** 2 * np.eye(2)
+        calibration = by[i] @ camera.cov @ np.swapaxes(by[i], 1, 2)
+        cov[:, i, :, i] = calibration + seen.std_px[i][:, None, None] ** 2 * np.eye(2)
     size = 2 * len(cameras)
     mask = np.repeat(seen.mask.T, 2, axis=1)
     both = mask[:, :, None] & mask[:, None, :]
@@ -146,57 +141,48 @@ def observations(
         raise InputError(f"pixels must be {len(cameras)} x markers x 2, not {places.shape}")
     number = places.shape[1]
     names = tuple(labels) if labels is not None else tuple(str(i + 1) for i in range(number))
-    own = [max(camera.std_px, MIN_STD_PX) for camera in cameras]
-    std = np.asarray(np.array(own)[:, None] if std_px is None else std_px, dtype=float)
+    of_cameras = [[max(camera.std_px, MIN_STD_PX)] for camera in cameras]
+    std = np.asarray(of_cameras if std_px is None else std_px, dtype=float)
     seen = MarkerObservations(tuple(cameras), names, places, np.broadcast_to(std, places.shape[:2]))
     if not (seen.std_px[seen.mask] > 0).all():
         raise InputError("a pixel's standard deviation must be above 0 px")
-    _check_seen_twice(seen)
-    _check_angles(seen)
-    return seen
-
-
-def _check_seen_twice(seen: MarkerObservations) -> None:
-    """Refuse a marker that fewer than two cameras saw."""
     for label, by in zip(seen.labels, seen.mask.T, strict=True):
-        names = [camera.name for camera, yes in zip(seen.cameras, by, strict=True) if yes]
-        if len(names) < 2:
-            where = f"camera {names[0]} only" if names else "no camera"
+        by_cameras = [camera.name for camera, yes in zip(cameras, by, strict=True) if yes]
+        if len(by_cameras) < 2:
+            where = f"camera {by_cameras[0]} only" if by_cameras else "no camera"
             raise InputError(f"marker {label} is seen by {where}; two must see it: add the other camera's pixel or "
                              "leave it out")  # fmt: skip
-
-
-def _check_angles(seen: MarkerObservations) -> None:
-    """Refuse cameras that see the markers along one line."""
+    # The lines of sight must cross.
     rays = [c.rays(np.nan_to_num(p)) for c, p in zip(seen.cameras, seen.pixels, strict=True)]
-    widest = np.zeros(len(seen.labels))
+    widest = np.zeros(number)
     for i, j in combinations(range(len(rays)), 2):
         across = np.linalg.norm(np.cross(rays[i], rays[j]), axis=1)
         angle = np.degrees(np.arctan2(across, np.abs(np.sum(rays[i] * rays[j], axis=1))))
         widest = np.maximum(widest, np.where(seen.mask[i] & seen.mask[j], angle, 0.0))
-    if len(widest) and np.median(widest) < MIN_ANGLE_DEG:
-        names = " and ".join(camera.name for camera in seen.cameras)
+    if number and np.median(widest) < MIN_ANGLE_DEG:
         raise InputError(
-            f"cameras {names} look along one line: {np.median(widest):.1f}° between their lines of sight give no "
-            f"depth; set them at least {MIN_ANGLE_DEG:.0f}° apart, better 60 to 90°"
+            f"cameras {' and '.join(camera.name for camera in cameras)} look along one line: {np.median(widest):.1f}° "
+            f"between their lines of sight give no depth; set them at least {MIN_ANGLE_DEG:.0f}° apart, better 60 to "
+            "90°"
         )
+    return seen
 
 
-def _check_agreement(seen: MarkerObservations, found: Triangulated) -> None:
+def _check_agreement(seen: MarkerObservations, located: Triangulated) -> None:
     """Refuse pixels that are not of one point, or of one behind a camera.
 
     The error names the likely mistake, a hypothesis in which all pixels agree: swapped cameras, a camera's markers
     numbered from the other end, two exchanged markers; or else the marker with the largest residual.
     """
-    wrong = _wrong(seen, found)
+    wrong = _wrong(seen, located)
     if not wrong.any():
         return
     for mistake, corrected in _outlier_hypotheses(seen, wrong):
         if not _wrong(corrected, _located(corrected)).any():
             raise InputError(f"{mistake}: the pictures agree with this corrected, but not as given")
-    worst = int(np.argmax(np.where(wrong, np.nan_to_num(_max_residual(found), nan=np.inf), -1.0)))
+    worst = int(np.argmax(np.where(wrong, np.nan_to_num(_max_residual(located), nan=np.inf), -1.0)))
     off = " and ".join(f"{np.linalg.norm(r):.1f} px in {camera.name}"
-                       for camera, r in zip(seen.cameras, found.residual_px[:, worst], strict=True)
+                       for camera, r in zip(seen.cameras, located.residual_px[:, worst], strict=True)
                        if np.isfinite(r).all())  # fmt: skip
     many = f" ({np.sum(wrong)} of {len(wrong)} markers are)" if np.sum(wrong) > 1 else ""
     raise InputError(
@@ -205,17 +191,17 @@ def _check_agreement(seen: MarkerObservations, found: Triangulated) -> None:
     )
 
 
-def _wrong(seen: MarkerObservations, found: Triangulated) -> NDArray[np.bool_]:
+def _wrong(seen: MarkerObservations, located: Triangulated) -> NDArray[np.bool_]:
     free = 2 * seen.mask.sum(axis=0) - 3
-    rear = np.array([(c.depth(found.p_world) <= 0) & m for c, m in zip(seen.cameras, seen.mask, strict=True)])
-    improbable = found.agreement * free > stats.chi2.isf(FALSE_ALARM, free)
-    off = improbable & (_max_residual(found) > MIN_RESIDUAL_PX)
-    return np.asarray(rear.any(axis=0) | off | ~np.isfinite(found.p_world).all(axis=1))
+    rear = np.array([(c.depth(located.p_world) <= 0) & m for c, m in zip(seen.cameras, seen.mask, strict=True)])
+    improbable = located.agreement * free > stats.chi2.isf(FALSE_ALARM, free)
+    off = improbable & (_max_residual(located) > MIN_RESIDUAL_PX)
+    return np.asarray(rear.any(axis=0) | off | ~np.isfinite(located.p_world).all(axis=1))
 
 
-def _max_residual(found: Triangulated) -> Array:
+def _max_residual(located: Triangulated) -> Array:
     """Return the largest reprojection error of each marker [px], (m,)."""
-    return np.asarray(np.nanmax(np.linalg.norm(found.residual_px, axis=2), axis=0))
+    return np.asarray(np.nanmax(np.linalg.norm(located.residual_px, axis=2), axis=0))
 
 
 def _outlier_hypotheses(seen: MarkerObservations, wrong: NDArray[np.bool_]) -> Iterator[tuple[str, MarkerObservations]]:
