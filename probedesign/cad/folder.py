@@ -56,14 +56,18 @@ def digests(contents: Mapping[str, bytes]) -> dict[str, dict[str, Any]]:
 
 def write_export(folder: Path, contents: Mapping[str, bytes], manifest: dict[str, Any]) -> dict[str, Any]:
     """Write files and their manifest, all or none, and return the manifest with the folder."""
-    text = json.dumps(manifest, indent=2, ensure_ascii=False, allow_nan=False)
-    row = re.compile(r"\[\n\s+([^\[\]{}\"]*?)\n\s+\]")  # of numbers, which is written on one line
-    text = row.sub(lambda m: "[" + re.sub(r",\n\s+", ", ", m[1]) + "]", text) + "\n"
     with staged(folder) as staging:
         for name, content in contents.items():
             (staging / name).write_bytes(content)
-        (staging / MANIFEST).write_text(text, "utf-8")
+        (staging / MANIFEST).write_text(manifest_json(manifest), "utf-8")
     return {**manifest, "folder": str(folder)}
+
+
+def manifest_json(manifest: dict[str, Any]) -> str:
+    """Return readable JSON: each row of numbers on one line."""
+    text = json.dumps(manifest, indent=2, ensure_ascii=False, allow_nan=False)
+    row = re.compile(r"\[\n\s+([^\[\]{}\"]*?)\n\s+\]")
+    return row.sub(lambda m: "[" + re.sub(r",\n\s+", ", ", m[1]) + "]", text) + "\n"
 
 
 @contextmanager
