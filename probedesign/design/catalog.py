@@ -62,6 +62,9 @@ ELASTIC_FRICTION = Quantity(
     0.6, "assumed", "soft polyurethane on card, plastic or metal: about 0.5 to 1; assumed until measured"
 )
 
+#: Compliance of an object that is not known, scale of a half-normal prior [m/N].
+OBJECT_COMPLIANCE = Quantity(0.05, "assumed", "delicate objects, as a card house, yield by 5 to 50 N/m")
+
 #: E, and G, of a print that was not identified [-].
 STIFFNESS_SPREAD = Quantity(0.1, "assumed", "published values of E of one resin differ by 20 %: half of it")
 #: The same where no measurement of this very resin is known [-].

@@ -8,7 +8,7 @@ from typing import Any
 from probedesign.core.errors import CheckFailedError, InputError, quoted, unknown_name
 from probedesign.core.files import write_atomically
 from probedesign.core.units import MPA
-from probedesign.design.catalog import CUSTOM, RESINS, Quantity, Resin, find
+from probedesign.design.catalog import CUSTOM, OBJECT_COMPLIANCE, RESINS, Quantity, Resin, find
 from probedesign.design.diagnostics import check_toml, read_text, read_toml
 from probedesign.design.schema import Design
 from probedesign.design.sensor_catalog import FILES, SENSORS, load_sensor
@@ -40,6 +40,8 @@ COMMENTS = {
     "sensor.averaging_samples": "samples in one reading",
     "mount.gravity_base_m_s2": "in base axes: z from base to tip, x through the clocking mark",
     "contact.friction": "tangential over normal force, standard deviation of the prior",
+    "contact.object_compliance_m_N": "yielding of the touched object, scale of the half-normal prior; 0 is rigid",
+    "contact.object_walk_mm": "step of a loose object between two touches, standard deviation on each axis",
     "print.scale_xy": "flexible part, printed over drawn, from a coupon; files to print only",
     "print.scale_z": "printed over drawn, along its axis",
     "print.rigid_scale_xy": "rigid parts, printed over drawn",
@@ -178,6 +180,9 @@ def draft_design(
     notes = {f"material.{key}": f"{q.provenance}: {q.source}" for key, (q, _) in _quantities(material).items()}
     source = material.friction.source if friction is None else "assumed until measured"
     notes["contact.friction"] = f"{COMMENTS['contact.friction']}; {source}"
+    notes["contact.object_compliance_m_N"] = (
+        f"{COMMENTS['contact.object_compliance_m_N']}; {OBJECT_COMPLIANCE.provenance}: {OBJECT_COMPLIANCE.source}"
+    )
     if tip_d_mm is None and shape != "cylinder":
         tip_d_mm = default_tip_d_mm(base_d_mm)
         notes["probe.tip_d_mm"] = f"by default base / {TIP_RATIO:g}, at least {MIN_TIP_D_MM:g} mm"
@@ -194,7 +199,10 @@ def draft_design(
         "material": material_keys(material),
         "sensor": _sensor_tables(sensor, notes),
         "mount": {"robot_flange": robot_flange},
-        "contact": {"friction": material.friction.value if friction is None else friction},
+        "contact": {
+            "friction": material.friction.value if friction is None else friction,
+            "object_compliance_m_N": OBJECT_COMPLIANCE.value,
+        },
     }
     return check_design(data), notes
 

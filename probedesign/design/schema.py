@@ -306,12 +306,18 @@ class ContactProvenanceTable(Table):
     """`[contact.provenance]`: provenance of each number of `[contact]`."""
 
     friction: Provenance = "assumed"
+    object_compliance_m_N: Provenance = "assumed"
 
 
 class ContactTable(Table):
-    """`[contact]`: friction of a touch. `inf` leaves the direction of the force free, 0 is frictionless."""
+    """`[contact]`: friction of a touch, and the touched object.
+
+    A friction of `inf` leaves the direction of the force free, 0 is frictionless; a compliance of 0 is a rigid object.
+    """
 
     friction: Annotated[float, Field(ge=0.0, allow_inf_nan=True)] | None = None
+    object_compliance_m_N: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
+    object_walk_mm: Annotated[float, Field(ge=0.0, le=50.0)] | None = None
     provenance: ContactProvenanceTable = ContactProvenanceTable()
 
 
@@ -483,7 +489,9 @@ class Design(Table, Displayed):
         root = ("mount.root_rigid_radii",) if self.mount.root_rigid_radii != 0.0 else ()
         # An infinite friction leaves the direction of the force free: no number is assumed.
         friction, free = self.friction, math.isinf(self.friction.value)
-        contact = ("contact.friction",) if friction.provenance == "assumed" and not free else ()
+        contact: tuple[str, ...] = ("contact.friction",) if friction.provenance == "assumed" and not free else ()
+        if self.contact.object_compliance_m_N != 0.0 and self.contact.provenance.object_compliance_m_N == "assumed":
+            contact += ("contact.object_compliance_m_N",)
         return (
             *dimensions,
             *(f"material.{key}" for key, q in material.items() if q.provenance == "assumed"),

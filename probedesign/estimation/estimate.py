@@ -161,13 +161,19 @@ class FusedEstimate(Tabular):
     """One fixed point touched from several poses. With any result but "ok" the position is NaN."""
 
     result: Result  #: one of `estimate.RESULTS`.
-    #: the touched point of the object, which does not move [m], (3,).
+    #: the touched point of the object at rest, before it yielded [m], (3,).
     p_surface_world: Array = field(default_factory=lambda: _nan(3))
     #: its covariance with every error source counted [m²], (3, 3).
     cov_surface_world: Array = field(default_factory=lambda: _nan(3, 3))
-    #: point of the centreline where the force's line of action comes nearest, the mean over the poses [m], (3,).
+    #: where that point is at the last touch [m], (3,), with its covariance [m²], (3, 3).
+    p_surface_now_world: Array = field(default_factory=lambda: _nan(3))
+    cov_surface_now_world: Array = field(default_factory=lambda: _nan(3, 3))
+    #: point of the centreline where the force's line of action comes nearest at the last touch [m], (3,).
     p_contact_world: Array = field(default_factory=lambda: _nan(3))
     cov_contact_world: Array = field(default_factory=lambda: _nan(3, 3))  #: its covariance [m²], (3, 3).
+    object_compliance: float = float("nan")  #: yielding of the object along the force, -c F: posterior mean of c [m/N].
+    #: shortest interval that contains c with a probability of 95 % [m/N], (2,).
+    object_compliance_interval_95: Array = field(default_factory=lambda: _nan(2))
     #: arclength of that point at each pose, NaN where free [m], (k,).
     s_contact: Array = field(default_factory=lambda: _nan(0))
     force_base: Array = field(default_factory=lambda: _nan(0, 3))  #: at each pose [N], (k, 3).

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, is_pose
 from probedesign.core.statistics import FALSE_ALARM, MISFIT_CHANCE, RIVAL_CHI2, UNIFORM_STD, max_chi2
+from probedesign.core.units import MM
 from probedesign.design.sensors import Noise
 from probedesign.estimation import force_moment, likelihood
 from probedesign.estimation.bias import RAMP_STEPS
@@ -185,6 +186,8 @@ class Estimator:
         touched: ArrayLike | None = None,
         times: ArrayLike | None = None,
         priors: Tolerances | None = None,
+        object_compliance: float | None = None,
+        object_walk: float | None = None,
     ) -> FusedEstimate:
         """Locate one fixed point of the world that the probe touches from several poses of its base.
 
@@ -201,12 +204,16 @@ class Estimator:
             times: of the readings [s], (k,), for the walk of the bias; `WALK_SECONDS` apart if None. Consecutive
                 readings from one pose count as a window of one touch.
             priors: standard deviations of the error sources; those of the estimator if None.
+            object_compliance: scale of the half-normal prior of how far the object yields per force [m/N]; 0 is a
+                rigid object; that of the priors if None.
+            object_walk: standard deviation, on each axis, of a step of a loose object between two touches [m]; that
+                of the priors if None.
 
         Returns:
             The estimate with its covariance; anything that goes wrong is its result code, never an exception.
 
         Raises:
-            InputError: an argument has the wrong shape.
+            InputError: an argument has the wrong shape, or compliance or walk is negative or not finite.
         """
         from probedesign.estimation.fusion import Fusion  # compiled for those who fuse alone
         from probedesign.estimation.fusion_state import channels_of
@@ -215,6 +222,10 @@ class Estimator:
         if moments not in (None, "base", "sensor"):
             raise InputError(f"moments_about = {moments!r} is not known; known: base, sensor")
         priors = self.priors if priors is None else priors
+        if object_compliance is not None:
+            priors = replace(priors, object_compliance=object_compliance)
+        if object_walk is not None:
+            priors = replace(priors, object_walk_mm=object_walk / MM)
         wrenches, poses, gravity, contact, clock = _fused_arguments(
             wrenches_base, Ts_world_base, gravity_world, touched, times
         )

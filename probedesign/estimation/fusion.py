@@ -9,10 +9,11 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 
 from probedesign.core import statistics
 from probedesign.core.frames import Array
@@ -34,11 +35,14 @@ MAX_ITERATIONS = 40
 CLOSE = 1e-3  #: Step of the touched point, in standard deviations, at which the iterations end.
 #: Step of a pose's own unknowns, in standard deviations given the point, at which they end too; it is taken.
 SETTLED_STEP = 0.03
-GROUPS = ("stiffness", "bias", "robot")  #: Groups of error sources whose absence `rms_without` reports.
+GROUPS = ("stiffness", "bias", "robot", "object")  #: Groups of error sources whose absence `rms_without` reports.
 #: Standard deviation, over that of the free point, to which `Fusion.curvature` constrains the point.
 CONSTRAINT_STD = 1e-3
 #: Extensions of the offset at which the point is constrained, until the misfit has risen by about three.
 MAX_EXTENSIONS = 3
+#: Steps of a standard deviation of the object's compliance to either side of the best one, at most, and the fall of the
+#: logarithm of its weight beyond which it is negligible; number of values at which it is interpolated.
+MAX_COMPLIANCE_STEPS, NEGLIGIBLE, DENSE = 8, 5.0, 161
 
 
 @dataclass(frozen=True)
@@ -56,11 +60,44 @@ class Reading:
 class Solution(NamedTuple):
     """Result of one Gauss-Newton solve."""
 
-    x: Array  #: the common unknowns: touched point, error sources, bias, (n,).
-    cov: Array  #: of the touched point [m²], (3, 3).
+    #: the touched point at rest and at the last touch, and the centreline point there [m], (3, 3), with the covariance
+    #: of each [m²], (3, 3, 3).
+    points: Array
+    covs: Array
     chi2: float  #: misfit, priors included.
     touches: Array  #: at every pose, (k, TOUCH); undefined for free poses.
     iterations: int  #: how many.
+    compliance: float  #: compliance, std_compliance: of the object [m/N]; a standard deviation of 0 if it is given.
+    std_compliance: float
+    log_volume: float  #: see `FusionState.log_volume`.
+
+    @property
+    def x(self) -> Array:
+        """Return the touched point at rest [m], (3,)."""
+        return np.asarray(self.points[0])
+
+    @property
+    def cov(self) -> Array:
+        """Return its covariance [m²], (3, 3)."""
+        return np.asarray(self.covs[0])
+
+
+class Posterior(NamedTuple):
+    """Moments of the points of a `Solution` over the compliance of the object."""
+
+    points: Array  #: points, covs: as in `Solution`.
+    covs: Array
+    chi2: float  #: least misfit, with the half-normal prior of the compliance.
+    compliance: float  #: mean [m/N], and the shortest interval of 95 % (2,).
+    interval: Array
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """Return the moments by the names of `FusedEstimate`."""
+        names = ("surface_world", "surface_now_world", "contact_world")
+        values = {f"p_{name}": p for name, p in zip(names, self.points, strict=True)}
+        values |= {f"cov_{name}": cov for name, cov in zip(names, self.covs, strict=True)}
+        return values | {"object_compliance": self.compliance, "object_compliance_interval_95": self.interval}
 
 
 @dataclass(frozen=True)
@@ -129,10 +166,16 @@ class Fusion:
         seconds = np.diff(np.array(times, dtype=float), prepend=float(times[0] or 0.0))
         return np.asarray(np.maximum(seconds, 0.0) / WALK_SECONDS)
 
-    def state(self, touches: Array, constraint: PointConstraint | None = None) -> FusionState:
+    def state(self, touches: Array, constraint: PointConstraint | None = None, compliance: float | None = None
+              ) -> FusionState:  # fmt: skip
         """Return the readings in the memory of the kernels, with touches to be linearised, (k, TOUCH).
 
         Creep goes from 0 at the first touch to 1 at the last, and is 1 at a single one.
+
+        Args:
+            touches: (k, TOUCH).
+            constraint: on the touched point.
+            compliance: of the object, if it is given [m/N]; None: it has the prior.
         """
         k, pinned = len(self.readings), constraint is not None
         state = FusionState(self.model, self.priors, self.channels, self.sources[0], k + pinned, self.common_friction)
@@ -142,7 +185,9 @@ class Fusion:
         state.whiten[:k], state.touched[:k], state.touches[:k] = self.whitening, self.touched, touches
         before = np.maximum(np.cumsum(self.touched) - 1.0, 0.0)
         state.ramp[:k] = before / before[-1] if before[-1] > 0.0 else 1.0
-        state.elapsed[pinned:] = self.elapsed
+        state.elapsed[:k] = self.elapsed
+        if compliance is not None:
+            state.compliance[:] = compliance, compliance, 0.0
         if constraint is not None:
             state.pin(constraint)
         return state
@@ -209,25 +254,32 @@ class Fusion:
         seen = Observation(wrench, statistics.whiten(cov), gravity, self.model.mass * gravity, math.inf)
         return locate(Problem(sources, seen, self.model.friction, cov + sources.drift))
 
-    def refine(self, start: Array, pin: PointConstraint | None = None) -> Solution | None:
-        """Run Gauss-Newton from one initial guess of the touches, (k, TOUCH); return None if it does not converge."""
-        state = self.state(start, pin)
+    def refine(self, start: Array, pin: PointConstraint | None = None, compliance: float | None = None
+               ) -> Solution | None:  # fmt: skip
+        """Run Gauss-Newton from one initial guess of the touches, (k, TOUCH); return None if it does not converge.
+
+        Args:
+            start, pin, compliance: as in `state`.
+        """
+        state = self.state(start, pin, compliance)
         damping, point, last_step = 1.0, None, np.zeros(3)
         for iteration in range(MAX_ITERATIONS):
             if not state.linearise():
                 return None
-            chi2, x, cov = state.solved()
+            chi2, _x, cov = state.solved()
             if not math.isfinite(chi2):
                 return None
-            step = x[:3] - (x[:3] if point is None else point)
+            step = state.point - (state.point if point is None else point)
             # Where the model fits badly whole steps go to and fro about the least misfit.
             back = float(step @ last_step) < -0.25 * float(last_step @ last_step)
             damping = max(0.5 * damping, 0.1) if back else min(2.0 * damping, 1.0)
-            last_step, point, linearised = step, x[:3].copy(), state.touches[: len(start)].copy()
+            last_step, point, linearised = step, state.point.copy(), state.touches[: len(start)].copy()
             size = state.step(damping)
+            state.compliance[0] = state.object_compliance
             near = float(np.abs(step).max()) <= CLOSE * statistics.rms(cov) + 1e-9
             if near and size <= SETTLED_STEP * math.sqrt(1.0 + chi2):
-                return Solution(x, cov, chi2, linearised, iteration + 1)
+                return Solution(*state.points(), chi2, linearised, iteration + 1, state.object_compliance,
+                                float(state.compliance[2]) * math.sqrt(state.cov[3, 3]), state.log_volume)  # fmt: skip
         return None
 
     # The result ------------------------------------------------------------------------------------------------------
@@ -244,17 +296,15 @@ class Fusion:
         if not state.linearise():
             return FusedEstimate("not_converged")
         result: Result = "inconsistent" if state.has_moved() else self._result(solutions, state)
-        cov, rms = state.solved()[2], linear
-        added = added_contact = np.zeros((3, 3))
-        if result == "ok":
-            added, added_contact = self.curvature(best)
-            rms = statistics.rms(cov + added)
-            result = "ok" if rms < self.model.rod.length * UNIFORM_STD else state.uncertain
-        candidates = np.array([rival.x[:3] for rival in solutions if rival.chi2 < best.chi2 + RIVAL_CHI2])
+        state.solved()
+        posterior = self.over_compliance(best) if result == "ok" else None
+        rms = linear if posterior is None else statistics.rms(posterior.covs[0])
+        if result == "ok" and not rms < self.model.rod.length * UNIFORM_STD:
+            result = state.uncertain
+        candidates = np.array([rival.x for rival in solutions if rival.chi2 < best.chi2 + RIVAL_CHI2])
         estimate = state.estimate(result, best.chi2, rms, best.iterations, candidates)
-        if estimate.ok:
-            estimate = replace(estimate, cov_surface_world=cov + added,
-                               cov_contact_world=estimate.cov_contact_world + added_contact)  # fmt: skip
+        if posterior is not None and estimate.ok:
+            estimate = replace(estimate, **posterior.fields, chi2=posterior.chi2)
         if brief:
             return estimate
         # The bounds below are linear: the curvature is taken to scale with them.
@@ -291,8 +341,80 @@ class Fusion:
         T[:3, 3] += T[:3, :3] @ (state.lin[last, point, VALUE] - extended.lin[-1, point, VALUE])
         return statistics.rms(extended.solved()[2])
 
-    def curvature(self, best: Solution) -> tuple[Array, Array]:
-        """Return the curvature correction of the covariances of touched point and centreline [m²], (3, 3) each.
+    def over_compliance(self, best: Solution) -> Posterior:
+        """Return the moments of the points over the compliance c of the object, with their curvature.
+
+        For every c the other unknowns have a normal posterior, solved for anew; with the half-normal prior of scale σ
+        the weight of c is exp(-χ²(c)/2 - c²/(2 σ²)) times the volume of that posterior. It is evaluated in steps of the
+        standard deviation of c until the weight is negligible, and interpolated.
+
+        Args:
+            best: the solution with a normal prior of the same mean and variance.
+        """
+        scale = self.priors.object_compliance
+        if scale == 0.0:
+            nodes = [(best, 0.0, best.chi2)]
+        else:
+            nodes = self._compliance_nodes(best, scale)
+        if len(nodes) < 2:
+            solution = nodes[0][0] if nodes else best
+            added = self.curvature(solution, solution.compliance)
+            return Posterior(solution.points, solution.covs + added, solution.chi2, solution.compliance,
+                             np.full(2, solution.compliance))  # fmt: skip
+        c = np.array([compliance for _, compliance, _ in nodes])
+        chi2 = np.array([misfit for _, _, misfit in nodes])
+        logs = np.array([solution.log_volume for solution, _, _ in nodes]) - 0.5 * chi2
+        values = np.array([np.concatenate([[log], solution.points.ravel(), solution.covs.ravel()])
+                           for log, (solution, _, _) in zip(logs, nodes, strict=True)])  # fmt: skip
+        dense = np.linspace(c[0], c[-1], DENSE)
+        rows = make_interp_spline(c, values, k=min(3, len(c) - 1))(dense)
+        weight = np.exp(rows[:, 0] - rows[:, 0].max())
+        weight[[0, -1]] *= 0.5
+        weight /= weight.sum()
+        points, covs = rows[:, 1:10].reshape(-1, 3, 3), rows[:, 10:].reshape(-1, 3, 3, 3)
+        mean, compliance = np.tensordot(weight, points, 1), float(weight @ dense)
+        off = points - mean
+        cov = np.tensordot(weight, covs, 1) + np.einsum("w,wpi,wpj->pij", weight, off, off)
+        nearest = nodes[int(np.argmin(np.abs(c - compliance)))]
+        added = self.curvature(nearest[0], nearest[1])
+        # The shortest interval holds the most likely compliances.
+        likely = np.argsort(-weight)
+        kept = dense[likely[: int(np.searchsorted(np.cumsum(weight[likely]), 0.95)) + 1]]
+        return Posterior(mean, cov + added, float(chi2.min()), compliance, np.array([kept.min(), kept.max()]))
+
+    def _compliance_nodes(self, best: Solution, scale: float) -> list[tuple[Solution, float, float]]:
+        """Return solutions with given compliances of the object, in ascending order, each with the compliance [m/N] and
+        its misfit with the prior on the compliance."""
+        step, centre = best.std_compliance, max(best.compliance, 0.0)
+
+        def solved(compliance: float, start: Array) -> tuple[Solution, float, float] | None:
+            solution = self.refine(start, compliance=compliance)
+            return solution and (solution, compliance, solution.chi2 + (compliance / scale) ** 2)
+
+        middle = solved(centre, best.touches)
+        if middle is None:
+            return []
+        nodes, likely = [middle], middle[0].log_volume - 0.5 * middle[2]
+        for side in (-1.0, 1.0):
+            last, change = middle, step
+            for _ in range(MAX_COMPLIANCE_STEPS):
+                compliance = max(last[1] + side * change, 0.0)
+                following = solved(compliance, last[0].touches) if compliance != last[1] else None
+                if following is None:  # no such contact of the probe; the last one may be nearer
+                    change *= 0.5
+                    if compliance == 0.0 or change < 0.2 * step:
+                        break
+                    continue
+                last, weight = following, following[0].log_volume - 0.5 * following[2]
+                nodes.append(following)
+                likely = max(likely, weight)
+                if weight < likely - NEGLIGIBLE:
+                    break
+        return sorted(nodes, key=lambda node: node[1])
+
+    def curvature(self, best: Solution, compliance: float) -> Array:
+        """Return the curvature correction of the covariances of a solution with a given compliance [m/N] of the object:
+        of the touched point at rest and now and of the centreline point [m²], (3, 3, 3).
 
         The points that explain the readings lie on a curve x + a δ + b δ² + c δ³, far narrower than it is bowed. Its
         mean square about x, for a standard normal δ, is a aᵀ + 3 (a cᵀ + c aᵀ) + 3 b bᵀ + 15 c cᵀ. The fusion is solved
@@ -300,7 +422,8 @@ class Fusion:
         point as uncertain as a single reading does, and its curve is that of the single estimate.
         """
         if self.one_pose:
-            return self._single_curvature()
+            surface, centre = self._single_curvature()
+            return np.array([surface, surface, centre])
         variances, axes = np.linalg.eigh(best.cov)
         added = np.zeros((3, 3))
         for variance, axis in zip(variances[:0:-1], axes.T[:0:-1], strict=True):
@@ -309,9 +432,9 @@ class Fusion:
                 continue
             a = best.cov @ axis / std
             bows = [
-                (side, solution.x[:3] - best.x[:3] - side * a)
+                (side, solution.x - best.x - side * a)
                 for side in (-NODE, NODE)
-                if (solution := self._constrained(best, axis, side * std)) is not None
+                if (solution := self._constrained(best, axis, side * std, compliance)) is not None
             ]
             if not bows:
                 continue
@@ -320,15 +443,15 @@ class Fusion:
             c = sum((side * bow for side, bow in bows), np.zeros(3)) / 18.0 if len(bows) == 2 else np.zeros(3)
             ac = np.outer(a, c)
             added += 3.0 * (ac + ac.T) + 3.0 * TAIL * np.outer(b, b) + 15.0 * np.outer(c, c)
-        return added, added
+        return np.array([added, added, added])
 
-    def _constrained(self, best: Solution, axis: Array, offset: float) -> Solution | None:
+    def _constrained(self, best: Solution, axis: Array, offset: float, compliance: float) -> Solution | None:
         """Return the solution with the point constrained at an offset along an axis [m], or further until the misfit
         has risen by three.
         """
         furthest, touches, std = None, best.touches, CONSTRAINT_STD * abs(offset)
         for _ in range(MAX_EXTENSIONS):
-            solution = self.refine(touches, PointConstraint(axis, float(axis @ best.x[:3]) + offset, std))
+            solution = self.refine(touches, PointConstraint(axis, float(axis @ best.x) + offset, std), compliance)
             if solution is None:
                 break
             furthest, touches = solution, solution.touches
@@ -362,7 +485,7 @@ class Fusion:
         std = np.array([math.sqrt(float(reading.cov[0, 0])) for reading in self.readings])
         result = state.result(best.chi2, rms, std[self.touched])
         for rival in solutions[1:] if result == "ok" else []:
-            apart = float(np.linalg.norm(rival.x[:3] - best.x[:3]))
+            apart = float(np.linalg.norm(rival.x - best.x))
             if rival.chi2 < best.chi2 + RIVAL_CHI2 and apart > 3.0 * (rms + statistics.rms(rival.cov)):
                 return "ambiguous"
         return result
@@ -374,6 +497,8 @@ def _without(priors: Tolerances, group: str) -> Tolerances:
         return replace(priors, youngs_modulus=0.0, shear_modulus=0.0, creep=0.0, stiffness_scatter=0.0)
     if group == "bias":
         return replace(priors, drift_steps=0.0, walk_steps=0.0)
+    if group == "object":
+        return replace(priors, object_compliance=0.0)
     return replace(priors, base_mm=0.0, robot_mm=0.0)
 
 
@@ -382,6 +507,6 @@ def _distinct(solutions: Iterable[Solution | None]) -> list[Solution]:
     kept: list[Solution] = []
     for solution in sorted((solution for solution in solutions if solution is not None), key=lambda other: other.chi2):
         near = 0.1 * statistics.rms(solution.cov) + 1e-6
-        if all(np.linalg.norm(solution.x[:3] - other.x[:3]) > near for other in kept):
+        if all(np.linalg.norm(solution.x - other.x) > near for other in kept):
             kept.append(solution)
     return kept

@@ -1,20 +1,24 @@
 """Touches of one fixed point as residual blocks, and their common unknowns (compiled).
 
-Common unknowns are the touched point X [m], the error sources m of `error_sources.py` (unit priors), the part f of the
-friction ratios that all touches share (unit priors) and the bias β of the sensor in steps of its resolution, a random
-walk over the readings. Unknown at pose k alone are its touch y (5) and how far its stiffness is off, e. To first order
-about the last linearisation, with h the base wrench, x the touched point and H, X_y their derivatives by the touch:
+Common unknowns are the error sources m of `error_sources.py` (unit priors), the part f of the friction ratios that all
+touches share (unit priors), the compliance c of the object, the touched point at rest X [m], and the bias β of the
+sensor in steps of its resolution, a random walk over the readings; X walks too if the object stands loose. Unknown at
+pose k alone are its touch y (5) and how far its stiffness is off, e. To first order about the last linearisation, with
+h the base wrench, x the touched point, F the force on the probe, and H, X_y, F_y their derivatives by the touch:
 
     W (h + H δy + D m + D_e e + B β - w)            what was read, in the channels that count
     (a - c μ f)/(√(1 - c²) μ), two rows             the prior on friction
     e                                               the prior on the stiffness at this touch
-    (T (x + X_y δy + Q m + Q_e e) - X)/σ_robot      the touched point stays where it is
+    (T (x + X_y δy + Q m + Q_e e) + R (c F + c₀ F_y δy) - X)/σ_robot      the touched point yields by -c F
+
+Here c = c̄ + σ_c z with the unit prior of z, the mean and the standard deviation of the half-normal prior of c
+(`fusion.py` integrates over the prior itself), and c₀ is the last c.
 
 The friction ratio a of every touch is N(0, μ²) per direction. Touches of one object by one probe are alike, and slip to
 the same side: the share c² of that variance is common to them.
 
 Householder reflections take y and e out of each pose's rows. What is left is accumulated in the order of time in the
-information matrix of (X, m, f, β); β walks from pose to pose and is smoothed backward afterwards.
+information matrix of (m, f, z, X, β); β, and X with it, walks from pose to pose and is smoothed backward afterwards.
 `tests/reference/fusion.py` solves the same dense system.
 """
 
@@ -38,7 +42,6 @@ from probedesign.rod.kernels.linalg import (
 from probedesign.rod.kernels.surface_contact import (
     AROUND,
     BY_TOUCH,
-    CENTRE,
     MOVE,
     POINT,
     TOUCH,
@@ -51,14 +54,20 @@ from probedesign.rod.kernels.surface_contact import (
 )
 
 BIAS, FRICTION = 6, 2
+AFTER_SOURCES = FRICTION + 1  #: Common unknowns between the error sources and the point: friction and compliance.
+WALKING = 3 + BIAS  #: Unknowns that may walk, the last ones: the touched point and the bias.
 LOCAL = UNKNOWNS + 1  #: Unknowns of a pose alone: its touch and its stiffness.
 PINNED = 1e-6  #: Standard deviation of a bias, in steps, below which it counts as known.
+#: Standard deviation of the step of a bias, in steps, with which a point walks where the bias does not: less would cost
+#: digits.
+STANDING = 1e-4
 EXACT = 1e-8  #: Standard deviation of the base's place [m] below which a robot counts as exact.
 
 
 def columns(causes: int) -> int:
-    """Return the number of columns of the reduced rows: X, error sources, common friction, bias, right-hand side."""
-    return 3 + causes + FRICTION + BIAS + 1
+    """Return the number of columns of the reduced rows: error sources, friction, compliance, X, bias, right-hand
+    side."""
+    return causes + AFTER_SOURCES + WALKING + 1
 
 
 def rows_of(channels: int) -> int:
@@ -97,8 +106,8 @@ def column_of(D, r, c, scatter, creep, ramp):
 
 
 @kernel
-def reduce_keyframe(touch, lin, D, wrench, pose, channels, whiten, bias, friction, common, repeat, scatter, creep, ramp,
-                    block, local, reduced):  # fmt: skip
+def reduce_keyframe(touch, lin, D, wrench, pose, channels, whiten, bias, friction, common, weight, compliance, repeat,
+                    scatter, creep, ramp, block, local, reduced):  # fmt: skip
     """Fill the rows of one pose with its own unknowns eliminated.
 
     Args:
@@ -107,7 +116,9 @@ def reduce_keyframe(touch, lin, D, wrench, pose, channels, whiten, bias, frictio
         channels: what of a wrench at the base counts, (m, 6); whiten: of these, lower triangular, (m, m).
         bias: channels by the bias in steps, (m, 6).
         friction: prior standard deviation of the ratio; inf: none.
-        common: c², the share of its variance that all touches have in common, below 1.
+        common: the share of its variance that all touches have in common, below 1.
+        weight: of the probe in base axes [N], (3,).
+        compliance: of the object [m/N]: where it is linearised, mean and standard deviation of its prior, (3,).
         repeat: standard deviation of the base's place at this pose alone [m].
         scatter, creep: columns of D that scatter from touch to touch, and that grow by `ramp`; -1: none.
         block: scratch, (m + 6, LOCAL + columns).
@@ -115,8 +126,8 @@ def reduce_keyframe(touch, lin, D, wrench, pose, channels, whiten, bias, frictio
         reduced: filled, (m, columns).
     """
     m, J = channels.shape[0], D.shape[1]
-    width = LOCAL + 3 + J + FRICTION + BIAS + 1
-    rhs, first_bias = width - 1, width - 1 - BIAS
+    width = LOCAL + J + AFTER_SOURCES + WALKING + 1
+    rhs, first_bias, first_point = width - 1, width - 1 - BIAS, width - 1 - WALKING
     rows = m + 6
     for i in range(rows):
         for c in range(width):
@@ -133,7 +144,7 @@ def reduce_keyframe(touch, lin, D, wrench, pose, channels, whiten, bias, frictio
                 if scatter >= 0:
                     block[i, UNKNOWNS] += share * D[a, scatter]
                 for c in range(J):
-                    block[i, LOCAL + 3 + c] += share * column_of(D, a, c, scatter, creep, ramp)
+                    block[i, LOCAL + c] += share * column_of(D, a, c, scatter, creep, ramp)
                 block[i, rhs] += share * (wrench[a] - lin[WRENCH + a, VALUE])
             for c in range(BIAS):
                 block[i, first_bias + c] += w * bias[q, c]
@@ -142,24 +153,29 @@ def reduce_keyframe(touch, lin, D, wrench, pose, channels, whiten, bias, frictio
         per = 1.0 / (own * max(friction, MIN_FRICTION))
         for a in range(FRICTION):
             block[m + a, AROUND + a] = per
-            block[m + a, LOCAL + 3 + J + a] = -math.sqrt(common) / own
+            block[m + a, LOCAL + J + a] = -math.sqrt(common) / own
             block[m + a, rhs] = -per * touch[AROUND + a]
     block[m + 2, UNKNOWNS] = 1.0
     place = 1.0 / max(repeat, EXACT)
     for i in range(3):
         row = m + 3 + i
-        at = pose[i, 3]
+        at, force = pose[i, 3], 0.0
         for q in range(3):
             turn = place * pose[i, q]
             at += pose[i, q] * lin[POINT + q, VALUE]
+            # Of the base wrench the force is that of the contact and the weight; an error source moves it by what the
+            # object's yielding does not show.
+            force += pose[i, q] * (lin[WRENCH + q, VALUE] - weight[q])
             for u in range(UNKNOWNS):
-                block[row, u] += turn * lin[POINT + q, BY_TOUCH + u]
+                by_touch = lin[POINT + q, BY_TOUCH + u] + compliance[0] * lin[WRENCH + q, BY_TOUCH + u]
+                block[row, u] += turn * by_touch
             if scatter >= 0:
                 block[row, UNKNOWNS] += turn * D[POINT + q, scatter]
             for c in range(J):
-                block[row, LOCAL + 3 + c] += turn * column_of(D, POINT + q, c, scatter, creep, ramp)
-        block[row, LOCAL + i] = -place
-        block[row, rhs] = -place * at
+                block[row, LOCAL + c] += turn * column_of(D, POINT + q, c, scatter, creep, ramp)
+        block[row, first_point - 1] = place * compliance[2] * force
+        block[row, first_point + i] = -place
+        block[row, rhs] = -place * (at + compliance[1] * force)
     eliminate(block, rows, width, LOCAL)
     for i in range(LOCAL):
         for c in range(width):
@@ -178,7 +194,7 @@ def reduce_free(D, free, wrench, channels, whiten, bias, reduced):
         The others as in `reduce_keyframe`.
     """
     m, J = channels.shape[0], D.shape[1]
-    rhs = 3 + J + FRICTION + BIAS
+    rhs = J + AFTER_SOURCES + WALKING
     for i in range(m):
         for c in range(rhs + 1):
             reduced[i, c] = 0.0
@@ -187,10 +203,10 @@ def reduce_free(D, free, wrench, channels, whiten, bias, reduced):
             for a in range(6):
                 share = w * channels[q, a]
                 for c in range(J):
-                    reduced[i, 3 + c] += share * D[a, c]
+                    reduced[i, c] += share * D[a, c]
                 reduced[i, rhs] += share * (wrench[a] - free[a])
             for c in range(BIAS):
-                reduced[i, 3 + J + FRICTION + c] += w * bias[q, c]
+                reduced[i, rhs - BIAS + c] += w * bias[q, c]
 
 
 @inner
@@ -292,74 +308,93 @@ def apart(a, b):
 
 
 @inner
-def _walk(A, eta, n, variance, M, L, inverse, link):
-    """Let the bias, the last six of the n unknowns, take a random step of such a variance on each.
+def _walk(A, eta, n, steps, M, L, inverse, link):
+    """Let the last unknowns take a random step each; return what is taken off the misfit.
 
-    With S the information of the old bias, T what ties it to the others and q the inverse of the variance, M = S + q I:
-    Λ_oo - T M⁻¹ Tᵀ, Λ_ob = q T M⁻¹, Λ_bb = q (I - q M⁻¹). Returns what is taken off the misfit.
+    With S the information of their old values b, T what ties them to the others o and Q the inverse of the steps'
+    variances, M = S + Q: Λ_oo - T M⁻¹ Tᵀ, Λ_ob = T M⁻¹ Q, Λ_bb = Q - Q M⁻¹ Q.
 
     Args:
-        link: filled with what gives the old bias again, M⁻¹ (η - Tᵀ o + q β): M⁻¹, M⁻¹ Tᵀ and M⁻¹ η, (BIAS, n + 1).
+        A, eta: information matrix (n, n) and vector (n,), changed in place.
+        steps: inverse variances of the steps, (w,); w is the number of the unknowns that walk.
+        M, L, inverse: scratch, (WALKING, WALKING) each.
+        link: filled with what gives the old values again, M⁻¹ (η - Tᵀ o + Q b): M⁻¹, M⁻¹ Tᵀ and M⁻¹ η, (w, n + 1).
     """
-    o = n - BIAS
-    q = 1.0 / variance
-    for i in range(BIAS):
-        for j in range(BIAS):
-            M[i, j] = A[o + i, o + j] + (q if i == j else 0.0)
-    if not factor(M, BIAS):
+    w = steps.shape[0]
+    o = n - w
+    for i in range(w):
+        for j in range(w):
+            M[i, j] = A[o + i, o + j] + (steps[i] if i == j else 0.0)
+    if not factor(M, w):
         return math.nan
-    invert_lower(M, BIAS, L)
-    for i in range(BIAS):
-        for j in range(BIAS):
+    invert_lower(M, w, L)
+    for i in range(w):
+        for j in range(w):
             total = 0.0
-            for k in range(max(i, j), BIAS):
+            for k in range(max(i, j), w):
                 total += L[k, i] * L[k, j]
             inverse[i, j] = total
             link[i, j] = total
     taken = 0.0
-    for i in range(BIAS):
-        for j in range(BIAS):
+    for i in range(w):
+        for j in range(w):
             taken += eta[o + i] * inverse[i, j] * eta[o + j]
     for r in range(o):
-        # The row of T M⁻¹, in M's place.
-        for i in range(BIAS):
+        # The row of T M⁻¹, in M's memory.
+        for i in range(w):
             total = 0.0
-            for j in range(BIAS):
+            for j in range(w):
                 total += A[r, o + j] * inverse[j, i]
             M[0, i] = total
-            link[i, BIAS + r] = total
-        for i in range(BIAS):
+            link[i, w + r] = total
+        for i in range(w):
             eta[r] -= M[0, i] * eta[o + i]
         for c in range(r + 1):
             total = 0.0
-            for i in range(BIAS):
+            for i in range(w):
                 total += M[0, i] * A[c, o + i]
             A[r, c] -= total
             A[c, r] = A[r, c]
-        for i in range(BIAS):
-            M[1, i] = q * M[0, i]
-        for i in range(BIAS):
-            A[o + i, r] = M[1, i]
+        for i in range(w):
+            A[o + i, r] = steps[i] * M[0, i]
     for r in range(o):
-        for i in range(BIAS):
+        for i in range(w):
             A[r, o + i] = A[o + i, r]
-    for i in range(BIAS):
+    for i in range(w):
         total = 0.0
-        for j in range(BIAS):
+        for j in range(w):
             total += inverse[i, j] * eta[o + j]
         link[i, n] = total
-        M[2, i] = q * total
-        for j in range(BIAS):
-            A[o + i, o + j] = q * ((1.0 if i == j else 0.0) - q * inverse[i, j])
-    for i in range(BIAS):
+        M[2, i] = steps[i] * total
+        for j in range(w):
+            A[o + i, o + j] = (steps[i] if i == j else 0.0) - steps[i] * inverse[i, j] * steps[j]
+    for i in range(w):
         eta[o + i] = M[2, i]
     return taken
+
+
+@inner
+def _steps_of(walk, memory):
+    """Compute the inverse variances of a step of the point and the bias, or of the bias alone.
+
+    Args:
+        walk: variances of the bias's step on each channel [steps²] and of the point's on each axis [m²], (2,).
+        memory: filled from the returned index on, (WALKING,).
+
+    Returns:
+        Where they begin; WALKING without a step.
+    """
+    for i in range(3):
+        memory[i] = 1.0 / walk[1] if walk[1] > 0.0 else 0.0
+    for i in range(3, WALKING):
+        memory[i] = 1.0 / max(walk[0], STANDING * STANDING)
+    return 0 if walk[1] > 0.0 else (3 if walk[0] > 0.0 else WALKING)
 
 
 def solve_work(causes: int) -> int:
     """Return the size of the scratch array of `solve_reduced`."""
     n = columns(causes) - 1
-    return n * n + 2 * n + 3 * BIAS * BIAS + 6 * n
+    return n * n + 2 * n + 3 * WALKING * WALKING + 8 * n
 
 
 @kernel
@@ -369,40 +404,42 @@ def solve_reduced(reduced, order, walk, start, causes, chain, work, x, cov):
     Args:
         reduced: (poses, m, columns).
         order: which of them count, in the order of time, (p,).
-        walk: variance of the bias's step before each of those, in steps² (the first is not used), (p,).
+        walk: variance of the step before each of those (that of the first is not used), of the bias [steps²] and of
+            the point [m²], (p, 2).
         start: standard deviation of the bias at the first pose, in steps.
         causes: J.
-        chain: filled with what gives the bias before each step again, (len(order), BIAS, n + 1).
+        chain: filled with what gives bias and point before each step again, (len(order), WALKING, n + 1).
         work: scratch, (solve_work(J),); the factor of the information and its scale stay at its front.
-        x: filled: X, m, f, β of the last pose, (n,).
-        cov: of X, filled, (3, 3).
+        x: filled: m, f, z, X and β of the last pose, (n,).
+        cov: of X and z, filled, (4, 4).
 
     Returns:
         The least misfit squared, priors counted; NaN where there is none.
     """
     n = reduced.shape[2] - 1
+    first_point = n - WALKING
     A = work[: n * n].reshape((n, n))
     o = n * n
     scale, eta = work[o : o + n], work[o + n : o + 2 * n]
     o += 2 * n
-    M = work[o : o + 36].reshape((BIAS, BIAS))
-    L = work[o + 36 : o + 72].reshape((BIAS, BIAS))
-    inverse = work[o + 72 : o + 108].reshape((BIAS, BIAS))
-    o += 108
-    rows, solved = work[o : o + 3 * n].reshape((3, n)), work[o + 3 * n : o + 6 * n].reshape((3, n))
+    M, L, inverse = work[o : o + 3 * WALKING * WALKING].reshape((3, WALKING, WALKING))
+    o += 3 * WALKING * WALKING
+    rows, solved = work[o : o + 4 * n].reshape((4, n)), work[o + 4 * n : o + 8 * n].reshape((4, n))
     for i in range(n):
         eta[i] = 0.0
         for j in range(n):
             A[i, j] = 0.0
-    for i in range(3, n - BIAS):
+    for i in range(first_point):
         A[i, i] = 1.0
     for i in range(n - BIAS, n):
         A[i, i] = 1.0 / max(start, PINNED) ** 2
     chi2 = 0.0
     for at in range(order.shape[0]):
         k = order[at]
-        if at > 0 and walk[at] > 0.0:
-            chi2 -= _walk(A, eta, n, walk[at], M, L, inverse, chain[at])
+        if at > 0:
+            first = _steps_of(walk[at], solved[0])
+            if first < WALKING:
+                chi2 -= _walk(A, eta, n, solved[0, first:WALKING], M, L, inverse, chain[at])
         for r in range(reduced.shape[1]):
             b = reduced[k, r, n]
             chi2 += b * b
@@ -425,155 +462,146 @@ def solve_reduced(reduced, order, walk, start, causes, chain, work, x, cov):
     backward(A, n, x)
     for i in range(n):
         x[i] /= scale[i]
-    for a in range(3):
+    for a in range(4):
         for i in range(n):
-            rows[a, i] = 1.0 if i == a else 0.0
-    covariance_of(A, n, scale, rows, 3, solved, cov)
+            rows[a, i] = 0.0
+        rows[a, first_point + (a if a < 3 else -1)] = 1.0
+    covariance_of(A, n, scale, rows, 4, solved, cov)
     return chi2
 
 
 @kernel
-def smooth_bias(chain, order, walk, x, xs):
-    """Fill the common unknowns at each pose, which differ in the bias.
+def smooth(chain, order, walk, x, xs, memory):
+    """Fill the common unknowns at each pose, which differ in bias and point.
 
     Args:
         chain, order, walk, x: of `solve_reduced`.
         xs: filled where `order` points to, (poses, n).
+        memory: scratch, (WALKING,).
     """
-    n, o = x.shape[0], x.shape[0] - BIAS
+    n = x.shape[0]
     after = x
     for at in range(order.shape[0] - 1, -1, -1):
         here = xs[order[at]]
         for i in range(n):
             here[i] = after[i]
-        if at + 1 < order.shape[0] and walk[at + 1] > 0.0:
-            link, q = chain[at + 1], 1.0 / walk[at + 1]
-            for i in range(BIAS):
+        if at + 1 < order.shape[0]:
+            first, link = _steps_of(walk[at + 1], memory), chain[at + 1]
+            steps, w = memory[first:WALKING], WALKING - first
+            o = n - w
+            for i in range(w):
                 total = link[i, n]
                 for r in range(o):
-                    total -= link[i, BIAS + r] * x[r]
-                for j in range(BIAS):
-                    total += q * link[i, j] * after[o + j]
+                    total -= link[i, w + r] * after[r]
+                for j in range(w):
+                    total += link[i, j] * steps[j] * after[o + j]
                 here[o + i] = total
         after = here
 
 
 @inner
-def _pass_on(rows, g, link, q, half, scattered):
-    """Express rows by the bias after its step instead of the bias before it.
+def _pass_on(rows, steps, link, half, scattered):
+    """Express rows by bias and point after their step instead of before it.
 
     Args:
-        rows: (3, n), the last six columns g; scattered: what the step itself contributes is added, (3, 3).
-        half: scratch, (BIAS,).
+        rows: (3, n); steps: inverse variances, (w,); link: of `_walk`.
+        half: scratch, (3, WALKING); scattered: what the step itself contributes is added, (3, 3).
     """
-    o = rows.shape[1] - BIAS
+    w = steps.shape[0]
+    o = rows.shape[1] - w
     for i in range(3):
-        for a in range(BIAS):
-            half[a] = 0.0
-            for b in range(BIAS):
-                half[a] += g[i, b] * link[b, a]
-        for j in range(i, 3):
-            share = 0.0
-            for a in range(BIAS):
-                share += half[a] * g[j, a]
-            scattered[i, j] += share
-            if j > i:
-                scattered[j, i] += share
+        for a in range(w):
+            half[i, a] = 0.0
+            for b in range(w):
+                half[i, a] += rows[i, o + b] * link[b, a]
+    for i in range(3):
+        for j in range(3):
+            for a in range(w):
+                scattered[i, j] += half[i, a] * rows[j, o + a]
+    for i in range(3):
         for r in range(o):
-            for a in range(BIAS):
-                rows[i, r] -= g[i, a] * link[a, BIAS + r]
-    for i in range(3):
-        for a in range(BIAS):
-            half[a] = 0.0
-            for b in range(BIAS):
-                half[a] += g[i, b] * link[b, a]
-        for a in range(BIAS):
-            g[i, a] = q * half[a]
+            for a in range(w):
+                rows[i, r] -= rows[i, o + a] * link[a, w + r]
+        for a in range(w):
+            rows[i, o + a] = half[i, a] * steps[a]
 
 
 @kernel
-def mean_centre(
-    lins, Ds, locals_, poses, order, touched, walk, chain, xs, scatter, creep, ramps, work, solve_memory, mean, cov
-):
-    """Compute the mean of the centreline points of the touches in the world, and its covariance.
+def last_point(
+    lins, Ds, locals_, poses, order, touched, walk, chain, xs, scatter, creep, ramps, first, work, solve_memory, point,
+    cov,
+):  # fmt: skip
+    """Compute a point of the last touch in the world, and its covariance.
 
-    The bias at a pose is a linear function of what is common and of the bias after it, and an error independent of
-    both: `g`, the derivative by the bias at hand, is carried from the first pose to the last.
+    Bias and point at a pose are linear functions of what is common and of their values after the next step, and an
+    error independent of both.
 
     Args:
         lins, Ds, locals_, poses, touched: of all poses.
-        order, walk, chain: as in `solve_reduced`; xs: of `smooth_bias`.
+        order, walk, chain: as in `solve_reduced`; xs: of `smooth`.
         ramps: how far creep has gone at each pose.
+        first: its first row in a linearisation, POINT or CENTRE.
         work: scratch, (6 n + 100,); solve_memory: as `solve_reduced` left its work.
-        mean: filled [m], (3,); cov: filled [m²], (3, 3).
+        point: filled [m], (3,); cov: filled [m²], (3, 3).
     """
-    n = xs.shape[1]
-    o, J = n - BIAS, n - BIAS - FRICTION - 3
+    n, J = xs.shape[1], Ds.shape[2]
     A = solve_memory[: n * n].reshape((n, n))
     scale = solve_memory[n * n : n * n + n]
-    rows = work[: 3 * n].reshape((3, n))
-    solved = work[3 * n : 6 * n].reshape((3, n))
-    G = work[6 * n : 6 * n + 3 * LOCAL].reshape((3, LOCAL))
-    own = work[6 * n + 3 * LOCAL : 6 * n + 6 * LOCAL].reshape((3, LOCAL))
-    step = work[6 * n + 6 * LOCAL : 6 * n + 7 * LOCAL]
-    scattered = work[6 * n + 7 * LOCAL : 6 * n + 7 * LOCAL + 9].reshape((3, 3))
-    half = work[6 * n + 7 * LOCAL + 9 : 6 * n + 7 * LOCAL + 9 + BIAS]
-    g = rows[:, o:]
-    total_touched = 0.0
+    rows, solved = work[: 3 * n].reshape((3, n)), work[3 * n : 6 * n].reshape((3, n))
+    o = 6 * n
+    G, local_part = work[o : o + 6 * LOCAL].reshape((2, 3, LOCAL))
+    o += 6 * LOCAL
+    scattered = work[o : o + 9].reshape((3, 3))
+    half = work[o + 9 : o + 9 + 3 * WALKING].reshape((3, WALKING))
+    step = half[0]
+    last = order.shape[0] - 1
+    while not touched[order[last]]:
+        last -= 1
+    k = order[last]
+    lin, D, local, x = lins[k], Ds[k], locals_[k], xs[k]
+    own_unknowns(local, x, n, LOCAL + n, step)
     for i in range(3):
-        mean[i] = 0.0
+        at = poses[k, i, 3]
         for c in range(n):
             rows[i, c] = 0.0
+        for u in range(LOCAL):
+            G[i, u] = 0.0
+        for q in range(3):
+            turn = poses[k, i, q]
+            at += turn * lin[first + q, VALUE]
+            for u in range(UNKNOWNS):
+                G[i, u] += turn * lin[first + q, BY_TOUCH + u]
+            if scatter >= 0:
+                G[i, UNKNOWNS] += turn * D[first + q, scatter]
+            for c in range(J):
+                by = turn * column_of(D, first + q, c, scatter, creep, ramps[k])
+                rows[i, c] += by
+                at += by * x[c]
+        for u in range(LOCAL):
+            at += G[i, u] * step[u]
+        point[i] = at
+        # local_part = G R⁻¹, row by row: solve local_part R = G.
+        for u in range(LOCAL):
+            left = G[i, u]
+            for v in range(u):
+                left -= local_part[i, v] * local[v, u]
+            local_part[i, u] = left / local[u, u] if abs(local[u, u]) > 1e-300 else 0.0
+        for c in range(n):
+            for u in range(LOCAL):
+                rows[i, c] -= local_part[i, u] * local[u, LOCAL + c]
+    for i in range(3):
         for j in range(3):
             scattered[i, j] = 0.0
-    for at_k in range(order.shape[0]):
-        if at_k > 0 and walk[at_k] > 0.0:
-            _pass_on(rows, g, chain[at_k], 1.0 / walk[at_k], half, scattered)
-        k = order[at_k]
-        if not touched[k]:
-            continue
-        total_touched += 1.0
-        lin, D, local, x = lins[k], Ds[k], locals_[k], xs[k]
-        own_unknowns(local, x, n, LOCAL + n, step)
-        for i in range(3):
-            at = poses[k, i, 3]
             for u in range(LOCAL):
-                G[i, u] = 0.0
-            for q in range(3):
-                turn = poses[k, i, q]
-                at += turn * lin[CENTRE + q, VALUE]
-                for u in range(UNKNOWNS):
-                    G[i, u] += turn * lin[CENTRE + q, BY_TOUCH + u]
-                if scatter >= 0:
-                    G[i, UNKNOWNS] += turn * D[CENTRE + q, scatter]
-                for c in range(J):
-                    by = turn * column_of(D, CENTRE + q, c, scatter, creep, ramps[k])
-                    rows[i, 3 + c] += by
-                    at += by * x[3 + c]
-            for u in range(LOCAL):
-                at += G[i, u] * step[u]
-            mean[i] += at
-            # own = G R⁻¹, row by row: solve own R = G.
-            for u in range(LOCAL):
-                left = G[i, u]
-                for v in range(u):
-                    left -= own[i, v] * local[v, u]
-                own[i, u] = left / local[u, u] if abs(local[u, u]) > 1e-300 else 0.0
-            for c in range(n):
-                for u in range(LOCAL):
-                    rows[i, c] -= own[i, u] * local[u, LOCAL + c]
-        for i in range(3):
-            for j in range(3):
-                for u in range(LOCAL):
-                    scattered[i, j] += own[i, u] * own[j, u]
-    for i in range(3):
-        mean[i] /= total_touched
-        for c in range(n):
-            rows[i, c] /= total_touched
+                scattered[i, j] += local_part[i, u] * local_part[j, u]
+    for at_k in range(last + 1, order.shape[0]):
+        walks = _steps_of(walk[at_k], solved[0])
+        if walks < WALKING:
+            _pass_on(rows, solved[0, walks:WALKING], chain[at_k], half, scattered)
     covariance_of(A, n, scale, rows, 3, solved, cov)
     for i in range(3):
         for j in range(3):
-            cov[i, j] += scattered[i, j] / (total_touched * total_touched)
+            cov[i, j] += scattered[i, j]
 
 
 @kernel

@@ -21,8 +21,25 @@ from probedesign.estimation.error_sources import FINE, ErrorSources
 from probedesign.estimation.estimate import FusedEstimate, MomentsAbout, Result
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.rod.kernels.surface_contact import ALONG, AROUND, DEAD, NORMAL, OWN, ROWS, TOUCH, UNKNOWNS, work_size
+from probedesign.rod.kernels.surface_contact import (
+    ALONG,
+    AROUND,
+    CENTRE,
+    DEAD,
+    NORMAL,
+    OWN,
+    POINT,
+    ROWS,
+    TOUCH,
+    UNKNOWNS,
+    work_size,
+)  # fmt: skip
 
+#: Of the common unknowns: the touched point at rest, and the compliance of the object, in units of its prior.
+POINT_COLUMNS, COMPLIANCE = slice(-9, -6), -10
+
+#: Mean and standard deviation of a half-normal prior, over its scale.
+HALF_NORMAL = math.sqrt(2.0 / math.pi), math.sqrt(1.0 - 2.0 / math.pi)
 #: Share of the friction ratio's variance that the touches of one object have in common. Assumed: they are of the same
 #: two materials and slip to the same side, but differ in how far each has slipped.
 COMMON_FRICTION = 0.5
@@ -110,13 +127,15 @@ class FusionState:
         self.lin, self.D = np.empty((rows, ROWS, 1 + UNKNOWNS + parameters)), np.empty((rows, 12, self.causes))
         self.local = np.empty((rows, fusion_kernel.LOCAL, fusion_kernel.LOCAL + width))
         self.reduced = np.zeros((rows, m, width))
-        # The solution: rows in the order of time, variance of the bias's step before each and its standard deviation
-        # at the first, unknowns at the last row and at each, covariance of the point.
-        self.order, self.walk, self.start = np.arange(rows), np.zeros(rows), 0.0
-        #: Number of pins, which come first in the order; time before each row in the order, over `WALK_SECONDS`.
+        #: Compliance of the object [m/N]: where it is linearised, mean and standard deviation of its prior, (3,).
+        self.compliance = np.array([*HALF_NORMAL[:1], *HALF_NORMAL]) * priors.object_compliance
+        # The solution: rows in the order of time, variance of the step of bias and point before each, standard
+        # deviation of the bias at the first, unknowns at the last row and at each, covariance of point and compliance.
+        self.order, self.walk, self.start = np.arange(rows), np.zeros((rows, 2)), 0.0
+        #: Number of pins, which come last in the order; time before each row in the order, over `WALK_SECONDS`.
         self.pins, self.elapsed = 0, np.zeros(rows)
-        self.x, self.common, self.cov = np.empty(width - 1), np.empty((rows, width - 1)), np.empty((3, 3))
-        self._chain = np.empty((rows, fusion_kernel.BIAS, width))
+        self.x, self.common, self.cov = np.empty(width - 1), np.empty((rows, width - 1)), np.empty((4, 4))
+        self._chain = np.empty((rows, fusion_kernel.WALKING, width))
         self._scatter, self._creep = sources.column("stiffness scatter"), sources.column("creep")
         #: Derivative of the channels by the bias in steps of the resolution, (m, 6).
         step = model.noise_base() * model.averaging_samples
@@ -132,10 +151,10 @@ class FusionState:
         return len(self.order) - self.pins
 
     def pin(self, constraint: PointConstraint) -> None:
-        """Put a condition on the touched point into the last row, which counts as a reading before the first."""
-        self.pins, self.order = 1, np.roll(self.order, 1)
+        """Put a condition on the touched point into the last row, which counts as a reading after the last."""
+        self.pins = 1
         self.touched[-1] = False
-        self.reduced[-1, 0, :3] = constraint.axis / constraint.std
+        self.reduced[-1, 0, :-1][POINT_COLUMNS] = constraint.axis / constraint.std
         self.reduced[-1, 0, -1] = constraint.at / constraint.std
 
     # One row ---------------------------------------------------------------------------------------------------------
@@ -151,7 +170,7 @@ class FusionState:
     def reduce_row(
         self,
         row: int,
-        robot_mm: float | None = None,
+        priors: Tolerances | None = None,
         D: Array | None = None,
         friction: float | None = None,
         common_friction: float | None = None,
@@ -160,7 +179,7 @@ class FusionState:
 
         Args:
             row: which.
-            robot_mm: standard deviation of the base's place at this pose alone [mm]; that of the priors if None.
+            priors: standard deviations that the columns do not hold; those of the state if None.
             D: error columns, (12, J); those of the touch if None.
             friction: prior standard deviation of the friction ratio; that of the model if None.
             common_friction: share of its variance that all touches have in common; that of the fusion if None.
@@ -170,12 +189,15 @@ class FusionState:
             fusion_kernel.reduce_free(columns, free, self.wrench[row], self.channels, self.whiten[row], self.bias,
                                         self.reduced[row])  # fmt: skip
             return
+        compliance = self.compliance
+        if priors is not None and priors.object_compliance != self.priors.object_compliance:
+            compliance = np.append(compliance[:2], HALF_NORMAL[1] * priors.object_compliance)
         fusion_kernel.reduce_keyframe(
             self.touches[row], self.lin[row], self.D[row] if D is None else D, self.wrench[row], self.pose[row],
             self.channels, self.whiten[row], self.bias, self.model.friction if friction is None else friction,
             self.common_friction if common_friction is None else common_friction,
-            (self.priors.robot_mm if robot_mm is None else robot_mm) * MM, self._scatter, self._creep,
-            float(self.ramp[row]), self._work.block, self.local[row], self.reduced[row],
+            self.model.mass * self.sources[row].gravity, compliance, (priors or self.priors).robot_mm * MM,
+            self._scatter, self._creep, float(self.ramp[row]), self._work.block, self.local[row], self.reduced[row],
         )  # fmt: skip
 
     def move_row(self, row: int, share: float = 1.0, max_step: float = MAX_STEP) -> float:
@@ -211,11 +233,25 @@ class FusionState:
             walk: variance of the bias's step before each row in `order` [steps²].
             start: standard deviation of the bias at the first one [steps].
         """
-        self.walk, self.start = walk, start
-        chi2 = fusion_kernel.solve_reduced(self.reduced, self.order, walk, start, self.causes, self._chain,
+        touched = self.touched[self.order]
+        moves = touched & (np.cumsum(touched) > 1)  # the object may move from one touch to the next
+        self.walk = np.column_stack([walk, moves * (self.priors.object_walk_mm * MM) ** 2])
+        self.start = start
+        chi2 = fusion_kernel.solve_reduced(self.reduced, self.order, self.walk, start, self.causes, self._chain,
                                            self._work.solve, self.x, self.cov)  # fmt: skip
-        fusion_kernel.smooth_bias(self._chain, self.order, walk, self.x, self.common)
+        fusion_kernel.smooth(self._chain, self.order, self.walk, self.x, self.common, self._work.mean)
         return float(chi2)
+
+    @property
+    def object_compliance(self) -> float:
+        """Return the compliance of the object, as solved [m/N], not below 0."""
+        _linearised, mean, std = self.compliance
+        return max(float(mean + std * self.x[COMPLIANCE]), 0.0)
+
+    @property
+    def point(self) -> Array:
+        """Return the touched point at rest, as solved [m], (3,)."""
+        return self.x[POINT_COLUMNS]
 
     def solved(
         self,
@@ -224,40 +260,44 @@ class FusionState:
         friction: float | None = None,
         common_friction: float | None = None,
     ) -> tuple[float, Array, Array]:
-        """Return the least misfit, the common unknowns and the covariance of the touched point of a batch, for the
+        """Return the least misfit, the common unknowns and the covariance of the point at rest of a batch, for the
         touches as linearised.
 
         Args:
-            priors: standard deviations that the columns do not hold, of bias and base at each pose; those of the state
-                if None.
+            priors: standard deviations that the columns do not hold, of bias, base at each pose and the object's
+                compliance; those of the state if None.
             D: error columns, (k, 12, J); those of the touches if None.
             friction, common_friction: as in `reduce_row`.
         """
         priors = priors or self.priors
         for row in range(self.readings):
-            self.reduce_row(row, priors.robot_mm, None if D is None else D[row], friction, common_friction)
+            self.reduce_row(row, priors, None if D is None else D[row], friction, common_friction)
         chi2 = self.solve(priors.walk_steps**2 * self.elapsed, priors.drift_steps)
-        return chi2, self.x.copy(), self.cov.copy()
+        return chi2, self.x.copy(), self.cov[:3, :3].copy()
 
     def information(self) -> tuple[Array, Array]:
         """Return the information matrix (n, n) and vector (n,) of touched point [m] and error sources, as solved.
 
-        Bias and common friction are marginalised; the unit priors of the error sources are part of the matrix.
+        All other unknowns are marginalised; the unit priors of the error sources are part of the matrix.
 
         Returns:
             Both of n = 3 + J unknowns.
         """
-        o, (L, scale) = 3 + self.causes, _factor(self._work.solve, len(self.x))
+        n, (L, scale) = len(self.x), _factor(self._work.solve, len(self.x))
+        kept = np.r_[np.arange(n)[POINT_COLUMNS], : self.causes]
+        rest = np.delete(np.arange(n), kept)
         root = scale[:, None] * L
         A = root @ root.T
-        reduced = A[:o, :o] - A[:o, o:] @ np.linalg.solve(A[o:, o:], A[o:, :o])
-        return reduced, reduced @ self.x[:o]
+        reduced = A[np.ix_(kept, kept)] - A[np.ix_(kept, rest)] @ np.linalg.solve(A[np.ix_(rest, rest)],
+                                                                                  A[np.ix_(rest, kept)])  # fmt: skip
+        return reduced, reduced @ self.x[kept]
 
     def cov_with_sources(self) -> Array:
-        """Return the covariance of the touched point [m] with the error sources (unit priors), as solved, (3, J)."""
+        """Return the covariance of the point at rest [m] with the error sources and, in the last column, with the
+        compliance of the object (unit priors), as solved, (3, J + 1)."""
         L, scale = _factor(self._work.solve, len(self.x))
         half = solve_triangular(L, np.diag(1.0 / scale), lower=True)
-        return np.asarray(half[:, :3].T @ half[:, 3 : 3 + self.causes])
+        return np.asarray(half[:, POINT_COLUMNS].T @ half[:, np.r_[: self.causes, COMPLIANCE]])
 
     def rms(self, priors: Tolerances) -> float:
         """Return the RMS error of the touched point [m] under other priors (Cramér-Rao bound)."""
@@ -296,14 +336,16 @@ class FusionState:
         """
         rows, m, width = self.reduced.shape
         wide = np.zeros((rows, m, width + 3))
-        wide[:, :, :3], wide[:, :, 6:] = self.reduced[:, :, :3], self.reduced[:, :, 3:]
-        wide[first : self.readings, :, 3:6] = OBJECT_STEP * self.reduced[first : self.readings, :, :3]
-        chain = np.empty((rows, fusion_kernel.BIAS, width + 3))
+        wide[:, :, 3:] = self.reduced
+        wide[first : self.readings, :, :3] = (
+            OBJECT_STEP * self.reduced[first : self.readings, :, :-1][..., POINT_COLUMNS]
+        )
+        chain = np.empty((rows, fusion_kernel.WALKING, width + 3))
         work, n = np.empty(fusion_kernel.solve_work(self.causes + 3)), width + 2
         chi2 = fusion_kernel.solve_reduced(wide, self.order, self.walk, self.start, self.causes + 3, chain, work,
-                                           np.empty(n), np.empty((3, 3)))  # fmt: skip
+                                           np.empty(n), np.empty((4, 4)))  # fmt: skip
         L, scale = _factor(work, n)
-        half = solve_triangular(L, np.diag(1.0 / scale)[:, 3:6], lower=True)
+        half = solve_triangular(L, np.diag(1.0 / scale)[:, :3], lower=True)
         # All are zero where the step is unobservable.
         return float(chi2), np.maximum(1.0 - np.linalg.eigvalsh(half.T @ half), 1e-12)
 
@@ -335,7 +377,7 @@ class FusionState:
     @property
     def dof(self) -> int:
         """Return the degrees of freedom of the misfit."""
-        return dof_of(self.model, self.channels, self.touched[self.order[self.pins :]])
+        return dof_of(self.model, self.channels, self.touched[self.order[: self.readings]])
 
     def estimate(self, result: Result, chi2: float, rms: float, iterations: int, candidates: Array) -> FusedEstimate:
         """Return the estimate as solved; with any result but "ok" without the point.
@@ -347,8 +389,8 @@ class FusionState:
         stiffness, std, column = 1.0, 0.0, self.sources[0].column("E")
         if column >= 0:
             scale = self.priors.youngs_modulus
-            stiffness = math.exp(scale * float(self.x[3 + column]))
-            std = scale * float(fusion_kernel.standard_deviation(self._work.solve, len(self.x), 3 + column,
+            stiffness = math.exp(scale * float(self.x[column]))
+            std = scale * float(fusion_kernel.standard_deviation(self._work.solve, len(self.x), column,
                                                                  self._work.mean))  # fmt: skip
         stated: dict[str, Any] = {
             "stiffness": stiffness, "std_stiffness": stiffness * std, "chi2": chi2, "dof": self.dof, "rms": rms,
@@ -356,8 +398,8 @@ class FusionState:
         }  # fmt: skip
         if result != "ok":
             return FusedEstimate(result, **stated)
-        mean, cov_mean = self.mean_centre()
-        rows = self.order[self.pins :]
+        points, covs = self.points()
+        rows = self.order[: self.readings]
         touches, free, s = self.touches[rows], ~self.touched[rows], np.empty(len(rows))
         multistart.contact_arclengths(self.model.rod.body, touches, s)
         force, normal = touches[:, DEAD : DEAD + 3], touches[:, NORMAL]
@@ -365,17 +407,34 @@ class FusionState:
         force[free] = 0.0
         for column_of_free in (s, normal, tangential):
             column_of_free[free] = np.nan
-        return FusedEstimate("ok", self.x[:3].copy(), self.cov.copy(), mean, cov_mean, s, force, normal, tangential,
-                             **stated)  # fmt: skip
-
-    def mean_centre(self) -> tuple[Array, Array]:
-        """Return the mean of the centreline points in the world [m], (3,), and its covariance [m²], as solved."""
-        mean, cov = np.empty(3), np.empty((3, 3))
-        fusion_kernel.mean_centre(
-            self.lin, self.D, self.local, self.pose, self.order, self.touched, self.walk, self._chain, self.common,
-            self._scatter, self._creep, self.ramp, self._work.mean, self._work.solve, mean, cov,
+        compliance = self.object_compliance
+        half = statistics.sigmas_95(1) * float(self.compliance[2]) * math.sqrt(self.cov[3, 3])
+        interval = np.maximum([compliance - half, compliance + half], 0.0)
+        return FusedEstimate(
+            "ok", points[0], covs[0], points[1], covs[1], points[2], covs[2], compliance, interval, s, force,
+            normal, tangential, **stated,
         )  # fmt: skip
-        return mean, cov
+
+    def points(self) -> tuple[Array, Array]:
+        """Return the touched point at rest and now, and the centreline point now, in the world [m], (3, 3), and the
+        covariance of each [m²], (3, 3, 3), as solved."""
+        points, covs = np.empty((3, 3)), np.empty((3, 3, 3))
+        points[0], covs[0] = self.point, self.cov[:3, :3]
+        for k, first in enumerate((POINT, CENTRE), start=1):
+            fusion_kernel.last_point(
+                self.lin, self.D, self.local, self.pose, self.order, self.touched, self.walk, self._chain, self.common,
+                self._scatter, self._creep, self.ramp, first, self._work.mean, self._work.solve, points[k], covs[k],
+            )  # fmt: skip
+        return points, covs
+
+    @property
+    def log_volume(self) -> float:
+        """Return the logarithm of the volume of the likely unknowns, up to a constant: -½ log det of the information
+        on all of them, as solved."""
+        L, scale = _factor(self._work.solve, len(self.x))
+        rows = self.order[self.touched[self.order]]
+        pivots = np.diagonal(self.local[rows][:, :, : fusion_kernel.LOCAL], axis1=1, axis2=2)
+        return -float(np.log(np.abs(pivots)).sum() + np.log(scale * L.diagonal()).sum())
 
 
 def _factor(memory: Array, n: int) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
 from probedesign.core.errors import InputError
-from probedesign.design.catalog import RESINS, STIFFNESS_SPREAD, Quantity
+from probedesign.design.catalog import OBJECT_COMPLIANCE, RESINS, STIFFNESS_SPREAD, Quantity
 
 IDENTIFIED = 0.005  #: What an identification on the bench leaves of the stiffness, relative. Assumed.
 #: What an hour on the bench leaves of the stiffness, relative. `plan --minutes 60` expects 3.0 to 3.4 % of the large
@@ -41,6 +41,8 @@ SOURCES = {
     "gain": "assumed: calibration certificates bound the error to 1.0-1.75 % of full scale; a third of it",
     "creep": "assumed: nothing is published for {product}",
     "stiffness_scatter": "assumed: creep and hysteresis from touch to touch; nothing is published for {product}",
+    "object_compliance": f"{OBJECT_COMPLIANCE.provenance}: {OBJECT_COMPLIANCE.source}",
+    "object_walk_mm": "assumed: the object stands firm; [contact] object_walk_mm",
     "robot_mm": "assumed: ISO 9283 repeatability of ±0.03 mm of a small arm, taken as three standard deviations",
 }
 
@@ -108,6 +110,10 @@ class Tolerances:
     #: of the step that the bias takes in `WALK_SECONDS` between the readings of a fusion, in the same steps; its
     #: variance grows with time.
     walk_steps: float = 0.2
+    #: scale of the half-normal prior of the compliance of the touched object [m/N]; 0 is a rigid object. One touch does
+    #: not see it.
+    object_compliance: float = OBJECT_COMPLIANCE.value
+    object_walk_mm: float = 0.0  #: of the step of a loose object between two touches, on each axis.
     #: of the bore's diameter in all sections of a hollow probe together, the outer one being as it is.
     bore_mm: float = 0.075
 
@@ -152,7 +158,16 @@ class Tolerances:
     def exact(self) -> bool:
         """Return whether a single reading has no model error."""
         return (
-            replace(self, robot_mm=0.0, walk_steps=0.0, tared=True, youngs_modulus_by_diameter=0.0) == Tolerances.none()
+            replace(
+                self,
+                robot_mm=0.0,
+                walk_steps=0.0,
+                object_compliance=0.0,
+                object_walk_mm=0.0,
+                tared=True,
+                youngs_modulus_by_diameter=0.0,
+            )
+            == Tolerances.none()
         )
 
     def sources(self, resin: str = "") -> dict[str, str]:

@@ -24,7 +24,7 @@ from probedesign.estimation.detector import Detector, Touching
 from probedesign.estimation.error_sources import ErrorSources, across
 from probedesign.estimation.estimate import FusedEstimate, MomentsAbout, Result
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.fusion import Fusion, Reading
+from probedesign.estimation.fusion import Fusion, Posterior, Reading
 from probedesign.estimation.fusion_state import FusionState, channels_of
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 
@@ -91,10 +91,13 @@ class Keyframe:
 
 @dataclass
 class _Curvature:
-    """What curvature adds to the covariances, when it was evaluated last."""
+    """What the posterior over the object's compliance and the curvature add, when they were evaluated last."""
 
     size: float = 0.0  #: trace of the point's linear covariance then [m²]; 0 before the first evaluation.
-    added: tuple[Array, Array] = (np.zeros((3, 3)), np.zeros((3, 3)))  #: to touched and centreline point [m²].
+    #: added to the points of `Solution` [m], (3, 3), and to their covariances [m²], (3, 3, 3).
+    shift: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    added: Array = field(default_factory=lambda: np.zeros((3, 3, 3)))
+    posterior: Posterior | None = None  #: of the keyframes then; None if it was not found.
     moved: bool = False  #: whether the object had moved.
     time: float = -math.inf  #: of the evaluation [s].
 
@@ -308,9 +311,10 @@ class Tracker:
         if not math.isfinite(chi2):
             return FusedEstimate("not_converged")
         touch.located = True
-        rms = statistics.rms(state.cov)
+        state.compliance[0] = state.object_compliance
+        rms = statistics.rms(state.cov[:3, :3])
         force_std = math.sqrt(float(self._noise[0, 0])) / np.sqrt([frame.count for frame in frames])
-        return state.estimate(state.result(chi2, rms, force_std), chi2, rms, 1, state.x[None, :3].copy())
+        return state.estimate(state.result(chi2, rms, force_std), chi2, rms, 1, state.point[None].copy())
 
     def _remember(self, touch: _Touch, result: FusedEstimate) -> FusedEstimate:
         """Return the result with its curvature; a fit that is inconsistent or did not converge is restarted."""
@@ -324,21 +328,26 @@ class Tracker:
     def _curved(self, touch: _Touch, result: FusedEstimate) -> FusedEstimate:
         """Return the result with the curvature correction.
 
-        From one evaluation to the next it goes with the square of the covariance, and only where it adds: the
-        covariance has turned since.
+        From one evaluation to the next it goes with the square of the covariance.
         """
         size = float(result.cov_surface_world.trace())
         if self._is_due(touch, size):
             self._evaluate_curvature(touch, size)
         curvature = touch.curvature
         scale = min(size / curvature.size, 1.0) ** 2 if curvature.size > 0.0 else 0.0
-        cov, cov_contact = (
-            linear + scale * added
-            for linear, added in zip((result.cov_surface_world, result.cov_contact_world), curvature.added, strict=True)
-        )
-        rms = statistics.rms(cov)
+        linear = np.array([result.cov_surface_world, result.cov_surface_now_world, result.cov_contact_world])
+        covs = linear + scale * curvature.added
+        if np.linalg.eigvalsh(covs - 0.25 * linear)[:, 0].min() < 0.0:  # the linear covariance has turned since
+            covs = linear + scale * np.array([_positive_part(added) for added in curvature.added])
+        points = np.array([result.p_surface_world, result.p_surface_now_world, result.p_contact_world])
+        posterior = Posterior(points + math.sqrt(scale) * curvature.shift, covs, result.chi2, result.object_compliance,
+                              result.object_compliance_interval_95)  # fmt: skip
+        if curvature.posterior is not None:
+            last = curvature.posterior
+            posterior = posterior._replace(compliance=last.compliance, interval=last.interval)
+        rms = statistics.rms(posterior.covs[0])
         if not curvature.moved and rms < self._state.model.rod.length * UNIFORM_STD:
-            return replace(result, cov_surface_world=cov, cov_contact_world=cov_contact, rms=rms)
+            return replace(result, **posterior.fields, rms=rms)
         code: Result = "inconsistent" if curvature.moved else self._state.uncertain
         return FusedEstimate(code, stiffness=result.stiffness, std_stiffness=result.std_stiffness, chi2=result.chi2,
                              dof=result.dof, rms=rms, iterations=1)  # fmt: skip
@@ -350,16 +359,18 @@ class Tracker:
         return last.count >= last.due or since > CURVATURE_SECONDS[1] or not 0.5 * before < size < 2.0 * before
 
     def _evaluate_curvature(self, touch: _Touch, size: float) -> None:
-        """Evaluate the curvature correction, and whether the object has moved, by the batch of the keyframes."""
+        """Evaluate the posterior over the compliance with its curvature, and whether the object moved, by a batch."""
         fusion, last = self._batch(touch), touch.keyframes[-1]
         last.due = 4.0 * max(last.count, FIRST_CURVATURE)
         touch.curvature = _Curvature(size, time=self._time)
         best = fusion.refine(self._state.touches[self._state.order])
-        if best is not None:
-            surface, contact = fusion.curvature(best)
-            state = fusion.state(best.touches)
-            moved = state.linearise() and state.has_moved()
-            touch.curvature = _Curvature(size, (_positive_part(surface), _positive_part(contact)), moved, self._time)
+        if best is None:
+            return
+        posterior, state = fusion.over_compliance(best), fusion.state(best.touches)
+        moved = state.linearise() and state.has_moved()
+        touch.curvature = _Curvature(
+            size, posterior.points - best.points, posterior.covs - best.covs, posterior, moved, self._time
+        )
 
     # Starting --------------------------------------------------------------------------------------------------------
 

@@ -111,12 +111,12 @@ class ConditionalPoint:
     names: tuple[str, ...] = ()  #: error source of each column, as `ErrorSources.names`.
 
     @classmethod
-    def from_fusion(cls, state: FusionState, added: Array) -> "ConditionalPoint":
+    def from_fusion(cls, state: FusionState, fused: FusedEstimate) -> "ConditionalPoint":
         """Return the conditional point of the fusion of one touch.
 
         Args:
             state: of the fusion, linearised and solved with its own priors.
-            added: covariance that the linearised fusion does not contain [m²], (3, 3).
+            fused: its result, whose point and covariance count what the linearised fusion does not.
         """
         information, vector = state.information()
         J = state.causes
@@ -130,7 +130,8 @@ class ConditionalPoint:
         on_m = (kept * values[values > MIN_INFORMATION]) @ kept.T
         vector_m = kept @ (kept.T @ (vector[m] - information[m, x] @ S @ vector[x]))
         names = state.sources[0].names
-        return cls(S @ vector[x], B, 0.5 * (S + S.T) + added, on_m, vector_m, names)
+        shift, added = fused.p_surface_world - state.point, fused.cov_surface_world - state.cov[:3, :3]
+        return cls(S @ vector[x] + shift, B, 0.5 * (S + S.T) + added, on_m, vector_m, names)
 
     def position(self, common: Array) -> Array:
         """Return the point for given common error sources (J,) [m], (3,)."""
@@ -195,8 +196,8 @@ def locate_touch(segment: TouchSegment, estimator: Estimator, priors: Tolerances
     state = fusion.state(solutions[0].touches)
     if not state.linearise():
         return LocatedTouch(segment, "not_converged")
-    cov = state.solved()[2]
-    point = ConditionalPoint.from_fusion(state, fused.cov_surface_world - cov)
+    state.solved()
+    point = ConditionalPoint.from_fusion(state, fused)
     if not np.linalg.eigvalsh(point.cov)[0] > 0.0:  # a direction is open, or the readings contradict each other
         return LocatedTouch(segment, "not_converged")
     forces = np.linalg.norm(fused.force_base, axis=1)

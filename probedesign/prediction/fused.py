@@ -61,7 +61,7 @@ class PressSchedule:
         return f"{self.touches} touches fused as the base presses on, {counted}"
 
 
-FUSED_CAUSES = (*SOURCES, "friction", "robot")  #: Error sources of fused touches, in the order of the tables.
+FUSED_CAUSES = (*SOURCES, "friction", "robot", "object")  #: Error sources of fused touches, in the order of the tables.
 _STEP = 2e-3  #: Relative step of the differences; their error is its square.
 _SCATTER = "stiffness scatter"
 
@@ -128,7 +128,7 @@ class LinearizedPresses:
         """Return the covariance by error source."""
         priors = self.state.priors
         total = self.cov()
-        exact = replace(priors, robot_mm=0.0, drift_steps=0.0, walk_steps=0.0)
+        exact = replace(priors, robot_mm=0.0, drift_steps=0.0, walk_steps=0.0, object_compliance=0.0)
         noise = self.cov(exact, np.zeros_like(self.state.D))
         whole = self.cov(friction=0.0)
         with_sources = self.state.cov_with_sources()
@@ -136,6 +136,7 @@ class LinearizedPresses:
         for name in SOURCES[2:]:
             here = with_sources[:, [c for c, of in enumerate(self.state.sources[0].names) if of == name]]
             parts[name] = here @ here.T
+        parts["object"] = with_sources[:, -1:] @ with_sources[:, -1:].T
         parts["drift"] = self._by(lambda f: (replace(priors, drift_steps=f * priors.drift_steps,
                                                      walk_steps=f * priors.walk_steps), None))  # fmt: skip
         parts["robot"] = self._by(lambda f: (replace(priors, robot_mm=f * priors.robot_mm), None))

@@ -57,7 +57,10 @@ def test_the_papers_probes(name, length, assumed):
     assert design.shear_modulus.value == pytest.approx(7.61e5, rel=1e-15)
     assert design.youngs_modulus.provenance == design.shear_modulus.provenance == "identified"
     assert design.density.provenance == "datasheet"
-    assert design.assumptions == (*(f"probe.{key}" for key in assumed), "mount.root_rigid_radii", "contact.friction")
+    assert design.assumptions == (
+        *(f"probe.{key}" for key in assumed), "mount.root_rigid_radii", "contact.friction",
+        "contact.object_compliance_m_N",
+    )  # fmt: skip
     assert design.friction.value == 0.6
 
 
@@ -472,6 +475,7 @@ def test_a_new_design_has_the_sources_of_its_numbers(tmp_path):
         "material.shear_modulus_mpa",
         "mount.root_rigid_radii",
         "contact.friction",
+        "contact.object_compliance_m_N",
     )
     assert "until measured" in next(line for line in text.splitlines() if line.startswith("friction = 0.6"))
     assert "not on yours" in next(line for line in text.splitlines() if line.startswith("youngs_modulus_mpa"))

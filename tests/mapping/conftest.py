@@ -16,7 +16,8 @@ from tests.live.conftest import estimator as estimator
 def probe(tmp_path_factory, estimator):
     """The large probe with E known to 1 %, as a frozen file."""
     path = tmp_path_factory.mktemp("explore") / "large.probe.json"
-    write_frozen(replace(estimator.model, stiffness_spread=0.01), path)
+    rigid = replace(estimator.priors, object_compliance=0.0)  # as the simulated cards
+    write_frozen(replace(estimator.model, stiffness_spread=0.01, tolerances=rigid), path)
     return path
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM
+from probedesign.estimation.estimate import FusedEstimate
 from probedesign.estimation.fusion import Fusion, Reading
 from probedesign.estimation.fusion_state import channels_of
 from probedesign.estimation.tolerances import Tolerances
@@ -55,27 +56,27 @@ def carried(touch):
 def test_a_rotation_error_rotates_the_point_about_the_base(estimator, houses):
     """Up to the sag, a tenth: gravity acts downwards for any rotation, so the sag is not rotated."""
     (still,), (turned,) = (house.touches for house in houses)
-    assert found(estimator, houses[0])[0].x[:3] == pytest.approx(still.p_world, abs=0.02 * MM)  # the mean of six places
+    assert found(estimator, houses[0])[0].x == pytest.approx(still.p_world, abs=0.02 * MM)  # the mean of six places
     assert turned.Ts_world_base[0][:3, :3] == pytest.approx(still.Ts_world_base[0][:3, :3])
     drawn = np.random.default_rng(2).spawn(1)[0].normal(0.0, TURN)
     by = carried(turned) @ drawn
     assert np.linalg.norm(by) > 0.3 * MM
-    off = turned.p_world - found(estimator, houses[1])[0].x[:3]
+    off = turned.p_world - found(estimator, houses[1])[0].x
     assert np.linalg.norm(off - by) < 0.1 * np.linalg.norm(by) + 0.02 * MM
 
 
 def test_the_rotation_is_a_common_error_source(estimator, houses):
     """Given the rotation, the point agrees with the simulated one, sag included, to a twentieth and 0.01 mm."""
     best, state = found(estimator, houses[0], tilt_deg=0.2, clocking_deg=0.5)
-    located = ConditionalPoint.from_fusion(state, np.zeros((3, 3)))
+    located = ConditionalPoint.from_fusion(state, FusedEstimate("ok", state.point, state.cov[:3, :3]))
     columns = [i for i, name in enumerate(located.names) if name in ("base tilt", "clocking")]
     drawn = np.random.default_rng(2).spawn(1)[0].normal(0.0, TURN)
     moved = located.sensitivity[:, columns] @ (drawn / np.radians([0.2, 0.2, 0.5]))
-    off = houses[1].touches[0].p_world - found(estimator, houses[1])[0].x[:3]
+    off = houses[1].touches[0].p_world - found(estimator, houses[1])[0].x
     assert np.linalg.norm(off - moved) < 0.05 * np.linalg.norm(off) + 0.01 * MM
     # The parts are those of the fusion: with the unit priors put back they give its point and covariance.
     cov = np.linalg.inv(np.eye(len(located.information_vector)) + located.information)
-    assert located.position(cov @ located.information_vector) == pytest.approx(best.x[:3], abs=1e-9)
+    assert located.position(cov @ located.information_vector) == pytest.approx(best.x, abs=1e-9)
     assert located.covariance(cov) == pytest.approx(best.cov, rel=1e-6, abs=1e-14)
 
 

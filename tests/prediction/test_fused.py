@@ -12,6 +12,7 @@ from scipy import stats
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.design import load_design
+from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.fused import FUSED_CAUSES, LinearizedPresses, PressSchedule
 from probedesign.prediction.monte_carlo import MonteCarloPlan, PrintSamples, locate_draws, run_monte_carlo
@@ -59,13 +60,13 @@ def press_of(estimator, schedule, touch=TOUCH):
     "schedule", [PressSchedule(), PressSchedule(3, "base"), PressSchedule(4, None)], ids=["sensor", "base", "all"]
 )
 def test_the_budget_is_the_covariance_of_the_fusion(large, schedule):
-    estimator = large.estimator()
+    estimator = Estimator(large.model, replace(large.tolerances, object_compliance=0.0))
     press = press_of(estimator, schedule)
     c = estimator.fuse(press.wrenches, press.state.pose, large.model.gravity_base,
                        moments_only=schedule.moments_about is not None,
                        moments_about=schedule.moments_about or "base")  # fmt: skip
     assert c.ok and np.linalg.norm(c.p_surface_world) < 0.05 * c.rms
-    found = of(large, large.tolerances, schedule=schedule)
+    found = of(large, estimator.priors, schedule=schedule)
     # Linearised where it stopped; the curve of the likely points adds up to 2 % here, and the prediction leaves it out.
     assert 0.99 * found.predicted_error_mm <= 1e3 * c.rms <= 1.03 * found.predicted_error_mm
 
@@ -160,8 +161,9 @@ def test_the_press_schedule_is_part_of_the_checkpoint_key(large):
 
 
 def test_the_fused_force_threshold_gives_the_requested_error(large):
-    found = large.predict(fractions=(0.6,), forces_N=(0.002, 0.003, 0.004, 0.006), directions=("+y",)).fused_reach[0]
-    there = of(large, large.tolerances, (0.6, 1e-3 * found.force_mN_for_2_mm, "+y"))
+    forces, rigid = (0.002, 0.003, 0.004, 0.006), replace(large.tolerances, object_compliance=0.0)
+    found = large.predict((0.6,), forces, ("+y",), tolerances=rigid).fused_reach[0]
+    there = of(large, rigid, (0.6, 1e-3 * found.force_mN_for_2_mm, "+y"))
     assert there.predicted_error_mm == pytest.approx(2.0, rel=0.02)  # straight in logarithms over a third
 
 
