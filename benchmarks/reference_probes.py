@@ -150,7 +150,7 @@ class Perturbations:
         probes = Probes(
             rod.s[:, None] * length_factor, radius.T, rod.youngs_modulus * E_factor, rod.shear_modulus * G_factor,
             rod.density * np.exp(one("density", "density")), np.full(n, rod.shear_coefficient), missing,
-            np.full(n, float(rod.finite_strain)), np.zeros((K, 3, n)),
+            np.full(n, float(rod.finite_strain)), np.full(n, rod.flatness), np.zeros((K, 3, n)),
         )  # fmt: skip
         # With several touches, the material has not crept at the first and has crept fully at the last.
         creeps = np.zeros((n, k)) if k == 1 else creep[:, None] * np.linspace(0.0, 1.0, k)

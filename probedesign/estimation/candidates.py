@@ -12,6 +12,7 @@ from probedesign.rod.kernels import inner
 from probedesign.rod.kernels.equations import (
     CONE,
     DENSITY,
+    FLATNESS,
     ROOT_REACH,
     frustum_at,
     frustum_of,
@@ -33,6 +34,7 @@ from probedesign.rod.kernels.surface_contact import (
     TIP,
     S,
     offset_along,
+    outline_at,
     radius_and_slope,
 )
 
@@ -211,28 +213,32 @@ def guess(body, end, gravity, force, known_twist, work, room, s, reached, touch)
 def place_touch(body, end, s, force, t, x_axis, twist, known_twist, touch):
     """Fill a touch (but for its tip) whose force comes nearest to the centreline at s where the section is t, x_axis.
 
-    The force points away from the touched side of the section, but for the friction around it, f_1 = twist/r.
+    The force points away from the touched side of the section, but for the friction around it. It acts at the point
+    r (cos ψ, f sin ψ) of the outline, whose normal has tan φ = tan ψ/f: across the section with size w and direction
+    β it twists by r w (cos ψ sin β - f sin ψ cos β) = r w D sin(γ - ψ), which has one ψ on the pushed side. Where the
+    twist is less well known than by the friction, it is taken towards that of no friction.
     """
     y_axis = cross(t, x_axis)
     across = add(force, -dot(force, t), t)
     size = math.sqrt(dot(force, force))
     wide = math.sqrt(dot(across, across))
     # A force along the tangent to 1e-6 has no direction around the section.
-    phi = math.atan2(-dot(across, y_axis), -dot(across, x_axis)) if wide > 1e-6 * size else 0.0
-    around = twist / max(radius_and_slope(body, s)[0], 1e-300)
-    known = known_twist / max(radius_and_slope(body, s)[0], 1e-300)
-    around /= 1.0 + (known / max(USUAL * wide, 1e-300)) ** 2
-    sine = min(max(around / max(wide, 1e-300), -MAX_SINE), MAX_SINE)
-    phi += math.asin(sine)
+    x, y = (dot(across, x_axis) / wide, dot(across, y_axis) / wide) if wide > 1e-6 * size else (-1.0, 0.0)
+    f, couple = body.constants[FLATNESS], max(radius_and_slope(body, s)[0] * wide, 1e-300)
+    full, gamma, free = math.sqrt(y * y + f * f * x * x), math.atan2(y, f * x), math.atan2(-f * y, -x)
+    frictionless = full * math.sin(gamma - free)
+    known = (twist / couple - frictionless) / (1.0 + (known_twist / (USUAL * couple)) ** 2)
+    psi = gamma - math.pi + math.asin(min(max((frictionless + known) / full, -MAX_SINE), MAX_SINE))
+    phi = math.atan2(math.sin(psi), f * math.cos(psi))
     e = add(times(math.cos(phi), x_axis), math.sin(phi), y_axis)
+    around = cross(t, e)
     touch[S], touch[PHI] = s, phi
     for _ in range(2):  # the radius at the touched section differs from that at s by tan² α: twice is enough
-        r, tan = radius_and_slope(body, touch[S])
-        cos = 1.0 / math.sqrt(1.0 + tan * tan)
-        sin = tan * cos
-        touch[NORMAL] = max(-cos * dot(force, e) - sin * dot(force, t), MIN_PUSH * size)
-        touch[AROUND] = sine * wide / max(touch[NORMAL], 1e-300)
-        touch[ALONG] = (cos * dot(force, t) - sin * dot(force, e)) / max(touch[NORMAL], 1e-300)
-        touch[S] = min(max(s - offset_along(r, sin, cos, touch)[0], 0.0), end)
+        r, slope = radius_and_slope(body, touch[S])
+        at = outline_at(body, slope, phi)
+        touch[NORMAL] = max(-at.cos * dot(force, e) - at.sin * dot(force, t), MIN_PUSH * size)
+        touch[AROUND] = dot(force, around) / max(touch[NORMAL], 1e-300)
+        touch[ALONG] = (at.cos * dot(force, t) - at.sin * dot(force, e)) / max(touch[NORMAL], 1e-300)
+        touch[S] = min(max(s - offset_along(r, at, touch)[0], 0.0), end)
     put(touch, DEAD, force)
-    put(touch, DEAD + 3, cross(times(r, e), force))
+    put(touch, DEAD + 3, cross(times(r, add(times(at.reach, e), at.aside, around)), force))

@@ -33,7 +33,7 @@ from probedesign.estimation.uncertainty_kernel import (
     whitening,
 )
 from probedesign.rod.kernels import inner, kernel
-from probedesign.rod.kernels.equations import OK
+from probedesign.rod.kernels.equations import FLATNESS, OK
 from probedesign.rod.kernels.linalg import minus, take, times
 from probedesign.rod.kernels.surface_contact import (
     ALONG,
@@ -54,6 +54,7 @@ from probedesign.rod.kernels.surface_contact import (
     advance,
     linearise,
     offset_along,
+    outline_at,
     plan_move,
     radius_and_slope,
     s_contact,
@@ -75,7 +76,7 @@ FIT = np.dtype([
 ])  # fmt: skip
 #: Misfits of the trace beyond which no contact is fitted: standard deviations of the reading's moment and of its
 #: force's lever together, and over the moment itself. Friction around the section leaves a couple of its own, μ r F,
-#: which is added.
+#: and the normals of an ellipse miss its centre by up to (1 - f) r, which is added.
 LIKELY, SHARE = 8.0, 0.05
 #: Of the length: how far before the likeliest place a second fit starts where the first one leads nowhere, as where the
 #: trace has run out of the thin tip.
@@ -112,11 +113,11 @@ def _fill_row(measured, lin, touch, share, step, by_s, row):
             x += lin[POINT + q, BY_TOUCH + u] * share * step[u]
             p += lin[CENTRE + q, BY_TOUCH + u] * share * step[u]
         row.force[q], row.surface[q], row.centre[q] = F - measured.mass * measured.gravity[q], x, p
-    radius, tan = radius_and_slope(measured.body, touch[S])
-    cos = 1.0 / math.sqrt(1.0 + tan * tan)
-    shift, by_1, by_2, per_r, _by_slope = offset_along(radius, tan * cos, cos, touch)
+    radius, slope = radius_and_slope(measured.body, touch[S])
+    at = outline_at(measured.body, slope, touch[PHI])
+    shift, by_phi, by_1, by_2, per_r, _by_slope = offset_along(radius, at, touch)
     row.s_contact = touch[S] + shift
-    by_s[S], by_s[PHI], by_s[NORMAL] = 1.0 - tan * per_r, 0.0, 0.0
+    by_s[S], by_s[PHI], by_s[NORMAL] = 1.0 - slope * per_r, by_phi, 0.0
     by_s[AROUND], by_s[ALONG] = by_1, by_2
 
 
@@ -261,7 +262,8 @@ def _places(measured, whiten, force, room, reached, rows):
     for j in range(reached):
         if candidates.is_least(room, j, reached):
             off, s = candidates.least(measured.end, room, j, reached)
-            couple = min(measured.friction, MAX_FRICTION) * size * radius_and_slope(measured.body, s)[0]
+            arm = min(measured.friction, MAX_FRICTION) + abs(1.0 - measured.body.constants[FLATNESS])
+            couple = arm * size * radius_and_slope(measured.body, s)[0]
             score = off / math.sqrt(1.0 / whiten[3, 3] ** 2 + (s / whiten[0, 0]) ** 2 + couple * couple)
             likely = score < LIKELY or off < SHARE * moment
             places = _ranked(rows, places, s, score, likely)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 from probedesign.core.frames import Array
 from probedesign.estimation.contact_fit import RESIDUALS, information, normal_equations, residuals
 from probedesign.rod.kernels import inline_always, inner, kernel
-from probedesign.rod.kernels.equations import BEND_X, BEND_Y, OK
+from probedesign.rod.kernels.equations import BEND_X, BEND_Y, FLATNESS, OK
 from probedesign.rod.kernels.linalg import (
     add,
     covariance_of,
@@ -49,8 +49,8 @@ from probedesign.rod.kernels.surface_contact import (
     S,
     advance,
     linearise,
+    outline_at,
     plan_move,
-    radius_and_slope,
     settle,
 )
 
@@ -380,9 +380,9 @@ def _offsets_beside(measured, whiten, tol, touch, lin, valley, side, memory, wor
 
 
 @inner
-def _add_turn_around(lin, radius, left, cov):
-    """Add to the covariance of the touched point, (3, 3), the bow of its angle varying by √left beside the valley."""
-    # Mean square of r e δφ²/2 for a normal δφ: 3/4 of its variance squared; a whole turn has a mean square of 3/2.
+def _add_turn_around(lin, left, cov):
+    """Add to the covariance of the touched point, (3, 3), the bow of its angle ψ varying by √left beside the valley."""
+    # Mean square of ρ δψ²/2 for a normal δψ: 3/4 of its variance squared; a whole turn has a mean square of 3/2.
     bow = TAIL * min(0.75 * left * left, 1.5)
     for i in range(3):
         for j in range(3):
@@ -397,7 +397,7 @@ def add_curvature(measured, whiten, tol, touch, lin, J, memory, work, fit):
 
     The touches that explain a reading lie on a curve x + a δ + b δ² + c δ³ far narrower than it is bowed; its mean
     square about x is a aᵀ + 3 (a cᵀ + c aᵀ) + 3 b bᵀ + 15 c cᵀ for a standard normal δ. It is evaluated √3 standard
-    deviations to either side. Around the section, x bows by r e δφ²/2.
+    deviations to either side. Around the section, ρ = r (cos ψ, f sin ψ) bows by ρ δψ²/2, dψ/dφ = f/g².
 
     Args:
         measured: what the touch is fitted to; whiten: of the reading, (6, 6); tol: of sweeps [rad].
@@ -407,7 +407,8 @@ def add_curvature(measured, whiten, tol, touch, lin, J, memory, work, fit):
     """
     of_point, of_centre, offsets, body = work.valley[0], work.valley[1], work.offsets, measured.body
     C, evaluated = fit.cov_touch, 0
-    radius, _tan = radius_and_slope(body, touch[S])
+    at = outline_at(body, 0.0, touch[PHI])
+    by_phi = body.constants[FLATNESS] / (at.reach * at.reach)
     for point in range(2):
         row = POINT if point == 0 else CENTRE
         cov = fit.cov_surface if point == 0 else fit.cov_centre
@@ -417,7 +418,8 @@ def add_curvature(measured, whiten, tol, touch, lin, J, memory, work, fit):
             return
         std, thin = math.sqrt(variance), math.sqrt(smallest_variance(cov))
         if point == 0:
-            _add_turn_around(lin, radius, max(C[PHI, PHI] - change[PHI] * change[PHI], 0.0), cov)
+            left = max(C[PHI, PHI] - change[PHI] * change[PHI], 0.0)
+            _add_turn_around(lin, by_phi * by_phi * left, cov)
         curvature = MAX_CURVATURE / body.knots[-1] + abs(change[PHI]) / std
         if 0.5 * variance * curvature < FLAT_ENOUGH * thin:
             continue

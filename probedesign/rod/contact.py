@@ -21,6 +21,8 @@ from probedesign.rod.rod import Mode, Rod
 _MAX_ITERATIONS = 20  # of Newton's method; where they do not suffice, the load is increased in smaller steps
 _CLOSE = 1e-10  # relative residual of force and couple: below the error of the rod's fast mode
 _MIN_STEP = 1e-3  # of the magnitude: a smaller one means that the rod buckles
+_BY_LOAD = [0, 1, 2, 4, 5, 6]  # columns of the rod by force and couple
+_AXIS = np.array([0.0, 0.0, 1.0])
 
 
 class _FollowingLoad(NamedTuple):
@@ -68,7 +70,6 @@ def _newton(
 ) -> _FollowingLoad:
     """Solve for one magnitude, from the equilibrium at a smaller one or from the unbent rod."""
     with_couple = len(unit) == 6
-    by_load = [0, 1, 2, 4, 5, 6] if with_couple else [0, 1, 2]
     if last is None:
         load, tip = magnitude * unit, None
     else:
@@ -87,7 +88,7 @@ def _newton(
             break
         axes, d = _axes(eq.sensitivity.frame), eq.sensitivity.d_contact
         turning = magnitude * np.stack([_turned(_axes(column), unit) for column in d.T], axis=1)
-        jacobian = np.eye(len(unit)) - turning[:, by_load]
+        jacobian = np.eye(len(unit)) - turning[:, _BY_LOAD[: len(unit)]]
         misfit = load - magnitude * _turned(axes, unit)
         if (np.abs(misfit) <= close).all():
             return _FollowingLoad("ok", eq, axes, load, jacobian, turning[:, 3])
@@ -115,7 +116,8 @@ class FrictionlessContact:
     result: str  #: "ok" or the code of the failed equilibrium.
     equilibrium: Equilibrium  #: with its sensitivity to force and s_contact.
     force_base: Array  #: of the object on the rod [N], (3,).
-    d_force: Array  #: derivative of the force by (s_contact, angle, magnitude), (3, 3).
+    #: derivative of the force, and of its couple on an elliptic rod, by (s_contact, angle, magnitude), (3 or 6, 3).
+    d_load: Array
 
     @property
     def sensitivity(self) -> Sensitivity:
@@ -136,7 +138,7 @@ class FrictionlessContact:
     def _total(self, columns: Array) -> Array:
         direct = np.zeros((columns.shape[0], 3))
         direct[:, 0] = columns[:, 3]
-        return columns[:, 0:3] @ self.d_force + direct
+        return columns[:, _BY_LOAD[: len(self.d_load)]] @ self.d_load + direct
 
 
 def solve_frictionless(
@@ -145,14 +147,15 @@ def solve_frictionless(
     """Solve for the equilibrium under an object that pushes without friction.
 
     F = f (cos α u - sin α t), where u = x cos φ + y sin φ is the push seen in the bent section's own axes,
-    t the bent tangent and α the half-angle of the frustum: the outward normal leans towards the tip, so
-    the push leans towards the base.
+    t the bent tangent and α the lean of the flank: the outward normal leans towards the tip, so the push leans towards
+    the base. The line of action meets the axis of a round rod; it passes that of an elliptic one at a distance, which
+    leaves a couple along the flank.
 
     Args:
         rod: the rod.
         gravity: in base axes [m/s²], (3,).
-        s_contact: where the force's line of action meets the axis [m], at most `rod.flank_end`, beyond which no
-            frictionless contact acts.
+        s_contact: where the force's line of action comes nearest to the axis [m], at most `rod.flank_end`, beyond which
+            no frictionless contact acts.
         angle: φ of the push about the tangent, from the section's x axis [rad].
         magnitude: f [N].
         mode: "fast" or "reference".
@@ -161,14 +164,24 @@ def solve_frictionless(
         The contact; its numbers are finite only with result "ok". If the rod buckles, the result is "not_converged".
     """
     s = min(s_contact, rod.flank_end)
-    alpha = math.atan(rod.taper_at(s))
-    x, y = math.cos(alpha) * math.cos(angle), math.cos(alpha) * math.sin(angle)
-    unit = np.array([x, y, -math.sin(alpha)])
+    radius, taper = float(rod.radius_at(s)), float(rod.taper_at(s))
+
+    def unit_load(angle: complex) -> Numbers:
+        """Return the force and, on an elliptic rod, the couple per magnitude, in section axes; complex steps pass."""
+        e, t = np.array([-np.cos(angle), -np.sin(angle), 0.0]), _AXIS
+        reach, aside = outline(rod.flatness, e[0], e[1])
+        tan = taper * reach
+        cos = 1.0 / np.sqrt(1.0 + tan * tan)
+        couple = radius * cos * cos * aside * cos * (t - tan * e)  # the touched section is thinner by cos² α
+        return np.concatenate([-cos * (e + tan * t), couple])[: 3 if rod.flatness == 1.0 else 6]
+
+    unit = np.asarray(unit_load(angle).real, dtype=float)
     solved = _solve_following(rod, np.asarray(gravity, dtype=float), s, unit, magnitude, mode)
-    by_angle = magnitude * _turned(solved.axes, np.array([-y, x, 0.0]))
-    direct = np.stack([solved.by_s, by_angle, _turned(solved.axes, unit)], axis=-1)
-    d_force = np.linalg.solve(solved.jacobian, direct).astype(float, copy=False)
-    return FrictionlessContact(solved.result, solved.equilibrium, solved.load, d_force)
+    by_angle = magnitude * _turned(solved.axes, unit_load(angle + 1e-30j).imag / 1e-30)
+    by_s = magnitude * _turned(solved.axes, np.concatenate([np.zeros(3), unit[3:]])[: len(unit)])
+    direct = np.stack([solved.by_s - taper / radius * by_s, by_angle, _turned(solved.axes, unit)], axis=-1)
+    d_load = np.linalg.solve(solved.jacobian, direct).astype(float, copy=False)
+    return FrictionlessContact(solved.result, solved.equilibrium, solved.load[0:3], d_load)
 
 
 class SurfaceForce(NamedTuple):
@@ -195,10 +208,10 @@ def solve_surface_force(
     with the surface. (c_a, c_h) inside a circle of radius μ is a contact within Coulomb's cone.
 
     Args:
-        rod: the rod; its section must be round.
+        rod: the rod.
         gravity: in base axes [m/s²], (3,).
         s: arclength of the touched point [m].
-        angle: φ of the touched point about the tangent, from the section's x axis [rad].
+        angle: φ of the outward normal about the tangent, from the section's x axis [rad].
         normal_force: F_n [N].
         tangential: (c_a, c_h), tangential over normal force.
         mode: "fast" or "reference".
@@ -206,23 +219,24 @@ def solve_surface_force(
     Returns:
         The equilibrium; its numbers are finite only with result "ok".
     """
-    radius, tan = (float(v) for v in SurfaceProfile.of(rod).at(np.array(min(s, rod.length) / rod.length)))
-    radius, cos = radius * rod.length, 1.0 / math.hypot(1.0, tan)
+    radius, slope = (float(v) for v in SurfaceProfile.of(rod).at(np.array(min(s, rod.length) / rod.length)))
     e, h = (np.array([math.cos(angle), math.sin(angle), 0.0]), np.array([-math.sin(angle), math.cos(angle), 0.0]))
-    t = np.array([0.0, 0.0, 1.0])
+    reach, aside = (float(value) for value in outline(rod.flatness, e[0], e[1]))
+    tan, arm, t = slope * reach, radius * rod.length * (reach * e + aside * h), _AXIS
+    cos = 1.0 / math.hypot(1.0, tan)
     force = -cos * (e + tan * t) + tangential[0] * cos * (t - tan * e) + tangential[1] * h
-    unit = np.concatenate([force, np.cross(radius * e, force)])
+    unit = np.concatenate([force, np.cross(arm, force)])
     solved = _solve_following(rod, np.asarray(gravity, dtype=float), s, unit, normal_force, mode)
-    point = solved.equilibrium.p_contact_base + radius * (solved.axes @ e)
+    point = solved.equilibrium.p_contact_base + solved.axes @ arm
     return SurfaceForce(solved.result, solved.equilibrium, solved.load[0:3], np.asarray(point))
 
 
 def line_of_action(rod: Rod, eq: Equilibrium, p_surface: ArrayLike) -> float:
     """Return the arclength where the force's line of action passes the centreline, seen across both.
 
-    With the force F at x = p + r e of the section at s, that is s - r (F · t)/(F · e), from where F has no couple about
-    h = t × e: r tan α nearer the base than the touched section without friction, up to about μ r to either side with
-    friction.
+    With the force F at x = p + ρ of the section at s and e the direction of its normal there, that is
+    s - (ρ · e)(F · t)/(F · e), from where F has no couple about t × e: r tan α nearer the base than the touched section
+    of a round rod without friction, up to about μ r to either side with friction.
 
     Args:
         rod: the rod.
@@ -232,28 +246,31 @@ def line_of_action(rod: Rod, eq: Equilibrium, p_surface: ArrayLike) -> float:
     Returns:
         The arclength [m], clipped to the rod.
     """
-    t, arm, force = eq.R_at(eq.s_contact)[:, 2], np.asarray(p_surface) - eq.p_contact_base, eq.load[0:3]
-    radius = float(np.linalg.norm(arm))
-    s = eq.s_contact - radius * float(force @ t) / (float(force @ arm) / radius)
+    R, force = eq.R_at(eq.s_contact), eq.load[0:3]
+    arm = (np.asarray(p_surface) - eq.p_contact_base) @ R
+    e = R @ [arm[0], arm[1] / rod.flatness**2, 0.0]  # of any length: across the ellipse
+    s = eq.s_contact - float(arm @ R.T @ e) * float(force @ R[:, 2]) / float(force @ e)
     return min(max(s, 0.0), rod.length)
 
 
 def surface_point(rod: Rod, eq: Equilibrium) -> Array:
     """Return the touched surface point, where the line of action leaves the body.
 
-    The outward normal at the touched section leans towards the tip by α, so with r the radius at
-    s_contact the touched section lies r cos α sin α further out and has radius r cos² α.
+    The outward normal at the touched section leans towards the tip by α, tan α = -g dr/ds, so with r the radius at
+    s_contact the touched section lies r g cos α sin α further out and has radius r cos² α.
     """
-    s = eq.s_contact
-    tan = float(rod.taper_at(s))
-    cos2 = 1.0 / (1.0 + tan * tan)
-    radius = float(rod.radius_at(s)) * cos2
-    there = min(s + radius * tan, rod.length)
-    R = eq.R_at(there)
-    inward = eq.load[0:3] - R[:, 2] * float(R[:, 2] @ eq.load[0:3])
-    norm = float(np.linalg.norm(inward))
-    out = -inward / norm if norm > 0.0 else np.zeros(3)
-    return eq.p_at(there) + radius * out
+    s = there = eq.s_contact
+    taper = float(rod.taper_at(s))
+    for _ in range(2):  # g is that of the force in the touched section's axes
+        R = eq.R_at(there)
+        across = -(eq.load[0:3] @ R)[:2]
+        norm = float(np.linalg.norm(across))
+        x, y = across / norm if norm > 0.0 else np.zeros(2)
+        reach, aside = (float(value) for value in outline(rod.flatness, x, y)) if norm > 0.0 else (1.0, 0.0)
+        tan = taper * reach
+        radius = float(rod.radius_at(s)) / (1.0 + tan * tan)
+        there = min(s + radius * reach * tan, rod.length)
+    return np.asarray(eq.p_at(there) + radius * (R @ [reach * x - aside * y, reach * y + aside * x, 0.0]))
 
 
 class RodContact(NamedTuple):
@@ -310,13 +327,25 @@ Numbers = NDArray[Any]  #: Real or complex: derivatives are taken by complex ste
 _BLEND = 0.005
 
 
+def outline(flatness: float, x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
+    """Return how far an elliptic outline of half-width 1 along x reaches along its normal e = (x, y), and how far its
+    point there lies aside, along (-y, x).
+
+    The reach is the support function g = √(x² + f² y²), the other is its derivative by the direction of the normal; the
+    radius of curvature is f²/g³. Complex numbers give derivatives.
+    """
+    reach = np.sqrt(x * x + flatness * flatness * y * y)
+    return reach, (flatness * flatness - 1.0) * x * y / reach
+
+
 class SurfaceProfile(NamedTuple):
     """Radius and taper of the surface along a rod, in rod lengths."""
 
     s: Array  #: s, radius: at the knots, (K,).
     radius: Array
-    at_s: Array  #: at_s, tan: knots of tan α, linear between them, (j,).
+    at_s: Array  #: at_s, tan: knots of -dr/ds, linear between them, (j,).
     tan: Array
+    flatness: float  #: half-width along y over the radius, which is that along x.
 
     @classmethod
     def of(cls, rod: Rod) -> "SurfaceProfile":
@@ -325,10 +354,10 @@ class SurfaceProfile(NamedTuple):
         tan, span = -np.diff(r) / np.diff(s), np.diff(s)
         half = np.minimum(_BLEND, 0.25 * np.minimum(span[:-1], span[1:]))
         ends = np.stack([s[1:-1] - half, s[1:-1] + half], axis=1).ravel()
-        return cls(s, r, np.concatenate([[0.0], ends, [1.0]]), np.repeat(tan, 2))
+        return cls(s, r, np.concatenate([[0.0], ends, [1.0]]), np.repeat(tan, 2), rod.flatness)
 
     def at(self, s: Numbers) -> tuple[Numbers, Numbers]:
-        """Return radius and tan α at s; complex s gives their derivatives."""
+        """Return radius and -dr/ds at s; complex s gives their derivatives."""
         return _straight(s, self.s, self.radius), _straight(s, self.at_s, self.tan)
 
 

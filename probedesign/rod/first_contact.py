@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from probedesign.core.frames import Array
+from probedesign.rod.contact import outline
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.rod import Rod
 
@@ -17,6 +18,7 @@ _FAR = 0.02  # rod lengths: beyond, the distance from spheres about the axis is 
 _MAX_BISECTIONS = 60
 _WITHIN = 1.0 - 1e-9  # of the last interval: the contact begins without penetration
 _MAX_STEPS = 100_000
+_TANGENTS, _NEWTON_STEPS = 32, 4  # of an elliptic outline, to find the one next to a point
 
 
 class Obstacle(NamedTuple):
@@ -111,18 +113,53 @@ class FirstContactQuery:
     def _of_points(self, points: Array, ways: Array) -> NearestPoint:
         """Return the nearest of several points (m, 3); the body about the nearest section counts as straight."""
         s, from_axis = self._feet(points)
+        reach = np.ones(len(s))
+        if self.rod.flatness != 1.0:
+            from_axis, reach = self._across(points, s)
         # The signed distance from the outline, base over flank to the centre of the tip, in the half plane (s, r).
-        corners = np.vstack([np.stack([self.rod.s, self.rod.radius], axis=1), [self.rod.length, 0.0]])
-        a, along = corners[:-1], np.diff(corners, axis=0)
+        corners = np.zeros((len(s), len(self.rod.s) + 1, 2))
+        corners[:, :-1, 0], corners[:, :-1, 1], corners[:, -1, 0] = (
+            self.rod.s,
+            np.outer(reach, self.rod.radius),
+            self.rod.length,
+        )
+        a, along = corners[:, :-1], np.diff(corners, axis=1)
         here = np.stack([s, from_axis], axis=1)[:, None]
-        c = np.clip(((here - a) * along).sum(axis=2) / (along**2).sum(axis=1), 0.0, 1.0)
+        c = np.clip(((here - a) * along).sum(axis=2) / (along**2).sum(axis=2), 0.0, 1.0)
         nearest = a + c[:, :, None] * along
         gaps = np.linalg.norm(here - nearest, axis=2)
         k, rows = np.argmin(gaps, axis=1), np.arange(len(s))
-        inside = (from_axis < self.rod.radius_at(s)) & (s < self.rod.length) & (s > 0.0)
+        inside = (from_axis < reach * self.rod.radius_at(s)) & (s < self.rod.length) & (s > 0.0)
         distance = np.where(inside, -1.0, 1.0) * gaps[rows, k]
         j = int(np.argmin(distance))
-        return NearestPoint(float(distance[j]), float(nearest[j, k[j], 0]), bool(k[j] == len(a) - 1), float(ways[j]))
+        return NearestPoint(
+            float(distance[j]), float(nearest[j, k[j], 0]), bool(k[j] == len(self.rod.s) - 1), float(ways[j])
+        )
+
+    def _across(self, points: Array, s: Array) -> tuple[Array, Array]:
+        """Return how far points lie from the axis along the normal of the section's outline next to them [m], and how
+        far the outline reaches along it, over the radius, (n,) each.
+
+        The signed distance from a convex outline is the greatest of those from its tangents, e·x - r g(φ).
+        """
+        f, radius, at = self.rod.flatness, self.rod.radius_at(s), np.clip(s, 0.0, self.rod.length)
+        xy = np.einsum("ni,nij->nj", points - self.equilibrium.p_at(at), self.equilibrium.R_at(at))[:, :2]
+
+        def beyond(phi: Array) -> tuple[Array, Array, Array]:
+            x, y = np.cos(phi), np.sin(phi)
+            g, k = outline(f, x, y)
+            along = xy[:, :1] * x + xy[:, 1:] * y
+            slope = xy[:, 1:] * x - xy[:, :1] * y - radius[:, None] * k
+            return along - radius[:, None] * g, slope, along + radius[:, None] * (f * f / g**3 - g)
+
+        grid = np.linspace(-np.pi, np.pi, _TANGENTS, endpoint=False)
+        phi = grid[np.argmax(beyond(np.tile(grid, (len(s), 1)))[0], axis=1)][:, None]
+        for _ in range(_NEWTON_STEPS):
+            distance, slope, bends = beyond(phi)
+            ahead = phi + np.clip(slope / np.maximum(bends, 1e-300), -2.0 / _TANGENTS, 2.0 / _TANGENTS)
+            phi = np.where(beyond(ahead)[0] > distance, ahead, phi)
+        reach = outline(f, np.cos(phi), np.sin(phi))[0][:, 0]
+        return beyond(phi)[0][:, 0] + radius * reach, reach
 
     def _feet(self, points: Array) -> tuple[Array, Array]:
         """Return the arclength of each point's foot on the axis, extended at both ends, and its distance."""
@@ -151,4 +188,4 @@ class FirstContactQuery:
 
     @cached_property
     def _radius(self) -> Array:
-        return self.rod.radius_at(self._s)
+        return self.rod.radius_at(self._s) * max(1.0, self.rod.flatness)

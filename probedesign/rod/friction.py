@@ -1,10 +1,11 @@
 """Contact with Coulomb friction between the rod and an object: stick and slip.
 
-A force F acts at the point x = p(s) + r(s) e(φ) of the deformed surface, e(φ) = R(s) [cos φ, sin φ, 0]. With ω the
-rotation of the section per arclength, the surface has the tangents r h, h = ∂e/∂φ, and t + r' e + r ω × e. Its outward
-unit normal is N = cos α e + sin α t with
+A force F acts at the point x = p(s) + r(s) c(φ) of the deformed surface, c = g e + k h, with the direction of the
+outline's normal e(φ) = R(s) [cos φ, sin φ, 0], h = ∂e/∂φ, its reach g along e and k = dg/dφ (`contact.outline`; g = 1
+and k = 0 if round). With ω the rotation of the section per arclength, the surface has the tangents r (g + dk/dφ) h and
+t + r' c + r ω × c. Its outward unit normal is N = cos α e + sin α t with
 
-    tan α = -r'/(1 - r ω · h),
+    tan α = (-r' g + r k ω · t)/(1 + r (ω × c) · t),
 
 where shear and stretch are neglected beside t, and ω is the mean of both sides of the contact (`contact_curvature`). On
 the centreline at s the force F acts together with the couple C = (x - p) × F. The couple depends on the deformed
@@ -14,7 +15,7 @@ sensitivities.
 The object is a sharp point, or a straight edge that touches the rod where both are tangent, N · d = 0. It moves along
 a path in base axes, x = X. In a step of that path the object slides over the rod by the backward-Euler increment
 
-    g = Δs / cos α a + r Δφ h - Δλ d,    a = cos α t - sin α e,
+    g = Δs / cos α a + (r (g + dk/dφ) Δφ + r' k Δs) h - Δλ d,    a = cos α t - sin α e,
 
 with λ the way along the edge, so that a rod that rolls on an edge does not slide. With F_n = -F · N and F_t the part
 of F in the tangent plane, Coulomb's law is
@@ -33,17 +34,18 @@ the flat end of a blunt tip there is no model: the result is "on_end".
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
-from probedesign.rod.contact import Numbers, SurfaceProfile
+from probedesign.rod.contact import Numbers, SurfaceProfile, outline
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.first_contact import FirstContactQuery, NearestPoint, Obstacle
 from probedesign.rod.kernels.sweep import contact_curvature
-from probedesign.rod.rod import Mode, Rod, finite_vector, require_round_section
+from probedesign.rod.rod import Mode, Rod, finite_vector
 
 #: Friction coefficient of the simulators: assumed, the lower end of about 0.5 to 1 for soft polyurethane on card,
 #: plastic or metal, which is to be measured for each resin.
@@ -85,20 +87,21 @@ def coulomb_residuals(
         point: of the object, over the rod's length, (3,).
         direction: of its edge, unit, (3,); None for a point.
         profile: of the rod.
-        curvature: ω about the section's x and y axes, times the rod's length, (2,).
+        curvature: ω in section axes, times the rod's length, (3,).
         friction: coefficient μ.
         stiffness: k of the slip law; None for stick.
     """
     F, C, s, angle, way = z[0:3], z[3:6], z[6], z[7], z[8]
     t, x, p, y = z[9:12], z[12:15], z[15:18], z[18:21]
-    radius, tan = _radius_and_lean(profile, s, angle, curvature)
-    cos = 1.0 / np.sqrt(1.0 + tan * tan)
+    at = SurfacePoint.of(profile, s, angle, curvature)
+    cos = 1.0 / np.sqrt(1.0 + at.tan * at.tan)
     e, h = np.cos(angle) * x + np.sin(angle) * y, np.cos(angle) * y - np.sin(angle) * x
-    a, normal = cos * (t - tan * e), cos * (e + tan * t)
-    arm = radius * e
+    a, normal = cos * (t - at.tan * e), cos * (e + at.tan * t)
+    arm = at.reach * e + at.aside * h
     couple = C - cross(arm, F)
     apart = p + arm - point[:, None]
-    slide_a, slide_h = (s - before[0]) / cos, radius * (angle - before[1])
+    slide_a = (s - before[0]) / cos
+    slide_h = at.curved * (angle - before[1]) - at.narrowing * (s - before[0])
     edge = way
     if direction is not None:
         line = direction[:, None]
@@ -118,10 +121,23 @@ def coulomb_residuals(
     return np.stack([*couple, *apart, edge, *law])
 
 
-def _radius_and_lean(profile: SurfaceProfile, s: Numbers, angle: Numbers, curvature: Array) -> tuple[Numbers, Numbers]:
-    """Return the radius and tan α of the bent surface; arguments as in `coulomb_residuals`."""
-    radius, tan = profile.at(s)
-    return radius, tan / (1.0 + radius * (curvature[0] * np.sin(angle) - curvature[1] * np.cos(angle)))
+class SurfacePoint(NamedTuple):
+    """Point of the bent surface, lengths over the rod's."""
+
+    reach: Numbers  #: r g, along the outline's normal.
+    aside: Numbers  #: r k, along the outline.
+    curved: Numbers  #: r (g + dk/dφ), its radius of curvature.
+    narrowing: Numbers  #: -r' k, how far the point at one φ moves along the outline per arclength.
+    tan: Numbers  #: tan α.
+
+    @classmethod
+    def of(cls, profile: SurfaceProfile, s: Numbers, angle: Numbers, curvature: Array) -> "SurfacePoint":
+        """Return the point at an arclength and a direction of the normal; arguments as in `coulomb_residuals`."""
+        (radius, slope), f, x, y = profile.at(s), profile.flatness, np.cos(angle), np.sin(angle)
+        g, k = outline(f, x, y)
+        turned = curvature[0] * (g * y + k * x) - curvature[1] * (g * x - k * y)
+        tan = (slope * g + radius * k * curvature[2]) / (1.0 + radius * turned)
+        return cls(radius * g, radius * k, radius * f * f / (g * g * g), slope * k, tan)
 
 
 def dot(a: Numbers, b: Numbers) -> Numbers:
@@ -148,7 +164,7 @@ class CoulombContact:
     gravity: Array  #: [m/s²], (3,).
     friction: float  #: coefficient μ.
     s: float  #: arclength of the touched material point [m].
-    angle: float  #: its φ about the tangent, from the section's x axis [rad].
+    angle: float  #: φ of the outline's normal there about the tangent, from the section's x axis [rad].
     way: float  #: λ, where on the edge the rod touches, from `object_point` [m]; 0 for a point.
     object_point: Array  #: of the object [m], (3,).
     direction: Array | None  #: of the edge, unit, (3,); None for a point.
@@ -194,15 +210,14 @@ class CoulombContact:
 class CoulombSolver:
     """Follows the contact of a rod with an object under Coulomb friction."""
 
-    rod: Rod  #: the rod; its section must be round.
+    rod: Rod  #: the rod.
     friction: float  #: coefficient μ ≥ 0; infinite for a contact that never slips.
     mode: Mode = "fast"  #: "fast" or "reference".
 
     def __post_init__(self) -> None:
-        """Raise InputError for a friction below 0 or a section that is not round."""
+        """Raise InputError for a friction below 0."""
         if not self.friction >= 0.0:
             raise InputError(f"friction = {self.friction} must not be negative")
-        require_round_section(self.rod)
 
     def press(
         self, gravity: ArrayLike, point: ArrayLike, travel: ArrayLike, direction: ArrayLike | None = None
@@ -319,23 +334,24 @@ class CoulombSolver:
         line = np.zeros(3) if d is None else d
 
         def residual(v: Array) -> Array:
-            radius, e, normal = surface_at(v[0], v[1])
+            arm, normal = surface_at(v[0], v[1])
             p = free.p_at(min(max(v[0], 0.0), 1.0) * length)
-            apart = (p - obstacle.at(v[3])) / length + radius * e - v[2] * line
+            apart = (p - obstacle.at(v[3])) / length + arm - v[2] * line
             return np.append(apart, v[2] if d is None else float(normal @ line))
 
-        def surface_at(x: float, angle: float) -> tuple[float, Array, Array]:
+        def surface_at(x: float, angle: float) -> tuple[Array, Array]:
             s = min(max(x, 0.0), 1.0) * length
             R = free.R_at(s)
             curvature = self._curvature(free, s, free.states_at(s)[0], R)
-            radius, tan = _radius_and_lean(self._profile, np.array(x), np.array(angle), curvature)
-            e = math.cos(angle) * R[:, 0] + math.sin(angle) * R[:, 1]
-            normal = e + float(tan) * R[:, 2]
-            return float(radius), e, normal / float(np.linalg.norm(normal))
+            at = SurfacePoint.of(self._profile, np.array(x), np.array(angle), curvature)
+            e = R @ [math.cos(angle), math.sin(angle), 0.0]
+            normal = e + float(at.tan) * R[:, 2]
+            return at.reach * e + at.aside * np.cross(R[:, 2], e), normal / float(np.linalg.norm(normal))
 
         p, R = free.p_at(near.s), free.R_at(near.s)
         out = R.T @ (obstacle.at(part) + near.way * line - p)
-        v = np.array([near.s / length, math.atan2(out[1], out[0]), near.way / length, part])
+        angle = math.atan2(out[1] / self.rod.flatness**2, out[0])
+        v = np.array([near.s / length, angle, near.way / length, part])
         best, size = v, math.inf
         for _ in range(_MAX_ITERATIONS):
             misfit = residual(v)
@@ -356,7 +372,7 @@ class CoulombSolver:
         return replace(
             blank, result="ok", state="stick", s=s * length, angle=angle, way=way * length,
             object_point=obstacle.at(part), force_base=still, couple_base=still,
-            normal=surface_at(s, angle)[2], slide=still,
+            normal=surface_at(s, angle)[1], slide=still,
         )  # fmt: skip
 
     def _increment(
@@ -424,7 +440,7 @@ class CoulombSolver:
             loads = np.array([unit] * 3 + [length] + [unit * length] * 3)
             d = scales[:, None] * eq.sensitivity.d_contact * loads
             frame = eq.sensitivity.frame
-            axes = np.stack([frame[3:6], frame[9:12]], axis=1)
+            axes = np.stack([frame[3:6], frame[9:12], frame[0:3]], axis=1)
             curvature = self._curvature(eq, eq.s_contact, eq.contact, axes)
             inputs = np.concatenate([x, scales * frame])
             steps = inputs[:, None] + 1j * _IMAGINARY * np.eye(len(inputs))
@@ -456,11 +472,13 @@ class CoulombSolver:
         length, unit = self._units
         assert eq.sensitivity is not None
         f = eq.sensitivity.frame
-        radius, tan = (float(value) for value in _radius_and_lean(self._profile, x[6], x[7], curvature))
+        at = SurfacePoint.of(self._profile, x[6], x[7], curvature)
+        tan = float(at.tan)
         cos = 1.0 / math.hypot(1.0, tan)
         t, ex, ey = f[0:3], f[3:6], f[9:12]
         e, h = math.cos(x[7]) * ex + math.sin(x[7]) * ey, math.cos(x[7]) * ey - math.sin(x[7]) * ex
-        slide = (x[6] - before[0]) * (t - tan * e) + radius * (x[7] - before[1]) * h
+        ds = x[6] - before[0]
+        slide = ds * (t - tan * e) + (at.curved * (x[7] - before[1]) - at.narrowing * ds) * h
         normal = cos * (e + tan * t)
         if goal.direction is not None:
             slide = slide - (x[8] - before[2]) * (goal.direction - (goal.direction @ normal) * normal)
@@ -472,10 +490,10 @@ class CoulombSolver:
         )  # fmt: skip
 
     def _curvature(self, eq: Equilibrium, s: float, state: Array, axes: Array) -> Array:
-        """Return ω at the contact about the section's x and y axes, the first columns of `axes`, in 1/L, (2,)."""
+        """Return ω at the contact about the section's x and y axes and tangent, the columns of `axes`, in 1/L, (3,)."""
         omega = np.empty(3)
         contact_curvature(s, state, eq.body, eq.load, omega)
-        return np.asarray(self.rod.length * (omega @ axes[:, :2]))
+        return np.asarray(self.rod.length * (omega @ axes))
 
     def _unknowns(self, at: CoulombContact) -> Array:
         length, unit = self._units
@@ -503,7 +521,7 @@ def press_against_point(
     the same, as if something held the rod there.
 
     Args:
-        rod: the rod; its section must be round.
+        rod: the rod.
         gravity: in base axes [m/s²], (3,).
         point: where the object is now, in base axes [m], (3,).
         travel: displacement of the object relative to the base up to now; at point - travel it is clear of the rod
@@ -514,7 +532,7 @@ def press_against_point(
         The contact; its numbers are finite only with result "ok".
 
     Raises:
-        InputError: an argument is not finite or far out, the path starts in the rod, or its section is not round.
+        InputError: an argument is not finite or far out, or the path starts in the rod.
     """
     return CoulombSolver(rod, 0.0, mode).press(gravity, point, travel)
 

@@ -115,6 +115,12 @@ class Rod:
         """Return the largest arclength at which a frictionless contact acts [m]."""
         return self.length if self.rounded_from is None else self.rounded_from
 
+    @property
+    def flatness(self) -> float:
+        """Return the half-width along y over that along x, 1 if round; √(I_xx/I_yy) of a round section stretched in y,
+        full or hollow."""
+        return math.sqrt(self.factors[1] / self.factors[2])
+
     def radius_at(self, s: ArrayLike) -> Array:
         """Return the radius at arclength s [m], of the shape of s."""
         radius: Array = np.interp(np.asarray(s, dtype=float), self.s, self.radius)
@@ -161,7 +167,7 @@ class Rod:
             2.0 / (np.pi * self.shear_modulus * torsion),
             stretches / (self.shear_coefficient * self.shear_modulus), stretches / self.youngs_modulus,
             self.density, np.pi / 3.0 * area, float(general), *self.root,
-            *((FINITE_BEND, FINITE_STRETCH) if self.finite_strain else (0.0, 0.0)),
+            *((FINITE_BEND, FINITE_STRETCH) if self.finite_strain else (0.0, 0.0)), self.flatness,
         ])  # fmt: skip
         return Body(s, r, _beyond(frusta), _beyond(by_knot), rest.astype(float).ravel(), constants)
 
@@ -283,14 +289,6 @@ def finite_vector(name: str, value: ArrayLike) -> Array:
         vector.shape == (3,) and bool(np.isfinite(vector).all()), f"{name} = {value!r} must be three finite numbers"
     )
     return vector
-
-
-def require_round_section(rod: Rod) -> None:
-    """Raise InputError for a rod whose section is not round: contact is not modelled on its surface."""
-    _require(
-        bool(np.allclose(rod.factors[1:], rod.factors[1], rtol=1e-9)),
-        "contact is modelled for rods of round section only",
-    )
 
 
 def _beyond(parts: Array) -> Array:

@@ -6,15 +6,16 @@ tip with derivatives by finite differences, for many rods at once. With the stat
 
     p' = R v,   q' = q (0, u)/2,   m' = -u × m - v × Rᵀn,   n = F [s ≤ s_c] + ρ V(s) g
     v = (n₁/(k G A), n₂/(k G A), 1 + e + e² + c₅ f B),   e = n₃/(E A),   B = r² (m₁² + m₂²)/(E I)²
-    u = u* + (f β m₁/(E I), f β m₂/(E I), m₃/(G J)),   β = 1 + 3 e + c₄ B,   f(s) = 1 - depth (1 - s/reach)³
+    u = u* + (f β m₁/(E I₁), f β m₂/(E I₂), m₃/(G J)),   β = 1 + 3 e + c₄ B,   f(s) = 1 - depth (1 - s/reach)³
 
-The force F acts at the point x = p(s_c) + r(s_c) R(s_c) e(φ) of the deformed surface, so that m jumps there by its
-couple (x - p) × F. The frame of the surface moves with the section: with α the half-angle of the cone,
+The force F acts at the point x = p(s_c) + r(s_c) R(s_c) c(φ) of the deformed surface, so that m jumps there by its
+couple (x - p) × F. c = e = (cos φ, sin φ) if round, or the point of the ellipse (cos ψ, b/a sin ψ) whose normal is e.
+The frame of the surface moves with the section: with tan α = -r' c·e,
 
     inward normal -(cos α e + sin α t),   circumferential e'(φ),   along cos α t - sin α e
 
-u* is the curvature of the undeformed axis. Only solid round sections are supported. The public functions have one case
-per row; internally the cases are the last axis (`round_rods.py`).
+u* is the curvature of the undeformed axis. Only solid sections are supported, round or elliptic, the latter without
+finite strain. The public functions have one case per row; internally the cases are the last axis (`round_rods.py`).
 """
 
 from collections.abc import Callable, Sequence

@@ -1,4 +1,4 @@
-"""Integrate the equations of `cosserat.py` for round rods from the tip to the base.
+"""Integrate the equations of `cosserat.py` for round and elliptic rods from the tip to the base.
 
 Arrays have the components first and the cases last, so that operations are on whole rows.
 """
@@ -20,16 +20,17 @@ C4, C5 = 0.369, 0.374  #: Coefficients of finite bending of a neo-Hookean round 
 
 @dataclass(frozen=True)
 class Probes:
-    """n rods with solid round sections and equal numbers of knots."""
+    """n rods with solid round or elliptic sections and equal numbers of knots."""
 
     s: Array  #: arclengths of the knots [m], (K, n).
-    radius: Array  #: radii at the knots [m], (K, n).
+    radius: Array  #: half-widths of the section along its x axis at the knots [m], (K, n).
     E: Array  #: E, G, density, shear: Young's and shear modulus [Pa], density [kg/m³] and shear coefficient, (n,).
     G: Array
     density: Array
     shear: Array
     missing: Array  #: missing bending compliance of the root as a length of rigid rod [m], (n,).
     finite: Array  #: 1 with finite strain, 0 without, (n,).
+    flatness: Array  #: half-width along y over that along x, (n,).
     rest: (
         Array  #: curvature and twist of the unloaded rod at the knots in section axes, linear between [1/m], (K, 3, n).
     )
@@ -38,13 +39,14 @@ class Probes:
     def of(cls, rods: Rod | Sequence[Rod]) -> "Probes":
         """Return rods of the package in this form."""
         rods = [rods] if isinstance(rods, Rod) else list(rods)
-        assert all(rod.factors == (1.0, 1.0, 1.0, 1.0) for rod in rods)
+        f, *others = np.array([rod.factors for rod in rods]).T
+        assert np.allclose(others, [f**3, f, 2.0 * f**3 / (1.0 + f**2)])  # of solid ellipses
 
         def row(name: str) -> Array:
             return np.array([getattr(rod, name) for rod in rods], dtype=float)
 
         return cls(row("s").T, row("radius").T, row("youngs_modulus"), row("shear_modulus"), row("density"),
-                   row("shear_coefficient"), row("rigid_length"), row("finite_strain"),
+                   row("shear_coefficient"), row("rigid_length"), row("finite_strain"), f,
                    np.stack([np.zeros((len(rod.s), 3)) if rod.rest_curvature is None else rod.rest_curvature
                              for rod in rods], axis=-1))  # fmt: skip
 
@@ -80,7 +82,7 @@ class Probes:
         for k in range(1, K - 1):
             i += s > self.s[k]
         r, h = self.radius, np.diff(self.s, axis=0)
-        volumes = np.pi / 3.0 * h * (r[:-1] ** 2 + r[:-1] * r[1:] + r[1:] ** 2)
+        volumes = self.flatness * np.pi / 3.0 * h * (r[:-1] ** 2 + r[:-1] * r[1:] + r[1:] ** 2)
         beyond = np.concatenate([np.cumsum(volumes[::-1], axis=0)[::-1], np.zeros((1, n))])
         at = np.arange(n)
         return self.s[i, at], self.s[i + 1, at], r[i, at], r[i + 1, at], beyond[i + 1, at]
@@ -94,12 +96,12 @@ class Probes:
         return (1.0 - share) * self.rest[upper - 1, :, at].T + share * self.rest[upper, :, at].T
 
     def radius_at(self, s: Array) -> Array:
-        """Return the radius at s [m], (n,)."""
+        """Return the half-width along x at s [m], (n,)."""
         low, high, r0, r1, _ = self.frustum(s)
         return r0 + (r1 - r0) * (s - low) / (high - low)
 
     def taper_at(self, s: Array) -> Array:
-        """Return tan α = -dr/ds at s, (n,)."""
+        """Return -dr/ds at s, (n,)."""
         low, high, r0, r1, _ = self.frustum(s)
         return (r0 - r1) / (high - low)
 
@@ -107,7 +109,9 @@ class Probes:
     def mass(self) -> Array:
         """Mass of the rods [kg], (n,)."""
         r, h = self.radius, np.diff(self.s, axis=0)
-        return self.density * (np.pi / 3.0 * h * (r[:-1] ** 2 + r[:-1] * r[1:] + r[1:] ** 2)).sum(axis=0)
+        return (
+            self.density * self.flatness * (np.pi / 3.0 * h * (r[:-1] ** 2 + r[:-1] * r[1:] + r[1:] ** 2)).sum(axis=0)
+        )
 
 
 # Integration from the tip to the base
@@ -118,7 +122,7 @@ class Load:
     """Loads of n rods; vectors have their components first."""
 
     gravity: Array  #: in base axes [m/s²], (3, n).
-    s: Array  #: s, phi: place of the force, arclength [m] and angle [rad], (n,).
+    s: Array  #: s, phi: place of the force, arclength [m] and angle of the section's normal [rad], (n,).
     phi: Array
     force: Array  #: in base axes, or in the frame of the surface if `local` [N], (3, n).
     couple: Array  #: additional dead couple at s [N·m], (3, n).
@@ -165,8 +169,8 @@ def integrate(probes: Probes, tip: Array, load: Load, steps: int) -> Ends:
 
 def _push(probes: Probes, q: Array, load: Load) -> tuple[Array, Array]:
     """Return the force in base axes [N] and its arm from the centre of the section [m]."""
-    e = np.stack([np.cos(load.phi), np.sin(load.phi), np.zeros(len(probes))])
-    arm = rotate(q, e) * (load.arm * probes.radius_at(load.s))
+    spoke = np.stack([*_outline(probes, load.phi)[0], np.zeros(len(probes))])
+    arm = rotate(q, spoke) * (load.arm * probes.radius_at(load.s))
     if not load.local:
         return load.force, arm
     normal, around, along = surface_axes(probes, load.s, load.phi)
@@ -176,12 +180,23 @@ def _push(probes: Probes, q: Array, load: Load) -> tuple[Array, Array]:
 
 def surface_axes(probes: Probes, s: Array, phi: Array) -> tuple[Array, Array, Array]:
     """Return inward normal, circumferential and longitudinal tangent in section axes, (3, n) each."""
-    tan = probes.taper_at(s)
-    cosine = 1.0 / np.sqrt(1.0 + tan * tan)
-    sine, zero = tan * cosine, np.zeros_like(s)
-    x, y = np.cos(phi), np.sin(phi)
-    return (np.stack([-cosine * x, -cosine * y, -sine]), np.stack([-y, x, zero]),
-            np.stack([-sine * x, -sine * y, cosine]))  # fmt: skip
+    (a, b), around = _outline(probes, phi)
+    around = np.stack([*around, np.zeros_like(s)])
+    around /= np.sqrt((around * around).sum(axis=0))
+    # Tangents are the outline's and, at one place of the outlines, (r' a, r' b, 1).
+    outward = cross(around, np.stack([-probes.taper_at(s) * a, -probes.taper_at(s) * b, np.ones_like(s)]))
+    outward /= np.sqrt((outward * outward).sum(axis=0))
+    return -outward, around, cross(outward, around)
+
+
+def _outline(probes: Probes, phi: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """Return the point of the outline of half-width 1 whose normal has the angle φ, and its derivative by ψ.
+
+    The outline (cos ψ, f sin ψ) has the normal (f cos ψ, sin ψ).
+    """
+    f = probes.flatness
+    psi = np.arctan2(f * np.sin(phi), np.cos(phi))
+    return (np.cos(psi), f * np.sin(psi)), (-np.sin(psi), f * np.cos(psi))
 
 
 def _segment(probes: Probes, p: Array, q: Array, m: Array, start: Array, end: Array, force: Array,
@@ -204,15 +219,16 @@ def _segment(probes: Probes, p: Array, q: Array, m: Array, start: Array, end: Ar
 
     def medium(s: Array) -> tuple[Any, ...]:
         r = r0 + slope * (s - low)
-        area = np.pi * r * r
-        stiff = probes.E * area * r * r / 4.0
-        weight = beyond + np.pi / 3.0 * (high - s) * (r * r + r * r1 + r1 * r1)
+        f_y = probes.flatness
+        area = np.pi * r * r * f_y
+        stiff = probes.E * area * r * r / 4.0  # about y
+        weight = beyond + f_y * np.pi / 3.0 * (high - s) * (r * r + r * r1 + r1 * r1)
         f = 1.0 - depth * (1.0 - s / reach) ** 3
         large = probes.finite * (r / stiff) ** 2
-        twist = 2.0 / (probes.G * area * r * r)
+        twist = (1.0 + f_y * f_y) / (probes.G * area * r * r * f_y * f_y)
         n = force + probes.density * weight * gravity
-        return (f, 1.0 / stiff, twist, 1.0 / (probes.shear * probes.G * area), 1.0 / (probes.E * area), large,
-                probes.finite, probes.rest_at(s, middle) if curved else 0.0, n)  # fmt: skip
+        return (f, 1.0 / (stiff * f_y * f_y), 1.0 / stiff, twist, 1.0 / (probes.shear * probes.G * area),
+                1.0 / (probes.E * area), large, probes.finite, probes.rest_at(s, middle) if curved else 0.0, n)  # fmt: skip
 
     s, here = at(0.0), medium(at(0.0))
     for step in range(steps):
@@ -234,12 +250,12 @@ def _segment(probes: Probes, p: Array, q: Array, m: Array, start: Array, end: Ar
 
 def _slopes(q: Array, m: Array, medium: tuple[Any, ...]) -> tuple[Array, Array, Array]:
     """Return p', q', m' of the equations in `cosserat.py`."""
-    f, bend, twist, shear, stretch, large, finite, rest, n_base = medium
+    f, bend_x, bend_y, twist, shear, stretch, large, finite, rest, n_base = medium
     n = rotate_back(q, n_base)
     e, B = stretch * n[2], large * (m[0] * m[0] + m[1] * m[1])
-    compliance = f * bend * (1.0 + finite * 3.0 * e + C4 * B)
+    more = f * (1.0 + finite * 3.0 * e + C4 * B)
     u, v = np.empty_like(m), np.empty_like(m)
-    u[0], u[1], u[2] = compliance * m[0], compliance * m[1], twist * m[2]
+    u[0], u[1], u[2] = more * bend_x * m[0], more * bend_y * m[1], twist * m[2]
     u += rest
     v[0], v[1], v[2] = shear * n[0], shear * n[1], 1.0 + e + finite * e * e + C5 * f * B
     w, x, y, z = q

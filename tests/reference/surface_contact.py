@@ -14,7 +14,7 @@ from probedesign.rod.rod import Rod
 
 @dataclass(frozen=True)
 class SurfaceTouch:
-    """Unknowns of a touch: s [m], φ [rad], normal force [N] and friction ratios around and along."""
+    """Unknowns: s [m], direction φ of the normal [rad], normal force [N], friction ratios around and along."""
 
     s: float
     phi: float
@@ -47,21 +47,23 @@ def solve_touch(rod: Rod, gravity: Array, touch: SurfaceTouch) -> SolvedTouch:
     The iteration diverges if a rotation of the force rotates the section by a larger angle. The steps are therefore
     halved every 80 iterations.
     """
-    tan = rod.taper_at(touch.s)
-    alpha = np.arctan(tan)
-    r = float(rod.radius_at(touch.s))
+    r, taper, f = float(rod.radius_at(touch.s)), float(rod.taper_at(touch.s)), rod.flatness
+    # The outline cos ψ X + f sin ψ Y of unit half-width has the normal (f cos ψ, sin ψ): tan ψ = f tan φ.
+    psi = np.arctan2(f * np.sin(touch.phi), np.cos(touch.phi))
     tip, R = None, np.eye(3)
     force = couple = np.zeros(3)
     for iteration in range(400):
-        e = np.cos(touch.phi) * R[:, 0] + np.sin(touch.phi) * R[:, 1]
-        t, around = R[:, 2], np.cross(R[:, 2], e)
-        normal = np.cos(alpha) * e + np.sin(alpha) * t
-        along = np.cos(alpha) * t - np.sin(alpha) * e
+        spoke = R @ [np.cos(psi), f * np.sin(psi), 0.0]
+        around = R @ [-np.sin(psi), f * np.cos(psi), 0.0]
+        around /= np.linalg.norm(around)
+        normal = np.cross(around, R[:, 2] - taper * spoke)
+        normal /= np.linalg.norm(normal)
+        along = np.cross(normal, around)
         wanted = touch.normal * (-normal + touch.around * around + touch.along * along)
         done = np.abs(wanted - force).max() <= 1e-15 + 1e-13 * np.abs(wanted).max()
         share = 0.5 ** (iteration // 80)
         force = force + share * (wanted - force)
-        couple = couple + share * (np.cross(r * e, wanted) - couple)
+        couple = couple + share * (np.cross(r * spoke, wanted) - couple)
         eq = rod.solve(gravity, force, touch.s, couple=couple, mode="reference", guess=tip)
         assert eq.ok, eq.result
         tip, R = eq.tip, eq.R_at(touch.s)
@@ -70,10 +72,10 @@ def solve_touch(rod: Rod, gravity: Array, touch: SurfaceTouch) -> SolvedTouch:
     else:
         raise AssertionError(f"no equilibrium of {touch}")
     p = eq.p_contact_base
-    b, a = float(force @ e), float(force @ t)
-    shift = -r * a * b / (b * b + (touch.normal * touch.around) ** 2)
+    t = R[:, 2]
+    shift = -r * float(spoke @ force) * float(force @ t) / float(force @ force - (force @ t) ** 2)
     there = float(np.clip(touch.s + shift, 0.0, rod.length))
-    return SolvedTouch(eq.wrench_base, p + r * e, eq.p_at(there), touch.s + shift, force, normal, eq)
+    return SolvedTouch(eq.wrench_base, p + r * spoke, eq.p_at(there), touch.s + shift, force, normal, eq)
 
 
 def derivatives(rod: Rod, gravity: Array, touch: SurfaceTouch) -> Array:

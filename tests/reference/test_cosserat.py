@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from probedesign.geometry.cross_section import CrossSection
 from probedesign.rod.contact import solve_frictionless
 from probedesign.rod.rod import Rod
 from tests.reference.cosserat import press, solve
@@ -22,6 +23,7 @@ RODS = {
     "compliant root": Rod(LARGE.s, LARGE.radius, 2.32e6, 0.761e6, 1010.0, rigid_length=-1.5e-3, finite_strain=True),
     "cylinder": Rod(np.array([0.0, 0.1]), np.array([2e-3, 2e-3]), 2.32e6, 0.761e6, 1010.0),
     "profile": PROFILE,
+    "elliptic": Rod(LARGE.s, LARGE.radius, 2.32e6, 0.761e6, 1010.0, factors=CrossSection(flatness=0.6).factors),
     "curved": replace(
         PROFILE, rest_curvature=np.array([[6.0, -4.0, 5.0], [-4.0, 8.0, 20.0], [0.0, 6.0, -8.0], [10.0, 0.0, 2.0]])
     ),
@@ -32,7 +34,7 @@ RODS = {
 def drawn(rod, n, rng):
     """Draw touches on the surface with forces of any direction that bend the rod by up to about 1 rad."""
     s = rng.uniform(0.2, 1.0, n) * rod.length
-    stiffness = rod.youngs_modulus * np.pi / 4.0 * rod.radius[0] ** 3 * rod.radius_at(s) / s**2
+    stiffness = rod.factors[1] * rod.youngs_modulus * np.pi / 4.0 * rod.radius[0] ** 3 * rod.radius_at(s) / s**2
     direction = rng.normal(size=(n, 3))
     direction /= np.linalg.norm(direction, axis=1)[:, None]
     return s, rng.uniform(-np.pi, np.pi, n), (rng.uniform(0.1, 1.0, n) * stiffness)[:, None] * direction

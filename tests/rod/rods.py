@@ -81,15 +81,18 @@ def approach(rod, gravity, fraction=0.5, depth=0.5, offset=0.2, line=False):
 def surface_point(rod, eq, s, angle):
     """Return point and unit normal of the bent body at a material point, from its shape and radius; not for blends.
 
-    The surface has the tangents r ∂e/∂φ and t + r' e + r ∂e/∂s, the last the mean of both sides by differences.
+    The angle is that of the outline's normal e. The surface has the tangents r ∂c/∂φ and t + r' c + r ∂c/∂s, the last
+    the mean of both sides by differences, with c = (cos ψ, f sin ψ), whose normal has the angle if tan ψ = f tan φ.
     """
+    f = rod.flatness
+    psi = math.atan2(f * math.sin(angle), math.cos(angle))
 
     def out(place):
-        return eq.R_at(place) @ [math.cos(angle), math.sin(angle), 0.0]
+        return eq.R_at(place) @ [math.cos(psi), f * math.sin(psi), 0.0]
 
     R, r, step = eq.R_at(s), float(rod.radius_at(s)), 1e-5 * rod.length
     once, twice = out(s + step) - out(s - step), out(s + 2.0 * step) - out(s - 2.0 * step)
     e, turned_e = out(s), (4.0 * once - twice) / (4.0 * step)
     along = R[:, 2] - rod.taper_at(s) * e + r * turned_e
-    normal = np.cross(R @ [-math.sin(angle), math.cos(angle), 0.0], along)
+    normal = np.cross(R @ [-math.sin(psi), f * math.cos(psi), 0.0], along)
     return eq.p_at(s) + r * e, normal / np.linalg.norm(normal)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rods import CONE, CYLINDER, PROFILE, ROOTED_CONE, approach, surface_point
+from rods import CONE, CYLINDER, ELLIPTIC, PROFILE, ROOTED_CONE, approach, surface_point
 
 from probedesign.core.errors import InputError
 from probedesign.rod.contact import line_of_action, solve_frictionless
@@ -13,7 +13,7 @@ from probedesign.rod.friction import press_against_line, press_against_point
 from probedesign.rod.rod import Rod
 
 GRAVITY = np.array([6.0, 5.0, -6.0])
-RODS = {"cone": CONE, "rooted": ROOTED_CONE, "cylinder": CYLINDER, "profile": PROFILE}
+RODS = {"cone": CONE, "rooted": ROOTED_CONE, "cylinder": CYLINDER, "profile": PROFILE, "elliptic": ELLIPTIC}
 PLACES = [(name, fraction) for name in RODS for fraction in (0.2, 0.5, 0.85)]
 
 
@@ -40,7 +40,7 @@ def test_the_object_touches_the_surface_and_pushes_along_its_normal(name, fracti
 
 
 @pytest.mark.parametrize("line", [False, True])
-@pytest.mark.parametrize("name", ["cone", "rooted", "cylinder"])
+@pytest.mark.parametrize("name", ["cone", "rooted", "cylinder", "elliptic"])
 def test_the_push_found_is_the_push_that_was_given(name, line):
     """`solve_frictionless` puts the force where its line meets the axis, r tan α from the touched section: on a
     cylinder the same place, elsewhere the bending over that length, 1e-4 of the force, is the difference."""

@@ -35,7 +35,7 @@ class Body(NamedTuple):
     volume_beyond: Array  #: from each knot to the tip [m³], (K,).
     volume_by_knot: Array  #: its derivative by the logarithm of each knot's radius [m³], (K, K).
     rest: Array  #: curvature and twist of the unloaded rod at the knots, in section axes, linear between [1/m], (3 K,).
-    constants: Array  #: see the indices below, (12,).
+    constants: Array  #: see the indices below, (13,).
 
 
 #: Compliances of a section of half-width 1 m in bending about x and about y, twist [m²/N], shear and stretch [m²/N];
@@ -45,6 +45,7 @@ BEND_X, BEND_Y, TWIST, SHEAR, STRETCH, DENSITY, CONE, GENERAL = range(8)
 #: Depth and reach of the bonded root, f(s) = 1 - depth (1 - s/reach)³ up to the reach [m], 1 beyond.
 ROOT_DEPTH, ROOT_REACH = 8, 9
 FINITE_BEND, FINITE_STRETCH = 10, 11  #: c₄ and c₅ of the section's finite strain; zeros: linear elasticity.
+FLATNESS = 12  #: Half-width of the outline along y over that along x.
 
 LOAD = 13
 #: Offsets in a load of force [N], gravity [m/s²], moment at the tip and couple at the contact [N·m], all dead and in

@@ -2,14 +2,16 @@
 
 The contact model: a force of any direction acts at the point x of the surface,
 
-    x = p(s) + ρ,   ρ = r(s) e,   e = cos φ X + sin φ Y,
+    x = p(s) + ρ,   ρ = r(s) (g e + k τ₁),   e = cos φ X + sin φ Y,   g² = cos² φ + f² sin² φ,   k = dg/dφ,
     F = f_n (-N + a_1 τ₁ + a_2 τ₂),
-    N = cos α e + sin α t,   τ₁ = t × e,   τ₂ = cos α t - sin α e,   tan α = -dr/ds,
+    N = cos α e + sin α t,   τ₁ = t × e,   τ₂ = cos α t - sin α e,   tan α = -g dr/ds,
 
-with the section's axes X, Y and the tangent t of the bent rod. N is the outward normal, so that f_n > 0 pushes; a_1
-and a_2 are the ratios of friction around the section and towards the tip. On the rod acts F on the centreline and the
-couple C = ρ × F. Both turn with the section; the rod is swept under dead loads (F, C), and what the section's turn
-makes of them is solved for in the linearisation: with θ the section's turn,
+with the section's axes X, Y and the tangent t of the bent rod, the half-widths r along X and f r along Y of its
+elliptic outline, and φ the direction of its normal, at which the outline reaches r g far (its support function); a
+round section has f = g = 1 and k = 0. N is the outward normal, so that f_n > 0 pushes; a_1 and a_2 are the ratios of
+friction around the section and towards the tip. On the rod acts F on the centreline and the couple C = ρ × F. Both turn
+with the section; the rod is swept under dead loads (F, C), and what the section's turn makes of them is solved for in
+the linearisation: with θ the section's turn,
 
     δF = ∂F + θ × F,   δC = ∂C + θ × C,   θ = θ_F δF + θ_C δC + θ_s δs + θ_p δp.
 
@@ -26,9 +28,11 @@ from probedesign.rod.kernels import inner, kernel
 from probedesign.rod.kernels.equations import (
     ALL_COLUMNS,
     BEND_X,
+    BEND_Y,
     CONTACT_COLUMNS,
     COUPLE,
     DENSITY,
+    FLATNESS,
     FORCE,
     GRAVITY,
     LOAD,
@@ -45,7 +49,8 @@ from probedesign.rod.kernels.steps import WORK as STEP_WORK
 from probedesign.rod.kernels.sweep import linear_equilibrium
 
 S, PHI, NORMAL, AROUND, ALONG = range(5)
-#: Of a touch: arclength [m], angle around the section [rad], normal force [N], ratios of friction around and along.
+#: Of a touch: arclength [m], direction of the normal around the section [rad], normal force [N], ratios of friction
+#: around and along.
 UNKNOWNS = 5
 #: After them in a touch: force and couple that the rod is swept under (6), and the tip's section (6).
 DEAD, TIP, TOUCH = 5, 11, 17
@@ -131,10 +136,33 @@ def _memory(parameters, work):
 
 @inner
 def radius_and_slope(body, s):
-    """Return r(s) [m] and tan α = -dr/ds."""
+    """Return r(s) [m] and -dr/ds."""
     i = frustum_at(body, s)
-    tan = (body.radii[i] - body.radii[i + 1]) / (body.knots[i + 1] - body.knots[i])
-    return body.radii[i] - tan * (s - body.knots[i]), tan
+    slope = (body.radii[i] - body.radii[i + 1]) / (body.knots[i + 1] - body.knots[i])
+    return body.radii[i] - slope * (s - body.knots[i]), slope
+
+
+class Outline(NamedTuple):
+    """Point of a section's outline."""
+
+    reach: float  #: g, how far the outline reaches along its normal e, over the half-width r.
+    aside: float  #: k, how far the point lies aside of that, along τ₁, over r.
+    curved: float  #: g + dk/dφ, radius of curvature of the outline over r.
+    slope: float  #: -dr/ds.
+    sin: float  #: sin, cos: of α, by which the normal leans.
+    cos: float
+    lean_by: float  #: dα/dφ.
+
+
+@inner
+def outline_at(body, slope, phi):
+    """Return the `Outline` of a section with slope = -dr/ds, at the normal's direction φ [rad]."""
+    f, x, y = body.constants[FLATNESS], math.cos(phi), math.sin(phi)
+    reach = math.sqrt(x * x + f * f * y * y)
+    aside = (f * f - 1.0) * x * y / reach
+    tan = slope * reach
+    cos = 1.0 / math.sqrt(1.0 + tan * tan)
+    return Outline(reach, aside, f * f / (reach * reach * reach), slope, tan * cos, cos, cos * cos * slope * aside)
 
 
 @inner
@@ -175,7 +203,7 @@ def _weight_by(body, gravity, parameter):
 
 @inner
 def _section_by(body, s, i, parameter):
-    """Return the derivatives of the radius at s [m] and of tan α there by a parameter, counted from gravity on."""
+    """Return the derivatives of the radius at s [m] and of -dr/ds there by a parameter, counted from gravity on."""
     apart = body.knots[i + 1] - body.knots[i]
     share = (s - body.knots[i]) / apart
     if parameter == 6:
@@ -188,17 +216,26 @@ def _section_by(body, s, i, parameter):
 
 
 @inner
-def offset_along(r, sin, cos, touch):
+def offset_along(r, at, touch):
     """Return how far beyond the touched section the force's line of action comes nearest to the centreline [m], δ, and
-    its derivatives by a_1, a_2, r and α: δ = -(ρ·F)(F·t)/|t × F|² = -r a b/(b² + a_1²) with a = F·t/f_n, b = F·e/f_n.
+    its derivatives by φ, a_1, a_2, r and -dr/ds.
+
+    δ = -(ρ·F)(F·t)/|t × F|² = -r (g b + k a_1) a/(b² + a_1²) with a = F·t/f_n, b = F·e/f_n.
+
+    Args:
+        at: the `Outline` at the touched point.
     """
     a1, a2 = touch[AROUND], touch[ALONG]
-    b, a = -cos - a2 * sin, -sin + a2 * cos
-    square = max(b * b + a1 * a1, 1e-300)
-    by_a, by_b = -r * b / square, -r * a * (a1 * a1 - b * b) / (square * square)
-    by_1 = 2.0 * r * a * b * a1 / (square * square)
-    per_r = -a * b / square
-    return r * per_r, by_1, by_a * cos - by_b * sin, per_r, by_a * b - by_b * a
+    b, a = -at.cos - a2 * at.sin, -at.sin + a2 * at.cos
+    inward, square = at.reach * b + at.aside * a1, max(b * b + a1 * a1, 1e-300)
+    per_r = -inward * a / square
+    by_a, by_inward, by_square = -r * inward / square, -r * a / square, -r * per_r / square
+    by_b = by_inward * at.reach + by_square * 2.0 * b
+    by_1 = by_inward * at.aside + by_square * 2.0 * a1
+    by_lean = by_a * b - by_b * a
+    by_reach = by_inward * b
+    by_phi = by_reach * at.aside + by_inward * a1 * (at.curved - at.reach) + by_lean * at.lean_by
+    return r * per_r, by_phi, by_1, by_a * at.cos - by_b * at.sin, per_r, by_lean * at.cos * at.cos * at.reach
 
 
 @inner
@@ -239,18 +276,18 @@ def linearise(body, gravity, mass, tol, size, touch, parameters, work, lin):
     beyond = minus(take(contact, M), take(load, COUPLE))
     on_base_side = take(contact, M)
     t, x_axis, y_axis = take3(columns, R_TANGENT, k), take3(columns, R_X, k), take3(columns, R_Y, k)
-    r, tan = radius_and_slope(body, s)
-    cos = 1.0 / math.sqrt(1.0 + tan * tan)
-    sin = tan * cos
+    r, slope = radius_and_slope(body, s)
+    at = outline_at(body, slope, touch[PHI])
     co, si = math.cos(touch[PHI]), math.sin(touch[PHI])
     e = add(times(co, x_axis), si, y_axis)
     around = add(times(-si, x_axis), co, y_axis)
-    normal = add(times(cos, e), sin, t)
-    along = add(times(cos, t), -sin, e)
+    spoke = add(times(at.reach, e), at.aside, around)
+    normal = add(times(at.cos, e), at.sin, t)
+    along = add(times(at.cos, t), -at.sin, e)
     fn, a1, a2 = touch[NORMAL], touch[AROUND], touch[ALONG]
     way = add(add(times(-1.0, normal), a1, around), a2, along)
     force = times(fn, way)
-    arm = times(r, e)
+    arm = times(r, spoke)
     couple = cross(arm, force)
     f_frame = (dot(force, x_axis), dot(force, y_axis), dot(force, t))
     c_frame = (dot(couple, x_axis), dot(couple, y_axis), dot(couple, t))
@@ -265,22 +302,23 @@ def linearise(body, gravity, mass, tol, size, touch, parameters, work, lin):
     put3(B, 0, VALUE, minus(force, take(load, FORCE)))
     put3(B, 3, VALUE, minus(couple, take(load, COUPLE)))
     put3(B, 0, BY_TOUCH + S, _turned(columns, ROD_S, f_frame))
-    put3(B, 3, BY_TOUCH + S, add(_turned(columns, ROD_S, c_frame), -tan, cross(e, force)))
-    by_angle = times(fn, add(times(-cos - a2 * sin, around), -a1, e))
+    put3(B, 3, BY_TOUCH + S, add(_turned(columns, ROD_S, c_frame), -slope, cross(spoke, force)))
+    by_lean = times(fn, add(times(-1.0, along), -a2, normal))
+    by_angle = times(fn, add(times(-at.cos - a2 * at.sin, around), -a1, e))
+    by_angle = add(by_angle, at.lean_by, by_lean)
     put3(B, 0, BY_TOUCH + PHI, by_angle)
-    put3(B, 3, BY_TOUCH + PHI, plus(cross(times(r, around), force), cross(arm, by_angle)))
+    put3(B, 3, BY_TOUCH + PHI, plus(cross(times(r * at.curved, around), force), cross(arm, by_angle)))
     for j in range(3):
         way = way if j == 0 else times(fn, around) if j == 1 else times(fn, along)
         put3(B, 0, BY_TOUCH + NORMAL + j, way)
         put3(B, 3, BY_TOUCH + NORMAL + j, cross(arm, way))
     i = frustum_at(body, s)
-    by_lean = times(fn, add(times(-1.0, along), -a2, normal))
     for j in range(parameters):
-        r_by, tan_by = _section_by(body, s, i, j)
-        leaning = times(cos * cos * tan_by, by_lean)
+        r_by, slope_by = _section_by(body, s, i, j)
+        leaning = times(at.cos * at.cos * at.reach * slope_by, by_lean)
         column = ROD_GRAVITY + j
         put3(B, 0, BY_PARAMETER + j, plus(_turned(columns, column, f_frame), leaning))
-        turned = add(_turned(columns, column, c_frame), r_by, cross(e, force))
+        turned = add(_turned(columns, column, c_frame), r_by, cross(spoke, force))
         put3(B, 3, BY_PARAMETER + j, plus(turned, cross(arm, leaning)))
     if not solve_square(A, 6, B):
         return status, math.inf, -1.0, size
@@ -294,7 +332,7 @@ def linearise(body, gravity, mass, tol, size, touch, parameters, work, lin):
             for q in range(3):
                 x += columns[row, q] * B[q, j] + columns[row, ROD_COUPLE + q] * B[3 + q, j]
             total[row, j] = x
-    _outputs(body, gravity, mass, touch, i, r, tan, cos, sin, co, si, on_base_side, beyond, B, total, lin)
+    _outputs(body, gravity, mass, touch, i, r, at, on_base_side, beyond, B, total, lin)
     _tips(touch, turns, change, B, lin)
     return status, lack, margin, size
 
@@ -319,7 +357,7 @@ def _tips(touch, turns, change, B, lin):
 
 
 @inner
-def _outputs(body, gravity, mass, touch, i, r, tan, cos, sin, co, si, on_base_side, beyond, B, total, lin):
+def _outputs(body, gravity, mass, touch, i, r, at, on_base_side, beyond, B, total, lin):
     """Fill in base wrench, touched point and centreline point from force, couple, frame and position at the contact."""
     s, n_cols = touch[S], lin.shape[1]
     for q in range(3):
@@ -327,29 +365,33 @@ def _outputs(body, gravity, mass, touch, i, r, tan, cos, sin, co, si, on_base_si
         lin[3 + q, VALUE] = total[q, VALUE]
         for j in range(1, n_cols):
             lin[q, j], lin[3 + q, j] = B[q, j], total[q, j]
-    shift, by_1, by_2, per_r, by_slope = offset_along(r, sin, cos, touch)
+    shift, by_phi, by_1, by_2, per_r, by_slope = offset_along(r, at, touch)
     t = take3(total, R_TANGENT, VALUE)
     x_axis, y_axis = take3(total, R_X, VALUE), take3(total, R_Y, VALUE)
-    e = add(times(co, x_axis), si, y_axis)
+    co, si = math.cos(touch[PHI]), math.sin(touch[PHI])
+    x, y = at.reach * co - at.aside * si, at.reach * si + at.aside * co
+    spoke = add(times(x, x_axis), y, y_axis)
     # The centreline curves on its way from the touched section to where the line of action comes nearest.
     moment = on_base_side if shift < 0.0 else beyond
     thin = 1.0 / (r * r)
-    bend = times(thin * thin * body.constants[BEND_X], add(moment, -dot(moment, t), t))
+    bend_x, bend_y = body.constants[BEND_X] * dot(moment, x_axis), body.constants[BEND_Y] * dot(moment, y_axis)
+    bend = times(thin * thin, add(times(bend_x, x_axis), bend_y, y_axis))
     rest = rest_at(s, rest_of(body, i))
     curve = cross(add(add(bend, rest[0], x_axis), rest[1], y_axis), t)
     for j in range(n_cols):
         p, dt = take3(total, R_P, j), take3(total, R_TANGENT, j)
-        de = add(times(co, take3(total, R_X, j)), si, take3(total, R_Y, j))
+        dspoke = add(times(x, take3(total, R_X, j)), y, take3(total, R_Y, j))
         by_r, by_shift = 0.0, 0.0
         if j == VALUE:
-            put3(lin, POINT, j, add(p, r, e))
+            put3(lin, POINT, j, add(p, r, spoke))
             put3(lin, CENTRE, j, add(add(p, shift, t), 0.5 * shift * shift, curve))
             continue
         if j == BY_TOUCH + S:
-            by_r = -tan
-            by_shift = -tan * per_r
+            by_r = -at.slope
+            by_shift = -at.slope * per_r
         elif j == BY_TOUCH + PHI:
-            de = add(add(de, -si, x_axis), co, y_axis)
+            dspoke = add(add(dspoke, -at.curved * si, x_axis), at.curved * co, y_axis)
+            by_shift = by_phi
         elif j == BY_TOUCH + NORMAL:
             pass
         elif j == BY_TOUCH + AROUND:
@@ -357,21 +399,20 @@ def _outputs(body, gravity, mass, touch, i, r, tan, cos, sin, co, si, on_base_si
         elif j == BY_TOUCH + ALONG:
             by_shift = by_2
         else:
-            by_r, tan_by = _section_by(body, s, i, j - BY_PARAMETER)
-            by_shift = per_r * by_r + cos * cos * tan_by * by_slope
+            by_r, slope_by = _section_by(body, s, i, j - BY_PARAMETER)
+            by_shift = per_r * by_r + by_slope * slope_by
             weight = _weight_by(body, gravity, j - BY_PARAMETER)
             for q in range(3):
                 lin[q, j] += weight[q]
-        put3(lin, POINT, j, add(add(p, r, de), by_r, e))
+        put3(lin, POINT, j, add(add(p, r, dspoke), by_r, spoke))
         put3(lin, CENTRE, j, add(add(p, shift, dt), by_shift, t))
 
 
 @inner
 def s_contact(body, touch):
     """Return the arclength of the centreline's point where the force's line of action comes nearest [m]."""
-    r, tan = radius_and_slope(body, touch[S])
-    cos = 1.0 / math.sqrt(1.0 + tan * tan)
-    return touch[S] + offset_along(r, tan * cos, cos, touch)[0]
+    r, slope = radius_and_slope(body, touch[S])
+    return touch[S] + offset_along(r, outline_at(body, slope, touch[PHI]), touch)[0]
 
 
 #: Numbers that carry a touch along a step: what its dead loads (6) and tip (3) lack, and how the step moves them.
