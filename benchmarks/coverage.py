@@ -50,6 +50,7 @@ TOUCHES = 5  #: Touches of a press.
 MAX_SLIDE = 1.0 * MM
 SAMPLES = 36  #: Samples of each touch for the tracker; their mean is the reading for `fuse`.
 MIN_STD = 1e-6  #: Smallest standard deviation of a point in any direction for its NEES [m].
+FLATNESS = 0.6  #: Of the elliptic probes.
 DRAWS, FUSED_DRAWS = 100, 30  #: Default numbers of single and of fused touches of each row.
 #: Model errors: factor or divisor of E and G, step of the object [m], and step of the bias [resolution]; the steps
 #: occur between the third and the fourth of five touches.
@@ -90,6 +91,7 @@ class Case:
     #: "" or a condition that no single contact within the priors explains: "stiffness" (E and G are off), "pull" (a
     #: force away from the object), "moved" (the object moves), "bias" (the bias jumps).
     model_error: str = ""
+    flatness: float = 1.0  #: of the probes' sections; only single touches.
 
 
 def single_cases() -> list[Case]:
@@ -101,6 +103,8 @@ def single_cases() -> list[Case]:
         by_source("all together", SINGLE_SOURCES),
         by_source("all, true spread twice the stated", SINGLE_SOURCES, std_factor=2.0),
     ]
+    flat = partial(Case, "One touch of elliptic probes; friction drawn from the prior", flatness=FLATNESS)
+    cases += [flat("flatness 0.6, sensor noise alone"), flat("flatness 0.6, all together", SINGLE_SOURCES)]
     for title, sources in (("sensor noise alone", ()), ("all error sources", SINGLE_SOURCES)):
         group = f"One touch, by friction and force; {title}"
         for mu in (0.0, 0.2, 0.5, 0.8, None):
@@ -187,7 +191,8 @@ def track(estimator: Estimator, samples: Array, Ts: Array) -> Estimate:
 
 def run_single(case: Case, probe: str, n: int, seed: int) -> ErrorStatistics:
     """Draw and locate about n touches of one probe that are counted."""
-    model, rng, statistics = paper_models()[probe], np.random.default_rng(seed), ErrorStatistics(MIN_STD)
+    model, rng = paper_models(case.flatness)[probe], np.random.default_rng(seed)
+    statistics = ErrorStatistics(MIN_STD)
     stated = PriorStds.of(model).only(case.sources)
     perturbations = Perturbations.of(model, stated.scaled(case.std_factor))
     estimator, noise = estimator_for(model, stated), model.noise_base()
@@ -232,7 +237,7 @@ def _draw_touches(
     low, high = np.log(forces)
     fraction, newtons = rng.uniform(*PLACES, 200 * n), np.exp(rng.uniform(low, high, 200 * n))
     s = fraction * rod.length
-    stiffness = rod.youngs_modulus * np.pi / 4.0 * rod.radius[0] ** 3 * rod.radius_at(s)
+    stiffness = rod.factors[1] * rod.youngs_modulus * np.pi / 4.0 * rod.radius[0] ** 3 * rod.radius_at(s)
     moderate = newtons * s * s < MAX_BEND * stiffness
     strong = newtons > 0.9 * s * model.noise.force / MAX_BOUND
     rows = np.flatnonzero(moderate & strong)[:n]

@@ -10,7 +10,8 @@ import numpy as np
 
 from benchmarks.cases import GRAVITY, random_directions
 from probedesign.core.frames import Array, pose
-from probedesign.design import load_design
+from probedesign.design import check_design, load_design
+from probedesign.design.edit import tables_of, with_values
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.multistart import placed
@@ -52,10 +53,13 @@ class Touch:
 
 
 @cache
-def paper_models() -> dict[str, ProbeModel]:
-    """Return the models of the paper's probes by name."""
-    return {name: build_probe(load_design(ROOT / f"designs/{name}.toml")).model
-            for name in ("large", "medium", "small")}  # fmt: skip
+def paper_models(flatness: float = 1.0) -> dict[str, ProbeModel]:
+    """Return the models of the paper's probes by name, with round or elliptic sections of the same width along x."""
+    designs = {name: load_design(ROOT / f"designs/{name}.toml") for name in ("large", "medium", "small")}
+    if flatness < 1.0:
+        section = {"probe.section": "elliptic", "probe.flatness": flatness}
+        designs = {name: check_design(with_values(tables_of(design), section)) for name, design in designs.items()}
+    return {name: build_probe(design).model for name, design in designs.items()}
 
 
 def touch(model: ProbeModel, gravity: Array, s: float, angle: float, force: float) -> Touch | None:

@@ -1,9 +1,10 @@
 """A touch at a point of the deformed surface: its couple about the axis, the touched point and the friction.
 
-A force F acts at the point x = p(s) + r(s) e(φ), e(φ) = R(s) [cos φ, sin φ, 0], of the deformed surface; on the axis
-it acts with the couple C = (x - p) × F. The couple depends on the deformed section and the section on the couple, so
-both are solved for together by Newton's method with the rod's exact sensitivities. The force is that of the sensor and
-lies in no given direction: its tangential part over its normal part has the prior N(0, μ²) in each direction, as in
+A force F acts at the point x = p(s) + r(s) c(φ) of the deformed surface, c = g e + k h with the outline's normal e(φ) =
+R(s) [cos φ, sin φ, 0], h = ∂e/∂φ and the reach g (`probedesign.rod.contact.outline`; c = e if round); on the axis it
+acts with the couple C = (x - p) × F. The couple depends on the deformed section and the section on the couple, so both
+are solved for together by Newton's method with the rod's exact sensitivities. The force is that of the sensor and lies
+in no given direction: its tangential part over its normal part has the prior N(0, μ²) in each direction, as in
 `probedesign.estimation`.
 """
 
@@ -14,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from probedesign.core.frames import Array, skew
+from probedesign.rod.contact import outline
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.kernels.equations import ALL_COLUMNS, COUPLE, PARAMETERS
 from probedesign.rod.rod import Rod
@@ -34,7 +36,7 @@ class SurfaceTouch:
     rod: Rod  #: the rod.
     eq: Equilibrium  #: its equilibrium under force and couple, with all sensitivities.
     force: Array  #: on the rod [N], (3,).
-    angle: float  #: φ of the touched point about the tangent, from the section's x axis [rad].
+    angle: float  #: φ of the outline's normal there about the tangent, from the section's x axis [rad].
     root_axes: Array  #: derivatives of the section's axes by root_rigid_radii, (3, 3); zeros where they are not needed.
 
     @cached_property
@@ -45,6 +47,18 @@ class SurfaceTouch:
         weights[0, [1, 3]] = c, s
         weights[1, [1, 3]] = -s, c
         return weights
+
+    @cached_property
+    def _outline(self) -> tuple[float, float]:
+        """Return g and k of the outline's point."""
+        reach, aside = outline(self.rod.flatness, math.cos(self.angle), math.sin(self.angle))
+        return float(reach), float(aside)
+
+    @cached_property
+    def _spokes(self) -> tuple[Array, Array]:
+        """Return the maps from [t, e, h] to c and to its derivative by φ, (3,) each."""
+        reach, aside = self._outline
+        return np.array([0.0, reach, aside]), np.array([0.0, 0.0, self.rod.flatness**2 / reach**3])
 
     @cached_property
     def _directions(self) -> tuple[Array, Array]:
@@ -79,14 +93,16 @@ class SurfaceTouch:
     @property
     def couple(self) -> Array:
         """Couple of the force about the axis, by the section as it is [N·m], (3,)."""
-        return np.asarray(-self.radius * (skew(self.force) @ self._directions[0][1]))
+        return np.asarray(-self.radius * (skew(self.force) @ (self._spokes[0] @ self._directions[0])))
 
     @cached_property
     def couple_jacobian(self) -> Array:
         """Derivatives of the couple by the rod's parameters, at a given section, (3, k)."""
-        (_, e, _), d = self._directions
-        J = -self.radius * skew(self.force) @ d[1] + np.outer(self.couple, self._d_log_radius)
-        J[:, 0:3] += self.radius * skew(e)
+        axes, d = self._directions
+        spoke = self._spokes[0]
+        J = -self.radius * skew(self.force) @ np.einsum("j,jkl->kl", spoke, d)
+        J += np.outer(self.couple, self._d_log_radius)
+        J[:, 0:3] += self.radius * skew(spoke @ axes)
         return np.asarray(J)
 
     @property
@@ -99,11 +115,11 @@ class SurfaceTouch:
     def couple_response(self) -> tuple[Array, Array, Array]:
         """Derivatives of the couple at equilibrium by the rod's parameters (3, k), the root (3,) and the angle (3,)."""
         J = self.couple_jacobian
-        h = self._directions[0][2]
-        root = -self.radius * (skew(self.force) @ self._by_root[1])
+        (spoke, by_angle), arm = self._spokes, -self.radius * skew(self.force)
+        root = arm @ (spoke @ self._by_root)
         direct = J.copy()
         direct[:, COUPLE_COLUMNS] = 0.0
-        columns = np.column_stack([direct, root, -self.radius * (skew(self.force) @ h)])
+        columns = np.column_stack([direct, root, arm @ (by_angle @ self._directions[0])])
         found: Array = np.linalg.solve(np.eye(3) - J[:, COUPLE_COLUMNS], columns).astype(float, copy=False)
         return found[:, :-2], found[:, -2], found[:, -1]
 
@@ -111,14 +127,15 @@ class SurfaceTouch:
     def offset(self) -> tuple[Array, Array, Array, Array]:
         """Vector from the axis to the touched point [m], (3,), and its derivatives by the rod's parameters (3, k), the
         root (3,) and the angle (3,), at a given couple."""
-        (_, e, h), d = self._directions
-        by_rod = self.radius * (d[1] + np.outer(e, self._d_log_radius))
-        return self.radius * e, by_rod, self.radius * self._by_root[1], self.radius * h
+        (axes, d), (spoke, by_angle) = self._directions, self._spokes
+        by_rod = self.radius * (np.einsum("j,jkl->kl", spoke, d) + np.outer(spoke @ axes, self._d_log_radius))
+        root, angle = self.radius * (spoke @ self._by_root), self.radius * (by_angle @ axes)
+        return self.radius * (spoke @ axes), by_rod, root, angle
 
     @cached_property
     def _contact_maps(self) -> Array:
         """Return the maps from [t, e, h] to the inward normal, along the flank and around it, (3, 3)."""
-        tan = self.rod.taper_at(self.eq.s_contact)
+        tan = self._outline[0] * self.rod.taper_at(self.eq.s_contact)
         cos, sin = 1.0 / math.hypot(1.0, tan), tan / math.hypot(1.0, tan)
         return np.array([[-sin, -cos, 0.0], [cos, -sin, 0.0], [0.0, 0.0, 1.0]])
 
@@ -138,7 +155,9 @@ class SurfaceTouch:
         (t, e, h), d = self._directions
         maps = self._contact_maps
         axes = maps @ np.stack([t, e, h])
-        by_angle = maps @ np.stack([np.zeros(3), h, -e])
+        # The lean α turns the normal into the flank's own direction; tan α = -g dr/ds, and cos α stands in the maps.
+        lean = maps[1, 0] ** 2 * self._outline[1] * float(self.rod.taper_at(self.eq.s_contact))
+        by_angle = maps @ np.stack([np.zeros(3), h, -e]) + lean * np.stack([-axes[1], axes[0], np.zeros(3)])
         normal, *tangential = axes @ self.force
         ratio = np.array(tangential) / normal
         by_rod = np.einsum("ij,jkl->ikl", maps, d)
@@ -159,7 +178,7 @@ def solve_touch(
         gravity: in base axes [m/s²], (3,).
         force: in base axes [N], (3,).
         s: arclength of the touched section [m].
-        angle: of the touched point about the tangent, from the section's x axis [rad].
+        angle: of the outline's normal about the tangent, from the section's x axis [rad].
         tip: state of a neighbouring equilibrium, as the initial guess.
         couple: initial guess [N·m], (3,).
 

@@ -20,7 +20,7 @@ from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.prediction.touches import DIRECTIONS
-from probedesign.rod.contact import solve_frictionless, surface_point
+from probedesign.rod.contact import outline, solve_frictionless, surface_point
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.simulation.ground_truth import BASE_POSITION, marker_arclengths
 
@@ -198,11 +198,11 @@ class Bench:
         """Return the probe pressed at a mark without friction until the section has moved so far; None if it does not
         get there within the range of the sensor.
 
-        The line of the force meets the axis at s = mark - r tan α, nearer to the base than the mark.
+        The line of the force comes nearest to the axis at s = mark - r g tan α, nearer to the base than the mark.
         """
         rod, gravity = self.model.rod, self.model.gravity_base
-        radius = float(rod.radius_at(mark))
-        s = float(np.clip(mark - radius * rod.taper_at(mark), 0.01 * rod.length, rod.flank_end))
+        radius, reach = float(rod.radius_at(mark)), outline(rod.flatness, np.cos(angle), np.sin(angle))[0]
+        s = float(np.clip(mark - radius * reach**2 * rod.taper_at(mark), 0.01 * rod.length, rod.flank_end))
         start = rod.solve(gravity).p_at(s)
         low, high = 0.0, math.nan
         force = 0.75 * math.pi * rod.youngs_modulus * radius**4 * displacement / s**3  # of a cantilever

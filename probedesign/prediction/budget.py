@@ -26,7 +26,8 @@ from probedesign.estimation.contact_fit import MIN_FRICTION
 from probedesign.estimation.error_sources import CAUSES as SOURCES
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.model import covariance
-from probedesign.rod.kernels.surface_contact import ALONG, BY_TOUCH, CENTRE, POINT, UNKNOWNS, VALUE, S
+from probedesign.rod.contact import outline
+from probedesign.rod.kernels.surface_contact import ALONG, AROUND, BY_TOUCH, CENTRE, PHI, POINT, UNKNOWNS, VALUE, S
 
 CAUSES = (*SOURCES, "friction")  #: Error sources of a single touch, in the order of the tables.
 
@@ -87,12 +88,16 @@ class LinearizedTouches:
     def of(cls, touch: Array, lin: Array, D: Array, sources: ErrorSources) -> "LinearizedTouches":
         """Return the linearisations of touches; the arguments are those of `error_budget`."""
         by = slice(BY_TOUCH, BY_TOUCH + UNKNOWNS)
-        # For forces normal to the surface s_contact = s + r tan(β - α), β the inclination of the force towards the tip:
-        # ∂/∂s = 1 + tan² α, ∂/∂a_2 = r / cos² α.
+        # At forces normal to the surface, `rod.kernels.surface_contact.offset_along` has these derivatives; of a round
+        # section ∂/∂s = 1 + tan² α and ∂/∂a_2 = r / cos² α alone.
         rod, s = sources.model.rod, touch[:, S]
+        reach, aside = outline(rod.flatness, np.cos(touch[:, PHI]), np.sin(touch[:, PHI]))
+        radius, tan = rod.radius_at(s), reach * rod.taper_at(s)
         by_s = np.zeros((len(s), UNKNOWNS))
-        by_s[:, S] = 1.0 + rod.taper_at(s) ** 2
-        by_s[:, ALONG] = rod.radius_at(s) * by_s[:, S]
+        by_s[:, S] = 1.0 + tan**2
+        by_s[:, PHI] = -2.0 * radius * aside * tan
+        by_s[:, AROUND] = radius * aside * tan * np.sqrt(by_s[:, S])
+        by_s[:, ALONG] = radius * reach * by_s[:, S]
         noise = np.array([covariance(sources.model, wrench) for wrench in lin[:, 0:6, VALUE]])
         return cls(
             lin[:, 0:6, by], lin[:, POINT : POINT + 3, by], lin[:, CENTRE : CENTRE + 3, by],

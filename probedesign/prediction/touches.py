@@ -19,6 +19,7 @@ from probedesign.core.statistics import rms_each
 from probedesign.estimation.error_sources import FINE, NOTHING, ErrorSources
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.budget import ErrorBudget, error_budget, radii_95
+from probedesign.rod.contact import outline
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.kernels import surface_contact as kernel
 from probedesign.rod.kernels.surface_contact import (
@@ -264,7 +265,9 @@ class Touches:
     def free_centre(self) -> Array:
         """Return the touched points of the centreline on the free probe [m], (n, 3)."""
         rod, s = self.estimator.model.rod, np.nan_to_num(self.touch[:, S])
-        return self.estimator.free().p_at(np.clip(s - rod.radius_at(s) * rod.taper_at(s), 0.0, rod.length))
+        phi = np.nan_to_num(self.touch[:, PHI])
+        reach, _ = outline(rod.flatness, np.cos(phi), np.sin(phi))
+        return self.estimator.free().p_at(np.clip(s - rod.radius_at(s) * reach**2 * rod.taper_at(s), 0.0, rod.length))
 
     @cached_property
     def deflection(self) -> Array:

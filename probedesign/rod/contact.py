@@ -327,7 +327,7 @@ Numbers = NDArray[Any]  #: Real or complex: derivatives are taken by complex ste
 _BLEND = 0.005
 
 
-def outline(flatness: float, x: Numbers, y: Numbers) -> tuple[Numbers, Numbers]:
+def outline(flatness: float, x: Numbers | float, y: Numbers | float) -> tuple[Numbers, Numbers]:
     """Return how far an elliptic outline of half-width 1 along x reaches along its normal e = (x, y), and how far its
     point there lies aside, along (-y, x).
 

@@ -31,7 +31,7 @@ from probedesign.printing.check import check_print
 from probedesign.probe import Probe, build_probe
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, line_colours
 from probedesign.reports.prediction_charts import LEVELS_MM, LIMITS, budget_chart, error_level
-from probedesign.rod.contact import FrictionlessContact, solve_frictionless
+from probedesign.rod.contact import FrictionlessContact, solve_frictionless, surface_point
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.vibration import natural_frequency
 from probedesign.studio.session import PinnedDesign, StudioTouch
@@ -233,8 +233,7 @@ def drawn_touch(probe: Probe, touch: StudioTouch) -> DrawnTouch | None:
     if touched.result != "ok":
         return None
     normal = touched.force_base / np.linalg.norm(touched.force_base)
-    r = float(model.rod.radius_at(s)) * math.cos(math.atan(model.rod.taper_at(s)))
-    return DrawnTouch(touched, s, touched.equilibrium.p_contact_base - r * normal, normal)
+    return DrawnTouch(touched, s, surface_point(model.rod, touched.equilibrium), normal)
 
 
 def located(probe: Probe, drawn: DrawnTouch) -> Estimate:

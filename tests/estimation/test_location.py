@@ -24,6 +24,7 @@ SHAPES = {
         "base_d_mm": 10.0,
         "profile_mm": [[0.0, 10.0], [40.0, 5.0], [80.0, 6.0], [120.0, 2.0]],
     },
+    "elliptic": {"length_mm": 120.0, "base_d_mm": 14.0, "tip_d_mm": 4.0, "section": "elliptic", "flatness": 0.5},
 }
 FRACTIONS = (0.2, 0.4, 0.6, 0.8, 0.9, 0.97)
 #: Force over 3 E I/s², with I at the touched place, which is about the bending angle there [rad].
@@ -48,7 +49,7 @@ def reference_touches(model, gravity, frictions=FRICTIONS):
     rows = []
     for k, (fraction, bend, mu) in enumerate((f, b, mu) for f in FRACTIONS for b in BENDS for mu in frictions):
         s = fraction * model.rod.length
-        EI = model.rod.youngs_modulus * math.pi / 4.0 * model.rod.radius_at(s) ** 4
+        EI = model.rod.factors[1] * model.rod.youngs_modulus * math.pi / 4.0 * model.rod.radius_at(s) ** 4
         normal = min(3.0 * bend * EI / s**2, 0.5)
         # Golden angles spread directions evenly without a grid.
         phi, way = 2.399963 * k, 1.3 + 2.399963 * 2.0 * k

@@ -214,6 +214,34 @@ def test_turning_everything_about_the_axis_turns_the_answer():
         assert (off <= 1e-4 * scale).all()
 
 
+@pytest.mark.parametrize("touch_name", TOUCHES)
+def test_an_elliptic_probe_turned_by_a_right_angle_has_its_axes_exchanged(touch_name):
+    """Its half-width along x is then f r, and f times that along y."""
+    flat, f = RODS["elliptic"], RODS["elliptic"].flatness
+    exchanged = replace(flat, radius=f * flat.radius, factors=(1 / f, 1 / f**3, 1 / f, 2.0 / f / (f * f + 1.0)))
+    exchanged = replace(exchanged, rigid_length=flat.rigid_length)
+    touch, turn = at(flat, touch_name), rotation_z(np.pi / 2.0)[:3, :3]
+    a, _ = compiled(flat, GRAVITY, touch)
+    b, _ = compiled(exchanged, turn @ GRAVITY, replace(touch, phi=touch.phi + np.pi / 2.0))
+    for rows in (slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)):
+        np.testing.assert_allclose(turn @ a[rows, VALUE], b[rows, VALUE], atol=1e-8)
+        own = a[rows, BY_TOUCH:BY_PARAMETER]
+        # As above: the steps of the sweep fall otherwise.
+        assert (np.abs(turn @ own - b[rows, BY_TOUCH:BY_PARAMETER]) <= 1e-4 * np.abs(own).max(axis=0)).all()
+
+
+@pytest.mark.parametrize("touch_name", TOUCHES)
+def test_a_nearly_round_probe_is_nearly_the_round_one(touch_name):
+    """All differs by the order of how flat it is."""
+    round_rod = replace(CONE, finite_strain=False)
+    flat = replace(round_rod, factors=CrossSection(flatness=1.0 - 1e-6).factors)
+    a, b = (compiled(rod, GRAVITY, at(rod, touch_name))[0] for rod in (round_rod, flat))
+    for rows in (slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)):
+        # The moment goes with the cube of the flatness, and a light rod that sags is ten times as sensitive.
+        scale = np.abs(a[rows]).max(axis=0)
+        assert (np.abs(a[rows] - b[rows]) <= 1e-4 * scale + 1e-10).all()
+
+
 def test_a_touch_that_the_probe_does_not_hold_has_no_linearisation():
     """The probe has no equilibrium under half a newton at its thin tip."""
     touch, lin = np.zeros(TOUCH), np.empty((ROWS, 1 + UNKNOWNS))

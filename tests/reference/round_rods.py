@@ -109,9 +109,8 @@ class Probes:
     def mass(self) -> Array:
         """Mass of the rods [kg], (n,)."""
         r, h = self.radius, np.diff(self.s, axis=0)
-        return (
-            self.density * self.flatness * (np.pi / 3.0 * h * (r[:-1] ** 2 + r[:-1] * r[1:] + r[1:] ** 2)).sum(axis=0)
-        )
+        volumes = np.pi / 3.0 * h * (r[:-1] ** 2 + r[:-1] * r[1:] + r[1:] ** 2)
+        return self.density * self.flatness * volumes.sum(axis=0)
 
 
 # Integration from the tip to the base
@@ -228,7 +227,8 @@ def _segment(probes: Probes, p: Array, q: Array, m: Array, start: Array, end: Ar
         twist = (1.0 + f_y * f_y) / (probes.G * area * r * r * f_y * f_y)
         n = force + probes.density * weight * gravity
         return (f, 1.0 / (stiff * f_y * f_y), 1.0 / stiff, twist, 1.0 / (probes.shear * probes.G * area),
-                1.0 / (probes.E * area), large, probes.finite, probes.rest_at(s, middle) if curved else 0.0, n)  # fmt: skip
+                1.0 / (probes.E * area), large, probes.finite,
+                probes.rest_at(s, middle) if curved else 0.0, n)  # fmt: skip
 
     s, here = at(0.0), medium(at(0.0))
     for step in range(steps):
