@@ -1,15 +1,15 @@
 """Runs the processing chain on a source, estimates contacts from a recording, and compiles all kernels beforehand."""
 
 import gc
+import itertools
 import math
 import threading
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from dataclasses import asdict, dataclass
-from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,10 +29,11 @@ from probedesign.live.processing.commands import CommandQueue
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, Row, csv_line, estimate_row
 from probedesign.live.processing.plausibility import ClockMonitor
 from probedesign.live.processing.tare import Tare, TareWindow, Zero, describe_tare, is_free, tare_of
-from probedesign.live.recordings.csv import gaps_in
-from probedesign.live.sources.replay import OpenRecording, RecordingOptions, open_recording
 from probedesign.live.sources.source import GatheringSource, Source
 from probedesign.rod.contact import safe_force, solve_frictionless
+
+if TYPE_CHECKING:  # a run does not read recordings
+    from probedesign.live.sources.replay import OpenRecording, RecordingOptions
 
 
 def estimate_stream(
@@ -60,7 +61,7 @@ def estimate_stream(
         with closing(iter(source)) as stream:
             blocks: Iterator[Block] = stream if options.seconds is None else limit_duration(stream, options.seconds)
             expect = source.expect if isinstance(source, GatheringSource) else None
-            for update in islice(_updates(chain, blocks, log, sink, commands, expect), options.count):
+            for update in itertools.islice(_updates(chain, blocks, log, sink, commands, expect), options.count):
                 if sink is not None:
                     sink.on_estimate(update)
                 yield update
@@ -128,12 +129,19 @@ def warm_up(estimator: Estimator, log: Log, *, fusing: bool = False) -> None:
     notice.daemon = True
     notice.start()
     try:
-        touches = _warm_up_touches(estimator)
+        model, touches = estimator.model, _warm_up_touches(estimator)
         for wrench, _ in touches[-1:]:
             estimate = estimator.estimate(wrench)
             _ = estimator.estimate(wrench, near=estimate).shape
         if fusing:
-            _warm_up_fusion(estimator, touches)
+            free, still = estimator.free(model.gravity_base).wrench_base, pose(np.eye(3), np.zeros(3))
+            Detector(model, WARM_UP_RATE).run(np.zeros((WARM_UP_SAMPLES, 6)))
+            tracker = Tracker(estimator, gravity_world=model.gravity_base, rate=WARM_UP_RATE)
+            steps = [(free, still), *(touch for touch in touches for _ in range(WARM_UP_SAMPLES))]
+            for i, (wrench, T) in enumerate(steps):
+                tracker.update(wrench, T, i / WARM_UP_RATE)
+            wrenches, poses = zip(*touches[:2], strict=True)
+            estimator.fuse(wrenches, poses, model.gravity_base)  # the tracker restarts with this
     finally:
         notice.cancel()
     gc.collect()
@@ -153,33 +161,15 @@ def _warm_up_touches(estimator: Estimator) -> list[tuple[Array, Array]]:
     return touches
 
 
-def _warm_up_fusion(estimator: Estimator, touches: list[tuple[Array, Array]]) -> None:
-    """Track the touches sample by sample."""
-    model = estimator.model
-    free = estimator.free(model.gravity_base).wrench_base
-    Detector(model, WARM_UP_RATE).run(np.zeros((WARM_UP_SAMPLES, 6)))
-    tracker = Tracker(estimator, gravity_world=model.gravity_base, rate=WARM_UP_RATE)
-    still = pose(np.eye(3), np.zeros(3))
-    steps = [(free, still), *(touch for touch in touches for _ in range(WARM_UP_SAMPLES))]
-    for i, (wrench, T) in enumerate(steps):
-        tracker.update(wrench, T, i / WARM_UP_RATE)
-    wrenches, poses = zip(*touches[:2], strict=True)
-    estimator.fuse(wrenches, poses, model.gravity_base)  # the tracker restarts with this
-
-
 Progress = Callable[[list[WrenchReading]], Iterable[WrenchReading]]
 
 
 @dataclass(frozen=True)
 class RecordingEstimates:
-    """Estimates of a recording.
-
-    Attributes:
-        recorded: the recording.
-    """
+    """Estimates of a recording."""
 
     estimator: Estimator  #: estimator used.
-    recording: OpenRecording
+    recording: "OpenRecording"  #: the recording.
     readings: int  #: number of readings in it.
     missing_samples: int  #: number of samples missing in its gaps.
     samples: int  #: number of readings averaged to one.
@@ -237,7 +227,7 @@ def estimate_recording(
     *,
     progress: Progress = iter,
     allow_incomplete: bool = False,
-    options: RecordingOptions | None = None,
+    options: "RecordingOptions | None" = None,
     method: Method = "ml",
     zero: Zero = "checked",
 ) -> RecordingEstimates:
@@ -260,6 +250,9 @@ def estimate_recording(
     """
     if samples is not None and samples < 1:
         raise InputError(f"--average {samples} must be positive")
+    from probedesign.live.recordings.csv import gaps_in
+    from probedesign.live.sources.replay import open_recording
+
     recording = open_recording(path, estimator.model, options)
     blocks = list(recording.blocks())
     if (missing := recording.missing()) and not allow_incomplete:
@@ -276,7 +269,7 @@ def estimate_recording(
     trusted: Zero = "trusted" if free else "checked"
     processing = ProcessingOptions(samples=samples, method=method, zero=trusted, touches=False)
     chain = Chain(estimator, processing, None, lines.append, tare)
-    updates = chain_updates(chain, blocks)
+    updates = itertools.chain((u for block in blocks for u in chain.process(block)), chain.finish())
     rows = [
         estimate_row(update.reading, update.estimate) for _, update in zip(progress(readings), updates, strict=True)
     ]
@@ -293,10 +286,3 @@ def estimate_recording(
     return RecordingEstimates(
         estimator, recording, len(time), lost, samples, tare, rows, gravities, tuple(notes), method
     )
-
-
-def chain_updates(chain: Chain, blocks: Iterable[Block]) -> Iterator[EstimateUpdate]:
-    """Yield the estimates of blocks of readings, up to the last."""
-    for block in blocks:
-        yield from chain.process(block)
-    yield from chain.finish()
