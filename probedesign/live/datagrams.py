@@ -98,10 +98,7 @@ def parse_listen_address(option: str) -> tuple[str, int]:
     Raises:
         InputError: it is not of this form.
     """
-    try:
-        host, port = split_address(option.rpartition(" ")[2], "udp")
-    except ValueError:
-        host, port = "", None
+    host, port = split_address(option.rpartition(" ")[2], "udp") or ("", None)
     if port is None:
         raise InputError(
             f"{option}: write udp://:PORT with a port of 1 ... 65535, or udp://0.0.0.0:PORT for every network"

@@ -230,8 +230,8 @@ _PLY_PROPERTIES = (
 
 def rms_colour(rms_mm: float) -> tuple[int, int, int]:
     """Return red, green and blue, 0 to 255, for the RMS error of a point [mm]."""
-    share = np.log(max(rms_mm, 1e-9) / MIN_RMS_MM) / np.log(MAX_RMS_MM / MIN_RMS_MM)
-    at = np.clip(share, 0.0, 1.0) * (len(_SCALE) - 1)
+    fraction = np.log(max(rms_mm, 1e-9) / MIN_RMS_MM) / np.log(MAX_RMS_MM / MIN_RMS_MM)
+    at = np.clip(fraction, 0.0, 1.0) * (len(_SCALE) - 1)
     red, green, blue = (round(float(np.interp(at, range(len(_SCALE)), part))) for part in np.transpose(_SCALE))
     return red, green, blue
 

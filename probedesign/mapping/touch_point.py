@@ -211,7 +211,11 @@ def locate_touch(segment: TouchSegment, estimator: Estimator, priors: Tolerances
 def _fusion(segment: TouchSegment, estimator: Estimator, priors: Tolerances, gravity_world: Array) -> Fusion | None:
     """Return the fusion; None if a wrench exceeds the sensor's range or the free probe has no stable equilibrium."""
     model = estimator.model
-    around = [(segment.free_before, False), *((one, True) for one in segment.intervals), (segment.free_after, False)]
+    around = [
+        (segment.free_before, False),
+        *((touched, True) for touched in segment.intervals),
+        (segment.free_after, False),
+    ]
     used = [(interval, contact) for interval, contact in around if interval is not None]
     for interval, _ in used:
         if not model.in_range(model.to_sensor(interval.wrench, interval.gravity)):

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 _ARROW = 0.25  #: Length of a force's arrow over that of the probe.
+FORCE_COLUMNS = tuple(f"force_base_{axis}_N" for axis in "xyz")
 _STYLE = "margin: 0.3em 0 0.3em 0.8em"
 
 
@@ -271,7 +272,7 @@ def _ellipse(cov: Array) -> Array:
 
 @rows_of.register
 def _(estimate: Estimate) -> Rows:
-    columns = ["s_contact_mm", "std_s_mm", *_axes("p_surface_base", "mm"), *_axes("force_base", "N"), "rms_mm",
+    columns = ["s_contact_mm", "std_s_mm", *(f"p_surface_base_{axis}_mm" for axis in "xyz"), *FORCE_COLUMNS, "rms_mm",
                "force_normal_N", "force_tangential_N", "chi2"]  # fmt: skip
     rows = [
         [c.s_contact / MM, c.std_s / MM, *(c.p_surface_base / MM).tolist(), *c.force_base.tolist(), c.rms / MM,
@@ -312,7 +313,7 @@ def _projections(cov: Array) -> Chart:
 
 @rows_of.register
 def _(fused: FusedEstimate) -> Rows:
-    columns = ["s_contact_mm", *_axes("force_base", "N"), "force_normal_N", "force_tangential_N", "friction_ratio"]
+    columns = ["s_contact_mm", *FORCE_COLUMNS, "force_normal_N", "force_tangential_N", "friction_ratio"]
     values = np.column_stack(
         [fused.s_contact / MM, fused.force_base, fused.force_normal, fused.force_tangential, fused.friction_ratio]
     )
@@ -321,10 +322,6 @@ def _(fused: FusedEstimate) -> Rows:
 
 def _point(p: Array) -> str:
     return f"({', '.join(f'{value / MM:z.2f}' for value in p)}) mm"
-
-
-def _axes(name: str, unit: str) -> list[str]:
-    return [f"{name}_{axis}_{unit}" for axis in "xyz"]
 
 
 # Identification

@@ -105,7 +105,14 @@ class DesignFigures:
             Figure(f"detected at {HEADLINE_FRACTION:g} L", _largest(felt), "mN", "with probability 0.5"),
         ]
         if self.complete:
-            rows += self._complete_rows()
+            reach = [r for r in p.reach if r.contact_fraction == HEADLINE_FRACTION]
+            weakest = min(reach, key=lambda r: r.greatest_force_N or 0.0)
+            force = None if weakest.greatest_force_N is None else 1e3 * weakest.greatest_force_N
+            fused = p.fused_headline
+            rows += [
+                Figure(fused.label, fused.predicted_error_mm, "mm", "fused"),
+                Figure(f"largest force at {HEADLINE_FRACTION:g} L", force, "mN", LIMITS[weakest.limit][0], False),
+            ]
         rows += [
             Figure("tip sag", p.tip_sag_mm, "mm", "" if not self.buckles else "it buckles under its own weight"),
             Figure("mass", p.mass_g, "g", "flexible part", None),
@@ -115,18 +122,6 @@ class DesignFigures:
             ),
         ]  # fmt: skip
         return rows
-
-    def _complete_rows(self) -> list[Figure]:
-        p = self.prediction
-        reach = [r for r in p.reach if r.contact_fraction == HEADLINE_FRACTION]
-        weakest = min(reach, key=lambda r: r.greatest_force_N or 0.0)
-        force = None if weakest.greatest_force_N is None else 1e3 * weakest.greatest_force_N
-        at = f"at {HEADLINE_FRACTION:g} L"
-        fused = p.fused_headline
-        return [
-            Figure(fused.label, fused.predicted_error_mm, "mm", "fused"),
-            Figure(f"largest force {at}", force, "mN", LIMITS[weakest.limit][0], False),
-        ]
 
 
 def _largest(values: Sequence[float | None]) -> float | None:
@@ -183,11 +178,6 @@ def _figures(
     )
 
 
-def _rgb(colour: str) -> tuple[int, int, int]:
-    red, green, blue = bytes.fromhex(colour[1:])
-    return red, green, blue
-
-
 def segment_colours(figures: DesignFigures, edges: Array, force_N: float) -> list[tuple[int, int, int]]:
     """Return the colour of each segment of the probe: the error of a touch there, by the levels of the page.
 
@@ -201,7 +191,11 @@ def segment_colours(figures: DesignFigures, edges: Array, force_N: float) -> lis
     colours = []
     for middle in (edges[1:] + edges[:-1]) / 2.0:
         error = located.get(float(places[np.argmin(np.abs(places - middle))]))
-        colours.append(NOT_LOCATED if error is None else _rgb(ORDERED[error_level(error)]))
+        colour = NOT_LOCATED
+        if error is not None:
+            red, green, blue = bytes.fromhex(ORDERED[error_level(error)][1:])
+            colour = red, green, blue
+        colours.append(colour)
     return colours
 
 

@@ -13,20 +13,19 @@ from contextlib import redirect_stdout
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import viser
 
-from probedesign.core import statistics
 from probedesign.core.errors import InputError, MissingDependencyError, report_defect
 from probedesign.core.files import exports_of
+from probedesign.core.statistics import rms as rms_of
 from probedesign.core.units import MM
 from probedesign.design import Design, check_design
 from probedesign.design.edit import tables_of
 from probedesign.design.io import render_design, write_design
 from probedesign.design.paper import PROBES, paper_design
-from probedesign.estimation.estimate import Estimate
 from probedesign.probe import build_probe
 from probedesign.reports.chart import Chart
 from probedesign.studio.controls import DesignControls
@@ -89,14 +88,6 @@ class _RequestWaitsError(Exception):
     """A request ends what is computed while the hand rests."""
 
 
-class SaveTab(NamedTuple):
-    """Controls of the tab "Save", which are read when a button is pressed."""
-
-    name: Any  #: Name of the design.
-    replace: Any  #: Whether existing files may be replaced.
-    command: Any  #: Command that restores the state.
-
-
 class StudioPage:
     """Serves the studio of a session until it is stopped.
 
@@ -109,6 +100,7 @@ class StudioPage:
         """Start the server at an address; the next free port is used."""
         self.session = session
         self._requests: queue.Queue[Callable[[], None]] = queue.Queue()
+        self._request = self._requests.put
         self._latest: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._probe = build_probe(session.design)
@@ -152,11 +144,6 @@ class StudioPage:
         self._thread.join(timeout=5.0)
         with redirect_stdout(io.StringIO()):
             self._server.stop()
-
-    # Requests
-
-    def _request(self, change: Callable[[], None]) -> None:
-        self._requests.put(change)
 
     def move(self, key: str, value: Any) -> None:
         """Request a change, as a control of the page does; of several that wait, only the last of each key counts.
@@ -257,8 +244,14 @@ class StudioPage:
         self._design_controls = DesignControls(gui, self.session, self.move)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Probe"):
-            preset = gui.add_dropdown("preset", ("-", *PROBES), initial_value="-")
-            preset.on_update(lambda _: self._preset(preset))
+            preset: Any = gui.add_dropdown("preset", ("-", *PROBES), initial_value="-")
+
+            def load_preset(_: Any) -> None:
+                if (name := preset.value) in PROBES:
+                    preset.value = "-"  # so that the same one can be chosen later
+                    self._request(lambda: self._load(paper_design(name)))
+
+            preset.on_update(load_preset)
             steps = gui.add_button_group("changes", ("undo", "redo"))
             steps.on_click(lambda _: self._request(lambda: self._step(steps.value)))
             self._design_controls.add_probe()
@@ -276,7 +269,17 @@ class StudioPage:
                 lambda: self._request(self._improve.drop),
             )  # fmt: skip
         with tabs.add_tab("Save"):
-            self._save = self._save_tab(gui)
+            pin = gui.add_button("Pin this design", icon=viser.Icon.PINNED)
+            pin.on_click(lambda _: self._request(lambda: self._pin(self.session.pin)))
+            unpin = gui.add_button("Remove the last pin")
+            unpin.on_click(lambda _: self._request(lambda: self._pin(self.session.unpin_last)))
+            self._name: Any = gui.add_text("name", self.session.design.name)
+            self._replace: Any = gui.add_checkbox("replace existing files", False)
+            for label, action in ACTIONS.items():
+                gui.add_button(label).on_click(partial(self._press, action))
+            self._command: Any = gui.add_text("command that restores this state", "", multiline=True)
+            dark = gui.add_checkbox("dark page", False)
+            dark.on_update(lambda _: self._theme(dark.value))
         self._stacked, self._panel = False, gui.add_panel()
         charts = self._panel
         with charts.add_tab("Error"):
@@ -287,20 +290,6 @@ class StudioPage:
             self._charts["fused"] = gui.add_html("")
         charts.dock_left()
         charts.set_width(CHARTS_WIDTH)
-
-    def _save_tab(self, gui: viser.GuiApi) -> SaveTab:
-        pin = gui.add_button("Pin this design", icon=viser.Icon.PINNED)
-        pin.on_click(lambda _: self._request(self._pin))
-        unpin = gui.add_button("Remove the last pin")
-        unpin.on_click(lambda _: self._request(self._unpin))
-        name = gui.add_text("name", self.session.design.name)
-        replace = gui.add_checkbox("replace existing files", False)
-        for label, action in ACTIONS.items():
-            gui.add_button(label).on_click(partial(self._press, action))
-        command = gui.add_text("command that restores this state", "", multiline=True)
-        dark = gui.add_checkbox("dark page", False)
-        dark.on_update(lambda _: self._theme(dark.value))
-        return SaveTab(name, replace, command)
 
     def _theme(self, dark: bool) -> None:
         self._server.gui.configure_theme(
@@ -333,37 +322,26 @@ class StudioPage:
 
     # Reactions
 
-    def _preset(self, preset: Any) -> None:
-        """Load a preset; its field is empty again, so that the same one can be chosen later."""
-        if (name := preset.value) in PROBES:
-            preset.value = "-"
-            self._request(lambda: self._load(paper_design(name)))
-
     def _load(self, design: Design) -> None:
         self.session.replace_design(design)
-        self._save.name.value = design.name
+        self._name.value = design.name
         self._refresh()
 
     def _step(self, name: str) -> None:
         if self.session.undo() if name == "undo" else self.session.redo():
             self._refresh()
 
-    def _pin(self) -> None:
-        self.session.pin()
-        self._refresh(moved=False)
-
-    def _unpin(self) -> None:
-        if self.session.pinned:
-            self.session.unpin(self.session.pinned[-1].label)
+    def _pin(self, change: Callable[[], object]) -> None:
+        change()
         self._refresh(moved=False)
 
     def _press(self, action: Action, _: Any) -> None:
-        self._request(partial(self._act, action))
+        def act() -> None:
+            design = self.session.design.model_copy(update={"name": self._name.value.strip()})
+            self._say("working ...")
+            self._keep(action(check_design(tables_of(design)), self._replace.value))  # its name may be no file name
 
-    def _act(self, action: Action) -> None:
-        design = self.session.design.model_copy(update={"name": self._save.name.value.strip()})
-        self._say("working ...")
-        self._keep(action(check_design(tables_of(design)), self._save.replace.value))  # its name may be no file name
+        self._request(act)
 
     def _start_search(self) -> None:
         """Start a search in a thread of its own; its path is drawn as it goes."""
@@ -398,15 +376,23 @@ class StudioPage:
             self._show_text(pinned)
         self._server.flush()
         estimate = located(self._probe, self._drawn) if self._drawn else None
+        if estimate is None:
+            touch = '<div class="bad">The probe buckles under this touch.</div>'
+        elif estimate.ok:
+            s, std, rms = (x / MM for x in (estimate.s_contact, estimate.std_s, rms_of(estimate.cov_surface_base)))
+            touch = f"<table><tr><td>located</td><td>s = {s:.1f} ± {std:.1f} mm</td></tr>"
+            touch += f"<tr><td>error</td><td>{rms:.2g} mm RMS, all error sources</td></tr></table>"
+        else:
+            touch = f'<div class="bad">The reading is not located: {escape(estimate.result)}.</div>'
         with self._server.atomic():
             self._scene.show_errors(self.figures, estimate, self.session.touch)
-            self._touch_text.content = styled(_touch_html(estimate))
+            self._touch_text.content = styled(touch)
             if self._complete and self._scene.is_out_of_frame:
                 turned = self._scene.has_turned
                 for client in self._server.get_clients().values():
                     camera = client.camera
-                    off = np.asarray(camera.position) - np.asarray(camera.look_at)
-                    self._scene.set_camera(camera, camera.aspect, None if turned else off)
+                    direction = np.asarray(camera.position) - np.asarray(camera.look_at)
+                    self._scene.set_camera(camera, camera.aspect, None if turned else direction)
                 self._scene.set_camera(self._server.initial_camera)
         self._server.flush()
 
@@ -440,17 +426,4 @@ class StudioPage:
         dotted = "<p class=note>Solid: all error sources. Dotted: an exact probe. Dashed: pinned designs.</p>"
         dotted += colour_legend(session.touch.force_mN)
         self._charts["summary"].content = styled(dotted + summary_table(figures, pinned) + check)
-        self._save.command.value = session.command_line
-
-
-def _touch_html(estimate: Estimate | None) -> str:
-    """Return how well a touch is located as HTML; None where the probe buckles under it."""
-    if estimate is None:
-        return '<div class="bad">The probe buckles under this touch.</div>'
-    if not estimate.ok:
-        return f'<div class="bad">The reading is not located: {escape(estimate.result)}.</div>'
-    rms = statistics.rms(estimate.cov_surface_base) / MM
-    return (
-        f"<table><tr><td>located</td><td>s = {estimate.s_contact / MM:.1f} ± {estimate.std_s / MM:.1f} mm</td></tr>"
-        f"<tr><td>error</td><td>{rms:.2g} mm RMS, all error sources</td></tr></table>"
-    )
+        self._command.value = session.command_line

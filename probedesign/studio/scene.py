@@ -108,13 +108,30 @@ class StudioScene:
         eq = drawn.contact.equilibrium if drawn else model.rod.solve(model.gravity_base)
         bent = _bent(eq, probe)
         self._shown, self._stands = (probe, drawn, bent), eq.ok
-        self._length = max(one.length for one in (probe, *pinned))
-        for mesh, vertices in zip(self._segments, _segments(bent, probe, EDGES), strict=True):
-            mesh.vertices = vertices
+        self._length = max(each.length for each in (probe, *pinned))
+        for mesh, (low, high) in zip(self._segments, pairwise(EDGES), strict=True):
+            mesh.vertices = _tube(bent, probe, np.linspace(low, high, RINGS))
         self._show_knots(bent, probe)
-        self._show_touch(drawn, touch)
+        self._contact.visible = self._force.visible = self._end.visible = drawn is not None
+        if drawn is None:
+            self._spread.visible = False
+        else:
+            tail = drawn.p_surface - arrow_length(touch.force_mN) * drawn.normal
+            self._contact.position, self._end.position = UNIT * drawn.p_surface, UNIT * tail
+            self._force.points = (UNIT * np.array([[tail, drawn.p_surface]])).astype(np.float32)
         self._show_parts(probe)
-        self._show_ghosts(pinned, touch)
+        while len(self._ghosts) > len(pinned):
+            self._ghosts.pop().remove()
+        for i, other in enumerate(pinned):
+            vertices = _tube(_bent(touched_shape(other, touch), other), other, np.linspace(0.0, 1.0, GHOST_RINGS))
+            if i < len(self._ghosts):
+                self._ghosts[i].vertices = vertices
+            else:
+                mesh = self._scene.add_mesh_simple(
+                    f"/base/pinned/{i}", vertices, _tube_faces(GHOST_RINGS), color=GHOST_COLOUR, opacity=0.35,
+                    cast_shadow=False,
+                )  # fmt: skip
+                self._ghosts.append(mesh)
 
     def show_errors(self, figures: DesignFigures, estimate: Estimate | None, touch: StudioTouch) -> None:
         """Colour the probe by its predicted error, and draw the covariance of the touch.
@@ -136,22 +153,6 @@ class StudioScene:
             self._spread.scale = tuple(UNIT * np.maximum(half_axes, MIN_HALF_AXIS))
             self._spread.wxyz = quaternion(axes)
 
-    def _show_ghosts(self, pinned: Sequence[Probe], touch: StudioTouch) -> None:
-        """Draw the pinned probes; each has a mesh of its own."""
-        while len(self._ghosts) > len(pinned):
-            self._ghosts.pop().remove()
-        for i, probe in enumerate(pinned):
-            vertices = _tube(_bent(touched_shape(probe, touch), probe), probe, np.linspace(0.0, 1.0, GHOST_RINGS))
-            if i < len(self._ghosts):
-                self._ghosts[i].vertices = vertices
-            else:
-                self._ghosts.append(
-                    self._scene.add_mesh_simple(
-                        f"/base/pinned/{i}", vertices, _tube_faces(GHOST_RINGS), color=GHOST_COLOUR, opacity=0.35,
-                        cast_shadow=False,
-                    )
-                )  # fmt: skip
-
     def _show_knots(self, bent: BentShape, probe: Probe) -> None:
         knots = knots_of(probe.design)[:MAX_KNOTS]
         for node in self._knots[len(knots) :]:
@@ -160,16 +161,6 @@ class StudioScene:
             p, x, _ = centreline(bent, np.array([s for _, s, _ in knots]))
             for node, point, side, (_, _, diameter) in zip(self._knots, p, x, knots, strict=False):
                 node.visible, node.position = True, UNIT * (point + 0.5 * diameter * side)
-
-    def _show_touch(self, drawn: DrawnTouch | None, touch: StudioTouch) -> None:
-        self._contact.visible = self._force.visible = self._end.visible = drawn is not None
-        if drawn is None:
-            self._spread.visible = False
-            return
-        self._contact.position = UNIT * drawn.p_surface
-        tail = drawn.p_surface - arrow_length(touch.force_mN) * drawn.normal
-        self._force.points = (UNIT * np.array([[tail, drawn.p_surface]])).astype(np.float32)
-        self._end.position = UNIT * tail
 
     def _show_parts(self, probe: Probe) -> None:
         """Draw sensor, flange and adapter when they have changed."""
@@ -272,8 +263,8 @@ class StudioScene:
         if event.phase == "start":
             self._grabbed = diameter, pointer
         before, start = self._grabbed
-        way = float((pointer - start) @ centreline(bent, np.array([s]))[1][0])
-        self._on_change(f"knot.{index}", round(1e3 * max(before + 2.0 * way, 0.0), 1))
+        across = float((pointer - start) @ centreline(bent, np.array([s]))[1][0])
+        self._on_change(f"knot.{index}", round(1e3 * max(before + 2.0 * across, 0.0), 1))
 
 
 def arrow_length(force_mN: float) -> float:
@@ -296,10 +287,6 @@ def _bent(eq: Equilibrium, probe: Probe) -> BentShape:
 def _tube_faces(rings: int) -> NDArray[np.uint32]:
     disc = disc_faces((rings - 1) * RING_POINTS, rings * RING_POINTS, RING_POINTS)
     return np.concatenate([tube_faces(rings, RING_POINTS), disc]).astype(np.uint32)
-
-
-def _segments(shape: BentShape, probe: Probe, edges: Array) -> list[NDArray[np.float32]]:
-    return [_tube(shape, probe, np.linspace(low, high, RINGS)) for low, high in pairwise(edges)]
 
 
 def _tube(shape: BentShape, probe: Probe, fractions: Array) -> NDArray[np.float32]:

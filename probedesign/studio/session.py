@@ -119,9 +119,9 @@ class Session:
         self.pinned = [*self.pinned, pin][-MAX_PINNED:]
         return pin
 
-    def unpin(self, label: str) -> None:
-        """Drop a pinned design."""
-        self.pinned = [pin for pin in self.pinned if pin.label != label]
+    def unpin_last(self) -> None:
+        """Drop the design that was pinned last, if any."""
+        self.pinned = self.pinned[:-1]
 
     @property
     def command_line(self) -> str:
@@ -177,15 +177,6 @@ class Session:
             self.design = current
 
 
-def _with_calibration(sensor: dict[str, Any], name: str) -> dict[str, Any]:
-    """Return `[sensor]` with another calibration: of the same sensor if it has one of that name."""
-    own, known = sensor.get("own"), SENSORS.get(sensor.get("model", DEFAULT_SENSOR))
-    names = [c["name"] for c in own["calibrations"]] if own else [c.name for c in known.calibrations] if known else []
-    if name in names:
-        return {**sensor, "calibration": name}
-    return {key: value for key, value in sensor.items() if key != "own"} | sensor_keys(name)
-
-
 #: Keys that choose something by its name; others follow from them, unless they are given too.
 _FIRST = ("probe.shape", "probe.section", "material.resin", "sensor.model", "sensor.calibration")
 _LAST = "probe.profile_mm"
@@ -209,7 +200,12 @@ def _with_key(data: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
             sensor = {k: v for k, v in data["sensor"].items() if k != "own"}
             return {**data, "sensor": sensor | sensor_keys(value)}
         case "sensor.calibration":
-            return {**data, "sensor": _with_calibration(data["sensor"], value)}
+            sensor = data["sensor"]  # it stays if it has a calibration of this name
+            described, known = sensor.get("own"), SENSORS.get(sensor.get("model", DEFAULT_SENSOR))
+            names = [c["name"] for c in described["calibrations"]] if described else []
+            if value in (names or ([c.name for c in known.calibrations] if known else [])):
+                return {**data, "sensor": {**sensor, "calibration": value}}
+            return {**data, "sensor": {k: v for k, v in sensor.items() if k != "own"} | sensor_keys(value)}
         case "probe.shape":
             return _with_shape(data, value)
         case "probe.section":

@@ -99,11 +99,15 @@ class RequestFilter:
         if not self._token and _name(host) not in LOOPBACK:
             return _refusal("This page is open to this machine only.\n")  # a name that was bound to 127.0.0.1
         upgrade = request.headers.get("Upgrade", "").lower() == "websocket"
-        if upgrade and not _same_origin(request.headers.get("Origin", ""), host):
+        origins = (f"http://{host}".lower(), f"https://{host}".lower())
+        if upgrade and not (host and request.headers.get("Origin", "").lower() in origins):
             return _refusal("Only the page itself may connect.\n")
         if self._token and not self._is_known(request):
-            if not upgrade and self._has_token(request):
-                return self._enter()
+            tokens = parse_qs(urlsplit(request.path).query).get("token", [])
+            if not upgrade and any(map(self._matches, tokens)):
+                cookie = f"{self._cookie}={self._token}; HttpOnly; SameSite=Strict; Path=/"
+                headers = Headers({"Location": "/", "Set-Cookie": cookie, "Content-Length": "0"} | HEADERS)
+                return Response(http.HTTPStatus.SEE_OTHER, "See Other", headers)
             return _refusal(NEEDS_TOKEN)
         if upgrade or self._serve_file is None:
             return None
@@ -121,16 +125,8 @@ class RequestFilter:
             return False
         return self._cookie in cookies and self._matches(cookies[self._cookie].value)
 
-    def _has_token(self, request: Request) -> bool:
-        return any(map(self._matches, parse_qs(urlsplit(request.path).query).get("token", [])))
-
     def _matches(self, text: str) -> bool:
         return hmac.compare_digest(text.encode(), self._token.encode())
-
-    def _enter(self) -> Response:
-        cookie = f"{self._cookie}={self._token}; HttpOnly; SameSite=Strict; Path=/"
-        headers = Headers({"Location": "/", "Set-Cookie": cookie, "Content-Length": "0"} | HEADERS)
-        return Response(http.HTTPStatus.SEE_OTHER, "See Other", headers)
 
     def _complete(self, response: Response, zipped: bool) -> Response:
         """Return a response of viser with our headers, and its page with our title, icon, style and script."""
@@ -159,10 +155,6 @@ def _name(host: str) -> str:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:
         return ""
-
-
-def _same_origin(origin: str, host: str) -> bool:
-    return bool(host) and origin.lower() in (f"http://{host}".lower(), f"https://{host}".lower())
 
 
 def _refusal(text: str) -> Response:

@@ -31,7 +31,8 @@ class RigidPart:
 def rigid_parts(model: ProbeModel, folder: Path) -> tuple[list[RigidPart], str]:
     """Return sensor, adapters and the probe's flange, and a note on them, from the folder of the exported parts."""
     flange, T_base = model.flange, np.eye(4)
-    plain = [_sensor_part(model), _cylinder("flange", flange.diameter, -flange.thickness, 0.0, T_base)]
+    sensor = _cylinder("sensor", model.sensor_d, -model.sensor_height, 0.0, inverse(model.T_sensor_base))
+    plain = [sensor, _cylinder("flange", flange.diameter, -flange.thickness, 0.0, T_base)]
     try:
         return plain + _exported(model, folder), ""
     except FileNotFoundError:
@@ -79,10 +80,6 @@ def read_stl(path: Path) -> Array:
 def _placed(name: str, corners: Array, T: Array) -> RigidPart:
     vertices, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
     return RigidPart(name, vertices @ T[:3, :3].T + T[:3, 3], faces.reshape(-1, 3))
-
-
-def _sensor_part(model: ProbeModel) -> RigidPart:
-    return _cylinder("sensor", model.sensor_d, -model.sensor_height, 0.0, inverse(model.T_sensor_base))
 
 
 def _cylinder(name: str, diameter: float, low: float, high: float, T: Array) -> RigidPart:

@@ -16,7 +16,7 @@ from probedesign.design.io import render_design, write_design
 from probedesign.design.sensor_catalog import FILES, SENSORS, load_sensor
 from probedesign.frozen_probe import load_model, write_frozen
 from probedesign.probe import build_probe
-from probedesign.web.rigid_parts import _sensor_part
+from probedesign.web.rigid_parts import rigid_parts
 
 DESIGN = """\
 schema = 1
@@ -98,7 +98,7 @@ def test_a_sensor_file_is_followed_to_the_frozen_probe_and_the_view(path, tmp_pa
     write_frozen(model, tmp_path / "a.probe.json")
     read = load_model(tmp_path / "a.probe.json")
     assert (read.sensor, read.noise) == ("lab-1", model.noise)
-    vertices = _sensor_part(read).vertices
+    vertices = rigid_parts(read, tmp_path)[0][0].vertices
     height = vertices[:, 2].max() - vertices[:, 2].min()
     assert height == pytest.approx(18e-3, abs=1e-9)  # float64 of a pose
     assert np.hypot(*vertices[:, :2].T).max() == pytest.approx(10e-3, abs=1e-9)
@@ -263,7 +263,7 @@ def test_a_known_sensor_is_measured_in_the_new_design_and_exported(name, tmp_pat
     assert pipeline.check(measured).errors == []
     probe = build_probe(measured)
     write_frozen(probe.model, tmp_path / "a.probe.json")
-    vertices = _sensor_part(load_model(tmp_path / "a.probe.json")).vertices
+    vertices = rigid_parts(load_model(tmp_path / "a.probe.json"), tmp_path)[0][0].vertices
     assert np.hypot(*vertices[:, :2].T).max() == pytest.approx(interface.body_d / 2, abs=1e-9)
     assert probe.predict(fractions=(0.5,), forces_N=(0.1,), directions=("+y",)).conditions[0].force_N == 0.1
     pytest.importorskip("cadquery")

@@ -129,10 +129,7 @@ class UdpPublisher(Sink):
         Raises:
             InputError: the address is invalid, or the host is unknown.
         """
-        try:
-            host, port = split_address(address, "udp")
-        except ValueError:
-            host, port = "", None
+        host, port = split_address(address, "udp") or ("", None)
         if not host or not port:
             raise InputError(f"--publish {address}: write udp://HOST:PORT, as udp://127.0.0.1:9000")
         try:

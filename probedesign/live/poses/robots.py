@@ -9,6 +9,7 @@ Source: the docstrings of ur_rtde 1.6.5 and franky-control 2.0.0. Neither has be
 import threading
 from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from time import monotonic, sleep
 
 from probedesign.core.errors import InputError, MissingDependencyError, one_line
@@ -77,7 +78,11 @@ class RobotPoses:
             started = monotonic()
             if self._reader is None:
                 last = None
-                self._reconnect()
+                if not self._ended.wait(RETRY_PERIOD):
+                    with suppress(Exception):  # the loss has been reported
+                        self._reader = self._connect()
+                        self._session += 1
+                        self._messages.append(f"{self.title}: connected again")
                 continue
             try:
                 pose = self._reader()
@@ -96,16 +101,6 @@ class RobotPoses:
                     self._queue.append((monotonic(), pose, self._session))
             sleep(max(0.0, started + self._period - monotonic()))
 
-    def _reconnect(self) -> None:
-        if self._ended.wait(RETRY_PERIOD):
-            return
-        try:
-            self._reader = self._connect()
-        except Exception:
-            return  # the loss has been reported
-        self._session += 1
-        self._messages.append(f"{self.title}: connected again")
-
     def _count(self, kind: str, why: str, always: bool = False) -> None:
         self.counts[kind] += 1
         if always or self.counts[kind] == 1:
@@ -117,10 +112,7 @@ def _reason(error: Exception) -> str:
 
 
 def _host(target: str, scheme: str) -> str:
-    try:
-        host, port = split_address(target, scheme)
-    except ValueError:
-        host, port = "", None
+    host, port = split_address(target, scheme) or ("", None)
     if not host or port is not None:
         raise InputError(f"--pose {target}: write {scheme}://HOST")
     return host

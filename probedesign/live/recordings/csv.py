@@ -36,13 +36,13 @@ def recording_columns(table: CsvLines) -> list[Column]:
     Raises:
         InputError: a column is missing, duplicated or without a known unit.
     """
-    found = csv_tables.find_columns(table, KINDS, ALIASES, CSV_HEADER)
-    wanted = ("time", *WRENCH, *(GRAVITY if found.keys() & set(GRAVITY) else ()))
+    columns = csv_tables.find_columns(table, KINDS, ALIASES, CSV_HEADER)
+    wanted = ("time", *WRENCH, *(GRAVITY if columns.keys() & set(GRAVITY) else ()))
     names = f"{CSV_HEADER},{GRAVITY_HEADER}".split(",")
-    if missing := [name for quantity, name in zip(wanted, names, strict=False) if quantity not in found]:
+    if missing := [name for quantity, name in zip(wanted, names, strict=False) if quantity not in columns]:
         problem = f"columns are missing: {', '.join(missing)}; the header must be like {CSV_HEADER}"
         table.fail(table.header_number, problem)
-    return [found[quantity] for quantity in wanted]
+    return [columns[quantity] for quantity in wanted]
 
 
 GAP = 1.5  #: Factor of the median interval above which an interval counts as a gap.

@@ -65,10 +65,10 @@ def forward_transform(node: Any, world: str, base: str, host: str, port: str) ->
 
     def forward() -> None:
         try:
-            found = buffer.lookup_transform(world, base, Time())
+            newest = buffer.lookup_transform(world, base, Time())
         except TransformException:
             return  # not known yet
-        stamp, p, q = found.header.stamp, found.transform.translation, found.transform.rotation
+        stamp, p, q = newest.header.stamp, newest.transform.translation, newest.transform.rotation
         if last[0] == (stamp.sec, stamp.nanosec):
             return
         last[0] = (stamp.sec, stamp.nanosec)

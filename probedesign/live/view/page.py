@@ -344,15 +344,15 @@ class ViewerPage:
         self._label.anchor = (
             "bottom-center" if abs(beside) < LABEL_SIDE else "bottom-right" if beside > 0.0 else "bottom-left"
         )
-        place = f"s {1e3 * marker.s:.1f} ± {1e3 * marker.std_s:.1f} mm"
-        fresh = f"{place}, {1e3 * strength:.1f} mN"
-        self._label.text = f"{snapshot.age:.0f} s old: {place}" if snapshot.stale else fresh
+        position = f"s {1e3 * marker.s:.1f} ± {1e3 * marker.std_s:.1f} mm"
+        fresh = f"{position}, {1e3 * strength:.1f} mN"
+        self._label.text = f"{snapshot.age:.0f} s old: {position}" if snapshot.stale else fresh
 
     def _in_view(self, position: Array) -> tuple[float, float]:
         right = np.cross(-self._direction, (0.0, 0.0, 1.0))
         right /= np.linalg.norm(right)
-        off = (position - self._middle) / (UNIT * float(self._setup.tube.s[-1]))
-        return float(off @ right), float(off @ np.cross(self._direction, right))
+        away = (position - self._middle) / (UNIT * float(self._setup.tube.s[-1]))
+        return float(away @ right), float(away @ np.cross(self._direction, right))
 
     def _is_covered(self, position: Array) -> bool:
         if not self._label.visible:

@@ -36,8 +36,8 @@ SCRIPT = """
 (function () {
   var beat = null, since = Date.now(), bar = null;
   setInterval(function () {
-    var found = document.querySelector('[data-beat]'), now = Date.now();
-    if (found && found.dataset.beat !== beat) { beat = found.dataset.beat; since = now; }
+    var status = document.querySelector('[data-beat]'), now = Date.now();
+    if (status && status.dataset.beat !== beat) { beat = status.dataset.beat; since = now; }
     var age = Math.round((now - since) / 1000), lost = beat !== null && age >= LOST_SECONDS;
     if (!bar && document.body) {
       bar = document.createElement('div'); bar.id = 'pd-lost'; bar.setAttribute('role', 'alert');

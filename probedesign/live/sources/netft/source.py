@@ -219,10 +219,7 @@ class NetFTSource:
         Raises:
             InputError: the address or a parameter is invalid, or no box responds.
         """
-        try:
-            host, port = split_address(f"netft:{target}", "netft")
-        except ValueError:
-            host, port = "", None
+        host, port = split_address(f"netft:{target}", "netft") or ("", None)
         if not host or port == 0:
             raise InputError(f"netft:{target}: write netft://HOST or netft://HOST:PORT")
         port = RDT_PORT if port is None else port
