@@ -28,6 +28,7 @@ SOURCES = {
     "diameter": ("diameter_mm", "diameter_share"),
     "diameter scatter": ("diameter_scatter_mm",),
     "length": ("length_mm", "length_share"),
+    "bow": ("bow_mm",),
     "root": ("root_radii",),
     "base place": ("base_mm",),
     "base tilt": ("tilt_deg",),
@@ -86,7 +87,7 @@ class Perturbations:
     def of(cls, model: ProbeModel, priors: PriorStds, touches: int = 1) -> "Perturbations":
         """Assign columns to all sources with a standard deviation above zero."""
         counts = {"E": 1, "G": 1, "density": 1, "diameter": 1, "diameter scatter": len(model.rod.s), "length": 1,
-                  "root": 1, "base place": 3, "base tilt": 2, "clocking": 1, "gravity": 2, "gain": 6,
+                  "bow": 2, "root": 1, "base place": 3, "base tilt": 2, "clocking": 1, "gravity": 2, "gain": 6,
                   "drift": 6 * touches, "creep": 1, "stiffness scatter": touches,
                   "robot": 3 * touches if touches > 1 else 0}  # fmt: skip
         slots, size = {}, 0
@@ -150,7 +151,7 @@ class Perturbations:
         probes = Probes(
             rod.s[:, None] * length_factor, radius.T, rod.youngs_modulus * E_factor, rod.shear_modulus * G_factor,
             rod.density * np.exp(one("density", "density")), np.full(n, rod.shear_coefficient), missing,
-            np.full(n, float(rod.finite_strain)), np.full(n, rod.flatness), np.zeros((K, 3, n)),
+            np.full(n, float(rod.finite_strain)), np.full(n, rod.flatness), self._curvature(z),
         )  # fmt: skip
         # With several touches, the material has not crept at the first and has crept fully at the last.
         creeps = np.zeros((n, k)) if k == 1 else creep[:, None] * np.linspace(0.0, 1.0, k)
@@ -163,6 +164,14 @@ class Perturbations:
             self.deviations(z, "gain", "gain", 6), self._drift(z),
             MM * self.deviations(z, "robot", "robot_mm", 3 * k).reshape(n, k, 3),
         )  # fmt: skip
+
+    def _curvature(self, z: Array) -> Array:
+        """Return the curvature at rest about the section's axes [1/m], (K, 3, n): the tip is κ L²/2 off x and y."""
+        rod = self.model.rod
+        towards = self.deviations(z, "bow", "bow_mm", 2) * MM * 2.0 / rod.length**2
+        bent = np.zeros((len(rod.s), 3, len(z)))
+        bent[:, 0], bent[:, 1] = -towards[:, 1], towards[:, 0]
+        return bent if rod.rest_curvature is None else bent + np.asarray(rod.rest_curvature)[:, :, None]
 
     def _gravity(self, z: Array, R: Array) -> Array:
         """Return gravity in the axes of the true bases [m/s²], (n, 3)."""

@@ -356,6 +356,7 @@ class TolerancesTable(Table):
     bore_mm: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     length_mm: Annotated[float, Field(ge=0.0, le=5.0)] | None = None
     length_share: RelativeStd | None = None
+    bow_mm: Annotated[float, Field(ge=0.0, le=100.0)] | None = None
     base_mm: Annotated[float, Field(ge=0.0, le=5.0)] | None = None
     tilt_deg: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
     clocking_deg: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
@@ -405,6 +406,17 @@ class Design(Table, Displayed):
             raise Inconsistent(
                 "mount.root_rigid_radii",
                 f"= {self.mount.root_rigid_radii:g} makes {rigid:g} mm rigid, the whole probe; stay below {limit:g}",
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _bow_fits(self) -> Self:
+        """Check that the tip deviates by less than the length."""
+        bow, length = self.tolerances.bow_mm, self.probe.length_mm
+        if bow is not None and bow >= length:
+            raise Inconsistent(
+                "tolerances.bow_mm",
+                f"= {bow:g} is a deviation of the tip as large as the probe is long; stay below {length:g}",
             )
         return self
 

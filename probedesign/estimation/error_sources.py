@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, inverse, wrench_map
 from probedesign.core.units import MM
 from probedesign.estimation import multistart, uncertainty_kernel
@@ -21,7 +22,7 @@ from probedesign.rod.kernels import surface_contact
 from probedesign.rod.rod import Rod
 
 #: Of an error, in the order of the tables.
-CAUSES = ("noise", "drift", "E", "G", "density", "diameter", "diameter scatter", "bore", "length", "root",
+CAUSES = ("noise", "drift", "E", "G", "density", "diameter", "diameter scatter", "bore", "length", "bow", "root",
           "base place", "base tilt", "clocking", "gravity", "gain", "creep", "stiffness scatter")  # fmt: skip
 
 #: Changes of a rod before those of its knots' log diameters: of log E, log G, log density and log length, and the
@@ -32,16 +33,22 @@ BEFORE_KNOTS = surface_contact.OWN - 3
 def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[str, Array]:
     """Return one standard deviation of each source of the rod itself: log E and what follows it, a row each.
 
-    Where E was identified with the design's diameters, it goes with all of them together.
+    Where E was identified with the design's diameters, it goes with all of them together. A bow is a constant curvature
+    κ by which the tip deviates by κ L²/2, towards x (+κ about y) and towards y (-κ about x).
 
     Args:
         rod: of the model.
         tolerances: how well it is known.
         hung: whether only what a touch adds creeps: a rod that is lighter by as much as it is softer hangs the same.
+
+    Raises:
+        InputError: the bow is not smaller than the length.
     """
     K, diameters = len(rod.s), 2.0 * rod.radius / MM
     unit = np.eye(BEFORE_KNOTS + K)
     t = tolerances
+    if not t.bow_mm * MM < rod.length:
+        raise InputError(f"bow_mm = {t.bow_mm:g} must be smaller than the length of the probe, {rod.length / MM:g} mm")
     common = np.maximum(t.diameter_mm, t.diameter_share * diameters) / diameters
     length = max(t.length_mm, t.length_share * rod.length / MM) * MM / rod.length
     softer = unit[0:1] + unit[1:2] + hung * unit[2:3]
@@ -55,6 +62,7 @@ def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[
         "length": length * unit[3:4],
         "creep": t.creep * softer,
         "stiffness scatter": t.stiffness_scatter * softer,
+        "bow": 2.0 * t.bow_mm * MM / rod.length**2 * np.array([unit[5], -unit[4]]),
     }
 
 

@@ -6,7 +6,9 @@ from dataclasses import dataclass, fields, replace
 from typing import Any, Protocol
 
 from probedesign.core.errors import InputError
+from probedesign.core.units import MM
 from probedesign.design.catalog import OBJECT_COMPLIANCE, RESINS, STIFFNESS_SPREAD, Quantity
+from probedesign.rod.rod import Rod
 
 IDENTIFIED = 0.005  #: What an identification on the bench leaves of the stiffness, relative. Assumed.
 #: What an hour on the bench leaves of the stiffness, relative. `plan --minutes 60` expects 3.0 to 3.4 % of the large
@@ -16,6 +18,10 @@ AFTER_AN_HOUR = 0.03
 #: Time [s] for which `drift_steps` and `walk_steps` are given. Assumed: the detector's walk of 0.05 steps a root of a
 #: second makes the default 0.2 steps of it.
 WALK_SECONDS = 16.0
+
+#: Deviation of a print's tip from the axis over the length, standard deviation in each of two directions. Assumed: no
+#: straightness of slender elastic prints is published; 1 mm of 150 mm, and similar probes are bent in proportion.
+BOW_SHARE = 1.0 / 150.0
 
 #: Source of each default, with the product of the resin and the sources of its stiffness and density in the places
 #: of the braces.
@@ -32,6 +38,7 @@ SOURCES = {
     "bore_mm": "assumed, as the diameters: holes print narrower by an amount that is not published",
     "length_mm": "assumed, as the diameters",
     "length_share": "assumed, as the diameters",
+    "bow_mm": "assumed: no straightness is published for {product}; 1 mm of 150 mm of length",
     "base_mm": "assumed, as in fusion",
     "tilt_deg": "assumed: 0.05 mm on a seat of 15 mm",
     "clocking_deg": "assumed: play of the screws",
@@ -57,6 +64,10 @@ class KnownModel(Protocol):
     @property
     def material(self) -> Mapping[str, Quantity]:
         """E, G and density with where they come from."""
+
+    @property
+    def rod(self) -> Rod:
+        """The flexible part."""
 
     @property
     def stiffness_spread(self) -> float | None:
@@ -88,6 +99,9 @@ class Tolerances:
     diameter_scatter_mm: float = 0.025  #: of each knot's diameter for itself.
     length_mm: float = 0.075  #: length_mm, length_share: of the length, the greater of both.
     length_share: float = 0.0025
+    #: of the tip's deviation from the designed axis, in each of two directions: a curvature that is constant along the
+    #: probe; 1/150 of the length where a design gives none.
+    bow_mm: float = 1.0
     #: of the base's place, on each axis: on the sensor and, independently, as the robot reports it.
     base_mm: float = 0.05
     tilt_deg: float = 0.2  #: of the base about its x and its y axis.
@@ -139,7 +153,12 @@ class Tolerances:
         spread, E = model.stiffness_spread, model.material.get("youngs_modulus")
         if spread is None:
             spread = IDENTIFIED if E is not None and E.provenance == "identified" else _unidentified(model.resin).value
-        own = cls(youngs_modulus=spread, shear_modulus=spread, creep=model.creep_spread or cls.creep)
+        own = cls(
+            youngs_modulus=spread,
+            shear_modulus=spread,
+            creep=model.creep_spread or cls.creep,
+            bow_mm=BOW_SHARE * model.rod.length / MM,
+        )
         return replace(own, **{name: value for name, value in (given or {}).items() if value is not None})
 
     @classmethod
@@ -170,20 +189,21 @@ class Tolerances:
             == Tolerances.none()
         )
 
-    def sources(self, resin: str = "") -> dict[str, str]:
+    def sources(self, resin: str = "", length: float = 0.15) -> dict[str, str]:
         """Return the source of each value, by name.
 
         Args:
             resin: of the probe, as in its design; empty if unknown.
+            length: of the probe [m].
         """
         known = RESINS.get(resin)
         product = "the resin" if known is None else known.product
         density = "assumed" if known is None else known.density_tolerance_source
         spread = _unidentified(resin)
-        usual = {"youngs_modulus": spread.value, "shear_modulus": spread.value}
+        usual = {"youngs_modulus": spread.value, "shear_modulus": spread.value, "bow_mm": BOW_SHARE * length / MM}
         return {
             name: text.format(product=product, density=density, stiffness=spread.source)
-            if getattr(self, name) == usual.get(name, getattr(Tolerances, name))
+            if math.isclose(getattr(self, name), usual.get(name, getattr(Tolerances, name)))
             else "design"
             for name, text in SOURCES.items()
         }

@@ -45,7 +45,7 @@ CAUSE_GROUPS = {
     "robot": ("robot",),
     "friction": ("friction",),
     "stiffness": ("E", "G", "creep", "stiffness scatter"),
-    "diameters": ("diameter", "diameter scatter", "bore", "length"),
+    "shape": ("diameter", "diameter scatter", "bore", "length", "bow"),
     "mount": ("base place", "base tilt", "clocking", "root", "gain"),
     "weight": ("density", "gravity"),
 }
@@ -140,7 +140,8 @@ class Prediction(Tabular):
     name: str  #: name, fingerprint: of the probe.
     fingerprint: str
     assumptions: tuple[str, ...]  #: assumed values of the design that the numbers depend on.
-    mass_g: float  #: of the flexible part.
+    mass_g: float  #: mass_g, length_mm: of the flexible part.
+    length_mm: float
     tip_sag_mm: float | None  #: displacement of the tip along gravity.
     noise_force_mN: float  #: noise_force_mN, noise_moment_Nmm: standard deviation of a reading's channels.
     noise_moment_Nmm: float
@@ -194,7 +195,7 @@ class Prediction(Tabular):
             "verdict": self.verdict,
             "fused_headline": asdict(self.fused_headline),
             **asdict(self),
-            "tolerance_sources": self.tolerances.sources(self.resin),
+            "tolerance_sources": self.tolerances.sources(self.resin, self.length_mm * MM),
         }
 
 
@@ -272,6 +273,7 @@ def predict(
         fingerprint=model.fingerprint,
         assumptions=model.assumptions,
         mass_g=1e3 * model.mass,
+        length_mm=model.rod.length / MM,
         tip_sag_mm=tip_sag_mm(estimator),
         noise_force_mN=1e3 * model.noise.force,
         noise_moment_Nmm=1e3 * model.noise.moment,

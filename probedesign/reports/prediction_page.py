@@ -6,7 +6,7 @@ A chart is added by one entry in `prediction_figures`: with a heading it is on t
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from probedesign.core.units import format_value
+from probedesign.core.units import MM, format_value
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.fused import SHOWN_N, shown
 from probedesign.prediction.predict import HEADLINE_FORCE_N, Prediction, worst
@@ -144,7 +144,7 @@ def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence
             section = ReportFigure(figure.heading, figure.caption, figure.chart.svg())
             sections.setdefault(figure.group, []).append(section)
     shown_first = [*sections.pop("", []), *more]
-    sources = prediction.tolerances.sources(prediction.resin)
+    sources = prediction.tolerances.sources(prediction.resin, prediction.length_mm * MM)
     rows = [[name, f"{getattr(prediction.tolerances, name):g}", source] for name, source in sources.items()]
     tables = [("Force thresholds along the probe", _table(prediction))]
     if prediction.monte_carlo:

@@ -201,8 +201,9 @@ def test_one_pose_is_one_estimate(tolerances, fraction, force, large, gravity, t
         fused = estimator.fuse([wrench], [T], T[:3, :3] @ gravity)
         assert one.ok and fused.ok
         R, std = T[:3, :3], math.sqrt(np.trace(one.cov_surface_base))
-        # Both end within a hundredth of a standard deviation or so; weights at one place against columns there.
-        assert np.linalg.norm(R @ one.p_surface_base + T[:3, 3] - fused.p_surface_now_world) <= 0.03 * std
+        # Both end within a hundredth of a standard deviation or so; weights at one place against columns there. Only
+        # the fusion moves the point by the bow that the reading suggests: up to four hundredths.
+        assert np.linalg.norm(R @ one.p_surface_base + T[:3, 3] - fused.p_surface_now_world) <= 0.05 * std
         wanted = R @ one.cov_surface_base @ R.T
         np.testing.assert_allclose(fused.cov_surface_now_world, wanted, rtol=0, atol=0.03 * np.trace(wanted))
         assert fused.force_normal[0] == pytest.approx(one.force_normal, abs=0.1 * large.model.noise.force)

@@ -313,7 +313,7 @@ def test_the_sources_of_tolerances_cite_the_resin_of_the_design(large, resin):
     probe = build_probe(check_design({**data, "material": {"resin": resin}}))
     sources = probe.tolerances.sources(probe.model.resin)
     product = RESINS[resin].product
-    for name in ("density", "diameter_mm", "creep", "stiffness_scatter"):
+    for name in ("density", "diameter_mm", "bow_mm", "creep", "stiffness_scatter"):
         assert product in sources[name], name
     assert probe.tolerances.youngs_modulus == RESINS[resin].stiffness_spread.value
     assert RESINS[resin].stiffness_spread.source in sources["youngs_modulus"]
@@ -322,8 +322,33 @@ def test_the_sources_of_tolerances_cite_the_resin_of_the_design(large, resin):
     assert not any("{" in text for text in Tolerances().sources().values())
 
 
-@pytest.mark.parametrize("bad", [{"diameter_mm": -0.1}, {"creep": float("nan")}, {"diametre_mm": 0.1}])
+BAD = [{"bow_mm": -1.0}, {"bow_mm": float("nan")}, {"bow_mm": 150.0}, {"diameter_mm": -0.1}, {"creep": float("nan")},
+       {"diametre_mm": 0.1}]  # fmt: skip
+
+
+@pytest.mark.parametrize("bad", BAD)
 def test_invalid_tolerances_are_refused(large, bad):
     data = large.design.model_dump(by_alias=True, exclude_none=True)
     with pytest.raises(InputError, match="tolerances"):
         check_design({**data, "tolerances": bad})
+
+
+def test_a_print_is_bent_by_a_share_of_its_length_unless_the_design_says_how_much(large):
+    data = large.design.model_dump(by_alias=True, exclude_none=True)
+    data["probe"] |= {"length_mm": 60.0}
+    short = build_probe(check_design(data)).tolerances
+    assert short.bow_mm == pytest.approx(0.4) and short.sources(length=0.06)["bow_mm"].startswith("assumed")
+    stated = build_probe(check_design({**data, "tolerances": {"bow_mm": 0.2}})).tolerances
+    assert stated.bow_mm == 0.2 and stated.sources(length=0.06)["bow_mm"] == "design"
+
+
+def test_a_bow_as_large_as_the_probe_is_long_is_refused(large):
+    with pytest.raises(InputError, match="bow_mm = 150 must be smaller than the length of the probe, 150 mm"):
+        parameters_of(large.rod, Tolerances(bow_mm=150.0))
+
+
+def test_a_bow_moves_the_free_tip_by_its_standard_deviation(large):
+    """Without gravity the tip is w off towards x or y; the arc's rise is w but for (w/L)²/3 of it."""
+    for row, axis in zip(parameters_of(large.rod, only(bow_mm=1.5))["bow"], (0, 1), strict=True):
+        tip = perturbed_rod(large.rod, row).solve().p_at(large.rod.length)
+        np.testing.assert_allclose(tip[:2], 1.5e-3 * np.eye(2)[axis], atol=2e-4 * 1.5e-3)
