@@ -22,3 +22,8 @@ def bundle(tmp_path_factory) -> Path:
 @pytest.fixture(scope="session")
 def estimator(bundle) -> Estimator:
     return load_estimator(bundle)
+
+
+@pytest.fixture(scope="session")
+def model(estimator):
+    return estimator.model

@@ -1,8 +1,10 @@
 """Recordings for tests: blocks of readings, files of them, and bags of other writers."""
 
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
+from rosbags.highlevel import AnyReader
 
 from probedesign.live.blocks import Block
 from probedesign.live.recordings.mcap_write import McapRecorder
@@ -18,6 +20,19 @@ def block(start: int, count: int, *, rate: float = 7000.0, fault: str = "", stre
     time = np.rint(1e9 * np.arange(start, start + count) / rate) / 1e9
     wrench = np.random.default_rng(start).normal(0.0, 1e-3, (count, 6))
     return Block(time, wrench, GRAVITY, np.full(count, np.nan), fault, stretch)
+
+
+def messages_of(path: Path) -> dict:
+    """The last message of each topic, as rosbags reads it by the definitions in the file."""
+    with AnyReader([path]) as reader:
+        return {c.topic: reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()}
+
+
+def write_estimate(path: Path, model, update) -> dict:
+    """The messages of a recording of one estimate."""
+    with closing(McapRecorder(path, model)) as file:
+        file.on_estimate(update)
+    return messages_of(path)
 
 
 def write(path: Path, model, blocks: list[Block], chunk: int = 1, closed: bool = True) -> Path:

@@ -107,18 +107,12 @@ def special(tmp_path):
     listening.close()
 
 
-def test_devices_pipes_and_sockets_are_no_recordings(special, estimator):
-    for path in special:
+def test_devices_pipes_and_sockets_are_no_recordings_no_poses_and_no_probes(special, estimator):
+    attempts = [(lambda path: open_source(f"replay:{path}", estimator.model), special)]
+    attempts += [(attempt, special[:3]) for attempt in (read_pose_file, load_model)]
+    for attempt, path in ((attempt, path) for attempt, paths in attempts for path in paths):
         with pytest.raises(InputError, match="is a device, pipe or socket"):
-            open_source(f"replay:{path}", estimator.model)
-
-
-def test_devices_pipes_and_sockets_are_no_poses_and_no_probes(special):
-    for path in (special[0], special[1], special[2]):
-        with pytest.raises(InputError, match="is a device, pipe or socket"):
-            read_pose_file(path)
-        with pytest.raises(InputError, match="is a device, pipe or socket"):
-            load_model(path)
+            attempt(path)
 
 
 def test_a_missing_recording_is_reported_before_anything_is_compiled(bundle, capsys, monkeypatch):
@@ -163,18 +157,18 @@ def test_a_forged_name_cannot_leave_its_folder(bundle, tmp_path, name):
     assert "not a plain name" in str(error.value) and str(error.value).isprintable()
 
 
-@pytest.mark.parametrize("key", ["contact__source", "sensor__model", "material__density_kg_m3__source"])
-@pytest.mark.parametrize("text", ["\x1b]0;owned\x07", "x" * 501, 5, ["a"]])
-def test_forged_texts_are_refused(bundle, tmp_path, key, text):
-    with pytest.raises(InputError) as error:
+FORGED = [
+    *((key, text, None) for key in ("contact__source", "sensor__model", "material__density_kg_m3__source")
+      for text in ("\x1b]0;owned\x07", "x" * 501, 5, ["a"])),
+    *(("assumptions", texts, "assumptions") for texts in ("none", [1], ["\x1b[2J"])),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("key", "text", "named"), FORGED)
+def test_forged_texts_are_refused(bundle, tmp_path, key, text, named):
+    with pytest.raises(InputError, match=named) as error:
         load_model(forged(bundle, tmp_path, **{key: text}))
     assert str(error.value).isprintable()
-
-
-@pytest.mark.parametrize("texts", ["none", [1], ["\x1b[2J"]])
-def test_forged_assumptions_are_refused(bundle, tmp_path, texts):
-    with pytest.raises(InputError, match="assumptions"):
-        load_model(forged(bundle, tmp_path, assumptions=texts))
 
 
 def test_a_message_with_a_piece_of_a_file_does_not_control_the_terminal(bundle, tmp_path, capsys):

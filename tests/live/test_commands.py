@@ -91,15 +91,6 @@ def test_estimate_writes_what_it_would_print(call, bundle, recording, tmp_path):
     assert out.read_text() == call("estimate", bundle, recording)[1]
 
 
-def test_estimate_does_not_overwrite_files(call, bundle, recording, tmp_path):
-    out = tmp_path / "estimates.csv"
-    out.write_text("mine")
-    assert "--force" in refused(call("estimate", bundle, recording, "--out", out))
-    assert out.read_text() == "mine"
-    assert call("estimate", bundle, recording, "--out", out, "--force")[0] == 0
-    assert out.read_text().startswith("time_s,")
-
-
 def test_estimate_never_replaces_the_recording(call, bundle, recording):
     before = recording.read_bytes()
     assert "is the recording" in refused(call("estimate", bundle, recording, "--out", recording, "--force"))
@@ -130,20 +121,6 @@ def test_an_incomplete_recording_is_refused_or_accepted_with_a_note(call, bundle
         "note: 3 samples are missing in 1 gaps",
     ]
     assert len(out.splitlines()) == 16
-
-
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        (["--tare-s", "3:9"], "is not steady"),
-        (["--tare-s", "5"], "START:END"),
-        (["--average", "0"], "--average 0 must be positive"),
-        (["--average", "1000"], "60 readings are fewer than --average 1000"),
-        (["--manifest", "none.json"], "none.json: no such manifest"),
-    ],
-)
-def test_estimate_refuses(call, bundle, recording, options, expected):
-    assert expected in refused(call("estimate", bundle, recording, *options))
 
 
 # live
@@ -198,20 +175,32 @@ def test_live_records_what_it_read(call, bundle, recording, tmp_path):
     assert ours.time.tobytes() == theirs.time.tobytes() and ours.wrench.tobytes() == theirs.wrench.tobytes()
 
 
-def test_live_does_not_overwrite_recordings(call, bundle, tmp_path):
-    path = tmp_path / "record.csv"
-    path.write_text("mine")
-    status, out, err = call("live", bundle, "--source", SIM, "--record", path)
-    assert (status, out) == (2, "")
-    assert len(err.splitlines()) == 1 and "--force" in err
-    assert path.read_text() == "mine"
-    assert call("live", bundle, "--source", SIM, "--record", path, "--force", "--count", 1)[0] == 0
-    assert path.read_text().startswith("# frame: sensor\n")
+@pytest.mark.parametrize(
+    ("command", "expected"),
+    [
+        (["estimate", "BUNDLE", "RECORDING", "--out", "OUT"], "time_s,"),
+        (["live", "BUNDLE", "--source", SIM, "--count", 1, "--record", "OUT"], "# frame: sensor\n"),
+    ],
+)
+def test_files_are_not_overwritten(call, bundle, recording, tmp_path, command, expected):
+    out = tmp_path / "out.csv"
+    out.write_text("mine")
+    paths = {"BUNDLE": bundle, "RECORDING": recording, "OUT": out}
+    command = [paths.get(argument, argument) for argument in command]
+    assert "--force" in refused(call(*command))
+    assert out.read_text() == "mine"
+    assert call(*command, "--force")[0] == 0
+    assert out.read_text().startswith(expected)
 
 
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
+        (["RECORDING", "--tare-s", "3:9"], "is not steady"),
+        (["RECORDING", "--tare-s", "5"], "START:END"),
+        (["RECORDING", "--average", "0"], "--average 0 must be positive"),
+        (["RECORDING", "--average", "1000"], "60 readings are fewer than --average 1000"),
+        (["RECORDING", "--manifest", "none.json"], "none.json: no such manifest"),
         (["--source", "netfd://host"], "replay:FILE, sim:"),
         (["--source", "sim:?force=1"], "did you mean force_mN?"),
         (["--source", SIM, "--rate-hz", "nan"], "--rate-hz nan must be positive"),
@@ -225,8 +214,10 @@ def test_live_does_not_overwrite_recordings(call, bundle, tmp_path):
         ([], "--source"),
     ],
 )
-def test_live_refuses(call, bundle, options, expected):
-    assert expected in refused(call("live", bundle, *options))
+def test_estimate_and_live_refuse(call, bundle, recording, options, expected):
+    command = "estimate" if options[:1] == ["RECORDING"] else "live"
+    options = [recording if option == "RECORDING" else option for option in options]
+    assert expected in refused(call(command, bundle, *options))
 
 
 def live_process(bundle, *options: str) -> subprocess.Popen[str]:

@@ -30,14 +30,9 @@ from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.rosbag import read_bag_poses
 from probedesign.live.sources.sim import SimulatedSource
-from tests.live.mcap_files import block
+from tests.live.mcap_files import block, messages_of, write, write_estimate
 
 LAYOUT = Path(__file__).parents[2] / "docs" / "examples" / "foxglove-layout.json"
-
-
-@pytest.fixture(scope="module")
-def model(estimator):
-    return estimator.model
 
 
 @pytest.fixture(scope="module")
@@ -107,12 +102,8 @@ def test_the_numbers_of_an_estimate_are_plotted_with_its_result(decoded, updates
 def test_only_ok_has_numbers(model, updates, tmp_path, result):
     """Not even a result that carries those of a contact."""
     ok = next(each for each in updates if each.estimate.ok)
-    file = McapRecorder(tmp_path / "one.mcap", model)
-
-    file.on_estimate(replace(ok, estimate=replace(ok.estimate, result=result)))
-    file.close()
-    with AnyReader([tmp_path / "one.mcap"]) as reader:
-        found = {c.topic: reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()}
+    update = replace(ok, estimate=replace(ok.estimate, result=result))
+    found = write_estimate(tmp_path / "one.mcap", model, update)
     assert math.isnan(found[schemas.STATE.name].s_contact) == (result != "ok")
     contact = [marker for marker in found[schemas.SCENE.name].markers if marker.ns == "contact"]
     assert [(marker.id, marker.action) for marker in contact] == [(i, 0 if result == "ok" else 2) for i in (0, 1)]
@@ -135,15 +126,11 @@ def test_headers_have_the_wall_clock_and_keep_the_pace_of_the_source(decoded, re
 def test_the_arrival_of_the_readings_sets_the_wall_clock(model, tmp_path):
     """Two seconds ago, although it is written only now."""
 
-    file = McapRecorder(tmp_path / "late.mcap", model)
     received, arrival = time.monotonic() - 2.0, time.time_ns() - 2 * 10**9
-    file.on_samples(replace(block(70, 7), received=np.full(7, received)))
-    file.close()
-    with AnyReader([tmp_path / "late.mcap"]) as reader:
-        chosen = [c for c in reader.connections if c.topic == schemas.RAW.name]
-        *_, (connection, _, data) = reader.messages(chosen)
-        found = stamp(reader.deserialize(data, connection.msgtype))
-    assert found == pytest.approx(arrival, abs=5e8)  # both clocks are read one after the other, on a busy machine
+    path = write(tmp_path / "late.mcap", model, [replace(block(70, 7), received=np.full(7, received))])
+    assert stamp(messages_of(path)[schemas.RAW.name]) == pytest.approx(
+        arrival, abs=5e8
+    )  # both clocks are read one after the other, on a busy machine
 
 
 def test_poses_are_replayed_by_the_clock_of_the_source_exactly(recorded, updates):
@@ -389,12 +376,8 @@ def test_the_estimate_of_a_fault_is_encoded(model, tmp_path):
     from probedesign.live.blocks import WrenchReading
     from probedesign.live.processing.estimates import EstimateUpdate
 
-    file = McapRecorder(tmp_path / "fault.mcap", model)
     reading = WrenchReading(0.0, np.full(6, np.nan), model.gravity_base, fault="saturated")
-    file.on_estimate(EstimateUpdate(reading, Estimate("out_of_range")))
-    file.close()
-    with AnyReader([tmp_path / "fault.mcap"]) as reader:
-        found = {c.topic: reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()}
+    found = write_estimate(tmp_path / "fault.mcap", model, EstimateUpdate(reading, Estimate("out_of_range")))
     assert found[schemas.STATE.name].result == list(RESULTS).index("out_of_range")
     shown = [marker.ns for marker in found[schemas.SCENE.name].markers if marker.action == 0]
     assert shown == ["sensor"]

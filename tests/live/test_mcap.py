@@ -32,17 +32,12 @@ from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_recording, estimate_stream
 from probedesign.live.sources.replay import RecordingOptions, ReplaySource
 from probedesign.live.sources.sim import SimulatedSource
-from tests.live.mcap_files import GRAVITY, TIME_ROUNDING, block, read, same, write
+from tests.live.mcap_files import GRAVITY, TIME_ROUNDING, block, messages_of, read, same, write, write_estimate
 from tests.live.peers import until
 
 MAGIC = b"\x89MCAP0\r\n"
 BLOCKS = [block(0, 3), block(3, 36), block(39, 1, fault="saturated"), block(40, 20, stretch=1)]
 few = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-
-
-@pytest.fixture(scope="module")
-def model(estimator):
-    return estimator.model
 
 
 @pytest.fixture(scope="module")
@@ -180,8 +175,7 @@ def test_rosbags_reads_it(model, tmp_path):
     file.on_pose(pose_from_matrix(0.25, pose))
     file.on_event(0.5, "mark: here")
     file.close()
-    with AnyReader([tmp_path / "decoded.mcap"]) as reader:
-        found = {c.topic: reader.deserialize(data, c.msgtype) for c, _, data in reader.messages()}
+    found = messages_of(tmp_path / "decoded.mcap")
     contact, base = found[schemas.CONTACT.name], found[schemas.BASE.name]
     assert (contact.header.frame_id, base.header.frame_id) == ("base", "world")
     assert [contact.pose.pose.position.x, contact.pose.pose.position.z] == [0.001, 0.09]
@@ -198,12 +192,13 @@ def test_rosbags_reads_it(model, tmp_path):
 
 
 def test_no_position_without_ok(model, tmp_path):
-    file = McapRecorder(tmp_path / "free.mcap", model)
-    file.on_estimate(EstimateUpdate(WrenchReading(0.0, np.zeros(6), GRAVITY), Estimate("no_contact")))
-    file.close()
-    with AnyReader([tmp_path / "free.mcap"]) as reader:
-        topics = {c.topic for c, _, _ in reader.messages()}
-    assert topics == {schemas.TF_STATIC.name, schemas.ESTIMATE.name, schemas.STATE.name, schemas.SCENE.name}
+    update = EstimateUpdate(WrenchReading(0.0, np.zeros(6), GRAVITY), Estimate("no_contact"))
+    assert set(write_estimate(tmp_path / "free.mcap", model, update)) == {
+        schemas.TF_STATIC.name,
+        schemas.ESTIMATE.name,
+        schemas.STATE.name,
+        schemas.SCENE.name,
+    }
 
 
 # Whose it is

@@ -27,11 +27,6 @@ from tests.live.peers import until
 SIM = "speed=max&rate_hz=60&seconds=4"
 
 
-@pytest.fixture(scope="module")
-def model(estimator):
-    return estimator.model
-
-
 class BlockedFile:
     """A file whose disk answers only when it is let go."""
 

@@ -16,11 +16,6 @@ WRENCH = [0.1, -0.2, 0.3, 0.001, -0.002, 0.003]
 ROWS = [(1.7e9 + 0.01 * i, [value + 1e-4 * i for value in WRENCH]) for i in range(300)]
 
 
-@pytest.fixture(scope="module")
-def model(estimator):
-    return estimator.model
-
-
 def mcap_of(folder):
     return folder / f"{folder.name}.mcap"
 

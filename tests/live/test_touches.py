@@ -10,11 +10,6 @@ RATE = 200.0
 COUNT = int(SPAN * RATE)
 
 
-@pytest.fixture(scope="module")
-def model(estimator):
-    return estimator.model
-
-
 def noise(model, n, seed=0):
     return np.random.default_rng(seed).multivariate_normal(np.zeros(6), model.noise_base(), n)
 
