@@ -29,7 +29,7 @@ from probedesign.live.processing.commands import CommandQueue
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, Row, csv_line, estimate_row
 from probedesign.live.processing.plausibility import ClockMonitor
 from probedesign.live.processing.tare import Tare, TareWindow, Zero, describe_tare, is_free, tare_of
-from probedesign.live.sources.source import GatheringSource, Source
+from probedesign.live.sources.source import Source
 from probedesign.rod.contact import safe_force, solve_frictionless
 
 if TYPE_CHECKING:  # a run does not read recordings
@@ -60,8 +60,9 @@ def estimate_stream(
     try:
         with closing(iter(source)) as stream:
             blocks: Iterator[Block] = stream if options.seconds is None else limit_duration(stream, options.seconds)
-            expect = source.expect if isinstance(source, GatheringSource) else None
-            for update in itertools.islice(_updates(chain, blocks, log, sink, commands, expect), options.count):
+            for update in itertools.islice(
+                _updates(chain, blocks, log, sink, commands, getattr(source, "expect", None)), options.count
+            ):
                 if sink is not None:
                     sink.on_estimate(update)
                 yield update
@@ -94,7 +95,8 @@ def _updates(
         if commands.execute(log):
             return
         if expect is not None:
-            expect(chain.averager.n_missing)
+            averager = chain.averager
+            expect(averager.samples - averager.n_pending if averager.samples else 1)
     yield from chain.finish()
 
 

@@ -140,11 +140,6 @@ class Averager:
         self.samples, self.n_pending, self._model, self._log = samples or 0, 0, model, log
         self._pending: list[Block] = []  # those of the incomplete batch, or all until the size of a batch is known
 
-    @property
-    def n_missing(self) -> int:
-        """Number of readings that complete the next batch."""
-        return self.samples - self.n_pending if self.samples else 1
-
     def add(self, block: Block) -> Iterator[AveragedBatch]:
         """Yield each batch that a block completes; an incomplete batch is dropped at the end of a stretch.
 

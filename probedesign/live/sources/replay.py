@@ -71,7 +71,12 @@ def open_recording(path: Path, model: ProbeModel, options: RecordingOptions | No
     options = options or RecordingOptions()
     check_readable(path)
     if not rosbag.is_bag(path):
-        return _open_table(path, model, options)
+        if options.topic:
+            raise InputError(f"{path}: has no topic {options.topic!r}: it is not a ROS 2 bag")
+        recording = read_ati_demo(path) if is_ati_demo(path) else read_recording(path)
+        damage = recording.notes if recording.gaps or recording.dropped_lines else ()
+        return OpenRecording(path, f"{len(recording.time)} readings", recording.frame, recording.notes,
+                        lambda: _table_blocks(recording, model), lambda: damage)  # fmt: skip
     bag = rosbag.open_bag(path)
     if METADATA_NAME in bag.metadata and not options.topic:
         return _open_native(bag, model, options)
@@ -90,15 +95,6 @@ def check_readable(path: Path) -> None:
         raise InputError(f"{path}: is a folder without metadata.yaml, so no ROS 2 bag; name a recording in it")
     for each in (path, *(path.iterdir() if path.is_dir() else ())):
         check_regular(each)
-
-
-def _open_table(path: Path, model: ProbeModel, options: RecordingOptions) -> OpenRecording:
-    if options.topic:
-        raise InputError(f"{path}: has no topic {options.topic!r}: it is not a ROS 2 bag")
-    recording = read_ati_demo(path) if is_ati_demo(path) else read_recording(path)
-    damage = recording.notes if recording.gaps or recording.dropped_lines else ()
-    return OpenRecording(path, f"{len(recording.time)} readings", recording.frame, recording.notes,
-                    lambda: _table_blocks(recording, model), lambda: damage)  # fmt: skip
 
 
 def _table_blocks(recording: Recording, model: ProbeModel) -> Iterator[Block]:

@@ -224,28 +224,26 @@ def read_bag_poses(path: Path, topic: str = "", world: str = "", base: str = "")
     if bool(world) != bool(base) or (world and topic):
         raise InputError(f"--pose {path}: use topic=/NAME, or world=FRAME&base=FRAME")
     bag = open_bag(path)
-    poses = _poses_from_tf(bag, world, base) if world else _poses_from_topic(bag, topic)
+    if world:
+        poses = _poses_from_tf(bag, world, base)
+    else:
+        name, frames = select_channel(bag, {POSE}, topic).topic, set()
+        poses = []
+        for message in bag.messages({name}):
+            try:
+                stamp, frame, numbers = read_stamped(message.data, 7)
+                poses.append(_at(bag, message, stamp, numbers[:3], numbers[3:]))
+            except (InputError, ValueError) as error:
+                raise InputError(f"{path}: a pose on {name}: {error}") from None
+            frames.add(frame)
+        if not poses:
+            raise InputError(f"{path}: topic {name} has no poses" + (bag.damage and f"; {bag.damage}"))
+        if len(frames) > 1:
+            text = ", ".join(sorted(frames))[:80]
+            raise InputError(f"{path}: topic {name} has poses in several frames, {text}; one frame is required")
     if bag.damage:
         raise InputError(f"{path}: is damaged: {bag.damage}; probedesign recover copies what is left")
     return sorted(poses, key=lambda pose: pose.time)
-
-
-def _poses_from_topic(bag: Bag, topic: str) -> list[TimedPose]:
-    name = select_channel(bag, {POSE}, topic).topic
-    poses, frames = [], set()
-    for message in bag.messages({name}):
-        try:
-            stamp, frame, numbers = read_stamped(message.data, 7)
-            poses.append(_at(bag, message, stamp, numbers[:3], numbers[3:]))
-        except (InputError, ValueError) as error:
-            raise InputError(f"{bag.path}: a pose on {name}: {error}") from None
-        frames.add(frame)
-    if not poses:
-        raise InputError(f"{bag.path}: topic {name} has no poses" + (bag.damage and f"; {bag.damage}"))
-    if len(frames) > 1:
-        text = ", ".join(sorted(frames))[:80]
-        raise InputError(f"{bag.path}: topic {name} has poses in several frames, {text}; one frame is required")
-    return poses
 
 
 def _poses_from_tf(bag: Bag, world: str, base: str) -> list[TimedPose]:

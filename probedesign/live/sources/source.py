@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from pkgutil import resolve_name
 from time import monotonic
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 from urllib.parse import parse_qsl
 
 import numpy as np
@@ -32,16 +32,9 @@ class Source(Protocol):
     def __iter__(self) -> Generator[Block, None, None]:
         """Yield readings in order of time, in small blocks as soon as they are available.
 
-        While a sensor is silent, it yields blocks without readings.
+        While a sensor is silent, it yields blocks without readings. A source that has a method `expect` is told how
+        many readings complete the next mean, and waits for them instead of waking up for each few.
         """
-
-
-@runtime_checkable
-class GatheringSource(Protocol):
-    """A source that waits until the readings that are used together have arrived, instead of waking up for each few."""
-
-    def expect(self, readings: int) -> None:
-        """State how many readings complete the next mean."""
 
 
 #: By scheme: an example, and module and name of the function or class that opens the source from model, target, query

@@ -242,7 +242,7 @@ class NetFTSource:
         self.counts: Counter[str] = Counter()
 
     def expect(self, readings: int) -> None:
-        """Gather this number of readings to a block; see `GatheringSource`."""
+        """Gather this number of readings to a block; see `Source`."""
         self._session.wanted = readings
 
     def __iter__(self) -> Generator[Block, None, None]:
