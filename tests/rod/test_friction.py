@@ -58,7 +58,7 @@ def test_coulombs_law_at_the_touched_point(name, friction, line):
     assert "slip" in states or friction == 1.0
 
 
-@pytest.mark.parametrize("name", ["cone", "profile"])
+@pytest.mark.parametrize("name", ["cone", "profile", "elliptic"])
 def test_the_base_bears_the_contact_and_the_weight(name):
     """Force F + m g and moment x × F + ∫ p × ρ A g ds over the rod solved by shooting, which shares
     no code with the compiled one: its centreline is integrated by Gauss's rule between the knots."""
@@ -71,7 +71,7 @@ def test_the_base_bears_the_contact_and_the_weight(name):
     s = (0.5 * (high - low) * nodes + 0.5 * (high + low)).ravel()
     ds = (0.5 * (high - low) * weights).ravel()
     shooting = solve_by_shooting(rod, GRAVITY, contact.force_base, contact.s, s=s, couple=contact.couple_base)
-    weight = rod.density * np.pi * rod.radius_at(s) ** 2 * ds
+    weight = rod.density * rod.factors[0] * np.pi * rod.radius_at(s) ** 2 * ds
     force = contact.force_base + weight.sum() * GRAVITY
     moment = np.cross(contact.p_surface_base, contact.force_base) + np.cross(weight @ shooting.p, GRAVITY)
     felt = contact.equilibrium.wrench_base
