@@ -1,6 +1,7 @@
 """Recording sink: one file after another, each started and stopped on request and written by a background thread."""
 
 import math
+import os
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -20,7 +21,7 @@ from probedesign.live.outputs.sinks import Sink
 from probedesign.live.poses.base_poses import TimedPose
 from probedesign.live.priority import yield_to_estimates
 from probedesign.live.processing.estimates import EstimateUpdate
-from probedesign.live.recordings import FileLock, part_path
+from probedesign.live.recordings import lock_file, part_path
 
 MAX_QUEUED_READINGS = 65_536  #: Maximum number of queued readings: 9 s at the 7000 Hz of a Net F/T box, 5 MB.
 FLUSH_PERIOD = 0.5  #: Period of flushing to the disk [s]; a crash of the program loses at most this and the queue.
@@ -268,7 +269,7 @@ class RecordingSink(Sink):
         self._number = 0  # of the newest file
         self._paths: list[Path] = []
         self._opened = -math.inf
-        self._first_lock: FileLock | None = None
+        self._first_lock: int | None = None
 
     @property
     def path(self) -> Path | None:
@@ -313,7 +314,7 @@ class RecordingSink(Sink):
             return file
         file.close()
         with suppress(OSError):  # the user has moved it
-            self._first_lock = self._first_lock or FileLock(self._paths[0])
+            self._first_lock = lock_file(self._paths[0]) if self._first_lock is None else self._first_lock
         following = self._open_next()
         self._log(f"recording continues in {self._paths[-1]}")
         return following
@@ -329,7 +330,7 @@ class RecordingSink(Sink):
         writer, self._current = self._current, None
         writer.close()
         if self._first_lock is not None:
-            self._first_lock.close()
+            os.close(self._first_lock)
             self._first_lock = None
         first, last = self._paths[0], self._paths[-1]
         files = f"{last}" if first == last else f"{first} ... {last.name}"

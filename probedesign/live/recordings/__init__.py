@@ -32,7 +32,11 @@ class AppendFile:
             path.parent.mkdir(parents=True, exist_ok=True)
             if force and path.exists() and not path.is_file():  # a pipe would block until someone reads it
                 raise InputError(f"{path}: cannot be written: it is not a regular file")
-            _check_series(path)
+            # a part of a recording whose first file is locked: its series is being written
+            stem, number = re.fullmatch(r"(.*?)(-\d+)?", path.stem, re.DOTALL).groups()  # type: ignore[union-attr]  # always matches
+            first = path.with_stem(stem) if number and stem else path
+            if first != path and path.exists() and first.is_file():
+                os.close(lock_file(first))
             self._file = os.open(path, flags, 0o644)
             if not _lock(self._file):
                 os.close(self._file)
@@ -87,32 +91,18 @@ def part_path(path: Path, number: int) -> Path:
     return path.with_stem(f"{path.stem}-{number}")
 
 
-class FileLock:
-    """Keeps a file locked against other writers that has been written."""
+def lock_file(path: Path) -> int:
+    """Lock a file that has been written against other writers; return its descriptor, whose end releases the lock.
 
-    def __init__(self, path: Path) -> None:
-        """Lock a file.
-
-        Raises:
-            InputError: another program is writing it.
-            OSError: it cannot be opened.
-        """
-        self._file = os.open(path, os.O_RDONLY)
-        if not _lock(self._file):
-            os.close(self._file)
-            raise _locked(path)
-
-    def close(self) -> None:
-        """Release the lock."""
-        os.close(self._file)
-
-
-def _check_series(path: Path) -> None:
-    """Refuse to replace a part of a recording whose first file is locked: its series is being written."""
-    stem, number = re.fullmatch(r"(.*?)(-\d+)?", path.stem, re.DOTALL).groups()  # type: ignore[union-attr]  # always matches
-    first = path.with_stem(stem) if number and stem else path
-    if first != path and path.exists() and first.is_file():
-        FileLock(first).close()
+    Raises:
+        InputError: another program is writing it.
+        OSError: it cannot be opened.
+    """
+    file = os.open(path, os.O_RDONLY)
+    if not _lock(file):
+        os.close(file)
+        raise _locked(path)
+    return file
 
 
 def _locked(path: Path) -> InputError:

@@ -179,12 +179,19 @@ class DaqCard:
         Raises:
             InputError: the driver reports another error.
         """
+        from nidaqmx import Task
+        from nidaqmx.constants import AcquisitionType, TerminalConfiguration
         from nidaqmx.errors import DaqError
 
         interrupted = False
+        limits = {"min_val": -INPUT_RANGE, "max_val": INPUT_RANGE}
+        differential, continuous = TerminalConfiguration.DIFF, AcquisitionType.CONTINUOUS
+        size = max(1000, round(BUFFER_DURATION * self._rate))
         while True:
             try:
-                with self._task() as task:
+                with Task() as task:
+                    task.ai_channels.add_ai_voltage_chan(self._channels, terminal_config=differential, **limits)
+                    task.timing.cfg_samp_clk_timing(self._rate, sample_mode=continuous, samps_per_chan=size)
                     yield from self._from(task, interrupted)
             except DaqError as error:
                 if error.error_code not in OVERRUN_CODES or not self._n_read:
@@ -213,22 +220,6 @@ class DaqCard:
             yield GaugeSamples(data.T, self._n_read / rate, rate, monotonic(), interrupted)
             self._n_read += data.shape[1]
             interrupted = interrupted and not data.shape[1]
-
-    def _task(self) -> "Task":
-        from nidaqmx import Task
-        from nidaqmx.constants import AcquisitionType, TerminalConfiguration
-
-        task = Task()
-        try:
-            limits = {"min_val": -INPUT_RANGE, "max_val": INPUT_RANGE}
-            differential, continuous = TerminalConfiguration.DIFF, AcquisitionType.CONTINUOUS
-            task.ai_channels.add_ai_voltage_chan(self._channels, terminal_config=differential, **limits)
-            size = max(1000, round(BUFFER_DURATION * self._rate))
-            task.timing.cfg_samp_clk_timing(self._rate, sample_mode=continuous, samps_per_chan=size)
-        except BaseException:
-            task.close()
-            raise
-        return task
 
 
 def _devices() -> list[str]:
@@ -274,7 +265,18 @@ class DaqSource:
         if not texts["cal"]:
             raise InputError(f"daq:{target}: needs its sensor's calibration; write daq:{target}?cal=FT12345.cal")
         self.calibration: GaugeCalibration = read_calibration(Path(texts["cal"]))
-        self._zero = _zero(texts["zero_V"])
+        try:
+            volts = (
+                np.array([float(part) for part in texts["zero_V"].split(",")]) if texts["zero_V"] else np.zeros(GAUGES)
+            )
+        except ValueError:
+            volts = np.full(GAUGES, np.nan)
+        if volts.shape != (GAUGES,) or clipped(volts).any():
+            given = repr(texts["zero_V"][:60])
+            raise InputError(
+                f"daq: zero_V = {given} must be {GAUGES} voltages within {MAX_GAUGE_VOLTS:g} V, with commas"
+            )
+        self._zero = volts
         self._card = DaqCard(target.removeprefix("//"), numbers["rate_hz"])
         self._gravity, self._log = model.gravity_base, log
         self.title = f"{self._card.name}, sensor {self.calibration.serial} {self.calibration.part}"
@@ -313,29 +315,9 @@ class DaqSource:
         invalid = np.hstack([clipped(volts), ~(np.abs(wrench) <= self.calibration.ranges)])
         cuts = np.flatnonzero((invalid[1:] != invalid[:-1]).any(axis=1)) + 1
         for start, end in pairwise([0, *cuts.tolist(), len(time)]):
-            part = slice(start, end)
-            fault = _fault(invalid[start])
+            part, fault = slice(start, end), ""
+            if gauges := ", ".join(str(i) for i in np.flatnonzero(invalid[start, :GAUGES])):
+                fault = f"transducer saturated: gauge {gauges} beyond {MAX_GAUGE_VOLTS:g} V"
+            elif channels := ", ".join(CHANNELS[i] for i in np.flatnonzero(invalid[start, GAUGES:])):
+                fault = f"{channels} beyond the calibrated range"
             yield Block(time[part], wrench[part], self._gravity, received[part], fault, stretch)
-
-
-def _fault(invalid: NDArray[np.bool_]) -> str:
-    gauges = ", ".join(str(i) for i in np.flatnonzero(invalid[:GAUGES]))
-    if gauges:
-        return f"transducer saturated: gauge {gauges} beyond {MAX_GAUGE_VOLTS:g} V"
-    channels = ", ".join(CHANNELS[i] for i in np.flatnonzero(invalid[GAUGES:]))
-    return f"{channels} beyond the calibrated range" if channels else ""
-
-
-def _zero(text: str) -> Array:
-    """Return the gauge voltages without load [V], (6,); zeros if not given."""
-    if not text:
-        return np.zeros(GAUGES)
-    try:
-        volts = np.array([float(part) for part in text.split(",")])
-    except ValueError:
-        volts = np.full(GAUGES, np.nan)
-    if volts.shape != (GAUGES,) or clipped(volts).any():
-        raise InputError(
-            f"daq: zero_V = {text[:60]!r} must be {GAUGES} voltages within {MAX_GAUGE_VOLTS:g} V, with commas"
-        )
-    return volts

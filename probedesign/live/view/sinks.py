@@ -18,7 +18,7 @@ from probedesign.core.errors import InputError, require
 from probedesign.estimation.estimator import Estimator
 from probedesign.geometry.tube import BentShape, TubeMesh
 from probedesign.live import Log
-from probedesign.live.processing.commands import CommandName, CommandQueue
+from probedesign.live.processing.commands import MAX_NOTE, CommandName, CommandQueue
 from probedesign.live.view.state import Counts, Level, RecordingState, SceneSetup, Snapshot, ViewState, not_recording
 from probedesign.web import LOOPBACK
 from probedesign.web.rigid_parts import rigid_parts
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 PERIOD = 1.0 / 30.0  #: Minimum interval between two frames [s].
 TOKEN_BYTES = 24  #: Random bytes of the token of a page that is open to the network: 192 bits.
-MAX_NOTE = 200  #: Maximum number of characters of a mark.
 
 
 class BrowserView(ViewState):

@@ -10,7 +10,6 @@ from time import monotonic
 import numpy as np
 
 from probedesign.core.errors import InputError
-from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log, split_address
 from probedesign.live.blocks import Block, dropout_block
@@ -29,7 +28,6 @@ from probedesign.live.sources.netft.rdt import (
     SAMPLES_PER_SECOND,
     RateMonitor,
     SensorClock,
-    StatusTable,
     fault_of,
     steps,
 )
@@ -58,58 +56,80 @@ NO_RECORD = "the box responds to HTTP but sends no records; check the firewall a
 FAULT_REPORT_INTERVAL = 1.0  #: Minimum interval between reports of faults [s]: a load near the limit causes many.
 
 
-class RecordDecoder:
-    """Decodes the records of a session into blocks of readings.
+PARAMETERS = {
+    "http": SourceParameter(HTTP_PORT, 1, 65535, integer=True),
+    "check_s": SourceParameter(2.0, 0.1, 3600.0),
+    "clock_hz": SourceParameter(SAMPLES_PER_SECOND, 100.0, 10_000.0),
+}
+STATUS_TABLES = {"netbox": NET_BOX, "axia": AXIA}
+TEXT_PARAMETERS = {"sensor": tuple(STATUS_TABLES)}
+
+
+class NetFTSource:
+    """A box at an address; see `Source`.
 
     Attributes:
-        counts: counters of the session, plus readings with a fault, interruptions and restarts; updated every second.
+        counts: number of records received, lost, late, doubled, malformed, with a fault, dropped by the queue;
+            interruptions and restarts. Updated every second.
     """
 
-    def __init__(
-        self,
-        name: str,
-        gravity_base: Array,
-        configuration: NetFTConfiguration,
-        session: RdtSession,
-        monitor: ConfigurationMonitor,
-        log: Log,
-        status_table: StatusTable = NET_BOX,
-        clock_rate: float = SAMPLES_PER_SECOND,
-    ) -> None:
-        """Start before the first record.
+    def __init__(self, model: ProbeModel, target: str, query: str, log: Log) -> None:
+        """Fetch the configuration of the box at `//HOST[:PORT]`; nothing streams yet.
 
-        Args:
-            name: name of the source, for messages.
-            gravity_base: gravity vector of every reading [m/s²], (3,).
-            configuration: active configuration of the box.
-            session: session that delivers records.
-            monitor: detects changes of the configuration.
-            log: callback for messages.
-            status_table: meaning of the status words.
-            clock_rate: rate of the sensor's counter `ft_sequence` [Hz].
-        """
-        self._name, self._gravity, self._log = name, gravity_base, log
-        self._to_sensor = configuration.to_sensor
-        self._session, self._monitor = session, monitor
-        self._table, self._rate = status_table, RateMonitor(clock_rate)
-        self._clock, self._dropout = SensorClock(clock_rate), DropoutMonitor(name, log, NO_RECORD)
-        self._reported, self._report_time = Counter[str](), -inf
-        self.counts: Counter[str] = Counter()
-        self._last, self._stretch = -inf, 0
-        self._counted, self._faulted = monotonic(), -inf
-        self._fault = ""
-
-    def blocks(self) -> Generator[Block, None, None]:
-        """Yield readings as they arrive; a block without readings after each `STALE_TIME` without one.
+        The parameters are `PARAMETERS` and `TEXT_PARAMETERS`.
 
         Raises:
-            InputError: the box never sends, or its configuration has changed.
+            InputError: the address or a parameter is invalid, or no box responds.
         """
+        host, port = split_address(f"netft:{target}", "netft") or ("", None)
+        if not host or port == 0:
+            raise InputError(f"netft:{target}: write netft://HOST or netft://HOST:PORT")
+        port = RDT_PORT if port is None else port
+        parameters, texts = parse_parameters("netft:", query, PARAMETERS, TEXT_PARAMETERS)
+        self._name = f"netft://{host}:{port}"
+        page = host, int(parameters["http"])
+        self._gravity, self._log = model.gravity_base, log
+        self.configuration: NetFTConfiguration = parse_configuration(fetch_page(*page))
+        self._session = RdtSession(self._name, host, port, self.configuration.rate)
+        self.title = f"{self._name}, {self.configuration.product}"
+        self.notes = self.configuration.notes
+        if len(self.configuration.ranges) == 6:
+            ranges = np.array(self.configuration.ranges) * self.configuration.units
+            self.notes += range_note("box", ranges, model)
+        axia = "axia" in self.configuration.product.lower()  # assumed: the manual does not list the names
+        self._table = STATUS_TABLES[texts["sensor"] or ("axia" if axia else "netbox")]
+        self.notes += self._session.notes
+        rate = parameters["clock_hz"]
+        self._clock, self._rate = SensorClock(rate), RateMonitor(rate)
+        self._dropout = DropoutMonitor(self._name, log, NO_RECORD)
+        self._monitor = ConfigurationMonitor(*page, self.configuration, parameters["check_s"])
+        self.notes += (f"its status codes are decoded as those of a sensor of type {self._table.kind}",)
+        self.counts: Counter[str] = Counter()
+        self._reported, self._report_time = Counter[str](), -inf
+        self._last, self._stretch = -inf, 0
+        self._counted, self._faulted, self._fault = -inf, -inf, ""
+
+    def expect(self, readings: int) -> None:
+        """Gather this number of readings to a block; see `Source`."""
+        self._session.wanted = readings
+
+    def __iter__(self) -> Generator[Block, None, None]:
+        self._dropout.restart()
+        try:
+            with self._monitor, prompt_estimates() as granted, closing(self._blocks()) as blocks:
+                if granted:
+                    self._log(f"{self._name}: estimates have a real-time priority")
+                yield from blocks
+        finally:
+            self._count()
+            self._log(f"{self._name}: {summary(self.counts)}")
+
+    def _blocks(self) -> Generator[Block, None, None]:
         with closing(self._session.records()) as stream:
             for records in stream:
                 self._check_configuration()
                 if monotonic() - self._counted > COUNT_INTERVAL:
-                    self.count()
+                    self._count()
                     more = {name: self.counts[name] - self._reported[name] for name in REPORTED}
                     if any(more.values()) and monotonic() - self._report_time > REPORT_INTERVAL:
                         text = ", ".join(f"{count} {COUNTERS[name]}" for name, count in more.items() if count)
@@ -117,8 +137,7 @@ class RecordDecoder:
                         self._reported, self._report_time = self.counts.copy(), monotonic()
                 yield from self._decode(records) if len(records) else self._report_silence()
 
-    def count(self) -> None:
-        """Update the counts."""
+    def _count(self) -> None:
         self._counted = monotonic()
         for name, count in self._session.counts.items():
             self.counts[name] = count
@@ -147,7 +166,7 @@ class RecordDecoder:
                 if not self._resumed(float(received[0])):
                     yield from self._report_silence("its page does not respond")
                     return
-            wrench = records.counts[start:end] @ self._to_sensor.T
+            wrench = records.counts[start:end] @ self.configuration.to_sensor.T
             fault = fault_of(int(status[start]), self._table) if status[start] else ""
             if fault:
                 self.counts["faults"] += end - start
@@ -192,71 +211,3 @@ class RecordDecoder:
                 f"{self._name}: its configuration has changed ({text}); readings of the last "
                 f"{self._monitor.period:g} s may be wrong; restart with a new tare"
             )
-
-
-PARAMETERS = {
-    "http": SourceParameter(HTTP_PORT, 1, 65535, integer=True),
-    "check_s": SourceParameter(2.0, 0.1, 3600.0),
-    "clock_hz": SourceParameter(SAMPLES_PER_SECOND, 100.0, 10_000.0),
-}
-STATUS_TABLES = {"netbox": NET_BOX, "axia": AXIA}
-TEXT_PARAMETERS = {"sensor": tuple(STATUS_TABLES)}
-
-
-class NetFTSource:
-    """A box at an address; see `Source`.
-
-    Attributes:
-        counts: number of records received, lost, late, doubled, malformed, with a fault, dropped by the queue;
-            interruptions and restarts. Updated every second.
-    """
-
-    def __init__(self, model: ProbeModel, target: str, query: str, log: Log) -> None:
-        """Fetch the configuration of the box at `//HOST[:PORT]`; nothing streams yet.
-
-        The parameters are `PARAMETERS` and `TEXT_PARAMETERS`.
-
-        Raises:
-            InputError: the address or a parameter is invalid, or no box responds.
-        """
-        host, port = split_address(f"netft:{target}", "netft") or ("", None)
-        if not host or port == 0:
-            raise InputError(f"netft:{target}: write netft://HOST or netft://HOST:PORT")
-        port = RDT_PORT if port is None else port
-        parameters, texts = parse_parameters("netft:", query, PARAMETERS, TEXT_PARAMETERS)
-        self._name = f"netft://{host}:{port}"
-        self._page, self._check = (host, int(parameters["http"])), parameters["check_s"]
-        self._gravity, self._log = model.gravity_base, log
-        self.configuration: NetFTConfiguration = parse_configuration(fetch_page(*self._page))
-        self._session = RdtSession(self._name, host, port, self.configuration.rate)
-        self.title = f"{self._name}, {self.configuration.product}"
-        self.notes = self.configuration.notes
-        if len(self.configuration.ranges) == 6:
-            ranges = np.array(self.configuration.ranges) * self.configuration.units
-            self.notes += range_note("box", ranges, model)
-        axia = "axia" in self.configuration.product.lower()  # assumed: the manual does not list the names
-        self._table = STATUS_TABLES[texts["sensor"] or ("axia" if axia else "netbox")]
-        self.notes += self._session.notes
-        self._clock_rate = parameters["clock_hz"]
-        self.notes += (f"its status codes are decoded as those of a sensor of type {self._table.kind}",)
-        self.counts: Counter[str] = Counter()
-
-    def expect(self, readings: int) -> None:
-        """Gather this number of readings to a block; see `Source`."""
-        self._session.wanted = readings
-
-    def __iter__(self) -> Generator[Block, None, None]:
-        with ConfigurationMonitor(*self._page, self.configuration, self._check) as monitor:
-            decoder = RecordDecoder(
-                self._name, self._gravity, self.configuration, self._session, monitor, self._log,
-                self._table, self._clock_rate,
-            )  # fmt: skip
-            self.counts = decoder.counts
-            try:
-                with prompt_estimates() as granted, closing(decoder.blocks()) as blocks:
-                    if granted:
-                        self._log(f"{self._name}: estimates have a real-time priority")
-                    yield from blocks
-            finally:
-                decoder.count()
-                self._log(f"{self._name}: {summary(self.counts)}")
