@@ -8,7 +8,6 @@ import json
 import math
 import socket
 import threading
-from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -125,28 +124,75 @@ class Handover(deque[T]):
         return [self.popleft() for _ in range(len(self))]
 
 
-class DatagramReceiver(ABC):
-    """Receives datagrams in its own thread, at a limited rate; a subclass handles each in `receive`.
+#: Time without a valid datagram [s] after which any sender may start anew, with another clock and another frame.
+SENDER_TIMEOUT = 1.0
+MAX_TIME_JUMP = 1.0  #: Maximum advance of a time stamp beyond its arrival [s]; more indicates another clock.
+
+
+class Parsed(NamedTuple, Generic[T]):
+    """Content of one datagram."""
+
+    value: T  #: what it contains.
+    frame: str = ""  #: frame of the value, as the sender names it; may be empty.
+    time: float = math.nan  #: time by the sender's clock [s]; NaN without one.
+    sequence: int | None = None  #: number of the datagram; None without one.
+
+
+class SenderProcess(Protocol):
+    """A process that sends the datagrams for as long as they are received."""
+
+    def start(self, address: tuple[str, int]) -> None:
+        """Start to send to an address."""
+
+    def check(self) -> None:
+        """Raise InputError if nothing more will be sent."""
+
+    def close(self) -> None:
+        """End it."""
+
+
+class Listener(Generic[T]):
+    """Receives datagrams in its own thread, at a limited rate, and queues the values of one sender.
+
+    The first sender of a valid value keeps the stream until it is silent for `SENDER_TIMEOUT`. Everything else is
+    counted, and each kind is reported once: invalid, another frame, another sender, a sequence or a time that decreases
+    or jumps. Datagrams that a gap of the sequence shows as lost are counted too.
 
     Attributes:
         address: host and port.
         counts: number of datagrams by kind, and of bursts: ticks in which the limit was reached.
+        title: one line that describes the stream.
+        notes: notes for the user.
+        frame: frame of the values, as the sender names it; may be empty.
+        sender: process that is started with the stream and sends to it, if any.
     """
 
-    def __init__(self, option: str, name: str, address: tuple[str, int], max_rate: float = 2000.0) -> None:
+    def __init__(
+        self,
+        option: str,
+        name: str,
+        address: tuple[str, int],
+        parse: Callable[[Mapping[str, Any]], Parsed[T]],
+        max_rate: float = 2000.0,
+        title: str = "",
+        sender: SenderProcess | None = None,
+    ) -> None:
         """Bind the port; nothing is received before `start`.
 
         Args:
             option: option of the user, for errors.
             name: what is received, in plural, for messages.
             address: host and port of this machine to listen on; port 0 lets the system choose.
+            parse: returns the content of an object, or raises InputError.
             max_rate: maximum number of datagrams per second.
+            title: one line that describes the stream; name and address if empty.
+            sender: process that sends to it.
 
         Raises:
             InputError: the port is in use, or the address does not belong to this machine.
         """
         self.counts: Counter[str] = Counter()
-        self._name, self._max_rate = name, max_rate
+        self._name, self._max_rate, self._parse = name, max_rate, parse
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
@@ -156,7 +202,15 @@ class DatagramReceiver(ABC):
             why = getattr(error, "strerror", None) or str(error)
             raise InputError(f"{option}: {why}; use another port, or an address of this machine") from None
         self.address: tuple[str, int] = self._socket.getsockname()[:2]
+        self.title = title or "{} by UDP to {}:{}".format(name, *self.address)
+        self.notes = (self.access_note,) if sender is None else ()
+        self.sender, self.frame = sender, ""
         self._messages = Handover[str]()
+        self._arrived = SimpleQueue[None]()  # a signal within the wait of an Event can leave its lock held
+        self._queue = Handover[tuple[float, T, int]]()
+        self._session, self._address = 0, ("", 0)
+        self._last: Parsed[T] | None = None
+        self._last_arrival = -SENDER_TIMEOUT
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._listen, name=name, daemon=True)
 
@@ -175,25 +229,21 @@ class DatagramReceiver(ABC):
                 self._socket.recv(1)
         self._socket.settimeout(0.1)
         self._thread.start()
+        if self.sender is not None:
+            self.sender.start(self.address)
 
     def pop_messages(self) -> list[str]:
         """Return the messages to the user since the last call."""
         return self._messages.take()
 
     def close(self) -> None:
-        """Stop the thread and close the socket."""
+        """End the sender, stop the thread and close the socket."""
+        if self.sender is not None:
+            self.sender.close()
         self._ended.set()
         if self._thread.is_alive():
             self._thread.join()
         self._socket.close()
-
-    @abstractmethod
-    def receive(self, datagram: bytes, sender: tuple[str, int], now: float) -> None:
-        """Handle one datagram, in the thread; `now` is its arrival by `time.monotonic` [s].
-
-        Raises:
-            InputError: it is not valid; it is counted, and the first one is reported.
-        """
 
     def reject(self, kind: str, line: str) -> None:
         """Count a rejected datagram, and report the first of its kind."""
@@ -225,82 +275,6 @@ class DatagramReceiver(ABC):
                     self._messages.append(f"{self._name}: {line}")
                 sleep(max(tick + TICK - monotonic(), 0.0))
 
-
-#: Time without a valid datagram [s] after which any sender may start anew, with another clock and another frame.
-SENDER_TIMEOUT = 1.0
-MAX_TIME_JUMP = 1.0  #: Maximum advance of a time stamp beyond its arrival [s]; more indicates another clock.
-
-
-class Parsed(NamedTuple, Generic[T]):
-    """Content of one datagram."""
-
-    value: T  #: what it contains.
-    frame: str = ""  #: frame of the value, as the sender names it; may be empty.
-    time: float = math.nan  #: time by the sender's clock [s]; NaN without one.
-    sequence: int | None = None  #: number of the datagram; None without one.
-
-
-class SenderProcess(Protocol):
-    """A process that sends the datagrams for as long as they are received."""
-
-    def start(self, address: tuple[str, int]) -> None:
-        """Start to send to an address."""
-
-    def check(self) -> None:
-        """Raise InputError if nothing more will be sent."""
-
-    def close(self) -> None:
-        """End it."""
-
-
-class StreamListener(DatagramReceiver, Generic[T]):
-    """Receives the values of one sender and queues them.
-
-    The first sender of a valid value keeps the stream until it is silent for `SENDER_TIMEOUT`. Everything else is
-    counted, and each kind is reported once: invalid, another frame, another sender, a sequence or a time that decreases
-    or jumps. Datagrams that a gap of the sequence shows as lost are counted too.
-
-    Attributes:
-        title: one line that describes the stream.
-        notes: notes for the user.
-        frame: frame of the values, as the sender names it; may be empty.
-        sender: process that is started with the stream and sends to it, if any.
-    """
-
-    def __init__(
-        self,
-        option: str,
-        name: str,
-        address: tuple[str, int],
-        parse: Callable[[Mapping[str, Any]], Parsed[T]],
-        max_rate: float = 2000.0,
-        title: str = "",
-        sender: SenderProcess | None = None,
-    ) -> None:
-        """Bind the port; see `DatagramReceiver`. `parse` returns the content of an object, or raises InputError."""
-        super().__init__(option, name, address, max_rate)
-        self.title = title or "{} by UDP to {}:{}".format(name, *self.address)
-        self.notes = (self.access_note,) if sender is None else ()
-        self.sender, self.frame = sender, ""
-        self._parse = parse
-        self._arrived = SimpleQueue[None]()  # a signal within the wait of an Event can leave its lock held
-        self._queue = Handover[tuple[float, T, int]]()
-        self._session, self._address = 0, ("", 0)
-        self._last: Parsed[T] | None = None
-        self._last_arrival = -SENDER_TIMEOUT
-
-    def start(self) -> None:
-        """Start to receive; see `DatagramReceiver`."""
-        super().start()
-        if self.sender is not None:
-            self.sender.start(self.address)
-
-    def close(self) -> None:
-        """End the sender, stop the thread and close the socket."""
-        if self.sender is not None:
-            self.sender.close()
-        super().close()
-
     def wait(self, timeout: float) -> None:
         """Return when a value is queued, or after the timeout [s]."""
         with suppress(Empty):
@@ -325,7 +299,11 @@ class StreamListener(DatagramReceiver, Generic[T]):
         return f"{self.counts['taken']} {self._name}{lost}{rejected}"
 
     def receive(self, datagram: bytes, sender: tuple[str, int], now: float) -> None:
-        """Queue or reject one datagram; see `DatagramReceiver`."""
+        """Queue one datagram, in the thread; `now` is its arrival by `time.monotonic` [s].
+
+        Raises:
+            InputError: it is not valid; it is counted, and the first one is reported.
+        """
         if now - self._last_arrival > SENDER_TIMEOUT:
             self._last = None
         elif sender != self._address:

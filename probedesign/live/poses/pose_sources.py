@@ -8,14 +8,7 @@ from typing import Any
 
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_regular
-from probedesign.live.datagrams import (
-    Parsed,
-    StreamListener,
-    decode_object,
-    parse_listen_address,
-    read_quantities,
-    spellings,
-)
+from probedesign.live.datagrams import Listener, Parsed, decode_object, parse_listen_address, read_quantities, spellings
 from probedesign.live.poses.base_poses import TimedPose, timed_pose
 
 #: Names of the fields of a pose, in CSV, JSON lines and UDP packets.
@@ -94,14 +87,14 @@ def _lines(path: Path) -> list[tuple[int, str]]:
     return [(number, line) for number, line in numbered if line.strip() and not line.lstrip().startswith("#")]
 
 
-def listen(target: str, parameters: Mapping[str, str]) -> StreamListener[TimedPose]:
+def listen(target: str, parameters: Mapping[str, str]) -> Listener[TimedPose]:
     """Listen for poses on `udp://[HOST]:PORT`, one JSON or MessagePack object per datagram; there are no parameters.
 
     Raises:
         InputError: the port is in use, or the address does not belong to this machine.
     """
     option = f"--pose {target}"
-    listener = StreamListener(option, "poses", parse_listen_address(option), parse_pose)
+    listener = Listener(option, "poses", parse_listen_address(option), parse_pose)
     listener.start()
     return listener
 

@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 from probedesign.core.errors import InputError, ProbeDesignError, one_line
 from probedesign.live import Log
-from probedesign.live.datagrams import DatagramReceiver, decode_object, parse_listen_address
+from probedesign.live.datagrams import Listener, Parsed, decode_object, parse_listen_address
 from probedesign.live.processing.tare import TARE_DURATION
 
 CommandName = Literal["tare", "mark", "start recording", "stop recording", "stop"]
@@ -156,7 +156,7 @@ class KeyInput:
                     self._commands.put(names[key])
 
 
-class DatagramInput(DatagramReceiver):
+class DatagramInput(Listener[None]):
     """Receives commands by UDP: `{"command": "tare"}`, with an optional `text` and `id`, in JSON or MessagePack.
 
     Each is answered to its sender with one JSON object: `schema`, `kind` "reply", `command`, `id` as given, `accepted`,
@@ -170,13 +170,13 @@ class DatagramInput(DatagramReceiver):
             InputError: the address is invalid, or the port is in use.
         """
         option = f"--control {address}"
-        super().__init__(option, "commands", parse_listen_address(option))
+        super().__init__(option, "commands", parse_listen_address(option), lambda values: Parsed(None))
         self._commands, self._log = commands, log
         log(self.access_note)
         self.start()
 
     def receive(self, datagram: bytes, sender: tuple[str, int], now: float) -> None:
-        """Queue a command; see `DatagramReceiver`."""
+        """Queue a command, of any sender; see `Listener`."""
         values = decode_object(datagram)
         name, text, identifier = values.get("command"), values.get("text", ""), values.get("id")
         if not isinstance(text, str):

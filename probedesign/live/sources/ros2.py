@@ -16,7 +16,7 @@ from probedesign.core.csv_tables import Frame
 from probedesign.core.errors import InputError, one_line
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
-from probedesign.live.datagrams import StreamListener
+from probedesign.live.datagrams import Listener
 from probedesign.live.poses.base_poses import TimedPose
 from probedesign.live.poses.pose_sources import parse_pose
 from probedesign.live.sources.replay import MomentUnit
@@ -108,7 +108,7 @@ def open_ros2(model: ProbeModel, target: str, query: str, log: Log) -> UdpSource
     return UdpSource(model, listener, log, texts["frame"], numbers["wait_s"])
 
 
-class TransformPoses(StreamListener[TimedPose]):
+class TransformPoses(Listener[TimedPose]):
     """Poses of TF, which a bridge sends; see `PoseStream`."""
 
     _end_reported = False

@@ -18,9 +18,9 @@ from probedesign.live import Log
 from probedesign.live.blocks import Block, WrenchReading, dropout_block, group_readings
 from probedesign.live.datagrams import (
     SENDER_TIMEOUT,
+    Listener,
     Parsed,
     SenderProcess,
-    StreamListener,
     parse_listen_address,
     read_quantities,
     read_quantity,
@@ -72,14 +72,14 @@ def parse_wrench(values: Mapping[str, Any]) -> Parsed[ReceivedWrench]:
     return Parsed(received, one_line(str(values.get("frame") or "")), received.time, sequence)
 
 
-WrenchListener = StreamListener[ReceivedWrench]
+WrenchListener = Listener[ReceivedWrench]
 
 
 def wrench_listener(
     option: str, address: tuple[str, int], title: str = "", sender: SenderProcess | None = None
 ) -> WrenchListener:
-    """Return a listener for wrenches; see `StreamListener`."""
-    return StreamListener(option, "wrenches", address, parse_wrench, MAX_RATE, title, sender)
+    """Return a listener for wrenches; see `Listener`."""
+    return Listener(option, "wrenches", address, parse_wrench, MAX_RATE, title, sender)
 
 
 GATHER_TIME = 0.001  #: Time in which datagrams are gathered [s]: a block of several costs less than several blocks.
