@@ -3,7 +3,9 @@
 import time
 from contextlib import ExitStack, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
 
 from probedesign.cli.console import show_progress
 from probedesign.cli.options import FrozenProbe
@@ -33,6 +35,7 @@ def simulate(
     pose_to: str | None = None,
     friction: float = 0.5,
     friction_spread: float = 0.2,
+    object_compliance: Annotated[float, Parameter(name="--object-compliance-m-N")] = 0.0,
 ) -> None:
     """Simulate a Net F/T box with a probe, for `live` and other clients.
 
@@ -57,6 +60,8 @@ def simulate(
         pose_to: HOST:PORT to which the base's poses are sent, for live --pose udp://.
         friction: median friction coefficient of the objects; contacts stick and slip. 0 is without friction.
         friction_spread: standard deviation of the friction coefficient's logarithm from object to object.
+        object_compliance: how far every object yields by the force on it [m/N]. 0 is rigid; a card house yields by 0.02
+            to 0.2 m/N.
     """
     from probedesign.frozen_probe import load_estimator
     from probedesign.simulation.netft_box import SimulatedNetFT, SimulatedTransducer, parse_faults
@@ -66,7 +71,7 @@ def simulate(
     faults, model = parse_faults(fault or [], seed), load_estimator(bundle).model
     configuration = _configuration(model, torque_unit, rate_hz, records, seconds)
     with show_progress(f"solving the contacts of --scene {scene}"):
-        objects = press_scene(model, scene, friction, friction_spread, seed)
+        objects = press_scene(model, scene, friction, friction_spread, seed, object_compliance)
     motion = BaseMotion(model, objects)
     transducer = SimulatedTransducer(model, motion.wrench_sensor, seed)
     with ExitStack() as stack:

@@ -13,7 +13,8 @@ section and the section on the couple, so both are solved for together by Newton
 sensitivities.
 
 The object is a sharp point, or a straight edge that touches the rod where both are tangent, N · d = 0. It moves along
-a path in base axes, x = X. In a step of that path the object slides over the rod by the backward-Euler increment
+a path X in base axes and yields by the force on it, x = X - c F with its compliance c. In a step of the path it slides
+over the rod by the backward-Euler increment
 
     g = Δs / cos α a + (r (g + dk/dφ) Δφ + r' k Δs) h - Δλ d,    a = cos α t - sin α e,
 
@@ -71,7 +72,7 @@ _MAX_SLIDE = 0.02  #: Slide in one step [rod lengths]: beyond, the rod has snapp
 def coulomb_residuals(
     z: Numbers,
     before: Array,
-    point: Array,
+    point: Numbers,
     direction: Array | None,
     profile: SurfaceProfile,
     curvature: Array,
@@ -84,7 +85,7 @@ def coulomb_residuals(
         z: [9 unknowns, 12 of the section's tangent, x axis, position and y axis], lengths over the rod's, (21, m);
             the unknowns are force (3), couple (3), s, φ and λ.
         before: s, φ and λ before the step, (3,).
-        point: of the object, over the rod's length, (3,).
+        point: of the object, over the rod's length, (3, m).
         direction: of its edge, unit, (3,); None for a point.
         profile: of the rod.
         curvature: ω in section axes, times the rod's length, (3,).
@@ -99,7 +100,7 @@ def coulomb_residuals(
     a, normal = cos * (t - at.tan * e), cos * (e + at.tan * t)
     arm = at.reach * e + at.aside * h
     couple = C - cross(arm, F)
-    apart = p + arm - point[:, None]
+    apart = p + arm - point
     slide_a = (s - before[0]) / cos
     slide_h = at.curved * (angle - before[1]) - at.narrowing * (s - before[0])
     edge = way
@@ -163,10 +164,11 @@ class CoulombContact:
     equilibrium: Equilibrium  #: of the rod; without contact, the free rod.
     gravity: Array  #: [m/s²], (3,).
     friction: float  #: coefficient μ.
+    compliance: float  #: c of the object [m/N].
     s: float  #: arclength of the touched material point [m].
     angle: float  #: φ of the outline's normal there about the tangent, from the section's x axis [rad].
     way: float  #: λ, where on the edge the rod touches, from `object_point` [m]; 0 for a point.
-    object_point: Array  #: of the object [m], (3,).
+    object_point: Array  #: of the object at rest [m], (3,).
     direction: Array | None  #: of the edge, unit, (3,); None for a point.
     force_base: Array  #: of the object on the rod [N], (3,).
     couple_base: Array  #: of that force about the centreline at s [N·m], (3,).
@@ -179,11 +181,16 @@ class CoulombContact:
         return self.result == "ok"
 
     @property
-    def p_surface_base(self) -> Array:
-        """Return the touched point, a point of the object [m], (3,)."""
+    def p_rest_base(self) -> Array:
+        """Return the touched point of the object at rest [m], (3,)."""
         if self.direction is None:
             return self.object_point
         return self.object_point + self.way * self.direction
+
+    @property
+    def p_surface_base(self) -> Array:
+        """Return where the touched point is under the force [m], (3,)."""
+        return self.p_rest_base - self.compliance * self.force_base if self.compliance else self.p_rest_base
 
     @property
     def magnitude(self) -> float:
@@ -213,11 +220,14 @@ class CoulombSolver:
     rod: Rod  #: the rod.
     friction: float  #: coefficient μ ≥ 0; infinite for a contact that never slips.
     mode: Mode = "fast"  #: "fast" or "reference".
+    compliance: float = 0.0  #: c of the object [m/N]; 0 is a rigid object.
 
     def __post_init__(self) -> None:
-        """Raise InputError for a friction below 0."""
+        """Raise InputError for a friction below 0 or a compliance out of range."""
         if not self.friction >= 0.0:
             raise InputError(f"friction = {self.friction} must not be negative")
+        if not 0.0 <= self.compliance < math.inf:
+            raise InputError(f"compliance = {self.compliance} must be finite and not negative")
 
     def press(
         self, gravity: ArrayLike, point: ArrayLike, travel: ArrayLike, direction: ArrayLike | None = None
@@ -325,8 +335,8 @@ class CoulombSolver:
         self, result: str, eq: Equilibrium, gravity: Array, point: Array, direction: Array | None
     ) -> CoulombContact:
         none = np.full(3, np.nan)
-        return CoulombContact(result, "", eq, gravity, self.friction, math.nan, math.nan, 0.0, point, direction,
-                              none, none, none, none)  # fmt: skip
+        return CoulombContact(result, "", eq, gravity, self.friction, self.compliance, math.nan, math.nan, 0.0, point,
+                              direction, none, none, none, none)  # fmt: skip
 
     def _begun(self, blank: CoulombContact, obstacle: Obstacle, part: float, near: NearestPoint) -> CoulombContact:
         """Refine the touched point of the free rod to x = X along the path and, for an edge, N · d = 0."""
@@ -444,8 +454,9 @@ class CoulombSolver:
             curvature = self._curvature(eq, eq.s_contact, eq.contact, axes)
             inputs = np.concatenate([x, scales * frame])
             steps = inputs[:, None] + 1j * _IMAGINARY * np.eye(len(inputs))
-            residuals = coulomb_residuals(steps, before, goal.object_point / length, goal.direction, self._profile,
-                                          curvature, self.friction, stiffness)  # fmt: skip
+            point = (goal.object_point[:, None] - self.compliance * unit * steps[0:3]) / length
+            residuals = coulomb_residuals(steps, before, point, goal.direction, self._profile, curvature,
+                                          self.friction, stiffness)  # fmt: skip
             misfit, by = residuals[:, 0].real, residuals.imag / _IMAGINARY
             of_force = close * max(float(np.linalg.norm(x[0:3])), _MIN_FORCE)
             allowed = np.array([of_force] * 3 + [close] * 4 + [close if stiffness is None else of_force] * 2)

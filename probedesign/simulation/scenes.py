@@ -150,6 +150,7 @@ def press_scene(
     friction: float = ASSUMED_FRICTION,
     friction_spread: float = ASSUMED_SPREAD,
     seed: int = 1,
+    compliance: float = 0.0,
 ) -> tuple[PressedObject, ...]:
     """Press every object of a scene with a force below the limit of the probe, in reference mode.
 
@@ -159,20 +160,25 @@ def press_scene(
         friction: median of the friction coefficient μ; 0 is the contact without friction.
         friction_spread: standard deviation of ln μ between objects.
         seed: seed of the random numbers.
+        compliance: how far every object yields by the force on it [m/N].
 
     Raises:
-        InputError: the scene is unknown, the friction is out of range, or the probe has no equilibrium in the scene.
+        InputError: the scene is unknown, friction or compliance is out of range, or the probe has no equilibrium in the
+            scene.
     """
     if scene not in SCENES:
         raise InputError(f"--scene {scene} is unknown; available are {', '.join(SCENES)}")
     if not 0.0 <= friction <= MAX_FRICTION:
         raise InputError(f"--friction {friction:g} must lie in 0 ... {MAX_FRICTION:g}")
+    if not 0.0 <= compliance < math.inf:
+        raise InputError(f"--object-compliance-m-N {compliance:g} must be finite and not negative; 0 is a rigid object")
     free, rng = model.rod.solve(model.gravity_base, mode="reference"), np.random.default_rng(seed)
     drawn = [draw_friction(friction, friction_spread, rng) for _ in SCENES[scene]]
-    return tuple(_pressed(model, free, obj, mu) for obj, mu in zip(SCENES[scene], drawn, strict=True))
+    solvers = (CoulombSolver(model.rod, mu, "reference", compliance) for mu in drawn)
+    return tuple(_pressed(model, free, obj, solver) for obj, solver in zip(SCENES[scene], solvers, strict=True))
 
 
-def _pressed(model: ProbeModel, free: Equilibrium, obj: SceneObject, friction: float) -> PressedObject:
+def _pressed(model: ProbeModel, free: Equilibrium, obj: SceneObject, solver: CoulombSolver) -> PressedObject:
     """Press an object until the force is the safe one, and retract; the contact is followed along the whole travel."""
     rod, length, clear = model.rod, model.rod.length, CLEARANCE * model.rod.length
     along = None if obj.tilt is None else np.array([math.sin(obj.tilt), math.cos(obj.tilt), 0.0])
@@ -180,7 +186,7 @@ def _pressed(model: ProbeModel, free: Equilibrium, obj: SceneObject, friction: f
     direction = np.cross(np.array([0.0, 1.0, 0.0]) if along is None else along, free.R_at(s)[:, 2])
     direction /= np.linalg.norm(direction)
     start = free.p_at(s) + (float(rod.radius_at(s)) + clear) * direction
-    solver = CoulombSolver(rod, friction, "reference")
+    friction = solver.friction
     press = StraightPress(solver, model.gravity_base, start, direction, along)
     limit = clear + (MAX_POINT_DEPTH if along is None else MAX_DEPTH) * length
     first = press.first_contact(limit)
@@ -262,6 +268,7 @@ class TouchTarget:
     direction: Array  #: direction of the push onto the card, unit vector, (3,).
     fraction: float  #: place along the probe, as a fraction of its length.
     repeated: bool = False  #: whether the point is touched for the second time.
+    compliance: float = 0.0  #: how far the card yields there by the force on it [m/N].
 
 
 def _card(name: str, start: tuple[float, float], end: tuple[float, float]) -> Card:

@@ -77,7 +77,7 @@ class TrueTouch:
     target: TouchTarget  #: the intended point.
     start: float  #: start, end: times between which the base presses [s].
     end: float
-    p_world: Array  #: touched point, the mean over the poses [m], (3,).
+    p_world: Array  #: touched point of the card at rest, the mean over the poses [m], (3,).
     force: float  #: largest force [N].
     moment: float  #: largest moment of the contact about the base [N·m].
     clearance: float  #: smallest distance between the probe beyond the contact and the card behind its edge [m].
@@ -160,7 +160,8 @@ class _Bench:
     def press(self, target: TouchTarget, p_base: Array, friction: float, true: bool) -> StraightPress:
         """Return the press of the true or the designed probe onto an edge, from `CLEARANCE` before it."""
         clear = (p_base - self.start(target)) @ target.direction + CLEARANCE
-        solver = CoulombSolver(self.true_rod, friction, "reference") if true else CoulombSolver(self.rod, friction)
+        rod = self.true_rod if true else self.rod
+        solver = CoulombSolver(rod, friction, "reference" if true else "fast", target.compliance)
         point, direction = self.R.T @ (target.p_world - p_base), self.R.T @ target.direction
         along = self.R.T @ target.card.along
         return StraightPress(solver, self.gravity, point + clear * direction, direction, along)
@@ -232,7 +233,7 @@ def _touch(
     reported = trajectory.press_positions(len(contacts))
     wrenches = np.array([contact.equilibrium.wrench_base for contact in contacts])
     moments = np.linalg.norm((wrenches - bench.true_free.wrench_base)[:, 3:], axis=1)
-    points = [p + bench.R @ contact.p_surface_base for p, contact in zip(p_true, contacts, strict=True)]
+    points = [p + bench.R @ contact.p_rest_base for p, contact in zip(p_true, contacts, strict=True)]
     return TrueTouch(
         target, begin, trajectory.end, np.mean(points, axis=0), max(contact.magnitude for contact in contacts),
         float(moments.max()),

@@ -184,6 +184,21 @@ def test_moving_away_ends_the_contact():
     assert solver.advance(left[-1], point) is left[-1]
 
 
+@pytest.mark.parametrize("line", [False, True])
+def test_an_object_that_yields_is_the_rigid_one_at_the_yielded_point(line):
+    """Without friction the contact does not depend on the path, so it is that of a rigid object which ends there."""
+    point, travel, d = approach(CONE, GRAVITY, line=line)
+    soft = CoulombSolver(CONE, 0.0, "reference", compliance=0.2).press(GRAVITY, point, travel, d)
+    assert soft.ok
+    moved = -0.2 * soft.force_base
+    assert np.linalg.norm(moved) > 1e-4
+    hard = CoulombSolver(CONE, 0.0, "reference").press(GRAVITY, point + moved, travel + moved, d)
+    # The tolerance of the solver is 1e-11 of the length, which the depth is about a hundredth of.
+    assert np.allclose(soft.force_base, hard.force_base, rtol=0.0, atol=1e-8 * soft.magnitude)
+    assert np.allclose(soft.p_surface_base, hard.p_surface_base, rtol=0.0, atol=1e-9 * CONE.length)
+    assert np.allclose(soft.p_surface_base - soft.p_rest_base, moved, rtol=0.0, atol=1e-15)
+
+
 def test_an_edge_may_roll_without_sliding():
     """A line across a sticking rod that is led along itself takes the rod along; the touched place moves on both."""
     point, travel, d = approach(CYLINDER, np.zeros(3), line=True)
@@ -224,6 +239,12 @@ def test_results_without_a_contact_are_codes():
 def test_what_is_no_friction_is_refused(friction):
     with pytest.raises(InputError, match=r"friction = .* must not be negative"):
         CoulombSolver(CONE, friction)
+
+
+@pytest.mark.parametrize("compliance", [-0.1, math.nan, math.inf])
+def test_a_compliance_out_of_range_is_refused(compliance):
+    with pytest.raises(InputError, match="compliance"):
+        CoulombSolver(CONE, 0.5, compliance=compliance)
 
 
 def test_bad_input_is_refused():
