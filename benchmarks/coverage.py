@@ -12,17 +12,17 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from benchmarks.error_statistics import ErrorStatistics
-from benchmarks.reference_probes import SOURCES, Perturbations, PriorStds, ProbeSamples
+from benchmarks.error_statistics import CHI2_95, ErrorStatistics, nees
+from benchmarks.reference_probes import PRESS_SOURCES, SOURCES, Perturbations, PriorStds, ProbeSamples
 from benchmarks.reference_touches import (
     Presses,
     Readings,
@@ -52,22 +52,15 @@ SAMPLES = 36  #: Samples of each touch for the tracker; their mean is the readin
 MIN_STD = 1e-6  #: Smallest standard deviation of a point in any direction for its NEES [m].
 FLATNESS = 0.6  #: Of the elliptic probes.
 DRAWS, FUSED_DRAWS = 100, 30  #: Default numbers of single and of fused touches of each row.
-#: Model errors: factor or divisor of E and G, step of the object [m], and step of the bias [resolution]; the steps
-#: occur between the third and the fourth of five touches.
-STIFFNESS_FACTOR, OBJECT_STEP, BIAS_STEPS = 1.2, 1.0 * MM, 5.0
-
-#: Result code, touched point of the surface [m], (3,), and its covariance [m²], (3, 3).
-Estimate = tuple[str, Array, Array]
-
-
-# Estimators under test
-
 
 #: Ranges of the magnitude of the force [N].
 DECADES = {"2-10 mN": (2e-3, 1e-2), "10-100 mN": (1e-2, 1e-1), "0.1-1 N": (1e-1, 1.0)}
 ALL_SOURCES = tuple(SOURCES)
+RIGID_SOURCES = tuple(source for source in ALL_SOURCES if source != "object")
 #: Error sources of a single touch, whose point is in the base frame.
-SINGLE_SOURCES = tuple(source for source in ALL_SOURCES if source != "robot")
+SINGLE_SOURCES = tuple(source for source in ALL_SOURCES if source not in PRESS_SOURCES)
+#: Standard deviations stated for a probe after a short test of its stiffness.
+BENCH = {"youngs_modulus": 0.03, "shear_modulus": 0.03}
 
 
 @dataclass(frozen=True)
@@ -77,6 +70,10 @@ class Case:
     group: str  #: group, name: title of the table and label of the row.
     name: str
     sources: tuple[str, ...] = ()  #: error sources that are drawn.
+    #: stated standard deviations that are not those of the design, by field of `Tolerances`.
+    stated: Mapping[str, float] = field(default_factory=dict)
+    #: range of the true sizes of error sources that are not drawn from their priors, log-uniform, in their units.
+    sizes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     friction: float | None = None  #: tangential over normal force, in a random direction; None draws it from the prior.
     forces: tuple[float, float] = (2e-3, 1.0)  #: smallest and largest force of a single touch [N].
     std_factor: float = 1.0  #: true over stated standard deviations.
@@ -86,12 +83,17 @@ class Case:
     kind: str = "estimate"  #: "estimate", "moments", "all six" or "tracker".
     sticks: bool = False  #: whether the touched material point stays the same during a press.
     anew: bool = False  #: whether the direction of the friction is drawn anew at each touch of a press.
-    #: relative standard deviation stated for E and G of fused touches; None for the design's.
-    youngs_modulus: float | None = None
-    #: "" or a condition that no single contact within the priors explains: "stiffness" (E and G are off), "pull" (a
-    #: force away from the object), "moved" (the object moves), "bias" (the bias jumps).
-    model_error: str = ""
     flatness: float = 1.0  #: of the probes' sections; only single touches.
+    # The following are conditions that the estimators do not know.
+    stiffness_factor: float = 1.0  #: factor or divisor of E and G, alternately.
+    pulls: bool = False  #: whether the force is directed away from the object.
+    #: exponent of the yielding by the force; it is that of the linear object under the force of the last touch.
+    exponent: float = 1.0
+    #: object_step, tips, bias_steps: steps between the third and the fourth of five touches: of the object [m], in a
+    #: random direction or, if it tips over, in that of the force on it; and of the bias [resolution].
+    object_step: float = 0.0
+    tips: bool = False
+    bias_steps: float = 0.0
 
 
 def single_cases() -> list[Case]:
@@ -109,7 +111,7 @@ def single_cases() -> list[Case]:
         group = f"One touch, by friction and force; {title}"
         for mu in (0.0, 0.2, 0.5, 0.8, None):
             name = "drawn from the prior" if mu is None else f"{mu:g}"
-            cases += [Case(group, f"friction {name}, {decade}", sources, mu, forces)
+            cases += [Case(group, f"friction {name}, {decade}", sources, friction=mu, forces=forces)
                       for decade, forces in DECADES.items()]  # fmt: skip
     return cases
 
@@ -118,7 +120,7 @@ def fused_cases() -> list[Case]:
     """Return the rows of fused touches of the large probe."""
     cases, some = [], ("E", "G", "drift", "robot")
     of = partial(Case, "Five touches of the large probe, 3 % on E and G, 0.01 mm poses, drift", sources=some,
-                 youngs_modulus=0.03)  # fmt: skip
+                 stated=BENCH)  # fmt: skip
     for place in (0.5, 0.8):
         for newtons in (2e-3, 5e-3):
             for kind in ("all six", "moments"):
@@ -128,11 +130,12 @@ def fused_cases() -> list[Case]:
     at = partial(replace, of(name="", place=0.8, newtons=5e-3, kind="all six"))
     cases += [at(name=f"0.8 L, up to 5 mN, all six, friction {mu:g}, anew at each touch", friction=mu, anew=True)
               for mu in (0.3, 0.6)]  # fmt: skip
-    cases.append(at(name="0.8 L, up to 5 mN, all six, friction 0.6, E to 0.5 %", friction=0.6, youngs_modulus=0.005))
+    cases.append(at(name="0.8 L, up to 5 mN, all six, friction 0.6, E to 0.5 %", friction=0.6,
+                    stated=dict.fromkeys(BENCH, 0.005)))  # fmt: skip
     cases.append(at(name="0.8 L, up to 5 mN, all six, friction 0.3, sticks", friction=0.3, sticks=True))
     cases.append(at(name="0.8 L, up to 5 mN, tracker, friction 0.3", friction=0.3, kind="tracker"))
     every = at(group="Five touches of the large probe, 0.8 L, up to 5 mN, all six; friction drawn from the prior",
-               youngs_modulus=None)  # fmt: skip
+               stated={})  # fmt: skip
     cases.append(replace(every, name="sensor noise alone", sources=()))
     cases += [replace(every, name=source, sources=(source,)) for source in ALL_SOURCES]
     cases.append(replace(every, name="all together", sources=ALL_SOURCES))
@@ -142,16 +145,73 @@ def fused_cases() -> list[Case]:
     return cases
 
 
+def yielding_cases() -> list[Case]:
+    """Return the rows of fused touches of an object that yields, with all error sources drawn."""
+
+    def case(prior: float, name: str, compliance: tuple[float, float] | None, **changes: Any) -> Case:
+        """Return a row with a compliance of the object in a range [m/N]; None draws it from its prior."""
+        return replace(
+            Case(f"Five touches of the large probe, object with a prior of {prior:g} m/N", name,
+                 ALL_SOURCES if prior else RIGID_SOURCES, BENCH | {"object_compliance": prior},
+                 {} if compliance is None else {"object": compliance}, place=0.8, newtons=5e-3, kind="all six"),
+            **changes,
+        )  # fmt: skip
+
+    where = [(place, newtons, f"{place:g} L, up to {1e3 * newtons:g} mN")
+             for newtons in (5e-3, 20e-3) for place in (0.5, 0.6, 0.7, 0.8, 0.9)]  # fmt: skip
+    objects = [(0.05, k) for k in (10.0, 20.0, 50.0, 100.0, 1000.0)] + [(0.2, k) for k in (5.0, 10.0)]
+    cases = [case(prior, f"{k:g} N/m, {name}", (1.0 / k, 1.0 / k), place=place, newtons=newtons)
+             for prior, k in objects for place, newtons, name in where]  # fmt: skip
+    cases += [case(prior, f"drawn from the prior, {name}", None, place=place, newtons=newtons)
+              for prior in (0.05, 0.2) for place, newtons, name in where]  # fmt: skip
+    rigid = (0.0, 0.0)
+    cases += [
+        case(0.05, "rigid", rigid),
+        replace(case(0.0, "rigid", None), group="Five touches of the large probe, rigid object"),
+        case(0.05, "20 N/m, tracker", (0.05, 0.05), kind="tracker"),
+        case(0.2, "card house of 5 to 50 N/m, friction 0.5", (0.02, 0.2), friction=0.5),
+        case(0.05, "card house of 5 to 50 N/m, friction 0.5", (0.02, 0.2), friction=0.5),
+    ]
+    for prior, k in ((0.05, 20.0), (0.2, 5.0)):
+        cases += [
+            case(prior, f"Hertz, {k:g} N/m, up to {1e3 * newtons:g} mN", (1.0 / k, 1.0 / k), exponent=2.0 / 3.0,
+                 newtons=newtons)
+            for newtons in (5e-3, 20e-3)
+        ]  # fmt: skip
+    cases += [
+        case(0.05, f"20 N/m, tips over by {step:g} mm", (0.05, 0.05), object_step=step * MM, tips=True)
+        for step in (0.5, 2.0)
+    ]
+    loose = {"object_compliance": 0.05, "object_walk_mm": 0.3}
+    walks = tuple(source for source in ALL_SOURCES if source != "object walk")
+    cases += [
+        case(0.05, "walks by 0.3 mm, as stated", None, stated=BENCH | loose),
+        case(0.05, "moves once by 0.5 mm, walk of 0.3 mm stated", None, stated=BENCH | loose,
+             sizes={"object walk": (0.0, 0.0)}, object_step=0.5 * MM),
+        case(0.05, "moves once by 0.5 mm, no walk stated", None, sources=walks, object_step=0.5 * MM),
+    ]  # fmt: skip
+    return cases
+
+
+def bent_cases() -> list[Case]:
+    """Return the rows of prints that are bent by a given deviation of the tip, with all other error sources drawn."""
+    one = Case("Bent prints with a prior of 1.5 mm", "", SINGLE_SOURCES, BENCH | {"bow_mm": 1.5}, forces=(5e-3, 50e-3))
+    five = replace(one, sources=RIGID_SOURCES, place=0.8, newtons=5e-3, kind="all six")
+    return [replace(case, name=f"{count}, bent by {bow:g} mm", sizes={"bow": (bow, bow)})
+            for count, case in (("one touch, 5-50 mN", one), ("five touches, 0.8 L, up to 5 mN", five))
+            for bow in (1.0, 2.0, 3.0)]  # fmt: skip
+
+
 def model_error_cases() -> list[Case]:
     """Return the rows of readings that the estimators should refuse."""
     single = Case("Readings that no single contact explains, all error sources", "", SINGLE_SOURCES)
     press = replace(single, sources=ALL_SOURCES, place=0.8, newtons=5e-3, kind="all six")
     return [
-        replace(single, name="one touch, E and G off by 20 %", model_error="stiffness"),
-        replace(single, name="one touch that pulls", model_error="pull"),
-        replace(press, name="five touches, E and G off by 20 %", model_error="stiffness"),
-        replace(press, name="five touches, the object moves by 1 mm", model_error="moved"),
-        replace(press, name="five touches, the bias jumps by 5 steps", model_error="bias"),
+        replace(single, name="one touch, E and G off by 20 %", stiffness_factor=1.2),
+        replace(single, name="one touch that pulls", pulls=True),
+        replace(press, name="five touches, E and G off by 20 %", stiffness_factor=1.2),
+        replace(press, name="five touches, the object moves by 1 mm", object_step=1.0 * MM),
+        replace(press, name="five touches, the bias jumps by 5 steps", bias_steps=5.0),
     ]
 
 
@@ -160,19 +220,7 @@ def estimator_for(model: ProbeModel, priors: PriorStds) -> Estimator:
     return Estimator(model).with_tolerances(priors.tolerances())
 
 
-def locate(estimator: Estimator, wrench: Array) -> Estimate:
-    """Locate the touch of one reading in the base frame."""
-    found = estimator.estimate(wrench, estimator.model.gravity_base)
-    return found.result, found.p_surface_base, found.cov_surface_base
-
-
-def fuse(estimator: Estimator, wrenches: Array, Ts: Array, moments_only: bool) -> Estimate:
-    """Fuse several touches of one point of the world."""
-    found = estimator.fuse(wrenches, Ts, estimator.model.gravity_base, moments_only=moments_only)
-    return found.result, found.p_surface_world, found.cov_surface_world
-
-
-def track(estimator: Estimator, samples: Array, Ts: Array) -> Estimate:
+def track(estimator: Estimator, samples: Array, Ts: Array) -> FusedEstimate:
     """Return the estimate of the tracker after the last sample, given (k, SAMPLES, 6)."""
     from probedesign.estimation.tracker import Tracker  # its kernels load slowly and few rows need them
 
@@ -183,7 +231,7 @@ def track(estimator: Estimator, samples: Array, Ts: Array) -> Estimate:
             clock += 1.0 / 7000.0
             found = tracker.update(wrench, T, clock, touching="contact")
         clock += WALK_SECONDS  # the time between readings that `fuse` assumes if no times are given
-    return found.result, found.p_surface_world, found.cov_surface_world
+    return found
 
 
 # Single touches
@@ -192,8 +240,7 @@ def track(estimator: Estimator, samples: Array, Ts: Array) -> Estimate:
 def run_single(case: Case, probe: str, n: int, seed: int) -> ErrorStatistics:
     """Draw and locate about n touches of one probe that are counted."""
     model, rng = paper_models(case.flatness)[probe], np.random.default_rng(seed)
-    statistics = ErrorStatistics(MIN_STD)
-    stated = PriorStds.of(model).only(case.sources)
+    statistics, stated = ErrorStatistics(MIN_STD), _stated_priors(case, model)
     perturbations = Perturbations.of(model, stated.scaled(case.std_factor))
     estimator, noise = estimator_for(model, stated), model.noise_base()
     fraction, newtons = _draw_touches(model, case.forces, n, rng)
@@ -203,7 +250,7 @@ def run_single(case: Case, probe: str, n: int, seed: int) -> ErrorStatistics:
     # Draws that all rows have in common come first, so that rows differ only by their perturbations.
     ratios, phi = _draw_ratios(case, model, n, rng), rng.uniform(-np.pi, np.pi, n)
     scatter = rng.normal(size=(n, 6)) @ np.linalg.cholesky(noise).T
-    z = perturbations.draw(n, rng)
+    z = _with_sizes(case, perturbations, perturbations.draw(n, rng), rng)
     samples = perturbations.samples(z)
     force = newtons[:, None] * np.column_stack([np.ones(n), ratios])
     force /= np.sqrt(1.0 + (ratios**2).sum(axis=1))[:, None]
@@ -215,14 +262,14 @@ def run_single(case: Case, probe: str, n: int, seed: int) -> ErrorStatistics:
 
     readings = touched(samples, force, columns=True)
     bounds = position_rms(cramer_rao(readings, noise))
-    if case.model_error:
-        sign = -1.0 if case.model_error == "pull" else 1.0
-        readings = touched(_with_wrong_stiffness(case, samples), sign * force, columns=False)
+    if case.pulls or case.stiffness_factor != 1.0:
+        readings = touched(_with_wrong_stiffness(case, samples), -force if case.pulls else force, columns=False)
     wrenches = readings.wrench + scatter
     for i in np.flatnonzero(readings.touches.ok & (bounds < MAX_BOUND)):
         if model.in_range(model.to_sensor(wrenches[i], model.gravity_base)):
-            result, point, cov = locate(estimator, wrenches[i])
-            statistics.add(result, point - readings.point[i], cov, float(bounds[i]))
+            found = estimator.estimate(wrenches[i], model.gravity_base)
+            statistics.add(found.result, found.p_surface_base - readings.point[i], found.cov_surface_base,
+                           float(bounds[i]))  # fmt: skip
     return statistics
 
 
@@ -258,31 +305,80 @@ def _draw_ratios(case: Case, model: ProbeModel, n: int, rng: np.random.Generator
 # Fused touches
 
 
+@dataclass(frozen=True)
+class PressDraws:
+    """Random values of n presses apart from their error sources."""
+
+    phi: Array  #: angle of the first touch about the section [rad], (n,).
+    ratios: Array  #: tangential over normal force, see `solve_presses`.
+    aside: Array | None  #: aside, slide: see `solve_presses`.
+    slide: Array
+    direction: Array  #: of the object's step, (n, 3), unit vectors.
+    signs: Array  #: of the bias's step, (n, 6).
+
+    @classmethod
+    def of(cls, case: Case, model: ProbeModel, n: int, rng: np.random.Generator) -> "PressDraws":
+        """Draw the values of n presses."""
+        ratios, phi = _draw_ratios(case, model, n, rng), rng.uniform(-np.pi, np.pi, n)
+        aside, slide = rng.uniform(-0.1, 0.1, n) if case.sticks else None, rng.uniform(0.0, MAX_SLIDE, n)
+        direction = rng.normal(size=(n, 3))
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        return cls(phi, ratios, aside, slide, direction, rng.choice([-1.0, 1.0], (n, 6)))
+
+
+def simulate_presses(case: Case, perturbations: Perturbations, z: Array, drawn: PressDraws) -> tuple[Presses, Array]:
+    """Return presses with the conditions of the case that the estimators do not know, and readings, (n, k, 6)."""
+    model, samples = perturbations.model, _with_wrong_stiffness(case, perturbations.samples(z))
+    pressed = solve_presses(samples, z, case.place, drawn.phi, drawn.ratios, case.newtons, drawn.slide,
+                            aside=drawn.aside)  # fmt: skip
+    size = np.linalg.norm(pressed.yielded, axis=2, keepdims=True)
+    with np.errstate(invalid="ignore"):
+        yielded = pressed.yielded * np.nan_to_num((size / size[:, -1:]) ** (case.exponent - 1.0))
+        direction = pressed.yielded / size if case.tips else drawn.direction[:, None]
+    after = (np.arange(TOUCHES) >= 3)[:, None]
+    step = after * case.object_step * direction
+    places = pressed.places + yielded - pressed.yielded + step
+    unit = np.sqrt(np.diag(model.noise.cov) * model.averaging_samples)
+    jump = case.bias_steps * unit * drawn.signs @ wrench_map(inverse(model.T_sensor_base)).T
+    return replace(pressed, places=places, rest=pressed.rest + step, yielded=yielded), (
+        pressed.wrenches + after * jump[:, None]
+    )
+
+
 def run_fused(case: Case, n: int, seed: int) -> ErrorStatistics:
     """Draw and fuse n presses of the large probe."""
     model, rng, statistics = paper_models()["large"], np.random.default_rng(seed), ErrorStatistics(MIN_STD)
     stated = _stated_priors(case, model)
     perturbations = Perturbations.of(model, stated.scaled(case.std_factor), TOUCHES)
     estimator, noise = estimator_for(model, stated), model.noise_base()
-    ratios, phi = _draw_ratios(case, model, n, rng), rng.uniform(-np.pi, np.pi, n)
-    z = perturbations.draw(n, rng)
-    bound = _fused_bound(model, stated, case.place, case.newtons, case.kind == "moments")
-    aside, slide = rng.uniform(-0.1, 0.1, n) if case.sticks else None, rng.uniform(0.0, MAX_SLIDE, n)
-    samples = _with_wrong_stiffness(case, perturbations.samples(z))
-    pressed = solve_presses(samples, z, case.place, phi, ratios, case.newtons, slide, aside=aside)
-    wrenches, places = _with_wrong_readings(case, model, pressed.wrenches, pressed.places, rng)
+    drawn = PressDraws.of(case, model, n, rng)
+    z = _with_sizes(case, perturbations, perturbations.draw(n, rng), rng)
+    pressed, wrenches = simulate_presses(case, perturbations, z, drawn)
+    compliance = pressed.samples.compliance
+    bound, std = _fused_bound(case, stated, float(compliance.mean()))
+    width = _interval_width(compliance, std, stated["object_compliance"])
     root = np.linalg.cholesky(noise).T
     for i in np.flatnonzero(pressed.ok):
-        Ts = _poses(places[i])
+        Ts = _poses(pressed.places[i])
         if case.kind == "tracker":
             scatter = math.sqrt(model.averaging_samples) * rng.normal(size=(TOUCHES, SAMPLES, 6)) @ root
-            result, point, cov = track(estimator, wrenches[i][:, None] + scatter, Ts)
+            found = track(estimator, wrenches[i][:, None] + scatter, Ts)
         else:
             noisy = wrenches[i] + rng.normal(size=(TOUCHES, 6)) @ root
-            result, point, cov = fuse(estimator, noisy, Ts, case.kind == "moments")
-        statistics.add(result, point, cov, bound)  # the touched point is the world's origin
-    if case.model_error:
-        statistics.powers = _best_powers(case, perturbations, phi, ratios, slide, seed)
+            found = estimator.fuse(noisy, Ts, model.gravity_base, moments_only=case.kind == "moments")
+        others, rest = dict[str, float](), pressed.rest[i, -1]
+        if found.ok and std > 0.0:
+            low, high = found.object_compliance_interval_95
+            now = found.p_surface_now_world - rest - pressed.yielded[i, -1]
+            others = {
+                "now_inside_95_share": nees(now, found.cov_surface_now_world, MIN_STD) <= CHI2_95,
+                "compliance_inside_95_share": low <= compliance[i] <= high,
+                "compliance_width_m_N": high - low,
+                "compliance_width_over_bound": (high - low) / width[i],
+            }
+        statistics.add(found.result, found.p_surface_world - rest, found.cov_surface_world, bound, **others)
+    if case.stiffness_factor != 1.0 or case.object_step or case.bias_steps:
+        statistics.others["flagged_at_best_share"] = _best_powers(case, estimator, perturbations, drawn)
     return statistics
 
 
@@ -290,26 +386,25 @@ def _poses(places: Array) -> Array:
     return np.array([pose(np.eye(3), p) for p in places])
 
 
-def _best_powers(
-    case: Case, perturbations: Perturbations, phi: Array, ratios: Array, slide: Array, seed: int
-) -> list[float]:
+def _best_powers(case: Case, estimator: Estimator, perturbations: Perturbations, drawn: PressDraws) -> list[float]:
     """Return the power of the best test for the model error at one false positive in a hundred, for each press.
 
     The best test knows the alternative exactly (Neyman and Pearson). Its statistic is normal with variance 1, and the
     model error shifts its mean by λ, where λ² is the increase of the least χ² that the error causes in the noise-free
     readings of the probe as designed.
     """
-    model, z = perturbations.model, np.zeros((len(phi), perturbations.size))
-    estimator, samples = estimator_for(model, _stated_priors(case, model)), perturbations.samples(z)
-    right = solve_presses(samples, z, case.place, phi, ratios, case.newtons, slide)
-    wrong = solve_presses(_with_wrong_stiffness(case, samples), z, case.place, phi, ratios, case.newtons, slide)
-    wrenches, places = _with_wrong_readings(case, model, wrong.wrenches, wrong.places, np.random.default_rng(seed + 1))
+    z = _with_sizes(case, perturbations, np.zeros((len(drawn.phi), perturbations.size)), np.random.default_rng(1))
+    right = simulate_presses(
+        replace(case, stiffness_factor=1.0, object_step=0.0, bias_steps=0.0), perturbations, z, drawn
+    )
+    wrong = simulate_presses(case, perturbations, z, drawn)
     powers = []
-    for i in np.flatnonzero(np.logical_and(right.ok, wrong.ok)):
+    for i in np.flatnonzero(np.logical_and(right[0].ok, wrong[0].ok)):
         chi2_wrong, chi2_right = (
-            estimator.fuse(w, _poses(p), model.gravity_base, moments_only=case.kind == "moments").chi2
-            for w, p in ((wrenches[i], places[i]), (right.wrenches[i], right.places[i]))
-        )
+            estimator.fuse(w[i], _poses(pressed.places[i]), perturbations.model.gravity_base,
+                           moments_only=case.kind == "moments").chi2
+            for pressed, w in (wrong, right)
+        )  # fmt: skip
         if math.isfinite(chi2_wrong) and math.isfinite(chi2_right):
             shift = math.sqrt(max(chi2_wrong - chi2_right, 0.0))
             powers.append(float(ndtr(shift - ndtri(0.99))))
@@ -317,54 +412,57 @@ def _best_powers(
 
 
 def _stated_priors(case: Case, model: ProbeModel) -> PriorStds:
-    priors = PriorStds.of(model).only(case.sources)
-    E = case.youngs_modulus
-    return priors if E is None else PriorStds(priors.by_name | {"youngs_modulus": E, "shear_modulus": E})
+    priors = PriorStds.of(model)
+    return PriorStds({**priors.by_name, **case.stated}).only(case.sources)
+
+
+def _with_sizes(case: Case, perturbations: Perturbations, z: Array, rng: np.random.Generator) -> Array:
+    """Return perturbations in which the error sources have the sizes that the case states."""
+    for source, (low, high) in case.sizes.items():
+        perturbations.fix(z, source, low * (high / max(low, 1e-12)) ** rng.uniform(size=len(z)), rng)
+    return z
 
 
 def _with_wrong_stiffness(case: Case, samples: ProbeSamples) -> ProbeSamples:
-    """Return the samples, alternately stiffer and softer if the model error of the case is the stiffness."""
-    if case.model_error != "stiffness":
-        return samples
-    factor = np.where(np.arange(len(samples.gravity)) % 2, STIFFNESS_FACTOR, 1.0 / STIFFNESS_FACTOR)
+    """Return the samples, alternately stiffer and softer by the factor of the case."""
+    factor = case.stiffness_factor ** np.where(np.arange(len(samples.gravity)) % 2, 1.0, -1.0)
     probes = samples.probes
     return replace(samples, probes=replace(probes, E=factor * probes.E, G=factor * probes.G))
 
 
-def _with_wrong_readings(case: Case, model: ProbeModel, wrenches: Array, places: Array, rng: np.random.Generator
-                         ) -> tuple[Array, Array]:  # fmt: skip
-    """Return readings and places, after the third touch with a moved object or a changed bias if the case has it."""
-    direction = rng.normal(size=(len(places), 1, 3))
-    signs = rng.choice([-1.0, 1.0], (len(places), 1, 6))
-    after = (np.arange(TOUCHES) >= 3)[None, :, None]
-    if case.model_error == "moved":
-        # An error of the reported base position is equivalent to an opposite motion of the object.
-        return wrenches, places + after * OBJECT_STEP * direction / np.linalg.norm(direction, axis=2, keepdims=True)
-    if case.model_error == "bias":
-        step = np.sqrt(np.diag(model.noise.cov) * model.averaging_samples)
-        jump = BIAS_STEPS * signs * step
-        return wrenches + after * (jump @ wrench_map(inverse(model.T_sensor_base)).T), places
-    return wrenches, places
+def _interval_width(compliance: Array, std: float, prior: float) -> Array:
+    """Return the width of the shortest 95 % interval of compliances of a given bound [m/N], (n,).
+
+    The posterior is normal with the standard deviation of the bound and its expected mean, cut off at zero.
+    """
+    mean = compliance * (1.0 - (std / prior) ** 2) / std if std > 0.0 else np.zeros_like(compliance)
+    positive = ndtr(mean)
+    half = ndtri(0.5 + 0.475 * positive)
+    return std * np.where(mean >= half, 2.0 * half, mean + ndtri(1.0 - 0.05 * positive))
 
 
 _NOMINAL_PRESSES: dict[Any, Presses] = {}
 
 
-def _fused_bound(model: ProbeModel, stated: PriorStds, place: float, newtons: float, moments_only: bool) -> float:
-    """Return the bound of the RMS error [m] for the probe as designed, over six directions of the touch.
+def _fused_bound(case: Case, stated: PriorStds, compliance: float) -> tuple[float, float]:
+    """Return the bounds of the RMS error [m] and of the object's compliance [m/N] for the probe as designed.
 
-    The friction has its prior, whose information is evaluated at the touch without friction, as in the table of bounds.
+    They are root mean squares over six directions of the touch, for an object of a given compliance [m/N]. The friction
+    has its prior, whose information is evaluated at the touch without friction, as in the table of bounds.
     """
-    key = (model.name, tuple(stated.by_name.items()), place, newtons)
+    model = paper_models()["large"]
+    key = (tuple(stated.by_name.items()), case.place, case.newtons)
     if key not in _NOMINAL_PRESSES:
         perturbations = Perturbations.of(model, stated, TOUCHES)
         phi = np.linspace(-np.pi, np.pi, 6, endpoint=False)
         z = np.zeros((len(phi), perturbations.size))
-        _NOMINAL_PRESSES[key] = solve_presses(perturbations.samples(z), z, place, phi, np.zeros((len(phi), 2)),
-                                              newtons, np.zeros(len(phi)), columns=True)  # fmt: skip
+        _NOMINAL_PRESSES[key] = solve_presses(perturbations.samples(z), z, case.place, phi, np.zeros((len(phi), 2)),
+                                              case.newtons, np.zeros(len(phi)), columns=True)  # fmt: skip
     pressed = _NOMINAL_PRESSES[key]
-    cov = fused_cramer_rao(pressed, model.noise_base(), model.friction, moments_only)
-    return float(np.sqrt(np.nanmean(position_rms(cov)[pressed.ok] ** 2)))
+    pressed = replace(pressed, samples=replace(pressed.samples, compliance=np.full(len(pressed.ok), compliance)))
+    cov = fused_cramer_rao(pressed, model.noise_base(), model.friction, case.kind == "moments")[pressed.ok]
+    return (float(np.sqrt(np.nanmean(position_rms(cov[:, :3, :3]) ** 2))),
+            float(np.sqrt(np.nanmean(cov[:, 3, 3]))))  # fmt: skip
 
 
 # Tables
@@ -395,22 +493,35 @@ def run(cases: Sequence[Case], draws: int, fused_draws: int, workers: int,
     return [(case, total.summary()) for case, total in zip(cases, totals, strict=True)]
 
 
-#: `refused of wrong` counts estimates with an error above three standard deviations or that are refused as wrong.
-HEAD = ("draws", "located", "RMS [mm]", "bound [mm]", "RMS / bound", "in 95 %", "NEES (expected 3)",
-        "in 95 % or refused", "refused of wrong", "best test", "other results")  # fmt: skip
+#: Columns by the names of `ErrorStatistics.summary`, each with its format; a table leaves out those without values.
+#: "refused of wrong" counts estimates with an error above three standard deviations or that are refused as wrong.
+COLUMNS = {
+    "draws": ("draws", "d"),
+    "ok_share": ("ok", ".1%"),
+    "inside_95_share": ("in 95 %", ".1%"),
+    "ok_and_outside_share": ("ok and outside", ".1%"),
+    "rms_mm": ("RMS [mm]", ".2f"),
+    "rms_over_stated": ("RMS / stated", ".2f"),
+    "rms_over_bound": ("RMS / bound", ".2f"),
+    "bound_mm": ("bound [mm]", ".2f"),
+    "mean_nees": ("NEES (expected 3)", ".2f"),
+    "flagged_of_wrong_share": ("refused of wrong", ".1%"),
+    "now_inside_95_share": ("now in 95 %", ".1%"),
+    "compliance_inside_95_share": ("compliance in 95 %", ".1%"),
+    "compliance_width_m_N": ("its width [m/N]", ".3f"),
+    "compliance_width_over_bound": ("width / bound", ".2f"),
+    "flagged_at_best_share": ("best test", ".1%"),
+}
 
 
-def _row(found: dict[str, Any]) -> list[str]:
-    def cell(name: str, form: str) -> str:
-        value = found[name]
-        return "-" if value is None else format(value, form)
-
-    others = ", ".join(f"{code} {n}" for code, n in found["results"].items() if code != "ok") or "none"
-    nees = f"{cell('mean_nees', '.2f')}, median {cell('median_nees', '.2f')}"
-    return [str(found["draws"]), cell("ok_share", ".1%"), cell("rms_mm", ".2f"), cell("bound_mm", ".2f"),
-            cell("rms_over_bound", ".2f"), cell("inside_95_share", ".1%"), nees,
-            cell("inside_or_refused_share", ".1%"), cell("flagged_of_wrong_share", ".1%"),
-            cell("flagged_at_best_share", ".1%"), others]  # fmt: skip
+def _print_group(group: str, rows: Sequence[tuple[Case, dict[str, Any]]]) -> None:
+    names = [name for name in COLUMNS if any(found.get(name) is not None for _, found in rows)]
+    table = []
+    for case, found in rows:
+        cells = ["-" if found.get(name) is None else format(found[name], COLUMNS[name][1]) for name in names]
+        others = ", ".join(f"{code} {n}" for code, n in found["results"].items() if code != "ok") or "none"
+        table.append([case.name, *cells, others])
+    print_table(group, ["case", *(COLUMNS[name][0] for name in names), "other results"], table)
 
 
 def bounds() -> list[dict[str, Any]]:
@@ -458,7 +569,7 @@ def report(draws: int = DRAWS, only: str | None = None, bounds_only: bool = Fals
         else:
             print_bounds(rows)
         return
-    cases = [case for case in (*single_cases(), *fused_cases(), *model_error_cases())
+    cases = [case for case in (*single_cases(), *fused_cases(), *yielding_cases(), *bent_cases(), *model_error_cases())
              if only is None or only.lower() in f"{case.group}, {case.name}".lower()]  # fmt: skip
     fused_draws = max(1, round(draws * FUSED_DRAWS / DRAWS))
     found = run(cases, draws, fused_draws, workers, lambda line: print(line, file=sys.stderr, flush=True))
@@ -466,5 +577,4 @@ def report(draws: int = DRAWS, only: str | None = None, bounds_only: bool = Fals
         print(json.dumps([{"group": case.group, "case": case.name, **row} for case, row in found], indent=2))
         return
     for group in dict.fromkeys(case.group for case in cases):
-        table = [[case.name, *_row(row)] for case, row in found if case.group == group]
-        print_table(group, ["case", *HEAD], table)
+        _print_group(group, [(case, row) for case, row in found if case.group == group])

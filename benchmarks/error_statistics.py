@@ -59,11 +59,15 @@ class ErrorStatistics:
     squared_ratios: list[float] = field(default_factory=list)  #: squared error over squared bound of located estimates.
     nees: list[float] = field(default_factory=list)  #: of located estimates.
     beyond_3_std: int = 0  #: number of located estimates with an error above three stated standard deviations.
-    #: power of the best possible test for a model error, at one false positive in a hundred.
-    powers: list[float] = field(default_factory=list)
+    stated: list[float] = field(default_factory=list)  #: traces of the covariances of located estimates [m²].
+    #: other quantities by name, of which the summary has the means.
+    others: dict[str, list[float]] = field(default_factory=dict)
 
-    def add(self, result: str, error: Array, cov: Array, bound: float) -> None:
-        """Add an estimate by its result code, error [m], covariance [m²] and bound of the RMS error [m]."""
+    def add(self, result: str, error: Array, cov: Array, bound: float, **others: float) -> None:
+        """Add an estimate by its result code, error [m], covariance [m²] and bound of the RMS error [m].
+
+        `others` are further quantities of a located estimate.
+        """
         self.results[result] += 1
         self.squared_bounds.append(bound**2)
         if result != "ok":
@@ -73,6 +77,9 @@ class ErrorStatistics:
         self.squared_ratios.append(squared / bound**2)
         self.beyond_3_std += bool(squared > 9.0 * np.trace(cov))
         self.nees.append(nees(error, cov, self.min_std))
+        self.stated.append(float(np.trace(cov)))
+        for name, value in others.items():
+            self.others.setdefault(name, []).append(value)
 
     def join(self, other: "ErrorStatistics") -> None:
         """Add the estimates of another collection."""
@@ -82,7 +89,9 @@ class ErrorStatistics:
         self.squared_ratios += other.squared_ratios
         self.nees += other.nees
         self.beyond_3_std += other.beyond_3_std
-        self.powers += other.powers
+        self.stated += other.stated
+        for name, values in other.others.items():
+            self.others[name] = self.others.get(name, []) + values
 
     @property
     def n_inside_95(self) -> int:
@@ -112,12 +121,13 @@ class ErrorStatistics:
             "rms_mm": math.sqrt(np.mean(self.squared_errors)) / MM if located else None,
             "bound_mm": math.sqrt(np.mean(self.squared_bounds)) / MM if n else None,
             "rms_over_bound": self.rms_over_bound() if located else None,
+            "rms_over_stated": math.sqrt(np.mean(self.squared_errors) / np.mean(self.stated)) if located else None,
             "inside_95_share": inside / located if located else None,
             "mean_nees": float(np.mean(self.nees)) if located else None,
             "median_nees": float(np.median(self.nees)) if located else None,
-            "inside_or_refused_share": (inside + n - located) / n if n else None,
+            "ok_and_outside_share": (located - inside) / n if n else None,
             "beyond_3_std": self.beyond_3_std,
             "flagged_of_wrong_share": (n - located) / wrong if wrong else None,
-            "flagged_at_best_share": float(np.mean(self.powers)) if self.powers else None,
             "results": dict(self.results),
+            **{name: float(np.mean(values)) for name, values in self.others.items()},
         }

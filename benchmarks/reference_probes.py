@@ -39,7 +39,11 @@ SOURCES = {
     "creep": ("creep",),
     "stiffness scatter": ("stiffness_scatter",),
     "robot": ("robot_mm",),
+    "object": ("object_compliance",),
+    "object walk": ("object_walk_mm",),
 }
+#: Sources that neither the reading nor the touched point in base axes depends on; a single touch has none of them.
+PRESS_SOURCES = ("robot", "object", "object walk")
 
 
 @dataclass(frozen=True)
@@ -88,11 +92,12 @@ class Perturbations:
         """Assign columns to all sources with a standard deviation above zero."""
         counts = {"E": 1, "G": 1, "density": 1, "diameter": 1, "diameter scatter": len(model.rod.s), "length": 1,
                   "bow": 2, "root": 1, "base place": 3, "base tilt": 2, "clocking": 1, "gravity": 2, "gain": 6,
-                  "drift": 6 * touches, "creep": 1, "stiffness scatter": touches,
-                  "robot": 3 * touches if touches > 1 else 0}  # fmt: skip
+                  "drift": 6 * touches, "creep": 1, "stiffness scatter": touches}  # fmt: skip
+        if touches > 1:
+            counts |= {"robot": 3 * touches, "object": 1, "object walk": 3 * (touches - 1)}
         slots, size = {}, 0
         for source, names in SOURCES.items():
-            if counts[source] and any(priors[name] > 0.0 for name in names):
+            if source in counts and any(priors[name] > 0.0 for name in names):
                 slots[source] = slice(size, size + counts[source])
                 size += counts[source]
         return cls(model, priors, touches, slots, size)
@@ -100,6 +105,13 @@ class Perturbations:
     def draw(self, n: int, rng: np.random.Generator) -> Array:
         """Draw n rows of z, (n, size)."""
         return rng.normal(size=(n, self.size))
+
+    def fix(self, z: Array, source: str, size: Array, rng: np.random.Generator) -> None:
+        """Give one source a size in the unit of its standard deviation, (n,), in a random direction of its columns."""
+        part = z[:, self.slots[source]]
+        direction = rng.normal(size=part.shape)
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        part[:] = (size / self.priors[SOURCES[source][0]])[:, None] * direction
 
     def affecting_reading(self, k: int) -> list[int]:
         """Return the columns of z that the reading or the touched point of touch k depends on."""
@@ -110,7 +122,7 @@ class Perturbations:
                 columns += every[: 6 * (k + 1)]
             elif source == "stiffness scatter":
                 columns.append(every[k])
-            elif source != "robot":
+            elif source not in PRESS_SOURCES:
                 columns += every
         return columns
 
@@ -163,6 +175,8 @@ class Perturbations:
             self, probes, stiffness, R, MM * self.deviations(z, "base place", "base_mm", 3), self._gravity(z, R),
             self.deviations(z, "gain", "gain", 6), self._drift(z),
             MM * self.deviations(z, "robot", "robot_mm", 3 * k).reshape(n, k, 3),
+            np.abs(one("object", "object_compliance")),
+            MM * self.deviations(z, "object walk", "object_walk_mm", 3 * (k - 1)).reshape(n, k - 1, 3),
         )  # fmt: skip
 
     def _curvature(self, z: Array) -> Array:
@@ -201,6 +215,8 @@ class ProbeSamples:
     gain: Array  #: relative gain error of each channel, (n, 6).
     drift: Array  #: bias at the sensor's origin [N, N·m], (n, k, 6).
     robot: Array  #: position error of the base at each touch [m], (n, k, 3).
+    compliance: Array  #: of the touched object [m/N], (n,).
+    walk: Array  #: steps of the object between the touches [m], (n, k - 1, 3).
 
     def at_touch(self, k: int) -> Probes:
         """Return the rods with their stiffness at touch k."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.reference_probes import Perturbations, ProbeSamples, nominal_free
+from benchmarks.reference_probes import ProbeSamples, nominal_free
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from tests.reference.cosserat import Touches, differences, press, solve
@@ -143,12 +143,18 @@ def position_rms(cov: Array) -> Array:
 
 @dataclass(frozen=True)
 class Presses:
-    """k touches of the world's origin by each of n probe samples whose base presses on without rotation."""
+    """k touches of one point by each of n probe samples whose base presses on without rotation.
+
+    At rest, the point is at the world's origin, from where a loose object walks between the touches. At each touch it
+    yields by -c F, where F is the force on the probe and c the compliance of the object.
+    """
 
     ok: Array  #: whether all touches were solved, (n,).
     readings: tuple[Readings, ...]  #: one for each touch.
     places: Array  #: position of the base as the robot reports it [m], (n, k, 3).
-    perturbations: Perturbations  #: of the samples.
+    samples: ProbeSamples  #: the probes.
+    rest: Array  #: rest, yielded: point at rest and displacement from there at each touch [m], (n, k, 3).
+    yielded: Array
 
     @property
     def wrenches(self) -> Array:
@@ -158,7 +164,7 @@ class Presses:
 
 def solve_presses(samples: ProbeSamples, z: Array, fraction: float, phi: Array, ratios: Array, newtons: float,
                   slide: Array, *, aside: Array | None = None, columns: bool = False) -> Presses:  # fmt: skip
-    """Press probes against a fixed point, with about even steps from a fifth of the normal force to all of it.
+    """Press probes against one point of an object, with about even steps from a fifth of the normal force to all of it.
 
     A sliding touch has the given friction ratios. The object drags the touched place along the probe in the mean
     direction of the tangential force, and the base moves accordingly. A sticking touch stays at one material point;
@@ -203,22 +209,31 @@ def solve_presses(samples: ProbeSamples, z: Array, fraction: float, phi: Array, 
         found = replace(found, ok=found.ok & (tangential <= MAX_STICKING_RATIO * found.surface_force[:, 0]))
     solved = [found.take(np.arange(i * n, (i + 1) * n)) for i in range(k)]
     readings = tuple(evaluate_readings(samples, z, touch, free, i, columns) for i, touch in enumerate(solved))
-    places = np.stack([-one.point - samples.robot[:, i] for i, one in enumerate(readings)], axis=1)
-    return Presses(np.all([touch.ok for touch in solved], axis=0), readings, places, samples.perturbations)
+    forces = np.stack([np.einsum("nij,nj->ni", samples.R, touch.force) for touch in solved], axis=1)
+    yielded = -samples.compliance[:, None, None] * forces
+    rest = np.concatenate([np.zeros((n, 1, 3)), np.cumsum(samples.walk, axis=1)], axis=1)
+    places = rest + yielded - np.stack([one.point for one in readings], axis=1) - samples.robot
+    return Presses(np.all([touch.ok for touch in solved], axis=0), readings, places, samples, rest, yielded)
 
 
 def fused_cramer_rao(pressed: Presses, noise: Array, friction: float, moments_only: bool) -> Array:
-    """Return the Cramér–Rao bound of the fixed point of a press, its covariance [m²], (n, 3, 3).
+    """Return the Cramér–Rao bound of the point at rest and of the object's compliance, (n, 4, 4) [m, m/N].
 
-    The unknowns are the point, (s, φ, F) of each touch and the perturbations.
+    The unknowns are the point at the last touch, (s, φ, F) of each touch and the perturbations. The half-normal prior
+    of the compliance counts as a normal one with mean zero, and the bound is that at the compliance of the samples.
 
     Args:
-        pressed: touches with derivatives.
+        pressed: touches with derivatives, of probes and mounts as designed.
         noise: covariance of a reading about the base, (6, 6).
         friction: standard deviation of the tangential over the normal force; 0 for no friction, inf for no prior.
         moments_only: whether only the moments about the base are used.
     """
-    k, perturbations = len(pressed.readings), pressed.perturbations
+    k, samples = len(pressed.readings), pressed.samples
+    perturbations, slots, priors = samples.perturbations, samples.perturbations.slots, samples.perturbations.priors
+    compliance = samples.compliance[:, None, None]
+    on_force = np.ones(perturbations.size)  # Bias and gain change the reading but not the force.
+    for source in {"drift", "gain"} & slots.keys():
+        on_force[slots[source]] = 0.0
     n, count = len(pressed.ok), 3 if friction == 0.0 else 5
     channels = slice(3, 6) if moments_only else slice(0, 6)
     weight = np.linalg.inv(noise[channels, channels])
@@ -230,10 +245,18 @@ def fused_cramer_rao(pressed: Presses, noise: Array, friction: float, moments_on
         H = np.zeros((n, weight.shape[0], size))
         H[:, :, own], H[:, :, shared] = one.J[:, channels, :count], one.D[:, channels]
         C = np.zeros((n, 3, size))
-        C[:, :, :3], C[:, :, own], C[:, :, shared] = -np.eye(3), one.P[:, :, :count], one.Q
-        if "robot" in perturbations.slots:
-            start = shared.start + perturbations.slots["robot"].start + 3 * i
-            C[:, :, start : start + 3] += MM * perturbations.priors["robot_mm"] * np.eye(3)
+        C[:, :, :3], C[:, :, own] = -np.eye(3), one.P[:, :, :count] + compliance * one.J[:, :3, :count]
+        C[:, :, shared] = one.Q + compliance * one.D[:, :3] * on_force
+        if "robot" in slots:
+            start = shared.start + slots["robot"].start + 3 * i
+            C[:, :, start : start + 3] += MM * priors["robot_mm"] * np.eye(3)
+        if "object" in slots:
+            C[:, :, shared.start + slots["object"].start] += priors["object_compliance"] * one.touches.force
+        if "object walk" in slots:
+            for start in range(
+                shared.start + slots["object walk"].start + 3 * i, shared.start + slots["object walk"].stop, 3
+            ):
+                C[:, :, start : start + 3] += MM * priors["object_walk_mm"] * np.eye(3)
         tie = np.einsum("nai,naj->nij", C, C) / SAME_POINT_STD**2
         information += np.einsum("nai,ab,nbj->nij", H, weight, H) + tie
         if count == 5 and math.isfinite(friction):
@@ -241,4 +264,8 @@ def fused_cramer_rao(pressed: Presses, noise: Array, friction: float, moments_on
             information[:, at, at] += 1.0 / (friction * one.touches.surface_force[:, :1]) ** 2
     at = np.arange(shared.start, size)
     information[:, at, at] += 1.0
-    return propagated_covariance(information, np.tile(np.eye(3, size), (n, 1, 1)))
+    wanted = np.eye(4, size)
+    wanted[3] = 0.0
+    if "object" in slots:
+        wanted[3, shared.start + slots["object"].start] = priors["object_compliance"]
+    return propagated_covariance(information, np.tile(wanted, (n, 1, 1)))

@@ -1,6 +1,7 @@
 """Test the derivatives and bounds that `python -m benchmarks coverage` compares the estimators with."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,14 +9,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from benchmarks.coverage import bounds
-from benchmarks.reference_probes import SOURCES, Perturbations, PriorStds
+from benchmarks.reference_probes import PRESS_SOURCES, SOURCES, Perturbations, PriorStds
 from benchmarks.reference_touches import cramer_rao, evaluate_readings, fused_cramer_rao, position_rms, solve_presses
 from probedesign.design import load_design
 from probedesign.probe import build_probe
 from tests.reference.cosserat import solve
 
 MODEL = build_probe(load_design(Path(__file__).parents[2] / "designs/large.toml")).model
-SINGLE = tuple(source for source in SOURCES if source != "robot")
+SINGLE = tuple(source for source in SOURCES if source not in PRESS_SOURCES)
 
 
 def touched(perturbations, z):
@@ -90,10 +91,53 @@ def test_pressing_on_lowers_the_bound_and_moments_alone_need_a_friction_prior():
     assert pressed.ok.all()
     noise = MODEL.noise_base()
     last = position_rms(cramer_rao(pressed.readings[-1], noise, 0.6))
-    every, moments = (position_rms(fused_cramer_rao(pressed, noise, 0.6, only)) for only in (False, True))
+
+    def bound(friction, moments_only):
+        return position_rms(fused_cramer_rao(pressed, noise, friction, moments_only)[:, :3, :3])
+
+    every, moments = bound(0.6, False), bound(0.6, True)
     assert every < moments < 0.5 * last
-    free = position_rms(fused_cramer_rao(pressed, noise, math.inf, True))
+    free = bound(math.inf, True)
     assert not free < 10.0 * moments
+
+
+@pytest.mark.parametrize(("place", "newtons", "expected"), [
+    (0.8, 5e-3, (1.65, 2.6, 7.9)), (0.8, 2e-3, (1.87, 2.8, 8.7)), (0.5, 5e-3, (2.19, 9.2, 11.3)),
+])  # fmt: skip
+def test_bounds_with_an_unknown_compliance_agree_with_an_independent_computation(place, newtons, expected):
+    """The bounds for a rigid object, 20 N/m with a prior of 0.05 m/N, and 5 N/m with a prior of 0.2 m/N.
+
+    The independent computation has one bias for all touches and numbers of two digits.
+    """
+    stated = {"youngs_modulus": 0.03, "diameter_mm": 0.0, "diameter_share": 0.01, "tilt_deg": 0.2, "robot_mm": 0.02,
+              "drift_steps": 0.2, "object_compliance": 1.0}  # fmt: skip
+    sources = ("E", "diameter", "base tilt", "robot", "drift", "object")
+    perturbations = Perturbations.of(MODEL, PriorStds(PriorStds.of(MODEL).by_name | stated).only(sources), 5)
+    phi = np.linspace(-np.pi, np.pi, 4, endpoint=False)
+    z = np.zeros((len(phi), perturbations.size))
+    pressed = solve_presses(perturbations.samples(z), z, place, phi, np.zeros((len(phi), 2)), newtons,
+                            np.zeros(len(phi)), columns=True)  # fmt: skip
+    drift = perturbations.slots["drift"]
+    for one in pressed.readings:
+        one.D[:, :, drift.start + 6 : drift.stop] = 0.0
+    for compliance, rms in zip((0.0, 0.05, 0.2), expected, strict=True):
+        priors = PriorStds(perturbations.priors.by_name | {"object_compliance": compliance})
+        samples = replace(pressed.samples, perturbations=replace(perturbations, priors=priors),
+                          compliance=np.full(len(phi), compliance))  # fmt: skip
+        cov = fused_cramer_rao(replace(pressed, samples=samples), MODEL.noise_base(), 0.6, False)
+        found = np.sqrt(np.mean(position_rms(cov[:, :3, :3]) ** 2))
+        assert_allclose(found, 1e-3 * rms, rtol=0.03)
+        assert (cov[:, 3, 3] <= compliance**2).all()
+
+
+def test_an_object_that_yields_follows_the_force():
+    perturbations = Perturbations.of(MODEL, PriorStds.of(MODEL).only(("object",)), 5)
+    z = perturbations.draw(4, np.random.default_rng(1))
+    pressed = solve_presses(perturbations.samples(z), z, 0.7, np.zeros(4), np.full((4, 2), 0.2), 5e-3, np.zeros(4))
+    compliance = np.abs(z[:, 0]) * PriorStds.of(MODEL)["object_compliance"]
+    for k, one in enumerate(pressed.readings):
+        moved = pressed.places[:, k] + one.point
+        assert_allclose(moved, -compliance[:, None] * one.touches.force, atol=1e-12)
 
 
 @pytest.mark.parametrize("aside", [None, np.full(4, 0.05)], ids=["slides", "sticks"])
