@@ -18,7 +18,6 @@ from probedesign.probe import Probe
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.studio.figures import DesignFigures, DrawnTouch, segment_colours, touched_shape
 from probedesign.studio.session import StudioTouch, knots_of
-from probedesign.web.rigid_parts import rigid_parts
 from probedesign.web.scene import (
     ARROW,
     CONTACT,
@@ -29,6 +28,7 @@ from probedesign.web.scene import (
     UNIT,
     level_rotation,
     quaternion,
+    rigid_parts,
 )
 
 #: Coloured segments of the drawn probe, rings of each, points of a ring: without a GPU, the triangles of the probe take

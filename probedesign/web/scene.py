@@ -1,9 +1,15 @@
-"""What the scenes of `live --view` and of the studio share: scale, colours and rotations."""
+"""What the scenes of `live --view` and the studio share: scale, colours, rotations, and the rigid parts as meshes."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-import viser.transforms as tf
+from numpy.typing import NDArray
 
-from probedesign.core.frames import Array
+from probedesign.core.frames import Array, inverse, is_pose
+from probedesign.core.units import MM
+from probedesign.estimation.model import ProbeModel
 
 UNIT = 20.0  #: Scene units per metre: viser's lights, camera and shadows suit objects of a few units.
 MIN_HALF_AXIS = 0.9e-3  #: Minimum half-axis of the drawn ellipsoid [m], so that it is visible.
@@ -28,4 +34,92 @@ def level_rotation(gravity_base: Array) -> Array:
 
 def quaternion(R: Array) -> Array:
     """Return the quaternion w, x, y, z of a rotation, as viser reads it."""
-    return np.asarray(tf.SO3.from_matrix(R).wxyz, dtype=float)
+    from viser import transforms  # the run itself, which describes the rigid parts, needs no viser
+
+    return np.asarray(transforms.SO3.from_matrix(R).wxyz, dtype=float)
+
+
+EXPORTED = ("sensor_adapter", "clamp_ring", "flange_adapter")
+MAX_FACETS = 200_000
+#: A triangle of a binary STL file.
+RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+PREAMBLE = 84  #: Bytes before the first triangle: 80 of header, and their number.
+CYLINDER_SIDES = 48
+
+
+@dataclass(frozen=True)
+class RigidPart:
+    """A rigid part that moves with the base."""
+
+    name: str  #: name of the part.
+    vertices: Array  #: points in base axes [m], (i, 3).
+    faces: NDArray[np.integer]  #: triangles, (j, 3).
+
+
+def rigid_parts(model: ProbeModel, folder: Path) -> tuple[list[RigidPart], str]:
+    """Return sensor, adapters and the probe's flange, and a note on them, from the folder of the exported parts."""
+    flange, T_base = model.flange, np.eye(4)
+    sensor = _cylinder("sensor", model.sensor_d, -model.sensor_height, 0.0, inverse(model.T_sensor_base))
+    plain = [sensor, _cylinder("flange", flange.diameter, -flange.thickness, 0.0, T_base)]
+    try:
+        return plain + _exported(model, folder), ""
+    except FileNotFoundError:
+        why = "there is no manifest.json"
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        why = " ".join(str(error).split()) or "unreadable"
+    bottom = float(inverse(model.T_sensor_base)[2, 3])
+    adapter = _cylinder("adapter", flange.diameter, bottom, -flange.thickness, T_base)
+    return [*plain, adapter], f"parts of {folder}: {why}; plain cylinders are drawn instead"
+
+
+def _exported(model: ProbeModel, folder: Path) -> list[RigidPart]:
+    """Return the printed parts, in base axes."""
+    manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    if manifest["fingerprint"] != model.fingerprint:
+        raise ValueError(f"they belong to probe {manifest['fingerprint']}, not {model.fingerprint}")
+    T_base_sensor = inverse(model.T_sensor_base)
+    parts = []
+    for name in EXPORTED:
+        T = np.asarray(manifest["parts"][name]["T_sensor_part"], dtype=float)
+        if not is_pose(T):
+            raise ValueError(f"the manifest has an invalid pose of {name}")
+        parts.append(_placed(name, read_stl(folder / f"{name}.stl"), T_base_sensor @ T))
+    return parts
+
+
+def read_stl(path: Path) -> Array:
+    """Return the corners of a binary STL's triangles [m], (j, 3, 3); the file is in millimetres.
+
+    Raises:
+        OSError: there is no such file.
+        ValueError: it is not a binary STL.
+    """
+    with path.open("rb") as file:
+        content = file.read(PREAMBLE + MAX_FACETS * RECORD.itemsize + 1)
+    count = int.from_bytes(content[80:PREAMBLE], "little")
+    if len(content) != PREAMBLE + count * RECORD.itemsize or not 0 < count <= MAX_FACETS:
+        raise ValueError(f"{path.name} is not a binary STL")
+    corners = np.frombuffer(content, RECORD, offset=PREAMBLE)["corners"].astype(float) * MM
+    if not np.isfinite(corners).all():
+        raise ValueError(f"{path.name} has a non-finite corner")
+    return corners
+
+
+def _placed(name: str, corners: Array, T: Array) -> RigidPart:
+    vertices, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    return RigidPart(name, vertices @ T[:3, :3].T + T[:3, 3], faces.reshape(-1, 3))
+
+
+def _cylinder(name: str, diameter: float, low: float, high: float, T: Array) -> RigidPart:
+    """Return a cylinder along z from low to high [m]."""
+    angle = np.linspace(0.0, 2.0 * np.pi, CYLINDER_SIDES, endpoint=False)
+    a = 0.5 * diameter * np.stack([np.cos(angle), np.sin(angle), np.zeros(CYLINDER_SIDES)], axis=1)
+    b = np.roll(a, -1, axis=0)
+    down, up = np.array([0.0, 0.0, low]), np.array([0.0, 0.0, high])
+    corners = [
+        np.stack([a + down, b + down, b + up], axis=1),
+        np.stack([a + down, b + up, a + up], axis=1),
+        np.stack([b + down, a + down, np.tile(down, (CYLINDER_SIDES, 1))], axis=1),
+        np.stack([a + up, b + up, np.tile(up, (CYLINDER_SIDES, 1))], axis=1),
+    ]
+    return _placed(name, np.concatenate(corners), T)

@@ -16,7 +16,7 @@ from probedesign.design.io import render_design, write_design
 from probedesign.design.sensor_catalog import FILES, SENSORS, load_sensor
 from probedesign.frozen_probe import load_model, write_frozen
 from probedesign.probe import build_probe
-from probedesign.web.rigid_parts import rigid_parts
+from probedesign.web.scene import rigid_parts
 
 DESIGN = """\
 schema = 1

@@ -23,7 +23,7 @@ from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.view.page import events_html, status_html
 from probedesign.live.view.sinks import TerminalView, scene_setup, table_of
 from probedesign.live.view.state import MAX_EVENTS, STRIP, Event, Snapshot, StatusLine, StripCharts, ViewState
-from probedesign.web.rigid_parts import RECORD, read_stl, rigid_parts
+from probedesign.web.scene import RECORD, read_stl, rigid_parts
 
 
 def bent(estimator):

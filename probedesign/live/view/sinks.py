@@ -21,7 +21,7 @@ from probedesign.live import Log
 from probedesign.live.processing.commands import MAX_NOTE, CommandName, CommandQueue
 from probedesign.live.view.state import Counts, Level, RecordingState, SceneSetup, Snapshot, ViewState, not_recording
 from probedesign.web import LOOPBACK
-from probedesign.web.rigid_parts import rigid_parts
+from probedesign.web.scene import rigid_parts
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -17,7 +17,7 @@ from probedesign.geometry.tube import BentShape, TubeMesh
 from probedesign.live.blocks import Block
 from probedesign.live.outputs.sinks import Sink
 from probedesign.live.processing.estimates import ContactMarker, EstimateUpdate, bent_shape, contact_marker
-from probedesign.web.rigid_parts import RigidPart
+from probedesign.web.scene import RigidPart
 
 Level = Literal["good", "fair", "bad", "plain"]
 
