@@ -144,6 +144,7 @@ FIELDS = (
     Field("rod.finite_strain", "rod.finite_strain", _read_flag),
     Field("rod.shear_coefficient", "rod.shear_coefficient", NUMBER),
     Field("rod.rounded_from_m", "rod.rounded_from", NUMBER, optional=True),
+    Field("rod.rest_curvature_1_m", "rod.rest_curvature", _array(), optional=True),  # `Rod` checks the shape
     Field("flange.diameter_m", "flange.diameter", NUMBER),
     Field("flange.thickness_m", "flange.thickness", NUMBER),
     *(

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.notebook import Displayed
+from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.geometry import ProbeGeometry
 from probedesign.geometry.mass import MassProperties, flexible_part
@@ -54,7 +55,12 @@ class Probe(Displayed):
     @property
     def p_base_com(self) -> Array:
         """Return the centre of mass of the undeformed flexible part in the base frame [m], (3,)."""
-        return self.body.p_com
+        if self.rod.rest_curvature is None:
+            return self.body.p_com
+        sensitivity = self.rod.solve(columns="all").sensitivity  # without load, gravity g makes the moment p × m g
+        assert sensitivity is not None
+        by_gravity = sensitivity.d_moment[:, 7:10] / self.mass
+        return np.array([by_gravity[2, 1], by_gravity[0, 2], by_gravity[1, 0]])
 
     @cached_property
     def rod(self) -> "Rod":
@@ -65,7 +71,11 @@ class Probe(Displayed):
         """Return the rod with that root compliance in base radii; 0 is the rod of the paper (decision 0006)."""
         from probedesign.rod.rod import Rod
 
-        d = self.design
+        d, bow = self.design, self.design.probe.bow_mm
+        curved = None
+        if bow is not None:  # towards x is +κ about y, towards y -κ about x; the tip deviates by κ L²/2
+            u = 2.0 * MM / self.length**2 * np.array([-bow[1], bow[0], 0.0])
+            curved = np.tile(u, (len(self.geometry.s), 1))
         return Rod(
             s=self.geometry.s,
             radius=self.geometry.radius,
@@ -77,6 +87,7 @@ class Probe(Displayed):
             factors=self.geometry.cross_section.factors,
             finite_strain=root_rigid_radii != 0.0 and self.geometry.cross_section.full_round,
             rounded_from=self.geometry.rounded_from,
+            rest_curvature=curved,
         )
 
     @cached_property

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING
 
 from probedesign.cli.console import plural, print_json
 from probedesign.cli.options import DesignFile, JsonOutput
+from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, exports_of
 
 if TYPE_CHECKING:
+    from probedesign.design.edit import Change
     from probedesign.identification.measured_diameters import CouponScale
 
 
@@ -40,15 +42,17 @@ def coupon(design: DesignFile, /, *, out: Path | None = None, as_json: JsonOutpu
 
 def measured(
     design: DesignFile,
-    calipers: Path,
+    calipers: Path | None = None,
     /,
     *,
+    bow_mm: tuple[float, float] | None = None,
+    bow_std_mm: float = 0.2,
     calipers_std_mm: float = 0.02,
     out: Path | None = None,
     force: bool = False,
     as_json: JsonOutput = False,
 ) -> None:
-    """Write diameters measured with calipers and their uncertainty into a design, whose error budget shrinks.
+    """Write what was measured on a print, diameters or the bow, into its design, whose error budget shrinks.
 
     The sheet of a coupon, coupon.csv, gives the scale of the next print instead: scale_xy of [print].
 
@@ -56,6 +60,9 @@ def measured(
         design: the design file, or its name.
         calipers: CSV file with the columns s_mm, diameter_mm and std_mm, or coupon.csv (docs/parts.md); `coupon` writes
             both, empty.
+        bow_mm: deviation of the unloaded tip from the axis of the base towards x, the clocking mark, and towards y
+            [mm], instead of calipers.
+        bow_std_mm: standard deviation of that measurement in each direction [mm]; assumed: a photograph of a thin tip.
         calipers_std_mm: standard deviation of the error that all readings share [mm].
         out: write a changed copy of the design to this file instead.
         force: replace tolerances that were set before, or the file of --out, which is kept as FILE.old.
@@ -65,6 +72,7 @@ def measured(
     from probedesign.design import load_design
     from probedesign.identification.design_update import write_changes
     from probedesign.identification.measured_diameters import (
+        bow_changes,
         diameter_changes,
         fit_scale,
         is_coupon_sheet,
@@ -75,13 +83,18 @@ def measured(
 
     if out is not None:
         check_overwrite(out, force)
-    start = load_design(design)
+    start, day = load_design(design), date.today().isoformat()
+    if (calipers is None) == (bow_mm is None):
+        raise InputError("give a table of measured diameters, or the bow with --bow-mm X Y, one after the other")
+    if bow_mm is not None:
+        _write_bow(design, bow_changes(start, bow_mm, bow_std_mm, day), out, force, as_json)
+        return
+    assert calipers is not None
     if is_coupon_sheet(calipers):
         scale = fit_scale(*read_coupon(calipers, start.resin.name), calipers_std_mm)
         _write_scale(design, scale, out, force, as_json)
         return
     diameters = pipeline.measure(start, read_calipers(calipers, start), calipers_std_mm)
-    day = date.today().isoformat()
     changes = diameter_changes(diameters, start, day)
     path, kept = write_changes(design, changes, day, out, force)
     fingerprint = build_geometry(load_design(path)).fingerprint
@@ -109,6 +122,24 @@ def measured(
             f"was widened {diameters.prior_scale:.1f} times. Check the calipers, or print a coupon for scale_xy"
         )
     print(f"  the geometry is now {fingerprint}: deploy the probe again, with this design")
+    if kept is not None:
+        print(f"kept the former {out} as {kept}")
+
+
+def _write_bow(design: Path, changes: "tuple[Change, ...]", out: Path | None, force: bool, as_json: bool) -> None:
+    """Write the measured bow of a print."""
+    from probedesign.design import load_design
+    from probedesign.identification.design_update import write_changes
+
+    path, kept = write_changes(design, changes, date.today().isoformat(), out, force)
+    written = load_design(path)
+    bow, std = written.probe.bow_mm, written.tolerances.bow_mm
+    if as_json:
+        print_json({"bow_mm": bow, "bow_std_mm": std, "changes": changes, "design_written": path, "design_kept": kept})
+        return
+    x, y = bow or (0.0, 0.0)
+    print(f"wrote {path}: the tip is {x:g} mm off towards x and {y:g} mm towards y, ± {std:g} mm")
+    print("  deploy the probe again, with this design; the parts and their fingerprint stay")
     if kept is not None:
         print(f"kept the former {out} as {kept}")
 

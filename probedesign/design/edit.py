@@ -16,7 +16,7 @@ from probedesign.design.io import COMMENT_COLUMN, check_design, material_keys, p
 from probedesign.design.schema import Design
 
 #: Keys of `[tolerances]` that `measured` writes for one print.
-_OF_A_PRINT = ("diameter_mm", "diameter_share", "diameter_scatter_mm")
+_OF_A_PRINT = ("diameter_mm", "diameter_share", "diameter_scatter_mm", "bow_mm")
 #: Keys that state what was measured of one resin and how well it is known, by table.
 _OF_A_RESIN = {
     "material": ("identified_tests", "stiffness_spread", "creep_spread"),
@@ -78,7 +78,8 @@ def as_new_print(tables: dict[str, Any], before: Mapping[str, Any] | None = None
         return tables
     former = tolerances if before is None else before.get("tolerances", {})
     kept = {k: v for k, v in tolerances.items() if k not in _OF_A_PRINT or v != former.get(k)}
-    return {**tables, "probe": {k: v for k, v in probe.items() if k != "measured"}, "tolerances": kept}
+    as_drawn = {k: v for k, v in probe.items() if k not in ("measured", "bow_mm")}
+    return {**tables, "probe": as_drawn, "tolerances": kept}
 
 
 @dataclass(frozen=True)

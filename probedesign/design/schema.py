@@ -70,8 +70,9 @@ class ProbeTable(Table):
     bore_ratio: BoreRatio | None = None
     flatness: Flatness | None = None
     base_fillet_mm: Annotated[float, Field(ge=0.2, le=5.0)] | None = None
+    bow_mm: Annotated[tuple[float, float] | None, FromArray] = None
     assumed: Annotated[tuple[str, ...], FromArray] = ()
-    measured: Annotated[tuple[Literal["base_d_mm", "tip_d_mm", "profile_mm"], ...], FromArray] = ()
+    measured: Annotated[tuple[Literal["base_d_mm", "tip_d_mm", "profile_mm", "bow_mm"], ...], FromArray] = ()
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -99,6 +100,10 @@ class ProbeTable(Table):
         self._check_section()
         self._check_tip()
         self._check_fillet()
+        if self.bow_mm is not None and not math.hypot(*self.bow_mm) < self.length_mm:
+            raise Inconsistent(
+                "bow_mm", f"= {list(self.bow_mm)} must be smaller than the length of the probe, {self.length_mm:g} mm"
+            )
         return self
 
     def _check_profile(self) -> None:

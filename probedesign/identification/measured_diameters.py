@@ -161,7 +161,7 @@ def fit_diameters(
             design has measured diameters already: as a prior, they would count their readings and the calipers' error
             twice.
     """
-    if design.probe.measured:
+    if set(design.probe.measured) - {"bow_mm"}:
         raise InputError(
             f"{design.name}: its diameters are measured already; put all readings of the print into one table and "
             "apply it to the design as drawn, whose values the file keeps as comments"
@@ -251,7 +251,7 @@ def diameter_changes(found: MeasuredDiameters, design: Design, day: str) -> tupl
         pairs = [[float(s), d] for s, d in zip(found.s, mean, strict=True)]
         values["profile_mm"] = (json.dumps(pairs), note.format(found.std.max()))
     changes = [Change("probe", key, text, comment) for key, (text, comment) in values.items()]
-    changes.append(Change("probe", "measured", json.dumps(list(values)), "dimensions measured on the print"))
+    changes.append(_measured(design, *values))
     if set(probe.assumed) & set(values):
         kept = [key for key in probe.assumed if key not in values]
         changes.append(Change("probe", "assumed", json.dumps(kept)))
@@ -268,6 +268,38 @@ def diameter_changes(found: MeasuredDiameters, design: Design, day: str) -> tupl
         because = f"changed {day} with the base diameter, to the power {power:g}; identify again"
         changes.append(Change("material", "youngs_modulus_mpa", f"{E:.4g}", because))
     return tuple(changes)
+
+
+def bow_changes(design: Design, bow_mm: tuple[float, float], std_mm: float, day: str) -> tuple[Change, ...]:
+    """Return the changes of a design by the measured bow of a print.
+
+    Args:
+        design: that was measured.
+        bow_mm: deviation of the unloaded tip from the axis of the base, towards x and y [mm].
+        std_mm: standard deviation of the measurement, in each direction [mm].
+        day: for the comments.
+
+    Raises:
+        InputError: the bow is not smaller than the length, or the standard deviation is not one.
+    """
+    length = design.probe.length_mm
+    if not math.hypot(*bow_mm) < length:
+        x, y = bow_mm
+        raise InputError(f"--bow-mm {x:g} {y:g} must be a deviation smaller than the length, {length:g} mm")
+    if not 0.0 <= std_mm < length:
+        raise InputError(f"--bow-std-mm {std_mm:g} is a standard deviation; it must lie in 0 ... {length:g}")
+    note = f"measured {day}"
+    return (
+        Change("probe", "bow_mm", json.dumps(list(bow_mm)), f"{note}: deviation of the tip towards x and y"),
+        _measured(design, "bow_mm"),
+        Change("tolerances", "bow_mm", f"{std_mm:g}", f"{note}: standard deviation of the measurement"),
+    )
+
+
+def _measured(design: Design, *keys: str) -> Change:
+    """Return the change of the list of what was measured on the print."""
+    values = list(dict.fromkeys((*design.probe.measured, *keys)))
+    return Change("probe", "measured", json.dumps(values), "measured on the print")
 
 
 # the scale of the next print, from a coupon that was printed unscaled

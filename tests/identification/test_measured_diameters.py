@@ -9,8 +9,10 @@ from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.design import Design, load_design, parse_design
+from probedesign.design.edit import as_new_print, tables_of
 from probedesign.design.io import render_design, write_design
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.frozen_probe import _model_of, freeze
 from probedesign.identification.measured_diameters import (
     PRINT_SCALE_STD,
     Calipers,
@@ -251,3 +253,61 @@ def test_identified_E_keeps_the_measured_stiffness(tmp_path: Path) -> None:
     changed = load_design(path)
     d = changed.probe.base_d_mm
     assert d > 12.03 and changed.youngs_modulus.value * d**4 == pytest.approx(2e6 * 12.0**4, rel=1e-3)
+
+
+def test_a_measured_bow_bends_rod_and_frozen_probe_and_leaves_the_error_of_measuring(tmp_path: Path) -> None:
+    path = tmp_path / "p.toml"
+    path.write_text(f'schema = 1\nname = "p"\n[probe]\n{CONE}\n')
+    assert run(["measured", str(path), "--bow-mm", "1.5", "-0.8"]) == 0
+    design = load_design(path)
+    assert (design.probe.bow_mm, design.probe.measured, design.tolerances.bow_mm) == ((1.5, -0.8), ("bow_mm",), 0.2)
+    probe = build_probe(design)
+    loaded = _model_of(freeze(probe.model))
+    for rod in (probe.rod, loaded.rod):
+        # The arc's rise is κ L²/2 but for (2 w/L)²/12 of it.
+        np.testing.assert_allclose(rod.solve().p_at(0.15)[:2], [1.5e-3, -0.8e-3], rtol=1e-4)
+    assert loaded.tolerances is not None and loaded.tolerances.bow_mm == 0.2
+    # What is printed is as drawn.
+    assert probe.geometry.fingerprint == build_geometry(design_of()).fingerprint
+
+
+def test_the_mass_of_a_bent_print_lies_along_its_arc() -> None:
+    straight, bent = (build_probe(design_of(CONE + more)) for more in ("", "\nbow_mm = [3.0, -1.0]"))
+    s = np.linspace(0.0, 0.15, 20_001)
+    area = np.interp(s, [0.0, 0.15], [6e-3, 1e-3]) ** 2
+    # On an arc x is κ s²/2 but for (κ s)²/12 of it, z is s but for (κ s)²/6 of it: 1e-4 with κ L = 0.042.
+    aside = (area @ s**2) / area.sum() / 0.15**2
+    np.testing.assert_allclose(bent.p_base_com[:2], [3e-3 * aside, -1e-3 * aside], rtol=3e-4)
+    assert np.isclose(bent.p_base_com[2], straight.p_base_com[2], rtol=3e-4) and bent.mass == straight.mass
+
+
+def test_a_bow_that_is_measured_again_replaces_the_former_on_request_and_stays_beside_diameters(tmp_path: Path) -> None:
+    path, calipers = tmp_path / "p.toml", tmp_path / "calipers.csv"
+    path.write_text(f'schema = 1\nname = "p"\n[probe]\n{CONE}\n')
+    calipers.write_text("s_mm,diameter_mm,std_mm\n10,11.35,\n140,2.7,\n")
+    assert run(["measured", str(path), "--bow-mm", "1.5", "-0.8", "--bow-std-mm", "0.3"]) == 0
+    assert run(["measured", str(path), str(calipers)]) == 0
+    assert run(["measured", str(path), "--bow-mm", "1", "0"]) == 2
+    assert run(["measured", str(path), "--bow-mm", "1", "0", "--force"]) == 0
+    probe = load_design(path).probe
+    assert probe.bow_mm == (1.0, 0.0) and probe.measured == ("bow_mm", "base_d_mm", "tip_d_mm")
+    tables = as_new_print(tables_of(load_design(path)))
+    assert "bow_mm" not in tables["probe"] and "bow_mm" not in tables["tolerances"]
+
+
+BAD_BOWS = [
+    (["--bow-mm", "nan", "0"], "smaller than the length"), (["--bow-mm", "150", "0"], "smaller than the length"),
+    (["--bow-mm", "1", "0", "--bow-std-mm", "-0.1"], "--bow-std-mm -0.1"), ([], "--bow-mm X Y"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("options", "message"), BAD_BOWS)
+def test_a_bow_that_is_none_is_refused_in_one_line(
+    options: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "p.toml"
+    path.write_text(f'schema = 1\nname = "p"\n[probe]\n{CONE}\n')
+    before = path.read_bytes()
+    assert run(["measured", str(path), *options]) == 2
+    error = capsys.readouterr().err.strip()
+    assert message in error and "\n" not in error and path.read_bytes() == before
