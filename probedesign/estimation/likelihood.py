@@ -254,7 +254,8 @@ def locate_at_rounded_tip(problem: Problem) -> Candidate | None:
     """Locate the touch of the round end that explains a reading best.
 
     The normals of a sphere all meet at its centre. So a push on the round end acts on the axis there but for its
-    friction, which turns it by up to atan μ about the touched point: it then passes the centre at μ R. Instead of the
+    friction, which turns it by up to atan μ about the touched point: it then passes the centre at μ R. The round end of
+    an elliptic probe is half an ellipsoid, where the push has a couple about the centre besides. Instead of the
     arclength its lean is unknown, from the flank's own to straight along the axis.
 
     Args:
@@ -263,7 +264,7 @@ def locate_at_rounded_tip(problem: Problem) -> Candidate | None:
     Returns:
         The place; None if the probe cannot be pushed so, or the force would not point into the round end.
     """
-    rod, gravity = problem.sources.model.rod, problem.seen.gravity
+    rod = problem.sources.model.rod
     s, R = _sphere(rod)
     lean = R * min(problem.friction, MAX_FRICTION)
     fit = _fit_force(problem, s, lean)
@@ -271,8 +272,10 @@ def locate_at_rounded_tip(problem: Problem) -> Candidate | None:
         return None
     eq, force = fit.eq, fit.force
     cov_force, size = np.linalg.inv(fit.J.T @ fit.J), float(np.linalg.norm(force))
-    t = eq.R_at(s)[:, 2]
-    tilt = float(force @ t) + size * math.sin(math.atan(rod.taper_at(rod.flank_end)))
+    axes = eq.R_at(s)
+    t, (x, y, _) = axes[:, 2], force @ axes
+    reach = math.hypot(x, rod.flatness * y) / max(math.hypot(x, y), 1e-300)
+    tilt = float(force @ t) + size * math.sin(math.atan(rod.taper_at(rod.flank_end) * reach))
     if size == 0.0 or tilt > _LEANING * math.sqrt(float(t @ cov_force @ t)) + lean / R * size:
         return None
     by_force = fit.sensitivity.d_position[:, :3]
@@ -284,7 +287,7 @@ def locate_at_rounded_tip(problem: Problem) -> Candidate | None:
         s_contact=s,
         std_s=std_s,
         p_contact_base=eq.p_contact_base,
-        p_surface_base=eq.p_contact_base + R * out,
+        p_surface_base=eq.p_contact_base + _round_arm(rod, axes, force, R),
         force_base=force,
         cov_contact_base=cov_contact,
         cov_surface_base=cov_contact + lean**2 * (np.eye(3) - np.outer(out, out)),
@@ -293,8 +296,17 @@ def locate_at_rounded_tip(problem: Problem) -> Candidate | None:
         chi2=float(fit.r @ fit.r),
         dof=ROUNDED_TIP_DOF,
         lever=float(np.linalg.norm(fit.sensitivity.d_moment[:, 3])) / size,
-        shape=lambda: rod.solve(gravity, force, s, guess=eq.tip),
+        shape=lambda: eq,
     )
+
+
+def _round_arm(rod: Rod, axes: Array, force: Array, radius: float) -> Array:
+    """Return the vector from the centre of the round end to its point whose normal is against a force [m], (3,).
+
+    Of the ellipsoid with the semi-axes D = diag(R, f R, R) in section axes, it is D² n/|D n|.
+    """
+    semi_axes, n = radius * np.array([1.0, rod.flatness, 1.0]), -(force @ axes)
+    return np.asarray(axes @ (semi_axes**2 * n) / max(float(np.linalg.norm(semi_axes * n)), 1e-300))
 
 
 def _fit_force(problem: Problem, s: float, lean: float) -> _ForceFit | None:
@@ -305,18 +317,24 @@ def _fit_force(problem: Problem, s: float, lean: float) -> _ForceFit | None:
     """
     rod, seen = problem.sources.model.rod, problem.seen
     force, tip, moved, whiten = seen.force, None, math.inf, None
+    couple, by_force = np.zeros(3), np.zeros((3, 3))
     for _ in range(_FORCE_ITERATIONS):
-        eq = rod.solve(seen.gravity, force, s, guess=tip, columns="contact")
+        eq = rod.solve(seen.gravity, force, s, couple=couple, guess=tip, columns="contact")
         if not eq.ok or eq.sensitivity is None:
             return None
         if whiten is None:  # the error sources are taken at the first guess
             whiten = statistics.whiten(_covariance(problem, s, lean, force, eq, eq.sensitivity))
         r = whiten @ (eq.wrench_base - seen.wrench)
-        J = whiten @ eq.sensitivity.d_wrench[:, :3]
+        J = whiten @ (eq.sensitivity.d_wrench[:, :3] + eq.sensitivity.d_wrench[:, 4:7] @ by_force)
         if moved < _FORCE_CLOSE:
             return _ForceFit(eq, eq.sensitivity, force, r, J)
         step = -np.linalg.lstsq(J, r, rcond=None)[0]
         force, tip, moved = force + step, eq.tip, float(np.linalg.norm(J @ step))
+        if rod.flatness != 1.0:  # the couple in the axes of the section as it was, which converges with it
+            axes, radius, h = eq.R_at(s), rod.length - s, 1e-6 * max(float(np.linalg.norm(force)), 1e-300)
+            couple = np.cross(_round_arm(rod, axes, force, radius), force)
+            there = [np.cross(_round_arm(rod, axes, force + d, radius), force + d) for d in h * np.eye(3)]
+            by_force = (np.array(there).T - couple[:, None]) / h
     return None
 
 

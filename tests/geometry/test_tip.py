@@ -126,6 +126,31 @@ def test_a_touch_of_the_round_end_is_located_at_the_centre_of_its_sphere(
         assert found.ok and abs(found.s_contact - s) < 3.0 * found.std_s
 
 
+@pytest.mark.parametrize("lean_deg", [30.0, 60.0])
+@pytest.mark.parametrize("side_deg", [20.0, 90.0, 140.0])
+def test_a_touch_of_the_round_end_of_an_elliptic_probe_is_located_on_its_ellipsoid(
+    side_deg: float, lean_deg: float
+) -> None:
+    """The push acts where the ellipsoid with the semi-axes R, f R, R has its direction as normal."""
+    probe = build_probe(design_of(**STUBBY, section="elliptic", flatness=0.6))
+    s, side, lean = 1e-3 * sphere(STUBBY)[0], math.radians(side_deg), math.radians(lean_deg)
+    inward = -np.array([math.cos(lean) * math.cos(side), math.cos(lean) * math.sin(side), math.sin(lean)])
+    semi_axes = (probe.length - s) * np.array([1.0, 0.6, 1.0])
+    arm = -(semi_axes**2) * inward / np.linalg.norm(semi_axes * inward)
+    eq = probe.rod.solve(probe.model.gravity_base)
+    for _ in range(60):  # the push turns with the bent tip
+        R = eq.R_at(s)
+        push = 0.04 * R @ inward
+        eq = probe.rod.solve(probe.model.gravity_base, push, s, couple=np.cross(R @ arm, push))
+        assert eq.ok
+    found = probe.estimator().estimate(eq.wrench_base)
+    (end,) = (c for c in found.candidates if abs(c.s_contact - s) < 1e-9)
+    assert found.result in ("ok", "ambiguous")
+    assert end.force_base == pytest.approx(push, abs=1e-5)
+    # The search ends within a thousandth of a standard deviation, of a hundredth of a millimetre or so.
+    assert end.p_surface_base == pytest.approx(eq.p_contact_base + R @ arm, abs=1e-5)
+
+
 def test_a_load_beyond_the_flank_is_no_touch() -> None:
     """The line of action passes the centre at nearly the radius, which needs friction far beyond the prior."""
     probe = build_probe(design_of())
