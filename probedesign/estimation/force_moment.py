@@ -53,7 +53,8 @@ _CLOSE = 1e-10  # of the length: a hundredth of a nanometre on a long probe
 
 def _stations(rod: Rod, force: Array) -> int:
     thinnest = float(rod.radius[rod.s <= rod.flank_end].min())
-    stiffness = rod.youngs_modulus * math.pi / 4.0 * float(rod.radius[0]) ** 3 * thinnest
+    softer_axis = min(rod.factors[1:3])
+    stiffness = softer_axis * rod.youngs_modulus * math.pi / 4.0 * float(rod.radius[0]) ** 3 * thinnest
     bend = math.sqrt(force @ force) * rod.length**2 / stiffness
     return next((count for most, count in LIGHT if bend < most), STATIONS)
 

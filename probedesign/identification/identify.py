@@ -142,11 +142,13 @@ def _measured(test: Test, campaign: Campaign, common: CommonParameters) -> Measu
     )  # fmt: skip
     model, n = common.model, len(test.wrenches)
     if measured.touched and np.isfinite(test.s_contact):
-        # The touched section, without friction r tan α nearer to the tip than where the force's line meets the axis.
-        # Friction, whose direction is not known beforehand, moves the line by up to μ r.
+        # The touched section, without friction r g tan α nearer to the tip than where the force's line passes the axis,
+        # g how far the outline reaches in the direction of the push. Friction, whose direction is not known beforehand,
+        # moves the line by up to μ r.
         s = min(test.s_contact, model.rod.length)
         radius, friction = float(model.rod.radius_at(s)), min(model.friction, 1.0)
-        section = min(s + radius * float(model.rod.taper_at(s)), model.rod.flank_end)
+        reach = model.rod.flatness if test.direction in ("+y", "-y") else 1.0
+        section = min(s + radius * reach**2 * float(model.rod.taper_at(s)), model.rod.flank_end)
         measured = replace(measured, s_contact=section, std_s=math.hypot(measured.std_s, friction * radius))
     if n:
         noise = model.noise_base()
