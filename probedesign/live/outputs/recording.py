@@ -17,7 +17,7 @@ from probedesign.core.errors import InputError, ProbeDesignError
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.blocks import Block
-from probedesign.live.outputs.sinks import Sink
+from probedesign.live.outputs.sinks import Sink, SinkGroup
 from probedesign.live.poses.base_poses import TimedPose
 from probedesign.live.priority import yield_to_estimates
 from probedesign.live.processing.estimates import EstimateUpdate
@@ -240,7 +240,7 @@ class SplitLimits:
         return cls(1e6 * (megabytes or math.inf), 60.0 * (minutes or math.inf))
 
 
-class RecordingSink(Sink):
+class RecordingSink(SinkGroup):
     """Sink that records between `start` and `stop`, to a new file each time; no file is ever overwritten unasked."""
 
     def __init__(
@@ -262,6 +262,7 @@ class RecordingSink(Sink):
             metadata: additional metadata of an MCAP file.
             limits: when a recording continues in a new file.
         """
+        super().__init__()  # with the writer as its only sink while it records
         self._named = path or DEFAULT_FOLDER / f"{model.name}-{datetime.now():%Y%m%d-%H%M%S}.mcap"
         self._model, self._log, self._metadata = model, log, metadata or {}
         self._force, self._limits = force and path is not None, limits
@@ -297,6 +298,7 @@ class RecordingSink(Sink):
         self._paths = []
         file = self._open_next()
         self._current = BackgroundWriter(file, str(self._paths[0]), self._log, next_file=self._next_file)
+        self.add(self._current)
         return f"recording to {self.path}"
 
     def _open_next(self) -> RecordingFile:
@@ -327,7 +329,7 @@ class RecordingSink(Sink):
         """
         if self._current is None:
             raise InputError("no recording is active")
-        writer, self._current = self._current, None
+        writer, self._current, self._sinks = self._current, None, []
         writer.close()
         if self._first_lock is not None:
             os.close(self._first_lock)
@@ -336,26 +338,6 @@ class RecordingSink(Sink):
         files = f"{last}" if first == last else f"{first} ... {last.name}"
         early = f"; it ended early: {writer.failure}" if writer.failure else ""
         return f"recorded {writer.readings} readings to {files}{early}"
-
-    def on_samples(self, block: Block) -> None:
-        """Record readings; see `Sink`."""
-        if self._current is not None:
-            self._current.on_samples(block)
-
-    def on_estimate(self, update: EstimateUpdate) -> None:
-        """Record an estimate; see `Sink`."""
-        if self._current is not None:
-            self._current.on_estimate(update)
-
-    def on_pose(self, pose: TimedPose) -> None:
-        """Record a pose of the base; see `Sink`."""
-        if self._current is not None:
-            self._current.on_pose(pose)
-
-    def on_event(self, time: float, line: str) -> None:
-        """Record an event; see `Sink`."""
-        if self._current is not None:
-            self._current.on_event(time, line)
 
     def close(self) -> None:
         """Close the current file, if any, and report it."""
