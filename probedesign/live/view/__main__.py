@@ -25,8 +25,7 @@ def main() -> None:
             back.flush()
 
     try:
-        from probedesign.live.view.page import ViewerPage
-        from probedesign.live.view.style import SCRIPT, STYLE
+        from probedesign.live.view.page import SCRIPT, STYLE, ViewerPage
         from probedesign.web.guard import protect
 
         setup = pickle.load(sys.stdin.buffer)
