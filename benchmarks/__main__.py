@@ -9,7 +9,7 @@ from benchmarks.timing import print_machine
 #: Benchmarks by module. Each is imported when it runs, because worker processes import this module again.
 PARTS = ("rod", "start", "install", "estimation", "detection", "prints", "identify", "pictured", "validation",
          "planning", "prediction", "table1", "optimisation", "sweep", "export", "live", "recording", "view",
-         "studio", "day", "explore", "clamp", "coverage")  # fmt: skip
+         "studio", "day", "explore", "clamp", "compliance", "coverage")  # fmt: skip
 
 
 def main(arguments: list[str]) -> int:

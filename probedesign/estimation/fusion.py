@@ -21,7 +21,14 @@ from probedesign.core.statistics import MISFIT_CHANCE, RIVAL_CHI2, UNIFORM_STD, 
 from probedesign.estimation.error_sources import ErrorSources, across
 from probedesign.estimation.estimate import Candidate, FusedEstimate, Result
 from probedesign.estimation.force_moment import Problem, closest_approaches, equal_moments
-from probedesign.estimation.fusion_state import COMMON_FRICTION, FusionState, PointConstraint, dof_of
+from probedesign.estimation.fusion_state import (
+    PRESSED_FRICTION,
+    SINGLE_FRICTION,
+    FusionState,
+    PointConstraint,
+    creep_since,
+    dof_of,
+)
 from probedesign.estimation.likelihood import locate
 from probedesign.estimation.model import Observation, ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
@@ -109,8 +116,7 @@ class Fusion:
     priors: Tolerances  #: standard deviations of the error sources.
     channels: Array  #: what of a wrench at the base counts, (m, 6): see `channels_of`.
     gravity_world: Array  #: gravity in the world [m/s²], (3,).
-    #: share of the friction ratio's variance that all touches have in common, below 1.
-    common_friction: float = COMMON_FRICTION
+    friction_parts: tuple[float, float] = PRESSED_FRICTION  #: see there; a single pose has `SINGLE_FRICTION`.
 
     @property
     def moments_only(self) -> bool:
@@ -170,7 +176,7 @@ class Fusion:
               ) -> FusionState:  # fmt: skip
         """Return the readings in the memory of the kernels, with touches to be linearised, (k, TOUCH).
 
-        Creep goes from 0 at the first touch to 1 at the last, and is 1 at a single one.
+        Creep begins at the first touch; a single one has all of it.
 
         Args:
             touches: (k, TOUCH).
@@ -178,13 +184,14 @@ class Fusion:
             compliance: of the object, if it is given [m/N]; None: it has the prior.
         """
         k, pinned = len(self.readings), constraint is not None
-        state = FusionState(self.model, self.priors, self.channels, self.sources[0], k + pinned, self.common_friction)
+        parts = SINGLE_FRICTION if self.one_pose else self.friction_parts
+        state = FusionState(self.model, self.priors, self.channels, self.sources[0], k + pinned, parts)
         state.sources[:k], state.free = self.sources, self.free
         state.wrench[:k] = [reading.wrench for reading in self.readings]
         state.pose[:k] = [reading.T_world_base for reading in self.readings]
         state.whiten[:k], state.touched[:k], state.touches[:k] = self.whitening, self.touched, touches
-        before = np.maximum(np.cumsum(self.touched) - 1.0, 0.0)
-        state.ramp[:k] = before / before[-1] if before[-1] > 0.0 else 1.0
+        time = WALK_SECONDS * np.cumsum(self.elapsed)
+        state.ramp[:k] = 1.0 if self.one_pose else creep_since(time - time[int(self.touched.argmax())])
         state.elapsed[:k] = self.elapsed
         if compliance is not None:
             state.compliance[:] = compliance, compliance, 0.0

@@ -7,7 +7,7 @@ pose k alone are its touch y (5) and how far its stiffness is off, e. To first o
 h the base wrench, x the touched point, F the force on the probe, and H, X_y, F_y their derivatives by the touch:
 
     W (h + H δy + D m + D_e e + B β - w)            what was read, in the channels that count
-    (a - c μ f)/(√(1 - c²) μ), two rows             the prior on friction
+    (a - c_f μ f)/(d_f μ), two rows                 the prior on friction
     e                                               the prior on the stiffness at this touch
     (T (x + X_y δy + Q m + Q_e e) + R (c F + c₀ F_y δy) - X)/σ_robot      the touched point yields by -c F
 
@@ -15,7 +15,7 @@ Here c = c̄ + σ_c z with the unit prior of z, the mean and the standard deviat
 (`fusion.py` integrates over the prior itself), and c₀ is the last c.
 
 The friction ratio a of every touch is N(0, μ²) per direction. Touches of one object by one probe are alike, and slip to
-the same side: the share c² of that variance is common to them.
+the same side as the base presses on: a part of standard deviation c_f μ is common to them, one of d_f μ is not.
 
 Householder reflections take y and e out of each pose's rows. What is left is accumulated in the order of time in the
 information matrix of (m, f, z, X, β); β, and X with it, walks from pose to pose and is smoothed backward afterwards.
@@ -106,8 +106,8 @@ def column_of(D, r, c, scatter, creep, ramp):
 
 
 @kernel
-def reduce_keyframe(touch, lin, D, wrench, pose, channels, whiten, bias, friction, common, weight, compliance, repeat,
-                    scatter, creep, ramp, block, local, reduced):  # fmt: skip
+def reduce_keyframe(touch, lin, D, wrench, pose, channels, whiten, bias, friction, common, alone, weight, compliance,
+                    repeat, scatter, creep, ramp, block, local, reduced):  # fmt: skip
     """Fill the rows of one pose with its own unknowns eliminated.
 
     Args:
@@ -116,7 +116,8 @@ def reduce_keyframe(touch, lin, D, wrench, pose, channels, whiten, bias, frictio
         channels: what of a wrench at the base counts, (m, 6); whiten: of these, lower triangular, (m, m).
         bias: channels by the bias in steps, (m, 6).
         friction: prior standard deviation of the ratio; inf: none.
-        common: the share of its variance that all touches have in common, below 1.
+        common, alone: standard deviations c_f of its part that all touches have in common and d_f of the other, which
+            is above 0, over that one.
         weight: of the probe in base axes [N], (3,).
         compliance: of the object [m/N]: where it is linearised, mean and standard deviation of its prior, (3,).
         repeat: standard deviation of the base's place at this pose alone [m].
@@ -149,11 +150,10 @@ def reduce_keyframe(touch, lin, D, wrench, pose, channels, whiten, bias, frictio
             for c in range(BIAS):
                 block[i, first_bias + c] += w * bias[q, c]
     if friction < math.inf:
-        own = math.sqrt(1.0 - common)
-        per = 1.0 / (own * max(friction, MIN_FRICTION))
+        per = 1.0 / (alone * max(friction, MIN_FRICTION))
         for a in range(FRICTION):
             block[m + a, AROUND + a] = per
-            block[m + a, LOCAL + J + a] = -math.sqrt(common) / own
+            block[m + a, LOCAL + J + a] = -common / alone
             block[m + a, rhs] = -per * touch[AROUND + a]
     block[m + 2, UNKNOWNS] = 1.0
     place = 1.0 / max(repeat, EXACT)

@@ -8,7 +8,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 from scipy.special import chdtrc
 
@@ -40,9 +40,12 @@ POINT_COLUMNS, COMPLIANCE = slice(-9, -6), -10
 
 #: Mean and standard deviation of a half-normal prior, over its scale.
 HALF_NORMAL = math.sqrt(2.0 / math.pi), math.sqrt(1.0 - 2.0 / math.pi)
-#: Share of the friction ratio's variance that the touches of one object have in common. Assumed: they are of the same
-#: two materials and slip to the same side, but differ in how far each has slipped.
-COMMON_FRICTION = 0.5
+#: Standard deviations, over that of the prior, of the part of the friction ratio that the touches of one object have in
+#: common, and of the part of each alone. Assumed: they are of the same two materials and slip to the same side as the
+#: base presses on, so that all of it may be common; they differ in how far each has slipped, half of the variance.
+PRESSED_FRICTION = (1.0, math.sqrt(0.5))
+SINGLE_FRICTION = (0.0, 1.0)  #: The same where all of it is drawn anew.
+CREEP_SECONDS = 10.0  #: Time constant of the creep since the first contact [s]. Assumed: nothing is published.
 #: Standard deviation of an object's step on each axis [m], if it moves between two touches. Assumed: a light object
 #: that is pushed over its support.
 OBJECT_STEP = 1e-3
@@ -80,6 +83,11 @@ def dof_of(model: ProbeModel, channels: Array, touched: NDArray[np.bool_]) -> in
     return max(len(touched) * len(channels) - free * int(touched.sum()) - 3, 1)
 
 
+def creep_since(seconds: ArrayLike) -> Array:
+    """Return the share of the creep that has happened some time after the first contact [s], 1 - exp(-t/τ)."""
+    return np.asarray(-np.expm1(-np.maximum(seconds, 0.0) / CREEP_SECONDS))
+
+
 class PointConstraint(NamedTuple):
     """A condition on the touched point X: axis · X = at, up to a standard deviation."""
 
@@ -102,7 +110,7 @@ class FusionState:
     """Readings of one point, their touches as linearised, and the solution of the unknowns that they have in common."""
 
     def __init__(self, model: ProbeModel, priors: Tolerances, channels: Array, sources: ErrorSources, rows: int,
-                 common_friction: float = COMMON_FRICTION) -> None:  # fmt: skip
+                 friction_parts: tuple[float, float] = PRESSED_FRICTION) -> None:  # fmt: skip
         """Allocate the memory of the kernels.
 
         Args:
@@ -111,9 +119,9 @@ class FusionState:
             channels: what of a wrench at the base counts, (m, 6): see `channels_of`.
             sources: the error sources at any pose.
             rows: the most readings.
-            common_friction: share of the friction ratio's variance that all touches have in common, below 1.
+            friction_parts: see `PRESSED_FRICTION`.
         """
-        self.model, self.priors, self.channels, self.common_friction = model, priors, channels, common_friction
+        self.model, self.priors, self.channels, self.friction_parts = model, priors, channels, friction_parts
         self.causes, m, parameters = len(sources.names), len(channels), OWN + len(model.rod.s)
         width = fusion_kernel.columns(self.causes)
         # What was read, a row for each reading.
@@ -173,7 +181,7 @@ class FusionState:
         priors: Tolerances | None = None,
         D: Array | None = None,
         friction: float | None = None,
-        common_friction: float | None = None,
+        friction_parts: tuple[float, float] | None = None,
     ) -> None:
         """Eliminate the own unknowns of a row, as it is linearised.
 
@@ -182,7 +190,7 @@ class FusionState:
             priors: standard deviations that the columns do not hold; those of the state if None.
             D: error columns, (12, J); those of the touch if None.
             friction: prior standard deviation of the friction ratio; that of the model if None.
-            common_friction: share of its variance that all touches have in common; that of the fusion if None.
+            friction_parts: see `PRESSED_FRICTION`; those of the fusion if None.
         """
         if not self.touched[row]:
             free, columns = self.free[row]
@@ -195,7 +203,7 @@ class FusionState:
         fusion_kernel.reduce_keyframe(
             self.touches[row], self.lin[row], self.D[row] if D is None else D, self.wrench[row], self.pose[row],
             self.channels, self.whiten[row], self.bias, self.model.friction if friction is None else friction,
-            self.common_friction if common_friction is None else common_friction,
+            *(self.friction_parts if friction_parts is None else friction_parts),
             self.model.mass * self.sources[row].gravity, compliance, (priors or self.priors).robot_mm * MM,
             self._scatter, self._creep, float(self.ramp[row]), self._work.block, self.local[row], self.reduced[row],
         )  # fmt: skip
@@ -258,7 +266,7 @@ class FusionState:
         priors: Tolerances | None = None,
         D: Array | None = None,
         friction: float | None = None,
-        common_friction: float | None = None,
+        friction_parts: tuple[float, float] | None = None,
     ) -> tuple[float, Array, Array]:
         """Return the least misfit, the common unknowns and the covariance of the point at rest of a batch, for the
         touches as linearised.
@@ -267,11 +275,11 @@ class FusionState:
             priors: standard deviations that the columns do not hold, of bias, base at each pose and the object's
                 compliance; those of the state if None.
             D: error columns, (k, 12, J); those of the touches if None.
-            friction, common_friction: as in `reduce_row`.
+            friction, friction_parts: as in `reduce_row`.
         """
         priors = priors or self.priors
         for row in range(self.readings):
-            self.reduce_row(row, priors, None if D is None else D[row], friction, common_friction)
+            self.reduce_row(row, priors, None if D is None else D[row], friction, friction_parts)
         chi2 = self.solve(priors.walk_steps**2 * self.elapsed, priors.drift_steps)
         return chi2, self.x.copy(), self.cov[:3, :3].copy()
 
@@ -318,7 +326,7 @@ class FusionState:
         `MISFIT_CHANCE` over the number of alternatives (Bonferroni). Friction counts as drawn at each touch for itself:
         a step must not be what friction that changes from touch to touch explains as well.
         """
-        fixed = self.solved(common_friction=0.0)[0]
+        fixed = self.solved(friction_parts=SINGLE_FRICTION)[0]
         later = np.flatnonzero(self.touched)[1:]
         for first in later:
             chi2, weights = self.with_step(int(first))

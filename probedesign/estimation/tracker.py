@@ -25,7 +25,7 @@ from probedesign.estimation.error_sources import ErrorSources, across
 from probedesign.estimation.estimate import FusedEstimate, MomentsAbout, Result
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fusion import Fusion, Posterior, Reading
-from probedesign.estimation.fusion_state import FusionState, channels_of
+from probedesign.estimation.fusion_state import PRESSED_FRICTION, SINGLE_FRICTION, FusionState, channels_of, creep_since
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 
 MAX_KEYFRAMES = 8
@@ -297,8 +297,9 @@ class Tracker:
         return True
 
     def _reduce(self, touch: _Touch, k: int) -> None:
-        frame, last, state = touch.keyframes[k], len(touch.keyframes) - 1, self._state
-        state.ramp[frame.row] = k / last if last else 1.0
+        frame, state, several = touch.keyframes[k], self._state, len(touch.keyframes) > 1
+        state.ramp[frame.row] = creep_since(frame.time - touch.began) if several else 1.0
+        state.friction_parts = PRESSED_FRICTION if several else SINGLE_FRICTION
         state.whiten[frame.row] = math.sqrt(frame.weight(self._walk_rate)) * self._whiten
         state.reduce_row(frame.row)
 

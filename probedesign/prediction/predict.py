@@ -44,6 +44,7 @@ CAUSE_GROUPS = {
     "drift": ("drift",),
     "robot": ("robot",),
     "friction": ("friction",),
+    "object": ("object",),
     "stiffness": ("E", "G", "creep", "stiffness scatter"),
     "shape": ("diameter", "diameter scatter", "bore", "length", "bow"),
     "mount": ("base place", "base tilt", "clocking", "root", "gain"),

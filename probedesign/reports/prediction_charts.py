@@ -19,8 +19,8 @@ from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, Ch
 from probedesign.rod.contact import solve_frictionless
 
 Cell = Condition | FusedCondition
-#: Including Okabe and Ito's eighth colour.
-_FILL = (*COLOURS, "#F0E442")
+#: Including Okabe and Ito's eighth colour and a grey.
+_FILL = (*COLOURS, "#F0E442", "#999999")
 _MIN_LABELLED = 0.09  # smallest share with space for its number
 LEVELS_MM = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  #: Errors at which the colour of the map changes.
 RESULT_LABELS = {"too_light": "faint", "unobservable": "faint", "no_contact": "—", "out_of_range": "range"}

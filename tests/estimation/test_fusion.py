@@ -14,7 +14,7 @@ from probedesign.core.statistics import MISFIT_CHANCE, max_chi2
 from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fusion import Fusion, Reading
-from probedesign.estimation.fusion_state import OBJECT_STEP, channels_of
+from probedesign.estimation.fusion_state import OBJECT_STEP, SINGLE_FRICTION, channels_of
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.rod.kernels.surface_contact import AROUND, BY_PARAMETER, POINT
 from tests.estimation.true_touches import EXACT, presses, settle, sources_of, wrenches_of
@@ -45,7 +45,7 @@ def noisy(model, wrenches, rng):
 # The solver
 
 
-def oracle_of(state, step=None, common_friction=None, compliance=None):
+def oracle_of(state, step=None, friction_parts=None, compliance=None):
     """Solve a linearised fusion by dense least squares."""
     poses = []
     for k, touched in enumerate(state.touched):
@@ -62,7 +62,7 @@ def oracle_of(state, step=None, common_friction=None, compliance=None):
     of = state.priors
     priors = dense.Priors(
         state.channels, state.bias, state.model.friction,
-        state.common_friction if common_friction is None else common_friction, of.robot_mm * MM,
+        friction_parts or state.friction_parts, of.robot_mm * MM,
         max(of.drift_steps, 1e-6), of.walk_steps, scatter, creep, compliance or tuple(state.compliance),
         of.object_walk_mm * MM,
     )  # fmt: skip
@@ -120,10 +120,10 @@ def test_the_solver_is_dense_least_squares(priors, moments, friction, large, gra
 def test_the_misfit_with_a_step_of_the_object_is_dense_least_squares(priors, moments, large, gravity, pressed):
     state = linearised(large, gravity, pressed, priors, moments, 0.6)
     compliance = tuple(state.compliance)
-    fixed, _x, _cov = state.solved(common_friction=0.0)
+    fixed, _x, _cov = state.solved(friction_parts=SINGLE_FRICTION)
     for first in (2, 3, 6):
         chi2, weights = state.with_step(first)
-        wanted = oracle_of(state, (first, OBJECT_STEP), 0.0, compliance)
+        wanted = oracle_of(state, (first, OBJECT_STEP), SINGLE_FRICTION, compliance)
         assert chi2 == pytest.approx(wanted.chi2, rel=1e-4)  # as for a point that does not move
         assert weights.min() > 0.0
         assert weights.max() < 1.0
@@ -233,7 +233,7 @@ def test_published_bounds_of_five_touches(fraction, force_mN, bounds, large, gra
         readings = tuple(
             Reading(w, model.noise_base(), T, gravity, True) for w, T in zip(wrenches_of(touches), Ts, strict=True)
         )
-        fusion = Fusion(model, readings, priors, channels_of(model, None), gravity, common_friction=0.0)
+        fusion = Fusion(model, readings, priors, channels_of(model, None), gravity, friction_parts=SINGLE_FRICTION)
         state = fusion.state(np.array([touch.touch for touch in touches]))
         assert state.linearise()
         bound = math.sqrt(np.trace(state.solved()[2]))

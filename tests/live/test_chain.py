@@ -89,7 +89,7 @@ def test_the_touched_point_lies_in_its_ellipsoid_of_the_world(motion, touched):
     assert contact.settled and contact.fused.ok
     off = contact.fused.p_surface_world - motion.objects[0].point
     assert off @ np.linalg.solve(contact.fused.cov_surface_world, off) < 16.3
-    assert contact.fused.rms < 1e-3  # one reading alone knows this touch to 2 mm
+    assert contact.fused.rms < 1.5e-3  # the object may yield; one reading alone knows this touch to 2 mm
 
 
 def test_the_phases_are_those_of_figure_8(motion, touched):

@@ -14,6 +14,7 @@ from probedesign.design import check_design, load_design
 from probedesign.design.edit import tables_of
 from probedesign.design.sensors import Noise
 from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.fusion_state import SINGLE_FRICTION
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.optimization.objective import Task, design_metrics
 from probedesign.prediction.budget import radius_95
@@ -96,7 +97,7 @@ def test_five_touches_give_the_bounds_computed_independently(large, fraction, fo
                                np.array([step.touch[0] for step in steps.values()]), schedule)  # fmt: skip
             # The bounds let the bias walk about the base; the estimator lets it walk at the sensor, where it arises.
             # They take the friction of each touch for independent.
-            press.state.common_friction = 0.0
+            press.state.friction_parts = SINGLE_FRICTION
             noise = large.model.noise
             step = np.sqrt(large.model.averaging_samples) * np.repeat([noise.force, noise.moment], 3)
             press.state.bias = np.ascontiguousarray(press.state.channels @ np.diag(step))

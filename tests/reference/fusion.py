@@ -7,7 +7,6 @@ in units of its standard deviation (3), and the touched point X at the first tou
 matrix has the rows of all poses.
 """
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -41,7 +40,7 @@ class Priors(NamedTuple):
     channels: Array  #: map of the base wrench to the channels, (m, 6).
     bias: Array  #: map of the bias in steps to the channels, (m, 6).
     friction: float  #: standard deviation of the friction ratio; inf for none.
-    common_friction: float  #: share of its variance that is common to all touches.
+    friction_parts: tuple[float, float]  #: of its part common to all touches and of the other, over that one.
     robot: float  #: standard deviation of the base position at each pose [m].
     start: float  #: start, walk: standard deviations of the bias at the first reading and of its steps [steps].
     walk: float
@@ -122,8 +121,7 @@ def solve(poses: list[LinearPose], priors: Priors, step: tuple[int, float] | Non
         if np.isfinite(priors.friction):
             mu = max(priors.friction, 1e-4)
             own_ratio, common_ratio = np.eye(n)[own.start + 3 : own.start + 5], np.eye(n)[J:z_at]
-            per = 1.0 / (math.sqrt(1.0 - priors.common_friction) * mu)
-            shared = mu * math.sqrt(priors.common_friction)
+            shared, per = mu * priors.friction_parts[0], 1.0 / (mu * priors.friction_parts[1])
             add(per * (own_ratio - shared * common_ratio), -per * pose.ratios)
         per = 1.0 / max(priors.robot, 1e-8)
         R, (at, mean, std) = pose.T[:3, :3], priors.compliance

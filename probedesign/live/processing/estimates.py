@@ -88,7 +88,8 @@ COLUMNS = (
     *(f"cov_surface_base_{pair}_mm2" for pair, _, _ in COVARIANCE),
     "force_normal_N", "force_tangential_N", "friction_ratio",
 )  # fmt: skip
-#: Additional columns with poses of the base.
+#: Additional columns with poses of the base; surface: the touched point at rest, surface_now: after the object yielded,
+#: with its compliance and the interval that holds it with a probability of 95 %.
 WORLD_COLUMNS = (
     "phase", "fused_result",
     *(f"p_contact_world_{axis}_mm" for axis in "xyz"),
@@ -96,6 +97,9 @@ WORLD_COLUMNS = (
     *(f"cov_contact_world_{pair}_mm2" for pair, _, _ in COVARIANCE),
     "touch", "stale",
     *(f"cov_surface_world_{pair}_mm2" for pair, _, _ in COVARIANCE),
+    *(f"p_surface_now_world_{axis}_mm" for axis in "xyz"),
+    *(f"cov_surface_now_world_{pair}_mm2" for pair, _, _ in COVARIANCE),
+    "object_compliance_m_N", "object_compliance_low_m_N", "object_compliance_high_m_N",
 )  # fmt: skip
 TRUE_COLUMNS = ("true_s_contact_mm", *(f"true_p_contact_base_{axis}_mm" for axis in "xyz"),
                 *(f"true_p_surface_base_{axis}_mm" for axis in "xyz"))  # fmt: skip
@@ -126,6 +130,8 @@ def world_row(update: EstimateUpdate) -> Row:
     values += [*_mm(fused.p_contact_world), *_mm(fused.p_surface_world), *_mm2(fused.cov_contact_world)]
     present = update.contacts[-1].number if update.contacts and update.contacts[-1].ongoing else math.nan
     values += [present, update.stale, *_mm2(fused.cov_surface_world)]
+    values += [*_mm(fused.p_surface_now_world), *_mm2(fused.cov_surface_now_world)]
+    values += [fused.object_compliance, *map(float, fused.object_compliance_interval_95)]
     return dict(zip(WORLD_COLUMNS, values, strict=True))
 
 

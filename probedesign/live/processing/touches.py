@@ -166,7 +166,9 @@ class Contact:
             text += ", never settled"
         if self.fused is not None and self.fused.ok:
             x, y, z = (1e3 * float(value) for value in self.fused.p_surface_world)
-            return f"{text}: ({x:z.2f}, {y:z.2f}, {z:z.2f}) mm in world, ± {1e3 * self.fused.rms:.2f} mm"
+            low, high = self.fused.object_compliance_interval_95
+            yields = f", yields {1e3 * low:.0f} to {1e3 * high:.0f} mm/N" if high > 0.0 else ""
+            return f"{text}: ({x:z.2f}, {y:z.2f}, {z:z.2f}) mm in world, ± {1e3 * self.fused.rms:.2f} mm{yields}"
         if self.fused is not None:
             text += f": fused to one point: {self.fused.result}"
         if self.estimate is not None:

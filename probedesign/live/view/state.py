@@ -237,7 +237,9 @@ class ViewState(Sink):
             yield StatusLine("phase", update.phase or "not monitored")
             yield from _contact_lines(marker)
             if (fused := update.fused) is not None:
-                point = f"{_numbers(fused.p_surface_world, MM)} mm, world, ± {fused.rms / MM:.1f} mm"
+                low, high = fused.object_compliance_interval_95 / MM
+                yields = f", yields {low:.0f} to {high:.0f} mm/N" if high > 0.0 else ""
+                point = f"{_numbers(fused.p_surface_world, MM)} mm, world, ± {fused.rms / MM:.1f} mm{yields}"
                 yield StatusLine("fused", point if fused.ok else fused.result)
             elif update.stale:
                 yield StatusLine("fused", f"no {update.stale}", "fair")
