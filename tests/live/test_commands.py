@@ -2,11 +2,8 @@
 
 import csv
 import json
-import signal
 import subprocess
 import sys
-from functools import partial
-from itertools import islice
 
 import numpy as np
 import pytest
@@ -17,7 +14,6 @@ from probedesign.live.processing.estimates import COLUMNS, TRUE_COLUMNS, WORLD_C
 from probedesign.live.recordings.csv import read_recording, write_recording
 from probedesign.live.sources.sim import SimulatedSource
 
-PROGRAM = [sys.executable, "-m", "probedesign.cli.main"]
 POSITION = [name for name in COLUMNS if name.startswith(("s_", "std_", "p_", "cov_"))]
 SIM = "sim:?speed=max&rate_hz=3"
 
@@ -218,48 +214,6 @@ def test_estimate_and_live_refuse(call, bundle, recording, options, expected):
     command = "estimate" if options[:1] == ["RECORDING"] else "live"
     options = [recording if option == "RECORDING" else option for option in options]
     assert expected in refused(call(command, bundle, *options))
-
-
-def live_process(bundle, *options: str) -> subprocess.Popen[str]:
-    """`live` as a process of its own, at a sensor's pace and without an end.
-
-    It hears SIGINT even if these tests run in a shell's background, where it is inherited as ignored.
-    """
-    command = [*PROGRAM, "live", str(bundle), "--source", "sim:?seconds=1000000", *options]
-    heard = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heard)
-
-
-def test_interrupted_live_ends_well_and_leaves_a_whole_recording(bundle, tmp_path):
-    path = tmp_path / "record.csv"
-    with live_process(bundle, "--record", str(path)) as process:
-        seen = list(islice(process.stdout, 5))
-        process.send_signal(signal.SIGINT)
-        lines = seen + list(process.stdout)  # several lines may have been read at once
-        _, err = process.communicate(timeout=60)
-    assert process.returncode == 0
-    assert "Traceback" not in err
-    assert f"{len(lines)} estimates: {len(lines)} no_contact" in err.splitlines()
-    recording = read_recording(path)
-    assert (recording.dropped_lines, recording.notes) == (0, ())
-    assert len(recording.time) >= len(lines)
-
-
-def test_killed_live_leaves_a_recording_too(bundle, tmp_path):
-    path = tmp_path / "record.csv"
-    with live_process(bundle, "--record", str(path)) as process:
-        seen = list(islice(process.stdout, 5))
-        process.kill()
-    assert len(read_recording(path).time) >= len(seen)
-
-
-def test_live_ends_quietly_with_its_reader(bundle):
-    with live_process(bundle) as process:
-        process.stdout.readline()
-        process.stdout.close()
-        err = process.stderr.read()
-    assert process.returncode == 1
-    assert "Traceback" not in err and "error" not in err
 
 
 @pytest.mark.parametrize("arguments", [["estimate", "RECORDING"], ["live", "--source", SIM, "--count", "1"]])

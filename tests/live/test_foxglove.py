@@ -105,6 +105,7 @@ def test_only_ok_has_numbers(model, updates, tmp_path, result):
     update = replace(ok, estimate=replace(ok.estimate, result=result))
     found = write_estimate(tmp_path / "one.mcap", model, update)
     assert math.isnan(found[schemas.STATE.name].s_contact) == (result != "ok")
+    assert (schemas.CONTACT.name in found) == (result == "ok")
     contact = [marker for marker in found[schemas.SCENE.name].markers if marker.ns == "contact"]
     assert [(marker.id, marker.action) for marker in contact] == [(i, 0 if result == "ok" else 2) for i in (0, 1)]
 

@@ -32,7 +32,7 @@ from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.run import estimate_recording, estimate_stream
 from probedesign.live.sources.replay import RecordingOptions, ReplaySource
 from probedesign.live.sources.sim import SimulatedSource
-from tests.live.mcap_files import GRAVITY, TIME_ROUNDING, block, messages_of, read, same, write, write_estimate
+from tests.live.mcap_files import GRAVITY, TIME_ROUNDING, block, messages_of, read, same, write
 from tests.live.peers import until
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -189,16 +189,6 @@ def test_rosbags_reads_it(model, tmp_path):
         schemas.ESTIMATE.schema["properties"]
     )
     assert json.loads(found[schemas.EVENT.name].data) == {"time_s": 0.5, "event": "mark: here"}
-
-
-def test_no_position_without_ok(model, tmp_path):
-    update = EstimateUpdate(WrenchReading(0.0, np.zeros(6), GRAVITY), Estimate("no_contact"))
-    assert set(write_estimate(tmp_path / "free.mcap", model, update)) == {
-        schemas.TF_STATIC.name,
-        schemas.ESTIMATE.name,
-        schemas.STATE.name,
-        schemas.SCENE.name,
-    }
 
 
 # Whose it is
