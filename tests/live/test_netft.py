@@ -175,25 +175,6 @@ def test_a_page_with_a_wrong_value_is_refused(estimator, monkeypatch, tag, value
     assert expected in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("spec", "expected"),
-    [
-        ("netft:", "write netft://HOST"),
-        ("netft://", "write netft://HOST"),
-        ("netft://host:0", "write netft://HOST"),
-        ("netft://host:99999", "write netft://HOST"),
-        ("netft://host/path", "write netft://HOST"),
-        ("netft://127.0.0.1?htp=80", "did you mean http?"),
-        ("netft://no.such.host.invalid", "is the box on"),
-        ("netft://127.0.0.1?http=1", "Connection refused"),
-    ],
-)
-def test_an_address_without_a_box_is_refused(estimator, spec, expected):
-    with pytest.raises(InputError) as error:
-        open_source(spec, estimator.model)
-    assert expected in str(error.value)
-
-
 def test_a_port_in_use_is_reported(estimator):
     with box(estimator) as peer:
         with pytest.raises(InputError, match="Address already in use; use another --port"):

@@ -85,13 +85,6 @@ def test_averaged_recordings_are_noted(estimator, recorded):
     assert "each estimate uses the mean of 7 readings; 4 readings at the end are not used" in estimates.notes
 
 
-def test_count_seconds_and_rate(estimator, recorded):
-    source = ReplaySource(estimator.model, recorded[0], "speed=max")
-    assert len(run(estimator, source, ProcessingOptions(count=5))) == 5
-    assert len(run(estimator, source, ProcessingOptions(seconds=2.0))) == 6
-    assert len(run(estimator, source, ProcessingOptions(rate=1.0, seconds=3.5))) == 4
-
-
 class Closing:
     """A source that records whether it was closed."""
 
