@@ -42,6 +42,15 @@ def assert_refused(stdout: str, stderr: str, status: int) -> None:
     assert "Traceback" not in stderr
 
 
+def refused(capsys, *arguments: str) -> str:
+    """Return the error line of a command that is refused in this process."""
+    capsys.readouterr()
+    status = run([*arguments])
+    captured = capsys.readouterr()
+    assert_refused(captured.out, captured.err, status)
+    return captured.err
+
+
 # In a process of its own
 
 
@@ -256,31 +265,22 @@ def test_new_takes_every_section(workplace, section, key, ratio):
 def test_new_refuses_bad_values_by_option_and_value_and_writes_nothing(workplace, capsys, options, value):
     given = dict(zip(options[::2], options[1::2], strict=False))
     rest = [o for pair in (("--length", "150"), ("--base-d", "12")) if pair[0] not in given for o in pair]
-    status = run(["new", *options, *rest])
-    captured = capsys.readouterr()
-    assert_refused(captured.out, captured.err, status)
-    assert value in captured.err
+    assert value in refused(capsys, "new", *options, *rest)
     assert list(workplace.iterdir()) == []
 
 
 def test_new_writes_no_design_whose_mount_does_not_fit(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     # the bolts of this robot flange are too close for the sensor
-    status = run([*NEW, "--sensor", "mini40", "--robot-flange", "iso-9409-1-50-4-m6"])
-    captured = capsys.readouterr()
-    assert_refused(captured.out, captured.err, status)
-    assert "bolt_circle_d_mm = 50" in captured.err
+    error = refused(capsys, *NEW, "--sensor", "mini40", "--robot-flange", "iso-9409-1-50-4-m6")
+    assert "bolt_circle_d_mm = 50" in error
     assert list(tmp_path.iterdir()) == []
 
 
 def test_new_replaces_a_file_only_with_force(workplace, capsys):
     assert run([*NEW, "mine"]) == 0
     before = Path("designs/mine.toml").read_bytes()
-    capsys.readouterr()
-    status = run(["new", "mine", "--length", "50", "--base-d", "5"])
-    captured = capsys.readouterr()
-    assert_refused(captured.out, captured.err, status)
-    assert "designs/mine.toml" in captured.err
+    assert "designs/mine.toml" in refused(capsys, "new", "mine", "--length", "50", "--base-d", "5")
     assert Path("designs/mine.toml").read_bytes() == before
     assert run(["new", "mine", "--length", "50", "--base-d", "5", "--force"]) == 0
     assert load_design("designs/mine.toml").probe.length_mm == 50.0
@@ -288,9 +288,7 @@ def test_new_replaces_a_file_only_with_force(workplace, capsys):
 
 def test_new_refuses_a_file_named_designs(workplace, capsys):
     Path("designs").write_text("a file")
-    status = run([*NEW])
-    captured = capsys.readouterr()
-    assert_refused(captured.out, captured.err, status)
+    refused(capsys, *NEW)
     assert Path("designs").read_text() == "a file"
 
 
@@ -332,14 +330,12 @@ def without(monkeypatch, *names: str) -> None:
     monkeypatch.setattr(doctor.metadata, "version", version)
 
 
-def test_doctor_names_disabled_features_and_how_to_install_them(monkeypatch, capsys):
+def test_doctor_names_disabled_features_and_fails_without_a_required_package(monkeypatch, capsys):
     without(monkeypatch, "cadquery", "matplotlib")
     assert run(["doctor"]) == 0  # the program runs without them
     out = capsys.readouterr().out
     assert 'pip install "cadquery' in out and 'pip install "matplotlib' in out
-
-
-def test_doctor_fails_without_a_required_package(monkeypatch, capsys):
+    monkeypatch.undo()
     without(monkeypatch, "numba")
     assert run(["doctor", "--json"]) == 1
     report = json.loads(capsys.readouterr().out)
@@ -347,15 +343,12 @@ def test_doctor_fails_without_a_required_package(monkeypatch, capsys):
     assert [remedy["needed_for"] for remedy in report["missing"]] == ["everything"]
 
 
-def test_doctor_reports_the_cache_of_the_rod_kernels(monkeypatch, capsys):
+def test_doctor_reports_the_cache_of_the_rod_kernels_and_whether_it_is_writable(monkeypatch, capsys, tmp_path):
     """They are in the package, where a wheel has them."""
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     assert run(["doctor", "--json"]) == 0
     reported = json.loads(capsys.readouterr().out)["numba_cache"]
     assert Path(reported["folder"]) == cache.BUILT and reported["processor"] in cache.runs()
-
-
-def test_doctor_reports_a_cache_that_is_not_writable(monkeypatch, capsys, tmp_path):
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "file"))
     assert run(["doctor"]) == 0
@@ -406,11 +399,7 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch, capsys)
     for command in (["predict", str(LARGE), "--out", "file/x"], ["--install-completion"]):
         monkeypatch.setenv("HOME", str(tmp_path / "file"))
         monkeypatch.setenv("SHELL", "/bin/bash")
-        capsys.readouterr()
-        assert run(command) == 2
-        captured = capsys.readouterr()
-        assert_refused(captured.out, captured.err, 2)
-        assert "file/x/" not in captured.err
+        assert "file/x/" not in refused(capsys, *command)
 
 
 def test_completion_is_installed_for_a_shell(tmp_path, monkeypatch, capsys):
@@ -445,11 +434,8 @@ def test_a_design_is_given_by_file_folder_or_name_and_a_frozen_probe_by_name(tmp
         assert name not in capsys.readouterr().err  # the probe was found
     monkeypatch.chdir(tmp_path)
     (tmp_path / "designs/other.toml").write_text(Path(f"designs/{name}.toml").read_text())
-    capsys.readouterr()
     for given in ("designs", "unknown"):
-        assert run(["check", given]) == 2
-        captured = capsys.readouterr()
-        assert_refused(captured.out, captured.err, 2)
+        refused(capsys, "check", given)
 
 
 def test_predict_prints_one_screen_and_all_tables_on_request(tmp_path, capsys):

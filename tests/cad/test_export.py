@@ -74,6 +74,10 @@ def test_manifest_describes_the_export(exported: Exported) -> None:
     for screw in manifest["screws"]:
         low, high = screw["entry_allowed_mm"]
         assert low <= screw["entry_mm"] <= high
+    assert manifest["engraved"] == dict.fromkeys(manifest["parts"], f"{manifest['fingerprint']} large")
+    check = manifest["print_check"]
+    assert check["ok"] and check["errors"] == 0 and check["warnings"] == len(check["findings"])
+    assert manifest["print_scale"]["probe"] == [1.0, 1.0, 1.0]
     assert manifest["base"]["root_rigid_radii"] == 0.12
     assert manifest["base"]["root_rigid_radii_computed"] == pytest.approx(-0.18, abs=0.01)  # Ø12 mm
 
@@ -97,13 +101,6 @@ def test_manifest_masses_equal_those_of_the_mechanics(exported: Exported) -> Non
     assert frozen["T_sensor_base"] == adapter.T_sensor_base.tolist()
     assert frozen["hanging"]["mass_kg"] == rigid.mass and frozen["hanging"]["p_com_m"] == rigid.p_com.tolist()
     assert frozen["hanging"]["inertia_kg_m2"] == rigid.inertia.tolist()
-
-
-def test_parts_carry_the_fingerprint_of_the_manifest(exported: Exported) -> None:
-    _, manifest = exported
-    assert set(manifest["engraved"]) == set(manifest["parts"])
-    for text in manifest["engraved"].values():
-        assert text == f"{manifest['fingerprint']} large"
 
 
 def test_probe_stl_is_in_millimetres_in_the_base_frame(exported: Exported) -> None:
@@ -201,9 +198,7 @@ PROBES = {
 
 
 @pytest.fixture(scope="module", params=["hollow", "elliptic"])
-def other_section(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[str, Path, dict[str, Any]]:
+def other_section(request: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, dict[str, Any]]:
     """The probe with another section, exported: section, folder and manifest."""
     folder = tmp_path_factory.mktemp("exports") / "other"
     return request.param, folder, export_parts(design_of(PROBES[request.param]), folder)
@@ -237,11 +232,8 @@ def test_scale_compensation_reaches_the_files_to_print_and_nothing_else(exported
         assert b.bounds == pytest.approx(a.bounds * np.array(factor), abs=2e-5)
         assert printed["print_scale"][name] == list(factor)
         assert b.is_watertight and b.is_winding_consistent
-    assert (
-        (tmp_path / "printed" / "probe.stl")
-        .read_bytes()[:80]
-        .startswith(f"probedesign {drawn['fingerprint']} scaled 1.02 1.02 0.99 large".encode())
-    )
+    head = f"probedesign {drawn['fingerprint']} scaled 1.02 1.02 0.99 large"
+    assert (tmp_path / "printed" / "probe.stl").read_bytes()[:80].startswith(head.encode())
     package = trimesh.load(tmp_path / "printed" / "probe.3mf", force="mesh")
     # On the plate, flange below; 3MF rounds to decimals.
     assert package.bounds[1][2] - package.bounds[0][2] == pytest.approx(0.99 * 153.0, abs=1e-4)
@@ -251,13 +243,6 @@ def test_scale_compensation_reaches_the_files_to_print_and_nothing_else(exported
     first, second = ({name: finding for name, finding in manifest["verification"].items()
                       if not name.endswith(".3mf_volume")} for manifest in (printed, drawn))  # fmt: skip
     assert first == second and set(printed["verification"]) == set(drawn["verification"])
-
-
-def test_the_manifest_has_the_print_check(exported: Exported) -> None:
-    check = exported[1]["print_check"]
-    assert check["ok"] and check["errors"] == 0
-    assert check["warnings"] == len(check["findings"])
-    assert exported[1]["print_scale"]["probe"] == [1.0, 1.0, 1.0]
 
 
 @pytest.fixture(scope="module")

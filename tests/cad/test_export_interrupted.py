@@ -34,28 +34,23 @@ def run(folder: Path, inside: str) -> subprocess.CompletedProcess[str]:
 
 
 @posix
-def test_a_killed_process_leaves_a_hidden_folder_that_the_next_one_removes(tmp_path: Path) -> None:
+@pytest.mark.parametrize("older", [{}, {"probe.stl": "old", "manifest.json": manifest("probe.stl")}])
+def test_a_killed_process_leaves_the_older_export_and_a_hidden_folder_that_the_next_one_removes(
+    tmp_path: Path, older: dict[str, str]
+) -> None:
     folder = tmp_path / "large"
+    if older:
+        folder.mkdir()
+    for name, text in older.items():
+        write(folder, name, text)
     killed = run(folder, "os.kill(os.getpid(), signal.SIGKILL)")
     assert killed.returncode == -signal.SIGKILL
-    (left,) = tmp_path.iterdir()
+    (left,) = [path for path in tmp_path.iterdir() if path != folder]
     assert left.name.startswith(".large.") and left.name.endswith(".partial")
+    assert {path.name: path.read_text() for path in folder.glob("*")} == older
     with staged(folder) as staging:
         write(staging, "manifest.json", manifest())
     assert [path.name for path in tmp_path.iterdir()] == ["large"]
-
-
-@posix
-def test_a_killed_process_leaves_an_older_export_as_it_was(tmp_path: Path) -> None:
-    folder = tmp_path / "large"
-    folder.mkdir()
-    write(folder, "probe.stl", "old")
-    write(folder, "manifest.json", manifest("probe.stl"))
-    run(folder, "os.kill(os.getpid(), signal.SIGKILL)")
-    assert {p.name: p.read_text() for p in folder.iterdir()} == {
-        "probe.stl": "old",
-        "manifest.json": manifest("probe.stl"),
-    }
 
 
 @posix

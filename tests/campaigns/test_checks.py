@@ -87,7 +87,7 @@ def test_a_few_readings_beyond_the_range_are_accepted(models, made):
     assert is_accepted(changed(campaign, lambda test: over if test is last else test), models["large"])
 
 
-def test_places_in_metres(models, made):
+def test_places_and_arclengths_in_metres(models, made):
     campaign = made("large", CampaignPlan("cameras", 1))
     message = refusal(changed(campaign, contact_times(1e-3)), models["large"])
     assert "tests.csv: test touch-01: contact is 2" in message and "large is 150 mm long; a wrong unit" in message
@@ -96,9 +96,6 @@ def test_places_in_metres(models, made):
         t, p_contact_world=t.T_world_base[:3, 3] + 1e-3 * (t.p_contact_world - t.T_world_base[:3, 3])))  # fmt: skip
     message = refusal(at_base, models["large"])
     assert "mm from the base, the farthest" in message and "metres in a column of millimetres?" in message
-
-
-def test_arclengths_in_metres(models, made):
     campaign = made("large", CampaignPlan("stage", 1))
     message = refusal(changed(campaign, lambda test: replace(test, s_contact=1e-3 * test.s_contact)), models["large"])
     assert "tests.csv: test " in message and "is the largest, large is 150 mm long; metres in a column" in message
@@ -117,20 +114,14 @@ def test_a_marker_at_the_base_only(models, made):
     assert "markers.csv: test " in message and "metres in a column of millimetres?" in message
 
 
-def test_a_sag_longer_than_the_probe(models, made):
-    campaign = made("large", CampaignPlan("cameras", 1))
-    hang = campaign.tests[0]
-    long = replace(hang, tip_sag=1e3 * hang.tip_sag)
-    message = refusal(changed(campaign, lambda test: long if test is hang else test), models["large"])
-    assert "tests.csv: test hang-1: tip_sag_mm = " in message and message.endswith("a wrong unit?")
-
-
-def test_a_sag_upwards_or_in_centimetres(models, made):
+def test_a_sag_longer_than_the_probe_upwards_or_in_centimetres(models, made):
     """The large probe sags by 13 mm as designed; the standard deviation is 0.5 mm."""
     campaign = made("large", CampaignPlan("cameras", 1))
     hang = campaign.tests[0]
-    for factor, words in ((-1.0, "a tip hangs below its undeformed place"), (0.1, "a sag of 13.2 mm as designed")):
-        wrong = replace(hang, tip_sag=factor * hang.tip_sag, std_sag=0.1 * hang.std_sag)
+    for factor, std, words in ((1e3, 1.0, "large is 150 mm long; a wrong unit?"),
+                               (-1.0, 0.1, "a tip hangs below its undeformed place"),
+                               (0.1, 0.1, "a sag of 13.2 mm as designed")):  # fmt: skip
+        wrong = replace(hang, tip_sag=factor * hang.tip_sag, std_sag=std * hang.std_sag)
         message = refusal(changed(campaign, lambda t, wrong=wrong: wrong if t is hang else t), models["large"])
         assert "tests.csv: test hang-1: tip_sag_mm = " in message and words in message
 

@@ -143,6 +143,7 @@ def test_a_test_may_have_a_base_of_its_own(folder):
     ("campaign.toml", '"right"', '"left"', "two or more different names"),
     ("tests.csv", "a-1", "hang", "tests.csv:3: test hang occurs twice, first in line 2"),
     ("tests.csv", "a-1", "../a", "is not a valid name; use letters"),
+    ("tests.csv", "a-1,,,,60", "a-1,0,0,0,60", "has a contact and force 0,0,0"),
     ("tests.csv", "s_contact_mm", "s_contact", "column 's_contact': names no unit; end its name in one of _mm"),
     ("tests.csv", "s_contact_mm", "s_contact_in", "unit 'in' is not known"),
     ("wrenches.csv", "My_Nmm", "My_Nm", "mixed units: 'Mx_Nmm' and 'My_Nm'"),
@@ -191,10 +192,6 @@ def test_empty_columns_and_rows_of_a_spreadsheet_are_ignored(folder):
     path.write_text("\n".join([f"{line},," if "," in line else line for line in lines] + ["," * width] * 2) + "\n")
     assert [test.name for test in read_campaign(folder).tests] == [test.name for test in before]
     assert "'7' is in a column without a name" in refusal(folder, "tests.csv", lines[-1] + ",,", lines[-1] + ",7,")
-
-
-def test_a_contact_and_no_force_contradict_each_other(folder):
-    assert "has a contact and force 0,0,0" in refusal(folder, "tests.csv", "a-1,,,,60", "a-1,0,0,0,60")
 
 
 def test_missing_and_invalid_files_are_refused(tmp_path, folder):
@@ -258,18 +255,15 @@ def test_markers_of_pictures_are_refused_by_the_name_of_their_table(seen):
     assert "pixels.csv: test hang: " in message and "markers.csv" not in message
 
 
-def test_a_marker_in_one_picture_only(seen):
-    lines = (seen / "pixels.csv").read_text().splitlines()
-    (seen / "pixels.csv").write_text("\n".join(line for line in lines if not line.startswith("hang,right,2")))
-    with pytest.raises(InputError, match="test hang: marker 2 is seen by camera left only; two must see it"):
-        read_campaign(seen)
-
-
-def test_swapped_cameras_are_named(seen):
+def test_a_marker_in_one_picture_only_and_swapped_cameras_are_named(seen):
     text = (seen / "pixels.csv").read_text()
-    (seen / "pixels.csv").write_text(text.replace("left", "?").replace("right", "left").replace("?", "right"))
-    with pytest.raises(InputError, match="test hang: cameras left and right are swapped"):
-        read_campaign(seen)
+    rows = "\n".join(line for line in text.splitlines() if not line.startswith("hang,right,2"))
+    swapped = text.replace("left", "?").replace("right", "left").replace("?", "right")
+    for wrong, words in ((rows, "test hang: marker 2 is seen by camera left only; two must see it"),
+                         (swapped, "test hang: cameras left and right are swapped")):  # fmt: skip
+        (seen / "pixels.csv").write_text(wrong)
+        with pytest.raises(InputError, match=words):
+            read_campaign(seen)
 
 
 def test_mirrored_control_points_are_named(seen):

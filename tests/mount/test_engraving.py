@@ -17,9 +17,8 @@ BASES = [3.0, 10.0, 10.5, 12.0, 25.0]
 
 def adapter_of(base_d: float, name: str = "large") -> SensorAdapter:
     probe = {"length_mm": 150.0, "base_d_mm": base_d, "tip_d_mm": 2.0}
-    return sensor_adapter_for(
-        build_geometry(check_design({"schema": 1, "name": name, "probe": probe})), SENSORS["nano17"], name
-    )
+    geometry = build_geometry(check_design({"schema": 1, "name": name, "probe": probe}))
+    return sensor_adapter_for(geometry, SENSORS["nano17"], name)
 
 
 def test_no_two_characters_look_alike_and_all_are_five_high() -> None:

@@ -79,16 +79,11 @@ def test_a_tube_is_a_rod_without_its_bore() -> None:
     assert tube.inertia[0, 0] == pytest.approx(m * (3 * (25 + 9) + 16) / 12)
 
 
-def test_base_sits_straight_above_the_tool_face() -> None:
-    adapter = adapter_of(make_design())
-    T = adapter.T_sensor_base
-    assert is_pose(T)
-    assert np.array_equal(T[:3, :3], np.eye(3))
+def test_base_sits_straight_above_the_tool_face_and_screws_into_the_sensor_keep_its_limits() -> None:
+    T = adapter_of(make_design()).T_sensor_base
+    assert is_pose(T) and np.array_equal(T[:3, :3], np.eye(3))
     # 3.1 mm of grip, a 2.0 mm head sunk by 0.2 mm, a 3.0 mm flange; sums of decimals, hence a picometre.
     assert T[:3, 3] == pytest.approx([0.0, 0.0, 8.3e-3], abs=1e-12)
-
-
-def test_screws_into_the_sensor_keep_its_limits() -> None:
     for holes in (SENSORS["nano17"].interface.tool, SENSORS["nano17"].interface.mounting):
         assert holes.min_entry < holes.length - holes.grip < holes.max_entry
         # 6.0 - 2.5 - 0.24 (screw) - 0.15 (print) = 3.11 mm, to 0.1 mm; sums of decimals, hence a picometre.
@@ -124,20 +119,17 @@ def test_the_exported_flange_yields_as_computed(base_d: float, computed: float) 
     assert exported_root_radii(geometry) == pytest.approx(computed, abs=3e-3)  # what the fit leaves
 
 
-def test_a_probe_too_wide_for_any_ring_is_refused() -> None:
-    bulge = 'shape = "profile"\nlength_mm = 150.0\nbase_d_mm = 12.0\nprofile_mm = [[0, 12], [75, 16], [150, 2]]'
-    with pytest.raises(InputError, match=r"profile_mm: 16 mm .* at most 14\.2 mm") as error:
-        adapter_of(make_design(bulge))
-    assert "\n" not in str(error.value)
-
-
 @pytest.mark.parametrize("base_d", [12.0, 18.5, 25.0])
-def test_the_widest_probe_that_the_message_allows_is_clamped(base_d: float) -> None:
+def test_the_widest_probe_that_the_message_allows_is_clamped_and_a_wider_one_is_refused(base_d: float) -> None:
     """Between its ring and the land 1.5 mm of the lip remain."""
     bulge = f"[[0.0, {base_d}], [75.0, {base_d + 2.0}], [150.0, 2.0]]"
     a = adapter_of(make_design(f'shape = "profile"\nlength_mm = 150.0\nbase_d_mm = {base_d}\nprofile_mm = {bulge}'))
     assert (a.land_d - a.ring_bore_d) / 2 == pytest.approx(1.5e-3)
     assert a.land_d <= a.flange.diameter - 1e-3 + 1e-9
+    bulge = 'shape = "profile"\nlength_mm = 150.0\nbase_d_mm = 12.0\nprofile_mm = [[0, 12], [75, 16], [150, 2]]'
+    with pytest.raises(InputError, match=r"profile_mm: 16 mm .* at most 14\.2 mm") as error:
+        adapter_of(make_design(bulge))
+    assert "\n" not in str(error.value)
 
 
 def test_the_mount_mass_needs_no_cad() -> None:

@@ -21,6 +21,8 @@ from probedesign.mount.mount import (
 )
 from probedesign.mount.tolerance_stack import Stack, StackItem, h7, measurements, tolerance_stacks
 
+PROBE = 'schema = 1\nname = "x"\n[probe]\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n'
+
 
 def stacks_of(base_d: float = 12.0, mount: str = "") -> dict[str, Stack]:
     return {stack.name: stack for stack in tolerance_stacks(*adapters_of(base_d, mount))}
@@ -53,6 +55,15 @@ def test_the_screws_into_the_sensor_keep_their_limits_at_every_corner() -> None:
         low, high = stacks_of()[name].worst
         assert (low, high) == (pytest.approx(2.51e-3), pytest.approx(3.49e-3))
     assert SCREWS["M2"].length_tolerance(6e-3) == pytest.approx(0.24e-3)
+
+
+def test_the_slot_takes_the_distance_of_the_dowel_holes_and_every_stack_names_a_key_that_changes_it() -> None:
+    """Two printed holes are ±0.15 mm apart, the sensor's ±0.05 mm, and the slot may be 0.15 mm short."""
+    stacks = stacks_of()
+    assert stacks["dowel_slot"].worst[0] == pytest.approx(0.5 * (0.6 - 0.15) * 1e-3 - 0.2e-3)
+    assert stacks["dowel_slot"].ok
+    for stack in stacks.values():
+        assert stack.remedy.startswith("change ") and re.search(r"(mount|interface|probe)\.\w+", stack.remedy)
 
 
 @pytest.mark.parametrize("base_d", [0.5, 3.0, 7.5, 12.0, 18.5, 25.0, 60.0])
@@ -126,11 +137,6 @@ def test_parts_that_do_not_fit_together_are_refused() -> None:
     assert broken(a, pins(0.99)) == {"centring_fit"}
 
 
-def test_every_stack_names_a_key_that_changes_it() -> None:
-    for stack in tolerance_stacks(*adapters_of(12.0, "")):
-        assert stack.remedy.startswith("change ") and re.search(r"(mount|interface|probe)\.\w+", stack.remedy)
-
-
 OWN_FLANGE = (
     'robot_flange = "own"\n[mount.flange]\nbolt = "M6"\nbolt_circle_d_mm = 80.0\n'
     "bolt_azimuths_deg = [45.0, 135.0, 225.0, 315.0]\n"
@@ -166,13 +172,6 @@ def test_holes_h7_follow_the_standard() -> None:
     assert {d: round(1e6 * h7(d * 1e-3)) for d in table} == table
 
 
-def test_the_slot_takes_the_distance_of_the_dowel_holes() -> None:
-    """Two printed holes are ±0.15 mm apart, the sensor's ±0.05 mm, and the slot may be 0.15 mm short."""
-    stack = stacks_of()["dowel_slot"]
-    assert stack.worst[0] == pytest.approx(0.5 * (0.6 - 0.15) * 1e-3 - 0.2e-3)
-    assert stack.ok
-
-
 @pytest.mark.parametrize("base_d", [0.5, 12.0, 30.0, 45.0, 60.0])
 def test_a_ring_centred_by_eye_never_touches_the_probe(base_d: float) -> None:
     """Bore and base are ±0.15 mm or ±0.5 %, the ring 0.2 mm off the axis: 0.5 mm of gap, and more for wide probes."""
@@ -198,13 +197,10 @@ def test_the_glued_flange_yields_less_and_a_bonded_face_less_still() -> None:
 
 
 def test_a_root_that_contradicts_the_hold_is_found() -> None:
-    text = 'schema = 1\nname = "x"\n[probe]\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n[mount]\n'
-
     def found(mount: str) -> bool:
-        return root_contradiction(parse_design(text + mount)) != ""
+        return root_contradiction(parse_design(f"{PROBE}[mount]\n{mount}")) != ""
 
-    new, _ = with_computed_root(parse_design(text), "clamped")
-    glued, _ = with_computed_root(parse_design(text), "glued")
+    (new, _), (glued, _) = (with_computed_root(parse_design(PROBE), hold) for hold in ("clamped", "glued"))
     assert not root_contradiction(new) and not root_contradiction(glued)
     by_hand = parse_design(render_design(new).replace('hold = "clamped"', 'hold = "glued"'))
     assert "-0.11" in root_contradiction(by_hand)
@@ -218,8 +214,7 @@ def test_a_root_that_contradicts_the_hold_is_found() -> None:
 @pytest.mark.parametrize("section", ["", 'section = "hollow"\nbore_ratio = 0.5\n'])
 def test_a_root_that_was_written_for_another_flange_is_found(section: str) -> None:
     """Base radius over thickness decides: 4 mm instead of 3 mm is 0.045 base radii, one standard deviation."""
-    text = f'schema = 1\nname = "x"\n[probe]\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n{section}'
-    new, _ = with_computed_root(parse_design(text), "clamped")
+    new, _ = with_computed_root(parse_design(PROBE + section), "clamped")
     written = render_design(new)
     assert not root_contradiction(parse_design(written))
 
@@ -237,10 +232,9 @@ def test_a_root_that_was_written_for_another_flange_is_found(section: str) -> No
 
 
 def test_a_new_design_states_the_computed_root_and_its_uncertainty() -> None:
-    text = 'schema = 1\nname = "x"\n[probe]\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n'
-    design, notes = with_computed_root(parse_design(text), "clamped")
+    design, notes = with_computed_root(parse_design(PROBE), "clamped")
     assert design.mount.root_rigid_radii == stated_root_radii(design) == -0.18
     assert design.tolerances.root_radii == ROOT_STD and "mount.root_rigid_radii" in notes
     assert "mount.root_rigid_radii" in design.assumptions  # computed, not measured
-    hollow, _ = with_computed_root(parse_design(text + 'section = "hollow"\nbore_ratio = 0.5\n'), "glued")
+    hollow, _ = with_computed_root(parse_design(PROBE + 'section = "hollow"\nbore_ratio = 0.5\n'), "glued")
     assert hollow.tolerances.root_radii is None and hollow.mount.hold == "glued"

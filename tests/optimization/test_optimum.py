@@ -90,12 +90,6 @@ def test_sag_and_reach_have_exact_slopes(large, free):
         )  # fmt: skip
 
 
-def test_a_taper_through_a_cones_diameters_is_the_cone(large):
-    space = DesignSpace.of(large, ("taper",))
-    s, d = space.knots_mm(space.x_of(large))
-    np.testing.assert_allclose(d, 12.0 - 10.0 * s / 150.0, atol=1e-9)  # a cubic spline draws a line exactly
-
-
 @pytest.mark.parametrize(("x", "rule"), [((12.0, 1.4), "smallest_feature"), ((3.7, 3.6), "slenderness")])
 def test_the_print_constraints_are_those_of_the_print_check(large, x, rule):
     space, x = DesignSpace.of(large, ("cone",)), np.array(x)
@@ -134,8 +128,8 @@ def test_combine_worst_minimises_the_worst_case(large):
 
 def test_an_object_slides_off_a_soft_tip(large):
     """7 to 1.5 mm bends so far at 0.9 of its length that the object comes off the tip."""
-    soft = design_metrics(DesignSpace.of(large, ("cone",)).design(np.array([7.0, 1.5])), TASK)
-    stiff = design_metrics(large, TASK)
+    soft, stiff = (design_metrics(design, TASK) for design in
+                   (DesignSpace.of(large, ("cone",)).design(np.array([7.0, 1.5])), large))  # fmt: skip
     assert soft.slide_mm is None and 0.0 < stiff.slide_mm < 1.0
     assert design_metrics(large, Task(touches=1)).slide_mm is None
 
@@ -177,6 +171,8 @@ def test_the_critical_load_is_predicted_below_buckling(large):
 
 def test_a_design_that_the_clamp_ring_does_not_pass_is_infeasible(large):
     space = DesignSpace.of(large, ("taper",))
+    s, d = space.knots_mm(space.x_of(large))
+    np.testing.assert_allclose(d, 12.0 - 10.0 * s / 150.0, atol=1e-9)  # a cubic spline draws a line exactly
     # The flange of a 6 mm base is 17 mm wide: 3 mm of it are pressed, 1 mm is the ring's gap, 1 mm lies in the groove.
     x = np.array([6.0, 14.0, 6.0, 4.0, 2.0])
     assert [name for name, rooms in space.printable(x).items() if rooms.min() < 0.0] == ["room for the clamp ring"]
@@ -244,15 +240,6 @@ def test_an_unwritable_output_is_refused_before_the_search(tmp_path, capsys):
     assert run(["optimize", str(LARGE), "--out", str(tmp_path / "file/best.toml")]) == 2
     err = capsys.readouterr().err
     assert err.count("\n") == 1 and "cannot be written" in err
-
-
-def test_a_hollow_body_prints_as_it_is_written(large):
-    """The optimum is at a print rule, and rounded dimensions still satisfy it."""
-    tables = tables_of(large)
-    tables["probe"] |= {"section": "hollow", "bore_ratio": 0.5, "tip_d_mm": 4.0}
-    search = OptimizationProblem(check_design(tables), ("cone", "section"), replace(TASK, fractions=(0.7,)))
-    found = optimum(search, "best", quiet)
-    assert any("print rule" in text for text in found.active_constraints) and found.after.print_errors == 0
 
 
 def test_the_front_begins_with_the_best_cone(large, tmp_path):
@@ -366,11 +353,13 @@ def test_a_search_without_print_warnings_finds_a_design_without(large):
 
 
 def test_a_hollow_optimum_keeps_the_limits_of_soft_resin(large):
-    """The search may choose wall and bore, and would end at the limits of rigid resin, which do not print."""
+    """The search may choose wall and bore, and would end at the limits of rigid resin, which do not print. The optimum
+    is at a print rule, and rounded dimensions still satisfy it."""
     tables = tables_of(large)
     tables["probe"] |= {"section": "hollow", "bore_ratio": 0.5, "tip_d_mm": 4.0}
     search = OptimizationProblem(check_design(tables), ("cone", "section"), replace(TASK, fractions=(0.7,)))
     found = optimum(search, "best", quiet)
+    assert any("print rule" in text for text in found.active_constraints) and found.after.print_errors == 0
     probe = found.design.probe
     wall, bore = (1 - probe.bore_ratio) * probe.tip_d_mm / 2, probe.bore_ratio * probe.tip_d_mm
     assert wall >= SOFT_FACTOR * SUPPORTED_WALL and bore >= SOFT_FACTOR * MIN_HOLE_D

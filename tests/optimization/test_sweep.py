@@ -26,13 +26,10 @@ LARGE = Path(__file__).parents[2] / "designs/large.toml"
 REQUEST = {"schema": 1, "vary": {"a": [1, 2]}}
 
 
-def test_the_end_of_a_range_counts_in_spite_of_rounding():
+def test_the_end_of_a_range_counts_in_spite_of_rounding_and_every_combination_once():
     assert parse_axis("probe.tip_d_mm=1.5:2.1:0.1").values == (1.5, 1.6, 1.7, 1.8, 1.9, 2.0, 2.1)
     assert parse_axis("sensor.averaging_samples=36:72:36").values == (36, 72)
     assert parse_axis("sensor.calibration=si-12-0.12, si-25-0.25").values == ("si-12-0.12", "si-25-0.25")
-
-
-def test_every_combination_once():
     grid = grid_points([parse_axis("probe.tip_d_mm=1:3:1"), parse_axis("probe.base_d_mm=8,12")])
     assert len({tuple(point.items()) for point in grid}) == len(grid) == 6
 
@@ -61,19 +58,16 @@ def test_a_key_is_varied_and_no_other():
     assert changed == base | {"probe": {k: v for k, v in base["probe"].items() if k != "tip_d_mm"}}
 
 
-def test_invalid_and_buckling_designs_give_a_reason():
+def test_designs_that_are_invalid_buckle_or_overload_the_sensor_give_a_reason():
+    """20 N near the base: the probe is stable, the range of 12 N is exceeded."""
     base = tables_of(load_design(LARGE))
     refused = evaluate_point(base, 0, {"probe.tip_d_mm": 13.0}, Task())
     limp = evaluate_point(base, 1, {"probe.base_d_mm": 2.0}, Task())
+    rigid = base | {"contact": {"object_compliance_m_N": 0.0}}  # 20 N move any other far away
+    heavy = evaluate_point(rigid, 2, {}, Task((20.0,), fractions=(0.1,)))
     assert refused["result"] == "refused" and "wider than base_d_mm" in refused["reason"]
     assert limp["result"] == "gives_way" and limp["error_mm"] is None and limp["mass_g"] > 0.0
-
-
-def test_a_reading_out_of_range_is_not_ok():
-    """20 N near the base: the probe is stable, the range of 12 N is exceeded."""
-    tables = tables_of(load_design(LARGE)) | {"contact": {"object_compliance_m_N": 0.0}}  # 20 N move any other far away
-    found = evaluate_point(tables, 0, {}, Task((20.0,), fractions=(0.1,)))
-    assert found["result"] == "out_of_range" and found["sensor_use"] > 1.0 and "range" in found["reason"]
+    assert heavy["result"] == "out_of_range" and heavy["sensor_use"] > 1.0 and "range" in heavy["reason"]
 
 
 def test_the_error_of_one_touch_is_the_prediction():

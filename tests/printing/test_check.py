@@ -45,22 +45,13 @@ def test_the_papers_probes_print(name):
         assert bool(finding.remedy) == (finding.severity != "ok")
 
 
-def test_a_rounded_tip_is_no_thinner_than_where_it_begins():
-    design = parse_design(
-        'schema = 1\nname = "x"\n[probe]\nshape = "cone"\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n'
-        'tip = "rounded"\n'
-    )
-    assert check_print(design).errors == []
-
-
-def test_a_flange_without_pin_and_spigot_has_no_walls_there():
-    design = parse_design(
-        'schema = 1\nname = "x"\n[probe]\nshape = "cone"\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n'
-        '[mount]\nrobot_flange = "own"\n[mount.flange]\nbolt = "M6"\nbolt_circle_d_mm = 50.0\n'
+def test_a_rounded_tip_is_no_thinner_and_a_flange_without_pin_and_spigot_has_no_walls_there():
+    text = 'schema = 1\nname = "x"\n[probe]\nshape = "cone"\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n'
+    assert check_print(parse_design(text + 'tip = "rounded"\n')).errors == []
+    check = check_print(parse_design(
+        f'{text}[mount]\nrobot_flange = "own"\n[mount.flange]\nbolt = "M6"\nbolt_circle_d_mm = 50.0\n'
         "bolt_azimuths_deg = [45.0, 135.0, 225.0, 315.0]\nmax_bolt_entry_mm = 6.0\nbolt_length_mm = 12.0\n"
-        "face_d_mm = 63.0\n"
-    )
-    check = check_print(design)
+        "face_d_mm = 63.0\n"))  # fmt: skip
     assert check.errors == []
     assert not any("pin slot" in f.what or "spigot" in f.what for f in check.findings)
 
@@ -102,12 +93,9 @@ def test_a_tip_below_the_resins_limit_is_an_error_with_the_limit(tip, severity):
     assert finding.remedy == ("" if severity == "ok" else "make it 1.5 mm there")
 
 
-def test_a_flattened_probe_is_as_thin_as_its_short_axis():
+def test_a_flattened_probe_is_as_thin_as_its_short_axis_and_a_neck_counts_like_a_tip():
     finding = found(design_of(tip=2.0, section="elliptic", flatness=0.5), "smallest_feature")
     assert finding.measured == pytest.approx(1.0)
-
-
-def test_a_neck_counts_like_a_tip():
     finding = found(design_of(profile=[[0.0, 12.0], [70.0, 1.0], [150.0, 3.0]]), "smallest_feature")
     assert finding.severity == "error" and "s = 70 mm" in finding.what
 
@@ -175,10 +163,7 @@ def test_a_hollow_probe_is_measured_at_its_thinnest():
     thin = design_of(length=100, base=12.0, tip=1.5, section="hollow", bore_ratio=0.5)
     assert found(thin, "wall", "s = 100").severity == "error"  # 0.375 mm
     assert found(thin, "hole", "s = 100").severity == "warning"  # 0.75 mm
-
-
-def test_a_full_probe_traps_nothing():
-    assert not [f for f in check_print(design_of()).findings if f.rule == "trapped_volume"]
+    assert not [f for f in check_print(design_of()).findings if f.rule == "trapped_volume"]  # a full one traps nothing
 
 
 # The rigid parts
@@ -187,16 +172,8 @@ def test_a_full_probe_traps_nothing():
 @pytest.mark.parametrize("base", [3.0, 8.0, 12.0, 25.0])
 @pytest.mark.parametrize("robot_flange", ["iso-9409-1-50-4-m6", "iso-9409-1-31.5-4-m5"])
 def test_the_rigid_parts_of_every_base_keep_their_rules(base, robot_flange):
-    text = f"""
-    schema = 1
-    name = "x"
-    [probe]
-    length_mm = 60.0
-    base_d_mm = {base}
-    tip_d_mm = 2.0
-    [mount]
-    robot_flange = "{robot_flange}"
-    """
+    text = (f'schema = 1\nname = "x"\n[probe]\nlength_mm = 60.0\nbase_d_mm = {base}\ntip_d_mm = 2.0\n[mount]\n'
+            f'robot_flange = "{robot_flange}"\n')  # fmt: skip
     rigid = [f for f in check_print(parse_design(text)).findings if f.part != "probe"]
     assert {f.severity for f in rigid} == {"ok"}
     assert {"build_volume", "wall", "hole", "slenderness", "overhang", "cup"} <= {f.rule for f in rigid}
@@ -231,7 +208,7 @@ def test_the_command_prints_findings_and_passes_with_warnings(written, capsys):
     assert "hanging or in a V-groove" in out
 
 
-def test_the_command_fails_on_errors(written, capsys):
+def test_the_command_fails_on_errors_and_its_json_holds_every_number(written, capsys):
     assert run(["check", written((240.0, 1.2))]) == 1
     captured = capsys.readouterr()
     assert captured.err == ""
@@ -240,9 +217,6 @@ def test_the_command_fails_on_errors(written, capsys):
     assert "250 mm, required at most 185 mm; the longest probe for a form-3 is 175 mm; it fits a form-3l" in lines[0]
     assert "1.2 mm, required at least 1.5 mm" in lines[1]
     assert "low confidence: assumed" in captured.out
-
-
-def test_the_commands_json_holds_every_number(written, capsys):
     assert run(["check", written((240.0, 1.2)), "--json"]) == 1
     document = json.loads(capsys.readouterr().out)
     assert (document["ok"], document["errors"], document["printer"]) == (False, 2, "form-3")

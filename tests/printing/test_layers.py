@@ -65,12 +65,11 @@ def test_a_roof_between_two_walls_is_a_bridge_in_any_direction(width: float) -> 
         assert width - 1.8 <= report.bridge <= width
 
 
-def test_a_place_that_begins_in_mid_air_is_an_island() -> None:
+def test_islands_cups_and_enclosed_volumes_are_measured() -> None:
+    """What begins in mid-air is an island; a cup is as wide as its bore until it is vented below."""
     report = examined(lambda x, y, z: (np.hypot(x - 4, y) < 2.0) | ((np.hypot(x + 4, y) < 2.0) & (z > 2.0)))
     assert report.islands == 1
 
-
-def test_a_cup_is_as_wide_as_its_bore_until_it_is_vented_below() -> None:
     def cup(vented: bool):
         def inside(x, y, z):
             wall = (np.hypot(x, y) < 7.0) & ((np.hypot(x, y) >= 6.0) | (z < 1.0))
@@ -80,9 +79,6 @@ def test_a_cup_is_as_wide_as_its_bore_until_it_is_vented_below() -> None:
 
     assert examined(cup(False)).cup_d == pytest.approx(12.0, abs=2 * PIXEL)
     assert examined(cup(True)).cup_d == 0.0
-
-
-def test_an_enclosed_volume_is_measured() -> None:
     report = examined(lambda x, y, z: (np.hypot(x, y) < 7.0) & ~((np.hypot(x, y) < 3.0) & (z > 2.0) & (z < 4.0)))
     assert report.trapped == pytest.approx(np.pi * 9.0 * 2.0, rel=0.03)  # pixels of a circle of 24 of them
     assert examined(lambda x, y, z: np.hypot(x, y) < 7.0).trapped == 0.0

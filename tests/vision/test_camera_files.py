@@ -89,10 +89,12 @@ def test_opencvs_files_give_the_cameras_back(tmp_path, suffix):
         assert one.distortion == pytest.approx(BENDS) and one.size_px == (1920, 1080) and one.std_px == 0.21
 
 
-def test_a_rotation_vector_is_a_rotation(tmp_path):
+def test_a_rotation_vector_is_a_rotation_and_a_translation_without_its_unit_is_refused(tmp_path):
     turned = [one_camera(tmp_path, seen, R=None, T=None, rvec=cv2.Rodrigues(seen.R_camera_world)[0],
                          tvec=-1e3 * seen.R_camera_world @ seen.p_world) for seen in TRUE]  # fmt: skip
     assert read(turned).cameras[1].p_world == pytest.approx(TRUE[1].p_world)
+    with pytest.raises(InputError, match="T is in the unit of the calibration board; name it"):
+        read([one_camera(tmp_path, seen) for seen in TRUE], unit=None)
 
 
 @pytest.mark.parametrize("suffix", [".yml", ".xml"])
@@ -102,15 +104,12 @@ def test_a_stereo_pair_has_two_cameras_without_a_pose(tmp_path, suffix):
     assert pytest.approx(TRUE[1].K) == found.cameras[1].K
 
 
-def test_kalibrs_chain_is_read(tmp_path):
+def test_kalibrs_chain_and_ros_camera_info_are_read(tmp_path):
     path = tmp_path / "camchain.yaml"
     path.write_text(KALIBR)
     found = read([path], px=0.15, unit=None)
     assert found.cameras[1].distortion == pytest.approx(BENDS[:4]) and found.cameras[0].size_px == (1920, 1080)
     assert found.cameras[0].std_px == 0.15
-
-
-def test_ros_camera_info_is_read(tmp_path):
     for name in NAMES:
         (tmp_path / f"{name}.yaml").write_text(ROS)
     found = read([tmp_path / f"{name}.yaml" for name in NAMES])
@@ -220,11 +219,6 @@ def test_files_that_cannot_be_used_are_refused_in_one_line(tmp_path, make, words
     with pytest.raises(InputError, match=words) as caught:
         read(make(tmp_path))
     assert "\n" not in str(caught.value) and str(caught.value).startswith(str(tmp_path))
-
-
-def test_a_translation_without_its_unit_is_refused(tmp_path):
-    with pytest.raises(InputError, match="T is in the unit of the calibration board; name it"):
-        read([one_camera(tmp_path, seen) for seen in TRUE], unit=None)
 
 
 def test_control_points_place_the_camera_of_a_file(tmp_path):

@@ -105,20 +105,15 @@ def test_another_number_of_dots_is_refused(usual, count, words):
         find_markers(usual, 0.01 * np.arange(1, count + 1), BASE)
 
 
-def test_a_hidden_dot_is_missed(usual, tmp_path):
-    picture = read_grey(usual)
+def test_a_hidden_dot_is_missed_and_an_empty_wall_has_none(usual, tmp_path):
+    hidden = read_grey(usual)
     u, v = np.round(where()[5]).astype(int)
-    picture[v - 15 : v + 15, u - 15 : u + 15] = picture[v - 13, u - 13]
-    write_png(tmp_path / "hidden.png", picture)
-    with pytest.raises(InputError, match="dots in a row, but 14 are expected"):
-        find_markers(tmp_path / "hidden.png", DOTS.s, BASE)
-
-
-def test_an_empty_wall_has_no_dots(tmp_path):
-    nothing = np.random.default_rng(0).normal(100, 3, SIZE[::-1]).astype(np.uint8)
-    write_png(tmp_path / "wall.png", nothing)
-    with pytest.raises(InputError, match="no row of dots, but 14"):
-        find_markers(tmp_path / "wall.png", DOTS.s, BASE)
+    hidden[v - 15 : v + 15, u - 15 : u + 15] = hidden[v - 13, u - 13]
+    wall = np.random.default_rng(0).normal(100, 3, SIZE[::-1]).astype(np.uint8)
+    for picture, words in ((hidden, "dots in a row, but 14 are expected"), (wall, "no row of dots, but 14")):
+        write_png(tmp_path / "picture.png", picture)
+        with pytest.raises(InputError, match=words):
+            find_markers(tmp_path / "picture.png", DOTS.s, BASE)
 
 
 @pytest.mark.parametrize("content", [b"", b"no picture", b"\x89PNG\r\n\x1a\n" + bytes(100)])
