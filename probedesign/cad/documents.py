@@ -246,14 +246,8 @@ def step_pictures(bodies: Bodies, steps: Sequence[AssemblyStep], seat: float) ->
 
 
 def exploded_svg(bodies: Bodies, bill: Sequence[BillItem], title: str, seat: float) -> Canvas:
-    """Return the exploded view of all parts with their numbers, names and descriptions.
-
-    Args:
-        bodies: all at their assembled positions.
-        bill: of materials.
-        title: text alternative.
-        seat: as for `exploded_bodies`.
-    """
+    """Return the exploded view of all parts with their numbers, names and descriptions; for `seat` see
+    `exploded_bodies`."""
     exploded = exploded_bodies(bodies, explosion(bodies), seat)
     names = list(exploded)
     view = fit_view(list(exploded.values()), FROM_ABOVE, EXPLODED_SIZE)
@@ -343,15 +337,7 @@ def assembly_page(
     exploded: Canvas,
     pictures: Sequence[bytes],
 ) -> bytes:
-    """Return the assembly page: one HTML file that needs no network and prints on A4.
-
-    Args:
-        model: of the design.
-        bill: of materials.
-        steps: in order.
-        exploded: the exploded view with the bill's numbers.
-        pictures: a PNG of each step.
-    """
+    """Return the assembly page: one HTML file that needs no network and prints on A4."""
     keys = dict.fromkeys((use.screw for use in model.screws), "") | {
         model.adapter.ring_screw: " with a long arm, to reach past the probe"
     }

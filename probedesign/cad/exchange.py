@@ -104,11 +104,7 @@ def step_bytes(assembly: cq.Assembly, file: str, about: str, date: str = "") -> 
 
 
 def glb_bytes(assembly: cq.Assembly, file: str) -> bytes:
-    """Return an assembly as a binary glTF file, in metres with y up as glTF requires: x, z and −y of the assembly.
-
-    Args:
-        assembly: as for `step_bytes`, of shapes that have facets.
-        file: its name, for messages.
+    """Return an assembly of shapes with facets as a binary glTF file, in metres with y up as glTF requires: x, z and −y of the assembly.
 
     Raises:
         CheckFailedError: the kernel does not write the file.

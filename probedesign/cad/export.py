@@ -31,14 +31,7 @@ SCHEMA = 1
 def manifest_of(
     model: CadModel, documents: Documents, files: dict[str, dict[str, Any]], findings: Findings
 ) -> dict[str, Any]:
-    """Return the manifest of an export.
-
-    Args:
-        model: of the design.
-        documents: of the export.
-        files: sha256 and size by name.
-        findings: of `verify`.
-    """
+    """Return the manifest of an export."""
     a, robot, flange, mount = model.adapter, model.plate.robot, model.geometry.flange, model.design.mount
     root = exported_root_radii(model.geometry, mount.hold)
     robot_pin = {f"dowel pin of {robot.pin_d / MM:g} mm that the robot's flange takes": 1} if robot.pin_d else {}
@@ -80,7 +73,7 @@ def manifest_of(
 
 
 def model_record(model: CadModel, files: dict[str, dict[str, Any]], findings: Findings) -> dict[str, Any]:
-    """Return what the manifests of all exports have in common; the arguments are those of `manifest_of`."""
+    """Return what the manifests of all exports have in common; `files` are digest and size by name."""
     design, sensor, bodies = model.design, model.design.sensor_model, model.bodies
     rigid = combined(body for name, body in bodies.items() if name != "flexible")
     return {

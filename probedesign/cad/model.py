@@ -130,10 +130,7 @@ def boxes_meet(a: Array, b: Array) -> bool:
 def assembly_of(parts: dict[str, CadPart], name: str, displayed: bool = False) -> cq.Assembly:
     """Return the parts, named, coloured and placed; equal screws are instances of one shape.
 
-    Args:
-        parts: by name.
-        name: of the assembly.
-        displayed: whether the shapes have the facets of pictures.
+    The shapes have the facets of pictures where `displayed`.
     """
     assembly, shapes = cq.Assembly(name=name), dict[str, cq.Shape]()
     for part in parts.values():

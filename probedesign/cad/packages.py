@@ -40,13 +40,7 @@ class PackedPart:
 def packed_parts(
     design: Design, check: PrintCheck, meshes: Mapping[str, trimesh.Trimesh]
 ) -> dict[str, list[PackedPart]]:
-    """Return the parts of each package by file name.
-
-    Args:
-        design: of the parts.
-        check: its print check, with orientation and position of each part.
-        meshes: of the parts, as printed.
-    """
+    """Return the parts of each package by file name, with the orientation and position of the print check."""
     packages: dict[str, list[PackedPart]] = {}
     for platform in check.platforms:
         stem, number = ("probe" if "probe" in platform else "adapters"), 1

@@ -179,12 +179,7 @@ def _in_frame(points: Iterable[XY], T_a_b: Array) -> tuple[XY, ...]:
 
 
 def probe_solid(geometry: ProbeGeometry, adapter: SensorAdapter) -> cq.Solid:
-    """Return the flexible part and its flange in one solid.
-
-    Args:
-        geometry: of the probe.
-        adapter: its peg passes through the flange, where the hole at +x is the clocking mark; it also defines the
-            engraving of the lip.
+    """Return the flexible part and its flange in one solid, with the hole of the adapter's peg and the engraving.
 
     Returns:
         The solid in millimetres in the base frame: flexible part above z = 0, flange below.

@@ -34,11 +34,6 @@ CORRIDOR = 60.0 * MM  #: Length of the corridors of nuts and pins around the ada
 def blocked_tools(parts: dict[str, CadPart], screws: list[ScrewGroup], adapter: SensorAdapter) -> dict[str, float]:
     """Return the obstruction of each group of screws, nuts and pins, and of the ring.
 
-    Args:
-        parts: of the assembly.
-        screws: with their seats and directions.
-        adapter: on the sensor's tool side.
-
     Returns:
         By name, the volume [m³] of earlier parts in the corridors of the fastener and of its key; zero if it is free.
     """
@@ -100,13 +95,7 @@ STATIONS = 9
 def verify(
     model: CadModel, meshes: dict[str, trimesh.Trimesh], packed: dict[str, list[PackedPart]], packages: dict[str, bytes]
 ) -> Findings:
-    """Check a CAD model, its meshes and its 3MF packages.
-
-    Args:
-        model: of the design.
-        meshes: of the printed parts as drawn, by name.
-        packed: parts of the 3MF files as printed, by name of the file.
-        packages: content of the 3MF files, by name.
+    """Check a CAD model, its meshes as drawn and its 3MF packages as printed.
 
     Returns:
         Each finding by name, with `measured`, `limit`, `ok` and `what`.

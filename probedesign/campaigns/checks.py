@@ -49,10 +49,6 @@ TINY = 1e-12  #: A force that no sensor distinguishes from zero [N].
 def check_probe(campaign: Campaign, model: ProbeModel) -> None:
     """Refuse a campaign of another probe, or with values that this probe cannot produce.
 
-    Args:
-        campaign: the data.
-        model: of the probe it is used for.
-
     Raises:
         InputError: the fingerprints or the names differ; a place is beyond the tip; or values are not plausible.
     """

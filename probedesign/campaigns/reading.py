@@ -222,10 +222,6 @@ def read_wrench_table(folder: Path, tests: dict[str, int]) -> tuple[list[Array],
     """Return readings of each test [N, N·m], (n, 6), the mean time of each [s], their frame, and notes on assumptions,
     from `wrenches.csv` if any.
 
-    Args:
-        folder: of the data.
-        tests: index of each test by name.
-
     Raises:
         InputError: the table is invalid; one line.
     """

@@ -320,10 +320,6 @@ class TableRows:
     def check_unique(self, keys: list[tuple[object, ...]], describe: Callable[[int], str]) -> None:
         """Refuse two rows of the same key.
 
-        Args:
-            keys: of each row.
-            describe: returns the name of a row, for the message.
-
         Raises:
             InputError: there are two.
         """

@@ -25,24 +25,14 @@ class MissingDependencyError(ProbeDesignError, ImportError):
 
     @classmethod
     def of_extra(cls, feature: str, package: str, extra: str) -> "MissingDependencyError":
-        """Return the error for a missing package of one of this project's extras.
-
-        Args:
-            feature: what needs the package.
-            package: its name.
-            extra: the extra that installs it.
-        """
+        """Return the error for a missing package of one of this project's extras."""
         return cls(f"{feature} needs {package}: pip install 'probedesign[{extra}]'")
 
 
 def require(module: str, feature: str, extra: str, package: str = "") -> None:
     """Check that a module of one of this project's extras is installed, without importing it.
 
-    Args:
-        module: name of the module.
-        feature: what needs it.
-        extra: the extra that installs it.
-        package: name of its package, if it differs.
+    `package` is the name of its package, if it differs.
 
     Raises:
         MissingDependencyError: it is not installed.

@@ -17,9 +17,6 @@ from probedesign.core.errors import InputError
 def check_writable(path: Path) -> None:
     """Refuse a file that could not be written; call it before a long computation. No folder is made.
 
-    Args:
-        path: of the file that is to be written later.
-
     Raises:
         InputError: its folder, or the nearest one that exists, is not writable.
     """
@@ -117,9 +114,6 @@ def replaced_folder(folder: Path) -> Iterator[Path]:
 
 def backup(path: Path) -> Path | None:
     """Copy a file that is about to be replaced to NAME.old, or to NAME.old2 and so on where that exists.
-
-    Args:
-        path: of the file.
 
     Returns:
         The copy, beside the file; None if there is no such file.

@@ -44,9 +44,6 @@ def start_forkserver(preload: Sequence[str]) -> None:
     """Start the fork server early, so that it imports in parallel with the command itself.
 
     On platforms without a fork server the call has no effect.
-
-    Args:
-        preload: modules that the workers need.
     """
     if start_method() != "forkserver":
         return

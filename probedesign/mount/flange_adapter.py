@@ -74,12 +74,7 @@ def bolt_margin(robot: RobotFlange, length: float) -> float:
 
 
 def flange_adapter_for(sensor: SensorModel, robot: RobotFlange, fingerprint: str = "", name: str = "") -> FlangeAdapter:
-    """Return the plate for a sensor and a robot.
-
-    Args:
-        sensor: whose mounting side it screws to.
-        robot: flange of the robot.
-        fingerprint, name: engraved, of the geometry and of the design.
+    """Return the plate for a sensor and a robot, with fingerprint and name engraved.
 
     Raises:
         InputError: the robot's flange leaves too little room.

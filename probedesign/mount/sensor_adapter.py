@@ -234,13 +234,7 @@ def on_circle(diameter: float, azimuths_deg: Iterable[float]) -> tuple[XY, ...]:
 def sensor_adapter_for(
     geometry: ProbeGeometry, sensor: SensorModel, name: str = "", options: MountOptions | None = None
 ) -> SensorAdapter:
-    """Return the adapter that mounts a probe on a sensor.
-
-    Args:
-        geometry: of the probe.
-        sensor: whose tool side it screws to.
-        name: of the design, engraved after the geometry's fingerprint as far as it fits.
-        options: choices of the design; None for the defaults.
+    """Return the adapter that mounts a probe on a sensor; `name` is engraved after the fingerprint as far as it fits.
 
     Raises:
         InputError: the probe is too wide above its base for any ring that could still clamp the flange, or the lip

@@ -121,15 +121,12 @@ class DesignSpace:
         return intervals
 
     def printable(self, x: Array, *, without_warnings: bool = False) -> dict[str, Array]:
-        """Return the margins of the print rules; 0 is the limit below which they report an error.
+        """Return the margins of the print rules; 0 is the limit below which they report an error, or a
+        warning if designs are wanted `without_warnings`.
 
         The limits of wall and bore are those for soft resin, below which `check` warns: a search that may choose them
         ends at the limit, and the figures of rigid resin are not expected to print. The margins are at most quadratic
         in x, so their central differences are exact.
-
-        Args:
-            x: the point.
-            without_warnings: take the limits below which any rule reports a warning.
         """
         s, d = self.knots_mm(x)
         ratio, hollow = self.ratio(x), self.start.probe.section == "hollow"

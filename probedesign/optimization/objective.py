@@ -205,13 +205,7 @@ def design_metrics(design: Design, task: Task) -> DesignMetrics:
 
 
 def predict_task(model: ProbeModel, task: Task, slipping: bool = True) -> TaskErrors:
-    """Predict the errors of a task's touches, including all error sources.
-
-    Args:
-        model: of the probe.
-        task: how it is used.
-        slipping: whether the slide is computed too; otherwise it is 0.
-    """
+    """Predict the errors of a task's touches, including all error sources; without `slipping` the slide is 0."""
     cases, errors, use, slid = list[Case](), list[float](), 0.0, 0.0
     for under in task.models(model):
         estimator = Estimator(under, task.priors(under))

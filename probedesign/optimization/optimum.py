@@ -74,11 +74,6 @@ def optimum(search: OptimizationProblem, name: str, on_progress: OnProgress) -> 
 
     A free taper is also started from the best cone, so it is not worse than that.
 
-    Args:
-        search: statement of the problem.
-        name: of the resulting design.
-        on_progress: receives the current step.
-
     Raises:
         InputError: no design satisfies the limits; the message names the conflicting ones.
     """

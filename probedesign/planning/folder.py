@@ -92,12 +92,7 @@ def _list(values: Array) -> str:
 
 
 def checklist(plan: Plan, folder: str) -> list[tuple[str, list[str]]]:
-    """Return the steps at the bench: headings with their lines.
-
-    Args:
-        plan: of the campaign.
-        folder: of the data, as the commands at the end name it.
-    """
+    """Return the steps at the bench: headings with their lines; `folder` is named by the commands at the end."""
     kinds = {candidate.set_up for candidate in plan.candidates}
     model = plan.bench.model
     marks = sorted({candidate.mark for candidate in plan.candidates if np.isfinite(candidate.mark)})

@@ -70,14 +70,7 @@ MOUNT = Rule("mount", "mm", "the adapter's own dimensions", "high")
 
 
 def size_findings(part: str, printer: Printer, width: float, height: float, remedy: str = "") -> list[Finding]:
-    """Return the findings on width and height [mm] of a part, as printed.
-
-    Args:
-        part: of the export.
-        printer: of the design.
-        width, height: of the part without raft and supports.
-        remedy: against the height, besides a larger printer.
-    """
+    """Return the findings on width and height [mm] of a part, as printed, without raft and supports."""
     width, height = width + 2 * RAFT_MARGIN, height + SUPPORT_HEIGHT
     fitting = (
         f"it fits a {other.name}"

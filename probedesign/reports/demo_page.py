@@ -43,10 +43,6 @@ class DemoSection:
 def write_demo_page(folder: Path, sections: Sequence[DemoSection]) -> Path:
     """Write index.html; it reloads itself while a section is being made.
 
-    Args:
-        folder: of the demo.
-        sections: in order.
-
     Returns:
         The file.
     """

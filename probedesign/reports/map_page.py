@@ -96,9 +96,7 @@ SYMBOL_SIZE = (34, 14)  #: Width and height of a symbol of the legend, in units 
 def map_symbols(ellipsoids: str, truth: bool) -> list[tuple[str, str]]:
     """Return the symbols of the legend: SVG within `SYMBOL_SIZE`, and its meaning as plain text.
 
-    Args:
-        ellipsoids: magnification of the ellipsoids, as text.
-        truth: whether the simulated truth is shown.
+    `ellipsoids` states their magnification; `truth` adds the simulated truth.
     """
     blue, steps = hex_colour(MIN_RMS_MM), 8
     width = (SYMBOL_SIZE[0] - 4) / steps
@@ -202,13 +200,7 @@ HEAD = ("point", "x [mm]", "y [mm]", "z [mm]", "± [mm]", "common part [mm]", "f
 
 
 def map_page(scene: MapScene, title: str, about: Sequence[str]) -> bytes:
-    """Return the page.
-
-    Args:
-        scene: what is shown.
-        title: title of the page.
-        about: lines below it, on the data and assumptions.
-    """
+    """Return the page with lines about the data and the assumptions below its title."""
     data = json.dumps(_data(scene), allow_nan=False).replace("<", "\\u003c")
     choices = "".join(
         f'<label><input type="radio" name="times" value="{times}"{" checked" if times == scene.magnification else ""}>'

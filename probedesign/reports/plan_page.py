@@ -36,12 +36,7 @@ def interval_text(interval: ExpectedInterval) -> str:
 
 
 def plan_page(plan: Plan, folder: str) -> bytes:
-    """Return the page of a plan.
-
-    Args:
-        plan: the plan.
-        folder: of the data, as the commands of the checklist name it.
-    """
+    """Return the page of a plan; `folder` is that of the data, as the commands of the checklist name it."""
     model, enough = plan.bench.model, plan.enough
     about = [
         f"{len(plan.tests)} measurements in {plan.tests[-1].minutes:.0f} of {plan.minutes:g} minutes, preparation "

@@ -128,11 +128,7 @@ def sensitivity_chart(prediction: Prediction) -> Chart:
 
 
 def budget_chart(conditions: Sequence[Cell]) -> Chart:
-    """Return the error budget: the share of each group of sources in the variance, as stacked bars.
-
-    Args:
-        conditions: one per contact position, with budgets.
-    """
+    """Return the error budget: the share of each group of sources in the variance, as one bar per condition."""
     y = ChartAxis("share of the variance [%]", 0.0, 106.0, ticks=(0.0, 20.0, 40.0, 60.0, 80.0, 100.0))
     chart = Chart(ChartAxis.named(_PLACE, [f"{c.contact_fraction:g}" for c in conditions]), y)
     for i, condition in enumerate(conditions, 1):

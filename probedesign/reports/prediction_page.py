@@ -119,13 +119,7 @@ def prediction_figures(prediction: Prediction, estimator: Estimator) -> Iterator
 
 
 def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence[ReportFigure] = ()) -> bytes:
-    """Return the page of a prediction.
-
-    Args:
-        prediction: of a probe.
-        estimator: of the same probe.
-        more: further sections at the end.
-    """
+    """Return the page of a prediction by an estimator of the same probe, with more sections at its end."""
     sag, fused = prediction.tip_sag_mm, prediction.fused_headline
     fused_mm = fused.predicted_error_mm
     sags = "it buckles under its own weight" if sag is None else f"the tip sags by {sag:.3g} mm"

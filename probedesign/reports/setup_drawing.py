@@ -23,12 +23,7 @@ SENSOR, MOUNT = 0.10, 0.18  #: Lengths of the drawn sensor and robot adapter ove
 
 
 def set_up_drawing(model: ProbeModel, candidate: CandidateTest) -> bytes:
-    """Return the drawing of a test.
-
-    Args:
-        model: of the probe as designed.
-        candidate: a test with a shape: a free hang, a weight or a touch.
-    """
+    """Return the drawing of a test with a shape: a free hang, a weight or a touch."""
     test, shape = candidate.test, candidate.shape
     assert test is not None and shape is not None
     T, rod = test.T_world_base, model.rod

@@ -25,14 +25,7 @@ SHORT = {"refused": "invalid", "gives_way": "buckles", "unobservable": "unobs.",
 def sweep_page(
     records: Sequence[Record], keys: Sequence[str], about: str, beside: tuple[str, Sequence[Record]] | None = None
 ) -> bytes:
-    """Return the page of a sweep.
-
-    Args:
-        records: one per design, as in sweep.csv.
-        keys: the keys that vary.
-        about: the task, in one line.
-        beside: name and records of a second grid of the same keys, drawn with the same colours.
-    """
+    """Return the page of a sweep of `keys`; `beside` is a second grid of them, drawn with the same colours."""
     grids = [("", records)] if beside is None else [("this grid", records), beside]
     errors = [r[METRIC] for _, rows in grids for r in rows if r["result"] == "ok"]
     figures = []
