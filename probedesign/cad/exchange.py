@@ -104,7 +104,8 @@ def step_bytes(assembly: cq.Assembly, file: str, about: str, date: str = "") -> 
 
 
 def glb_bytes(assembly: cq.Assembly, file: str) -> bytes:
-    """Return an assembly of shapes with facets as a binary glTF file, in metres with y up as glTF requires: x, z and −y of the assembly.
+    """Return an assembly of shapes with facets as a binary glTF file, in metres with y up as glTF requires:
+    x, z and −y of the assembly.
 
     Raises:
         CheckFailedError: the kernel does not write the file.

@@ -95,11 +95,7 @@ def staged(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def _claimed(staging: Path) -> Iterator[None]:
-    """Lock a folder; the system releases the lock with the process, however it ends.
-
-    Raises:
-        BlockingIOError: another process holds it.
-    """
+    """Lock a folder; the system releases the lock with the process, however it ends."""
     try:
         import fcntl
     except ImportError:  # Windows: no locks, so no folder counts as abandoned

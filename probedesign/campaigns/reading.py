@@ -250,11 +250,7 @@ def read_wrench_table(folder: Path, tests: dict[str, int]) -> tuple[list[Array],
 def _test_times(
     rows: TableRows, time: Array, which: NDArray[np.intp], of_tests: list[NDArray[np.bool_]]
 ) -> list[float]:
-    """Return the mean time of each test [s]; NaN for those without, and for all if time begins anew in each test.
-
-    Raises:
-        InputError: time runs backward, within a test or from some tests to the next.
-    """
+    """Return the mean time of each test [s]; NaN for those without, and for all if time begins anew in each test."""
     given = np.flatnonzero(np.isfinite(time))
     t, first = time[given], np.flatnonzero(np.diff(which[given]) != 0) + 1  # of the rows of a test
     # with single readings, all may be at 0 s

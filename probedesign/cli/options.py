@@ -119,11 +119,7 @@ class TaskOptions:
 
 
 def _vector(text: str) -> tuple[float, float, float]:
-    """Return the three numbers of --gravity [m/s²].
-
-    Raises:
-        InputError: the text is not three numbers.
-    """
+    """Return the three numbers of --gravity [m/s²]."""
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:

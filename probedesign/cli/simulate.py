@@ -93,11 +93,7 @@ def simulate(
 def _configuration(
     model: "ProbeModel", torque_unit: str, rate_hz: float, records: int, seconds: float | None
 ) -> "NetFTConfiguration":
-    """Return the configuration of the box.
-
-    Raises:
-        InputError: an option is out of range.
-    """
+    """Return the configuration of the box."""
     from probedesign.live.sources.netft.rdt import MAX_RECORDS, SAMPLES_PER_SECOND
     from probedesign.simulation.netft_box import NATIVE
 

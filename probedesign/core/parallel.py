@@ -225,11 +225,7 @@ class JournalWriter:
 
 
 def _complete_records(content: bytes, path: Path) -> tuple[list[Record], int]:
-    """Return the records before the first incomplete one, and their length in bytes.
-
-    Raises:
-        InputError: a line other than the last is not a record.
-    """
+    """Return the records before the first incomplete one, and their length in bytes."""
     found, valid = list[Record](), 0
     for line in content.splitlines(keepends=True):
         try:

@@ -355,11 +355,7 @@ def length_tolerance(length: float) -> float:
 
 
 def _squeeze(flange: Flange, options: MountOptions) -> float:
-    """Return the nominal compression of the lip [m], which is positive at every corner of the tolerances.
-
-    Raises:
-        InputError: names the key, its value and the allowed range.
-    """
+    """Return the nominal compression of the lip [m], which is positive at every corner of the tolerances."""
     slack = length_tolerance(flange.thickness) + PRINT_TOLERANCE
     low, high = MIN_SQUEEZE + slack, MAX_SQUEEZE_SHARE * flange.thickness - slack
     if low > high + 1e-9:

@@ -235,12 +235,7 @@ def _computed_by_dask(client: "Client", base: dict[str, Any], task: Task, chunks
 
 @contextmanager
 def _client(scheduler: str, on_progress: OnProgress) -> Iterator["Client"]:
-    """Connect to a scheduler.
-
-    Raises:
-        InputError: the scheduler does not respond.
-        MissingDependencyError: dask is not installed.
-    """
+    """Connect to a scheduler."""
     try:
         import dask
         from distributed import Client

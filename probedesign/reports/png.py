@@ -125,9 +125,6 @@ def _new_figure(width: float, height: float, margins: tuple[float, float, float,
         width, height: [inch].
         margins: left, right, bottom and top of its axes [inch]; fitted to the content if None, which takes as long as
             drawing it twice more.
-
-    Raises:
-        MissingDependencyError: matplotlib is not installed.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
