@@ -37,7 +37,18 @@ def blocked_tools(parts: dict[str, CadPart], screws: list[ScrewGroup], adapter: 
     Returns:
         By name, the volume [m³] of earlier parts in the corridors of the fastener and of its key; zero if it is free.
     """
-    corridors = {use.name: screw_corridors(use) for use in screws} | _part_corridors(parts, adapter)
+    tip = float(parts["probe"].placed.BoundingBox().zmax) * MM
+    pin, ring_bottom = adapter.dowels, (adapter.ring_top, tip)
+    corridors: dict[str, list[cq.Shape]] = {
+        **{use.name: _screw_corridors(use) for use in screws},
+        "ring_nuts": [_nut_corridor(adapter, p) for p in adapter.p_ring_screws],  # from the rim
+        "dowel_pins": [  # from below
+            cylinder(pin.diameter, -CORRIDOR, pin.pin_length - pin.depth, p) for p in adapter.p_dowels
+        ],
+        "clamp_ring": [  # from above the tip
+            cylinder(adapter.body_d, *ring_bottom).cut(cylinder(adapter.ring_bore_d, *ring_bottom))
+        ],
+    }
     centring_pins = len(parts["centring_pins"].places) if "centring_pins" in parts else 0
     blocked: dict[str, float] = {}
     present = ["sensor"]
@@ -53,27 +64,13 @@ def blocked_tools(parts: dict[str, CadPart], screws: list[ScrewGroup], adapter: 
     return blocked
 
 
-def screw_corridors(use: ScrewGroup) -> list[cq.Solid]:
+def _screw_corridors(use: ScrewGroup) -> list[cq.Shape]:
     """Return the corridor of each screw: its shank, and above it the head's width over the length of the key."""
     out = -1.0 if use.up else 1.0  # from point to head
     seat, head, shank = use.seat, use.screw.head_d / 2, use.screw.pitch_d / 2
     point, free = seat - out * use.length, seat + out * (use.screw.head_height + use.screw.key_length)
-    outline = [(0.0, point), (shank, point), (shank, seat), (head, seat), (head, free), (0.0, free)]
-    corridor = revolved(outline)
+    corridor = revolved([(0.0, point), (shank, point), (shank, seat), (head, seat), (head, free), (0.0, free)])
     return [placed(corridor, pose(p=[*p, 0.0])) for p in use.points]
-
-
-def _part_corridors(parts: dict[str, CadPart], a: SensorAdapter) -> dict[str, list[cq.Shape]]:
-    """Return the corridors of the nuts from the rim, of the pins from below, and of the ring from above the tip."""
-    tip = float(parts["probe"].placed.BoundingBox().zmax) * MM
-    ring = cylinder(a.body_d, a.ring_top, tip).cut(cylinder(a.ring_bore_d, a.ring_top, tip))
-    return {
-        "ring_nuts": [_nut_corridor(a, p) for p in a.p_ring_screws],
-        "dowel_pins": [
-            cylinder(a.dowels.diameter, -CORRIDOR, a.dowels.pin_length - a.dowels.depth, p) for p in a.p_dowels
-        ],
-        "clamp_ring": [ring],
-    }
 
 
 def _nut_corridor(a: SensorAdapter, p: XY) -> cq.Shape:
@@ -109,8 +106,10 @@ def verify(
         **mesh_findings(model, meshes),
         **_packages(model.design.printer, packed, packages),
         **room_findings(model),
-        **_stacks(model),
     }
+    for stack in tolerance_stacks(model.adapter, model.plate):
+        what = f"m outside the limits at the worst corner: {stack.what}"
+        findings[f"{stack.name}_worst_case"] = _finding(stack.outside, 0.0, what)
     blocked = blocked_tools(model.parts, model.screws, model.adapter)
     what = "m³ of earlier parts in the corridors of the fastener and its key"
     findings |= {f"reach_{name}": _finding(volume, OVERLAP_LIMIT, what) for name, volume in blocked.items()}
@@ -233,16 +232,6 @@ def room_findings(model: CadModel) -> Findings:
         "air": _finding(in_air, OVERLAP_LIMIT, "m³ of mount parts within 0.5 mm of the sensor's body and cable"),
         # A nanometre: the kernel pads bounding boxes by its tolerance of 1e-10 m.
         "below_tool_face": _finding(max(0.0, -lowest), 1e-9, "m that wide parts reach below the tool face"),
-    }
-
-
-def _stacks(model: CadModel) -> Findings:
-    """Return, for each tolerance stack, how far its worst case lies outside of its limits."""
-    return {
-        f"{stack.name}_worst_case": _finding(
-            stack.outside, 0.0, f"m outside the limits at the worst corner: {stack.what}"
-        )
-        for stack in tolerance_stacks(model.adapter, model.plate)
     }
 
 

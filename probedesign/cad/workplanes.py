@@ -49,29 +49,21 @@ def changed_model(design: Design, changed: Mapping[str, cq.Workplane]) -> CadMod
         InputError: a name is not that of a printed part, or the part is not one solid.
         CheckFailedError: the solid is not valid.
     """
-    solids = {name: solid_of(name, part) for name, part in changed.items()}
+    solids: dict[str, cq.Solid] = {}
+    for name, part in changed.items():
+        if name not in CHANGEABLE:
+            raise unknown_name("part", name, CHANGEABLE)
+        found = part.findSolid().Solids() if isinstance(part, cq.Workplane) else []
+        if len(found) != 1:
+            raise InputError(f"{name}: has {len(found)} solids; give a CadQuery Workplane with one solid")
+        if not found[0].isValid() or found[0].Volume() <= 0.0:
+            raise CheckFailedError(f"{name}: the changed solid is not valid; check its last operation")
+        solids[name] = found[0]
     model = build_cad(design)
     parts: dict[str, CadPart] = {
         name: replace(part, shape=solids[name]) if name in solids else part for name, part in model.parts.items()
     }
     return replace(model, parts=parts)
-
-
-def solid_of(name: str, part: cq.Workplane) -> cq.Solid:
-    """Return the solid of a changed part.
-
-    Raises:
-        InputError: the name is not that of a printed part, or there is not exactly one solid.
-        CheckFailedError: the solid is not valid.
-    """
-    if name not in CHANGEABLE:
-        raise unknown_name("part", name, CHANGEABLE)
-    solids = part.findSolid().Solids() if isinstance(part, cq.Workplane) else []
-    if len(solids) != 1:
-        raise InputError(f"{name}: has {len(solids)} solids; give a CadQuery Workplane with one solid")
-    if not solids[0].isValid() or solids[0].Volume() <= 0.0:
-        raise CheckFailedError(f"{name}: the changed solid is not valid; check its last operation")
-    return solids[0]
 
 
 def _tagged(design: Design, part: str, solid: cq.Shape) -> cq.Workplane:
@@ -97,21 +89,13 @@ def _tagged(design: Design, part: str, solid: cq.Shape) -> cq.Workplane:
                        "mounting_screws": (plate.p_mounting_screws, plate.plate_top),
                        "centring_pins": (plate.p_centring_pins, plate.plate_top)}  # fmt: skip
     work = cq.Workplane(obj=solid)
+    flat = [face for face in solid.Faces() if face.geomType() == "PLANE" and abs(face.normalAt().z) > 1.0 - FLAT]
     for name, z in faces.items():
-        work.newObject([_face_at(solid, z)]).tag(name)
+        at_height = [face for face in flat if abs(face.Center().z - z / MM) < FLAT]
+        work.newObject([max(at_height, key=lambda face: face.Area())]).tag(name)
     for name, (points, z) in circles.items():
         work.newObject([cq.Vertex.makeVertex(x / MM, y / MM, z / MM) for x, y in points]).tag(name)
     return work
-
-
-def _face_at(solid: cq.Shape, z: float) -> cq.Face:
-    """Return the largest flat face at a height [m], across the z axis."""
-    faces = [
-        face
-        for face in solid.Faces()
-        if face.geomType() == "PLANE" and abs(face.Center().z - z / MM) < FLAT and abs(face.normalAt().z) > 1.0 - FLAT
-    ]
-    return max(faces, key=lambda face: face.Area())
 
 
 def export_changed(design: Design, changed: Mapping[str, cq.Workplane], out: Path) -> dict[str, Any]:

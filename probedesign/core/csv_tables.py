@@ -349,7 +349,20 @@ def read_rows(path: Path, schema: TableSchema) -> TableRows:
         raise InputError(f"{path}: has a header and no rows")
     if len(lines.rows) > MAX_ROWS:
         raise InputError(f"{path}: has {len(lines.rows)} rows, far too many for a {schema.what}")
-    return TableRows(lines, columns, _cells(lines))
+    cells = []
+    for text, number in zip(lines.rows, lines.numbers, strict=True):
+        try:
+            fields = next(csv.reader([text], strict=True))
+        except csv.Error:
+            lines.fail(number, "a quotation mark is opened and not closed, or the row is too long")
+        if len(fields) != len(lines.header):
+            lines.fail(number, f"the row has {len(fields)} values where the header names {len(lines.header)}")
+        for name, cell in zip(lines.header, map(str.strip, fields), strict=True):
+            if cell and not name:
+                problem = "is in a column without a name; name the column, or empty the cell"
+                lines.fail(number, f"{quoted(cell)} {problem}")
+        cells.append(fields)
+    return TableRows(lines, columns, cells)
 
 
 def _check_columns(lines: CsvLines, columns: dict[str, Column], schema: TableSchema) -> None:
@@ -362,7 +375,10 @@ def _check_columns(lines: CsvLines, columns: dict[str, Column], schema: TableSch
             lines.fail(lines.header_number, f"column {quoted(name)} is not known; {hint} (for free text: note)")
     missing = [name for name in schema.required if name not in columns]
     if missing:
-        names = ", ".join(_spelt(name, schema) for name in missing)
+        spelt = {name: f"{name}_{next(iter(UNITS.get(schema.kinds[name], {})), '')}".rstrip("_") for name in missing}
+        for example in reversed(schema.like.split(",")):
+            spelt |= {name: example for name in missing if example.lower().startswith(name)}
+        names = ", ".join(spelt.values())
         lines.fail(lines.header_number, f"columns are missing: {names}; the header must be like {schema.like}")
     for kind in ("length", "angle", "force", "moment"):
         alike = [column for column in columns.values() if column.kind == kind]
@@ -370,30 +386,6 @@ def _check_columns(lines: CsvLines, columns: dict[str, Column], schema: TableSch
             if other.factor != alike[0].factor:
                 pair = f"{quoted(alike[0].name)} and {quoted(other.name)}"
                 lines.fail(lines.header_number, f"mixed units: {pair}; keep to one unit of {kind} in a table")
-
-
-def _spelt(quantity: str, schema: TableSchema) -> str:
-    alike = [name for name in schema.like.split(",") if name.lower().startswith(quantity)]
-    unit = next(iter(UNITS.get(schema.kinds[quantity], {})), "")
-    return alike[0] if alike else f"{quantity}_{unit}".rstrip("_")
-
-
-def _cells(lines: CsvLines) -> list[list[str]]:
-    cells = []
-    for row, number in zip(lines.rows, lines.numbers, strict=True):
-        try:
-            fields = next(csv.reader([row], strict=True))
-        except csv.Error:
-            lines.fail(number, "a quotation mark is opened and not closed, or the row is too long")
-        if len(fields) != len(lines.header):
-            lines.fail(number, f"the row has {len(fields)} values where the header names {len(lines.header)}")
-        for name, text in zip(lines.header, fields, strict=True):
-            if not name and text.strip():
-                lines.fail(
-                    number, f"{quoted(text.strip())} is in a column without a name; name the column, or empty the cell"
-                )
-        cells.append(fields)
-    return cells
 
 
 # writing

@@ -50,28 +50,20 @@ def start_forkserver(preload: Sequence[str]) -> None:
     multiprocessing.set_forkserver_preload(list(preload))
     before = {name: os.environ.get(name) for name in _ONE_THREAD}
     os.environ.update(_ONE_THREAD)
+    # Processes that ignore SIGINT: the parent ends them, and only the parent reports the interruption. Only the main
+    # thread may set handlers.
+    main = threading.current_thread() is threading.main_thread()
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
     try:
-        with ignore_sigint():
-            forkserver.ensure_running()
+        forkserver.ensure_running()
     finally:
+        if main:
+            signal.signal(signal.SIGINT, handler)
         for name, value in before.items():
             if value is None:
                 del os.environ[name]
             else:
                 os.environ[name] = value
-
-
-@contextmanager
-def ignore_sigint() -> Iterator[None]:
-    """Start processes that ignore SIGINT: the parent ends them, and only the parent reports the interruption."""
-    if threading.current_thread() is not threading.main_thread():  # only the main thread may set handlers
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager
@@ -226,7 +218,7 @@ class JournalWriter:
 
 def _complete_records(content: bytes, path: Path) -> tuple[list[Record], int]:
     """Return the records before the first incomplete one, and their length in bytes."""
-    found, valid = list[Record](), 0
+    records, valid = list[Record](), 0
     for line in content.splitlines(keepends=True):
         try:
             record = json.loads(line)
@@ -234,11 +226,12 @@ def _complete_records(content: bytes, path: Path) -> tuple[list[Record], int]:
             break
         if not line.endswith(b"\n") or not isinstance(record, dict):
             break
-        if found and not isinstance(record.get("point"), int):
+        if records and not isinstance(record.get("point"), int):
             break
-        found.append(record)
+        records.append(record)
         valid += len(line)
     left = content[valid:].count(b"\n")
-    if left > 1 or (content and not found and left):
-        raise InputError(f"{path}: line {len(found) + 1} is not a record of a sweep; move the file away, or repair it")
-    return found, valid
+    if left > 1 or (content and not records and left):
+        wrong = f"line {len(records) + 1} is not a record of a sweep"
+        raise InputError(f"{path}: {wrong}; move the file away, or repair it")
+    return records, valid

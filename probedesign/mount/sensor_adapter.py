@@ -148,11 +148,6 @@ class SensorAdapter:
         return self.floor - self.groove
 
     @property
-    def vent_x(self) -> float:
-        """Return the distance from the axis at which the notch through the recess's wall begins, in the groove [m]."""
-        return (self.land_d + self.recess_d) / 4
-
-    @property
     def ring_screw(self) -> SocketScrew:
         """Return the dimensions of the ring's screws."""
         return self.options.ring_screw
