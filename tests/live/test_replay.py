@@ -5,7 +5,6 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from probedesign.core.errors import InputError
 from probedesign.core.frames import inverse, wrench_map
 from probedesign.live.blocks import WrenchReading, group_readings
 from probedesign.live.processing.chain import ProcessingOptions
@@ -14,7 +13,6 @@ from probedesign.live.recordings.csv import CsvRecorder, read_recording, write_r
 from probedesign.live.run import estimate_recording, estimate_stream
 from probedesign.live.sources.replay import ReplaySource
 from probedesign.live.sources.sim import SimulatedSource
-from probedesign.live.sources.source import open_source
 
 QUERY = "speed=max&rate_hz=3"
 
@@ -112,12 +110,6 @@ def test_the_source_is_closed_when_enough_is_seen(estimator, recorded):
 def test_locate_takes_a_reading_that_no_sensor_gives(estimator):
     reading = WrenchReading(0.0, np.full(6, 1e3), estimator.model.gravity_base)
     assert locate(estimator, reading).result == "out_of_range"
-
-
-def test_a_folder_without_a_bag_is_refused_by_its_name(estimator, tmp_path):
-    (tmp_path / "touch.csv").write_text("time_s,fx_N\n")
-    with pytest.raises(InputError, match=r"is a folder without metadata\.yaml"):
-        open_source(f"replay:{tmp_path}", estimator.model)
 
 
 def test_readings_that_fill_no_mean_are_reported(estimator):

@@ -145,6 +145,9 @@ def test_a_recording_of_means_gives_the_same_points(rate, probe, house, found, t
 # refusals
 
 
+RUN = ("HOUSE", "--pose", "POSES", "--average", "36", "--tare-s", "0.5:3.5")
+
+
 def refused(capsys, command):
     status = run(command)
     lines = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("note:")]
@@ -152,15 +155,26 @@ def refused(capsys, command):
     return lines[0]
 
 
-def test_missing_poses_are_refused_with_the_option(probe, house, capsys):
-    assert "--pose FILE.csv" in refused(
-        capsys, ["explore", str(probe), str(house[1] / "house.mcap"), "--tare-s", "0:3"]
-    )
-
-
-def test_a_missing_tare_is_refused_with_the_option(probe, house, capsys):
-    command = ["explore", str(probe), str(house[1] / "house.mcap"), "--pose", str(house[1] / "poses.csv")]
-    assert "--tare-s START:END" in refused(capsys, command)
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (["HOUSE", "--tare-s", "0:3"], "--pose FILE.csv"),
+        (["HOUSE", "--pose", "POSES"], "--tare-s START:END"),
+        (["--rehearse", "FOLDER", "--seed", "-1"], "--seed -1"),
+        ([*RUN, "--out", "FOUND"], "--force"),
+        ([*RUN, "--apart-mm", "-1"], "--apart-mm -1"),
+        ([*RUN, "--source", "sim:"], "--source"),
+        ([*RUN, "--tilt-deg", "nan"], "--tilt-deg nan"),
+        ([*RUN, "--base-offset-mm", "50"], "--base-offset-mm 50"),
+    ],
+)
+def test_what_is_missing_or_out_of_range_is_refused_with_its_option(
+    probe, house, found, tmp_path, capsys, change, named
+):
+    paths = {
+        "HOUSE": house[1] / "house.mcap", "POSES": house[1] / "poses.csv", "FOLDER": tmp_path, "FOUND": found[0]
+    }  # fmt: skip
+    assert named in refused(capsys, ["explore", str(probe), *(str(paths.get(word, word)) for word in change)])
 
 
 def test_a_recording_of_another_probe_is_refused(estimator, house, tmp_path, capsys):
@@ -176,21 +190,6 @@ def test_clocks_that_do_not_overlap_are_refused(probe, house, tmp_path, capsys):
     (tmp_path / "late.csv").write_text("\n".join([",".join(POSE_COLUMNS), *rows]) + "\n")
     line = refused(capsys, [*arguments(probe, house[1])[:4], str(tmp_path / "late.csv"), "--tare-s", "0:3"])
     assert "the clocks do not overlap" in line
-
-
-def test_files_are_replaced_only_with_force(probe, house, found, capsys):
-    assert "--force" in refused(capsys, arguments(probe, house[1], "--out", found[0]))
-
-
-@pytest.mark.parametrize(
-    "more", [["--apart-mm", "-1"], ["--source", "sim:"], ["--tilt-deg", "nan"], ["--base-offset-mm", "50"]]
-)
-def test_options_out_of_range_are_refused(probe, house, capsys, more):
-    refused(capsys, arguments(probe, house[1], *more))
-
-
-def test_a_negative_seed_is_refused(probe, tmp_path, capsys):
-    assert "--seed -1" in refused(capsys, ["explore", str(probe), "--rehearse", str(tmp_path), "--seed", "-1"])
 
 
 def test_a_live_source_with_positions_in_metres_gives_no_points(probe, house, tmp_path, capsys):
