@@ -7,6 +7,7 @@ error squared, is χ² with as many degrees of freedom as axes if the covariance
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,7 @@ NOMINAL = 0.95
 #: Level of the intervals by which fewer than `MIN_TOUCHES` are judged: touches of one print share its errors, so of a
 #: few an interval of 95 % excludes the stated errors too often (assumed).
 FEW_LEVEL = 0.999
+LARGER = 1.5  #: Factor on the stated errors that a validation should notice (assumed).
 #: Verdicts on the stated errors in words.
 VERDICTS = {
     "consistent": "The stated errors agree with the reference",
@@ -66,6 +68,7 @@ class Coverage:
     sentence: str  #: the verdict with its numbers.
     touches: int = 0  #: number of them.
     within: int = 0  #: number within their 95 % ellipsoid.
+    needed: int = 0  #: `touches_needed` to notice errors `LARGER` times as large as stated.
     low: float = math.nan  #: low, high: 95 % interval of the coverage (Clopper and Pearson).
     high: float = math.nan
     #: mean squared error over the stated; 1 if the covariances are correct, more if they are too small.
@@ -82,6 +85,28 @@ class Coverage:
     words: tuple[str, ...] = ()  #: further lines of the assessment.
 
 
+def touches_needed(larger: float, dof: int) -> int:
+    """Return how many touches tell the stated errors from ones `larger` times as large with a probability of 95 %.
+
+    The squared errors over the stated ones of n touches, each of d degrees of freedom, sum to χ² of n d degrees of
+    freedom if the covariances are correct, and to larger² times that if they are too small. The verdict is "too_small"
+    above the quantile 1 - α/2, so n is the smallest number with larger² χ²(0.05; n d) ≥ χ²(1 - α/2; n d). α is 5 %, and
+    0.1 % of fewer than `MIN_TOUCHES`. Errors that the touches share, as of one print, count as those of fewer touches.
+
+    Args:
+        larger: factor on the errors, more than 1.
+        dof: degrees of freedom of each touch: 3 for a point, 1 for an arclength.
+    """
+    return next(
+        n for n in count(1)
+        if larger**2 * chi2.ppf(1.0 - NOMINAL, n * dof) >= chi2.ppf(0.5 * (1.0 + _level(n)), n * dof)
+    )  # fmt: skip
+
+
+def _level(n: int) -> float:
+    return NOMINAL if n >= MIN_TOUCHES else FEW_LEVEL
+
+
 def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
     """Return the coverage of the touches among some tests; `exact` if the probe was taken as exactly known."""
     errors = [test.contact_error for test in tests if test.measured and test.contact_error is not None]
@@ -96,7 +121,7 @@ def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
     ratio_low, ratio_high = ratio / expected_high, ratio / expected_low
     z = np.array([error.z for error in errors if error.dof == 3]).reshape(-1, 3)
     mean, std = (z.mean(axis=0), z.std(axis=0, ddof=1)) if len(z) > 1 else (z[0:0], z[0:0])
-    level = NOMINAL if n >= MIN_TOUCHES else FEW_LEVEL
+    level, needed = _level(n), touches_needed(LARGER, min(error.dof for error in errors))
     if binomtest(within, n).proportion_ci(level).high < NOMINAL or chi2.sf(ratio * dof, dof) < 0.5 * (1.0 - level):
         verdict = "too_small"
     elif chi2.cdf(ratio * dof, dof) < 0.5 * (1.0 - level):
@@ -113,14 +138,12 @@ def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
     if verdict == "too_small":
         remedy = "; try without --exact-model" if exact else ": probe, mount, bench or reference"
         words.append(f"something is less certain than stated{remedy}")
-    if n < MIN_TOUCHES:
-        words.append(
-            f"{n} touches are a small sample: of fewer than {MIN_TOUCHES} a coverage that is too low may go unnoticed"
-        )
+    words.append(f"to tell the stated errors from ones {LARGER:g} times as large with 95 %, {needed} held-out touches "
+                 f"with independent errors are needed; these are {n}")  # fmt: skip
     words.append("touches of one print share the errors of its stiffness, size and pose, so these intervals are "
                  "narrower than one campaign justifies")  # fmt: skip
-    return Coverage(verdict, sentence, n, within, float(share.low), float(share.high), ratio, ratio_low, ratio_high,
-                    expected_low, expected_high, tuple(mean.ravel().tolist()), tuple(std.ravel().tolist()),
+    return Coverage(verdict, sentence, n, within, needed, float(share.low), float(share.high), ratio, ratio_low,
+                    ratio_high, expected_low, expected_high, tuple(mean.ravel().tolist()), tuple(std.ravel().tolist()),
                     (*words, *_of_weights(tests)))  # fmt: skip
 
 
@@ -298,7 +321,9 @@ def validate(
     for i, test in enumerate(campaign.tests):
         on_progress(i / len(campaign.tests))
         tests.append(validate_test(campaign, test, estimator, exact))
-    tests.sort(key=_table_order)
+    kinds = ("free", "weight", "touch")
+    tests.sort(key=lambda one: (kinds.index(one.kind), 2.0 if math.isnan(one.fraction) else round(one.fraction, 2),
+                                -one.force))  # fmt: skip
     coverage = coverage_of(judged(tests, include_identified), exact)
     return ValidationReport(estimator, campaign, exact, tuple(tests), coverage, include_identified)
 
@@ -306,12 +331,6 @@ def validate(
 def judged(tests: Sequence[ValidatedTest], include_identified: bool) -> tuple[ValidatedTest, ...]:
     """Return the tests that the parameters of the probe were not identified from, or all; free ones always."""
     return tuple(one for one in tests if include_identified or not one.served or one.kind == "free")
-
-
-def _table_order(one: ValidatedTest) -> tuple[int, float, float]:
-    kinds = ("free", "weight", "touch")
-    fraction = 2.0 if math.isnan(one.fraction) else round(one.fraction, 2)
-    return kinds.index(one.kind), fraction, -one.force
 
 
 def _plain(value: Any) -> Any:

@@ -199,8 +199,16 @@ def validate_test(campaign: Campaign, test: Test, estimator: Estimator, exact: b
     contact = None
     if test.p_contact_world is not None:
         contact = np.asarray(T_base_world[:3, :3] @ test.p_contact_world + T_base_world[:3, 3])
-    force_base = _force_base(test, reading, model)
-    force, direction = float(np.linalg.norm(force_base)), _push_direction(test, force_base)
+    force_base, direction = test.force_base, test.direction
+    if force_base is None:  # by equation 5
+        readings = reading.wrenches_base[:, :3]
+        force_base = (
+            readings.mean(axis=0) - model.mass * reading.gravity_base if len(readings) else np.full(3, math.nan)
+        )
+    force, across = float(np.linalg.norm(force_base)), force_base[:2]
+    if not direction and across.any() and not math.isnan(across[0]):
+        axis = int(np.argmax(np.abs(across)))
+        direction = f"{'+' if across[axis] > 0.0 else '-'}{'xy'[axis]}"
     s = estimate.s_contact if math.isnan(test.s_contact) and estimate is not None else test.s_contact
     fraction = s / model.rod.length
     shape_rms = math.sqrt(float(np.mean(np.sum((hat - markers) ** 2, axis=1)))) if len(hat) else math.nan
@@ -223,17 +231,15 @@ def tared_reading(campaign: Campaign, test: Test, estimator: Estimator) -> Tared
     """
     gravity, own = test.gravity_base, test.wrenches_base(estimator.model)
     free = [one for one in campaign.tests if one.free and len(one.wrenches) and one is not test]
-    tares = [one for one in free if _same_gravity(one.gravity_base, gravity)]
+    tares = [one for one in free
+             if one.gravity_base @ gravity >= SAME_GRAVITY * np.linalg.norm(one.gravity_base) * np.linalg.norm(gravity)
+             ]  # fmt: skip
     same_pose = bool(tares) or not test.free
     tares = tares if same_pose else free
     offsets = [one.mean_wrench_base(estimator.model) - estimator.free(one.gravity_base).wrench_base for one in tares]
     weights, walked = tare_weights(test.time, np.array([one.time for one in tares]))
     tared = own - weights @ np.array(offsets) if offsets else own
     return TaredReading(tared, gravity, weights, walked, same_pose)
-
-
-def _same_gravity(a: Array, b: Array) -> bool:
-    return bool(a @ b >= SAME_GRAVITY * np.linalg.norm(a) * np.linalg.norm(b))
 
 
 def tare_weights(time: float, times: Array) -> tuple[Array, float]:
@@ -280,23 +286,6 @@ def campaign_tolerances(campaign: Campaign, model: ProbeModel, reading: TaredRea
     walked = known.walk_steps**2 * reading.walked / WALK_SECONDS
     drift = math.sqrt(known.drift_steps**2 * (1.0 + squares) + walked + noise)
     return replace(known, gravity_deg=gravity_deg, drift_steps=drift, tared=reading.same_pose)
-
-
-def _force_base(test: Test, reading: TaredReading, model: ProbeModel) -> Array:
-    """Return the force as known, else by equation 5 [N], (3,); NaN if neither is available."""
-    if test.force_base is not None:
-        return test.force_base
-    if not len(reading.wrenches_base):
-        return np.full(3, math.nan)
-    return np.asarray(reading.wrenches_base.mean(axis=0)[:3] - model.mass * reading.gravity_base)
-
-
-def _push_direction(test: Test, force_base: Array) -> str:
-    across = force_base[:2]
-    if test.direction or not across.any() or math.isnan(across[0]):
-        return test.direction
-    axis = int(np.argmax(np.abs(across)))
-    return f"{'+' if across[axis] > 0.0 else '-'}{'xy'[axis]}"
 
 
 def _markers(

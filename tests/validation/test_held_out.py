@@ -15,7 +15,7 @@ from probedesign.design.paper import paper_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.simulation.campaign_folder import make_campaign
 from probedesign.simulation.ground_truth import CampaignPlan
-from probedesign.validation.validate import coverage_of, validate
+from probedesign.validation.validate import coverage_of, touches_needed, validate
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 
@@ -89,6 +89,23 @@ def test_the_intervals_of_coverage_and_ratio_have_their_width():
         assert found.ratio_low < found.nees_ratio < found.ratio_high
         assert (found.verdict == "too_small") == (found.ratio_low > 1.0 or found.high < 0.95)
     assert missed / draws == pytest.approx(0.05, abs=0.044)  # four standard deviations
+
+
+@pytest.mark.parametrize(("larger", "needed"), [(1.5, 20), (2.0, 8)])
+def test_the_number_of_touches_needed_notices_errors_that_are_larger(larger, needed):
+    """That many touches give the verdict "too_small" in 95 % of draws, half as many do not, and it is rarely wrong."""
+    n = touches_needed(larger, 3)
+    assert n == needed
+    rng, draws = np.random.default_rng(2), 400
+
+    def too_small(touches, factor):
+        squares = factor**2 * rng.chisquare(3, size=(draws, touches))
+        found = (coverage_of([_Touch(_Error(float(one))) for one in row], False) for row in squares)
+        return sum(one.verdict == "too_small" for one in found) / draws
+
+    assert too_small(n, larger) > 0.95 - 4.0 * np.sqrt(0.95 * 0.05 / draws)  # four standard deviations
+    assert too_small(n // 2, larger) < 0.9
+    assert too_small(n, 1.0) < 0.05 + 4.0 * np.sqrt(0.95 * 0.05 / draws)  # 2.5 % by each of the two intervals
 
 
 class _Error:
