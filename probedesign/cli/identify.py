@@ -126,7 +126,7 @@ def _print(fit: "Identification") -> None:
     print(f"{head}: {fit.result}")
     print_table({number.name: _value(number, fit.dimensions) for number in fit.found})
     for outlier in fit.outliers[:5]:
-        print(f"  outlier: {outlier.words}, {outlier.deviations:.1f} standard deviations; down-weighted")
+        print(f"  outlier: {outlier.words}; down-weighted")
     if len(fit.outliers) > 5:
         print(f"  and {len(fit.outliers) - 5} more outliers, in residuals.csv")
     for name in dict.fromkeys(shift.of for shift in fit.shifts):

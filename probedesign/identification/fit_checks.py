@@ -12,7 +12,8 @@ standard deviations and V = I - J C Jᵀ the share of their unit variance that t
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +21,18 @@ from scipy.stats import binom, chi2
 
 from probedesign.core.frames import Array
 from probedesign.identification.parameters import COMPONENTS, DIAMETERS, OWNER, PARAMETERS, PRINT, columns_of
-from probedesign.identification.residuals import MeasuredTest, ResidualBlock
-from probedesign.identification.robust_loss import READING_KINDS, REJECTION_CHANCE, ROBUST_KINDS, NoiseScale
-from probedesign.identification.solver import Fit, Linearization
+from probedesign.identification.residuals import BlockKey, MeasuredTest, ResidualBlock
+from probedesign.identification.robust_loss import READING_KINDS, REJECTION_CHANCE, ROBUST_KINDS, chi2_words, outliers
+from probedesign.identification.solver import Fit, Linearization, fit
 
 MIN_SHARE = 0.2  #: Component of a unit direction from which on a parameter takes part in what cannot be separated.
 #: Usual fraction of gross errors. Source: F. Hampel et al., Robust Statistics, 1986: 1 to 10 % in routine data. Far
 #: below one half, the breakdown point of the median, which the search starts with.
 GROSS_ERROR_RATE = 0.05
+#: Largest move of a requested number, in its standard deviations, and largest growth of that deviation when what
+#: contradicts the rest is left out, and how often something is. A normal error that is off by half a standard deviation
+#: is in its 95 % interval in 92 %; what more than halves the information is no side issue (assumed).
+MAX_MOVE, MAX_GROWTH, MAX_CONTRADICTIONS = 0.5, 1.4, 3
 #: Residuals of readings over the scatter of these readings from test to test, both RMS, from which on a fit does not
 #: explain them: it then accounts for less than three quarters of their variance (assumed).
 MAX_UNEXPLAINED = 0.5
@@ -151,7 +156,8 @@ class OutlierCount:
 
     count: int  #: of all readings.
     outliers: int  #: readings that noise does not explain.
-    farthest: float  #: largest distance of an outlier, in standard deviations.
+    farthest: float = 0.0  #: largest distance of an outlier, in standard deviations.
+    freedom: int = 0  #: number of values of that outlier.
 
     @property
     def majority(self) -> bool:
@@ -165,51 +171,72 @@ class OutlierCount:
         return self.majority or chance < REJECTION_CHANCE
 
     def __str__(self) -> str:
-        return (f"{self.outliers} of {self.count} are outliers with little weight, the farthest "
-                f"{self.farthest:.3g} standard deviations off")  # fmt: skip
+        farthest = chi2_words(self.farthest**2, self.freedom)
+        return f"{self.outliers} of {self.count} are outliers with little weight, the farthest with {farthest}"
 
 
-def inconsistency(
-    blocks: Sequence[ResidualBlock],
-    outliers: Sequence[tuple[ResidualBlock, float]],
-    noise: Sequence[NoiseScale],
-    tests: Sequence[MeasuredTest],
-) -> str:
-    """Return why the tests contradict the design, or each other, with what to check; empty if they do not.
+class Contradiction(NamedTuple):
+    """Readings, or prior knowledge, that contradict the design or the rest of the data."""
+
+    label: str  #: what contradicts.
+    words: str  #: by how much, and what to check.
+    #: readings, columns: readings, and entries of the parameter vector by their prior, that may be left out; none where
+    #: a whole kind of readings contradicts the design.
+    readings: frozenset[BlockKey] = frozenset()
+    columns: tuple[int, ...] = ()
+    chance: float = 0.0  #: of so large a deviation.
+
+    def __str__(self) -> str:
+        return f"{self.label}: {self.words}"
+
+
+def inconsistency(fit: Fit) -> Contradiction | None:
+    """Return which readings contradict the design, or each other; None if there are none.
 
     Noise alone is no contradiction, however large: its scale is estimated.
     """
-    kinds = {kind: n for kind in READING_KINDS if (n := _count(blocks, outliers, kind=kind)).too_many}
-    bad = bad_tests(blocks, outliers)
+    blocks, tests, far = fit.point.blocks, fit.point.problem.tests, outliers(fit.point.blocks, fit.scales)
+
+    kinds = {kind: n for kind in READING_KINDS if (n := _count(blocks, far, kind=kind)).too_many}
+    bad = bad_tests(blocks, far)
     if kinds:
         kind, n = max(kinds.items(), key=lambda pair: (pair[1].outliers / pair[1].count, pair[1].farthest))
         mostly = f", especially in {_listed(bad)}" if bad else ""
-        return f"{LABELS[kind]}: {n}; check {CHECKS[kind]}{mostly}"
+        return Contradiction(LABELS[kind], f"{n}; check {CHECKS[kind]}{mostly}")
     if bad:
-        return (f"readings of {_listed(bad)}: {_count(blocks, outliers, test=bad[0])}; check the known force and "
-                "s_contact_mm, the marker numbers, the wrench and the base pose, or leave it out")  # fmt: skip
-    every = _count(blocks, outliers)
+        words = (f"{_count(blocks, far, test=bad[0])}; check the known force and s_contact_mm, the marker numbers, the "
+                 "wrench and the base pose, or leave it out")  # fmt: skip
+        readings = frozenset(one.key for one in blocks if one.test in bad and one.kind in READING_KINDS)
+        return Contradiction(f"readings of {_listed(bad)}", words, readings)
+    every = _count(blocks, far)
     if every.too_many:
-        return f"readings of all kinds: {every}; check units and the base's rotation in campaign.toml"
+        words = f"{every}; check units and the base's rotation in campaign.toml"
+        return Contradiction("readings of all kinds", words)
     if exchanged := _exchanged_markers(blocks, tests):
-        return exchanged
-    for one in noise:
+        (i, j), saved = exchanged
+        words = f"χ² is smaller by {saved:.3g} with both exchanged; check the numbering of the markers"
+        return Contradiction(f"markers {i} and {j}", words, frozenset(one.key for one in blocks if one.item in (i, j)))
+    for one in fit.noise:
         if one.measured and one.kind in CHECKS and (share := _unexplained(blocks, tests, one.kind)) > MAX_UNEXPLAINED:
-            return (f"{LABELS[one.kind]}: {share:.0%} of their RMS scatter is not explained by the probe as designed; "
-                    f"check {CHECKS[one.kind]}")  # fmt: skip
+            words = (f"{share:.0%} of their RMS scatter is not explained by the probe as designed; check "
+                     f"{CHECKS[one.kind]}")  # fmt: skip
+            return Contradiction(LABELS[one.kind], words)
         if one.kind == "markers" and one.scale > MAX_NOISE_SCALE:
             markers = [block for block in blocks if block.kind == "markers"]
             products = sum(float(a.r @ b.r) for a, b in pairwise(markers) if a.test == b.test)
             correlation = products / sum(block.squared_distance for block in markers)
             if correlation > MAX_NEIGHBOUR_CORRELATION:
-                return (f"markers scatter {one.scale:.2g} times as much as stated, and neighbours alike (correlation "
-                        f"{correlation:.2f}), so the probe as designed does not explain them; check "
-                        f"{CHECKS['markers']}")  # fmt: skip
-    return ""
+                words = (f"they scatter {one.scale:.2g} times as much as stated, and neighbours alike (correlation "
+                         f"{correlation:.2f}), so the probe as designed does not explain them; check "
+                         f"{CHECKS['markers']}")  # fmt: skip
+                return Contradiction("markers", words)
+    return None
 
 
-def _exchanged_markers(blocks: Sequence[ResidualBlock], tests: Sequence[MeasuredTest]) -> str:
-    """Return which neighbouring markers are exchanged in the whole campaign, by the χ² that their exchange saves; each
+def _exchanged_markers(
+    blocks: Sequence[ResidualBlock], tests: Sequence[MeasuredTest]
+) -> tuple[tuple[int, int], float] | None:
+    """Return which neighbouring markers are exchanged in the whole campaign, and the χ² that their exchange saves; each
     single reading may be within its noise."""
     of = {test.name: test for test in tests}
     found = {(one.test, one.item): one for one in blocks if one.kind == "markers"}
@@ -217,22 +244,17 @@ def _exchanged_markers(blocks: Sequence[ResidualBlock], tests: Sequence[Measured
     for (name, i), one in found.items():
         test = of[name]
         at = test.marker_numbers.index(i)
-        if at + 1 == len(test.marker_numbers):
+        j = test.marker_numbers[at + 1] if at + 1 < len(test.marker_numbers) else 0
+        if (other := found.get((name, j))) is None:
             continue
-        j = test.marker_numbers[at + 1]
-        other = found[name, j]
         step = test.p_markers_world[at + 1] - test.p_markers_world[at]
         now = one.squared_distance + other.squared_distance
         then = sum(float(r @ np.linalg.solve(cov, r)) for r, cov in
                    ((one.residual + step, test.cov_markers[at]), (other.residual - step, test.cov_markers[at + 1]))
                    )  # fmt: skip
         saved[i, j] = saved.get((i, j), 0.0) + now - then
-    if not saved:
-        return ""
-    (i, j), most = max(saved.items(), key=lambda pair: pair[1])
-    if most < chi2.isf(REJECTION_CHANCE / len(saved), 1):
-        return ""
-    return f"markers {i} and {j}: χ² is smaller by {most:.3g} with both exchanged; check the numbering of the markers"
+    best = max(saved.items(), key=lambda pair: pair[1], default=None)
+    return best if best and best[1] >= chi2.isf(REJECTION_CHANCE / len(saved), 1) else None
 
 
 def _unexplained(blocks: Sequence[ResidualBlock], tests: Sequence[MeasuredTest], kind: str) -> float:
@@ -286,43 +308,33 @@ def _count(
         """Return whether a block counts."""
         return block.kind in READING_KINDS and kind in (None, block.kind) and test in (None, block.test)
 
-    far = [distance for block, distance in outliers if chosen(block)]
-    return OutlierCount(sum(map(chosen, blocks)), len(far), max(far, default=0.0))
+    far = [(distance, len(block.r)) for block, distance in outliers if chosen(block)]
+    return OutlierCount(sum(map(chosen, blocks)), len(far), *max(far, default=(0.0, 0)))
 
 
 def _listed(tests: Sequence[str]) -> str:
     return ", ".join(tests[:3]) + (f" and {len(tests) - 3} more" if len(tests) > 3 else "")
 
 
-@dataclass(frozen=True)
-class PriorTest:
-    """χ² test of a prior or a single reading against the rest of the data."""
-
-    label: str  #: what is tested.
-    source: str  #: where it is stated.
-    chance: float  #: of so large a deviation.
-    deviation: float  #: Mahalanobis distance.
-
-    def __str__(self) -> str:
-        return (f"{self.label}: the stated value deviates by {self.deviation:.3g} standard deviations from the rest of "
-                f"the data; check {self.source}")  # fmt: skip
-
-
-def check_priors(fit: Fit) -> list[PriorTest]:
+def check_priors(fit: Fit) -> list[Contradiction]:
     """Return the priors and single readings that the rest of the data reject, the least probable first."""
     tests = []
-    for label, source, r, variance in _full_weight_residuals(fit):
+    for label, source, r, variance, concerned in _full_weight_residuals(fit):
         sizes, directions = np.linalg.eigh(0.5 * (variance + variance.T))
         checked = sizes > MIN_REDUNDANCY  # directions that the rest of the data check
         if checked.any():
-            d2 = float(np.sum((directions.T @ r)[checked] ** 2 / sizes[checked]))
-            tests.append(PriorTest(label, source, float(chi2.sf(d2, int(checked.sum()))), d2**0.5))
+            squares, freedom = float(np.sum((directions.T @ r)[checked] ** 2 / sizes[checked])), int(checked.sum())
+            words = f"what is stated deviates from the rest of the data: {chi2_words(squares, freedom)}; check {source}"
+            tests.append(Contradiction(label, words, *concerned, float(chi2.sf(squares, freedom))))
     rejected = [test for test in tests if test.chance < REJECTION_CHANCE / len(tests)]
     return sorted(rejected, key=lambda test: test.chance)
 
 
-def _full_weight_residuals(fit: Fit) -> Iterator[tuple[str, str, Array, Array]]:
-    """Yield label, source, residuals and their remaining variance of each prior and of each single reading."""
+def _full_weight_residuals(
+    fit: Fit,
+) -> Iterator[tuple[str, str, Array, Array, tuple[frozenset[BlockKey], tuple[int, ...]]]]:
+    """Yield label, source, residuals, their remaining variance, and the readings and entries of the parameter vector
+    concerned, of each prior and of each single reading."""
     problem = fit.point.problem
     active = np.flatnonzero(problem.active)
     std = problem.prior[active]
@@ -340,11 +352,44 @@ def _full_weight_residuals(fit: Fit) -> Iterator[tuple[str, str, Array, Array]]:
         at = np.flatnonzero(np.isin(active, columns) & np.isfinite(std))
         if len(at):
             variance = np.eye(len(at)) - fit.cov[np.ix_(at, at)] / np.outer(std[at], std[at])
-            yield label, source, fit.point.prior_residual[at], variance
+            yield label, source, fit.point.prior_residual[at], variance, (frozenset(), tuple(active[at].tolist()))
     for i, block in enumerate(fit.point.blocks):
         if block.kind in SINGLE_READINGS:
             label, source = SINGLE_READINGS[block.kind]
-            yield label.format(block.test), source, block.r, np.eye(len(block.r)) - fit.absorbed(i)
+            variance = np.eye(len(block.r)) - fit.absorbed(i)
+            yield label.format(block.test), source, block.r, variance, (frozenset([block.key]), ())
+
+
+def contradictions(fit: Fit) -> list[Contradiction]:
+    """Return which readings, else which priors and single readings, contradict the rest, the clearest first."""
+    return [first] if (first := inconsistency(fit)) else check_priors(fit)
+
+
+def reconciled(fitted: Fit, names: Sequence[str]) -> tuple[Fit, tuple[str, ...]] | None:
+    """Return a fit without the readings and priors that contradict the rest, and a warning for each.
+
+    What contradicts most is left out first, at most `MAX_CONTRADICTIONS` times. Of two that contradict each other
+    either may be wrong, so each is left out by itself. None where one of the requested numbers, `names`, moves without
+    it by more than `MAX_MOVE` of its standard deviation, or that deviation grows by more than `MAX_GROWTH`, or where a
+    whole kind of readings or the dimensions that it is conditional on contradict the rest.
+    """
+    now, warnings = fitted, list[str]()
+    before = {column: conditional_estimate(fitted, column)[:2] for column in columns_of(names)}
+    while found := contradictions(now):
+        final = any(one.label == DIMENSIONS or not (one.readings or one.columns) for one in found)
+        if final or len(warnings) == MAX_CONTRADICTIONS:
+            return None
+        farthest, without = 0.0, [fit(now.point.without(one.readings, one.columns)) for one in found]
+        for (column, (value, std)), other in product(before.items(), without):
+            after, grown, _ = conditional_estimate(other, column)
+            far = abs(after - value) / std
+            if not (far <= MAX_MOVE and grown <= MAX_GROWTH * std):
+                return None
+            farthest = max(farthest, far)
+        now = without[0]
+        warnings.append(f"warning: {found[0]}; left out, which moves {', '.join(names)} by up to {farthest:.2g} "
+                        "standard deviations")  # fmt: skip
+    return (now, tuple(warnings)) if now.result == "ok" else None
 
 
 def widened(fit: Fit, moves: Mapping[str, float]) -> Fit:

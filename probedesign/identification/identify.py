@@ -21,9 +21,10 @@ from probedesign.identification.fit_checks import (
     LABELS,
     UnobservableDirection,
     bad_tests,
-    check_priors,
+    contradictions,
     inconsistency,
     outlier_notes,
+    reconciled,
     unobservable_direction,
     widened,
 )
@@ -199,7 +200,7 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
     _check_counts(data, names)
     fitted, identified, unobservable = _search(data, names, start)
     outlying = outliers(fitted.point.blocks, fitted.scales)
-    first = fitted, outlying
+    at_first = fitted, outlying
     left_out = bad_tests(fitted.point.blocks, outlying)
     if left_out and len(left_out) <= max(1, int(MAX_LEFT_OUT * len(data.tests))):
         counts = {name: sum(block.test == name for block, _ in outlying) for name in left_out}
@@ -208,13 +209,16 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
         kept = tuple(test for test in data.tests if test.name not in left_out)
         data, start = _solvable(replace(data, tests=kept, notes=(*data.notes, *notes)), names)
         fitted, identified, unobservable = _search(data, names, start)
-        outlying = outliers(fitted.point.blocks, fitted.scales)
-    problem, blocks = fitted.point.problem, fitted.point.blocks
-    rejected = check_priors(fitted)
-    why = inconsistency(blocks, outlying, fitted.noise, data.tests) or (str(rejected[0]) if rejected else "")
-    quantile = result.student_quantile(fitted)
+    why = next(map(str, contradictions(fitted)), "")
     causes = likely_causes(fitted) if why or fitted.result != "ok" else ()
-    why = why or ("the search did not converge" if causes else "")
+    why, warnings = why or ("the search did not converge" if causes else ""), tuple[str, ...]()
+    explained = bool(causes) and causes[0].explains
+    mistaken = any(cause.explains and cause.name != "probe" for cause in causes)  # corrected in one place of the files
+    if why and not mistaken and (agreeing := reconciled(fitted, identified)) is not None:
+        (fitted, warnings), why = agreeing, ""
+    outlying = outliers(fitted.point.blocks, fitted.scales)
+    problem, blocks = fitted.point.problem, fitted.point.blocks
+    quantile = result.student_quantile(fitted)
     used = widened(fitted, causes[0].moves if causes else {}) if why and accept else fitted
     if used is not fitted:
         lost = result.beyond_limits(used, identified)
@@ -226,20 +230,19 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
         fitted.result, data.common.model.name, data.common.model.fingerprint, data.where, len(data.tests),
         sum(len(block.r) for block in blocks), problem.size, numbers, correlation, correlated,
         fitted.noise, quantile,
-        tuple(Outlier(block.test, block.kind, block.item, distance) for block, distance in outlying),
+        tuple(Outlier(*block.key, distance, len(block.r)) for block, distance in outlying),
         result.error_budget(used, identified),
-        (*data.notes, *(() if why else exchange_hint(*first)), *(one.description for one in unobservable),
+        (*warnings, *data.notes, *(() if why else exchange_hint(*at_first)), *(one.description for one in unobservable),
          *outlier_notes(blocks, outlying),
          *_remarks(fitted)),
-        result.residuals_of(fitted), time.perf_counter() - begun,
+        result.residuals_of(fitted), time.perf_counter() - begun, likely_causes=causes,
     )  # fmt: skip
     if not why:
-        return whole
+        return replace(whole, notes=(*whole.notes, result.farthest_tests(whole.residuals))) if warnings else whole
     # a cause that explains the tests is the reason; what the contradiction was noticed by is a note
-    explained = bool(causes) and causes[0].explains
     reason = f"likely cause: {causes[0]}" if explained else why
     noticed = (*((f"noticed by: {why}",) if explained else ()), result.farthest_tests(whole.residuals))
-    whole = replace(whole, why=reason, likely_causes=causes, notes=(*noticed, *whole.notes))
+    whole = replace(whole, why=reason, notes=(*noticed, *whole.notes))
     if not accept:
         return whole.as_inconsistent(reason)
     if not identified:
@@ -272,8 +275,7 @@ def _search(
             fitted = fit(replace(start, problem=problem))
             lost = unobservable_direction(fitted.point, fitted.weight, requested)
             # Contradictory tests have little weight left; at the start, with full weight, they determined everything.
-            outlying = outliers(fitted.point.blocks, fitted.scales)
-            if lost is None or inconsistency(fitted.point.blocks, outlying, fitted.noise, data.tests):
+            if lost is None or inconsistency(fitted):
                 return fitted, requested, unobservable
         unobservable.append(lost)
         requested = tuple(name for name in requested if name != lost.name)

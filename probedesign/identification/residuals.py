@@ -107,6 +107,9 @@ class MeasuredTest:
         return np.asarray(self.T_world_base[:3, :3].T @ self.gravity_world)
 
 
+BlockKey = tuple[str, str, int]  #: Test, kind and item of a reading.
+
+
 class ResidualBlock(NamedTuple):
     """Residuals that one reading makes."""
 
@@ -116,6 +119,11 @@ class ResidualBlock(NamedTuple):
     r: Array  #: measured minus modelled, whitened, (k,).
     J: Array  #: derivatives of `r` by the parameter vector, then by the test's nuisance parameters, (k, n).
     residual: Array  #: measured minus modelled, in SI, (k,).
+
+    @property
+    def key(self) -> BlockKey:
+        """Which reading it is of."""
+        return self.test, self.kind, self.item
 
     @property
     def squared_distance(self) -> float:

@@ -27,7 +27,7 @@ from probedesign.identification.parameters import (
     POISSON_STD,
     columns_of,
 )
-from probedesign.identification.robust_loss import READING_KINDS, ROBUST_KINDS, NoiseScale
+from probedesign.identification.robust_loss import READING_KINDS, ROBUST_KINDS, NoiseScale, chi2_words
 from probedesign.identification.solver import Fit
 
 CONFIDENCE = 0.95
@@ -117,15 +117,16 @@ class Outlier:
     test: str  #: its test.
     kind: str  #: markers, wrenches, touches, stiffness or friction.
     item: int  #: the marker's number; 0 for the others.
-    deviations: float  #: Mahalanobis distance.
+    deviations: float  #: Mahalanobis distance: the root of χ².
+    freedom: int  #: number of its values, the degrees of freedom of that χ².
 
     @property
     def words(self) -> str:
-        """Name of the reading."""
+        """Name of the reading, and its χ²."""
         what = {"markers": f"marker {self.item}", "wrenches": "the wrench", "touches": "the touched place",
                 "places": "the arclength", "weights": "the known load", "stiffness": "the stiffness",
                 "friction": "the friction"}  # fmt: skip
-        return f"{what[self.kind]} of {self.test}"
+        return f"{what[self.kind]} of {self.test}: {chi2_words(self.deviations**2, self.freedom)}"
 
 
 @dataclass(frozen=True)
@@ -147,7 +148,7 @@ class Residual:
     s_mm: float | None  #: arclength of a marker or a touch; None for the others.
     off: tuple[float, ...]  #: measured minus modelled: mm, or N and N·m, or g.
     deviations: float  #: Mahalanobis distance with the estimated noise, over the root of the number of its values.
-    weight: float  #: 1 for a reading with full weight.
+    weight: float  #: 1 for a reading with full weight, 0 for one that is left out.
 
 
 @dataclass(frozen=True)
@@ -314,8 +315,9 @@ def _identified(fit: Fit, column: int, quantile: float) -> Identified:
 def residuals_of(fit: Fit) -> tuple[Residual, ...]:
     """Return every reading against the fit."""
     tests = {test.measured.name: test for test in fit.point.tests}
-    found = []
-    for block, weight in zip(fit.point.blocks, fit.weight, strict=True):
+    found, weights = [], {block.key: weight for block, weight in zip(fit.point.blocks, fit.weight, strict=True)}
+    for block in fit.point.every_block():
+        weight = weights.get(block.key, 0.0)
         scale = fit.scales.get(block.kind, 1.0) if block.kind in ROBUST_KINDS else 1.0
         s = None
         if block.kind == "markers":
@@ -331,14 +333,14 @@ def residuals_of(fit: Fit) -> tuple[Residual, ...]:
 
 
 def farthest_tests(residuals: Sequence[Residual]) -> str:
-    """Return a line that names the three tests whose readings are farthest from the fit, by their RMS."""
-    by_test: dict[str, list[float]] = {}
+    """Return a line that names the three tests farthest from the fit, by χ² per degree of freedom."""
+    by_test: dict[str, list[tuple[float, int]]] = {}
     for row in residuals:
         if row.test and row.kind in READING_KINDS:
-            by_test.setdefault(row.test, []).append(row.deviations**2)
-    rms = {test: math.sqrt(sum(squares) / len(squares)) for test, squares in by_test.items()}
-    worst = sorted(rms, key=lambda test: -rms[test])[:3]
-    return "farthest from the fit: " + ", ".join(f"{test} by {rms[test]:.3g} standard deviations" for test in worst)
+            by_test.setdefault(row.test, []).append((row.deviations**2 * len(row.off), len(row.off)))
+    sums = {test: (sum(part[0] for part in parts), sum(part[1] for part in parts)) for test, parts in by_test.items()}
+    worst = sorted(sums, key=lambda test: -sums[test][0] / sums[test][1])[:3]
+    return "farthest from the fit: " + "; ".join(f"{test} ({chi2_words(*sums[test])})" for test in worst)
 
 
 # error budget

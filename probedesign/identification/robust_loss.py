@@ -108,6 +108,12 @@ def noise_scales(
     return result
 
 
+def chi2_words(squares: float, freedom: int) -> str:
+    """Return a χ², its degrees of freedom and the probability of one as large, as text."""
+    chance = max(float(chi2.sf(squares, freedom)), 1e-99)
+    return f"χ² {squares:.3g} of {freedom} degree{'s' * (freedom != 1)} of freedom, probability {chance:.1g}"
+
+
 def outliers(blocks: Sequence[ResidualBlock], scales: dict[str, float]) -> list[tuple[ResidualBlock, float]]:
     """Return the blocks that noise does not explain, farthest first, with their Mahalanobis distance."""
     count = sum(block.kind in ROBUST_KINDS for block in blocks)

@@ -4,7 +4,7 @@ A block of residuals shares one weight, see `robust_loss`, and the scale of its 
 losses of single residuals only.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -23,6 +23,7 @@ from probedesign.identification.parameters import (
     columns_of,
 )
 from probedesign.identification.residuals import (
+    BlockKey,
     MassMeasurement,
     MeasuredTest,
     ResidualBlock,
@@ -62,6 +63,7 @@ class LeastSquaresProblem:
     tests: tuple[MeasuredTest, ...]  #: the tests.
     mass: MassMeasurement | None  #: the weighing; None if there was none.
     prior: Array  #: standard deviations of the parameter vector: infinite for requested parameters, 0 for fixed ones.
+    left_out: frozenset[BlockKey] = frozenset()  #: readings that the fit does not use.
 
     @cached_property
     def active(self) -> Array:
@@ -117,6 +119,23 @@ class Linearization:
     def ok(self) -> bool:
         """Whether the rod has a stable equilibrium in every test."""
         return len(self.tests) == len(self.problem.tests) and all(test.ok for test in self.tests)
+
+    def every_block(self) -> Iterator[ResidualBlock]:
+        """Yield the residuals of all readings, those left out of the fit as well."""
+        for test in self.tests:
+            yield from test.blocks()
+        if self.problem.mass is not None:
+            yield self.problem.mass.block(self.values)
+        if self.problem.with_poisson:
+            yield poisson_block(self.values)
+
+    def without(self, left_out: Set[BlockKey], columns: Sequence[int]) -> "Linearization":
+        """Return it without some readings, and without prior knowledge of some entries of the parameter vector."""
+        prior = self.problem.prior.copy()
+        prior[list(columns)] = np.inf
+        problem = replace(self.problem, prior=prior, left_out=self.problem.left_out | left_out)
+        kept = tuple(block for block in self.blocks if block.key not in left_out)
+        return replace(self, problem=problem, blocks=kept)
 
     @property
     def unknowns(self) -> Array:
@@ -224,12 +243,8 @@ def linearize(
         )
         if not solved[-1].ok:
             return Linearization(problem, values, tuple(solved), ())
-    blocks = [block for test in solved for block in test.blocks()]
-    if problem.mass is not None:
-        blocks.append(problem.mass.block(values))
-    if problem.with_poisson:
-        blocks.append(poisson_block(values))
-    return Linearization(problem, values, tuple(solved), tuple(blocks))
+    point = Linearization(problem, values, tuple(solved), ())
+    return replace(point, blocks=tuple(block for block in point.every_block() if block.key not in problem.left_out))
 
 
 # the search

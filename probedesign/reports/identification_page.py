@@ -52,8 +52,8 @@ def identification_page(fit: Identification) -> bytes:
     budget = HtmlTable(["error source", "contribution to the parameter"], shares, note)
     after = [("Scatter of the readings", _noise(fit)), ("Error budget", budget)]
     if fit.outliers:
-        rows = [[outlier.words, f"{outlier.deviations:.1f}"] for outlier in fit.outliers]
-        outliers = HtmlTable(["reading", "standard deviations"], rows, "Down-weighted in the fit.")
+        rows = [outlier.words.split(": ", 1) for outlier in fit.outliers]
+        outliers = HtmlTable(["reading", "distance from the fit"], rows, "Down-weighted in the fit.")
         after.append(("Outliers", outliers))
     folded = [("Residuals of the wrenches", wrenches)]
     title = f"{fit.name}: identified"
