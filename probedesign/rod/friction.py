@@ -354,9 +354,10 @@ class CoulombSolver:
             R = free.R_at(s)
             curvature = self._curvature(free, s, free.states_at(s)[0], R)
             at = SurfacePoint.of(self._profile, np.array(x), np.array(angle), curvature)
-            e = R @ [math.cos(angle), math.sin(angle), 0.0]
+            c, d = math.cos(angle), math.sin(angle)
+            e, h = c * R[:, 0] + d * R[:, 1], c * R[:, 1] - d * R[:, 0]
             normal = e + float(at.tan) * R[:, 2]
-            return at.reach * e + at.aside * np.cross(R[:, 2], e), normal / float(np.linalg.norm(normal))
+            return at.reach * e + at.aside * h, normal / float(np.linalg.norm(normal))
 
         p, R = free.p_at(near.s), free.R_at(near.s)
         out = R.T @ (obstacle.at(part) + near.way * line - p)
