@@ -40,6 +40,8 @@ from probedesign.simulation.simulated_run import RunErrors, SimulatedRun, simula
 COMMAND_RUNS, FUSE_RUNS = 3, 20
 READINGS = 50  #: Readings at each pose for `fuse`: a quarter of a second of a Net F/T box, averaged by 36.
 FRICTION = ASSUMED_FRICTION  #: Median friction coefficient of the cards.
+#: Smallest and largest compliance of cards that yield [m/N]; the estimator has a prior of the largest. Assumed.
+CARDS = (0.02, 0.2)
 TARGET_MM = 2.0  #: Target of the error of a located point.
 #: Columns of the covariance in a row of position and covariance.
 SYMMETRIC = np.array([[3, 4, 5], [4, 6, 7], [5, 7, 8]])
@@ -66,10 +68,14 @@ def report() -> None:
         _by_command(model, simulate_run(model, touch_targets(), np.random.default_rng(seed), with_rotation), seed)
         for seed in range(COMMAND_RUNS)
     ]
+    soft = replace(model, tolerances=replace(Tolerances.of(model), object_compliance=CARDS[1]))
+    yielding = [_by_command(soft, one, seed, EXACT_ROTATION)
+                for seed, one in enumerate(islice(_simulated_runs(soft, CARDS), COMMAND_RUNS))]  # fmt: skip
     fused = [_by_fuse(model, one, np.random.default_rng(100 + i)) for i, one in enumerate(simulated)]
     methods = {
         "explore, exact orientation": exact,
         "explore, orientation errors": rotated,
+        "explore, cards of 5 to 50 N/m": yielding,
         "fuse, single touches": fused,
     }
     head = ["method", "located", f"within {TARGET_MM:g} mm", "95 % interval", "95th percentile", "median", "maximum"]
@@ -89,11 +95,18 @@ def report() -> None:
     draw_card_house(cards, exact[0].rows, np.array(targets))
 
 
-def _simulated_runs(model: ProbeModel) -> Iterator[SimulatedRun]:
-    """Yield simulated runs without end, except those whose base position error makes a touch miss its edge."""
+def _simulated_runs(model: ProbeModel, compliance: tuple[float, float] | None = None) -> Iterator[SimulatedRun]:
+    """Yield simulated runs without end, except those whose base position error makes a touch miss its edge.
+
+    The compliance of the cards [m/N] is log-uniform in a range, or zero.
+    """
     for seed in count():
+        rng = np.random.default_rng([seed, 1])
+        drawn = np.exp(rng.uniform(*np.log(compliance), 100)) if compliance else np.zeros(100)
         with suppress(InputError):
-            yield simulate_run(model, touch_targets(), np.random.default_rng(seed), RunErrors(friction=FRICTION))
+            yield simulate_run(
+                model, touch_targets(iter(drawn).__next__), np.random.default_rng(seed), RunErrors(friction=FRICTION)
+            )
 
 
 def _by_command(model: ProbeModel, simulated: SimulatedRun, seed: int, options: Sequence[str] = ()) -> PointErrors:

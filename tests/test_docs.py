@@ -86,7 +86,7 @@ def test_the_commands_of_a_page_run_in_order(page, run_once, tmp_path, monkeypat
     pytest.importorskip("cadquery")
     shutil.copytree(ROOT / "designs", tmp_path / "designs")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(scenes, "touch_targets", lambda: TOUCHES)
+    monkeypatch.setattr(scenes, "touch_targets", lambda *_: TOUCHES)
     results = []
     for step in steps_of(page):
         if isinstance(step, list):

@@ -242,8 +242,8 @@ class RehearsalOptions:
     """Simulated run for a first try of `explore`."""
 
     rehearse: Path | None = None
-    """Simulate touches of a card house, write the recording and poses to this folder, and end. Errors are drawn from
-    the bundle's tolerances and the options of the base."""
+    """Simulate touches of a card house, write the recording and poses to this folder, and end. The errors and how far
+    each card yields are drawn from the bundle's tolerances and the options of the base."""
     seed: int = 1
     """Seed of the drawn errors."""
     friction: float = 0.5
@@ -259,6 +259,7 @@ class RehearsalOptions:
         """
         import numpy as np
 
+        from probedesign.estimation.tolerances import Tolerances
         from probedesign.rod.friction import MAX_FRICTION
         from probedesign.simulation.scenes import touch_targets
         from probedesign.simulation.simulated_run import RunErrors, check_run_files, simulate_run, write_run
@@ -270,8 +271,10 @@ class RehearsalOptions:
         if not 0.0 <= self.friction_spread <= 1.0:
             raise InputError(f"--friction-spread {self.friction_spread:g} must lie in 0 ... 1")
         check_run_files(folder, force)  # before the simulation
-        rng = np.random.default_rng(self.seed)
+        rng, of_cards = np.random.default_rng(self.seed), np.random.default_rng([self.seed, 1])
+        compliance = Tolerances.of(model).object_compliance
+        targets = touch_targets(lambda: compliance * abs(of_cards.normal()))
         with show_progress("simulating touches of a card house"):
             errors = RunErrors.from_priors(model, base, self.friction, self.friction_spread)
-            run = simulate_run(model, touch_targets(), rng, errors)
+            run = simulate_run(model, targets, rng, errors)
             return write_run(run, model, folder, rng, force)

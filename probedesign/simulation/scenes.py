@@ -6,8 +6,8 @@ freely.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import accumulate
 
 import numpy as np
@@ -310,8 +310,12 @@ MIN_FRACTION, MAX_FRACTION = 0.50, 0.95  #: Range of fractions of the length tha
 N_REPEATED = 5  #: Number of targets that are touched twice, from another depth.
 
 
-def touch_targets() -> tuple[TouchTarget, ...]:
-    """Return the targets in touching order: 25 points, then five of them again at another fraction of the length."""
+def touch_targets(compliance: Callable[[], float] = lambda: 0.0) -> tuple[TouchTarget, ...]:
+    """Return the targets in touching order: 25 points, then five of them again at another fraction of the length.
+
+    Args:
+        compliance: draws how far the card yields by the force on it at a point [m/N].
+    """
     points = []
     for card in card_house():
         middle = np.array([0.5 * (card.start[0] + card.end[0]), 0.0, card.start[2]])
@@ -326,7 +330,8 @@ def touch_targets() -> tuple[TouchTarget, ...]:
     n = len(points)
     # Neighbours on a card get fractions far apart: 7 and 25 have no common divisor.
     fractions = [MIN_FRACTION + (MAX_FRACTION - MIN_FRACTION) * (7 * i % n) / (n - 1) for i in range(n)]
-    first = [TouchTarget(*point, fraction) for point, fraction in zip(points, fractions, strict=True)]
+    first = [TouchTarget(*point, fraction, compliance=compliance())
+             for point, fraction in zip(points, fractions, strict=True)]  # fmt: skip
     again = [first[i] for i in range(0, n, n // N_REPEATED)][:N_REPEATED]
     total = MIN_FRACTION + MAX_FRACTION
-    return (*first, *(TouchTarget(t.card, t.p_world, t.direction, total - t.fraction, True) for t in again))
+    return (*first, *(replace(t, fraction=total - t.fraction, repeated=True) for t in again))

@@ -5,7 +5,7 @@ import pytest
 
 from probedesign.core.units import MILLINEWTON
 from probedesign.simulation.scenes import touch_targets
-from probedesign.simulation.simulated_run import FIRM_FORCE, RunErrors, simulate_run
+from probedesign.simulation.simulated_run import FIRM_FORCE, LIGHT_FORCE, RunErrors, simulate_run
 from tests.live.conftest import bundle as bundle
 from tests.live.conftest import estimator as estimator
 
@@ -38,3 +38,20 @@ def test_a_run_is_reproducible(estimator, touches):
     only_friction = RunErrors(stiffness=0.0, base_offset=0.0, base_repeat=0.0, bias_rate=0.0, friction=0.5)
     again = simulate_run(estimator.model, touch_targets()[8:9], np.random.default_rng(2), only_friction).touches[0]
     assert np.array_equal(again.wrenches_base, touches[0].wrenches_base)
+
+
+def test_a_card_that_yields_is_pressed_with_the_same_force_and_its_point_at_rest_is_the_truth(estimator, touches):
+    """The base travels further by the compliance times the change of the force, without friction along the push."""
+    errors = RunErrors(stiffness=0.0, base_offset=0.0, base_repeat=0.0, bias_rate=0.0, friction=0.0)
+    rigid, soft = (
+        simulate_run(
+            estimator.model, touch_targets(lambda c=c: c)[8:9], np.random.default_rng(2), errors
+        ).touches[0]
+        for c in (0.0, 0.2)
+    )  # fmt: skip
+    assert soft.force == pytest.approx(FIRM_FORCE, rel=0.02)
+    off, along = soft.p_world - soft.target.p_world, soft.target.card.along
+    assert np.linalg.norm(off - (off @ along) * along) < 1e-6
+    light, firm = ((one.Ts_world_base[1] - one.Ts_world_base[0])[:3, 3] @ one.target.direction for one in (rigid, soft))
+    # Both depths have the tolerance of a micrometre; the force has the direction of the push within a tenth.
+    assert firm - light == pytest.approx(0.2 * (FIRM_FORCE - LIGHT_FORCE), rel=0.05)
