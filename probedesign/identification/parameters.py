@@ -138,6 +138,38 @@ def _xyz(name: str, label: str) -> dict[str, str]:
     return {f"{name}_{axis}": label.format(axis) for axis in "xyz"}
 
 
+def bow_curvature(length: float) -> Array:
+    """Return the curvature about x and y of a rod by a deviation of its tip of 1 m towards x and towards y [1/m²],
+    (2, 2): a row each."""
+    return 2.0 / length**2 * np.array([[0.0, 1.0], [-1.0, 0.0]])
+
+
+def _bow(axis: int) -> Parameter:
+    """Return the parameter of a constant curvature, as the deviation of the unloaded tip [m]."""
+
+    def apply(rod: Rod, x: float) -> Rod:
+        """Return the rod with a further bow."""
+        if x == 0.0:  # a straight rod is solved faster
+            return rod
+        rest = np.zeros((len(rod.s), 3)) if rod.rest_curvature is None else rod.rest_curvature
+        return replace(rod, rest_curvature=rest + np.append(x * bow_curvature(rod.length)[axis], 0.0))
+
+    def design(rod: Rod) -> float:
+        """Return the deviation of the design [mm], whose curvature is that at the base all along."""
+        if rod.rest_curvature is None:
+            return 0.0
+        return float(rod.rest_curvature[0, :2] @ bow_curvature(rod.length)[axis]) * rod.length**4 / 4.0 / MM
+
+    letter = "xy"[axis]
+    return Parameter(
+        f"bow_{letter}", {f"bow_{letter}": f"deviation of the unloaded tip towards {letter}"},
+        lambda common: common.tolerances.bow_mm * MM, apply, max_std=1.0 * MM, unit="mm", scale=1.0 / MM,
+        design_value=design, prior_name="bent print",
+        prior_source="the probe by eye: write its bow into the design with measured --bow-mm, or raise bow_mm in "
+        "[tolerances]",
+    )  # fmt: skip
+
+
 _BASE_ROTATION = ("rotation of the base",
                   "rotation_world_deg and std_deg in campaign.toml, or the base pose of each test")  # fmt: skip
 _MOUNTING = ("mounting of the probe on the sensor",
@@ -166,6 +198,8 @@ PARAMETERS: dict[str, Parameter] = {
                   design_key="mount.root_rigid_radii", prior_name="root of the probe",
                   prior_source="root_rigid_radii in the design (-0.18 is computed for the exported flange), and the "
                   "tolerance root_radii"),
+        _bow(0),
+        _bow(1),
         Parameter("tilt", {"tilt_x": "rotation about x", "tilt_y": "rotation about y"},
                   lambda common: common.std_tilt, max_std=2.0 * DEGREE, unit="deg", scale=1.0 / DEGREE,
                   prior_name=_BASE_ROTATION[0], prior_source=_BASE_ROTATION[1]),

@@ -23,6 +23,7 @@ from probedesign.identification.parameters import (
     POISSON_STD,
     ROOT_STEP,
     ParameterValues,
+    bow_curvature,
 )
 from probedesign.identification.surface_touch import COUPLE_COLUMNS, SurfaceTouch, solve_touch
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
@@ -157,6 +158,8 @@ DERIVATIVES: dict[str, Derivative] = {
     "density": lambda test, vector: vector.by("log_density"),
     "G": lambda test, vector: vector.by("log_G"),
     "root": lambda test, vector: vector.by_root[..., None],
+    "bow_x": lambda test, vector: vector.by("rest_x", "rest_y") @ bow_curvature(test.rod.length)[0][:, None],
+    "bow_y": lambda test, vector: vector.by("rest_x", "rest_y") @ bow_curvature(test.rod.length)[1][:, None],
     "tilt": lambda test, vector: test.by_rotation(vector, test.values.T_stated_base)[..., 0:2],
     "clocking": lambda test, vector: test.by_rotation(vector, test.values.T_stated_base)[..., 2:3],
     "gravity": lambda test, vector: vector.by_rod[..., GRAVITY] @ test.d_gravity,

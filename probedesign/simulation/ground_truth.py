@@ -311,7 +311,7 @@ def _rod(
     Creep and the stiffness scatter between touches are not properties of the print.
     """
     by = np.zeros(BEFORE_KNOTS + len(model.rod.s))
-    for rows in parameters_of(model.rod, replace(tolerances, stiffness_scatter=0.0, creep=0.0, bow_mm=0.0)).values():
+    for rows in parameters_of(model.rod, replace(tolerances, stiffness_scatter=0.0, creep=0.0)).values():
         by += rng.normal(size=len(rows)) @ rows
     if plan.youngs_modulus is not None:
         by[0] = math.log(plan.youngs_modulus / model.rod.youngs_modulus)

@@ -11,7 +11,7 @@ from probedesign.campaigns import Campaign
 from probedesign.core.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.identification.identify import IdentificationData, data_of, identify
-from probedesign.identification.parameters import MAX_ROOT_DEVIATION, CommonParameters, check_requested
+from probedesign.identification.parameters import MAX_ROOT_DEVIATION, CommonParameters, bow_curvature, check_requested
 from probedesign.identification.residuals import MassMeasurement, MeasuredTest
 from tests.identification.conftest import TRUE_E
 
@@ -31,8 +31,9 @@ def test_stage_campaign_identifies_E(found) -> None:
     E = found.of("E")
     assert found.result == "ok" and E is not None
     assert abs(1e6 * E.value - TRUE_E) < FOUR * 1e6 * E.std
-    # the readings 1.3 %, the root 0.6 %, length scale, mounting, gain and creep 0.3 to 0.5 % each
-    assert E.std / E.value < 0.025
+    # the readings 1.3 %, the root 0.6 %, length scale, mounting, gain and creep 0.3 to 0.5 % each,
+    # the bow of 1 mm 1.3 %
+    assert E.std / E.value < 0.028
     assert E.std_of_print > E.std  # of the material it is known worse: E·d⁴ was measured
 
 
@@ -152,8 +153,9 @@ def found_by_cameras(cameras: Campaign, model: ProbeModel):
 def test_camera_campaign_identifies_E(found_by_cameras) -> None:
     E = found_by_cameras.of("E")
     assert E is not None and abs(1e6 * E.value - TRUE_E) < FOUR * 1e6 * E.std
-    # Creep and scatter of the stiffness of 1 % each, gain and the root, known to 0.25, limit it beside the markers.
-    assert E.std / E.value < 0.03
+    # Creep and scatter of the stiffness of 1 % each, gain and the root, known to 0.25, limit it beside the markers, and
+    # 2 % of a bow of 1 mm.
+    assert E.std / E.value < 0.037
 
 
 def test_stiffness_alone_does_not_separate_E_and_diameters(stage: Campaign, model: ProbeModel) -> None:
@@ -275,3 +277,32 @@ def _dead_loads(model: ProbeModel, gravity: float) -> list[MeasuredTest]:
                             p_markers_world=p, cov_markers=np.tile(1e-8 * np.eye(3), (8, 1, 1)),
                             marker_numbers=tuple(range(1, 9))))  # fmt: skip
     return trials
+
+
+def _bent(model: ProbeModel, towards: tuple[float, float]) -> ProbeModel:
+    """Return the model with a tip that is off by that much [m] without load."""
+    u = np.append(np.array(towards) @ bow_curvature(model.rod.length), 0.0)
+    return replace(model, rod=replace(model.rod, rest_curvature=np.tile(u, (len(model.rod.s), 1))))
+
+
+def test_markers_show_the_bow_of_a_print(model: ProbeModel) -> None:
+    """The bow, 2 mm towards x and 1 mm against y, is that of the tests; markers of 0.1 mm have no error."""
+    trials = tuple(_dead_loads(_bent(model, (2e-3, -1e-3)), 1.0))
+    found = identify(IdentificationData(_shared(model), trials, None, "bent"), ("E", "bow_x", "bow_y"))
+    E, x, y = (found.of(name) for name in ("E", "bow_x", "bow_y"))
+    assert E is not None and x is not None and y is not None
+    # Without a prior the bow is free, and goes with the pose of the base, known to 0.1 mm and 1e-3 rad: 0.15 mm.
+    assert abs(x.value - 2.0) < 0.1 and abs(y.value + 1.0) < 0.1 and x.std < 0.3 and y.std < 0.3
+    assert E.low < 1e-6 * model.rod.youngs_modulus < E.high
+    # From a design that states the bow, the reported value is the whole one.
+    again = identify(IdentificationData(_shared(_bent(model, (2e-3, 0.0))), trials, None, "bent"), ("bow_x", "bow_y"))
+    whole = again.of("bow_x")
+    assert whole is not None and abs(whole.value - 2.0) < 0.1
+
+
+def test_a_print_that_is_bent_beyond_its_tolerance_is_named(model: ProbeModel) -> None:
+    """Ten of the bow's standard deviations of 1 mm."""
+    data = IdentificationData(_shared(model), tuple(_dead_loads(_bent(model, (0.0, 1e-2)), 1.0)), None, "bent")
+    found = identify(data, ("E",))
+    assert found.result == "inconsistent"
+    assert found.why.startswith("bent print: the stated value deviates by 9.") and "measured --bow-mm" in found.why
