@@ -6,7 +6,7 @@ tracked touch (`tracker.py`) the fusion of its keyframes as they come.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -50,6 +50,8 @@ MAX_EXTENSIONS = 3
 #: Steps of a standard deviation of the object's compliance to either side of the best one, at most, and the fall of the
 #: logarithm of its weight beyond which it is negligible; number of values at which it is interpolated.
 MAX_COMPLIANCE_STEPS, NEGLIGIBLE, DENSE = 8, 5.0, 161
+WIDE = 0.03  #: RMS error over the length from which a second branch of the likely points is searched.
+NEAR_BRANCH = 2e-3  #: Distance of two points [m] below which two branches that meet are one.
 
 
 @dataclass(frozen=True)
@@ -358,66 +360,76 @@ class Fusion:
         Args:
             best: the solution with a normal prior of the same mean and variance.
         """
-        scale = self.priors.object_compliance
-        if scale == 0.0:
-            nodes = [(best, 0.0, best.chi2)]
-        else:
-            nodes = self._compliance_nodes(best, scale)
-        if len(nodes) < 2:
-            solution = nodes[0][0] if nodes else best
+        branches = [self._branch(best, max(best.compliance, 0.0), best.std_compliance)]
+        first = branches[0][0] if branches[0] else None
+        if first is None or len(branches[0]) < 2:
+            solution = best if first is None else first.solution
             added = self.curvature(solution, solution.compliance)
             return Posterior(solution.points, solution.covs + added, solution.chi2, solution.compliance,
                              np.full(2, solution.compliance))  # fmt: skip
-        c = np.array([compliance for _, compliance, _ in nodes])
-        chi2 = np.array([misfit for _, _, misfit in nodes])
-        logs = np.array([solution.log_volume for solution, _, _ in nodes]) - 0.5 * chi2
-        values = np.array([np.concatenate([[log], solution.points.ravel(), solution.covs.ravel()])
-                           for log, (solution, _, _) in zip(logs, nodes, strict=True)])  # fmt: skip
-        dense = np.linspace(c[0], c[-1], DENSE)
-        rows = make_interp_spline(c, values, k=min(3, len(c) - 1))(dense)
-        weight = np.exp(rows[:, 0] - rows[:, 0].max())
-        weight[[0, -1]] *= 0.5
-        weight /= weight.sum()
-        points, covs = rows[:, 1:10].reshape(-1, 3, 3), rows[:, 10:].reshape(-1, 3, 3, 3)
-        mean, compliance = np.tensordot(weight, points, 1), float(weight @ dense)
-        off = points - mean
-        cov = np.tensordot(weight, covs, 1) + np.einsum("w,wpi,wpj->pij", weight, off, off)
-        nearest = nodes[int(np.argmin(np.abs(c - compliance)))]
-        added = self.curvature(nearest[0], nearest[1])
+        weight, c, points, covs = _interpolated(branches)
+        cov, mean, compliance = _moments(weight, c, points, covs)
+        if first.compliance > 0.0 and statistics.rms(cov[0]) > WIDE * self.model.rod.length:
+            # Where the probe is about as compliant as the object, the likely points may have a second branch.
+            starts = (self.refine(start, compliance=0.0) for group in self._starts() for start in group)
+            stiff = next((solution for solution in starts if solution is not None), None)
+            other = [] if stiff is None else self._branch(stiff, 0.0, 0.25 * self.priors.object_compliance, first)
+            if len(other) > 1:
+                branches.append(other)
+                weight, c, points, covs = _interpolated(branches)
+                cov, mean, compliance = _moments(weight, c, points, covs)
+        nodes = max(branches, key=lambda branch: max(node.log_weight for node in branch))
+        nearest = min(nodes, key=lambda node: abs(node.compliance - compliance))
+        added = self.curvature(nearest.solution, nearest.compliance)
         # The shortest interval holds the most likely compliances.
-        likely = np.argsort(-weight)
-        kept = dense[likely[: int(np.searchsorted(np.cumsum(weight[likely]), 0.95)) + 1]]
-        return Posterior(mean, cov + added, float(chi2.min()), compliance, np.array([kept.min(), kept.max()]))
+        widths = [branch[-1].compliance - branch[0].compliance for branch in branches]
+        likely = np.argsort(-weight / np.repeat(widths, DENSE))
+        kept = c[likely[: int(np.searchsorted(np.cumsum(weight[likely]), 0.95)) + 1]]
+        chi2 = min(node.chi2 for node in nodes)
+        return Posterior(mean, cov + added, chi2, compliance, np.array([kept.min(), kept.max()]))
 
-    def _compliance_nodes(self, best: Solution, scale: float) -> list[tuple[Solution, float, float]]:
-        """Return solutions with given compliances of the object, in ascending order, each with the compliance [m/N] and
-        its misfit with the prior on the compliance."""
-        step, centre = best.std_compliance, max(best.compliance, 0.0)
+    def _branch(self, start: Solution, centre: float, step: float, met: "_Node | None" = None) -> list["_Node"]:
+        """Return solutions with given compliances of the object, in ascending order, until their weight is negligible.
 
-        def solved(compliance: float, start: Array) -> tuple[Solution, float, float] | None:
-            solution = self.refine(start, compliance=compliance)
-            return solution and (solution, compliance, solution.chi2 + (compliance / scale) ** 2)
+        Args:
+            start: a solution near the first one.
+            centre: compliance of the first one [m/N].
+            step: from one compliance to the next [m/N].
+            met: a solution at which another branch begins: if this one leads to it, it is the same; None: none.
 
-        middle = solved(centre, best.touches)
-        if middle is None:
-            return []
-        nodes, likely = [middle], middle[0].log_volume - 0.5 * middle[2]
+        Returns:
+            The solutions; an empty list if there is none, or if the branch is another one's.
+        """
+        scale = self.priors.object_compliance
+
+        def solved(compliance: float, touches: Array) -> _Node | None:
+            solution = self.refine(touches, compliance=compliance)
+            return solution and _Node(solution, compliance, solution.chi2 + (compliance / max(scale, 1e-12)) ** 2)
+
+        middle = solved(centre, start.touches)
+        if middle is None or scale == 0.0:
+            return [] if middle is None else [middle]
+        nodes, likely = [middle], middle.log_weight
         for side in (-1.0, 1.0):
             last, change = middle, step
             for _ in range(MAX_COMPLIANCE_STEPS):
-                compliance = max(last[1] + side * change, 0.0)
-                following = solved(compliance, last[0].touches) if compliance != last[1] else None
+                compliance = max(last.compliance + side * change, 0.0)
+                if met is not None and compliance > met.compliance >= last.compliance:
+                    there = solved(met.compliance, last.solution.touches)
+                    if there is not None and float(np.linalg.norm(there.solution.x - met.solution.x)) < NEAR_BRANCH:
+                        return []
+                following = solved(compliance, last.solution.touches) if compliance != last.compliance else None
                 if following is None:  # no such contact of the probe; the last one may be nearer
                     change *= 0.5
                     if compliance == 0.0 or change < 0.2 * step:
                         break
                     continue
-                last, weight = following, following[0].log_volume - 0.5 * following[2]
+                last = following
                 nodes.append(following)
-                likely = max(likely, weight)
-                if weight < likely - NEGLIGIBLE:
+                likely = max(likely, following.log_weight)
+                if met is None and following.log_weight < likely - NEGLIGIBLE:
                     break
-        return sorted(nodes, key=lambda node: node[1])
+        return sorted(nodes, key=lambda node: node.compliance)
 
     def curvature(self, best: Solution, compliance: float) -> Array:
         """Return the curvature correction of the covariances of a solution with a given compliance [m/N] of the object:
@@ -496,6 +508,48 @@ class Fusion:
             if rival.chi2 < best.chi2 + RIVAL_CHI2 and apart > 3.0 * (rms + statistics.rms(rival.cov)):
                 return "ambiguous"
         return result
+
+
+class _Node(NamedTuple):
+    """A solution with a given compliance of the object [m/N], and its misfit with the prior on the compliance."""
+
+    solution: Solution
+    compliance: float
+    chi2: float
+
+    @property
+    def log_weight(self) -> float:
+        """Return the logarithm of its weight in the posterior, up to a constant."""
+        return self.solution.log_volume - 0.5 * self.chi2
+
+
+def _interpolated(branches: Sequence[Sequence[_Node]]) -> tuple[Array, Array, Array, Array]:
+    """Return weight (n,), compliance (n,) [m/N], points (n, 3, 3) and covariances (n, 3, 3, 3) along all branches."""
+    logs, c, steps, values = [], [], [], []
+    for nodes in branches:
+        known = np.array([node.compliance for node in nodes])
+        rows = np.array([np.concatenate([[node.log_weight], node.solution.points.ravel(), node.solution.covs.ravel()])
+                         for node in nodes])  # fmt: skip
+        dense = np.linspace(known[0], known[-1], DENSE)
+        row = make_interp_spline(known, rows, k=min(3, len(known) - 1))(dense)
+        step = np.full(DENSE, dense[1] - dense[0])
+        step[[0, -1]] *= 0.5
+        logs.append(row[:, 0])
+        c.append(dense)
+        steps.append(step)
+        values.append(row[:, 1:])
+    log, value = np.concatenate(logs), np.concatenate(values)
+    weight = np.concatenate(steps) * np.exp(log - log.max())
+    return (weight / weight.sum(), np.concatenate(c), value[:, :9].reshape(-1, 3, 3),
+            value[:, 9:].reshape(-1, 3, 3, 3))  # fmt: skip
+
+
+def _moments(weight: Array, c: Array, points: Array, covs: Array) -> tuple[Array, Array, float]:
+    """Return covariance (3, 3, 3) and mean (3, 3) of the points, and the mean compliance [m/N], of `_interpolated`."""
+    mean = np.tensordot(weight, points, 1)
+    error = points - mean
+    cov = np.tensordot(weight, covs, 1) + np.einsum("w,wpi,wpj->pij", weight, error, error)
+    return cov, mean, float(weight @ c)
 
 
 def _without(priors: Tolerances, group: str) -> Tolerances:
