@@ -273,11 +273,12 @@ class StudioPage:
             pin.on_click(lambda _: self._request(lambda: self._pin(self.session.pin)))
             unpin = gui.add_button("Remove the last pin")
             unpin.on_click(lambda _: self._request(lambda: self._pin(self.session.unpin_last)))
-            self._name: Any = gui.add_text("name", self.session.design.name)
-            self._replace: Any = gui.add_checkbox("replace existing files", False)
+            name: Any = gui.add_text("name", self.session.design.name)
+            replace: Any = gui.add_checkbox("replace existing files", False)
             for label, action in ACTIONS.items():
                 gui.add_button(label).on_click(partial(self._press, action))
-            self._command: Any = gui.add_text("command that restores this state", "", multiline=True)
+            command: Any = gui.add_text("command that restores this state", "", multiline=True)
+            self._save = {"name": name, "replace": replace, "command": command}
             dark = gui.add_checkbox("dark page", False)
             dark.on_update(lambda _: self._theme(dark.value))
         self._stacked, self._panel = False, gui.add_panel()
@@ -324,7 +325,7 @@ class StudioPage:
 
     def _load(self, design: Design) -> None:
         self.session.replace_design(design)
-        self._name.value = design.name
+        self._save["name"].value = design.name
         self._refresh()
 
     def _step(self, name: str) -> None:
@@ -337,9 +338,11 @@ class StudioPage:
 
     def _press(self, action: Action, _: Any) -> None:
         def act() -> None:
-            design = self.session.design.model_copy(update={"name": self._name.value.strip()})
+            design = self.session.design.model_copy(update={"name": self._save["name"].value.strip()})
             self._say("working ...")
-            self._keep(action(check_design(tables_of(design)), self._replace.value))  # its name may be no file name
+            self._keep(
+                action(check_design(tables_of(design)), self._save["replace"].value)
+            )  # its name may be no file name
 
         self._request(act)
 
@@ -426,4 +429,4 @@ class StudioPage:
         dotted = "<p class=note>Solid: all error sources. Dotted: an exact probe. Dashed: pinned designs.</p>"
         dotted += colour_legend(session.touch.force_mN)
         self._charts["summary"].content = styled(dotted + summary_table(figures, pinned) + check)
-        self._command.value = session.command_line
+        self._save["command"].value = session.command_line
