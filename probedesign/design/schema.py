@@ -365,6 +365,7 @@ class TolerancesTable(Table):
     base_mm: Annotated[float, Field(ge=0.0, le=5.0)] | None = None
     tilt_deg: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
     clocking_deg: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
+    pose_deg: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
     gravity_deg: Annotated[float, Field(ge=0.0, le=10.0)] | None = None
     root_radii: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     gain: RelativeStd | None = None

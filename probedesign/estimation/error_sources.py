@@ -23,7 +23,7 @@ from probedesign.rod.rod import Rod
 
 #: Of an error, in the order of the tables.
 CAUSES = ("noise", "drift", "E", "G", "density", "diameter", "diameter scatter", "bore", "length", "bow", "root",
-          "base place", "base tilt", "clocking", "gravity", "gain", "creep", "stiffness scatter")  # fmt: skip
+          "base place", "base tilt", "clocking", "pose", "gravity", "gain", "creep", "stiffness scatter")  # fmt: skip
 
 #: Changes of a rod before those of its knots' log diameters: of log E, log G, log density and log length, and the
 #: curvature at rest about x and y [1/m].
@@ -127,7 +127,8 @@ class ErrorSources:
     tolerances: Tolerances  #: how well it is known.
     gravity: Array  #: base axes [m/s²], (3,).
     rod: Array  #: of the rod's own sources, log E and what follows it, (a, 6 + K).
-    base: Array  #: of the others, (b, 9), see `turns_of`, or (b, 12) with the displacement of the point alone [m].
+    #: of the others, (b, 9), see `turns_of`, or (b, 15) with shift and turn of the points alone [m, rad].
+    base: Array
     names: tuple[str, ...]  #: the source of each of the J columns.
     reference: Array  #: wrench at the base at which the sensor reads zero, (6,).
     tared: Array  #: columns of the free probe's reading, which a tare has taken away, (6, J).
@@ -153,14 +154,18 @@ class ErrorSources:
             tared: the sources where the sensor was tared; None: under this gravity.
             axes: see `turns_of`.
             posed: whether points count in the world. The base's place is then uncertain twice, by `base_mm` each: on
-                the sensor, which the moment shows, and as the robot reports it, which no reading shows.
+                the sensor, which the moment shows, and as the robot reports it, which no reading shows. A reported
+                rotation that is off by θ turns the points by θ × x, and gravity in base axes by g × θ.
         """
         rod, names = _filtered(parameters_of(model.rod, tolerances))
-        base, base_names = _filtered(turns_of(gravity, tolerances, axes))
-        if posed and tolerances.base_mm > 0.0:
-            reported = np.hstack([np.zeros((3, 9)), tolerances.base_mm * MM * np.eye(3)])
-            base = np.vstack([np.pad(base, ((0, 0), (0, 3))), reported])
-            base_names = (*base_names, *["base place"] * 3)
+        turns = turns_of(gravity, tolerances, axes)
+        if posed:
+            turns = {name: np.pad(rows, ((0, 0), (0, 6))) for name, rows in turns.items()}
+            shift = np.pad(tolerances.base_mm * MM * np.eye(3), ((0, 0), (9, 3)))
+            turn, unseen = math.radians(tolerances.pose_deg) * np.eye(3), np.zeros((3, 6))
+            turns["base place"] = np.vstack([turns["base place"], shift])
+            turns["pose"] = np.hstack([unseen, np.cross(gravity, turn), unseen[:, :3], turn])
+        base, base_names = _filtered(turns)
         names = (*names, *base_names, "root", *["gain"] * 6)
         nothing = np.zeros((6, len(names)))
         base_from_sensor = wrench_map(inverse(model.T_sensor_base))

@@ -42,6 +42,7 @@ SOURCES = {
     "base_mm": "assumed, as in fusion",
     "tilt_deg": "assumed: 0.05 mm on a seat of 15 mm",
     "clocking_deg": "assumed: play of the screws",
+    "pose_deg": "assumed: as tilt_deg, of the seat of the sensor on the robot",
     "gravity_deg": "assumed: a machine levelled by hand",
     "root_radii": "assumed: half the distance from a bonded face (0.12) to the exported soft flange (about -0.18), "
     "docs/decisions/0006",
@@ -106,6 +107,9 @@ class Tolerances:
     base_mm: float = 0.05
     tilt_deg: float = 0.2  #: of the base about its x and its y axis.
     clocking_deg: float = 0.5  #: of the base about its z axis.
+    #: of the base's rotation as the robot reports it, about each of its axes, the same at all poses; it matters where
+    #: points count in the world.
+    pose_deg: float = 0.2
     gravity_deg: float = 0.2  #: of gravity's direction, about each of two axes across it.
     #: of how far the stiffness has relaxed at the reading, relative; of several touches at the last.
     creep: float = 0.01
@@ -176,18 +180,11 @@ class Tolerances:
     @property
     def exact(self) -> bool:
         """Return whether a single reading has no model error."""
-        return (
-            replace(
-                self,
-                robot_mm=0.0,
-                walk_steps=0.0,
-                object_compliance=0.0,
-                object_walk_mm=0.0,
-                tared=True,
-                youngs_modulus_by_diameter=0.0,
-            )
-            == Tolerances.none()
-        )
+        of_one = replace(
+            self, robot_mm=0.0, pose_deg=0.0, walk_steps=0.0, object_compliance=0.0, object_walk_mm=0.0, tared=True,
+            youngs_modulus_by_diameter=0.0,
+        )  # fmt: skip
+        return of_one == Tolerances.none()
 
     def sources(self, resin: str = "", length: float = 0.15) -> dict[str, str]:
         """Return the source of each value, by name.

@@ -84,8 +84,8 @@ class SourceArrays(NamedTuple):
     """Error sources as `error_columns` takes them, one standard deviation each."""
 
     rod: Array  #: of log E and what follows it, a source a row, (a, 6 + K).
-    #: of the base's shift and turn and of gravity [m, rad, m/s²], a source a row, (b, 9); with three more columns the
-    #: displacement of the points that no reading shows [m].
+    #: of the base's shift and turn and of gravity [m, rad, m/s²], a source a row, (b, 9); with six more columns the
+    #: shift and the turn of the points that no reading shows [m, rad].
     base: Array
     root: float  #: of the length of rigid rod at the root [m].
     gain: Array  #: of the sensor's channels, relative, (6,).
@@ -123,9 +123,11 @@ def error_columns(body, gravity, lin, sources, D):
             for q in range(3):
                 D[r, c] += sources.payload_by_gravity[r, q] * change[q]
         if base.shape[1] > 9:
-            for q in range(3):  # of touched and centreline point
-                D[6 + q, c] += base[d, 9 + q]
-                D[9 + q, c] += base[d, 9 + q]
+            of_touched = cross(take(base[d], 12), take3(lin, POINT, VALUE))
+            of_centre = cross(take(base[d], 12), take3(lin, CENTRE, VALUE))
+            for q in range(3):
+                D[POINT + q, c] += base[d, 9 + q] + of_touched[q]
+                D[CENTRE + q, c] += base[d, 9 + q] + of_centre[q]
     c = a + b
     r0 = body.radii[0]
     bend = sources.root / (r0 * r0 * r0 * r0)

@@ -57,10 +57,13 @@ class BasePoseUncertainty:
         return cls(tolerances.base_mm, tolerances.robot_mm, tolerances.tilt_deg, tolerances.clocking_deg)
 
     def apply_to(self, tolerances: Tolerances) -> Tolerances:
-        """Return tolerances of probe, sensor and mount with this uncertainty of the base pose."""
+        """Return tolerances of probe, sensor and mount with this uncertainty of the base pose.
+
+        Tilt and clocking are those of the base against the report, whether it turned on the sensor or with it.
+        """
         return replace(
             tolerances, base_mm=self.base_offset_mm, robot_mm=self.base_repeat_mm, tilt_deg=self.tilt_deg,
-            clocking_deg=self.clocking_deg,
+            clocking_deg=self.clocking_deg, pose_deg=0.0,
         )  # fmt: skip
 
     @property

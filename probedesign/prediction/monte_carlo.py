@@ -288,7 +288,10 @@ def locate_draws(
     estimator = Estimator(samples.model, samples.tolerances)
     if schedule is None:
         return [_located(estimator, read[i, 0], points[i, 0]) for i in range(n)]
-    places = -points + rng.normal(0.0, samples.tolerances.robot_mm * MM, (n, k, 3))
+    places = rng.normal(0.0, samples.tolerances.robot_mm * MM, (n, k, 3))
+    # Of a reported rotation that is off, the tare in the same pose leaves little but the turn of the points.
+    turns = Rotation.from_rotvec(rng.normal(0.0, math.radians(samples.tolerances.pose_deg), (n, 3)))
+    places -= np.einsum("nij,nkj->nki", turns.as_matrix(), points)
     return [_fused(estimator, schedule, read[i], places[i]) for i in range(n)]
 
 

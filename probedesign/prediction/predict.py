@@ -47,7 +47,7 @@ CAUSE_GROUPS = {
     "object": ("object",),
     "stiffness": ("E", "G", "creep", "stiffness scatter"),
     "shape": ("diameter", "diameter scatter", "bore", "length", "bow"),
-    "mount": ("base place", "base tilt", "clocking", "root", "gain"),
+    "mount": ("base place", "base tilt", "clocking", "pose", "root", "gain"),
     "weight": ("density", "gravity"),
 }
 PRESSING, NO_WORKSPACE = PressSchedule(), Workspace()

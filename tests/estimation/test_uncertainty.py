@@ -204,6 +204,27 @@ def test_error_columns_are_differences_of_other_probes(touch, tared, large):
         assert_columns((high - low) / (2.0 * h), D[:, c], 5e-3, sources.names[c])
 
 
+@pytest.mark.parametrize("tared", [True, False])
+@pytest.mark.parametrize("touch", TOUCHES)
+def test_a_reported_rotation_that_is_off_turns_points_and_gravity(touch, tared, large):
+    """The sensor turns with the base, so the wrench changes by gravity alone; a point counts in the world only."""
+    model, gravity, std = large.model, np.array([9.0, 1.0, -3.0]), math.radians(0.3)
+    tolerances = replace(EXACT, pose_deg=0.3, tared=tared)
+    free, y = model.rod.solve(gravity), unknowns(large.model, touch)
+    sources = ErrorSources.of(model, tolerances, gravity, free, posed=True)
+    assert sources.names[:3] == ("pose",) * 3 and "pose" not in sources_of(model, gravity, tolerances).names
+
+    def seen(turn):
+        R = Rotation.from_rotvec(turn).as_matrix()
+        change = np.concatenate([np.zeros(6), R.T @ gravity - gravity])
+        wrench_points = true_reading(model, gravity, y, np.zeros(BEFORE_KNOTS + len(model.rod.s)), change, 0.0, tared)
+        return np.concatenate([wrench_points[:6], R @ wrench_points[6:9], R @ wrench_points[9:]])
+
+    D, h = settle(sources, y).D, 0.05 * std
+    for c, axis in enumerate(np.eye(3)):
+        assert_columns((seen(h * axis) - seen(-h * axis)) * std / (2.0 * h), D[:, c], 5e-3, f"pose {c}")
+
+
 @pytest.mark.parametrize("rigid_radii", [0.0, 0.12, -0.18])
 @pytest.mark.parametrize("touch", TOUCHES)
 def test_the_column_of_the_root_is_a_difference(touch, rigid_radii, large, gravity):
@@ -253,7 +274,7 @@ def test_a_tare_takes_away_what_the_free_probe_shows(large, gravity):
 
 def test_every_source_has_its_columns(large, gravity):
     sources = sources_of(large.model, gravity, Tolerances())
-    assert set(sources.names) == set(CAUSES) - {"noise", "drift", "bore"}  # the probe is solid
+    assert set(sources.names) == set(CAUSES) - {"noise", "drift", "bore", "pose"}  # solid, and no world
     assert sources.drift == pytest.approx(0.2**2 * 36 * large.model.noise_base())
     # What has no standard deviation has no column, but root and gain, which are zero.
     none = sources_of(large.model, gravity)

@@ -118,6 +118,14 @@ def test_more_touches_and_more_channels_reduce_the_error(large):
     assert many < few and too <= few * (1.0 + 1e-9)  # rounding
 
 
+def test_a_reported_rotation_that_is_off_turns_the_point_about_the_base(large):
+    """With the base still the tare takes what gravity shows. The bent probe's chord is within 2 % of its length."""
+    found, reach_mm = of(large, only(pose_deg=0.3)), 1e3 * TOUCH[0] * large.length
+    assert found.budget_mm["pose"] == pytest.approx(np.sqrt(2.0) * np.radians(0.3) * reach_mm, rel=0.02)
+    single = predict(large.model, TOUCH[:1], TOUCH[1:2], TOUCH[2:], only(pose_deg=0.3), only_single=True)
+    assert single.conditions[0].budget_mm["pose"] == 0.0  # no world
+
+
 # The real fusion
 
 
