@@ -9,7 +9,7 @@ from benchmarks.timing import print_machine
 #: Benchmarks by module. Each is imported when it runs, because worker processes import this module again.
 PARTS = ("rod", "start", "install", "estimation", "detection", "prints", "identify", "pictured", "validation",
          "planning", "prediction", "table1", "optimisation", "sweep", "export", "live", "recording", "view",
-         "studio", "day", "explore", "clamp", "compliance", "coverage")  # fmt: skip
+         "studio", "day", "explore", "clamp", "compliance", "coverage", "real")  # fmt: skip
 
 
 def main(arguments: list[str]) -> int:
@@ -24,17 +24,20 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--only", help="coverage: only rows whose name contains this text")
     parser.add_argument("--bounds", action="store_true", help="coverage: print the bounds of one touch instead")
     parser.add_argument("--workers", type=int, help="coverage: number of processes, default 2")
+    parser.add_argument("--data", help="real: folder with measurements by others")
     parser.add_argument("--json", action="store_true", help="coverage: print JSON")
     args = parser.parse_args(arguments)
     unknown = [name for name in args.parts if name not in PARTS]
     if unknown:
         parser.error(f"there is no benchmark '{unknown[0]}'; choose from {', '.join(PARTS)}")
-    if not args.json:
+    if not args.json and args.parts != ["real"]:  # where no time counts
         print_machine()
     for name in args.parts or PARTS:
         given: dict[str, object] = {}
         if name == "live":
             given = {"minutes": args.minutes, "view": args.view or None, "foxglove": args.foxglove or None}
+        elif name == "real":
+            given = {"data": args.data}
         elif name == "day":
             given = {"hours": args.hours}
         elif name == "coverage":

@@ -91,6 +91,49 @@ def draw_card_house(cards: Sequence[Array], located: Array, targets: Array) -> N
     figure.savefig(PICTURES / "card-house.png", dpi=130)
 
 
+def draw_bamboo(s: Array, masses: Array, mean: Array, spread: Array, model: Array, fitted: Sequence[bool]) -> None:
+    """Draw measured and predicted deflections of a tapered rod.
+
+    Args:
+        s: places from the clamp [mm], (n,).
+        masses: at the tip [g], (k,).
+        mean, spread, model: deflections, their scatter, and those of the model [mm], (k, n).
+        fitted: which masses the model was fitted to, (k,).
+    """
+    figure, ax = _figure(7.6, 3.8)
+    for k, mass in enumerate(masses):
+        color = GREY if fitted[k] else ORANGE
+        ax.plot(s, model[k], "-", color=color, lw=1.2)
+        ax.errorbar(s, mean[k], spread[k], fmt="o", color=BLUE, ms=4, capsize=2)
+        ax.annotate(f" {mass:g} g", (s.max(), mean[k, int(np.argmax(s))]), fontsize=8, va="center")
+    ax.plot([], [], "o", color=BLUE, label="measured by others, four times")
+    ax.plot([], [], "-", color=GREY, label="rod, E and density fitted to these")
+    ax.plot([], [], "-", color=ORANGE, label="rod, predicted")
+    ax.set(xlabel="along the rod from the clamp [mm]", ylabel="deflection [mm]", xlim=(None, 1.06 * s.max()))
+    ax.grid(True, color="#dddddd", lw=0.6)
+    ax.legend(frameon=False, fontsize=8, loc="lower left")
+    figure.savefig(PICTURES / "real-rod.png", dpi=130)
+
+
+def draw_allan(curves: dict[str, tuple[Array, Array]], walk: float) -> None:
+    """Draw the Allan deviation of sensors without load.
+
+    Args:
+        curves: window lengths [s] and deviations [steps] by sensor.
+        walk: assumed random walk [steps/√s].
+    """
+    figure, ax = _figure(7.6, 3.8)
+    for (name, (tau, deviation)), color in zip(curves.items(), (ORANGE, BLUE, "#0c2f57"), strict=False):
+        ax.loglog(tau, deviation, "o-", color=color, ms=3, lw=1.2, label=name)
+    tau = np.array([5e-3, 2.0])
+    ax.loglog(tau, walk * np.sqrt(tau / 3.0), "--", color=GREY, label=f"walk of {walk:g} steps/√s, as assumed")
+    ax.loglog(tau, 1.0 / np.sqrt(tau / tau[0]), ":", color=GREY, label="noise of one step a sample, as assumed")
+    ax.set(xlabel="window τ [s]", ylabel="Allan deviation of the\nchannel that drifts most [steps]")
+    ax.grid(True, which="major", color="#dddddd", lw=0.6)
+    ax.legend(frameon=False, fontsize=8)
+    figure.savefig(PICTURES / "real-drift.png", dpi=130)
+
+
 def _figure(width: float, height: float, panels: int = 1) -> tuple[Any, Any]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
