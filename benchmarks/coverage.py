@@ -302,6 +302,48 @@ def _draw_ratios(case: Case, model: ProbeModel, n: int, rng: np.random.Generator
     return case.friction * np.column_stack([np.cos(direction), np.sin(direction)])
 
 
+# Light touches
+
+LIGHT = "Light touches of the large probe, friction anywhere in a cone of 0.6"
+LIGHT_FORCES = tuple(k / 2e3 for k in range(2, 25))  #: [N].
+CONE = 0.6  #: Tangential over normal force, at most. Assumed.
+
+
+def light_row(job: tuple[bool, float, int]) -> dict[str, Any]:
+    """Draw and locate touches of one force, by the default or by the exact estimator; return the shares of the results.
+
+    Unlike in the other rows every draw counts. The interval holds if it contains the arclength where the line of action
+    of the force comes nearest to the tangent of the axis at the touched section.
+    """
+    exact, newtons, n = job
+    model, rng = paper_models()["large"], np.random.default_rng(round(1e5 * newtons))
+    stated = PriorStds.of(model).only(() if exact else SINGLE_SOURCES)
+    perturbations, estimator = Perturbations.of(model, stated), estimator_for(model, stated)
+    direction, phi = rng.uniform(-np.pi, np.pi, (2, n))
+    ratios = CONE * np.sqrt(rng.uniform(size=(n, 1))) * np.column_stack([np.cos(direction), np.sin(direction)])
+    force = newtons * np.column_stack([np.ones(n), ratios]) / np.sqrt(1.0 + (ratios**2).sum(axis=1))[:, None]
+    scatter = rng.normal(size=(n, 6)) @ np.linalg.cholesky(model.noise_base()).T
+    z = perturbations.draw(n, rng)
+    samples, fraction = perturbations.samples(z), rng.uniform(*PLACES, n)
+    touches = solve(samples.at_touch(0), samples.gravity, fraction * samples.probes.length, phi, force, axes="surface")
+    readings = evaluate_readings(samples, z, touches, samples.free_wrench(), columns=False)
+    f, t = touches.force / newtons, touches.R[:, :, 2]
+    along = (f * t).sum(axis=1)
+    arm = ((touches.p_surface - touches.p_centre) * (t - along[:, None] * f)).sum(axis=1)
+    s_true, statistics, held = touches.s + arm / (1.0 - along**2), ErrorStatistics(MIN_STD), []
+    for i in np.flatnonzero(touches.ok):
+        found = estimator.estimate(readings.wrench[i] + scatter[i], model.gravity_base)
+        statistics.add(found.result, found.p_surface_base - readings.point[i], found.cov_surface_base, 1.0)
+        if found.result == "interval_only":
+            held.append(bool(found.s_interval_95[0] <= s_true[i] <= found.s_interval_95[1]))
+    n = statistics.results.total()
+    return {"estimator": "exact" if exact else "default", "force_mN": 1e3 * newtons, "draws": n,
+            "ok_share": len(statistics.nees) / n,
+            "ok_outside_share": (len(statistics.nees) - statistics.n_inside_95) / n,
+            "interval_only_share": len(held) / n, "interval_only_misses_share": (len(held) - sum(held)) / n,
+            "results": dict(statistics.results)}  # fmt: skip
+
+
 # Fused touches
 
 
@@ -569,12 +611,23 @@ def report(draws: int = DRAWS, only: str | None = None, bounds_only: bool = Fals
         else:
             print_bounds(rows)
         return
+    light = list[dict[str, Any]]()
+    if only is None or only.lower() in LIGHT.lower():
+        with ProcessPoolExecutor(max_workers=workers) as pool:
+            light = list(pool.map(light_row, [(exact, newtons, draws) for exact in (False, True)
+                                              for newtons in LIGHT_FORCES]))  # fmt: skip
     cases = [case for case in (*single_cases(), *fused_cases(), *yielding_cases(), *bent_cases(), *model_error_cases())
              if only is None or only.lower() in f"{case.group}, {case.name}".lower()]  # fmt: skip
     fused_draws = max(1, round(draws * FUSED_DRAWS / DRAWS))
     found = run(cases, draws, fused_draws, workers, lambda line: print(line, file=sys.stderr, flush=True))
     if as_json:
-        print(json.dumps([{"group": case.group, "case": case.name, **row} for case, row in found], indent=2))
+        rows = [{"group": case.group, "case": case.name, **row} for case, row in found]
+        print(json.dumps(rows + [{"group": LIGHT, **row} for row in light], indent=2))
         return
+    if light:
+        shares = ("ok_share", "ok_outside_share", "interval_only_share", "interval_only_misses_share")
+        print_table(LIGHT, ["estimator", "force", "draws", "ok", "ok, but outside", "interval_only", "but outside"],
+                    [[row["estimator"], f"{row['force_mN']:g} mN", str(row["draws"]),
+                      *(f"{row[share]:.1%}" for share in shares)] for row in light])  # fmt: skip
     for group in dict.fromkeys(case.group for case in cases):
         _print_group(group, [(case, row) for case, row in found if case.group == group])

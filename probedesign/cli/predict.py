@@ -26,7 +26,7 @@ FUSED_BUDGET_FORCE_N = 0.005
 #: Printed name of what limits the contact force.
 LIMITS = {"gives_way": "buckling", "sensor": "sensor", "slips_off": "slips off", "none": "none"}
 #: Printed instead of an error, by result code; any other code is "/".
-MARKS = {"too_light": "-", "unobservable": "-", "no_contact": ".", "out_of_range": "^"}
+MARKS = {"too_light": "-", "unobservable": "-", "interval_only": "-", "no_contact": ".", "out_of_range": "^"}
 
 
 def predict(

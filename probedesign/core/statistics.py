@@ -14,6 +14,12 @@ FALSE_ALARM = 1.4e-6
 RIVAL_CHI2 = 9.0  #: Solutions whose misfit χ² lies within 3² of the best explain the readings about as well.
 #: Standard deviation of a quantity somewhere in its range, over the range: a place known no better is not located.
 UNIFORM_STD = 1.0 / math.sqrt(12.0)
+UNIFORM_95 = 0.95  #: Length of its 95 % interval, over the range.
+#: Standard deviations σ of the force below which a place is stated as an interval alone. s follows M/F: a measured
+#: force of F + δ σ puts s outside 1.96 of its standard deviations, as they are then stated, if δ (1 + δ σ/F) > 1.96.
+#: For that to happen once in twenty, δ = 1.645, F must be 8.6 σ; so that no lighter touch passes once in twenty
+#: either, 1.645 are added.
+NORMAL_FORCE = 10.25
 
 
 @cache

@@ -23,6 +23,7 @@ Result = Literal[
     "out_of_range",
     "not_converged",
     "no_tare",
+    "interval_only",
 ]
 RESULTS: dict[Result, str] = {
     "ok": "one contact was located",
@@ -34,6 +35,7 @@ RESULTS: dict[Result, str] = {
     "out_of_range": "the reading is not finite, beyond the sensor, or needs a contact off the probe",
     "not_converged": "no equilibrium was found",
     "no_tare": "the sensor's zero is not that of the free probe, and no tare was taken",
+    "interval_only": "the force is light: the place is known to an interval that is no ellipsoid, and to no point",
 }
 
 #: Where the moments are taken about that count alone: the base's origin, or the sensor's own.
@@ -137,11 +139,11 @@ class Estimate(Tabular):
 
     @cached_property
     def s_interval_95(self) -> tuple[float, float]:
-        """Return the arclengths s_contact [m] between which the contact lies with a probability of 95 %; NaN if none
-        was located.
+        """Return the arclengths s_contact [m] between which the contact lies with a probability of 95 %; NaN with any
+        result but "ok" and "interval_only".
 
-        Computed on first access, by the profile of the misfit, which is valid where the posterior is not normal: near
-        the tip and for light touches.
+        Computed by the profile of the misfit, which is valid where the posterior is not normal: near the tip and for
+        light touches; on first access if the result is "ok".
         """
         return self.solve_interval() if self.solve_interval is not None else (math.nan, math.nan)
 

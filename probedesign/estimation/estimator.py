@@ -10,7 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, is_pose
-from probedesign.core.statistics import FALSE_ALARM, MISFIT_CHANCE, RIVAL_CHI2, UNIFORM_STD, max_chi2
+from probedesign.core.statistics import (
+    FALSE_ALARM,
+    MISFIT_CHANCE,
+    NORMAL_FORCE,
+    RIVAL_CHI2,
+    UNIFORM_95,
+    UNIFORM_STD,
+    max_chi2,
+)
 from probedesign.core.units import MM
 from probedesign.design.sensors import Noise
 from probedesign.estimation import force_moment, likelihood
@@ -28,9 +36,6 @@ if TYPE_CHECKING:
 Method = Literal["ml", "force_moment"]  #: Ways to locate a single contact.
 
 ALARM_CHI2 = max_chi2(6, FALSE_ALARM)
-#: Standard deviations of the force below which no position is given: s follows M/F, and its error is no longer normal
-#: where F is known to less than a fifth (tests/estimation/test_statistics.py).
-MIN_FORCE = 5.0
 #: Difference of poses, in metres and in entries of the rotation, up to which they are one: far below any robot's.
 SAME_POSE = 1e-6
 #: Number of estimators of other variances of the bias that are cached: those of one touch after the other.
@@ -297,14 +302,21 @@ class Estimator:
         free = self.free(gravity_base)
         return free.ok and self._detection_chi2(wrench_base, free) >= ALARM_CHI2
 
-    def locates(self, std_s: float, force: Array, readings: int = 1) -> bool:
-        """Return whether an estimate with that standard deviation [m] and force [N] (3,) locates the contact.
-
-        It does not if s is no better known than without a reading (uniform over the probe, L/√12), or if the force is
-        so uncertain that a first-order covariance is invalid.
-        """
+    def force_share(self, force: Array, readings: int = 1) -> float:
+        """Return the standard deviation of the force, by noise and drift, over the force [N], (3,)."""
         std_force = self.model.noise.force * math.sqrt(self._scatter(readings) / readings)
-        return bool(std_s < self.model.rod.length * UNIFORM_STD and math.sqrt(force @ force) > MIN_FORCE * std_force)
+        return std_force / max(math.sqrt(force @ force), 1e-300)
+
+    def result_at(self, s: float, std_s: float, force: Array) -> Result:
+        """Return the result of one reading whose contact is known to s and its standard deviation [m], (3,) [N].
+
+        "too_light" if s is no better known than without a reading: uniform over the probe.
+        """
+        length, share = self.model.rod.length, self.force_share(force)
+        if share * NORMAL_FORCE < 1.0:
+            return "ok" if std_s < length * UNIFORM_STD else "too_light"
+        low, high = likelihood.ratio_interval(s, std_s, share, length)
+        return "interval_only" if high - low < UNIFORM_95 * length else "too_light"
 
     def with_drift(self, steps: float) -> "Estimator":
         """Return the estimator for readings whose bias is known with a standard deviation in steps of the resolution.
@@ -360,9 +372,10 @@ class Estimator:
             return Estimate("not_converged", detection_chi2=detection_chi2)
         listed = tuple(sorted(found, key=lambda candidate: candidate.chi2)) if len(found) > 1 else tuple(found)
         best = listed[0]
-        result = self._result(listed, readings)
+        result, interval = self._result(listed, readings, problem)
         if result != "ok":
-            return Estimate(result, force_base=best.force_base, detection_chi2=detection_chi2, candidates=listed)
+            return Estimate(result, force_base=best.force_base, detection_chi2=detection_chi2, candidates=listed,
+                            solve_interval=None if interval is None else lambda: interval)  # fmt: skip
         return Estimate(
             "ok", best.s_contact, best.std_s, best.p_contact_base, best.p_surface_base, best.force_base,
             best.cov_contact_base, best.cov_surface_base, best.force_normal, best.force_tangential,
@@ -370,18 +383,28 @@ class Estimator:
             None if problem is None else lambda: likelihood.profile_interval(problem, best),
         )  # fmt: skip
 
-    def _result(self, listed: tuple[Candidate, ...], readings: int) -> Result:
-        """Return the result code of the best candidate among its rivals."""
-        best = listed[0]
+    def _result(
+        self, listed: tuple[Candidate, ...], readings: int, problem: Problem | None
+    ) -> tuple[Result, tuple[float, float] | None]:
+        """Return the result code of the best candidate among its rivals, and the interval of an "interval_only"."""
+        best, length = listed[0], self.model.rod.length
         if best.chi2 > max_chi2(best.dof, MISFIT_CHANCE) or best.force_normal <= 0.0:
-            return "out_of_range" if best.at_end else "inconsistent"
-        if not self.locates(best.std_s, best.force_base, readings):
-            return "unobservable" if best.lever < MIN_LEVER else "too_light"
+            return "out_of_range" if best.at_end else "inconsistent", None
+        normal = self.force_share(best.force_base, readings) * NORMAL_FORCE < 1.0
+        if best.lever < MIN_LEVER and not (normal and best.std_s < length * UNIFORM_STD):
+            return "unobservable", None
+        if normal and best.std_s >= length * UNIFORM_STD:
+            return "too_light", None
         for rival in listed[1:]:
             near = abs(rival.s_contact - best.s_contact) <= 3.0 * (rival.std_s + best.std_s)
             if rival.chi2 < best.chi2 + RIVAL_CHI2 and not near:
-                return "ambiguous"
-        return "ok"
+                return "ambiguous", None
+        if normal:
+            return "ok", None
+        if problem is None:
+            return "too_light", None
+        low, high = likelihood.profile_interval(problem, best)
+        return ("interval_only", (low, high)) if high - low < UNIFORM_95 * length else ("too_light", None)
 
 
 def _fused_arguments(

@@ -168,54 +168,38 @@ def profile_interval(problem: Problem, place: Candidate) -> tuple[float, float]:
 
     Args:
         problem: the reading and what it is known to.
-        place: the touch that explains it best; one without unknowns of a touch has the normal interval.
+        place: the touch that explains it best; one without unknowns of a touch has the interval of `ratio_interval`.
     """
-    rod = problem.sources.model.rod
-    if place.touch is None:
-        low, high = (place.s_contact + sign * 1.96 * place.std_s for sign in (-1.0, 1.0))
-        return max(low, 0.0), min(high, rod.length)
-    return _bound(problem, place, -1.0), _bound(problem, place, 1.0)
+    model, touch = problem.sources.model, place.touch
+    if touch is None:
+        std_force = math.sqrt(float(np.trace(problem.noise[:3, :3])) / 3.0)
+        share = std_force / max(float(np.linalg.norm(place.force_base)), 1e-300)
+        return ratio_interval(place.s_contact, place.std_s, share, model.rod.length)
+    bounds = np.empty(2)
+    multistart.profile_bounds(
+        model.rod.body, model.rod.flank_end, problem.seen.gravity, model.mass, problem.seen.wrench, place.whiten,
+        problem.friction, place.chi2, place.std_s, statistics.sigmas_95(1), touch, np.empty((2, len(touch))),
+        np.empty(work_size(0)), np.empty((ROWS, 1 + UNKNOWNS)), np.empty(1, dtype=FIT_SCRATCH), bounds,
+    )  # fmt: skip
+    low, high = np.clip(bounds, 0.0, model.rod.length).tolist()
+    return low, high
 
 
-def _bound(problem: Problem, place: Candidate, sign: float) -> float:
-    """Return one end of `profile_interval`, by steps of a standard deviation and bisection."""
-    assert place.touch is not None
-    model, end = problem.sources.model, problem.sources.model.rod.flank_end
-    touch, s = place.touch.copy(), float(place.touch[S])
-    limit, lin = place.chi2 + max_chi2(1, 0.05), np.empty((ROWS, 1 + UNKNOWNS))
-    sweep_work, scratch = np.empty(work_size(0)), np.empty(1, dtype=FIT_SCRATCH)
+def ratio_interval(s: float, std_s: float, share: float, length: float) -> tuple[float, float]:
+    """Return the 95 % interval of an arclength [m] that is a moment over an uncertain force.
 
-    def misfit(at: float) -> float:
-        """Return the least misfit squared with the touched section at an arclength [m]."""
-        return float(multistart.profile_misfit(
-            model.rod.body, problem.seen.gravity, model.mass, problem.seen.wrench, place.whiten, problem.friction, at,
-            touch, sweep_work, lin, scratch,
-        ))  # fmt: skip
+    With the force normal, s F/(F ± 1.96 σ_F) are its ends: 1.96 σ_s/(1 + 1.96 σ_F/F) below s and
+    1.96 σ_s/(1 - 1.96 σ_F/F) above it.
 
-    inside, outside = s, math.nan
-    for _ in range(MAX_PROFILE_STEPS):
-        there = min(max(inside + 0.7 * sign * place.std_s, 0.0), end)
-        before = touch.copy()
-        if misfit(there) > limit:
-            touch, outside = before, there
-            break
-        inside = there
-        if there in (0.0, end):
-            break
-    if math.isfinite(outside):
-        for _ in range(6):
-            middle = 0.5 * (inside + outside)
-            before = touch.copy()
-            if misfit(middle) > limit:
-                touch, outside = before, middle
-            else:
-                inside = middle
-    bound = np.empty(1)
-    multistart.contact_arclengths(model.rod.body, touch[None], bound)
-    return float(min(max(bound[0], 0.0), model.rod.length))
+    Args:
+        s, std_s: arclength and its standard deviation [m].
+        share: standard deviation of the force over the force.
+        length: of the probe [m], which bounds the interval.
 
-
-MAX_PROFILE_STEPS = 12  #: Steps of 0.7 standard deviations within which a bound of the interval is searched.
+    Source: E. C. Fieller, J. R. Stat. Soc. B 16, 1954, for a numerator that is known.
+    """
+    way, x = statistics.sigmas_95(1) * std_s, statistics.sigmas_95(1) * share
+    return max(s - way / (1.0 + x), 0.0), min(s + way / (1.0 - x), length) if x < 1.0 else length
 
 
 def _distinct(problem: Problem, places: list[Candidate]) -> list[Candidate]:

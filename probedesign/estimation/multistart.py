@@ -41,12 +41,14 @@ from probedesign.rod.kernels.surface_contact import (
     BY_TOUCH,
     CENTRE,
     CLAMPED,
+    DEAD,
     NO_PARAMETERS,
     NORMAL,
     OWN,
     PHI,
     POINT,
     ROWS,
+    TIP,
     TOUCH,
     UNKNOWNS,
     VALUE,
@@ -299,18 +301,71 @@ def contact_arclengths(body, touches, s):
         s[k] = s_contact(body, touches[k])
 
 
+PROFILE_STEPS = 20  #: Most fits for one end of a profile interval; two to five are usual.
+PROFILE_CLOSE = 0.02  #: Difference from the limit, in standard deviations, at which an end is found.
+LEAST_PLACE = 1e-3  #: Arclength over length below which an end of the interval is the base's.
+
+
+@inner
+def _copy(touch, to):
+    for q in range(TOUCH):
+        to[q] = touch[q]
+
+
 @kernel
-def profile_misfit(body, gravity, mass, wrench, whiten, friction, s, touch, sweep_work, lin, scratch):
-    """Minimise the misfit over touches whose section is fixed at s [m], from a touch close by, which is moved there.
+def profile_bounds(
+    body, end, gravity, mass, wrench, whiten, friction, least, std_s, limit, found, touch, sweep_work, lin, scratch,
+    bounds,
+):  # fmt: skip
+    """Fill in the arclengths s_contact [m] where the misfit, least over touches of one section, has grown to a limit.
+
+    The square root of the growth is about linear in 1/s, because s is a moment over an uncertain force. Its secant is
+    followed, and bisected where that does not close in.
 
     Args:
+        least: misfit squared of the touch found; std_s: standard deviation of its arclength [m].
+        limit: square root of the growth, in standard deviations.
+        found: the touch, (TOUCH,); touch: scratch, (2, TOUCH).
         sweep_work: scratch, (work_size(0),); lin: scratch, (ROWS, 1 + UNKNOWNS); scratch: FIT_SCRATCH, (1,).
+        bounds: filled, (2,); 0 and the end of the probe where the misfit does not grow so far.
         The others as in `fit_touch`.
-
-    Returns:
-        The misfit squared; inf where there is no such equilibrium.
     """
-    touch[S] = s
-    measured = Measured(body, s, gravity, mass, wrench, friction)
-    status, chi2, _n = fit_touch(measured, whiten, s, s, MAX_ITERATIONS, touch, sweep_work, lin, scratch[0])
-    return chi2 if status != LOST else math.inf
+    moved, kept = touch[0], touch[1]
+    measured, lowest = Measured(body, end, gravity, mass, wrench, friction), LEAST_PLACE * end
+    first = 1.0 / max(found[S], lowest)
+    for side in range(2):
+        _copy(found, moved)
+        _copy(found, kept)
+        last = 1.0 / lowest if side == 0 else 1.0 / end
+        inside, grown, outside, beyond = first, 0.0, math.nan, math.inf
+        x = first + (1.0 if side == 0 else -1.0) * limit * std_s * first * first
+        for step in range(PROFILE_STEPS):
+            if math.isnan(outside):
+                x = min(x, last) if side == 0 else max(x, last)
+            s = 1.0 / x
+            if moved[S] > lowest:  # the moment stays
+                moved[NORMAL] *= moved[S] / s
+                for q in range(DEAD, TIP):
+                    moved[q] *= moved[S] / s
+            moved[S] = s
+            status, chi2, _n = fit_touch(measured, whiten, s, s, MAX_ITERATIONS, moved, sweep_work, lin, scratch[0])
+            growth = math.sqrt(max(chi2 - least, 0.0))
+            if status in (FITTED, AT_END) and growth > limit + PROFILE_CLOSE:
+                outside, beyond = x, growth
+            elif status in (FITTED, AT_END) or growth <= limit:
+                inside, grown = x, growth
+                _copy(moved, kept)
+                if growth >= limit - PROFILE_CLOSE or x == last:
+                    break
+            else:  # too far for one fit: from nearer by
+                _copy(kept, moved)
+                x = 0.5 * (inside + x)
+                continue
+            _copy(kept, moved)
+            if math.isnan(outside):
+                x = first + (inside - first) * min(limit / max(grown, 1e-3), 3.0) if inside != first else last
+            elif step % 3 != 2:
+                x = inside + (outside - inside) * (limit - grown) / (beyond - grown)
+            else:
+                x = 0.5 * (inside + outside)
+        bounds[side] = 0.0 if side == 0 and inside == last else s_contact(body, kept)

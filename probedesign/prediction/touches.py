@@ -285,8 +285,8 @@ class Touches:
             return "out_of_range"
         if not self.estimator.detects(self.wrench[i]):
             return "no_contact"
-        located = self.estimator.locates(float(self.budget.std_s[i]), self.touch[i, DEAD : DEAD + 3])
-        return "ok" if located else "too_light"
+        touch = self.touch[i]
+        return self.estimator.result_at(float(touch[S]), float(self.budget.std_s[i]), touch[DEAD : DEAD + 3])
 
 
 def touches_of(

@@ -23,7 +23,10 @@ Cell = Condition | FusedCondition
 _FILL = (*COLOURS, "#F0E442", "#999999")
 _MIN_LABELLED = 0.09  # smallest share with space for its number
 LEVELS_MM = (0.2, 0.5, 1.0, 2.0, 5.0, 10.0)  #: Errors at which the colour of the map changes.
-RESULT_LABELS = {"too_light": "faint", "unobservable": "faint", "no_contact": "—", "out_of_range": "range"}
+RESULT_LABELS = {
+    "too_light": "faint", "unobservable": "faint", "interval_only": "interval", "no_contact": "—",
+    "out_of_range": "range",
+}  # fmt: skip
 #: Contact fraction and force [N] of the touches whose shapes are drawn.
 TOUCHES = ((0.4, 0.05), (0.6, 0.03), (0.8, 0.02))
 #: Text and marker of each limit of the force.

@@ -33,8 +33,8 @@ _BUDGET = (
     "position, tilt, clocking and root of the base, gain of the sensor. Weight: density and direction of gravity."
 )
 _CELLS = (
-    "Worst direction [mm]. Grey cells: — not detected; faint: detected, but too weak to be located; buckles: the probe "
-    "is unstable; range: beyond the sensor's range."
+    "Worst direction [mm]. Grey cells: — not detected; faint: detected, but too weak to be located; interval: known to "
+    "an interval of the arclength alone; buckles: the probe is unstable; range: beyond the sensor's range."
 )
 _ERRORS, _FORCES = "Errors by the sensor alone, and of fused touches by source", "Forces along the probe"
 _WORKSPACE, _BENDING = "Workspace", "Deflection and sensitivity"

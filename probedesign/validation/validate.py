@@ -36,7 +36,7 @@ TABLE1_COLUMNS = ("probe", "length_mm", "force_N", "contact_fraction", "shape_rm
 WHY: dict[str, str] = {**{str(code): words for code, words in RESULTS.items()}, "no_reading": "the sensor was not read"}
 #: Result codes expected of each kind. For a free probe the drift of the bias may be detected, but not located.
 EXPECTED_RESULTS = {
-    "free": ("no_contact", "too_light", "out_of_range", "unobservable", "no_reading"),
+    "free": ("no_contact", "too_light", "interval_only", "out_of_range", "unobservable", "no_reading"),
     "weight": ("ok",),
     "touch": ("ok",),
 }

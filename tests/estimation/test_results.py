@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
+from probedesign.core.statistics import NORMAL_FORCE
 from probedesign.estimation.estimate import RESULTS
 from probedesign.estimation.estimator import ALARM_CHI2, Estimator
 from probedesign.estimation.tolerances import Tolerances
@@ -46,7 +47,7 @@ def test_a_free_probe_is_free(name, mount, probes):
 def test_a_touch_below_the_noise_is_no_contact_and_above_it_is_one(estimator, gravity, touched):
     codes = [estimator.estimate(touched(0.06, force), gravity).result for force in (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)]
     assert codes[0] == "no_contact" and codes[-1] == "ok"
-    order = ["no_contact", "too_light", "ok"]
+    order = ["no_contact", "too_light", "interval_only", "ok"]
     assert [order.index(code) for code in codes] == sorted(order.index(code) for code in codes)
 
 
@@ -93,19 +94,36 @@ def test_a_drifting_free_probe_is_no_contact_where_drift_is_counted(large, gravi
 
 def test_a_force_that_leaves_the_place_open_is_too_light(exact, gravity, touched):
     # Noisy forces, sharp moments: felt by the moment, but the lever arm M/F is as vague as F.
-    blunt = exact.with_noise(force_N=0.05, moment_Nm=2.6e-6)
+    blunt = exact.with_noise(force_N=0.5, moment_Nm=2.6e-6)
     c = blunt.estimate(touched(0.09, 0.02), gravity)
     assert c.result == "too_light"
     assert_no_position(c)
 
 
-def test_a_force_that_drift_may_be_is_too_light(large, gravity, touched):
-    """The estimate has a place if the reading exceeds five standard deviations of noise and drift."""
-    noise, drift = large.model.noise.force, replace(EXACT, drift_steps=0.5)
-    both = noise * math.sqrt(1.0 + 0.5**2 * large.model.averaging_samples)
-    wrench = touched(0.09, 0.5 * (5.0 * noise + 5.0 * both))
+def test_a_force_that_drift_may_be_has_an_interval_and_no_point(large, gravity, touched):
+    """Half as much again as the force that is normal by noise alone; with drift its standard deviation is 3.2 times."""
+    wrench = touched(0.09, 1.5 * NORMAL_FORCE * large.model.noise.force)
     assert Estimator(large.model, EXACT).estimate(wrench, gravity).ok
-    assert Estimator(large.model, drift).estimate(wrench, gravity).result == "too_light"
+    c = Estimator(large.model, replace(EXACT, drift_steps=0.5)).estimate(wrench, gravity)
+    assert c.result == "interval_only"
+    assert_no_position(c)
+    low, high = c.s_interval_95
+    # Skewed: the far end is further off than the near one, here by the ratio (1 + 1.96/4.9)/(1 - 1.96/4.9) = 2.3, which
+    # the tip cuts off.
+    assert 0.0 < low < 0.09 < high <= large.length and high - 0.09 > 1.2 * (0.09 - low)
+
+
+def test_below_the_force_that_is_normal_there_is_no_point_and_above_it_nothing_changes(exact, gravity, touched):
+    force = NORMAL_FORCE * exact.model.noise.force
+    below, above = (exact.estimate(touched(0.09, share * force), gravity) for share in (0.99, 1.01))
+    assert below.result == "interval_only" and above.ok
+    assert_no_position(below)
+    # The interval is that of a touch a fiftieth heavier, but for that fiftieth: its ends move by as much as 1/F does.
+    assert below.s_interval_95 == pytest.approx(above.s_interval_95, rel=0.02)
+    # One pose says no more to a fusion.
+    T = np.eye(4)[None]
+    fused = [exact.fuse(touched(0.09, share * force)[None], T, gravity).result for share in (0.99, 1.01)]
+    assert fused == ["too_light", "ok"]
 
 
 @pytest.mark.parametrize("push", [-0.02, 0.02, 0.1])

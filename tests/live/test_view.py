@@ -17,7 +17,7 @@ from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.geometry.tube import SIDES, BentShape, TubeMesh, centreline
 from probedesign.live.blocks import Block, WrenchReading
 from probedesign.live.processing.chain import ProcessingOptions
-from probedesign.live.processing.estimates import ContactMarker, EstimateUpdate, readable_line
+from probedesign.live.processing.estimates import ContactMarker, EstimateUpdate, estimate_row, readable_line
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.view.page import events_html, status_html
@@ -204,6 +204,18 @@ def test_a_result_other_than_ok_has_no_place(estimator, result):
     assert [of(snapshot)[name].text for name in ("contact", "point", "force")] == ["–"] * 3
     assert of(snapshot)["result"].text == f"{result}: {RESULTS[result]}"
     assert np.isnan(snapshot.strip[:, 7:]).all()
+
+
+def test_a_light_touch_has_an_interval_and_no_place(estimator):
+    estimate = Estimate("interval_only", solve_interval=lambda: (0.0612, 0.0949))
+    state = ViewState()
+    state.on_estimate(update := answer(estimator, estimate))
+    snapshot = state.snapshot()
+    assert snapshot.marker is None and of(snapshot)["contact"].text == "s between 61 and 95 mm"
+    assert "  between 61 and 95 mm  " in readable_line(0.0, update.reading, estimate) + "  "
+    row = estimate_row(update.reading, estimate)
+    assert (row["s_interval_95_low_mm"], row["s_interval_95_high_mm"]) == pytest.approx((61.2, 94.9))
+    assert math.isnan(float(row["s_contact_mm"]))
 
 
 def test_silence_is_stale_and_what_is_known_is_old(estimator):

@@ -86,7 +86,7 @@ COLUMNS = (
     *(f"cov_contact_base_{pair}_mm2" for pair, _, _ in COVARIANCE),
     "detection_chi2",
     *(f"cov_surface_base_{pair}_mm2" for pair, _, _ in COVARIANCE),
-    "force_normal_N", "force_tangential_N", "friction_ratio",
+    "force_normal_N", "force_tangential_N", "friction_ratio", "s_interval_95_low_mm", "s_interval_95_high_mm",
 )  # fmt: skip
 #: Additional columns with poses of the base; surface: the touched point at rest, surface_now: after the object yielded,
 #: with its compliance and the interval that holds it with a probability of 95 %.
@@ -111,7 +111,16 @@ def estimate_row(reading: WrenchReading, estimate: Estimate) -> Row:
     values += [*_mm(estimate.p_contact_base), *_mm(estimate.p_surface_base), *map(float, estimate.force_base)]
     values += [*_mm2(estimate.cov_contact_base), estimate.detection_chi2, *_mm2(estimate.cov_surface_base)]
     values += [estimate.force_normal, estimate.force_tangential, estimate.friction_ratio]
+    values += [bound / MM for bound in interval_only(estimate)]
     return dict(zip(COLUMNS, values, strict=True)) | true_values(reading)
+
+
+def interval_only(estimate: Estimate) -> tuple[float, float]:
+    """Return the 95 % interval of s_contact [m] where that is all that is known; NaN with any other result.
+
+    Of a located contact it would cost as much as the estimate itself, see `Estimate.s_interval_95`.
+    """
+    return estimate.s_interval_95 if estimate.result == "interval_only" else (math.nan, math.nan)
 
 
 def true_values(reading: WrenchReading) -> Row:
@@ -164,10 +173,13 @@ def readable_line(
     The update has the phase and world coordinates, if poses of the base are known.
     """
     force = math.sqrt(sum(float(f) ** 2 for f in estimate.force_base)) / MILLINEWTON
+    place = _format_or_blank("s {:6.1f} ± {:5.1f} mm", estimate.s_contact / MM, estimate.std_s / MM)
+    if interval := interval_text(estimate):
+        place = interval.ljust(len(place))
     cells = [
         f"{elapsed:9.2f} s",
         f"{estimate.result:<13}",
-        _format_or_blank("s {:6.1f} ± {:5.1f} mm", estimate.s_contact / MM, estimate.std_s / MM),
+        place,
         _format_or_blank("p ({:6.1f}, {:6.1f}, {:6.1f}) mm", *_mm(estimate.p_surface_base)),
         _format_or_blank("F {:7.1f} mN", force),
     ]
@@ -183,6 +195,12 @@ def readable_line(
         true_s = reading.truth.s_contact / MM
         cells.append(_format_or_blank("true s {:6.1f} mm", true_s) if math.isfinite(true_s) else "true: free")
     return "  ".join(cells).rstrip()
+
+
+def interval_text(estimate: Estimate) -> str:
+    """Return the interval of `interval_only` in whole millimetres; empty with any other result."""
+    low, high = interval_only(estimate)
+    return f"between {low / MM:.0f} and {high / MM:.0f} mm" if math.isfinite(low) else ""
 
 
 def _format_or_blank(template: str, *values: float) -> str:

@@ -12,11 +12,17 @@ import numpy as np
 
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM, N_MM
-from probedesign.estimation.estimate import RESULTS
+from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.geometry.tube import BentShape, TubeMesh
 from probedesign.live.blocks import Block
 from probedesign.live.outputs.sinks import Sink
-from probedesign.live.processing.estimates import ContactMarker, EstimateUpdate, bent_shape, contact_marker
+from probedesign.live.processing.estimates import (
+    ContactMarker,
+    EstimateUpdate,
+    bent_shape,
+    contact_marker,
+    interval_text,
+)
 from probedesign.web.scene import RigidPart
 
 Level = Literal["good", "fair", "bad", "plain"]
@@ -64,13 +70,17 @@ class Snapshot:
 
 
 #: Level of each result, "bad" of all others.
-LEVELS: dict[str, Level] = {"ok": "good", "no_contact": "plain", "too_light": "fair", "ambiguous": "fair"}
+LEVELS: dict[str, Level] = {
+    "ok": "good", "no_contact": "plain", "too_light": "fair", "ambiguous": "fair", "interval_only": "fair",
+}  # fmt: skip
 LOSSES = ("lost", "late", "dropped", "faults")  #: Counters of the source that are shown.
 
 
-def _contact_lines(marker: ContactMarker | None) -> list[StatusLine]:
+def _contact_lines(marker: ContactMarker | None, estimate: Estimate) -> list[StatusLine]:
     if marker is None:
-        return [StatusLine(name, "–") for name in ("contact", "point", "force")]
+        interval = interval_text(estimate)
+        place = f"s {interval}" if interval else "–"
+        return [StatusLine("contact", place), StatusLine("point", "–"), StatusLine("force", "–")]
     frame = "world" if marker.in_world else "base"
     stds = _numbers(np.sqrt(np.maximum(np.diag(marker.cov), 0.0)), MM)
     ratio = marker.friction_ratio
@@ -235,7 +245,7 @@ class ViewState(Sink):
         rates = [f"{self._readings.rate:.0f} readings/s", f"{self._updates.rate:.0f} estimates/s"]
         if update is not None:
             yield StatusLine("phase", update.phase or "not monitored")
-            yield from _contact_lines(marker)
+            yield from _contact_lines(marker, update.estimate)
             if (fused := update.fused) is not None:
                 low, high = fused.object_compliance_interval_95 / MM
                 yields = f", yields {low:.0f} to {high:.0f} mm/N" if high > 0.0 else ""
