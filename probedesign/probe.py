@@ -124,7 +124,7 @@ class Probe(Displayed):
             creep_spread=d.material.creep_spread,
             identified_tests=d.material.identified_tests,
         )
-        given = {"object_compliance": d.contact.object_compliance_m_N, "object_walk_mm": d.contact.object_walk_mm}
+        given = {"object_compliance": d.object_compliance.value, "object_walk_mm": d.contact.object_walk_mm}
         return replace(model, tolerances=Tolerances.of(model, d.tolerances.model_dump() | given))
 
     def solve(

@@ -17,6 +17,7 @@ from probedesign.core.notebook import Displayed
 from probedesign.core.units import MM, MPA
 from probedesign.design.catalog import (
     CUSTOM,
+    OBJECT_COMPLIANCE,
     PRINTERS,
     RESINS,
     ROBOT_FLANGES,
@@ -488,6 +489,15 @@ class Design(Table, Displayed):
             return self.resin.friction
         return Quantity(given, self.contact.provenance.friction, "design file, contact.friction")
 
+    @property
+    def object_compliance(self) -> Quantity:
+        """Return the scale of the prior on the compliance of the touched object [m/N], with its provenance."""
+        given = self.contact.object_compliance_m_N
+        if given is None:
+            return OBJECT_COMPLIANCE
+        source = "design file, contact.object_compliance_m_N"
+        return Quantity(given, self.contact.provenance.object_compliance_m_N, source)
+
     def _quantity(self, key: str, unit: float, default: Quantity) -> Quantity:
         given = getattr(self.material, key)
         if given is None:
@@ -508,7 +518,7 @@ class Design(Table, Displayed):
         # An infinite friction leaves the direction of the force free: no number is assumed.
         friction, free = self.friction, math.isinf(self.friction.value)
         contact: tuple[str, ...] = ("contact.friction",) if friction.provenance == "assumed" and not free else ()
-        if self.contact.object_compliance_m_N != 0.0 and self.contact.provenance.object_compliance_m_N == "assumed":
+        if self.object_compliance.value != 0.0 and self.object_compliance.provenance == "assumed":
             contact += ("contact.object_compliance_m_N",)
         return (
             *dimensions,

@@ -58,6 +58,8 @@ class DesignControls:
         self._bind("mount.gravity_base_m_s2", vector, list)
         self._slider("mount.root_rigid_radii", "root, rigid base radii", -0.5, 0.5, 0.01, design.mount.root_rigid_radii)
         self._slider("contact.friction", "friction", 0.0, MAX_FRICTION, 0.05, min(design.friction.value, MAX_FRICTION))
+        yielding = design.object_compliance.value
+        self._slider("contact.object_compliance_m_N", "object yields [m/N]", 0.0, 0.5, 0.005, yielding)
         gui.add_markdown("Forces whose errors are drawn:")
         shown = self._session.forces_mN
         self._forces = [gui.add_checkbox(f"{1e3 * f:g} mN", 1e3 * f in shown) for f in FORCES_N]
@@ -111,6 +113,7 @@ class DesignControls:
             "mount.gravity_base_m_s2": tuple(design.mount.gravity_base_m_s2),
             "mount.root_rigid_radii": design.mount.root_rigid_radii,
             "contact.friction": min(design.friction.value, MAX_FRICTION),
+            "contact.object_compliance_m_N": design.object_compliance.value,
             **{f"touch.{key}": value for key, value in vars(session.touch).items()},
         }  # fmt: skip
         self._showing.now = True  # viser calls the handlers of a value that is set here in this thread
