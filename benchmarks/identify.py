@@ -45,10 +45,13 @@ BENCHES = {
     ),
     "gain 1 % of each channel": Flaws(gain=0.01, stated=PERFECT | {"gain": 0.01}),
     "tests 2 min apart, bias walks": Flaws(seconds=120.0, stated=_without("walk_steps")),
+    "tests 2 min apart, bias walks ten times as far (not stated)": Flaws(
+        seconds=120.0, drift=10.0, stated=_without("walk_steps")
+    ),
     "root drawn, ±0.15": Flaws(root_drawn=True, stated=_without("root_radii")),
     "root of the exported flange, -0.18": Flaws(root=FLANGE_ROOT, stated=_without("root_radii")),
     "length scale, weights, poses, creep": Flaws(reference=True, stated=_without("creep", "robot_mm")),
-    "all together": Flaws(0.5, 0.02, 0.01, 120.0, None, True, True, {"gain": 0.01}),
+    "all together": Flaws(0.5, 0.02, 0.01, 120.0, 1.0, None, True, True, {"gain": 0.01}),
 }
 BENCHES["all together, by the reference rod"] = replace(BENCHES["all together"], independent=True)
 

@@ -69,6 +69,7 @@ class Flaws:
     stiffness_scatter: float = 0.0  #: relative standard deviation of the stiffness between touches.
     gain: float = 0.0  #: relative standard deviation of the gain of each channel of the sensor.
     seconds: float = 0.0  #: time between tests, over which the bias has a random walk [s]; 0 for a constant bias.
+    drift: float = 1.0  #: factor on that walk, which the design does not state.
     root: float | None = None  #: root_rigid_radii of the print; None for the design's value.
     root_drawn: bool = False  #: whether the root is drawn from its tolerance instead.
     #: whether length scale, weights, poses of tests and creep have errors drawn from their priors.
@@ -160,7 +161,7 @@ class _Bench:
         self.creep = errors * tolerances.creep * rng.normal()
         self.mu = flaws.friction * rng.random()
         steps = np.linalg.cholesky(model.averaging_samples * model.noise_base())
-        self.walk = tolerances.walk_steps * math.sqrt(flaws.seconds / WALK_SECONDS) * steps
+        self.walk = flaws.drift * tolerances.walk_steps * math.sqrt(flaws.seconds / WALK_SECONDS) * steps
         self.bias = tolerances.drift_steps * steps @ rng.normal(size=6)
         if tolerances.tared:
             self.bias -= self._true_reading(truth.rod.solve(truth.gravity_base).wrench_base)

@@ -19,8 +19,9 @@ from scipy.spatial.transform import Rotation
 from probedesign.campaigns.manifest import LENGTH_SCALE
 from probedesign.core.csv_tables import Frame
 from probedesign.core.errors import InputError, unknown_name
-from probedesign.core.frames import Array, pose
+from probedesign.core.frames import Array, inverse, pose, wrench_map
 from probedesign.core.units import MM, MPA
+from probedesign.estimation.bias import RAMP_STEPS
 from probedesign.estimation.error_sources import BEFORE_KNOTS, parameters_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
@@ -284,6 +285,7 @@ class CommonParameters:
     std_tilt: float
     walk_seconds: tuple[float, ...] = ()  #: time from each test to the next, in the order of their `epoch` [s].
     frame: Frame = "base"  #: of the columns of wrenches.csv.
+    drift: tuple[float, ...] = (1.0,) * 6  #: drift of each channel of the sensor over that by `walk_modes`.
 
     @cached_property
     def print_modes(self) -> Array:
@@ -299,7 +301,7 @@ class CommonParameters:
     @property
     def size(self) -> int:
         """Length of the parameter vector."""
-        return PRINT + len(self.print_modes) + 6 * len(self.walk_seconds)
+        return PRINT + len(self.print_modes) + 6 * (1 + len(self.walk_seconds))
 
     @cached_property
     def print_columns(self) -> slice:
@@ -307,19 +309,25 @@ class CommonParameters:
         return slice(PRINT, PRINT + len(self.print_modes))
 
     def walk_columns(self, epoch: int) -> slice:
-        """Return the position of the steps of the bias before a test in the parameter vector."""
-        return slice(self.print_columns.stop, self.print_columns.stop + 6 * epoch)
+        """Return the position of the rate of the bias and of its steps before a test in the parameter vector."""
+        return slice(self.print_columns.stop, self.print_columns.stop + 6 * (1 + epoch))
 
     @cached_property
-    def walk_modes(self) -> Array:
-        """Change of the bias at the base by unit normal numbers, six for each step [N, N·m], (6, 6 steps).
+    def steps(self) -> Array:
+        """Changes of the reading at the base by a step of the resolution in each channel [N, N·m], (6, 6)."""
+        to_base = wrench_map(inverse(self.model.T_sensor_base))
+        return np.asarray(to_base @ np.linalg.cholesky(self.model.averaging_samples * self.model.noise.cov))
 
-        The bias walks: the variance of its change is (walk_steps of the resolution)² in `WALK_SECONDS` and grows with
-        time, as in the fusion of touches.
+    def walk_modes(self, epoch: int) -> Array:
+        """Return the change of the bias up to a test by unit normal numbers [N, N·m], (6, 6 + 6 epoch).
+
+        As in `live`, the bias has a rate of `RAMP_STEPS`, the first six, and walks: the variance of its change is
+        (walk_steps of the resolution)² in `WALK_SECONDS` and grows with time. Both are times `drift` of the channel.
         """
-        root = np.linalg.cholesky(self.model.averaging_samples * self.model.noise_base())
-        sizes = self.tolerances.walk_steps * np.sqrt(np.array(self.walk_seconds) / WALK_SECONDS)
-        return np.concatenate([np.zeros((6, 0)), *(size * root for size in sizes)], axis=1)
+        seconds = np.array(self.walk_seconds[:epoch])
+        walk = self.tolerances.walk_steps
+        sizes = [RAMP_STEPS * seconds.sum() * (walk > 0.0), *(walk * np.sqrt(seconds / WALK_SECONDS))]
+        return np.kron(sizes, self.steps * self.drift)
 
     @property
     def root_std(self) -> float:
@@ -411,7 +419,7 @@ class ParameterValues:
 
     def bias(self, epoch: int) -> Array:
         """Return the bias of the sensor at a test, at the base [N, N·m], (6,)."""
-        walked = self.common.walk_modes[:, : 6 * epoch] @ self.x[self.common.walk_columns(epoch)]
+        walked = self.common.walk_modes(epoch) @ self.x[self.common.walk_columns(epoch)]
         return np.asarray(self.x[PARAMETERS["bias"].columns] + walked)
 
     @cached_property

@@ -332,7 +332,7 @@ class SolvedTest:
         J = (np.eye(6) + gain @ to_sensor) @ J
         J[:, GAIN] += to_base * reading
         J[:, BIAS] += np.eye(6)
-        J[:, common.walk_columns(measured.epoch)] += common.walk_modes[:, : 6 * measured.epoch]
+        J[:, common.walk_columns(measured.epoch)] += common.walk_modes(measured.epoch)
         modelled = modelled + gain @ reading + self.values.bias(measured.epoch)
         assert measured.wrench_base is not None and measured.cov_wrench is not None
         return self._whitened("wrenches", measured.wrench_base - modelled, J, measured.cov_wrench)
