@@ -24,6 +24,7 @@ SHAPES = {
         "base_d_mm": 10.0,
         "profile_mm": [[0.0, 10.0], [40.0, 5.0], [80.0, 6.0], [120.0, 2.0]],
     },
+    "bent print": {"length_mm": 150.0, "base_d_mm": 12.0, "tip_d_mm": 2.0, "bow_mm": [3.0, -1.5]},
     "elliptic": {"length_mm": 120.0, "base_d_mm": 14.0, "tip_d_mm": 4.0, "section": "elliptic", "flatness": 0.5},
 }
 FRACTIONS = (0.2, 0.4, 0.6, 0.8, 0.9, 0.97)
