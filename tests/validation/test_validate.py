@@ -174,8 +174,9 @@ def test_weights_are_located_by_the_method_that_takes_them(found):
     """A thread's load is a dead load on the centreline, of any direction."""
     weights = [trial for trial in found.tests if trial.kind == "weight"]
     located = [trial for trial in weights if trial.result == "ok"]
-    # The two tares lie half an hour apart: the bias walks by a step of the resolution, and 5 and 10 mN are too light.
-    assert len(weights) == 4 and len(located) >= 2 and {trial.method for trial in weights} == {"force_moment"}
+    # The two tares lie half an hour apart: the bias walks by a step of the resolution, and what is lighter than 10.25
+    # standard deviations of the force, some 30 mN, has no point.
+    assert len(weights) == 4 and located and {trial.method for trial in weights} == {"force_moment"}
     assert all(trial.contact_error.within_95 and trial.shape_rms < 2e-3 for trial in located)
     assert not any(trial.measured for trial in weights)
     line_end = f"{len(located)} of {len(located)} weights lie within their 95 % interval"
@@ -183,10 +184,10 @@ def test_weights_are_located_by_the_method_that_takes_them(found):
 
 
 def test_coverage_of_weights_over_prints(large, tmp_path):
-    """The two weights of ten drawn prints that are well above what is located at all: of 20 squares the mean errs by
-    √(2/20) = 0.32 by chance, four of those; 19 lie within, and 15 where one print in six misses with all."""
+    """The heaviest weight of twenty drawn prints, which alone has a point: of 20 squares the mean errs by √(2/20) =
+    0.32 by chance, four of those; 19 lie within, and 15 where one print in six misses."""
     misses = []
-    for seed in range(10):
+    for seed in range(20):
         folder = make_campaign(large, tmp_path / "data", CampaignPlan(seed=seed, marker_noise=1e-3), force=True).folder
         trials = validate(Estimator(large), read_campaign(folder)).tests
         misses += [
@@ -205,7 +206,7 @@ def test_predicted_errors_are_those_of_predict(found, large):
             continue
         predicted = predict_touch(Estimator(large), trial.fraction, trial.force, trial.test.direction)
         assert 1e3 * trial.predicted == pytest.approx(predicted.predicted_error_mm)
-    assert sum(row["predicted_error_mm"] is not None for row in found.rows()) >= 8
+    assert sum(row["predicted_error_mm"] is not None for row in found.rows()) >= 6  # those of more than some 30 mN
 
 
 def test_a_missing_push_direction_is_that_of_the_force(found, large, made):
