@@ -32,7 +32,7 @@ from probedesign.identification.fit_checks import (
     unobservable_direction,
     widened,
 )
-from probedesign.identification.mistakes import exchange_hint, explaining_mistakes, likely_causes
+from probedesign.identification.mistakes import exchange_hint, explaining_mistakes, likely_causes, print_defects
 from probedesign.identification.parameters import (
     CHANNELS,
     DEFAULT,
@@ -263,9 +263,14 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
     causes = likely_causes(fitted) if why or fitted.result != "ok" else ()
     why, warnings = why or ("the search did not converge" if causes else ""), tuple[str, ...]()
     explained = bool(causes) and causes[0].explains
-    mistaken = any(cause.explains and cause.name != "probe" for cause in causes)  # corrected in one place of the files
+    mistaken = any(
+        cause.explains and cause.name not in ("probe", "planes", "bow") for cause in causes
+    )  # corrected in one place of the files
     if why and not mistaken and (agreeing := reconciled(fitted, identified)) is not None:
         (fitted, warnings), why = agreeing, ""
+    if not causes and any(one.kind == "stiffness" and one.measured for one in fitted.noise):
+        causes = tuple(print_defects(fitted.point))
+        warnings += tuple(f"warning: likely cause of stiffnesses that scatter: {cause}" for cause in causes)
     outlying = outliers(fitted.point.blocks, fitted.scales)
     problem, blocks = fitted.point.problem, fitted.point.blocks
     quantile = result.student_quantile(fitted)

@@ -1,4 +1,5 @@
-"""Six checks for the cause of a contradiction: unit, sign, frame, exchanged readings, marker numbers, another probe.
+"""Eight checks for the cause of a contradiction: unit, sign, frame, exchanged readings, marker numbers, a bent print,
+planes of bending that differ, another probe.
 
 Each check undoes one mistake in a few tests of the campaign and fits them again with the stated noise. It is a likely
 cause where χ² falls by more than chance explains. It explains the contradiction where the residuals are within
@@ -16,6 +17,7 @@ from scipy.stats import chi2
 
 from probedesign.core.csv_tables import Frame
 from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.identification.parameters import CHANNELS, COMPONENTS, OWNER, PRINT, CommonParameters
 from probedesign.identification.residuals import MeasuredTest, ResidualBlock
 from probedesign.identification.robust_loss import REJECTION_CHANCE, outliers
@@ -23,6 +25,7 @@ from probedesign.identification.solver import (
     Fit,
     LeastSquaresProblem,
     Linearization,
+    linearize,
     minimise,
     spread,
     start_nuisance,
@@ -36,6 +39,8 @@ MAX_LOADED, MAX_FREE, MAX_SEEDS = 6, 2, 4
 #: Loss over its median for normal noise up to which tests agree: noise three times as large as stated (assumed).
 MAX_LOSS = 2.0
 OTHER_PRINT = 30.0  #: Factor on the tolerances of the dimensions for another probe (assumed).
+
+DEFECT = 30.0  #: Factor on the tolerances of creep and bow for a defect of the print (assumed).
 
 Change = Callable[[MeasuredTest], MeasuredTest]
 
@@ -61,7 +66,7 @@ class Exchange(NamedTuple):
 class LikelyCause:
     """A likely cause of a contradiction."""
 
-    name: str  #: that of the mistake, or probe.
+    name: str  #: that of the mistake, planes, bow, or probe.
     words: str  #: what is likely wrong, and what to check.
     evidence: str  #: the number that speaks for it.
     explains: bool  #: whether the tests agree with it, and do not without.
@@ -85,7 +90,7 @@ def likely_causes(fit: Fit) -> tuple[LikelyCause, ...]:
     solved = tuple(test for test in fit.point.tests if test.measured.name in names)
     blocks = tuple(block for block in fit.point.blocks if block.test in names or not block.test)
     stated = minimise(Linearization(some, fit.point.values, solved, blocks), {})[0]
-    causes = _fitted(some, stated, pair)
+    causes = [*_fitted(some, stated, pair), *print_defects(stated)]
     if any(cause.explains for cause in causes) or _agrees(stated):
         return tuple(causes)
     return _other_probe(stated), *causes
@@ -142,6 +147,42 @@ def _fitted(
                 evidence = f"χ² of {len(problem.tests)} tests is {2.0 * loss:.4g}, and {before}"
             cause = LikelyCause(mistake.name, mistake.words, evidence, explains, _moves(point, stated))
             causes.append((loss + mistake.price, cause))
+    return [cause for _, cause in sorted(causes, key=lambda pair: pair[0])]
+
+
+def print_defects(stated: Linearization) -> list[LikelyCause]:
+    """Return defects of the print that the tests speak for, the likeliest first: bent, or stiffer in one plane.
+
+    The stiffness of each test by the plane that it bends in, exp(-c cos 2φ) with φ the direction of the force, takes
+    the place of the creep, and each prior is `DEFECT` times as wide.
+    """
+    problem, loss = stated.problem, stated.loss({})
+    forces = [test.eq.load[:2] for test in stated.tests]
+    planes = tuple(replace(test.measured, creep_ramp=float((f[0] ** 2 - f[1] ** 2) / max(f @ f, 1e-12)))
+                   for test, f in zip(stated.tests, forces, strict=True))  # fmt: skip
+    causes = []
+    for name, tests in (("creep", planes), ("bow", problem.tests)):
+        columns = [c for c, owner in enumerate(OWNER) if owner.name.startswith(name) and problem.active[c]]
+        if not columns:
+            continue
+        prior = problem.prior.copy()
+        prior[columns] *= DEFECT
+        changed = replace(problem, tests=tests, prior=prior)
+        nuisance = [test.nuisance for test in stated.tests]
+        start = linearize(changed, stated.values, nuisance, stated)
+        point = minimise(start, {}, MAX_FIT_ROUNDS)[0] if start.ok else stated
+        if loss - point.loss({}) < 0.5 * chi2.isf(REJECTION_CHANCE, len(columns)):
+            continue
+        x = point.values.x[columns]
+        words = (f"planes: bending along x is {np.exp(-2.0 * x[0]):.3g} times as stiff as along y, so planes of "
+                 "bending differ; measure the diameters across both axes")  # fmt: skip
+        if name == "bow":
+            words = (f"bow: a bent print, whose tip deviates by {np.hypot(*x) / MM:.2g} mm; look along it, and write "
+                     "the bow into the design with measured --bow-mm")  # fmt: skip
+        evidence = f"χ² of {len(tests)} tests falls from {2.0 * loss:.4g} to {2.0 * point.loss({}):.4g}"
+        explains = _agrees(point) and not _agrees(stated)
+        cause = LikelyCause(words.split(":")[0], words, evidence, explains, _moves(point, stated))
+        causes.append((point.loss({}), cause))
     return [cause for _, cause in sorted(causes, key=lambda pair: pair[0])]
 
 

@@ -172,6 +172,22 @@ def test_each_check_names_its_mistake_first(
     assert first.explains or not explains
 
 
+def test_planes_of_bending_that_differ_are_named(stage: Campaign, model: ProbeModel, tmp_path: Path) -> None:
+    """Touches along y are of a print that is 1.3 times as stiff; the stiffness of a test has 2 %."""
+    plan = CampaignPlan("stage", 5, 1.3 * TRUE_E, None, None, 5, True, False)
+    make_campaign(model, tmp_path / "stiffer", plan)
+    stiffer = {test.name: test for test in data_of(read_campaign(tmp_path / "stiffer"), model, 0.0).tests}
+    along_y = {test.name for test in stage.tests if test.direction in ("+y", "-y")}
+    assert along_y
+    data = data_of(stage, model, 0.0)
+    tests = tuple(stiffer[test.name] if test.name in along_y else test for test in data.tests)
+    found = identify(replace(data, tests=tests), ("E",))
+    words = next(cause.words for cause in found.likely_causes if cause.name == "planes")
+    ratio = float(words.split(" is ")[1].split()[0])
+    assert abs(np.log(1.3 * ratio)) < 4.0 * 0.02  # four standard deviations of a mean of a few tests
+    assert "planes of bending differ" in " ".join([found.why, *map(str, found.likely_causes), *found.notes])
+
+
 def test_exchanged_touches_before_cameras_are_named(cameras: Campaign, model: ProbeModel) -> None:
     data = data_of(cameras, model, 0.0)
     a, b = [one for one in data.tests if one.touched][1:5:3]
