@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from probedesign.core.errors import InputError
-from probedesign.core.frames import Array
+from probedesign.core.frames import Array, pose
 from probedesign.core.parallel import OnProgress, quiet
 from probedesign.core.statistics import UNIFORM_STD, rms, rms_each, whiten
 from probedesign.core.units import MM
@@ -100,9 +100,11 @@ class LinearizedPresses:
             touches: unknowns, dead loads and tip of each, in the order of time, (k, TOUCH).
             schedule: how they are made.
         """
-        reading = Reading(np.zeros(6), model.noise_base(), np.eye(4), gravity, True)
         channels = channels_of(model, schedule.moments_about)
-        state = Fusion(model, (reading,) * len(touches), priors, channels, gravity).state(touches)
+        # The places, which follow below, differ from touch to touch.
+        readings = tuple(Reading(np.zeros(6), model.noise_base(), pose(p=(float(k), 0.0, 0.0)), gravity, True)
+                         for k in range(len(touches)))  # fmt: skip
+        state = Fusion(model, readings, priors, channels, gravity).state(touches)
         self.state, self.converged = state, state.linearise()
         if self.converged:
             state.wrench[:] = state.lin[:, 0:6, VALUE]

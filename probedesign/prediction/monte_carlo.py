@@ -292,6 +292,10 @@ def locate_draws(
     # Of a reported rotation that is off, the tare in the same pose leaves little but the turn of the points.
     turns = Rotation.from_rotvec(rng.normal(0.0, math.radians(samples.tolerances.pose_deg), (n, 3)))
     places -= np.einsum("nij,nkj->nki", turns.as_matrix(), points)
+    # The object yields by the force of the probe, whose weight is that of the model up to an error of its share.
+    compliance = np.abs(rng.normal(0.0, samples.tolerances.object_compliance, n))
+    pushes = wrenches[:, :, :3] - samples.model.mass * samples.model.gravity_base
+    places -= compliance[:, None, None] * pushes
     return [_fused(estimator, schedule, read[i], places[i]) for i in range(n)]
 
 
@@ -315,7 +319,7 @@ def _fused(estimator: Estimator, schedule: PressSchedule, wrenches: Array, place
     )  # fmt: skip
     if found.result not in LOCATED_RESULTS or not len(found.candidates_world):
         return DrawResult(found.result, None)
-    off = found.candidates_world[0]
+    off = found.p_surface_world if found.ok else found.candidates_world[0]
     inside = found.ok and _contains(found.cov_surface_world, off)
     return DrawResult(found.result, float(np.linalg.norm(off)), inside)
 

@@ -13,6 +13,7 @@ from probedesign.design import check_design, load_design
 from probedesign.design.io import render_design
 from probedesign.optimization.constraints import Limit, OptimizationProblem, check_limits, parse_limit
 from probedesign.optimization.design_space import (
+    INFEASIBLE,
     DesignEvaluator,
     DesignSpace,
     critical_load_factor,
@@ -103,10 +104,10 @@ def test_the_best_cone_improves_the_error_and_lists_worse_cases(large):
     found = optimum(search, "best", quiet)
     assert found.after.error_mm < found.before.error_mm
     assert found.after.sag_mm <= 60.0 and found.after.print_errors == 0 and found.design.name == "best"
-    for factor in (0.97, 1.03):  # either way along the base it gets worse, or sags too far
+    for factor in (0.97, 1.03):  # either way along the base it gets worse, or the object slides off the probe
         x = np.array([found.design.probe.base_d_mm * factor, found.design.probe.tip_d_mm])
         there = search.problem.evaluator.metrics(x)
-        assert there["error_mm"] > found.after.error_mm or there["sag_mm"] > 60.0
+        assert there["error_mm"] > found.after.error_mm or there["slide_mm"] == INFEASIBLE["slide_mm"]
     assert found.worse
     for row in found.worse[:2]:
         task = Task((row.force_N,), fractions=(row.contact_fraction,))
@@ -148,8 +149,9 @@ def test_infeasible_limits_are_named(large):
 
 def test_the_estimator_has_the_predicted_error(large):
     """With all error sources drawn, 24 draws determine the RMS to 1/√(2·24) = 14 %; the tolerance is three of these."""
+    rigid = check_design(tables_of(large) | {"contact": {"object_compliance_m_N": 0.0}})
     for task in (replace(TASK, fractions=(0.6,)), Task((0.03,), 1, fractions=(0.6,))):
-        found = confirm(large, task, 24, 1, quiet, workers=1)
+        found = confirm(rigid, task, 24, 1, quiet, workers=1)
         assert found.drawn == 24 and found.located >= 20
         assert 0.57 < found.rms_mm / found.bound_mm < 1.43
         assert 0.75 * found.located <= found.inside <= found.located
