@@ -33,6 +33,12 @@ def whiten(cov: Array) -> Array:
     return np.linalg.inv(np.linalg.cholesky(cov))
 
 
+def positive_part(A: Array) -> Array:
+    """Return a symmetric matrix (n, n) without its directions of negative eigenvalues."""
+    values, vectors = np.linalg.eigh(A)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
 def rms(cov: Array) -> float:
     """Return the RMS length of an error of zero mean with a covariance (n, n): the square root of its trace."""
     return math.sqrt(max(float(cov.trace()), 0.0))

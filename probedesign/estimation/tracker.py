@@ -339,7 +339,7 @@ class Tracker:
         linear = np.array([result.cov_surface_world, result.cov_surface_now_world, result.cov_contact_world])
         covs = linear + scale * curvature.added
         if np.linalg.eigvalsh(covs - 0.25 * linear)[:, 0].min() < 0.0:  # the linear covariance has turned since
-            covs = linear + scale * np.array([_positive_part(added) for added in curvature.added])
+            covs = linear + scale * np.array([statistics.positive_part(added) for added in curvature.added])
         points = np.array([result.p_surface_world, result.p_surface_now_world, result.p_contact_world])
         posterior = Posterior(points + math.sqrt(scale) * curvature.shift, covs, result.chi2, result.object_compliance,
                               result.object_compliance_interval_95)  # fmt: skip
@@ -433,8 +433,3 @@ class Tracker:
         priors = replace(state.priors, drift_steps=touch.start_std(self._walk),
                          walk_steps=math.sqrt(walk * WALK_SECONDS))  # fmt: skip
         return Fusion(state.model, readings, priors, state.channels, self._gravity_world)
-
-
-def _positive_part(A: Array) -> Array:
-    values, vectors = np.linalg.eigh(A)
-    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

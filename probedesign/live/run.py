@@ -134,7 +134,7 @@ def warm_up(estimator: Estimator, log: Log, *, fusing: bool = False) -> None:
         model, touches = estimator.model, _warm_up_touches(estimator)
         for wrench, _ in touches[-1:]:
             estimate = estimator.estimate(wrench)
-            _ = estimator.estimate(wrench, near=estimate).shape
+            _ = estimate.s_interval_95, estimator.estimate(wrench, near=estimate).shape
         if fusing:
             free, still = estimator.free(model.gravity_base).wrench_base, pose(np.eye(3), np.zeros(3))
             Detector(model, WARM_UP_RATE).run(np.zeros((WARM_UP_SAMPLES, 6)))

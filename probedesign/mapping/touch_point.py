@@ -19,6 +19,7 @@ import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
+from probedesign.core.statistics import positive_part
 from probedesign.estimation.estimate import RESULTS, FusedEstimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fusion import Fusion, Reading
@@ -134,7 +135,10 @@ class ConditionalPoint:
         vector_m = kept @ (kept.T @ (vector[m] - information[m, x] @ S @ vector[x]))
         names = state.sources[0].names
         shift, added = fused.p_surface_world - state.point, fused.cov_surface_world - state.cov[:3, :3]
-        return cls(S @ vector[x] + shift, B, 0.5 * (S + S.T) + added, on_m, vector_m, names)
+        cov = 0.5 * (S + S.T) + added
+        if not np.linalg.eigvalsh(cov)[0] > 0.0:  # what is added is that of the point with its common error sources
+            cov = 0.5 * (S + S.T) + positive_part(added)
+        return cls(S @ vector[x] + shift, B, cov, on_m, vector_m, names)
 
     def position(self, common: Array) -> Array:
         """Return the point for given common error sources (J,) [m], (3,)."""

@@ -122,6 +122,8 @@ def check_limits(limits: list[Limit]) -> None:
 SPARE = 1e-3  #: Relative margin of a limit during the search, so that rounding the dimensions does not violate it.
 FORCES = (0.05, 20.0)  #: Bounds of the optimised force, over the task's.
 _OPTIONS = {"maxiter": 40, "ftol": 1e-4}  # of a logarithm: smaller improvements of the error do not matter
+#: Searches from one start, and halvings of the way back from one that ended beyond a limit: to a hundredth.
+_SEARCHES, _HALVINGS = 4, 7
 #: Slide that is allowed at the tip itself, where every press would otherwise count as slipping off.
 _SLIP_ALLOWANCE_MM = 0.5
 _BROKEN = 1e-6
@@ -216,9 +218,20 @@ class NonlinearProgram:
         )
 
     def solve(self, x0: Array) -> Array:
-        """Return the local optimum reached from a start, feasible or not."""
+        """Return the local optimum reached from a start; feasible if the start is, or if it is found so.
+
+        A search that ends beyond a limit, where for example the object slides off and no derivative leads back, is
+        taken back towards a feasible start as far as needed, and begins there anew.
+        """
         constraints = [{"type": "ineq", "fun": c.margin, "jac": c.slope} for c in self.constraints]
-        return self._slsqp(self.objective, self.slope, x0, self.bounds, constraints)
+        for _ in range(_SEARCHES):
+            x = self._slsqp(self.objective, self.slope, x0, self.bounds, constraints)
+            if self.is_feasible(x) or not self.is_feasible(x0):
+                return x
+            for _ in range(_HALVINGS):
+                middle = 0.5 * (x0 + x)
+                x0, x = (middle, x) if self.is_feasible(middle) else (x0, middle)
+        return x0
 
     def is_feasible(self, x: Array) -> bool:
         """Return whether every constraint is satisfied."""

@@ -298,7 +298,9 @@ def test_an_old_tare_is_trusted_less(age, large, gravity, touched):
     if age <= 16.0:
         assert estimator.priors == large.estimator().priors and now.std_s == before.std_s
     else:
-        assert now.std_s > before.std_s
+        # After a thousand seconds the force is light against the drift: what is left is an interval.
+        assert now.result == "interval_only" if age >= 1000.0 else now.std_s > before.std_s
+        assert now.candidates[0].std_s > before.candidates[0].std_s
 
 
 def test_the_covariance_of_a_light_touch_is_continuous_in_the_reading(large, gravity):

@@ -117,13 +117,14 @@ def test_a_touch_of_the_round_end_is_located_at_the_centre_of_its_sphere(
     found = probe.estimator().estimate(eq.wrench_base)
     end = [c for c in found.candidates if abs(c.s_contact - s) < 1e-9]
     if end:  # a bent probe may be touched elsewhere to the same effect; then its result is not ok
-        assert found.result in ("ok", "ambiguous")
+        assert found.result in ("ok", "ambiguous", "interval_only")  # 5 mN are light
         assert end[0].force_base == pytest.approx(force_N * push, abs=1e-4 * force_N)
         assert end[0].p_contact_base == pytest.approx(eq.p_contact_base, abs=2e-6)
         touched = eq.p_contact_base - push * (probe.length - s)
         assert end[0].p_surface_base == pytest.approx(touched, abs=1e-5)
     else:  # too light for the lean to show: the flank close by explains it as well
-        assert found.ok and abs(found.s_contact - s) < 3.0 * found.std_s
+        best = found.candidates[0]
+        assert found.result in ("ok", "interval_only") and abs(best.s_contact - s) < 3.0 * best.std_s
 
 
 @pytest.mark.parametrize("lean_deg", [30.0, 60.0])

@@ -257,10 +257,10 @@ def test_a_requested_tare_is_refused_in_a_touch_when_the_zero_is_that_of_the_sen
 
 
 def test_the_age_of_a_tare_taken_beforehand_counts(estimator, motion):
-    """A touch of 10 mN is lost in the drift of a thousand seconds."""
+    """A touch of 20 mN is lost in the drift of a thousand seconds."""
     time = np.arange(int(1.0 * RATE)) / RATE
     touched = np.tile(
-        estimator.model.to_sensor(motion_wrench(estimator, 0.01), estimator.model.gravity_base), (len(time), 1)
+        estimator.model.to_sensor(motion_wrench(estimator, 0.02), estimator.model.gravity_base), (len(time), 1)
     )
     stds = []
     for age in (0.0, 1000.0):

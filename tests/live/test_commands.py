@@ -14,7 +14,8 @@ from probedesign.live.processing.estimates import COLUMNS, TRUE_COLUMNS, WORLD_C
 from probedesign.live.recordings.csv import read_recording, write_recording
 from probedesign.live.sources.sim import SimulatedSource
 
-POSITION = [name for name in COLUMNS if name.startswith(("s_", "std_", "p_", "cov_"))]
+POSITION = [name for name in COLUMNS if name.startswith(("s_contact", "std_", "p_", "cov_"))]
+INTERVAL = [name for name in COLUMNS if name.startswith("s_interval_95")]
 SIM = "sim:?speed=max&rate_hz=3"
 
 
@@ -57,6 +58,8 @@ def assert_positions_only_with_ok(rows: list[dict], nothing) -> None:
     for row in rows:
         given = [row[name] != nothing for name in POSITION]
         assert all(given) if row["result"] == "ok" else not any(given)
+        bounded = [row[name] != nothing for name in INTERVAL]
+        assert all(bounded) if row["result"] == "interval_only" else not any(bounded)
 
 
 def test_estimate_prints_csv(call, bundle, recording):
