@@ -360,20 +360,19 @@ class Fusion:
         Args:
             best: the solution with a normal prior of the same mean and variance.
         """
-        branches = [self._branch(best, max(best.compliance, 0.0), best.std_compliance)]
-        first = branches[0][0] if branches[0] else None
-        if first is None or len(branches[0]) < 2:
-            solution = best if first is None else first.solution
-            added = self.curvature(solution, solution.compliance)
-            return Posterior(solution.points, solution.covs + added, solution.chi2, solution.compliance,
-                             np.full(2, solution.compliance))  # fmt: skip
+        scale = self.priors.object_compliance
+        branches = [self._branch(best, best.compliance, best.std_compliance)] if scale > 0.0 else [[]]
+        if len(branches[0]) < 2:  # the object is rigid, or no other compliance has an equilibrium
+            return Posterior(best.points, best.covs + self.curvature(best, best.compliance), best.chi2, best.compliance,
+                             np.full(2, best.compliance))  # fmt: skip
         weight, c, points, covs = _interpolated(branches)
         cov, mean, compliance = _moments(weight, c, points, covs)
+        first = branches[0][0]
         if first.compliance > 0.0 and statistics.rms(cov[0]) > WIDE * self.model.rod.length:
             # Where the probe is about as compliant as the object, the likely points may have a second branch.
             starts = (self.refine(start, compliance=0.0) for group in self._starts() for start in group)
             stiff = next((solution for solution in starts if solution is not None), None)
-            other = [] if stiff is None else self._branch(stiff, 0.0, 0.25 * self.priors.object_compliance, first)
+            other = [] if stiff is None else self._branch(stiff, 0.0, 0.25 * scale, first)
             if len(other) > 1:
                 branches.append(other)
                 weight, c, points, covs = _interpolated(branches)
@@ -400,15 +399,14 @@ class Fusion:
         Returns:
             The solutions; an empty list if there is none, or if the branch is another one's.
         """
-        scale = self.priors.object_compliance
 
         def solved(compliance: float, touches: Array) -> _Node | None:
-            solution = self.refine(touches, compliance=compliance)
-            return solution and _Node(solution, compliance, solution.chi2 + (compliance / max(scale, 1e-12)) ** 2)
+            solution, prior = self.refine(touches, compliance=compliance), compliance / self.priors.object_compliance
+            return solution and _Node(solution, compliance, solution.chi2 + prior**2)
 
         middle = solved(centre, start.touches)
-        if middle is None or scale == 0.0:
-            return [] if middle is None else [middle]
+        if middle is None:
+            return []
         nodes, likely = [middle], middle.log_weight
         for side in (-1.0, 1.0):
             last, change = middle, step

@@ -364,6 +364,7 @@ class Tracker:
         fusion, last = self._batch(touch), touch.keyframes[-1]
         last.due = 4.0 * max(last.count, FIRST_CURVATURE)
         touch.curvature = _Curvature(size, time=self._time)
+        touch.curvature = _Curvature(size, time=self._time)
         best = fusion.refine(self._state.touches[self._state.order])
         if best is None:
             return

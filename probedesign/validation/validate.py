@@ -284,7 +284,7 @@ class ValidationReport:
             "tests": self.rows(),
             "summary": {kind: {name: asdict(statistics) for name, statistics in errors.items()}
                         for kind, errors in self.summary.items()},
-            "honesty": {name: _plain(value) for name, value in asdict(self.coverage).items()},
+            "coverage": {name: _plain(value) for name, value in asdict(self.coverage).items()},
             "notes": self.notes,
         }  # fmt: skip
 

@@ -88,9 +88,9 @@ def test_without_noise_every_touch_is_found(name, gravity_of, probes):
                 noise = estimator.model.noise.force
                 assert c.force_normal == pytest.approx(normal, abs=1e-4 * normal + 0.1 * noise)
                 assert c.force_tangential == pytest.approx(math.hypot(*friction), abs=1e-4 * normal + 0.1 * noise)
-                located += estimator is usual
-    # Most touches of the grid have an equilibrium, and a quarter of them are heavy enough for the noise.
-    assert len(touches.s) > 0.7 * asked and located > 0.25 * len(touches.s)
+            located += estimator is usual and c.result in ("ok", "interval_only")
+    # Most touches of the grid have an equilibrium, and a third of them are heavy enough for the noise.
+    assert len(touches.s) > 0.7 * asked and located > 0.33 * len(touches.s)
 
 
 @pytest.mark.parametrize("name", ["large", "medium", "small", *SHAPES])
@@ -110,11 +110,14 @@ def test_without_friction_the_frictionless_prior_finds_the_same(name, probes, gr
 def test_finite_element_touches_are_found(case, probes):
     """Within a tenth of a millimetre: the target of the estimate. The worst of all is off by 0.018 mm, by the patch."""
     model = replace(probes[case["design"]].model, rod=rod_of(case))
-    c = Estimator(model, EXACT).with_friction(math.inf).estimate(case["wrench_base"], case["gravity_base_m_s2"])
-    assert c.result in ("ok", "interval_only")  # the lightest are known to an interval alone
-    best, ratio = c.candidates[0], np.linalg.norm(case["friction_section"])
-    assert np.linalg.norm(best.p_surface_base - case["p_surface_section_base_m"]) < 3e-5
-    assert best.friction_ratio == pytest.approx(ratio, abs=0.02)
+    # With half of the noise the lightest have a point too.
+    noise = {"force_N": 0.5 * model.noise.force, "moment_Nm": 0.5 * model.noise.moment}
+    estimator = Estimator(model, EXACT).with_friction(math.inf).with_noise(**noise)
+    c = estimator.estimate(case["wrench_base"], case["gravity_base_m_s2"])
+    assert c.result == "ok"
+    assert np.linalg.norm(c.p_surface_base - case["p_surface_section_base_m"]) < 3e-5
+    ratio = np.linalg.norm(case["friction_section"])
+    assert c.friction_ratio == pytest.approx(ratio, abs=0.02)
 
 
 def test_no_prior_hides_a_large_friction(large, gravity, exact, touched):

@@ -42,6 +42,13 @@ def large():
     return check_design(tables)
 
 
+@pytest.fixture(scope="module")
+def rigid(large):
+    """The same for objects that do not yield, a straight print and a reported rotation that is exact."""
+    known = {"contact": {"object_compliance_m_N": 0.0}, "tolerances": {"bow_mm": 0.0, "pose_deg": 0.0}}
+    return check_design(tables_of(large) | known)
+
+
 def test_the_error_equals_the_prediction_for_fused_and_single_touches(large):
     """One model, one set of priors: designs are judged by the predicted error with all error sources."""
     probe = build_probe(large)
@@ -98,20 +105,30 @@ def test_the_print_constraints_are_those_of_the_print_check(large, x, rule):
     assert broken == [f"print rule {rule}"] and errors == [rule]
 
 
-def test_the_best_cone_improves_the_error_and_lists_worse_cases(large):
-    search = OptimizationProblem(large, ("cone",), TASK, limits=(Limit("sag_mm", True, 60.0),))
+def test_the_best_cone_improves_the_error_and_lists_worse_cases(rigid):
+    search = OptimizationProblem(rigid, ("cone",), TASK, limits=(Limit("sag_mm", True, 60.0),))
     found = optimum(search, "best", quiet)
     assert found.after.error_mm < found.before.error_mm
     assert found.after.sag_mm <= 60.0 and found.after.print_errors == 0 and found.design.name == "best"
-    for factor in (0.97, 1.03):  # either way along the base it gets worse, or breaks a limit
+    for factor in (0.97, 1.03):  # either way along the base it gets worse
         x = np.array([found.design.probe.base_d_mm * factor, found.design.probe.tip_d_mm])
-        there = search.problem.evaluator.metrics(x)
-        assert there["error_mm"] > found.after.error_mm or not search.problem.is_feasible(x)
+        assert search.problem.evaluator.metrics(x)["error_mm"] > found.after.error_mm
     assert found.worse
     for row in found.worse[:2]:
         task = Task((row.force_N,), fractions=(row.contact_fraction,))
-        was, now = (1e3 * predict_task(build_probe(d).model, task).errors[0] for d in (large, found.design))
+        was, now = (1e3 * predict_task(build_probe(d).model, task).errors[0] for d in (rigid, found.design))
         assert now > was and (was, now) == pytest.approx((row.start_error_mm, row.best_error_mm), rel=1e-3)
+
+
+def test_a_search_that_slides_off_the_probe_is_taken_back(large):
+    """On an object that may yield, thinner probes are better until the object slides off them in a straight press."""
+    search = OptimizationProblem(large, ("cone",), TASK)
+    found = optimum(search, "best", quiet)
+    x = np.array([found.design.probe.base_d_mm, found.design.probe.tip_d_mm])
+    assert search.problem.is_feasible(x) and found.after.error_mm < 0.95 * found.before.error_mm
+    assert not search.problem.is_feasible(0.97 * x) or search.problem.evaluator.metrics(0.97 * x)["error_mm"] > (
+        found.after.error_mm
+    )
 
 
 def test_combine_worst_minimises_the_worst_case(large):
@@ -146,9 +163,8 @@ def test_infeasible_limits_are_named(large):
         optimum(OptimizationProblem(large, ("cone",), replace(TASK, fractions=(0.6,)), limits=limits), "best", quiet)
 
 
-def test_the_estimator_has_the_predicted_error(large):
+def test_the_estimator_has_the_predicted_error(rigid):
     """With all error sources drawn, 24 draws determine the RMS to 1/√(2·24) = 14 %; the tolerance is three of these."""
-    rigid = check_design(tables_of(large) | {"contact": {"object_compliance_m_N": 0.0}})
     for task in (replace(TASK, fractions=(0.6,)), Task((0.03,), 1, fractions=(0.6,))):
         found = confirm(rigid, task, 24, 1, quiet, workers=1)
         assert found.drawn == 24 and found.located >= 20
@@ -194,11 +210,11 @@ def test_a_wider_lip_lets_a_wider_probe_pass(large):
         assert DesignEvaluator(space, TASK).is_stable(x) is passes
 
 
-def test_a_start_that_buckles_is_improved(large):
+def test_a_start_that_buckles_is_improved(rigid):
     """A start that buckles has no gradient: the search begins with a thicker one."""
-    limp = DesignSpace.of(large, ("cone",)).design(np.array([4.0, 1.5]))
+    limp = DesignSpace.of(rigid, ("cone",)).design(np.array([4.0, 1.5]))
     found = optimum(OptimizationProblem(limp, ("cone",), replace(TASK, fractions=(0.6, 0.9))), "best", quiet)
-    assert found.before.error_mm is None and found.after.error_mm < 3.0
+    assert found.before.error_mm is None and found.after.error_mm < 2.0
 
 
 @pytest.mark.parametrize(

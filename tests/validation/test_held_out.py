@@ -134,7 +134,7 @@ def test_from_identify_to_validate_by_the_commands(folder, tmp_path, monkeypatch
     capsys.readouterr()
     assert run(["validate", "found.probe.json", str(folder), "--no-plots", "--json", "--out", "v"]) == 0
     document = json.loads(capsys.readouterr().out)
-    assert document["honesty"]["touches"] <= 3 and document["verdict"] == document["honesty"]["verdict"]
+    assert document["coverage"]["touches"] <= 3 and document["verdict"] == document["coverage"]["verdict"]
     held_out = {row["test"] for row in document["tests"] if row["kind"] == "touch" and row["held_out"]}
     assert held_out == {"touch-02", "touch-04", "touch-06"}
 

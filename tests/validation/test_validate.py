@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from probedesign.campaigns import read_campaign
 from probedesign.cli.main import run
@@ -93,14 +94,15 @@ def test_readings_have_the_noise_of_the_sensor(large, exact):
 
 
 def test_an_exact_print_is_off_by_the_reference_alone(large, exact):
-    found = validate(Estimator(large), read_campaign(exact), exact=True)
+    # The bench of an exact print has no friction.
+    found = validate(Estimator(large).with_friction(0.0), read_campaign(exact), exact=True)
     free = [trial for trial in found.tests if trial.kind == "free"]
     # 14 markers, 1 mm on each axis: 42 numbers, RMS √3 mm ± 11 %, four of those; the base is at the stated pose.
     assert [t.shape_rms for t in free] == pytest.approx([math.sqrt(3.0) * 1e-3] * 2, rel=0.44)
     strong = [trial for trial in found.tests if trial.kind == "touch" and trial.force > 0.05]
     assert len(strong) >= 4 and all(trial.result == "ok" and trial.contact_error.size < 4e-3 for trial in strong)
-    # An exact bench has no friction, which the prior allows: ten seeds have 0.29 to 0.76 of the stated squares.
-    assert 0.2 < found.coverage.nees_ratio < found.coverage.nees_high
+    # Of 18 squares, six touches of three: once in a thousand campaigns the mean is lower.
+    assert chi2(18).ppf(1e-3) / 18.0 < found.coverage.nees_ratio < found.coverage.nees_high
 
 
 def test_rms_is_equation_6(found):
@@ -174,9 +176,10 @@ def test_weights_are_located_by_the_method_that_takes_them(found):
     """A thread's load is a dead load on the centreline, of any direction."""
     weights = [trial for trial in found.tests if trial.kind == "weight"]
     located = [trial for trial in weights if trial.result == "ok"]
-    # The two tares lie half an hour apart: the bias walks by a step of the resolution, and what is lighter than 10.25
-    # standard deviations of the force, some 30 mN, has no point.
-    assert len(weights) == 4 and located and {trial.method for trial in weights} == {"force_moment"}
+    # The two tares lie half an hour apart: the bias walks by a step of the resolution, and 5 and 10 mN are too light.
+    # What is lighter than 10.25 standard deviations of the force, some 30 mN, has an interval and no point.
+    assert sum(trial.result in ("ok", "interval_only") for trial in weights) >= 2 and located
+    assert len(weights) == 4 and {trial.method for trial in weights} == {"force_moment"}
     assert all(trial.contact_error.within_95 and trial.shape_rms < 2e-3 for trial in located)
     assert not any(trial.measured for trial in weights)
     line_end = f"{len(located)} of {len(located)} weights lie within their 95 % interval"
@@ -355,7 +358,7 @@ def test_validate_as_json_is_one_document_and_refusals_one_line(call, made, tmp_
     assert call("deploy", design, "--out", bundle)[0] == 0
     status, out, _ = call("validate", bundle, made, "--out", tmp_path / "out", "--no-plots", "--json")
     document = json.loads(out)
-    assert status == 0 and len(document["tests"]) == 15 and document["honesty"]["touches"] > 5
+    assert status == 0 and len(document["tests"]) == 15 and document["coverage"]["touches"] > 5
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["validation.csv", "validation.json"]
     for arguments in ((bundle, tmp_path), (made / "tests.csv", made)):
         status, out, err = call("validate", *arguments)

@@ -32,8 +32,9 @@ class Source(Protocol):
     def __iter__(self) -> Generator[Block, None, None]:
         """Yield readings in order of time, in small blocks as soon as they are available.
 
-        While a sensor is silent, it yields blocks without readings. A source that has a method `expect` is told how
-        many readings complete the next mean, and waits for them instead of waking up for each few.
+        While a sensor is silent, it yields blocks without readings. The chain passes to the method `expect` of a
+        source, if it has one, how many readings complete the next mean; the source waits for them instead of waking
+        up for each few.
         """
 
 
