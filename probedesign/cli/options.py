@@ -82,10 +82,8 @@ class TaskOptions:
     evenly spaced below it. Default: 0.005."""
     touches: int = 5
     """Number of touches of one fixed point that are fused while the base presses on. 1 is a single reading."""
-    forces_too: bool = False
-    """Fuse forces and moments. Default: moments only."""
-    moments_about: Origin = "sensor"
-    """Origin of the moments where they are fused without forces: the sensor's origin or the base's origin."""
+    moments_about: Origin | None = None
+    """Fuse the moments about this origin only, the sensor's or the base's. Default: forces and moments."""
     base_repeat_mm: float | None = None
     """Standard deviation of the robot's position from touch to touch on each axis [mm]. Default: robot_mm of the
     design's tolerances."""
@@ -110,11 +108,10 @@ class TaskOptions:
         from probedesign.optimization.objective import Task
         from probedesign.optimization.sweep import numbers_of
 
-        moments = None if self.forces_too else self.moments_about
         places = self.at if self.at is not None else numbers_of("--places", self.places)
         return Task(
-            tuple(self.force_N or (0.005,)), self.touches, moments, self.base_repeat_mm, self.bias_walk_steps,
-            tuple(map(float, places)), tuple(map(_vector, self.gravity or [])), self.combine,
+            tuple(self.force_N or (0.005,)), self.touches, self.moments_about, self.base_repeat_mm,
+            self.bias_walk_steps, tuple(map(float, places)), tuple(map(_vector, self.gravity or [])), self.combine,
         )  # fmt: skip
 
 

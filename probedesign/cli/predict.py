@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from probedesign.cli.console import json_bytes, print_columns, print_json, print_table, show_progress, write_files
-from probedesign.cli.options import DesignFile, JsonOutput
+from probedesign.cli.options import DesignFile, JsonOutput, Origin
 from probedesign.core.errors import MissingDependencyError
 from probedesign.core.files import check_folder, exports_of
 from probedesign.core.units import format_value
@@ -37,7 +37,7 @@ def predict(
     monte_carlo: int | None = None,
     seed: int = 0,
     touches: int = 5,
-    forces_too: bool = False,
+    moments_about: Origin | None = None,
     plots: Annotated[bool | None, Parameter(negative="--no-plots")] = None,
     verbose: bool = False,
     as_json: JsonOutput = False,
@@ -51,7 +51,7 @@ def predict(
             resumed by the same command.
         seed: seed of the Monte Carlo simulation.
         touches: number of touches of one point that are fused while the base presses on.
-        forces_too: fuse forces and moments. Default: the moments about the sensor's origin only.
+        moments_about: fuse the moments about this origin only. Default: forces and moments.
         plots: write page and picture. Default: the page, and the picture if matplotlib is installed.
         verbose: print all tables: sensitivity, error budgets, force limits and workspace too.
         as_json: print one JSON document instead of tables.
@@ -60,7 +60,7 @@ def predict(
     from probedesign.mount import root_contradiction
     from probedesign.prediction.fused import PressSchedule
 
-    schedule = PressSchedule(touches, None if forces_too else "sensor")
+    schedule = PressSchedule(touches, moments_about)
     with show_progress() as on_progress:
         probe = pipeline.load_probe(design)
         folder = exports_of(design) / probe.design.name if out is None else out

@@ -409,23 +409,25 @@ class Fusion:
             return []
         nodes, likely = [middle], middle.log_weight
         for side in (-1.0, 1.0):
-            last, change = middle, step
+            last, change, slope = middle, step, np.zeros_like(start.touches)
             for _ in range(MAX_COMPLIANCE_STEPS):
                 compliance = max(last.compliance + side * change, 0.0)
                 if met is not None and compliance > met.compliance >= last.compliance:
                     there = solved(met.compliance, last.solution.touches)
                     if there is not None and float(np.linalg.norm(there.solution.x - met.solution.x)) < NEAR_BRANCH:
                         return []
-                following = solved(compliance, last.solution.touches) if compliance != last.compliance else None
+                further = compliance - last.compliance
+                following = solved(compliance, last.solution.touches + further * slope) if further != 0.0 else None
                 if following is None:  # no such contact of the probe; the last one may be nearer
                     change *= 0.5
                     if compliance == 0.0 or change < 0.2 * step:
                         break
                     continue
+                slope = (following.solution.touches - last.solution.touches) / further
                 last = following
                 nodes.append(following)
                 likely = max(likely, following.log_weight)
-                if met is None and following.log_weight < likely - NEGLIGIBLE:
+                if following.log_weight < likely - NEGLIGIBLE:
                     break
         return sorted(nodes, key=lambda node: node.compliance)
 

@@ -46,8 +46,7 @@ class Task:
     #: normal contact forces; of several touches the largest, the others are equal steps up to it.
     forces_N: tuple[float, ...] = (0.005,)
     touches: int = 5  #: number of touches of one fixed point as the base presses on; 1 is a single reading.
-    #: with several touches, the point whose moments alone are used; None: forces too.
-    moments_about: MomentsAbout | None = "sensor"
+    moments_about: MomentsAbout | None = None  #: as in `PressSchedule`.
     #: standard deviation of the base position at each touch, on each axis; None: the design's.
     base_repeat_mm: float | None = None
     #: walk of the bias between touches, in steps of resolution; None: the design's.

@@ -42,7 +42,8 @@ class PressSchedule:
     """How several touches of one point are made and fused: the base presses on, in equal steps of the force."""
 
     touches: int = 5  #: number of touches of one fixed point of the world, the base oriented as in its mount.
-    moments_about: MomentsAbout | None = "sensor"  #: point whose moments alone are used; None: forces too.
+    #: point whose moments alone are used; None: forces too, as `live` and `explore` do.
+    moments_about: MomentsAbout | None = None
 
     def __post_init__(self) -> None:
         """Raise InputError if the number of touches is out of range."""

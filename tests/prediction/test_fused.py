@@ -57,7 +57,9 @@ def press_of(estimator, schedule, touch=TOUCH):
 
 
 @pytest.mark.parametrize(
-    "schedule", [PressSchedule(), PressSchedule(3, "base"), PressSchedule(4, None)], ids=["sensor", "base", "all"]
+    "schedule",
+    [PressSchedule(5, "sensor"), PressSchedule(3, "base"), PressSchedule(4, None)],
+    ids=["sensor", "base", "all"],
 )
 def test_the_budget_is_the_covariance_of_the_fusion(large, schedule):
     estimator = Estimator(large.model, replace(large.tolerances, object_compliance=0.0))

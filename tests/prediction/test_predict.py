@@ -229,11 +229,12 @@ def test_a_touch_that_buckles_the_probe_has_no_numbers(large):
     assert found == Condition(1.0, 5.0, "+y", found.result)
 
 
-def made_of(youngs_mpa):
+def made_of(youngs_mpa, pressing=None):
     """Return the large probe with another material."""
     tables = tables_of(load_design(DESIGNS / "large.toml"))
     tables["material"] |= {"youngs_modulus_mpa": youngs_mpa, "shear_modulus_mpa": youngs_mpa / 3.0}
-    return build_probe(check_design(tables)).predict(fractions=(0.5, 1.0), directions=("+x", "-x"))
+    probe = build_probe(check_design(tables))
+    return probe.predict(fractions=(0.5, 1.0), directions=("+x", "-x"), pressing=pressing)
 
 
 def test_a_force_beyond_buckling_is_not_detectable():
@@ -248,7 +249,7 @@ def test_a_force_beyond_buckling_is_not_detectable():
 
 def test_what_is_not_located_has_no_budget_in_the_tables(capsys):
     """Moments alone do not locate a touch of a probe that does not bend, although a linear formula gives a number."""
-    print_tables(made_of(20000.0))
+    print_tables(made_of(20000.0, PressSchedule(5, "sensor")))
     fused = capsys.readouterr().out.split("Error budget")[2]
     assert "none, no place is located" in fused and "e+" not in fused.split("Force limits")[0]
 
