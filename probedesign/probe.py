@@ -69,13 +69,13 @@ class Probe(Displayed):
 
     def _rod(self, root_rigid_radii: float) -> "Rod":
         """Return the rod with that root compliance in base radii; 0 is the rod of the paper (decision 0006)."""
-        from probedesign.rod.rod import Rod
+        from probedesign.rod.rod import Rod, bow_curvature
 
         d, bow = self.design, self.design.probe.bow_mm
         curved = None
-        if bow is not None:  # towards x is +κ about y, towards y -κ about x; the tip deviates by κ L²/2
-            u = 2.0 * MM / self.length**2 * np.array([-bow[1], bow[0], 0.0])
-            curved = np.tile(u, (len(self.geometry.s), 1))
+        if bow is not None:
+            u = MM * np.array(bow) @ bow_curvature(self.length)
+            curved = np.tile(np.append(u, 0.0), (len(self.geometry.s), 1))
         return Rod(
             s=self.geometry.s,
             radius=self.geometry.radius,

@@ -19,7 +19,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.kernels import surface_contact
-from probedesign.rod.rod import Rod
+from probedesign.rod.rod import Rod, bow_curvature
 
 #: Of an error, in the order of the tables.
 CAUSES = ("noise", "drift", "E", "G", "density", "diameter", "diameter scatter", "bore", "length", "bow", "root",
@@ -33,8 +33,7 @@ BEFORE_KNOTS = surface_contact.OWN - 3
 def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[str, Array]:
     """Return one standard deviation of each source of the rod itself: log E and what follows it, a row each.
 
-    Where E was identified with the design's diameters, it goes with all of them together. A bow is a constant curvature
-    κ by which the tip deviates by κ L²/2, towards x (+κ about y) and towards y (-κ about x).
+    Where E was identified with the design's diameters, it goes with all of them together.
 
     Args:
         rod: of the model.
@@ -62,7 +61,7 @@ def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[
         "length": length * unit[3:4],
         "creep": t.creep * softer,
         "stiffness scatter": t.stiffness_scatter * softer,
-        "bow": 2.0 * t.bow_mm * MM / rod.length**2 * np.array([unit[5], -unit[4]]),
+        "bow": t.bow_mm * MM * bow_curvature(rod.length) @ unit[4:6],
     }
 
 

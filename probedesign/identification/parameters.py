@@ -25,7 +25,7 @@ from probedesign.estimation.bias import RAMP_STEPS
 from probedesign.estimation.error_sources import BEFORE_KNOTS, parameters_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
-from probedesign.rod.rod import Rod
+from probedesign.rod.rod import Rod, bow_curvature
 
 DEGREE = math.pi / 180.0
 DEFAULT = ("E", "G")  #: Parameters identified unless others are requested: those of the paper.
@@ -137,12 +137,6 @@ CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 def _xyz(name: str, label: str) -> dict[str, str]:
     return {f"{name}_{axis}": label.format(axis) for axis in "xyz"}
-
-
-def bow_curvature(length: float) -> Array:
-    """Return the curvature about x and y of a rod by a deviation of its tip of 1 m towards x and towards y [1/m²],
-    (2, 2): a row each."""
-    return 2.0 / length**2 * np.array([[0.0, 1.0], [-1.0, 0.0]])
 
 
 def _bow(axis: int) -> Parameter:

@@ -23,12 +23,11 @@ from probedesign.identification.parameters import (
     POISSON_STD,
     ROOT_STEP,
     ParameterValues,
-    bow_curvature,
 )
 from probedesign.identification.surface_touch import COUPLE_COLUMNS, SurfaceTouch, solve_touch
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
 from probedesign.rod.kernels import equations
-from probedesign.rod.rod import Rod
+from probedesign.rod.rod import Rod, bow_curvature
 
 MIN_FRICTION = 1e-3  #: Smallest prior standard deviation of the friction ratio, as in `probedesign.estimation`.
 SCALE, CREEP = PARAMETERS["length_scale"].columns.start, PARAMETERS["creep"].columns.start

@@ -40,6 +40,16 @@ ROOT_CENTRE = 0.375  #: Centre of the missing compliance of a bonded root [base 
 FINITE_BEND, FINITE_STRETCH = 0.369, 0.374
 
 
+def bow_curvature(length: float) -> Array:
+    """Return the constant curvature about x and y by which the tip of a rod deviates by 1 m towards x, +κ about y, and
+    towards y, -κ about x: κ = 2/L² [1/m²], (2, 2), a row each.
+
+    Args:
+        length: of the rod, L [m].
+    """
+    return 2.0 / length**2 * np.array([[0.0, 1.0], [-1.0, 0.0]])
+
+
 @dataclass(frozen=True)
 class Rod:
     """A Cosserat rod, z along its axis at rest.

@@ -12,8 +12,9 @@ from probedesign.core.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.identification.identify import IdentificationData, data_of, drift_sizes, identify
-from probedesign.identification.parameters import MAX_ROOT_DEVIATION, CommonParameters, bow_curvature, check_requested
+from probedesign.identification.parameters import MAX_ROOT_DEVIATION, CommonParameters, check_requested
 from probedesign.identification.residuals import MassMeasurement, MeasuredTest
+from probedesign.rod.rod import bow_curvature
 from tests.identification.conftest import TRUE_E
 
 FOUR = norm.isf(norm.sf(4.0))  #: Standard deviations: with the seeds fixed a test fails by chance once in 16000 seeds.
