@@ -241,10 +241,12 @@ class FusionState:
             walk: variance of the bias's step before each row in `order` [steps²].
             start: standard deviation of the bias at the first one [steps].
         """
-        touched = self.touched[self.order]
-        moves = touched & (np.cumsum(touched) > 1)  # the object may move from one touch to the next
-        self.walk = np.column_stack([walk, moves * (self.priors.object_walk_mm * MM) ** 2])
-        self.start = start
+        self.walk, self.start = np.zeros((len(walk), 2)), start
+        self.walk[:, 0] = walk
+        if self.priors.object_walk_mm > 0.0:
+            touched = self.touched[self.order]
+            moves = touched & (np.cumsum(touched) > 1)  # the object may move from one touch to the next
+            self.walk[moves, 1] = (self.priors.object_walk_mm * MM) ** 2
         chi2 = fusion_kernel.solve_reduced(self.reduced, self.order, self.walk, start, self.causes, self._chain,
                                            self._work.solve, self.x, self.cov)  # fmt: skip
         fusion_kernel.smooth(self._chain, self.order, self.walk, self.x, self.common, self._work.mean)

@@ -94,9 +94,11 @@ class _Curvature:
     """What the posterior over the object's compliance and the curvature add, when they were evaluated last."""
 
     size: float = 0.0  #: trace of the point's linear covariance then [m²]; 0 before the first evaluation.
-    #: added to the points of `Solution` [m], (3, 3), and to their covariances [m²], (3, 3, 3).
+    #: what is added to the points of `Solution` [m], (3, 3), and to their covariances [m²], (3, 3, 3), beside the share
+    #: of the linear ones that the posterior lacks, (3, 1, 1).
     shift: Array = field(default_factory=lambda: np.zeros((3, 3)))
     added: Array = field(default_factory=lambda: np.zeros((3, 3, 3)))
+    lack: Array = field(default_factory=lambda: np.zeros((3, 1, 1)))
     posterior: Posterior | None = None  #: of the keyframes then; None if it was not found.
     moved: bool = False  #: whether the object had moved.
     time: float = -math.inf  #: of the evaluation [s].
@@ -329,7 +331,7 @@ class Tracker:
     def _curved(self, touch: _Touch, result: FusedEstimate) -> FusedEstimate:
         """Return the result with the curvature correction.
 
-        From one evaluation to the next it goes with the square of the covariance.
+        From one evaluation to the next it goes with the square of the covariance, which stays positive.
         """
         size = float(result.cov_surface_world.trace())
         if self._is_due(touch, size):
@@ -337,9 +339,7 @@ class Tracker:
         curvature = touch.curvature
         scale = min(size / curvature.size, 1.0) ** 2 if curvature.size > 0.0 else 0.0
         linear = np.array([result.cov_surface_world, result.cov_surface_now_world, result.cov_contact_world])
-        covs = linear + scale * curvature.added
-        if np.linalg.eigvalsh(covs - 0.25 * linear)[:, 0].min() < 0.0:  # the linear covariance has turned since
-            covs = linear + scale * np.array([statistics.positive_part(added) for added in curvature.added])
+        covs = (1.0 - scale * curvature.lack) * linear + scale * curvature.added
         points = np.array([result.p_surface_world, result.p_surface_now_world, result.p_contact_world])
         posterior = Posterior(points + math.sqrt(scale) * curvature.shift, covs, result.chi2, result.object_compliance,
                               result.object_compliance_interval_95)  # fmt: skip
@@ -364,15 +364,15 @@ class Tracker:
         fusion, last = self._batch(touch), touch.keyframes[-1]
         last.due = 4.0 * max(last.count, FIRST_CURVATURE)
         touch.curvature = _Curvature(size, time=self._time)
-        touch.curvature = _Curvature(size, time=self._time)
         best = fusion.refine(self._state.touches[self._state.order])
         if best is None:
             return
         posterior, state = fusion.over_compliance(best), fusion.state(best.touches)
         moved = state.linearise() and state.has_moved()
-        touch.curvature = _Curvature(
-            size, posterior.points - best.points, posterior.covs - best.covs, posterior, moved, self._time
-        )
+        ratios = np.linalg.eigvals(np.linalg.solve(best.covs, posterior.covs)).real
+        lack = np.clip(1.0 - ratios.min(axis=1), 0.0, 1.0)[:, None, None]
+        added = posterior.covs - (1.0 - lack) * best.covs
+        touch.curvature = _Curvature(size, posterior.points - best.points, added, lack, posterior, moved, self._time)
 
     # Starting --------------------------------------------------------------------------------------------------------
 
