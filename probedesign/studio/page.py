@@ -109,7 +109,7 @@ class StudioPage:
         self._complete = self._searching = False
         self._kept: tuple[str, bool] | None = None  # message of an action, shown until the next change
         self._stopped = threading.Event()
-        protect(TITLE)
+        self._window = protect(TITLE)
         with redirect_stdout(io.StringIO()):  # viser prints a banner
             self._server = LoopbackServer(host, port, TITLE, verbose=False)
         self._host = host
@@ -302,8 +302,9 @@ class StudioPage:
 
         All tabs share the arrangement: the last one that was opened decides.
         """
-        width, height = client.camera.image_width, max(client.camera.image_height, 1)
-        scene = float(width)  # of the window: the panels are not there yet
+        # Not the size that viser reports: depending on the moment, the panels are already subtracted from it.
+        width, height = self._window.size
+        scene = width
         if width > PHONE_WIDTH:
             scene -= CONTROLS_WIDTH + CHARTS_WIDTH
             narrow = scene < MIN_SCENE_WIDTH
@@ -311,15 +312,16 @@ class StudioPage:
                 scene += CHARTS_WIDTH
             if narrow is not self._stacked:
                 self._stacked = narrow
+                # One column takes the width of either panel, whichever message the browser applies last.
                 if narrow:
                     self._panel.dock_below(self._server.gui.main_panel)
                 else:
                     self._panel.dock_left()
-                    self._panel.set_width(CHARTS_WIDTH)
-                    self._server.gui.main_panel.set_width(CONTROLS_WIDTH)  # it took that of the charts
+                self._panel.set_width(CONTROLS_WIDTH if narrow else CHARTS_WIDTH)
+                self._server.gui.main_panel.set_width(CONTROLS_WIDTH)
         # A browser that moves panels takes the initial camera.
         for camera in (self._server.initial_camera, client.camera):
-            self._scene.set_camera(camera, scene / height)
+            self._scene.set_camera(camera, scene / max(height, 1.0))
 
     # Reactions
 

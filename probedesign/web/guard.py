@@ -36,11 +36,14 @@ _ICON = (
     '<circle cx="20" cy="13" r="3" fill="#c81e28"/></svg>'
 )
 FAVICON = f"data:image/svg+xml,{quote(_ICON)}"  #: The probe with a contact, as the address of the icon.
-#: Follows the browser's colour scheme. A tablet draws one pixel of the scene for each of the page: viser reports the
-#: width of the scene in drawn pixels, from which the panels are arranged. A browser without a GPU draws without
-#: antialiasing, a third of a frame's time.
+#: Cookie with the size of the browser's window, and that pattern.
+WINDOW, _SIZE = "probedesign_window", re.compile(r"(\d{1,5})x(\d{1,5})")
+#: States the size of the window, of which viser knows only what the panels leave, and in drawn pixels. Follows the
+#: browser's colour scheme. A tablet draws one pixel of the scene for each of the page. A browser without a GPU draws
+#: without antialiasing, a third of a frame's time.
 SCRIPT = """
 (function () {
+  document.cookie = 'probedesign_window=' + innerWidth + 'x' + innerHeight + '; SameSite=Strict; Path=/';
   var query = new URLSearchParams(location.search);
   if (matchMedia('(prefers-color-scheme: dark)').matches) query.set('darkMode', '');
   if (matchMedia('(pointer: coarse)').matches) query.set('fixedDpr', '1');
@@ -67,28 +70,40 @@ class LoopbackServer(viser.ViserServer):
         """Do nothing: there is no public address."""
 
 
-def protect(title: str, token: str = "", head: str = "") -> None:
+class Window:
+    """The window of the browser that connected last."""
+
+    size: tuple[float, float] = (1280.0, 720.0)  #: Width and height in pixels of the page.
+
+
+def protect(title: str, token: str = "", head: str = "") -> Window:
     """Guard every server that viser starts from now on in this process.
 
     Args:
         title: title of the page in the browser.
         token: secret that a browser must know; empty on an address of this machine only.
         head: HTML that is added to the head of the page.
+
+    Returns:
+        The window of the browser that connects last.
     """
-    original = server.serve
+    original, window = server.serve, Window()
 
     def serve(handler: object, host: str, port: int, *, process_request: Handler | None, **options: object) -> object:
-        request_filter = RequestFilter(title, token, port, head, process_request)
+        request_filter = RequestFilter(title, token, port, head, process_request, window)
         return original(handler, host, port, process_request=request_filter, **options)  # type: ignore[arg-type]  # viser's
 
     server.serve = serve  # type: ignore[misc, assignment]
+    return window
 
 
 class RequestFilter:
     """Decides about each request, and completes the responses of viser's own handler."""
 
-    def __init__(self, title: str, token: str, port: int, head: str, serve_file: Handler | None) -> None:
-        self._token, self._serve_file = token, serve_file
+    def __init__(
+        self, title: str, token: str, port: int, head: str, serve_file: Handler | None, window: Window
+    ) -> None:
+        self._token, self._serve_file, self._window = token, serve_file, window
         self._head = f"<title>{escape(title)}</title><script>{SCRIPT}</script>{head}"
         self._cookie = f"probedesign_view_{port}"  # a browser sends cookies to all ports of a host
         self._pages: dict[int, bytes] = {}
@@ -109,6 +124,8 @@ class RequestFilter:
                 headers = Headers({"Location": "/", "Set-Cookie": cookie, "Content-Length": "0"} | HEADERS)
                 return Response(http.HTTPStatus.SEE_OTHER, "See Other", headers)
             return _refusal(NEEDS_TOKEN)
+        if upgrade and (size := _SIZE.fullmatch(_cookie(request, WINDOW))):
+            self._window.size = float(size[1]), float(size[2])
         if upgrade or self._serve_file is None:
             return None
         accepted = request.headers.get("Accept-Encoding", "")
@@ -119,11 +136,7 @@ class RequestFilter:
         return None if response is None else self._complete(response, "gzip" in accepted)
 
     def _is_known(self, request: Request) -> bool:
-        try:
-            cookies = SimpleCookie("; ".join(request.headers.get_all("Cookie")))
-        except CookieError:
-            return False
-        return self._cookie in cookies and self._matches(cookies[self._cookie].value)
+        return self._matches(_cookie(request, self._cookie))
 
     def _matches(self, text: str) -> bool:
         return hmac.compare_digest(text.encode(), self._token.encode())
@@ -148,6 +161,15 @@ class RequestFilter:
         text = re.sub("<link[^>]*/>", f'<link rel="icon" href="{FAVICON}" />', text, count=1)
         before, _, after = text.partition("<title>Viser</title>")
         return f"{before}{self._head}{after}"
+
+
+def _cookie(request: Request, name: str) -> str:
+    """Return the value of a cookie; empty if the request has none."""
+    try:
+        cookies = SimpleCookie("; ".join(request.headers.get_all("Cookie")))
+    except CookieError:
+        return ""
+    return cookies[name].value if name in cookies else ""
 
 
 def _name(host: str) -> str:
