@@ -16,7 +16,7 @@ from probedesign.core.frames import Array
 from probedesign.core.notebook import Displayed
 from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.geometry import ProbeGeometry
+from probedesign.geometry import Axis, ProbeGeometry
 from probedesign.geometry.mass import MassProperties, flexible_part
 from probedesign.mount import Mount, build_geometry, mount_mass_properties
 
@@ -45,7 +45,13 @@ class Probe(Displayed):
     @cached_property
     def body(self) -> MassProperties:
         """Return the mass properties of the undeformed flexible part in the base frame."""
-        return flexible_part(self.geometry, self.design.density.value)
+        return flexible_part(self.geometry, self.design.density.value, self.axis)
+
+    @property
+    def axis(self) -> Axis:
+        """Return the undeformed centreline: that of the geometry with the measured bow of the print."""
+        bow, axis = self.design.probe.bow_mm, self.geometry.axis
+        return axis if bow is None else axis.with_curvature(2.0 * MM / self.length**2 * np.array(bow))
 
     @property
     def mass(self) -> float:
@@ -55,12 +61,7 @@ class Probe(Displayed):
     @property
     def p_base_com(self) -> Array:
         """Return the centre of mass of the undeformed flexible part in the base frame [m], (3,)."""
-        if self.rod.rest_curvature is None:
-            return self.body.p_com
-        sensitivity = self.rod.solve(columns="all").sensitivity  # without load, gravity g makes the moment p × m g
-        assert sensitivity is not None
-        by_gravity = sensitivity.d_moment[:, 7:10] / self.mass
-        return np.array([by_gravity[2, 1], by_gravity[0, 2], by_gravity[1, 0]])
+        return self.body.p_com
 
     @cached_property
     def rod(self) -> "Rod":
@@ -69,16 +70,14 @@ class Probe(Displayed):
 
     def _rod(self, root_rigid_radii: float) -> "Rod":
         """Return the rod with that root compliance in base radii; 0 is the rod of the paper (decision 0006)."""
-        from probedesign.rod.rod import Rod, bow_curvature
+        from probedesign.rod.rod import Rod
 
-        d, bow = self.design, self.design.probe.bow_mm
-        curved = None
-        if bow is not None:
-            u = MM * np.array(bow) @ bow_curvature(self.length)
-            curved = np.tile(np.append(u, 0.0), (len(self.geometry.s), 1))
+        d, axis, s = self.design, self.axis, self.geometry.s
+        if not axis.is_straight:
+            s = np.unique(np.concatenate([s, axis.s]))
         return Rod(
-            s=self.geometry.s,
-            radius=self.geometry.radius,
+            s=s,
+            radius=self.geometry.radius_at(s),
             youngs_modulus=d.youngs_modulus.value,
             shear_modulus=d.shear_modulus.value,
             density=d.density.value,
@@ -87,7 +86,7 @@ class Probe(Displayed):
             factors=self.geometry.cross_section.factors,
             finite_strain=root_rigid_radii != 0.0 and self.geometry.cross_section.full_round,
             rounded_from=self.geometry.rounded_from,
-            rest_curvature=curved,
+            rest_curvature=None if axis.is_straight else axis.rest_curvature(s),
         )
 
     @cached_property

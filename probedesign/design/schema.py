@@ -7,8 +7,10 @@ returns the quantities in SI units with their provenance.
 import datetime
 import math
 from dataclasses import replace
+from itertools import pairwise
 from typing import Annotated, Literal, Self
 
+import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from probedesign.core.errors import InputError, quoted
@@ -31,12 +33,14 @@ from probedesign.design.catalog import (
 from probedesign.design.diagnostics import FromArray, Inconsistent, Table
 from probedesign.design.sensor_catalog import SENSORS, Millimetres, SensorRecord
 from probedesign.design.sensors import DEFAULT_SENSOR, Calibration, SensorModel
+from probedesign.geometry.axis import Axis
 from probedesign.geometry.cross_section import CrossSection
 from probedesign.geometry.probe_geometry import filleted, rounded, rounding_height_mm
 
 ProbeShape = Literal["cone", "cylinder", "profile"]
 SectionKind = Literal["round", "hollow", "elliptic"]
 TipKind = Literal["blunt", "rounded"]
+AxisKind = Literal["straight", "arc", "helix", "knots"]
 MAX_GRAVITY = 30.0  #: Largest accepted gravity [m/s²]; a larger one is given in another unit.
 MAX_PROFILE_POINTS = 64
 
@@ -56,6 +60,13 @@ SECTION_KEYS = {
     "bore_ratio": ("hollow", "a hollow section needs its inner over its outer diameter"),
     "flatness": ("elliptic", "an elliptic section needs its diameter along y over that along x"),
 }
+#: Kinds of axis to which a key belongs, and the message when the key is missing, empty where it may be, by key.
+AXIS_KEYS: dict[str, tuple[tuple[AxisKind, ...], str]] = {
+    "axis_bend_deg": (("arc", "helix"), "a curved axis needs its total bending angle"),
+    "axis_turns": (("helix",), "a helix needs the turns of its plane of bending"),
+    "axis_azimuth_deg": (("arc", "helix"), ""),
+    "axis_knots_mm_1_m": (("knots",), "the axis needs triples [s, curvature towards X, towards Y]"),
+}
 
 
 class ProbeTable(Table):
@@ -72,6 +83,11 @@ class ProbeTable(Table):
     flatness: Flatness | None = None
     base_fillet_mm: Annotated[float, Field(ge=0.2, le=5.0)] | None = None
     bow_mm: Annotated[tuple[float, float] | None, FromArray] = None
+    axis: AxisKind = "straight"
+    axis_bend_deg: Annotated[float, Field(ge=0.0, le=1440.0)] | None = None
+    axis_turns: Annotated[float, Field(ge=-10.0, le=10.0)] | None = None
+    axis_azimuth_deg: Annotated[float, Field(ge=-360.0, le=360.0)] | None = None
+    axis_knots_mm_1_m: Annotated[tuple[tuple[float, float, float], ...] | None, FromArray] = None
     assumed: Annotated[tuple[str, ...], FromArray] = ()
     measured: Annotated[tuple[Literal["base_d_mm", "tip_d_mm", "profile_mm", "bow_mm"], ...], FromArray] = ()
 
@@ -105,7 +121,54 @@ class ProbeTable(Table):
             raise Inconsistent(
                 "bow_mm", f"= {list(self.bow_mm)} must be smaller than the length of the probe, {self.length_mm:g} mm"
             )
+        self._check_axis()
         return self
+
+    def _check_axis(self) -> None:
+        for key, (kinds, needed) in AXIS_KEYS.items():
+            given = getattr(self, key) is not None
+            if given and self.axis not in kinds:
+                raise Inconsistent(
+                    key, f"is only for axis = {' or '.join(map(repr, kinds))}; remove it or change the axis"
+                )
+            if not given and needed and self.axis in kinds:
+                raise Inconsistent(key, f"is missing; {needed}")
+        if self.axis == "straight":
+            return
+        if self.axis_knots_mm_1_m is not None:
+            self._check_axis_knots(self.axis_knots_mm_1_m)
+        s, d = MM * np.array(self.knots_mm).T
+        if reason := self.centreline.conflict(s, d / 2.0):
+            key = "axis_bend_deg" if self.axis_knots_mm_1_m is None else "axis_knots_mm_1_m"
+            low, high = 0.0, 1.0  # of all curvature, between which the body can just follow the axis
+            for _ in range(12):
+                middle = 0.5 * (low + high)
+                axis = Axis(self.centreline.s, middle * self.centreline.curvature)
+                low, high = (low, middle) if axis.conflict(s, d / 2.0) else (middle, high)
+            bend = self.axis_bend_deg
+            most = f"{low:.0%} of this curvature" if bend is None else f"{math.floor(10.0 * low * bend) / 10.0:g}"
+            value = "" if bend is None else f"= {bend:g} "
+            raise Inconsistent(key, f"{value}{reason}; at most {most}")
+
+    def _check_axis_knots(self, knots: tuple[tuple[float, float, float], ...]) -> None:
+        name = "axis_knots_mm_1_m"
+        if not 2 <= len(knots) <= MAX_PROFILE_POINTS:
+            raise Inconsistent(name, f"needs 2 to {MAX_PROFILE_POINTS} triples [s, towards X, towards Y]")
+        for i, (before, after) in enumerate(pairwise(knots)):
+            if after[0] <= before[0]:
+                raise Inconsistent(name, f"triple {i + 2}: s = {after[0]!r} does not increase after {before[0]!r}")
+        if knots[0][0] != 0.0 or knots[-1][0] != self.length_mm:
+            ends = f"{knots[0][0]!r} and {knots[-1][0]!r}"
+            raise Inconsistent(name, f"begins and ends at s = {ends}; needs 0 and length_mm = {self.length_mm!r}")
+
+    @property
+    def centreline(self) -> Axis:
+        """Return the undeformed centreline; lengths in metres."""
+        if self.axis_knots_mm_1_m is not None:
+            s, x, y = np.array(self.axis_knots_mm_1_m, dtype=float).T
+            return Axis(s * MM, np.stack([x, y], axis=1))
+        bend, azimuth = (math.radians(angle or 0.0) for angle in (self.axis_bend_deg, self.axis_azimuth_deg))
+        return Axis.helix(self.length_mm * MM, bend, self.axis_turns or 0.0, azimuth)
 
     def _check_profile(self) -> None:
         points = self.profile_mm

@@ -7,6 +7,7 @@ import numpy as np
 
 from probedesign.core.frames import Array, skew
 from probedesign.geometry import ProbeGeometry
+from probedesign.geometry.axis import Axis
 from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
 
 
@@ -35,6 +36,7 @@ class MassProperties:
         return np.concatenate([weight, np.cross(self.p_com, weight)])
 
 
+_PIECES = 32  #: Fewest pieces of a curved body, with four Gauss points each.
 NOTHING = MassProperties(0.0, 0.0, np.zeros(3), np.zeros((3, 3)))
 
 
@@ -77,10 +79,35 @@ def frustum(
     return MassProperties(volume, mass, np.array([0.0, 0.0, z + z_com]), inertia)
 
 
-def flexible_part(geometry: ProbeGeometry, density: float) -> MassProperties:
-    """Return the properties of the undeformed body from s = 0 to the tip in the base frame; density [kg/m³]."""
+def flexible_part(geometry: ProbeGeometry, density: float, axis: Axis | None = None) -> MassProperties:
+    """Return the properties of the undeformed body from s = 0 to the tip in the base frame.
+
+    Along a curved axis, the slice at s has the volume element (1 - κ·x) dA ds, so that its volume is A ds, and
+    ∫x (1 - κ·x) dA = -I κ: the outer side of a bend weighs more.
+
+    Args:
+        geometry: of the probe.
+        density: [kg/m³].
+        axis: another axis than that of the geometry.
+    """
     s, r, section = geometry.s, geometry.radius, geometry.cross_section
-    return combined(frustum(r[i], r[i + 1], s[i + 1] - s[i], s[i], density, section) for i in range(len(s) - 1))
+    axis = geometry.axis if axis is None else axis
+    if axis.is_straight:
+        return combined(frustum(r[i], r[i + 1], s[i + 1] - s[i], s[i], density, section) for i in range(len(s) - 1))
+    ends = np.unique(np.concatenate([s, axis.s, np.linspace(0.0, s[-1], _PIECES + 1)]))
+    x, w = np.polynomial.legendre.leggauss(4)
+    half = np.diff(ends)[:, None] / 2.0
+    at, weights = ((ends[:-1, None] + half * (1.0 + x)).ravel(), (half * w).ravel())
+    A, I_x, I_y = geometry.area_at(at), geometry.second_moment_yy_at(at), geometry.second_moment_xx_at(at)
+    T, k = axis.frames(at), axis.curvature_at(at)
+    p, X, Y = T[:, :3, 3], T[:, :3, 0], T[:, :3, 1]
+    shift = -(I_x * k[:, 0])[:, None] * X - (I_y * k[:, 1])[:, None] * Y
+    mass, first = density * float(weights @ A), density * weights @ (A[:, None] * p + shift)
+    outer = np.einsum("i,ij,ik->jk", weights * A, p, p) + np.einsum("i,ij,ik->jk", weights * I_x, X, X)
+    outer += np.einsum("i,ij,ik->jk", weights * I_y, Y, Y)
+    crossed = np.einsum("i,ij,ik->jk", weights, p, shift)
+    outer = density * (outer + crossed + crossed.T) - np.outer(first, first) / mass
+    return MassProperties(mass / density, mass, first / mass, np.trace(outer) * np.eye(3) - outer)
 
 
 def flange_part(geometry: ProbeGeometry, density: float) -> MassProperties:

@@ -1,4 +1,4 @@
-"""The geometry that CAD and mechanics share: a straight body whose radius is piecewise linear in s, and its flange."""
+"""The geometry that CAD and mechanics share: a body about an axis, whose radius is piecewise linear, and its flange."""
 
 import hashlib
 import math
@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
+from probedesign.geometry.axis import Axis
 from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
 
 
@@ -24,7 +25,7 @@ class Flange:
 class ProbeGeometry:
     """Shape of a probe in the base frame, undeformed.
 
-    The flexible part is a stack of frusta between the knots; the flange hangs below z = 0. A bore runs
+    The flexible part is a stack of frusta between the knots, along its axis; the flange hangs below z = 0. A bore runs
     through both.
     """
 
@@ -35,6 +36,12 @@ class ProbeGeometry:
     #: where the rounding of the tip begins [m], a knot; None for a blunt tip. It follows from the knots, so the
     #: fingerprint does not include it.
     rounded_from: float | None = None
+    curved: Axis | None = None  #: the axis of a curved probe; None for a straight one.
+
+    @property
+    def axis(self) -> Axis:
+        """Return the axis."""
+        return Axis.helix(self.length, 0.0) if self.curved is None else self.curved
 
     @property
     def length(self) -> float:
@@ -93,11 +100,13 @@ class ProbeGeometry:
     def fingerprint(self) -> str:
         """Return twelve hex digits that identify the geometry: SHA-256 of its dimensions, rounded to a nanometre.
 
-        The proportions of a section that is not full and round are included, rounded to 1e-9.
+        The proportions of a section that is not full and round are included, rounded to 1e-9, and the axis of a curved
+        probe.
         """
         dimensions = [*self.s, *self.radius, self.flange.diameter, self.flange.thickness]
         section = self.cross_section
         dimensions += [] if section.full_round else [section.bore_ratio, section.flatness]
+        dimensions += [] if self.curved is None else [*self.curved.s, *self.curved.curvature.ravel()]
         text = " ".join(str(round(d * 1e9)) for d in dimensions)
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 

@@ -276,7 +276,8 @@ def test_the_mass_of_a_bent_print_lies_along_its_arc() -> None:
     s = np.linspace(0.0, 0.15, 20_001)
     area = np.interp(s, [0.0, 0.15], [6e-3, 1e-3]) ** 2
     # On an arc x is κ s²/2 but for (κ s)²/12 of it, z is s but for (κ s)²/6 of it: 1e-4 with κ L = 0.042.
-    aside = (area @ s**2) / area.sum() / 0.15**2
+    # The outer side of a bend weighs more: a slice's centre is r²/(4R) away from the centreline.
+    aside = (area @ (s**2 - area / 2.0)) / area.sum() / 0.15**2
     np.testing.assert_allclose(bent.p_base_com[:2], [3e-3 * aside, -1e-3 * aside], rtol=3e-4)
     assert np.isclose(bent.p_base_com[2], straight.p_base_com[2], rtol=3e-4) and bent.mass == straight.mass
 
