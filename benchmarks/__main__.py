@@ -7,9 +7,9 @@ from importlib import import_module
 from benchmarks.timing import print_machine
 
 #: Benchmarks by module. Each is imported when it runs, because worker processes import this module again.
-PARTS = ("rod", "start", "install", "estimation", "detection", "prints", "identify", "pictured", "validation",
+PARTS = ("rod", "start", "install", "estimation", "detection", "prints", "pictured", "validation",
          "planning", "prediction", "table1", "optimisation", "sweep", "export", "live", "recording", "view",
-         "studio", "day", "explore", "clamp", "compliance", "coverage", "real")  # fmt: skip
+         "studio", "day", "explore", "compliance", "coverage", "real")  # fmt: skip
 
 
 def main(arguments: list[str]) -> int:

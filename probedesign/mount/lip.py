@@ -4,7 +4,7 @@ The lip is a thin pad of rubber, which bulges more than it is compressed. By Gen
 plates has the apparent modulus E (1 + 2 S²), with S the loaded area over the area that is free to bulge, and at a
 stretch λ of its height the pressure E (1 + 2 S²) (1/λ² - λ)/3. For a ring of width w and thickness t, free at both
 edges, S = w/(2 t). Here soft resin lies beside both edges and impedes the bulging; S = (w + t)/(2 t), as if the pad
-were wider by half its thickness on each side, reproduces finite elements (`python -m benchmarks clamp`).
+were wider by half its thickness on each side, reproduces finite elements (`benchmarks/clamp.py` of commit 04ffc97).
 
 The clamp ring rests on the wall around the recess and is loaded at its inner part. It is an annular plate with a free
 inner edge; its outer edge is held between simply supported and clamped.

@@ -80,8 +80,8 @@ class Mount:
 Hold = Literal["clamped", "glued"]
 
 _RATIO = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.1667, 6.6667, 10.0)
-#: `root_rigid_radii` by base radius over the flange's thickness. Source: `python -m benchmarks clamp`: linear finite
-#: elements of full round bases at ν = 0.49 with a flange of 3 mm.
+#: `root_rigid_radii` by base radius over the flange's thickness. Source: `benchmarks/clamp.py` of commit 04ffc97,
+#: linear finite elements of full round bases at ν = 0.49 with a flange of 3 mm.
 _MISSING: dict[Hold, tuple[float, ...]] = {
     "clamped": (-0.3686, -0.338, -0.3069, -0.2761, -0.2204, -0.1754, -0.1125, -0.0686, -0.0207, 0.0076),
     "glued": (-0.3684, -0.3342, -0.293, -0.2484, -0.1699, -0.1118, -0.0383, 0.006, 0.0479, 0.07),

@@ -308,9 +308,9 @@ def measurements(a: SensorAdapter, plate: FlangeAdapter) -> list[Measurement]:
 NUT_FACTOR = 0.2
 #: Permanent pressure under a screw's head: a third of a rigid resin's strength of about 60 MPa (assumed; it creeps).
 RESIN_PRESSURE = 20.0 * MPA
-#: Finite elements over the formula for bases of 5 to 25 mm and the default lip (`python -m benchmarks clamp`): with
-#: faces that slip and a flange that does not touch the recess's wall, and with faces that stick and a flange that moves
-#: out to the wall. Up to 2.2 if it has no play there from the beginning.
+#: Finite elements over the formula for bases of 5 to 25 mm and the default lip (`benchmarks/clamp.py`, commit 04ffc97):
+#: with faces that slip and a flange that does not touch the recess's wall, and with faces that stick and a flange that
+#: moves out to the wall. Up to 2.2 if it has no play there from the beginning.
 MODEL_RANGE = 0.7, 1.8
 #: Three standard deviations of E, relative: published fits for Elastic 50A lie between 2.3 and 3.15 MPa (assumed for
 #: other resins).

@@ -55,7 +55,7 @@ def test_the_force_of_a_pad_is_that_of_gent_and_lindley() -> None:
     [(5.0, 29.0, 60.0), (8.0, 38.0, 84.0), (12.0, 51.0, 126.0), (25.0, 101.0, 203.0), (12.0, 58.0, 100.0)],
 )  # the last one on a tool face of 40 mm, the others on a Nano17
 def test_finite_elements_lie_within_the_stated_range_of_the_formula(base_d: float, slips: float, sticks: float) -> None:
-    """`python -m benchmarks clamp`: lip of a flange of 3 mm compressed by 0.4 mm, small strain, E = 2.32 MPa."""
+    """`benchmarks/clamp.py` of commit 04ffc97: a lip of 3 mm compressed by 0.4 mm, small strain, E = 2.32 MPa."""
     bore_d, land_d = (base_d + 1.0) * 1e-3, (base_d + 5.0) * 1e-3
     linear = pad_force(E, bore_d, land_d, 3e-3, 1e-9) * 0.4e6
     low, high = MODEL_RANGE

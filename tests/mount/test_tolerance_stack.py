@@ -186,7 +186,7 @@ def test_a_ring_centred_by_eye_never_touches_the_probe(base_d: float) -> None:
 
 
 def test_the_glued_flange_yields_less_and_a_bonded_face_less_still() -> None:
-    """Results of `python -m benchmarks clamp` for the three designs with their tapers."""
+    """Results of `benchmarks/clamp.py` of commit 04ffc97 for the three designs with their tapers."""
     for base_d, clamped, glued in ((12.0, -0.175, -0.111), (8.0, -0.237, -0.193), (5.0, -0.297, -0.279)):
         geometry = build_geometry(parse_design(
             f'schema = 1\nname = "x"\n[probe]\nlength_mm = 100.0\nbase_d_mm = {base_d}\ntip_d_mm = 1.5\n'))  # fmt: skip
