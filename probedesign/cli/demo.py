@@ -21,12 +21,10 @@ from probedesign.core.files import exports_of
 from probedesign.reports.demo_page import DemoSection, write_demo_page
 
 if TYPE_CHECKING:
-    from probedesign.core.frames import Array
     from probedesign.estimation.estimator import Estimator
     from probedesign.live.run import RecordingEstimates
     from probedesign.prediction.predict import Prediction
     from probedesign.probe import Probe
-    from probedesign.reports.png import SweepSeries
 
 NAME = "demo"
 #: Heading and command of each section of the page.
@@ -146,17 +144,19 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     recording, contacts = folder / "recording.csv", folder / "contacts.csv"
     estimates = _simulate(estimator, recording)
     write_files(folder, [(contacts.name, estimates.csv().encode()), ("touches.html", recording_page(estimates))])
-    sweep = _sweep(estimates)
     made[str(recording)] = "a simulated recording: 20 mN, swept along the probe"
     made[str(contacts)] = "the located contacts, one estimate per row"
     made[str(folder / "touches.html")] = "the located contacts as a page"
-    made |= _draw(sweep, folder / "contacts.png")
-    ok = np.isfinite(sweep.error_mm)
+    names = [f"{kind}p_surface_base_{a}_mm" for kind in ("", "true_") for a in "xyz"]
+    names += [f"cov_surface_base_{a}{a}_mm2" for a in "xyz"]
+    located, true, variances = np.hsplit(np.array([[row[name] for name in names] for row in estimates.rows], float), 3)
+    squares = np.sum((located - true) ** 2, axis=1)
+    ok = np.isfinite(squares)
     result = {
         "located": int(ok.sum()),
-        "touches": int(np.isfinite(sweep.true_s_mm).sum()),
-        "error_mm": float(np.sqrt(np.mean(sweep.error_mm[ok] ** 2))),
-        "predicted_mm": float(np.sqrt(np.mean(sweep.predicted_mm[ok] ** 2))),
+        "touches": int(np.isfinite(true[:, 0]).sum()),
+        "error_mm": float(np.sqrt(squares[ok].mean())),
+        "predicted_mm": float(np.sqrt(variances[ok].sum(axis=1).mean())),
     }
     finish(
         "estimate",
@@ -232,17 +232,6 @@ def _explore(bundle: Path, folder: Path, skipped: list[str]) -> dict[str, str]:
     return {str(maps / name): "points of a simulated card house" for name in FILES}
 
 
-def _draw(sweep: "SweepSeries", path: Path) -> dict[str, str]:
-    """Draw true and estimated contacts, and return the file; none without matplotlib."""
-    from probedesign.reports.png import draw_sweep
-
-    try:
-        write_files(path.parent, [(path.name, draw_sweep(sweep))])
-    except MissingDependencyError:  # reported with the prediction's picture
-        return {}
-    return {str(path): "true and estimated contacts"}
-
-
 def _simulate(estimator: "Estimator", recording: Path) -> "RecordingEstimates":
     """Simulate and record readings, and return their estimates with the truth in each row."""
     import numpy as np
@@ -259,24 +248,3 @@ def _simulate(estimator: "Estimator", recording: Path) -> "RecordingEstimates":
     for row, reading in zip(estimates.rows, readings, strict=True):
         row |= true_values(reading)
     return estimates
-
-
-def _sweep(estimates: "RecordingEstimates") -> "SweepSeries":
-    """Return estimates and truth over time."""
-    import numpy as np
-
-    from probedesign.reports.png import SweepSeries
-
-    def columns(*names: str) -> "Array":
-        return np.array([[row[name] for name in names] for row in estimates.rows], dtype=float)
-
-    located, true = (columns(*(f"{kind}p_surface_base_{a}_mm" for a in "xyz")) for kind in ("", "true_"))
-    variance = columns(*(f"cov_surface_base_{a}{a}_mm2" for a in "xyz"))
-    return SweepSeries(
-        time_s=columns("time_s")[:, 0],
-        true_s_mm=columns("true_s_contact_mm")[:, 0],
-        s_mm=columns("s_contact_mm")[:, 0],
-        std_s_mm=columns("std_s_mm")[:, 0],
-        error_mm=np.linalg.norm(located - true, axis=1),
-        predicted_mm=np.sqrt(variance.sum(axis=1)),
-    )

@@ -1,17 +1,15 @@
-"""PNG pictures of a prediction, a simulated sweep and a validation, drawn with matplotlib; legible at half size."""
+"""PNG pictures of a prediction and a validation, drawn with matplotlib; legible at half size."""
 
 import io
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from probedesign.core.errors import MissingDependencyError
-from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.predict import Prediction
-from probedesign.reports.chart import COLOURS, NO_LINE, ORDERED, Chart, ChartArea, ChartLine
+from probedesign.reports.chart import NO_LINE, Chart, ChartArea, ChartLine
 from probedesign.reports.prediction_page import prediction_figures
 
 if TYPE_CHECKING:
@@ -43,42 +41,6 @@ def draw_prediction(prediction: Prediction, estimator: Estimator) -> bytes:
     noise = f"σ {prediction.noise_force_mN:.2g} mN, {prediction.noise_moment_Nmm:.2g} N·mm per reading"
     text = f"{prediction.name}  ·  geometry {prediction.fingerprint}  ·  {noise}\nassumed: {assumed}"
     figure.suptitle(text, fontsize=12, x=0.01, y=1.0 - 0.07 / (1.25 + 3.68 * rows), ha="left", va="top")
-    return _png_bytes(figure)
-
-
-@dataclass(frozen=True)
-class SweepSeries:
-    """Estimates of a moving contact and the ground truth, each (n,); NaN without a contact or an estimate."""
-
-    time_s: Array  #: of each reading.
-    true_s_mm: Array  #: true_s_mm, s_mm: arclength of the contact, true and estimated.
-    s_mm: Array
-    std_s_mm: Array  #: standard deviation of the estimate.
-    error_mm: Array  #: distance between true and estimated contact point.
-    predicted_mm: Array  #: RMS distance according to the estimate's covariance.
-
-
-def draw_sweep(sweep: SweepSeries) -> bytes:
-    """Return a PNG of a moving contact: true and estimated position, and the error.
-
-    Raises:
-        MissingDependencyError: matplotlib is not installed.
-    """
-    figure = _new_figure(9, 6)
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
-    t, dots, light = sweep.time_s, {"color": ORDERED[2], "ms": 5}, ORDERED[4]
-    low, high = sweep.s_mm - 2 * sweep.std_s_mm, sweep.s_mm + 2 * sweep.std_s_mm
-    upper.fill_between(t, low, high, color=light, alpha=0.3, lw=0, label="± 2 standard deviations")
-    upper.plot(t, sweep.true_s_mm, color=COLOURS[0], lw=1.5, label="true")
-    upper.plot(t, sweep.s_mm, ".", **dots, label="estimated")
-    upper.set(ylabel="contact s [mm]", title="A simulated touch sweeps along the probe")
-    upper.legend(fontsize=8, loc="lower center")
-    lower.plot(t, sweep.error_mm, ".", **dots, label="distance from the truth")
-    lower.plot(t, sweep.predicted_mm, color=light, label="RMS of the estimate's covariance")
-    lower.set(xlabel="time [s]", ylabel="error [mm]")
-    lower.legend(fontsize=8)
-    for ax in (upper, lower):
-        ax.grid(True, alpha=0.25)
     return _png_bytes(figure)
 
 

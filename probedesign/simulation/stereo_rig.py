@@ -1,7 +1,7 @@
 """Simulated stereo rig: two cameras, control points, the probe's markers, and rendered photographs of them.
 
-Every pixel is the mean of rays that intersect the probe's surface; the lens' blur, shot noise and read noise are added.
-The appearance is assumed throughout; positions are exact.
+The surface is drawn in facets by OpenCV at a finer resolution; the lens' blur, shot noise and read noise are added. The
+appearance is assumed throughout; positions are exact.
 """
 
 import math
@@ -11,9 +11,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
-from scipy.spatial import cKDTree
 
 from probedesign.core.frames import Array
 from probedesign.simulation.ground_truth import GroundTruth, SimulatedTest, marker_arclengths
@@ -36,7 +35,9 @@ FIELD_OF_VIEW = 1.35  #: Width of the field of view, over the largest extent of 
 #: Standard deviations of clicked markers and control points (assumed: a person, a mouse, a dot of 3 mm).
 CLICK_PX, CONTROL_PX = 0.7, 0.5
 DOT_RATIO, MAX_DOT = 0.45, 3e-3  #: Diameter of a dot over that of the probe, and its largest value [m].
-FINE = 3  # rays along each side of a pixel
+FINE = 4  # points along each side of a pixel
+_AROUND = np.linspace(0.0, 2.0 * math.pi, 73)  # angles of the facets' corners and of those of a dot [rad]
+_SHIFT = 8  # bits of the fraction of a corner's coordinates
 _MOUNT = 0.012  # length of the mount below the base [m]
 
 
@@ -50,15 +51,6 @@ class PaintedDots:
     s: Array  #: arclength of each centre from the tube's start [m], (m,).
     outward_world: Array  #: direction from the axis to its side, not necessarily a normal, (m, 3).
     diameter: Array  #: of each, measured along the surface [m], (m,).
-
-
-@dataclass(frozen=True)
-class RayHits:
-    """Intersections of rays with a tube; NaN where there are none."""
-
-    distance: Array  #: from the rays' origin [m], (n,).
-    s: Array  #: arclength [m], (n,).
-    normal_world: Array  #: outward (n, 3).
 
 
 @dataclass(frozen=True)
@@ -79,98 +71,34 @@ class SurfaceTube:
         tangents = np.gradient(self.p_world, self.s, axis=0)
         return np.asarray(tangents / np.linalg.norm(tangents, axis=1, keepdims=True))
 
-    @cached_property
-    def _table(self) -> Array:
-        """Table of point, tangent, radius and its slope at equidistant arclengths, (n, 8)."""
-        values = np.column_stack(
-            [self.p_world, self.tangents_world, self.diameter / 2, np.gradient(self.diameter / 2, self.s)]
-        )
-        even = np.linspace(0.0, self.s[-1], 4 * len(self.s))
-        return np.column_stack([np.interp(even, self.s, column) for column in values.T])
+    def at(self, s: Array) -> tuple[Array, Array, Array]:
+        """Return centre (..., 3), tangent (..., 3) and radius (...) at arclengths within the tube."""
+        values = np.column_stack([self.p_world, self.tangents_world, self.diameter / 2])
+        row = np.stack([np.interp(s, self.s, column) for column in values.T], axis=-1)
+        return row[..., :3], row[..., 3:6], row[..., 6]
 
-    def at(self, s: ArrayLike) -> tuple[Array, Array, Array, Array]:
-        """Return centre (n, 3), unit tangent (n, 3), radius and its slope (n,) at arclengths (n,) within the tube."""
-        steps = len(self._table) - 1
-        position = np.clip(np.asarray(s, dtype=float) / self.s[-1], 0.0, 1.0) * steps
-        low = np.minimum(position.astype(int), steps - 1)
-        row = self._table[low] + (position - low)[:, None] * (self._table[low + 1] - self._table[low])
-        return row[:, :3], row[:, 3:6], row[:, 6], row[:, 7]
+    def surface(self, s: Array, outward: Array, angle: Array) -> tuple[Array, Array]:
+        """Return points of the surface (m, n, 3) and their directions from the axis.
+
+        Args:
+            s: arclengths [m], (m, n).
+            outward: directions about which the angles count, (m, 1, 3).
+            angle: about the tangent [rad], (m, n).
+        """
+        centre, tangent, radius = self.at(s)
+        side = _across(outward, tangent)
+        side = np.cos(angle)[..., None] * side + np.sin(angle)[..., None] * np.cross(tangent, side)
+        return centre + radius[..., None] * side, side
 
     def dot_positions(self, dots: PaintedDots) -> Array:
         """Return the centres of dots on the surface [m], (m, 3)."""
-        centre, tangent, radius, _ = self.at(dots.s)
-        return centre + radius[:, None] * _across(dots.outward_world, tangent)
-
-    def intersect(self, origin: Array, rays: Array, near: Array, steps: int = 5) -> RayHits:
-        """Return the first intersections of rays with the tube or its flat ends.
-
-        Args:
-            origin: of all rays [m], (3,).
-            rays: unit vectors (n, 3).
-            near: arclength of the centreline near each ray [m], (n,).
-            steps: iterations; each intersects the cone tangent to the tube at the last point.
-        """
-        s = near.copy()
-        for _ in range(steps):
-            centre, tangent, radius, slope = self.at(s)
-            distance = _intersect_cone(origin - centre, rays, tangent, radius, slope)
-            along = np.einsum("ni,ni->n", origin + distance[:, None] * rays - centre, tangent)
-            s = s + np.nan_to_num(along)
-        centre, tangent, radius, slope = self.at(s)
-        normal = _across(origin + distance[:, None] * rays - centre, tangent) - slope[:, None] * tangent
-        distance = np.where((s >= 0) & (s <= self.s[-1]), distance, np.nan)
-        hits = RayHits(distance, s, normal / np.linalg.norm(normal, axis=1)[:, None])
-        return self._intersect_end(0, self._intersect_end(-1, hits, origin, rays), origin, rays)
-
-    def _intersect_end(self, end: int, hits: RayHits, origin: Array, rays: Array) -> RayHits:
-        """Return the hits, or those on a flat end where they come first."""
-        outward = self.tangents_world[end] * (-1 if end == 0 else 1)
-        with np.errstate(divide="ignore"):
-            distance = (self.p_world[end] - origin) @ outward / (rays @ outward)
-        from_axis = np.linalg.norm(origin + distance[:, None] * rays - self.p_world[end], axis=1)
-        first = (from_axis <= self.diameter[end] / 2) & ~(hits.distance < distance)
-        return RayHits(
-            np.where(first, distance, hits.distance),
-            np.where(first, self.s[end], hits.s),
-            np.where(first[:, None], outward, hits.normal_world),
-        )
-
-    def in_dot(self, dots: PaintedDots, hits: RayHits) -> NDArray[np.bool_]:
-        """Return whether points of the surface are in a dot, (n,)."""
-        _, tangent, radius, _ = self.at(hits.s)
-        side = _across(hits.normal_world, tangent)
-        inked = np.zeros(len(side), dtype=bool)
-        for s, outward, diameter in zip(dots.s, dots.outward_world, dots.diameter, strict=True):
-            close = np.abs(hits.s - s) <= diameter / 2
-            outwards = np.broadcast_to(outward, (int(close.sum()), 3))
-            facing = np.einsum("ni,ni->n", side[close], _across(outwards, tangent[close]))
-            around = radius[close] * np.arccos(np.clip(facing, -1.0, 1.0))
-            inked[close] |= np.hypot(hits.s[close] - s, around) <= diameter / 2
-        return inked
+        at = dots.s[:, None]
+        return self.surface(at, dots.outward_world[:, None], np.zeros_like(at))[0][:, 0]
 
 
 def _across(vectors: Array, tangent: Array) -> Array:
-    across = vectors - np.sum(vectors * tangent, axis=1)[:, None] * tangent
-    length = np.linalg.norm(across, axis=1)[:, None]
-    return np.asarray(across / np.maximum(length, 1e-12))  # zero on a flat end
-
-
-def _intersect_cone(start: Array, rays: Array, axis: Array, radius: Array, slope: Array) -> Array:
-    """Return the distance at which rays intersect cones about an axis through 0, NaN if they do not, (n,).
-
-    Args:
-        start: of each ray, from the cone's point of the axis [m], (n, 3).
-        rays, axis: unit vectors (n, 3).
-        radius, slope: at that point [m], and how it grows along the axis, (n,).
-    """
-    start_along, ray_along = np.sum(start * axis, axis=1), np.sum(rays * axis, axis=1)
-    start_across, ray_across = start - start_along[:, None] * axis, rays - ray_along[:, None] * axis
-    wide, grows = radius + slope * start_along, slope * ray_along
-    a = np.sum(ray_across**2, axis=1) - grows**2
-    b = np.sum(ray_across * start_across, axis=1) - grows * wide
-    c = np.sum(start_across**2, axis=1) - wide**2
-    under = b**2 - a * c
-    return np.asarray((-b - np.sqrt(np.where(under >= 0, under, np.nan))) / a)
+    across = vectors - np.sum(vectors * tangent, axis=-1, keepdims=True) * tangent
+    return np.asarray(across / np.linalg.norm(across, axis=-1, keepdims=True))
 
 
 # the picture
@@ -199,78 +127,73 @@ class RenderStyle:
 def render(
     camera: Camera, probe: SurfaceTube, dots: PaintedDots, size_px: tuple[int, int], style: RenderStyle | None = None
 ) -> Picture:
-    """Render a photograph of a dotted probe in its mount, grey levels (height, width).
+    """Render a photograph of a dotted probe in its mount, grey levels (height, width); OpenCV must be installed.
 
     The whole probe must lie in front of the camera; one that crosses itself in the picture is not rendered correctly.
     """
+    import cv2
+
     style = style or RenderStyle()
     rng = np.random.default_rng(style.seed)
     picture = _background(size_px, style, rng)
     mount = _mount_of(probe)
-    for tube, painted, grey in ((mount, None, style.mount), (probe, dots, style.probe)):
-        rows, columns = _window(camera, tube, size_px)
-        if len(rows):
-            light, coverage = _drawn(camera, tube, painted, grey, rows, columns, style, rng)
-            picture[rows, columns] = (1 - coverage) * picture[rows, columns] + light
+    drawn = [_facets(camera, mount, style.mount, style, rng), _facets(camera, probe, style.probe, style, rng)]
+    seen = np.concatenate([corners for corners, _ in drawn]).reshape(-1, 2)
+    low = np.clip(np.floor(seen.min(axis=0)).astype(int), 0, size_px)
+    high = np.clip(np.ceil(seen.max(axis=0)).astype(int) + 1, 0, size_px)
+    width, height = high - low
+    shade = np.zeros((height * FINE, width * FINE, 3), dtype=np.float32)  # diffuse light, highlight, coverage
+    ink = np.zeros(shade.shape[:2], dtype=np.uint8)
+
+    def fixed(corners: Array) -> NDArray[np.int32]:
+        """Return pixels as numbers of OpenCV of the finer picture."""
+        return np.asarray(np.round(((corners - low + 0.5) * FINE - 0.5) * 2**_SHIFT), dtype=np.int32)
+
+    for corners, lights in drawn:
+        for facet, light in zip(fixed(corners), lights.tolist(), strict=True):
+            cv2.fillConvexPoly(shade, facet, light, shift=_SHIFT)
+    around = np.tile(_AROUND[:-1], (len(dots.s), 1))
+    s = np.clip(dots.s[:, None] + 0.5 * dots.diameter[:, None] * np.cos(around), 0.0, probe.s[-1])
+    angle = 0.5 * dots.diameter[:, None] * np.sin(around) / probe.at(s)[2]
+    for points, sides in zip(*probe.surface(s, dots.outward_world[:, None], angle), strict=True):
+        visible = points[np.sum((camera.p_world - points) * sides, axis=1) > 0.0]
+        if len(visible) > 2:
+            cv2.fillPoly(ink, [fixed(camera.project(visible))], 1, shift=_SHIFT)
+    shade[..., 0] *= np.where(ink, style.dot / style.probe, 1.0)
+    diffuse, gloss, coverage = shade.reshape(height, FINE, width, FINE, 3).mean(axis=(1, 3)).transpose(2, 0, 1)
+    window = picture[low[1] : high[1], low[0] : high[0]]  # a view
+    window[:] = (1.0 - coverage) * window + diffuse + gloss
     return exposed(picture, style, rng)
 
 
-def _window(camera: Camera, tube: SurfaceTube, size_px: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the pixels that the tube may cover."""
-    line = camera.project(tube.p_world)
-    radius_px = tube.diameter / 2 * camera.K[0, 0] / camera.depth(tube.p_world) + 3.0
-    low = np.floor((line - radius_px[:, None]).min(axis=0)).astype(int)
-    high = np.ceil((line + radius_px[:, None]).max(axis=0)).astype(int)
-    columns = np.arange(max(low[0], 0), min(high[0] + 1, size_px[0]))
-    rows = np.arange(max(low[1], 0), min(high[1] + 1, size_px[1]))
-    v, u = (grid.ravel() for grid in np.meshgrid(rows, columns, indexing="ij"))
-    if not len(u):
-        return v, u
-    away, nearest = cKDTree(line).query(np.column_stack([u, v]))
-    gap = float(np.linalg.norm(np.diff(line, axis=0), axis=1).max())  # between neighbours of the line
-    close = away <= radius_px[nearest] + gap
-    return v[close], u[close]
-
-
-def _drawn(
-    camera: Camera,
-    tube: SurfaceTube,
-    dots: PaintedDots | None,
-    grey: float,
-    rows: NDArray[np.int64],
-    columns: NDArray[np.int64],
-    style: RenderStyle,
-    rng: np.random.Generator,
+def _facets(
+    camera: Camera, tube: SurfaceTube, grey: float, style: RenderStyle, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Return the light from the tube at pixels, and the fraction of each pixel that it covers."""
+    """Return the corners of the visible facets of a tube [px], (n, c, 2), the far ones first, and the diffuse light,
+    the highlight (Blinn) and the coverage of each, (n, 3)."""
     streaks = style.mottle * gaussian_filter(rng.normal(size=2000), 3.0) * 3.0
-    centres = np.column_stack([columns, rows]).astype(float)
-    near = tube.s[cKDTree(camera.project(tube.p_world)).query(centres)[1]]
-    near = tube.intersect(camera.p_world, camera.rays(centres), near).s
-    light, coverage = np.zeros(len(rows)), np.zeros(len(rows))
-    offsets = (np.arange(FINE) + 0.5) / FINE - 0.5
-    for down in offsets:
-        for right in offsets:
-            rays = camera.rays(centres + np.array([right, down]))
-            hits = tube.intersect(camera.p_world, rays, near, 2)
-            met = np.isfinite(hits.distance)
-            hits = RayHits(hits.distance[met], hits.s[met], hits.normal_world[met])
-            albedo = grey * (1 + np.interp(hits.s, np.linspace(0, tube.s[-1], len(streaks)), streaks))
-            if dots is not None:
-                albedo = np.where(tube.in_dot(dots, hits), style.dot, albedo)
-            light[met] += _shaded(albedo, hits.normal_world, rays[met], style)
-            coverage[met] += 1
-    return light / FINE**2, coverage / FINE**2
-
-
-def _shaded(albedo: Array, normal: Array, rays: Array, style: RenderStyle) -> Array:
-    """Return diffuse light and a highlight (Blinn)."""
+    p, tangent, s = tube.p_world[:, None], tube.tangents_world[:, None], np.pad(tube.s[:-1], (1, 1), "edge")
+    around, n = np.tile(_AROUND, (len(p), 1)), len(_AROUND) - 1
+    points, sides = tube.surface(np.tile(tube.s[:, None], n + 1), camera.p_world - p, around)
+    points = np.concatenate([np.tile(p[:1], (n + 1, 1)), points, np.tile(p[-1:], (n + 1, 1))])  # with the flat ends
+    quads = np.stack([points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]], axis=2).reshape(-1, 4, 3)
+    normal = sides - np.gradient(tube.diameter / 2, tube.s)[:, None, None] * tangent
+    normal = np.concatenate([np.tile(-tangent[:1], (n, 1)), normal[:-1, :-1] + normal[1:, 1:],
+                             np.tile(tangent[-1:], (n, 1))]).reshape(-1, 3)  # fmt: skip
+    albedo = np.repeat(grey * (1.0 + np.interp(s, np.linspace(0.0, tube.s[-1], len(streaks)), streaks)), n)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    rays = quads.mean(axis=1) - camera.p_world
+    distance = np.linalg.norm(rays, axis=1)
+    rays /= distance[:, None]
     lamp = np.array(style.light_world) / np.linalg.norm(style.light_world)
     half = lamp - rays
     half /= np.linalg.norm(half, axis=1)[:, None]
-    diffuse = np.clip(normal @ lamp, 0.0, None)
-    bright = np.clip(np.einsum("ni,ni->n", normal, half), 0.0, None) ** 30
-    return np.asarray(albedo * (style.ambient + (1 - style.ambient) * diffuse) + style.gloss * bright)
+    diffuse = albedo * (style.ambient + (1 - style.ambient) * np.clip(normal @ lamp, 0.0, None))
+    gloss = style.gloss * np.clip(np.sum(normal * half, axis=1), 0.0, None) ** 30
+    lights = np.column_stack([diffuse, gloss, np.ones(len(quads))])
+    order = np.argsort(-distance)
+    order = order[np.sum(normal * rays, axis=1)[order] < 0.0]
+    return camera.project(quads[order].reshape(-1, 3)).reshape(-1, 4, 2), lights[order]
 
 
 def _background(size_px: tuple[int, int], style: RenderStyle, rng: np.random.Generator) -> Array:
