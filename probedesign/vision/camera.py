@@ -4,6 +4,7 @@ Axes of a camera: x right, y down, z along the optical axis. Pixels: u right, v 
 left pixel, as OpenCV has it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,9 +15,7 @@ from probedesign.core.frames import Array
 
 LINEAR = 11  #: Parameters of a camera without distortion, as many as Direct Linear Transformation has.
 DISTORTIONS = (0, 1, 2, 4, 5)  #: Numbers of coefficients of distortion, in OpenCV's order: k1, k2, p1, p2, k3.
-
-_RADIAL = (1, 2, 0, 0, 3)  # power of r² of each coefficient; 0 for the tangential ones
-_P1, _P2 = 2, 3
+_STEP = 1e-5  # of differences: rotations [rad] and displacements over the distance
 
 
 @dataclass(frozen=True)
@@ -110,21 +109,19 @@ class Camera:
         return np.asarray(directions / np.linalg.norm(directions, axis=-1, keepdims=True))
 
     def by_point(self, points_world: Array) -> Array:
-        """Return derivatives of the pixels by the points [px/m], (n, 3) -> (n, 2, 3)."""
-        return self._by_axes(points_world) @ self.R_camera_world
+        """Return derivatives of the pixels by the points [px/m], (n, 3) -> (n, 2, 3), by central differences."""
+        step = _STEP * self._distance(points_world)
+        return _differences(lambda shift: self.project(points_world + shift), np.full(3, step))
 
     def by_parameters(self, points_world: Array) -> Array:
-        """Return derivatives of the pixels by the camera's parameters, (n, 3) -> (n, 2, 11 + d)."""
-        seen, by_axes = self._plane(points_world), self._by_axes(points_world)
-        bent = self._bent(seen)
-        one, zero = np.ones(len(seen)), np.zeros(len(seen))
-        u = np.column_stack([bent[:, 0], zero, bent[:, 1], one, zero])
-        v = np.column_stack([zero, bent[:, 1], zero, zero, one])
-        axes = (points_world - self.p_world) @ self.R_camera_world.T
-        turned = np.cross(axes[:, None, :], by_axes)  # by_axes @ -skew(axes)
-        moved = -by_axes @ self.R_camera_world
-        bends = self.K[:2, :2] @ self._bends(seen)
-        return np.concatenate([np.stack([u, v], axis=1), turned, moved, bends], axis=2)
+        """Return derivatives of the pixels by the camera's parameters, (n, 3) -> (n, 2, 11 + d), by central
+        differences; the pixels are linear in all but the pose."""
+        steps = np.ones(LINEAR + len(self.distortion))
+        steps[5:8], steps[8:11] = _STEP, _STEP * self._distance(points_world)
+        return _differences(lambda step: self.moved(step).project(points_world), steps)
+
+    def _distance(self, points_world: Array) -> float:
+        return float(np.linalg.norm(points_world - self.p_world, axis=-1).mean())
 
     def moved(self, step: Array) -> "Camera":
         """Return the camera with its parameters changed by a step (11 + d,)."""
@@ -136,49 +133,25 @@ class Camera:
     def folds(self, points_world: Array) -> bool:
         """Return whether the distortion maps two radii within these points' onto one, which no lens does."""
         square = np.linspace(0.0, float(np.max(np.sum(self._plane(points_world) ** 2, axis=-1))), 100)
-        k = np.zeros(len(_RADIAL))
-        k[: len(self.distortion)] = self.distortion
-        slope = 1 + sum((2 * n + 1) * k[i] * square**n for i, n in enumerate(_RADIAL) if n)
-        return bool(np.any(slope <= 0))
+        k1, k2, _, _, k3 = self._coefficients
+        return bool(np.any(1.0 + square * (3.0 * k1 + square * (5.0 * k2 + square * 7.0 * k3)) <= 0.0))
+
+    @property
+    def _coefficients(self) -> Array:
+        return np.append(self.distortion, np.zeros(DISTORTIONS[-1] - len(self.distortion)))
 
     def _plane(self, points_world: ArrayLike) -> Array:
         axes = (np.asarray(points_world, dtype=float) - self.p_world) @ self.R_camera_world.T
         return np.asarray(axes[..., :2] / axes[..., 2:])
 
     def _bent(self, seen: Array) -> Array:
-        return np.asarray(seen + self._bends(seen) @ self.distortion)
+        (k1, k2, p1, p2, k3), x, y = self._coefficients, seen[..., 0], seen[..., 1]
+        square, product = x**2 + y**2, 2.0 * x * y
+        radial = 1.0 + square * (k1 + square * (k2 + square * k3))
+        return np.stack([x * radial + p1 * product + p2 * (square + 2.0 * x**2),
+                         y * radial + p1 * (square + 2.0 * y**2) + p2 * product], axis=-1)  # fmt: skip
 
-    def _bends(self, seen: Array) -> Array:
-        """Return the displacement of points of the plane (..., 2) by one unit of each coefficient, (..., 2, d)."""
-        x, y = seen[..., 0], seen[..., 1]
-        square = x**2 + y**2
-        shift = {_P1: (2 * x * y, square + 2 * y**2), _P2: (square + 2 * x**2, 2 * x * y)}
-        bends = np.empty((*seen.shape, len(self.distortion)))
-        for i, power in enumerate(_RADIAL[: len(self.distortion)]):
-            u, v = shift.get(i) or (x * square**power, y * square**power)
-            bends[..., 0, i], bends[..., 1, i] = u, v
-        return bends
 
-    def _bending(self, seen: Array) -> Array:
-        """Return the derivative of `_bent` by the points (n, 2), (n, 2, 2)."""
-        x, y = seen.T
-        square = x**2 + y**2
-        bending = np.tile(np.eye(2), (len(seen), 1, 1))
-        for i, coefficient in enumerate(self.distortion):
-            n = _RADIAL[i]
-            if n:
-                along = 2 * n * square ** (n - 1)
-                slope = (
-                    square[:, None, None] ** n * np.eye(2) + along[:, None, None] * seen[:, :, None] * seen[:, None, :]
-                )
-            elif i == _P1:
-                slope = 2 * np.stack([np.stack([y, x], 1), np.stack([x, 3 * y], 1)], 1)
-            else:
-                slope = 2 * np.stack([np.stack([3 * x, y], 1), np.stack([y, x], 1)], 1)
-            bending = bending + coefficient * slope
-        return bending
-
-    def _by_axes(self, points_world: Array) -> Array:
-        seen, depth = self._plane(points_world), self.depth(points_world)
-        plane = np.concatenate([np.broadcast_to(np.eye(2), (len(seen), 2, 2)), -seen[:, :, None]], axis=2)
-        return np.asarray(self.K[:2, :2] @ self._bending(seen) @ plane / depth[:, None, None])
+def _differences(of: Callable[[Array], Array], steps: Array) -> Array:
+    columns = [(of(step) - of(-step)) / (2.0 * step.max()) for step in np.diag(steps)]
+    return np.stack(columns, axis=-1)

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import approx_fprime, least_squares
 from scipy.special import erfc
 
 from probedesign.core.errors import InputError
@@ -126,18 +126,14 @@ def _fitted(grey: NDArray[np.uint8], pixel: Array, shape: Array, along: Array) -
         """Return the grey levels' residuals and the prior's."""
         return np.append(_model(values, offsets, view) - levels, weight * values[SINK])
 
-    def by_values(values: Array) -> Array:
-        """Return the derivatives of the residuals."""
-        return np.vstack([_by_values(values, offsets, view), weight * np.eye(len(values))[SINK]])
-
-    values = least_squares(residual, start, by_values, loss="soft_l1", f_scale=ROBUST, x_scale=np.abs(start) + 0.1,
-                           xtol=1e-5, ftol=1e-6, max_nfev=60).x  # fmt: skip
+    values = least_squares(residual, start, loss="soft_l1", f_scale=ROBUST, x_scale=np.abs(start) + 0.1, xtol=1e-5,
+                           ftol=1e-6, max_nfev=60).x  # fmt: skip
     fitted = np.array([[values[2], values[3]], [values[3], values[4]]])
     if not (np.linalg.eigvalsh(fitted) > 0).all() or np.hypot(*values[:2]) > radius:
         return None
     if not 0.5 < radius * np.sqrt(np.linalg.det(fitted)) < 2:
         return None
-    std = _std(residual(values), by_values(values), patch_of(residual(values)[:-1], offsets))
+    std = _std(residual(values), approx_fprime(values, residual), patch_of(residual(values)[:-1], offsets))
     return Dot(pixel + values[:2], float(np.hypot(std, FLOOR_PX)), fitted)
 
 
@@ -193,66 +189,25 @@ def _start(offsets: Array, levels: Array, shape: Array) -> Array | None:
 
 
 def _model(values: Array, offsets: Array, view: tuple[Array, Array]) -> Array:
-    share = 0.5 * erfc(_outline_distance(values, offsets, view)[0] / (np.sqrt(2) * _softness(values)))
-    ground, inked = _greys(values, offsets)
-    return np.asarray(ground + share * (inked - ground))
-
-
-def _by_values(values: Array, offsets: Array, view: tuple[Array, Array]) -> Array:
-    """Return derivatives of the grey levels by the values, (n, k); differences would cost k times the model."""
-    soft = _softness(values)
-    beyond, by_outline = _outline_distance(values, offsets, view)
-    share = 0.5 * erfc(beyond / (np.sqrt(2) * soft))
-    ground, inked = _greys(values, offsets)
-    by_beyond = (ground - inked) * np.exp(-0.5 * (beyond / soft) ** 2) / (np.sqrt(2 * np.pi) * soft)
-    softer = -by_beyond * beyond / soft * np.sign(values[SOFT]) * (soft > MIN_SOFT_PX)
-    u, v = offsets.T
-    rest = (1 - share)[:, None] * np.column_stack([np.ones_like(u), u, v, u * u, u * v, v * v])
-    varies = share[:, None] * offsets[:, : 2 * (len(values) > INK.start)]
-    return np.column_stack([by_beyond[:, None] * by_outline, softer, share, rest, varies])
-
-
-def _softness(values: Array) -> float:
-    return max(abs(float(values[SOFT])), MIN_SOFT_PX)
-
-
-def _greys(values: Array, offsets: Array) -> tuple[Array, Array]:
+    soft = max(abs(float(values[SOFT])), MIN_SOFT_PX)
+    share = 0.5 * erfc(_outline_distance(values, offsets, view) / (np.sqrt(2) * soft))
     u, v = offsets.T
     c, d = values[GROUND], values[INK]
     ground = c[0] + c[1] * u + c[2] * v + c[3] * u * u + c[4] * u * v + c[5] * v * v
     inked = values[SOFT + 1] + (d[0] * u + d[1] * v if len(d) else np.zeros_like(u))
-    return ground, inked
+    return np.asarray(ground + share * (inked - ground))
 
 
-def _outline_distance(values: Array, offsets: Array, view: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Return the distance of points beyond the outline, to first order [px], (n,), and its derivatives by centre, shape
-    and sink, (n, 6). The outline is an ellipse whose points sink with the square of their distance round the probe."""
+def _outline_distance(values: Array, offsets: Array, view: tuple[Array, Array]) -> Array:
+    """Return the distance of points beyond the outline, to first order [px], (n,). The outline is an ellipse whose
+    points sink with the square of their distance round the probe."""
     around, down = view
     away = offsets - values[:2]
-    round_ = away @ around
-    sunk = away + (values[SINK] * round_**2)[:, None] * down
-    beyond, by_place, by_shape = _ellipse_distance(values[2:5], sunk)
-    by_down = by_place @ down
-    by_centre = -by_place - (2 * values[SINK] * round_ * by_down)[:, None] * around
-    return beyond, np.column_stack([by_centre, by_shape, round_**2 * by_down])
-
-
-def _ellipse_distance(shape: Array, places: Array) -> tuple[Array, Array, Array]:
-    """Return the distance of points beyond an ellipse about 0, to first order [px], (n,), and its derivatives by point
-    (n, 2) and by shape (n, 3)."""
-    a, b, c = shape
-    x, y = places.T
-    p, q = a * x + b * y, b * x + c * y
-    away = np.sqrt(p * p + q * q) + 1e-9
-    g, h = a * p + b * q, b * p + c * q
-    steep = np.hypot(g, h) + 1e-9
-    beyond = (away - 1) * away / steep
-    none = np.zeros_like(x)
-    dp, dq = np.array([none + a, none + b, x, y, none]), np.array([none + b, none + c, none, x, y])
-    dg = a * dp + b * dq + np.array([none, none, p, q, none])
-    dh = b * dp + c * dq + np.array([none, none, none, p, q])
-    by = ((2 * away - 1) * (p * dp + q * dq) / away - beyond * (g * dg + h * dh) / steep) / steep
-    return beyond, by[:2].T, by[2:].T
+    sunk = away + (values[SINK] * (away @ around) ** 2)[:, None] * down
+    shape = np.array([[values[2], values[3]], [values[3], values[4]]])
+    seen = sunk @ shape
+    size = np.linalg.norm(seen, axis=1) + 1e-9
+    return np.asarray((size - 1) * size / (np.linalg.norm(seen @ shape, axis=1) + 1e-9))
 
 
 # rows of dots
