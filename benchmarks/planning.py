@@ -23,7 +23,7 @@ from probedesign.planning.candidates import READINGS, STD_MARK, CandidateTest, I
 from probedesign.planning.folder import tables
 from probedesign.planning.plan import Plan
 from probedesign.prediction.touches import DIRECTIONS
-from probedesign.reports.setup_drawing import set_up_drawing
+from probedesign.reports.plan_page import set_up_chart
 from probedesign.rod.contact import solve_contact
 from probedesign.simulation.ground_truth import CampaignPlan, GroundTruth
 
@@ -163,4 +163,7 @@ def draw_set_ups() -> None:
     drawn = {"hang": "hang", "turned": "turned-tip-down", "weight": "weight-120-2", "touch-x": "touch-97.5-+x-13.5",
              "touch-y": "touch-97.5--y-24.5"}  # fmt: skip
     for name, candidate in drawn.items():
-        (PICTURES / f"setup-{name}.svg").write_bytes(set_up_drawing(bench.model, every[candidate]))
+        svg = set_up_chart(bench.model, every[candidate]).svg()
+        (PICTURES / f"setup-{name}.svg").write_bytes(
+            svg.replace(b"<svg ", b'<svg style="background: #fff" ', 1) + b"\n"
+        )

@@ -4,12 +4,17 @@ import math
 from collections.abc import Sequence
 from html import escape
 
+import numpy as np
+
+from probedesign.campaigns.campaign import PUSH_DIRECTIONS
+from probedesign.core.units import MM
+from probedesign.estimation.model import ProbeModel
 from probedesign.planning.candidates import CandidateTest
 from probedesign.planning.folder import checklist
 from probedesign.planning.plan import ENOUGH, ExpectedInterval, Plan
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis
 from probedesign.reports.html_page import REPORT_STYLE, HtmlTable, html_document, labelled
-from probedesign.reports.setup_drawing import set_up_drawing
+from probedesign.reports.prediction_charts import STATIONS, flanks
 
 STYLE = """
 .sheet { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(78mm, 100%), 1fr)); gap: 4mm }
@@ -46,7 +51,7 @@ def plan_page(plan: Plan, folder: str) -> bytes:
         *plan.notes,
     ]
     drawings = "".join(
-        f"<section><h3>☐ {escape(candidate.name)}</h3>{set_up_drawing(model, candidate).decode()}"
+        f"<section><h3>☐ {escape(candidate.name)}</h3>{labelled(set_up_chart(model, candidate).svg(), candidate.words)}"
         f"<p>{escape(_words(candidate))}</p></section>"
         for candidate in plan.candidates
         if candidate.shape is not None
@@ -63,6 +68,32 @@ def plan_page(plan: Plan, folder: str) -> bytes:
     return html_document(
         f"{model.name}: plan of a campaign", [escape(line) for line in about], body, REPORT_STYLE + STYLE
     )
+
+
+def set_up_chart(model: ProbeModel, candidate: CandidateTest) -> Chart:
+    """Return the set-up of a test with a shape, in base axes: the probe as it will bend, the load and gravity."""
+    test, shape, rod, length = candidate.test, candidate.shape, model.rod, model.rod.length / MM
+    assert test is not None and shape is not None
+    across = 1 if test.direction[1:] == "y" else int(np.argmax(np.abs(test.gravity_base[:2])))
+    s, down = np.linspace(0.0, rod.length, STATIONS), test.gravity_base / np.linalg.norm(test.gravity_base)
+    upper, lower = flanks(shape.p_at(s)[:, [across, across, 2]], rod.radius_at(s))
+    arrows = {"gravity": (np.zeros(3), 0.2 * length * down)}
+    if math.isfinite(candidate.mark):
+        marked, push = shape.p_at(candidate.mark) / MM, np.array(PUSH_DIRECTIONS.get(test.direction, down))
+        arrows[f"{1e3 * candidate.mass:g} g" if candidate.mass else f"{candidate.displacement / MM:g} mm"] = (
+            (marked, marked + 0.25 * length * push) if candidate.mass else (marked - 0.25 * length * push, marked)
+        )
+    ends = np.concatenate([*arrows.values(), np.eye(3)[2:] * length])
+    sides = np.concatenate([upper, lower[::-1]])
+    drawn = np.zeros((len(sides), 3))
+    drawn[:, [2, across]] = sides
+    chart = Chart.side_view(np.concatenate([ends, drawn]), across)
+    chart.line([0.0, length], [0.0, 0.0], "#666", DASHES[1], name="straight")
+    chart.area(sides.tolist(), COLOURS[1], 0.7, "probe")
+    for (name, (tail, tip)), colour in zip(arrows.items(), ("#666", COLOURS[2]), strict=False):
+        chart.line([tail[2], tip[2]], [tail[across], tip[across]], colour, name=name)
+        chart.points(tip[2], tip[across], colour, "o")
+    return chart
 
 
 def _table(plan: Plan) -> HtmlTable:
