@@ -186,7 +186,8 @@ class Probe(Displayed):
         Args:
             fractions: positions of the touches as fractions of the length, in (0, 1]; ten from 0.1 to 1 if None.
             forces_N: contact forces [N]; seven from 2 mN to 0.2 N if None.
-            directions: in which the object pushes: "+x", "-x", "+y" or "-y"; the first three if None.
+            directions: in which the object pushes: "+x", "-x", "+y", "-y", or degrees about the tangent from the
+                section's X axis such as "45deg"; the first three if None, eight all around if the probe is curved.
             tolerances: standard deviations of the parameters of the probe; those of the design if None.
             pressing: schedule of the touches of one point that are fused; the default one if None.
 
@@ -202,7 +203,7 @@ class Probe(Displayed):
             self.model,
             defaults.FRACTIONS if fractions is None else tuple(fractions),
             defaults.FORCES_N if forces_N is None else tuple(forces_N),
-            ("+x", "-x", "+y") if directions is None else tuple(directions),
+            None if directions is None else tuple(directions),
             self.tolerances if tolerances is None else tolerances,
             defaults.PRESSING if pressing is None else pressing,
         )

@@ -19,6 +19,7 @@ SUMMARY_TOUCH = (0.8, 0.010, "+y")
 OPTIONS = {
     "probe.length_mm": "--length", "probe.base_d_mm": "--base-d", "probe.tip_d_mm": "--tip-d", "probe.tip": "--tip",
     "probe.section": "--section", "probe.bore_ratio": "--bore-ratio", "probe.flatness": "--flatness",
+    "probe.axis_bend_deg": "--bend-deg", "probe.axis_turns": "--turns", "probe.axis_azimuth_deg": "--azimuth-deg",
     "material.resin": "--resin", "sensor.calibration": "--sensor", "mount.robot_flange": "--robot-flange",
     "contact.friction": "--friction",
 }  # fmt: skip
@@ -36,6 +37,10 @@ def new(
     section: Literal["round", "hollow", "elliptic"] = "round",
     bore_ratio: float | None = None,
     flatness: float | None = None,
+    axis: Literal["straight", "arc", "helix"] = "straight",
+    bend_deg: float | None = None,
+    turns: float | None = None,
+    azimuth_deg: float | None = None,
     resin: str = "elastic-50a",
     sensor: str = "nano17",
     robot_flange: str | None = None,
@@ -57,6 +62,10 @@ def new(
         bore_ratio: inner over outer diameter of a hollow section, 0.05 ... 0.9.
         flatness: diameter along y over diameter along x of an elliptic section, 0.2 ... 1. --base-d and --tip-d are
             along x.
+        axis: straight, arc (needs --bend-deg) or helix (--turns as well): a curved probe locates light touches better.
+        bend_deg: total bending angle, curvature times length [deg].
+        turns: of the plane of bending from base to tip, either sign.
+        azimuth_deg: of the plane of bending at the base, from x towards y [deg]. Default: 0.
         resin: a known resin, such as elastic-50a; an unknown name lists all.
         sensor: a known sensor, such as nano17, or one of its calibrations, such as si-12-0.12.
         robot_flange: bolt pattern of the robot. Default: iso-9409-1-50-4-m6, or the smallest known one that leaves room
@@ -88,6 +97,10 @@ def new(
             sensor=sensor,
             robot_flange=robot_flange or next(iter(fitting), DEFAULT_FLANGE),
             friction=friction,
+            axis=axis,
+            axis_bend_deg=bend_deg,
+            axis_turns=turns,
+            axis_azimuth_deg=azimuth_deg,
         )
         hints = []
         if robot_flange is None and design.mount.robot_flange != DEFAULT_FLANGE:
@@ -120,24 +133,40 @@ def new(
 def summary(design: "Design") -> dict[str, Any]:
     """Return the main figures of a design: mass, sag, print check and expected contact error."""
     from probedesign import pipeline
-    from probedesign.prediction.predict import predict_touch, tip_sag_mm
+    from probedesign.prediction.predict import errors_over_directions, predict_touch, tip_sag_mm
     from probedesign.probe import build_probe
 
     probe = build_probe(design)
     estimator = probe.estimator()
     fraction, force_N, direction = SUMMARY_TOUCH
-    touch = predict_touch(estimator, fraction, force_N, direction)
+    if probe.rod.is_curved:
+        over = errors_over_directions(estimator, (fraction,), (force_N,))[0]
+        error, span = over.rms_error_mm, ""
+        if error is not None:
+            span = f" over all directions, median {over.median_error_mm:.2g} mm, worst {over.worst_error_mm:.2g} mm"
+        condition = f"RMS{span}, {1e3 * force_N:g} mN at {fraction:g} of the length, one reading"
+    else:
+        touch = predict_touch(estimator, fraction, force_N, direction)
+        error = touch.predicted_error_mm if touch.result == "ok" else None
+        condition = (
+            f"RMS, {1e3 * force_N:g} mN at {fraction:g} of the length, one reading "
+            f"of {design.sensor.averaging_samples} samples ({touch.result})"
+        )
     check = pipeline.check(design)
     return {
         "mass_g": 1e3 * probe.mass,
         "sag_mm": tip_sag_mm(estimator),
+        **(
+            {"tip_mm": ((probe.axis.frames([probe.length])[0, :3, 3] / MM).round(3) + 0.0).tolist()}
+            if probe.rod.is_curved
+            else {}
+        ),
         "thinnest_mm": probe.geometry.thinnest / MM,
         "fits_upright": check.fits,
         "printer": check.printer,
         "print_check": check.as_record(),
-        "expected_error_mm": touch.predicted_error_mm if touch.result == "ok" else None,
-        "expected_error_condition": f"RMS, {1e3 * force_N:g} mN at {fraction:g} of the length, one reading "
-        f"of {design.sensor.averaging_samples} samples ({touch.result})",
+        "expected_error_mm": error,
+        "expected_error_condition": condition,
         "assumptions": list(design.assumptions),
     }
 
@@ -157,6 +186,11 @@ def _print(document: dict[str, Any], tip_note: str | None) -> None:
         "sag": "none: no stable equilibrium under gravity as mounted"
         if document["sag_mm"] is None
         else f"{document['sag_mm']:.3g} mm at the tip, under gravity as mounted",
+        **(
+            {"tip at": ", ".join(f"{x:.3g}" for x in tip) + " mm in base axes, unloaded"}
+            if (tip := document.get("tip_mm"))
+            else {}
+        ),
         "print": f"{fits} upright in a {document['printer']}; {document['thinnest_mm']:.3g} mm smallest diameter",
         "print check": f"{plural(findings['errors'], 'error')}, {plural(findings['warnings'], 'warning')}; "
         f"details: probedesign check {document['file']}",

@@ -137,6 +137,15 @@ def print_tables(prediction: "Prediction", verbose: bool = True) -> None:
     print("\nContact error of one reading [mm], RMS, worst direction, all error sources")
     _print_errors(prediction, "predicted_error_mm")
     print("  - : detected, not located   . : not detected   ^ : beyond the sensor's range   / : the probe buckles")
+    if over := [row for row in prediction.over_directions if row.force_N in (0.002, 0.005, 0.01, 0.02)]:
+        print("\nOver all directions of the force: RMS (median; worst) [mm]")
+        by_place: dict[float, list[str]] = {}
+        for at in over:
+            numbers = (at.rms_error_mm, at.median_error_mm, at.worst_error_mm)
+            rms, median, largest = (format_value(value, ".2g") for value in numbers)
+            by_place.setdefault(at.contact_fraction, []).append(f"{rms} ({median}; {largest})")
+        forces = dict.fromkeys(f"{1e3 * at.force_N:g} mN" for at in over)
+        print_columns(["s/L", *forces], [[f"{place:g}", *cells] for place, cells in by_place.items()])
     rows = []
     for row in prediction.monte_carlo:
         error = "none" if row.error_mm is None else f"{row.error_mm:.3g} ± {row.standard_error_mm:.1g}"

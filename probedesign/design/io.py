@@ -31,6 +31,11 @@ COMMENTS = {
     "probe.flatness": "diameter along y over that along x; the diameters here are along x",
     "probe.base_fillet_mm": "radius of the fillet at s = 0, between flank and flange",
     "probe.assumed": "dimensions that nobody has confirmed; every report names them",
+    "probe.axis": "straight | arc | helix | knots; length_mm is measured along it",
+    "probe.axis_bend_deg": "total bending angle, curvature times length",
+    "probe.axis_turns": "of the plane of bending, from base to tip",
+    "probe.axis_azimuth_deg": "of the plane of bending at the base, from x towards y",
+    "probe.axis_knots_mm_1_m": "s [mm], curvature towards X and Y [1/m]",
     "probe.bow_mm": "deviation of the print's tip towards x and y, lying without load: a constant curvature",
     "probe.measured": "measured on the print; diameters and bow in [tolerances] go with them",
     "material.resin": "fills what is not given here",
@@ -160,6 +165,7 @@ def draft_design(
     sensor: str = "nano17",
     robot_flange: str = "iso-9409-1-50-4-m6",
     friction: float | None = None,
+    **axis: str | float | None,
 ) -> tuple[Design, dict[str, str]]:
     """Return a new design from its main dimensions, with defaults for everything else.
 
@@ -170,6 +176,7 @@ def draft_design(
         resin, robot_flange: names of the catalog.
         sensor: a known sensor or calibration.
         friction: tangential over normal force of a touch, standard deviation of the prior; None for the resin's.
+        axis: `axis` and the keys that go with it, as in `[probe]`.
 
     Returns:
         The checked design, and notes for `render_design` with the sources of its numbers.
@@ -188,11 +195,14 @@ def draft_design(
         tip_d_mm = default_tip_d_mm(base_d_mm)
         notes["probe.tip_d_mm"] = f"by default base / {TIP_RATIO:g}, at least {MIN_TIP_D_MM:g} mm"
     probe = {"shape": shape, "length_mm": length_mm, "base_d_mm": base_d_mm, "tip_d_mm": tip_d_mm, "tip": tip,
-             "section": section, "bore_ratio": bore_ratio, "flatness": flatness}  # fmt: skip
+             "section": section, "bore_ratio": bore_ratio, "flatness": flatness, **axis}  # fmt: skip
     if name is None:
         ratio = flatness if bore_ratio is None else bore_ratio
         name = default_name(shape, length_mm, base_d_mm, tip_d_mm, section, ratio)
         name += "" if tip == "blunt" else f"-{tip}"
+        if axis.get("axis", "straight") != "straight":
+            name += "-".join(["", str(axis["axis"]), *(f"{axis[key]:g}" for key in ("axis_bend_deg", "axis_turns")
+                                                       if axis.get(key) is not None)])  # fmt: skip
     data = {
         "schema": 1,
         "name": name,

@@ -330,7 +330,7 @@ class DesignEvaluator:
         free = probe.rod.solve(model.gravity_base)
         if free.ok:
             tip = free.p_at(probe.length)
-            metrics["sag_mm"] = tip_sag(free, probe.length, model.gravity_base) / MM
+            metrics["sag_mm"] = tip_sag(free, probe.rod, model.gravity_base) / MM
             metrics["reach_mm"] = float(np.linalg.norm(tip)) / MM
         return metrics
 

@@ -191,7 +191,7 @@ def design_metrics(design: Design, task: Task) -> DesignMetrics:
         error_mm=finite_or_none(task.combined(touched.errors) / MM),
         worst_error_mm=finite_or_none(max(touched.errors) / MM),
         detectable_mN=detectable_mN(probe.model, task),
-        sag_mm=tip_sag(free, probe.length, probe.model.gravity_base) / MM if free.ok else None,
+        sag_mm=tip_sag(free, probe.rod, probe.model.gravity_base) / MM if free.ok else None,
         reach_mm=float(np.linalg.norm(free.p_at(probe.length)) / MM) if free.ok else None,
         sensor_use=finite_or_none(touched.sensor_use),
         slide_mm=finite_or_none(touched.slide / MM) if task.touches > 1 else None,

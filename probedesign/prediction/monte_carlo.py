@@ -30,7 +30,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.fused import FusedCondition, PressSchedule
 from probedesign.prediction.predict import PRESSING, Condition, MonteCarloResult, Prediction
-from probedesign.prediction.touches import DIRECTIONS, SurfaceRod
+from probedesign.prediction.touches import SurfaceRod, angle_of
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.kernels.surface_contact import POINT, VALUE
 from probedesign.rod.rod import Rod
@@ -246,7 +246,7 @@ class MonteCarloPlan:
         rng = np.random.default_rng(np.frombuffer(hashlib.sha256(key).digest(), dtype=np.uint32))
         fraction, force, direction, touches = touch
         schedule = self.pressing if touches > 1 else None
-        results = locate_draws(samples, fraction, force, DIRECTIONS[direction], schedule, rng)
+        results = locate_draws(samples, fraction, force, angle_of(direction), schedule, rng)
         off = np.array([result.error for result in results if result.error is not None])
         located = [result for result in results if result.result == "ok"]
         counts = {"located": len(located), "inside": sum(result.inside for result in located)}

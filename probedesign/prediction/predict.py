@@ -29,9 +29,10 @@ from probedesign.prediction.fused import (
     fused_headline_of,
     fused_reach,
 )
-from probedesign.prediction.touches import Touches, check_grid, touches_of
+from probedesign.prediction.touches import Touches, check_grid, directions_of, touches_of
 from probedesign.prediction.workspace import LADDER_N, ForceThresholds, Workspace, force_thresholds, workspace_of
 from probedesign.rod.equilibrium import Equilibrium
+from probedesign.rod.rod import Rod
 
 FRACTIONS = tuple(round(0.1 * k, 1) for k in range(1, 11))
 FORCES_N = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
@@ -60,7 +61,7 @@ class Condition:
 
     contact_fraction: float  #: arclength of the touched section over length.
     force_N: float  #: normal force.
-    direction: str  #: in which the object pushes, a key of `DIRECTIONS`.
+    direction: str  #: in which the object pushes, a key of `DIRECTIONS` or degrees such as "45deg" (`angle_of`).
     result: str  #: result code of the estimator; "ok" is a located contact, "gives_way" a probe that buckles.
     #: RMS distance between true and estimated contact point, the touched point of the surface, by all error sources of
     #: `budget_mm`.
@@ -80,6 +81,19 @@ class Condition:
     sensor_use: float | None = None  #: largest fraction of a channel's range that the reading takes.
     #: RMS distance by error source; the squares add up to that of predicted_error_mm.
     budget_mm: dict[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class ErrorOverDirections:
+    """RMS errors of single readings over the directions of the force; None where the probe buckles in one of them."""
+
+    contact_fraction: float  #: arclength of the touched section over length.
+    force_N: float  #: normal force.
+    #: by all error sources, of pushes at 0°, 15° ... 345° about the tangent from the section's X axis.
+    errors_mm: tuple[float | None, ...]
+    rms_error_mm: float | None  #: rms_error_mm, median_error_mm, worst_error_mm: over these directions.
+    median_error_mm: float | None
+    worst_error_mm: float | None
 
 
 @dataclass(frozen=True)
@@ -160,6 +174,9 @@ class Prediction(Tabular):
     resin: str = ""  #: name of the resin; empty if unknown.
     #: what an hour on the bench gains; None if the stiffness is known as well already, and in a preview.
     bench_gain: BenchGain | None = None
+    over_directions: tuple[
+        ErrorOverDirections, ...
+    ] = ()  #: of a curved probe, over the same grid of places and forces.
 
     @property
     def verdict(self) -> str:
@@ -178,9 +195,13 @@ class Prediction(Tabular):
         detected = max((f for f in felt if f is not None), default=math.nan)
         shares = shares_of(touch)
         largest = max(shares, key=lambda group: shares[group])
+        across = ""
+        for over in self.over_directions:
+            if (over.contact_fraction, over.force_N) == (place, touch.force_N) and over.median_error_mm is not None:
+                across = f" in the worst direction, {over.median_error_mm:.2g} mm in the median one,"
         return (
-            f"One reading of {1e3 * touch.force_N:g} mN is located within {touch.predicted_error_mm:.2g} mm RMS at "
-            f"{place:g} of the length; below {detected:.2g} mN nothing is detected there. "
+            f"One reading of {1e3 * touch.force_N:g} mN is located within {touch.predicted_error_mm:.2g} mm RMS{across}"
+            f" at {place:g} of the length; below {detected:.2g} mN nothing is detected there. "
             f"The largest error source is {largest}, with {shares[largest]:.0%} of the variance."
         )
 
@@ -209,7 +230,7 @@ def predict(
     model: ProbeModel,
     fractions: tuple[float, ...] = FRACTIONS,
     forces_N: tuple[float, ...] = FORCES_N,
-    directions: tuple[str, ...] = ("+x", "-x", "+y"),
+    directions: tuple[str, ...] | None = None,
     tolerances: Tolerances | None = None,
     pressing: PressSchedule = PRESSING,
     only_single: bool = False,
@@ -225,7 +246,7 @@ def predict(
         model: of the probe.
         fractions: contact positions over the length, in (0, 1].
         forces_N: normal forces [N].
-        directions: keys of `DIRECTIONS`: in which the object pushes.
+        directions: in which the object pushes, see `angle_of`; those of `directions_of` the probe if None.
         tolerances: standard deviations of the error sources; `Tolerances.of` the model if None.
         pressing: how the fused touches of one point are made.
         only_single: leave out fused touches, force thresholds and workspace, for a preview within tens of
@@ -236,6 +257,7 @@ def predict(
     Raises:
         InputError: a fraction, force or direction is out of range.
     """
+    directions = directions_of(model.rod) if directions is None else directions
     check_grid(fractions, forces_N, directions)
     estimator = Estimator(model, tolerances)
     known = estimator.priors
@@ -243,7 +265,7 @@ def predict(
     lines = [(fraction, direction) for fraction in fractions for direction in directions]
     ends = [(end, direction) for direction in directions if (end, direction) not in lines]
     # What holds for a probe without a stable free equilibrium, and what a preview leaves out.
-    workspace, gain = NO_WORKSPACE, None
+    workspace, gain, over = NO_WORKSPACE, None, tuple[ErrorOverDirections, ...]()
     reach = tuple(ForceThresholds(*line, None, None, None, None, "gives_way", None) for line in lines)
     detection = tuple(Detection(*line, None) for line in lines)
     conditions = {(*line, force): Condition(line[0], force, line[1], "gives_way")
@@ -265,6 +287,8 @@ def predict(
             fused = fused_conditions(lines, touches, forces_N, pressing, on_progress)
             workspace = workspace_of(reach, touches, model.gravity_base)
             gain = _bench_gain(estimator, fractions, directions, pressing)
+            if model.rod.is_curved:
+                over = errors_over_directions(estimator, fractions, forces_N)
         detection = tuple(
             _detection(touches[_WEAK_N], i, line, limit)
             for i, (line, limit) in enumerate(zip(lines, limits, strict=True))
@@ -292,6 +316,7 @@ def predict(
         pressing=pressing,
         resin=model.resin,
         bench_gain=gain,
+        over_directions=over,
     )  # fmt: skip
 
 
@@ -311,6 +336,25 @@ def _bench_gain(
     return BenchGain(
         better.youngs_modulus, place, single[0].predicted_error_mm if single else None, fused.predicted_error_mm
     )
+
+
+DIRECTION_STEP_DEG = 15  #: Between the directions of `errors_over_directions`.
+
+
+def errors_over_directions(
+    estimator: Estimator, fractions: Sequence[float], forces_N: Sequence[float]
+) -> tuple[ErrorOverDirections, ...]:
+    """Return the errors of single readings over the direction of the force, at each place and force."""
+    degrees = range(0, 360, DIRECTION_STEP_DEG)
+    touches = touches_of(estimator, [(at, f"{k}deg") for at in fractions for k in degrees], forces_N)
+    found = []
+    for i, at in enumerate(fractions):
+        for force in forces_N:
+            errors = touches[force].rms[0][i * len(degrees) : (i + 1) * len(degrees)] / MM
+            figures = (float(np.sqrt((errors**2).mean())), float(np.median(errors)), float(errors.max()))
+            shown = tuple(map(finite_or_none, errors.tolist()))
+            found.append(ErrorOverDirections(at, force, shown, *map(finite_or_none, figures)))
+    return tuple(found)
 
 
 def worst(conditions: Sequence[Condition], force_N: float) -> list[Condition]:
@@ -378,22 +422,23 @@ def conditions_of(touches: Touches, lines: Sequence[tuple[float, str]]) -> list[
 def tip_sag_mm(estimator: Estimator) -> float | None:
     """Return the sag of the tip [mm], see `tip_sag`; None if the probe has no stable free equilibrium."""
     free = estimator.free()
-    return tip_sag(free, estimator.model.rod.length, estimator.model.gravity_base) / MM if free.ok else None
+    return tip_sag(free, estimator.model.rod, estimator.model.gravity_base) / MM if free.ok else None
 
 
-def tip_sag(free: Equilibrium, length: float, gravity: Array) -> float:
-    """Return the displacement of the free tip along gravity from the straight probe [m]; 0 without gravity.
+def tip_sag(free: Equilibrium, rod: Rod, gravity: Array) -> float:
+    """Return the displacement of the free tip along gravity from the unloaded probe [m]; 0 without gravity.
 
-    Measured sags of a campaign (`tip_sag_mm`) have the same definition.
+    Of a straight probe with a bow it is that from the straight probe, as of measured sags of a campaign (`tip_sag_mm`).
 
     Args:
         free: equilibrium without contact.
-        length: of the probe [m].
+        rod: the flexible part.
         gravity: base axes [m/s²], (3,).
     """
     if not gravity.any():
         return 0.0
-    return float((free.p_at(length) - [0.0, 0.0, length]) @ gravity / np.linalg.norm(gravity))
+    unloaded = rod.solve().p_at(rod.length) if rod.is_curved else np.array([0.0, 0.0, rod.length])
+    return float((free.p_at(rod.length) - unloaded) @ gravity / np.linalg.norm(gravity))
 
 
 def _detection(touches: Touches, i: int, line: tuple[float, str], max_force: float | None) -> Detection:

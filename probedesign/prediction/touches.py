@@ -52,8 +52,33 @@ _MAX_PREDICTION_ERROR = 0.15
 _MAX_ITERATIONS = 12
 _LATERAL_TOLERANCE = 1e-6  #: Distance from the straight line of a press, relative to the length, that counts as zero.
 _MAX_SLIDE = 0.05  #: Slide in one iteration, relative to the length.
-#: Direction in which the object pushes, as an angle about the tangent from the section's x axis [rad].
+#: Direction in which the object pushes, as an angle about the tangent from the section's X axis [rad]. The axes X and Y
+#: of a section are those of the base, carried along the axis of the probe without twist.
 DIRECTIONS = {"+x": 0.0, "-x": math.pi, "+y": math.pi / 2, "-y": -math.pi / 2}
+#: Directions of which a curved probe is predicted: it is not symmetric.
+ALL_AROUND = ("+x", "45deg", "135deg", "-x", "225deg", "-y", "315deg", "+y")
+
+
+def directions_of(rod: Rod) -> tuple[str, ...]:
+    """Return the directions in which a probe is predicted to be pushed: `ALL_AROUND` if it is curved."""
+    return ALL_AROUND if rod.is_curved else ("+x", "-x", "+y")
+
+
+def angle_of(direction: str) -> float:
+    """Return the angle of a direction [rad]: of a key of `DIRECTIONS`, or of degrees such as "30deg".
+
+    Raises:
+        InputError: the direction is neither.
+    """
+    if direction in DIRECTIONS:
+        return DIRECTIONS[direction]
+    try:
+        angle = math.radians(float(direction.removesuffix("deg"))) if direction.endswith("deg") else math.nan
+    except ValueError:
+        angle = math.nan
+    if not math.isfinite(angle):
+        raise InputError(f"direction '{direction}' is unknown; known: {', '.join(DIRECTIONS)}, 30deg")
+    return angle
 
 
 @dataclass(frozen=True)
@@ -316,7 +341,7 @@ def touches_of(
     for i, (fraction, direction) in enumerate(lines):
         on_progress("touches", i / n)
         # An object that pushes towards +x touches the side at -x.
-        press = on.begin_press(fraction * model.rod.length, DIRECTIONS[direction] + math.pi)
+        press = on.begin_press(fraction * model.rod.length, angle_of(direction) + math.pi)
         for j, force in enumerate(forces):
             found = press.increase_to(force)
             max_stable_force[j:, i] = press.force
@@ -343,5 +368,4 @@ def check_grid(fractions: Sequence[float], forces_N: Sequence[float], directions
         if not 0.0 < force <= 100.0:
             raise InputError(f"force {force:g} N must lie in (0, 100]")
     for direction in directions:
-        if direction not in DIRECTIONS:
-            raise InputError(f"direction '{direction}' is unknown; known: {', '.join(DIRECTIONS)}")
+        angle_of(direction)

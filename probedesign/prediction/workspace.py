@@ -48,6 +48,8 @@ def force_thresholds(
     use = np.array([touches[f].sensor_use for f in forces])
     bent = np.array([touches[f].deflection for f in forces])
     depth = np.array([touches[f].centre[:, 2] for f in forces])
+    if touches[forces[0]].estimator.model.rod.is_curved:  # the tip of a curved probe is not its furthest point
+        depth = np.full_like(depth, np.nan)
     max_stable_force = touches[forces[-1]].max_stable_force
     found = []
     for i, (fraction, direction) in enumerate(lines):

@@ -29,7 +29,7 @@ from probedesign.reports.chart import COLOURS, DASHES, Chart, ChartAxis
 from probedesign.reports.html_page import labelled
 from probedesign.reports.identification_page import residual_chart
 from probedesign.reports.png import draw_chart
-from probedesign.reports.prediction_charts import STATIONS, error_chart, flanks
+from probedesign.reports.prediction_charts import STATIONS, body_chart, error_chart
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -182,10 +182,9 @@ def _material(quantities: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _body(shape: Array, radius: Array) -> Chart:
-    """Return a probe from the side, with x downwards."""
-    upper, lower = flanks(shape, radius)
+    """Return a probe from the side."""
+    chart, upper, lower = body_chart(shape, radius)
     corners = np.concatenate([upper, lower[::-1]])
-    chart = Chart.side_view(np.insert(corners, 1, 0.0, axis=1)[:, [2, 1, 0]], 0)
     chart.area([(z, x) for z, x in corners.tolist()], COLOURS[1], 0.35)
     outline = np.concatenate([corners, corners[:1]])
     chart.line(outline[:, 0], outline[:, 1], COLOURS[1], width=1.0)

@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -12,7 +12,16 @@ from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.fused import FusedCondition
-from probedesign.prediction.predict import CAUSE_GROUPS, HEADLINE_FORCE_N, Condition, Prediction, shares_of, worst
+from probedesign.prediction.predict import (
+    CAUSE_GROUPS,
+    DIRECTION_STEP_DEG,
+    HEADLINE_FORCE_N,
+    Condition,
+    ErrorOverDirections,
+    Prediction,
+    shares_of,
+    worst,
+)
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.prediction.workspace import STEPS, Workspace
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, LegendEntry, line_colours
@@ -62,11 +71,17 @@ def error_chart(prediction: Prediction) -> Chart:
     return chart
 
 
+def _shown(rows: Sequence[Any]) -> list[str]:
+    """Return the directions that have a line of their own: of more than four, those along the axes."""
+    directions = list(dict.fromkeys(row.direction for row in rows))
+    return directions if len(directions) <= len(DIRECTIONS) else [*DIRECTIONS]
+
+
 def detection_chart(prediction: Prediction) -> Chart:
     """Return the smallest detectable force along the probe, one line per direction."""
     felt = [d for d in prediction.detection if d.detectable_force_mN is not None]
     chart = _along("smallest detectable force [mN]", [_number(d.detectable_force_mN) for d in felt], 1.02)
-    directions = list(dict.fromkeys(d.direction for d in prediction.detection))
+    directions = _shown(prediction.detection)
     for side, colour, dashes in zip(directions, COLOURS, DASHES, strict=False):
         rows = [d for d in felt if d.direction == side]
         forces = [_number(d.detectable_force_mN) for d in rows]
@@ -101,7 +116,7 @@ def limit_chart(prediction: Prediction) -> Chart:
     """Return the maximum force by direction; its marker shows what limits it."""
     reach = [row for row in prediction.reach if row.greatest_force_N is not None]
     chart = _along("maximum force [mN]", [_number(row.greatest_force_N, 1e3) for row in reach])
-    sides = list(dict.fromkeys(row.direction for row in prediction.reach))
+    sides = _shown(prediction.reach)
     for side, colour, dashes in zip(sides, COLOURS, DASHES, strict=False):
         for limit, mark in (("", ""), *((limit, mark) for limit, (_, mark) in LIMITS.items())):
             rows = [row for row in reach if row.direction == side and limit in ("", row.limit)]
@@ -183,13 +198,49 @@ def _cell(here: Sequence[Cell], error: Callable[[Cell], float | None]) -> tuple[
     return fill, f"{largest:.2g}" if largest < 100 else f"{largest:.0f}"
 
 
+def direction_chart(curves: Mapping[str, Sequence[float | None]]) -> Chart:
+    """Return the error over the direction of the force as a polar chart: the distance from the centre is the error.
+
+    Args:
+        curves: errors [mm] by name, of directions at even steps from the section's X axis towards Y; a line is broken
+            where there is no error.
+    """
+    errors = {name: np.array([*curve, curve[0]], dtype=float) for name, curve in curves.items()}
+    size = max((float(np.nanmax(curve)) for curve in errors.values() if np.isfinite(curve).any()), default=1.0)
+    ends = -1.08 * size, 1.08 * size
+    x, y = (ChartAxis(f"error of forces along {side} [mm]", *ends) for side in "XY")
+    chart = Chart(x, y, square=True)
+    turn = np.linspace(0.0, 2.0 * np.pi, 73)
+    for radius in chart.y.shown_ticks:
+        if 0.0 < radius <= ends[1]:
+            chart.line(radius * np.cos(turn), radius * np.sin(turn), "#bbb", width=1.0)
+    for (name, error), colour, dashes in zip(errors.items(), COLOURS[1:], DASHES, strict=False):
+        angle = np.linspace(0.0, 2.0 * np.pi, len(error))
+        chart.line(error * np.cos(angle), error * np.sin(angle), colour, dashes, name=name)
+    return chart
+
+
+def surface_map(over: Sequence[ErrorOverDirections]) -> Chart:
+    """Return the error of one reading on the probe's surface: over place and direction, of rows of one force."""
+    degrees = range(0, 360, 2 * DIRECTION_STEP_DEG)
+    chart = Chart(ChartAxis.named(_PLACE, [f"{row.contact_fraction:g}" for row in over]),
+                  ChartAxis.named("direction of the force", [f"{k}°" for k in degrees]))  # fmt: skip
+    for i, row in enumerate(over, 1):
+        for j, error in enumerate(row.errors_mm[::2], 1):
+            fill = "#e4e4e4" if error is None else ORDERED[error_level(error)]
+            chart.box((i - 0.5, i + 0.5), (j - 0.5, j + 0.5), fill)
+            chart.text(
+                i, j, "buckles" if error is None else f"{error:.2g}", size=9.0 if error is None else 11.0, on=fill
+            )
+    return chart
+
+
 def probe_chart(prediction: Prediction, estimator: Estimator) -> Chart:
-    """Return the free probe to scale, seen along y; its colour is the error of one reading of the headline's force."""
+    """Return the free probe to scale, from its side; its colour is the error of one reading of the headline's force."""
     model, free = estimator.model, estimator.free()
     s = np.linspace(0.0, model.rod.length, STATIONS)
-    shape = free.p_at(s) if free.ok else np.outer(s, (0.0, 0.0, 1.0))  # buckled under its weight: undeformed
-    upper, lower = flanks(shape, model.rod.radius_at(s))
-    chart = Chart.side_view(np.insert(np.concatenate([upper, lower]), 1, 0.0, axis=1)[:, [2, 1, 0]], 0)
+    shape = (free if free.ok else model.rod.solve()).p_at(s)  # buckled under its weight: undeformed
+    chart, upper, lower = body_chart(shape, model.rod.radius_at(s))
     located = {c.contact_fraction: c.predicted_error_mm for c in worst(prediction.conditions, HEADLINE_FORCE_N)}
     places = np.array(sorted({c.contact_fraction for c in prediction.conditions}))
     fractions = s / model.rod.length
@@ -209,18 +260,27 @@ def probe_chart(prediction: Prediction, estimator: Estimator) -> Chart:
     return chart
 
 
-def flanks(shape: Array, radius: Array) -> tuple[Array, Array]:
-    """Return both sides of a probe seen along y as points of z and x [mm], (n, 2) each.
+def lateral_axis(shape: Array) -> int:
+    """Return the axis, 0 for x or 1 for y, along which a centreline (n, 3) is bent more: it is drawn beside z."""
+    return int(np.ptp(shape[:, 1]) > np.ptp(shape[:, 0]))
+
+
+def body_chart(shape: Array, radius: Array) -> tuple[Chart, Array, Array]:
+    """Return an empty chart of a probe seen from its side, and both sides as points of z and x, or y [mm], (n, 2) each.
 
     Args:
         shape: centreline [m], (n, 3).
-        radius: half-width along x at its points [m], (n,).
+        radius: half-width at its points [m], (n,).
     """
-    centre = shape[:, [2, 0]] / MM
+    across = lateral_axis(shape)
+    centre = shape[:, [2, across]] / MM
     along = np.gradient(centre, axis=0)
     normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
     reach = radius[:, None] / MM * normal
-    return centre + reach, centre - reach
+    upper, lower = centre + reach, centre - reach
+    points = np.zeros((2 * len(shape), 3))
+    points[:, [2, across]] = np.concatenate([upper, lower])
+    return Chart.side_view(points, across), upper, lower
 
 
 def error_level(error_mm: float) -> int:
@@ -229,26 +289,27 @@ def error_level(error_mm: float) -> int:
 
 
 def bending_chart(estimator: Estimator) -> Chart:
-    """Return the free probe and its shapes under touches along ±x, seen along y; x points downwards as gravity does."""
+    """Return the free probe and its shapes under touches along the lateral axis of the drawing."""
     model, free = estimator.model, estimator.free()
     s = np.linspace(0.0, model.rod.length, 60)
+    across = lateral_axis(free.p_at(s)) if free.ok else 0
     lines: list[tuple[Array, str, str, str]] = [(free.p_at(s), "#000000", "", "free")] if free.ok else []
     dots: list[tuple[Array, str]] = []
     for (fraction, force), colour, dashes in zip(TOUCHES, COLOURS[1:], DASHES, strict=False):
-        for side in ("-x", "+x"):
+        for side in ("-x", "+x") if across == 0 else ("-y", "+y"):
             contact = solve_frictionless(
                 model.rod, model.gravity_base, fraction * model.rod.length, DIRECTIONS[side], force
             )
             if contact.result == "ok":
-                name = f"{1e3 * force:g} mN at {fraction:g}" if side == "-x" else ""
+                name = f"{1e3 * force:g} mN at {fraction:g}" if side[0] == "-" else ""
                 lines.append((contact.equilibrium.p_at(s), colour, dashes, name))
                 dots.append((contact.equilibrium.p_contact_base, colour))
     shapes = np.concatenate([points for points, *_ in lines]) if lines else np.zeros((1, 3))
-    chart = Chart.side_view(shapes / MM, 0)
+    chart = Chart.side_view(shapes / MM, across)
     for points, colour, dashes, name in lines:
-        chart.line(points[:, 2] / MM, points[:, 0] / MM, colour, dashes, name=name, width=2.4)
+        chart.line(points[:, 2] / MM, points[:, across] / MM, colour, dashes, name=name, width=2.4)
     for dot, colour in dots:
-        chart.points(dot[2] / MM, dot[0] / MM, colour, "o")
+        chart.points(dot[2] / MM, dot[across] / MM, colour, "o")
     return chart
 
 

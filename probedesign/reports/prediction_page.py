@@ -6,23 +6,29 @@ A chart is added by one entry in `prediction_figures`: with a heading it is on t
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from probedesign.core.units import MM, format_value
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.fused import SHOWN_N, shown
-from probedesign.prediction.predict import HEADLINE_FORCE_N, Prediction, worst
+from probedesign.prediction.predict import HEADLINE_FORCE_N, HEADLINE_FRACTION, Prediction, worst
 from probedesign.reports.chart import Chart
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 from probedesign.reports.prediction_charts import (
     LIMITS,
+    STATIONS,
     bending_chart,
     budget_chart,
     detection_chart,
+    direction_chart,
     error_chart,
     error_map,
     force_chart,
+    lateral_axis,
     limit_chart,
     probe_chart,
     sensitivity_chart,
+    surface_map,
     swept_text,
     workspace_chart,
 )
@@ -55,9 +61,12 @@ def prediction_figures(prediction: Prediction, estimator: Estimator) -> Iterator
     """Yield the figures of a prediction of the estimator's probe, in the order of page and picture."""
     k, side = prediction.pressing.touches, prediction.conditions[-1].direction
     force = f"{1e3 * HEADLINE_FORCE_N:g} mN"
+    free = estimator.free()
+    lateral = lateral_axis(free.p_at(np.linspace(0.0, estimator.model.rod.length, STATIONS))) if free.ok else 0
+    seen = f"seen along {'yx'[lateral]}"
     yield PredictionFigure(
         probe_chart(prediction, estimator), f"Contact error of {force} along the probe",
-        "The free probe to scale under gravity as mounted, seen along y. Colour: RMS error of one reading, all "
+        f"The free probe to scale under gravity as mounted, {seen}. Colour: RMS error of one reading, all "
         "sources included, worst direction; grey: not located.",
     )  # fmt: skip
     yield PredictionFigure(
@@ -66,6 +75,24 @@ def prediction_figures(prediction: Prediction, estimator: Estimator) -> Iterator
         "best direction. A pointer on a mark shows its values. A line ends where the probe buckles.",
         "Contact error of one reading by force",
     )  # fmt: skip
+    if over := prediction.over_directions:
+        place = min((row.contact_fraction for row in over), key=lambda at: abs(at - HEADLINE_FRACTION))
+        yield PredictionFigure(
+            direction_chart({f"{1e3 * row.force_N:g} mN": row.errors_mm for row in over
+                             if row.contact_fraction == place and row.force_N in (0.005, 0.01, 0.02)}),
+            f"Contact error over the direction of the force, at {place:g} of the length",
+            "The distance from the centre is the RMS error of one reading, all sources included; X and Y are the axes "
+            "of the touched section, carried along the probe's axis without twist. The error is large where the force "
+            "lies in the plane in which the axis is bent: there the moments do not tell the place.",
+            "Contact error over the direction of the force [mm]",
+        )  # fmt: skip
+        light = min((row.force_N for row in over), key=lambda force: abs(force - SHOWN_N))
+        yield PredictionFigure(
+            surface_map([row for row in over if row.force_N == light]),
+            f"Contact error on the surface, {1e3 * light:g} mN",
+            "RMS error of one reading [mm], all sources included, over place and direction of the force, from X "
+            "towards Y.",
+        )  # fmt: skip
     if single := worst(prediction.conditions, HEADLINE_FORCE_N):
         budgeted = f"{1e3 * single[0].force_N:g} mN"
         yield PredictionFigure(budget_chart(single), f"Error budget of one reading of {budgeted}", _BUDGET)
@@ -108,8 +135,9 @@ def prediction_figures(prediction: Prediction, estimator: Estimator) -> Iterator
         "at constant distance from the base reaches the tip.", group=_FORCES,
     )  # fmt: skip
     yield PredictionFigure(
-        bending_chart(estimator), "Deflection", "Seen along y, x downwards; dots are the touches, along ±x.",
-        "Deflection under touches along ±x", _BENDING,
+        bending_chart(estimator), "Deflection",
+        f"{seen.capitalize()}; dots are the touches, along ±{'xy'[lateral]}.",
+        f"Deflection under touches along ±{'xy'[lateral]}", _BENDING,
     )  # fmt: skip
     yield PredictionFigure(
         sensitivity_chart(prediction), "Sensitivity to indentation",

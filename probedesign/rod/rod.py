@@ -121,6 +121,15 @@ class Rod:
         return float(self.s[-1])
 
     @property
+    def is_curved(self) -> bool:
+        """Return whether the unloaded rod is curved, beyond the bow of a straight print: by more than 0.1 rad.
+
+        A constant curvature of 0.1 rad moves the tip by a twentieth of the length, seven times the assumed bow.
+        """
+        u = self.rest_curvature
+        return u is not None and float(np.abs(u[:, :2]).max()) * self.length > 0.1
+
+    @property
     def flank_end(self) -> float:
         """Return the largest arclength at which a frictionless contact acts [m]."""
         return self.length if self.rounded_from is None else self.rounded_from
