@@ -76,7 +76,7 @@ def set_up_chart(model: ProbeModel, candidate: CandidateTest) -> Chart:
     assert test is not None and shape is not None
     across = 1 if test.direction[1:] == "y" else int(np.argmax(np.abs(test.gravity_base[:2])))
     s, down = np.linspace(0.0, rod.length, STATIONS), test.gravity_base / np.linalg.norm(test.gravity_base)
-    upper, lower = flanks(shape.p_at(s)[:, [across, across, 2]], rod.radius_at(s))
+    upper, lower = flanks(shape.p_at(s), rod.radius_at(s), across)
     arrows = {"gravity": (np.zeros(3), 0.2 * length * down)}
     if math.isfinite(candidate.mark):
         marked, push = shape.p_at(candidate.mark) / MM, np.array(PUSH_DIRECTIONS.get(test.direction, down))

@@ -266,21 +266,27 @@ def lateral_axis(shape: Array) -> int:
 
 
 def body_chart(shape: Array, radius: Array) -> tuple[Chart, Array, Array]:
-    """Return an empty chart of a probe seen from its side, and both sides as points of z and x, or y [mm], (n, 2) each.
+    """Return an empty chart of a probe seen from its side, and `flanks` there."""
+    across = lateral_axis(shape)
+    upper, lower = flanks(shape, radius, across)
+    points = np.zeros((2 * len(shape), 3))
+    points[:, [2, across]] = np.concatenate([upper, lower])
+    return Chart.side_view(points, across), upper, lower
+
+
+def flanks(shape: Array, radius: Array, across: int) -> tuple[Array, Array]:
+    """Return both sides of a probe as points of z and of the axis `across` [mm], (n, 2) each.
 
     Args:
         shape: centreline [m], (n, 3).
         radius: half-width at its points [m], (n,).
+        across: 0 for x, 1 for y.
     """
-    across = lateral_axis(shape)
     centre = shape[:, [2, across]] / MM
     along = np.gradient(centre, axis=0)
     normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
     reach = radius[:, None] / MM * normal
-    upper, lower = centre + reach, centre - reach
-    points = np.zeros((2 * len(shape), 3))
-    points[:, [2, across]] = np.concatenate([upper, lower])
-    return Chart.side_view(points, across), upper, lower
+    return centre + reach, centre - reach
 
 
 def error_level(error_mm: float) -> int:
