@@ -1,9 +1,10 @@
 """`probedesign coupon` and `probedesign measured`: parts to measure with calipers, and their diameters in a design."""
 
 import math
+from collections.abc import Iterator
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from probedesign.cli.console import plural, print_json
 from probedesign.cli.options import DesignFile, JsonOutput
@@ -11,8 +12,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, exports_of
 
 if TYPE_CHECKING:
-    from probedesign.design.edit import Change
-    from probedesign.identification.measured_diameters import CouponScale
+    from probedesign.identification.measured_diameters import CouponScale, MeasuredDiameters
 
 
 def coupon(design: DesignFile, /, *, out: Path | None = None, as_json: JsonOutput = False) -> None:
@@ -70,15 +70,8 @@ def measured(
     """
     from probedesign import pipeline
     from probedesign.design import load_design
+    from probedesign.identification import measured_diameters as diameters
     from probedesign.identification.design_update import write_changes
-    from probedesign.identification.measured_diameters import (
-        bow_changes,
-        diameter_changes,
-        fit_scale,
-        is_coupon_sheet,
-        read_calipers,
-        read_coupon,
-    )
     from probedesign.mount import build_geometry
 
     if out is not None:
@@ -86,85 +79,58 @@ def measured(
     start, day = load_design(design), date.today().isoformat()
     if (calipers is None) == (bow_mm is None):
         raise InputError("give a table of measured diameters, or the bow with --bow-mm X Y, one after the other")
+    document: dict[str, Any]
     if bow_mm is not None:
-        _write_bow(design, bow_changes(start, bow_mm, bow_std_mm, day), out, force, as_json)
-        return
-    assert calipers is not None
-    if is_coupon_sheet(calipers):
-        scale = fit_scale(*read_coupon(calipers, start.resin.name), calipers_std_mm)
-        _write_scale(design, scale, out, force, as_json)
-        return
-    diameters = pipeline.measure(start, read_calipers(calipers, start), calipers_std_mm)
-    changes = diameter_changes(diameters, start, day)
+        changes = diameters.bow_changes(start, bow_mm, bow_std_mm, day)
+        document = {"bow_mm": bow_mm, "bow_std_mm": bow_std_mm}
+        what = f"the tip is {bow_mm[0]:g} mm off towards x and {bow_mm[1]:g} mm towards y, ± {bow_std_mm:g} mm"
+        lines = ["deploy the probe again, with this design; the parts and their fingerprint stay"]
+    elif calipers is not None and diameters.is_coupon_sheet(calipers):
+        scale = diameters.fit_scale(*diameters.read_coupon(calipers, start.resin.name), calipers_std_mm)
+        changes, document = diameters.scale_changes(scale, day), scale.as_dict()
+        what, lines = _scale_lines(scale)
+    elif calipers is not None:
+        fit = pipeline.measure(start, diameters.read_calipers(calipers, start), calipers_std_mm)
+        changes, document = diameters.diameter_changes(fit, start, day), fit.as_dict()
+        what = f"{plural(fit.readings, 'reading')}; the former values are kept as comments"
+        lines = list(_diameter_lines(fit))
     path, kept = write_changes(design, changes, day, out, force)
-    fingerprint = build_geometry(load_design(path)).fingerprint
+    if "measured_mm" in document:  # another geometry
+        document["fingerprint"] = build_geometry(load_design(path)).fingerprint
+        lines.append(f"the geometry is now {document['fingerprint']}: deploy the probe again, with this design")
     if as_json:
-        print_json({**diameters.as_dict(), "fingerprint": fingerprint, "changes": changes,
-                    "design_written": path, "design_kept": kept})  # fmt: skip
+        print_json({**document, "changes": changes, "design_written": path, "design_kept": kept})
         return
-    print(f"wrote {path}: {plural(diameters.readings, 'reading')}; the former values are kept as comments")
-    for s, drawn, mean, std in zip(diameters.s, diameters.drawn, diameters.measured, diameters.std, strict=True):
-        print(f"  s = {s:g} mm: {mean:.3f} ± {std:.3f} mm (drawn: {drawn:g} mm; one standard deviation)")
-    (common, scatter), (together, each) = diameters.before, diameters.after
-    print(f"  tolerance of all diameters together: {together:.3f} mm (before: {common:.3f} mm); "
-          f"of each for itself: {each:.3f} mm (before: {scatter:.3f} mm)")  # fmt: skip
+    print(f"wrote {path}: {what}")
+    for line in lines:
+        print(f"  {line}")
+    if kept is not None:
+        print(f"kept the former {out} as {kept}")
+
+
+def _diameter_lines(fit: "MeasuredDiameters") -> Iterator[str]:
+    for s, drawn, mean, std in zip(fit.s, fit.drawn, fit.measured, fit.std, strict=True):
+        yield f"s = {s:g} mm: {mean:.3f} ± {std:.3f} mm (drawn: {drawn:g} mm; one standard deviation)"
+    (common, scatter), (together, each) = fit.before, fit.after
+    yield (f"tolerance of all diameters together: {together:.3f} mm (before: {common:.3f} mm); of each for itself: "
+           f"{each:.3f} mm (before: {scatter:.3f} mm)")  # fmt: skip
     if math.hypot(together, each) > math.hypot(common, scatter):
-        print("  note: where nothing was measured the tolerance is wider than before, because a print may be larger or "
-              "smaller as a whole by 1 % (assumed); measure near base and tip")  # fmt: skip
-    if diameters.scale > 1.0:
-        print(
-            f"  note: the readings scatter by {diameters.scale:.1f} times their standard deviation, which was widened"
-        )
-    if diameters.prior_scale > 1.0:
-        worst = max(diameters.measured - diameters.drawn, key=abs)
-        print(
-            f"  note: the diameters are up to {worst:+.3f} mm off, more than the tolerance of the print explains; it "
-            f"was widened {diameters.prior_scale:.1f} times. Check the calipers, or print a coupon for scale_xy"
-        )
-    print(f"  the geometry is now {fingerprint}: deploy the probe again, with this design")
-    if kept is not None:
-        print(f"kept the former {out} as {kept}")
+        yield ("note: where nothing was measured the tolerance is wider than before, because a print may be larger or "
+               "smaller as a whole by 1 % (assumed); measure near base and tip")  # fmt: skip
+    if fit.scale > 1.0:
+        yield f"note: the readings scatter by {fit.scale:.1f} times their standard deviation, which was widened"
+    if fit.prior_scale > 1.0:
+        worst = max(fit.measured - fit.drawn, key=abs)
+        yield (f"note: the diameters are up to {worst:+.3f} mm off, more than the tolerance of the print explains; "
+               f"it was widened {fit.prior_scale:.1f} times. Check the calipers, or print a coupon for "
+               "scale_xy")  # fmt: skip
 
 
-def _write_bow(design: Path, changes: "tuple[Change, ...]", out: Path | None, force: bool, as_json: bool) -> None:
-    """Write the measured bow of a print."""
-    from probedesign.design import load_design
-    from probedesign.identification.design_update import write_changes
-
-    path, kept = write_changes(design, changes, date.today().isoformat(), out, force)
-    written = load_design(path)
-    bow, std = written.probe.bow_mm, written.tolerances.bow_mm
-    if as_json:
-        print_json({"bow_mm": bow, "bow_std_mm": std, "changes": changes, "design_written": path, "design_kept": kept})
-        return
-    x, y = bow or (0.0, 0.0)
-    print(f"wrote {path}: the tip is {x:g} mm off towards x and {y:g} mm towards y, ± {std:g} mm")
-    print("  deploy the probe again, with this design; the parts and their fingerprint stay")
-    if kept is not None:
-        print(f"kept the former {out} as {kept}")
-
-
-def _write_scale(design: Path, scale: "CouponScale", out: Path | None, force: bool, as_json: bool) -> None:
-    """Write the scale of the next print, fitted to the sheet of a coupon."""
-    from probedesign.identification.design_update import write_changes
-    from probedesign.identification.measured_diameters import scale_changes
-
-    day = date.today().isoformat()
-    changes = scale_changes(scale, day)
-    path, kept = write_changes(design, changes, day, out, force)
-    if as_json:
-        print_json({**scale.as_dict(), "changes": changes, "design_written": path, "design_kept": kept})
-        return
-    print(
-        f"wrote {path}: scale_xy = {scale.scale_xy:.4f} ± {scale.std:.2g} of [print], from "
-        f"{plural(scale.rows, 'place')} on the coupon"
-    )
-    print(f"  the diameters deviate from one scale by up to {scale.left_mm:.3f} mm")
+def _scale_lines(scale: "CouponScale") -> tuple[str, list[str]]:
+    what = (f"scale_xy = {scale.scale_xy:.4f} ± {scale.std:.2g} of [print], from {plural(scale.rows, 'place')} on the "
+            "coupon")  # fmt: skip
+    lines = [f"the diameters deviate from one scale by up to {scale.left_mm:.3f} mm"]
     if scale.has_offset:
-        print(
-            f"  note: all diameters are {scale.offset_mm:+.3f} ± {scale.offset_std_mm:.2g} mm off, whatever their "
-            "size, which a scale does not remove; measure the probe itself"
-        )
-    print("  export again: only the files to print change, and the tolerance of the diameters stays")
-    if kept is not None:
-        print(f"kept the former {out} as {kept}")
+        lines.append(f"note: all diameters are {scale.offset_mm:+.3f} ± {scale.offset_std_mm:.2g} mm off, whatever "
+                     "their size, which a scale does not remove; measure the probe itself")  # fmt: skip
+    return what, [*lines, "export again: only the files to print change, and the tolerance of the diameters stays"]
