@@ -170,10 +170,7 @@ def print_batches(batches: dict[str, Batch]) -> None:
 
 
 def print_targets(
-    comparison: Sequence[dict[str, Measurement | None]],
-    kernel: dict[str, list[float]],
-    call: float,
-    batches: dict[str, Batch],
+    comparison: Sequence[dict[str, Measurement]], kernel: dict[str, list[float]], call: float, batches: dict[str, Batch]
 ) -> None:
     """Print measured values and targets."""
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from importlib.util import find_spec
 from typing import NamedTuple
 
 import numpy as np
@@ -24,10 +23,7 @@ NEIGHBOUR = 1.01  #: Factor on the force of the neighbouring load that a warm so
 STATIONS = 31  #: Stations at which centrelines are compared.
 ROD, KERNEL = "Rod.solve", "kernel of Rod.solve, with the shape"
 #: Target of the time over that of the kernel, by the first words of the method's row.
-TARGETS = {"RK45 shooting": 5000.0, "solve_bvp": 500.0, "Exudyn": 1000.0}
-#: 200 elements have an error of about 1 µm, and 1600 about that of `Rod.solve`.
-EXUDYN_ELEMENTS = (25, 50, 100, 200, 1600)
-REBUILT_ELEMENTS = 200  #: Elements of the row that includes building the model.
+TARGETS = {"RK45 shooting": 5000.0, "solve_bvp": 500.0}
 CALLS = ("cold", "from a neighbouring load", "the same with the Jacobian by force and s_contact",
          "the same with all derivatives")  # fmt: skip
 
@@ -47,11 +43,6 @@ class Measurement(NamedTuple):
 
     seconds: float
     error: float
-
-
-def methods(rod: Rod, load: Load) -> dict[str, Method | None]:
-    """Return all methods by name; None where a package is not installed."""
-    return {**by_rod(rod, load), **by_scipy(rod, load), **by_exudyn(rod, load)}
 
 
 def solver(rod: Rod, load: Load, columns: int, room: int, warm: bool = False) -> Callable[[], object]:
@@ -106,45 +97,25 @@ def by_scipy(rod: Rod, load: Load) -> dict[str, Method]:
     return {name: Method(run, lambda run=run: (s, run())) for name, run in solvers.items()}  # type: ignore[misc]
 
 
-def by_exudyn(rod: Rod, load: Load) -> dict[str, Method | None]:
-    """Return beam elements without the time to build the model, and once with it, as a new s_contact requires."""
-    if find_spec("exudyn") is None:
-        return {"Exudyn": None}
-    from benchmarks.peers import exudyn
-
-    rows: dict[str, Method | None] = {}
-    for count in EXUDYN_ELEMENTS:
-        solver = partial(exudyn.solve, exudyn.build(rod, GRAVITY, load.force, load.s, count))
-        rows[f"Exudyn, {count} elements"] = Method(solver, solver)
-
-    def with_building() -> Centreline:
-        return exudyn.solve(exudyn.build(rod, GRAVITY, load.force, load.s, REBUILT_ELEMENTS))
-
-    return {**rows, f"Exudyn, {REBUILT_ELEMENTS} elements, model built": Method(with_building, with_building)}
-
-
-def measure(rod: Rod, load: Load) -> dict[str, Measurement | None]:
+def measure(rod: Rod, load: Load) -> dict[str, Measurement]:
     """Measure all methods for one case."""
     truth = rod.solve(GRAVITY, load.force, load.s, mode="reference")
-    solvers = methods(rod, load)
-    seconds = interleaved({name: method.timed for name, method in solvers.items() if method}, ROUNDS)
-    found: dict[str, Measurement | None] = {}
+    solvers = {**by_rod(rod, load), **by_scipy(rod, load)}
+    seconds = interleaved({name: method.timed for name, method in solvers.items()}, ROUNDS)
+    found = {}
     for name, method in solvers.items():
-        found[name] = None
-        if method:
-            s, p = method.centreline()
-            found[name] = Measurement(
-                seconds[name] / method.copies, float(np.linalg.norm(p - truth.p_at(s), axis=1).max())
-            )
+        s, p = method.centreline()
+        error = float(np.linalg.norm(p - truth.p_at(s), axis=1).max())
+        found[name] = Measurement(seconds[name] / method.copies, error)
     return found
 
 
-def compare(rod: Rod) -> list[dict[str, Measurement | None]]:
+def compare(rod: Rod) -> list[dict[str, Measurement]]:
     """Measure all methods for all loads."""
     return [measure(rod, load) for load in paper_loads(rod)]
 
 
-def print_comparison(found: Sequence[dict[str, Measurement | None]]) -> None:
+def print_comparison(found: Sequence[dict[str, Measurement]]) -> None:
     """Print times, errors and ratios."""
     print_table(
         f"One equilibrium of the large probe, cold, range over {len(found)} loads of the paper. "
@@ -157,11 +128,9 @@ def print_comparison(found: Sequence[dict[str, Measurement | None]]) -> None:
           "  target: for every load, and only for methods whose error is not below that of Rod.solve")  # fmt: skip
 
 
-def row(name: str, found: Sequence[dict[str, Measurement | None]]) -> list[str]:
+def row(name: str, found: Sequence[dict[str, Measurement]]) -> list[str]:
     """Return the row of one method."""
-    measured = [m for case in found if (m := case[name])]
-    if not measured:
-        return [name, "not installed: pip install '.[bench]'", "", "", "", ""]
+    measured = [case[name] for case in found]
     target = next((times for start, times in TARGETS.items() if name.startswith(start)), None)
     over_kernel = ratios(name, found, KERNEL)
     verdict = ""
@@ -178,24 +147,20 @@ def row(name: str, found: Sequence[dict[str, Measurement | None]]) -> list[str]:
     ]
 
 
-def ratios(name: str, found: Sequence[dict[str, Measurement | None]], reference: str) -> list[float]:
+def ratios(name: str, found: Sequence[dict[str, Measurement]], reference: str) -> list[float]:
     """Return the time of a method over that of a reference method for every case."""
-    pairs = [(case[name], case[reference]) for case in found]
-    return [a.seconds / b.seconds for a, b in pairs if a and b]
+    return [case[name].seconds / case[reference].seconds for case in found]
 
 
-def eligible(name: str, found: Sequence[dict[str, Measurement | None]]) -> bool:
+def eligible(name: str, found: Sequence[dict[str, Measurement]]) -> bool:
     """Return whether the error of a method is nowhere below that of `Rod.solve`."""
-    pairs = [(case[name], case[ROD]) for case in found]
-    return all(rod.error <= other.error for other, rod in pairs if other and rod)
+    return all(case[ROD].error <= case[name].error for case in found)
 
 
-def most_accurate(start: str, found: Sequence[dict[str, Measurement | None]]) -> str | None:
+def most_accurate(start: str, found: Sequence[dict[str, Measurement]]) -> str | None:
     """Return the eligible method with the smallest error whose name has this start, or None."""
-    names = [
-        name for name, measured in found[0].items() if measured and name.startswith(start) and eligible(name, found)
-    ]
-    return min(names, key=lambda name: max(m.error for case in found if (m := case[name])), default=None)
+    names = [name for name in found[0] if name.startswith(start) and eligible(name, found)]
+    return min(names, key=lambda name: max(case[name].error for case in found), default=None)
 
 
 def calls_from_python(rod: Rod) -> dict[str, float]:
