@@ -140,7 +140,8 @@ def advance(
             for a in range(6):
                 far += y[a] * y[a]
             if in_contact:
-                if j == int(state[DETECTED_BY]) and far < released:
+                # A mean four times as long as the one that detected it: a contact near the threshold does not flicker.
+                if j == min(int(state[DETECTED_BY]) + 1, lengths - 1) and far < released:
                     state[STATE_NOW], code = FREE, LOST
             elif far > thresholds[j] and code == FREE:
                 state[STATE_NOW], state[DETECTED_BY], code = CONTACT, j, CONTACT
@@ -261,6 +262,11 @@ class Detector:
             self.run(wrenches)
         finally:
             self._state.thresholds[:] = thresholds
+
+    def release(self) -> None:
+        """End a contact without a test: what was detected is known to be none."""
+        self._state.state[STATE_NOW] = FREE
+        self._state.sums[:] = self._state.counts[:] = 0.0
 
     def rest(self, seconds: float) -> None:
         """Account for a gap without samples [s], in which the bias may have drifted."""

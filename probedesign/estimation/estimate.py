@@ -24,6 +24,8 @@ Result = Literal[
     "not_converged",
     "no_tare",
     "interval_only",
+    "in_motion",
+    "warming_up",
 ]
 RESULTS: dict[Result, str] = {
     "ok": "one contact was located",
@@ -36,6 +38,8 @@ RESULTS: dict[Result, str] = {
     "not_converged": "no equilibrium was found",
     "no_tare": "the sensor's zero is not that of the free probe, and no tare was taken",
     "interval_only": "the force is light: the place is known to an interval that is no ellipsoid, and to no point",
+    "in_motion": "the base moves, and its motion is not explained within the noise",
+    "warming_up": "the sensor's zero drifts faster than it can be followed",
 }
 
 #: Where the moments are taken about that count alone: the base's origin, or the sensor's own.

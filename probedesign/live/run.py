@@ -82,7 +82,7 @@ def _updates(
 ) -> Iterator[EstimateUpdate]:
     """Yield estimates block by block, execute commands in between, and state how many readings are expected next."""
     commands = commands or CommandQueue()
-    commands.register("tare", lambda command: chain.take_tare())
+    commands.register("tare", lambda command: chain.take_tare(command.text == "force"))
     commands.register("mark", lambda command: f"mark: {command.text}")
     clock = ClockMonitor(log)
     for block in map(clock.marked, blocks):

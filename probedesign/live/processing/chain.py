@@ -31,6 +31,7 @@ from probedesign.live.processing.estimates import (
 )
 from probedesign.live.processing.plausibility import FaultReport, PoseMonitor, SignalMonitor, TravelCheck
 from probedesign.live.processing.tare import (
+    CHANNELS,
     TARE_DURATION,
     Tare,
     TareCollector,
@@ -232,7 +233,7 @@ class Chain:
         self.scheduler = EstimateScheduler(options.rate, log, MAX_AGE if options.estimates else math.inf)
         self._stretch = 0
         self._state, self._phase_before = TouchState("", None), ""
-        self._pose_missing = False
+        self._pose_missing, self._touched_at_tare = False, ""
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
@@ -273,8 +274,11 @@ class Chain:
         if self._tare_collector is not None and not self._tare_collector.on_request:
             self._log(describe_tare(self._tare_collector.at_end()))
 
-    def take_tare(self) -> str:
+    def take_tare(self, force: bool = False) -> str:
         """Start a tare from the next readings; return what to do meanwhile. Its outcome is reported.
+
+        Args:
+            force: take it whatever the phase; what it takes for granted is stated.
 
         Raises:
             InputError: the tare is refused.
@@ -283,11 +287,12 @@ class Chain:
             raise InputError("there is no reading yet")
         if self._tare_collector is not None:
             raise InputError("a tare is already being taken")
-        if why := self._tare_refusal():
+        if not force and (why := self._tare_refusal()):
             raise InputError(why)
         start = self._now - self._first
         window = TareWindow(start, start + TARE_DURATION)
-        self._tare_collector = TareCollector(window, self._estimator, on_request=True)
+        self._tare_collector = TareCollector(window, self._estimator, on_request=True, forced=force)
+        self._touched_at_tare = self._tare_refusal() and self._state.phase
         return f"tare: keep the probe free and still for {TARE_DURATION:g} s"
 
     def _initialize(self) -> bool:
@@ -369,6 +374,8 @@ class Chain:
         estimate = Estimate("unobservable")
         if not (self._zero_known or reading.fault):
             estimate = Estimate("no_tare")
+        elif self._monitor is not None and self._monitor.warming_up and not reading.fault:
+            estimate = Estimate("warming_up")
         elif self._options.estimates:
             estimate = locate(self._estimator, reading, self.tare, self._options.method, drift)
             self._contacts.locate(estimate, self._state.phase)
@@ -433,14 +440,14 @@ class Chain:
         collector, reading = self._tare_collector, batch.reading
         if collector is None:
             return
-        if collector.on_request and (why := self._tare_refusal()):
+        if collector.on_request and not collector.forced and (why := self._tare_refusal()):
             self._tare_collector = None
             self._free.clear()
             return self._log(f"tare refused: {why}")
         if not collector.add(reading, reading.time - self._first):
             self._free.append(batch)
             return
-        free, self._tare_collector = tuple(self._free), None
+        free, self._tare_collector, last = tuple(self._free), None, self.tare
         self._free.clear()
         try:
             self.tare = collector.tare()
@@ -449,6 +456,16 @@ class Chain:
                 raise
             return self._log(f"tare refused: {error}")
         self._log(describe_tare(self.tare))
+        doubts = [self.tare.assumed] if self.tare.assumed else []
+        if self._touched_at_tare:
+            known = last.bias_sensor if last else np.zeros(6)
+            change = (self.tare.bias_sensor - known) / self._estimator.model.noise.std
+            i = int(np.argmax(np.abs(change)))
+            doubts.append(f"it counted as {self._touched_at_tare}, and {CHANNELS[i]} is {abs(change[i]):.3g} standard "
+                          "deviations of a reading from the previous zero")  # fmt: skip
+        if doubts:
+            self._log(f"tare: the probe was taken to be free although {'; '.join(doubts)}")
+        self._touched_at_tare = ""
         self._zero_known = True
         self._contacts.update(reading.time, "", None)
         if self._monitor is not None:
@@ -463,4 +480,4 @@ class Chain:
         """
         phase = self._state.phase
         free = not self._zero_known or phase in ("", "free")
-        return "" if free else f"the probe is {phase}; the previous tare is kept"
+        return "" if free else f'the probe is {phase}; the previous tare is kept, unless it is asked for with "force"'

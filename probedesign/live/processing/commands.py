@@ -153,7 +153,7 @@ class KeyInput:
                 return
             for key in keys.decode("ascii", errors="replace"):
                 if key in names:
-                    self._commands.put(names[key])
+                    self._commands.put(names[key], "force")  # a person looks at the probe
 
 
 class DatagramInput(Listener[None]):

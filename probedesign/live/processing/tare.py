@@ -1,7 +1,7 @@
 """Tare: the bias of the sensor, from readings of a free probe in a given window or in the first second at rest."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy as np
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.tolerances import WALK_SECONDS
 from probedesign.live import Log
 from probedesign.live.blocks import WrenchReading
 
@@ -25,6 +26,9 @@ MAX_STEP = 5.0
 TARE_DURATION = 2.0
 #: Duration of the rest that an automatic tare uses, and of the wait after which its reason is reported [s].
 REST_TIME, REST_WAIT = 1.0, 3.0
+#: Maximum drift, in steps of the resolution a second: twice the fastest that was measured of three Nano17 that
+#: warmed up. A change that is faster is a touch. Assumed.
+MAX_DRIFT = 10.0
 CHANNELS = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 
 #: Zero of the sensor without a tare window: nothing, unless readings agree with the free probe without one; the first
@@ -48,6 +52,12 @@ class Tare:
     readings: int  #: number of readings.
     window: TareWindow  #: the window.
     time: float  #: time of the last reading, by the source's clock [s].
+    rate_sensor: Array = field(default_factory=lambda: np.zeros(6))  #: its drift in the window [N/s, N·m/s], (6,).
+    #: covariance of level and rate in units of the variance of one reading [1, 1/s; 1/s, 1/s²], (2, 2).
+    cov: Array = field(default_factory=lambda: np.zeros((2, 2)))
+    #: rate of the channel that drifts fastest, in steps of the resolution a minute; 0 if it is not significant.
+    steps_min: float = 0.0
+    assumed: str = ""  #: what a tare that was taken by force took for granted.
 
 
 class TareCollector:
@@ -59,10 +69,12 @@ class TareCollector:
     """
 
     def __init__(
-        self, window: TareWindow | None, estimator: Estimator, on_request: bool = False, log: Log = lambda line: None
-    ) -> None:
-        """Start with no readings; `log` receives what an automatic tare waits for."""
+        self, window: TareWindow | None, estimator: Estimator, on_request: bool = False, log: Log = lambda line: None,
+        forced: bool = False,
+    ) -> None:  # fmt: skip
+        """Start with no readings; `log` receives what an automatic tare waits for; see `take_tare` for `forced`."""
         self.window, self.on_request, self._estimator, self._log = window, on_request, estimator, log
+        self.forced = forced
         self._readings: list[tuple[float, WrenchReading]] = []
         self._unrest, self._reported = f"there were fewer than {MIN_READINGS} readings in it", False
 
@@ -105,7 +117,7 @@ class TareCollector:
         """Return the tare; see `take_tare`."""
         readings = [reading for _, reading in self._readings]
         if self.window is not None:
-            return take_tare(readings, self.window, self._estimator)
+            return take_tare(readings, self.window, self._estimator, forced=self.forced)
         return take_tare(readings, TareWindow(self.start, self._readings[-1][0]), self._estimator, steady=True)
 
     def at_end(self) -> Tare:
@@ -171,12 +183,15 @@ def parse_tare(tare_s: str | None, tare: Literal["auto", "none"] | None) -> tupl
     return (None if tare_s is None else parse_window(tare_s)), zeros[tare]
 
 
-def take_tare(readings: list[WrenchReading], window: TareWindow, estimator: Estimator, steady: bool = False) -> Tare:
-    """Estimate the sensor bias from readings of a window in which nothing touches the probe.
+def take_tare(
+    readings: list[WrenchReading], window: TareWindow, estimator: Estimator, steady: bool = False, forced: bool = False
+) -> Tare:
+    """Estimate the sensor bias and its drift from readings of a window in which nothing touches the probe.
 
-    A constant contact force cannot be distinguished from a bias; the user is responsible for a free probe. With
-    `steady`, the means of the two halves of the window must agree, too, and errors do not name the window, which the
-    user did not choose.
+    Level and rate are those of a straight line by least squares. A constant contact force cannot be distinguished from
+    a bias, nor one that grows steadily from a drift; the user is responsible for a free probe. With `steady`, the means
+    of the two halves of the window must agree or differ by a drift rather than by a step, too, and errors do not name
+    the window, which the user did not choose. With `forced`, readings that scatter are accepted.
 
     Raises:
         InputError: there are too few readings, or they scatter more than those of a free probe.
@@ -195,19 +210,37 @@ def take_tare(readings: list[WrenchReading], window: TareWindow, estimator: Esti
         free[gravity.tobytes()] = estimator.model.to_sensor(equilibrium.wrench_base, gravity)
     wrenches = np.array([reading.wrench_sensor for reading in readings])
     excess = wrenches - np.array([free[reading.gravity_base.tobytes()] for reading in readings])
-    bias, std = excess.mean(axis=0), excess.std(axis=0, ddof=1)
-    noise = estimator.model.noise.std
+    n, time = len(readings), np.array([reading.time for reading in readings])
+    since = time - time.mean()
+    spread = max(float(since @ since), 1e-300)
+    bias, rate = excess.mean(axis=0), since @ excess / spread
+    std = (excess - bias - since[:, None] * rate).std(axis=0, ddof=2)
+    noise, assumed = estimator.model.noise.std, ""
     if (std > MAX_SCATTER * noise).any():
         i = int(np.argmax(std / noise))
         unit = "mN" if i < 3 else "Nmm"
-        scatter = f"{CHANNELS[i]} scatters by {std[i] * 1e3:.3g} {unit}, its noise is {noise[i] * 1e3:.3g} {unit}"
-        raise InputError(f"{unsteady}{scatter}; touched, moving or not averaged?")
-    half = len(excess) // 2
+        assumed = f"{CHANNELS[i]} scatters by {std[i] * 1e3:.3g} {unit}, its noise is {noise[i] * 1e3:.3g} {unit}"
+        if not forced:
+            raise InputError(f"{unsteady}{assumed}; touched, moving or not averaged?")
+    half = n // 2
     step = np.abs(excess[-half:].mean(axis=0) - excess[:half].mean(axis=0))
     if steady and (step > MAX_STEP * noise * math.sqrt(2.0 / half)).any():
         i = int(np.argmax(step / noise))
-        raise InputError(f"{unsteady}{CHANNELS[i]} changes; touched or moving?")
-    return Tare(bias, len(readings), window, readings[-1].time)
+        # What a line and what a step at the best time explain of the channel's scatter.
+        k, sums = np.arange(1, n), np.cumsum(excess[:, i] - bias[i])[:-1]
+        if float((sums**2 * n / (k * (n - k))).max()) > rate[i] ** 2 * spread:
+            raise InputError(f"{unsteady}{CHANNELS[i]} changes at once; touched or moving?")
+    steps = noise * math.sqrt(estimator.model.averaging_samples)
+    # A walk of variance q t adds 6 q/(5 T) to the variance of the slope of a line over T.
+    q = estimator.priors.walk_steps**2 / WALK_SECONDS
+    doubt = steps * math.sqrt(1.0 / estimator.model.averaging_samples / spread + 1.2 * q / (time[-1] - time[0] or 1.0))
+    drifts = np.abs(rate) > MAX_STEP * doubt
+    fastest = 60.0 * float((np.abs(rate) / steps)[drifts].max(initial=0.0))
+    if not forced and (np.abs(rate) > MAX_DRIFT * steps).any():
+        i = int(np.argmax(np.abs(rate) / steps))
+        raise InputError(f"{unsteady}{CHANNELS[i]} changes faster than a sensor drifts; touched or moving?")
+    cov = np.diag([1.0 / n, 1.0 / spread])
+    return Tare(bias, n, window, readings[-1].time, rate, cov, fastest, assumed)
 
 
 def describe_tare(tare: Tare) -> str:
@@ -216,4 +249,5 @@ def describe_tare(tare: Tare) -> str:
         f"{name} {value * 1e3:.3g} {'mN' if name[0] == 'F' else 'Nmm'}"
         for name, value in zip(CHANNELS, tare.bias_sensor.tolist(), strict=True)
     )
-    return f"tare from {tare.readings} readings in {tare.window.start:g}:{tare.window.end:g} s: {bias}"
+    drift = f"; the zero drifts by {tare.steps_min:.3g} steps of the resolution a minute" if tare.steps_min else ""
+    return f"tare from {tare.readings} readings in {tare.window.start:g}:{tare.window.end:g} s: {bias}{drift}"

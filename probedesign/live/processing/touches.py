@@ -21,7 +21,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from probedesign.core.frames import Array
-from probedesign.core.statistics import FALSE_ALARM
+from probedesign.core.statistics import FALSE_ALARM, max_chi2
 from probedesign.estimation.bias import KnownBias
 from probedesign.estimation.detector import Detector, Touching
 from probedesign.estimation.estimate import Estimate, FusedEstimate
@@ -32,7 +32,8 @@ from probedesign.live import Log
 from probedesign.live.blocks import joined
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.processing.averaging import AveragedBatch
-from probedesign.live.processing.tare import Tare
+from probedesign.live.processing.drift import DriftFollower
+from probedesign.live.processing.tare import CHANNELS, Tare
 
 Phase = Literal["", "free", "moving", "touching", "settled", "released"]
 
@@ -82,6 +83,11 @@ class StationarityTest:
         """Discard the span: its readings belong to another phase."""
         self._filled = self._posed = 0
         self._sum, self._count = np.zeros(6), 0
+
+    @property
+    def mean(self) -> Array:
+        """Mean of the span, whitened by the noise of one reading, (6,)."""
+        return np.asarray(self._samples.mean(axis=0) / math.sqrt(self._period))
 
     @property
     def full(self) -> bool:
@@ -217,6 +223,11 @@ class ContactHistory:
         if phase == "settled" or not current.settled:
             self._replace_last(replace(current, estimate=estimate))
 
+    def withdraw(self) -> None:
+        """Remove the current touch from the list: nothing touched."""
+        if self.current is not None:
+            self.contacts, self._count = self.contacts[:-1], self._count - 1
+
     def refuse(self, refused: bool) -> None:
         """State whether the poses of the base contradict the current touch."""
         if self.current is not None:
@@ -232,6 +243,33 @@ class TouchState(NamedTuple):
 
     phase: Phase
     fused: FusedEstimate | None
+
+
+#: Results of a reading that no touch explains.
+NO_TOUCH = ("inconsistent", "out_of_range", "unobservable", "not_converged")
+#: Travel of the base at rest before and after it from which a touch with the same readings is doubted [m]: a probe of
+#: the paper's size bends by as much at its tip under 5 mN. Assumed.
+RETRACTION = 5e-3
+
+
+@dataclass
+class _Held:
+    """Reading and pose at the first rest of a touch."""
+
+    pose: Array | None = None  #: T_world_base, (4, 4).
+    wrench: Array | None = None  #: whitened by the noise of one reading, (6,).
+    offered: bool = False  #: whether a tare was proposed.
+
+    def offer(self, time: float, T: Array | None, wrench: Array, log: Log) -> None:
+        """Propose a tare if the base has moved away since the first rest and the reading has not changed."""
+        if self.pose is None or self.wrench is None:
+            self.pose, self.wrench = T, wrench
+        elif T is not None and not self.offered:
+            travel = float(np.linalg.norm(T[:3, 3] - self.pose[:3, 3]))
+            if travel > RETRACTION and float(np.square(wrench - self.wrench).sum()) < max_chi2(6, FALSE_ALARM):
+                self.offered = True
+                log(f"{time:.2f} s: the base moved by {1e3 * travel:.0f} mm and the readings did not change: a leap of "
+                    "the zero rather than a touch? the command tare takes the probe for free")  # fmt: skip
 
 
 class TouchMonitor:
@@ -259,12 +297,14 @@ class TouchMonitor:
         """
         model = estimator.model
         self._estimator, self._contacts, self._poses, self._log = estimator, contacts, poses, log
-        self._estimates = estimates
+        self._estimates, self._samples = estimates, samples
         self._detector = Detector(
             model, rate, samples=samples, walk_steps=estimator.priors.walk_steps,
             start_steps=estimator.priors.drift_steps,
         )  # fmt: skip
         self._phases = PhaseTracker(model, rate / samples)
+        self._follower = DriftFollower(model, self._detector.bias_filter, estimator.priors.drift_steps)
+        self.warming_up, self._next_check, self._held = False, -math.inf, _Held()
         self._latency_check = LatencyCheck(model.whiten)
         self._tracker: Tracker | None = None
         if poses is not None and estimates:
@@ -291,7 +331,16 @@ class TouchMonitor:
         self._last = batch.reading.time
         excess = self._excess(batch.block.wrench_sensor, gravity, tare)
         mean, decisions = excess.mean(axis=0), self._detector.run(excess)
+        if self._follow_drift(decisions, mean, batch.reading.time):
+            self._contacts.update(batch.reading.time, "", None)
+            return TouchState("", None if self._poses is None else FusedEstimate("warming_up"))
         phase = self._phases.next("lost" if "lost" in decisions else decisions[-1], mean, T_world_base)
+        if phase == "settled" and batch.reading.time >= self._next_check:
+            self._next_check = batch.reading.time + SPAN
+            if self._is_leap(gravity, free.wrench_base, batch.reading.time, T_world_base):
+                phase, decisions = "free", ["free"]
+        elif phase not in ("touching", "settled"):
+            self._held = _Held()
         fused = self._fused(decisions, mean + free.wrench_base, T_world_base, batch.reading.time)
         ended = self._contacts.update(batch.reading.time, phase, fused)
         if ended is not None and self._estimates:
@@ -299,6 +348,49 @@ class TouchMonitor:
         self._check_latency(batch.reading.time, phase, mean, T_world_base)
         self._state = TouchState(phase, fused)
         return self._state
+
+    def _follow_drift(self, decisions: list[Touching], mean: Array, time: float) -> bool:
+        """Follow the bias by one reading; return whether it drifts too fast for contacts to be told from it."""
+        if self._follower.warming_up and set(decisions) != {"free"}:
+            self._detector.release()
+        elif set(decisions) != {"free"}:
+            self._follower.drop()
+            return False
+        self._follower.add(mean, time)
+        rate = 60.0 * self._follower.rate
+        if self._follower.warming_up and not self.warming_up:
+            self._log(f"the sensor is warming up: its zero drifts by {rate:.3g} steps of the resolution a minute; no "
+                      f"positions for about {self._follower.wait:.0f} s, if the drift levels off")  # fmt: skip
+        elif self.warming_up and not self._follower.warming_up:
+            self._log(f"the drift of the sensor's zero is followed again: {rate:.3g} steps of the resolution a minute")
+            self._phases.stationarity.reset()
+        self.warming_up = self._follower.warming_up
+        return self.warming_up
+
+    def _is_leap(self, gravity: Array, free_wrench: Array, time: float, T_world_base: Array | None) -> bool:
+        """Return whether a contact at rest is a leap of one channel's zero, which is then taken out of the readings.
+
+        A touch changes force and moment at once: a change of one channel alone that no touch explains is a leap.
+        """
+        model, known = self._estimator.model, self._detector.bias_filter.known()
+        mean = np.linalg.solve(model.whiten, self._phases.stationarity.mean)
+        change = mean - known.excess
+        in_steps = model.to_sensor(change, np.zeros(3)) / (model.noise.std * math.sqrt(model.averaging_samples))
+        chi2 = in_steps**2 / (known.steps**2 + 1.0 / (model.averaging_samples * max(SPAN / self._period, 1.0)))
+        i = int(np.argmax(chi2))
+        if chi2.sum() - chi2[i] < max_chi2(5, FALSE_ALARM):
+            estimate = self._estimator.estimate(change + free_wrench, gravity)
+            if estimate.result in NO_TOUCH:
+                size = abs(float(in_steps[i]) * model.noise.std[i] * math.sqrt(model.averaging_samples)) * 1e3
+                self._log(f"{time:.2f} s: {CHANNELS[i]} leapt by {size:.3g} {'mN' if i < 3 else 'Nmm'}: no touch "
+                          "changes one channel alone; the zero follows")  # fmt: skip
+                self._detector.release()
+                self._follower.leap(change)
+                self._phases = PhaseTracker(model, 1.0 / self._period)
+                self._contacts.withdraw()
+                return True
+        self._held.offer(time, T_world_base, model.whiten @ mean, self._log)
+        return False
 
     @property
     def drift(self) -> KnownBias:
@@ -308,6 +400,7 @@ class TouchMonitor:
     def rest(self, seconds: float) -> None:
         """Account for time since the tare without readings [s]: the bias has drifted."""
         self._detector.bias_filter.rest(seconds)
+        self._follower.rest(seconds)
 
     def calibrate(self, batches: list[AveragedBatch], tare: Tare) -> None:
         """Calibrate the detector on batches of a free probe, as those of the tare.
@@ -321,6 +414,9 @@ class TouchMonitor:
                 for g in groups
             ]
             self._detector.calibrate(np.concatenate(excess))
+            means = (part.mean(axis=0) for group in excess for part in np.split(group, len(group) // self._samples))
+            for batch, mean in zip(batches, means, strict=True):
+                self._follower.add(mean, batch.reading.time)
 
     def _excess(self, wrench_sensor: Array, gravity_base: Array, tare: Tare | None) -> Array:
         """Return samples (n, 6) under one gravity at the base minus the free probe's wrench [N, N·m], (n, 6)."""

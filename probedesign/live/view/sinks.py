@@ -136,7 +136,7 @@ class BrowserView(ViewState):
             why = message.get("error", why)
             for name in get_args(CommandName):
                 if name == message.get("command"):
-                    self._commands.put(name, message.get("text", "")[:MAX_NOTE])
+                    self._commands.put(name, "force" if name == "tare" else message.get("text", "")[:MAX_NOTE])
         if not self._ended.is_set():
             self._log(f"view: the page has closed: {why}; the run continues")
 

@@ -72,6 +72,7 @@ class Snapshot:
 #: Level of each result, "bad" of all others.
 LEVELS: dict[str, Level] = {
     "ok": "good", "no_contact": "plain", "too_light": "fair", "ambiguous": "fair", "interval_only": "fair",
+    "in_motion": "fair", "warming_up": "fair",
 }  # fmt: skip
 LOSSES = ("lost", "late", "dropped", "faults")  #: Counters of the source that are shown.
 
