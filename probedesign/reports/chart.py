@@ -156,7 +156,7 @@ class ChartLine(NamedTuple):
 
 
 class ChartArea(NamedTuple):
-    points: Sequence[tuple[float, float]]
+    points: Sequence[Sequence[float]]
     colour: str
     opacity: float
 
@@ -191,10 +191,10 @@ class Chart:
 
     @classmethod
     def side_view(cls, points: ArrayLike, across: int) -> "Chart":
-        """Return an empty chart of points (n, 3) [mm] along z and along the axis `across`; x grows downwards."""
-        p = np.asarray(points, dtype=float)
-        z = ChartAxis.spanning("z, along the undeformed axis [mm]", p[:, 2])
-        lateral = ChartAxis.spanning(f"{'xyz'[across]} [mm]", p[:, across])
+        """Return an empty chart of points (n, 2) [mm] along z and along the axis `across`; x grows downwards."""
+        along, aside = np.asarray(points, dtype=float).T
+        z = ChartAxis.spanning("z, along the undeformed axis [mm]", along)
+        lateral = ChartAxis.spanning(f"{'xyz'[across]} [mm]", aside)
         return cls(z, lateral, square=True, down=across == 0)
 
     def __post_init__(self) -> None:
@@ -222,7 +222,7 @@ class Chart:
         if name:
             self.legend.append(LegendEntry(name, colour, NO_LINE, mark))
 
-    def area(self, points: Sequence[tuple[float, float]], colour: str, opacity: float = 0.2, name: str = "") -> None:
+    def area(self, points: Sequence[Sequence[float]], colour: str, opacity: float = 0.2, name: str = "") -> None:
         """Add a filled polygon."""
         self.elements.append(ChartArea(points, colour, opacity))
         if name:

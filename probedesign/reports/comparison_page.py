@@ -198,7 +198,7 @@ def _sag_chart(compared: Sequence[ComparedDesign]) -> Chart:
         free = probe.rod.solve(probe.model.gravity_base)
         s = np.linspace(0.0, probe.length, 60)
         shapes.append(free.p_at(s) / MM if free.ok else np.full((1, 3), np.nan))
-    chart = Chart.side_view(np.concatenate(shapes), 0)
+    chart = Chart.side_view(np.concatenate(shapes)[:, [2, 0]], 0)
     for entry, p, colour, dashes in zip(compared, shapes, COLOURS, DASHES, strict=False):
         chart.line(p[:, 2], p[:, 0], colour, dashes, name=entry.design.name)
     return chart

@@ -247,18 +247,15 @@ def _contact(estimate: Estimate) -> Chart:
     shape, p, force = estimate.shape, estimate.p_surface_base, estimate.force_base
     assert shape is not None
     length = float(shape.s[-1])
-    line = shape.p_at(np.linspace(0.0, length, STATIONS))
     across = int(np.argmax(np.abs(force[:2])))
     view = [2, across]
-    tail = p - _ARROW * length * force / np.linalg.norm(force)
-    ellipse = p[view] + _ellipse(estimate.cov_surface_base[np.ix_(view, view)])
-    extent = np.zeros((len(ellipse), 3))
-    extent[:, view] = ellipse
-    chart = Chart.side_view(np.concatenate([line, extent, tail[None]]) / MM, across)
-    chart.line(line[:, 2] / MM, line[:, across] / MM, COLOURS[1], name="probe")
-    ends = np.stack([tail, p])[:, view] / MM
+    line = shape.p_at(np.linspace(0.0, length, STATIONS))[:, view] / MM
+    ends = np.stack([p - _ARROW * length * force / np.linalg.norm(force), p])[:, view] / MM
+    ellipse = ends[1] + _ellipse(estimate.cov_surface_base[np.ix_(view, view)]) / MM
+    chart = Chart.side_view(np.concatenate([line, ellipse, ends]), across)
+    chart.line(line[:, 0], line[:, 1], COLOURS[1], name="probe")
     chart.line(ends[:, 0], ends[:, 1], COLOURS[3], width=2.4, name="force")
-    chart.area([(a, b) for a, b in (ellipse / MM).tolist()], COLOURS[2], 0.3, "95 %")
+    chart.area(ellipse.tolist(), COLOURS[2], 0.3, "95 %")
     chart.points(p[2] / MM, p[across] / MM, COLOURS[2], "o", "touched point")
     return chart
 

@@ -83,11 +83,9 @@ def set_up_chart(model: ProbeModel, candidate: CandidateTest) -> Chart:
         arrows[f"{1e3 * candidate.mass:g} g" if candidate.mass else f"{candidate.displacement / MM:g} mm"] = (
             (marked, marked + 0.25 * length * push) if candidate.mass else (marked - 0.25 * length * push, marked)
         )
-    ends = np.concatenate([*arrows.values(), np.eye(3)[2:] * length])
+    ends = np.concatenate([*arrows.values(), np.eye(3)[2:] * length])[:, [2, across]]
     sides = np.concatenate([upper, lower[::-1]])
-    drawn = np.zeros((len(sides), 3))
-    drawn[:, [2, across]] = sides
-    chart = Chart.side_view(np.concatenate([ends, drawn]), across)
+    chart = Chart.side_view(np.concatenate([ends, sides]), across)
     chart.line([0.0, length], [0.0, 0.0], "#666", DASHES[1], name="straight")
     chart.area(sides.tolist(), COLOURS[1], 0.7, "probe")
     for (name, (tail, tip)), colour in zip(arrows.items(), ("#666", COLOURS[2]), strict=False):

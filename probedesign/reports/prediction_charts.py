@@ -251,7 +251,7 @@ def probe_chart(prediction: Prediction, estimator: Estimator) -> Chart:
     for i, j in pairwise(ends):
         corners = np.concatenate([upper[i : j + 1], lower[i : j + 1][::-1]]).tolist()
         level = levels[i]
-        chart.area([(a, b) for a, b in corners], "#999" if level is None else ORDERED[level], 1.0)
+        chart.area(corners, "#999" if level is None else ORDERED[level], 1.0)
     shown = {level for level in levels if level is not None}
     outline = np.concatenate([upper, lower[::-1], upper[:1]])
     chart.line(outline[:, 0], outline[:, 1], COLOURS[0], width=1.0)
@@ -269,9 +269,7 @@ def body_chart(shape: Array, radius: Array) -> tuple[Chart, Array, Array]:
     """Return an empty chart of a probe seen from its side, and `flanks` there."""
     across = lateral_axis(shape)
     upper, lower = flanks(shape, radius, across)
-    points = np.zeros((2 * len(shape), 3))
-    points[:, [2, across]] = np.concatenate([upper, lower])
-    return Chart.side_view(points, across), upper, lower
+    return Chart.side_view(np.concatenate([upper, lower]), across), upper, lower
 
 
 def flanks(shape: Array, radius: Array, across: int) -> tuple[Array, Array]:
@@ -311,7 +309,7 @@ def bending_chart(estimator: Estimator) -> Chart:
                 lines.append((contact.equilibrium.p_at(s), colour, dashes, name))
                 dots.append((contact.equilibrium.p_contact_base, colour))
     shapes = np.concatenate([points for points, *_ in lines]) if lines else np.zeros((1, 3))
-    chart = Chart.side_view(shapes / MM, across)
+    chart = Chart.side_view(shapes[:, [2, across]] / MM, across)
     for points, colour, dashes, name in lines:
         chart.line(points[:, 2] / MM, points[:, across] / MM, colour, dashes, name=name, width=2.4)
     for dot, colour in dots:
@@ -333,7 +331,8 @@ def workspace_chart(workspace: Workspace, across: int) -> Chart:
         sheets[side] = np.array([path.points for path in paths]).reshape(-1, STEPS, 3)
     if across and not len(sheets["-y"]) and "-y" in (workspace.area_mm2 or {}):
         sheets["-y"] = sheets["+y"] * np.array([1.0, -1.0, 1.0])
-    chart = Chart.side_view(np.concatenate([*(s.reshape(-1, 3) for s in sheets.values()), np.zeros((1, 3))]), across)
+    reached = np.concatenate([*(sheet.reshape(-1, 3) for sheet in sheets.values()), np.zeros((1, 3))])
+    chart = Chart.side_view(reached[:, [2, across]], across)
     for side, colour in sides.items():
         if not len(sheets[side]):
             continue

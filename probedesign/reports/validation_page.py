@@ -12,6 +12,7 @@ from probedesign.core.units import MILLINEWTON, MM, N_MM, format_value
 from probedesign.estimation.model import ProbeModel
 from probedesign.reports.chart import COLOURS, DASHES, Chart, ChartAxis
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
+from probedesign.reports.prediction_charts import flanks
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.validation.validate import WHY, ErrorStatistics, ValidationReport
 from probedesign.validation.validated_test import ValidatedTest
@@ -57,24 +58,6 @@ def lateral_axis(trial: ValidatedTest) -> int:
     return int(np.argmax(np.abs(trial.shape.load[0:2])))
 
 
-def centreline(trial: ValidatedTest) -> Array:
-    """Return the centreline of the shape [m], (k, 3); empty without a shape."""
-    if trial.shape is None:
-        return np.zeros((0, 3))
-    return trial.shape.p_at(np.linspace(0.0, float(trial.shape.s[-1]), POINTS))
-
-
-def outline(trial: ValidatedTest, model: ProbeModel) -> Array:
-    """Return the outline from the side: base, flank, tip and the other flank [m], (2 k, 3); empty without a shape."""
-    if trial.shape is None:
-        return np.zeros((0, 3))
-    across, s = lateral_axis(trial), np.linspace(0.0, float(trial.shape.s[-1]), POINTS)
-    radius = model.rod.radius_at(s) * model.cross_section.reach(across * math.pi / 2.0)
-    offset = radius[:, None] * trial.shape.R_at(s)[:, :, across]
-    line = trial.shape.p_at(s)
-    return np.concatenate([line + offset, (line - offset)[::-1]])
-
-
 def estimated_contact(trial: ValidatedTest) -> Array | None:
     """Return the estimated contact [m], (3,): on the axis if only s is known for comparison, else on the surface."""
     if trial.estimate is None or not trial.estimate.ok:
@@ -93,17 +76,21 @@ def known_contact(trial: ValidatedTest) -> Array | None:
 def shape_chart(trial: ValidatedTest, model: ProbeModel) -> Chart:
     """Return measured markers and contact, estimated outline, centreline and contact, from the side."""
     across = lateral_axis(trial)
-    line, body = centreline(trial), outline(trial, model)
-    estimate = estimated_contact(trial)
-    contacts = [p[None] for p in (trial.contact_base, estimate) if p is not None]
-    points = np.concatenate([body, trial.markers_on_axis, *contacts, np.zeros((1, 3))]) / MM
-    chart = Chart.side_view(points, across)
-    if len(body):
-        chart.area([(float(p[2]) / MM, float(p[across]) / MM) for p in body], ESTIMATED, 0.15)
-    seen = trial.markers_on_axis / MM
-    if len(seen):
-        chart.line(seen[:, 2], seen[:, across], MEASURED, "7 4", "x", "measured", 1.4)
-    if len(line):
+    view, rod, estimate = [2, across], model.rod, estimated_contact(trial)
+    points = [trial.markers_on_axis, *(p[None] for p in (trial.contact_base, estimate) if p is not None)]
+    seen, line, body = np.concatenate([*points, np.zeros((1, 3))])[:, view] / MM, None, np.zeros((0, 2))
+    if trial.shape is not None:
+        s = np.linspace(0.0, rod.length, POINTS)
+        line = trial.shape.p_at(s)
+        radius = rod.radius_at(s) * model.cross_section.reach(across * math.pi / 2.0)
+        upper, lower = flanks(line, radius, across)
+        body = np.concatenate([upper, lower[::-1]])
+    chart = Chart.side_view(np.concatenate([body, seen]), across)
+    if line is not None:
+        chart.area(body.tolist(), ESTIMATED, 0.15)
+    if n := len(trial.markers_on_axis):
+        chart.line(seen[:n, 0], seen[:n, 1], MEASURED, "7 4", "x", "measured", 1.4)
+    if line is not None:
         chart.line(line[:, 2] / MM, line[:, across] / MM, ESTIMATED, name="estimated", width=2.4)
     for p, colour, mark, name in ((estimate, CONTACT, "s", "contact, estimated"),
                                   (trial.contact_base, MEASURED, "o", "contact, measured"),
