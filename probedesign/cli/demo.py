@@ -5,8 +5,9 @@ import csv
 import io
 import sys
 import webbrowser
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,7 +19,7 @@ from probedesign.cli.options import JsonOutput
 from probedesign.cli.predict import prediction_files
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.files import exports_of
-from probedesign.reports.demo_page import DemoSection, write_demo_page
+from probedesign.reports.html_page import REPORT_STYLE, html_document, labelled
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
@@ -46,6 +47,12 @@ PART_LINKS = (
 TARE, AVERAGE = "0.5:3.5", 36
 #: Simulated contact: 20 mN, swept along the probe and back, with the sensor's noise.
 TOUCH = "force_mN=20&seconds=20&rate_hz=10&speed=max"
+
+_STYLE = """code { border: 0.4pt solid var(--rule); padding: 0.3mm 1.5mm; border-radius: 1mm; font-size: 9pt }
+.links a { margin-right: 4mm } .waiting { color: var(--soft); font-style: italic }
+section img { max-width: 100%; background: #fff }
+"""
+_REFRESH = '<meta http-equiv="refresh" content="2">'
 
 
 def demo(
@@ -127,8 +134,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     from probedesign import pipeline
     from probedesign.frozen_probe import deploy_model
     from probedesign.reports.prediction_charts import probe_chart
-    from probedesign.reports.recording_page import recording_page
-    from probedesign.reports.replay import STYLE, replay_element
+    from probedesign.reports.recording_page import STYLE, recording_page, replay_element
 
     print_step("predicting (the first run compiles the rod and the estimator, half a minute)")
     probe = pipeline.load_probe(design)
@@ -248,3 +254,48 @@ def _simulate(estimator: "Estimator", recording: Path) -> "RecordingEstimates":
     for row, reading in zip(estimates.rows, readings, strict=True):
         row |= true_values(reading)
     return estimates
+
+
+# the page, filled in while its files are made
+
+
+@dataclass
+class DemoSection:
+    """One step of the demo."""
+
+    heading: str  #: of the step.
+    command: str  #: the command that makes it.
+    text: str = ""  #: what was made, or why it was not; empty while it is being made.
+    svg: bytes = b""  #: a picture in the page.
+    html: str = ""  #: html, style: an element of the page instead of a picture, and its style sheet.
+    style: str = ""
+    picture: str = ""  #: file of a picture beside the page.
+    links: Sequence[tuple[str, str]] = field(default_factory=tuple)  #: files beside the page, with what they are.
+
+    def element(self) -> str:
+        """Return the section as HTML; a picture links to the first file."""
+        if not self.text:
+            body = '<p class="waiting">being made ...</p>'
+        else:
+            shown = self.html or labelled(self.svg, self.heading)
+            if self.picture:
+                shown = f'<img src="{escape(self.picture)}" alt="{escape(self.heading)}">'
+            links = "".join(f'<a href="{escape(file)}">{escape(what)}</a>' for file, what in self.links)
+            body = f'{shown}<p>{escape(self.text)}</p><p class="links">{links}</p>'
+        return f"<section><h2>{escape(self.heading)}</h2>{body}<p><code>{escape(self.command)}</code></p></section>\n"
+
+
+def write_demo_page(folder: Path, sections: Sequence[DemoSection]) -> Path:
+    """Write index.html; it reloads itself while a section is being made.
+
+    Returns:
+        The file.
+    """
+    about = ["A 150 mm cone of Elastic 50A on an ATI Nano17: from a few dimensions to located touches."]
+    body = f'<div class="figures">{"".join(section.element() for section in sections)}</div>'
+    head = "" if all(section.text for section in sections) else _REFRESH
+    style = "".join([REPORT_STYLE, _STYLE, *(section.style for section in sections)])
+    page = folder / "index.html"
+    folder.mkdir(parents=True, exist_ok=True)
+    page.write_bytes(html_document("probedesign demo", about, body, style, head))
+    return page

@@ -1,4 +1,4 @@
-"""`probedesign check` and `probedesign export`: the rules of printing, and the parts to print."""
+"""`probedesign check`, `export` and `deploy`: the rules of printing, the parts to print, and the frozen probe."""
 
 import gc
 from collections.abc import Iterator
@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from probedesign.cli.console import plural, print_json, print_step, print_table
+from probedesign.cli.console import plural, print_json, print_step, print_table, show_progress
 from probedesign.cli.options import DesignFile, JsonOutput
 from probedesign.core.files import exports_of
 
@@ -173,3 +173,32 @@ def _print(manifest: dict[str, Any], verbose: bool) -> None:
     print("\nassembly steps")
     for number, step in enumerate(manifest["assembly_order"], 1):
         print(f"  {number}. {step}")
+
+
+def deploy(design: DesignFile, /, *, out: Path | None = None, as_json: JsonOutput = False) -> None:
+    """Freeze the estimator of a design into one file.
+
+    Args:
+        design: the design file, or its name.
+        out: output file, or a folder for NAME.probe.json. Default: exports/NAME.
+        as_json: print one JSON document.
+    """
+    from probedesign import pipeline
+    from probedesign.frozen_probe import deploy_model
+    from probedesign.identification.design_update import design_diff
+
+    with show_progress("freezing the probe"):
+        probe = pipeline.load_probe(design)
+        exports = exports_of(design) / probe.design.name
+        path = deploy_model(probe.model, out or exports)
+        identified = exports / "identification/identification.json"
+        unapplied = design_diff(probe.design, probe.geometry.fingerprint, identified)
+    if as_json:
+        print_json({"file": path, "identified_apart": unapplied})
+        return
+    print(f"wrote {path}")
+    if unapplied:
+        print(
+            f"note: the frozen probe has the values of {design}, which differ from the identified ones: {unapplied}. "
+            "To write those, run identify with --write or --out"
+        )

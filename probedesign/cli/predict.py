@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
@@ -236,18 +236,11 @@ def _print_budget(prediction: "Prediction", conditions: "Sequence[AnyCondition]"
 
 def _print_thresholds(prediction: "Prediction") -> None:
     """Print the forces at which contacts are detected and located to 5, 2 and 1 mm, and the largest force."""
+    from probedesign.reports.prediction_page import threshold_rows
+
     print("\nForce limits and thresholds, full error budget, worst direction")
-    rows = []
-    for place in sorted({r.contact_fraction for r in prediction.reach}):
-        here = [r for r in prediction.reach if r.contact_fraction == place]
-        weakest = min(here, key=lambda r: r.greatest_force_N or 0.0)
-        values = [
-            _max([d for d in prediction.detection if d.contact_fraction == place], "detectable_force_mN"),
-            *(_max(here, f"force_mN_for_{mm}_mm") for mm in (5, 2, 1)),
-            _max([f for f in prediction.fused_reach if f.contact_fraction == place], "force_mN_for_2_mm"),
-            None if weakest.greatest_force_N is None else 1e3 * weakest.greatest_force_N,
-        ]
-        rows.append([f"{place:g}", *map(_cell, values), LIMITS[weakest.limit], _cell(weakest.deflection_mm)])
+    rows = [[f"{place:g}", *map(_cell, forces), LIMITS[weakest.limit], _cell(weakest.deflection_mm)]
+            for place, forces, weakest in threshold_rows(prediction)]  # fmt: skip
     fused = f"2 mm, {prediction.pressing.touches} fused\nmN"
     print_columns(["s/L", "detect\nmN", "5 mm\nmN", "2 mm\nmN", "1 mm\nmN", fused, "largest\nmN", "limit",
                    "deflection\nmm"], rows)  # fmt: skip
@@ -269,12 +262,6 @@ def _print_workspace(workspace: "Workspace") -> None:
         print(f"  along {side}  area {1e-2 * area:.3g} cm²{extent}")
     if workspace.volume_mm3 is not None:
         print(f"  volume {1e-3 * workspace.volume_mm3:.3g} cm³")
-
-
-def _max(rows: "Sequence[Any]", name: str) -> float | None:
-    """Return the largest value of an attribute; None if one of the rows has none."""
-    values = [getattr(row, name) for row in rows]
-    return None if None in values else max(values)
 
 
 def _cell(value: float | None) -> str:

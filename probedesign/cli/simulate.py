@@ -64,8 +64,13 @@ def simulate(
             to 0.2 m/N.
     """
     from probedesign.frozen_probe import load_estimator
-    from probedesign.simulation.netft_box import SimulatedNetFT, SimulatedTransducer, parse_faults
-    from probedesign.simulation.robot import BaseMotion, SimulatedRobot
+    from probedesign.simulation.netft_box import (
+        BaseMotion,
+        SimulatedNetFT,
+        SimulatedRobot,
+        SimulatedTransducer,
+        parse_faults,
+    )
     from probedesign.simulation.scenes import press_scene
 
     faults, model = parse_faults(fault or [], seed), load_estimator(bundle).model

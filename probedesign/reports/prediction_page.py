@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from probedesign.core.units import MM, format_value
+from probedesign.core.units import MILLINEWTON, MM, format_value
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.fused import SHOWN_N, shown
 from probedesign.prediction.predict import HEADLINE_FORCE_N, HEADLINE_FRACTION, Prediction, worst
+from probedesign.prediction.workspace import ForceThresholds
 from probedesign.reports.chart import Chart
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 from probedesign.reports.prediction_charts import (
@@ -187,32 +188,36 @@ def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence
 # Tables
 
 
+def threshold_rows(prediction: Prediction) -> list[tuple[float, list[float | None], ForceThresholds]]:
+    """Return for each place the forces [mN] from which on a contact is detected, located to 5, 2 and 1 mm, and to 2 mm
+    by fused touches, then the largest force, in the worst direction, and the row that limits it."""
+    rows: list[tuple[float, list[float | None], ForceThresholds]] = []
+    for place in sorted({row.contact_fraction for row in prediction.reach}):
+        felt = [row for row in prediction.detection if row.contact_fraction == place]
+        reach = [row for row in prediction.reach if row.contact_fraction == place]
+        fused = [row for row in prediction.fused_reach if row.contact_fraction == place]
+        values = [[row.detectable_force_mN for row in felt],
+                  *([getattr(row, f"force_mN_for_{mm}_mm") for row in reach] for mm in (5, 2, 1)),
+                  [row.force_mN_for_2_mm for row in fused]]  # fmt: skip
+        weakest = min(reach, key=lambda row: row.greatest_force_N or 0.0)
+        greatest = None if weakest.greatest_force_N is None else weakest.greatest_force_N / MILLINEWTON
+        rows.append((place, [*(max(v) if v and None not in v else None for v in values), greatest], weakest))
+    return rows
+
+
 def _table(prediction: Prediction) -> HtmlTable:
-    """Return force thresholds and limits along the probe, worst direction."""
     head = ["along the probe", "detected from", "5 mm", "2 mm", "1 mm", f"2 mm, {prediction.pressing.touches} fused",
             "maximum force", "limited by", "deflection"]  # fmt: skip
-    rows = []
-    for place in sorted({r.contact_fraction for r in prediction.reach}):
-        here = [r for r in prediction.reach if r.contact_fraction == place]
-        weakest = min(here, key=lambda r: r.greatest_force_N or 0.0)
-        forces = (
-            [d.detectable_force_mN for d in prediction.detection if d.contact_fraction == place],
-            [r.force_mN_for_5_mm for r in here], [r.force_mN_for_2_mm for r in here],
-            [r.force_mN_for_1_mm for r in here],
-            [f.force_mN_for_2_mm for f in prediction.fused_reach if f.contact_fraction == place],
-            [None if weakest.greatest_force_N is None else 1e3 * weakest.greatest_force_N],
-        )  # fmt: skip
-        rows.append([f"{place:g} L", *map(_force, forces), LIMITS[weakest.limit][0], _mm(weakest.deflection_mm)])
-    return HtmlTable(head, rows)
+    return HtmlTable(head, [
+        [f"{place:g} L", *map(_force, forces), LIMITS[weakest.limit][0], _mm(weakest.deflection_mm)]
+        for place, forces, weakest in threshold_rows(prediction)
+    ])  # fmt: skip
 
 
-def _force(values: Sequence[float | None]) -> str:
-    """Return the largest value; none if one is missing."""
-    known = [value for value in values if value is not None]
-    if len(known) < len(values) or not known:
+def _force(value: float | None) -> str:
+    if value is None:
         return "none"
-    largest = max(known)
-    return f"{largest:.3g} mN" if largest < 1000.0 else f"{1e-3 * largest:.3g} N"
+    return f"{value:.3g} mN" if value < 1000.0 else f"{1e-3 * value:.3g} N"
 
 
 def _mm(value: float | None) -> str:

@@ -1,5 +1,6 @@
-"""A simulated Net F/T box: its transducer, its page over HTTP, records over UDP by its clock, and injected faults."""
+"""A simulated Net F/T box: transducer, page over HTTP, records over UDP, faults; and the motion of its base."""
 
+import json
 import math
 import re
 import select
@@ -8,16 +9,20 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from time import monotonic
+from urllib.parse import urlsplit
 from xml.sax.saxutils import escape
 
 import numpy as np
 from numpy.typing import NDArray
 
 from probedesign.core.errors import InputError
-from probedesign.core.frames import Array
+from probedesign.core.frames import Array, pose, skew
+from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
+from probedesign.live.poses.base_poses import pose_from_matrix
 from probedesign.live.sources.netft import rdt
 from probedesign.live.sources.netft.configuration import TAGS, NetFTConfiguration
 from probedesign.live.sources.netft.rdt import (
@@ -30,6 +35,7 @@ from probedesign.live.sources.netft.rdt import (
     Request,
     parse_request,
 )
+from probedesign.simulation.scenes import PressedObject
 
 
 def configuration_page(configuration: NetFTConfiguration) -> bytes:
@@ -456,3 +462,136 @@ def _bound(host: str, port: int) -> socket.socket:
 def _refusal(host: str, port: int, error: Exception, option: str) -> str:
     why = getattr(error, "strerror", None) or str(error)
     return f"{host}:{port}: {why}; use another {option}, or an address of this machine"
+
+
+# cyclic motion of its base
+
+REST_TIME = 5.0  #: Free time at the start of a cycle [s], for a tare.
+#: Durations of the move to the next object, of the press and of the retraction, and of the dwell [s].
+MOVE_TIME, PRESS_TIME, CYCLE_DWELL_TIME = 1.0, 1.5, 3.0
+
+
+@dataclass(frozen=True)
+class BaseMotion:
+    """Cyclic motion of the base: rest, then press, hold and retract for each object."""
+
+    model: ProbeModel  #: the probe.
+    objects: tuple[PressedObject, ...]  #: objects in the order in which they are pressed.
+
+    @property
+    def cycle_time(self) -> float:
+        """Duration of a cycle [s]."""
+        return REST_TIME + len(self.objects) * self._object_time
+
+    @property
+    def _object_time(self) -> float:
+        return MOVE_TIME + 2.0 * PRESS_TIME + CYCLE_DWELL_TIME
+
+    def wrench_sensor(self, time: Array) -> Array:
+        """Return the wrench at the sensor without bias and noise [N, N·m], (n, 6), at times [s], (n,)."""
+        index, travel, retracting = self._at(time)
+        wrench = np.tile(self._free, (len(time), 1))
+        for i in np.unique(index[index >= 0]):
+            obj = self.objects[i]
+            on, off = (index == i) & ~retracting, (index == i) & retracting
+            wrench[on] = _interpolated(travel[on], obj.travel, obj.wrench_base)
+            wrench[off] = _interpolated(travel[off], obj.travel_back, obj.wrench_back)
+        return self.model.to_sensor(wrench, self.model.gravity_base)
+
+    def p_world_base(self, time: Array) -> Array:
+        """Return the position of the base [m], (n, 3), in a world that coincides with the base at rest.
+
+        The objects are fixed in that world.
+        """
+        index, travel, _ = self._at(time)
+        p = np.zeros((len(time), 3))
+        for i in np.unique(index[index >= 0]):
+            here = index == i
+            p[here] = travel[here, None] * self.objects[i].direction
+        return p
+
+    def _at(self, time: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+        """Return the index of the object, -1 for none, the travel towards it [m], and whether the base retracts."""
+        since = np.mod(time, self.cycle_time) - REST_TIME
+        index = np.floor(since / self._object_time).astype(int)
+        index = np.where(since < 0.0, -1, np.minimum(index, len(self.objects) - 1))
+        phase = since - index * self._object_time
+        knots = np.cumsum([0.0, MOVE_TIME, PRESS_TIME, CYCLE_DWELL_TIME, PRESS_TIME])
+        fraction = np.interp(phase, knots, [0.0, 0.0, 1.0, 1.0, 0.0])
+        ends = np.array([obj.travel[-1] for obj in self.objects] + [0.0])  # index -1 selects the last entry
+        return index, fraction * ends[index], phase > MOVE_TIME + PRESS_TIME + CYCLE_DWELL_TIME
+
+    @cached_property
+    def _free(self) -> Array:
+        return self.model.rod.solve(self.model.gravity_base, mode="reference").wrench_base
+
+
+def _interpolated(at: Array, knots: Array, values: Array) -> Array:
+    fraction = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, len(knots) - 2)
+    low, high = knots[fraction], knots[fraction + 1]
+    weight = np.clip((at - low) / (high - low), 0.0, 1.0)[:, None]
+    between: Array = (1.0 - weight) * values[fraction] + weight * values[fraction + 1]
+    return between
+
+
+# poses sent by UDP
+
+POSE_PERIOD = 0.008  #: Interval between poses [s], as of a robot controller.
+
+
+class SimulatedRobot:
+    """Sends the pose of the base in a world whose z axis points up. Use it as a context manager."""
+
+    def __init__(self, motion: BaseMotion, motion_time: Callable[[], float], target: str) -> None:
+        """Resolve the receiver.
+
+        Args:
+            motion: motion of the base.
+            motion_time: returns the time since the motion started [s].
+            target: HOST:PORT.
+
+        Raises:
+            InputError: this is not an address.
+        """
+        self._motion, self._motion_time = motion, motion_time
+        try:
+            parts = urlsplit(f"//{target}")
+            self._target = (socket.gethostbyname(parts.hostname) if parts.hostname else "", parts.port or 0)
+        except (ValueError, OSError):
+            self._target = ("", 0)
+        if not all(self._target):
+            raise InputError(f"--pose-to {target} must be HOST:PORT, as 127.0.0.1:30010")
+        self._R = upright_rotation(motion.model.gravity_base)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._send, name="robot", daemon=True)
+
+    def __enter__(self) -> "SimulatedRobot":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def datagram(self, time: float, motion_time: float) -> bytes:
+        """Return the datagram at a time by the robot's clock [s], `motion_time` after the motion started [s]."""
+        p = self._R @ self._motion.p_world_base(np.array([motion_time]))[0]
+        q = pose_from_matrix(time, pose(self._R)).q
+        fields = zip(("time_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw"), (time, *p / MM, *q), strict=True)
+        return json.dumps({"frame": "world", **{name: float(value) for name, value in fields}}).encode()
+
+    def _send(self) -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+            while not self._ended.wait(POSE_PERIOD):
+                with suppress(OSError):  # there is no listener
+                    udp.sendto(self.datagram(monotonic(), self._motion_time()), self._target)
+
+
+def upright_rotation(gravity_base: Array) -> Array:
+    """Return R_world_base of the base at rest (3, 3): the shortest rotation that turns gravity to -z."""
+    down = gravity_base / np.linalg.norm(gravity_base)
+    axis, cosine = np.cross(down, (0.0, 0.0, -1.0)), -float(down[2])
+    if cosine < -1.0 + 1e-9:  # gravity points up: rotate by π about x
+        return np.diag([1.0, -1.0, -1.0])
+    K = skew(axis)
+    return np.asarray(np.eye(3) + K + K @ K / (1.0 + cosine))

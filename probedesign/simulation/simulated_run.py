@@ -7,8 +7,9 @@ Contacts stick and slip by Coulomb's law with a friction coefficient drawn for e
 where the base came from, the contact is followed from pose to pose.
 """
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,8 @@ from probedesign.estimation.bias import WALK_STEPS
 from probedesign.estimation.error_sources import BEFORE_KNOTS
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.live.blocks import Block
+from probedesign.live.poses.base_poses import TimedPose, pose_from_matrix
 from probedesign.live.poses.pose_sources import POSE_COLUMNS
 from probedesign.live.recordings.csv import CsvRecorder
 from probedesign.live.recordings.mcap_write import McapRecorder
@@ -30,7 +33,6 @@ from probedesign.mapping.touch_point import BasePoseUncertainty
 from probedesign.prediction.monte_carlo import perturbed_rod
 from probedesign.rod.friction import ASSUMED_FRICTION, ASSUMED_SPREAD, CoulombContact, CoulombSolver, draw_friction
 from probedesign.rod.rod import Rod
-from probedesign.simulation.robot import SimulatedTrajectory
 from probedesign.simulation.scenes import SOURCE, StraightPress, TouchTarget
 
 #: Forces between which the base alternates [N]; the firm one stays below 5 mN when the robot is off its place.
@@ -68,6 +70,109 @@ class RunErrors:
         x, y, z = base.rotation_std.tolist()
         return cls(Tolerances.of(model).youngs_modulus, base.base_offset_mm * MM, base.base_repeat_mm * MM,
                    rotation=(x, y, z), friction=friction, friction_spread=friction_spread)  # fmt: skip
+
+
+TARE_TIME = 4.0  #: Free time at the start [s], for a tare.
+#: Durations of the move to the next object, of the approach and the retreat, and from one press to the next [s].
+TRAVEL_TIME, APPROACH_TIME, STEP_TIME = 1.5, 1.0, 0.4
+DWELL_TIME, FREE_TIME = 1.0, 2.0  #: Durations of the dwell at each press, and free before and after each touch [s].
+#: Rates of sensor samples and of robot poses [Hz]. A Net F/T box sends 7000 samples; fewer make smaller files.
+SAMPLE_RATE, POSE_RATE = 3500.0, 50.0
+BLOCK_LENGTH = 200  #: Number of samples of a block.
+STD_OFFSET_STEPS = 50.0  #: Standard deviation of the constant bias, in steps of the resolution.
+
+
+@dataclass
+class SimulatedTrajectory:
+    """Trajectory of the base, linear between waypoints, with the wrench and the sensor bias at each of them."""
+
+    R_world_base: Array  #: rotation of the base, which is constant, (3, 3).
+    wrench_free: Array  #: wrench of the free probe at the base [N, N·m], (6,).
+    rng: np.random.Generator  #: random numbers of the bias.
+    time_scale: float = 1.0  #: factor on all durations; sample and pose rates are divided by it.
+    bias_rate: float = WALK_STEPS  #: random walk of the bias, in steps of the sensor's resolution per √s.
+    times: list[float] = field(default_factory=list)  #: times of the waypoints [s].
+    positions: list[Array] = field(default_factory=list)  #: positions of the base reported by the robot [m], (3,) each.
+    wrenches: list[Array] = field(default_factory=list)  #: wrenches of the probe at its base [N, N·m], (6,) each.
+    biases: list[Array] = field(default_factory=list)  #: bias of the sensor, in steps of its resolution, (6,) each.
+
+    def __post_init__(self) -> None:
+        """Start free in front of the house."""
+        self._add(0.0, np.array([0.0, -0.2, 0.0]), self.wrench_free, np.zeros(6))
+        self._dwell(TARE_TIME)
+
+    @property
+    def end(self) -> float:
+        """Time of the last waypoint [s]."""
+        return self.times[-1]
+
+    def travel_to(self, p: Array) -> None:
+        """Move the free probe to a position before an object [m], (3,), and dwell there."""
+        self._move(TRAVEL_TIME, p, self.wrench_free)
+        self._dwell(FREE_TIME)
+
+    def approach(self, p: Array) -> None:
+        """Move to the position of first contact [m], (3,)."""
+        self._move(0.5 * APPROACH_TIME, p, self.wrench_free)
+
+    def press(self, p: Array, wrench_base: Array) -> None:
+        """Move to a press at a position [m], (3,), with its wrench [N, N·m], (6,), and dwell there."""
+        self._move(STEP_TIME, p, wrench_base)
+        self._dwell(DWELL_TIME)
+
+    def retreat(self, p: Array) -> None:
+        """Leave the object for a position [m], (3,), and dwell there."""
+        self._move(APPROACH_TIME, p, self.wrench_free)
+        self._dwell(FREE_TIME)
+
+    def press_positions(self, n_presses: int) -> list[Array]:
+        """Return the positions of the base at the presses of the object just left [m], (3,) each."""
+        return self.positions[-2 * n_presses - 1 : -2 : 2]
+
+    def poses(self) -> list[TimedPose]:
+        """Return the poses that the robot reports."""
+        time = self._sample_times(POSE_RATE)
+        p = np.stack([np.interp(time, self.times, [p[i] for p in self.positions]) for i in range(3)], axis=1)
+        q = pose_from_matrix(0.0, pose(self.R_world_base)).q
+        return [TimedPose(t, tuple(at), q) for t, at in zip(time.tolist(), p.tolist(), strict=True)]
+
+    def blocks(self, model: ProbeModel, rng: np.random.Generator) -> Iterator[Block]:
+        """Yield single samples of the sensor: constant bias, random walk, white noise and finite resolution."""
+        gravity = self.R_world_base.T @ np.array([0.0, 0.0, -9.81])
+        step = model.noise.std * math.sqrt(
+            model.averaging_samples
+        )  # the noise of one sample is one step of the resolution
+        time = self._sample_times(SAMPLE_RATE)
+        wrench = model.to_sensor(self._interpolate(time, self.wrenches), gravity)
+        offset = rng.normal(0.0, STD_OFFSET_STEPS, 6)
+        steps = offset + self._interpolate(time, self.biases) + rng.standard_normal(wrench.shape)
+        wrench = np.round(wrench / step + steps) * step
+        for i in range(0, len(time), BLOCK_LENGTH):
+            part = slice(i, i + BLOCK_LENGTH)
+            yield Block(time[part], wrench[part], gravity, np.full(len(time[part]), np.nan))
+
+    def _sample_times(self, rate: float) -> Array:
+        return np.arange(0.0, self.end, self.time_scale / rate)
+
+    def _interpolate(self, time: Array, values: list[Array]) -> Array:
+        columns = np.array(values)
+        return np.stack([np.interp(time, self.times, columns[:, i]) for i in range(6)], axis=1)
+
+    def _move(self, seconds: float, p: Array, wrench_base: Array) -> None:
+        seconds *= self.time_scale
+        # The bias also walks during the dwell before the move; that part is added here.
+        walk = self.rng.normal(0.0, self.bias_rate * math.sqrt(self.end - self.times[-2] + seconds), 6)
+        self._add(self.end + seconds, p, wrench_base, self.biases[-1] + walk)
+
+    def _dwell(self, seconds: float) -> None:
+        time = self.end + self.time_scale * seconds
+        self._add(time, self.positions[-1], self.wrenches[-1], self.biases[-1])
+
+    def _add(self, time: float, p: Array, wrench_base: Array, bias: Array) -> None:
+        self.times.append(time)
+        self.positions.append(p)
+        self.wrenches.append(wrench_base)
+        self.biases.append(bias)
 
 
 @dataclass(frozen=True)

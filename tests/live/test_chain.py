@@ -23,7 +23,14 @@ from probedesign.live.run import estimate_stream
 from probedesign.live.sources.replay import ReplaySource
 from probedesign.rod.contact import solve_frictionless
 from probedesign.simulation import scenes
-from probedesign.simulation.robot import CYCLE_DWELL_TIME, MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion, SimulatedRobot
+from probedesign.simulation.netft_box import (
+    CYCLE_DWELL_TIME,
+    MOVE_TIME,
+    PRESS_TIME,
+    REST_TIME,
+    BaseMotion,
+    SimulatedRobot,
+)
 
 RATE, SAMPLES = 500.0, 5  #: Of single samples [Hz], and to a mean: a hundred means a second.
 BIAS = np.array([0.3, -0.2, 0.5, 0.002, -0.003, 0.001])

@@ -195,7 +195,7 @@ def test_what_is_no_fault(text):
 def test_simulate_and_live_meet(bundle, estimator, capsys, monkeypatch):
     """The whole way: a scene of the rod, over the wire, tared and located, also where tests keep the machine busy."""
     monkeypatch.setattr("probedesign.live.processing.chain.MAX_AGE", 10.0)
-    from probedesign.simulation.robot import BaseMotion
+    from probedesign.simulation.netft_box import BaseMotion
     from probedesign.simulation.scenes import press_scene
 
     things = press_scene(estimator.model, "edges", friction=0.0)[2:]
@@ -219,7 +219,7 @@ def test_simulate_and_live_meet(bundle, estimator, capsys, monkeypatch):
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 def test_a_scene_of_cards_is_pressed_and_left_again(estimator, friction):
-    from probedesign.simulation.robot import MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion
+    from probedesign.simulation.netft_box import MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion
     from probedesign.simulation.scenes import press_scene
 
     model = estimator.model
@@ -236,7 +236,7 @@ def test_a_scene_of_cards_is_pressed_and_left_again(estimator, friction):
 
 def test_with_friction_the_way_off_an_object_is_not_the_way_onto_it(estimator):
     """The tangential force turns round while the base turns round; without friction both ways are one."""
-    from probedesign.simulation.robot import CYCLE_DWELL_TIME, MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion
+    from probedesign.simulation.netft_box import CYCLE_DWELL_TIME, MOVE_TIME, PRESS_TIME, REST_TIME, BaseMotion
     from probedesign.simulation.scenes import press_scene
 
     model, before = estimator.model, np.array([0.03, 0.06])  # pressed still: the edge is left after 0.13 s

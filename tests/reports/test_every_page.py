@@ -11,6 +11,7 @@ import pytest
 
 from probedesign import pipeline
 from probedesign.campaigns import read_campaign
+from probedesign.cli.demo import DemoSection, write_demo_page
 from probedesign.cli.main import run
 from probedesign.design import load_design
 from probedesign.live.blocks import iter_readings
@@ -21,13 +22,11 @@ from probedesign.live.sources.sim import SimulatedSource
 from probedesign.mapping.contact_map import build_map
 from probedesign.planning.candidates import Instruments
 from probedesign.probe import build_probe
-from probedesign.reports.demo_page import DemoSection, write_demo_page
 from probedesign.reports.identification_page import identification_page
 from probedesign.reports.map_page import MapScene, map_page, map_svg
 from probedesign.reports.plan_page import plan_page
 from probedesign.reports.prediction_page import prediction_page
-from probedesign.reports.recording_page import recording_page, touches_in, verdict
-from probedesign.reports.replay import STYLE, replay_element
+from probedesign.reports.recording_page import STYLE, recording_page, replay_element, touches_in, verdict
 from probedesign.reports.sweep_page import sweep_page
 from probedesign.reports.validation_page import validation_page
 from probedesign.simulation.campaign_folder import make_campaign

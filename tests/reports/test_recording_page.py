@@ -14,8 +14,7 @@ from probedesign.live.recordings.csv import write_recording
 from probedesign.live.run import estimate_recording
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.probe import build_probe
-from probedesign.reports.recording_page import recording_page, verdict
-from probedesign.reports.replay import MAX_FRAMES, replay_element, upright
+from probedesign.reports.recording_page import MAX_FRAMES, recording_page, replay_element, upright, verdict
 from tests.reports.test_pages import DESIGNS
 
 

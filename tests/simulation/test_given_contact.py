@@ -7,7 +7,7 @@ import pytest
 
 from probedesign.core.units import MM
 from probedesign.rod.contact import DEFAULT_FORCE, safe_force, solve_contact
-from probedesign.simulation.robot import SimulatedTrajectory
+from probedesign.simulation.simulated_run import SimulatedTrajectory
 from tests.live.conftest import bundle as bundle
 from tests.live.conftest import estimator as estimator
 
