@@ -169,6 +169,7 @@ FIELDS = (
     Field("hanging.p_com_m", "payload.p_com", _array(3)),
     Field("hanging.inertia_kg_m2", "payload.inertia", _array(3, 3)),
     Field("T_sensor_base", "T_sensor_base", _read_pose),
+    Field("T_robotflange_base", "T_robotflange_base", _read_pose, optional=True),
     Field("gravity_base_m_s2", "gravity_base", _array(3)),
     Field("sensor.force_range_N", "force_range", _array(3)),
     Field("sensor.moment_range_Nm", "moment_range", _array(3)),

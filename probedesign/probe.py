@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from probedesign.core.errors import InputError
-from probedesign.core.frames import Array
+from probedesign.core.frames import Array, inverse
 from probedesign.core.notebook import Displayed
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.geometry import Axis, ProbeGeometry
 from probedesign.geometry.mass import MassProperties, flexible_part
-from probedesign.mount import Mount, build_geometry, mount_mass_properties
+from probedesign.mount import Mount, T_sensor_robotflange, build_geometry, mount_mass_properties
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
@@ -106,6 +106,7 @@ class Probe(Displayed):
             rod=self.rod,
             gravity_base=np.array(d.mount.gravity_base_m_s2),
             T_sensor_base=adapter.T_sensor_base,
+            T_robotflange_base=inverse(T_sensor_robotflange(sensor, d.robot_flange)) @ adapter.T_sensor_base,
             payload=mount_mass_properties(self.geometry, adapter, d.density.value),
             wrench_range=np.array(calibration.wrench_range),
             noise=calibration.noise(d.sensor.averaging_samples),

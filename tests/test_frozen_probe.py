@@ -313,6 +313,7 @@ def test_contradicting_values_are_refused_under_a_valid_checksum(frozen, path):
         (("rod", "section", "flatness"), negative, "section"),
         (("material", "youngs_modulus_Pa", "value"), alter_by_tenth, "sections"),
         (("T_sensor_base", 0, 0), alter_by_tenth, "T_sensor_base"),
+        (("T_robotflange_base", 2, 2), alter_by_tenth, "T_robotflange_base"),
         (("sensor", "noise_force_N"), negative, "noise"),
         (("sensor", "force_range_N", 0), negative, "ranges"),
         (("rod", "s_m", 1), negative, "increase"),

@@ -59,6 +59,7 @@ class ProbeModel(Displayed):
     sensor: str = DEFAULT_SENSOR  #: name of the sensor.
     sensor_d: float = NANO17_BODY[0]  #: sensor_d, sensor_height: of its body, for the view [m].
     sensor_height: float = NANO17_BODY[1]
+    T_robotflange_base: Array | None = None  #: pose of the base in the robot flange's frame, (4, 4); None if unknown.
     #: `campaigns.Test.digest` of the tests that the parameters were identified from.
     identified_tests: tuple[str, ...] = ()
 

@@ -1,6 +1,7 @@
 """Dimensions and mass of the mount between robot, sensor and probe; needs no CAD."""
 
 from probedesign.mount.flange_adapter import FlangeAdapter as FlangeAdapter
+from probedesign.mount.flange_adapter import T_sensor_robotflange as T_sensor_robotflange
 from probedesign.mount.flange_adapter import flange_adapter_for as flange_adapter_for
 from probedesign.mount.mass import mount_mass_properties as mount_mass_properties
 from probedesign.mount.mass import mount_part_masses as mount_part_masses

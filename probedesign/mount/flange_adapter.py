@@ -73,6 +73,21 @@ def bolt_margin(robot: RobotFlange, length: float) -> float:
     return robot.screw.length_tolerance(length) + PRINT_TOLERANCE + FACE_LOSS + SETTLING
 
 
+def T_sensor_robotflange(sensor: SensorModel, robot: RobotFlange) -> Array:
+    """Return the pose of the robot flange's frame in the sensor frame, (4, 4)."""
+    turn = rotation_z(np.radians(_dowel_deg(sensor, robot)))
+    return pose(turn, [0.0, 0.0, -sensor.interface.height - _plate_top(robot)])
+
+
+def _dowel_deg(sensor: SensorModel, robot: RobotFlange) -> float:
+    """Return the azimuth of the robot's dowel in the sensor frame: the cable bisects the first two bolts."""
+    return sensor.interface.cable.azimuth_deg - (robot.bolt_azimuths_deg[0] + robot.bolt_azimuths_deg[1]) / 2
+
+
+def _plate_top(robot: RobotFlange) -> float:
+    return robot.bolt_length - (robot.max_bolt_entry - bolt_margin(robot, robot.bolt_length))
+
+
 def flange_adapter_for(sensor: SensorModel, robot: RobotFlange, fingerprint: str = "", name: str = "") -> FlangeAdapter:
     """Return the plate for a sensor and a robot, with fingerprint and name engraved.
 
@@ -89,10 +104,9 @@ def flange_adapter_for(sensor: SensorModel, robot: RobotFlange, fingerprint: str
             f"{others}; describe another one in [mount.flange], with robot_flange = {CUSTOM!r}"
         )
     interface, mounting = sensor.interface, sensor.interface.mounting
-    plate_top = robot.bolt_length - (robot.max_bolt_entry - bolt_margin(robot, robot.bolt_length))
-    # The cable bisects the first two bolts; the dowel's azimuth in the sensor frame follows.
-    cable, cable_deg = interface.cable, (robot.bolt_azimuths_deg[0] + robot.bolt_azimuths_deg[1]) / 2
-    dowel_deg = cable.azimuth_deg - cable_deg
+    cable, plate_top = interface.cable, _plate_top(robot)
+    dowel_deg = _dowel_deg(sensor, robot)
+    cable_deg = cable.azimuth_deg - dowel_deg
     reach, body_r = robot.bolt_circle_d / 2, interface.body_d / 2
     # The body passes between its pins, which enclose up to 2 % more, at every corner of the tolerances.
     play = (length_tolerance(1.02 * interface.body_d) + PRINTED_PIN_PLAY + SENSOR_BODY_TOLERANCE) / 2
@@ -126,7 +140,7 @@ def flange_adapter_for(sensor: SensorModel, robot: RobotFlange, fingerprint: str
         p_mounting_screws=on_circle(mounting.bolt_circle_d, (a - dowel_deg for a in mounting.azimuths_deg)),
         p_bolts=on_circle(robot.bolt_circle_d, robot.bolt_azimuths_deg),
         on_plate=_engraving(robot, fingerprint, name, plate_top, (body_r, pins, pocket, cable_deg)),
-        T_sensor_robotflange=pose(rotation_z(np.radians(dowel_deg)), [0.0, 0.0, -interface.height - plate_top]),
+        T_sensor_robotflange=T_sensor_robotflange(sensor, robot),
     )
 
 

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.core.frames import is_pose
+from probedesign.core.frames import is_pose, rotation_z
 from probedesign.design import Design
 from probedesign.design.catalog import M2
 from probedesign.design.sensor_catalog import SENSORS
 from probedesign.mount import (
+    Mount,
     SensorAdapter,
     build_geometry,
     exported_root_radii,
@@ -21,6 +22,7 @@ from probedesign.mount import (
     sensor_adapter_for,
 )
 from probedesign.mount.mass import cylinder, hexagon, segment, strip, subtract
+from probedesign.probe import build_probe
 from tests.cad.conftest import design_of as make_design
 
 
@@ -88,6 +90,21 @@ def test_base_sits_straight_above_the_tool_face_and_screws_into_the_sensor_keep_
         assert holes.min_entry < holes.length - holes.grip < holes.max_entry
         # 6.0 - 2.5 - 0.24 (screw) - 0.15 (print) = 3.11 mm, to 0.1 mm; sums of decimals, hence a picometre.
         assert (holes.length, holes.grip) == (6e-3, pytest.approx(3.1e-3, abs=1e-12))
+
+
+def test_the_base_on_the_robot_is_the_sum_of_plate_sensor_and_adapter_turned_by_the_cable() -> None:
+    design = make_design()
+    T, mount = build_probe(design).model.T_robotflange_base, Mount.of(design)
+    assert T is not None and is_pose(T)
+    height = design.sensor_model.interface.height
+    assert T[2, 3] == pytest.approx(mount.flange_adapter.plate_top + height + mount.sensor_adapter.T_sensor_base[2, 3])
+    assert T[:2, 3] == pytest.approx([0.0, 0.0], abs=1e-15)
+    x = T[:3, 0]  # the clocking mark, in the robot flange's axes
+    assert np.degrees(np.arctan2(x[1], x[0])) == pytest.approx(-60.0)
+    # The cable leaves midway between the first two bolts,.
+    cable = T[:3, :3] @ rotation_z(np.radians(design.sensor_model.interface.cable.azimuth_deg))[:, 0]
+    first, second = design.robot_flange.bolt_azimuths_deg[:2]
+    assert np.degrees(np.arctan2(cable[1], cable[0])) % 360.0 == pytest.approx((first + second) / 2.0)
 
 
 @pytest.mark.parametrize("base_d", [0.5, 3.0, 12.0, 25.0, 60.0])
