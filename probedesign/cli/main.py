@@ -29,6 +29,7 @@ COMMANDS = {
     "plan": "Plan the tests of a campaign, with the intervals to expect, a sheet and an empty data folder.",
     "identify": "Identify E, G and other parameters from tests of a print.",
     "deploy": "Freeze the estimator of a design into one file.",
+    "twin": "Write a probe for simulators: MJCF, SDF, URDF, USD.",
     "estimate": "Locate the contacts of a recording, one estimate per row.",
     "campaign": "Simulate a measurement campaign: an example data folder.",
     "validate": "Compare a frozen probe's estimates with a stereo reference, as in the paper's Table I.",
