@@ -36,15 +36,22 @@ def compare(
     """
     from probedesign.design import load_design
     from probedesign.optimization.objective import METRICS
-    from probedesign.reports.comparison_page import best_design, comparison_page, comparison_table, comparison_verdict
+    from probedesign.reports.comparison_page import (
+        best_design,
+        comparison_page,
+        comparison_table,
+        comparison_verdict,
+        directions_verdict,
+    )
     from probedesign.reports.comparison_page import compare as side_by_side
     from probedesign.reports.html_page import check_page_target
 
-    task, file = (options or TaskOptions()).task(), None
+    loaded, file = [load_design(path) for path in designs], None
+    task = (options or TaskOptions()).task(any(design.probe.axis != "straight" for design in loaded))
     with show_progress("comparing designs"):
         if page and out is not None:
             check_page_target(out)
-        compared = side_by_side([load_design(path) for path in designs], task)
+        compared = side_by_side(loaded, task)
         if page:
             name = f"compare-{'-'.join(one.design.name for one in compared)}.html"
             file = out or exports_of(designs[0]) / name
@@ -57,6 +64,8 @@ def compare(
     table = comparison_table(compared)
     print(comparison_verdict(compared))
     print(task.text)
+    if directions := directions_verdict(compared):
+        print(directions)
     print_columns(table.head, table.rows)
     print(f"wrote {file}" if file else "no page was written")
 
@@ -104,12 +113,12 @@ def sweep(
     from probedesign.optimization.sweep import parse_axis
     from probedesign.reports.sweep_page import read_sweep, sweep_page
 
-    axes, task = [parse_axis(text) for text in vary], (options or TaskOptions()).task()
-    keys = [axis.key for axis in axes]
+    axes = [parse_axis(text) for text in vary]
+    keys, start = [axis.key for axis in axes], load_design(design)
+    task = (options or TaskOptions()).task(start.probe.axis != "straight" or any("axis" in key for key in keys))
     other = None if beside is None else (str(beside), read_sweep(beside, keys))
     try:
         with show_progress() as on_progress:
-            start = load_design(design)
             folder, count = out or exports_of(design) / start.name / "sweep", workers or os.cpu_count() or 1
             swept = grid.sweep(start, axes, task, folder, scheduler, count, on_progress)
     except KeyboardInterrupt:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from probedesign.optimization.optimum import MonteCarloCheck, OptimizeResult, Optimum, ParetoFront
 
 MAX_SHOWN_CASES = 6  #: Cases with a larger error than the start's that are printed.
-Over = Literal["cone", "taper", "length", "section"]
+Over = Literal["cone", "taper", "length", "section", "axis"]
 
 
 def optimize(
@@ -48,7 +48,8 @@ def optimize(
         goal: minimize the error at --force-N, or the force that reaches --error-mm.
         error_mm: error to be reached [mm], for force-for-error.
         subject_to: a constraint such as "sag_mm<=60"; repeat the option for more.
-        over: variables: cone (base and tip diameter), taper (a free profile), length, section. Default: cone.
+        over: variables: cone (base and tip diameter), taper (a free profile), length, section, axis (bend, turns and
+            azimuth of a helix). Default: cone.
         options: the task.
         confirm: check the result by a Monte Carlo simulation with this number of samples per case, with all error
             sources and friction.
@@ -68,9 +69,9 @@ def optimize(
     limits = [parse_limit(text) for text in subject_to or []]
     check_limits(limits)
     start = load_design(design)
-    search = OptimizationProblem(
-        start, tuple(over or ["cone"]), (options or TaskOptions()).task(), goal, error_mm, tuple(limits)
-    )
+    free: tuple[Over, ...] = tuple(over or ["cone"])
+    task = (options or TaskOptions()).task("axis" in free or start.probe.axis != "straight")
+    search = OptimizationProblem(start, free, task, goal, error_mm, tuple(limits))
     with show_progress() as on_progress:
         result = _run(
             search, out or Path("designs") / f"{start.name}-best.toml", force, confirm, pareto, seed, on_progress
@@ -127,7 +128,8 @@ def _print(
 ) -> None:
     print(f"{best.design.name}: {best.task.text}")
     before, after = best.before.as_dict(), best.after.as_dict()
-    rows = [[name, format_value(before[name]), format_value(after[name])] for name in after]
+    rows = [[name, format_value(before[name]), format_value(after[name])] for name in after
+            if name != "tip_offset_mm" or before[name] or after[name]]  # fmt: skip
     print_columns(["", "start", "optimum"], rows)
     if confirmed is not None:
         for name, check in zip(("start", "optimum"), confirmed, strict=True):
@@ -143,7 +145,8 @@ def _print(
         error = "buckles" if place.best_error_mm is None else f"{place.best_error_mm:.3g} mm"
         gravity = ",".join(f"{g:g}" for g in place.gravity_base_m_s2)
         print(f"  larger error than the start at {place.contact_fraction:g} of the length, {1e3 * place.force_N:g} mN, "
-              f"gravity {gravity} m/s²: {error}, start {place.start_error_mm:.3g} mm")  # fmt: skip
+              f"gravity {gravity} m/s², direction {place.direction_deg:.3g}°: {error}, "
+              f"start {place.start_error_mm:.3g} mm")  # fmt: skip
     if len(ranked) > MAX_SHOWN_CASES:
         print(f"  and in {len(ranked) - MAX_SHOWN_CASES} more cases; --json lists all")
     print(f"  {best.n_evaluations} designs evaluated from {len(best.starts)} starts, objective: "

@@ -3,6 +3,7 @@
 The field names are the names of the options and the docstrings below them are their help texts.
 """
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -69,13 +70,14 @@ Method = Literal["ml", "force_moment"]
 Tare = Literal["auto", "none"]
 """Values of --tare."""
 Origin = Literal["sensor", "base"]
+_SECTOR_STEP = 30.0  #: Largest step between the directions of a sector [deg].
 _LIST: dict[str, Any] = {"negative": (), "consume_multiple": True}
 
 
 @Parameter(name="*")
 @dataclass
 class TaskOptions:
-    """Task of `compare`, `sweep` and `optimize`: each place with each force under each gravity is one case."""
+    """Task of `compare`, `sweep` and `optimize`: each place, force, gravity and direction together are one case."""
 
     force_N: Annotated[list[float] | None, Parameter(name="--force-N", **_LIST)] = None
     """Normal contact force [N], one or several. With several touches it is the force of the strongest; the others are
@@ -96,11 +98,17 @@ class TaskOptions:
     """Touched places as fractions of the length, instead of --places."""
     gravity: Annotated[list[str] | None, Parameter(**_LIST)] = None
     """X,Y,Z of gravity in base axes [m/s²], one or several, such as 9.81,0,0. Default: the design's mount."""
+    direction: Annotated[list[float] | None, Parameter(**_LIST)] = None
+    """Direction in which the object pushes, about the tangent from the section's X axis towards Y [deg], one or
+    several. Default: across gravity, or all directions if a probe is curved."""
+    sector: float = 0.0
+    """Half-width of a sector about each direction that counts as well, in steps of at most 30 degrees [deg]; 180 is all
+    around."""
     combine: Literal["mean", "worst"] = "mean"
     """How the errors of the cases are combined: mean (RMS) or worst."""
 
-    def task(self) -> "Task":
-        """Return the task.
+    def task(self, curved: bool = False) -> "Task":
+        """Return the task; of a curved probe over all directions if none is given.
 
         Raises:
             InputError: a value is out of range or cannot be read.
@@ -111,8 +119,21 @@ class TaskOptions:
         places = self.at if self.at is not None else numbers_of("--places", self.places)
         return Task(
             tuple(self.force_N or (0.005,)), self.touches, self.moments_about, self.base_repeat_mm,
-            self.bias_walk_steps, tuple(map(float, places)), tuple(map(_vector, self.gravity or [])), self.combine,
+            self.bias_walk_steps, tuple(map(float, places)), tuple(map(_vector, self.gravity or [])),
+            self._directions(curved), self.combine,
         )  # fmt: skip
+
+    def _directions(self, curved: bool) -> tuple[float, ...]:
+        if not 0.0 <= self.sector <= 180.0:
+            raise InputError(f"--sector {self.sector:g} must lie in 0 ... 180 degrees")
+        if self.sector and not self.direction:
+            raise InputError(f"--sector {self.sector:g} needs --direction, the middle of the sector [deg]")
+        middles, sector = self.direction or [], self.sector
+        if curved and not middles:
+            middles, sector = [180.0], 180.0
+        steps = math.ceil(sector / _SECTOR_STEP)
+        offsets = [sector * k / steps for k in range(-steps, steps + (sector < 180.0))] if steps else [0.0]
+        return tuple(dict.fromkeys(middle + offset for middle in middles for offset in offsets))
 
 
 def _vector(text: str) -> tuple[float, float, float]:

@@ -31,6 +31,7 @@ LIMITED_METRICS = (
     "worst_error_mm",
     "sag_mm",
     "reach_mm",
+    "tip_offset_mm",
     "sensor_use",
     "slide_mm",
     "mass_g",

@@ -14,23 +14,26 @@ from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.design import Design, check_design
 from probedesign.design.edit import as_new_print, tables_of
-from probedesign.design.schema import MAX_DIAMETER_MM, MIN_DIAMETER_MM
+from probedesign.design.schema import AXIS_KEYS, MAX_DIAMETER_MM, MIN_DIAMETER_MM
 from probedesign.estimation.model import ProbeModel
+from probedesign.geometry.axis import MIN_RADIUS_RATIO, Axis
 from probedesign.mount import flange_of, max_ring_passage_d
 from probedesign.optimization.displacement import MIN_FORCE, displacement_metric
-from probedesign.optimization.objective import Task, detectable_mN, predict_task, side_of
+from probedesign.optimization.objective import Task, detectable_mN, predict_task, tip_offset
 from probedesign.prediction.predict import tip_sag
 from probedesign.printing import check as limits
 from probedesign.probe import Probe, build_probe
 from probedesign.rod.contact import solve_frictionless
 from probedesign.rod.vibration import natural_frequency
 
-FreeParameter = Literal["cone", "taper", "length", "section"]
+FreeParameter = Literal["cone", "taper", "length", "section", "axis"]
 CONTROLS = 5  #: Number of control diameters of a free taper, evenly spaced along the probe.
 FRUSTA = 11  #: Number of frusta of a free taper: none of the usual contact positions lies on a knot between two.
 LENGTH_MM, RATIO = (20.0, 400.0), (0.2, 0.9)
 #: Units of the coordinates, chosen so that all of them are between one and fifty.
 _UNIT = {"length": 10.0, "section": 0.1}
+#: Bounds and units of the variables of an axis: total bend [deg], turns, azimuth [deg].
+AXIS = {"axis_bend_deg": (5.0, 270.0, 10.0), "axis_turns": (-1.5, 1.5, 0.1), "axis_azimuth_deg": (-360.0, 360.0, 10.0)}
 #: Margin of a rule's limit where a ratio varies: it is rounded like the diameters and must not violate the rule.
 _ROUNDING_MARGIN = 2e-3
 DIGITS = 3  #: Decimals of a millimetre in a design file; no printer resolves the thousandth.
@@ -40,8 +43,9 @@ DIGITS = 3  #: Decimals of a millimetre in a design file; no printer resolves th
 class DesignSpace:
     """Designs that differ from a start in their flexible part alone.
 
-    A point x: control diameters [mm], evenly from base to tip; then, if they are free, the length [cm] and ten times
-    the section's ratio. A free taper is the cubic spline through its control diameters, linear in them.
+    A point x: control diameters [mm], evenly from base to tip; then, if they are free, the length [cm], ten times the
+    section's ratio and the axis as a helix, in the units of `AXIS`. A free taper is the cubic spline through its
+    control diameters, linear in them.
     """
 
     start: Design  #: the design that the others differ from.
@@ -66,6 +70,10 @@ class DesignSpace:
     @property
     def size(self) -> int:
         """Return the dimension of x."""
+        return self._axis + len(AXIS) * ("axis" in self.free)
+
+    @property
+    def _axis(self) -> int:
         return self.controls + ("length" in self.free) + ("section" in self.free)
 
     @property
@@ -89,7 +97,23 @@ class DesignSpace:
             x.append(design.probe.length_mm / _UNIT["length"])
         if "section" in self.free:
             x.append(getattr(design.probe, self.ratio_key) / _UNIT["section"])
+        if "axis" in self.free:
+            x += [(getattr(design.probe, key) or 0.0) / unit for key, (_, _, unit) in AXIS.items()]
         return np.array(x)
+
+    def with_axis(self, x: Array, keys: dict[str, float]) -> Array:
+        """Return a point with another axis, given by its keys."""
+        return np.concatenate(
+            [x[: self._axis], [keys[key] / unit for key, (_, _, unit) in AXIS.items()], x[self.size :]]
+        )
+
+    def axis_keys(self, x: Array, digits: int) -> dict[str, Any]:
+        """Return the keys of the axis of a point."""
+        values = x[self._axis : self._axis + len(AXIS)]
+        keys = {key: round(float(v * AXIS[key][2]), digits) for key, v in zip(AXIS, values, strict=True)}
+        if not keys["axis_turns"]:
+            del keys["axis_turns"]
+        return {"axis": "helix" if "axis_turns" in keys else "arc"} | keys
 
     def length_mm(self, x: Array) -> float:
         """Return the length of a point [mm]."""
@@ -100,7 +124,7 @@ class DesignSpace:
     def ratio(self, x: Array) -> float | None:
         """Return the section's ratio, None where it is round."""
         if "section" in self.free:
-            return float(x[-1] * _UNIT["section"])
+            return float(x[self._axis - 1] * _UNIT["section"])
         return getattr(self.start.probe, self.ratio_key, None)
 
     def knots_mm(self, x: Array) -> tuple[Array, Array]:
@@ -118,6 +142,8 @@ class DesignSpace:
         for name, (low, high) in {"length": LENGTH_MM, "section": RATIO}.items():
             if name in self.free:
                 intervals.append((low / _UNIT[name], high / _UNIT[name]))
+        if "axis" in self.free:
+            intervals += [(low / unit, high / unit) for low, high, unit in AXIS.values()]
         return intervals
 
     def printable(self, x: Array, *, without_warnings: bool = False) -> dict[str, Array]:
@@ -148,8 +174,23 @@ class DesignSpace:
             rules["room for the clamp ring"] = (max_ring_passage_d(flange) / MM - d) / limits.MIN_THICKNESS
         if self.controls == 2:
             rules["a cone that tapers"] = (d[:-1] - d[1:]) / limits.MIN_THICKNESS
+        if "axis" in self.free:
+            rules |= self._axis_margins(x, s, d)
         spare = _ROUNDING_MARGIN if "section" in self.free else 0.0
         return {name: room - spare for name, room in rules.items()}
+
+    def _axis_margins(self, x: Array, s: Array, d: Array) -> dict[str, Array]:
+        """Return the margins of `Axis.conflict`, with the curvature and the height over the mount along the axis."""
+        keys = self.axis_keys(x, _EXACT)
+        bend, azimuth = math.radians(keys["axis_bend_deg"]), math.radians(keys["axis_azimuth_deg"])
+        axis = Axis.helix(s[-1] * MM, bend, keys.get("axis_turns", 0.0), azimuth)
+        at = np.linspace(0.0, axis.length, _AXIS_POINTS)
+        T, r = axis.frames(at), np.interp(at, s * MM, d * MM / 2.0)
+        low = T[:, 2, 3] - r * np.sqrt(np.maximum(1.0 - T[:, 2, 2] ** 2, 0.0))
+        return {
+            "radius of curvature": 1.0 - MIN_RADIUS_RATIO * np.linalg.norm(axis.curvature_at(at), axis=1) * r,
+            "axis above the mount": low[1:] / axis.length,
+        }
 
     def tables(self, x: Array, digits: int) -> dict[str, Any]:
         """Return the tables of the design file of a point, dimensions rounded to the given decimals of a millimetre."""
@@ -168,6 +209,9 @@ class DesignSpace:
             probe |= {"shape": "profile", "profile_mm": profile}
         if "section" in self.free:
             probe[self.ratio_key] = round(float(self.ratio(x) or 0.0), 4)
+        if "axis" in self.free:
+            probe = {key: value for key, value in probe.items() if key not in AXIS_KEYS}
+            data["probe"] = probe | self.axis_keys(x, digits)
         return as_new_print(data)
 
     def design(self, x: Array, digits: int = DIGITS) -> Design:
@@ -202,21 +246,22 @@ def critical_load_factor(model: ProbeModel, task: Task, limit: float) -> float:
         limit: largest factor of interest.
     """
     return min(
-        _load_factor_at(under, fraction * under.rod.length, task.force_N, limit)
+        _load_factor_at(under, fraction * under.rod.length, angle, task.force_N, limit)
         for under in task.models(model)
         for fraction in task.fractions
+        for angle in task.angles(under.gravity_base)
     )
 
 
-def _load_factor_at(model: ProbeModel, s: float, force: float, limit: float) -> float:
-    free = _compliance(model, s, _WEAK_N)
-    here, lost, power = 1.0, _lost_stiffness(free, _compliance(model, s, force)), _SQUARE
+def _load_factor_at(model: ProbeModel, s: float, angle: float, force: float, limit: float) -> float:
+    free = _compliance(model, s, angle, _WEAK_N)
+    here, lost, power = 1.0, _lost_stiffness(free, _compliance(model, s, angle, force)), _SQUARE
     for _ in range(_MAX_EVALUATIONS):
         estimate = here * float(lost ** (-1.0 / power))
         ahead = min(_SHORT * estimate, limit)
         if ahead <= here:
             break
-        there = _compliance(model, s, ahead * force)
+        there = _compliance(model, s, angle, ahead * force)
         if not math.isfinite(there):
             limit = here + _BACK * (ahead - here)
             continue
@@ -230,15 +275,16 @@ def _lost_stiffness(free: float, pushed: float) -> float:
     return min(max(1.0 - free / pushed, _NONE_LOST), 1.0)
 
 
-def _compliance(model: ProbeModel, s: float, force: float) -> float:
+def _compliance(model: ProbeModel, s: float, angle: float, force: float) -> float:
     """Return the displacement of the contact by an additional dead force [m/N]; infinite where the probe buckles."""
-    pushed = solve_frictionless(model.rod, model.gravity_base, s, side_of(model.gravity_base), force)
+    pushed = solve_frictionless(model.rod, model.gravity_base, s, angle, force)
     if pushed.result != "ok":
         return math.inf
     return float(np.linalg.norm(pushed.sensitivity.d_position[:, :3]))
 
 
 STEP = 1e-4  #: Relative step of the finite differences; the error prediction is smooth to about 1e-8.
+_AXIS_POINTS = 25  #: Points of the axis at which its margins are evaluated.
 _EXACT = 12  # decimals: dimensions are not rounded noticeably
 _SMALL = 1e-4  # relative step of a radius, for differences of the free rod alone
 #: Critical load, over the task's force, that a design must have: the error does not show how near buckling is, and a
@@ -249,7 +295,7 @@ _MAX_LOAD = 1.1 * SAFETY_FACTOR  # beyond the safety factor, so that the constra
 #: Metrics of a design that buckles: values that no optimiser accepts.
 INFEASIBLE = {"error_mm": 1e3, "worst_error_mm": 1e3, "sensor_use": 10.0, "slide_mm": 1e3, "sag_mm": 1e3,
             "reach_mm": 1e-3, "critical_load": 0.1, "buckling_margin": 0.1, "natural_frequency_Hz": 1e-3,
-            "detectable_mN": 1e6, "thinnest_mm": 1e-3}  # fmt: skip
+            "detectable_mN": 1e6, "thinnest_mm": 1e-3, "tip_offset_mm": 1e3}  # fmt: skip
 #: Force or load of a crash where a push does not reach its distance; its inverse is the smallest force.
 _NO_FIGURE = 1e6
 
@@ -309,7 +355,8 @@ class DesignEvaluator:
             model = probe.model
         except InputError:
             return metrics
-        metrics |= {"mass_g": 1e3 * probe.mass, "thinnest_mm": probe.geometry.thinnest / MM}
+        metrics |= {"mass_g": 1e3 * probe.mass, "thinnest_mm": probe.geometry.thinnest / MM,
+                    "tip_offset_mm": max(tip_offset(probe) / MM, 1e-3)}  # fmt: skip
         task = self.task_at(x)
         touched = predict_task(model, task)
         error = task.combined(touched.errors)
@@ -344,7 +391,7 @@ class DesignEvaluator:
         Sag and reach by diameters are exact except for the base's; the others are finite differences: the error
         consists of first derivatives of the rod, so its gradient would need second ones, which the rod lacks.
         """
-        if name in ("sag_mm", "reach_mm") and not {"length", "section"} & set(self.space.free):
+        if name in ("sag_mm", "reach_mm") and not {"length", "section", "axis"} & set(self.space.free):
             exact = self._sag_and_reach_gradients(x)
             if exact is not None:
                 return np.pad(exact[name], (0, len(x) - self.space.controls))

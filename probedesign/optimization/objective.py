@@ -1,5 +1,6 @@
 """Task of a probe, and the metrics by which designs are compared, swept and optimised for it."""
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
@@ -22,7 +23,7 @@ from probedesign.prediction.fused import MAX_TOUCHES, LinearizedPresses, PressSc
 from probedesign.prediction.predict import finite_or_none, tip_sag
 from probedesign.prediction.touches import SurfaceRod, slide, touches_of
 from probedesign.printing.check import check_print
-from probedesign.probe import build_probe
+from probedesign.probe import Probe, build_probe
 
 #: Contact positions over the length whose error is averaged: the outer part without the tip itself.
 FRACTIONS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
@@ -32,16 +33,17 @@ Vector = tuple[float, float, float]
 
 
 class Case(NamedTuple):
-    """One position, force and gravity of a task."""
+    """One position, force, gravity and direction of a task."""
 
     contact_fraction: float  #: arclength of the touched section over the length.
     force_N: float  #: normal force; of several touches the largest.
     gravity_base_m_s2: Vector  #: gravity in base axes.
+    direction_deg: float  #: of the push, about the tangent from the section's X axis.
 
 
 @dataclass(frozen=True)
 class Task:
-    """How a probe is used: every combination of position, force and gravity is one case."""
+    """How a probe is used: every combination of position, force, gravity and direction is one case."""
 
     #: normal contact forces; of several touches the largest, the others are equal steps up to it.
     forces_N: tuple[float, ...] = (0.005,)
@@ -53,6 +55,8 @@ class Task:
     bias_walk_steps: float | None = None
     fractions: tuple[float, ...] = FRACTIONS  #: contact positions over the length.
     gravities: tuple[Vector, ...] = ()  #: in base axes [m/s²]; empty: that of the design's mount.
+    #: of the pushes, about the tangent from the section's X axis; empty: across gravity.
+    directions_deg: tuple[float, ...] = ()
     combine: Combine = "mean"  #: "mean": the error is the RMS over the cases; "worst": the largest.
 
     def __post_init__(self) -> None:
@@ -72,6 +76,8 @@ class Task:
         for gravity in self.gravities:
             if len(gravity) != 3 or not all(abs(g) <= MAX_GRAVITY for g in gravity):
                 raise InputError(f"gravity {list(gravity)} must be three numbers within ±{MAX_GRAVITY:g} m/s²")
+        if not all(abs(angle) <= 720.0 for angle in self.directions_deg):
+            raise InputError(f"directions {list(self.directions_deg)} must lie within ±720°")
         if self.combine not in ("mean", "worst"):
             raise InputError(f"combine = {self.combine!r} is not known; known: mean, worst")
 
@@ -98,6 +104,14 @@ class Task:
         for gravity in self.gravities:
             yield replace(model, gravity_base=np.array(gravity, dtype=float))
 
+    def angles(self, gravity: Array) -> list[float]:
+        """Return the directions of the pushes under a gravity (3,), about the tangent from the section's X axis [rad].
+
+        Without directions it is the push across gravity, to +y without gravity.
+        """
+        across = math.atan2(gravity[1], gravity[0]) + math.pi / 2.0
+        return [math.radians(angle) for angle in self.directions_deg] or [across]
+
     def combined(self, errors: tuple[float, ...]) -> float:
         """Combine the errors of all cases to the error of the task."""
         if self.combine == "worst":
@@ -111,6 +125,9 @@ class Task:
         where = f"{over} {min(self.fractions):g}-{max(self.fractions):g} of the length"
         if len(self.gravities) > 1:
             where += f" and {len(self.gravities)} directions of gravity"
+        if self.directions_deg:
+            low, high, n = min(self.directions_deg), max(self.directions_deg), len(self.directions_deg)
+            where += f", forces at {low:g}°" if n == 1 else f", {n} directions of the force from {low:g} to {high:g}°"
         return f"{self.touches_text}, all error sources, {where}"
 
     @property
@@ -123,11 +140,6 @@ class Task:
         changed += "" if self.bias_walk_steps is None else f", bias walks {self.bias_walk_steps:g} steps"
         counted = self.schedule.text.split(", ")[1]
         return f"{self.touches} touches up to {forces} mN fused, {counted}{changed}"
-
-
-def side_of(gravity: Array) -> float:
-    """Return the angle about the axis of a push across gravity [rad]; that of +y without gravity."""
-    return math.atan2(gravity[1], gravity[0]) + math.pi / 2.0
 
 
 DETECTION_FRACTION = 0.8  #: Contact fraction whose detectable force is reported.
@@ -161,6 +173,7 @@ class DesignMetrics:
     detectable_mN: float | None
     sag_mm: float | None  #: displacement of the tip along gravity, as mounted.
     reach_mm: float | None  #: distance from the base to the tip of the free probe.
+    tip_offset_mm: float  #: distance of the tip of the unloaded probe from the base's z axis; 0 of a straight probe.
     sensor_use: float | None  #: largest fraction of a channel's range in the task.
     #: slide of the object along the probe in a straight press without friction; None for single touches and where it
     #: slips off.
@@ -193,6 +206,7 @@ def design_metrics(design: Design, task: Task) -> DesignMetrics:
         detectable_mN=detectable_mN(probe.model, task),
         sag_mm=tip_sag(free, probe.rod, probe.model.gravity_base) / MM if free.ok else None,
         reach_mm=float(np.linalg.norm(free.p_at(probe.length)) / MM) if free.ok else None,
+        tip_offset_mm=tip_offset(probe) / MM,
         sensor_use=finite_or_none(touched.sensor_use),
         slide_mm=finite_or_none(touched.slide / MM) if task.touches > 1 else None,
         mass_g=float(1e3 * probe.mass),
@@ -203,6 +217,11 @@ def design_metrics(design: Design, task: Task) -> DesignMetrics:
     )
 
 
+def tip_offset(probe: Probe) -> float:
+    """Return the distance of the unloaded tip from the z axis of the base [m]."""
+    return float(np.linalg.norm(probe.axis.frames([probe.length])[0, :2, 3]))
+
+
 def predict_task(model: ProbeModel, task: Task, slipping: bool = True) -> TaskErrors:
     """Predict the errors of a task's touches, including all error sources; without `slipping` the slide is 0."""
     cases, errors, use, slid = list[Case](), list[float](), 0.0, 0.0
@@ -211,26 +230,26 @@ def predict_task(model: ProbeModel, task: Task, slipping: bool = True) -> TaskEr
         free = estimator.free()
         on = SurfaceRod(under.rod, under.gravity_base, under.mass, free)
         sources = ErrorSources.of(under, estimator.priors, under.gravity_base, free) if free.ok else None
-        for fraction in task.fractions:
-            by_force = {} if sources is None else _errors_at(estimator, on, sources, fraction, task)
+        for fraction, angle in itertools.product(task.fractions, task.angles(under.gravity_base)):
+            by_force = {} if sources is None else _errors_at(estimator, on, sources, fraction, angle, task)
             for force in task.forces_N:
-                cases.append(Case(fraction, force, tuple(under.gravity_base.tolist())))
+                cases.append(Case(fraction, force, tuple(under.gravity_base.tolist()), math.degrees(angle)))
                 error, used = by_force.get(force, (math.inf, math.inf))
                 errors.append(error)
                 use = max(use, used)
             if slipping and task.schedule is not None and free.ok:
-                s, phi = fraction * under.rod.length, side_of(under.gravity_base) + math.pi
+                s, phi = fraction * under.rod.length, angle + math.pi
                 slid = max(slid, slide(on, s, phi, task.schedule.forces(task.force_N)))
     return TaskErrors(tuple(cases), tuple(errors), use, slid)
 
 
 def _errors_at(
-    estimator: Estimator, on: SurfaceRod, sources: ErrorSources, fraction: float, task: Task
+    estimator: Estimator, on: SurfaceRod, sources: ErrorSources, fraction: float, angle: float, task: Task
 ) -> dict[float, tuple[float, float]]:
-    """Return the error [m] and the used fraction of the sensor's range at one position, by force, where there is a
-    result."""
+    """Return the error [m] and the used fraction of the sensor's range at one position and direction [rad], by force,
+    where there is a result."""
     model, schedule = estimator.model, task.schedule
-    press = on.begin_press(fraction * on.rod.length, side_of(on.gravity) + math.pi)
+    press = on.begin_press(fraction * on.rod.length, angle + math.pi)
     parts = {force: (force,) if schedule is None else schedule.forces(force) for force in task.forces_N}
     reached = dict[float, Array]()
     for force in sorted({part for of in parts.values() for part in of}):
@@ -264,5 +283,6 @@ def detectable_mN(model: ProbeModel, task: Task) -> float | None:
     estimator = Estimator(model, task.priors(model))
     if not estimator.free().ok:
         return None
-    weak = touches_of(estimator, [(DETECTION_FRACTION, "+y")], [_WEAK_N])[_WEAK_N]
-    return 1e3 * estimator.detectable(weak.wrench_by_force[0]) if weak.ok[0] else None
+    sides = [f"{angle:g}deg" for angle in task.directions_deg] or ["+y"]
+    weak = touches_of(estimator, [(DETECTION_FRACTION, side) for side in sides], [_WEAK_N])[_WEAK_N]
+    return 1e3 * max(map(estimator.detectable, weak.wrench_by_force)) if weak.ok.all() else None

@@ -1,5 +1,6 @@
 """Optimisation of a design from several starts, its Monte Carlo check, and Pareto fronts."""
 
+import itertools
 import math
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
@@ -26,7 +27,6 @@ from probedesign.optimization.objective import (
     Vector,
     design_metrics,
     predict_task,
-    side_of,
 )
 from probedesign.prediction.monte_carlo import PrintSamples, locate_draws
 from probedesign.probe import build_probe
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 STARTS = (1.0, 0.6)  #: Factors on the diameters of the design, one start each.
 AROUND = (0.5, 1.0, 2.0)  #: Factors on the task's forces at which they are compared.
+#: Axes from which an optimisation over the axis starts: total bend, turns and azimuth [deg].
+BENDS_DEG, TURNS, AZIMUTHS_DEG = (60.0, 100.0, 160.0), (0.0, 0.5, 1.0), tuple(45.0 * k for k in range(8))
 #: Factor on the diameters of a start that buckles, and maximum number of times: its metrics have no gradient.
 _THICKER, _TIMES = 1.25, 8
 
@@ -48,6 +50,7 @@ class WorseCase:
     contact_fraction: float  #: arclength of the touched section over the length.
     force_N: float  #: normal force; of several touches the largest.
     gravity_base_m_s2: Vector  #: gravity in base axes.
+    direction_deg: float  #: of the push, about the tangent from the section's X axis.
     start_error_mm: float  #: RMS error of the start.
     best_error_mm: float | None  #: of the optimum; None where it buckles.
 
@@ -136,7 +139,23 @@ def _starts(problem: NonlinearProgram, designs: list[Design]) -> list[Array]:
             thicker[: space.controls] *= _THICKER
             thicker = problem.clip(thicker)
         starts.append(start)
+    if "axis" in space.free:
+        starts = [*_bent(problem, starts[0]), *_bent(problem, starts[1])[:1], *starts[2:]]
     return starts
+
+
+def _bent(problem: NonlinearProgram, x: Array) -> list[Array]:
+    """Return a point with other axes, an arc and two helices: each the best of `BENDS_DEG` and `AZIMUTHS_DEG`."""
+    best = []
+    for turns in TURNS:
+        tried = []
+        for bend, azimuth in itertools.product(BENDS_DEG, AZIMUTHS_DEG):
+            keys = {"axis_bend_deg": bend, "axis_turns": turns, "axis_azimuth_deg": azimuth}
+            point = problem.clip(problem.evaluator.space.with_axis(x, keys))
+            short = max(0.0, *(-SPARE - c.min_margin(point) for c in problem.constraints))
+            tried.append((short, problem.objective(point), point))
+        best.append(min(tried, key=lambda of: of[:2]))
+    return [point for _, _, point in sorted(best, key=lambda of: of[:2])]
 
 
 # Monte Carlo check
@@ -162,6 +181,7 @@ class _Chunk(NamedTuple):
     model: ProbeModel
     task: Task
     fraction: float
+    angle: float
     force: float
     draws: int
     seed: tuple[int, int, int]
@@ -191,11 +211,11 @@ def confirm(
         if not math.isfinite(error):
             where = f"{case.contact_fraction:g} of its length under {1e3 * case.force_N:g} mN"
             raise InputError(f"{design.name}: buckles at {where}")
-    cases = [(under, fraction, force) for under in task.models(model)
-             for fraction in task.fractions for force in task.forces_N]  # fmt: skip
+    cases = [(under, fraction, angle, force) for under in task.models(model) for fraction in task.fractions
+             for angle in task.angles(under.gravity_base) for force in task.forces_N]  # fmt: skip
     chunks = [
-        _Chunk(under, task, fraction, force, min(_CHUNK, draws - first), (seed, place, first))
-        for place, (under, fraction, force) in enumerate(cases)
+        _Chunk(under, task, fraction, angle, force, min(_CHUNK, draws - first), (seed, place, first))
+        for place, (under, fraction, angle, force) in enumerate(cases)
         for first in range(0, draws, _CHUNK)
     ]
     parts = dict[int, Array]()
@@ -215,8 +235,7 @@ def _errors(chunk: _Chunk) -> Array:
     model, task = chunk.model, chunk.task
     rng = np.random.default_rng(chunk.seed)
     samples = PrintSamples.draw(model, task.priors(model), chunk.draws, int(rng.integers(2**31)))
-    side = side_of(model.gravity_base)
-    results = locate_draws(samples, chunk.fraction, chunk.force, side, task.schedule, rng)
+    results = locate_draws(samples, chunk.fraction, chunk.force, chunk.angle, task.schedule, rng)
     rows = [
         (math.nan if a.error is None else a.error, a.result == "ok", a.result == "ok" and a.inside) for a in results
     ]

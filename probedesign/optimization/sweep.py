@@ -149,7 +149,9 @@ def sweep(
         MissingDependencyError: there is a scheduler, and dask is not installed.
     """
     grid, base = grid_points(axes), tables_of(design)
-    plain_task = asdict(task) | {name: list(getattr(task, name)) for name in ("forces_N", "fractions")}
+    plain_task = asdict(task) | {
+        name: list(getattr(task, name)) for name in ("forces_N", "fractions", "directions_deg")
+    }
     plain_task["gravities"] = [list(gravity) for gravity in task.gravities]
     request = {"schema": 1, "name": design.name, "design": fingerprint(base), "task": plain_task,
              "vary": {axis.key: list(axis.values) for axis in axes}}  # fmt: skip

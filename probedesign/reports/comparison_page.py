@@ -1,30 +1,42 @@
 """Comparison of several designs: one table, and charts with common axes."""
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.core.units import MM, format_value
 from probedesign.design import Design
+from probedesign.estimation.estimator import Estimator
 from probedesign.optimization.objective import (
     COMPARED_FRACTIONS,
     DETECTION_FRACTION,
     METRICS,
     DesignMetrics,
     Task,
-    TaskErrors,
     design_metrics,
     predict_task,
 )
 from probedesign.prediction.fused import MAX_TOUCHES, FusedHeadline, PressSchedule
-from probedesign.prediction.predict import Prediction, fused_headline
+from probedesign.prediction.predict import (
+    DIRECTION_STEP_DEG,
+    FRACTIONS,
+    HEADLINE_FRACTION,
+    ErrorOverDirections,
+    Prediction,
+    errors_over_directions,
+    fused_headline,
+)
 from probedesign.probe import build_probe
-from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis, LegendEntry
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
+from probedesign.reports.prediction_charts import direction_chart, lateral_axis
 
 MAX_DESIGNS = 6
 SIDE = "+y"  #: Direction across gravity for a horizontal mount, as in the task.
@@ -37,6 +49,7 @@ LABELS = {
     "detectable_mN": f"detected at {DETECTION_FRACTION:g} L from [mN]",
     "sag_mm": "sag of the tip [mm]",
     "reach_mm": "distance from base to tip [mm]",
+    "tip_offset_mm": "offset of the unloaded tip from the base's axis [mm]",
     "sensor_use": "used fraction of the sensor's range",
     "slide_mm": "slide of the object along the probe [mm]",
     "mass_g": "mass of the flexible part [g]",
@@ -54,11 +67,14 @@ class ComparedDesign:
 
     design: Design  #: the design.
     metrics: DesignMetrics  #: its metrics for the task.
-    along: TaskErrors  #: its touches at `COMPARED_FRACTIONS`.
+    #: error at each of `COMPARED_FRACTIONS`, over the directions of the task [m]; infinite where the probe buckles.
+    along: tuple[float, ...]
     #: error over the task's positions at each of `FORCES_N` [m]; infinite where the probe buckles.
     by_force: tuple[float, ...]
-    prediction: Prediction  #: for pushes across gravity with the task's force.
+    prediction: Prediction  #: for pushes with the task's force: across gravity, or in all directions if it is curved.
     fused: FusedHeadline  #: its error of fused touches as `predict` reports it, whatever the task.
+    #: errors of single readings of the task's force over the directions; empty where all probes are straight.
+    over: tuple[ErrorOverDirections, ...] = ()
 
 
 def compare(designs: Sequence[Design], task: Task) -> list[ComparedDesign]:
@@ -69,7 +85,9 @@ def compare(designs: Sequence[Design], task: Task) -> list[ComparedDesign]:
     """
     if not 2 <= len(designs) <= MAX_DESIGNS:
         raise InputError(f"compare takes 2 to {MAX_DESIGNS} designs; {len(designs)} given")
-    along = replace(task, fractions=COMPARED_FRACTIONS, forces_N=(task.force_N,), gravities=task.gravities[:1])
+    along = [replace(task, fractions=(at,), forces_N=(task.force_N,), gravities=task.gravities[:1])
+             for at in COMPARED_FRACTIONS]  # fmt: skip
+    curved = any(build_probe(design).rod.is_curved for design in designs)
     by_force = [replace(task, forces_N=(force,)) for force in FORCES_N]
     pressing = PressSchedule(min(max(task.touches, 2), MAX_TOUCHES), task.moments_about)
     compared = []
@@ -77,12 +95,16 @@ def compare(designs: Sequence[Design], task: Task) -> list[ComparedDesign]:
         probe = build_probe(design)
         model = probe.model
         prediction = probe.predict(
-            forces_N=(task.force_N,), directions=(SIDE,), tolerances=task.priors(model), pressing=pressing
+            forces_N=(task.force_N,),
+            directions=None if probe.rod.is_curved else (SIDE,),
+            tolerances=task.priors(model),
+            pressing=pressing,
         )
         rms = tuple(task.combined(predict_task(model, other, slipping=False).errors) for other in by_force)
-        touches = predict_task(model, along, slipping=False)
-        metrics = design_metrics(design, task)
-        compared.append(ComparedDesign(design, metrics, touches, rms, prediction, fused_headline(model)))
+        touches = tuple(task.combined(predict_task(model, other, slipping=False).errors) for other in along)
+        metrics, estimator = design_metrics(design, task), Estimator(model, task.priors(model))
+        over = errors_over_directions(estimator, FRACTIONS, (task.force_N,)) if curved and estimator.free().ok else ()
+        compared.append(ComparedDesign(design, metrics, touches, rms, prediction, fused_headline(model), over))
     return compared
 
 
@@ -113,6 +135,7 @@ def comparison_table(compared: Sequence[ComparedDesign]) -> HtmlTable:
         [LABELS[name], *(format_value(getattr(entry.metrics, name)) for entry in compared),
          best_design(compared, name) or "-"]
         for name in METRICS
+        if name != "tip_offset_mm" or any(entry.metrics.tip_offset_mm for entry in compared)
     ]  # fmt: skip
     fused = {entry.design.name: entry.fused.predicted_error_mm for entry in compared}
     label = f"error of {compared[0].fused.label} [mm]"
@@ -144,26 +167,94 @@ def comparison_page(compared: Sequence[ComparedDesign], task: Task) -> bytes:
     sections = [
         _lines("Error along the probe",
                f"{task.touches_text}, all error sources. A line ends where the probe buckles.", compared,
-               lambda entry: (COMPARED_FRACTIONS, _in_mm(entry.along.errors)), _PLACE, _ERROR),
+               lambda entry: (COMPARED_FRACTIONS, _in_mm(entry.along)), _PLACE, _ERROR),
         _lines("Error by force", "As before, over the task's positions, by the largest force.", compared,
                lambda entry: ([1e3 * f for f in FORCES_N], _in_mm(entry.by_force)), force, _ERROR),
         _lines("Detection limit", "Force detected with probability 0.5 at one false alarm an hour.", compared,
-               lambda entry: _rows(entry.prediction.detection, lambda d: d.detectable_force_mN), _PLACE,
+               lambda entry: _rows(entry.prediction.detection, lambda d: d.detectable_force_mN, max), _PLACE,
                "smallest detectable force [mN]"),
         _lines("Maximum force", "Force at which the probe buckles, an object slips off the tip or the sensor's range "
                "ends; pushed sideways.", compared,
-               lambda entry: _rows(entry.prediction.reach, lambda r: r.greatest_force_N, 1e3), _PLACE,
+               lambda entry: _rows(entry.prediction.reach, lambda r: r.greatest_force_N, min, 1e3), _PLACE,
                "maximum force [mN]"),
         _lines("Diameter", "Diameter along the undeformed axis.", compared,
                lambda entry: ([s for s, _ in entry.design.probe.knots_mm], [d for _, d in entry.design.probe.knots_mm]),
                "arclength s [mm]", "diameter [mm]", from_zero=True),
-        ReportFigure("Sag", "Without contact, under gravity as mounted, seen along y, x downwards.",
-                _sag_chart(compared).svg()),
+        ReportFigure("Sag", "Without contact, under gravity as mounted, from the side.", _sag_chart(compared).svg()),
     ]  # fmt: skip
+    if any(entry.over for entry in compared):
+        force_text = f"single readings of {1e3 * task.force_N:g} mN"
+        at_0_8 = {entry.design.name: row.errors_mm for entry in compared for row in entry.over
+                  if row.contact_fraction == HEADLINE_FRACTION}  # fmt: skip
+        sections += [
+            ReportFigure("Error over the direction of the force",
+                    f"RMS error of {force_text} at {HEADLINE_FRACTION:g} of the length, all sources included, is the "
+                    "distance from the centre; X and Y are the axes of the touched section.",
+                    direction_chart(at_0_8).svg()),
+            ReportFigure("Best design by place and direction",
+                    f"The smallest RMS error [mm] of {force_text}, all sources included, by direction of the force "
+                    "from X towards Y. Grey: the two best designs differ by less than 5 %.", _best_map(compared).svg()),
+        ]  # fmt: skip
     assumed = [f"{entry.design.name} assumes {', '.join(entry.design.assumptions) or 'nothing'}" for entry in compared]
     title = f"Comparison: {' · '.join(entry.design.name for entry in compared)}"
     table, verdict = comparison_table(compared), comparison_verdict(compared)
-    return report_page(title, [task.text, *assumed], table, sections, verdict=verdict)
+    about = [task.text, *filter(None, [directions_verdict(compared)]), *assumed]
+    return report_page(title, about, table, sections, verdict=verdict)
+
+
+def _best_map(compared: Sequence[ComparedDesign]) -> Chart:
+    """Return which design has the smallest error of a single reading, by place and direction."""
+    degrees = range(0, 360, 2 * DIRECTION_STEP_DEG)
+    chart = Chart(ChartAxis.named(_PLACE.label, [f"{at:g}" for at in FRACTIONS]),
+                  ChartAxis.named("direction of the force", [f"{k}°" for k in degrees]))  # fmt: skip
+    errors, colours = _errors_over(compared), COLOURS[1:]
+    order = np.sort(errors, axis=0)
+    for i, j in itertools.product(range(len(FRACTIONS)), range(len(degrees))):
+        smallest, best = order[0, i, 2 * j], int(errors[:, i, 2 * j].argmin())
+        fill = colours[best] if smallest < _ALIKE * order[1, i, 2 * j] else "#e4e4e4"
+        chart.box((i + 0.5, i + 1.5), (j + 0.5, j + 1.5), fill)
+        chart.text(i + 1, j + 1, f"{smallest:.2g}" if math.isfinite(smallest) else "buckles", size=11.0, on=fill)
+    chart.legend = [LegendEntry(entry.design.name, colour) for entry, colour in zip(compared, colours, strict=False)]
+    return chart
+
+
+_ALIKE = 0.95  #: Ratio of two errors above which the designs count as equally good.
+
+
+def _errors_over(compared: Sequence[ComparedDesign]) -> Array:
+    """Return the errors of single readings [mm] by design, place and direction, (designs, places, directions)."""
+    unknown = [[None] * (360 // DIRECTION_STEP_DEG)] * len(FRACTIONS)
+    errors = np.array([[row.errors_mm for row in entry.over] or unknown for entry in compared], dtype=float)
+    return np.where(np.isnan(errors), np.inf, errors)
+
+
+def directions_verdict(compared: Sequence[ComparedDesign]) -> str:
+    """Return for which directions of a light touch near the tip which design is best; empty if all are straight."""
+    if not any(entry.over for entry in compared):
+        return ""
+    force = next(entry.over[0].force_N for entry in compared if entry.over)
+    errors = _errors_over(compared)[:, FRACTIONS.index(HEADLINE_FRACTION)]
+    best, order = errors.argmin(axis=0), np.sort(errors, axis=0)
+    clear, parts = order[0] < _ALIKE * order[1], []
+    for k, entry in enumerate(compared):
+        if (here := clear & (best == k)).any():
+            low, high = errors[k][here].min(), errors[k][here].max()
+            parts.append(f"{entry.design.name} best at {_sectors(here)} with {low:.2g} to {high:.2g} mm")
+    if not clear.all():
+        parts.append(f"no difference at {_sectors(~clear)}")
+    return f"Single readings of {1e3 * force:g} mN at {HEADLINE_FRACTION:g} L by direction: {'; '.join(parts)}."
+
+
+def _sectors(here: NDArray[np.bool_]) -> str:
+    """Return the directions of a mask over the circle in words, such as 285° to 75°."""
+    n = len(here)
+    if here.all():
+        return "all directions"
+    begins = [i for i in range(n) if here[i] and not here[i - 1]]
+    ends = [next(j for j in range(i, i + n) if not here[(j + 1) % n]) % n for i in begins]
+    words = [f"{DIRECTION_STEP_DEG * i}°" + (f" to {DIRECTION_STEP_DEG * j}°" if j != i else "")
+             for i, j in zip(begins, ends, strict=True)]  # fmt: skip
+    return ", ".join(words)
 
 
 _Points = tuple[Sequence[float], Sequence[float]]
@@ -185,9 +276,17 @@ def _lines(
     return ReportFigure(heading, caption, chart.svg())
 
 
-def _rows(rows: Sequence[Any], value: Callable[[Any], float | None], unit: float = 1.0) -> _Points:
-    values = [math.nan if (v := value(row)) is None else unit * v for row in rows]
-    return [row.contact_fraction for row in rows], values
+def _rows(
+    rows: Sequence[Any], value: Callable[[Any], float | None], worst: Callable[..., float], unit: float = 1.0
+) -> _Points:
+    """Return place and value, the worst of all directions."""
+    by_place: dict[float, list[float]] = {}
+    for row in rows:
+        v = value(row)
+        by_place.setdefault(row.contact_fraction, []).append(math.nan if v is None else unit * v)
+    return [*by_place], [
+        worst(values) if not any(map(math.isnan, values)) else math.nan for values in by_place.values()
+    ]
 
 
 def _sag_chart(compared: Sequence[ComparedDesign]) -> Chart:
@@ -198,9 +297,10 @@ def _sag_chart(compared: Sequence[ComparedDesign]) -> Chart:
         free = probe.rod.solve(probe.model.gravity_base)
         s = np.linspace(0.0, probe.length, 60)
         shapes.append(free.p_at(s) / MM if free.ok else np.full((1, 3), np.nan))
-    chart = Chart.side_view(np.concatenate(shapes)[:, [2, 0]], 0)
+    across = max(map(lateral_axis, shapes))
+    chart = Chart.side_view(np.concatenate(shapes)[:, [2, across]], across)
     for entry, p, colour, dashes in zip(compared, shapes, COLOURS, DASHES, strict=False):
-        chart.line(p[:, 2], p[:, 0], colour, dashes, name=entry.design.name)
+        chart.line(p[:, 2], p[:, across], colour, dashes, name=entry.design.name)
     return chart
 
 

@@ -381,3 +381,50 @@ def test_a_hollow_optimum_keeps_the_limits_of_soft_resin(large):
     wall, bore = (1 - probe.bore_ratio) * probe.tip_d_mm / 2, probe.bore_ratio * probe.tip_d_mm
     assert wall >= SOFT_FACTOR * SUPPORTED_WALL and bore >= SOFT_FACTOR * MIN_HOLE_D
     assert not [f for f in check_print(found.design).warnings if f.rule in ("wall", "hole") and f.part == "probe"]
+
+
+# Curved probes
+
+#: A whisker's task: one reading of 5 mN at 0.8 L, the worst direction within 60° of one working side.
+WHISKING = Task((0.005,), 1, fractions=(0.8,), directions_deg=(-60.0, -30.0, 0.0, 30.0, 60.0), combine="worst")
+
+
+def test_a_bent_axis_locates_light_touches_of_one_side(large):
+    """E and G known to 3 %, a bow of 1 mm: the straight probe has 21 mm whatever its direction."""
+    known = tables_of(large) | {"tolerances": {"youngs_modulus": 0.03, "shear_modulus": 0.03, "bow_mm": 1.0}}
+    search = OptimizationProblem(check_design(known), ("axis",), WHISKING, limits=(parse_limit("tip_offset_mm<=60"),))
+    found = optimum(search, "whisker", lambda step, share: None)
+    assert found.before.error_mm == pytest.approx(21.0, rel=0.05) and found.before.tip_offset_mm == 0.0
+    assert found.after.worst_error_mm < 6.5 and found.after.tip_offset_mm <= 60.0
+    assert not found.after.print_errors and found.design.probe.axis == "helix"
+    # Directions more than 60° off are not promised: the blind one is there.
+    everywhere = replace(WHISKING, directions_deg=tuple(15.0 * k for k in range(24)))
+    assert max(predict_task(build_probe(found.design).model, everywhere).errors) > 2e-3 * found.after.worst_error_mm
+
+
+def test_directions_of_a_task_are_cases_of_its_error(large):
+    model = build_probe(check_design(curved(large))).model
+    task = replace(WHISKING, combine="mean")
+    each = [predict_task(model, replace(task, directions_deg=(angle,))).errors[0] for angle in task.directions_deg]
+    together = predict_task(model, task)
+    np.testing.assert_allclose(together.errors, each, rtol=1e-12)
+    assert [case.direction_deg for case in together.cases] == pytest.approx(list(task.directions_deg))
+    assert task.combined(together.errors) == pytest.approx(np.sqrt(np.mean(np.square(each))))
+
+
+def curved(design, **axis):
+    tables = tables_of(design)
+    return tables | {"probe": tables["probe"] | {"axis": "arc", "axis_bend_deg": 60.0, "axis_azimuth_deg": 90.0} | axis}
+
+
+def test_a_point_of_a_bent_design_space_is_its_design(large):
+    start = check_design(curved(large, axis="helix", axis_turns=0.5))
+    space = DesignSpace.of(start, ("cone", "axis"))
+    x = space.x_of(start)
+    again = space.design(x)
+    assert space.x_of(again) == pytest.approx(x) and again.probe.axis_turns == 0.5
+    arc = space.design(space.with_axis(x, {"axis_bend_deg": 30.0, "axis_turns": 0.0, "axis_azimuth_deg": 10.0}))
+    assert (arc.probe.axis, arc.probe.axis_turns, arc.probe.axis_bend_deg) == ("arc", None, 30.0)
+    # The margins are those by which the schema refuses: a bend of 250° in the plane returns into the mount.
+    low = space.printable(space.with_axis(x, {"axis_bend_deg": 250.0, "axis_turns": 0.0, "axis_azimuth_deg": 0.0}))
+    assert low["axis above the mount"].min() < 0.0 < space.printable(x)["axis above the mount"].min()
