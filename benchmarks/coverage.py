@@ -53,6 +53,10 @@ MIN_STD = 1e-6  #: Smallest standard deviation of a point in any direction for i
 FLATNESS = 0.6  #: Of the elliptic probes.
 DRAWS, FUSED_DRAWS = 100, 30  #: Default numbers of single and of fused touches of each row.
 
+#: Bend [deg] and turns of the curved axes: radii of 150, 100, 60 and 40 mm at a length of 150 mm.
+CURVED = {"arc R 150": (57.3, 0.0), "arc R 100": (85.94, 0.0), "helix R 60, half a turn": (143.24, 0.5),
+          "helix R 40, one turn": (214.86, 1.0)}  # fmt: skip
+
 #: Ranges of the magnitude of the force [N].
 DECADES = {"2-10 mN": (2e-3, 1e-2), "10-100 mN": (1e-2, 1e-1), "0.1-1 N": (1e-1, 1.0)}
 ALL_SOURCES = tuple(SOURCES)
@@ -84,6 +88,7 @@ class Case:
     sticks: bool = False  #: whether the touched material point stays the same during a press.
     anew: bool = False  #: whether the direction of the friction is drawn anew at each touch of a press.
     flatness: float = 1.0  #: of the probes' sections; only single touches.
+    axis: tuple[float, float] = (0.0, 0.0)  #: bend [deg] and turns; curved rows are of the large probe.
     # The following are conditions that the estimators do not know.
     stiffness_factor: float = 1.0  #: factor or divisor of E and G, alternately.
     pulls: bool = False  #: whether the force is directed away from the object.
@@ -202,6 +207,30 @@ def bent_cases() -> list[Case]:
             for bow in (1.0, 2.0, 3.0)]  # fmt: skip
 
 
+def curved_cases() -> list[Case]:
+    """Return the rows of curved probes, E and G to 3 %: single touches, and fused ones of an object that yields."""
+    cases = []
+    for name, axis in CURVED.items():
+        one = Case("One touch of the large probe along a curved axis", name, SINGLE_SOURCES, BENCH, axis=axis,
+                   forces=(2e-3, 0.1))  # fmt: skip
+        cases += [replace(one, name=f"{name}, sensor noise alone", sources=()), one]
+        cases += [replace(one, name=f"{name}, {low:g}-{high:g} mN", forces=(1e-3 * low, 1e-3 * high))
+                  for low, high in ((2, 5), (5, 10), (10, 100))]  # fmt: skip
+    fused = Case(
+        "Five touches of the large probe along a curved axis, 0.5 L, up to 5 mN, object with a prior of 0.05 m/N",
+        "",
+        ALL_SOURCES,
+        BENCH | {"object_compliance": 0.05},
+        place=0.5,
+        newtons=5e-3,
+        kind="all six",
+    )
+    for name, axis in ({"straight": (0.0, 0.0)} | CURVED).items():
+        cases += [replace(fused, name=f"{name}, {k:g} N/m", axis=axis, sizes={"object": (1.0 / k, 1.0 / k)})
+                  for k in (20.0, 1000.0)]  # fmt: skip
+    return cases
+
+
 def model_error_cases() -> list[Case]:
     """Return the rows of readings that the estimators should refuse."""
     single = Case("Readings that no single contact explains, all error sources", "", SINGLE_SOURCES)
@@ -239,7 +268,7 @@ def track(estimator: Estimator, samples: Array, Ts: Array) -> FusedEstimate:
 
 def run_single(case: Case, probe: str, n: int, seed: int) -> ErrorStatistics:
     """Draw and locate about n touches of one probe that are counted."""
-    model, rng = paper_models(case.flatness)[probe], np.random.default_rng(seed)
+    model, rng = paper_models(case.flatness, case.axis)[probe], np.random.default_rng(seed)
     statistics, stated = ErrorStatistics(MIN_STD), _stated_priors(case, model)
     perturbations = Perturbations.of(model, stated.scaled(case.std_factor))
     estimator, noise = estimator_for(model, stated), model.noise_base()
@@ -278,7 +307,7 @@ def _draw_touches(
 ) -> tuple[Array, Array]:
     """Draw places over the length and forces [N] that bend the probe moderately and may have a small enough bound.
 
-    The error of one touch is at least about s σ_F/F, so lighter touches need not be solved.
+    The error of one touch of a straight probe is at least about s σ_F/F, so lighter touches need not be solved.
     """
     rod = model.rod
     low, high = np.log(forces)
@@ -286,7 +315,7 @@ def _draw_touches(
     s = fraction * rod.length
     stiffness = rod.factors[1] * rod.youngs_modulus * np.pi / 4.0 * rod.radius[0] ** 3 * rod.radius_at(s)
     moderate = newtons * s * s < MAX_BEND * stiffness
-    strong = newtons > 0.9 * s * model.noise.force / MAX_BOUND
+    strong = newtons > (0.9 * s * model.noise.force / MAX_BOUND if rod.rest_curvature is None else 0.0)
     rows = np.flatnonzero(moderate & strong)[:n]
     return fraction[rows], newtons[rows]
 
@@ -389,7 +418,11 @@ def simulate_presses(case: Case, perturbations: Perturbations, z: Array, drawn: 
 
 def run_fused(case: Case, n: int, seed: int) -> ErrorStatistics:
     """Draw and fuse n presses of the large probe."""
-    model, rng, statistics = paper_models()["large"], np.random.default_rng(seed), ErrorStatistics(MIN_STD)
+    model, rng, statistics = (
+        paper_models(1.0, case.axis)["large"],
+        np.random.default_rng(seed),
+        ErrorStatistics(MIN_STD),
+    )
     stated = _stated_priors(case, model)
     perturbations = Perturbations.of(model, stated.scaled(case.std_factor), TOUCHES)
     estimator, noise = estimator_for(model, stated), model.noise_base()
@@ -492,8 +525,8 @@ def _fused_bound(case: Case, stated: PriorStds, compliance: float) -> tuple[floa
     They are root mean squares over six directions of the touch, for an object of a given compliance [m/N]. The friction
     has its prior, whose information is evaluated at the touch without friction, as in the table of bounds.
     """
-    model = paper_models()["large"]
-    key = (tuple(stated.by_name.items()), case.place, case.newtons)
+    model = paper_models(1.0, case.axis)["large"]
+    key = (tuple(stated.by_name.items()), case.place, case.newtons, case.axis)
     if key not in _NOMINAL_PRESSES:
         perturbations = Perturbations.of(model, stated, TOUCHES)
         phi = np.linspace(-np.pi, np.pi, 6, endpoint=False)
@@ -524,7 +557,8 @@ def run(cases: Sequence[Case], draws: int, fused_draws: int, workers: int,
         if case.newtons:
             jobs.append((i, (case, "large", fused_draws, 1)))
         else:
-            jobs += [(i, (case, probe, -(-draws // 3), 10 + j)) for j, probe in enumerate(paper_models())]
+            probes = tuple(paper_models()) if case.axis == (0.0, 0.0) else ("large",)
+            jobs += [(i, (case, probe, -(-draws // len(probes)), 10 + j)) for j, probe in enumerate(probes)]
     totals, began = [ErrorStatistics() for _ in cases], time.monotonic()
     with ProcessPoolExecutor(max_workers=workers) as pool:
         each = [job for _, job in jobs]
@@ -616,8 +650,8 @@ def report(draws: int = DRAWS, only: str | None = None, bounds_only: bool = Fals
         with ProcessPoolExecutor(max_workers=workers) as pool:
             light = list(pool.map(light_row, [(exact, newtons, draws) for exact in (False, True)
                                               for newtons in LIGHT_FORCES]))  # fmt: skip
-    cases = [case for case in (*single_cases(), *fused_cases(), *yielding_cases(), *bent_cases(), *model_error_cases())
-             if only is None or only.lower() in f"{case.group}, {case.name}".lower()]  # fmt: skip
+    every = (*single_cases(), *fused_cases(), *yielding_cases(), *bent_cases(), *curved_cases(), *model_error_cases())
+    cases = [case for case in every if only is None or only.lower() in f"{case.group}, {case.name}".lower()]
     fused_draws = max(1, round(draws * FUSED_DRAWS / DRAWS))
     found = run(cases, draws, fused_draws, workers, lambda line: print(line, file=sys.stderr, flush=True))
     if as_json:

@@ -17,6 +17,7 @@ from probedesign.core.frames import Array, inverse, wrench_map
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.rod.rod import Rod
 from tests.reference.cosserat import Touches, solve
 from tests.reference.round_rods import Probes
 
@@ -77,6 +78,12 @@ class PriorStds:
         return self.by_name[name]
 
 
+def _corners(rod: Rod) -> Array:
+    """Return the knots at the ends and corners of the flank: the other ones are those of a curved axis."""
+    slope = np.diff(rod.radius) / np.diff(rod.s)
+    return np.flatnonzero(np.r_[True, ~np.isclose(slope[1:], slope[:-1], rtol=1e-6, atol=0.0), True])
+
+
 @dataclass(frozen=True)
 class Perturbations:
     """Assignment of the columns of z, independent standard normals, to the error sources."""
@@ -90,9 +97,9 @@ class Perturbations:
     @classmethod
     def of(cls, model: ProbeModel, priors: PriorStds, touches: int = 1) -> "Perturbations":
         """Assign columns to all sources with a standard deviation above zero."""
-        counts = {"E": 1, "G": 1, "density": 1, "diameter": 1, "diameter scatter": len(model.rod.s), "length": 1,
-                  "bow": 2, "root": 1, "base place": 3, "base tilt": 2, "clocking": 1, "gravity": 2, "gain": 6,
-                  "drift": 6 * touches, "creep": 1, "stiffness scatter": touches}  # fmt: skip
+        counts = {"E": 1, "G": 1, "density": 1, "diameter": 1, "diameter scatter": len(_corners(model.rod)),
+                  "length": 1, "bow": 2, "root": 1, "base place": 3, "base tilt": 2, "clocking": 1, "gravity": 2,
+                  "gain": 6, "drift": 6 * touches, "creep": 1, "stiffness scatter": touches}  # fmt: skip
         if touches > 1:
             counts |= {"robot": 3 * touches, "object": 1, "object walk": 3 * (touches - 1)}
         slots, size = {}, 0
@@ -148,9 +155,10 @@ class Perturbations:
         common = np.maximum(p["diameter_mm"], p["diameter_share"] * diameters) / diameters
         slot = self.slots.get("diameter")
         scale = np.zeros((n, K)) if slot is None else z[:, slot] * common
-        radius = rod.radius * np.exp(
-            scale + self.deviations(z, "diameter scatter", "diameter_scatter_mm", K) / diameters
-        )
+        corners = _corners(rod)
+        each = self.deviations(z, "diameter scatter", "diameter_scatter_mm", len(corners))
+        scatter = np.array([np.interp(rod.s, rod.s[corners], row) for row in each])
+        radius = rod.radius * np.exp(scale + scatter / diameters)
         slot = self.slots.get("length")
         length = max(p["length_mm"], p["length_share"] * rod.length / MM) * MM / rod.length
         length_factor = np.ones(n) if slot is None else np.exp(length * z[:, slot][:, 0])

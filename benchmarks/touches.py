@@ -53,12 +53,21 @@ class Touch:
 
 
 @cache
-def paper_models(flatness: float = 1.0) -> dict[str, ProbeModel]:
-    """Return the models of the paper's probes by name, with round or elliptic sections of the same width along x."""
+def paper_models(flatness: float = 1.0, axis: tuple[float, float] = (0.0, 0.0)) -> dict[str, ProbeModel]:
+    """Return the models of the paper's probes by name.
+
+    Args:
+        flatness: of their sections, of the same width along x.
+        axis: bend [deg] towards -y at the base, and turns.
+    """
     designs = {name: load_design(ROOT / f"designs/{name}.toml") for name in ("large", "medium", "small")}
+    values: dict[str, object] = {}
     if flatness < 1.0:
-        section = {"probe.section": "elliptic", "probe.flatness": flatness}
-        designs = {name: check_design(with_values(tables_of(design), section)) for name, design in designs.items()}
+        values = {"probe.section": "elliptic", "probe.flatness": flatness}
+    if axis[0] > 0.0:
+        values |= {"probe.axis": "helix", "probe.axis_bend_deg": axis[0], "probe.axis_turns": axis[1],
+                   "probe.axis_azimuth_deg": -90.0}  # fmt: skip
+    designs = {name: check_design(with_values(tables_of(design), values)) for name, design in designs.items()}
     return {name: build_probe(design).model for name, design in designs.items()}
 
 

@@ -22,6 +22,19 @@ UNIFORM_95 = 0.95  #: Length of its 95 % interval, over the range.
 NORMAL_FORCE = 10.25
 
 
+def is_normal(force_share: float, s: float, std_s: float) -> bool:
+    """Return whether the error of a touched place is about normal.
+
+    s is a moment over a force, with the skew of 1/F; but the place on a curved axis follows from the moments, whatever
+    the force. Then it is known better than the force, and its own relative error counts.
+
+    Args:
+        force_share: standard deviation of the force over the force.
+        s, std_s: arclength of the place and its standard deviation [m].
+    """
+    return NORMAL_FORCE * min(force_share, std_s / max(s, 1e-300)) < 1.0
+
+
 @cache
 def max_chi2(dof: int, chance: float) -> float:
     """Return the value that χ² with `dof` degrees of freedom exceeds with the given chance."""

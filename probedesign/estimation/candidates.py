@@ -3,7 +3,7 @@
 Up to the contact such a rod is the touched probe itself. Beyond it only the weight of the free part makes a moment;
 where the integrated moment equals that, the contact may be. Nothing is iterated, so this costs less than one
 equilibrium. Its errors grow with those of the reading, the more the thinner the probe gets, and it takes the free part
-for straight: good for a start, not for an estimate.
+for as it is at rest: good for a start, not for an estimate.
 """
 
 import math
@@ -40,8 +40,11 @@ from probedesign.rod.kernels.surface_contact import (
 
 #: Stations evaluated at equal distances along the probe, as many as the scan of `force_moment` has at most.
 STATIONS = 33
-#: Numbers that a trace works in, and one more for each knot: states, misfits, first moments at the knots.
-ROOM = STATIONS * (WIDTH + 3)
+#: Numbers that a trace works in, and one more for each knot: states, misfits, first volume moments beyond stations of a
+#: curved rod in section axes, whether it is curved, first volume moments beyond the knots of a straight one.
+FREE = STATIONS * (WIDTH + 3)
+CURVED = FREE + 3 * STATIONS
+ROOM = CURVED + 1
 ROUGH = 1e-3  #: Error of a step [rad] from which it is halved, and how often at most.
 _HALVINGS = 4
 #: Cosine of the turn from one station to the next, a 32nd of the probe, at which the trace ends: beyond the contact the
@@ -54,25 +57,64 @@ MIN_PUSH = 0.2  #: Share of a force that a guess takes for normal at least.
 
 
 @inner
-def _hanging(body, s, knot_moments):
-    """Return the first moment of the mass beyond s about s [kg m], taken as straight."""
+def _hanging(body, s, room):
+    """Return the first moment of the mass beyond s about s [kg m] in section axes, with the free part as at rest."""
+    if room[CURVED] != 0.0:
+        x = s / body.knots[-1] * (STATIONS - 1)
+        j = min(int(x), STATIONS - 2)
+        low, high = take(room, FREE + 3 * j), take(room, FREE + 3 * j + 3)
+        return times(body.constants[DENSITY], add(times(1.0 - x + j, low), x - j, high))
     i = frustum_at(body, s)
     height, whole = body.knots[i + 1] - s, body.knots[i + 1] - body.knots[i]
     r1 = body.radii[i + 1]
     r = r1 + (body.radii[i] - r1) * height / whole
-    own = body.constants[CONE] * height * height * (r * r + 2.0 * r * r1 + 3.0 * r1 * r1) / 4.0
-    return body.constants[DENSITY] * (knot_moments[i + 1] + body.volume_beyond[i + 1] * height + own)
+    inner_part = body.constants[CONE] * height * height * (r * r + 2.0 * r * r1 + 3.0 * r1 * r1) / 4.0
+    along = room[ROOM + i + 1] + body.volume_beyond[i + 1] * height + inner_part
+    return 0.0, 0.0, body.constants[DENSITY] * along
 
 
 @inner
-def _moments_at_knots(body, knot_moments):
-    """Fill in the first moments of the volume beyond each knot [m⁴]."""
-    last = body.knots.shape[0] - 1
-    knot_moments[last] = 0.0
-    for i in range(last - 1, -1, -1):
-        height, r, r1 = body.knots[i + 1] - body.knots[i], body.radii[i], body.radii[i + 1]
-        own = body.constants[CONE] * height * height * (r * r + 2.0 * r * r1 + 3.0 * r1 * r1) / 4.0
-        knot_moments[i] = knot_moments[i + 1] + body.volume_beyond[i + 1] * height + own
+def _free_moment(body, s, t, d, gravity, room):
+    """Return the moment about s of the weight beyond, where the section is t, d [N m]."""
+    x, y, z = _hanging(body, s, room)
+    return cross(add(add(times(x, d), y, cross(t, d)), z, t), gravity)
+
+
+@inner
+def _volume_moments(body, room):
+    """Fill in the first moments of the volume beyond each knot of a straight rod, or each station of a curved one [m⁴].
+
+    In section axes that of a curved rod is c with c' = -V e_z - u × c, V the volume beyond and u the curvature at rest,
+    integrated from the tip by midpoints.
+    """
+    last, room[CURVED] = body.knots.shape[0] - 1, 0.0
+    for q in range(body.rest.shape[0]):
+        if body.rest[q] != 0.0:
+            room[CURVED] = 1.0
+    if room[CURVED] == 0.0:
+        room[ROOM + last] = 0.0
+        for i in range(last - 1, -1, -1):
+            height, r, r1 = body.knots[i + 1] - body.knots[i], body.radii[i], body.radii[i + 1]
+            inner_part = body.constants[CONE] * height * height * (r * r + 2.0 * r * r1 + 3.0 * r1 * r1) / 4.0
+            room[ROOM + i] = room[ROOM + i + 1] + body.volume_beyond[i + 1] * height + inner_part
+        return
+    h = body.knots[-1] / (STATIONS - 1)
+    put(room, FREE + 3 * (STATIONS - 1), (0.0, 0.0, 0.0))
+    for j in range(STATIONS - 1, 0, -1):
+        c = take(room, FREE + 3 * j)
+        half = add(c, 0.5 * h, _growth(body, h * j, c))
+        put(room, FREE + 3 * j - 3, add(c, h, _growth(body, h * (j - 0.5), half)))
+
+
+@inner
+def _growth(body, s, c):
+    """Return by how much the first moment c of a curved rod grows towards the base at s, V e_z + u × c."""
+    i = frustum_at(body, s)
+    height, whole = body.knots[i + 1] - s, body.knots[i + 1] - body.knots[i]
+    r1 = body.radii[i + 1]
+    r = r1 + (body.radii[i] - r1) * height / whole
+    beyond = body.volume_beyond[i + 1] + body.constants[CONE] * height * (r * r + r * r1 + r1 * r1)
+    return add((0.0, 0.0, beyond), 1.0, cross(rest_at(s, rest_of(body, i)), c))
 
 
 @inner
@@ -116,8 +158,7 @@ def trace(body, end, gravity, force, moment, work, room):
     Returns:
         How many stations were reached.
     """
-    knot_moments = room[ROOM:]
-    _moments_at_knots(body, knot_moments)
+    _volume_moments(body, room)
     put(work, T, (0.0, 0.0, 1.0))
     put(work, M, moment)
     put(work, P, (0.0, 0.0, 0.0))
@@ -130,8 +171,7 @@ def trace(body, end, gravity, force, moment, work, room):
             return j
         for q in range(WIDTH):
             room[WIDTH * j + q] = work[q]
-        t = take(work, T)
-        free = times(_hanging(body, s, knot_moments), cross(t, gravity))
+        free = _free_moment(body, s, take(work, T), take(work, D), gravity, room)
         put(room, STATIONS * WIDTH + 3 * j, add(take(work, M), -1.0, free))
     return STATIONS
 
@@ -164,7 +204,7 @@ def least(end, room, j, reached):
 
 
 @inner
-def _droop(body, s, gravity, knot_moments, state):
+def _droop(body, s, gravity, room, state):
     """Turn a section, [t, d] in state, from s to the tip, the free part hanging from it; by midpoints.
 
     Its moment is taken from what lies beyond each place, not carried along: carried through the thin tip, the
@@ -173,21 +213,21 @@ def _droop(body, s, gravity, knot_moments, state):
     h = (body.knots[-1] - s) / DROOPS
     for _ in range(DROOPS):
         t, d = take(state, TIP), take(state, TIP + 3)
-        turn = _hang(body, s, t, d, gravity, knot_moments)
+        turn = _hang(body, s, t, d, gravity, room)
         half_t, half_d = add(t, 0.5 * h, cross(turn, t)), add(d, 0.5 * h, cross(turn, d))
-        turn = _hang(body, s + 0.5 * h, half_t, half_d, gravity, knot_moments)
+        turn = _hang(body, s + 0.5 * h, half_t, half_d, gravity, room)
         put_section(state[TIP:], add(t, h, cross(turn, half_t)), add(d, h, cross(turn, half_d)))
         s += h
 
 
 @inner
-def _hang(body, s, t, d, gravity, knot_moments):
+def _hang(body, s, t, d, gravity, room):
     """Return the rate of turn of the free part by s where the section is t, d."""
     i = 0
     while i + 2 < body.knots.shape[0] and s >= body.knots[i + 1]:
         i += 1
     med = section_properties(s, frustum_of(body, i, s < body.constants[ROOT_REACH]), (0.0, 0.0, 0.0), gravity)
-    m = times(_hanging(body, s, knot_moments), cross(t, gravity))
+    m = _free_moment(body, s, t, d, gravity, room)
     return turning(t, m, d, cross(t, d), rest_at(s, rest_of(body, i)), med)
 
 
@@ -201,11 +241,11 @@ def guess(body, end, gravity, force, known_twist, work, room, s, reached, touch)
     if not _carry(body, end * start / (STATIONS - 1), s, work, force, gravity, 1.0):
         return False
     t, x_axis = take(work, T), take(work, D)
-    twist = dot(take(work, M), t)  # the free part beyond makes none about its own tangent
+    twist = dot(add(take(work, M), -1.0, _free_moment(body, s, t, x_axis, gravity, room)), t)
     place_touch(body, end, s, force, t, x_axis, twist, known_twist, touch)
     put(touch, TIP, t)
     put(touch, TIP + 3, x_axis)
-    _droop(body, s, gravity, room[ROOM:], touch)
+    _droop(body, s, gravity, room, touch)
     return True
 
 

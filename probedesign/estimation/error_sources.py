@@ -30,6 +30,9 @@ CAUSES = ("noise", "drift", "E", "G", "density", "diameter", "diameter scatter",
 BEFORE_KNOTS = surface_contact.OWN - 3
 
 
+_STRAIGHT = 1e-9  #: Change of slope below which a knot is no corner of the flank, as those of a curved axis.
+
+
 def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[str, Array]:
     """Return one standard deviation of each source of the rod itself: log E and what follows it, a row each.
 
@@ -56,13 +59,20 @@ def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[
         "G": t.shear_modulus * unit[1:2],
         "density": t.density * unit[2:3],
         "diameter": (common @ unit[BEFORE_KNOTS:] + t.youngs_modulus_by_diameter * common[0] * unit[0])[None],
-        "diameter scatter": (t.diameter_scatter_mm / diameters)[:, None] * unit[BEFORE_KNOTS:],
+        "diameter scatter": t.diameter_scatter_mm * _at_corners(rod) / diameters @ unit[BEFORE_KNOTS:],
         "bore": t.bore_mm * _wider_bore(rod),
         "length": length * unit[3:4],
         "creep": t.creep * softer,
         "stiffness scatter": t.stiffness_scatter * softer,
         "bow": t.bow_mm * MM * bow_curvature(rod.length) @ unit[4:6],
     }
+
+
+def _at_corners(rod: Rod) -> Array:
+    """Return the diameters at all knots for a unit at each end or corner of the flank, linear between them, (c, K)."""
+    slope = np.diff(rod.radius) / np.diff(rod.s)
+    corners = np.flatnonzero(np.r_[True, np.abs(np.diff(slope)) > _STRAIGHT, True])
+    return np.array([np.interp(rod.s, rod.s[corners], row) for row in np.eye(len(corners))])
 
 
 def _wider_bore(rod: Rod) -> Array:

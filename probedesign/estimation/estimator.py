@@ -13,10 +13,10 @@ from probedesign.core.frames import Array, is_pose
 from probedesign.core.statistics import (
     FALSE_ALARM,
     MISFIT_CHANCE,
-    NORMAL_FORCE,
     RIVAL_CHI2,
     UNIFORM_95,
     UNIFORM_STD,
+    is_normal,
     max_chi2,
 )
 from probedesign.core.units import MM
@@ -313,7 +313,7 @@ class Estimator:
         "too_light" if s is no better known than without a reading: uniform over the probe.
         """
         length, share = self.model.rod.length, self.force_share(force)
-        if share * NORMAL_FORCE < 1.0:
+        if is_normal(share, s, std_s):
             return "ok" if std_s < length * UNIFORM_STD else "too_light"
         low, high = likelihood.ratio_interval(s, std_s, share, length)
         return "interval_only" if high - low < UNIFORM_95 * length else "too_light"
@@ -390,7 +390,7 @@ class Estimator:
         best, length = listed[0], self.model.rod.length
         if best.chi2 > max_chi2(best.dof, MISFIT_CHANCE) or best.force_normal <= 0.0:
             return "out_of_range" if best.at_end else "inconsistent", None
-        normal = self.force_share(best.force_base, readings) * NORMAL_FORCE < 1.0
+        normal = is_normal(self.force_share(best.force_base, readings), best.s_contact, best.std_s)
         if best.lever < MIN_LEVER and not (normal and best.std_s < length * UNIFORM_STD):
             return "unobservable", None
         if normal and best.std_s >= length * UNIFORM_STD:

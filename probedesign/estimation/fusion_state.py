@@ -14,7 +14,7 @@ from scipy.special import chdtrc
 
 from probedesign.core import statistics
 from probedesign.core.frames import Array, wrench_map
-from probedesign.core.statistics import MISFIT_CHANCE, NORMAL_FORCE, UNIFORM_STD, max_chi2
+from probedesign.core.statistics import MISFIT_CHANCE, UNIFORM_STD, is_normal, max_chi2
 from probedesign.core.units import MM
 from probedesign.estimation import fusion_kernel, multistart
 from probedesign.estimation.error_sources import FINE, ErrorSources
@@ -32,6 +32,7 @@ from probedesign.rod.kernels.surface_contact import (
     ROWS,
     TOUCH,
     UNKNOWNS,
+    S,
     work_size,
 )  # fmt: skip
 
@@ -372,9 +373,11 @@ class FusionState:
         pulls = (self.touches[rows, NORMAL] < -3.0 * force_std).any()  # by more than noise explains
         if chi2 > max_chi2(self.dof, MISFIT_CHANCE) or pulls:
             return "inconsistent"
-        if len(rows) == 1 and not self.moments_only:  # as of one reading, see `NORMAL_FORCE`
+        if len(rows) == 1 and not self.moments_only:  # as of one reading
             drift = self.priors.drift_steps * self.model.noise.force * math.sqrt(self.model.averaging_samples)
-            if np.linalg.norm(self.touches[rows[0], DEAD : DEAD + 3]) <= NORMAL_FORCE * math.hypot(force_std[0], drift):
+            touch = self.touches[rows[0]]
+            share = math.hypot(force_std[0], drift) / max(float(np.linalg.norm(touch[DEAD : DEAD + 3])), 1e-300)
+            if not is_normal(share, float(touch[S]), rms):
                 return self.uncertain
         return "ok" if rms < self.model.rod.length * UNIFORM_STD else self.uncertain
 

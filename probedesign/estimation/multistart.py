@@ -84,10 +84,12 @@ LIKELY, SHARE = 8.0, 0.05
 #: trace has run out of the thin tip.
 BACK = (0.0, 0.08)
 FEW = 10  #: Iterations for a place other than the likeliest: a rival that explains the reading is near its guess.
-ROUNDS = 6  #: Most recomputations of the weights: each changes them by a fraction of the change before.
+ROUNDS = 12  #: Most recomputations of the weights: each changes them by a fraction of the change before.
 #: Decrease of the misfit by a step under new weights, over one and the misfit, at which they are kept: a thirtieth of a
 #: standard deviation, taken to first order.
 SETTLED = 1e-3
+#: Of the last decrease: one that is left larger shows that the touch and its weights alternate, and the step is halved.
+SLOW = 0.5
 MAX_FRICTION = 3.0  #: Ratio of friction that the trace allows for where the direction of the force is free.
 
 
@@ -143,7 +145,7 @@ def _settle(measured, noise, sources, touch, memory, work, row):
     if not whitening(noise, work.factor, white):
         return LOST
     tol, size, rounds, small = sweep_tolerance(measured.wrench, white), 1.0, 0, False
-    chi2, gain, share, bounded = 0.0, 0.0, 1.0, 0
+    chi2, gain, share, bounded, last_gain = 0.0, 0.0, 1.0, 0, math.inf
     while not small and rounds < ROUNDS:
         rounds += 1
         code, lack, margin, size = linearise(
@@ -165,10 +167,13 @@ def _settle(measured, noise, sources, touch, memory, work, row):
             gain += b[u] * step[u]
         plan_move(lin, step, move)
         share = step_share(step, touch, move, body.knots[-1])
+        small = share == 1.0 and lack <= CLAMPED and gain <= SETTLED * (1.0 + chi2)
+        if gain > SLOW * last_gain and not small:
+            share *= 0.5
+        last_gain = gain
         for q in range(TOUCH):
             before[q] = touch[q]
         advance(touch, before, share, step, move)
-        small = share == 1.0 and lack <= CLAMPED and gain <= SETTLED * (1.0 + chi2)
     row.sweeps[1] = rounds
     _fill_row(measured, lin, touch, share, step, work.by_s, row)
     row.chi2 = chi2 - gain if small and not bounded else chi2

@@ -45,7 +45,7 @@ def model_of(name, probes):
     return build_probe(check_design({"schema": 1, "name": "shape", "probe": SHAPES[name]})).model
 
 
-def reference_touches(model, gravity, frictions=FRICTIONS):
+def reference_touches(model, gravity, frictions=FRICTIONS, upright=UPRIGHT):
     """Return touches of all places, forces and frictions in many directions, solved by `tests/reference`."""
     rows = []
     for k, (fraction, bend, mu) in enumerate((f, b, mu) for f in FRACTIONS for b in BENDS for mu in frictions):
@@ -58,7 +58,7 @@ def reference_touches(model, gravity, frictions=FRICTIONS):
     table = np.array(rows)
     rods = Probes.of([model.rod] * len(table))
     touches = solve(rods, gravity, table[:, 0], table[:, 1], table[:, 2:], axes="surface")
-    return touches.take(np.flatnonzero(touches.ok & (touches.R[:, 2, 2] > UPRIGHT))), len(table)
+    return touches.take(np.flatnonzero(touches.ok & (touches.R[:, 2, 2] > upright))), len(table)
 
 
 def assert_located(c, estimator, touches, i):

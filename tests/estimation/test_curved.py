@@ -1,0 +1,117 @@
+"""Touches of curved probes, solved by an independent rod: place, result codes, and what curvature tells."""
+
+import math
+
+import numpy as np
+import pytest
+
+from probedesign.core.frames import pose
+from probedesign.design import check_design
+from probedesign.estimation.estimator import Estimator
+from probedesign.probe import build_probe
+from tests.estimation.test_location import reference_touches
+from tests.estimation.true_touches import EXACT
+from tests.reference.cosserat import solve
+from tests.reference.round_rods import Probes
+
+AXES = {
+    "straight": {},
+    "arc": {"axis": "arc", "axis_bend_deg": 86.0, "axis_azimuth_deg": -90.0},
+    "half a helix": {"axis": "helix", "axis_bend_deg": 143.0, "axis_turns": 0.5},
+    "helix": {"axis": "helix", "axis_bend_deg": 215.0, "axis_turns": 1.0, "axis_azimuth_deg": -90.0},
+}
+CURVED = [name for name in AXES if name != "straight"]
+GRAVITY = np.array([9.81, 0.0, 0.0])
+#: A tenth of the sensor's noise: nearly all touches of the grid are located then.
+SHARP = {"force_N": 1e-4, "moment_Nm": 1e-6}
+WITHOUT_A_POINT = ("interval_only", "too_light", "no_contact", "ambiguous", "unobservable")
+
+
+def model_of(name):
+    cone = {"length_mm": 150.0, "base_d_mm": 12.0, "tip_d_mm": 2.0}
+    return build_probe(check_design({"schema": 1, "name": "whisker", "probe": cone | AXES[name]})).model
+
+
+def touches_at(model, fraction, phi, force):
+    """Return touches of one place around the section, (n,), with the force in surface axes [N], (n, 3)."""
+    s = np.full(len(phi), fraction * model.rod.length)
+    return solve(Probes.of([model.rod] * len(phi)), GRAVITY, s, phi, force, axes="surface")
+
+
+@pytest.mark.parametrize("gravity", [GRAVITY, np.array([-3.0, 2.0, -9.0])])
+@pytest.mark.parametrize("name", CURVED)
+@pytest.mark.parametrize("method", ["ml", "force_moment"])
+def test_without_noise_a_touch_is_located_or_has_no_point(name, gravity, method):
+    """Within 0.02 mm; the force–moment method knows no friction."""
+    model = model_of(name)
+    touches, asked = reference_touches(
+        model, gravity, upright=-1.0, **({"frictions": (0.0,)} if method != "ml" else {})
+    )
+    assert len(touches.s) == asked
+    usual = Estimator(model, EXACT)
+    sharp, located = usual.with_friction(math.inf).with_noise(**SHARP), 0
+    for i, wrench in enumerate(touches.wrench):
+        for estimator in (sharp,) if method != "ml" else (sharp, usual.with_friction(math.inf)):
+            c = estimator.estimate(wrench, gravity, method=method)
+            assert c.ok or c.result in WITHOUT_A_POINT, (touches.s[i], touches.surface_force[i])
+            if c.ok:
+                assert np.linalg.norm(c.p_surface_base - touches.p_surface[i]) < 0.02e-3
+                located += estimator is sharp
+    # A third of the grid's forces are below a millinewton, near the thin tip.
+    assert located > 0.6 * asked
+
+
+def test_a_light_touch_across_the_plane_of_an_arc_has_a_point_where_a_straight_probe_has_an_interval():
+    """5 mN at 0.8 L: the moments alone determine the place, M·p(s) = 0, to about σ_M |p|/(F h), with h the distance of
+    the tangent from the base; the force would leave s σ_F/F, six times as much."""
+    force = np.array([[5e-3, 0.0, 0.0]])
+    across = {name: touches_at(model_of(name), 0.8, np.array([0.0]), force) for name in ("straight", "arc")}
+    result = {name: Estimator(model_of(name), EXACT).estimate(t.wrench[0], GRAVITY) for name, t in across.items()}
+    assert result["straight"].result == "interval_only" and result["arc"].ok
+    p, h = across["arc"].p_centre[0], np.linalg.norm(np.cross(across["arc"].p_centre[0], across["arc"].R[0, :, 2]))
+    by_moment = math.sqrt(model_of("arc").noise_base()[3, 3]) * np.linalg.norm(p) / (5e-3 * h)
+    assert result["arc"].std_s == pytest.approx(by_moment, rel=0.1)  # drift adds some, the force takes some
+    assert np.linalg.norm(result["arc"].p_surface_base - across["arc"].p_surface[0]) < 0.3e-3  # the prior on friction
+
+
+def test_an_arc_is_blind_in_its_plane_and_says_so():
+    """There M/F alone is left, as on a straight probe."""
+    model = model_of("arc")
+    in_plane = touches_at(model, 0.8, np.array([0.5, -0.5]) * np.pi, np.tile([5e-3, 0.0, 0.0], (2, 1)))
+    for wrench in in_plane.wrench:
+        assert Estimator(model, EXACT).estimate(wrench, GRAVITY).result == "interval_only"
+
+
+@pytest.mark.parametrize("name", CURVED)
+def test_regions_of_light_touches_hold_with_the_noise_of_the_sensor(name):
+    """5 mN, every side, friction drawn from its prior: 95 % of the stated regions hold."""
+    model, rng, n = model_of(name), np.random.default_rng(2), 150
+    estimator = Estimator(model, EXACT)
+    ratios = model.friction * rng.normal(size=(n, 2))
+    force = 5e-3 * np.column_stack([np.ones(n), ratios]) / np.sqrt(1.0 + (ratios**2).sum(axis=1))[:, None]
+    touches = touches_at(model, 0.75, rng.uniform(-np.pi, np.pi, n), force)
+    noise = rng.normal(size=(n, 6)) @ np.linalg.cholesky(model.noise_base()).T
+    inside, outside = 0, 0
+    for i in np.flatnonzero(touches.ok):
+        c = estimator.estimate(touches.wrench[i] + noise[i], GRAVITY)
+        if c.ok:
+            off = c.p_surface_base - touches.p_surface[i]
+            holds = off @ np.linalg.solve(c.cov_surface_base + 1e-12 * np.eye(3), off) <= 7.815
+            inside, outside = inside + holds, outside + (not holds)
+    # Most have a point; two standard deviations of 100 draws below 95 % are 0.907.
+    assert inside + outside > 0.5 * n
+    assert inside > 0.9 * (inside + outside)
+
+
+@pytest.mark.parametrize("name", CURVED)
+def test_one_point_touched_from_several_poses_is_located(name):
+    """Noise-free presses of a rigid point with forces of 5 to 20 mN at two places of the probe."""
+    model, estimator = model_of(name), Estimator(model_of(name), EXACT)
+    wrenches, Ts = [], []
+    for fraction, phi in ((0.7, 0.3), (0.85, 0.5)):
+        force = np.column_stack([np.array([5e-3, 1e-2, 2e-2]), np.zeros((3, 2))])
+        touches = touches_at(model, fraction, np.full(3, phi), force)
+        wrenches += list(touches.wrench)
+        Ts += [pose(np.eye(3), -p) for p in touches.p_surface]
+    found = estimator.fuse(np.array(wrenches), np.array(Ts), GRAVITY, object_compliance=0.0)
+    assert found.ok and np.linalg.norm(found.p_surface_world) < 0.05e-3
