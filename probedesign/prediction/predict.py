@@ -279,6 +279,9 @@ def predict(
         for force in forces_N:
             for line, condition in zip(lines, conditions_of(touches[force], lines), strict=True):
                 conditions[(*line, force)] = condition
+        if model.rod.is_curved:  # a preview has the place of the verdict alone
+            nearest = min(fractions, key=lambda at: abs(at - HEADLINE_FRACTION))
+            over = errors_over_directions(estimator, (nearest,) if only_single else fractions, forces_N)
         if only_single:
             limits = [max((f for f in forces_N if touches[f].ok[i]), default=None) for i in range(len(lines))]
         else:
@@ -287,8 +290,6 @@ def predict(
             fused = fused_conditions(lines, touches, forces_N, pressing, on_progress)
             workspace = workspace_of(reach, touches, model.gravity_base)
             gain = _bench_gain(estimator, fractions, directions, pressing)
-            if model.rod.is_curved:
-                over = errors_over_directions(estimator, fractions, forces_N)
         detection = tuple(
             _detection(touches[_WEAK_N], i, line, limit)
             for i, (line, limit) in enumerate(zip(lines, limits, strict=True))

@@ -38,6 +38,12 @@ class DesignControls:
         self._choice("probe.section", "section", ("round", "hollow", "elliptic"), probe.section)
         self._slider("probe.bore_ratio", "bore over outer diameter", 0.1, 0.9, 0.01, probe.bore_ratio or 0.5)
         self._slider("probe.flatness", "flatness, y over x", 0.2, 1.0, 0.01, probe.flatness or 0.7)
+        axes = dict.fromkeys(("straight", "arc", "helix", probe.axis))
+        self._choice("probe.axis", "axis", tuple(axes), probe.axis)
+        self._slider("probe.axis_bend_deg", "bend [deg]", 0.0, 180.0, 1.0, probe.axis_bend_deg or 0.0)
+        self._slider("probe.axis_turns", "turns of the bend", -1.5, 1.5, 0.05, probe.axis_turns or 0.0)
+        self._slider("probe.axis_azimuth_deg", "azimuth of the bend [deg]", -180.0, 180.0, 1.0,
+                     probe.axis_azimuth_deg or 0.0)  # fmt: skip
         self._choice("probe.tip", "tip", ("blunt", "rounded"), probe.tip)
         self._choice("material.resin", "resin", tuple(RESINS), design.material.resin)
         self._slider("material.youngs_modulus_mpa", "E [MPa]", 0.2, 10.0, 0.01, design.youngs_modulus.value / 1e6)
@@ -104,7 +110,9 @@ class DesignControls:
         values = {
             "probe.shape": probe.shape, "probe.length_mm": probe.length_mm, "probe.base_d_mm": probe.base_d_mm,
             "probe.tip_d_mm": probe.tip_d_mm, "probe.section": probe.section, "probe.bore_ratio": probe.bore_ratio,
-            "probe.flatness": probe.flatness, "probe.tip": probe.tip, "material.resin": design.material.resin,
+            "probe.flatness": probe.flatness, "probe.axis": probe.axis, "probe.axis_bend_deg": probe.axis_bend_deg,
+            "probe.axis_turns": probe.axis_turns, "probe.axis_azimuth_deg": probe.axis_azimuth_deg,
+            "probe.tip": probe.tip, "material.resin": design.material.resin,
             "material.youngs_modulus_mpa": design.youngs_modulus.value / 1e6,
             "sensor.model": design.sensor_model.name,
             "sensor.calibration": design.calibration.name,

@@ -30,7 +30,7 @@ from probedesign.prediction.predict import (
 from probedesign.printing.check import check_print
 from probedesign.probe import Probe, build_probe
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, line_colours
-from probedesign.reports.prediction_charts import LEVELS_MM, LIMITS, budget_chart, error_level
+from probedesign.reports.prediction_charts import LEVELS_MM, LIMITS, budget_chart, direction_chart, error_level
 from probedesign.rod.contact import FrictionlessContact, solve_frictionless, surface_point
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.vibration import natural_frequency
@@ -309,6 +309,22 @@ def fused_chart(figures: DesignFigures, pinned: Sequence[tuple[PinnedDesign, Des
     for label, x, errors, colour, dashes in lines:
         chart.line(x, errors, colour, dashes, "o", label)
     return chart
+
+
+def direction_figure(
+    figures: DesignFigures, pinned: Sequence[tuple[PinnedDesign, DesignFigures]], forces_N: Sequence[float]
+) -> Chart | None:
+    """Return the error over the direction of some light forces, pinned designs at the summary's force; None for a
+    straight probe."""
+    by_force = {row.force_N: row.errors_mm for row in figures.prediction.over_directions
+                if row.contact_fraction == HEADLINE_FRACTION and row.force_N in forces_N
+                and SHOWN_N <= row.force_N <= 2.0 * HEADLINE_FORCE_N}  # fmt: skip
+    curves = {f"{1e3 * force:g} mN": errors for force, errors in by_force.items()}
+    for pin, other in pinned if curves else ():
+        for row in other.prediction.over_directions:
+            if (row.contact_fraction, row.force_N) == (HEADLINE_FRACTION, HEADLINE_FORCE_N):
+                curves[f"{pin.label}, {1e3 * row.force_N:g} mN"] = row.errors_mm
+    return direction_chart(curves) if curves else None
 
 
 def budget_figure(figures: DesignFigures) -> Chart | None:

@@ -35,6 +35,7 @@ from probedesign.studio.figures import (
     budget_figure,
     colour_legend,
     complete,
+    direction_figure,
     drawn_touch,
     error_chart,
     fused_chart,
@@ -287,6 +288,8 @@ class StudioPage:
             self._charts = {"error": gui.add_html(""), "summary": gui.add_html("")}
         with charts.add_tab("Budget"):
             self._charts["budget"] = gui.add_html("")
+        with charts.add_tab("Direction"):
+            self._charts["direction"] = gui.add_html("")
         with charts.add_tab("Fused"):
             self._charts["fused"] = gui.add_html("")
         charts.dock_left()
@@ -423,11 +426,14 @@ class StudioPage:
         check = f"<ul>{lines}</ul>" if lines else "<p class=note>Print check: no errors, no warnings.</p>"
         charts: dict[str, Chart | None] = {
             "error": error_chart(figures, pinned, self._forces), "budget": budget_figure(figures),
+            "direction": direction_figure(figures, pinned, self._forces),
         }  # fmt: skip
         if figures.complete:
             charts["fused"] = fused_chart(figures, pinned)
+        empty = {"direction": "Only a curved probe has another error in each direction: choose an axis."}
         for name, chart in charts.items():
-            self._charts[name].content = styled("nothing is located" if chart is None else chart.svg().decode())
+            text = empty.get(name, "nothing is located") if chart is None else chart.svg().decode()
+            self._charts[name].content = styled(text)
         dotted = "<p class=note>Solid: all error sources. Dotted: an exact probe. Dashed: pinned designs.</p>"
         dotted += colour_legend(session.touch.force_mN)
         self._charts["summary"].content = styled(dotted + summary_table(figures, pinned) + check)

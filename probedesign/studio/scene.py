@@ -40,9 +40,9 @@ GHOST_RINGS, GHOST_COLOUR = 40, (120, 126, 132)  #: Rings and colour of a pinned
 MAX_KNOTS = 12  #: Number of diameters of a profile that can be dragged; a profile with more is changed in its file.
 FIELD_OF_VIEW = math.radians(40.0)
 MOUNT_LENGTH = 0.03  #: Length behind the base that is seen as well: sensor and adapters [m].
-#: Distance of the camera and width of the scene at least [lengths of probe and mount], and the change of the probe's
-#: length that the camera follows.
-DISTANCE, SHOWN_WIDTH, MAX_GROWTH = 1.95, 1.3, 1.25
+#: Distance of the camera and width of the scene at least [lengths of probe and mount], and the changes of the probe's
+#: length and of its tip's place beside the axis of the base, over the length, that the camera follows.
+DISTANCE, SHOWN_WIDTH, MAX_GROWTH, MAX_ASIDE = 1.95, 1.3, 1.25, 0.2
 MIN_FRACTION, MAX_FORCE_MN, MIN_FORCE_MN = 0.05, 200.0, 0.5  #: Range of the touch that is drawn.
 
 
@@ -89,7 +89,8 @@ class StudioScene:
         for i, node in enumerate(self._knots):
             node.on_drag(lambda event, i=i: self._drag_knot(i, event))  # type: ignore[misc]  # viser: any event
         self._length = 1.0  # of the longest probe [m]
-        self._framed = (1.0, np.array([0.0, 0.0, 1.0]))  # length [m] and direction of the probe that the camera fits
+        # Length [m], direction of the probe and tip beside it [m] that the camera fits.
+        self._framed = (1.0, np.array([0.0, 0.0, 1.0]), np.zeros(3))
         self._ghosts: list[viser.MeshHandle] = []
         self._parts: list[viser.MeshHandle] = []
         self._parts_of = ""
@@ -196,7 +197,17 @@ class StudioScene:
         if self._shown is None:
             return False
         grown = self._length / self._framed[0]
-        return self.has_turned or not 1.0 / MAX_GROWTH < grown < MAX_GROWTH
+        aside = float(np.linalg.norm(self._aside - self._framed[2])) > MAX_ASIDE * self._length
+        return self.has_turned or aside or not 1.0 / MAX_GROWTH < grown < MAX_GROWTH
+
+    @property
+    def _aside(self) -> Array:
+        """Return how far the unloaded tip is beside the axis of the base, in world axes [m], (3,)."""
+        if self._shown is None:
+            return np.zeros(3)
+        probe = self._shown[0]
+        tip = probe.axis.frames([probe.length])[0, :3, 3] * (1.0, 1.0, 0.0)
+        return np.asarray(level_rotation(probe.model.gravity_base) @ tip)
 
     def set_camera(self, camera: Any, aspect: float = 1.0, direction: Array | None = None) -> None:
         """Place a camera so that the whole probe is seen.
@@ -217,11 +228,11 @@ class StudioScene:
         tangent = math.tan(0.5 * FIELD_OF_VIEW)
         whole = self._length + MOUNT_LENGTH
         distance = UNIT * whole * max(DISTANCE, 0.5 * SHOWN_WIDTH / (tangent * max(aspect, 0.1)))
-        middle = UNIT * (0.5 * whole - MOUNT_LENGTH) * along
+        middle = UNIT * ((0.5 * whole - MOUNT_LENGTH) * along + 0.5 * self._aside)
         camera.fov = FIELD_OF_VIEW
         camera.position = middle + distance * direction / np.linalg.norm(direction)
         camera.look_at = middle  # last: the position moves it too
-        self._framed = self._length, along
+        self._framed = self._length, along, self._aside
 
     # Drags
 
@@ -281,7 +292,8 @@ def _bent(eq: Equilibrium, probe: Probe) -> BentShape:
     if eq.ok:
         return BentShape(eq.s, eq.p_base, eq.R_base)
     s = np.linspace(0.0, probe.length, 30)
-    return BentShape(s, np.outer(s, [0.0, 0.0, 1.0]), np.tile(np.eye(3), (30, 1, 1)))
+    T = probe.axis.frames(s)
+    return BentShape(s, T[:, :3, 3], T[:, :3, :3])
 
 
 def _tube_faces(rings: int) -> NDArray[np.uint32]:

@@ -15,6 +15,7 @@ from probedesign.core.units import MM
 from probedesign.design import Design, check_design
 from probedesign.design.edit import as_new_print, tables_of, with_values
 from probedesign.design.io import default_tip_d_mm, sensor_keys
+from probedesign.design.schema import AXIS_KEYS
 from probedesign.design.sensor_catalog import SENSORS
 from probedesign.design.sensors import DEFAULT_SENSOR
 from probedesign.prediction.predict import FORCES_N
@@ -178,7 +179,7 @@ class Session:
 
 
 #: Keys that choose something by its name; others follow from them, unless they are given too.
-_FIRST = ("probe.shape", "probe.section", "material.resin", "sensor.model", "sensor.calibration")
+_FIRST = ("probe.shape", "probe.section", "probe.axis", "material.resin", "sensor.model", "sensor.calibration")
 _LAST = "probe.profile_mm"
 _ENDS = ("probe.length_mm", "probe.base_d_mm", "probe.tip_d_mm")
 
@@ -212,6 +213,11 @@ def _with_key(data: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
             ratios = {"hollow": {"bore_ratio": 0.5}, "elliptic": {"flatness": 0.7}}.get(value, {})
             probe = {k: v for k, v in data["probe"].items() if k not in ("bore_ratio", "flatness")}
             return {**data, "probe": {**probe, "section": value, **ratios}}
+        case "probe.axis":
+            old = {"axis_bend_deg": 60.0, "axis_azimuth_deg": 0.0, "axis_turns": 0.5} | data["probe"]
+            probe = {k: v for k, v in data["probe"].items() if k not in AXIS_KEYS} | {"axis": value}
+            kept = {k: old.get(k) for k, (kinds, _) in AXIS_KEYS.items() if value in kinds}
+            return {**data, "probe": probe | {k: v for k, v in kept.items() if v is not None}}
         case "material.youngs_modulus_mpa":  # chosen by hand: no longer what was identified
             return with_values(data, {key: value, "material.provenance.youngs_modulus_mpa": "assumed"})
         case "probe.length_mm" | "probe.base_d_mm" | "probe.tip_d_mm" if data["probe"].get("profile_mm"):

@@ -11,6 +11,7 @@ from probedesign.probe import build_probe
 from probedesign.studio.figures import (
     PREVIEWED,
     complete,
+    direction_figure,
     drawn_touch,
     located,
     preview,
@@ -100,3 +101,16 @@ def test_a_pinned_design_is_shown_with_the_difference():
 @pytest.mark.parametrize("force", [0.5, 10.0, 200.0])
 def test_the_arrow_has_the_length_of_its_force(force):
     assert force_of_arrow(arrow_length(force)) == pytest.approx(force, rel=1e-12)
+
+
+def test_a_curved_probe_has_its_error_over_the_direction_at_once():
+    session = Session(paper_design("large"))
+    assert session.change({"probe.axis": "arc", "probe.axis_azimuth_deg": 90.0}, now=0.0), session.refused
+    probe = build_probe(session.design)
+    quick, full = preview(probe, (0.005, 0.01)).prediction, probe.predict()
+    assert quick.verdict == full.verdict and "median" in quick.verdict
+    row, *_ = [o for o in full.over_directions if (o.contact_fraction, o.force_N) == (0.8, 0.01)]
+    assert quick.over_directions[1].errors_mm == pytest.approx(row.errors_mm, rel=1e-5)  # as above
+    figures = preview(probe, (0.005, 0.01))
+    assert [entry.name for entry in direction_figure(figures, (), (0.005, 0.01)).legend] == ["5 mN", "10 mN"]
+    assert direction_figure(preview(build_probe(paper_design("large")), (0.01,)), (), (0.01,)) is None

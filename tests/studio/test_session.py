@@ -99,3 +99,16 @@ def test_pins_are_kept_once_and_the_oldest_gives_way(session):
         assert session.pin() is not None and session.pin() is None
     assert [one.design.probe.length_mm for one in session.pinned] == [102.0, 103.0, 104.0, 105.0]
     assert len({one.label for one in session.pinned}) == MAX_PINNED
+
+
+def test_an_axis_is_bent_and_straightened(session):
+    """Keys that the new kind of axis lacks go, keys that it shares stay."""
+    assert session.change({"probe.axis": "arc"}, now=0.0), session.refused
+    assert session.change({"probe.axis_bend_deg": 80.0}, now=2.0)
+    assert session.change({"probe.axis": "helix"}, now=4.0), session.refused
+    probe = session.design.probe
+    assert (probe.axis_bend_deg, probe.axis_turns, probe.axis_azimuth_deg) == (80.0, 0.5, 0.0)
+    again = with_options(paper_design("large"), ['probe.axis="helix"', "probe.axis_bend_deg=80"])
+    assert again == session.design
+    assert not session.change({"probe.axis_bend_deg": 2000.0}, now=6.0) and "axis_bend_deg" in session.refused
+    assert session.change({"probe.axis": "straight"}, now=8.0) and session.design == paper_design("large")
