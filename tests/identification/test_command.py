@@ -122,11 +122,3 @@ def test_wrong_options_are_one_line(arguments: list[str], output: str, here: Pat
     assert run(["identify", "large.toml", str(stage_folder), *arguments]) == 2
     error = capsys.readouterr().err
     assert output in error and error.count("\n") == 1
-
-
-def test_data_of_another_probe_are_one_line(here: Path, stage_folder: Path, capsys) -> None:
-    text = (here / "large.toml").read_text().replace("base_d_mm = 12.0", "base_d_mm = 11.0")
-    (here / "large.toml").write_text(text)
-    assert run(["identify", "large.toml", str(stage_folder)]) == 2
-    error = capsys.readouterr().err
-    assert "another probe: fingerprint" in error and error.count("\n") == 1

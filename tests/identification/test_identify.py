@@ -12,7 +12,7 @@ from probedesign.core.errors import InputError
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.identification.identify import IdentificationData, data_of, drift_sizes, identify
-from probedesign.identification.parameters import MAX_ROOT_DEVIATION, CommonParameters, check_requested
+from probedesign.identification.parameters import MAX_ROOT_DEVIATION, CommonParameters
 from probedesign.identification.residuals import MassMeasurement, MeasuredTest
 from probedesign.rod.rod import bow_curvature
 from tests.identification.conftest import TRUE_E
@@ -100,17 +100,6 @@ def test_accept_is_harmless_where_nothing_is_contradictory(found, stage: Campaig
     accepted = identify(_data(stage, model), accept=True)
     assert accepted.result == "ok" and accepted.widening == 1.0
     assert accepted.of("E") == found.of("E")
-
-
-def test_a_contradiction_is_explained(stage: Campaign, model: ProbeModel) -> None:
-    """All moments have the opposite sign: that is the likeliest cause, and no E can be accepted with its limit."""
-    data = _data(stage, model)
-    flipped = tuple(replace(t, wrench_base=t.wrench_base * np.repeat([1.0, -1.0], 3)) for t in data.tests if not t.free)
-    common = replace(data.common, frame="base")
-    other = identify(replace(data, common=common, tests=flipped), ("E",), accept=True)
-    assert other.result == "inconsistent" and other.likely_causes[0].name == "sign"
-    assert "moments" in other.likely_causes[0].words
-    assert other.of("E") is None and "limit" in other.why
 
 
 def test_merely_noisy_places_are_accepted(stage: Campaign, model: ProbeModel) -> None:
@@ -239,18 +228,6 @@ def test_uninformative_tests_are_refused(model: ProbeModel) -> None:
     trials = tuple(replace(t, std_sag=0.1) for t in data.tests)
     with pytest.raises(InputError, match="too few tests, or too weak ones: E: weakly observable"):
         identify(replace(data, tests=trials), ("E",))
-
-
-def test_data_of_another_probe_are_refused(stage: Campaign, model: ProbeModel) -> None:
-    with pytest.raises(InputError, match="another probe"):
-        data_of(replace(stage, fingerprint="0123456789ab"), model, 0.0)
-
-
-def test_unknown_names_are_refused() -> None:
-    with pytest.raises(InputError, match="--for: unknown 'densty'; did you mean 'density'"):
-        check_requested(["E", "densty"])
-    with pytest.raises(InputError, match="no parameter is named"):
-        check_requested([])
 
 
 def _shared(model: ProbeModel) -> CommonParameters:

@@ -1,6 +1,5 @@
 """Report pages and charts: complete, without network access, and consistent with the data."""
 
-import itertools
 import json
 import math
 import re
@@ -22,7 +21,6 @@ from probedesign.reports.comparison_page import best_design
 from probedesign.reports.html_page import ReportFigure, html_document
 from probedesign.reports.png import draw_chart
 from probedesign.reports.prediction_page import prediction_page
-from tests.reports.page_checks import browser
 
 DESIGNS = Path(__file__).parents[2] / "designs"
 
@@ -111,31 +109,6 @@ def test_the_best_design_of_a_metric_is_named_unless_values_are_printed_alike():
     assert [best_design(pair, m) for m in ("error_mm", "reach_mm", "length_mm", "slide_mm")] == ["a", "b", None, "b"]
     alike = [named("a", error_mm=1.00001), named("b", error_mm=1.00002)]
     assert best_design(alike, "error_mm") is None
-
-
-def test_the_prediction_page_fits_a_browser(tmp_path):
-    """No horizontal scrolling, no fault, no request; the pointer finds the values of a dot; what is folded opens."""
-    probe = build_probe(load_design(DESIGNS / "small.toml"))
-    prediction = probe.predict(fractions=(0.4, 0.8), forces_N=(0.01, 0.02), directions=("+y",))
-    file, error_mm = tmp_path / "prediction.html", prediction.conditions[0].predicted_error_mm
-    file.write_bytes(prediction_page(prediction, probe.estimator()))
-    with browser() as running:
-        for width, scheme in itertools.product((360, 1280), ("light", "dark")):
-            page = running.new_context(viewport={"width": width, "height": 740}, color_scheme=scheme).new_page()
-            faults, requests = [], []
-            page.on("console", lambda message, faults=faults: faults.append(message.text))
-            page.on("pageerror", lambda error, faults=faults: faults.append(str(error)))
-            page.on("request", lambda request, requests=requests: requests.append(request.url))
-            page.goto(file.as_uri())
-            assert page.evaluate("document.documentElement.scrollWidth") <= width
-            assert f"{error_mm:.3g}" in page.locator("svg title").first.text_content()
-            for folded in ("svg", "table"):
-                assert not page.locator(f"details {folded}").first.is_visible()
-                page.locator(f"details:has({folded}) summary").first.click()
-                assert page.locator(f"details {folded}").first.is_visible()
-            assert page.locator(".verdict").inner_text() == prediction.verdict
-            assert not faults and requests == [file.as_uri()]
-            page.context.close()
 
 
 @pytest.mark.parametrize(
