@@ -93,7 +93,12 @@ def explosion(names: Collection[str]) -> tuple[Move, ...]:
 
 
 def assembly_steps(
-    screws: list[ScrewGroup], dowels: DowelPattern, pin_d: float, centring_pins: int, glued: bool = False
+    screws: list[ScrewGroup],
+    dowels: DowelPattern,
+    pin_d: float,
+    centring_pins: int,
+    glued: bool = False,
+    curved: bool = False,
 ) -> list[AssemblyStep]:
     """Return the steps of the assembly.
 
@@ -103,6 +108,7 @@ def assembly_steps(
         pin_d: diameter of the robot's dowel pin [m], 0 if there is none.
         centring_pins: number of pins around the sensor's body.
         glued: whether the flange's underside is glued.
+        curved: whether the axis of the probe is curved.
     """
     centred = (
         f"press the {centring_pins} centring pins into the flange adapter as deep as they go, set the sensor "
@@ -113,6 +119,12 @@ def assembly_steps(
     plate = explosion(("centring_pins",) if centring_pins else ())[: 2 if centring_pins else 1]
     film = "spread a thin film of flexible cyanoacrylate on the land only, none in groove and notch or on screw heads, "
     glue = film if glued else ""
+    along = (
+        "thread the clamp ring over the tip and along the bend down to the flange; where the soft body lies over a "
+        "screw, hold it aside with a finger"
+        if curved
+        else "slip the clamp ring over the tip"
+    )
     nut = next(use.screw.thread for use in screws if use.name == "ring_screws")
     of = {use.name: f"{len(use.points)} {use.screw.thread}x{use.length / MM:g}" for use in screws}
     pin = f", its own {pin_d / MM:g} mm dowel pin in the slot" if pin_d > 0.0 else ""
@@ -135,7 +147,7 @@ def assembly_steps(
         AssemblyStep(f"{glue}lay the flange into the recess, its hole over the peg: peg and the flat on the rim are "
              "at +X",
              (Move(("probe",), "sensor_adapter", UP),)),
-        AssemblyStep("slip the clamp ring over the tip, with an even gap around the probe, and screw it down with "
+        AssemblyStep(f"{along}, with an even gap around the probe, and screw it down with "
              f"{of['ring_screws']} until it sits on the wall",
              (Move(("clamp_ring",), "probe", UP), Move(("ring_screws",), "clamp_ring", UP))),
     ]  # fmt: skip
@@ -478,6 +490,7 @@ def build_documents(model: CadModel) -> Documents:
         model.plate.robot.pin_d,
         len(model.plate.p_centring_pins),
         model.design.mount.hold == "glued",
+        not model.geometry.axis.is_straight,
     )
     seat = float(model.adapter.T_sensor_base[2, 3]) / MM
     exploded = exploded_svg(bodies, bill, f"{model.design.name}: exploded view", seat)

@@ -142,7 +142,7 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
     progress("drawing the parts")
     model = build_cad(design)
     progress("meshing")
-    meshes = {part.name: tessellate(part.shape) for part in model.printed}
+    meshes = {part.name: tessellate(part.ruled or part.shape) for part in model.printed}
     printed = {name: scaled(mesh, print_scale(design, name)) for name, mesh in meshes.items()}
     check = check_print(design)
     packed = packed_parts(design, check, printed)

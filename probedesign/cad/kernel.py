@@ -1,30 +1,49 @@
 """Interface to the CAD kernel: arguments in metres, CadQuery shapes in millimetres, mass properties in SI."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import cadquery as cq
 import numpy as np
 from OCP.BRep import BRep_Tool
-from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge, BRepBuilderAPI_MakeVertex
+from OCP.BRepBuilderAPI import (
+    BRepBuilderAPI_MakeEdge,
+    BRepBuilderAPI_MakeFace,
+    BRepBuilderAPI_MakeVertex,
+    BRepBuilderAPI_Sewing,
+)
 from OCP.BRepGProp import BRepGProp
 from OCP.BRepMesh import BRepMesh_IncrementalMesh
 from OCP.BRepTools import BRepTools
-from OCP.Geom import Geom_BezierCurve
+from OCP.Geom import Geom_BezierCurve, Geom_BSplineSurface
 from OCP.gp import gp_Pnt
 from OCP.GProp import GProp_GProps
 from OCP.IMeshTools import IMeshTools_MeshAlgoType, IMeshTools_Parameters
-from OCP.TColgp import TColgp_Array1OfPnt
-from OCP.TColStd import TColStd_Array1OfReal
+from OCP.TColgp import TColgp_Array1OfPnt, TColgp_Array2OfPnt
+from OCP.TColStd import TColStd_Array1OfInteger, TColStd_Array1OfReal, TColStd_Array2OfReal
 
 from probedesign.core.errors import CheckFailedError
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
+from probedesign.geometry import ProbeGeometry
 from probedesign.geometry.mass import MassProperties
 from probedesign.mount.engraving import DEPTH, XY, Engraving
 
 PRODUCT = "product"  #: Key in the metadata of an assembly's piece: the name of its product.
 #: Arcs of an ellipse. The kernel's quadrature is accurate to 1e-14 over an eighth, over a quarter only to 1e-8.
 ARCS = 8
+_HALF = np.pi / ARCS
+#: Ends and middles of the arcs of a unit circle, with exact zeros on the axes, and their weights as rational curves.
+_RING = np.round([(np.cos(a), np.sin(a)) for a in _HALF * np.arange(2 * ARCS + 1)], 15) + 0.0
+_WEIGHTS = np.where(np.arange(2 * ARCS + 1) % 2, float(np.cos(_HALF)), 1.0)
+#: Turn of a curved axis in one cubic piece [rad]; a ring between its ends is then too small by x⁴/384 = 2e-8.
+PIECE_RAD = 0.05
+FACE_PIECES = 8  #: Most pieces of a face: the kernel's quadrature over 80 is accurate to 8e-5 only.
+#: Largest distance of the chord between two rings from the surface [mm], and their largest turn [rad], where a curved
+#: body is replaced by one with ruled faces for its facets.
+CHORD_MM, CHORD_RAD = 0.005, 0.05
+FLAT_MM = 1e-6  #: Largest distance of a face from its plane [mm], which covers round-off of the kernel.
+RING_MM = 1e-4  #: Largest distance of a ring of a curved probe from its plane [mm]: the splines are within that.
 
 
 def revolved(outline: Sequence[XY]) -> cq.Solid:
@@ -45,10 +64,7 @@ def _ellipse(a: float, b: float, z: float) -> cq.Wire:
     It is made of rational arcs, which are exact. The kernel's own ellipses become polynomials with an error of 1e-9
     when it lofts a face between two of them.
     """
-    half = np.pi / ARCS
-    angles = half * np.arange(2 * ARCS + 1)  # of the ends of the arcs and of their middles
-    x, y = (np.round(f, 15) + 0.0 for f in (np.cos(angles), np.sin(angles)))  # exact zeros on the axes
-    weight = float(np.cos(half))
+    (x, y), weight = _RING.T, float(_WEIGHTS[1])
     # Two arcs share one vertex: of two that differ by round-off, the kernel keeps one by its address in memory.
     ends = [BRepBuilderAPI_MakeVertex(gp_Pnt(a * x[i], b * y[i], z)).Vertex() for i in range(0, 2 * ARCS, 2)]
     edges = []
@@ -60,6 +76,116 @@ def _ellipse(a: float, b: float, z: float) -> cq.Wire:
         arc = Geom_BezierCurve(points, weights)
         edges.append(cq.Edge(BRepBuilderAPI_MakeEdge(arc, ends[k], ends[(k + 1) % ARCS]).Edge()))
     return cq.Wire.assembleEdges(edges)
+
+
+def on_foot(geometry: ProbeGeometry, foot: cq.Solid, ruled: bool = False) -> cq.Solid:
+    """Return the solid of a curved probe: the flexible part, with its bore, on a foot whose top is z = 0.
+
+    The control points of a ring are fixed in its section, so they follow T(s) (r(s) ring). Between the knots of the
+    radius, whose kinks stay sharp, they are cubic splines through values and derivatives of that; v is s [mm]. The
+    faces are sewn: a union would take the kernel half a minute.
+
+    Args:
+        geometry: of the probe, with a curved axis.
+        foot: its flange without bore, in millimetres.
+        ruled: whether to draw it for its facets instead: ruled faces between so many rings that facets, which the
+            kernel makes well on such faces only, are within `CHORD_MM` of the surface.
+    """
+    top, bore = geometry.length / MM, geometry.bore_radius / MM
+    shells = [_tube_faces(geometry, geometry.radius, ruled)]
+    inside = []
+    if geometry.cross_section.hollow:
+        shells.append(_tube_faces(geometry, geometry.cross_section.bore_ratio * geometry.radius, ruled))
+        low = -geometry.flange.thickness / MM
+        ring = np.column_stack([bore / _WEIGHTS[:, None] * _RING, np.zeros(2 * ARCS + 1)])
+        poles = np.stack([ring + np.array([0.0, 0.0, z]) for z in (low, 0.0)], axis=1)
+        inside = [_patch(poles[k : k + 3], _WEIGHTS[k : k + 3], np.array([low, 0.0]), 1) for k in range(0, 2 * ARCS, 2)]
+    holes = {0.0: [_ring_at(shells[0], 0.0)], **({low: [_ellipse(bore, bore, low)]} if inside else {})}
+    sewing = BRepBuilderAPI_Sewing(FLAT_MM)
+    kept = foot.Faces()
+    for height, wires in holes.items():
+        flat = [face for face in kept if face.geomType() == "PLANE" and abs(face.Center().z - height) < FLAT_MM]
+        whole = max(flat, key=lambda face: face.Area())  # beside it the islands of letters
+        kept.remove(whole)
+        kept.append(cq.Face.makeFromWires(whole.outerWire(), [*whole.innerWires(), *wires]))
+    for face in (*kept, *(face for faces in shells for face in faces), *inside):
+        sewing.Add(face.wrapped)
+    tip, *hollow = (_ring_at(faces, top) for faces in shells)
+    sewing.Add(cq.Face.makeFromWires(tip, hollow).wrapped)
+    sewing.Perform()
+    return single_solid(cq.Solid.makeSolid(cq.Shape.cast(sewing.SewedShape())).fix())
+
+
+def _tube_faces(geometry: ProbeGeometry, radius: Array, ruled: bool) -> list[cq.Face]:
+    """Return the faces around the axis at radii [m] of the knots; see `on_foot`."""
+    axis, knots = geometry.axis, geometry.s
+    ring = _RING / _WEIGHTS[:, None] * np.array([1.0, geometry.cross_section.flatness])
+    faces = []
+    for i in range(len(knots) - 1):
+        inner = axis.s[(axis.s > knots[i]) & (axis.s < knots[i + 1])]
+        ends, s = np.array([knots[i], *inner, knots[i + 1]]), knots[i : i + 1]
+        for a, b in pairwise(ends):
+            bend = max(float(np.linalg.norm(axis.curvature_at([a, b]), axis=1).max()), 1e-9)
+            longest = min(CHORD_RAD / bend, np.sqrt(8.0 * CHORD_MM * MM / bend)) if ruled else PIECE_RAD / bend
+            s = np.append(s, np.linspace(a, b, int(np.ceil((b - a) / longest)) + 1)[1:])
+        slope = (radius[i + 1] - radius[i]) / (knots[i + 1] - knots[i])
+        T, u = axis.frames(s), axis.rest_curvature(s)
+        local = (radius[i] + slope * (s - knots[i]))[:, None, None] * np.column_stack([ring, np.zeros(len(ring))])
+        p = (T[:, None, :3, 3] + np.einsum("kij,knj->kni", T[:, :3, :3], local)) / MM
+        if ruled:
+            faces += [
+                _patch(np.swapaxes(p[j : j + 2], 0, 1), _WEIGHTS, s[j : j + 2] / MM, 1) for j in range(len(s) - 1)
+            ]
+            continue
+        # (T local)' = R (u × local + e_z + local')
+        along = np.cross(u[:, None], local) + np.array([0.0, 0.0, 1.0])
+        along[..., :2] += slope * ring
+        third = np.diff(s)[:, None, None] / 3.0
+        d = np.einsum("kij,knj->kni", T[:, :3, :3], along) / MM
+        between = np.stack([p[:-1] + third * d[:-1], p[1:] - third * d[1:]], axis=1).reshape(-1, *p.shape[1:])
+        for first in range(0, len(s) - 1, FACE_PIECES):
+            last = min(first + FACE_PIECES, len(s) - 1)
+            poles = np.concatenate([p[first : first + 1], between[2 * first : 2 * last], p[last : last + 1]])
+            poles, v = np.swapaxes(poles, 0, 1), s[first : last + 1] / MM
+            faces += [_patch(poles[k : k + 3], _WEIGHTS[k : k + 3], v, 3) for k in range(0, 2 * ARCS, 2)]
+    return faces
+
+
+def _patch(poles: Array, weights: Array, v: Array, degree: int) -> cq.Face:
+    """Return a face of rational arcs along u and splines of that degree with double inner knots v along v.
+
+    Args:
+        poles: control points [mm], (2 n + 1, degree + 1 + 2 (len(v) - 2), 3) of n arcs.
+        weights: of the arcs' control points, (2 n + 1,).
+        v: knots, increasing.
+        degree: 1 (then of two knots) or 3.
+    """
+    rows, columns = poles.shape[:2]
+    points, heavy = TColgp_Array2OfPnt(1, rows, 1, columns), TColStd_Array2OfReal(1, rows, 1, columns)
+    for i in range(rows):
+        for j in range(columns):
+            points.SetValue(i + 1, j + 1, gp_Pnt(*map(float, poles[i, j])))
+            heavy.SetValue(i + 1, j + 1, float(weights[i]))
+    directions = []
+    for knots, order in ((np.arange((rows + 1) // 2, dtype=float), 2), (v, degree)):
+        values, multiplicities = TColStd_Array1OfReal(1, len(knots)), TColStd_Array1OfInteger(1, len(knots))
+        for i, knot in enumerate(knots):
+            values.SetValue(i + 1, float(knot))
+            multiplicities.SetValue(i + 1, order + 1 if i in (0, len(knots) - 1) else 2)
+        directions.append((values, multiplicities))
+    (u, of_u), (w, of_w) = directions
+    surface = Geom_BSplineSurface(points, heavy, u, w, of_u, of_w, 2, degree)
+    return cq.Face(BRepBuilderAPI_MakeFace(surface, 1e-7).Face())
+
+
+def _ring_at(faces: Sequence[cq.Face], v: float) -> cq.Wire:
+    """Return the end of a tube's faces at their parameter v."""
+    curves = []
+    for face in faces:
+        *_, v0, v1 = BRepTools.UVBounds_s(face.wrapped)
+        if v0 - FLAT_MM <= v <= v1 + FLAT_MM:
+            curves.append(BRep_Tool.Surface_s(face.wrapped).VIso(v))
+    return cq.Wire.assembleEdges([cq.Edge(BRepBuilderAPI_MakeEdge(curve).Edge()) for curve in curves])
 
 
 def cylinder(d: float, z0: float, z1: float, p: XY = (0.0, 0.0)) -> cq.Solid:
@@ -132,7 +258,8 @@ def meshed(shape: cq.Shape, linear_mm: float, angular_rad: float) -> cq.Shape:
     wanted = IMeshTools_Parameters()
     wanted.Deflection, wanted.Angle = linear_mm, angular_rad
     # Between rulings a facet is as accurate as its edge; checking its interior takes a minute on an elliptic probe.
-    wanted.ControlSurfaceDeflection = False
+    # A face that bends along the axis, which only a part that was changed in CadQuery has here, needs it.
+    wanted.ControlSurfaceDeflection = any(_bends(face) for face in fresh.Faces())
     # The same points and as many triangles as by the default algorithm, in a quarter of its time.
     wanted.MeshAlgo = IMeshTools_MeshAlgoType.IMeshTools_MeshAlgoType_Delabella
     BRepMesh_IncrementalMesh(fresh.wrapped, wanted)
@@ -162,28 +289,38 @@ def mass_properties(shape: cq.Shape, density: float) -> MassProperties:
     return MassProperties(volume, density * volume, p_com, density * inertia * MM**5)
 
 
-def section_properties(solid: cq.Solid, z: float) -> tuple[float, float, float]:
-    """Return area [m²] and second moments ∫y², ∫x² [m⁴] about the centroid of a solid's cut at height z [m].
+def section_properties(solid: cq.Solid, T_base_section: Array, s: float) -> tuple[float, float, float]:
+    """Return area [m²] and second moments ∫y², ∫x² [m⁴] about the centroid of a solid's cut across its axis.
 
-    The faces are ruled about the axis and cut along their own coordinate lines. A cut by a plane is not exact: through
-    a cone of less than about 0.02° and through an elliptic face the kernel fits a curve to 1e-5.
+    The faces are cut along their own coordinate lines: of a curved probe at v = s, of a straight one, whose faces are
+    ruled about the axis, at height s. A cut by a plane is not exact: through a cone of less than about 0.02° and
+    through an elliptic face the kernel fits a curve to 1e-5.
+
+    Args:
+        solid: the probe, in millimetres in the base frame.
+        T_base_section: pose of the section, (4, 4) [m].
+        s: its arclength [m].
     """
-    lines, height = [], z / MM
-    for face in solid.Faces():
-        box = face.BoundingBox()
-        if not box.zmin < height < box.zmax:
-            continue
+    lines, height = [], s / MM
+    for face in (face for face in solid.Faces() if face.geomType() != "PLANE"):
         surface, (u, _, v0, v1) = BRep_Tool.Surface_s(face.wrapped), BRepTools.UVBounds_s(face.wrapped)
-        z0, z1 = (surface.Value(u, v).Z() for v in (v0, v1))
-        curve = surface.VIso(v0 + (height - z0) / (z1 - z0) * (v1 - v0))
-        lines.append(cq.Edge(BRepBuilderAPI_MakeEdge(curve).Edge()))
-        if max(abs(lines[-1].positionAt(t).z - height) for t in (0.0, 0.25, 0.5, 0.75)) > 1e-9:
-            raise CheckFailedError(f"the face at z = {height:g} mm is not ruled about the axis")
+        z0, z1 = (v0, v1) if _bends(face) else (surface.Value(u, v).Z() for v in (v0, v1))
+        if min(z0, z1) <= height < max(z0, z1):
+            curve = surface.VIso(v0 + (height - z0) / (z1 - z0) * (v1 - v0))
+            lines.append(cq.Edge(BRepBuilderAPI_MakeEdge(curve).Edge()).moved(location(T_base_section).inverse))
+            if max(abs(lines[-1].positionAt(t).z) for t in (0.0, 0.25, 0.5, 0.75)) > RING_MM:
+                raise CheckFailedError(f"the face at s = {height:g} mm is not drawn across the axis")
     inside_out = sorted(cq.Wire.combine(lines), key=lambda wire: wire.BoundingBox().DiagonalLength)
     gprops = GProp_GProps()
     BRepGProp.SurfaceProperties_s(cq.Face.makeFromWires(inside_out[-1], inside_out[:-1]).wrapped, gprops)
     matrix = gprops.MatrixOfInertia()
     return gprops.Mass() * MM**2, matrix.Value(1, 1) * MM**4, matrix.Value(2, 2) * MM**4
+
+
+def _bends(face: cq.Face) -> bool:
+    """Return whether a face is drawn along a curved axis."""
+    surface = BRep_Tool.Surface_s(face.wrapped)
+    return isinstance(surface, Geom_BSplineSurface) and surface.VDegree() == 3
 
 
 def _vector(p: XY, z: float) -> cq.Vector:

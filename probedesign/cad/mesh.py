@@ -100,7 +100,8 @@ def export_part(design: Design, part: str, out: Path | None) -> dict[str, Any]:
     folder = Path(os.path.abspath(out or Path("exports") / design.name))
     check_target(folder)
     shape = printed_solid(design, part)
-    mesh, fingerprint, scale = checked_mesh(part, shape), build_geometry(design).fingerprint, print_scale(design, part)
+    drawn = printed_solid(design, part, ruled=True)
+    mesh, fingerprint, scale = checked_mesh(part, drawn), build_geometry(design).fingerprint, print_scale(design, part)
     content = part_stl(design, part, scaled(mesh, scale), fingerprint)
     path = folder / f"{part}.stl"
     listed = listed_digests(folder).get(path.name)

@@ -47,6 +47,7 @@ class CadPart:
     printed: bool = True  #: whether it has a mesh of its own.
     standard: str = ""  #: of a purchased piece, such as ISO 4762 M2x6; groups of one standard share their shape.
     places: tuple[Array, ...] = (IN_SENSOR_FRAME,)  #: pose of each piece in the part's frame, (4, 4).
+    ruled: cq.Shape | None = None  #: of a curved probe, the solid that has the facets, see `kernel.on_foot`.
 
     @property
     def Ts_sensor_piece(self) -> dict[str, Array]:
@@ -58,14 +59,15 @@ class CadPart:
 
     @cached_property
     def placed(self) -> cq.Shape:
-        """Return the shape in the sensor frame: of a group, a compound of its pieces."""
-        pieces = [placed(self.shape, T) for T in self.Ts_sensor_piece.values()]
+        """Return the shape in the sensor frame: of a group, a compound of its pieces; of a curved probe the ruled
+        solid, because the kernel takes long to intersect splines."""
+        pieces = [placed(self.ruled or self.shape, T) for T in self.Ts_sensor_piece.values()]
         return pieces[0] if len(pieces) == 1 else cq.Compound.makeCompound(pieces)
 
     @cached_property
     def displayed(self) -> cq.Shape:
         """Return a copy of the shape with the facets of pictures."""
-        return meshed(self.shape, COARSE_MM, COARSE_RAD)
+        return meshed(self.ruled or self.shape, COARSE_MM, COARSE_RAD)
 
     @cached_property
     def box(self) -> Array:
@@ -84,8 +86,9 @@ def build_parts(
     """Return every part of the assembly by name, the printed ones first."""
     T, grey, steel = adapter.T_sensor_base, (0.75, 0.75, 0.72), (0.45, 0.47, 0.5)
     rigid = RIGID_DENSITY
+    ruled = None if geometry.axis.is_straight else probe_solid(geometry, adapter, ruled=True)
     printed = [
-        CadPart("probe", probe_solid(geometry, adapter), T, "base", probe_density, (0.93, 0.85, 0.6)),
+        CadPart("probe", probe_solid(geometry, adapter), T, "base", probe_density, (0.93, 0.85, 0.6), ruled=ruled),
         CadPart("sensor_adapter", sensor_adapter_solid(adapter), IN_SENSOR_FRAME, "sensor", rigid, grey),
         CadPart("clamp_ring", clamp_ring_solid(adapter), T, "clamp_ring", rigid, (0.35, 0.5, 0.7)),
         CadPart("flange_adapter", flange_adapter_solid(plate), plate.T_sensor_robotflange, "robotflange", rigid, grey),
@@ -165,9 +168,9 @@ class CadModel:
     def bodies(self) -> dict[str, MassProperties]:
         """Return the mass properties of everything beyond the tool face, from the solids, in the sensor frame."""
         probe, T = self.parts["probe"], self.adapter.T_sensor_base
-        # by the plane s = 0, 1 m wide: more than any probe
+        wide = 2.0 * self.geometry.flange.diameter / MM  # the plane s = 0
         flange, flexible = sorted(
-            probe.shape.split(cq.Face.makePlane(1e3, 1e3)).Solids(), key=lambda solid: solid.Center().z
+            probe.shape.split(cq.Face.makePlane(wide, wide)).Solids(), key=lambda solid: solid.Center().z
         )
         return {
             "flexible": mass_properties(placed(flexible, T), probe.density),
@@ -187,8 +190,13 @@ class CadModel:
         return overlaps(self.parts)
 
 
-def printed_solid(design: Design, part: str) -> cq.Solid:
+def printed_solid(design: Design, part: str, ruled: bool = False) -> cq.Solid:
     """Return one printed part in its own frame, in millimetres, without building the others.
+
+    Args:
+        design: of the part.
+        part: its name.
+        ruled: whether a curved probe is drawn for its facets, see `kernel.on_foot`.
 
     Raises:
         InputError: the mount cannot clamp this probe.
@@ -205,7 +213,7 @@ def printed_solid(design: Design, part: str) -> cq.Solid:
                 f"of the tolerances; {stack.remedy}"
             )
     draw: dict[str, Callable[[], cq.Solid]] = {
-        "probe": lambda: probe_solid(mount.geometry, adapter),
+        "probe": lambda: probe_solid(mount.geometry, adapter, ruled),
         "sensor_adapter": lambda: sensor_adapter_solid(adapter),
         "clamp_ring": lambda: clamp_ring_solid(adapter),
         "flange_adapter": lambda: flange_adapter_solid(plate),

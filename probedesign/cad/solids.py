@@ -15,6 +15,7 @@ from probedesign.cad.kernel import (
     engraving_cuts,
     frusta,
     hexagon,
+    on_foot,
     placed,
     revolved,
     round_slot,
@@ -178,8 +179,13 @@ def _in_frame(points: Iterable[XY], T_a_b: Array) -> tuple[XY, ...]:
     return tuple((float(q[0]), float(q[1])) for q in (R @ p + t for p in points))
 
 
-def probe_solid(geometry: ProbeGeometry, adapter: SensorAdapter) -> cq.Solid:
+def probe_solid(geometry: ProbeGeometry, adapter: SensorAdapter, ruled: bool = False) -> cq.Solid:
     """Return the flexible part and its flange in one solid, with the hole of the adapter's peg and the engraving.
+
+    Args:
+        geometry: of the probe.
+        adapter: that it is mounted on.
+        ruled: whether a curved body is drawn for its facets, see `kernel.on_foot`.
 
     Returns:
         The solid in millimetres in the base frame: flexible part above z = 0, flange below.
@@ -187,6 +193,9 @@ def probe_solid(geometry: ProbeGeometry, adapter: SensorAdapter) -> cq.Solid:
     mark = cylinder(adapter.peg_hole_d, -geometry.flange.thickness, 0.0, (adapter.peg_x, 0.0))
     section, flange, underside = geometry.cross_section, geometry.flange, -geometry.flange.thickness
     taper = [(float(r), float(s)) for s, r in zip(geometry.s, geometry.radius, strict=True)]
+    if not geometry.axis.is_straight:
+        foot = cylinder(flange.diameter, underside, 0.0).cut(mark, *engraving_cuts(adapter.on_flange))
+        return on_foot(geometry, single_solid(foot), ruled)
     if section.full_round:
         rim = flange.diameter / 2
         body = revolved([(0.0, underside), (rim, underside), (rim, 0.0), *taper, (0.0, geometry.length)])

@@ -57,7 +57,10 @@ def blocked_tools(parts: dict[str, CadPart], screws: list[ScrewGroup], adapter: 
         for name in step.parts:
             if name in corridors and name not in blocked:
                 corridor = cq.Compound.makeCompound(corridors[name])
-                blocked[name] = volume_inside(corridor, [parts[other] for other in there])
+                # a curved probe is threaded through the ring, and bent aside for the key
+                aside = ("clamp_ring", "ring_screws") if parts["probe"].ruled is not None else ()
+                others = [parts[other] for other in there if other != "probe" or name not in aside]
+                blocked[name] = volume_inside(corridor, others)
             if name not in there:  # the adapter comes with its nuts and pins
                 there.append(name)
         present += [name for name in step.parts if name not in present]
@@ -84,6 +87,9 @@ def _nut_corridor(a: SensorAdapter, p: XY) -> cq.Shape:
 Findings = dict[str, dict[str, Any]]
 
 SOLID_LIMIT = 1e-9  #: Relative. The kernel integrates these surfaces to about 1e-14; modelling errors are far larger.
+#: Relative, of bodies with a curved axis: rings between those of the splines are too small by 2e-8, and the kernel
+#: integrates many of them to about 1e-6.
+CURVED_LIMIT = 1e-5
 SECTION_LIMIT = 1e-6  #: Relative, for cross-sections.
 OVERLAP_LIMIT = 0.0  #: Shared volume [m³]: touching faces share none, and no fit is drawn compressed.
 STATIONS = 9
@@ -141,12 +147,13 @@ def _solids(model: CadModel) -> Findings:
         wanted = formula[name]
         extent = float(np.sqrt(np.trace(wanted.inertia) / wanted.mass))
         volume = abs(body.volume / wanted.volume - 1.0)
+        limit = SOLID_LIMIT if geometry.axis.is_straight or name != "flexible" else CURVED_LIMIT
         centre = np.abs(body.p_com - wanted.p_com).max() / extent
         inertia = np.abs(body.inertia - wanted.inertia).max() / np.abs(wanted.inertia).max()
         findings |= {
-            f"{name}_volume": _finding(volume, SOLID_LIMIT, "relative"),
-            f"{name}_centre": _finding(centre, SOLID_LIMIT, "relative to the body's extent"),
-            f"{name}_inertia": _finding(inertia, SOLID_LIMIT, "relative, about the centre of mass"),
+            f"{name}_volume": _finding(volume, limit, "relative"),
+            f"{name}_centre": _finding(centre, limit, "relative to the body's extent"),
+            f"{name}_inertia": _finding(inertia, limit, "relative, about the centre of mass"),
         }
     return findings
 
@@ -159,7 +166,8 @@ def _sections(model: CadModel) -> Findings:
         "section_second_moment_yy": ProbeGeometry.second_moment_yy_at,
     }
     stations = _stations(geometry)
-    drawn = np.array([section_properties(solid, s) for s in stations])
+    frames = geometry.axis.frames(stations)
+    drawn = np.array([section_properties(solid, T, s) for T, s in zip(frames, stations, strict=True)])
     wanted = np.column_stack([formula(geometry, stations) for formula in formulae.values()])
     worst = np.abs(drawn / wanted - 1.0).max(axis=0)
     what = f"relative, worst of {STATIONS} slices of the solid"

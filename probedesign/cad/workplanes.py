@@ -11,11 +11,12 @@ import cadquery as cq
 
 from probedesign.cad.export import SCHEMA, cad_files, model_record
 from probedesign.cad.folder import check_target, digests, write_export
-from probedesign.cad.kernel import mass_properties
+from probedesign.cad.kernel import FLAT_MM, location, mass_properties
 from probedesign.cad.mesh import part_stl, scaled, tessellate
 from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad, printed_solid
 from probedesign.cad.verify import checked, mesh_findings, room_findings
 from probedesign.core.errors import CheckFailedError, InputError, unknown_name
+from probedesign.core.frames import Array, pose
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.mount import Mount
@@ -24,7 +25,6 @@ from probedesign.printing.check import print_scale
 
 #: Printed parts, which an assembly takes changed.
 CHANGEABLE = ("probe", "sensor_adapter", "clamp_ring", "flange_adapter")
-FLAT = 1e-6  #: Largest distance of a face from its plane [mm], which covers round-off of the kernel.
 
 
 def part_workplane(design: Design, part: str) -> cq.Workplane:
@@ -61,7 +61,8 @@ def changed_model(design: Design, changed: Mapping[str, cq.Workplane]) -> CadMod
         solids[name] = found[0]
     model = build_cad(design)
     parts: dict[str, CadPart] = {
-        name: replace(part, shape=solids[name]) if name in solids else part for name, part in model.parts.items()
+        name: replace(part, shape=solids[name], ruled=None) if name in solids else part
+        for name, part in model.parts.items()
     }
     return replace(model, parts=parts)
 
@@ -74,7 +75,7 @@ def _tagged(design: Design, part: str, solid: cq.Shape) -> cq.Workplane:
     circles: dict[str, tuple[Iterable[XY], float]]
     match part:
         case "probe":
-            faces = {"base_plane": 0.0, "tip": geometry.length, "underside": -geometry.flange.thickness}
+            faces = {"base_plane": 0.0, "underside": -geometry.flange.thickness}
             circles = {"clocking_mark": ([(a.peg_x, 0.0)], 0.0)}
         case "sensor_adapter":
             faces = {"tool_face": 0.0, "seat": a.floor, "rim": a.body_top}
@@ -89,10 +90,18 @@ def _tagged(design: Design, part: str, solid: cq.Shape) -> cq.Workplane:
                        "mounting_screws": (plate.p_mounting_screws, plate.plate_top),
                        "centring_pins": (plate.p_centring_pins, plate.plate_top)}  # fmt: skip
     work = cq.Workplane(obj=solid)
-    flat = [face for face in solid.Faces() if face.geomType() == "PLANE" and abs(face.normalAt().z) > 1.0 - FLAT]
+
+    def tag_plane(name: str, T: Array) -> None:
+        """Tag the largest face in the plane through the origin and across z of a pose in the part's frame."""
+        turned = ((face.moved(location(T).inverse), face) for face in solid.Faces() if face.geomType() == "PLANE")
+        there = [face for local, face in turned
+                 if abs(local.normalAt().z) > 1.0 - FLAT_MM and abs(local.Center().z) < FLAT_MM]  # fmt: skip
+        work.newObject([max(there, key=lambda face: face.Area())]).tag(name)
+
     for name, z in faces.items():
-        at_height = [face for face in flat if abs(face.Center().z - z / MM) < FLAT]
-        work.newObject([max(at_height, key=lambda face: face.Area())]).tag(name)
+        tag_plane(name, pose(p=[0.0, 0.0, z]))
+    if part == "probe":
+        tag_plane("tip", geometry.axis.frames([geometry.length])[0])
     for name, (points, z) in circles.items():
         work.newObject([cq.Vertex.makeVertex(x / MM, y / MM, z / MM) for x, y in points]).tag(name)
     return work

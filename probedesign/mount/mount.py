@@ -1,20 +1,21 @@
 """The geometry of a design, the mount that holds it (options and both adapters), and how much its root yields there."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
+from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.design.catalog import SCREWS
 from probedesign.design.io import check_design
-from probedesign.geometry import FLANGE_LIP, FLANGE_THICKNESS, Flange, ProbeGeometry, flange_for
+from probedesign.geometry import FLANGE_LIP, FLANGE_THICKNESS, Axis, Flange, ProbeGeometry, flange_for
 from probedesign.mount.flange_adapter import FlangeAdapter, flange_adapter_for
 from probedesign.mount.lip import STIFF_RESIN
-from probedesign.mount.sensor_adapter import MountOptions, SensorAdapter, sensor_adapter_for
+from probedesign.mount.sensor_adapter import MountOptions, SensorAdapter, sensor_adapter_for, touched_part
 
 
 def flange_of(design: Design, base_d: float) -> Flange:
@@ -66,7 +67,22 @@ class Mount:
     @cached_property
     def sensor_adapter(self) -> SensorAdapter:
         """The adapter between sensor and probe, with its clamp ring, engraved."""
-        return sensor_adapter_for(self.geometry, self.design.sensor_model, self.design.name, self.options)
+        adapter = sensor_adapter_for(self.geometry, self.design.sensor_model, self.design.name, self.options)
+        axis = self.geometry.axis
+        if axis.is_straight or not (touched := touched_part(self.geometry, adapter)):
+            return adapter
+        low, high = 0.0, 1.0  # of all curvature, between which the body just passes
+        for _ in range(12):
+            middle = 0.5 * (low + high)
+            bent = replace(self.geometry, curved=Axis(axis.s, middle * axis.curvature))
+            low, high = (low, middle) if touched_part(bent, adapter) else (middle, high)
+        bend, radius = self.design.probe.axis_bend_deg, 1.0 / float(np.linalg.norm(axis.curvature, axis=1).max())
+        key, most = ("axis_knots_mm_1_m", f"{low:.0%} of this curvature") if bend is None else (
+            f"axis_bend_deg = {bend:g}", f"{math.floor(10.0 * low * bend) / 10.0:g}")  # fmt: skip
+        raise InputError(
+            f"probe.{key}: the body, with a radius of curvature of {radius / MM:.3g} mm, touches {touched}; at most "
+            f"{most}, a radius of at least {radius / max(low, 1e-3) / MM:.3g} mm"
+        )
 
     @cached_property
     def flange_adapter(self) -> FlangeAdapter:

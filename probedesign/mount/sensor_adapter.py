@@ -334,6 +334,28 @@ def sensor_adapter_for(
     )
 
 
+def touched_part(geometry: ProbeGeometry, a: SensorAdapter) -> str:
+    """Return what of the mount a curved body touches above its base, within the tolerance of a print; empty if nothing.
+
+    Looked at are the ring with its bore, which widens from the base plane up, and the heads of its screws.
+    """
+    s, side = np.linspace(0.0, geometry.length, 400), np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    ring = np.stack([np.cos(side), geometry.cross_section.flatness * np.sin(side)])
+    T = geometry.axis.frames(s)
+    p = T[:, None, :3, 3] + np.einsum("ksa,an->kns", T[:, :3, :2], ring) * geometry.radius_at(s)[:, None, None]
+    away, z, clear = np.hypot(p[..., 0], p[..., 1]), p[..., 2], PRINT_TOLERANCE
+    bore = a.ring_bore_d / 2 + (a.ring_bore_top_d - a.ring_bore_d) / 2 * np.clip(z / a.ring_thickness, 0.0, 1.0)
+    in_ring = (z < a.ring_thickness + clear) & (away > bore - clear) & (away < a.body_d / 2 + clear)
+    in_ring &= (z < a.ring_thickness) | (away > a.ring_bore_top_d / 2)
+    from_heads = np.min([np.hypot(p[..., 0] - x, p[..., 1] - y) for x, y in a.p_ring_screws], axis=0)
+    top = a.ring_thickness + a.ring_screw.head_height + clear
+    in_heads = (z < top) & (from_heads < a.ring_screw.head_d / 2 + clear)
+    for what, touches in (("a screw's head on the clamp ring", in_heads), ("the clamp ring", in_ring)):
+        if touches.any():
+            return f"{what} at s = {s[int(touches.any(axis=1).argmax())] / MM:.3g} mm"
+    return ""
+
+
 def _up(length: float) -> float:
     """Return a length rounded up to 0.1 mm, for drawings [m]."""
     return math.ceil(length / (0.1 * MM) - 1e-6) * 0.1 * MM

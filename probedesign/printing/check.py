@@ -16,6 +16,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.design.catalog import PRINTERS, Printer
@@ -213,6 +214,49 @@ def probe_findings(geometry: ProbeGeometry) -> list[Finding]:
         TRAPPED_VOLUME.at_least(part, f"bore {at}, as a drain hole", bore, MIN_DRAIN_D, 0.0,
                                 "flush it with a syringe before curing"),
     ]  # fmt: skip
+
+
+def bounds(geometry: ProbeGeometry) -> Array:
+    """Return the lowest and highest corner of the box around a probe and its flange in the base frame [m], (2, 3)."""
+    s = np.unique(np.concatenate([geometry.s, np.linspace(0.0, geometry.length, 400)]))
+    T, r, flange = geometry.axis.frames(s), geometry.radius_at(s)[:, None], geometry.flange
+    # A section reaches r hypot(X, flatness Y) in each direction of the base frame.
+    reach = r * np.hypot(T[:, :3, 0], geometry.cross_section.flatness * T[:, :3, 1])
+    rim, p = flange.diameter / 2.0, T[:, :3, 3]
+    return np.array([np.minimum((p - reach).min(axis=0), [-rim, -rim, -flange.thickness]),
+                     np.maximum((p + reach).max(axis=0), [rim, rim, 0.0])])  # fmt: skip
+
+
+class HangingSide(NamedTuple):
+    """The part of a curved probe that hangs over when it stands upright, and needs supports on its lower side."""
+
+    s_mm: XY  #: from where to where it leans by more than 45° [mm].
+    azimuth_deg: XY  #: of the lower side in the section there, from X towards Y, at both ends.
+
+    @property
+    def text(self) -> str:
+        """Return where supports touch, and which sides stay free."""
+        a, b = self.azimuth_deg
+        turn = (b - a + 180.0) % 360.0 - 180.0
+        side = f"{a:.0f}°" if abs(turn) < 1.0 else f"{a:.0f}° at the begin and {b:.0f}° at the end of that"
+        return (
+            f"from s = {self.s_mm[0]:.0f} to {self.s_mm[1]:.0f} mm they scar the lower side, at an angle of {side} in "
+            "the section, from X towards Y: work with the sides at right angles to it, and sand what remains there"
+        )
+
+
+def hanging_side(geometry: ProbeGeometry) -> HangingSide | None:
+    """Return where the axis of a probe that stands on its flange leans by more than 45°; None where it does not."""
+    s = np.linspace(0.0, geometry.length, 400)
+    T = geometry.axis.frames(s)
+    leans = np.flatnonzero(T[:, 2, 2] < math.cos(math.radians(MIN_SOFT_OVERHANG)))
+    if not len(leans):
+        return None
+    ends = leans[[0, -1]]
+    # -z of the base frame in the axes of the section
+    azimuths = np.degrees(np.arctan2(-T[ends, 2, 1], -T[ends, 2, 0])).round() + 0.0
+    (first, last), (a, b) = s[ends] / MM, azimuths
+    return HangingSide((float(first), float(last)), (float(a), float(b)))
 
 
 def flange_findings(adapter: SensorAdapter) -> list[Finding]:
@@ -438,14 +482,17 @@ class PrintCheck:
 def check_print(design: Design) -> PrintCheck:
     """Check a design against the rules of its printer and of both resins."""
     mount, printer = Mount.of(design), design.printer
-    geometry, (sx, _, sz) = mount.geometry, print_scale(design, "probe")
-    width = sx * max(geometry.flange.diameter, 2.0 * float(geometry.radius.max())) / MM
-    below = geometry.flange.thickness / MM
-    longest = (printer.build_volume_mm[2] - SUPPORT_HEIGHT) / sz - below
-    remedy = f"the longest probe for a {printer.name} is {int(longest)} mm" if longest > 0 else ""
-    findings = [*size_findings("probe", printer, width, sz * (below + geometry.length / MM), remedy),
-                *probe_findings(geometry)]  # fmt: skip
+    geometry, scale = mount.geometry, print_scale(design, "probe")
+    low, high = np.array(scale) * bounds(geometry) / MM
+    width, height = float((high - low)[:2].max()), float(high[2] - low[2])
+    longest = (printer.build_volume_mm[2] - SUPPORT_HEIGHT) / scale[2] - geometry.flange.thickness / MM
+    straight = geometry.axis.is_straight
+    remedy = f"the longest probe for a {printer.name} is {int(longest)} mm" if longest > 0 and straight else ""
+    findings = [*size_findings("probe", printer, width, height, remedy), *probe_findings(geometry)]
+    hanging = hanging_side(geometry)
     platforms = packed({"probe": width}, printer)
+    x, y = np.round(np.array(platforms[0]["probe"]) - (low + high)[:2] / 2, 3).tolist()
+    platforms[0]["probe"] = (x, y)
     plate = mount.flange_adapter
     try:
         a = mount.sensor_adapter
@@ -463,8 +510,9 @@ def check_print(design: Design) -> PrintCheck:
         for part, (width, height) in rigid.items():
             findings += size_findings(part, printer, sx * width / MM, sz * height / MM)
         platforms += packed({part: sx * width / MM for part, (width, _) in rigid.items()}, printer)
+    upright = f"print the probe upright on its flange, {LAYER:g} mm layers, supports below the flange"
     advice = (
-        f"print the probe upright on its flange, {LAYER:g} mm layers, supports below the flange only",
+        f"{upright} only" if hanging is None else f"{upright} and below the bend; {hanging.text}",
         design.resin.cure,
         "cure it hanging or in a V-groove: lying flat, it would cure bent under its own weight",
         "measure its diameters after curing: they determine its stiffness",
