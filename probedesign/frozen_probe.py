@@ -24,13 +24,13 @@ from probedesign.design.sensors import DEFAULT_SENSOR, NANO17_BODY, Noise
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.geometry import Flange, ProbeGeometry
+from probedesign.geometry import Axis, Flange, ProbeGeometry
 from probedesign.geometry.cross_section import CrossSection
 from probedesign.geometry.mass import MassProperties
 from probedesign.rod.rod import Rod
 
 KIND = "probedesign frozen probe"
-SCHEMA = 4  #: Version of the file format; no other one is read.
+SCHEMA = 5  #: Version of the file format; no other one is read.
 #: Number of equidistant stations of the section table, beside the knots; for people and for the check on load.
 SECTION_STATIONS = 17
 _MAX_BYTES = 10_000_000
@@ -145,6 +145,8 @@ FIELDS = (
     Field("rod.shear_coefficient", "rod.shear_coefficient", NUMBER),
     Field("rod.rounded_from_m", "rod.rounded_from", NUMBER, optional=True),
     Field("rod.rest_curvature_1_m", "rod.rest_curvature", _array(), optional=True),  # `Rod` checks the shape
+    Field("axis.s_m", "axis_s", _array(), optional=True),  # `Axis` checks the shapes
+    Field("axis.curvature_1_m", "axis_curvature", _array(), optional=True),
     Field("flange.diameter_m", "flange.diameter", NUMBER),
     Field("flange.thickness_m", "flange.thickness", NUMBER),
     *(
@@ -201,6 +203,8 @@ def freeze(model: ProbeModel) -> dict[str, Any]:
         "force_range": model.wrench_range[:3],
         "moment_range": model.wrench_range[3:],
         "identified_tests": model.identified_tests or None,
+        "axis_s": None if model.axis is None else model.axis.s,
+        "axis_curvature": None if model.axis is None else model.axis.curvature,
         "noise_cov": None if model.noise.is_isotropic else model.noise.cov,
     }
     try:
@@ -357,7 +361,8 @@ def _model_of(data: dict[str, Any]) -> ProbeModel:
     stiffness: dict[str, Any] = {name: quantity.value for name, quantity in material.items()}
     top = {name: value for name, value in values.items() if "." not in name}
     wrench_range = np.concatenate([top.pop("force_range"), top.pop("moment_range")])
-    noise_cov = top.pop("noise_cov")
+    noise_cov, axis_s, axis_curvature = (top.pop(name) for name in ("noise_cov", "axis_s", "axis_curvature"))
+    axis = None if axis_s is None or axis_curvature is None else Axis(axis_s, axis_curvature)
     model = ProbeModel(
         **top,
         flange=Flange(**part("flange")),
@@ -367,9 +372,10 @@ def _model_of(data: dict[str, Any]) -> ProbeModel:
         noise=Noise.isotropic(**part("noise")) if noise_cov is None else Noise(noise_cov),
         material=material,
         cross_section=section,
+        axis=axis,
         tolerances=Tolerances(**part("tolerances")),
     )
-    geometry = ProbeGeometry(model.rod.s, model.rod.radius, model.flange, section)
+    geometry = ProbeGeometry(model.rod.s, model.rod.radius, model.flange, section, curved=axis)
     if geometry.fingerprint != model.fingerprint:
         raise InputError(f"fingerprint {model.fingerprint} is not that of the geometry ({geometry.fingerprint})")
     if model.averaging_samples < 1 or not (wrench_range > 0).all():

@@ -103,6 +103,7 @@ class Probe(Displayed):
             fingerprint=self.geometry.fingerprint,
             flange=self.geometry.flange,
             cross_section=self.geometry.cross_section,
+            axis=self.geometry.curved,
             rod=self.rod,
             gravity_base=np.array(d.mount.gravity_base_m_s2),
             T_sensor_base=adapter.T_sensor_base,

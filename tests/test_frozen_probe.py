@@ -193,6 +193,34 @@ def test_a_section_reads_back(section, path, model):
     assert back.fingerprint == wanted.fingerprint
 
 
+AXES = {
+    "arc": 'axis = "arc"\naxis_bend_deg = 86.0\naxis_azimuth_deg = -90.0\nbow_mm = [1.0, -0.5]\n',
+    "helix": 'axis = "helix"\naxis_bend_deg = 215.0\naxis_turns = 1.0\ntip = "rounded"\n',
+    "knots": 'axis = "knots"\naxis_knots_mm_1_m = [[0.0, 0.0, 9.0], [60.0, 5.0, 0.0], [150.0, 0.0, -3.0]]\n',
+}
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_a_curved_axis_reads_back_with_the_curvature_of_the_print(axis, path, monkeypatch):
+    monkeypatch.setitem(SECTIONS, axis, AXES[axis])
+    wanted = probe_with(axis)
+    write_frozen(wanted.model, path)
+    back = load_model(path)
+    np.testing.assert_array_equal(back.rod.rest_curvature, wanted.rod.rest_curvature)
+    np.testing.assert_array_equal(back.axis.curvature, wanted.geometry.axis.curvature)
+    assert back.fingerprint == wanted.geometry.fingerprint
+
+
+@pytest.mark.parametrize(
+    ("axis", "message"),
+    [({"s_m": [0.0, 0.15], "curvature_1_m": [[1.0, 0.0]]}, "axis: s must increase from 0"),
+     ({"s_m": [0.0, 0.0], "curvature_1_m": [[1.0, 0.0], [1.0, 0.0]]}, "axis: s must increase from 0"),
+     ({"s_m": [0.0, 0.15], "curvature_1_m": [[1.0, 0.0], [2.0, 0.0]]}, "is not that of the geometry")],
+)  # fmt: skip
+def test_a_forged_axis_is_refused(axis, message, frozen, path):
+    refused(path, signed({**frozen, "axis": axis}), message)
+
+
 @pytest.mark.parametrize("section", SECTIONS)
 def test_the_section_table_agrees_with_closed_forms(section):
     """At the base, 12 mm: the tube of d = 6 mm, the ellipse of b = 3.6 mm."""
@@ -353,7 +381,7 @@ def shorten(parent, key):
     parent[key] = parent[key][:-1]
 
 
-@pytest.mark.parametrize("schema", [0, 1, 2, 3, 5, "3", None, 1e9])
+@pytest.mark.parametrize("schema", [0, 1, 2, 3, 4, 6, "5", None, 1e9])
 def test_another_schema_is_refused(schema, frozen, path):
     line = refused(path, signed({**frozen, "schema": schema}), f"schema {schema!r} is not known")
     assert "probedesign deploy" in line

@@ -17,6 +17,7 @@ from probedesign.design.catalog import ELASTIC_FRICTION, Provenance, Quantity
 from probedesign.design.sensors import DEFAULT_SENSOR, NANO17_BODY, Noise
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.geometry import Flange
+from probedesign.geometry.axis import Axis
 from probedesign.geometry.cross_section import FULL_ROUND, CrossSection
 from probedesign.geometry.mass import MassProperties
 from probedesign.rod.kernels import kernel
@@ -44,6 +45,7 @@ class ProbeModel(Displayed):
     material: dict[str, Quantity] = field(default_factory=dict)  #: E, G and density with where they come from.
     assumptions: tuple[str, ...] = ()  #: what of the design is assumed, for every report.
     cross_section: CrossSection = FULL_ROUND  #: which the fingerprint counts; the rod has its factors.
+    axis: Axis | None = None  #: as designed, which the fingerprint counts; None if straight.
     #: standard deviation of a common factor on E and G; None: by where E comes from.
     stiffness_spread: float | None = None
     creep_spread: float = 0.0  #: standard deviation of how far it relaxes while touches are fused, relative.

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
+from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 
 #: Knots of a turn of the plane of bending: the linear curvature between them moves a tip at 150 mm by less than 5 µm.
@@ -26,6 +27,13 @@ class Axis:
 
     s: Array  #: knots, 0 ... length [m], (K,), increasing.
     curvature: Array  #: towards X and Y at the knots, linear between them [1/m], (K, 2).
+
+    def __post_init__(self) -> None:
+        s, shape = self.s, (len(self.s), 2)
+        if not (
+            s.ndim == 1 and len(s) >= 2 and s[0] == 0.0 and (np.diff(s) > 0.0).all() and self.curvature.shape == shape
+        ):
+            raise InputError("axis: s must increase from 0, with two curvatures at each knot")
 
     @classmethod
     def helix(cls, length: float, bend: float, turns: float = 0.0, azimuth: float = 0.0) -> "Axis":

@@ -103,7 +103,8 @@ class ProbeGeometry:
         The proportions of a section that is not full and round are included, rounded to 1e-9, and the axis of a curved
         probe.
         """
-        dimensions = [*self.s, *self.radius, self.flange.diameter, self.flange.thickness]
+        s = self.s if self.curved is None else np.unique(np.concatenate([self.s, self.curved.s]))
+        dimensions = [*s, *self.radius_at(s), self.flange.diameter, self.flange.thickness]
         section = self.cross_section
         dimensions += [] if section.full_round else [section.bore_ratio, section.flatness]
         dimensions += [] if self.curved is None else [*self.curved.s, *self.curved.curvature.ravel()]

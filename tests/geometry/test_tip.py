@@ -153,12 +153,13 @@ def test_a_touch_of_the_round_end_of_an_elliptic_probe_is_located_on_its_ellipso
 
 
 def test_a_load_beyond_the_flank_is_no_touch() -> None:
-    """The line of action passes the centre at nearly the radius, which needs friction far beyond the prior."""
+    """The line of action passes the centre at nearly the radius, which needs friction far beyond the prior. A touch of
+    the flank explains it with a friction of 1, which the prior of 0.6 still allows and one of 0.2 does not."""
     probe = build_probe(design_of())
     eq = probe.solve(s_contact=probe.length, force_base=(0.0, 0.05, 0.0))
     assert eq.ok  # the rod holds it, and thin as it is there, nothing jumps
     assert np.linalg.norm(eq.p_at(probe.length) - eq.p_at(probe.geometry.flank_end)) < 1.5e-3
-    found = probe.estimator().estimate(eq.wrench_base)
+    found = probe.estimator().with_friction(0.2).estimate(eq.wrench_base)
     assert found.result in ("inconsistent", "out_of_range", "unobservable")
     assert np.isnan(found.p_surface_base).all()
 
