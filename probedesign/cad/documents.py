@@ -1,6 +1,7 @@
 """Assembly of the parts: its order, exploded views, the bill of materials and the assembly page of an export."""
 
 import base64
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
@@ -448,7 +449,8 @@ def _tightening(model: CadModel) -> str:
 
 def _frames(model: CadModel) -> str:
     height = model.adapter.T_sensor_base[2, 3] / MM
-    carried = combined(model.bodies.values())
+    carried, load = combined(model.bodies.values()), model.carried
+    turn = math.degrees(model.base_turn)
     sensor = model.design.sensor_model
     if sensor.overload is None:
         overload = "Its overload is not known"
@@ -463,6 +465,10 @@ def _frames(model: CadModel) -> str:
         f"adapter's rim. {1e3 * carried.mass:.3g} g are mounted on the sensor, the probe included, with their centre "
         f"of mass {carried.p_com[2] / MM:.1f} mm above the tool face; the sensor itself weighs "
         f"{1e3 * sensor.interface.mass:.3g} g. {overload}. The manifest and the frozen probe contain the numbers. "
+        f"On the robot, from the centre of its face with z out of it and x through its dowel hole, the base lies at "
+        f"0, 0, <b>{model.T_robotflange_base[2, 3] / MM:.2f} mm</b>, turned by <b>{turn:.1f}°</b> about z "
+        f"(rotation vector 0, 0, {model.base_turn:.4f} rad). The robot carries {1e3 * load.mass:.3g} g, the sensor "
+        f"included, with their centre of mass at {', '.join(f'{x / MM:.1f}' for x in load.p_com)} mm. "
         "For CAD there is one STEP file of each printed part in its own frame and <code>assembly.step</code> in the "
         "sensor's, in millimetres; <code>assembly.glb</code> is for viewers, in metres with y up.</p>"
     )

@@ -1,5 +1,6 @@
 """Export a design to its folder of files, with their manifest: all files verified, or none written."""
 
+import math
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -97,6 +98,17 @@ def model_record(model: CadModel, files: dict[str, dict[str, Any]], findings: Fi
         "poses": "4x4, in metres; T_a_b maps b's coordinates into a's",
         "T_sensor_base": _pose(model.adapter.T_sensor_base),
         "T_sensor_robotflange": _pose(model.plate.T_sensor_robotflange),
+        "T_robotflange_base": _pose(model.T_robotflange_base),
+        "robot": {
+            "frame": "robotflange: origin at the centre of the robot's face, z out of the robot, x through its "
+            "dowel hole; inertia about the centre of mass",
+            "base_mm": [round(x / MM, 6) + 0.0 for x in model.T_robotflange_base[:3, 3].tolist()],
+            "base_turn_about_z_deg": round(math.degrees(model.base_turn), 6),
+            "base_rotation_vector_rad": [0.0, 0.0, model.base_turn],
+            "counts": "everything beyond the robot's face: flange adapter, sensor without cable as a homogeneous "
+            "cylinder, sensor adapter, clamp ring, probe, all screws, nuts and pins",
+            **_body(model.carried),
+        },
         "mass": {
             "frame": "sensor; inertia about the centre of mass",
             "counts": "everything beyond the tool face: the probe with its flange, sensor adapter, clamp ring, "

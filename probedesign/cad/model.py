@@ -1,7 +1,7 @@
 """CAD model of a design: every part as a solid placed in the sensor frame."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
 
@@ -20,7 +20,7 @@ from probedesign.cad.solids import (
     sensor_envelope,
 )
 from probedesign.core.errors import CheckFailedError
-from probedesign.core.frames import Array, pose
+from probedesign.core.frames import Array, inverse, pose
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.design.catalog import RIGID_DENSITY, STEEL_DENSITY
@@ -28,6 +28,7 @@ from probedesign.design.sensors import SensorInterface
 from probedesign.geometry import ProbeGeometry
 from probedesign.geometry.mass import MassProperties, combined
 from probedesign.mount import FlangeAdapter, Mount, SensorAdapter
+from probedesign.mount.mass import cylinder
 from probedesign.mount.tolerance_stack import tolerance_stacks
 
 IN_SENSOR_FRAME = pose()
@@ -179,6 +180,27 @@ class CadModel:
             "clamp_ring": self._mass_of("clamp_ring"),
             "fasteners": combined(self._mass_of(name) for name in FASTENERS),
         }
+
+    @cached_property
+    def carried(self) -> MassProperties:
+        """Return the mass properties of all that the robot carries, the sensor as a homogeneous cylinder about its
+        centre of mass, without its cable; in the robot flange's frame."""
+        of_tool_side = {"probe", "sensor", "sensor_adapter", "clamp_ring", *FASTENERS}
+        sensor = self.design.sensor_model.interface
+        d, h = sensor.body_d, sensor.height
+        body = replace(cylinder(d, -h, 0.0, sensor.mass / (np.pi / 4.0 * d * d * h)), p_com=np.array(sensor.p_com))
+        plate = [self._mass_of(name) for name in self.parts if name not in of_tool_side]
+        return combined([*self.bodies.values(), body, *plate]).moved(inverse(self.plate.T_sensor_robotflange))
+
+    @property
+    def T_robotflange_base(self) -> Array:
+        """Return the pose of the base in the robot flange's frame, (4, 4): along its z, turned about it."""
+        return inverse(self.plate.T_sensor_robotflange) @ self.adapter.T_sensor_base
+
+    @property
+    def base_turn(self) -> float:
+        """Return the angle of that turn [rad]."""
+        return float(np.arctan2(self.T_robotflange_base[1, 0], self.T_robotflange_base[0, 0]))
 
     def _mass_of(self, name: str) -> MassProperties:
         part = self.parts[name]

@@ -347,6 +347,7 @@ def test_the_page_has_warning_parts_steps_and_tools(exported: Exported, large: C
     words = " ".join(" ".join(Page((exported[0] / "assembly.html").read_text("utf-8")).words).split())
     assert words.index("by more than 3.5 mm destroys it") < words.index("Parts")  # before anything else
     assert f"{1e3 * large.adapter.T_sensor_base[2, 3]:.2f} mm above the tool face" in words
+    assert "29.50 mm , turned by -60.0° about z" in words
     for item in bill_of_materials(large):
         assert item.title in words and (item.file or item.what) in words
     for step in exported[1]["assembly_order"]:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip install 'probedesign[cad]'")
 
@@ -99,8 +100,26 @@ def test_manifest_masses_equal_those_of_the_mechanics(exported: Exported) -> Non
     assert np.array(manifest["T_sensor_base"]) == pytest.approx(adapter.T_sensor_base, abs=1e-12)
     frozen = freeze(build_probe(design).model)  # what the estimator subtracts, engraving and all
     assert frozen["T_sensor_base"] == adapter.T_sensor_base.tolist()
+    assert np.array(manifest["T_robotflange_base"]) == pytest.approx(np.array(frozen["T_robotflange_base"]), abs=1e-12)
     assert frozen["hanging"]["mass_kg"] == rigid.mass and frozen["hanging"]["p_com_m"] == rigid.p_com.tolist()
     assert frozen["hanging"]["inertia_kg_m2"] == rigid.inertia.tolist()
+
+
+def test_the_manifest_states_what_the_robot_carries_and_where_the_base_is(exported: Exported) -> None:
+    _, manifest = exported
+    robot, whole, sensor = manifest["robot"], manifest["mass"]["whole"], manifest["sensor"]
+    T = np.array(manifest["T_robotflange_base"])
+    turn = Rotation.from_rotvec(robot["base_rotation_vector_rad"]).as_matrix()
+    assert turn == pytest.approx(T[:3, :3], abs=1e-9) and robot["base_turn_about_z_deg"] == pytest.approx(-60.0)
+    assert robot["base_mm"] == pytest.approx(1e3 * T[:3, 3], abs=1e-6) and robot["base_mm"][2] == pytest.approx(29.5)
+    of_robot = {"flange_adapter", "mounting_screws", "robot_bolts", "centring_pins"}
+    listed = [item for item in manifest["bill_of_materials"] if item["name"] in of_robot]
+    assert len(listed) == len(of_robot)
+    plate = 1e-3 * sum(item["quantity"] * item["mass_g"] for item in listed)  # to three digits
+    assert robot["mass_kg"] == pytest.approx(whole["mass_kg"] + sensor["mass_kg"] + plate, rel=0.005)
+    # All lies between the points of the robot's bolts and the tip.
+    assert -0.01 < robot["p_com_m"][2] < T[2, 3] + 0.15
+    assert np.linalg.eigvalsh(robot["inertia_kg_m2"])[0] > 0.0
 
 
 def test_probe_stl_is_in_millimetres_in_the_base_frame(exported: Exported) -> None:
