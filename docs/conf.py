@@ -1,6 +1,8 @@
 """Configuration of the documentation site: `sphinx-build -W docs site`."""
 
 from importlib.metadata import version as version_of
+from pathlib import Path
+from runpy import run_path
 
 project = "probedesign"
 release = version = version_of("probedesign")
@@ -24,3 +26,13 @@ html_theme = "furo"
 html_title = "probedesign"
 html_static_path = ["static"]
 html_css_files = ["math.css"]
+
+
+def setup(app):
+    """Draw the pictures that follow from the program itself."""
+
+    def draw(_app):
+        path = Path(app.srcdir) / "pictures/curved.py"
+        run_path(str(path))["draw"]()
+
+    app.connect("builder-inited", draw)

@@ -51,7 +51,7 @@ def steps_of(page: Path) -> list[list[str] | str]:
 
 ALL_PAGES = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
 PAGES = sorted(page for page in ALL_PAGES if steps_of(page))
-SLOW = {"choosing"}  #: Pages whose commands take minutes: searches and Monte Carlo checks.
+SLOW = {"choosing", "curved"}  #: Pages whose commands take minutes: searches and Monte Carlo checks.
 
 
 #: Every sixth touch of the card house that `explore --rehearse` simulates: one on each kind of edge.

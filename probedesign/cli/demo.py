@@ -31,6 +31,8 @@ NAME = "demo"
 #: Heading and command of each section of the page.
 SECTIONS = {
     "predict": ("The probe, coloured by its predicted error", "probedesign predict {folder}/demo.toml"),
+    "whisker": ("A curved probe locates lighter touches",
+                "probedesign compare {folder}/demo.toml {folder}/whisker.toml --touches 1"),
     "estimate": ("A simulated touch, located and replayed",
                  "probedesign estimate {folder}/demo.probe.json {folder}/recording.csv --page {folder}/touches.html"),
     "export": ("The parts", "probedesign export {folder}/demo.toml"),
@@ -142,6 +144,8 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     made |= _predict(probe, prediction, folder, skipped)
     finish("predict", prediction.verdict, svg=probe_chart(prediction, probe.estimator()).svg(),
            links=[("prediction.html", "all predictions"), (design.name, "the design file")])  # fmt: skip
+    print_step("bending the probe to a whisker")
+    made |= _whisker(probe, folder, finish)
     print_step("freezing the estimator and its geometry")
     bundle = deploy_model(probe.model, folder / f"{NAME}.probe.json")
     made[str(bundle)] = "the frozen probe for estimate and live"
@@ -191,6 +195,28 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
         finish("explore", skipped[-1])
     made[str(page)] = "the page with all results"
     return {"made": made, "page": str(page), "skipped": skipped, **result}
+
+
+def _whisker(straight: "Probe", folder: Path, finish: Callable[..., None]) -> dict[str, str]:
+    """Write the design along an arc, show the errors of both on the page, and return the file."""
+    from probedesign.design.io import draft_design, render_design, write_design
+    from probedesign.prediction.fused import SHOWN_N
+    from probedesign.prediction.predict import FRACTIONS, HEADLINE_FRACTION, errors_over_directions
+    from probedesign.probe import build_probe
+    from probedesign.reports.prediction_charts import error_band_chart
+
+    drafted, notes = draft_design("whisker", shape="cone", length_mm=150.0, base_d_mm=12.0, axis="arc",
+                                  axis_bend_deg=60.0, axis_azimuth_deg=-90.0)  # fmt: skip
+    path = folder / "whisker.toml"
+    write_design(render_design(drafted, notes), path, force=True)
+    over = {name: errors_over_directions(probe.estimator(), FRACTIONS, (SHOWN_N,))
+            for name, probe in (("straight", straight), ("along an arc of 60°", build_probe(drafted)))}  # fmt: skip
+    before, after = (rows[FRACTIONS.index(HEADLINE_FRACTION)].median_error_mm for rows in over.values())
+    finish("whisker", f"One reading of {1e3 * SHOWN_N:g} mN at {HEADLINE_FRACTION:g} of the length: {before:.2g} mm "
+           f"straight, {after:.2g} mm in the median direction along an arc. Line: median of all directions; "
+           "band: from the best to the worst, in the plane of the arc.",
+           svg=error_band_chart(over).svg(), links=[(path.name, "its design file")])  # fmt: skip
+    return {str(path): "the same probe along an arc"}
 
 
 def _predict(probe: "Probe", prediction: "Prediction", folder: Path, skipped: list[str]) -> dict[str, str]:

@@ -220,6 +220,18 @@ def direction_chart(curves: Mapping[str, Sequence[float | None]]) -> Chart:
     return chart
 
 
+def error_band_chart(probes: Mapping[str, Sequence[ErrorOverDirections]]) -> Chart:
+    """Return the median error over the directions along each probe, by name, and a band from the best to the worst."""
+    bands = {name: ([row.contact_fraction for row in over], np.array([row.errors_mm for row in over], dtype=float))
+             for name, over in probes.items()}  # fmt: skip
+    chart = _along("contact error, RMS [mm]", [error for _, of in bands.values() for error in of.ravel()], 1.02)
+    for (name, (x, errors)), colour, dashes, mark in zip(bands.items(), COLOURS[1:], DASHES, MARKS, strict=False):
+        low, high = errors.min(axis=1).tolist(), errors.max(axis=1).tolist()
+        chart.area([*zip(x, high, strict=True), *zip(x[::-1], low[::-1], strict=True)], colour, 0.2)
+        chart.line(x, np.median(errors, axis=1), colour, dashes, mark, name)
+    return chart
+
+
 def surface_map(over: Sequence[ErrorOverDirections]) -> Chart:
     """Return the error of one reading on the probe's surface: over place and direction, of rows of one force."""
     degrees = range(0, 360, 2 * DIRECTION_STEP_DEG)
