@@ -24,6 +24,7 @@ from probedesign.estimation.bias import WALK_STEPS
 from probedesign.estimation.error_sources import BEFORE_KNOTS
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.geometry import Axis
 from probedesign.live.blocks import Block
 from probedesign.live.poses.base_poses import TimedPose, pose_from_matrix
 from probedesign.live.poses.pose_sources import POSE_COLUMNS
@@ -202,9 +203,26 @@ class SimulatedRun:
     gravity_base: Array  #: gravity in base axes [m/s²], (3,).
 
 
-def base_rotation(pitch: float = PITCH) -> Array:
-    """Return R_world_base (3, 3) of a probe along the world's y axis, x of its base down, pitched upwards [rad]."""
+TOUCHING = 0.75  #: Place along a curved probe whose tangent is that of a straight one, as a fraction of the length.
+
+
+def base_rotation(pitch: float = PITCH, axis: Axis | None = None) -> Array:
+    """Return R_world_base (3, 3) of a probe that touches along the world's y axis, pitched upwards.
+
+    The x axis of a straight probe's base points down. A curved one comes from above, bent in a vertical plane, so that
+    cards are pushed across that plane, where it is most sensitive.
+
+    Args:
+        pitch: of the probe [rad].
+        axis: of a curved probe.
+    """
     level = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
+    if axis is not None:
+        tangent = axis.frames([TOUCHING * axis.length])[0, :3, 2]
+        aside = np.array([0.0, 0.0, 1.0]) - tangent[2] * tangent
+        if np.linalg.norm(aside) > 1e-3:
+            aside /= np.linalg.norm(aside)
+            level = level[:, [2, 0, 1]] @ np.stack([tangent, aside, np.cross(tangent, aside)])
     c, s = np.cos(pitch), np.sin(pitch)
     return np.asarray(np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]) @ level)
 
@@ -234,7 +252,7 @@ def simulate_run(
     offset = rng.normal(0.0, errors.base_offset, 3)
     # A separate random stream: all other draws are the same with and without a rotation error.
     rotation = Rotation.from_rotvec(rng.spawn(1)[0].normal(0.0, errors.rotation)).as_matrix()
-    bench = _Bench(model.rod, perturbed_rod(model.rod, log_changes), base_rotation(), rotation)
+    bench = _Bench(model.rod, perturbed_rod(model.rod, log_changes), base_rotation(axis=model.axis), rotation)
     free = bench.true_free.wrench_base
     trajectory = SimulatedTrajectory(bench.R_reported, free, rng, time_scale, errors.bias_rate)
     friction_rng = rng.spawn(1)[0]

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from probedesign.core.units import MILLINEWTON
+from probedesign.geometry import Axis
 from probedesign.simulation.scenes import touch_targets
-from probedesign.simulation.simulated_run import FIRM_FORCE, LIGHT_FORCE, RunErrors, simulate_run
+from probedesign.simulation.simulated_run import FIRM_FORCE, LIGHT_FORCE, RunErrors, base_rotation, simulate_run
 from tests.live.conftest import bundle as bundle
 from tests.live.conftest import estimator as estimator
 
@@ -55,3 +56,13 @@ def test_a_card_that_yields_is_pressed_with_the_same_force_and_its_point_at_rest
     light, firm = ((one.Ts_world_base[1] - one.Ts_world_base[0])[:3, 3] @ one.target.direction for one in (rigid, soft))
     # Both depths have the tolerance of a micrometre; the force has the direction of the push within a tenth.
     assert firm - light == pytest.approx(0.2 * (FIRM_FORCE - LIGHT_FORCE), rel=0.05)
+
+
+def test_a_curved_probe_comes_from_above_and_is_pushed_across_its_plane():
+    """At three quarters of its length it points along y; the base lies above, and the plane of bending is upright."""
+    axis = Axis.helix(0.15, 1.5, 0.0, -0.5 * np.pi)
+    R, T = base_rotation(0.0, axis), axis.frames([0.0, 0.75 * 0.15])
+    np.testing.assert_allclose(R @ T[1, :3, 2], [0.0, 1.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
+    way = R @ T[1, :3, 3]
+    assert abs(way[0]) < 1e-12 and way[2] < 0.0 and np.linalg.det(R) > 0.0
