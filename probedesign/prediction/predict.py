@@ -152,8 +152,8 @@ class BenchGain:
 class Prediction(Tabular):
     """Predicted performance of a probe."""
 
-    name: str  #: name, fingerprint: of the probe.
-    fingerprint: str
+    name: str  #: of the probe.
+    fingerprint: str  #: of its geometry.
     assumptions: tuple[str, ...]  #: assumed values of the design that the numbers depend on.
     mass_g: float  #: mass_g, length_mm: of the flexible part.
     length_mm: float
