@@ -139,9 +139,10 @@ def assembly(design: Design, **changed: "cq.Workplane") -> "cq.Assembly":
 def export_changed(design: Design, out: Path, **changed: "cq.Workplane") -> dict[str, Any]:
     """Check changed parts in the assembly, and write their STL and STEP, the assembly's STEP and GLB and a manifest.
 
-    Checked are what needs no formula of the original part: valid solids, closed meshes, no overlap of parts, and the
-    clearance to the sensor and its cable. Screw lengths, tolerance stacks and printability of a changed part are not
-    checked.
+    Checked are what needs no formula of the original part: valid solids, closed meshes, no overlap of parts, the
+    clearance to the sensor and its cable, the entry of every screw, measured in the changed parts, and that adapters
+    touch sensor and probe. Tolerance stacks and printability of a changed part are neither checked nor in the
+    manifest.
 
     Args:
         design: the design.

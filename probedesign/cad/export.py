@@ -35,12 +35,14 @@ def manifest_of(
     """Return the manifest of an export."""
     a, robot, flange, mount = model.adapter, model.plate.robot, model.geometry.flange, model.design.mount
     root = exported_root_radii(model.geometry, mount.hold)
+    record = model_record(model, files, findings)
     robot_pin = {f"dowel pin of {robot.pin_d / MM:g} mm that the robot's flange takes": 1} if robot.pin_d else {}
     pin = f"dowel pin {a.dowels.diameter / MM:g}x{a.dowels.pin_length / MM:g} mm"
     return {
         "schema": SCHEMA,
         "kind": "export",
-        **model_record(model, files, findings),
+        **record,
+        "assumptions": [*record["assumptions"], "tolerance_stacks", "clamp"],
         "bill_of_materials": documents.bill,
         "clamp": clamp_force(a, model.plate, model.design.youngs_modulus.value).as_record(),
         "tolerance_stacks": [stack.as_record() for stack in tolerance_stacks(a, model.plate)],
@@ -82,13 +84,7 @@ def model_record(model: CadModel, files: dict[str, dict[str, Any]], findings: Fi
         "fingerprint": model.geometry.fingerprint,
         "made_with": {"cadquery": cq.__version__},
         "design": design.model_dump(mode="json", by_alias=True, exclude_none=True),
-        "assumptions": [
-            *design.assumptions,
-            "density of the rigid parts",
-            "density of the steel parts",
-            "tolerance_stacks",
-            "clamp",
-        ],
+        "assumptions": [*design.assumptions, "density of the rigid parts", "density of the steel parts"],
         "files": files,
         "parts": {
             part.name: {"frame": part.frame, "T_sensor_part": _pose(part.T_sensor_part), "density_kg_m3": part.density}

@@ -11,9 +11,10 @@ import cadquery as cq
 
 from probedesign.cad.export import SCHEMA, cad_files, model_record
 from probedesign.cad.folder import check_target, digests, write_export
-from probedesign.cad.kernel import FLAT_MM, location, mass_properties
+from probedesign.cad.kernel import FLAT_MM, cylinder, location, mass_properties
 from probedesign.cad.mesh import part_stl, scaled, tessellate
-from probedesign.cad.model import CadModel, CadPart, assembly_of, build_cad, printed_solid
+from probedesign.cad.model import CadModel, CadPart, assembly_of, box_of, build_cad, printed_solid
+from probedesign.cad.solids import ScrewGroup
 from probedesign.cad.verify import checked, mesh_findings, room_findings
 from probedesign.core.errors import CheckFailedError, InputError, unknown_name
 from probedesign.core.frames import Array, pose
@@ -25,6 +26,13 @@ from probedesign.printing.check import print_scale
 
 #: Printed parts, which an assembly takes changed.
 CHANGEABLE = ("probe", "sensor_adapter", "clamp_ring", "flange_adapter")
+
+#: Parts that each group of screws clamps, from the head to the thread.
+CLAMPED = {"sensor_adapter_screws": ("sensor_adapter",), "ring_screws": ("clamp_ring", "sensor_adapter"),
+           "mounting_screws": ("flange_adapter",), "robot_bolts": ("flange_adapter",)}  # fmt: skip
+#: Parts that must touch, so that the poses of the manifest hold, and the largest gap between them [mm].
+TOUCHING, GAP_MM = (("sensor_adapter", "sensor"), ("flange_adapter", "sensor"), ("sensor_adapter", "probe")), 1e-3
+EDGE = 0.05 * MM  #: Distance of the cut below a screw's head from its hole and from the rim of the head.
 
 
 def part_workplane(design: Design, part: str) -> cq.Workplane:
@@ -65,6 +73,52 @@ def changed_model(design: Design, changed: Mapping[str, cq.Workplane]) -> CadMod
         for name, part in model.parts.items()
     }
     return replace(model, parts=parts)
+
+
+def with_measured_screws(model: CadModel, changed: Iterable[str]) -> CadModel:
+    """Return a model whose screws have the seats and the grips of its changed parts.
+
+    Raises:
+        CheckFailedError: a head meets no seat, a screw enters too little or too deep, or parts do not touch.
+    """
+    for names in TOUCHING:
+        gap = model.parts[names[0]].placed.distance(model.parts[names[1]].placed)
+        if gap > GAP_MM and not set(names).isdisjoint(changed):
+            raise CheckFailedError(
+                f"{model.design.name}: {' and '.join(names)} are {gap:.2g} mm apart; they must touch"
+            )
+    screws, parts = [], dict(model.parts)
+    for group in model.screws:
+        if not set(CLAMPED[group.name]).isdisjoint(changed):
+            group = _measured(group, model.parts)
+            parts[group.name] = replace(parts[group.name], places=group.poses)
+        screws.append(group)
+    return replace(model, screws=screws, parts=parts)
+
+
+def _measured(group: ScrewGroup, parts: Mapping[str, CadPart]) -> ScrewGroup:
+    """Return a group of screws with its smallest grip and that screw's seat, from cuts of the parts below each head.
+
+    A part is cut by a tube between the screw's hole and the rim of its head, up to the thread. Its piece nearest to the
+    head counts: a gap within a part makes the grip smaller and the entry larger than they are.
+    """
+    up, found = -1.0 if group.up else 1.0, []  # towards the head
+    thread = group.seat - up * group.grip if len(CLAMPED[group.name]) == 1 else -up  # a nut moves with its part
+    low, high = min(thread, up), max(thread, up)
+    for p in group.points:
+        tube = cylinder(group.screw.head_d - 2 * EDGE, low, high, p)
+        tube = tube.cut(cylinder(group.screw.clearance_d + 2 * EDGE, low, high, p))
+        ends = []
+        for name in CLAMPED[group.name]:
+            pieces = [box_of(piece)[:, 2] * MM for piece in parts[name].placed.intersect(tube).Solids()]
+            if not pieces:
+                raise CheckFailedError(f"{group.name}: a head of {group.standard} meets no seat in the {name}")
+            ends.append(max(pieces, key=lambda z: float((up * z).max())))
+        grip = sum(float(z[1] - z[0]) for z in ends)
+        found.append(replace(group, grip=grip, seat=float(up * (up * ends[0]).max())))
+    for measured in found:
+        measured.check()
+    return min(found, key=lambda measured: measured.grip)
 
 
 def _tagged(design: Design, part: str, solid: cq.Shape) -> cq.Workplane:
@@ -113,7 +167,7 @@ def export_changed(design: Design, changed: Mapping[str, cq.Workplane], out: Pat
         raise InputError("no part is given; name the changed ones, such as sensor_adapter=PART")
     folder = Path(os.path.abspath(out))
     check_target(folder, "changed parts")
-    model = changed_model(design, changed)
+    model = with_measured_screws(changed_model(design, changed), changed)
     meshes = {name: tessellate(model.parts[name].shape) for name in changed}
     findings = checked(design.name, {**mesh_findings(model, meshes), **room_findings(model)})
     contents = cad_files(model, changed)

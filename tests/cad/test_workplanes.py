@@ -5,6 +5,8 @@ import json
 import math
 import runpy
 import sys
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +18,12 @@ pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip i
 import cadquery as cq
 
 from probedesign.cad import assembly, export_changed, flange_adapter, probe_solid, sensor_adapter
+from probedesign.cad.model import CadModel
+from probedesign.cad.workplanes import with_measured_screws
 from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.design import check_design, parse_design
 from probedesign.design.io import render_design, write_design
+from probedesign.mount.engraving import XY
 
 EXAMPLE = Path(__file__).parents[2] / "examples/changed_adapter.py"
 LARGE = parse_design('schema = 1\nname = "large"\n[probe]\nlength_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\n')
@@ -88,6 +93,60 @@ def test_changed_part_is_exported_with_its_manifest(tmp_path: Path, monkeypatch:
     assert mass["mass_as_designed_kg"] - mass["mass_kg"] == pytest.approx(density * hole, rel=1e-6)
     read = cq.importers.importStep(str(out / "flange_adapter.step"))
     assert read.val().Volume() * 1e-9 == pytest.approx(manifest["parts"]["flange_adapter"]["volume_m3"], rel=1e-6)
+
+
+def with_part(large: CadModel, name: str, change: Callable[[cq.Workplane], cq.Workplane]) -> CadModel:
+    part = large.parts[name]
+    changed = replace(part, shape=change(cq.Workplane(obj=part.shape)).findSolid().Solids()[0])
+    return with_measured_screws(replace(large, parts=large.parts | {name: changed}), [name])
+
+
+def cut(points: Iterable[XY], d: float, z0: float, z1: float) -> Callable[[cq.Workplane], cq.Workplane]:
+    """Return the change that removes a cylinder about each point; diameter and heights in millimetres."""
+
+    def change(work: cq.Workplane) -> cq.Workplane:
+        for x, y in points:
+            work = work.cut(cq.Workplane(obj=cq.Solid.makeCylinder(d / 2, z1 - z0, cq.Vector(1e3 * x, 1e3 * y, z0))))
+        return work
+
+    return change
+
+
+def test_screws_are_measured_in_changed_parts(large: CadModel) -> None:
+    """An unchanged part has the screws of the design; deeper counterbores let them enter by as much more."""
+    for group, wanted in zip(with_part(large, "sensor_adapter", lambda work: work).screws, large.screws, strict=True):
+        assert group.grip == pytest.approx(wanted.grip, abs=1e-9) and group.seat == pytest.approx(wanted.seat, abs=1e-9)
+    a, plate = large.adapter, large.plate
+    grip, top = 1e3 * a.tool.grip, 1e3 * plate.counterbore_top
+    deeper = with_part(large, "sensor_adapter", cut(a.p_tool_screws[:1], 4.4, grip - 0.3, grip + 1.0))
+    group = {group.name: group for group in deeper.screws}["sensor_adapter_screws"]
+    assert group.as_record()["entry_mm"] == pytest.approx(3.2)  # of 2.9
+    drawn = deeper.parts["sensor_adapter_screws"].places[0][2, 3]
+    assert drawn == pytest.approx(a.tool.grip - 3e-4, abs=1e-9)
+    lower = with_part(large, "flange_adapter", cut(plate.p_mounting_screws, 4.4, top - 1.0, top + 0.2))
+    assert lower.screws[2].entry == pytest.approx(large.screws[2].entry + 2e-4)
+
+
+def test_screws_that_would_destroy_the_sensor_or_hold_nothing_are_refused(large: CadModel) -> None:
+    a, plate = large.adapter, large.plate
+    grip, top = 1e3 * a.tool.grip, 1e3 * plate.counterbore_top
+    bolts, roof = plate.p_bolts, 1e3 * plate.plate_top
+    ring = 1e3 * a.ring_thickness
+    wrong: list[tuple[str, Callable[[cq.Workplane], cq.Workplane], str]] = [
+        # The counterbore is 1.2 mm deeper: an M2x6 enters by 4.1 mm where the sensor bears 3.5 mm.
+        ("sensor_adapter", cut(a.p_tool_screws, 4.4, grip - 1.2, grip + 1.0), "sensor tool side by 4.10 mm; allowed"),
+        ("sensor_adapter", cut(a.p_tool_screws[1:2], 4.4, grip - 1.2, grip + 1.0), "sensor tool side by 4.10 mm"),
+        ("sensor_adapter", cut(a.p_tool_screws, 4.4, -1.0, grip + 1.0), "sensor_adapter_screws: a head of .* no seat"),
+        ("sensor_adapter", cut([(0.0, 0.0)], 60.0, -1.0, 0.8), "are 0.8 mm apart; they must touch"),
+        ("flange_adapter", cut(plate.p_mounting_screws, 4.4, top - 1.0, top + 1.2), "sensor mounting side by 4.10 mm"),
+        ("flange_adapter", cut(plate.p_mounting_screws, 4.4, top - 1.0, top + 9.0), "mounting_screws: a head"),
+        ("flange_adapter", cut(bolts, 12.0, roof - 2.0, roof + 1.0), "robot flange by 7.30 mm"),
+        ("flange_adapter", cut(bolts[:1], 12.0, roof - 2.0, roof + 1.0), "robot flange by 7.30 mm"),
+        ("clamp_ring", cut(a.p_ring_screws, 5.0, ring - 1.2, ring + 1.0), "nuts in the sensor adapter by"),
+    ]
+    for name, change, message in wrong:
+        with pytest.raises(CheckFailedError, match=message):
+            with_part(large, name, change)
 
 
 def test_part_that_touches_the_sensor_is_refused(tmp_path: Path) -> None:
