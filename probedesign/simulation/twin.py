@@ -43,6 +43,7 @@ _CROWDING = 0.75
 _CLEAR = 0.05  #: Shortest distance from a hinge to the end of its element, as a fraction of the element.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _ENVELOPE = 24  #: Fewest cylinders of the rigid body.
+LEAST_INERTIA = 2e-15  #: Of a link [kg·m²], where that of a thin tip is less: MuJoCo refuses 1e-15.
 HOLD_RADIUS = 0.02  #: Of the points at which the mount is held [m].
 _INERTIA = (("ixx", 0, 0), ("iyy", 1, 1), ("izz", 2, 2), ("ixy", 0, 1), ("ixz", 0, 2), ("iyz", 1, 2))
 
@@ -190,6 +191,13 @@ def _quaternion(R: Array) -> Array:
     return np.roll(Rotation.from_matrix(R).as_quat(canonical=True), 1)
 
 
+def _principal(inertia: Array) -> tuple[Array, Array]:
+    """Return the principal moments (3,) and the rotation whose columns are their axes."""
+    moments, axes = np.linalg.eigh(inertia)
+    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    return moments, axes
+
+
 def _note(model: ProbeModel) -> str:
     return (
         f"Probe {model.name}, geometry {model.fingerprint}, in SI units. Axes and origin of the world: those of the "
@@ -216,8 +224,9 @@ def _mjcf(model: ProbeModel, chain: list[Link], frames: dict[str, Array]) -> byt
         return {"pos": T[:3, 3], "quat": _quaternion(T[:3, :3])}
 
     def weighs(body: Element, of: MassProperties) -> None:
-        inertia = [of.inertia[i, j] for _, i, j in _INERTIA]
-        _add(body, "inertial", pos=of.p_com, mass=of.mass, fullinertia=inertia)
+        moments, axes = _principal(of.inertia)
+        moments = np.maximum(moments, LEAST_INERTIA)
+        _add(body, "inertial", pos=of.p_com, quat=_quaternion(axes), mass=of.mass, diaginertia=moments)
 
     tau, T = _damping_time(model.rod), frames["sensor"]
     root = Element("mujoco", model=model.name)
@@ -427,8 +436,7 @@ def _usd(model: ProbeModel, chain: list[Link], frames: dict[str, Array]) -> byte
         prim = placed(path, T)
         UsdPhysics.RigidBodyAPI.Apply(prim)
         material = link.material if i else combined([link.material, model.payload.moved(frames["sensor"])])
-        moments, axes = np.linalg.eigh(material.inertia)
-        axes[:, 0] *= np.sign(np.linalg.det(axes))
+        moments, axes = _principal(material.inertia)
         mass = UsdPhysics.MassAPI.Apply(prim)
         mass.CreateMassAttr(material.mass)
         mass.CreateCenterOfMassAttr(Gf.Vec3f(*material.p_com))

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.core.frames import inverse, pose
+from probedesign.design import parse_design
 from probedesign.design.paper import paper_design
 from probedesign.geometry import Axis
 from probedesign.geometry.mass import combined
@@ -104,6 +105,20 @@ def test_it_comes_to_rest_by_itself_with_the_reading_of_the_sensor(model):
     assert data.sensor("force").data == pytest.approx(wanted[:3], abs=1e-5)
     # 0.3 % of the moment, 4 mN·m
     assert data.sensor("torque").data == pytest.approx(wanted[3:], abs=1.2e-5)
+
+
+@pytest.mark.parametrize("probe", ["length_mm = 10.0\nbase_d_mm = 3.0\ntip_d_mm = 0.7",
+                                   "length_mm = 30.0\nbase_d_mm = 16.0\ntip_d_mm = 8.0",
+                                   'length_mm = 150.0\nbase_d_mm = 12.0\ntip_d_mm = 2.0\ntip = "rounded"'])  # fmt: skip
+def test_probes_of_all_sizes_come_to_rest(probe):
+    model = build_probe(parse_design(f'schema = 1\nname = "large"\n[probe]\n{probe}\n')).model
+    twin = mujoco.MjModel.from_xml_string(mjcf(model).decode())
+    data = mujoco.MjData(twin)
+    data.qvel[FREE:] = 3.0
+    mujoco.mj_step(twin, data, 20_000)
+    free = model.to_sensor(model.rod.solve(model.gravity_base).wrench_base, model.gravity_base)
+    assert not any(warning.number for warning in data.warning)
+    assert np.append(data.sensor("force").data, data.sensor("torque").data) == pytest.approx(free, abs=2e-5)
 
 
 def test_the_holder_moves_the_probe(model):
