@@ -44,6 +44,8 @@ optimize designs/a.toml --at 0.8 --touches 1 --over length
 optimize designs/a.toml --at 0.8 --touches 1 --over length
 deploy designs/a.toml
 deploy designs/a.toml --out designs/a.toml
+twin designs/a.toml
+twin designs/a.toml --format stl
 campaign designs/a.toml data --stage
 campaign designs/a.toml data --stage
 plan designs/a.toml bench --minutes 60 --for E
