@@ -340,6 +340,10 @@ def _sdf(model: ProbeModel, chain: list[Link], frames: dict[str, Array]) -> byte
     root = Element("sdf", version="1.9")
     world = _add(root, "world", name=model.name)
     _add(world, "gravity", model.gravity_base)
+    # Gazebo publishes the sensor with its plugin only; with one plugin, the usual three are to be named as well.
+    for file, name in (("physics", "Physics"), ("user-commands", "UserCommands"),
+                       ("scene-broadcaster", "SceneBroadcaster"), ("forcetorque", "ForceTorque")):  # fmt: skip
+        _add(world, "plugin", filename=f"gz-sim-{file}-system", name=f"gz::sim::systems::{name}")
     sdf = _add(world, "model", name="probe", canonical_link="sensor_body")
     for name, rigid in _rigid_links(model, chain, frames).items():
         T = frames.get(name, np.eye(4))
