@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from probedesign.optimization.constraints import OptimizationProblem
     from probedesign.optimization.optimum import MonteCarloCheck, OptimizeResult, Optimum, ParetoFront
 
+DISTINCT = 3.0  #: Standard deviations between places, as in `distinction`, below which a search is warned about.
 MAX_SHOWN_CASES = 6  #: Cases with a larger error than the start's that are printed.
 Over = Literal["cone", "taper", "length", "section", "axis"]
 
@@ -129,8 +130,11 @@ def _print(
     print(f"{best.design.name}: {best.task.text}")
     before, after = best.before.as_dict(), best.after.as_dict()
     rows = [[name, format_value(before[name]), format_value(after[name])] for name in after
-            if name != "tip_offset_mm" or before[name] or after[name]]  # fmt: skip
+            if name not in ("tip_offset_mm", "distinction") or before[name] or after[name]]  # fmt: skip
     print_columns(["", "start", "optimum"], rows)
+    if (told := best.after.distinction) is not None and told < DISTINCT:
+        print(f"  readings differ from those of other places by {told:.2g} standard deviations only: some touches will "
+              f"be located at a wrong place; --subject-to 'distinction>={DISTINCT:g}' excludes that")  # fmt: skip
     if confirmed is not None:
         for name, check in zip(("start", "optimum"), confirmed, strict=True):
             if check is None:

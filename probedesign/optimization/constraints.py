@@ -32,6 +32,7 @@ LIMITED_METRICS = (
     "sag_mm",
     "reach_mm",
     "tip_offset_mm",
+    "distinction",
     "sensor_use",
     "slide_mm",
     "mass_g",

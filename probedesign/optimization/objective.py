@@ -10,9 +10,10 @@ import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
-from probedesign.core.statistics import rms
+from probedesign.core.statistics import rms, whiten
 from probedesign.core.units import MM
 from probedesign.design import Design
+from probedesign.estimation.contact_fit import MIN_FRICTION
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimate import MomentsAbout
 from probedesign.estimation.estimator import Estimator
@@ -24,6 +25,7 @@ from probedesign.prediction.predict import finite_or_none, tip_sag
 from probedesign.prediction.touches import SurfaceRod, slide, touches_of
 from probedesign.printing.check import check_print
 from probedesign.probe import Probe, build_probe
+from probedesign.rod.kernels.surface_contact import DEAD, S
 
 #: Contact positions over the length whose error is averaged: the outer part without the tip itself.
 FRACTIONS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
@@ -158,6 +160,9 @@ class TaskErrors:
     #: largest distance that the object slides along the probe while the base presses on along a straight line, without
     #: friction [m]; 0 for single touches, infinite where it slips off or the probe buckles.
     slide: float
+    #: smallest number of standard deviations by which a reading tells the touched place from others of a curved probe,
+    #: see `distinction`; infinite for straight probes and fused touches.
+    distinction: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -175,6 +180,9 @@ class DesignMetrics:
     reach_mm: float | None  #: distance from the base to the tip of the free probe.
     tip_offset_mm: float  #: distance of the tip of the unloaded probe from the base's z axis; 0 of a straight probe.
     sensor_use: float | None  #: largest fraction of a channel's range in the task.
+    #: standard deviations by which single readings tell the touched place of a curved probe from others; None for
+    #: straight probes and fused touches.
+    distinction: float | None
     #: slide of the object along the probe in a straight press without friction; None for single touches and where it
     #: slips off.
     slide_mm: float | None
@@ -208,6 +216,7 @@ def design_metrics(design: Design, task: Task) -> DesignMetrics:
         reach_mm=float(np.linalg.norm(free.p_at(probe.length)) / MM) if free.ok else None,
         tip_offset_mm=tip_offset(probe) / MM,
         sensor_use=finite_or_none(touched.sensor_use),
+        distinction=finite_or_none(touched.distinction),
         slide_mm=finite_or_none(touched.slide / MM) if task.touches > 1 else None,
         mass_g=float(1e3 * probe.mass),
         length_mm=probe.length / MM,
@@ -224,7 +233,7 @@ def tip_offset(probe: Probe) -> float:
 
 def predict_task(model: ProbeModel, task: Task, slipping: bool = True) -> TaskErrors:
     """Predict the errors of a task's touches, including all error sources; without `slipping` the slide is 0."""
-    cases, errors, use, slid = list[Case](), list[float](), 0.0, 0.0
+    cases, errors, use, slid, distinct = list[Case](), list[float](), 0.0, 0.0, math.inf
     for under in task.models(model):
         estimator = Estimator(under, task.priors(under))
         free = estimator.free()
@@ -234,20 +243,20 @@ def predict_task(model: ProbeModel, task: Task, slipping: bool = True) -> TaskEr
             by_force = {} if sources is None else _errors_at(estimator, on, sources, fraction, angle, task)
             for force in task.forces_N:
                 cases.append(Case(fraction, force, tuple(under.gravity_base.tolist()), math.degrees(angle)))
-                error, used = by_force.get(force, (math.inf, math.inf))
+                error, used, told = by_force.get(force, (math.inf, math.inf, math.inf))
                 errors.append(error)
-                use = max(use, used)
+                use, distinct = max(use, used), min(distinct, told)
             if slipping and task.schedule is not None and free.ok:
                 s, phi = fraction * under.rod.length, angle + math.pi
                 slid = max(slid, slide(on, s, phi, task.schedule.forces(task.force_N)))
-    return TaskErrors(tuple(cases), tuple(errors), use, slid)
+    return TaskErrors(tuple(cases), tuple(errors), use, slid, distinct)
 
 
 def _errors_at(
     estimator: Estimator, on: SurfaceRod, sources: ErrorSources, fraction: float, angle: float, task: Task
-) -> dict[float, tuple[float, float]]:
-    """Return the error [m] and the used fraction of the sensor's range at one position and direction [rad], by force,
-    where there is a result."""
+) -> dict[float, tuple[float, float, float]]:
+    """Return the error [m], the used fraction of the sensor's range and the distinction at one position and direction
+    [rad], by force, where there is a result."""
     model, schedule = estimator.model, task.schedule
     press = on.begin_press(fraction * on.rod.length, angle + math.pi)
     parts = {force: (force,) if schedule is None else schedule.forces(force) for force in task.forces_N}
@@ -257,15 +266,19 @@ def _errors_at(
         if touch is None:
             break
         reached[force] = touch
-    errors = dict[float, tuple[float, float]]()
+    errors = dict[float, tuple[float, float, float]]()
     for force, of in parts.items():
         if force not in reached:
             continue
+        told = math.inf
         if schedule is None:
             touch = reached[force][None].copy()
             lin, D = sources.columns_at(touch[0])
             cov = error_budget(touch, lin[None], D[None], sources, model.friction).total[0]
             wrench = lin[0:6, 0]
+            if on.rod.is_curved:
+                noise = model.noise_base() + sources.drift + D[:6] @ D[:6].T
+                told = distinction(on, touch[0], noise, model.friction)
         else:
             pressed = np.array([reached[part] for part in of])
             fused = LinearizedPresses(model, estimator.priors, on.gravity, pressed, schedule)
@@ -274,8 +287,43 @@ def _errors_at(
             cov, wrench = fused.cov(), fused.wrenches[-1]
         if np.isfinite(cov).all():
             use = np.abs(model.to_sensor(wrench, model.gravity_base)) / model.wrench_range
-            errors[force] = rms(cov), float(use.max())
+            errors[force] = rms(cov), float(use.max()), told
     return errors
+
+
+def distinction(on: SurfaceRod, touch: Array, cov: Array, friction: float) -> float:
+    """Return the number of standard deviations by which a reading differs from those of touches of other places.
+
+    The force of a touch at s that comes nearest to the reading (F, M) of the touched place minimises
+    |W (F' - F, p(s) × F' - M)|² + (F'·t(s) / (μ |F|))², W the whitening of the reading and t the tangent: a linear
+    problem. M · p(s) = 0 may have a second root, where the minimum is small; the error to first order does not show it.
+
+    Args:
+        on: the rod.
+        touch: unknowns, dead loads and tip, (TOUCH,).
+        cov: covariance of the reading, (6, 6).
+        friction: prior standard deviation of the friction ratio μ.
+
+    Returns:
+        Its square root, the smallest over the places at least `APART` of the length away.
+    """
+    length, force = on.rod.length, touch[DEAD : DEAD + 3]
+    shape = on.rod.solve(on.gravity, force, float(touch[S]))
+    s = np.linspace(0.0, length, _PLACES)[1:]
+    p, at = shape.p_at(s), shape.p_contact_base
+    A = np.zeros((len(s), 7, 3))
+    A[:, :3], A[:, 3:6] = np.eye(3), np.cross(p[:, None], np.eye(3)).swapaxes(1, 2)
+    reading, W = np.concatenate([force, np.cross(at, force)]), whiten(cov)
+    A[:, :6] = W @ A[:, :6]
+    A[:, 6] = np.gradient(p, s, axis=0) / (max(friction, MIN_FRICTION) * np.linalg.norm(force))
+    y = np.append(W @ reading, 0.0)
+    off = np.linalg.pinv(A) @ y
+    misfit = np.linalg.norm(np.einsum("kij,kj->ki", A, off) - y, axis=1)
+    return float(misfit[np.abs(s - touch[S]) > APART * length].min())
+
+
+#: Share of the length from the touched place on at which another one counts, and number of places along the probe.
+APART, _PLACES = 0.15, 41
 
 
 def detectable_mN(model: ProbeModel, task: Task) -> float | None:

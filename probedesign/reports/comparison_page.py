@@ -41,7 +41,8 @@ from probedesign.reports.prediction_charts import direction_chart, lateral_axis
 MAX_DESIGNS = 6
 SIDE = "+y"  #: Direction across gravity for a horizontal mount, as in the task.
 NEUTRAL = ("length_mm", "thinnest_mm")  #: Metrics of which neither a larger nor a smaller value is better.
-LARGER_IS_BETTER = ("reach_mm",)
+LARGER_IS_BETTER = ("reach_mm", "distinction")
+OF_CURVED = ("tip_offset_mm", "distinction")  #: Metrics that only curved probes have.
 #: Names of the metrics in the table.
 LABELS = {
     "error_mm": "error of the task, RMS [mm]",
@@ -51,6 +52,7 @@ LABELS = {
     "reach_mm": "distance from base to tip [mm]",
     "tip_offset_mm": "offset of the unloaded tip from the base's axis [mm]",
     "sensor_use": "used fraction of the sensor's range",
+    "distinction": "standard deviations between touches of different places",
     "slide_mm": "slide of the object along the probe [mm]",
     "mass_g": "mass of the flexible part [g]",
     "length_mm": "length [mm]",
@@ -135,7 +137,7 @@ def comparison_table(compared: Sequence[ComparedDesign]) -> HtmlTable:
         [LABELS[name], *(format_value(getattr(entry.metrics, name)) for entry in compared),
          best_design(compared, name) or "-"]
         for name in METRICS
-        if name != "tip_offset_mm" or any(entry.metrics.tip_offset_mm for entry in compared)
+        if name not in OF_CURVED or any(getattr(entry.metrics, name) for entry in compared)
     ]  # fmt: skip
     fused = {entry.design.name: entry.fused.predicted_error_mm for entry in compared}
     label = f"error of {compared[0].fused.label} [mm]"

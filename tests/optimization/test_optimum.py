@@ -428,3 +428,17 @@ def test_a_point_of_a_bent_design_space_is_its_design(large):
     # The margins are those by which the schema refuses: a bend of 250° in the plane returns into the mount.
     low = space.printable(space.with_axis(x, {"axis_bend_deg": 250.0, "axis_turns": 0.0, "axis_azimuth_deg": 0.0}))
     assert low["axis above the mount"].min() < 0.0 < space.printable(x)["axis above the mount"].min()
+
+
+def test_second_roots_of_a_helix_are_told_by_its_distinction(large):
+    """A single reading of an arc has one place; a helix of a turn has a second root near 0.6 and one near the tip."""
+    straight, arc, helix = (
+        design_metrics(check_design(tables), WHISKING).distinction
+        for tables in (
+            tables_of(large),
+            curved(large),
+            curved(large, axis="helix", axis_bend_deg=166.0, axis_turns=0.9),
+        )
+    )
+    assert straight is None and helix < 3.0 < arc
+    assert design_metrics(check_design(curved(large)), replace(WHISKING, touches=2)).distinction is None
