@@ -17,7 +17,7 @@ def twin(
     *,
     formats: Annotated[str, Parameter(name="--format")] = "mjcf,sdf,urdf",
     out: Path | None = None,
-    links: int = 14,
+    links: int | None = None,
     as_json: JsonOutput = False,
 ) -> None:
     """Write a probe for simulators: an elastic chain as MJCF (MuJoCo) and USD, a rigid body as SDF and URDF.
@@ -26,7 +26,7 @@ def twin(
         design: the design file, or its name.
         formats: out of mjcf, sdf, urdf and usd, separated by commas. usd needs usd-core.
         out: output folder. Default: exports/NAME/twin.
-        links: number of links of the chain, even.
+        links: number of links of the chain, even. Default: 10, or 14 of a curved probe.
         as_json: print one JSON document.
     """
     from probedesign import pipeline

@@ -33,13 +33,13 @@ from probedesign.rod.vibration import natural_frequency
 
 #: Name of the format, ending of its file.
 FORMATS = {"mjcf": ".xml", "sdf": ".sdf", "urdf": ".urdf", "usd": ".usda"}
-LINKS = 14  #: Of the chain by default.
+LINKS, CURVED_LINKS = 10, 14  #: Of the chain of a straight and of a curved probe by default.
 MIN_LINKS, MAX_LINKS = 4, 40
 TIME_STEP = 2e-4  #: Of the MJCF [s].
 #: Ratio of the damping of the first mode to the critical one (assumed). Materials of this kind have 0.05 to 0.1.
 DAMPING_RATIO = 0.05
-#: Exponent of 1/radius to which the number of elements per length is proportional. 0.5 to 1 give the smallest errors.
-_CROWDING = 0.75
+#: Exponent of 1/radius to which the number of elements per length is proportional. 0.5 gives the smallest errors.
+_CROWDING = 0.5
 _CLEAR = 0.05  #: Shortest distance from a hinge to the end of its element, as a fraction of the element.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _ENVELOPE = 24  #: Fewest cylinders of the rigid body.
@@ -60,16 +60,18 @@ class Link(NamedTuple):
     radius: float  #: of a capsule along it [m].
 
 
-def chain_of(rod: Rod, links: int = LINKS) -> list[Link]:
+def chain_of(rod: Rod, links: int | None = None) -> list[Link]:
     """Return the first piece, which is fixed to the base, and the links of the chain.
 
     Args:
         rod: the flexible part.
-        links: number of links; even.
+        links: number of links; even. `LINKS` or `CURVED_LINKS` if None.
 
     Raises:
         InputError: the number is odd or out of range.
     """
+    if links is None:
+        links = LINKS if rod.rest_curvature is None else CURVED_LINKS
     if links % 2 or not MIN_LINKS <= links <= MAX_LINKS:
         raise InputError(f"--links {links} must be an even number in {MIN_LINKS} ... {MAX_LINKS}")
     rest, tip = rod.solve(mode="reference"), rod.length
@@ -146,14 +148,14 @@ def _material(rod: Rod, rest: Equilibrium, a: float, b: float) -> MassProperties
 
 
 def twin_files(
-    model: ProbeModel, formats: Sequence[str] = ("mjcf", "sdf", "urdf"), links: int = LINKS
+    model: ProbeModel, formats: Sequence[str] = ("mjcf", "sdf", "urdf"), links: int | None = None
 ) -> dict[str, bytes]:
     """Return the files of a probe for simulators by name.
 
     Args:
         model: of the probe.
         formats: out of `FORMATS`.
-        links: number of links of the chain in MJCF and USD; even.
+        links: number of links of the chain in MJCF and USD, as for `chain_of`.
 
     Raises:
         InputError: the probe buckles under its own weight, or the number of links is out of range.
