@@ -15,6 +15,7 @@ from probedesign.core.frames import Array
 from probedesign.design import Design
 from probedesign.optimization.design_space import (
     SAFETY_FACTOR,
+    SOUGHT,
     DesignEvaluator,
     DesignSpace,
     FreeParameter,
@@ -159,13 +160,13 @@ class NonlinearProgram:
 
     def objective(self, x: Array) -> float:
         """Return the logarithm of the error [mm], or of the force over the task's where the force is minimised."""
-        return float(x[-1] if self.evaluator.with_force else np.log(self.evaluator.metrics(x)["error_mm"]))
+        return float(x[-1] if self.evaluator.with_force else np.log(self.evaluator.metrics(x)[SOUGHT]))
 
     def slope(self, x: Array) -> Array:
         """Return the gradient of the objective, (n,)."""
         if self.evaluator.with_force:
             return np.asarray(np.eye(len(x))[-1])
-        return np.asarray(self.evaluator.gradient("error_mm", x) / self.evaluator.metrics(x)["error_mm"])
+        return np.asarray(self.evaluator.gradient(SOUGHT, x) / self.evaluator.metrics(x)[SOUGHT])
 
     @property
     def bounds(self) -> list[tuple[float, float]]:

@@ -293,11 +293,11 @@ SAFETY_FACTOR = 1.25
 _MOST_DISTINCT = 1e3  #: Distinction of a probe whose places are not confused.
 _NO_SLIDE_MM = 1e-3  #: Slide below which an object counts as stationary.
 _MAX_LOAD = 1.1 * SAFETY_FACTOR  # beyond the safety factor, so that the constraint is smooth at its limit
+SOUGHT = "sought_mm"  #: Metric that a search minimises: the error of the task, of the worst case smooth.
 #: Metrics of a design that buckles: values that no optimiser accepts.
-INFEASIBLE = {"error_mm": 1e3, "worst_error_mm": 1e3, "sensor_use": 10.0, "slide_mm": 1e3, "sag_mm": 1e3,
-            "reach_mm": 1e-3, "critical_load": 0.1, "distinction": 0.01, "buckling_margin": 0.1, 
-            "natural_frequency_Hz": 1e-3,
-            "detectable_mN": 1e6, "thinnest_mm": 1e-3, "tip_offset_mm": 1e3}  # fmt: skip
+INFEASIBLE = {SOUGHT: 1e3, "error_mm": 1e3, "worst_error_mm": 1e3, "sensor_use": 10.0, "slide_mm": 1e3,
+            "sag_mm": 1e3, "reach_mm": 1e-3, "critical_load": 0.1, "distinction": 0.01, "buckling_margin": 0.1,
+            "natural_frequency_Hz": 1e-3, "detectable_mN": 1e6, "thinnest_mm": 1e-3, "tip_offset_mm": 1e3}  # fmt: skip
 #: Force or load of a crash where a push does not reach its distance; its inverse is the smallest force.
 _NO_FIGURE = 1e6
 
@@ -364,7 +364,8 @@ class DesignEvaluator:
         error = task.combined(touched.errors)
         if math.isfinite(error):
             slid = min(max(touched.slide / MM, _NO_SLIDE_MM), INFEASIBLE["slide_mm"])
-            metrics |= {"error_mm": error / MM, "worst_error_mm": max(touched.errors) / MM, "slide_mm": slid,
+            metrics |= {SOUGHT: task.sought(touched.errors) / MM, "error_mm": error / MM,
+                      "worst_error_mm": max(touched.errors) / MM, "slide_mm": slid,
                       "sensor_use": touched.sensor_use, "distinction": min(touched.distinction, _MOST_DISTINCT),
                       "critical_load": critical_load_factor(model, task, self.max_load)}  # fmt: skip
             metrics["buckling_margin"] = metrics["critical_load"]
