@@ -241,14 +241,21 @@ class Detector:
             raise InputError(f"wrench has shape {sample.shape}; it must be (6,)")
         return _STATES[int(advance(sample[None], *self._state, *self.bias_filter.state, np.empty(1, dtype=np.int64)))]
 
-    def run(self, wrenches: ArrayLike) -> list[Touching]:
-        """Process many samples, (n, 6)."""
+    def run(self, wrenches: ArrayLike, learn: bool = True) -> list[Touching]:
+        """Process many samples, (n, 6); with `learn`, bias and motion of the free probe follow them."""
         samples = np.ascontiguousarray(wrenches, dtype=float)
         if samples.ndim != 2 or samples.shape[1] != 6:
             raise InputError(f"wrenches have shape {samples.shape}; they must be (n, 6)")
         codes = np.empty(len(samples), dtype=np.int64)
+        bias, state = self.bias_filter.state, self._state
+        learnt = [] if learn else [(a, a.copy()) for a in (state.scatter, state.moments, bias.mean, bias.cov)]
+        at = bias.clock[AT]
         if len(samples):
-            advance(samples, *self._state, *self.bias_filter.state, codes)
+            advance(samples, *state, *bias, codes)
+        for array, before in learnt:
+            array[:] = before
+        if not learn:
+            bias.clock[AT], bias.waiting[WAITING_COUNT] = at, 0.0
         return [_STATES[code] for code in codes.tolist()]
 
     def calibrate(self, wrenches: ArrayLike) -> None:

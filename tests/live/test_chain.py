@@ -123,7 +123,11 @@ def test_without_poses_there_is_no_place_in_the_world(estimator, motion, touched
     assert chain.contacts[0].settled and chain.contacts[0].estimate.ok
     # The base does not turn here, so each estimate is the one with poses.
     for mine, other in zip(answers, touched[0], strict=True):
-        assert np.array_equal(mine.estimate.p_contact_base, other.estimate.p_contact_base, equal_nan=True)
+        if other.estimate.result == "in_motion":  # what moves is known from poses alone
+            continue
+        # In motion the bias is not followed, which differs by a fraction of its uncertainty.
+        off = abs(mine.estimate.s_contact - other.estimate.s_contact)
+        assert mine.estimate.result == other.estimate.result and not off > 0.2 * other.estimate.std_s
 
 
 @pytest.mark.parametrize("size", [1, 7, 1000])
@@ -192,7 +196,10 @@ def test_free_probe_has_no_contact_at_any_orientation(estimator, turned):
     stream = blocks(estimator.model, wrench, time)
     answers, _, chain = run(estimator, stream, poses, ProcessingOptions(TareWindow(0.0, 0.9), SAMPLES))
     known = [a for a in answers if not a.stale]
-    assert len(known) > 480 and {a.estimate.result for a in known} == {"no_contact"}
+    # The base jumps to 0.5 rad/s at 1 s and to rest at 5 s, which would make a probe sway for a while.
+    steady = [a for a in known if not any(at <= a.reading.time < at + 1.5 for at in (1.0, 5.0))]
+    assert len(known) > 480 and {a.estimate.result for a in known} <= {"no_contact", "in_motion"}
+    assert len(steady) > 250 and {a.estimate.result for a in steady} == {"no_contact"}
     assert "moving" in {a.phase for a in known} and chain.contacts == ()
 
 

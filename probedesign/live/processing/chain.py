@@ -15,6 +15,7 @@ import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
+from probedesign.estimation.bias import KnownBias
 from probedesign.estimation.estimate import Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.live import Log
@@ -29,6 +30,7 @@ from probedesign.live.processing.estimates import (
     locate,
     wrench_without_bias,
 )
+from probedesign.live.processing.motion import MotionMonitor
 from probedesign.live.processing.plausibility import FaultReport, PoseMonitor, SignalMonitor, TravelCheck
 from probedesign.live.processing.tare import (
     CHANNELS,
@@ -223,6 +225,7 @@ class Chain:
         self._zero_reported = False
         self._signals = SignalMonitor(estimator.model, 1, math.nan)
         self._base, self._travel = PoseMonitor(), TravelCheck()
+        self._motion = None if poses is None else MotionMonitor(estimator.model, poses)
         self._faults, self._travel_faults = FaultReport(log), FaultReport(log)
         self._free = deque[AveragedBatch](maxlen=MAX_TARE_BATCHES)
         self._contacts = ContactHistory()
@@ -337,7 +340,7 @@ class Chain:
         # A fault of one sample is a fault of the whole batch: the mean would not show it.
         fault = batch.reading.fault or self._signals.fault(batch)
         whole = batch.reading if fault == batch.reading.fault else replace(batch.reading, fault=fault)
-        reading = self._with_gravity(whole)
+        block, reading = self._at_pose(batch.block, whole)
         T = None if self._poses is None else self._poses.at(reading.time)
         if self._poses is not None and (T is None) != self._pose_missing:
             self._pose_missing = T is None
@@ -353,7 +356,7 @@ class Chain:
             if self._monitor is not None:
                 self._monitor.on_interruption()
         smooth = self._filtered(batch.block, whole)
-        self._collect_tare(AveragedBatch(batch.block, reading))
+        self._collect_tare(AveragedBatch(block, reading))
         if self._tare_collector is not None and not self._tare_collector.on_request:
             return
         if not self._zero_known and not reading.fault:
@@ -364,7 +367,7 @@ class Chain:
         if self._monitor is None or reading.fault or not self._zero_known:
             self._state = TouchState("", None if self._poses is None else FusedEstimate("out_of_range"))
         else:
-            self._state = self._monitor.update(AveragedBatch(batch.block, reading), self.tare, T)
+            self._state = self._monitor.update(AveragedBatch(block, reading), self.tare, T, self._motion)
         if self.scheduler.is_due(reading, ready):
             yield self._estimate(reading if smooth is None else self._with_gravity(smooth))
 
@@ -376,6 +379,8 @@ class Chain:
             estimate = Estimate("no_tare")
         elif self._monitor is not None and self._monitor.warming_up and not reading.fault:
             estimate = Estimate("warming_up")
+        elif self._monitor is not None and self._monitor.in_motion and self._touches_in_motion(reading, drift):
+            estimate = Estimate("in_motion")
         elif self._options.estimates:
             estimate = locate(self._estimator, reading, self.tare, self._options.method, drift)
             self._contacts.locate(estimate, self._state.phase)
@@ -392,7 +397,15 @@ class Chain:
             wrench = wrench_without_bias(self._estimator.model, reading, self.tare) - excess
         stale = "pose" if self._poses is not None and T is None else ""
         pose = UNKNOWN_POSE if T is None else T
-        return EstimateUpdate(reading, estimate, *self._state, pose, wrench, monotonic(), stale, self.contacts, excess)
+        return EstimateUpdate(reading, estimate, *self._state, pose, wrench, monotonic(), stale, self.contacts, excess,
+                              math.nan if self._motion is None else self._motion.time_to_rest)  # fmt: skip
+
+    def _touches_in_motion(self, reading: WrenchReading, drift: KnownBias | None) -> bool:
+        """Return whether a reading in motion differs from that of the free probe."""
+        if reading.fault or drift is None:
+            return False
+        wrench = wrench_without_bias(self._estimator.model, reading, self.tare) - drift.excess
+        return self._estimator.with_drift(drift.steps).detects(wrench, reading.gravity_base)
 
     def _check_travel(self, reading: WrenchReading, estimate: Estimate | None) -> None:
         """Check the travel of the base in a touch; a touch that fails has no point in the world.
@@ -415,6 +428,18 @@ class Chain:
                 self._state = self._state._replace(fused=FusedEstimate("inconsistent"))
         self._travel_faults.update(reading.time, self._travel.fault)
 
+    def _at_pose(self, block: Block, whole: WrenchReading) -> tuple[Block, WrenchReading]:
+        """Return samples and reading with the effective gravity at their time and without what a turning base adds."""
+        if self._motion is not None:
+            self._motion.update(whole.time)
+        reading = self._with_gravity(whole)
+        if self._motion is not None and self._base.leapt == reading.time:
+            self._motion.reset()
+        if reading.wrench_sensor is not whole.wrench_sensor:
+            turning = reading.wrench_sensor - whole.wrench_sensor
+            block = replace(block, wrench_sensor=block.wrench_sensor + turning)
+        return block, reading
+
     def _with_gravity(self, reading: WrenchReading) -> WrenchReading:
         """Return the reading with the gravity of the base pose at its time, or with a fault if that pose is unknown."""
         if self._poses is None:
@@ -423,7 +448,12 @@ class Chain:
         if T is None:
             return replace(reading, fault=reading.fault or self._poses.reason(reading.time))
         leap = self._base.fault(reading.time, T)
-        return replace(reading, gravity_base=self._poses.gravity(T), fault=reading.fault or leap)
+        fault = reading.fault or leap
+        if self._motion is None:
+            return replace(reading, gravity_base=self._poses.gravity(T), fault=fault)
+        added, wrench = self._motion.inertia(T), reading.wrench_sensor
+        wrench = wrench - added if added.any() else wrench
+        return replace(reading, gravity_base=self._motion.gravity(T), wrench_sensor=wrench, fault=fault)
 
     def _filtered(self, block: Block, reading: WrenchReading) -> WrenchReading | None:
         """Return the filtered reading at the time it represents; None without a filter."""

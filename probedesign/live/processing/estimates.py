@@ -39,6 +39,8 @@ class EstimateUpdate:
     contacts: tuple[Contact, ...] = ()  #: every touch so far, including the current one.
     #: drift of the bias since the tare, which `wrench_base` does not contain either [N, N·m], (6,).
     drift_base: Array = field(default_factory=NO_DRIFT.copy)
+    #: time until the sway of the probe is within the noise if the base rests from now on [s]; NaN without poses.
+    time_to_rest: float = float("nan")
 
 
 def locate(
@@ -100,6 +102,7 @@ WORLD_COLUMNS = (
     *(f"p_surface_now_world_{axis}_mm" for axis in "xyz"),
     *(f"cov_surface_now_world_{pair}_mm2" for pair, _, _ in COVARIANCE),
     "object_compliance_m_N", "object_compliance_low_m_N", "object_compliance_high_m_N",
+    "time_to_rest_s",
 )  # fmt: skip
 TRUE_COLUMNS = ("true_s_contact_mm", *(f"true_p_contact_base_{axis}_mm" for axis in "xyz"),
                 *(f"true_p_surface_base_{axis}_mm" for axis in "xyz"))  # fmt: skip
@@ -140,7 +143,7 @@ def world_row(update: EstimateUpdate) -> Row:
     present = update.contacts[-1].number if update.contacts and update.contacts[-1].ongoing else math.nan
     values += [present, update.stale, *_mm2(fused.cov_surface_world)]
     values += [*_mm(fused.p_surface_now_world), *_mm2(fused.cov_surface_now_world)]
-    values += [fused.object_compliance, *map(float, fused.object_compliance_interval_95)]
+    values += [fused.object_compliance, *map(float, fused.object_compliance_interval_95), update.time_to_rest]
     return dict(zip(WORLD_COLUMNS, values, strict=True))
 
 

@@ -33,6 +33,8 @@ from probedesign.live.blocks import joined
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.processing.averaging import AveragedBatch
 from probedesign.live.processing.drift import DriftFollower
+from probedesign.live.processing.motion import SPAN as FIT_SPAN
+from probedesign.live.processing.motion import MotionMonitor
 from probedesign.live.processing.tare import CHANNELS, Tare
 
 Phase = Literal["", "free", "moving", "touching", "settled", "released"]
@@ -43,6 +45,9 @@ SPAN = 0.25
 #: (`Tolerances.robot_mm`, assumed). Rotations count over `LEVER`.
 MAX_TRAVEL = 50e-6
 LEVER = 0.1  #: Lever arm that converts a rotation to a distance [m], as in the tracker.
+#: Probability that readings without a sway are not smooth: that only delays a position. A sway of 1.3 standard
+#: deviations of 48 readings is as improbable.
+SMOOTH_CHANCE = 0.05
 MAX_MEANS = 64  #: Maximum number of values in the span; more readings are averaged.
 
 
@@ -64,6 +69,7 @@ class StationarityTest:
         self._samples, self._filled = np.zeros((n, 6)), 0  # the last rows are filled
         self._poses, self._posed = (np.zeros((n, 12)), 0)  # rows of each pose, and how many of the last rows are known
         self._sum, self._count = np.zeros(6), 0
+        self._smooth_limit = float(chdtri(6 * (n - 3), SMOOTH_CHANCE)) if n > 3 else 0.0
         self._limits = chdtri(6 * (n - 1), 0.5 * FALSE_ALARM), chdtri(6, 0.5 * FALSE_ALARM)  # scatter, step
 
     def update(self, wrench: Array, T_world_base: Array | None) -> None:
@@ -104,6 +110,16 @@ class StationarityTest:
         step = (deviations[-half:].sum(axis=0) - deviations[:half].sum(axis=0)) / half
         scatter, shifted = np.vdot(deviations, deviations), 0.5 * half * np.vdot(step, step)
         return bool(scatter <= self._limits[0] and shifted <= self._limits[1])
+
+    @property
+    def smooth(self) -> bool:
+        """Whether the span is full and its readings scatter about a parabola like noise: the probe does not sway."""
+        if not self.full:
+            return False
+        t = np.linspace(-1.0, 1.0, len(self._samples))
+        basis = np.linalg.qr(np.stack([np.ones_like(t), t, t * t], axis=1))[0]
+        left = self._samples - basis @ (basis.T @ self._samples)
+        return bool(np.vdot(left, left) <= self._smooth_limit)
 
     @property
     def moving(self) -> bool | None:
@@ -202,6 +218,8 @@ class ContactHistory:
     def update(self, time: float, phase: Phase, fused: FusedEstimate | None) -> Contact | None:
         """Add the phase at a time [s] and the fused estimate; return the touch that has just ended, if any."""
         current = self.current
+        if fused is not None and fused.result == "in_motion":  # the last position of the touch stays
+            fused = None
         if phase not in ("touching", "settled"):
             return None if current is None else self._replace_last(replace(current, end=time))
         if current is None:
@@ -245,6 +263,9 @@ class TouchState(NamedTuple):
     fused: FusedEstimate | None
 
 
+CONFIRM = 1.5 * FIT_SPAN  #: Time for which poses may explain a contact by an acceleration [s].
+#: Norm of six whitened channels that noise alone exceeds once in 10⁵ readings.
+NOISE = 6.0
 #: Results of a reading that no touch explains.
 NO_TOUCH = ("inconsistent", "out_of_range", "unobservable", "not_converged")
 #: Travel of the base at rest before and after it from which a touch with the same readings is doubted [m]: a probe of
@@ -304,6 +325,8 @@ class TouchMonitor:
         )  # fmt: skip
         self._phases = PhaseTracker(model, rate / samples)
         self._follower = DriftFollower(model, self._detector.bias_filter, estimator.priors.drift_steps)
+        self._suspected, self._sure = -math.inf, False
+        self.in_motion, self._alarm, self._largest = False, math.nan, 0.0
         self.warming_up, self._next_check, self._held = False, -math.inf, _Held()
         self._latency_check = LatencyCheck(model.whiten)
         self._tracker: Tracker | None = None
@@ -319,8 +342,13 @@ class TouchMonitor:
     def _no_state(self) -> TouchState:
         return TouchState("", None if self._poses is None else FusedEstimate("out_of_range"))
 
-    def update(self, batch: AveragedBatch, tare: Tare | None, T_world_base: Array | None) -> TouchState:
-        """Process a batch without fault and with known gravity, bias included, and the pose of the base, if known."""
+    def update(
+        self, batch: AveragedBatch, tare: Tare | None, T_world_base: Array | None, motion: MotionMonitor | None = None
+    ) -> TouchState:
+        """Process a batch without fault and with known gravity, bias included, and the pose of the base, if known.
+
+        `motion` is that of the base at the batch; None without poses.
+        """
         gravity = batch.reading.gravity_base
         free = self._estimator.free(gravity)
         if not free.ok:
@@ -330,7 +358,11 @@ class TouchMonitor:
             self._detector.rest(gap)
         self._last = batch.reading.time
         excess = self._excess(batch.block.wrench_sensor, gravity, tare)
-        mean, decisions = excess.mean(axis=0), self._detector.run(excess)
+        mean, decisions = excess.mean(axis=0), self._detector.run(excess, motion is None or motion.explained)
+        if decisions[-1] == "contact":
+            self._suspected = batch.reading.time
+        if motion is not None and not self.warming_up:
+            decisions = self._without_motion(decisions, mean, batch.reading.time, motion)
         if self._follow_drift(decisions, mean, batch.reading.time):
             self._contacts.update(batch.reading.time, "", None)
             return TouchState("", None if self._poses is None else FusedEstimate("warming_up"))
@@ -341,19 +373,66 @@ class TouchMonitor:
                 phase, decisions = "free", ["free"]
         elif phase not in ("touching", "settled"):
             self._held = _Held()
-        fused = self._fused(decisions, mean + free.wrench_base, T_world_base, batch.reading.time)
+        smooth = self.in_motion and phase in ("touching", "settled") and self._phases.stationarity.smooth
+        if smooth and motion is not None:
+            motion.on_smooth()
+            self.in_motion = False
+        fused = self._fused(decisions, mean, gravity, T_world_base, batch.reading.time)
         ended = self._contacts.update(batch.reading.time, phase, fused)
         if ended is not None and self._estimates:
             self._log(ended.summary)
-        self._check_latency(batch.reading.time, phase, mean, T_world_base)
+        if self._poses is not None and T_world_base is not None:
+            # Without the acceleration, which poses that are late put into the wrong readings.
+            mean = self._excess(batch.reading.wrench_sensor[None], self._poses.gravity(T_world_base), tare)[0]
+            self._check_latency(batch.reading.time, phase, mean, T_world_base)
         self._state = TouchState(phase, fused)
         return self._state
+
+    def _without_motion(
+        self, decisions: list[Touching], mean: Array, time: float, motion: MotionMonitor
+    ) -> list[Touching]:
+        """Return the decisions without contacts that the motion of the base explains.
+
+        Poses show an acceleration late: a contact counts where they have not explained its readings for `CONFIRM`.
+        Sets `in_motion`: whether a position may not be given.
+        """
+        self.in_motion = not motion.explained
+        if decisions[-1] != "contact":
+            self._alarm, self._largest = math.nan, 0.0
+            # What was not confirmed is not lost.
+            return decisions if self._state.phase in ("touching", "settled") else ["free"]
+        change = mean - self._detector.bias
+        size = float(np.linalg.norm(self._estimator.model.whiten @ change))
+        self._largest = max(self._largest, motion.sway)
+        if self._state.phase in ("touching", "settled"):
+            # Half, so that a contact near the bound does not flicker while the acceleration becomes known.
+            # A touch that was there at rest does not become a sway.
+            self._sure = self._sure or motion.explained or self._state.phase == "settled"
+            if self._sure or size > 0.5 * (motion.free_sway + NOISE):
+                return decisions
+            self._detector.release()
+            self._alarm, self._largest = math.nan, 0.0
+            return ["lost"]
+        if math.isnan(self._alarm):
+            self._alarm = time
+        if self._largest > 0.0 and size <= self._largest + NOISE:
+            self._detector.release()
+            self._alarm, self._largest = math.nan, 0.0
+            return ["free"]
+        if time - self._alarm < CONFIRM:
+            self.in_motion = True
+            return ["free"]
+        self._alarm, self._largest = math.nan, 0.0
+        self._sure = False
+        motion.on_contact()
+        self.in_motion = self.in_motion or motion.speed > 0.0
+        return decisions
 
     def _follow_drift(self, decisions: list[Touching], mean: Array, time: float) -> bool:
         """Follow the bias by one reading; return whether it drifts too fast for contacts to be told from it."""
         if self._follower.warming_up and set(decisions) != {"free"}:
             self._detector.release()
-        elif set(decisions) != {"free"}:
+        elif self.in_motion or set(decisions) != {"free"}:
             self._follower.drop()
             return False
         self._follower.add(mean, time)
@@ -435,21 +514,29 @@ class TouchMonitor:
         if self._tracker is not None:
             self._tracker.restart()
 
-    def _fused(self, decisions: list[Touching], wrench: Array, T: Array | None, time: float) -> FusedEstimate | None:
-        """Return the tracker's estimate. A batch that is partly free and partly in contact is not used."""
-        if self._tracker is None or T is None:
+    def _fused(
+        self, decisions: list[Touching], excess: Array, gravity: Array, T: Array | None, time: float
+    ) -> FusedEstimate | None:
+        """Return the tracker's estimate. A batch that is partly free and partly in contact is not used, nor one in
+        motion: its keyframe would stay for the whole touch.
+        """
+        if self._tracker is None or self._poses is None or T is None:
             return None
+        if self.in_motion and decisions[-1] == "contact":
+            return FusedEstimate("in_motion")
+        if self._poses.gravity(T).tobytes() != gravity.tobytes():  # the acceleration is not in `excess` any more
+            gravity = self._poses.gravity(T)
+        wrench = excess + self._estimator.free(gravity).wrench_base
         if "lost" in decisions:
             return self._tracker.update(wrench, T, time, "lost")
         if len(set(decisions)) == 1:
             return self._tracker.update(wrench, T, time, decisions[0])
         return FusedEstimate("no_contact")
 
-    def _check_latency(self, time: float, phase: Phase, excess: Array, T: Array | None) -> None:
+    def _check_latency(self, time: float, phase: Phase, excess: Array, T: Array) -> None:
         """Check for every touch, when it settles, whether poses and wrench moved at the same time."""
-        if T is None or self._poses is None:
-            return
-        if phase not in ("touching", "settled"):
+        assert self._poses is not None
+        if time - self._suspected > CONFIRM:
             return self._latency_check.reset()
         if phase == "settled" and self._state.phase == "touching":
             delay_ms = 1e3 * self._latency_check.delay()
