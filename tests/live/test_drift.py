@@ -97,8 +97,8 @@ def test_a_leap_of_one_channel_is_followed_and_is_no_touch(channel, estimator, s
     bias = np.where(seconds(20.0) >= 10.0, 1.0, 0.0) * np.eye(6)[channel] * 8.0 * steps
     updates, lines, chain = run(estimator, bias)
     leaps = [line for line in lines if "leapt by" in line]
-    if channel in (3, 4) and not leaps:
-        assert results(updates, 12.0) & {"too_light", "interval_only", "ok", "inconsistent", "ambiguous"}
+    if channel in (3, 4):  # followed or not, by the noise; never a position
+        assert "ok" not in results(updates) and len(leaps) + len(chain.contacts) >= 1
         return
     assert len(leaps) == 1 and ("Fx", "Fy", "Fz", "Mx", "My", "Mz")[channel] in leaps[0]
     assert results(updates, 11.5) == {"no_contact"} and updates[-1].phase == "free" and chain.contacts == ()
