@@ -50,6 +50,7 @@ _HALVINGS = 4
 #: Cosine of the turn from one station to the next, a 32nd of the probe, at which the trace ends: beyond the contact the
 #: measured moment curls the thin tip up.
 CURLED = 0.5
+MODEL = 0.01  #: Error of a moment by the model, over the moment, that counts beside those of a reading.
 DROOPS = 8  #: Steps along the free part.
 #: Share of a force that friction around the section usually has, and has at most, in a guess.
 USUAL, MAX_SINE = 0.6, 0.9
@@ -146,12 +147,17 @@ def _carry(body, s, end, work, force, gravity, on):
 
 
 @inner
-def trace(body, end, gravity, force, moment, work, room):
+def trace(body, end, gravity, force, moment, std_force, std_moment, arm, work, room):
     """Integrate the probe from its clamp with the measured wrench.
+
+    What the moment has more than the free part makes vanishes at a contact. Of a straight rod it is left as it is. On a
+    curved one its part along p(s) does not depend on the force, M·p(s) = 0, and is known better than the others: it is
+    divided by its standard deviations, so that a root of that equation is a minimum even where the force disagrees.
 
     Args:
         body: of the rod; end: the furthest arclength at which a touch acts [m], where the last station lies.
         gravity: [m/s²], (3,) tuple; force: of the contact [N], moment: read at the base [N·m], (3,) tuples.
+        std_force, std_moment: of the reading's channels [N, N·m]; arm: of friction around the section over the radius.
         work: scratch of a step, (steps.WORK,).
         room: (ROOM + knots,): states at the stations, then what the moment there is more than the free part makes.
 
@@ -172,7 +178,17 @@ def trace(body, end, gravity, force, moment, work, room):
         for q in range(WIDTH):
             room[WIDTH * j + q] = work[q]
         free = _free_moment(body, s, take(work, T), take(work, D), gravity, room)
-        put(room, STATIONS * WIDTH + 3 * j, add(take(work, M), -1.0, free))
+        left = add(take(work, M), -1.0, free)
+        if room[CURVED] != 0.0:
+            p = take(work, P)
+            reach = max(math.sqrt(dot(p, p)), 1e-300)
+            size = math.sqrt(dot(force, force))
+            couple = arm * size * radius_and_slope(body, s)[0]
+            square = std_moment * std_moment + couple * couple + MODEL * MODEL * dot(moment, moment)
+            along = dot(left, p) / (reach * reach)
+            across = 1.0 / math.sqrt(square + std_force * std_force * reach * reach)
+            left = add(times(across, left), along * (1.0 / math.sqrt(square) - across), p)
+        put(room, STATIONS * WIDTH + 3 * j, left)
     return STATIONS
 
 

@@ -235,8 +235,11 @@ def fit_contacts(
         return 0
     g, fitted = take(gravity, 0), 0
     force = minus(take(wrench, 0), times(mass, g))
-    reached = candidates.trace(body, end, g, force, take(wrench, 3), memory.sweep, room)
-    places = _places(measured, narrow, force, room, reached, rows)
+    arm = min(friction, MAX_FRICTION) + abs(1.0 - body.constants[FLATNESS])
+    reached = candidates.trace(
+        body, end, g, force, take(wrench, 3), 1.0 / narrow[0, 0], 1.0 / narrow[3, 3], arm, memory.sweep, room
+    )
+    places = _places(measured, narrow, force, arm, room, reached, rows)
     known_twist = math.sqrt(noise[5, 5])
     for k in range(places):
         s, likely = rows[k].s_contact, rows[k].chi2 > 0.0
@@ -260,7 +263,7 @@ def fit_contacts(
 
 
 @inner
-def _places(measured, whiten, force, room, reached, rows):
+def _places(measured, whiten, force, arm, room, reached, rows):
     """Rank the candidates of the trace into rows, with the score as status, s_contact and, as chi2, 1 for a likely one;
     return how many."""
     wrench = measured.wrench
@@ -269,10 +272,11 @@ def _places(measured, whiten, force, room, reached, rows):
     for j in range(reached):
         if candidates.is_least(room, j, reached):
             off, s = candidates.least(measured.end, room, j, reached)
-            arm = min(measured.friction, MAX_FRICTION) + abs(1.0 - measured.body.constants[FLATNESS])
             couple = arm * size * radius_and_slope(measured.body, s)[0]
             score = off / math.sqrt(1.0 / whiten[3, 3] ** 2 + (s / whiten[0, 0]) ** 2 + couple * couple)
             likely = score < LIKELY or off < SHARE * moment
+            if room[candidates.CURVED] != 0.0:  # in standard deviations
+                score, likely = off, off < LIKELY
             places = _ranked(rows, places, s, score, likely)
     return places
 

@@ -20,6 +20,7 @@ from probedesign.rod.kernels.linalg import (
     add,
     covariance_of,
     cross,
+    dot,
     factor,
     invert_lower,
     plus,
@@ -442,18 +443,23 @@ def add_curvature(measured, whiten, tol, touch, lin, J, memory, work, fit):
 
 @inner
 def _add_bow(lin, row, v, low, high, cov):
-    """Add to a covariance, (3, 3), how far a point is off the straight valley on its two sides, low and high (3,)."""
+    """Add to a covariance, (3, 3), how far a point is off the straight valley on its two sides, low and high (3,).
+
+    Error sources that move point and touch against each other may leave the point less uncertain than a, its change
+    along the valley: a is then shortened to one standard deviation, so that cov - a aᵀ, and with it the sum, stays
+    positive.
+    """
+    a = (0.0, 0.0, 0.0)
+    for q in range(UNKNOWNS):
+        a = add(a, v[q], take3(lin, row, BY_TOUCH + q))
+    x, y, z = take3(cov, 0, 0), take3(cov, 0, 1), take3(cov, 0, 2)
+    solved = add(add(times(a[0], cross(y, z)), a[1], cross(z, x)), a[2], cross(x, y))
+    a = times(1.0 / math.sqrt(max(dot(a, solved) / max(dot(x, cross(y, z)), 1e-300), 1.0)), a)
+    b = times(1.0 / 6.0, (low[0] + high[0], low[1] + high[1], low[2] + high[2]))
+    c = times(1.0 / (6.0 * NODE), (high[0] - low[0], high[1] - low[1], high[2] - low[2]))
     for i in range(3):
-        b_i, c_i = (low[i] + high[i]) / 6.0, (high[i] - low[i]) / (6.0 * NODE)
-        a_i = 0.0
-        for q in range(UNKNOWNS):
-            a_i += lin[row + i, BY_TOUCH + q] * v[q]
         for j in range(3):
-            b_j, c_j = (low[j] + high[j]) / 6.0, (high[j] - low[j]) / (6.0 * NODE)
-            a_j = 0.0
-            for q in range(UNKNOWNS):
-                a_j += lin[row + j, BY_TOUCH + q] * v[q]
-            cov[i, j] += 3.0 * (a_i * c_j + c_i * a_j) + 3.0 * TAIL * b_i * b_j + 15.0 * c_i * c_j
+            cov[i, j] += 3.0 * (a[i] * c[j] + c[i] * a[j]) + 3.0 * TAIL * b[i] * b[j] + 15.0 * c[i] * c[j]
 
 
 @kernel
