@@ -44,7 +44,8 @@ COMMANDS = {
 
 #: Module and function of a command, where they do not have its name.
 FUNCTIONS = {"check": "export:check", "coupon": "measured:coupon", "deploy": "export:deploy",
-             "sweep": "compare:sweep", "markers": "campaign:markers", "recover": "estimate:recover"}  # fmt: skip
+             "sweep": "compare:sweep", "plan": "campaign:plan", "markers": "campaign:markers",
+             "recover": "estimate:recover"}  # fmt: skip
 
 DEBUG = "PROBEDESIGN_DEBUG"
 #: Prefix of the variables that set options, such as PROBEDESIGN_LIVE_SOURCE for --source of live.

@@ -225,6 +225,25 @@ def check_overwrite(path: Path, force: bool) -> None:
         raise exists_already(path)
 
 
+def check_replaceable(folder: Path, key: str, what: str, force: bool) -> None:
+    """Check that a folder may be written: there is none, or it is empty, or one of its kind that `force` replaces.
+
+    Args:
+        folder: to write.
+        key: name of a file that shows the kind of folder.
+        what: name of the kind in messages.
+        force: replacing it was requested.
+
+    Raises:
+        InputError: it is another folder or a file, or `force` is not set.
+    """
+    if folder.is_dir() and not any(folder.iterdir()):
+        return
+    if folder.exists() and not (folder / key).is_file():
+        raise InputError(f"{folder}: has no {key}, so it is not a {what} and is not replaced; name another folder")
+    check_overwrite(folder, force)
+
+
 def exists_already(path: Path) -> InputError:
     """Return the error for a file or folder that is not replaced without --force."""
     return InputError(f"{path}: exists already; --force replaces it, or choose another name")

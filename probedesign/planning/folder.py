@@ -11,7 +11,7 @@ from probedesign.campaigns.campaign import MARKERS, TESTS, WRENCHES
 from probedesign.campaigns.reading import IMAGES, PIXELS
 from probedesign.core import csv_tables
 from probedesign.core.errors import InputError
-from probedesign.core.files import check_writable, exists_already, replaced_folder
+from probedesign.core.files import check_replaceable, check_writable, replaced_folder
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.planning.candidates import READINGS, STD_MARK, CandidateTest
@@ -169,12 +169,7 @@ def check_target(folder: Path, force: bool) -> None:
         InputError: the folder must not be replaced, or cannot be written.
     """
     check_writable(folder)
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
-        return
-    if not folder.is_dir() or not (folder / PLAN).is_file():
-        raise InputError(f"{folder}: has no {PLAN}, so it is not a plan and is not replaced; name another folder")
-    if not force:
-        raise exists_already(folder)
+    check_replaceable(folder, PLAN, "plan", force)
     for name, empty in ((WRENCHES, WRENCH_HEADER), (MARKERS, ""), (PIXELS, ""), (IMAGES, "")):
         path = folder / name
         if path.exists() and (path.is_dir() or path.read_bytes().split() != empty.encode().split()):

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probedesign.core.errors import InputError
-from probedesign.core.files import check_overwrite, replaced_folder
+from probedesign.core.files import check_replaceable, replaced_folder
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
@@ -65,7 +65,7 @@ def make_campaign(
     Raises:
         InputError: the folder exists, or the probe or the plan cannot be simulated.
     """
-    _check_replaceable(folder, force)
+    check_replaceable(folder, TRUTH, "synthetic campaign", force)
     rng = np.random.default_rng(plan.seed)
     truth = GroundTruth.draw(model, plan, rng)
     tests = truth.tests()
@@ -84,17 +84,6 @@ def make_campaign(
             take_photographs(rig, tests, draft / "images", plan.seed, on_progress)
     names = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     return SimulatedCampaign(folder, tuple(names), len(tests))
-
-
-def _check_replaceable(folder: Path, force: bool) -> None:
-    """Refuse to replace anything but a simulated campaign, and that without `force`."""
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
-        return
-    if not (folder / TRUTH).exists():
-        raise InputError(
-            f"{folder}: has no {TRUTH}, so it is not a synthetic campaign and is not replaced; name another"
-        )
-    check_overwrite(folder, force)
 
 
 # tables

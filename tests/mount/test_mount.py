@@ -1,7 +1,5 @@
-"""Test closed forms and screws of the mount, and that it needs no CAD packages."""
+"""Test closed forms and screws of the mount."""
 
-import subprocess
-import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -10,7 +8,6 @@ import pytest
 from probedesign.core.errors import InputError
 from probedesign.core.frames import is_pose, rotation_z
 from probedesign.design import Design
-from probedesign.design.catalog import M2
 from probedesign.design.sensor_catalog import SENSORS
 from probedesign.mount import (
     Mount,
@@ -149,47 +146,7 @@ def test_the_widest_probe_that_the_message_allows_is_clamped_and_a_wider_one_is_
     assert "\n" not in str(error.value)
 
 
-def test_the_mount_mass_needs_no_cad() -> None:
-    code = "import sys, probedesign.mount; print(*{'cadquery', 'OCP', 'trimesh'} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == []
-
-
-BASES = np.arange(3.0, 25.01, 0.5)
-#: Minimum thickness of a wall supported on both sides (Formlabs' design guide for rigid resins, another printer).
-LEAST_WALL = 0.4e-3
-
-
-@pytest.mark.parametrize("base_d", BASES)
-def test_no_wall_of_the_adapter_is_too_thin_to_print(base_d: float) -> None:
-    """Holes and the circumscribed circles of nut pockets do not intersect at any common height."""
-    a = adapter_of(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 1.2"))
-    recess_r, rim_r = a.recess_d / 2, a.body_d / 2
-    nuts = np.array(a.p_ring_screws)
-    seats = np.linalg.norm(nuts, axis=1)
-    heads, dowels = np.array(a.p_tool_screws), np.array(a.p_dowels)
-    apart = np.linalg.norm(heads[:, None] - dowels[None], axis=2).min()
-    inner_end = seats.min() - a.nut_slot_reach - a.nut_slot_width / 2
-    rise = (a.cone_top - a.foot_height) / (rim_r - a.cone_d / 2)
-    cone_at_hole = a.foot_height + rise * (seats.max() + M2.clearance_d / 2 - a.cone_d / 2)
-    walls = {
-        "screw to dowel": apart - M2.clearance_d / 2 - a.dowel_d / 2 - a.dowel_slot / 2,
-        "nut slot to flat": a.mark_x - nuts[:, 0].max() - a.nut_slot_width / 2,
-        "nut slot to recess": inner_end - recess_r,
-        "above a nut": a.nut_roof,
-        "below a nut slot": a.nut_slot_z[0] - a.cone_top,
-        "below a ring screw's hole": a.ring_hole_bottom - cone_at_hole,
-        "ring screw to recess": seats.min() - M2.clearance_d / 2 - recess_r,
-        "dowel to floor": a.floor - a.dowel_depth,
-        "under the heads": a.tool.grip,
-        "ring outside its screws": rim_r - seats.max() - M2.clearance_d / 2,
-        "ring inside its screws, below": seats.min() - M2.clearance_d / 2 - a.ring_bore_d / 2,
-        "ring inside its screws, above": seats.min() - M2.clearance_d / 2 - a.ring_bore_top_d / 2,
-    }
-    assert {name: wall for name, wall in walls.items() if wall < LEAST_WALL - 1e-9} == {}
-
-
-@pytest.mark.parametrize("base_d", BASES)
+@pytest.mark.parametrize("base_d", np.arange(3.0, 25.01, 0.5))
 def test_the_ring_presses_the_lip_all_around_and_clears_the_probe(base_d: float) -> None:
     a = adapter_of(make_design(f"length_mm = 150.0\nbase_d_mm = {base_d}\ntip_d_mm = 1.2"))
     assert a.ring_bore_d / 2 - base_d / 2 * 1e-3 == pytest.approx(0.5e-3)

@@ -169,7 +169,7 @@ def test_a_hollow_probe_is_measured_at_its_thinnest():
 # The rigid parts
 
 
-@pytest.mark.parametrize("base", [3.0, 8.0, 12.0, 25.0])
+@pytest.mark.parametrize("base", [3.0, 4.5, 6.0, 8.0, 12.0, 18.5, 25.0])
 @pytest.mark.parametrize("robot_flange", ["iso-9409-1-50-4-m6", "iso-9409-1-31.5-4-m5"])
 def test_the_rigid_parts_of_every_base_keep_their_rules(base, robot_flange):
     text = (f'schema = 1\nname = "x"\n[probe]\nlength_mm = 60.0\nbase_d_mm = {base}\ntip_d_mm = 2.0\n[mount]\n'
