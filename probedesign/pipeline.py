@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from probedesign.design import Design
     from probedesign.estimation.estimator import Estimator, Method
     from probedesign.estimation.tolerances import Tolerances
+    from probedesign.identification.measured_axis import MeasuredAxis
     from probedesign.identification.measured_diameters import Calipers, MeasuredDiameters
     from probedesign.identification.result import Identification
     from probedesign.live import Log
@@ -92,6 +93,17 @@ def measure(design: "Design", calipers: "Calipers", calipers_std_mm: float) -> "
     from probedesign.probe import build_probe
 
     return fit_diameters(design, build_probe(design).tolerances, calipers, calipers_std_mm)
+
+
+def measure_axis(design: "Design", points: Path) -> "MeasuredAxis":
+    """Fit the axis of a print to points of its outline."""
+    from probedesign.estimation.tolerances import BOW_SHARE
+    from probedesign.identification.measured_axis import fit_axis, read_outline
+    from probedesign.probe import build_probe
+
+    again = "bow_mm" in design.probe.measured
+    before = BOW_SHARE * design.probe.length_mm if again else build_probe(design).tolerances.bow_mm
+    return fit_axis(design, read_outline(points), before)
 
 
 def check(design: "Design") -> "PrintCheck":

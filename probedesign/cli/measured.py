@@ -12,6 +12,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, exports_of
 
 if TYPE_CHECKING:
+    from probedesign.identification.measured_axis import MeasuredAxis
     from probedesign.identification.measured_diameters import CouponScale, MeasuredDiameters
 
 
@@ -45,6 +46,7 @@ def measured(
     calipers: Path | None = None,
     /,
     *,
+    axis: Path | None = None,
     bow_mm: tuple[float, float] | None = None,
     bow_std_mm: float = 0.2,
     calipers_std_mm: float = 0.02,
@@ -52,7 +54,7 @@ def measured(
     force: bool = False,
     as_json: JsonOutput = False,
 ) -> None:
-    """Write what was measured on a print, diameters or the bow, into its design, whose error budget shrinks.
+    """Write what was measured on a print, diameters, axis or bow, into its design, whose error budget shrinks.
 
     The sheet of a coupon, coupon.csv, gives the scale of the next print instead: scale_xy of [print].
 
@@ -60,6 +62,9 @@ def measured(
         design: the design file, or its name.
         calipers: CSV file with the columns s_mm, diameter_mm and std_mm, or coupon.csv (docs/parts.md); `coupon` writes
             both, empty.
+        axis: CSV file with the columns x_mm, y_mm, z_mm and, optionally, std_mm: points of the outline, on the surface
+            of the unloaded print, in base axes. The axis that fits them is written as bow_mm, and for a helix or knots
+            with a factor on the curvature of the design.
         bow_mm: deviation of the unloaded tip from the axis of the base towards x, the clocking mark, and towards y
             [mm], instead of calipers.
         bow_std_mm: standard deviation of that measurement in each direction [mm]; assumed: a photograph of a thin tip.
@@ -72,15 +77,21 @@ def measured(
     from probedesign.design import load_design
     from probedesign.identification import measured_diameters as diameters
     from probedesign.identification.design_update import write_changes
+    from probedesign.identification.measured_axis import axis_changes
     from probedesign.mount import build_geometry
 
     if out is not None:
         check_overwrite(out, force)
     start, day = load_design(design), date.today().isoformat()
-    if (calipers is None) == (bow_mm is None):
-        raise InputError("give a table of measured diameters, or the bow with --bow-mm X Y, one after the other")
+    if (calipers is not None) + (bow_mm is not None) + (axis is not None) != 1:
+        raise InputError("give a table of measured diameters, the points of an outline with --axis, or the bow with "
+                         "--bow-mm X Y, one after the other")  # fmt: skip
     document: dict[str, Any]
-    if bow_mm is not None:
+    if axis is not None:
+        found = pipeline.measure_axis(start, axis)
+        changes, document = axis_changes(found, start, day), found.as_dict()
+        what, lines = _axis_lines(found)
+    elif bow_mm is not None:
         changes = diameters.bow_changes(start, bow_mm, bow_std_mm, day)
         document = {"bow_mm": bow_mm, "bow_std_mm": bow_std_mm}
         what = f"the tip is {bow_mm[0]:g} mm off towards x and {bow_mm[1]:g} mm towards y, ± {bow_std_mm:g} mm"
@@ -106,6 +117,20 @@ def measured(
         print(f"  {line}")
     if kept is not None:
         print(f"kept the former {out} as {kept}")
+
+
+def _axis_lines(found: "MeasuredAxis") -> tuple[str, list[str]]:
+    x, y = found.bow_mm
+    what = (f"{plural(found.points, 'point')}; the axis deviates by a constant curvature that moves the tip by "
+            f"{x:.2f} mm towards X and {y:.2f} mm towards Y, ± {found.bow_std_mm:.2g} mm")  # fmt: skip
+    lines = [f"tolerance of the bow: {found.bow_std_mm:.2g} mm (before: {found.before_mm:.2g} mm)",
+             f"the points are {found.rms_mm:.2g} mm from the fitted surface (RMS)"]  # fmt: skip
+    if found.scale > 1.0:
+        lines.append(f"note: they scatter by {found.scale:.1f} times their standard deviation, which was widened")
+    if found.factor_std > 0.0:
+        lines.append(f"the curvature is {found.factor:.4f} ± {found.factor_std:.2g} times that of the design, whose "
+                     "axis and fingerprint change with it")  # fmt: skip
+    return what, [*lines, "deploy the probe again, with this design"]
 
 
 def _diameter_lines(fit: "MeasuredDiameters") -> Iterator[str]:
