@@ -146,7 +146,7 @@ def _solve(geometry: ProbeGeometry, outline: Outline, prior: Array) -> tuple[Arr
         return np.stack([(residuals(x + d) - residuals(x - d)) / 2e-3 for d in 1e-3 * np.eye(len(x))], axis=1)
 
     found = least_squares(residuals, np.zeros(len(prior)), jacobian, x_scale=np.minimum(prior, 1.0))
-    return found.x, found.jac, found.fun
+    return found.x, np.asarray(found.jac), found.fun
 
 
 def _distances(geometry: ProbeGeometry, x: Array, outline: Outline) -> Array:
