@@ -16,13 +16,16 @@ from probedesign.cad.sheet import (
     ABOVE,
     BELOW,
     BOTTOM,
+    CHAIN,
     EDGE,
     FRONT,
     LINE,
     SAME_MM,
+    SIDE,
     SMALL,
     STACK,
     TEXT,
+    THIN,
     WIDTH,
     View,
     cross_section,
@@ -46,6 +49,10 @@ from probedesign.mount.tolerance_stack import measurements
 
 #: Tolerance of a stereolithography print; the manufacturer publishes none for the soft resin.
 TOLERANCE = "printed to ±0.5 %, at least ±0.15 mm (assumed)"
+
+
+#: Between views side by side, and room for the caption of a narrow one [mm of paper].
+VIEWS_APART, CAPTION_WIDTH = 22.0, 50.0
 
 
 def inspection_sheets(model: CadModel) -> dict[str, bytes]:
@@ -258,6 +265,8 @@ SIDE_X, SIDE_ROOM = 163.0, 42.0  #: Middle of the views beside the probe, and th
 def probe_sheet(model: CadModel, part: CadPart) -> Canvas:
     """Return the sheet of the probe."""
     g = model.geometry
+    if g.curved is not None:
+        return _curved_probe_sheet(model, part)
     length, rim, thick = g.length / MM, g.flange.diameter / MM, g.flange.thickness / MM
     scale = scale_for((rim, length + thick), (70.0, BOTTOM - EDGE - 54.0))
     sheet = _page(model, part, scale)
@@ -284,6 +293,36 @@ def probe_sheet(model: CadModel, part: CadPart) -> Canvas:
     if not g.cross_section.full_round:
         _halfway(model, part, sheet)
     _underside(model, part, sheet)
+    return sheet
+
+
+def _curved_probe_sheet(model: CadModel, part: CadPart) -> Canvas:
+    """Return the sheet of a curved probe: outlines from two sides to lay a print or a photograph on, and points of its
+    axis."""
+    g, box = model.geometry, part.shape.BoundingBox()
+    spans = ((box.xmin, box.xmax), (box.ymin, box.ymax))
+    room = WIDTH - 2 * EDGE - 2 * VIEWS_APART
+    scale = scale_for((sum(high - low for low, high in spans), box.zmax - box.zmin), (room, BOTTOM - EDGE - 100.0))
+    sheet, left = _page(model, part, scale), EDGE + VIEWS_APART
+    zero, foot = EDGE + 10.0 + scale * box.zmax, EDGE + 10.0 + scale * (box.zmax - box.zmin)
+    line = g.axis.frames(np.linspace(0.0, g.length, 65))[:, :3, 3] / MM
+    for k, words in enumerate(("from the front, +x to the right", "from +x, +y to the right")):
+        low, high = spans[k]
+        view = View(sheet, (left - scale * low, zero), scale)
+        view.outline(seen(part.shape, (FRONT, SIDE)[k]))
+        sheet.polylines([[view.at((float(p[k]), float(p[2]))) for p in line]], THIN, dashes=CHAIN)
+        sheet.text((left + scale * (high - low) / 2, foot + 8.0), f"{words}, {scale_text(scale)}", TEXT, bold=True)
+        left += max(scale * (high - low), CAPTION_WIDTH) + VIEWS_APART
+    s = np.linspace(0.0, g.length, 9)
+    points = np.column_stack([s / MM, g.axis.frames(s)[:, :3, 3] / MM, 2.0 * g.radius_at(s) / MM])
+    lines = [
+        "axis, at rest and without weight: s; x, y, z in the base frame; diameter",
+        *(f"s = {row[0]:.1f}:  {row[1]:.2f}, {row[2]:.2f}, {row[3]:.2f};  ⌀{row[4]:.2f}" for row in points),
+        f"flange ⌀{_mm(g.flange.diameter)}, {_mm(g.flange.thickness)} thick",
+        f"hole ⌀{_mm(model.adapter.peg_hole_d)} through the flange at x = {_mm(model.adapter.peg_x)}: it marks +x",
+        *_engraved(model.adapter.on_flange, "the flange's top"), *_accepted(model, "probe"),
+    ]  # fmt: skip
+    note(sheet, (EDGE + 10.0, foot + 20.0), rows_of(lines, WIDTH - 2 * EDGE - 20.0, SMALL), SMALL)
     return sheet
 
 

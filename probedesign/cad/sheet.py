@@ -35,6 +35,7 @@ class ViewDirection:
 
 
 FRONT = ViewDirection((0.0, -1.0, 0.0), (1.0, 0.0, 0.0))
+SIDE = ViewDirection((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
 ABOVE = ViewDirection((0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
 BELOW = ViewDirection((0.0, 0.0, -1.0), (1.0, 0.0, 0.0))  #: Keeps x to the right, so y points down.
 

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import expm
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
@@ -16,6 +15,25 @@ _STEPS = 128  #: Fewest steps of the integration; its error is below 0.01 µm fo
 #: Smallest radius of curvature over the probe's own radius. The bending stiffness of a rod, which neglects (r/R)²
 #: beside 1, is 6 % off there (Winkler's curved beam).
 MIN_RADIUS_RATIO = 2.0
+
+
+def _exponential(xi: Array) -> Array:
+    """Return the poses exp ξ of screws in se(3), (k, 4, 4) both.
+
+    With θ the angle of the rotation part Ω: R = I + a Ω + b Ω², p = (I + b Ω + c Ω²) v, a = sin θ/θ,
+    b = (1 - cos θ)/θ², c = (θ - sin θ)/θ³, which is a series up to θ⁶ for small angles.
+    """
+    omega, v = xi[:, :3, :3], xi[:, :3, 3:]
+    theta = np.sqrt(0.5 * (omega**2).sum(axis=(1, 2)))
+    square, safe = theta**2, np.maximum(theta, 0.1)
+    series = 1.0 / 6.0 - square / 120.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0))
+    c = np.where(theta < 0.1, series, (safe - np.sin(safe)) / safe**3)
+    a, b = np.sinc(theta / np.pi), 0.5 * np.sinc(theta / (2.0 * np.pi)) ** 2
+    a, b, c = (factor[:, None, None] for factor in (a, b, c))
+    T = np.tile(np.eye(4), (len(xi), 1, 1))
+    T[:, :3, :3] += a * omega + b * omega @ omega
+    T[:, :3, 3:] = v + b * omega @ v + c * omega @ (omega @ v)
+    return T
 
 
 @dataclass(frozen=True)
@@ -96,7 +114,9 @@ class Axis:
         gauss = h * (0.5 - math.sqrt(3.0) / 6.0)
         first, second = self._generators(grid[:-1] + gauss), self._generators(grid[1:] - gauss)
         h = h[:, None, None]
-        steps = expm(h / 2.0 * (first + second) + math.sqrt(3.0) / 12.0 * h * h * (first @ second - second @ first))
+        steps = _exponential(
+            h / 2.0 * (first + second) + math.sqrt(3.0) / 12.0 * h * h * (first @ second - second @ first)
+        )
         T = np.empty((len(grid), 4, 4))
         T[0] = np.eye(4)
         for i, step in enumerate(steps):
