@@ -132,9 +132,10 @@ def _print(
     rows = [[name, format_value(before[name]), format_value(after[name])] for name in after
             if name not in ("tip_offset_mm", "distinction") or before[name] or after[name]]  # fmt: skip
     print_columns(["", "start", "optimum"], rows)
-    if (told := best.after.distinction) is not None and told < 0.99 * DISTINCT:  # dimensions are rounded
-        print(f"  readings differ from those of other places by {told:.2g} standard deviations only: some touches will "
-              f"be located at a wrong place; --subject-to 'distinction>={DISTINCT:g}' excludes that")  # fmt: skip
+    if (distinct := best.after.distinction) is not None and distinct < 0.99 * DISTINCT:  # dimensions are rounded
+        print(f"  readings differ from those of other places by {distinct:.2g} standard deviations only: some touches "
+              "will be ambiguous or located at a wrong place; "
+              f"--subject-to 'distinction>={DISTINCT:g}' excludes that")  # fmt: skip
     if confirmed is not None:
         for name, check in zip(("start", "optimum"), confirmed, strict=True):
             if check is None:

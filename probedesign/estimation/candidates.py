@@ -50,7 +50,7 @@ _HALVINGS = 4
 #: Cosine of the turn from one station to the next, a 32nd of the probe, at which the trace ends: beyond the contact the
 #: measured moment curls the thin tip up.
 CURLED = 0.5
-MODEL = 0.01  #: Error of a moment by the model, over the moment, that counts beside those of a reading.
+MODEL = 0.01  #: Error of a moment by the model, over the moment, that counts beside those of a reading; assumed.
 DROOPS = 8  #: Steps along the free part.
 #: Share of a force that friction around the section usually has, and has at most, in a guess.
 USUAL, MAX_SINE = 0.6, 0.9
@@ -66,9 +66,8 @@ def _hanging(body, s, room):
         low, high = take(room, FREE + 3 * j), take(room, FREE + 3 * j + 3)
         return times(body.constants[DENSITY], add(times(1.0 - x + j, low), x - j, high))
     i = frustum_at(body, s)
-    height, whole = body.knots[i + 1] - s, body.knots[i + 1] - body.knots[i]
-    r1 = body.radii[i + 1]
-    r = r1 + (body.radii[i] - r1) * height / whole
+    height, r1 = body.knots[i + 1] - s, body.radii[i + 1]
+    r = radius_and_slope(body, s)[0]
     inner_part = body.constants[CONE] * height * height * (r * r + 2.0 * r * r1 + 3.0 * r1 * r1) / 4.0
     along = room[ROOM + i + 1] + body.volume_beyond[i + 1] * height + inner_part
     return 0.0, 0.0, body.constants[DENSITY] * along
@@ -111,9 +110,8 @@ def _volume_moments(body, room):
 def _growth(body, s, c):
     """Return by how much the first moment c of a curved rod grows towards the base at s, V e_z + u × c."""
     i = frustum_at(body, s)
-    height, whole = body.knots[i + 1] - s, body.knots[i + 1] - body.knots[i]
-    r1 = body.radii[i + 1]
-    r = r1 + (body.radii[i] - r1) * height / whole
+    height, r1 = body.knots[i + 1] - s, body.radii[i + 1]
+    r = radius_and_slope(body, s)[0]
     beyond = body.volume_beyond[i + 1] + body.constants[CONE] * height * (r * r + r * r1 + r1 * r1)
     return add((0.0, 0.0, beyond), 1.0, cross(rest_at(s, rest_of(body, i)), c))
 
@@ -178,17 +176,17 @@ def trace(body, end, gravity, force, moment, std_force, std_moment, arm, work, r
         for q in range(WIDTH):
             room[WIDTH * j + q] = work[q]
         free = _free_moment(body, s, take(work, T), take(work, D), gravity, room)
-        left = add(take(work, M), -1.0, free)
+        misfit = add(take(work, M), -1.0, free)
         if room[CURVED] != 0.0:
             p = take(work, P)
             reach = max(math.sqrt(dot(p, p)), 1e-300)
             size = math.sqrt(dot(force, force))
             couple = arm * size * radius_and_slope(body, s)[0]
             square = std_moment * std_moment + couple * couple + MODEL * MODEL * dot(moment, moment)
-            along = dot(left, p) / (reach * reach)
+            along = dot(misfit, p) / (reach * reach)
             across = 1.0 / math.sqrt(square + std_force * std_force * reach * reach)
-            left = add(times(across, left), along * (1.0 / math.sqrt(square) - across), p)
-        put(room, STATIONS * WIDTH + 3 * j, left)
+            misfit = add(times(across, misfit), along * (1.0 / math.sqrt(square) - across), p)
+        put(room, STATIONS * WIDTH + 3 * j, misfit)
     return STATIONS
 
 

@@ -116,7 +116,7 @@ class Scan:
         )  # fmt: skip
         if found["status"][reached - 1] != OK:
             reached -= 1
-        if rod.rest_curvature is None:
+        if not rod.is_curved:
             reached = _pushed(self.force, found["tip"][:1, :3], found["tangent"][:reached])
         misfit = ((found["moment"][:reached] - self.moment) ** 2).sum(axis=1)
         return stations[:reached], misfit, found["tip"][:reached]

@@ -44,7 +44,7 @@ SCHEMA = TableSchema(
 
 
 @dataclass(frozen=True)
-class Outline:
+class OutlinePoints:
     """Points on the surface of a print in base axes."""
 
     p_mm: Array  #: (n, 3) [mm].
@@ -70,7 +70,7 @@ class MeasuredAxis:
         return asdict(self)
 
 
-def read_outline(path: Path) -> Outline:
+def read_outline(path: Path) -> OutlinePoints:
     """Read points of the outline.
 
     Args:
@@ -83,10 +83,10 @@ def read_outline(path: Path) -> Outline:
     p = rows.required("x", "y", "z") / MM
     std = rows.std("std", np.zeros(len(rows), dtype=bool), "") / MM
     places = tuple(f"{path}:{number}" for number in rows.lines.numbers)
-    return Outline(p, np.where(np.isnan(std), POINT_STD_MM, std), places)
+    return OutlinePoints(p, np.where(np.isnan(std), POINT_STD_MM, std), places)
 
 
-def fit_axis(design: Design, outline: Outline, before_mm: float) -> MeasuredAxis:
+def fit_axis(design: Design, outline: OutlinePoints, before_mm: float) -> MeasuredAxis:
     """Return the axis of a print by least squares.
 
     Args:
@@ -134,7 +134,7 @@ def fit_axis(design: Design, outline: Outline, before_mm: float) -> MeasuredAxis
     return MeasuredAxis((float(x[0]), float(x[1])), std, factor, factor_std, before_mm, count, rms, scale)
 
 
-def _solve(geometry: ProbeGeometry, outline: Outline, prior: Array) -> tuple[Array, Array, Array]:
+def _solve(geometry: ProbeGeometry, outline: OutlinePoints, prior: Array) -> tuple[Array, Array, Array]:
     """Return the parameters, the Jacobian and the residuals, whitened, at the minimum."""
     unused = np.zeros(7 - len(prior))
 
@@ -149,7 +149,7 @@ def _solve(geometry: ProbeGeometry, outline: Outline, prior: Array) -> tuple[Arr
     return found.x, np.asarray(found.jac), found.fun
 
 
-def _distances(geometry: ProbeGeometry, x: Array, outline: Outline) -> Array:
+def _distances(geometry: ProbeGeometry, x: Array, outline: OutlinePoints) -> Array:
     """Return the distances of points from the surface, outside positive [mm].
 
     Args:

@@ -35,7 +35,7 @@ def build_geometry(design: Design) -> ProbeGeometry:
         flange_of(design, 2.0 * float(radius[0])),
         design.probe.cross_section,
         None if design.probe.tip == "blunt" else design.probe.flank_end_mm * MM,
-        None if design.probe.axis == "straight" else design.probe.centreline,
+        None if design.probe.centreline.is_straight else design.probe.centreline,
     )
 
 

@@ -251,9 +251,9 @@ def predict_task(model: ProbeModel, task: Task, slipping: bool = True) -> TaskEr
             by_force = {} if sources is None else _errors_at(estimator, on, sources, fraction, angle, task)
             for force in task.forces_N:
                 cases.append(Case(fraction, force, tuple(under.gravity_base.tolist()), math.degrees(angle)))
-                error, used, told = by_force.get(force, (math.inf, math.inf, math.inf))
+                error, used, separation = by_force.get(force, (math.inf, math.inf, math.inf))
                 errors.append(error)
-                use, distinct = max(use, used), min(distinct, told)
+                use, distinct = max(use, used), min(distinct, separation)
             if slipping and task.schedule is not None and free.ok:
                 s, phi = fraction * under.rod.length, angle + math.pi
                 slid = max(slid, slide(on, s, phi, task.schedule.forces(task.force_N)))
@@ -278,7 +278,7 @@ def _errors_at(
     for force, of in parts.items():
         if force not in reached:
             continue
-        told = math.inf
+        separation = math.inf
         if schedule is None:
             touch = reached[force][None].copy()
             lin, D = sources.columns_at(touch[0])
@@ -286,7 +286,7 @@ def _errors_at(
             wrench = lin[0:6, 0]
             if on.rod.is_curved:
                 noise = model.noise_base() + sources.drift + D[:6] @ D[:6].T
-                told = distinction(on, touch[0], noise, model.friction)
+                separation = distinction(on, touch[0], noise, model.friction)
         else:
             pressed = np.array([reached[part] for part in of])
             fused = LinearizedPresses(model, estimator.priors, on.gravity, pressed, schedule)
@@ -295,7 +295,7 @@ def _errors_at(
             cov, wrench = fused.cov(), fused.wrenches[-1]
         if np.isfinite(cov).all():
             use = np.abs(model.to_sensor(wrench, model.gravity_base)) / model.wrench_range
-            errors[force] = rms(cov), float(use.max()), told
+            errors[force] = rms(cov), float(use.max()), separation
     return errors
 
 

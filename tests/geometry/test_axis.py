@@ -120,10 +120,10 @@ def test_the_unloaded_rod_lies_on_the_axis_and_a_loaded_one_on_that_of_many_knot
 
 
 def test_the_fingerprint_tells_axes_apart():
-    bends = [None, 40.0, 40.000000001, 41.0]
+    bends = [None, 0.0, 40.0, 40.000000001, 41.0]
     designs = [design_of() if bend is None else whisker(axis_bend_deg=bend) for bend in bends]
-    a, b, c, d = (build_probe(design).geometry.fingerprint for design in designs)
-    assert a != b == c != d != a
+    straight, a, b, c, d = (build_probe(design).geometry.fingerprint for design in designs)
+    assert straight == a != b == c != d != a
 
 
 BAD = [

@@ -11,7 +11,7 @@ from probedesign.core.frames import Array
 from probedesign.design import Design, load_design, parse_design
 from probedesign.design.io import write_design
 from probedesign.geometry import Axis
-from probedesign.identification.measured_axis import Outline, fit_axis
+from probedesign.identification.measured_axis import OutlinePoints, fit_axis
 from probedesign.mount import build_geometry
 from probedesign.probe import build_probe
 
@@ -32,7 +32,7 @@ def design_of(probe: str) -> Design:
 def outline_of(
     design: Design, bow_mm: tuple[float, float], factor: float = 1.0, count: int = 24, std_mm: float = 0.3,
     noise: np.random.Generator | None = None,
-) -> Outline:  # fmt: skip
+) -> OutlinePoints:  # fmt: skip
     """Points on two sides of a print whose axis has that bow and that factor on its curvature."""
     g = build_geometry(design)
     added = 2e-3 / g.length**2 * np.array(bow_mm)
@@ -41,7 +41,7 @@ def outline_of(
     r = g.radius_at(s)[:, None]
     p = T[:, :3, 3] + r * (np.cos(side)[:, None] * T[:, :3, 0] + np.sin(side)[:, None] * T[:, :3, 1])
     p = 1e3 * p if noise is None else 1e3 * p + noise.normal(0.0, std_mm, p.shape)
-    return Outline(p, np.full(count, std_mm), tuple(f"row {i}" for i in range(count)))
+    return OutlinePoints(p, np.full(count, std_mm), tuple(f"row {i}" for i in range(count)))
 
 
 @pytest.mark.parametrize(("probe", "factor"), [(CONE, 1.0), (ARC, 1.0), (HELIX, 1.02)])
@@ -91,10 +91,13 @@ def test_the_command_writes_the_axis_which_rod_and_tolerance_follow(tmp_path: Pa
 
 
 @pytest.mark.parametrize(("change", "why"), [
-    (lambda o: Outline(o.p_mm[:3], o.std_mm[:3], o.places), "row 0: 3 points .* at least 4"),
-    (lambda o: Outline(25.4 * o.p_mm, o.std_mm, o.places), "row .* mm from the surface of the design; check the unit"),
-    (lambda o: Outline(o.p_mm + np.outer(np.arange(24) == 5, [9, 4, 4]), o.std_mm, o.places), "row 5: .* other points"),
-    (lambda o: Outline(o.p_mm[:5], 3.0 * o.std_mm[:5], o.places), "determine the bow to ± .* already; measure more"),
+    (lambda o: OutlinePoints(o.p_mm[:3], o.std_mm[:3], o.places), "row 0: 3 points .* at least 4"),
+    (lambda o: OutlinePoints(25.4 * o.p_mm, o.std_mm, o.places),
+     "row .* mm from the surface of the design; check the unit"),
+    (lambda o: OutlinePoints(o.p_mm + np.outer(np.arange(24) == 5, [9, 4, 4]), o.std_mm, o.places),
+     "row 5: .* other points"),
+    (lambda o: OutlinePoints(o.p_mm[:5], 3.0 * o.std_mm[:5], o.places),
+     "determine the bow to ± .* already; measure more"),
 ])  # fmt: skip
 def test_points_that_do_not_show_this_axis_are_refused(change, why: str) -> None:  # type: ignore[no-untyped-def]
     design = design_of(ARC)

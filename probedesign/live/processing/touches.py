@@ -429,7 +429,7 @@ class TouchMonitor:
         return decisions
 
     def _follow_drift(self, decisions: list[Touching], mean: Array, time: float) -> bool:
-        """Follow the bias by one reading; return whether it drifts too fast for contacts to be told from it."""
+        """Follow the bias by one reading; return whether its drift is too fast to distinguish contacts."""
         if self._follower.warming_up and set(decisions) != {"free"}:
             self._detector.release()
         elif self.in_motion or set(decisions) != {"free"}:
