@@ -18,7 +18,14 @@ from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.geometry import Axis, ProbeGeometry
 from probedesign.geometry.mass import MassProperties, flexible_part
-from probedesign.mount import Mount, T_sensor_robotflange, build_geometry, mount_mass_properties
+from probedesign.mount import (
+    Mount,
+    T_sensor_robotflange,
+    build_geometry,
+    held_tolerances,
+    mount_mass_properties,
+    root_radii,
+)
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
@@ -66,7 +73,7 @@ class Probe(Displayed):
     @cached_property
     def rod(self) -> "Rod":
         """Return the flexible part as a Cosserat rod with the root compliance of the design."""
-        return self._rod(self.design.mount.root_rigid_radii)
+        return self._rod(root_radii(self.design, self.geometry))
 
     def _rod(self, root_rigid_radii: float) -> "Rod":
         """Return the rod with that root compliance in base radii; 0 is the rod of the paper (decision 0006)."""
@@ -125,8 +132,10 @@ class Probe(Displayed):
             creep_spread=d.material.creep_spread,
             identified_tests=d.material.identified_tests,
         )
-        given = {"object_compliance": d.object_compliance.value, "object_walk_mm": d.contact.object_walk_mm}
-        return replace(model, tolerances=Tolerances.of(model, d.tolerances.model_dump() | given))
+        stated = {key: value for key, value in d.tolerances.model_dump().items() if value is not None}
+        contact = {"object_compliance": d.object_compliance.value, "object_walk_mm": d.contact.object_walk_mm}
+        given = held_tolerances(d, self.geometry, Tolerances.base_mm) | stated | contact
+        return replace(model, tolerances=Tolerances.of(model, given))
 
     def solve(
         self,

@@ -21,8 +21,8 @@ from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.geometry.mass import MassProperties, combined
-from probedesign.mount import exported_root_radii
-from probedesign.mount.mount import ROOT_STD
+from probedesign.mount import root_radii
+from probedesign.mount.mount import exported_root_radii, exported_root_std
 from probedesign.mount.tolerance_stack import clamp_force, measurements, tolerance_stacks
 from probedesign.printing.check import check_print, print_scale
 
@@ -34,7 +34,8 @@ def manifest_of(
 ) -> dict[str, Any]:
     """Return the manifest of an export."""
     a, robot, flange, mount = model.adapter, model.plate.robot, model.geometry.flange, model.design.mount
-    root = exported_root_radii(model.geometry, mount.hold)
+    hold = "clamped" if mount.hold == "bonded" else mount.hold  # the exported ring clamps
+    root, root_std = exported_root_radii(model.geometry, hold), exported_root_std(model.geometry)
     record = model_record(model, files, findings)
     robot_pin = {f"dowel pin of {robot.pin_d / MM:g} mm that the robot's flange takes": 1} if robot.pin_d else {}
     pin = f"dowel pin {a.dowels.diameter / MM:g}x{a.dowels.pin_length / MM:g} mm"
@@ -65,10 +66,10 @@ def manifest_of(
             "held_by": f"soft flange Ø{flange.diameter / MM:g} x {flange.thickness / MM:g} mm in one piece with "
             f"the probe; the clamp ring presses its lip from Ø{a.ring_bore_d / MM:g} mm outwards by "
             f"{a.squeeze / MM:.3g} mm",
-            "root_rigid_radii": mount.root_rigid_radii,
+            "root_rigid_radii": root_radii(model.design, model.geometry),
             "root_rigid_radii_computed": round(root, 3),
             "root_rigid_radii_means": "bending compliance that the base lacks, in base radii; 0.12 is that of a face "
-            f"bonded to a rigid part, that of this {mount.hold} soft flange about {root:.2f} ± {ROOT_STD:g}, "
+            f"bonded to a rigid part, that of this {hold} soft flange about {root:.2f} ± {root_std:.2g}, "
             "computed for a full round probe, not measured: identify it on the bench",
             "drawn": "with the lip not yet pressed: screwed down, the ring and its screws lie lower by as much",
         },

@@ -45,7 +45,7 @@ def new(
     sensor: str = "nano17",
     robot_flange: str | None = None,
     friction: float | None = None,
-    hold: Literal["clamped", "glued"] = "clamped",
+    hold: Literal["clamped", "glued", "bonded"] = "clamped",
     force: bool = False,
     as_json: JsonOutput = False,
 ) -> None:
@@ -72,14 +72,15 @@ def new(
             for the sensor.
         friction: standard deviation of the prior of tangential over normal contact force, 0 ... inf. Default: the
             resin's.
-        hold: how the adapter holds the flange: clamped by the ring, or its underside glued as well. It determines
-            root_rigid_radii, which finite elements give for the exported parts.
+        hold: how the adapter holds the flange: clamped by the ring, its underside glued as well, or the probe bonded to
+            a rigid part at s = 0. It determines how much the root yields, which finite elements give for the exported
+            parts.
         force: replace an existing design file.
         as_json: print one JSON document.
     """
     from probedesign.design.io import draft_design, known_sensor, render_design, write_design
     from probedesign.mount.flange_adapter import fitting_flanges
-    from probedesign.mount.mount import with_computed_root
+    from probedesign.mount.mount import build_geometry, root_radii
 
     try:
         fitting = fitting_flanges(known_sensor(sensor))
@@ -97,6 +98,7 @@ def new(
             sensor=sensor,
             robot_flange=robot_flange or next(iter(fitting), DEFAULT_FLANGE),
             friction=friction,
+            hold=hold,
             axis=axis,
             axis_bend_deg=bend_deg,
             axis_turns=turns,
@@ -111,7 +113,8 @@ def new(
                 f"before export, measure {tables}: enter them in [sensor.own.interface] of the file and remove them "
                 "from sensor.own.assumed"
             )
-        design, root_notes = with_computed_root(design, hold)
+        root = root_radii(design, build_geometry(design))
+        notes["mount.hold"] = f"root {root:g} base radii, computed; root_rigid_radii states a measured one"
     except InputError as error:
         message = str(error)
         for key, option in OPTIONS.items():
@@ -120,7 +123,7 @@ def new(
     path = FOLDER / f"{design.name}.toml"
     with show_progress("predicting its performance"):
         figures = summary(design)  # first: a design that fits no mount is not written
-    write_design(render_design(design, notes | root_notes), path, force)
+    write_design(render_design(design, notes), path, force)
     document = {"file": str(path), "name": design.name, "tip_d_mm": design.probe.blunt_mm[-1][1], **figures}
     if as_json:
         print_json(document)

@@ -35,7 +35,7 @@ def with_values(tables: Mapping[str, Any], values: Mapping[str, Any]) -> dict[st
     """Return tables with the values of some keys, `table.key`, changed, and with what follows from them.
 
     Another resin brings its moduli, density and friction, which `values` can replace; what was measured of the former
-    resin and on its print goes. A changed shape has no measured diameters.
+    resin and on its print goes. A changed shape has no measured diameters, another hold no stated root.
 
     Raises:
         InputError: a key lies in something that is not a table, or the resin is not known.
@@ -49,6 +49,8 @@ def with_values(tables: Mapping[str, Any], values: Mapping[str, Any]) -> dict[st
             changed[table] = {k: v for k, v in changed.get(table, {}).items() if k not in keys}
         changed["material"] |= material_keys(resin)
         changed["contact"] = {"friction": resin.friction.value}
+    if "mount.hold" in values:  # the root is computed for it
+        _table(changed, ["mount"], "mount.hold").pop("root_rigid_radii", None)
     for key, value in values.items():
         *parents, last = key.split(".")
         _table(changed, parents, key)[last] = value

@@ -51,7 +51,7 @@ COMMENTS = {
     "print.scale_xy": "flexible part, printed over drawn, from a coupon; files to print only",
     "print.scale_z": "printed over drawn, along its axis",
     "print.rigid_scale_xy": "rigid parts, printed over drawn",
-    "mount.hold": "clamped | glued: the flange's underside on the adapter as well",
+    "mount.hold": "clamped | glued: the flange's underside as well | bonded at s = 0; the root is computed for it",
     "mount.ring_screw": "M2 | M3",
     "mount.flange_thickness_mm": "soft flange below s = 0",
     "mount.flange_lip_mm": "its radial width around the base",
@@ -165,6 +165,7 @@ def draft_design(
     sensor: str = "nano17",
     robot_flange: str = "iso-9409-1-50-4-m6",
     friction: float | None = None,
+    hold: str = "clamped",
     **axis: str | float | None,
 ) -> tuple[Design, dict[str, str]]:
     """Return a new design from its main dimensions, with defaults for everything else.
@@ -176,6 +177,7 @@ def draft_design(
         resin, robot_flange: names of the catalog.
         sensor: a known sensor or calibration.
         friction: tangential over normal force of a touch, standard deviation of the prior; None for the resin's.
+        hold: as in `[mount]`.
         axis: `axis` and the keys that go with it, as in `[probe]`.
 
     Returns:
@@ -209,7 +211,7 @@ def draft_design(
         "probe": probe,
         "material": material_keys(material),
         "sensor": _sensor_tables(sensor, notes),
-        "mount": {"robot_flange": robot_flange},
+        "mount": {"robot_flange": robot_flange, "hold": hold},
         "contact": {
             "friction": material.friction.value if friction is None else friction,
             "object_compliance_m_N": OBJECT_COMPLIANCE.value,

@@ -346,14 +346,15 @@ class FlangeTable(Table):
 class MountTable(Table):
     """`[mount]`: robot flange, gravity, compliance of the root, and how the flange is held.
 
-    Lengths that are not given take the defaults of the mount.
+    Lengths that are not given take the defaults of the mount, and a root that is not given is computed for `hold`
+    (`mount.root_radii`).
     """
 
     robot_flange: str = "iso-9409-1-50-4-m6"
     flange: FlangeTable | None = None
     gravity_base_m_s2: Annotated[tuple[float, float, float], FromArray] = (9.81, 0.0, 0.0)
-    root_rigid_radii: Annotated[float, Field(ge=-1.0, le=2.0)] = 0.12
-    hold: Literal["clamped", "glued"] = "clamped"
+    root_rigid_radii: Annotated[float, Field(ge=-1.0, le=2.0)] | None = None
+    hold: Literal["clamped", "glued", "bonded"] = "clamped"
     ring_screw: Literal["M2", "M3"] = "M2"
     flange_thickness_mm: Annotated[float, Field(ge=1.0, le=10.0)] | None = None
     flange_lip_mm: Annotated[float, Field(ge=3.5, le=10.0)] | None = None
@@ -470,12 +471,12 @@ class Design(Table, Displayed):
     @model_validator(mode="after")
     def _root_fits(self) -> Self:
         """Check that the rigid root is shorter than the probe."""
-        rigid = self.mount.root_rigid_radii * self.probe.base_d_mm / 2.0
+        root = self.mount.root_rigid_radii or 0.0
+        rigid = root * self.probe.base_d_mm / 2.0
         if rigid >= self.probe.length_mm:
             limit = 2.0 * self.probe.length_mm / self.probe.base_d_mm
             raise Inconsistent(
-                "mount.root_rigid_radii",
-                f"= {self.mount.root_rigid_radii:g} makes {rigid:g} mm rigid, the whole probe; stay below {limit:g}",
+                "mount.root_rigid_radii", f"= {root:g} makes {rigid:g} mm rigid, the whole probe; stay below {limit:g}"
             )
         return self
 
@@ -576,7 +577,6 @@ class Design(Table, Displayed):
             "shear_modulus_mpa": self.shear_modulus,
             "density_kg_m3": self.density,
         }
-        # 0.12 is a face bonded to something rigid; the exported flange is computed to yield (mount/mount.py).
         root = ("mount.root_rigid_radii",) if self.mount.root_rigid_radii != 0.0 else ()
         # An infinite friction leaves the direction of the force free: no number is assumed.
         friction, free = self.friction, math.isinf(self.friction.value)

@@ -39,13 +39,13 @@ SOURCES = {
     "length_mm": "assumed, as the diameters",
     "length_share": "assumed, as the diameters",
     "bow_mm": "assumed: no straightness is published for {product}; 1 mm of 150 mm of length",
-    "base_mm": "assumed, as in fusion",
+    "base_mm": "assumed, as in fusion, and a sixth of the lip's squeeze (assumed) where a clamp ring presses it",
     "tilt_deg": "assumed: 0.05 mm on a seat of 15 mm",
     "clocking_deg": "assumed: play of the screws",
     "pose_deg": "assumed: as tilt_deg, of the seat of the sensor on the robot",
     "gravity_deg": "assumed: a machine levelled by hand",
-    "root_radii": "assumed: half the distance from a bonded face (0.12) to the exported soft flange (about -0.18), "
-    "docs/decisions/0006",
+    "root_radii": "assumed: half the distance from a bonded face (0.12) to the exported soft flange (about -0.18); "
+    "that of a root computed for the hold by finite elements, docs/decisions/0006",
     "gain": "assumed: calibration certificates bound the error to 1.0-1.75 % of full scale; a third of it",
     "creep": "assumed: nothing is published for {product}",
     "stiffness_scatter": "assumed: creep and hysteresis from touch to touch; nothing is published for {product}",

@@ -13,7 +13,7 @@ from probedesign.design.edit import Change, edit_text
 from probedesign.design.io import load_design, write_design
 from probedesign.identification.parameters import PARAMETERS
 from probedesign.identification.result import Identification, Identified
-from probedesign.mount.mount import stated_root_radii
+from probedesign.mount.mount import build_geometry, exported_root_radii
 
 IN_DESIGN = {name: one for name, one in PARAMETERS.items() if one.design_key}  #: Parameters that a design file holds.
 MATERIAL = {name: one for name, one in IN_DESIGN.items() if one.design_key.startswith("material.")}
@@ -136,11 +136,11 @@ def _replaceable(change: Change, design: Design) -> bool:
         return True
     if key == "print.scale_xy":  # 1: no coupon was measured
         return design.print_.scale_xy == 1.0
-    if key == "mount.root_rigid_radii":  # the default and the value of `new` are assumed; any other was set
-        default = type(design.mount).model_fields["root_rigid_radii"].default
-        E_identified = design.material.provenance.youngs_modulus_mpa == "identified"
-        assumed = (default, stated_root_radii(design))
-        return design.mount.root_rigid_radii in assumed and not E_identified
+    if key == "mount.root_rigid_radii":  # a value that is the computed one is assumed; any other was set
+        computed = round(exported_root_radii(build_geometry(design), design.mount.hold), 2)
+        return design.mount.root_rigid_radii == computed and (
+            design.material.provenance.youngs_modulus_mpa != "identified"
+        )
     for name, one in MATERIAL.items():
         if key in (one.design_key, f"tolerances.{one.attribute}", *(REPLACED_WITH_E if name == "E" else ())):
             provenance: str = getattr(design.material.provenance, _split_key(name)[1])

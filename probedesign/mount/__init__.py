@@ -9,8 +9,10 @@ from probedesign.mount.mount import Mount as Mount
 from probedesign.mount.mount import build_geometry as build_geometry
 from probedesign.mount.mount import exported_root_radii as exported_root_radii
 from probedesign.mount.mount import flange_of as flange_of
+from probedesign.mount.mount import held_tolerances as held_tolerances
 from probedesign.mount.mount import mount_options as mount_options
 from probedesign.mount.mount import root_contradiction as root_contradiction
+from probedesign.mount.mount import root_radii as root_radii
 from probedesign.mount.sensor_adapter import MountOptions as MountOptions
 from probedesign.mount.sensor_adapter import SensorAdapter as SensorAdapter
 from probedesign.mount.sensor_adapter import max_ring_passage_d as max_ring_passage_d

@@ -11,11 +11,16 @@ from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.design.catalog import SCREWS
-from probedesign.design.io import check_design
 from probedesign.geometry import FLANGE_LIP, FLANGE_THICKNESS, Axis, Flange, ProbeGeometry, flange_for
 from probedesign.mount.flange_adapter import FlangeAdapter, flange_adapter_for
 from probedesign.mount.lip import STIFF_RESIN
-from probedesign.mount.sensor_adapter import MountOptions, SensorAdapter, sensor_adapter_for, touched_part
+from probedesign.mount.sensor_adapter import (
+    MountOptions,
+    SensorAdapter,
+    least_squeeze,
+    sensor_adapter_for,
+    touched_part,
+)
 
 
 def flange_of(design: Design, base_d: float) -> Flange:
@@ -93,7 +98,7 @@ class Mount:
 
 # the compliance of the root in the exported mount, computed by finite elements
 
-Hold = Literal["clamped", "glued"]
+Hold = Literal["clamped", "glued", "bonded"]
 
 _RATIO = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.1667, 6.6667, 10.0)
 #: `root_rigid_radii` by base radius over the flange's thickness. Source: `benchmarks/clamp.py` of commit 04ffc97,
@@ -102,90 +107,82 @@ _MISSING: dict[Hold, tuple[float, ...]] = {
     "clamped": (-0.3686, -0.338, -0.3069, -0.2761, -0.2204, -0.1754, -0.1125, -0.0686, -0.0207, 0.0076),
     "glued": (-0.3684, -0.3342, -0.293, -0.2484, -0.1699, -0.1118, -0.0383, 0.006, 0.0479, 0.07),
 }
-_ROUNDING = 0.0051  #: Error of a value that `new` rounded to two decimals.
-#: Greatest difference of a value that `new` wrote from the one computed now: rounding, and the interpolation in base
-#: radius over thickness, 0.005 each.
-_NUMERICAL = 0.01
-#: Standard deviation of these values [base radii]: friction below the flange moves the clamped one by that much, the
-#: other thicknesses and Poisson's ratios less. The land, which supports the inner part of the lip alone, moves them by
-#: 0.006 at most (decision 0006); the rooms of the screw heads in it, which are not modelled, soften the root by an
-#: estimated 0.03. The squeezed lip is not modelled either (assumed).
+#: Least standard deviation of these values [base radii]: friction below the flange moves the clamped one by that much,
+#: the other thicknesses and Poisson's ratios less. The land, which supports the inner part of the lip alone, moves them
+#: by 0.006 at most (decision 0006); the squeezed lip is not modelled (assumed).
 ROOT_STD = 0.05
+#: Clamped root of wide bases, 16 to 25 mm, on a floor with the rooms of the screw heads, which the table leaves out:
+#: finite elements give -0.15 to -0.16. The difference is the standard deviation where it is more than `ROOT_STD`.
+OPEN_FLOOR = -0.155
+BONDED = 0.12  #: `root_rigid_radii` of a face that is bonded to something rigid at s = 0 (decision 0006).
+#: Standard deviation of the shift of s = 0 along z by the squeeze of the lip, over the squeeze. The resin that the ring
+#: displaces inwards lifts the base by a third of the squeeze at most, and by nothing where it all moves outwards; half
+#: of that range (assumed).
+SQUEEZE_SHIFT = 1.0 / 6.0
 
 
 def exported_root_radii(geometry: ProbeGeometry, hold: Hold = "clamped") -> float:
     """Return `root_rigid_radii` of a probe in the exported mount; negative where its soft flange yields.
 
-    Computed, not measured, with a standard deviation of `ROOT_STD`. A face that is bonded at s = 0 to something rigid
-    has 0.12; a flange of 3 mm below it yields more even if its underside is glued (docs/decisions/0006).
+    Computed, not measured. A face that is bonded at s = 0 to something rigid has 0.12; a flange of 3 mm below it yields
+    more even if its underside is glued (docs/decisions/0006).
 
     Args:
         geometry: of the probe; bores and elliptic sections were not computed.
-        hold: clamped: lip stuck between ring and adapter, underside without friction; glued: the underside as well.
+        hold: clamped: lip stuck between ring and adapter, underside without friction; glued: the underside as well;
+            bonded: no flange between s = 0 and something rigid.
     """
+    if hold == "bonded":
+        return BONDED
     return float(np.interp(geometry.base_radius / geometry.flange.thickness, _RATIO, _MISSING[hold]))
 
 
-def stated_root_radii(design: Design) -> float:
-    """Return the computed `root_rigid_radii` of a design to two decimals, as `new` writes it."""
-    return round(exported_root_radii(build_geometry(design), design.mount.hold), 2)
+def exported_root_std(geometry: ProbeGeometry) -> float:
+    """Return the standard deviation of the computed root of the exported mount [base radii]."""
+    return max(ROOT_STD, exported_root_radii(geometry) - OPEN_FLOOR)
+
+
+def root_radii(design: Design, geometry: ProbeGeometry) -> float:
+    """Return `root_rigid_radii` of a design: as stated, or as computed for its `hold`, to two decimals."""
+    stated = design.mount.root_rigid_radii
+    return round(exported_root_radii(geometry, design.mount.hold), 2) if stated is None else stated
+
+
+def held_tolerances(design: Design, geometry: ProbeGeometry, base_mm: float) -> dict[str, float]:
+    """Return the defaults of `[tolerances]` that follow from the hold: of a computed root and of the squeezed base.
+
+    Other sections and a base with a fillet were not computed: their root keeps the general default, which is larger.
+
+    Args:
+        design: of the probe.
+        geometry: of the design.
+        base_mm: standard deviation of the base's place without a squeeze.
+    """
+    mount, computed = design.mount, dict[str, float]()
+    if mount.hold == "bonded":
+        return computed
+    if mount.root_rigid_radii is None and design.probe.cross_section.full_round and design.probe.base_fillet_mm is None:
+        computed["root_radii"] = round(exported_root_std(geometry), 3)
+    squeeze = least_squeeze(geometry.flange) / MM if mount.squeeze_mm is None else mount.squeeze_mm
+    computed["base_mm"] = round(math.hypot(base_mm, SQUEEZE_SHIFT * squeeze), 3)
+    return computed
 
 
 def root_contradiction(design: Design) -> str:
-    """Return why `root_rigid_radii` of a design contradicts its `hold`, in one sentence; empty if it does not.
+    """Return why the stated `root_rigid_radii` of a design contradicts its `hold`, in one sentence; empty if not.
 
-    The value of another hold contradicts, the default beside a stated hold, and a value that is further from the
-    computed one than its accuracy. That of a value which `new` wrote, with `hold` and without a standard deviation of
-    the user, is numerical: it differs where base, flange or thickness were changed afterwards. That of any other value
-    is two of its standard deviations, where the design states them. 0, the paper's rod, and a root that may have been
-    identified, do not contradict.
+    A value contradicts that is further from the computed one than two standard deviations of both, its own as far as
+    the design states it. 0, the paper's rod, and a root that may have been identified, do not contradict.
     """
-    mount, computed = design.mount, stated_root_radii(design)
-    stated, others = mount.root_rigid_radii, [hold for hold in _MISSING if hold != mount.hold]
-    geometry = build_geometry(design)
-    remedy = f"set it to {computed:g}, or change mount.hold"
-    difference = abs(stated - computed)
-    for other in others:
-        of_other = exported_root_radii(geometry, other)
-        if abs(stated - of_other) <= _ROUNDING < difference:
-            return (
-                f"mount.root_rigid_radii = {stated:g} is that of a {other} flange, but mount.hold is "
-                f"{mount.hold!r}; {remedy}"
-            )
-    if "root_rigid_radii" not in mount.model_fields_set and "hold" in mount.model_fields_set:
-        return f"mount.root_rigid_radii is not stated, so {stated:g} is used, of a base bonded at s = 0; {remedy}"
-    std = design.tolerances.root_radii
-    if stated == 0.0 or design.material.provenance.youngs_modulus_mpa == "identified":
+    stated, hold = design.mount.root_rigid_radii, design.mount.hold
+    if not stated or hold == "bonded" or design.material.provenance.youngs_modulus_mpa == "identified":
         return ""
-    if "hold" in mount.model_fields_set and std in (None, ROOT_STD):
-        if abs(stated - exported_root_radii(geometry, mount.hold)) <= _NUMERICAL:
-            return ""
-        return (
-            f"mount.root_rigid_radii = {stated:g}, but {computed:g} is computed for the {mount.hold} flange of this "
-            f"design; {remedy}, or state its standard deviation as tolerances.root_radii if you measured it"
-        )
-    if std is None or difference <= 2.0 * math.hypot(ROOT_STD, std):
+    geometry = build_geometry(design)
+    computed, std = exported_root_radii(geometry, hold), exported_root_std(geometry)
+    if abs(stated - computed) <= 2.0 * math.hypot(std, design.tolerances.root_radii or 0.0):
         return ""
     return (
-        f"mount.root_rigid_radii = {stated:g}, but {computed:g} ± {ROOT_STD:g} is computed for the exported "
-        f"{mount.hold} flange; {remedy}, unless the probe is mounted in another way"
+        f"mount.root_rigid_radii = {stated:g}, but {computed:.2f} ± {std:.2g} is computed for the {hold} flange of "
+        'this design; remove the key, or write hold = "bonded" if the probe is bonded to a rigid part at s = 0, or '
+        "state the standard deviation as tolerances.root_radii if you measured the root"
     )
-
-
-def with_computed_root(design: Design, hold: Hold) -> tuple[Design, dict[str, str]]:
-    """Return a design with the computed compliance of its exported mount and its uncertainty.
-
-    The uncertainty of other sections and of a base with a fillet stays the default, which is larger: they were not
-    computed.
-
-    Returns:
-        The design, and notes for `render_design`.
-    """
-    data = design.model_dump(by_alias=True, exclude_none=True, mode="json")
-    data["mount"]["hold"] = hold
-    data["mount"]["root_rigid_radii"] = stated_root_radii(check_design(data))
-    notes = {"mount.root_rigid_radii": f"computed for the exported {hold} flange, not measured; 0.12: bonded at s = 0"}
-    if design.probe.cross_section.full_round and design.probe.base_fillet_mm is None:
-        data["tolerances"]["root_radii"] = ROOT_STD
-        notes["tolerances.root_radii"] = "computed: friction below the flange; docs/decisions/0006"
-    return check_design(data), notes

@@ -371,10 +371,16 @@ def length_tolerance(length: float) -> float:
     return max(PRINT_TOLERANCE, 0.005 * length)
 
 
+def least_squeeze(flange: Flange) -> float:
+    """Return the least nominal compression of a lip [m] that every corner of the tolerances leaves pressed."""
+    return MIN_SQUEEZE + length_tolerance(flange.thickness) + PRINT_TOLERANCE
+
+
 def _squeeze(flange: Flange, options: MountOptions) -> float:
     """Return the nominal compression of the lip [m], which is positive at every corner of the tolerances."""
-    slack = length_tolerance(flange.thickness) + PRINT_TOLERANCE
-    low, high = MIN_SQUEEZE + slack, MAX_SQUEEZE_SHARE * flange.thickness - slack
+    low = least_squeeze(flange)
+    slack = low - MIN_SQUEEZE
+    high = MAX_SQUEEZE_SHARE * flange.thickness - slack
     if low > high + 1e-9:
         least = (low + slack) / MAX_SQUEEZE_SHARE
         raise InputError(

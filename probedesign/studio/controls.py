@@ -9,6 +9,7 @@ import viser
 from probedesign.core.units import MM
 from probedesign.design.catalog import RESINS
 from probedesign.design.sensor_catalog import SENSORS
+from probedesign.mount import build_geometry, root_radii
 from probedesign.prediction.predict import FORCES_N
 from probedesign.studio.session import MOUNTINGS, Session, knots_of, mounting_of
 
@@ -62,7 +63,9 @@ class DesignControls:
         self._choice("mounting", "probe points", (*MOUNTINGS, "other"), mounting_of(gravity))
         vector = gui.add_vector3("gravity in base axes [m/s²]", gravity, step=0.01)
         self._bind("mount.gravity_base_m_s2", vector, list)
-        self._slider("mount.root_rigid_radii", "root, rigid base radii", -0.5, 0.5, 0.01, design.mount.root_rigid_radii)
+        self._choice("mount.hold", "flange is held", ("clamped", "glued", "bonded"), design.mount.hold)
+        root = root_radii(design, build_geometry(design))
+        self._slider("mount.root_rigid_radii", "root, rigid base radii", -0.5, 0.5, 0.01, root)
         self._slider("contact.friction", "friction", 0.0, MAX_FRICTION, 0.05, min(design.friction.value, MAX_FRICTION))
         yielding = design.object_compliance.value
         self._slider("contact.object_compliance_m_N", "object yields [m/N]", 0.0, 0.5, 0.005, yielding)
@@ -119,7 +122,8 @@ class DesignControls:
             "sensor.averaging_samples": design.sensor.averaging_samples,
             "mounting": mounting_of(design.mount.gravity_base_m_s2),
             "mount.gravity_base_m_s2": tuple(design.mount.gravity_base_m_s2),
-            "mount.root_rigid_radii": design.mount.root_rigid_radii,
+            "mount.hold": design.mount.hold,
+            "mount.root_rigid_radii": root_radii(design, build_geometry(design)),
             "contact.friction": min(design.friction.value, MAX_FRICTION),
             "contact.object_compliance_m_N": design.object_compliance.value,
             **{f"touch.{key}": value for key, value in vars(session.touch).items()},

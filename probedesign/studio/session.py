@@ -179,7 +179,8 @@ class Session:
 
 
 #: Keys that choose something by its name; others follow from them, unless they are given too.
-_FIRST = ("probe.shape", "probe.section", "probe.axis", "material.resin", "sensor.model", "sensor.calibration")
+_FIRST = ("probe.shape", "probe.section", "probe.axis", "material.resin", "sensor.model", "sensor.calibration",
+          "mount.hold")  # fmt: skip
 _LAST = "probe.profile_mm"
 _ENDS = ("probe.length_mm", "probe.base_d_mm", "probe.tip_d_mm")
 

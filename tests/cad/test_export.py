@@ -79,7 +79,7 @@ def test_manifest_describes_the_export(exported: Exported) -> None:
     check = manifest["print_check"]
     assert check["ok"] and check["errors"] == 0 and check["warnings"] == len(check["findings"])
     assert manifest["print_scale"]["probe"] == [1.0, 1.0, 1.0]
-    assert manifest["base"]["root_rigid_radii"] == 0.12
+    assert manifest["base"]["root_rigid_radii"] == -0.18  # that of hold = "clamped"
     assert manifest["base"]["root_rigid_radii_computed"] == pytest.approx(-0.18, abs=0.01)  # Ø12 mm
 
 
