@@ -57,7 +57,7 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: 
         until: end of the simulation [s].
         picture: file to write.
     """
-    from probedesign.live.view.page import ViewerPage
+    from probedesign.live.view.page import STYLE, ViewerPage
     from probedesign.web.guard import protect
 
     try:
@@ -74,8 +74,10 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: 
         now, one = answer.reading.time, np.array([answer.reading.time])
         state.on_samples(Block(one, answer.reading.wrench_sensor[None], answer.reading.gravity_base, one))
         state.on_estimate(answer)
+        if 0.0 <= now - 12.0 < 0.05:
+            state.on_event(now, "mark: second press")
     setup = scene_setup(estimator, folder, "127.0.0.1", free_port(), print)
-    protect(setup.title, setup.token)
+    protect(setup.title, setup.token, f"<style>{STYLE}</style>")
     page = ViewerPage(setup, lambda wish, text: None)
     page.show(state.snapshot())
     try:
@@ -84,7 +86,7 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: 
             tab = browser.new_page(viewport=SIZE)
             tab.add_init_script(STOP_CLOCK)
             tab.goto(page.url)
-            tab.get_by_text("Touches so far").wait_for(timeout=120_000)
+            tab.get_by_text("Events").wait_for(timeout=120_000)
             time.sleep(FADE_IN_SECONDS)
             _write(screenshot(tab), picture)
             tab.close()  # a browser that still draws takes half a minute to close

@@ -132,7 +132,7 @@ def live(
         publish=publish,
         page=(view_host, view_port) if view else None,
         terminal=not (lines or as_json) and _is_terminal(),
-        parts_folder=bundle.parent,
+        parts_folder=bundle if bundle.is_dir() else bundle.parent,
         metadata={name: _setting_text(value) for name, value in settings.items()},
         split=SplitLimits.of_options(split_mb, split_minutes),
         foxglove=None if foxglove is False else parse_foxglove_address("" if foxglove is True else foxglove),

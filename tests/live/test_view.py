@@ -2,10 +2,10 @@
 
 import json
 import math
+import time
 from collections import Counter
 from dataclasses import replace
 from io import StringIO
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,12 +17,13 @@ from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.geometry.tube import SIDES, BentShape, TubeMesh, centreline
 from probedesign.live.blocks import Block, WrenchReading
 from probedesign.live.processing.chain import ProcessingOptions
-from probedesign.live.processing.estimates import ContactMarker, EstimateUpdate, estimate_row, readable_line
+from probedesign.live.processing.estimates import EstimateUpdate, estimate_row, readable_line
+from probedesign.live.processing.touches import Contact
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.view.page import events_html, status_html
 from probedesign.live.view.sinks import TerminalView, scene_setup, table_of
-from probedesign.live.view.state import MAX_EVENTS, STRIP, Event, Snapshot, StatusLine, StripCharts, ViewState
+from probedesign.live.view.state import STRIP, Event, Snapshot, StatusLine, StripCharts, ViewState, touch_points
 from probedesign.web.scene import RECORD, read_stl, rigid_parts
 
 
@@ -203,7 +204,7 @@ def test_a_result_other_than_ok_has_no_place(estimator, result):
     assert snapshot.marker is None
     assert [of(snapshot)[name].text for name in ("contact", "point", "force")] == ["–"] * 3
     assert of(snapshot)["result"].text == f"{result}: {RESULTS[result]}"
-    assert np.isnan(snapshot.strip[:, 7:]).all()
+    assert np.isnan(snapshot.strip[:, 7:10]).all()  # s, its standard deviation, the force
 
 
 def test_a_light_touch_has_an_interval_and_no_place(estimator):
@@ -256,23 +257,8 @@ def test_loss_tare_and_recording_are_shown(estimator):
     assert words["tare"].text == "from 100 readings"
     assert words["recording"] == StatusLine("recording", "to a.mcap, 7 readings", "good")
     assert state.snapshot().recording == "to a.mcap, 7 readings"
-    assert "● recording to a.mcap" in status_html(state.snapshot())
     recording[:] = "", "ended: No space left on device"
     assert of(state.snapshot())["recording"] == StatusLine("recording", recording[1], "bad")
-    assert "●" not in status_html(state.snapshot())
-
-
-def test_tares_and_marks_stay_visible_among_many_other_events():
-    state = ViewState()
-    state.on_event(1.0, "tare from 100 readings")
-    state.on_event(2.0, "mark: third card")
-    for i in range(300):
-        state.on_event(3.0 + i, f"touch {i}, {i}.02 ... {i}.90 s: single reading: s {i}.5 mm")
-        state.on_event(3.5 + i, f"192.168.1.1: {i} records lost on the way")
-    events = state.snapshot().events
-    assert [event.line[:4] for event in events[:2]] == ["tare", "mark"]
-    assert len(events) == 2 + MAX_EVENTS and events[-2].line.startswith("touch 299,")
-    assert "touch 299, 299.02" in events_html(state.snapshot())
 
 
 def test_the_end_of_a_run_is_shown_without_a_green_banner(estimator):
@@ -289,46 +275,27 @@ def test_the_end_of_a_run_is_shown_without_a_green_banner(estimator):
     assert 'class="pd-old"' in status_html(snapshot)
 
 
-def test_every_old_value_is_faded_and_what_is_current_is_not(estimator):
-    clock = Clock()
-    state = kept(estimator, "speed=max&rate_hz=10&seconds=8", clock)
-    clock.now += 60.0
-    html = status_html(state.snapshot())
-    assert 'class="pd-old"' in html and "pd-banner pd-bad" in html and "stale: no reading for 60.0 s" in html
-    for name in ("contact", "point", "force", "forces", "moments", "phase"):
-        assert f'<td class="pd-name">{name}</td>' in html
-    for name in ("rate", "loss", "tare", "recording"):
-        assert f'<td class="pd-name pd-now">{name}</td>' in html
-
-
-def test_time_is_that_of_the_source(estimator):
-    """The same clock as in JSON, CSV and events."""
-    update = answer(estimator, Estimate("no_contact"), 1234.5)
+def test_the_table_has_the_sources_time_and_the_charts_the_wall_clock(estimator):
     state = ViewState()
-    state.on_estimate(update)
+    state.on_estimate(answer(estimator, Estimate("no_contact"), 1234.5))
+    state.on_estimate(answer(estimator, Estimate("no_contact"), 1236.5))
     snapshot = state.snapshot()
-    assert snapshot.time == 1234.5 and snapshot.strip[0, 0] == 1234.5
-    assert readable_line(update.reading.time, update.reading, update.estimate).split()[0] == "1234.50"
+    assert snapshot.time == 1236.5
+    # a second is ample for the lines above; the interval is exact up to the rounding of seconds since 1970
+    assert snapshot.strip[0, 0] == pytest.approx(time.time(), abs=1.0)
+    assert np.diff(snapshot.strip[:, 0]) == pytest.approx([2.0], abs=1e-6)
 
 
-def test_each_touch_is_stored_once_with_its_best_contact(estimator):
-    """Two touches of a run without phases: of each the place of the least standard deviation."""
-    query = "speed=max&rate_hz=10&seconds=23&period_s=10"
-    snapshot = kept(estimator, query, Clock()).snapshot()
-    assert [place.number for place in snapshot.touches] == [1, 2]
-    answers = list(estimate_stream(estimator, SimulatedSource(estimator.model, query), ProcessingOptions(), print))
-    for place, start in zip(snapshot.touches, (0.0, 10.0), strict=True):
-        here = [a.estimate for a in answers if start <= a.reading.time < start + 10.0 and a.estimate.ok]
-        assert place.std_s == min(estimate.std_s for estimate in here)
-
-
-def test_a_settled_contact_is_preferred_to_more_precise_moving_ones(estimator):
-    found = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock())._update.estimate
-    surer, state = replace(found, s_contact=0.1, std_s=0.1 * found.std_s), ViewState()
-    for estimate, phase in ((found, "settled"), (surer, "touching"), (Estimate("no_contact"), "released")):
-        state.on_estimate(answer(estimator, estimate, phase=phase))
-    (place,) = state.snapshot().touches
-    assert (place.s, place.std_s) == (found.s_contact, found.std_s)
+def test_touches_marks_and_the_bias_are_in_the_curves(estimator):
+    state = ViewState()
+    for phase in ("free", "touching", "settled", "released"):
+        update = answer(estimator, Estimate("no_contact"), phase=phase, drift_base=np.array([0.0, 3e-3, 0, 0, 0, 0]))
+        state.on_estimate(update)
+        if phase == "touching":
+            state.on_event(0.0, "mark: here")
+    columns = dict(zip(STRIP, state.snapshot().strip.T, strict=True))
+    assert columns["touch"].tolist() == [0.0, 1.0, 1.0, 0.0] and columns["mark"].tolist() == [0.0, 0.0, 1.0, 0.0]
+    assert columns["bias_y"].tolist() == [3e-3] * 4
 
 
 def test_a_known_pose_puts_the_contact_into_the_world(estimator):
@@ -345,31 +312,80 @@ def test_a_known_pose_puts_the_contact_into_the_world(estimator):
 
 def test_what_comes_from_outside_is_escaped():
     snapshot = Snapshot(
-        status=(StatusLine("fault", "<script>", "bad"),),
-        events=(Event(math.nan, "mark: <img src=x>"),),
-        recording="<b>",
+        status=(StatusLine("fault", "<script>", "bad"),), events=(Event(math.nan, "mark: <img src=x>"),)
     )
     assert "<script>" not in status_html(snapshot) and "&lt;script&gt;" in status_html(snapshot)
-    assert "<img" not in events_html(snapshot) and "<b>" not in status_html(snapshot)
+    assert "<img" not in events_html(snapshot)
 
 
 # charts
 
 
-def test_charts_are_thinned_keep_the_last_seconds_and_leave_gaps():
+def test_charts_are_thinned_keep_the_last_seconds_every_mark_and_gaps():
     charts = StripCharts()
-    rows = np.zeros((40_000, len(STRIP)))
-    rows[:, 0] = np.arange(40_000) / 1000.0
+    rows = np.zeros((80_000, len(STRIP)))
+    rows[:, 0] = 1.76e9 + np.arange(80_000) / 1000.0
     rows[::2, 7] = np.nan
+    rows[70_001, -1] = 1.0
     assert charts.add(rows)
-    time, s, low, high = charts.lines()["place"]
-    assert np.isnan([s, low, high]).any() and np.isfinite([s, low, high]).any()
-    assert 400 <= len(time) <= 450 and time[-1] == 0.0 and time[0] >= -15.0
-    assert charts.lines(age=5.0)["push"][0][-1] == -5.0  # old data move out of the chart
-    assert np.isnan(charts.lines(age=16.0)["push"][0]).all()
+    columns = charts.columns()
+    assert np.isnan(columns["s"]).any() and np.isfinite(columns["s"]).any()
+    assert 400 <= len(columns["time"]) <= 450 and columns["mark"].sum() == 1.0
+    assert columns["time"][-1] - columns["time"][0] <= 30.0 and columns["time"][-1] == pytest.approx(
+        rows[-1, 0], abs=0.1
+    )
     assert not charts.add(rows[:0])
     assert charts.add(np.zeros((1, len(STRIP))))  # another run's clock
-    assert len(charts.lines()["push"][0]) == 1
+    assert len(charts.columns()["time"]) == 1
+
+
+@pytest.fixture
+def page(estimator, tmp_path):
+    pytest.importorskip("viser")
+    from probedesign.live.view.page import ViewerPage
+
+    page = ViewerPage(scene_setup(estimator, tmp_path, "127.0.0.1", 8123, lambda line: None), lambda name, text: None)
+    yield page
+    page.stop()
+
+
+def test_old_curves_move_out_and_limits_are_lines(estimator, page):
+    rows = np.zeros((31, len(STRIP)))
+    rows[:, 0] = 1.76e9 + np.arange(31)
+    page.show(Snapshot(strip=rows))
+    page.show(Snapshot(result="ok", stale=True, age=5.0))
+    plot = page._panel._charts[2]._plot  # force at the base
+    assert plot.scales["x"]["range"] == (rows[-1, 0] + 5.0 - 30.0, rows[-1, 0] + 5.0)
+    limit = 1e3 * estimator.model.wrench_range[:3].min()
+    assert [plot.data[4][0], plot.data[5][0]] == [limit, -limit]
+
+
+def test_scene_and_charts_are_of_one_instant_and_stay_while_paused(estimator, page):
+    update = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock())._update
+    states = []
+    for x in (0.1, 0.2):
+        state = ViewState()
+        state.on_estimate(answer(estimator, update.estimate, T_world_base=pose(p=(x, 0.0, 0.0))))
+        states.append(state.snapshot())
+    page.show(states[0])
+    bent_vertices = page._probe.vertices.copy()  # viser writes into its own array
+    page._panel._toggle()
+    page.show(states[1])
+    assert page._base.position[0] == pytest.approx(20.0 * 0.1) and np.array_equal(page._probe.vertices, bent_vertices)
+    page._panel._toggle()
+    page.show(states[1])
+    assert page._base.position[0] == pytest.approx(20.0 * 0.2)  # 20 units of the scene are a metre
+    # No shape of an earlier instant is drawn at a pose of this one: the free probe, in grey.
+    page.show(replace(states[0], result="inconsistent", shape=None, marker=None))
+    assert not np.allclose(page._probe.vertices, bent_vertices)
+    assert tuple(page._probe.color) == (150, 150, 150) and not page._contact.visible
+
+
+def test_ended_touches_are_numbered_in_the_scene(estimator, page):
+    found = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock())._update.estimate
+    touches = (Contact(1, 0.0, 1.0, estimate=found), Contact(2, 2.0, 3.0), Contact(3, 4.0, estimate=found))
+    page.show(Snapshot(result="no_contact", touches=touch_points(touches)))
+    assert [label.text for mark, label in page._marks if mark.visible] == ["1"]  # 2 was not located, 3 goes on
 
 
 # terminal
@@ -392,62 +408,3 @@ def test_the_terminal_is_left_as_it_was(estimator):
     drawn = console.file.getvalue()
     assert "no_contact" in drawn and "from [bold]100[/bold] readings" in drawn
     assert drawn.index("\x1b[?25l") < drawn.rindex("\x1b[?25h")  # the cursor is back
-
-
-def test_the_label_of_a_contact_extends_toward_the_middle_of_the_view(estimator, tmp_path):
-    """A panel or the edge of the screen covers what extends outward."""
-    pytest.importorskip("viser")
-    from probedesign.live.view.page import ViewerPage
-
-    page = ViewerPage(scene_setup(estimator, tmp_path, "127.0.0.1", 8123, lambda line: None), lambda name, text: None)
-    free = estimator.free()
-    g, anchors = estimator.model.gravity_base, []
-    side = np.cross(g, (0.0, 0.0, 1.0))
-    try:
-        for part in (0.1, 0.5, 0.95):
-            s = part * estimator.model.rod.length
-            marker = ContactMarker(
-                free.p_at(s), 1e-6 * np.eye(3), 0.02 * side / np.linalg.norm(side), s, 1e-3, False, 0.0, 1
-            )
-            page.show(Snapshot(result="ok", marker=marker, gravity_base=g))
-            anchors.append(page._label.anchor)
-            # numbers of earlier touches are hidden below the label only
-            inward = {"bottom-left": 1.0, "bottom-center": 0.0, "bottom-right": -1.0}[page._label.anchor]
-            here, right = np.asarray(page._label.position), np.cross(-page._direction, (0.0, 0.0, 1.0))
-            step = 2.0 * right / np.linalg.norm(right)  # a tenth of a metre, two thirds of the probe
-            assert page._is_covered(here + 0.5 * inward * step)
-            assert not page._is_covered(here - inward * step + (0.0, 0.0, -2.0))
-    finally:
-        page.stop()
-    # The first view has the root on one side and the tip on the other.
-    assert anchors == ["bottom-left", "bottom-center", "bottom-right"]
-
-
-@pytest.mark.parametrize(("width", "height"), [(1100, 650), (1280, 720), (1920, 1080), (390, 844)])
-def test_the_whole_probe_is_framed_between_the_panels(estimator, tmp_path, width, height):
-    """The size is that of the window, which the panels of a large screen then make narrower."""
-    pytest.importorskip("viser")
-    from viser.transforms import SO3
-
-    from probedesign.live.view import page as view_page
-
-    page = view_page.ViewerPage(
-        scene_setup(estimator, tmp_path, "127.0.0.1", 8123, lambda line: None), lambda name, text: None
-    )
-    camera = SimpleNamespace(image_width=width, image_height=height, aspect=width / height)
-    try:
-        page._frame(SimpleNamespace(camera=camera))
-        vertices = np.asarray(page._probe.vertices) @ SO3(np.asarray(page._base.wxyz)).as_matrix().T
-    finally:
-        page.stop()
-    forward = np.asarray(camera.look_at) - camera.position
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, (0.0, 0.0, 1.0))
-    right /= np.linalg.norm(right)
-    off = vertices - camera.position
-    panels = view_page.STATUS_WIDTH + view_page.CHARTS_WIDTH if width > view_page.SMALL_WIDTH else 0.0
-    half = np.tan(0.5 * view_page.FIELD_OF_VIEW)
-    assert (np.abs(off @ right) < half * (width - panels) / height * (off @ forward)).all()
-    up = np.cross(right, forward)
-    lowest = 0.0 if width <= view_page.SMALL_WIDTH else -half  # a sheet covers the lower half of a telephone
-    assert (off @ up > lowest * (off @ forward)).all() and (off @ up < half * (off @ forward)).all()

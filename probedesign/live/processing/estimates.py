@@ -223,26 +223,22 @@ class ContactMarker:
     s: float  #: s, std_s: arclength and its standard deviation [m].
     std_s: float
     in_world: bool  #: whether all this is in the world frame; otherwise in the base frame.
-    time: float  #: time by the source's clock [s].
-    number: int  #: number of the touch, from 1.
     friction_ratio: float = float("nan")  #: tangential over normal force; NaN if unknown.
 
 
-def contact_marker(update: EstimateUpdate, number: int) -> ContactMarker | None:
+def contact_marker(update: EstimateUpdate) -> ContactMarker | None:
     """Return the contact, fused if available, otherwise of this reading; None if the estimate is not ok."""
     estimate, fused, T = update.estimate, update.fused, update.T_world_base
     if not estimate.ok:
         return None
-    contact = (estimate.force_base, estimate.s_contact, estimate.std_s)
-    when = (update.reading.time, number, estimate.friction_ratio)
-    if not np.isfinite(T).all():
-        return ContactMarker(estimate.p_surface_base, estimate.cov_surface_base, *contact, False, *when)
-    R, origin = T[:3, :3], T[:3, 3]
-    contact = (R @ estimate.force_base, estimate.s_contact, estimate.std_s)
-    if fused is not None and fused.ok:
-        return ContactMarker(fused.p_surface_world, fused.cov_surface_world, *contact, True, *when)
-    surface = R @ estimate.p_surface_base + origin
-    return ContactMarker(surface, R @ estimate.cov_surface_base @ R.T, *contact, True, *when)
+    known = bool(np.isfinite(T).all())
+    R, origin = (T[:3, :3], T[:3, 3]) if known else (np.eye(3), np.zeros(3))
+    surface, cov = R @ estimate.p_surface_base + origin, R @ estimate.cov_surface_base @ R.T
+    if known and fused is not None and fused.ok:
+        surface, cov = fused.p_surface_world, fused.cov_surface_world
+    return ContactMarker(
+        surface, cov, R @ estimate.force_base, estimate.s_contact, estimate.std_s, known, estimate.friction_ratio
+    )
 
 
 def bent_shape(update: EstimateUpdate) -> BentShape | None:

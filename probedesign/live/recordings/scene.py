@@ -53,7 +53,7 @@ class SceneEncoder:
                 "", no_mesh, False,
             )  # fmt: skip
 
-        shape, contact = bent_shape(update), contact_marker(update, 1)
+        shape, contact = bent_shape(update), contact_marker(update)
         markers = [marker("sensor", 0, "sensor", Marker.CYLINDER, self._T_sensor, SENSOR, self._size)]
         if shape is not None:
             corners = self._tube.vertices(shape)[self._tube.faces]

@@ -153,8 +153,8 @@ def scene_setup(estimator: Estimator, folder: Path, host: str, port: int, log: L
     tube = TubeMesh(model.rod.s, model.rod.radius, model.cross_section.flatness)
     free = BentShape(eq.s, eq.p_base, eq.R_base)
     return SceneSetup(
-        f"probedesign {model.name} {model.fingerprint}", host, port, tube, free, tuple(parts), model.gravity_base, note,
-        token,
+        f"probedesign {model.name} {model.fingerprint}", host, port, tube, free, tuple(parts), model.gravity_base,
+        model.wrench_range, note, token,
     )  # fmt: skip
 
 
@@ -196,14 +196,11 @@ class TerminalView(ViewState):
 
 
 def table_of(title: str, snapshot: Snapshot) -> "Table":
-    """Return the status lines in two columns, and the touches so far."""
+    """Return the status lines in two columns."""
     from rich.table import Table
     from rich.text import Text
 
     table = Table(title=f"{title}, {snapshot.time:.1f} s", title_justify="left", show_header=False, box=None)
     for line in snapshot.status:
         table.add_row(Text(line.name, style="dim"), Text(line.text, style=STYLES[line.level]))
-    for marker in snapshot.touches[-3:]:
-        text = f"s {1e3 * marker.s:.1f} ± {1e3 * marker.std_s:.1f} mm"
-        table.add_row(Text(f"touch {marker.number}", style="dim"), Text(text))
     return table

@@ -1,7 +1,9 @@
-"""State of a run for the views: a sink that stores the latest data, snapshots of it, status lines, and chart data."""
+"""State of a run for the views: a sink that stores the latest data, snapshots of it, status lines, and chart data.
+
+A snapshot is made of one update, so that everything drawn is of one instant.
+"""
 
 import math
-import re
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -23,6 +25,7 @@ from probedesign.live.processing.estimates import (
     contact_marker,
     interval_text,
 )
+from probedesign.live.processing.touches import Contact
 from probedesign.web.scene import RigidPart
 
 Level = Literal["good", "fair", "bad", "plain"]
@@ -43,8 +46,48 @@ class Event(NamedTuple):
     line: str
 
 
-#: Columns of a row of a strip chart: [s], [N], [N·m], [m], [N].
-STRIP = ("time", "Fx", "Fy", "Fz", "Mx", "My", "Mz", "s", "std_s", "force")
+class TouchPoint(NamedTuple):
+    """An earlier touch: its number, the touched point [m], (3,), and whether that is in the world or the base frame."""
+
+    number: int
+    p_surface: Array
+    in_world: bool
+
+
+MAX_TOUCHES = 24  #: Maximum number of earlier touches that are drawn.
+
+
+def touch_points(contacts: tuple[Contact, ...]) -> tuple[TouchPoint, ...]:
+    """Return the touches that have ended and were located: fused, or of a base that does not move."""
+    points = []
+    for contact in contacts[-MAX_TOUCHES:]:
+        fused, estimate = contact.fused, contact.estimate
+        if fused is not None and fused.ok and not contact.ongoing:
+            points.append(TouchPoint(contact.number, fused.p_surface_world, True))
+        elif fused is None and estimate is not None and not contact.ongoing:
+            points.append(TouchPoint(contact.number, estimate.p_surface_base, False))
+    return tuple(points)
+
+
+#: Columns of a row of a strip chart: wall clock [s], [N], [N·m], [m], [N], drift of the bias [N], whether the probe
+#: touches, and whether the user marked this time.
+STRIP = (
+    "time",
+    "Fx",
+    "Fy",
+    "Fz",
+    "Mx",
+    "My",
+    "Mz",
+    "s",
+    "std_s",
+    "force",
+    "bias_x",
+    "bias_y",
+    "bias_z",
+    "touch",
+    "mark",
+)
 
 
 @dataclass(frozen=True)
@@ -60,11 +103,11 @@ class Snapshot:
     status: tuple[StatusLine, ...] = ()  #: the status lines.
     shape: BentShape | None = None  #: shape of the probe, if estimated.
     marker: ContactMarker | None = None  #: the contact, if the estimate is ok.
-    touches: tuple[ContactMarker, ...] = ()  #: best contact of each touch so far, the last ones.
+    touches: tuple[TouchPoint, ...] = ()  #: the earlier touches that were located, the last ones.
     #: pose of the base, (4, 4); NaN if unknown.
     T_world_base: Array = field(default_factory=lambda: np.full((4, 4), np.nan))
     gravity_base: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))  #: gravity vector [m/s²], (3,).
-    #: rows of `STRIP` since the last snapshot, (j, 10).
+    #: rows of `STRIP` since the last snapshot, (j, 15).
     strip: Array = field(default_factory=lambda: np.empty((0, len(STRIP))))
     events: tuple[Event, ...] = ()  #: last events, oldest first.
 
@@ -142,11 +185,7 @@ class RateMeter:
         return self._clock() - arrivals[-1][0] > max(MIN_STALE_TIME, STALE_GAPS * usual)
 
 
-MAX_TOUCHES = 64  #: Maximum number of earlier touches that are stored.
-FREE_PHASES = ("free", "moving", "released")  #: Phases without contact.
-MAX_EVENTS = 12  #: Maximum number of events that are kept, of those of the user and of the others each.
-#: First words of the events that a user caused.
-USER_EVENTS = ("tare", "mark", "recording", "recorded")
+MAX_EVENTS = 12  #: Maximum number of events that are kept: the last ones. All are on standard error and in a recording.
 MAX_STRIP_ROWS = 4096  #: Maximum number of queued chart rows; at 30 snapshots per second there are a few.
 
 
@@ -176,12 +215,8 @@ class ViewState(Sink):
         self._fault, self._n_readings = "", 0
         self._readings, self._updates = RateMeter(clock), RateMeter(clock)
         self._strip: deque[tuple[float, ...]] = deque(maxlen=MAX_STRIP_ROWS)
-        self._user_events, self._other_events = deque[Event](maxlen=MAX_EVENTS), deque[Event](maxlen=MAX_EVENTS)
-        self._tare = ""
-        self._earlier: deque[ContactMarker] = deque(maxlen=MAX_TOUCHES)
-        self._current: ContactMarker | None = None
-        self._settled = False
-        self._number = 1
+        self._events, self._tare, self._marked = deque[Event](maxlen=MAX_EVENTS), "", False
+        self._wall_offset = math.nan  # wall clock minus the source's clock [s]
 
     def on_samples(self, block: Block) -> None:
         """Store the fault and the rate of readings."""
@@ -193,17 +228,20 @@ class ViewState(Sink):
     def on_estimate(self, update: EstimateUpdate) -> None:
         """Store an estimate."""
         self._updates.add(1)
+        estimate, now = update.estimate, update.reading.time
+        if self._update is None or now < self._update.reading.time:
+            self._wall_offset = time.time() - now
         self._update = update
-        self._follow(update)
-        force, estimate = float(np.linalg.norm(update.estimate.force_base)), update.estimate
-        contact = (estimate.s_contact, estimate.std_s, force if estimate.ok else math.nan)
-        self._strip.append((update.reading.time, *update.wrench_base.tolist(), *contact))
+        force = float(np.linalg.norm(estimate.force_base)) if estimate.ok else math.nan
+        state = (update.phase in ("touching", "settled"), self._marked)
+        self._marked = False
+        self._strip.append((self._wall_offset + now, *update.wrench_base.tolist(), estimate.s_contact, estimate.std_s,
+                            force, *update.drift_base[:3].tolist(), *state))  # fmt: skip
 
     def on_event(self, time: float, line: str) -> None:
-        """Store an event; others never displace those of the user."""
-        words = re.findall(r"[A-Za-z]{2,}", line.lower())
-        events = self._user_events if words and words[0] in USER_EVENTS else self._other_events
-        events.append(Event(time, line))
+        """Store an event; the next estimate carries a mark."""
+        self._events.append(Event(time, line))
+        self._marked |= line.startswith("mark")
         if line.startswith("tare"):
             self._tare = line
 
@@ -214,13 +252,12 @@ class ViewState(Sink):
     def snapshot(self, shaped: bool = True) -> Snapshot:
         """Return the current snapshot; the probe's shape is solved here, in the calling thread, if requested."""
         update, recording = self._update, self._recording()
-        marker = None if update is None else contact_marker(update, self._touch_number(update))
-        events = (*self._user_events.copy(), *self._other_events.copy())  # those without a time come first
+        marker = None if update is None else contact_marker(update)
         rows = [self._strip.popleft() for _ in range(len(self._strip))]
         known = Snapshot(
             recording=recording[0],
             status=tuple(self._status(update, marker, *recording)),
-            events=tuple(sorted(events, key=lambda event: event.time if math.isfinite(event.time) else -math.inf)),
+            events=tuple(self._events.copy()),
             strip=np.array(rows).reshape(-1, len(STRIP)),
         )
         if update is None:
@@ -233,7 +270,7 @@ class ViewState(Sink):
             stale=self._readings.stale or self._updates.stale or self._has_ended,
             shape=bent_shape(update) if shaped else None,
             marker=marker,
-            touches=tuple(self._earlier),
+            touches=touch_points(update.contacts),
             T_world_base=update.T_world_base,
             gravity_base=update.reading.gravity_base,
         )
@@ -283,28 +320,10 @@ class ViewState(Sink):
         result = update.estimate.result
         return StatusLine("result", f"{result}: {RESULTS[result]}", LEVELS.get(result, "bad"))
 
-    def _touch_number(self, update: EstimateUpdate) -> int:
-        return update.contacts[-1].number if update.contacts else self._number
 
-    def _follow(self, update: EstimateUpdate) -> None:
-        """Store the best contact of a touch: the last settled one, otherwise that of least standard deviation."""
-        marker = contact_marker(update, self._touch_number(update))
-        if marker is not None and update.phase in ("", "touching", "settled"):
-            settled = update.phase == "settled"
-            better = self._current is None or marker.std_s <= self._current.std_s
-            if settled or (better and not self._settled):
-                self._current = marker
-            self._settled |= settled
-        free = update.phase in FREE_PHASES if update.phase else update.estimate.result == "no_contact"
-        if free and self._current is not None:
-            self._earlier.append(self._current)
-            self._current, self._settled, self._number = None, False, self._number + 1
-
-
-CHART_SECONDS = 15.0
-CHART_POINTS = 450  #: Points of a chart: 30 per second.
+CHART_SECONDS = 30.0
+CHART_POINTS = 450  #: Points of a chart: 15 per second.
 REDRAW_PERIOD = 0.1  #: Minimum interval between redraws [s]: all points are sent each time.
-S, STD, FORCE = STRIP.index("s"), STRIP.index("std_s"), STRIP.index("force")
 
 
 class StripCharts:
@@ -315,12 +334,12 @@ class StripCharts:
         self._due = self._last_drawn = -np.inf
 
     def add(self, strip: Array) -> bool:
-        """Add rows of `STRIP`, thinned; return whether to redraw. Decreasing time clears the charts."""
+        """Add rows of `STRIP`, thinned, with every mark; return whether to redraw. Decreasing time clears them."""
         for row in strip:
             if row[0] < self._due - 2.0 * CHART_SECONDS / CHART_POINTS:
                 self._rows.clear()
                 self._due = self._last_drawn = -np.inf
-            if row[0] >= self._due:
+            if row[0] >= self._due or row[-1]:
                 self._rows.append(row)
                 self._due = row[0] + 0.9 * CHART_SECONDS / CHART_POINTS
         due = self._due >= self._last_drawn + REDRAW_PERIOD
@@ -328,26 +347,11 @@ class StripCharts:
             self._last_drawn = self._due
         return due
 
-    def lines(self, age: float = 0.0) -> dict[str, tuple[Array, ...]]:
-        """Return the data of the charts, each after the times [s], which are negative: seconds before now.
-
-        Position s [mm] with its 95 % interval, contact force [mN], and force [mN] and moment [N·mm] at the base.
-
-        Args:
-            age: time since the last row [s]: old data move out of the charts.
-        """
-        rows = np.array(self._rows).reshape(-1, len(STRIP))
-        last = float(rows[-1, 0]) if len(rows) else 0.0
-        rows = rows[rows[:, 0] >= last + age - CHART_SECONDS]
-        if not len(rows):
-            rows = np.full((1, len(STRIP)), np.nan)
-        time, s, wide = rows[:, 0] - last - age, rows[:, S] / MM, 1.96 * rows[:, STD] / MM
-        return {
-            "place": (time, s, s - wide, s + wide),
-            "push": (time, rows[:, FORCE] / MILLINEWTON),
-            "forces": (time, *(rows[:, 1:4] / MILLINEWTON).T),
-            "moments": (time, *(rows[:, 4:7] / MM).T),
-        }
+    def columns(self) -> dict[str, Array]:
+        """Return the columns of `STRIP` over the last seconds, each (j,), with one row of NaN at least."""
+        rows = np.array(self._rows or [np.full(len(STRIP), np.nan)])
+        rows = rows[~(rows[:, 0] < rows[-1, 0] - CHART_SECONDS)]
+        return dict(zip(STRIP, np.ascontiguousarray(rows.T), strict=True))
 
 
 @dataclass(frozen=True)
@@ -361,5 +365,6 @@ class SceneSetup:
     free: BentShape  #: shape of the free probe.
     parts: tuple[RigidPart, ...]  #: parts at its base.
     gravity_base: Array  #: gravity vector [m/s²], (3,).
+    wrench_range: Array  #: range of the sensor [N, N·m], (6,).
     note: str = ""  #: note on what is drawn, if any.
     token: str = ""  #: secret that a browser must know; empty on an address of this machine only.
