@@ -97,6 +97,12 @@ def _read_texts(values: Any) -> tuple[str, ...]:
     return tuple(map(_read_text, values))
 
 
+def _read_parts(values: Any) -> dict[str, str]:
+    if not isinstance(values, dict):
+        raise InputError("must be fingerprints by part")
+    return {_read_name(name): _read_text(value) for name, value in values.items()}
+
+
 def _read_friction(value: Any) -> float:
     """JSON has no infinity, which is the text "inf"."""
     return math.inf if value == "inf" else _number(0.0)(value)
@@ -135,6 +141,7 @@ _QUANTITY: dict[str, Callable[[Any], Any]] = {"value": NUMBER, "provenance": _re
 FIELDS = (
     Field("name", "name", _read_name),
     Field("fingerprint", "fingerprint", _read_text),
+    Field("parts", "parts", _read_parts, optional=True, default={}),
     Field("assumptions", "assumptions", _read_texts),
     Field("rod.s_m", "rod.s", _array()),
     Field("rod.radius_m", "rod.radius", _array()),
@@ -250,7 +257,7 @@ def deploy_model(model: ProbeModel, path: Path) -> Path:
         raise InputError(f"{path}: is not a frozen probe, so it is not replaced; name another file")
     manifest = path.parent / "manifest.json"
     if manifest.exists():
-        check_manifest(model.fingerprint, manifest)
+        check_manifest(model.parts or {"probe": model.fingerprint}, manifest)
     write_frozen(model, path)
     return path
 
@@ -299,22 +306,38 @@ def load_model(path: str | Path, manifest: str | Path | None = None) -> ProbeMod
         ) from None
     beside = path.parent / "manifest.json"
     for found in [Path(manifest)] if manifest is not None else [beside] if beside.exists() else []:
-        check_manifest(model.fingerprint, found)
+        check_manifest(model.parts or {"probe": model.fingerprint}, found)
     return model
 
 
-def check_manifest(fingerprint: str, manifest: Path) -> None:
-    """Check that a geometry is that of the exported parts.
+def check_manifest(expected: Mapping[str, str], manifest: Path) -> None:
+    """Check that exported parts are those of a probe: its geometry, each part of its mount and the payload.
+
+    Args:
+        expected: fingerprints by name, as of `Mount.fingerprints`.
+        manifest: of the parts.
 
     Raises:
-        InputError: the manifest is unreadable or of another geometry.
+        InputError: the manifest is unreadable, or a part or the payload is another; the message names them.
     """
-    printed = _read_json(manifest, "manifest").get("fingerprint")
-    if printed != fingerprint:
+    if stale := stale_parts(expected, _read_json(manifest, "manifest")):
         raise InputError(
-            f"{manifest}: the parts there have fingerprint {printed}, the probe has {fingerprint}; "
-            "export the design again, or use the frozen probe that belongs to the printed part"
+            f"{manifest}: {stale}; export the design again, or use the frozen probe that belongs to the printed parts"
         )
+
+
+def stale_parts(expected: Mapping[str, str], manifest: Mapping[str, Any]) -> str:
+    """Return which parts of a manifest are not the expected ones, with both fingerprints; empty if all are.
+
+    Args:
+        expected: fingerprints by name, as of `Mount.fingerprints`.
+        manifest: of an export or of changed parts.
+    """
+    stated = manifest.get("fingerprints", {"probe": manifest.get("fingerprint")})
+    known = expected if "kind" in manifest else {name: expected[name] for name in expected if name in stated}
+    others = [f"the {name.replace('_', ' ')} there has fingerprint {stated.get(name)}, this design has {digits}"
+              for name, digits in known.items() if stated.get(name) != digits]  # fmt: skip
+    return ", ".join(others)
 
 
 def _check_identity(data: dict[str, Any], path: Path) -> None:

@@ -18,14 +18,7 @@ from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.geometry import Axis, ProbeGeometry
 from probedesign.geometry.mass import MassProperties, flexible_part
-from probedesign.mount import (
-    Mount,
-    T_sensor_robotflange,
-    build_geometry,
-    held_tolerances,
-    mount_mass_properties,
-    root_radii,
-)
+from probedesign.mount import Mount, T_sensor_robotflange, build_geometry, held_tolerances, root_radii
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
@@ -104,7 +97,8 @@ class Probe(Displayed):
 
         d = self.design
         sensor, calibration = d.sensor_model, d.calibration
-        adapter = Mount.of(d).sensor_adapter
+        mount = Mount.of(d)
+        adapter = mount.sensor_adapter
         model = ProbeModel(
             name=d.name,
             fingerprint=self.geometry.fingerprint,
@@ -115,7 +109,8 @@ class Probe(Displayed):
             gravity_base=np.array(d.mount.gravity_base_m_s2),
             T_sensor_base=adapter.T_sensor_base,
             T_robotflange_base=inverse(T_sensor_robotflange(sensor, d.robot_flange)) @ adapter.T_sensor_base,
-            payload=mount_mass_properties(self.geometry, adapter, d.density.value),
+            payload=mount.payload,
+            parts=mount.fingerprints,
             wrench_range=np.array(calibration.wrench_range),
             noise=calibration.noise(d.sensor.averaging_samples),
             averaging_samples=d.sensor.averaging_samples,

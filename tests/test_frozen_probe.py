@@ -18,7 +18,7 @@ from probedesign.design import check_design, load_design, parse_design
 from probedesign.design.io import draft_design
 from probedesign.design.sensors import Noise
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.frozen_probe import check_manifest, freeze, load_estimator, load_model, write_frozen
+from probedesign.frozen_probe import check_manifest, deploy_model, freeze, load_estimator, load_model, write_frozen
 from probedesign.probe import build_probe
 
 DESIGNS = Path(__file__).parents[1] / "designs"
@@ -431,6 +431,47 @@ def test_a_manifest_of_other_parts_is_refused(model, path):
         load_model(path)
 
 
+@pytest.mark.parametrize(
+    ("table", "changed", "parts"),
+    [
+        ("mount", {"ring_screw": "M3"}, {"sensor adapter", "clamp ring", "payload"}),
+        ("mount", {"flange_thickness_mm": 4.0}, {"probe", "sensor adapter", "payload"}),
+        ("mount", {"squeeze_mm": 0.45}, {"sensor adapter", "payload"}),
+        ("mount", {"flange_lip_mm": 4.5}, {"probe", "sensor adapter", "clamp ring", "payload"}),
+        ("mount", {"robot_flange": "iso-9409-1-31.5-4-m5"}, {"flange adapter"}),
+        ("material", {"density_kg_m3": 1040.0}, {"payload"}),
+        ("material", {"youngs_modulus_mpa": 9.0}, {"clamp ring"}),
+        ("probe", {"base_d_mm": 14.0}, {"probe", "sensor adapter", "clamp ring", "payload"}),
+        ("probe", {"tip_d_mm": 3.0}, {"probe"}),
+        ("probe", {"length_mm": 149.0}, {"probe"}),
+        ("sensor", {"model": "nano25", "calibration": None}, {"sensor adapter", "flange adapter", "payload"}),
+        ("probe", {"section": "hollow", "bore_ratio": 0.5}, {"probe"}),
+    ],
+)
+def test_parts_of_another_mount_and_another_payload_are_refused_by_name(table, changed, parts, tmp_path):
+    """What was exported of one design is beside the frozen probe of another: each part that differs is named."""
+    tables = {"schema": 1, "name": "a", "probe": {"length_mm": 150.0, "base_d_mm": 12.0, "tip_d_mm": 2.0}}
+    other = {**tables, table: {**tables.get(table, {}), **changed}}
+    other[table] = {key: value for key, value in other[table].items() if value is not None}
+    exported, frozen = (build_probe(check_design(data)).model for data in (tables, other))
+    (tmp_path / "manifest.json").write_text(json.dumps({"kind": "export", "fingerprints": exported.parts}))
+    deploy_model(exported, tmp_path / "a.probe.json")
+    assert load_model(tmp_path / "a.probe.json").parts == exported.parts
+    with pytest.raises(InputError, match="export the design again") as caught:
+        deploy_model(frozen, tmp_path / "a.probe.json")
+    named = {name for name in ("probe", "sensor adapter", "clamp ring", "flange adapter", "payload")
+             if f"the {name} there has" in str(caught.value)}  # fmt: skip
+    assert parts <= named, str(caught.value)
+
+
+def test_an_export_without_fingerprints_of_its_parts_is_stale(model, path):
+    write_frozen(model, path)
+    old = {"kind": "export", "fingerprint": model.fingerprint}
+    (path.parent / "manifest.json").write_text(json.dumps(old))
+    with pytest.raises(InputError, match="the clamp ring there has fingerprint None"):
+        load_model(path)
+
+
 def test_a_given_manifest_has_precedence_over_the_one_beside_the_file(model, path, tmp_path):
     write_frozen(model, path)
     (path.parent / "manifest.json").write_text(json.dumps({"fingerprint": "another"}))
@@ -444,7 +485,7 @@ def test_a_manifest_without_a_fingerprint_is_refused(content, model, tmp_path):
     manifest = tmp_path / "manifest.json"
     manifest.write_text(content)
     with pytest.raises(InputError):
-        check_manifest(model.fingerprint, manifest)
+        check_manifest(model.parts, manifest)
 
 
 def test_different_geometries_have_different_fingerprints():

@@ -83,6 +83,7 @@ def model_record(model: CadModel, files: dict[str, dict[str, Any]], findings: Fi
     return {
         "name": design.name,
         "fingerprint": model.geometry.fingerprint,
+        "fingerprints": model.fingerprints,
         "made_with": {"cadquery": cq.__version__},
         "design": design.model_dump(mode="json", by_alias=True, exclude_none=True),
         "assumptions": [*design.assumptions, "density of the rigid parts", "density of the steel parts"],
@@ -154,14 +155,14 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
     meshes = {part.name: tessellate(part.ruled or part.shape) for part in model.printed}
     printed = {name: scaled(mesh, print_scale(design, name)) for name, mesh in meshes.items()}
     check = check_print(design)
-    packed = packed_parts(design, check, printed)
+    packed = packed_parts(design, check, printed, model.fingerprints)
     packages = package_files(design, packed)
     progress("checking solids, slices and meshes against the formulae")
     findings = verify(model, meshes, packed, packages)
     progress("rendering pictures and drawings")
     documents = build_documents(model)
     progress("converting to STEP and GLB")
-    stl = {f"{name}.stl": part_stl(design, name, mesh, model.geometry.fingerprint) for name, mesh in printed.items()}
+    stl = {f"{name}.stl": part_stl(design, name, mesh, model.fingerprints[name]) for name, mesh in printed.items()}
     contents = stl | packages | documents.files | cad_files(model, list(printed))
     manifest = manifest_of(model, documents, digests(contents), findings)
     manifest["print_check"] = check.as_record()
@@ -172,9 +173,10 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
 
 def cad_files(model: CadModel, parts: Iterable[str]) -> dict[str, bytes]:
     """Return the assembly as STEP and GLB, and the STEP file of each of these parts in its own frame."""
-    name, fingerprint, date = model.design.name, model.geometry.fingerprint, file_date(model.design)
+    name, date = model.design.name, file_date(model.design)
 
-    def step(assembly: cq.Assembly, file: str, what: str) -> bytes:
+    def step(assembly: cq.Assembly, file: str, what: str, part: str = "probe") -> bytes:
+        fingerprint = model.fingerprints[part]
         return step_bytes(assembly, file, f"{name}: {what}, geometry {fingerprint}, units mm", date)
 
     files = {
@@ -183,5 +185,6 @@ def cad_files(model: CadModel, parts: Iterable[str]) -> dict[str, bytes]:
     }
     for part in map(model.parts.__getitem__, parts):
         alone = cq.Assembly(part.shape, name=part.name, color=cq.Color(*part.color))
-        files[f"{part.name}.step"] = step(alone, f"{part.name}.step", f"{part.name} in the {part.frame} frame")
+        where = f"{part.name} in the {part.frame} frame"
+        files[f"{part.name}.step"] = step(alone, f"{part.name}.step", where, part.name)
     return files

@@ -68,7 +68,7 @@ def _page(model: CadModel, part: CadPart, scale: float) -> Canvas:
     grams = 1e3 * mass_properties(part.shape, part.density).mass
     frame, date = part.frame.replace("_", " "), file_date(model.design)
     return page(f"{model.design.name}: {part.name.replace('_', ' ')}", [
-        f"geometry {model.geometry.fingerprint} · {resin} · {grams:.3g} g · {part.name}.stl",
+        f"fingerprint {model.fingerprints[part.name]} · {resin} · {grams:.3g} g · {part.name}.stl",
         f"scale {scale_text(scale)}, in mm · {frame} frame, angles about +z from +x{f' · {date}' if date else ''}",
         TOLERANCE,
     ])  # fmt: skip

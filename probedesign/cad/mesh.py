@@ -18,7 +18,7 @@ from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.core.files import write_atomically
 from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.mount import build_geometry
+from probedesign.mount import Mount
 from probedesign.printing.check import print_scale, scale_note
 
 LINEAR_TOLERANCE_MM = 0.01
@@ -101,7 +101,8 @@ def export_part(design: Design, part: str, out: Path | None) -> dict[str, Any]:
     check_target(folder)
     shape = printed_solid(design, part)
     drawn = printed_solid(design, part, ruled=True)
-    mesh, fingerprint, scale = checked_mesh(part, drawn), build_geometry(design).fingerprint, print_scale(design, part)
+    mesh, scale = checked_mesh(part, drawn), print_scale(design, part)
+    fingerprint = Mount.of(design).fingerprints[part]
     content = part_stl(design, part, scaled(mesh, scale), fingerprint)
     path = folder / f"{part}.stl"
     listed = listed_digests(folder).get(path.name)

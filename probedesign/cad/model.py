@@ -159,6 +159,7 @@ class CadModel:
     plate: FlangeAdapter  #: dimensions on the sensor's mounting side.
     screws: list[ScrewGroup]  #: every group of screws, entries checked.
     parts: dict[str, CadPart]  #: the solids by name.
+    fingerprints: dict[str, str]  #: of each printed part and of the payload, see `Mount.fingerprints`.
 
     @property
     def printed(self) -> list[CadPart]:
@@ -254,4 +255,4 @@ def build_cad(design: Design) -> CadModel:
     geometry, adapter, plate = mount.geometry, mount.sensor_adapter, mount.flange_adapter
     screws = screw_groups(adapter, plate)
     parts = build_parts(geometry, design.density.value, sensor.interface, adapter, plate, screws)
-    return CadModel(design, geometry, adapter, plate, screws, parts)
+    return CadModel(design, geometry, adapter, plate, screws, parts, mount.fingerprints)

@@ -38,7 +38,7 @@ class PackedPart:
 
 
 def packed_parts(
-    design: Design, check: PrintCheck, meshes: Mapping[str, trimesh.Trimesh]
+    design: Design, check: PrintCheck, meshes: Mapping[str, trimesh.Trimesh], fingerprints: Mapping[str, str]
 ) -> dict[str, list[PackedPart]]:
     """Return the parts of each package by file name, with the orientation and position of the print check."""
     packages: dict[str, list[PackedPart]] = {}
@@ -46,10 +46,10 @@ def packed_parts(
         stem, number = ("probe" if "probe" in platform else "adapters"), 1
         while (file := f"{stem}{'' if number == 1 else f'_{number}'}.3mf") in packages:
             number += 1
-        number_of = f"{design.name}-{check.fingerprint}"
         packages[file] = [
-            PackedPart(name, f"{number_of}-{name}", meshes[name], _pose(meshes[name], name, axis))
+            PackedPart(name, f"{design.name}-{fingerprints[name]}-{name}", mesh, _pose(mesh, name, axis))
             for name, axis in platform.items()
+            for mesh in (meshes[name],)
         ]
     return packages
 
@@ -68,7 +68,7 @@ def package_files(design: Design, packages: Mapping[str, Sequence[PackedPart]]) 
 
 def _package(design: Design, parts: Sequence[PackedPart]) -> bytes:
     first, names = parts[0], ", ".join(part.name.replace("_", " ") for part in parts)
-    fingerprint = first.part_number.removeprefix(f"{design.name}-").removesuffix(f"-{first.name}")
+    numbers = ", ".join(part.part_number for part in parts)
     resin = design.resin.name if first.name == "probe" else RIGID_RESIN
     wrapper = lib3mf.get_wrapper()
     model = wrapper.CreateModel()
@@ -77,7 +77,7 @@ def _package(design: Design, parts: Sequence[PackedPart]) -> bytes:
     for key, value in {
         "Title": f"{design.name}: {names}",
         "Designer": "probedesign",
-        "Description": f"geometry {fingerprint}{scale_note(design, first.name)}, {resin}",
+        "Description": f"{numbers}{scale_note(design, first.name)}, {resin}",
     }.items():
         group.AddMetaData("", key, value, XML_STRING, True)
     for part in parts:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import cadquery as cq
+import numpy as np
 
 from probedesign.cad.export import SCHEMA, cad_files, model_record
 from probedesign.cad.folder import check_target, digests, write_export
@@ -20,8 +21,11 @@ from probedesign.core.errors import CheckFailedError, InputError, unknown_name
 from probedesign.core.frames import Array, pose
 from probedesign.core.units import MM
 from probedesign.design import Design
+from probedesign.geometry import fingerprint_of
+from probedesign.geometry.mass import combined
 from probedesign.mount import Mount
 from probedesign.mount.engraving import XY
+from probedesign.mount.mount import payload_fingerprint
 from probedesign.printing.check import print_scale
 
 #: Printed parts, which an assembly takes changed.
@@ -168,12 +172,20 @@ def export_changed(design: Design, changed: Mapping[str, cq.Workplane], out: Pat
     folder = Path(os.path.abspath(out))
     check_target(folder, "changed parts")
     model = with_measured_screws(changed_model(design, changed), changed)
+    fingerprints = dict(model.fingerprints)
+    for name in changed:  # of volume and centre of mass, which stand for dimensions that nobody lists
+        body = mass_properties(model.parts[name].shape, 1.0)
+        fingerprints[name] = fingerprint_of([np.cbrt(body.volume), *body.p_com])
+    if not {"sensor_adapter", "clamp_ring"}.isdisjoint(changed):
+        rigid = combined(body for name, body in model.bodies.items() if name != "flexible")
+        fingerprints["payload"] = payload_fingerprint(rigid)
+    model = replace(model, fingerprints=fingerprints)
     meshes = {name: tessellate(model.parts[name].shape) for name in changed}
     findings = checked(design.name, {**mesh_findings(model, meshes), **room_findings(model)})
     contents = cad_files(model, changed)
     for name, mesh in meshes.items():
         as_printed = scaled(mesh, print_scale(design, name))
-        contents[f"{name}.stl"] = part_stl(design, name, as_printed, model.geometry.fingerprint)
+        contents[f"{name}.stl"] = part_stl(design, name, as_printed, fingerprints[name])
 
     def masses(part: CadPart) -> dict[str, float]:
         solids = {"mass_kg": part.shape, "mass_as_designed_kg": printed_solid(design, part.name)}

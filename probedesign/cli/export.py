@@ -8,6 +8,7 @@ from typing import Any, Literal, NamedTuple
 
 from probedesign.cli.console import plural, print_json, print_step, print_table, show_progress
 from probedesign.cli.options import DesignFile, JsonOutput
+from probedesign.core.errors import InputError
 from probedesign.core.files import exports_of
 
 
@@ -44,14 +45,21 @@ def check(design: DesignFile, /, *, as_json: JsonOutput = False) -> int:
     """
     from probedesign import pipeline
     from probedesign.design import load_design
-    from probedesign.mount import root_contradiction
+    from probedesign.frozen_probe import check_manifest
+    from probedesign.mount import Mount, root_contradiction
 
     checked = load_design(design)
     report, root = pipeline.check(checked), root_contradiction(checked)
+    manifest, stale = exports_of(design) / checked.name / "manifest.json", ""
+    if manifest.exists() and not report.errors:
+        try:
+            check_manifest(Mount.of(checked).fingerprints, manifest)
+        except InputError as error:
+            stale = str(error)
     if as_json:
         passed = [finding.as_record() for finding in report.passed]
         record = {"name": report.name, "fingerprint": report.fingerprint, **report.as_record(), "passed": passed}
-        print_json(record | {"root_warning": root or None})
+        print_json(record | {"root_warning": root or None, "stale_export": stale or None})
     else:
         print(f"{report.name}  geometry {report.fingerprint}  {report.resin} on a {report.printer}")
         for finding in (*report.errors, *report.warnings):
@@ -64,8 +72,8 @@ def check(design: DesignFile, /, *, as_json: JsonOutput = False) -> int:
         print("\nadvice for printing")
         for advice in report.advice:
             print(f"  {advice}")
-        if root:
-            print(f"\nwarning: {root}")
+        for warning in filter(None, (root, stale)):
+            print(f"\nwarning: {warning}")
     return 1 if report.errors else 0
 
 

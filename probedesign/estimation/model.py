@@ -61,6 +61,8 @@ class ProbeModel(Displayed):
     sensor: str = DEFAULT_SENSOR  #: name of the sensor.
     sensor_d: float = NANO17_BODY[0]  #: sensor_d, sensor_height: of its body, for the view [m].
     sensor_height: float = NANO17_BODY[1]
+    #: fingerprints of the printed parts, by their names, and of the payload as designed; empty if unknown.
+    parts: dict[str, str] = field(default_factory=dict)
     T_robotflange_base: Array | None = None  #: pose of the base in the robot flange's frame, (4, 4); None if unknown.
     #: `campaigns.Test.digest` of the tests that the parameters were identified from.
     identified_tests: tuple[str, ...] = ()

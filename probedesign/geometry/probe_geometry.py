@@ -2,6 +2,7 @@
 
 import hashlib
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,8 +109,13 @@ class ProbeGeometry:
         section = self.cross_section
         dimensions += [] if section.full_round else [section.bore_ratio, section.flatness]
         dimensions += [] if self.curved is None else [*self.curved.s, *self.curved.curvature.ravel()]
-        text = " ".join(str(round(d * 1e9)) for d in dimensions)
-        return hashlib.sha256(text.encode()).hexdigest()[:12]
+        return fingerprint_of(dimensions)
+
+
+def fingerprint_of(dimensions: Iterable[float]) -> str:
+    """Return twelve hex digits that identify dimensions [m]: SHA-256 of them, rounded to a nanometre."""
+    text = " ".join(str(round(d * 1e9)) for d in dimensions)
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 #: Thickness of the flange [m]: twice the 1.5 mm that Elastic 50A requires of a feature, to be clamped (assumed).

@@ -141,6 +141,9 @@ class Engraving:
             yield character, pose(rotation_z(azimuth - np.pi / 2), p)
 
 
+NOTHING_CUT = Engraving("", 0.0, (), 0.0)  #: No engraving.
+
+
 def engrave(fingerprint: str, name: str, radius: float, top: float, arcs: Sequence[Arc]) -> Engraving:
     """Fit the fingerprint and, after a gap, the beginning of the name, clockwise as seen from above.
 

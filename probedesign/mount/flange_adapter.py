@@ -6,7 +6,7 @@ the sensor's seat, lies on the platform, and the robot's face with its spigot is
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,7 +15,8 @@ from probedesign.core.frames import Array, pose, rotation_z
 from probedesign.core.units import MM
 from probedesign.design.catalog import CUSTOM, PRINT_TOLERANCE, ROBOT_FLANGES, RobotFlange
 from probedesign.design.sensors import ScrewPattern, SensorModel
-from probedesign.mount.engraving import HEIGHT, XY, Engraving, engrave, free_arcs
+from probedesign.geometry import fingerprint_of
+from probedesign.mount.engraving import HEIGHT, NOTHING_CUT, XY, Engraving, engrave, free_arcs
 from probedesign.mount.sensor_adapter import FACE_LOSS, PRINTED_PIN_PLAY, SETTLING, length_tolerance, on_circle
 
 #: Depth of the pocket below the cable's exit, and 0.6 mm of it on every side: more than the 0.5 mm that are checked.
@@ -58,8 +59,18 @@ class FlangeAdapter:
     #: p_mounting_screws, p_bolts: (x, y) of the screws into the sensor and into the robot.
     p_mounting_screws: tuple[XY, ...]
     p_bolts: tuple[XY, ...]
-    on_plate: Engraving  #: engraving around the pad; empty where it does not fit between pad and bolts.
     T_sensor_robotflange: Array  #: pose of this frame in the sensor frame, (4, 4).
+    on_plate: Engraving = NOTHING_CUT  #: engraving around the pad; empty where it does not fit between pad and bolts.
+
+    @property
+    def fingerprint(self) -> str:
+        """Return the fingerprint of the plate, of all its dimensions."""
+        points = (*self.p_centring_pins, *self.p_tie_slots, *self.p_mounting_screws, *self.p_bolts, *self.cable_pocket)
+        return fingerprint_of([
+            self.plate_d, self.plate_top, self.counterbore_top, self.cable_deg * MM, *self.centring_hole,
+            self.mounting.screw.clearance_d, self.mounting.screw.counterbore_d, self.robot.screw.clearance_d,
+            *self.robot.spigot, *self.robot.pin_slot, *(x for p in points for x in p),
+        ])  # fmt: skip
 
     @property
     def counterbore_top(self) -> float:
@@ -88,8 +99,8 @@ def _plate_top(robot: RobotFlange) -> float:
     return robot.bolt_length - (robot.max_bolt_entry - bolt_margin(robot, robot.bolt_length))
 
 
-def flange_adapter_for(sensor: SensorModel, robot: RobotFlange, fingerprint: str = "", name: str = "") -> FlangeAdapter:
-    """Return the plate for a sensor and a robot, with fingerprint and name engraved.
+def flange_adapter_for(sensor: SensorModel, robot: RobotFlange, name: str = "") -> FlangeAdapter:
+    """Return the plate for a sensor and a robot, with its fingerprint and the name engraved.
 
     Raises:
         InputError: the robot's flange leaves too little room.
@@ -125,7 +136,7 @@ def flange_adapter_for(sensor: SensorModel, robot: RobotFlange, fingerprint: str
     )
     tie_r, half = rim - EDGE - TIE_SLOT[0] / 2 - 0.5 * MM, TIE_APART / 2
     c, s = math.cos(math.radians(cable_deg)), math.sin(math.radians(cable_deg))
-    return FlangeAdapter(
+    plain = FlangeAdapter(
         robot=robot,
         mounting=mounting,
         plate_d=2 * rim,
@@ -139,9 +150,10 @@ def flange_adapter_for(sensor: SensorModel, robot: RobotFlange, fingerprint: str
         p_tie_slots=tuple((tie_r * c - side * s, tie_r * s + side * c) for side in (-half, half)),
         p_mounting_screws=on_circle(mounting.bolt_circle_d, (a - dowel_deg for a in mounting.azimuths_deg)),
         p_bolts=on_circle(robot.bolt_circle_d, robot.bolt_azimuths_deg),
-        on_plate=_engraving(robot, fingerprint, name, plate_top, (body_r, pins, pocket, cable_deg)),
         T_sensor_robotflange=T_sensor_robotflange(sensor, robot),
     )
+    around = (body_r, pins, pocket, cable_deg)
+    return replace(plain, on_plate=_engraving(robot, plain.fingerprint, name, plate_top, around))
 
 
 def fitting_flanges(sensor: SensorModel) -> list[str]:

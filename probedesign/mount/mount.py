@@ -1,6 +1,7 @@
 """The geometry of a design, the mount that holds it (options and both adapters), and how much its root yields there."""
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -11,9 +12,11 @@ from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.design.catalog import SCREWS
-from probedesign.geometry import FLANGE_LIP, FLANGE_THICKNESS, Axis, Flange, ProbeGeometry, flange_for
+from probedesign.geometry import FLANGE_LIP, FLANGE_THICKNESS, Axis, Flange, ProbeGeometry, fingerprint_of, flange_for
+from probedesign.geometry.mass import MassProperties
 from probedesign.mount.flange_adapter import FlangeAdapter, flange_adapter_for
 from probedesign.mount.lip import STIFF_RESIN
+from probedesign.mount.mass import mount_mass_properties
 from probedesign.mount.sensor_adapter import (
     MountOptions,
     SensorAdapter,
@@ -93,7 +96,28 @@ class Mount:
     def flange_adapter(self) -> FlangeAdapter:
         """The plate between robot and sensor, engraved."""
         d = self.design
-        return flange_adapter_for(d.sensor_model, d.robot_flange, self.geometry.fingerprint, d.name)
+        return flange_adapter_for(d.sensor_model, d.robot_flange, d.name)
+
+    @cached_property
+    def payload(self) -> MassProperties:
+        """What hangs on the sensor below s = 0, in the sensor frame."""
+        return mount_mass_properties(self.geometry, self.sensor_adapter, self.design.density.value)
+
+    @property
+    def fingerprints(self) -> dict[str, str]:
+        """Return the fingerprints of the printed parts (the probe has that of its geometry) and of the payload.
+
+        Together they identify a frozen probe. That of a flange adapter which cannot be made is left out.
+        """
+        probe, plate = {"probe": self.geometry.fingerprint}, dict[str, str]()
+        with suppress(InputError):
+            plate = {"flange_adapter": self.flange_adapter.fingerprint}
+        return {**probe, **self.sensor_adapter.fingerprints, **plate, "payload": payload_fingerprint(self.payload)}
+
+
+def payload_fingerprint(payload: MassProperties) -> str:
+    """Return the fingerprint of a payload: of its mass to a milligram and its centre of mass to a micrometre."""
+    return fingerprint_of([1e-3 * round(1e6 * payload.mass), *(1e-3 * np.round(1e6 * payload.p_com))])
 
 
 # the compliance of the root in the exported mount, computed by finite elements

@@ -7,7 +7,7 @@ screws into nuts in slots that open at the rim. Both parts print on their datum 
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,8 +16,8 @@ from probedesign.core.frames import Array, pose
 from probedesign.core.units import MM
 from probedesign.design.catalog import M2, NUTS, PRINT_TOLERANCE, Nut, SocketScrew
 from probedesign.design.sensors import DowelPattern, ScrewPattern, SensorModel
-from probedesign.geometry import FLANGE_LIP, Flange, ProbeGeometry
-from probedesign.mount.engraving import XY, Engraving, engrave, free_arcs
+from probedesign.geometry import FLANGE_LIP, Flange, ProbeGeometry, fingerprint_of
+from probedesign.mount.engraving import NOTHING_CUT, XY, Engraving, engrave, free_arcs
 from probedesign.mount.lip import (
     MIN_LIP,
     MIN_RELIEF,
@@ -133,9 +133,24 @@ class SensorAdapter:
     ring_hole_bottom: float  #: of the blind hole below each nut.
     #: on_flange, on_wall, on_ring: engravings of the flange's lip (base frame), of the wall around the recess (sensor
     #: frame) and of the ring's top (its own frame).
-    on_flange: Engraving
-    on_wall: Engraving
-    on_ring: Engraving
+    on_flange: Engraving = NOTHING_CUT
+    on_wall: Engraving = NOTHING_CUT
+    on_ring: Engraving = NOTHING_CUT
+
+    @property
+    def fingerprints(self) -> dict[str, str]:
+        """Return the fingerprint of each of both parts, of all its dimensions."""
+        screws = [x for p in (*self.p_tool_screws, *self.p_dowels, *self.p_ring_screws) for x in p]
+        adapter = [
+            self.floor, self.land_d, self.groove, self.foot_d, self.foot_height, self.cone_d, self.cone_top,
+            self.body_d, self.body_top, self.recess_d, self.mark_x, self.dowel_d, self.dowel_depth, self.dowel_slot,
+            self.peg_top, self.peg_x, self.tool.grip, self.tool.screw.clearance_d, self.tool.screw.counterbore_d,
+            self.roof_hole_d, self.ring_screw.clearance_d, self.ring_hole_bottom, self.nut_slot_width,
+            *self.nut_slot_z, self.nut_slot_reach,
+        ]  # fmt: skip
+        ring = [self.body_d, self.ring_bore_d, self.ring_bore_top_d, self.ring_thickness, self.ring_vent_width,
+                self.ring_screw.clearance_d, *(x for p in self.p_ring_screws for x in p)]  # fmt: skip
+        return {"sensor_adapter": fingerprint_of([*adapter, *screws]), "clamp_ring": fingerprint_of(ring)}
 
     @property
     def T_sensor_base(self) -> Array:
@@ -291,11 +306,11 @@ def sensor_adapter_for(
     mark_x = body_d / 2 - MARK_FLAT
     letters = (recess_d / 2 + mark_x) / 2
 
-    def engraved(radius: float, top: float, azimuths_deg: Iterable[float], hole_d: float) -> Engraving:
+    def engraved(part: str, radius: float, top: float, azimuths_deg: Iterable[float], hole_d: float) -> Engraving:
         arcs = free_arcs(radius, [float(a) for a in np.radians(list(azimuths_deg))], hole_d / 2 + LETTER_EDGE)
-        return engrave(geometry.fingerprint, name, radius, top, arcs)
+        return engrave(fingerprints[part], name, radius, top, arcs)
 
-    return SensorAdapter(
+    plain = SensorAdapter(
         tool=tool,
         dowels=dowels,
         options=options,
@@ -328,9 +343,13 @@ def sensor_adapter_for(
         nut_slot_z=(floor + slot_bottom, body_top - roof),
         nut_slot_reach=reach,
         ring_hole_bottom=floor + hole_bottom,
-        on_flange=engraved(peg_x, 0.0, (0.0,), peg_hole_d),
-        on_wall=engraved(letters, body_top, (0.0, *RING_AZIMUTHS_DEG), screw.clearance_d),
-        on_ring=engraved(letters, ring_thickness, RING_AZIMUTHS_DEG, screw.head_d),
+    )
+    fingerprints = {"probe": geometry.fingerprint, **plain.fingerprints}
+    return replace(
+        plain,
+        on_flange=engraved("probe", peg_x, 0.0, (0.0,), peg_hole_d),
+        on_wall=engraved("sensor_adapter", letters, body_top, (0.0, *RING_AZIMUTHS_DEG), screw.clearance_d),
+        on_ring=engraved("clamp_ring", letters, ring_thickness, RING_AZIMUTHS_DEG, screw.head_d),
     )
 
 

@@ -1,5 +1,6 @@
 """What the scenes of `live --view` and the studio share: scale, colours, rotations, and the rigid parts as meshes."""
 
+import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from probedesign.core.frames import Array, inverse, is_pose
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
+from probedesign.frozen_probe import stale_parts
 
 UNIT = 20.0  #: Scene units per metre: viser's lights, camera and shadows suit objects of a few units.
 MIN_HALF_AXIS = 0.9e-3  #: Minimum half-axis of the drawn ellipsoid [m], so that it is visible.
@@ -74,16 +76,20 @@ def rigid_parts(model: ProbeModel, folder: Path) -> tuple[list[RigidPart], str]:
 
 def _exported(model: ProbeModel, folder: Path) -> list[RigidPart]:
     """Return the printed parts, in base axes."""
-    manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-    if manifest["fingerprint"] != model.fingerprint:
-        raise ValueError(f"they belong to probe {manifest['fingerprint']}, not {model.fingerprint}")
+    manifest = dict(json.loads((folder / "manifest.json").read_text(encoding="utf-8")))
+    if stale := stale_parts(model.parts or {"probe": model.fingerprint}, manifest):
+        raise ValueError(stale)
     T_base_sensor = inverse(model.T_sensor_base)
     parts = []
     for name in EXPORTED:
         T = np.asarray(manifest["parts"][name]["T_sensor_part"], dtype=float)
         if not is_pose(T):
             raise ValueError(f"the manifest has an invalid pose of {name}")
-        parts.append(_placed(name, read_stl(folder / f"{name}.stl"), T_base_sensor @ T))
+        file = folder / f"{name}.stl"
+        listed = manifest.get("files", {}).get(file.name, {}).get("sha256")
+        if listed is not None and listed != hashlib.sha256(file.read_bytes()).hexdigest():
+            raise ValueError(f"{file.name} is not the file that the manifest lists; export the design again")
+        parts.append(_placed(name, read_stl(file), T_base_sensor @ T))
     return parts
 
 

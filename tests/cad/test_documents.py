@@ -182,7 +182,7 @@ def test_drawings_show_the_dimensions_and_are_the_same_twice(large: CadModel, dr
     assert any(w.endswith("on ⌀12.5 at 60°, 180°, 300°") for w in words["sensor_adapter"])
     assert any("on ⌀50 at 45°, 135°, 225°, 315°" in w for w in words["flange_adapter"])
     for name in PRINTED:
-        assert large.geometry.fingerprint in "".join(words[name]) and f"{name}.stl" in "".join(words[name])
+        assert large.fingerprints[name] in "".join(words[name]) and f"{name}.stl" in "".join(words[name])
     for row in measurements(large.adapter, large.plate):
         part, _, what = row.what.partition(": ")
         if part.replace(" ", "_") in words:  # what calipers decide before the first screw
@@ -283,8 +283,9 @@ def test_the_title_block_is_complete(large: CadModel, exported: Exported, monkey
     for model, date in ((large, "2026-01-01"), (dated, "2025-12-24")):
         for name, sheet in inspection_sheets(model).items():
             words = " ".join(words_of(sheet))
-            grams = 1e3 * exported[1]["parts"][name.removesuffix(".svg")]["mass_kg"]
-            assert all(text in words for text in (date, large.geometry.fingerprint, f"{grams:.3g} g", "±0.15 mm"))
+            part = name.removesuffix(".svg")
+            grams, digits = 1e3 * exported[1]["parts"][part]["mass_kg"], large.fingerprints[part]
+            assert all(text in words for text in (date, digits, f"{grams:.3g} g", "±0.15 mm"))
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
     with pytest.raises(InputError, match="SOURCE_DATE_EPOCH = 'yesterday'"):
         inspection_sheets(large)
@@ -383,7 +384,7 @@ def test_packages_lie_as_the_check_says(exported: Exported, large: CadModel) -> 
         parts, warnings = read_back((folder / file).read_bytes())
         assert warnings == 0 and [part.name for part in parts] == list(platform)
         for part in parts:
-            assert part.part_number == f"large-{manifest['fingerprint']}-{part.name}"
+            assert part.part_number == f"large-{manifest['fingerprints'][part.name]}-{part.name}"
             assert part.T_platform_part[:3, 2].tolist() == check["orientation"][part.name]["z_direction"]
             assert part.T_platform_part[:2, 3] == pytest.approx(platform[part.name], abs=1e-3)
             low, high = part.bounds

@@ -31,7 +31,7 @@ from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.design import Design
 from probedesign.frozen_probe import freeze
 from probedesign.geometry.mass import MassProperties, combined, flexible_part
-from probedesign.mount import build_geometry, mount_mass_properties, sensor_adapter_for
+from probedesign.mount import Mount, build_geometry, mount_mass_properties, sensor_adapter_for
 from probedesign.probe import build_probe
 from tests.cad.conftest import LARGE, design_of
 
@@ -75,7 +75,10 @@ def test_manifest_describes_the_export(exported: Exported) -> None:
     for screw in manifest["screws"]:
         low, high = screw["entry_allowed_mm"]
         assert low <= screw["entry_mm"] <= high
-    assert manifest["engraved"] == dict.fromkeys(manifest["parts"], f"{manifest['fingerprint']} large")
+    prints = manifest["fingerprints"]
+    assert prints == Mount.of(design_of()).fingerprints and prints["probe"] == manifest["fingerprint"]
+    assert len(set(prints.values())) == 5  # four parts and the payload
+    assert manifest["engraved"] == {part: f"{prints[part]} large" for part in manifest["parts"]}
     check = manifest["print_check"]
     assert check["ok"] and check["errors"] == 0 and check["warnings"] == len(check["findings"])
     assert manifest["print_scale"]["probe"] == [1.0, 1.0, 1.0]

@@ -60,7 +60,7 @@ def filled(shape: Any, p: Array, T_sensor_part: Array = IN_SENSOR_FRAME) -> bool
 
 def meshed(model: CadModel) -> Meshes:
     meshes = {part.name: tessellate(part.shape) for part in model.printed}
-    packed = packed_parts(model.design, check_print(model.design), meshes)
+    packed = packed_parts(model.design, check_print(model.design), meshes, model.fingerprints)
     return meshes, packed, package_files(model.design, packed)
 
 

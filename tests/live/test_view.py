@@ -124,7 +124,10 @@ def test_exported_parts_are_placed_by_the_manifest(estimator, folder):
     ("spoil", "expected"),
     [
         (lambda folder: (folder / "manifest.json").unlink(), "there is no manifest.json"),
-        (lambda folder: (folder / "manifest.json").write_text('{"fingerprint": "0"}'), "they belong to probe 0"),
+        (
+            lambda folder: (folder / "manifest.json").write_text('{"fingerprint": "0"}'),
+            "the probe there has fingerprint 0",
+        ),
         (lambda folder: (folder / "manifest.json").write_text("[]"), ""),
         (lambda folder: (folder / "clamp_ring.stl").write_bytes(b"solid"), "clamp_ring.stl is not a binary STL"),
         (lambda folder: (folder / "clamp_ring.stl").write_bytes(stl([])), "clamp_ring.stl is not a binary STL"),
