@@ -99,19 +99,17 @@ def read_settings() -> "tuple[dict[str, Any], str]":
     Raises:
         InputError: the file cannot be read, or has a table that is not a command.
     """
-    import tomllib
-
     from probedesign.core.errors import InputError
-    from probedesign.core.files import EXPORTS_VARIABLE
+    from probedesign.core.files import EXPORTS_VARIABLE, MAX_TOML, parse_bounded_toml
 
     here = os.getcwd()
     while not os.path.isfile(path := os.path.join(here, SETTINGS)):
         if here == (here := os.path.dirname(here)):
             return {}, SETTINGS
     try:
-        with open(path, "rb") as file:
-            settings = tomllib.load(file)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        with open(path, encoding="utf-8", newline="") as file:
+            settings = parse_bounded_toml(file.read(MAX_TOML + 1).replace("\r\n", "\n"))
+    except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot be read as TOML: {error}") from None
     exports = settings.pop("exports", None)
     if isinstance(exports, str) and exports:

@@ -16,7 +16,7 @@ from typing import Any, Literal, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from probedesign.core.errors import InputError, quoted
+from probedesign.core.errors import InputError, one_line, quoted
 from probedesign.core.frames import Array
 
 Frame = Literal["sensor", "base"]
@@ -45,6 +45,7 @@ NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*", re.ASCII)
 NOTES = ("note", "notes", "comment", "remark")  #: Names of free-text columns, which are not read.
 MAX_BYTES = 50_000_000
 MAX_ROWS = 500_000
+MAX_LINE = 1_000_000  #: Length that no line has [bytes]: a file with one is refused before it is read whole.
 
 
 # lines
@@ -113,24 +114,37 @@ def read_lines(path: Path, what: str, like: str, max_bytes: int | None = None) -
     return CsvLines(path, names, header_number, rows, numbers, text.endswith(("\n", "\r")), comments)
 
 
-def read_text(path: Path, what: str, max_bytes: int | None = None, kind: str = "CSV") -> str:
-    """Read a text file; `kind` is its format for messages, for the other arguments see `read_lines`.
+def read_text(path: Path, what: str, max_bytes: int | None = None, kind: str = "CSV", remedy: str = "") -> str:
+    """Read a text file.
+
+    Args:
+        path: see `read_lines`, as `what` and `max_bytes`.
+        what: name of such a file.
+        max_bytes: a larger file is refused.
+        kind: format of the file, for messages.
+        remedy: what to do if there is no such file.
 
     Raises:
-        InputError: it cannot be read, is not text in UTF-8, or is too large.
+        InputError: it cannot be read, is not text in UTF-8, or it or a line of it is too long.
     """
+    chunks = list[bytes]()
     try:
         if max_bytes is not None and path.stat().st_size > max_bytes:
             raise InputError(f"{path}: is larger than {max_bytes / 1e6:g} MB, far too large for a {what}")
-        text = path.read_bytes().decode("utf-8-sig")
+        with path.open("rb") as file:
+            while chunk := file.read(MAX_LINE):
+                if len(chunk) == MAX_LINE and not (b"\n" in chunk or b"\r" in chunk):
+                    raise InputError(f"{path}: has a line of more than {MAX_LINE / 1e6:g} MB; a {what} is {kind}")
+                chunks.append(chunk)
+        text = b"".join(chunks).decode("utf-8-sig")  # Windows editors put a byte order mark first
     except FileNotFoundError:
-        raise InputError(f"{path}: no such {what}") from None
+        raise InputError(f"{one_line(str(path))}: no such {what}{remedy and f'; {remedy}'}") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: is not a text file in UTF-8; a {what} is {kind}") from None
     except InputError:
         raise
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', error)}") from None
+        raise InputError(one_line(f"{path}: cannot be read: {getattr(error, 'strerror', error)}")) from None
     if "\0" in text:
         raise InputError(f"{path}: is a binary file; a {what} is {kind}")
     return text

@@ -1,4 +1,4 @@
-"""Writing of files: whole or not at all, never over a file that nobody asked to replace."""
+"""Files: written whole or not at all, never over a file that nobody asked to replace, and read within bounds."""
 
 import os
 import re
@@ -6,10 +6,12 @@ import secrets
 import shutil
 import stat
 import tempfile
+import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 from probedesign.core.errors import InputError
 
@@ -198,6 +200,27 @@ def check_regular(path: Path) -> None:
         return  # the reader reports the reason
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise InputError(f"{path}: is a device, pipe or socket; name a file")
+
+
+MAX_TOML = 1_000_000  #: Maximum length of a file of TOML [characters].
+#: A key of more than 32 parts with dots. `tomllib` takes memory with the square of their number.
+_DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){32}""")
+
+
+def parse_bounded_toml(text: str) -> dict[str, Any]:
+    """Return the tables of a text in TOML, within a second and 100 MB whatever it contains.
+
+    Raises:
+        ValueError: it is not TOML, or is too large.
+    """
+    if len(text) > MAX_TOML:
+        raise ValueError(f"more than {MAX_TOML / 1e6:g} MB")
+    if _DEEP_KEY.search(text):
+        raise ValueError("a key has more than 32 parts")
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
 
 
 def file_in(path: Path, pattern: str, what: str) -> Path:

@@ -2,14 +2,13 @@
 
 import difflib
 import re
-import tomllib
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
 from probedesign.core.errors import InputError, one_line, quoted
+from probedesign.core.files import parse_bounded_toml
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -46,34 +45,13 @@ def read_toml(text: str, model: type[BaseModel], where: str) -> dict[str, Any]:
         InputError: the text is not TOML, or empty; the message lists the keys that the model needs.
     """
     try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # ValueError: also an integer of thousands of digits
+        data = parse_bounded_toml(text)
+    except ValueError as error:  # also an integer of thousands of digits
         raise InputError(f"{where}: not valid TOML: {one_line(str(error))}") from None
     if not data:
         needed = [f.alias or name for name, f in model.model_fields.items() if f.is_required()]
         raise InputError(f"{where}: is empty; it needs {', '.join(needed)}")
     return data
-
-
-def read_text(path: Path, what: str, remedy: str = "") -> str:
-    """Return the text of a file in UTF-8.
-
-    Args:
-        path: of the file.
-        what: such as `design file`, for the message.
-        remedy: what to do if there is no such file.
-
-    Raises:
-        InputError: the file cannot be read or is not UTF-8.
-    """
-    try:
-        return path.read_bytes().decode("utf-8-sig")  # Windows editors put a byte order mark first
-    except FileNotFoundError:
-        raise InputError(one_line(f"{path}: no such {what}{remedy and f'; {remedy}'}")) from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is not a text file in UTF-8") from None
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        raise InputError(one_line(f"{path}: cannot be read: {getattr(error, 'strerror', error)}")) from None
 
 
 def check_toml(data: dict[str, Any], model: type[Model], text: str = "", where: str = "") -> Model:

@@ -5,11 +5,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from probedesign.core.csv_tables import read_text
 from probedesign.core.errors import CheckFailedError, InputError, quoted, unknown_name
-from probedesign.core.files import write_atomically
+from probedesign.core.files import MAX_TOML, write_atomically
 from probedesign.core.units import MPA
 from probedesign.design.catalog import CUSTOM, OBJECT_COMPLIANCE, RESINS, Quantity, Resin, find
-from probedesign.design.diagnostics import check_toml, read_text, read_toml
+from probedesign.design.diagnostics import check_toml, read_toml
 from probedesign.design.schema import Design
 from probedesign.design.sensor_catalog import FILES, SENSORS, load_sensor
 from probedesign.design.sensors import SensorModel
@@ -333,7 +334,7 @@ def load_design(path: str | Path) -> Design:
     path = Path(path)
     if path.name.endswith(".probe.json"):
         raise InputError(f"{path}: is a frozen probe; give the design file that it was deployed from")
-    text = read_text(path, "design file", "make one with: probedesign new")
+    text = read_text(path, "design file", MAX_TOML, kind="TOML", remedy="make one with: probedesign new")
     return parse_design(text, str(path))
 
 

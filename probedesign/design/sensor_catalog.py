@@ -12,11 +12,12 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
+from probedesign.core.csv_tables import read_text
 from probedesign.core.errors import quoted
-from probedesign.core.files import check_regular, is_plain_name
+from probedesign.core.files import MAX_TOML, check_regular, is_plain_name
 from probedesign.core.units import GRAM, MM
 from probedesign.design.catalog import SCREWS
-from probedesign.design.diagnostics import FromArray, Inconsistent, Table, known_keys, parse_toml, read_text
+from probedesign.design.diagnostics import FromArray, Inconsistent, Table, known_keys, parse_toml
 from probedesign.design.sensors import (
     DEFAULT_SENSOR,
     CableExit,
@@ -314,7 +315,7 @@ def load_sensor(path: Path) -> SensorRecord:
         InputError: the file cannot be read, is not TOML, or has a wrong value; one line.
     """
     check_regular(path)
-    return parse_toml(read_text(path, "sensor file"), SensorRecord, str(path))
+    return parse_toml(read_text(path, "sensor file", MAX_TOML, kind="TOML"), SensorRecord, str(path))
 
 
 #: Known sensors by name, the default first.

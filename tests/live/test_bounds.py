@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+import tracemalloc
 from itertools import count
 from pathlib import Path
 
@@ -16,11 +17,15 @@ import pytest
 
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
+from probedesign.core.files import parse_bounded_toml
 from probedesign.frozen_probe import _checksum, load_model
 from probedesign.live.blocks import dropout_block, limit_duration
 from probedesign.live.outputs.recording import RecordingSink
 from probedesign.live.poses.pose_sources import read_pose_file
+from probedesign.live.recordings import AppendFile
+from probedesign.live.recordings.csv import read_recording
 from probedesign.live.sources.netft.configuration import MAX_PAGE_BYTES, fetch_page
+from probedesign.live.sources.netft.demo_recording import read_ati_demo
 from probedesign.live.sources.source import open_source
 
 # the page of a box
@@ -113,6 +118,49 @@ def test_devices_pipes_and_sockets_are_no_recordings_no_poses_and_no_probes(spec
     for attempt, path in ((attempt, path) for attempt, paths in attempts for path in paths):
         with pytest.raises(InputError, match="is a device, pipe or socket"):
             attempt(path)
+
+
+@pytest.mark.parametrize("attempt", [read_recording, read_pose_file, read_ati_demo])
+def test_an_endless_line_is_one_line(tmp_path, attempt):
+    """300 MB without an end: 20 MB are more than the megabytes that are read, and less than the line."""
+    path = tmp_path / "long.csv"
+    with path.open("wb") as file:
+        file.write(b"Start Time\n1")
+        file.truncate(300_000_000)
+    tracemalloc.start()
+    with pytest.raises(InputError, match="has a line of more than 1 MB") as error:
+        attempt(path)
+    assert str(error.value).isprintable() and tracemalloc.get_traced_memory()[1] < 20e6
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("text", ["a" + 50_000 * ".a" + " = 1", "x = {" + 50_000 * '"" . ' + "a = 1}", "#" * 1_100_000])
+def test_settings_and_designs_are_bounded(tmp_path, monkeypatch, capsys, text):
+    """tomllib takes ten gigabytes for 50,000 dots; numbers, texts and paths have as many dots as they like."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.toml").write_text(text)
+    tracemalloc.start()
+    assert run(["check", "a.toml"]) == 2
+    (tmp_path / "probedesign.toml").write_text(text)
+    assert run(["doctor"]) == 2
+    assert tracemalloc.get_traced_memory()[1] < 100e6
+    tracemalloc.stop()
+    assert capsys.readouterr().err.count("\n") == 2
+    many = "x = [" + "1.5, " * 1000 + "]\ny = '" + "a/../" * 100 + "'\na.b.c = 1"
+    assert parse_bounded_toml(many)["a"] == {"b": {"c": 1}}
+
+
+def test_a_recording_is_never_written_through_a_link(tmp_path):
+    victim = tmp_path / "victim.csv"
+    victim.write_text("kept")
+    for target in (victim, tmp_path / "none.csv"):
+        link = tmp_path / "link.csv"
+        link.unlink(missing_ok=True)
+        link.symlink_to(target)
+        for force in (False, True):
+            with pytest.raises(InputError, match="is a link to another file; name that file"):
+                AppendFile(link, force)
+    assert victim.read_text() == "kept" and not (tmp_path / "none.csv").exists()
 
 
 def test_a_missing_recording_is_reported_before_anything_is_compiled(bundle, capsys, monkeypatch):

@@ -329,6 +329,8 @@ HOSTILE = {
     "a chunk that claims more than it is": MAGIC + HEADER + chunk(b"abc", b"", 3, 2**62),
     "a chunk that claims to unpack to much": MAGIC + HEADER + chunk(b"", b"zstd", 2**60),
     "a bomb": MAGIC + HEADER + chunk(BOMB, b"zstd", 100),
+    "zeros": MAGIC + HEADER + chunk(zstandard.compress(bytes(250_000_000)), b"zstd", 250_000_000),
+    "zeros in records": MAGIC + HEADER + chunk(bytes(9_000_000), b"", 9_000_000),
     "a bomb in lz4": MAGIC + HEADER + chunk(b"\x04\x22\x4d\x18\x60\x40\x82", b"lz4", 10),
     "another compression": MAGIC + HEADER + chunk(b"", b"xz", 0),
     "a message of no channel": MAGIC + HEADER + record(5, bytes(22)),

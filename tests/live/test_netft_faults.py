@@ -1,6 +1,7 @@
 """`netft://` against the simulated box over real sockets, with faults of the network and the box."""
 
 import socket
+import threading
 from itertools import islice
 
 import numpy as np
@@ -11,7 +12,7 @@ from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.estimates import locate
 from probedesign.live.processing.tare import TareWindow
 from probedesign.live.run import estimate_stream
-from probedesign.live.sources.netft import rdt
+from probedesign.live.sources.netft import configuration, rdt
 from probedesign.live.sources.netft.rdt import RECORD, SensorClock
 from probedesign.live.sources.source import STALE_TIME, open_source
 from probedesign.simulation.netft_box import OFFSET, FaultInjector
@@ -160,6 +161,23 @@ def test_a_restart_with_another_configuration_ends_the_run_before_a_reading(esti
         peer.configure(torque_unit="N-m")
         reader.wait(lambda: reader.error is not None)
     assert {r.stretch for r in reader.readings} == {0}
+
+
+def test_a_page_that_does_not_respond_delays_no_reading(estimator, monkeypatch):
+    """The counter continues after a pause of the network, so the box is the same."""
+    released = threading.Event()
+    with box(estimator) as peer, Reader(peer, estimator) as reader:
+        monkeypatch.setattr(configuration, "fetch_page", lambda *page: b"x" * (not released.wait()))
+        peer.stall(0.2)
+        reader.wait(lambda: reader.readings[-1].stretch > 0)
+        reader.more(100)
+        assert not released.is_set() and reader.error is None
+        peer.restart(0.2)  # and then it may be another one
+        reader.wait(lambda: any("its page does not respond" in line for line in reader.lines))
+        released.set()  # an empty page
+        reader.wait(lambda: reader.error is not None)
+    assert "its configuration has changed" in str(reader.error)
+    assert (np.diff([r.time for r in reader.readings]) > 0.0).all()
 
 
 def test_a_saturated_sample_is_no_reading_to_estimate_from(estimator):

@@ -143,7 +143,7 @@ def test_an_invalid_pose_is_refused_with_its_line(wrong, tmp_path):
         ("[1, 2]\n", ":1: is not a JSON object"),
         ("[" * 100_000, ":1: is not JSON"),
         ('{"time_s": 1}\n', ":1: has no x_mm"),
-        ("\x00\n", ":1: is not JSON"),
+        ("\x00\n", "is a binary file"),
         (json.dumps(GOOD) + "\n" + json.dumps(GOOD), ":2: time_s = 1 is not after 1"),
         (
             json.dumps(GOOD | {"frame": "a"}) + "\n" + json.dumps(GOOD | {"frame": "b", "time_s": 2}),
@@ -172,7 +172,7 @@ def test_csv_and_json_lines_give_the_same_poses(tmp_path):
 @pytest.mark.parametrize(
     ("spec", "options", "stated"),
     [
-        ("none.csv", {}, "none.csv: no such file"),
+        ("none.csv", {}, "none.csv: no such file of poses"),
         ("fixed", {"latency_ms": 5.0}, "--pose fixed has no latency"),
         ("udp://", {}, "write udp://:PORT"),
         ("udp://:port", {}, "write udp://:PORT"),

@@ -1,7 +1,9 @@
 """The recording survives every end of a run: killed, interrupted, a closed terminal or a closed pipe."""
 
 import json
+import os
 import signal
+import stat
 import subprocess
 import sys
 from itertools import islice
@@ -119,7 +121,10 @@ def test_recover_reports_what_it_saved(estimator, tmp_path, capsys):
     assert printed["seconds"] == pytest.approx(5 / 7000, abs=2e-9)  # two stamps of whole nanoseconds
     assert run(["recover", str(path)]) == 2
     assert "--force" in capsys.readouterr().err
+    before = os.umask(0o027)
     assert run(["recover", str(path), "--force"]) == 0
+    os.umask(before)
+    assert stat.S_IMODE((tmp_path / "cut-recovered.mcap").stat().st_mode) == 0o640
 
 
 def test_recover_leaves_a_whole_file_alone(estimator, tmp_path, capsys):

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from probedesign.core.csv_tables import read_text
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_regular
 from probedesign.live.datagrams import Listener, Parsed, decode_object, parse_listen_address, read_quantities, spellings
@@ -76,14 +77,7 @@ def _named(header: list[str], row: list[str]) -> dict[str, Any]:
 
 def _lines(path: Path) -> list[tuple[int, str]]:
     check_regular(path)
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, ValueError) as error:  # UnicodeDecodeError and a NUL in the path are ValueErrors
-        why = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise InputError(f"{path}: cannot be read as poses: {why}") from None
-    numbered = enumerate(text.splitlines(), 1)
+    numbered = enumerate(read_text(path, "file of poses", kind="CSV or JSON").splitlines(), 1)
     return [(number, line) for number, line in numbered if line.strip() and not line.lstrip().startswith("#")]
 
 

@@ -25,11 +25,15 @@ class AppendFile:
         """Create the file, and its folder if necessary, and lock it; `force` replaces an existing file.
 
         Raises:
-            InputError: the file exists and `force` is not set, another program writes it, or it cannot be written.
+            InputError: the file exists and `force` is not set, it is a link, another program writes it, or it cannot
+                be written.
         """
         flags = os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0) | (0 if force else os.O_EXCL)
+        flags |= getattr(os, "O_NOFOLLOW", 0)  # a link that is made between the check and this call
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            if path.is_symlink():
+                raise InputError(f"{path}: cannot be written: it is a link to another file; name that file")
             if force and path.exists() and not path.is_file():  # a pipe would block until someone reads it
                 raise InputError(f"{path}: cannot be written: it is not a regular file")
             # a part of a recording whose first file is locked: its series is being written
@@ -37,7 +41,7 @@ class AppendFile:
             first = path.with_stem(stem) if number and stem else path
             if first != path and path.exists() and first.is_file():
                 os.close(lock_file(first))
-            self._file = os.open(path, flags, 0o644)
+            self._file = os.open(path, flags, 0o666)
             if not _lock(self._file):
                 os.close(self._file)
                 raise _locked(path)

@@ -7,8 +7,8 @@ allocate memory that the file does not fill.
 import json
 import os
 import re
+import secrets
 import struct
-import tempfile
 import zlib
 from collections.abc import Collection, Iterator
 from contextlib import suppress
@@ -30,6 +30,9 @@ from probedesign.live.recordings.schemas import CLOCK_NAME, MCAP_MAGIC, OFFSET_K
 
 #: Maximum length of a record and of an unpacked chunk [bytes]: writers use chunks of 1 MB, plus large images.
 MAX_RECORD = 256 * 1024 * 1024
+#: Maximum ratio of a chunk's size to that of its compressed content, from `FREE_SIZE` bytes on: readings without noise
+#: reach 9, a file of zeros 30,000.
+MAX_RATIO, FREE_SIZE = 200, 2_000_000
 Record = TypeVar("Record", bound=records.McapRecord)
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
 
@@ -151,8 +154,8 @@ def unpack(content: bytes) -> bytes:
     """
     chunk = parse(records.Chunk, content)
     size = chunk.uncompressed_size
-    if size > MAX_RECORD:
-        raise DamagedError(f"a chunk claims {size} bytes")
+    if size > min(MAX_RECORD, max(MAX_RATIO * len(chunk.data), FREE_SIZE)):
+        raise DamagedError(f"a chunk of {len(chunk.data)} bytes claims to contain {size}")
     try:
         match chunk.compression:
             case "":
@@ -182,7 +185,7 @@ def split(data: bytes) -> Iterator[tuple[int, memoryview]]:
             raise DamagedError("a chunk ends in part of a record")
         opcode, length = RECORD_PREFIX.unpack_from(view, at)
         at += RECORD_PREFIX.size
-        if length > len(view) - at:
+        if not opcode or length > len(view) - at:
             raise DamagedError("a chunk ends in part of a record")
         yield opcode, view[at : at + length]
         at += length
@@ -399,14 +402,13 @@ def recover(path: Path, out: Path, force: bool = False) -> RecoveryResult:
     check_overwrite(out, force)
     if out.exists() and out.samefile(path):
         raise InputError(f"{out}: is the input file; choose another name")
-    temporary = ""
+    temporary = out.with_name(f".{out.name}.{secrets.token_hex(4)}")
     try:
         with path.open("rb") as file:
             if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
                 raise InputError(f"{path}: not an MCAP file: wrong first bytes")
             out.parent.mkdir(parents=True, exist_ok=True)
-            handle, temporary = tempfile.mkstemp(dir=out.parent, prefix=f".{out.name}.")
-            with os.fdopen(handle, "wb") as written:
+            with temporary.open("xb") as written:
                 writer = Writer(written)
                 copier = _RecordCopier(writer)
                 damage = _copy_records(copier, file)
@@ -417,7 +419,6 @@ def recover(path: Path, out: Path, force: bool = False) -> RecoveryResult:
         seconds = (copier.last - copier.first) / 1e9
         if not damage:
             return RecoveryResult(None, copier.messages, seconds, "")
-        os.chmod(temporary, 0o644)
         os.replace(temporary, out)
         return RecoveryResult(out, copier.messages, seconds, damage)
     except FileNotFoundError:
@@ -425,8 +426,7 @@ def recover(path: Path, out: Path, force: bool = False) -> RecoveryResult:
     except OSError as error:
         raise InputError(f"{path}: cannot be recovered to {out}: {error.strerror}") from None
     finally:
-        if temporary and os.path.exists(temporary):
-            os.unlink(temporary)
+        temporary.unlink(missing_ok=True)
 
 
 def _copy_records(copier: _RecordCopier, file: BinaryIO) -> str:

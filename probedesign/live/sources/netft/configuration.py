@@ -219,30 +219,26 @@ def fetch_page(host: str, port: int, timeout: float = PAGE_TIMEOUT) -> bytes:
 
 
 class ConfigurationMonitor:
-    """Fetches the page periodically to detect a configuration that changes during streaming.
+    """Fetches the page in a thread, periodically and on request, to detect a configuration that changes.
 
     Attributes:
         changed: the changes; empty if there are none.
         period: polling period [s].
+        read: number of the last request that preceded a page that was read.
     """
 
     def __init__(self, host: str, port: int, first: NetFTConfiguration, period: float) -> None:
         """Prepare; nothing is fetched yet. `first` is the configuration at the start."""
         self.changed: list[str] = []
         self.period, self._host, self._port, self._initial = period, host, port, first
-        self._ended = threading.Event()
+        self.read = self._requests = 0
+        self._ended, self._wake = threading.Event(), threading.Event()
 
-    def check(self) -> bool:
-        """Fetch the page now; return whether it could be read."""
-        try:
-            page = fetch_page(self._host, self._port)
-        except InputError:
-            return False
-        try:
-            self.changed = differences(self._initial, parse_configuration(page))
-        except InputError as error:
-            self.changed = [str(error)]
-        return True
+    def request(self) -> int:
+        """Fetch the page as soon as possible; return the number of this request."""
+        self._requests += 1
+        self._wake.set()
+        return self._requests
 
     def __enter__(self) -> "ConfigurationMonitor":
         threading.Thread(target=self._poll, name="netft-watch", daemon=True).start()
@@ -250,7 +246,21 @@ class ConfigurationMonitor:
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()
+        self._wake.set()
 
     def _poll(self) -> None:
-        while not self._ended.wait(self.period) and not self.changed:
-            self.check()
+        while not self.changed:
+            self._wake.wait(self.period)
+            self._wake.clear()
+            if self._ended.is_set():
+                return
+            request = self._requests
+            try:
+                page = fetch_page(self._host, self._port)
+            except InputError:
+                continue
+            try:
+                self.changed = differences(self._initial, parse_configuration(page))
+            except InputError as error:
+                self.changed = [str(error)]
+            self.read = request

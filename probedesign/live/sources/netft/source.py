@@ -107,6 +107,7 @@ class NetFTSource:
         self.counts: Counter[str] = Counter()
         self._reported, self._report_time = Counter[str](), -inf
         self._last, self._stretch = -inf, 0
+        self._awaited = 0  # the first request for the page since the box restarted
         self._counted, self._faulted, self._fault = -inf, -inf, ""
 
     def expect(self, readings: int) -> None:
@@ -190,14 +191,19 @@ class NetFTSource:
     def _resumed(self, received: float) -> bool:
         """Return whether resumed records come from the same box with the same configuration.
 
-        Records of another box, or of the same box with another configuration, must not continue the stream.
+        Its page is read in the background. A counter that continues is that of the same box, so its records are used
+        meanwhile. Those of another box, or of one that restarted, are not used before the page has been read.
         """
-        if not self._monitor.check():
+        restarted = self._clock.restarts > self.counts["restarts"]
+        request = self._monitor.request()
+        self._awaited = self._awaited or request
+        if restarted and self._monitor.read < self._awaited:
             return False
+        self._awaited = 0
         self._check_configuration()
         self._stretch += 1
         self.counts["interruptions"] += 1
-        if self._clock.restarts > self.counts["restarts"]:
+        if restarted:
             self.counts["restarts"] = self._clock.restarts
             self._log(f"{self._name}: its clock restarted; the previous tare is kept, take a new one")
         self._dropout.on_resumed(received - self._last)
