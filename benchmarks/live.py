@@ -42,6 +42,7 @@ from probedesign.live.sources.netft.source import NetFTSource
 from probedesign.live.sources.source import open_source
 from probedesign.live.sources.udp import UdpSource
 from probedesign.live.view.sinks import BrowserView
+from probedesign.live.view.state import ViewState
 from probedesign.probe import build_probe
 from probedesign.simulation.netft_box import FAULT_DURATION
 
@@ -110,7 +111,7 @@ def _rate(estimator: Estimator, box: Peer, seconds: float, folder: Path, view: b
     assert isinstance(source, NetFTSource)
     late, published, memory = [], [], []
     plan = ProcessingOptions(TARE, AVERAGE, seconds=seconds)
-    recordings = RecordingSink(folder / "record.mcap", estimator.model, print)
+    recordings = RecordingSink(folder / "record.mcap", [estimator.model], print)
     recordings.start()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as controller, ExitStack() as others:
         controller.bind(("127.0.0.1", 0))  # it never reads: what it has no room for is dropped
@@ -118,9 +119,10 @@ def _rate(estimator: Estimator, box: Peer, seconds: float, folder: Path, view: b
         sinks = others.enter_context(closing(SinkGroup(publisher, recordings)))
         peers = {"the simulated box": box.pid}
         if view:
-            sinks.add(BrowserView(estimator, folder, CommandQueue(), print, counts=lambda: source.counts))
+            states = {"": ViewState(lambda: source.counts)}
+            sinks.add(BrowserView(states, [(estimator, folder)], CommandQueue(), print))
         if foxglove:
-            server = FoxgloveSink(estimator.model, ("127.0.0.1", free_port()), print)
+            server = FoxgloveSink([estimator.model], ("127.0.0.1", free_port()), print)
             sinks.add(server)
             peers["the subscriber"] = others.enter_context(_subscriber(server.url))
         wall, cpu, collected = time.monotonic(), time.process_time(), gc.get_stats()[2]["collections"]

@@ -31,7 +31,7 @@ def report() -> None:
         for kind in ("mcap", "csv"):
             for count in BLOCK_SIZES:
                 path, blocks = Path(folder) / f"{count}.{kind}", _blocks(model, count)
-                written = _cpu_time(partial(_write, open_recording_file(path, model, False, {}), blocks)) / SECONDS
+                written = _cpu_time(partial(_write, open_recording_file(path, [model], False, {}), blocks)) / SECONDS
                 read = _cpu_time(partial(_read, path, model)) / SECONDS / RATE
                 size = path.stat().st_size / SECONDS / 1e6
                 rows.append([f"{kind}, {count} per block", f"{written:.1%}", f"{size:.2f}", f"{1e6 * read:.1f}"])

@@ -24,7 +24,7 @@ from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.run import estimate_stream, warm_up
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.view.sinks import scene_setup
-from probedesign.live.view.state import ViewState
+from probedesign.live.view.state import PageSetup, ViewState
 from probedesign.probe import build_probe
 
 ROOT = Path(__file__).parents[1]
@@ -76,10 +76,10 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: 
         state.on_estimate(answer)
         if 0.0 <= now - 12.0 < 0.05:
             state.on_event(now, "mark: second press")
-    setup = scene_setup(estimator, folder, "127.0.0.1", free_port(), print)
+    setup = PageSetup("127.0.0.1", free_port(), (scene_setup(estimator, folder, print),))
     protect(setup.title, setup.token, f"<style>{STYLE}</style>")
     page = ViewerPage(setup, lambda wish, text: None)
-    page.show(state.snapshot())
+    page.show([state.snapshot()])
     try:
         with sync_playwright() as playwright:
             browser = playwright.chromium.launch(executable_path=browser_path, args=BROWSER_OPTIONS)

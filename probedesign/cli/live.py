@@ -11,6 +11,7 @@ from cyclopts import Parameter
 
 from probedesign.cli.console import interrupt_on_termination
 from probedesign.cli.options import FrozenProbe, JsonOutput, Method, Tare
+from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
@@ -24,8 +25,8 @@ if TYPE_CHECKING:
 def live(
     bundle: FrozenProbe,
     /,
-    *,
-    source: str,
+    *more: FrozenProbe,
+    source: list[str],
     record: Path | None = None,
     split_mb: float | None = None,
     split_minutes: float | None = None,
@@ -34,7 +35,7 @@ def live(
     tare: Tare | None = None,
     average: int | None = None,
     filter_hz: float | None = None,
-    pose: str = "fixed",
+    pose: list[str] | None = None,
     pose_latency_ms: float = 0.0,
     gravity_world: str | None = None,
     rate_hz: float = 20.0,
@@ -62,6 +63,8 @@ def live(
 
     Args:
         bundle: the frozen probe: NAME.probe.json, its folder, or NAME of exports/NAME.
+        more: further probes of the same run. The i-th source and pose belong to the i-th probe, whose name is the
+            prefix of its topics and frames.
         source: netft://HOST (a Net F/T box or an Axia), "daq://Dev1/ai0:5?cal=FILE" (a sensor at a DAQ card),
             replay:FILE (a recording), udp://:PORT (wrenches in JSON or MessagePack), ros2://TOPIC, or sim: (a simulated
             contact that moves along the probe).
@@ -77,7 +80,7 @@ def live(
         filter_hz: cutoff frequency (-3 dB) of a low-pass filter before the estimates [Hz]; its delay is printed.
         pose: poses of the base: fixed, FILE.csv or .jsonl, a ROS 2 bag (BAG?topic=/pose or BAG?world=map&base=probe),
             udp://:PORT, tf://WORLD/BASE, ur://HOST or franka://HOST. With poses, touches are fused to points of the
-            world.
+            world. Default: fixed.
         pose_latency_ms: delay of a pose relative to a reading of the same time [ms].
         gravity_world: X,Y,Z of gravity in world axes [m/s²]. Default: 0,0,-9.81.
         rate_hz: largest rate of the estimates [Hz]; readings in between are not located.
@@ -111,18 +114,24 @@ def live(
 
     window, zero = parse_tare(tare_s, tare)
     processing = ProcessingOptions(window, average, rate_hz, count, seconds, filter_hz, method=method, zero=zero)
-    estimator = pipeline.load_estimator(bundle, manifest, exact_model, friction)
+    bundles = (bundle, *more)
+    if manifest is not None and more:
+        raise InputError("--manifest belongs to one probe; check each probe in a run of its own")
+    loaded = [pipeline.load_estimator(each, manifest, exact_model, friction) for each in bundles]
+    poses = pose or ["fixed"] * len(bundles)
+    _check_pairs([estimator.model.name for estimator in loaded], source, poses)
+    estimators = {estimator.model.name if more else "": estimator for estimator in loaded}
     settings = {
-        "source": source,
+        "source": "; ".join(source),
         "tare_s": tare_s,
         "tare": tare,
         "average": average,
         "rate_hz": rate_hz,
         "exact_model": exact_model,
         "method": method,
-        "friction": estimator.model.friction,
+        "friction": loaded[0].model.friction,
         "filter_hz": filter_hz,
-        "pose": pose,
+        "pose": "; ".join(poses),
         "pose_latency_ms": pose_latency_ms,
         "gravity_world": gravity_world,
     }
@@ -132,59 +141,93 @@ def live(
         publish=publish,
         page=(view_host, view_port) if view else None,
         terminal=not (lines or as_json) and _is_terminal(),
-        parts_folder=bundle if bundle.is_dir() else bundle.parent,
+        parts_folders=[each if each.is_dir() else each.parent for each in bundles],
         metadata={name: _setting_text(value) for name, value in settings.items()},
         split=SplitLimits.of_options(split_mb, split_minutes),
         foxglove=None if foxglove is False else parse_foxglove_address("" if foxglove is True else foxglove),
         open_browser=open_ and _is_terminal(),
     )
-    outputs.check(source)
+    outputs.check(source, several=bool(more))
     if control is not None:
         parse_listen_address(f"--control {control}")  # before anything is compiled
-    _run(estimator, processing, outputs, source, (pose, pose_latency_ms, gravity_world), control, as_json)
+    specs = list(zip(source, poses, strict=True))
+    _run(estimators, processing, outputs, specs, (pose_latency_ms, gravity_world), control, as_json)
+
+
+#: Sources that several probes may share: a recording has the readings of each, and a simulation has no sensor.
+_SHARED = ("sim:", "replay:")
+
+
+def _check_pairs(names: list[str], sources: list[str], poses: list[str]) -> None:
+    """Check that each probe has a name, a source and poses of its own; raises InputError."""
+    from probedesign.live.recordings.schemas import ros_name
+
+    for option, values in (("--source", sources), ("--pose", poses)):
+        if len(values) != len(names):
+            raise InputError(
+                f"{len(values)} {option} for {len(names)} probe{'s' * (len(names) > 1)}: give one for each, in the "
+                "order of the probes"
+            )
+    for i, (name, source) in enumerate(zip(names, sources, strict=True)):
+        if ros_name(name) in map(ros_name, names[:i]):
+            raise InputError(f"two probes are named {name}, which is the prefix of their data; deploy one from a "
+                             "design with another name")  # fmt: skip
+        if source in sources[:i] and not source.startswith(_SHARED):
+            raise InputError(f"--source {source} is given twice; each probe has a sensor of its own")
 
 
 def _run(
-    estimator: "Estimator",
+    estimators: "dict[str, Estimator]",
     processing: "ProcessingOptions",
     outputs: "OutputOptions",
-    source: str,
-    pose: tuple[str, float, str | None],
+    specs: list[tuple[str, str]],
+    pose_options: tuple[float, str | None],
     control: str | None,
     as_json: bool,
 ) -> None:
-    """Open the source, poses and outputs, print the estimates until the end, and close everything.
+    """Open the sources, poses and outputs, print the estimates until the end, and close everything.
 
     Args:
-        estimator: estimator of the probe.
+        estimators: estimator of each probe by its name in the run, which is empty for a single probe.
         processing: how readings are processed.
         outputs: outputs that the user selected.
-        source: specification of the source.
-        pose: poses of the base, their latency [ms], and gravity in world axes.
+        specs: source and poses of each probe.
+        pose_options: latency of the poses [ms], and gravity in world axes.
         control: address at which commands are received.
         as_json: print JSON.
     """
     from probedesign import pipeline
-    from probedesign.live.outputs.sinks import SinkGroup, StderrSink
+    from probedesign.live.outputs.sinks import ProbeSink, SinkGroup, StderrSink
     from probedesign.live.poses.open import open_poses
-    from probedesign.live.processing.commands import CommandQueue, open_inputs
-    from probedesign.live.run import warm_up
+    from probedesign.live.processing.commands import CommandQueue, SharedCommands, open_inputs
+    from probedesign.live.run import merged, warm_up
     from probedesign.live.sources.source import open_source
 
     with closing(SinkGroup(StderrSink())) as sinks, ExitStack() as inputs, interrupt_on_termination():
-        opened_source = open_source(source, estimator.model, sinks.log)
-        poses = open_poses(*pose, sinks.log)
-        publisher = outputs.publisher(estimator.model, sinks.log)
-        warm_up(estimator, sinks.log, fusing=True)
-        sinks.log(f"{opened_source.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
-        for note in (*opened_source.notes, *((poses.title, *poses.notes) if poses is not None else ())):
-            sinks.log(note)
-        commands = CommandQueue()
-        outputs.connect(sinks, commands, estimator, opened_source, poses, publisher)
+        parts = [SinkGroup(ProbeSink(name, sinks)) if name else sinks for name in estimators]
+        runs = list(zip(estimators.values(), specs, parts, strict=True))
+        sources = [open_source(source, estimator.model, part.log) for estimator, (source, _), part in runs]
+        poses = [open_poses(pose, *pose_options, part.log) for _, (_, pose), part in runs]
+        publisher = outputs.publisher([estimator.model for estimator in estimators.values()], sinks.log)
+        for estimator in estimators.values():
+            warm_up(estimator, sinks.log, fusing=True)
+        for (estimator, _, part), source, known in zip(runs, sources, poses, strict=True):
+            part.log(f"{source.title}; probe {estimator.model.name} {estimator.model.fingerprint}")
+            for note in (*source.notes, *((known.title, *known.notes) if known is not None else ())):
+                part.log(note)
+            if known is not None:
+                known.on_pose = part.on_pose
+        queues = [CommandQueue() for _ in runs]
+        commands = SharedCommands(queues) if len(queues) > 1 else queues[0]
+        outputs.connect(sinks, commands, estimators, sources, publisher)
         for command_input in open_inputs(commands, sinks.log, control, keys=outputs.terminal):
             inputs.enter_context(closing(command_input))
-        updates = pipeline.live(estimator, opened_source, processing, sinks.log, sinks, commands, poses)
-        source_ended = _print(updates, sinks.log, as_json, outputs.terminal)
+        streams = [
+            pipeline.live(estimator, source, processing, part.log, part, queue, known)
+            for (estimator, _, part), source, known, queue in zip(runs, sources, poses, queues, strict=True)
+        ]
+        updates = merged(streams, lambda: commands.put("stop"))
+        source_ended = _print(updates, list(estimators), sinks.log, as_json, outputs.terminal)
         sinks.on_end()
         if outputs.page is not None and source_ended and _is_terminal():
             sinks.log("the run ended; the page stays open until Ctrl-C")
@@ -200,7 +243,11 @@ def _setting_text(value: object) -> str:
 
 
 def _print(
-    updates: "Generator[EstimateUpdate, None, None]", log: "Callable[[str], None]", as_json: bool, live_table: bool
+    updates: "Generator[tuple[int, EstimateUpdate], None, None]",
+    names: list[str],
+    log: "Callable[[str], None]",
+    as_json: bool,
+    live_table: bool,
 ) -> bool:
     """Print one line per estimate and, after the end or Ctrl-C, the number of estimates per result code.
 
@@ -210,22 +257,26 @@ def _print(
     from probedesign.live.processing.estimates import estimate_row, json_line, readable_line, world_row
     from probedesign.live.run import count_results, describe_counts
 
-    results: list[str] = []
+    results: dict[str, list[str]] = {name: [] for name in names}
+    width = max(map(len, names))
     complete = False
     try:
         with closing(updates):
-            for update in updates:
-                reading, estimate = update.reading, update.estimate
-                results.append(estimate.result)
+            for number, update in updates:
+                reading, estimate, name = update.reading, update.estimate, names[number]
+                results[name].append(estimate.result)
                 if as_json:
                     world = world_row(update) if update.fused is not None else {}
-                    print(json_line(estimate_row(reading, estimate) | world), flush=True)
+                    of = {"probe": name} if name else {}
+                    print(json_line(of | estimate_row(reading, estimate) | world), flush=True)
                 elif not live_table:
-                    print(readable_line(reading.time, reading, estimate, update), flush=True)
+                    of_probe = f"{name:<{width}}  " if name else ""
+                    print(of_probe + readable_line(reading.time, reading, estimate, update), flush=True)
         complete = True
     except KeyboardInterrupt:
         pass
-    log(describe_counts(count_results(results)))
+    for name in names:
+        log((f"{name}: " if name else "") + describe_counts(count_results(results[name])))
     return complete
 
 

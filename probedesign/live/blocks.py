@@ -57,6 +57,7 @@ class Block:
     stretch: int = 0  #: number of the uninterrupted stretch of readings.
     #: the true contact of each reading, if the source provides it; otherwise empty.
     truths: tuple[TrueContact, ...] = ()
+    probe: str = ""  #: name of the probe in a run with several; a source leaves it empty.
 
     def __len__(self) -> int:
         return len(self.time)

@@ -5,10 +5,11 @@ import itertools
 import math
 import threading
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -98,6 +99,56 @@ def _updates(
             averager = chain.averager
             expect(averager.samples - averager.n_pending if averager.samples else 1)
     yield from chain.finish()
+
+
+def merged(
+    streams: Sequence[Generator[EstimateUpdate, None, None]], stop: Callable[[], None]
+) -> Generator[tuple[int, EstimateUpdate], None, None]:
+    """Yield the estimates of several probes as they become available, with the number of the probe.
+
+    Each of several is processed in a thread of its own, so that no sensor waits for another.
+
+    Args:
+        streams: stream of each probe.
+        stop: asks all of them to end, which happens if one fails or the caller ends.
+
+    Raises:
+        Exception: what a stream raised.
+    """
+    if len(streams) == 1:
+        with closing(streams[0]) as stream:
+            yield from ((0, update) for update in stream)
+        return
+    arrived: SimpleQueue[tuple[int, EstimateUpdate | Exception | None]] = SimpleQueue()
+
+    def work(number: int, stream: Generator[EstimateUpdate, None, None]) -> None:
+        try:
+            for update in stream:
+                arrived.put((number, update))
+            arrived.put((number, None))
+        except Exception as error:  # raised where the estimates are taken
+            arrived.put((number, error))
+
+    threads = [threading.Thread(target=work, args=pair, daemon=True) for pair in enumerate(streams)]
+    for thread in threads:
+        thread.start()
+    running = len(threads)
+    try:
+        while running:
+            number, item = arrived.get()
+            if isinstance(item, Exception):
+                raise item
+            if item is None:
+                running -= 1
+            else:
+                yield number, item
+    finally:
+        stop()
+        for thread in threads:
+            thread.join(JOIN_TIMEOUT)
+
+
+JOIN_TIMEOUT = 5.0  #: Maximum wait for the end of a probe's source [s].
 
 
 def count_results(results: Iterable[str]) -> dict[str, int]:

@@ -412,7 +412,9 @@ def write_run(
     """
     paths = check_run_files(folder, force, recording)
     table = recording.endswith(".csv")
-    file = CsvRecorder(paths[0], force) if table else McapRecorder(paths[0], model, force, {"source": SOURCE})
+    file = (
+        CsvRecorder(paths[0], force) if table else McapRecorder(paths[0], model, force=force, about={"source": SOURCE})
+    )
     try:
         flushed = 0.0
         for block in run.trajectory.blocks(model, rng):

@@ -228,7 +228,7 @@ def test_a_message_with_a_piece_of_a_file_does_not_control_the_terminal(bundle, 
 
 def test_a_recording_without_a_name_stays_in_its_folder(estimator, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    recordings = RecordingSink(None, estimator.model, lambda line: None)
+    recordings = RecordingSink(None, [estimator.model], lambda line: None)
     recordings.start()
     assert recordings.path.resolve().parent == tmp_path / "recordings"
     recordings.close()

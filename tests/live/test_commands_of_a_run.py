@@ -39,7 +39,7 @@ def test_the_table_has_every_command_and_every_key_once():
 def run(estimator, tmp_path):
     """Queue, messages, and an iterator of estimates of a run at the first of them, which records on request."""
     commands, lines = CommandQueue(), []
-    recordings = RecordingSink(tmp_path / "touch.csv", estimator.model, lines.append)
+    recordings = RecordingSink(tmp_path / "touch.csv", [estimator.model], lines.append)
     commands.register("start recording", lambda command: recordings.start())
     commands.register("stop recording", lambda command: recordings.stop())
     source = SimulatedSource(estimator.model, "speed=max&seconds=20&rate_hz=50")

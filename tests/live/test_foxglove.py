@@ -244,7 +244,7 @@ def server(model):
     with socket.socket() as trial:
         trial.bind(("127.0.0.1", 0))
         port = trial.getsockname()[1]
-    with closing(FoxgloveSink(model, ("127.0.0.1", port), log_lines.append)) as sink:
+    with closing(FoxgloveSink([model], ("127.0.0.1", port), log_lines.append)) as sink:
         sink.url, sink.log_lines = f"ws://127.0.0.1:{port}", log_lines
         yield sink
 
@@ -328,12 +328,12 @@ def test_without_a_subscriber_nothing_is_encoded(model, updates, monkeypatch):
     pytest.importorskip("foxglove")
     from probedesign.live.outputs.foxglove import FoxgloveServer
 
-    server = FoxgloveServer(model, ("127.0.0.1", 0))
+    server = FoxgloveServer([model], ("127.0.0.1", 0))
     monkeypatch.setattr(schemas, "stamped", lambda *_: pytest.fail("encoded"))
     server.on_samples(block(0, 7))
     server.on_estimate(updates[0])
     server.close()
-    assert server.clock_offset is None
+    assert all(encoder.clock_offset is None for encoder in server._encoders.values())
 
 
 @pytest.mark.parametrize("text", ["a/b", "127.0.0.1:99999", "127.0.0.1:0", "a b:1", "::1:3", "x@y:1"])
@@ -360,7 +360,7 @@ def test_a_port_in_use_is_one_line(model, server):
     port = int(server.url.rpartition(":")[2])
     for address in (("127.0.0.1", port), ("192.0.2.1", 8765)):  # the second is nobody's
         with pytest.raises(InputError, match=f"--foxglove {address[0]}:{address[1]}") as error:
-            FoxgloveServer(model, address)
+            FoxgloveServer([model], address)
         assert "\n" not in str(error.value)
 
 
@@ -369,7 +369,7 @@ def test_without_the_package_the_remedy_is_reported(model, monkeypatch):
 
     monkeypatch.setattr("probedesign.core.errors.find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r"probedesign\[foxglove\]"):
-        FoxgloveServer(model, ("127.0.0.1", 0))
+        FoxgloveServer([model], ("127.0.0.1", 0))
 
 
 def test_the_estimate_of_a_fault_is_encoded(model, tmp_path):

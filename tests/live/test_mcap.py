@@ -93,7 +93,7 @@ def test_any_readings_come_back_to_the_nanosecond(model, tmp_path, start, later,
 def test_a_time_that_a_recording_cannot_hold_ends_it_with_a_line(model, tmp_path, time):
     """The last one is before 1970 by the wall clock."""
     path, log_lines = tmp_path / "long.mcap", []
-    with closing(RecordingSink(path, model, log_lines.append)) as sink:
+    with closing(RecordingSink(path, [model], log_lines.append)) as sink:
         sink.start()
         sink.on_samples(block(0, 5))
         until(lambda: sink.state()[0].endswith("5 readings"))

@@ -108,7 +108,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_run(estimator, tmp_path, mon
     """240 readings take 40 kB of CSV and 25 of MCAP, where the head is written already; 64 come at
     once."""
     path, log_lines = tmp_path / f"full.{kind}", []
-    recordings = RecordingSink(path, estimator.model, log_lines.append)
+    recordings = RecordingSink(path, [estimator.model], log_lines.append)
     recordings.start()
     recordings._current._flush_period = 0.0
     full_after(monkeypatch, room)
@@ -136,7 +136,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_run(estimator, tmp_path, mon
 
 def test_a_full_disk_when_nothing_is_there_yet(model, tmp_path, monkeypatch):
     full_after(monkeypatch, 10)
-    recordings = RecordingSink(tmp_path / "full.mcap", model, lambda line: None)
+    recordings = RecordingSink(tmp_path / "full.mcap", [model], lambda line: None)
     with pytest.raises(InputError, match="cannot be written: No space left on device"):
         recordings.start()
     assert not list(tmp_path.iterdir())
@@ -144,7 +144,7 @@ def test_a_full_disk_when_nothing_is_there_yet(model, tmp_path, monkeypatch):
 
 def test_each_start_is_a_new_file(model, tmp_path):
     log_lines, path = [], tmp_path / "r.mcap"
-    with closing(RecordingSink(path, model, log_lines.append)) as recordings:
+    with closing(RecordingSink(path, [model], log_lines.append)) as recordings:
         recordings.on_samples(block(0, 3))  # before the start: recorded nowhere
         for i in range(1, 4):
             assert recordings.start() == f"recording to {recordings.path}"
@@ -167,11 +167,11 @@ def test_each_start_is_a_new_file(model, tmp_path):
 def test_no_file_is_overwritten_without_force(model, tmp_path):
     log_lines, path = [], tmp_path / "r.mcap"
     path.write_text("mine")
-    recordings = RecordingSink(path, model, log_lines.append)
+    recordings = RecordingSink(path, [model], log_lines.append)
     with pytest.raises(InputError, match="exists already; --force replaces it"):
         recordings.start()
     assert path.read_text() == "mine"
-    with closing(RecordingSink(path, model, log_lines.append, force=True)) as recordings:
+    with closing(RecordingSink(path, [model], log_lines.append, force=True)) as recordings:
         recordings.start()
         assert recordings.path == path
     assert read(path, model)[1] == []
@@ -181,11 +181,11 @@ def test_no_file_is_overwritten_without_force(model, tmp_path):
 def test_a_second_writer_on_the_same_file_is_refused_and_leaves_it_whole(model, tmp_path, name):
     """With --force too, from this process and from another one."""
     path, log_lines = tmp_path / name, []
-    with closing(RecordingSink(path, model, log_lines.append)) as first:
+    with closing(RecordingSink(path, [model], log_lines.append)) as first:
         first.start()
         first.on_samples(block(0, 5))
         with pytest.raises(InputError, match="another program is writing this file"):
-            RecordingSink(path, model, print, force=True).start()
+            RecordingSink(path, [model], print, force=True).start()
         code = (
             "import sys; from pathlib import Path; from probedesign.live.recordings import AppendFile\n"
             "AppendFile(Path(sys.argv[1]), True)"
@@ -194,13 +194,13 @@ def test_a_second_writer_on_the_same_file_is_refused_and_leaves_it_whole(model, 
         assert other.returncode == 1 and "another program is writing this file" in other.stderr
     assert log_lines[-1] == f"recorded 5 readings to {path}"
     assert sum(map(len, open_recording(path, model).blocks())) == 5
-    RecordingSink(path, model, print, force=True).start()  # the lock ends with the writer
+    RecordingSink(path, [model], print, force=True).start()  # the lock ends with the writer
 
 
 @pytest.mark.parametrize("kind", ["mcap", "csv"])
 def test_a_recording_is_split_by_size_without_a_reading_lost(model, tmp_path, kind):
     log_lines, path = [], tmp_path / f"r.{kind}"
-    sink = RecordingSink(path, model, log_lines.append, limits=SplitLimits(size=40_000))
+    sink = RecordingSink(path, [model], log_lines.append, limits=SplitLimits(size=40_000))
     sink.start()
     sink._current._flush_period = 0.0
     written = [block(i * 100, 100) for i in range(12)]
@@ -222,7 +222,7 @@ def test_a_recording_is_split_by_size_without_a_reading_lost(model, tmp_path, ki
 def test_no_part_of_a_split_recording_is_replaced_while_it_is_written(model, tmp_path):
     """The first part, an earlier one and the current one; a recording with such a name beside it is not concerned."""
     path = tmp_path / "r.csv"
-    with closing(RecordingSink(path, model, print, limits=SplitLimits(size=1000))) as sink:
+    with closing(RecordingSink(path, [model], print, limits=SplitLimits(size=1000))) as sink:
         sink.start()
         for i in range(4):
             sink.on_samples(block(i * 10, 10))
@@ -231,18 +231,18 @@ def test_no_part_of_a_split_recording_is_replaced_while_it_is_written(model, tmp
         assert len(contents) == 4
         for part in contents:
             with pytest.raises(InputError, match="another program is writing"):
-                RecordingSink(part, model, print, force=True).start()
+                RecordingSink(part, [model], print, force=True).start()
         assert {part: part.read_bytes() for part in tmp_path.iterdir()} == contents
-        with closing(RecordingSink(tmp_path / "q-2.csv", model, print)) as other:
+        with closing(RecordingSink(tmp_path / "q-2.csv", [model], print)) as other:
             other.start()
     for part in contents:
-        with closing(RecordingSink(part, model, print, force=True)) as other:
+        with closing(RecordingSink(part, [model], print, force=True)) as other:
             other.start()
 
 
 def test_complete_parts_may_be_moved_while_the_recording_continues(model, tmp_path):
     path = tmp_path / "r.csv"
-    with closing(RecordingSink(path, model, print, limits=SplitLimits(size=1000))) as sink:
+    with closing(RecordingSink(path, [model], print, limits=SplitLimits(size=1000))) as sink:
         sink.start()
         for i in range(4):
             sink.on_samples(block(i * 10, 10))
@@ -254,7 +254,7 @@ def test_complete_parts_may_be_moved_while_the_recording_continues(model, tmp_pa
 
 def test_a_recording_is_split_by_time(model, tmp_path):
     path = tmp_path / "r.csv"
-    sink = RecordingSink(path, model, print, limits=SplitLimits(duration=0.15))
+    sink = RecordingSink(path, [model], print, limits=SplitLimits(duration=0.15))
     sink.start()
     sink._current._flush_period = 0.0
     for i in range(5):
@@ -281,7 +281,7 @@ def test_csv_and_mcap_contain_the_same_readings_with_their_faults(model, tmp_pat
     found = {}
     for kind in ("mcap", "csv"):
         path, log_lines = tmp_path / f"both.{kind}", []
-        with closing(RecordingSink(path, model, log_lines.append)) as sink:
+        with closing(RecordingSink(path, [model], log_lines.append)) as sink:
             sink.start()
             for each in (block(0, 30), wild, quiet, block(40, 20)):
                 sink.on_samples(each)
@@ -294,11 +294,11 @@ def test_csv_and_mcap_contain_the_same_readings_with_their_faults(model, tmp_pat
 
 def test_an_unknown_suffix_is_refused(model, tmp_path):
     with pytest.raises(InputError, match=r"use the suffix \.mcap .* or \.csv"):
-        RecordingSink(tmp_path / "r.bag", model, print).start()
+        RecordingSink(tmp_path / "r.bag", [model], print).start()
 
 
 def test_without_a_name_it_is_called_by_probe_and_date(model, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with closing(RecordingSink(None, model, lambda line: None)) as recordings:
+    with closing(RecordingSink(None, [model], lambda line: None)) as recordings:
         recordings.start()
         assert recordings.path.match("recordings/large-????????-??????.mcap")

@@ -23,7 +23,16 @@ from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.view.page import events_html, status_html
 from probedesign.live.view.sinks import TerminalView, scene_setup, table_of
-from probedesign.live.view.state import STRIP, Event, Snapshot, StatusLine, StripCharts, ViewState, touch_points
+from probedesign.live.view.state import (
+    STRIP,
+    Event,
+    PageSetup,
+    Snapshot,
+    StatusLine,
+    StripCharts,
+    ViewState,
+    touch_points,
+)
 from probedesign.web.scene import RECORD, read_stl, rigid_parts
 
 
@@ -347,7 +356,9 @@ def page(estimator, tmp_path):
     pytest.importorskip("viser")
     from probedesign.live.view.page import ViewerPage
 
-    page = ViewerPage(scene_setup(estimator, tmp_path, "127.0.0.1", 8123, lambda line: None), lambda name, text: None)
+    scene = scene_setup(estimator, tmp_path, lambda line: None)
+    page = ViewerPage(PageSetup("127.0.0.1", 8123, (scene, scene)), lambda name, text: None)
+    page.show_first = lambda snapshot: page.show([snapshot, Snapshot()])
     yield page
     page.stop()
 
@@ -355,9 +366,9 @@ def page(estimator, tmp_path):
 def test_old_curves_move_out_and_limits_are_lines(estimator, page):
     rows = np.zeros((31, len(STRIP)))
     rows[:, 0] = 1.76e9 + np.arange(31)
-    page.show(Snapshot(strip=rows))
-    page.show(Snapshot(result="ok", stale=True, age=5.0))
-    plot = page._panel._charts[2]._plot  # force at the base
+    page.show_first(Snapshot(strip=rows))
+    page.show_first(Snapshot(result="ok", stale=True, age=5.0))
+    plot = page._panel._charts[0][2]._plot  # force at the base
     assert plot.scales["x"]["range"] == (rows[-1, 0] + 5.0 - 30.0, rows[-1, 0] + 5.0)
     limit = 1e3 * estimator.model.wrench_range[:3].min()
     assert [plot.data[4][0], plot.data[5][0]] == [limit, -limit]
@@ -370,25 +381,30 @@ def test_scene_and_charts_are_of_one_instant_and_stay_while_paused(estimator, pa
         state = ViewState()
         state.on_estimate(answer(estimator, update.estimate, T_world_base=pose(p=(x, 0.0, 0.0))))
         states.append(state.snapshot())
-    page.show(states[0])
-    bent_vertices = page._probe.vertices.copy()  # viser writes into its own array
+    page.show_first(states[0])
+    bent_vertices = page._scenes[0]._probe.vertices.copy()  # viser writes into its own array
     page._panel._toggle()
-    page.show(states[1])
-    assert page._base.position[0] == pytest.approx(20.0 * 0.1) and np.array_equal(page._probe.vertices, bent_vertices)
+    page.show_first(states[1])
+    assert page._scenes[0]._base.position[0] == pytest.approx(20.0 * 0.1) and np.array_equal(
+        page._scenes[0]._probe.vertices, bent_vertices
+    )
     page._panel._toggle()
-    page.show(states[1])
-    assert page._base.position[0] == pytest.approx(20.0 * 0.2)  # 20 units of the scene are a metre
+    page.show_first(states[1])
+    assert page._scenes[0]._base.position[0] == pytest.approx(20.0 * 0.2)  # 20 units of the scene are a metre
     # No shape of an earlier instant is drawn at a pose of this one: the free probe, in grey.
-    page.show(replace(states[0], result="inconsistent", shape=None, marker=None))
-    assert not np.allclose(page._probe.vertices, bent_vertices)
-    assert tuple(page._probe.color) == (150, 150, 150) and not page._contact.visible
+    page.show_first(replace(states[0], result="inconsistent", shape=None, marker=None))
+    assert not np.allclose(page._scenes[0]._probe.vertices, bent_vertices)
+    assert page._scenes[1]._base.position[2] > 1.0  # the other probe, of unknown pose, stands aside
+    assert tuple(page._scenes[0]._probe.color) == (150, 150, 150) and not page._scenes[0]._contact.visible
 
 
 def test_ended_touches_are_numbered_in_the_scene(estimator, page):
     found = kept(estimator, "speed=max&rate_hz=10&seconds=8", Clock())._update.estimate
     touches = (Contact(1, 0.0, 1.0, estimate=found), Contact(2, 2.0, 3.0), Contact(3, 4.0, estimate=found))
-    page.show(Snapshot(result="no_contact", touches=touch_points(touches)))
-    assert [label.text for mark, label in page._marks if mark.visible] == ["1"]  # 2 was not located, 3 goes on
+    page.show_first(Snapshot(result="no_contact", touches=touch_points(touches)))
+    assert [label.text for mark, label in page._scenes[0]._marks if mark.visible] == [
+        "1"
+    ]  # 2 was not located, 3 goes on
 
 
 # terminal
@@ -404,7 +420,7 @@ def test_terminal_and_page_show_the_same_status(estimator):
 
 def test_the_terminal_is_left_as_it_was(estimator):
     console = Console(file=StringIO(), force_terminal=True, width=100, height=40)
-    terminal = TerminalView("large", console=console)
+    terminal = TerminalView({"": ViewState()}, ["large"], console=console)
     terminal.on_estimate(answer(estimator, Estimate("no_contact")))
     terminal.on_event(0.0, "tare from [bold]100[/bold] readings")
     terminal.close()

@@ -26,6 +26,7 @@ from probedesign.live.processing.commands import COMMANDS, CommandQueue
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.sim import SimulatedSource
 from probedesign.live.view.sinks import BrowserView
+from probedesign.live.view.state import ViewState
 from tests.reports.page_checks import PATIENCE, SOFTWARE, browser
 
 pytest.importorskip("viser")
@@ -48,14 +49,9 @@ def assert_eventually(happened, seconds=60.0):
 def view(estimator, tmp_path_factory):
     """A page that shows a simulated touch, its messages, and its commands."""
     log_lines, requests, recording = [], CommandQueue(), ["", ""]
-    view = BrowserView(
-        estimator,
-        tmp_path_factory.mktemp("view"),
-        requests,
-        log_lines.append,
-        port=free_port(),
-        recording=lambda: tuple(recording),
-    )
+    states = {"": ViewState(recording=lambda: tuple(recording))}
+    probes = [(estimator, tmp_path_factory.mktemp("view"))]
+    view = BrowserView(states, probes, requests, log_lines.append, port=free_port())
     view.log_lines, view.requests, view.recording = log_lines, requests, recording
     stream = SimulatedSource(estimator.model, "speed=max&rate_hz=10&seconds=8")
     list(estimate_stream(estimator, stream, ProcessingOptions(), log_lines.append, view))
@@ -131,9 +127,8 @@ def public(estimator, tmp_path_factory, view):
     log_lines, shown = [], io.StringIO()
     port = int(view.url.rpartition(":")[2])
     with contextlib.redirect_stderr(shown):
-        public = BrowserView(
-            estimator, tmp_path_factory.mktemp("public"), CommandQueue(), log_lines.append, host="0.0.0.0", port=port
-        )
+        probes = [(estimator, tmp_path_factory.mktemp("public"))]
+        public = BrowserView({"": ViewState()}, probes, CommandQueue(), log_lines.append, host="0.0.0.0", port=port)
     public.local = public.url.replace("0.0.0.0", "127.0.0.1")
     public.token = re.search(r"view: open http://\S+:\d+/\?token=(\S+)", shown.getvalue())[1]
     public.log_lines = log_lines
@@ -185,14 +180,14 @@ def test_beyond_this_machine_the_token_is_required(public):
 )
 def test_what_is_no_address_of_this_machine(estimator, tmp_path, host, port, expected):
     with pytest.raises(InputError) as error:
-        BrowserView(estimator, tmp_path, CommandQueue(), print, host=host, port=port)
+        BrowserView({}, [(estimator, tmp_path)], CommandQueue(), print, host=host, port=port)
     assert expected in str(error.value) and str(error.value).isprintable()
 
 
 def test_without_viser_the_remedy_is_reported(estimator, tmp_path, monkeypatch):
     monkeypatch.setattr("probedesign.core.errors.find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r"probedesign\[view\]"):
-        BrowserView(estimator, tmp_path, CommandQueue(), print)
+        BrowserView({}, [(estimator, tmp_path)], CommandQueue(), print)
 
 
 def test_commands_reach_the_run_and_nothing_else_does(view):
@@ -265,7 +260,7 @@ def tab(view):
 
 
 def test_a_browser_shows_status_and_sends_commands(view, tab):
-    words = {log_lines.name: log_lines.text for log_lines in view.snapshot().status}
+    words = {log_lines.name: log_lines.text for log_lines in view.snapshots()[0].status}
     for name in ("contact", "force", "point"):
         tab.get_by_text(words[name], exact=True).first.wait_for(timeout=PATIENCE)
     tab.get_by_text("stale: no reading for", exact=False).first.wait_for(timeout=PATIENCE)

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from probedesign.design import load_design
 from probedesign.live.outputs.ros2 import RosPublisher
-from probedesign.live.outputs.sinks import SinkGroup
+from probedesign.live.outputs.sinks import ProbeSink, SinkGroup
 from probedesign.live.poses.base_poses import BasePoses, TimedPose
 from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.commands import COMMANDS as RUN_COMMANDS
@@ -69,7 +70,7 @@ def a_run(node, estimator, record=None, seconds=4):
     """A simulated run with a fixed pose of the base, published to the node and recorded."""
     lines = []
     sinks = SinkGroup()
-    publisher = RosPublisher(f"ros2://127.0.0.1:{node._receiver.port}", estimator.model, lines.append)
+    publisher = RosPublisher(f"ros2://127.0.0.1:{node._receiver.port}", [estimator.model], lines.append)
     sinks.add(publisher)
     poses = BasePoses("still", [TimedPose(0.04 * i, (0.4, 0.0, 0.3), (0.0, 0.6, 0.0, 0.8)) for i in range(120)])
     if record is not None:
@@ -104,11 +105,13 @@ def test_messages_equal_those_of_the_recording(node, estimator, tmp_path, monkey
         ours = sent(node, f"~/{name}")
         assert len(ours) == len(recorded[name]) > 3
         for a, b in zip(ours, recorded[name], strict=True):
+            a.header.frame_id = a.header.frame_id.removeprefix("large/")
             assert fields(a) == fields(b)
+            a.header.frame_id = "world" if name == "base" else "large/base"
             stamps = [(m.header.stamp.sec, m.header.stamp.nanosec) for m in (a, b)]
             assert stamps[0] == stamps[1]
             assert abs(stamps[0][0] - START) <= 5  # the run takes four seconds by the source's clock
-    assert {m.header.frame_id for m in sent(node, "~/contact")} == {"base"}
+    assert {m.header.frame_id for m in sent(node, "~/contact")} == {"large/base"}  # base is the robot's
     assert any("mark: cup" in m.data for m in sent(node, "~/event"))
 
 
@@ -124,25 +127,43 @@ def test_the_transforms_form_one_tree(node, estimator):
     a_run(node, estimator)
     edges = {(t.header.frame_id, t.child_frame_id) for m in sent(node, "/tf") for t in m.transforms}
     still = {(t.header.frame_id, t.child_frame_id) for m in sent(node, "/tf_static") for t in m.transforms}
-    assert edges == {("world", "base"), ("base", "contact")} and still == {("base", "sensor")}
+    assert edges == {("world", "large/base"), ("large/base", "large/contact")}
+    assert still == {("large/base", "large/sensor")}
     (static,) = {repr(m.transforms[0].transform) for m in sent(node, "/tf_static")}
     at = sent(node, "/tf_static")[0].transforms[0].transform
     expected = np.linalg.inv(estimator.model.T_sensor_base)
     assert [at.translation.x, at.translation.y, at.translation.z] == pytest.approx(expected[:3, 3], abs=1e-12)
     contact = sent(node, "~/contact")[-1]
-    last = [t for m in sent(node, "/tf") for t in m.transforms if t.child_frame_id == "contact"][-1]
+    last = [t for m in sent(node, "/tf") for t in m.transforms if t.child_frame_id == "large/contact"][-1]
     assert last.transform.translation.x == contact.pose.pose.position.x and static
 
 
 def test_a_prefix_of_the_frames(ros, estimator):
-    ros.Node.overrides = {"port": 0, "frame_prefix": "probe_", "publish_tf": False}
+    ros.Node.overrides = {"port": 0, "frame_prefix": "robot1/", "publish_tf": False}
     node = ros.ProbeNode()
     a_run(node, estimator, seconds=2)
+    assert {m.header.frame_id for m in sent(node, "~/base")} == {"world"}
     frames = {m.header.frame_id for m in sent(node, "~/wrench")}
     edges = {(t.header.frame_id, t.child_frame_id) for m in sent(node, "/tf") for t in m.transforms}
-    assert frames == {"probe_base"} and edges == {("probe_base", "probe_contact")}
+    assert frames == {"robot1/large/base"} and edges == {("robot1/large/base", "robot1/large/contact")}
     node.destroy_node()
     ros.Node.overrides = {"port": 0, "control_port": 0}
+
+
+def test_the_topics_of_several_probes_begin_with_their_names(node, estimator):
+    models = [replace(estimator.model, name=name) for name in ("left", "right-2")]
+    run = SinkGroup(RosPublisher(f"ros2://127.0.0.1:{node._receiver.port}", models, print))
+    for model in models:
+        sinks = SinkGroup(ProbeSink(model.name, run))
+        source = SimulatedSource(model, "speed=max&seconds=4&rate_hz=10&period_s=5")
+        for _ in estimate_stream(estimator, source, ProcessingOptions(samples=1, zero="trusted"), print, sinks):
+            node.receive()
+    assert not sent(node, "~/wrench")
+    for name in ("left", "right_2"):  # as a name of ROS may be
+        assert {m.header.frame_id for m in sent(node, f"~/{name}/contact")} == {f"{name}/base"}
+        assert len(sent(node, f"~/{name}/markers")) == len(sent(node, f"~/{name}/state")) == 40
+    assert {t.child_frame_id for m in sent(node, "/tf") for t in m.transforms} == {"left/contact", "right_2/contact"}
+    assert node._receiver.counts["malformed"] == 0
 
 
 def test_markers_are_the_95_percent_ellipsoid_and_vanish_without_a_contact(node, estimator):

@@ -1,5 +1,7 @@
 """Sink that serves the messages of a recording live to Foxglove and PlotJuggler, by the Foxglove WebSocket protocol."""
 
+from collections.abc import Sequence
+
 from probedesign.core.errors import InputError, require
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log, split_address
@@ -45,8 +47,8 @@ class FoxgloveServer(MessageEncoder):
 
     readings = size = 0
 
-    def __init__(self, model: ProbeModel, address: tuple[str, int]) -> None:
-        """Start the server.
+    def __init__(self, models: Sequence[ProbeModel], address: tuple[str, int]) -> None:
+        """Start the server for the probes of a run.
 
         Raises:
             InputError: the address cannot be used.
@@ -66,22 +68,22 @@ class FoxgloveServer(MessageEncoder):
                 if channel.topic == schemas.TF_STATIC.name:
                     static()
 
-        super().__init__(model)
+        super().__init__(*models)
         context = self._context = foxglove.Context()  # channels live as long as it
         self._channels = {
-            topic.name: foxglove.Channel(
-                topic.name,
+            topic.path: foxglove.Channel(
+                topic.path,
                 schema=foxglove.Schema(name=topic.type, encoding="ros2msg", data=schemas.definition(topic.type)),
                 message_encoding="cdr",
                 metadata=topic.metadata,
                 context=context,
             )
-            for topic in schemas.TOPICS
+            for topic in self.topics
         }
         host, port = address
         try:
             self._server = foxglove.start_server(
-                name=f"probedesign {model.name} {model.fingerprint}",
+                name="probedesign " + ", ".join(f"{model.name} {model.fingerprint}" for model in models),
                 host=host,
                 port=port,
                 context=context,
@@ -94,14 +96,14 @@ class FoxgloveServer(MessageEncoder):
 
     def add(self, topic: Topic, logged: Nanoseconds, data: Bytes, sequence: int = 0) -> None:
         """Send messages; see `MessageEncoder`."""
-        channel = self._channels[topic.name]
+        channel = self._channels[topic.path]
         if channel.has_sinks():
             for time, message in zip(logged.tolist(), data, strict=True):
                 channel.log(message.tobytes(), log_time=time)
 
     def is_wanted(self, topic: Topic) -> bool:
         """Return whether somebody subscribed to a topic."""
-        return self._channels[topic.name].has_sinks()
+        return self._channels[topic.path].has_sinks()
 
     def on_samples(self, block: Block) -> None:
         """Encode readings if somebody listens; see `MessageEncoder`."""
@@ -130,9 +132,9 @@ class FoxgloveSink(BackgroundWriter):
         url: address of the server.
     """
 
-    def __init__(self, model: ProbeModel, address: tuple[str, int], log: Log) -> None:
+    def __init__(self, models: Sequence[ProbeModel], address: tuple[str, int], log: Log) -> None:
         """Start server and thread; see `FoxgloveServer`."""
-        server = FoxgloveServer(model, address)
+        server = FoxgloveServer(models, address)
         self.url, local = server.url, address[0] in LOOPBACK
         log(f"foxglove: {server.url}, {'this machine only' if local else 'readable by anyone in the network'}")
         super().__init__(server, "foxglove", log, MAX_QUEUED_READINGS, FLUSH_PERIOD, cause="the server")

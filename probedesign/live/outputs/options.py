@@ -1,6 +1,6 @@
 """The outputs that the user of a run selected, and their sinks."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -13,10 +13,10 @@ from probedesign.live import Log
 from probedesign.live.outputs.recording import RecordingSink, SplitLimits, check_suffix
 from probedesign.live.outputs.ros2 import SCHEME, RosPublisher
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
-from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.processing.commands import CommandQueue
 from probedesign.live.sources.source import Source
 from probedesign.live.view.sinks import BrowserView, TerminalView
+from probedesign.live.view.state import ViewState
 
 
 @dataclass(frozen=True)
@@ -28,69 +28,76 @@ class OutputOptions:
     publish: str | None  #: udp://HOST:PORT to which estimates are sent, or ros2://HOST:PORT of a node.
     page: tuple[str, int] | None  #: host and port of the page in the browser.
     terminal: bool  #: whether a live table is shown on the terminal.
-    parts_folder: Path  #: folder of the exported parts, which the page shows.
+    parts_folders: Sequence[Path]  #: folders of the exported parts of each probe, which the page shows.
     metadata: Mapping[str, str]  #: options of the run, stored in the recording.
     split: SplitLimits = field(default_factory=SplitLimits)  #: when a recording continues in a new file.
     foxglove: tuple[str, int] | None = None  #: host and port of the Foxglove server; None serves none.
     open_browser: bool = False  #: whether the page is shown in the user's browser.
 
-    def check(self, source: str) -> None:
-        """Refuse to replace an existing file unasked, or to replace the recording that is replayed.
+    def check(self, sources: Sequence[str], several: bool) -> None:
+        """Refuse to replace an existing file unasked, or to replace a recording that is replayed.
 
         Raises:
-            InputError: this would happen, or the suffix of the file is unknown.
+            InputError: this would happen, the suffix of the file is unknown, or several probes share a table.
         """
         record = self.record
         if record is None:
             return
         check_suffix(record)
-        replayed = Path(source.partition("?")[0].removeprefix("replay:"))
-        if record.exists() and replayed.exists() and record.samefile(replayed):
-            raise InputError(f"--record {record} is the recording being replayed; choose another file")
+        if several and record.suffix.lower() == ".csv":
+            raise InputError(f"--record {record}: a table has the readings of one sensor; record to NAME.mcap")
+        for source in sources:
+            replayed = Path(source.partition("?")[0].removeprefix("replay:"))
+            if record.exists() and replayed.exists() and record.samefile(replayed):
+                raise InputError(f"--record {record} is the recording being replayed; choose another file")
         check_overwrite(record, self.force)
 
-    def publisher(self, model: ProbeModel, log: Log) -> UdpPublisher | None:
+    def publisher(self, models: Sequence[ProbeModel], log: Log) -> UdpPublisher | None:
         """Return the publisher; separate from the other sinks because an invalid address is reported first."""
         if self.publish is not None and self.publish.startswith(SCHEME):
-            return RosPublisher(self.publish, model, log)
+            return RosPublisher(self.publish, models, log)
         return None if self.publish is None else UdpPublisher(self.publish, log)
 
     def connect(
         self,
         sinks: SinkGroup,
         commands: CommandQueue,
-        estimator: Estimator,
-        source: Source,
-        poses: BasePoses | None,
+        estimators: Mapping[str, Estimator],
+        sources: Sequence[Source],
         publisher: UdpPublisher | None,
     ) -> None:
         """Add the selected sinks to a run and register their commands.
 
+        Args:
+            sinks: the sinks of the run.
+            commands: receives the commands of the page.
+            estimators: estimator of each probe by its name in the run, which is empty for a single probe.
+            sources: source of each.
+            publisher: see `publisher`.
+
         Raises:
             InputError: the file cannot be written, or an address cannot be used.
         """
-        counts = partial(getattr, source, "counts", {})
+        models = [estimator.model for estimator in estimators.values()]
         if publisher is not None:
             sinks.add(publisher)  # the first of them: a controller waits for it
-        recordings = RecordingSink(self.record, estimator.model, sinks.log, self.force, self.metadata, self.split)
+        recordings = RecordingSink(self.record, models, sinks.log, self.force, self.metadata, self.split)
         commands.register("start recording", lambda command: recordings.start())
         commands.register("stop recording", lambda command: recordings.stop())
         sinks.add(recordings)
         if self.foxglove is not None:
             from probedesign.live.outputs.foxglove import FoxgloveSink
 
-            sinks.add(FoxgloveSink(estimator.model, self.foxglove, sinks.log))
-        if poses is not None:
-            poses.on_pose = sinks.on_pose
+            sinks.add(FoxgloveSink(models, self.foxglove, sinks.log))
+        states = {
+            name: ViewState(partial(getattr, source, "counts", {}), recording=recordings.state, name=name)
+            for name, source in zip(estimators, sources, strict=True)
+        }
         if self.page is not None:
-            host, port = self.page
-            sinks.add(
-                BrowserView(
-                    estimator, self.parts_folder, commands, sinks.log, host=host, port=port, counts=counts,
-                    recording=recordings.state, open_browser=self.open_browser,
-                )
-            )  # fmt: skip
+            folders = zip(estimators.values(), self.parts_folders, strict=True)
+            sinks.add(BrowserView(states, [*folders], commands, sinks.log, *self.page, open_browser=self.open_browser))
         if self.terminal:
-            sinks.add(TerminalView(f"{estimator.model.name} {estimator.model.fingerprint}", counts, recordings.state))
+            titles = [f"{model.name} {model.fingerprint}" for model in models]
+            sinks.add(TerminalView(states, titles))
         if self.record is not None:  # after the views, which show recording by its events
             sinks.log(recordings.start())

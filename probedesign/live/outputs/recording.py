@@ -4,10 +4,11 @@ import math
 import os
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -46,8 +47,8 @@ class RecordingFile(Sink, Protocol):
     def flush(self) -> None:
         """Pass everything to the operating system; from then on it survives this program."""
 
-    def on_dropped(self, readings: int, others: int) -> None:
-        """Receive the number of readings, and of estimates and events, that were dropped before this point."""
+    def on_dropped(self, readings: int, others: int, probe: str = "") -> None:
+        """Receive the number of a probe's readings, and of other messages, that were dropped before this point."""
 
 
 class BackgroundWriter(Sink):
@@ -86,7 +87,8 @@ class BackgroundWriter(Sink):
         self._queue: SimpleQueue[Job | None] = SimpleQueue()
         self._queued = self._done = 0
         self._counting = threading.Lock()  # events come from several threads
-        self._dropped = [0, 0]
+        self._dropped: dict[str, int] = {}  # readings by probe
+        self._others_dropped, self._probe = 0, ""
         self.dropped = 0
         self.failure = ""
         self._thread = threading.Thread(target=self._work, name=f"writing {name}", daemon=True)
@@ -107,11 +109,12 @@ class BackgroundWriter(Sink):
                 self._file = following
             self._file.on_samples(block)
 
+        self._probe = block.probe
         if self._enqueue(len(block) or 1, write):
             return
         if not self.dropped:
             self._log(f"{self._name}: {self._cause} is too slow; readings are dropped")
-        self._dropped[0] += len(block)
+        self._dropped[block.probe] = self._dropped.get(block.probe, 0) + len(block)
         self.dropped += len(block)
 
     def on_estimate(self, update: EstimateUpdate) -> None:
@@ -128,8 +131,7 @@ class BackgroundWriter(Sink):
 
     def close(self) -> None:
         """Write the queue and close the file."""
-        if any(self._dropped):
-            self._queue_dropped()
+        self._queue_dropped()
         self._queue.put(None)
         self._thread.join(CLOSE_TIMEOUT)
         if self._thread.is_alive():
@@ -145,19 +147,21 @@ class BackgroundWriter(Sink):
             waiting = self._queued - self._done
             if waiting and waiting + weight > self._max_queued:
                 return False
-            if any(self._dropped):
-                self._queue_dropped()
+            self._queue_dropped()
             self._queued += weight
             self._queue.put((weight, job))
         return True
 
     def _enqueue_other(self, job: Callable[[], None]) -> None:
         if not self._enqueue(1, job):
-            self._dropped[1] += 1
+            self._others_dropped += 1
 
     def _queue_dropped(self) -> None:
-        (readings, others), self._dropped = self._dropped, [0, 0]
-        self._queue.put((0, lambda: self._file.on_dropped(readings, others)))
+        others, self._others_dropped = self._others_dropped, 0
+        dropped, self._dropped = self._dropped or ({self._probe: 0} if others else {}), {}
+        for probe, readings in dropped.items():
+            self._queue.put((0, partial(lambda *counts: self._file.on_dropped(*counts), readings, others, probe)))
+            others = 0
 
     def _work(self) -> None:
         """Run jobs until the end and flush periodically; after a failure only count them."""
@@ -205,7 +209,9 @@ def check_suffix(path: Path) -> None:
         raise InputError(f"{path}: use the suffix .mcap (all data, for ROS 2 and replay) or .csv (raw readings)")
 
 
-def open_recording_file(path: Path, model: ProbeModel, force: bool, metadata: Mapping[str, str]) -> RecordingFile:
+def open_recording_file(
+    path: Path, models: Sequence[ProbeModel], force: bool, metadata: Mapping[str, str]
+) -> RecordingFile:
     """Return the recording file of the type that the suffix names; see `McapRecorder` for the arguments."""
     check_suffix(path)
     try:
@@ -215,7 +221,7 @@ def open_recording_file(path: Path, model: ProbeModel, force: bool, metadata: Ma
             return CsvRecorder(path, force)
         from probedesign.live.recordings.mcap_write import McapRecorder
 
-        return McapRecorder(path, model, force, metadata)
+        return McapRecorder(path, *models, force=force, about=metadata)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
 
@@ -246,7 +252,7 @@ class RecordingSink(SinkGroup):
     def __init__(
         self,
         path: Path | None,
-        model: ProbeModel,
+        models: Sequence[ProbeModel],
         log: Log,
         force: bool = False,
         metadata: Mapping[str, str] | None = None,
@@ -255,16 +261,17 @@ class RecordingSink(SinkGroup):
         """Prepare to record; no file is opened.
 
         Args:
-            path: first file; later files are named NAME-2, NAME-3, ... None names it by probe and date in the folder
+            path: first file; later files are named NAME-2, NAME-3, ... None names it by probes and date in the folder
                 `recordings`.
-            model: probe on the sensor.
+            models: probes of the run.
             force: whether the first file may replace an existing one.
             metadata: additional metadata of an MCAP file.
             limits: when a recording continues in a new file.
         """
         super().__init__()  # with the writer as its only sink while it records
-        self._named = path or DEFAULT_FOLDER / f"{model.name}-{datetime.now():%Y%m%d-%H%M%S}.mcap"
-        self._model, self._log, self._metadata = model, log, metadata or {}
+        name = "-".join(model.name for model in models)
+        self._named = path or DEFAULT_FOLDER / f"{name}-{datetime.now():%Y%m%d-%H%M%S}.mcap"
+        self._models, self._log, self._metadata = models, log, metadata or {}
         self._force, self._limits = force and path is not None, limits
         self._current: BackgroundWriter | None = None
         self._number = 0  # of the newest file
@@ -305,7 +312,7 @@ class RecordingSink(SinkGroup):
         number, path = self._number + 1, self._named
         while number > 1 and (path := part_path(self._named, number)).exists():
             number += 1
-        file = open_recording_file(path, self._model, self._force and number == 1, self._metadata)
+        file = open_recording_file(path, self._models, self._force and number == 1, self._metadata)
         self._number, self._opened = number, time.monotonic()
         self._paths.append(path)
         return file

@@ -3,8 +3,10 @@
 import math
 import socket
 import sys
+import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Protocol
 
 from probedesign.core.errors import InputError
@@ -51,6 +53,7 @@ class SinkGroup:
     def __init__(self, *sinks: Sink) -> None:
         self._sinks = list(sinks)
         self._time = math.nan
+        self.lock = threading.RLock()  #: Held while data of one of several probes are forwarded.
 
     def add(self, sink: Sink) -> None:
         """Add a sink."""
@@ -102,6 +105,35 @@ class SinkGroup:
                     self.log(f"{name} failed and is no longer used: {error} ({kind})")
 
 
+class ProbeSink(Sink):
+    """Passes on what belongs to one of several probes: data carry its name, and events begin with it.
+
+    It is called from the thread of its probe; the sinks behind it receive data of one probe at a time.
+    """
+
+    def __init__(self, name: str, run: SinkGroup) -> None:
+        self._name, self._run = name, run
+
+    def on_samples(self, block: Block) -> None:
+        """Pass on raw readings."""
+        with self._run.lock:
+            self._run.on_samples(replace(block, probe=self._name))
+
+    def on_estimate(self, update: EstimateUpdate) -> None:
+        """Pass on an estimate."""
+        with self._run.lock:
+            self._run.on_estimate(replace(update, probe=self._name))
+
+    def on_pose(self, pose: TimedPose) -> None:
+        """Pass on a pose of the base."""
+        with self._run.lock:
+            self._run.on_pose(replace(pose, probe=self._name))
+
+    def on_event(self, time: float, line: str) -> None:
+        """Pass on an event; it is not locked, since a thread that ends may wait for it."""
+        self._run.on_event(time, f"{self._name}: {line}")
+
+
 class StderrSink(Sink):
     """Prints events to standard error, one line each."""
 
@@ -143,7 +175,7 @@ class UdpPublisher(Sink):
 
     def on_estimate(self, update: EstimateUpdate) -> None:
         """Send the row of `live --json` and its time stamps."""
-        kind: Row = {"kind": "estimate"}
+        kind: Row = {"kind": "estimate", **({"probe": update.probe} if update.probe else {})}
         row = estimate_row(update.reading, update.estimate)
         world = world_row(update) if update.fused is not None else {}
         self._send(kind | row | world | time_stamps(update.reading.received))

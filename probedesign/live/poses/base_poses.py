@@ -26,6 +26,7 @@ class TimedPose:
     time: float  #: time by any clock [s].
     p: tuple[float, ...]  #: origin of the base in the world [m], three numbers.
     q: tuple[float, ...]  #: orientation as a quaternion x, y, z, w, as received.
+    probe: str = ""  #: name of the probe in a run with several; otherwise empty.
 
 
 def timed_pose(time: float, p: Sequence[float], q: Sequence[float]) -> TimedPose:

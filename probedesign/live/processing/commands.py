@@ -8,7 +8,7 @@ import os
 import select
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 from typing import Any, Literal, NamedTuple, get_args
@@ -96,6 +96,34 @@ class CommandQueue:
             command.reply(result)
             if command.name == "stop":
                 return True
+
+
+class SharedCommands(CommandQueue):
+    """Passes each command to every probe of a run, and those that concern recordings to the first."""
+
+    def __init__(self, queues: Sequence[CommandQueue]) -> None:
+        """Take the queue of each probe."""
+        self._queues = queues
+
+    def register(self, name: CommandName, handler: Callable[[Command], str | None]) -> None:
+        """Register the handler of a command of the whole run; see `CommandQueue`."""
+        self._queues[0].register(name, handler)
+
+    def put(
+        self, name: CommandName, text: str = "", reply: Callable[[CommandResult], None] = lambda result: None
+    ) -> None:
+        """Queue a command; `reply` receives one result when every probe has executed it."""
+        chosen = self._queues[:1] if "recording" in name else self._queues
+        results: list[CommandResult] = []
+
+        def collect(result: CommandResult) -> None:
+            results.append(result)
+            if len(results) == len(chosen):
+                texts = dict.fromkeys(each.text for each in results if each.text)
+                reply(CommandResult(all(each.accepted for each in results), "; ".join(texts)))
+
+        for queue in chosen:
+            queue.put(name, text, collect)
 
 
 SCHEMA = 1

@@ -41,6 +41,7 @@ class EstimateUpdate:
     drift_base: Array = field(default_factory=NO_DRIFT.copy)
     #: time until the sway of the probe is within the noise if the base rests from now on [s]; NaN without poses.
     time_to_rest: float = float("nan")
+    probe: str = ""  #: name of the probe in a run with several; otherwise empty.
 
 
 def locate(

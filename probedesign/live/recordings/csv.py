@@ -262,7 +262,7 @@ class CsvRecorder(Sink):
         self._n_pending += len(block)
         self.flush()  # little data, so it is written at once
 
-    def on_dropped(self, readings: int, others: int) -> None:
+    def on_dropped(self, readings: int, others: int, probe: str = "") -> None:
         """Write a comment."""
         self._file.write(f"# the disk was too slow: {readings} readings dropped here\n".encode())
 

@@ -26,7 +26,15 @@ from mcap.writer import Writer
 
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite
-from probedesign.live.recordings.schemas import CLOCK_NAME, MCAP_MAGIC, OFFSET_KEY, RECORD_PREFIX, BagTopic, Message
+from probedesign.live.recordings.schemas import (
+    CLOCK_NAME,
+    MCAP_MAGIC,
+    OFFSET_KEY,
+    RECORD_PREFIX,
+    BagTopic,
+    Message,
+    ros_name,
+)
 
 #: Maximum length of a record and of an unpacked chunk [bytes]: writers use chunks of 1 MB, plus large images.
 MAX_RECORD = 256 * 1024 * 1024
@@ -214,8 +222,9 @@ class McapBag:
     Attributes:
         path: path of the file.
         metadata: metadata by name, as far as they precede the first message.
-        clock_offset: wall clock of the headers minus the source's clock [ns], in our own recordings; otherwise 0.
-        probe: attached frozen probe, if any.
+        clock_offsets: wall clock of the headers minus the source's clock [ns], by the beginning of the names of the
+            topics; only in our own recordings.
+        probes: attached frozen probes.
     """
 
     def __init__(self, path: Path) -> None:
@@ -224,9 +233,10 @@ class McapBag:
         Raises:
             InputError: the file is not MCAP.
         """
-        self.path, self._damage, self.clock_offset = path, Damage(), 0
+        self.path, self._damage = path, Damage()
+        self.clock_offsets: dict[str, int] = {}
         self.metadata: dict[str, dict[str, str]] = {}
-        self.probe: dict[str, object] | None = None
+        self.probes: list[dict[str, object]] = []
         self._channels: dict[int, BagTopic] = {}
         self._schemas: dict[int, str] = {}
         try:
@@ -241,7 +251,7 @@ class McapBag:
                                 probe = json.loads(attachment.data)
                             except (ValueError, RecursionError):
                                 raise DamagedError("the frozen probe in it is not JSON") from None
-                            self.probe = probe if isinstance(probe, dict) else None
+                            self.probes += [probe] if isinstance(probe, dict) else []
                     elif opcode in (Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL):
                         self._register(opcode, content)
                     elif opcode not in (Opcode.HEADER, Opcode.ATTACHMENT):
@@ -321,7 +331,8 @@ class McapBag:
             metadata = parse(records.Metadata, content)
             self.metadata.setdefault(metadata.name, metadata.metadata)
             if metadata.name == CLOCK_NAME and OFFSET.fullmatch(text := metadata.metadata.get(OFFSET_KEY, "")):
-                self.clock_offset = int(text)
+                probe = metadata.metadata.get("probe", "")
+                self.clock_offsets[f"/{ros_name(probe)}/" if probe else ""] = int(text)
 
 
 @dataclass(frozen=True)

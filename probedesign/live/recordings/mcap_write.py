@@ -23,7 +23,7 @@ from mcap.opcode import Opcode
 from probedesign.estimation.model import ProbeModel
 from probedesign.frozen_probe import freeze
 from probedesign.live.recordings import AppendFile, require_mcap, schemas
-from probedesign.live.recordings.messages import MessageEncoder
+from probedesign.live.recordings.messages import MessageEncoder, ProbeEncoder
 from probedesign.live.recordings.schemas import (
     CLOCK_NAME,
     MCAP_MAGIC,
@@ -191,13 +191,13 @@ class McapRecorder(MessageEncoder):
     """Records everything to MCAP, for ROS 2 tools and for replay; called from one thread (see `RecordingFile`)."""
 
     def __init__(
-        self, path: Path, model: ProbeModel, force: bool = False, about: Mapping[str, str] | None = None
+        self, path: Path, *models: ProbeModel, force: bool = False, about: Mapping[str, str] | None = None
     ) -> None:
         """Create the file, with probe and metadata before the first message.
 
         Args:
             path: path; its folder is created if necessary.
-            model: probe on the sensor.
+            models: the probe on the sensor, or all of a run with several.
             force: replace an existing file.
             about: additional metadata: the source, the options.
 
@@ -206,21 +206,25 @@ class McapRecorder(MessageEncoder):
             MissingDependencyError: the MCAP package is not installed.
         """
         require_mcap()
-        super().__init__(model)
+        super().__init__(*models)
         self._file = AppendFile(path, force)
         self._n_encoded, self.readings = 0, 0
-        frozen = freeze(model)
-        self._writer = McapWriter(self._file, PROFILE, frozen["written_by"])
-        probe = (json.dumps(frozen, indent=2) + "\n").encode()
-        self._writer.attach(f"{model.name}.probe.json", JSON, probe)
-        metadata = {"probe": model.name, "fingerprint": model.fingerprint, "written_by": frozen["written_by"]}
+        frozen = [freeze(model) for model in models]
+        self._writer = McapWriter(self._file, PROFILE, frozen[0]["written_by"])
+        for model, content in zip(models, frozen, strict=True):
+            self._writer.attach(f"{model.name}.probe.json", JSON, (json.dumps(content, indent=2) + "\n").encode())
+        metadata = {
+            "probe": ", ".join(model.name for model in models),
+            "fingerprint": ", ".join(model.fingerprint for model in models),
+            "written_by": frozen[0]["written_by"],
+        }
         started = {"started": datetime.now(UTC).isoformat(timespec="seconds")}
         self._writer.add_metadata(METADATA_NAME, metadata | started | UNITS | dict(about or {}))
-        for name, content in schemas.QOS_METADATA.items():
-            self._writer.add_metadata(name, content)
+        for name, policies in schemas.QOS_METADATA.items():
+            self._writer.add_metadata(name, policies)
         self._channels = {
-            topic.name: self._writer.register(topic.name, topic.type, schemas.definition(topic.type), topic.metadata)
-            for topic in schemas.TOPICS
+            topic.path: self._writer.register(topic.path, topic.type, schemas.definition(topic.type), topic.metadata)
+            for topic in self.topics
         }
         try:
             self._file.flush()
@@ -230,16 +234,17 @@ class McapRecorder(MessageEncoder):
 
     def add(self, topic: Topic, logged: Nanoseconds, data: Bytes, sequence: int = 0) -> None:
         """Add messages to the chunk; see `MessageEncoder`."""
-        self._n_encoded += len(data) if topic is schemas.RAW else 0
-        self._writer.add(self._channels[topic.name], logged, data, sequence)
+        self._n_encoded += len(data) if topic.name == schemas.RAW.name else 0
+        self._writer.add(self._channels[topic.path], logged, data, sequence)
 
-    def on_clock(self) -> None:
+    def on_clock(self, encoder: ProbeEncoder) -> None:
         """Write the offset of the clocks, with which a replay restores the source's clock of a header exactly.
 
         The static transform follows, so that its time is within that of the recording.
         """
-        self._writer.add_metadata(CLOCK_NAME, {OFFSET_KEY: str(self.clock_offset)})
-        self.encode_static()
+        of = {"probe": encoder.probe} if encoder.probe else {}
+        self._writer.add_metadata(CLOCK_NAME, {OFFSET_KEY: str(encoder.clock_offset)} | of)
+        encoder.encode_static()
 
     @property
     def size(self) -> int:

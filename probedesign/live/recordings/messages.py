@@ -36,20 +36,18 @@ MAX_TIME, MAX_LOG_TIME = 4 * 10**18, 8 * 10**18
 class MessageEncoder(Sink, ABC):
     """Encodes readings, estimates, poses and events of a run; called from one thread (see `RecordingFile`).
 
-    Time stamps are wall clock: the arrival of the first block, plus the time elapsed on the source's clock since then.
-
-    Attributes:
-        clock_offset: wall clock minus the source's clock [ns]; None before the first message with a time.
+    With several probes each has its own topics and frames, which begin with its name.
     """
 
-    def __init__(self, model: ProbeModel) -> None:
-        self._model, self._scene = model, SceneEncoder(model)
-        self._pending: list[Block] = []
-        self._updates: list[EstimateUpdate] = []
-        self._count = self._first = 0
-        self._logged = time.time_ns()
-        self._scene_due = -math.inf
-        self.clock_offset: int | None = None
+    def __init__(self, *models: ProbeModel, frames: bool = False) -> None:
+        """Start without messages; with `frames`, the frames of a single probe begin with its name, too."""
+        several = len(models) > 1
+        self._encoders = {
+            model.name if several else "": ProbeEncoder(
+                model, self, model.name if several else "", f"{schemas.ros_name(model.name)}/" * (several or frames)
+            )
+            for model in models
+        }
 
     @abstractmethod
     def add(self, topic: Topic, logged: Nanoseconds, data: Bytes, sequence: int = 0) -> None:
@@ -59,9 +57,74 @@ class MessageEncoder(Sink, ABC):
         """Return whether messages of a topic are used; others are not encoded."""
         return True
 
-    def on_clock(self) -> None:
-        """Handle that the offset of the clocks has become known, before the first message with a time."""
+    def on_clock(self, encoder: "ProbeEncoder") -> None:
+        """Handle that the offset of a probe's clocks has become known, before its first message with a time."""
         return None
+
+    @property
+    def topics(self) -> list[Topic]:
+        """Every topic."""
+        return [*{t.path: t for name in self._encoders for t in schemas.topics_of(name)}.values()]
+
+    def on_samples(self, block: Block) -> None:
+        """Encode readings; see `ProbeEncoder`."""
+        self._encoders[block.probe].on_samples(block)
+
+    def on_estimate(self, update: EstimateUpdate) -> None:
+        """Encode an estimate; see `ProbeEncoder`."""
+        self._encoders[update.probe].on_estimate(update)
+
+    def on_pose(self, pose: TimedPose) -> None:
+        """Encode a pose of the base; see `ProbeEncoder`."""
+        self._encoders[pose.probe].on_pose(pose)
+
+    def on_event(self, time: float, line: str) -> None:
+        """Encode an event of the probe whose name it begins with, otherwise of the first."""
+        name, _, text = line.partition(": ")
+        if name in self._encoders:
+            self._encoders[name].on_event(time, text)
+        else:
+            next(iter(self._encoders.values())).on_event(time, line)
+
+    def on_dropped(self, readings: int, others: int, probe: str = "") -> None:
+        """Encode what was dropped; see `ProbeEncoder`."""
+        self._encoders[probe].on_dropped(readings, others)
+
+    def encode_static(self) -> None:
+        """Encode what does not change."""
+        for encoder in self._encoders.values():
+            encoder.encode_static()
+
+    def encode(self) -> None:
+        """Encode what is buffered."""
+        for encoder in self._encoders.values():
+            encoder.encode()
+
+
+class ProbeEncoder:
+    """Encodes what belongs to one probe.
+
+    Time stamps are wall clock: the arrival of the first block, plus the time elapsed on the source's clock since then.
+
+    Attributes:
+        probe: name of the probe in a run with several; otherwise empty.
+        clock_offset: wall clock minus the source's clock [ns]; None before the first message with a time.
+    """
+
+    def __init__(self, model: ProbeModel, output: MessageEncoder, probe: str, frames: str) -> None:
+        """Start without messages; `frames` is the prefix of the probe's frames."""
+        self._model, self._output, self.probe, self._frames = model, output, probe, frames
+        self._topics = {topic.name: topic for topic in schemas.topics_of(probe)}
+        self._scene = SceneEncoder(model, frames)
+        self._pending: list[Block] = []
+        self._updates: list[EstimateUpdate] = []
+        self._count = self._first = 0
+        self._logged = time.time_ns()
+        self._scene_due = -math.inf
+        self.clock_offset: int | None = None
+
+    def _add(self, topic: Topic, logged: Nanoseconds, data: Bytes, sequence: int = 0) -> None:
+        self._output.add(self._topics[topic.name], logged, data, sequence)
 
     def on_samples(self, block: Block) -> None:
         """Buffer readings until `encode` or until the state of the source changes.
@@ -88,15 +151,15 @@ class MessageEncoder(Sink, ABC):
     def on_pose(self, pose: TimedPose) -> None:
         """Encode a pose of the base, as received."""
         stamp = self._wall([pose.time])
-        self.add(schemas.BASE, stamp, stamped("world", stamp, [[*pose.p, *pose.q]]))
-        self.add(schemas.TF, stamp, schemas.transform("world", "base", int(stamp[0]), pose.p, pose.q))
+        self._add(schemas.BASE, stamp, stamped("world", stamp, [[*pose.p, *pose.q]]))
+        self._add(schemas.TF, stamp, schemas.transform("world", f"{self._frames}base", int(stamp[0]), pose.p, pose.q))
 
     def on_event(self, time: float, line: str) -> None:
         """Encode an event; without a time it has that of the last reading or message."""
         known = math.isfinite(time)
         stamp = self._wall([time]) if known else np.array([self._logged])
         event = {"time_s": time if known else None, "event": line}
-        self.add(schemas.EVENT, stamp, texts([json.dumps(event)]))
+        self._add(schemas.EVENT, stamp, texts([json.dumps(event)]))
 
     def on_dropped(self, readings: int, others: int) -> None:
         """Encode the numbers of dropped readings and others as an event, and count the readings."""
@@ -108,27 +171,27 @@ class MessageEncoder(Sink, ABC):
     def encode_static(self) -> None:
         """Encode what does not change: the pose of the sensor."""
         at = pose_from_matrix(0.0, inverse(self._model.T_sensor_base))
-        message = schemas.transform("base", "sensor", self._logged, at.p, at.q)
-        self.add(schemas.TF_STATIC, np.array([self._logged]), message)
+        message = schemas.transform(f"{self._frames}base", f"{self._frames}sensor", self._logged, at.p, at.q)
+        self._add(schemas.TF_STATIC, np.array([self._logged]), message)
 
     def encode(self) -> None:
         """Encode the buffer: estimates, readings as wrenches, and what their headers do not contain."""
         updates, self._updates = self._updates, []
         if updates:
             stamps = self._wall([update.reading.time for update in updates])
-            for topic, chosen, data in update_messages(updates, stamps):
-                self.add(topic, chosen, data)
-            for update, stamp in zip(updates, stamps, strict=True) if self.is_wanted(schemas.SCENE) else ():
+            for topic, chosen, data in update_messages(updates, stamps, self._frames):
+                self._add(topic, chosen, data)
+            for update, stamp in zip(updates, stamps, strict=True) if self._output.is_wanted(schemas.SCENE) else ():
                 if not self._scene_due - 1.0 <= update.reading.time < self._scene_due:
                     self._scene_due = update.reading.time + 0.9 * SCENE_PERIOD
-                    self.add(schemas.SCENE, np.array([stamp]), self._scene.encode(update, int(stamp)))
+                    self._add(schemas.SCENE, np.array([stamp]), self._scene.encode(update, int(stamp)))
         if not self._pending:
             return
         block, self._pending, self._count = joined(self._pending), [], 0
         stamps = self._wall(block.time) if len(block) else np.array([self._logged])
-        if len(block) and self.is_wanted(schemas.RAW):
-            self.add(schemas.RAW, stamps, stamped("sensor", stamps, block.wrench_sensor), self._first)
-        if self.is_wanted(schemas.BLOCK):
+        if len(block) and self._output.is_wanted(schemas.RAW):
+            self._add(schemas.RAW, stamps, stamped(f"{self._frames}sensor", stamps, block.wrench_sensor), self._first)
+        if self._output.is_wanted(schemas.BLOCK):
             content = {
                 "first": self._first,
                 "readings": len(block),
@@ -136,7 +199,7 @@ class MessageEncoder(Sink, ABC):
                 "stretch": block.stretch,
                 "fault": block.fault,
             }
-            self.add(schemas.BLOCK, stamps[-1:], texts([json.dumps(content)]))
+            self._add(schemas.BLOCK, stamps[-1:], texts([json.dumps(content)]))
         self._first += len(block)
 
     def _start_clock(self, source_time: float, received: float = math.nan) -> None:
@@ -144,7 +207,7 @@ class MessageEncoder(Sink, ABC):
         age = time.monotonic() - received
         now = time.time_ns() - (round(1e9 * age) if math.isfinite(age) else 0)
         self.clock_offset, self._logged = now - int(nanoseconds(source_time)), now
-        self.on_clock()
+        self._output.on_clock(self)
 
     def _wall(self, times: ArrayLike) -> Nanoseconds:
         """Return the wall clock [ns] at times of the source [s], (n,).
@@ -173,9 +236,11 @@ UNKNOWN_ROTATION_VAR = math.pi**2
 
 
 def update_messages(
-    updates: Sequence[EstimateUpdate], stamps: Nanoseconds
+    updates: Sequence[EstimateUpdate], stamps: Nanoseconds, frames: str
 ) -> Iterator[tuple[Topic, Nanoseconds, Bytes]]:
     """Yield for each topic the time stamps [ns], (n,), and the messages, (n,), of estimates with these stamps.
+
+    `frames` is the prefix of the probe's frames.
 
     Messages are encoded together: one by one they take five times as long.
     """
@@ -186,8 +251,8 @@ def update_messages(
     points = [(t, _pose_values(e.p_surface_base, e.cov_surface_base)) for t, e in contacts]
     points_world = [(t, _pose_values(f.p_surface_world, f.cov_surface_world)) for t, f in fused]
     for topic, frame, values in (
-        (schemas.WITHOUT_BIAS, "base", wrenches),
-        (schemas.CONTACT, "base", points),
+        (schemas.WITHOUT_BIAS, f"{frames}base", wrenches),
+        (schemas.CONTACT, f"{frames}base", points),
         (schemas.CONTACT_WORLD, "world", points_world),
     ):
         if values:
@@ -206,7 +271,7 @@ def update_messages(
         world = world_row(update) if update.fused is not None else {}
         line, T = json_line(estimate_row(update.reading, estimate) | world), update.T_world_base
         lines.append(f'{line[:-1]}, "T_world_base": {json.dumps(T.tolist())}}}' if np.isfinite(T).all() else line)
-    yield schemas.STATE, stamps, stamped("base", stamps, numbers, codes)
+    yield schemas.STATE, stamps, stamped(f"{frames}base", stamps, numbers, codes)
     yield schemas.ESTIMATE, stamps, texts(lines)
 
 

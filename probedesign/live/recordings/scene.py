@@ -26,8 +26,9 @@ PROBE, SENSOR, CONTACT = (0.93, 0.57, 0.26, 0.6), (0.24, 0.25, 0.28, 1.0), (0.91
 class SceneEncoder:
     """Encodes what is drawn of an estimate; a result other than `ok` removes the contact."""
 
-    def __init__(self, model: ProbeModel) -> None:
-        rod = model.rod
+    def __init__(self, model: ProbeModel, frames: str = "") -> None:
+        """Prepare the mesh; `frames` is the prefix of the probe's frames."""
+        rod, self._frames = model.rod, frames
         self._tube = TubeMesh(rod.s, rod.radius, model.cross_section.flatness, RINGS, SIDES)
         self._size = (model.sensor_d, model.sensor_d, model.sensor_height)
         self._T_sensor = pose(np.eye(3), np.array([0.0, 0.0, -0.5 * model.sensor_height]))  # below its tool face
@@ -53,15 +54,15 @@ class SceneEncoder:
                 "", no_mesh, False,
             )  # fmt: skip
 
-        shape, contact = bent_shape(update), contact_marker(update)
-        markers = [marker("sensor", 0, "sensor", Marker.CYLINDER, self._T_sensor, SENSOR, self._size)]
+        shape, contact, base = bent_shape(update), contact_marker(update), f"{self._frames}base"
+        markers = [marker("sensor", 0, f"{self._frames}sensor", Marker.CYLINDER, self._T_sensor, SENSOR, self._size)]
         if shape is not None:
             corners = self._tube.vertices(shape)[self._tube.faces]
-            markers.append(marker("probe", 0, "base", Marker.TRIANGLE_LIST, np.eye(4), PROBE, UNSCALED, corners))
-        frame, T, ball, arrow = "base", np.eye(4), None, None
+            markers.append(marker("probe", 0, base, Marker.TRIANGLE_LIST, np.eye(4), PROBE, UNSCALED, corners))
+        frame, T, ball, arrow = base, np.eye(4), None, None
         ends: tuple[Array, ...] = ()
         if contact is not None:
-            frame = "world" if contact.in_world else "base"
+            frame = "world" if contact.in_world else base
             half_axes, axes = ellipsoid_95(contact.cov)
             T, arrow = pose(axes, contact.p_surface), ARROW_SIZE
             ball = tuple(np.maximum(2.0 * half_axes, MIN_DIAMETER).tolist())

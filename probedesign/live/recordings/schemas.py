@@ -5,9 +5,10 @@ rosbags; `probedesign_msgs/msg/Contact` is this project's.
 """
 
 import json
+import re
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -246,6 +247,12 @@ class Topic:
     schema: dict[str, Any]  #: JSON Schema of the JSON in its strings; empty for other messages.
     #: whether a subscriber receives the last message even if it was sent before (transient local).
     latched: bool = False
+    probe: str = ""  #: name of the probe in a run with several.
+
+    @property
+    def path(self) -> str:
+        """Name of the topic, which begins with that of the probe in a run with several; transforms share a topic."""
+        return f"/{ros_name(self.probe)}{self.name}" if self.probe and self.type != TRANSFORMS else self.name
 
     @property
     def metadata(self) -> dict[str, str]:
@@ -267,6 +274,12 @@ class Topic:
 #: rosbag2_storage_mcap, `MCAPStorage::read_metadata`; rosbag2_storage, `qos.cpp`.
 QOS_METADATA = {"rosbag2": {"offered_qos_profiles": "numbers, as in version 8 of rosbag2's metadata"}}
 _FOREVER = "\n    sec: 9223372036\n    nsec: 854775807"
+
+
+def ros_name(name: str) -> str:
+    """Return a name as topics and frames of ROS 2 may have it: letters, digits and underscores, no digit first."""
+    text = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return f"probe_{text}" if text[:1].isdigit() else text
 
 
 def _object(title: str, required: list[str], properties: dict[str, Any]) -> dict[str, Any]:
@@ -328,3 +341,9 @@ SCENE = Topic("/probedesign/scene", MARKERS, {})
 TF = Topic("/tf", TRANSFORMS, {})  #: Pose of the base in the world, as `BASE`.
 TF_STATIC = Topic("/tf_static", TRANSFORMS, {}, latched=True)  #: Pose of the sensor in the base.
 TOPICS = (RAW, BLOCK, WITHOUT_BIAS, CONTACT, CONTACT_WORLD, BASE, ESTIMATE, EVENT, STATE, SCENE, TF, TF_STATIC)
+
+
+@cache
+def topics_of(probe: str) -> tuple[Topic, ...]:
+    """Return the topics of a probe in a run with several; without a name those of a single one."""
+    return tuple(replace(topic, probe=probe) for topic in TOPICS) if probe else TOPICS

@@ -115,22 +115,29 @@ def _table_blocks(recording: Recording, model: ProbeModel) -> Iterator[Block]:
 
 
 def _open_native(bag: Bag, model: ProbeModel, options: RecordingOptions) -> OpenRecording:
-    probe, notes = bag.probe or {}, tuple[str, ...]()
+    probe = min(  # two prints of one design differ in name only
+        bag.probes, key=lambda p: (p.get("fingerprint") != model.fingerprint, p.get("name") != model.name), default={}
+    )
     name, fingerprint = str(probe.get("name"))[:80], str(probe.get("fingerprint"))[:80]
+    of = name if len(bag.probes) > 1 else ""
+    raw, states = (replace(topic, probe=of).path for topic in (RAW, BLOCK))
+    notes: tuple[str, ...] = (
+        (f"readings of {quoted(of)}, one of {len(bag.probes)} probes of the recording",) if of else ()
+    )
     if fingerprint != model.fingerprint:
         notes = (f"recorded with probe {quoted(name)}, fingerprint {quoted(fingerprint)}, not {model.fingerprint}",)
         if not options.other_probe:
             raise InputError(f"{bag.path}: {notes[0]}; use its own frozen probe, or allow it with other_probe")
     elif probe.get("checksum") != freeze(model)["checksum"]:
-        notes = ("recorded with another frozen version of this probe (material, sensor): estimates may differ",)
+        notes += ("recorded with another frozen version of this probe (material, sensor): estimates may differ",)
     metadata = bag.metadata[METADATA_NAME]
-    first = next(iter(bag.messages({BLOCK.name})), None)
+    first = next(iter(bag.messages({states})), None)
     if first is not None and b'"time_s"' in bytes(first.data):
         raise InputError(
             f"{bag.path}: an earlier version wrote it: its blocks lack the number of their readings; read it with that "
-            f"version, or only its wrenches with --topic {RAW.name} (replay:FILE?topic={RAW.name})"
+            f"version, or only its wrenches with --topic {raw} (replay:FILE?topic={raw})"
         )
-    blocks = NativeRecording(bag)
+    blocks = NativeRecording(bag, raw, states)
 
     def missing() -> tuple[str, ...]:
         lines = []
@@ -201,9 +208,9 @@ class NativeRecording:
         n_dropped: number of readings that the recorder dropped, as far as it was read.
     """
 
-    def __init__(self, bag: Bag) -> None:
-        """Read the blocks of a bag with the topics `RAW` and `BLOCK`."""
-        self._bag = bag
+    def __init__(self, bag: Bag, raw: str, states: str) -> None:
+        """Read the blocks of a bag, with the names of its topics `RAW` and `BLOCK`."""
+        self._bag, self._raw, self._states = bag, raw, states
         self.n_dropped = 0
 
     def __iter__(self) -> Iterator[Block]:
@@ -215,19 +222,19 @@ class NativeRecording:
         raw: list[Message] = []
         self.n_dropped = 0
         n_read, n_gaps = 0, 0
-        for message in self._bag.messages({RAW.name, BLOCK.name}):
-            if message.topic == RAW.name:
+        for message in self._bag.messages({self._raw, self._states}):
+            if message.topic == self._raw:
                 raw.append(message)
                 if len(raw) > MAX_BLOCK:
-                    raise InputError(f"{self._bag.path}: {len(raw)} readings without a {BLOCK.name}")
+                    raise InputError(f"{self._bag.path}: {len(raw)} readings without a {self._states}")
                 continue
             try:
-                first, block = _native_block(raw, self._bag.clock_offset, read_text(message.data))
+                first, block = _native_block(raw, rosbag.clock_offset(self._bag, self._raw), read_text(message.data))
             except (ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
                 if self._bag.damage:  # the rest of this block lies in the damaged part
                     raw = []
                     continue
-                raise InputError(f"{self._bag.path}: a {BLOCK.name} after {n_read} readings: {error}") from None
+                raise InputError(f"{self._bag.path}: a {self._states} after {n_read} readings: {error}") from None
             if first != n_read + self.n_dropped:  # averages must not span dropped readings
                 self.n_dropped, n_gaps = first - n_read, n_gaps + 1
             n_read, raw = n_read + len(block), []

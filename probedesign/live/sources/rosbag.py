@@ -32,8 +32,9 @@ class Bag(Protocol):
 
     path: Path
     metadata: dict[str, dict[str, str]]  #: Metadata by name; only MCAP has them.
-    probe: dict[str, object] | None  #: Attached frozen probe, if any.
-    clock_offset: int  #: Clock of the headers minus the source's clock [ns]; not 0 only in our own recordings.
+    probes: list[dict[str, object]]  #: Attached frozen probes.
+    #: Clock of the headers minus the source's clock [ns], by the beginning of topics; only in our own recordings.
+    clock_offsets: dict[str, int]
 
     @property
     def damage(self) -> str:
@@ -111,9 +112,10 @@ class RosBag:
             from rosbags.rosbag2 import Reader
         except ImportError:
             raise MissingDependencyError.of_extra("reading a bag", "rosbags", "live") from None
-        self.path, self.damage, self.clock_offset = path, "", 0
+        self.path, self.damage = path, ""
+        self.clock_offsets: dict[str, int] = {}
         self.metadata: dict[str, dict[str, str]] = {}
-        self.probe: dict[str, object] | None = None
+        self.probes: list[dict[str, object]] = []
         self._reader = Reader
         try:
             with Reader(path) as reader:
@@ -232,7 +234,7 @@ def read_bag_poses(path: Path, topic: str = "", world: str = "", base: str = "")
         for message in bag.messages({name}):
             try:
                 stamp, frame, numbers = read_stamped(message.data, 7)
-                poses.append(_at(bag, message, stamp, numbers[:3], numbers[3:]))
+                poses.append(_at(bag, message, name, stamp, numbers[:3], numbers[3:]))
             except (InputError, ValueError) as error:
                 raise InputError(f"{path}: a pose on {name}: {error}") from None
             frames.add(frame)
@@ -254,7 +256,7 @@ def _poses_from_tf(bag: Bag, world: str, base: str) -> list[TimedPose]:
             for edge in decoded.transforms:
                 p, q, stamp = edge.transform.translation, edge.transform.rotation, edge.header.stamp
                 at = stamp.sec * 1_000_000_000 + stamp.nanosec
-                pose = _at(bag, message, at, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+                pose = _at(bag, message, f"/{edge.child_frame_id}", at, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
                 edges.append((edge.header.frame_id, edge.child_frame_id, pose, message.topic == STATIC))
         except Exception as error:  # rosbags may raise anything on invalid bytes
             why = one_line(str(error), 120) or type(error).__name__
@@ -267,7 +269,14 @@ def _poses_from_tf(bag: Bag, world: str, base: str) -> list[TimedPose]:
         raise InputError(f"{bag.path}: {error}") from None
 
 
-def _at(bag: Bag, message: Message, stamp: int, p: Sequence[float], q: Sequence[float]) -> TimedPose:
+def clock_offset(bag: Bag, name: str) -> int:
+    """Return the offset of the clocks for a topic, or a frame after a slash [ns]; 0 in the bag of another program."""
+    of_probe = [offset for start, offset in bag.clock_offsets.items() if start and name.startswith(start)]
+    return of_probe[0] if of_probe else bag.clock_offsets.get("", 0)
+
+
+def _at(bag: Bag, message: Message, name: str, stamp: int, p: Sequence[float], q: Sequence[float]) -> TimedPose:
     """Return a pose at the time of its header [ns]; in our own recordings that of its log time, which ends later."""
-    second, nanosecond = divmod((message.logged if bag.clock_offset else stamp) - bag.clock_offset, 1_000_000_000)
+    offset = clock_offset(bag, name)
+    second, nanosecond = divmod((message.logged if offset else stamp) - offset, 1_000_000_000)
     return timed_pose(second + nanosecond * 1e-9, p, q)

@@ -6,7 +6,7 @@ docs/decisions/0020-the-page-is-an-instrument.md. All text from outside is escap
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 
 import numpy as np
@@ -16,7 +16,7 @@ from viser import uplot
 from probedesign.core.frames import Array
 from probedesign.core.statistics import ellipsoid_95
 from probedesign.core.units import MILLINEWTON, MM, N_MM
-from probedesign.live.view.state import CHART_SECONDS, MAX_TOUCHES, SceneSetup, Snapshot, StripCharts
+from probedesign.live.view.state import CHART_SECONDS, MAX_TOUCHES, PageSetup, SceneSetup, Snapshot, StripCharts
 from probedesign.web.guard import LoopbackServer
 from probedesign.web.scene import (
     ARROW,
@@ -80,17 +80,19 @@ SCRIPT = """
 """.replace("LOST_SECONDS", str(LOST_SECONDS))
 
 
-def status_html(snapshot: Snapshot, beat: int = 0) -> str:
+def status_html(snapshot: Snapshot, beat: int = 0, title: str = "") -> str:
     """Return the result on a coloured background and the other lines in two columns; old values are faded.
 
-    `beat` changes while the page is alive: the browser marks everything as old if it does not.
+    `beat` changes while the page is alive: the browser marks everything as old if it does not. `title` names the probe
+    where there are several.
     """
     if not snapshot.status:
         return ""
     first, *rest = snapshot.status
     rows = [f'<tr><td>{escape(n)}</td><td class="pd-{level}">{escape(text)}</td></tr>' for n, text, level in rest]
     return (
-        f'<div class="pd" data-beat="{beat}"><div class="pd-banner pd-{first.level}">{escape(first.text)}</div>'
+        f'<div class="pd" data-beat="{beat}">{escape(title)}'
+        f'<div class="pd-banner pd-{first.level}">{escape(first.text)}</div>'
         f'<table class="{"pd-old" if snapshot.stale else ""}">{"".join(rows)}</table></div>'
     )
 
@@ -171,12 +173,14 @@ class Chart:
 class Panel:
     """Status text, charts and buttons."""
 
-    def __init__(self, server: viser.ViserServer, send_command: Callable[[str, str], None], setup: SceneSetup) -> None:
-        """Create the panels."""
-        self.paused, gui, limit = False, server.gui, setup.wrench_range
+    def __init__(
+        self, server: viser.ViserServer, send_command: Callable[[str, str], None], scenes: Sequence[SceneSetup]
+    ) -> None:
+        """Create the panels for the probes of a run."""
+        self.paused, gui = False, server.gui
         gui.main_panel.dock_right()
         gui.main_panel.set_width(STATUS_WIDTH)
-        self._texts = [gui.add_html("")]
+        self._texts = [gui.add_html("") for _ in scenes]
         self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
         self._pause.on_click(lambda _: self._toggle())
         tare = gui.add_button("Tare: the probe is free", icon=viser.Icon.SCALE)
@@ -190,19 +194,22 @@ class Panel:
         self._stop.on_click(lambda _: send_command("stop recording", ""))
         with gui.add_folder("Events"):
             self._texts.append(gui.add_html(""))
-        if setup.note:
-            gui.add_markdown(setup.note)
-        strips = gui.add_panel()
-        with strips.add_tab(f"Last {CHART_SECONDS:g} s"):
-            force, moment = (float(limit[:3].min()), float(limit[3:].min()))
-            self._charts = [
-                Chart(gui, "s of the contact, 95 % [mm]", ("s", "low", "high"), MM, dots=True),
-                Chart(gui, "force of the contact [mN]", ("force",), MILLINEWTON, (force,), dots=True),
-                Chart(gui, "base force [mN]: x red, y green, z blue", ("Fx", "Fy", "Fz"), MILLINEWTON,
-                      (force, -force)),
-                Chart(gui, "base moment [N·mm]: x, y, z", ("Mx", "My", "Mz"), N_MM, (moment, -moment)),
-                Chart(gui, "drift of the bias [mN]: x, y, z", ("bias_x", "bias_y", "bias_z"), MILLINEWTON),
-            ]  # fmt: skip
+        for setup in scenes:
+            if setup.note:
+                gui.add_markdown(setup.note)
+        strips, self._charts = gui.add_panel(), list[list[Chart]]()
+        for setup in scenes:
+            title = f"Last {CHART_SECONDS:g} s" if len(scenes) == 1 else setup.title.partition(" ")[0]
+            with strips.add_tab(title):
+                force, moment = float(setup.wrench_range[:3].min()), float(setup.wrench_range[3:].min())
+                self._charts.append([
+                    Chart(gui, "s of the contact, 95 % [mm]", ("s", "low", "high"), MM, dots=True),
+                    Chart(gui, "force of the contact [mN]", ("force",), MILLINEWTON, (force,), dots=True),
+                    Chart(gui, "base force [mN]: x red, y green, z blue", ("Fx", "Fy", "Fz"), MILLINEWTON,
+                          (force, -force)),
+                    Chart(gui, "base moment [N·mm]: x, y, z", ("Mx", "My", "Mz"), N_MM, (moment, -moment)),
+                    Chart(gui, "drift of the bias [mN]: x, y, z", ("bias_x", "bias_y", "bias_z"), MILLINEWTON),
+                ])  # fmt: skip
         strips.dock_left()
         strips.set_width(CHARTS_WIDTH)
 
@@ -218,117 +225,67 @@ class Panel:
             if shown.content != text:
                 shown.content = text
 
-    def draw(self, charts: StripCharts, age: float) -> None:
-        """Draw the charts, whose last row has an age [s]."""
+    def draw(self, number: int, charts: StripCharts, age: float) -> None:
+        """Draw the charts of a probe, whose last row has an age [s]."""
         columns = charts.columns()
         half = 1.96 * columns["std_s"]
         columns |= {"low": columns["s"] - half, "high": columns["s"] + half}
-        for chart in self._charts:
+        for chart in self._charts[number]:
             chart.draw(columns, age)
 
 
 FIELD_OF_VIEW = math.radians(40.0)
 DISTANCE = 2.8  #: Distance of the camera, in lengths of the probe: all of it is between the panels.
+ASIDE = 0.1  #: Distance between probes whose poses are unknown [m].
 AGEING = 0.5  #: Interval in which the charts of old data are drawn again [s].
 
 
-class ViewerPage:
-    """Shows one snapshot after another in every connected browser."""
+class ProbeScene:
+    """What is drawn of one probe; all of it is of one estimate."""
 
-    def __init__(self, setup: SceneSetup, send_command: Callable[[str, str], None]) -> None:
-        """Start the server and show the free probe; `send_command` receives a command and its text."""
-        self._setup, self._charts = setup, StripCharts()
-        self._drawn_age = 0.0
-        self._server = server = LoopbackServer(setup.host, setup.port, setup.title, verbose=False)
-        server.gui.configure_theme(
-            show_logo=False, show_share_button=False, control_width="large", brand_color=(38, 84, 124)
-        )
-        self._scene()
-        self._panel = Panel(server, send_command, setup)
-        self._set_camera()
+    def __init__(self, scene: viser.SceneApi, setup: SceneSetup, number: int, aside: Array) -> None:
+        """Create all objects, invisible if their content is unknown.
 
-    @property
-    def url(self) -> str:
-        """Address of the page."""
-        host = f"[{self._setup.host}]" if ":" in self._setup.host else self._setup.host
-        return f"http://{host}:{self._server.get_port()}"
-
-    def stop(self) -> None:
-        """Stop the server."""
-        self._server.stop()
-
-    def show(self, snapshot: Snapshot) -> None:
-        """Show a snapshot in one update; while the page is paused, scene and charts stay, and the status goes on."""
-        with self._server.atomic():
-            redraw = self._charts.add(snapshot.strip)
-            status = status_html(snapshot, int(time.monotonic()))
-            self._panel.show(bool(snapshot.recording), status, events_html(snapshot))
-            if not self._panel.paused:
-                self._show_probe(snapshot)
-                self._show_contact(snapshot)
-                self._show_touches(snapshot)
-                age = snapshot.age if snapshot.stale and math.isfinite(snapshot.age) else 0.0
-                if redraw or abs(age - self._drawn_age) > AGEING:
-                    self._panel.draw(self._charts, age)
-                    self._drawn_age = age
-        self._server.flush()
-
-    def _scene(self) -> None:
-        """Create all objects, invisible if their content is unknown."""
-        scene, setup, self._T = self._server.scene, self._setup, np.eye(4)
-        scene.set_up_direction("+z")
-        # Reflections of an environment and shadows take nine tenths of a frame's time in a browser without a GPU.
-        scene.configure_environment_map(None)
-        scene.configure_default_lights(True, cast_shadow=False)
-        scene.add_light_hemisphere("/sky", ground_color=(150, 150, 150), intensity=2.5)
-        self._base = scene.add_frame("/base", show_axes=False)
+        Args:
+            scene: where they are created.
+            setup: the static content.
+            number: number of the probe, from 0.
+            aside: where its base is drawn if its pose is unknown [m], (3,).
+        """
+        self._setup, self._aside, self._T, root = setup, aside, np.eye(4), f"/{number}"
+        self._base = scene.add_frame(f"{root}/base", show_axes=False)
+        self._base.wxyz, self._base.position = quaternion(level_rotation(setup.gravity_base)), UNIT * aside
         for part in setup.parts:
-            colour, name = PART_COLOURS.get(part.name, METAL), f"/base/{part.name}"
+            colour, name = PART_COLOURS.get(part.name, METAL), f"{root}/base/{part.name}"
             scene.add_mesh_simple(
                 name, UNIT * part.vertices, part.faces, color=colour, flat_shading=True, cast_shadow=False
             )
         free = UNIT * setup.tube.vertices(setup.free)
         self._probe = scene.add_mesh_simple(
-            "/base/probe", free, setup.tube.faces, color=PROBE, opacity=0.42, side="double", cast_shadow=False
+            f"{root}/base/probe", free, setup.tube.faces, color=PROBE, opacity=0.42, side="double", cast_shadow=False
         )
-        self._contact = scene.add_icosphere("/contact", UNIT * 1.5e-3, CONTACT, visible=False, cast_shadow=False)
+        self._contact = scene.add_icosphere(f"{root}/contact", UNIT * 1.5e-3, CONTACT, visible=False, cast_shadow=False)
         # Opaque: a translucent object inside another is drawn or not, depending on the camera.
-        self._spread = scene.add_icosphere("/spread", 1.0, SPREAD, visible=False, cast_shadow=False)
+        self._spread = scene.add_icosphere(f"{root}/spread", 1.0, SPREAD, visible=False, cast_shadow=False)
         self._force = scene.add_arrows(
-            "/force", np.zeros((1, 2, 3)), CONTACT, shaft_radius=UNIT * 0.6e-3, head_radius=UNIT * 1.6e-3,
+            f"{root}/force", np.zeros((1, 2, 3)), CONTACT, shaft_radius=UNIT * 0.6e-3, head_radius=UNIT * 1.6e-3,
             head_length=UNIT * 4e-3, visible=False,
         )  # fmt: skip
-        self._label = scene.add_label("/contact_label", "", anchor="bottom-center", visible=False)
+        self._label = scene.add_label(f"{root}/contact_label", "", anchor="bottom-center", visible=False)
         size = UNIT * 1.5e-3
         self._marks = [
             (
-                scene.add_icosphere(f"/touch/{i}", size, STALE_COLOUR, visible=False, cast_shadow=False),
-                scene.add_label(f"/touch/{i}/number", "", font_screen_scale=0.8, visible=False),
+                scene.add_icosphere(f"{root}/touch/{i}", size, STALE_COLOUR, visible=False, cast_shadow=False),
+                scene.add_label(f"{root}/touch/{i}/number", "", font_screen_scale=0.8, visible=False),
             )
             for i in range(MAX_TOUCHES)
         ]
 
-    def _set_camera(self) -> None:
-        """Place the camera beside and slightly above the free probe, with a floor below."""
-        free, length = self._setup.free, float(self._setup.tube.s[-1])
-        T = level_rotation(self._setup.gravity_base)
-        self._base.wxyz = quaternion(T)
-        p = free.p_base @ T.T
-        low = float(min(p[:, 2].min(), -0.04)) - 0.25 * length
-        self._server.scene.add_grid(
-            "/floor", UNIT * 0.6, UNIT * 0.6, cell_size=UNIT * 0.01, section_size=UNIT * 0.05,
-            cell_color=(150, 156, 162), section_color=(124, 132, 140), plane_opacity=0.0, shadow_opacity=0.0,
-            position=(0.0, 0.0, UNIT * low),
-        )  # fmt: skip
-        along = T[:, 2]
-        middle = UNIT * (0.5 * (p[0] + p[-1]) - 0.02 * along)
-        side = np.cross(along, (0.0, 0.0, 1.0))
-        side = side / np.linalg.norm(side) if np.linalg.norm(side) > 0.2 else np.array([0.0, -1.0, 0.0])
-        direction = 2.3 * side + np.array([0.0, 0.0, 0.8]) + 0.5 * along
-        camera = self._server.initial_camera
-        camera.fov = FIELD_OF_VIEW
-        camera.look_at = middle
-        camera.position = middle + UNIT * length * DISTANCE * direction / np.linalg.norm(direction)
+    def show(self, snapshot: Snapshot) -> None:
+        """Show a snapshot."""
+        self._show_probe(snapshot)
+        self._show_contact(snapshot)
+        self._show_touches(snapshot)
 
     def _show_probe(self, snapshot: Snapshot) -> None:
         """Show the estimated shape; where it is unknown the free probe in grey."""
@@ -336,7 +293,7 @@ class ViewerPage:
         if np.isfinite(snapshot.T_world_base).all():
             T = snapshot.T_world_base
         else:
-            T[:3, :3] = level_rotation(snapshot.gravity_base)
+            T[:3, :3], T[:3, 3] = level_rotation(snapshot.gravity_base), self._aside
         self._T = T
         self._base.wxyz, self._base.position = quaternion(T[:3, :3]), UNIT * T[:3, 3]
         shape = snapshot.shape or self._setup.free
@@ -374,3 +331,82 @@ class ViewerPage:
             R, origin = (np.eye(3), np.zeros(3)) if touch.in_world else (self._T[:3, :3], self._T[:3, 3])
             mark.visible = number.visible = True
             mark.position, number.text = UNIT * (R @ touch.p_surface + origin), f"{touch.number}"
+
+
+class ViewerPage:
+    """Shows the snapshots of a run, one for each probe, in every connected browser."""
+
+    def __init__(self, setup: PageSetup, send_command: Callable[[str, str], None]) -> None:
+        """Start the server and show the free probes; `send_command` receives a command and its text."""
+        self._setup, self._charts = setup, [StripCharts() for _ in setup.scenes]
+        self._drawn_ages = [0.0] * len(setup.scenes)
+        self._server = server = LoopbackServer(setup.host, setup.port, setup.title, verbose=False)
+        server.gui.configure_theme(
+            show_logo=False, show_share_button=False, control_width="large", brand_color=(38, 84, 124)
+        )
+        scene = server.scene
+        scene.set_up_direction("+z")
+        # Reflections of an environment and shadows take nine tenths of a frame's time in a browser without a GPU.
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(True, cast_shadow=False)
+        scene.add_light_hemisphere("/sky", ground_color=(150, 150, 150), intensity=2.5)
+        aside = self._set_camera()
+        self._scenes = [ProbeScene(scene, each, i, i * aside) for i, each in enumerate(setup.scenes)]
+        self._panel = Panel(server, send_command, setup.scenes)
+
+    @property
+    def url(self) -> str:
+        """Address of the page."""
+        host = f"[{self._setup.host}]" if ":" in self._setup.host else self._setup.host
+        return f"http://{host}:{self._server.get_port()}"
+
+    def stop(self) -> None:
+        """Stop the server."""
+        self._server.stop()
+
+    def show(self, snapshots: Sequence[Snapshot]) -> None:
+        """Show the snapshots in one update; while the page is paused, scene and charts stay, and the status goes on."""
+        beat, several = int(time.monotonic()), len(snapshots) > 1
+        with self._server.atomic():
+            titles = [scene.title if several else "" for scene in self._setup.scenes]
+            status = [status_html(s, beat, title) for s, title in zip(snapshots, titles, strict=True)]
+            self._panel.show(bool(snapshots[0].recording), *status, events_html(snapshots[0]))
+            for i, snapshot in enumerate(snapshots):
+                redraw = self._charts[i].add(snapshot.strip)
+                if self._panel.paused:
+                    continue
+                self._scenes[i].show(snapshot)
+                age = snapshot.age if snapshot.stale and math.isfinite(snapshot.age) else 0.0
+                if redraw or abs(age - self._drawn_ages[i]) > AGEING:
+                    self._panel.draw(i, self._charts[i], age)
+                    self._drawn_ages[i] = age
+        self._server.flush()
+
+    def _set_camera(self) -> Array:
+        """Place the camera beside and slightly above the free probes, with a floor below.
+
+        Returns:
+            Step [m], (3,), from one probe of unknown pose to the next, across the direction of view.
+        """
+        setup, n = self._setup.scenes[0], len(self._setup.scenes)
+        free, length = setup.free, float(setup.tube.s[-1])
+        T = level_rotation(setup.gravity_base)
+        p = free.p_base @ T.T
+        low = float(min(p[:, 2].min(), -0.04)) - 0.25 * length
+        self._server.scene.add_grid(
+            "/floor", UNIT * 0.6, UNIT * 0.6, cell_size=UNIT * 0.01, section_size=UNIT * 0.05,
+            cell_color=(150, 156, 162), section_color=(124, 132, 140), plane_opacity=0.0, shadow_opacity=0.0,
+            position=(0.0, 0.0, UNIT * low),
+        )  # fmt: skip
+        along = T[:, 2]
+        middle = UNIT * (0.5 * (p[0] + p[-1]) - 0.02 * along)
+        side = np.cross(along, (0.0, 0.0, 1.0))
+        side = side / np.linalg.norm(side) if np.linalg.norm(side) > 0.2 else np.array([0.0, -1.0, 0.0])
+        direction = 2.3 * side + np.array([0.0, 0.0, 0.8]) + 0.5 * along
+        aside = ASIDE * np.cross(side, along)
+        middle += 0.5 * (n - 1) * UNIT * aside
+        camera = self._server.initial_camera
+        camera.fov = FIELD_OF_VIEW
+        camera.look_at = middle
+        camera.position = middle + UNIT * length * (DISTANCE + 0.5 * (n - 1)) * direction / np.linalg.norm(direction)
+        return aside

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import webbrowser
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, get_args
@@ -19,12 +20,12 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.geometry.tube import BentShape, TubeMesh
 from probedesign.live import Log
 from probedesign.live.processing.commands import MAX_NOTE, CommandName, CommandQueue
-from probedesign.live.view.state import Counts, Level, RecordingState, SceneSetup, Snapshot, ViewState, not_recording
+from probedesign.live.view.state import Level, PageSetup, RunView, SceneSetup, Snapshot, ViewState
 from probedesign.web import LOOPBACK
 from probedesign.web.scene import rigid_parts
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from rich.console import Console, Group
     from rich.table import Table
 
 
@@ -32,7 +33,7 @@ PERIOD = 1.0 / 30.0  #: Minimum interval between two frames [s].
 TOKEN_BYTES = 24  #: Random bytes of the token of a page that is open to the network: 192 bits.
 
 
-class BrowserView(ViewState):
+class BrowserView(RunView):
     """The page of a run, open until `close`.
 
     It never blocks the run: a thread sends snapshots at most 30 times per second, and fewer if the page is slow.
@@ -43,26 +44,24 @@ class BrowserView(ViewState):
 
     def __init__(
         self,
-        estimator: Estimator,
-        folder: Path,
+        states: Mapping[str, ViewState],
+        probes: Sequence[tuple[Estimator, Path]],
         commands: CommandQueue,
         log: Log,
-        *,
         host: str = "127.0.0.1",
         port: int = 8080,
-        counts: Counts = dict,
-        recording: RecordingState = not_recording,
+        *,
         open_browser: bool = False,
     ) -> None:
         """Open the page.
 
         Args:
-            folder: folder of the exported parts, if any.
+            states: state of each probe; see `RunView`.
+            probes: estimator of each, and the folder of its exported parts, if any.
             commands: receives the commands of the user.
+            log: callback for messages.
             host: address to listen on.
             port: port, or the first free one after it.
-            counts: returns the counters of the source: lost, dropped.
-            recording: returns what is recorded.
             open_browser: show the page in the user's browser.
 
         Raises:
@@ -80,7 +79,7 @@ class BrowserView(ViewState):
             reason = getattr(error, "strerror", None) or error
             raise InputError(f"--view-host {host}: {reason}; use an address of this machine") from None
         self._commands, self._log = commands, log
-        super().__init__(counts, recording=recording)
+        super().__init__(states)
         self._ended = threading.Event()
         paths = os.pathsep.join(filter(None, [str(Path(__file__).parents[3]), os.environ.get("PYTHONPATH", "")]))
         # neither Ctrl-C nor a closing terminal ends it, only the end of its input
@@ -91,7 +90,8 @@ class BrowserView(ViewState):
         assert process.stdin is not None and process.stdout is not None
         token = "" if host in LOOPBACK else secrets.token_urlsafe(TOKEN_BYTES)
         with suppress(BrokenPipeError):  # the next line reports the reason
-            self._send(process.stdin, scene_setup(estimator, folder, host, port, log, token))
+            scenes = tuple(scene_setup(estimator, folder, log) for estimator, folder in probes)
+            self._send(process.stdin, PageSetup(host, port, scenes, token))
         message = _parse_message(process.stdout.readline())
         if "url" not in message:
             process.kill()
@@ -121,7 +121,7 @@ class BrowserView(ViewState):
     def _write(self, page: IO[bytes]) -> None:
         while not self._ended.wait(PERIOD):
             try:
-                self._send(page, self.snapshot())
+                self._send(page, self.snapshots())
             except OSError:
                 return  # the reader reports the reason
 
@@ -141,8 +141,8 @@ class BrowserView(ViewState):
             self._log(f"view: the page has closed: {why}; the run continues")
 
 
-def scene_setup(estimator: Estimator, folder: Path, host: str, port: int, log: Log, token: str = "") -> SceneSetup:
-    """Return the static content of the page."""
+def scene_setup(estimator: Estimator, folder: Path, log: Log) -> SceneSetup:
+    """Return the static content of the page for a probe, with the exported parts of a folder, if any."""
     model = estimator.model
     parts, note = rigid_parts(model, folder)
     if note:
@@ -153,9 +153,8 @@ def scene_setup(estimator: Estimator, folder: Path, host: str, port: int, log: L
     tube = TubeMesh(model.rod.s, model.rod.radius, model.cross_section.flatness)
     free = BentShape(eq.s, eq.p_base, eq.R_base)
     return SceneSetup(
-        f"probedesign {model.name} {model.fingerprint}", host, port, tube, free, tuple(parts), model.gravity_base,
-        model.wrench_range, note, token,
-    )  # fmt: skip
+        f"{model.name} {model.fingerprint}", tube, free, tuple(parts), model.gravity_base, model.wrench_range, note
+    )
 
 
 def _parse_message(line: bytes) -> dict[str, Any]:
@@ -170,29 +169,28 @@ REFRESH_RATE = 8
 STYLES: dict[Level, str] = {"good": "bold green", "fair": "yellow", "bad": "bold red", "plain": ""}
 
 
-class TerminalView(ViewState):
+class TerminalView(RunView):
     """Sink that shows a live table at the bottom of a terminal until it is closed."""
 
     def __init__(
-        self,
-        title: str,
-        counts: Counts = dict,
-        recording: RecordingState = not_recording,
-        console: "Console | None" = None,
+        self, states: Mapping[str, ViewState], titles: Sequence[str], console: "Console | None" = None
     ) -> None:
-        """Start the table, on standard output if `console` is None; `counts` returns the counters of the source."""
+        """Start the table of each probe, with its title, on standard output if `console` is None."""
         from rich.live import Live
 
-        super().__init__(counts, recording=recording)
-        self._live = Live(
-            console=console, get_renderable=lambda: table_of(title, self.snapshot(shaped=False)),
-            refresh_per_second=REFRESH_RATE,
-        )  # fmt: skip
+        super().__init__(states)
+        self._titles = titles
+        self._live = Live(console=console, get_renderable=self._tables, refresh_per_second=REFRESH_RATE)
         self._live.start()
 
     def close(self) -> None:
         """Stop updating; the last table remains and the cursor is restored."""
         self._live.stop()
+
+    def _tables(self) -> "Group":
+        from rich.console import Group
+
+        return Group(*map(table_of, self._titles, self.snapshots(shaped=False)))
 
 
 def table_of(title: str, snapshot: Snapshot) -> "Table":

@@ -200,15 +200,24 @@ def not_recording() -> tuple[str, str]:
 
 
 class ViewState(Sink):
-    """Stores the latest data of a run without blocking, and returns a `Snapshot` on request."""
+    """Stores the latest data of a probe without blocking, and returns a `Snapshot` on request."""
 
     def __init__(
         self,
         counts: Counts = dict,
         clock: Callable[[], float] = time.monotonic,
         recording: RecordingState = not_recording,
+        name: str = "",
     ) -> None:
-        """Start before the first reading; `counts` returns the counters of the source, `clock` the time [s]."""
+        """Start before the first reading.
+
+        Args:
+            counts: returns the counters of the source.
+            clock: returns the time [s].
+            recording: returns what is recorded.
+            name: name of the probe in a run with several, with which its events begin.
+        """
+        self._prefix = f"{name}: " if name else ""
         self._counts, self._clock, self._recording = counts, clock, recording
         self._update: EstimateUpdate | None = None
         self._has_ended = False
@@ -241,9 +250,10 @@ class ViewState(Sink):
     def on_event(self, time: float, line: str) -> None:
         """Store an event; the next estimate carries a mark."""
         self._events.append(Event(time, line))
-        self._marked |= line.startswith("mark")
-        if line.startswith("tare"):
-            self._tare = line
+        text = line.removeprefix(self._prefix)
+        self._marked |= text.startswith("mark")
+        if text.startswith("tare"):
+            self._tare = text
 
     def on_end(self) -> None:
         """Store that no further reading will come."""
@@ -354,17 +364,59 @@ class StripCharts:
         return dict(zip(STRIP, np.ascontiguousarray(rows.T), strict=True))
 
 
+class RunView(Sink):
+    """What a view stores: the state of each probe of a run."""
+
+    def __init__(self, states: Mapping[str, ViewState]) -> None:
+        """Take the states by the name of the probe in the run, which is empty for a single one."""
+        self.states = states
+
+    def on_samples(self, block: Block) -> None:
+        """Store the fault and the rate of readings."""
+        self.states[block.probe].on_samples(block)
+
+    def on_estimate(self, update: EstimateUpdate) -> None:
+        """Store an estimate."""
+        self.states[update.probe].on_estimate(update)
+
+    def on_event(self, time: float, line: str) -> None:
+        """Store an event."""
+        for state in self.states.values():
+            state.on_event(time, line)
+
+    def on_end(self) -> None:
+        """Store that no further reading will come."""
+        for state in self.states.values():
+            state.on_end()
+
+    def snapshots(self, shaped: bool = True) -> list[Snapshot]:
+        """Return the current snapshot of each probe; see `ViewState.snapshot`."""
+        return [state.snapshot(shaped) for state in self.states.values()]
+
+
 @dataclass(frozen=True)
 class SceneSetup:
-    """Static content of the page."""
+    """Static content of the page for one probe."""
 
-    title: str  #: title of the page.
-    host: str  #: host, port: address of the server; the next free port is used.
-    port: int
+    title: str  #: name and fingerprint of the probe.
     tube: TubeMesh  #: mesh of the probe.
     free: BentShape  #: shape of the free probe.
     parts: tuple[RigidPart, ...]  #: parts at its base.
     gravity_base: Array  #: gravity vector [m/s²], (3,).
     wrench_range: Array  #: range of the sensor [N, N·m], (6,).
     note: str = ""  #: note on what is drawn, if any.
+
+
+@dataclass(frozen=True)
+class PageSetup:
+    """Static content of the page."""
+
+    host: str  #: host, port: address of the server; the next free port is used.
+    port: int
+    scenes: tuple[SceneSetup, ...]  #: that of each probe.
     token: str = ""  #: secret that a browser must know; empty on an address of this machine only.
+
+    @property
+    def title(self) -> str:
+        """Title of the page."""
+        return "probedesign " + ", ".join(scene.title for scene in self.scenes)

@@ -1,8 +1,11 @@
 """Node that publishes the messages of a run of `probedesign live`, and forwards its services as commands.
 
-Messages are those of a recording, with the same frames, covariances and encoding; only a prefix of the frames may be
-added. Markers and the transform of the contact are made here of the same messages.
+Messages are those of a recording, with the same covariances and encoding; frames begin with the name of the probe, as
+`base` is the robot's, and a further prefix may be added. Markers and the transform of the contact are made here of the
+same messages. In a run with several probes the topics begin with the name of the probe.
 """
+
+import re
 
 import numpy as np
 import rclpy
@@ -53,6 +56,9 @@ PARAMETERS = {
     "publish_contact_tf": True,
     "poll_period_s": 0.005,
 }
+PROBE_TOPIC = re.compile(r"((?:/[A-Za-z]\w{0,79})?)(/probedesign/\w+)", re.ASCII)
+"""Topic of a run: the name of the probe in a run with several, and the topic of `TOPICS`."""
+MAX_PROBES = 16
 STATUS_PERIOD = 5.0
 """Interval at which lost and malformed datagrams are reported [s]."""
 
@@ -72,8 +78,8 @@ class ProbeNode(Node):
             topic: self._publisher(kind, topic) for topic, kind in TOPICS.items() if not skipped.get(topic)
         }
         self._transforms = self._outputs.get("/tf") or self._publisher(TFMessage, "/tf")
-        self._markers = self.create_publisher(MarkerArray, "~/markers", 10)
-        self._contact = None
+        self._markers = {"": self.create_publisher(MarkerArray, "~/markers", 10)}
+        self._contacts = {}
         self._reported = {}
         for name in COMMANDS:
             self.create_service(Trigger, f"~/{name}", self._service(name))
@@ -81,49 +87,56 @@ class ProbeNode(Node):
         self.create_timer(values["poll_period_s"], self.receive)
         self.create_timer(STATUS_PERIOD, self.report)
 
-    def _publisher(self, kind, topic):
+    def _publisher(self, kind, topic, probe=""):
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        name = topic if topic.startswith("/tf") else "~/" + topic.rpartition("/")[2]
+        name = topic if topic.startswith("/tf") else f"~{probe}/{topic.rpartition('/')[2]}"
         return self.create_publisher(kind, name, latched if topic == "/tf_static" else 10)
 
     def receive(self):
         """Publish everything that has arrived."""
         for recorded in self._receiver.messages():
-            kind = TOPICS.get(recorded.topic)
+            match = PROBE_TOPIC.fullmatch(recorded.topic)
+            probe, topic = match.groups() if match else ("", recorded.topic)
+            kind = TOPICS.get(topic)
             try:
-                if kind is None:
+                if kind is None or (probe not in self._markers and len(self._markers) > MAX_PROBES):
                     raise ValueError("unknown topic")
                 message = deserialize_message(recorded.cdr, kind)
             except Exception:  # bytes from outside: rclpy raises errors of several kinds
                 self._receiver.counts["malformed"] += 1
                 continue
             self._add_prefix(message)
+            if probe not in self._markers:
+                self._markers[probe] = self.create_publisher(MarkerArray, f"~{probe}/markers", 10)
+                names = [name for name in TOPICS if not name.startswith("/tf")]
+                self._outputs |= {probe + name: self._publisher(TOPICS[name], name, probe) for name in names}
             if recorded.topic in self._outputs:
                 self._outputs[recorded.topic].publish(message)
-            self._on_message(recorded.topic, message)
+            self._on_message(probe, topic, message)
 
-    def _on_message(self, topic, message):
+    def _on_message(self, probe, topic, message):
         """Make markers and the transform of the contact; a state follows the contact of the same time."""
         if topic == "/probedesign/contact":
-            self._contact = message
+            self._contacts[probe] = message
         elif topic == "/probedesign/state":
-            touched = message.result == Contact.OK and self._contact is not None
-            self._markers.publish(self._markers_of(message) if touched else no_contact(message.header))
+            contact = self._contacts.pop(probe, None)
+            touched = message.result == Contact.OK and contact is not None
+            self._markers[probe].publish(self._markers_of(contact, message) if touched else no_contact(message.header))
             if touched and self._contact_tf:
-                self._publish_contact_frame(self._contact)
-            self._contact = None
+                self._publish_contact_frame(contact)
         elif topic == "/probedesign/event":
             self.get_logger().info(message.data)
 
-    def _markers_of(self, state):
-        contact = self._contact
+    def _markers_of(self, contact, state):
         position = contact.pose.pose.position
         cov = np.array(contact.pose.covariance, dtype=float).reshape(6, 6)[:3, :3]
         force = (state.force.x, state.force.y, state.force.z)
         return contact_markers(contact.header, (position.x, position.y, position.z), cov, force)
 
     def _publish_contact_frame(self, contact):
-        frame = TransformStamped(header=contact.header, child_frame_id=f"{self._prefix}contact")
+        frame = TransformStamped(
+            header=contact.header, child_frame_id=contact.header.frame_id.removesuffix("base") + "contact"
+        )
         position, at = contact.pose.pose.position, frame.transform.translation
         at.x, at.y, at.z = position.x, position.y, position.z
         self._transforms.publish(TFMessage(transforms=[frame]))
@@ -132,7 +145,7 @@ class ProbeNode(Node):
         if not self._prefix:
             return
         for part in getattr(message, "transforms", [message]):
-            if hasattr(part, "header"):
+            if hasattr(part, "header") and part.header.frame_id != "world":
                 part.header.frame_id = self._prefix + part.header.frame_id
             if hasattr(part, "child_frame_id"):
                 part.child_frame_id = self._prefix + part.child_frame_id
