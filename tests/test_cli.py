@@ -102,6 +102,12 @@ def test_closed_output_pipe_is_status_1_without_a_message(tmp_path):
     assert (result.returncode, result.stderr) == (1, "")
 
 
+def test_a_closed_standard_output_is_no_failure(tmp_path):
+    code = "import sys; from probedesign.cli.main import run; sys.exit(run(['doctor']))"
+    closed = subprocess.run(["sh", "-c", '"$0" -c "$1" >&-', sys.executable, code], capture_output=True, timeout=120)
+    assert (closed.returncode, closed.stderr) == (0, b"")
+
+
 def test_sigint_ends_a_command_with_status_130(tmp_path):
     """`doctor` is replaced by a command that sends its own process what Ctrl-C sends."""
     code = (

@@ -53,6 +53,7 @@ def live(
     method: Method = "ml",
     friction: float | None = None,
     lines: bool = False,
+    log: Path | None = None,
     as_json: JsonOutput = False,
 ) -> None:
     """Locate contacts in real time: a live table on a terminal, otherwise one line per estimate.
@@ -102,6 +103,7 @@ def live(
         friction: standard deviation of tangential over normal force, instead of BUNDLE's. 0: the force is normal to
             the surface; inf: any direction.
         lines: print one line per estimate on a terminal, too.
+        log: append every message with its time to this file.
         as_json: print each estimate as one line of JSON.
     """
     from probedesign import pipeline
@@ -151,7 +153,7 @@ def live(
     if control is not None:
         parse_listen_address(f"--control {control}")  # before anything is compiled
     specs = list(zip(source, poses, strict=True))
-    _run(estimators, processing, outputs, specs, (pose_latency_ms, gravity_world), control, as_json)
+    _run(estimators, processing, outputs, specs, (pose_latency_ms, gravity_world), control, as_json, log)
 
 
 #: Sources that several probes may share: a recording has the readings of each, and a simulation has no sensor.
@@ -184,6 +186,7 @@ def _run(
     pose_options: tuple[float, str | None],
     control: str | None,
     as_json: bool,
+    log: Path | None,
 ) -> None:
     """Open the sources, poses and outputs, print the estimates until the end, and close everything.
 
@@ -195,15 +198,17 @@ def _run(
         pose_options: latency of the poses [ms], and gravity in world axes.
         control: address at which commands are received.
         as_json: print JSON.
+        log: file to which every message is appended.
     """
     from probedesign import pipeline
-    from probedesign.live.outputs.sinks import ProbeSink, SinkGroup, StderrSink
+    from probedesign.live.outputs.sinks import LogFile, ProbeSink, SinkGroup, StderrSink
     from probedesign.live.poses.open import open_poses
     from probedesign.live.processing.commands import CommandQueue, SharedCommands, open_inputs
     from probedesign.live.run import merged, warm_up
     from probedesign.live.sources.source import open_source
 
-    with closing(SinkGroup(StderrSink())) as sinks, ExitStack() as inputs, interrupt_on_termination():
+    logs = () if log is None else (LogFile(log),)
+    with closing(SinkGroup(*logs, StderrSink())) as sinks, ExitStack() as inputs, interrupt_on_termination():
         parts = [SinkGroup(ProbeSink(name, sinks)) if name else sinks for name in estimators]
         runs = list(zip(estimators.values(), specs, parts, strict=True))
         sources = [open_source(source, estimator.model, part.log) for estimator, (source, _), part in runs]

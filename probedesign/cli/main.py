@@ -134,6 +134,9 @@ def run(arguments: list[str]) -> int:
         Exit status: 0 on success; 2 for a file, option or argument that cannot be used; 130 after an interruption
         (Ctrl-C), as shells expect of SIGINT (128 + 2); 1 for any other failure, such as a closed output pipe.
     """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by the caller: `>&-`
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):  # a terminal whose encoding lacks "±" prints "?"
             stream.reconfigure(errors="replace")

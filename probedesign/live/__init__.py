@@ -14,4 +14,6 @@ def split_address(address: str, scheme: str) -> tuple[str, int | None] | None:
     except ValueError:
         return None
     more = parts.path.strip("/") or parts.query or parts.fragment or parts.username
+    if " " in address or not address.isprintable():
+        return None
     return None if more or not address.startswith(f"{scheme}://") else (parts.hostname or "", port)

@@ -211,6 +211,7 @@ class Listener(Generic[T]):
         self._session, self._address = 0, ("", 0)
         self._last: Parsed[T] | None = None
         self._last_arrival = -SENDER_TIMEOUT
+        self._begun, self._lost_before = 0.0, 0  # of the session
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._listen, name=name, daemon=True)
 
@@ -311,13 +312,14 @@ class Listener(Generic[T]):
         content = self._parse(decode_object(datagram))
         if self._last is None:
             self._session += 1
+            self._begun, self._lost_before = now, self.counts["lost"]
             self._address, self.frame = sender, content.frame
             again = "again " if self._session > 1 else ""
             frame = f", frame {content.frame[:40]!r}" if content.frame else ""
             self._messages.append(f"{self._name}: {again}from {sender[0]}:{sender[1]}{frame}")
         elif content.frame != self.frame:
             return self.reject("in another frame", f"frame {content.frame[:40]!r} after {self.frame[:40]!r}")
-        elif contradiction := self._contradiction(content, self._last, now - self._last_arrival):
+        elif contradiction := self._contradiction(content, self._last, now):
             return self.reject(*contradiction)
         self._last, self._last_arrival = content, now
         self.counts["taken"] += 1
@@ -325,8 +327,9 @@ class Listener(Generic[T]):
         if self._arrived.empty():
             self._arrived.put(None)
 
-    def _contradiction(self, new: Parsed[T], last: Parsed[T], elapsed: float) -> tuple[str, str] | None:
-        """Return kind and description of a contradiction to the last datagram, `elapsed` seconds before, or None."""
+    def _contradiction(self, new: Parsed[T], last: Parsed[T], now: float) -> tuple[str, str] | None:
+        """Return kind and description of a contradiction to the last datagram, or None; `now` is the arrival [s]."""
+        elapsed = now - self._last_arrival
         if (new.sequence is None) != (last.sequence is None):
             return "not always numbered", "only some datagrams have a sequence"
         lost = 0
@@ -334,7 +337,9 @@ class Listener(Generic[T]):
             lost = new.sequence - last.sequence - 1
             if lost < 0:
                 return "late or duplicated", f"sequence {new.sequence} after {last.sequence}"
-            if lost >= self._max_rate * (elapsed + MAX_TIME_JUMP):
+            # neither since the last one nor in all can more be lost than can have been sent
+            excess, total = lost - self._max_rate * elapsed, self.counts["lost"] - self._lost_before + lost
+            if max(excess, total - self._max_rate * (now - self._begun)) >= self._max_rate * MAX_TIME_JUMP:
                 return "leaping in sequence", f"sequence leaps by {lost + 1} within {1e3 * elapsed:.3g} ms"
         if math.isnan(new.time) != math.isnan(last.time):
             return "not always timed", "only some datagrams have a time"

@@ -178,6 +178,13 @@ def test_a_missing_recording_is_reported_before_anything_is_compiled(bundle, cap
         assert "no such recording" in err and err.count("\n") == 1
 
 
+def test_an_address_with_a_space_is_one_line(bundle, capsys):
+    for source in ("netft://a b", "netft://a\x7fb"):
+        assert run(["live", str(bundle), "--source", source]) == 2
+        err = capsys.readouterr().err
+        assert "write netft://HOST" in err and err.count("\n") == 1
+
+
 # forged names
 
 

@@ -1,17 +1,19 @@
 """Sinks: each receives everything, also after another has failed; datagrams need no receiver."""
 
+import configparser
 import json
 import socket
 import subprocess
 import sys
+from datetime import datetime
 from pathlib import Path
 
 import pytest
 
-from probedesign.cli.main import run
+from probedesign.cli.main import build_app, run
 from probedesign.core.errors import InputError
 from probedesign.live.blocks import WrenchReading
-from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
+from probedesign.live.outputs.sinks import SinkGroup, StderrSink, UdpPublisher
 from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.commands import CommandQueue
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate
@@ -94,6 +96,54 @@ def test_requests_are_taken_between_two_readings(estimator):
     assert log_lines == ["mark: here"] and [request.name for request in done] == ["start recording"]
     requests.put("stop")
     assert list(answers) == []
+
+
+# messages
+
+
+def test_messages_that_differ_in_numbers_are_printed_once_in_ten_seconds(capsys, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("probedesign.live.outputs.sinks.monotonic", lambda: now[0])
+    sink = StderrSink()
+    for i in range(50):
+        now[0] += 0.5
+        sink.on_event(now[0], f"fault: {i} readings in a row; no position")
+        sink.on_event(now[0], f"touch {i}, 1.0 ... 2.0 s: not located")
+    sink.close()
+    lines = capsys.readouterr().err.splitlines()
+    assert sum(line.startswith("touch") for line in lines) == 50  # promised, each of them
+    faults = [line for line in lines if line.startswith("fault")]
+    assert faults == [
+        "fault: 0 readings in a row; no position",
+        "fault: 20 readings in a row; no position (19 more such lines before)",
+        "fault: 40 readings in a row; no position (19 more such lines before)",
+        "fault: 49 readings in a row; no position (9 such lines)",
+    ]
+
+
+def test_a_log_has_every_message_with_its_time_and_is_continued(bundle, tmp_path, capsys):
+    log = tmp_path / "new" / "live.log"
+    for _ in range(2):
+        assert run(["live", str(bundle), "--source", SIM, "--count", "3", "--log", str(log)]) == 0
+    printed = [line for line in capsys.readouterr().err.splitlines() if "compiling" not in line]
+    logged = [line for line in log.read_text().splitlines() if "compiling" not in line]
+    assert len(logged) == len(printed) == 4
+    for line, text in zip(logged, printed, strict=True):
+        when, rest = line.split(" ", 1)
+        assert datetime.fromisoformat(when).tzinfo is not None and rest.endswith(f" {text}")
+    assert run(["live", str(bundle), "--source", SIM, "--log", str(tmp_path)]) == 2
+    assert "cannot be written" in capsys.readouterr().err
+
+
+def test_the_unit_of_systemd_starts_a_command_that_exists():
+    unit = configparser.ConfigParser(interpolation=None)
+    unit.optionxform = str
+    unit.read(EXAMPLES / "probedesign-live.service")
+    program, *arguments = unit["Service"]["ExecStart"].split()
+    assert program.endswith("/bin/probedesign")
+    command, bound, _ = build_app(with_settings=False).parse_args(arguments, exit_on_error=False, print_error=False)
+    assert command.__name__ == "live" and bound.arguments["log"] == Path("/var/log/probedesign/live.log")
+    assert unit["Service"]["RestartPreventExitStatus"] == "2"
 
 
 # UDP publisher

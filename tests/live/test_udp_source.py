@@ -139,6 +139,18 @@ def test_lost_and_late_datagrams_are_counted_by_their_sequence(opened):
     assert reader.source._listener.counts["late or duplicated"] == 2
 
 
+def test_forged_numbers_leap_no_further_than_can_have_been_sent(opened):
+    """Each leap alone would be possible after the second that a sender may be silent."""
+    reader, sender = opened
+    began = time.monotonic()
+    for i in range(20):
+        sender.send(sequence=1 + 15_000 * i)
+    counts = reader.source._listener.counts
+    reader.wait(lambda: sum(counts[kind] for kind in ("taken", "leaping in sequence")) == 20)
+    assert counts["lost"] < 20_000 * (1.0 + time.monotonic() - began)
+    assert counts["leaping in sequence"] > 0
+
+
 def test_a_leap_of_the_sequence_is_rejected_and_named(opened):
     """A million datagrams cannot be lost in the second since the last; a sender that goes on there begins anew."""
     reader, sender = opened

@@ -1,15 +1,22 @@
-"""Sinks of a run: the interface, a group, standard error, and JSON datagrams by UDP."""
+"""Sinks of a run: the interface, a group, standard error, a log file, and JSON datagrams by UDP."""
 
 import math
+import re
 import socket
 import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from queue import SimpleQueue
+from time import monotonic
 from typing import Protocol
 
 from probedesign.core.errors import InputError
+from probedesign.core.files import check_regular
 from probedesign.live import Log, split_address
 from probedesign.live.blocks import Block
 from probedesign.live.poses.base_poses import TimedPose
@@ -134,12 +141,72 @@ class ProbeSink(Sink):
         self._run.on_event(time, f"{self._name}: {line}")
 
 
+CLOSE_TIMEOUT = 5.0  #: Maximum wait for the disk of the log at the end [s].
+REPEAT_INTERVAL = 10.0  #: Minimum interval between lines on the terminal that differ in their numbers only [s].
+#: Lines that are always printed: touches, and results of commands, after the name of one of several probes.
+ALWAYS_PRINTED = re.compile(r"(?:[\w.-]+: )?(?:touch|mark|tare|record)")
+
+
 class StderrSink(Sink):
-    """Prints events to standard error, one line each."""
+    """Prints events to standard error, one line each; of lines that differ in numbers only, one in ten seconds."""
+
+    def __init__(self) -> None:
+        """Start without an event."""
+        self._printed: dict[str, tuple[float, int, str]] = {}  # time, number of lines since then, and the last of them
 
     def on_event(self, time: float, line: str) -> None:
         """Print the event."""
-        print(line, file=sys.stderr, flush=True)
+        now, kind = monotonic(), re.sub(r"[\d.]+", "", line)
+        since, held, _ = self._printed.get(kind, (-math.inf, 0, ""))
+        if now - since < REPEAT_INTERVAL and not ALWAYS_PRINTED.match(line):
+            self._printed[kind] = since, held + 1, line
+            return
+        more = f" ({held} more such lines before)" if held else ""
+        print(line + more, file=sys.stderr, flush=True)
+        self._printed = {k: v for k, v in list(self._printed.items()) if v[1] or now - v[0] < REPEAT_INTERVAL}
+        self._printed[kind] = now, 0, ""
+
+    def close(self) -> None:
+        """Print the last line of each kind that was held back."""
+        for _, held, line in self._printed.values():
+            if held:
+                print(f"{line} ({held} such lines)", file=sys.stderr, flush=True)
+
+
+class LogFile(Sink):
+    """Appends every event to a file, with the wall-clock time and that of the source; written in a thread."""
+
+    def __init__(self, path: Path) -> None:
+        """Open the file; its folder is created if necessary.
+
+        Raises:
+            InputError: it cannot be written.
+        """
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            check_regular(path)
+            self._file = path.open("a", encoding="utf-8", errors="replace")
+        except OSError as error:
+            raise InputError(f"--log {path}: cannot be written: {error.strerror}") from None
+        self._queue = SimpleQueue[str | None]()
+        self._thread = threading.Thread(target=self._write, name="log", daemon=True)
+        self._thread.start()
+
+    def on_event(self, time: float, line: str) -> None:
+        """Queue the event."""
+        now = datetime.now().astimezone().isoformat(timespec="milliseconds")
+        self._queue.put(f"{now} {'-' if math.isnan(time) else f'{time:.3f} s'} {line}\n")
+
+    def close(self) -> None:
+        """Write what is queued and close the file."""
+        self._queue.put(None)
+        self._thread.join(CLOSE_TIMEOUT)
+
+    def _write(self) -> None:
+        with suppress(OSError), self._file:  # a full disk ends the log and not the run
+            while (line := self._queue.get()) is not None:
+                self._file.write(line)
+                self._file.flush()
 
 
 SCHEMA = 1

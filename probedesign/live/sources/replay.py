@@ -198,6 +198,7 @@ def _checked(path: Path, blocks: Iterable[Block]) -> Iterator[Block]:
         yield block
 
 
+MAX_READINGS = 1 << 40  #: More readings than any recording has: five years of the fastest source.
 MAX_BLOCK = 1_000_000  #: Maximum number of readings in a block: 2 minutes of the fastest source.
 
 
@@ -235,6 +236,8 @@ class NativeRecording:
                     raw = []
                     continue
                 raise InputError(f"{self._bag.path}: a {self._states} after {n_read} readings: {error}") from None
+            if not n_read + self.n_dropped <= first < MAX_READINGS:
+                raise InputError(f"{self._bag.path}: a {self._states} counts {quoted(first)} readings before it")
             if first != n_read + self.n_dropped:  # averages must not span dropped readings
                 self.n_dropped, n_gaps = first - n_read, n_gaps + 1
             n_read, raw = n_read + len(block), []

@@ -116,6 +116,7 @@ class NetFTSource:
 
     def __iter__(self) -> Generator[Block, None, None]:
         self._dropout.restart()
+        self._started = monotonic()
         try:
             with self._monitor, prompt_estimates() as granted, closing(self._blocks()) as blocks:
                 if granted:
@@ -142,8 +143,9 @@ class NetFTSource:
         self._counted = monotonic()
         for name, count in self._session.counts.items():
             self.counts[name] = count
-        # what did not fit into the buffer is missing in the numbers of the records, too
-        self.counts["lost"] = max(self.counts["lost"] - self.counts["dropped"], 0)
+        # what did not fit into the buffer is missing in the numbers of the records, too; a forged number leaps further
+        sent = round((self._counted - self._started) * self.configuration.rate)
+        self.counts["lost"] = max(min(self.counts["lost"], sent) - self.counts["dropped"], 0)
 
     def _decode(self, records: RdtRecords) -> Generator[Block, None, None]:
         """Yield blocks of records, split where the stream was interrupted and where the fault changes."""
