@@ -20,6 +20,9 @@ UNIFORM_95 = 0.95  #: Length of its 95 % interval, over the range.
 #: For that to happen once in twenty, δ = 1.645, F must be 8.6 σ; so that no lighter touch passes once in twenty
 #: either, 1.645 are added.
 NORMAL_FORCE = 10.25
+#: What the far side of a place is that follows from a force of `NORMAL_FORCE`: growth of the misfit √3 standard
+#: deviations away, over that of a normal error, and end of the 95 % interval in standard deviations.
+NORMAL_GROWTH, NORMAL_95 = (1.0 + math.sqrt(3.0) / NORMAL_FORCE) ** -2, 1.96 / (1.0 - 1.96 / NORMAL_FORCE)
 
 
 def is_normal(force_share: float, s: float, std_s: float) -> bool:

@@ -50,11 +50,20 @@ _HALVINGS = 4
 #: Cosine of the turn from one station to the next, a 32nd of the probe, at which the trace ends: beyond the contact the
 #: measured moment curls the thin tip up.
 CURLED = 0.5
-MODEL = 0.01  #: Error of a moment by the model, over the moment, that counts beside those of a reading; assumed.
+MODEL = 0.01  #: Error of the contact's moment by the model, over force and distance, beside the reading's; assumed.
 DROOPS = 8  #: Steps along the free part.
 #: Share of a force that friction around the section usually has, and has at most, in a guess.
 USUAL, MAX_SINE = 0.6, 0.9
 MIN_PUSH = 0.2  #: Share of a force that a guess takes for normal at least.
+
+
+@inner
+def is_curved(body):
+    """Return whether a rod is curved at rest."""
+    curved = False
+    for q in range(body.rest.shape[0]):
+        curved = curved or body.rest[q] != 0.0
+    return curved
 
 
 @inner
@@ -87,10 +96,7 @@ def _volume_moments(body, room):
     In section axes that of a curved rod is c with c' = -V e_z - u × c, V the volume beyond and u the curvature at rest,
     integrated from the tip by midpoints.
     """
-    last, room[CURVED] = body.knots.shape[0] - 1, 0.0
-    for q in range(body.rest.shape[0]):
-        if body.rest[q] != 0.0:
-            room[CURVED] = 1.0
+    last, room[CURVED] = body.knots.shape[0] - 1, 1.0 if is_curved(body) else 0.0
     if room[CURVED] == 0.0:
         room[ROOM + last] = 0.0
         for i in range(last - 1, -1, -1):
@@ -181,11 +187,15 @@ def trace(body, end, gravity, force, moment, std_force, std_moment, arm, work, r
             p = take(work, P)
             reach = max(math.sqrt(dot(p, p)), 1e-300)
             size = math.sqrt(dot(force, force))
-            couple = arm * size * radius_and_slope(body, s)[0]
-            square = std_moment * std_moment + couple * couple + MODEL * MODEL * dot(moment, moment)
-            along = dot(misfit, p) / (reach * reach)
+            square = std_moment * std_moment + (MODEL * size * reach) ** 2
             across = 1.0 / math.sqrt(square + std_force * std_force * reach * reach)
-            misfit = add(times(across, misfit), along * (1.0 / math.sqrt(square) - across), p)
+            more, t = (1.0 / math.sqrt(square) - across) / (reach * reach), take(work, T)
+            misfit = add(times(across, misfit), more * dot(misfit, p), p)
+            # The couple of friction is about the tangent: its whitened column c, of one standard deviation.
+            c = times(arm * size * radius_and_slope(body, s)[0], add(times(across, t), more * dot(t, p), p))
+            known = dot(c, c)
+            share = (1.0 / math.sqrt(1.0 + known) - 1.0) / max(known, 1e-300)
+            misfit = add(misfit, share * dot(misfit, c), c)
         put(room, STATIONS * WIDTH + 3 * j, misfit)
     return STATIONS
 
@@ -198,9 +208,16 @@ def _misfit(room, j):
 
 @inner
 def is_least(room, j, reached):
-    """Return whether the misfit at station j is a local minimum."""
+    """Return whether the misfit at station j is a local minimum or, on a curved probe, may hide one: where it grows by
+    less than on both sides."""
     at = _misfit(room, j)
-    return (j == 0 or at <= _misfit(room, j - 1)) and (j + 1 >= reached or at <= _misfit(room, j + 1))
+    before = at - _misfit(room, j - 1) if j > 0 else -math.inf
+    after = _misfit(room, j + 1) - at if j + 1 < reached else math.inf
+    if before <= 0.0 <= after or room[CURVED] == 0.0 or not 1 < j < reached - 2:
+        return before <= 0.0 <= after
+    if before > 0.0:
+        return after < before and after < _misfit(room, j + 2) - _misfit(room, j + 1)
+    return before > after and before > _misfit(room, j - 1) - _misfit(room, j - 2)
 
 
 @inner

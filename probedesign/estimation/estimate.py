@@ -90,6 +90,11 @@ class Candidate:
         return 0.0 if self.fit is None else float(self.fit["chi2_friction"])
 
     @property
+    def growth(self) -> float:
+        """Return the least growth of the misfit beside the place, over that of a normal error; inf without a check."""
+        return math.inf if self.fit is None else float(self.fit["growth"])
+
+    @property
     def cov_touch(self) -> Array:
         """Return the covariance of the five unknowns of the touch, (5, 5); NaN without a fit."""
         return self._covariance("cov_touch", 5)

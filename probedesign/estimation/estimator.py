@@ -13,11 +13,14 @@ from probedesign.core.frames import Array, is_pose
 from probedesign.core.statistics import (
     FALSE_ALARM,
     MISFIT_CHANCE,
+    NORMAL_95,
+    NORMAL_GROWTH,
     RIVAL_CHI2,
     UNIFORM_95,
     UNIFORM_STD,
     is_normal,
     max_chi2,
+    sigmas_95,
 )
 from probedesign.core.units import MM
 from probedesign.design.sensors import Noise
@@ -396,14 +399,16 @@ class Estimator:
         if normal and best.std_s >= length * UNIFORM_STD:
             return "too_light", None
         for rival in listed[1:]:
-            near = abs(rival.s_contact - best.s_contact) <= 3.0 * (rival.std_s + best.std_s)
-            if rival.chi2 < best.chi2 + RIVAL_CHI2 and not near:
+            apart = abs(rival.s_contact - best.s_contact)
+            if rival.chi2 < best.chi2 + RIVAL_CHI2 and apart > sigmas_95(1) * math.hypot(rival.std_s, best.std_s):
                 return "ambiguous", None
-        if normal:
+        if normal and (best.growth >= NORMAL_GROWTH or problem is None):
             return "ok", None
         if problem is None:
             return "too_light", None
         low, high = likelihood.profile_interval(problem, best)
+        if normal and max(best.s_contact - low, high - best.s_contact) <= NORMAL_95 * best.std_s:
+            return "ok", None
         return ("interval_only", (low, high)) if high - low < UNIFORM_95 * length else ("too_light", None)
 
 

@@ -68,13 +68,14 @@ MAX_STARTS = 8  #: Places that one reading is fitted from at most, the likeliest
 #: One fit: its outcome (FITTED, ...), the touch, squared misfit and the part of it due to friction, change of the base
 #: moment with s over the force, variance of s_contact [m²], covariance of the five unknowns, those of the touched point
 #: and of the centreline point [m²], both to first order alone, force [N], touched point and centreline point [m],
-#: s_contact [m], the reading's whitening, and how many sweeps the fit took under the weights of noise and drift and
-#: under all.
+#: s_contact [m], the reading's whitening, how many sweeps the fit took under the weights of noise and drift and under
+#: all, and on a curved probe by how much the misfit grows beside the fit, see `uncertainty_kernel.NODE`.
 FIT = np.dtype([
     ("status", "f8"), ("touch", "f8", TOUCH), ("chi2", "f8"), ("chi2_friction", "f8"), ("lever", "f8"), ("var_s", "f8"),
     ("cov_touch", "f8", (UNKNOWNS, UNKNOWNS)), ("cov_surface", "f8", (3, 3)), ("cov_centre", "f8", (3, 3)),
     ("cov_linear_surface", "f8", (3, 3)), ("cov_linear_centre", "f8", (3, 3)), ("force", "f8", 3),
     ("surface", "f8", 3), ("centre", "f8", 3), ("s_contact", "f8"), ("whiten", "f8", (6, 6)), ("sweeps", "f8", 2),
+    ("growth", "f8"),
 ])  # fmt: skip
 #: Misfits of the trace beyond which no contact is fitted: standard deviations of the reading's moment and of its
 #: force's lever together, and over the moment itself. Friction around the section leaves a couple of its own, μ r F,
@@ -141,7 +142,7 @@ def _settle(measured, noise, sources, touch, memory, work, row):
     """
     parameters, body, lin = sources.rod.shape[1] + 3, measured.body, memory.lin
     J, r, H, b, step = work.J, work.r, work.H, work.b, work.step
-    move, before, white = work.move, work.before[:], row.whiten
+    move, before, white, row.growth = work.move, work.before[:], row.whiten, math.inf
     if not whitening(noise, work.factor, white):
         return LOST
     tol, size, rounds, small = sweep_tolerance(measured.wrench, white), 1.0, 0, False
@@ -182,11 +183,10 @@ def _settle(measured, noise, sources, touch, memory, work, row):
         return LOST
     if not small:
         return STALLED
-    if bounded:
-        return AT_END
     # Linearised at `before`; the last step is a thirtieth of a standard deviation.
-    add_curvature(measured, white, tol, before, lin, J, memory, work, row)
-    return FITTED
+    if not bounded or candidates.is_curved(body):
+        add_curvature(measured, white, tol, before, lin, J, memory, work, row)
+    return AT_END if bounded else FITTED
 
 
 @kernel

@@ -13,6 +13,7 @@ import math
 from typing import NamedTuple
 
 from probedesign.core.frames import Array
+from probedesign.estimation.candidates import is_curved
 from probedesign.estimation.contact_fit import RESIDUALS, information, normal_equations, residuals
 from probedesign.rod.kernels import inline_always, inner, kernel
 from probedesign.rod.kernels.equations import BEND_X, BEND_Y, FLATNESS, OK
@@ -250,6 +251,7 @@ def posterior(lin, touch, J, whiten, D, by_s, work, gain, fit):
     return True
 
 
+NEAR_END = 0.3  #: Share of the way to a node up to which the growth of the misfit there is not compared.
 MIN_SHARE = 0.05  #: Least share of the way to a node of the valley that second differences are divided by.
 #: Standard deviations to either side at which the valley is evaluated: the nodes of Gauss-Hermite quadrature.
 NODE = math.sqrt(3.0)
@@ -340,17 +342,18 @@ def _share_within(touch, end, change):
 
 
 @inline_always
-def _offsets_beside(measured, whiten, tol, touch, lin, valley, side, memory, work, offsets):
+def _offsets_beside(measured, whiten, tol, touch, lin, chi2, valley, side, memory, work, offsets):
     """Evaluate both points on the valley NODE standard deviations from the estimate, by one Gauss-Newton step from
     the linear valley.
 
     Args:
-        measured, whiten, tol, touch, lin, memory, work: as in `add_curvature`.
+        measured, whiten, tol, touch, lin, memory, work: as in `add_curvature`; chi2: misfit at the estimate.
         valley: where it leads; side: 0 against its change of the touch, 1 along it.
         offsets: filled: how far touched point (3) and centreline point (3) lie from the linear valley there [m], (6,).
 
     Returns:
-        Whether there is an equilibrium.
+        By how much the misfit grows to there, over 3, as for a normal posterior; inf where the node is far off because
+        of the end of the probe or of the force; NaN where there is no equilibrium.
     """
     at, J, r, H, b, lin_at = work.at[:], work.beside, work.r, work.H, work.b, memory.lin_touch
     scale, move, change = work.scale, work.move, work.change
@@ -364,22 +367,27 @@ def _offsets_beside(measured, whiten, tol, touch, lin, valley, side, memory, wor
         measured.body, measured.gravity, measured.mass, tol, 1.0, at, NO_PARAMETERS, memory.sweep, lin_at
     )
     if status != OK or not lack < math.inf:
-        return False
+        return math.nan
     residuals(lin_at, at, measured.wrench, whiten, measured.friction, J, r)
     normal_equations(J, r, H, b)
     for i in range(UNKNOWNS):
         for j in range(UNKNOWNS):
             H[i, j] += BESIDE / valley.variance * valley.along[i] * valley.along[j]
     if not scale_and_factor(H, UNKNOWNS, scale):
-        return False
+        return math.nan
     solve_scaled(H, UNKNOWNS, scale, b)
+    grown = -chi2
+    for i in range(RESIDUALS):
+        for j in range(UNKNOWNS):
+            r[i] += J[i, j] * b[j]
+        grown += r[i] * r[i]
     for q in range(6):  # rows of POINT and, after them, of CENTRE
         x = lin_at[POINT + q, VALUE] - lin[POINT + q, VALUE]
         for i in range(UNKNOWNS):
             x += lin_at[POINT + q, BY_TOUCH + i] * b[i] - share * lin[POINT + q, BY_TOUCH + i] * change[i]
         # The offset goes with the square of the share; the floor keeps the digits of a node near the end of the probe.
         offsets[q] = x / max(share, MIN_SHARE) ** 2
-    return True
+    return grown / (NODE * share) ** 2 if share > NEAR_END else math.inf
 
 
 @inner
@@ -424,17 +432,23 @@ def add_curvature(measured, whiten, tol, touch, lin, J, memory, work, fit):
             left = max(C[PHI, PHI] - change[PHI] * change[PHI], 0.0)
             _add_turn_around(lin, by_phi * by_phi * left, cov)
         curvature = MAX_CURVATURE / body.knots[-1] + abs(change[PHI]) / std
-        if 0.5 * variance * curvature < FLAT_ENOUGH * thin:
+        checked = point == 0 and is_curved(body)
+        if 0.5 * variance * curvature < FLAT_ENOUGH * thin and not checked:
             continue
         if evaluated and _correlation(J, of_point, of_centre) ** 2 >= SAME_VALLEY:
             change = of_point
         else:
             evaluated = 0
             valley, inward = _Valley(variance, work.along, change), 1 if change[S] < 0.0 else 0
-            for other in range(2 if std > WIDE * body.knots[-1] else 1):
+            for other in range(2 if std > WIDE * body.knots[-1] or checked else 1):
                 side = inward if other == 0 else 1 - inward
-                if _offsets_beside(measured, whiten, tol, touch, lin, valley, side, memory, work, offsets[side]):
+                grown = _offsets_beside(
+                    measured, whiten, tol, touch, lin, fit.chi2, valley, side, memory, work, offsets[side]
+                )
+                if not math.isnan(grown):
                     evaluated += 1 + side
+                if checked:
+                    fit.growth = min(fit.growth, grown) if not math.isnan(grown) else 0.0
         if evaluated:
             # The side that was not evaluated counts as the other one.
             low, high = int(evaluated == 2), int(evaluated != 1)

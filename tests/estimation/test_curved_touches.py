@@ -133,17 +133,20 @@ def test_a_covariance_stays_positive_where_error_sources_move_point_and_touch_ag
 
 def test_two_places_that_explain_a_light_touch_are_ambiguous_or_inside_the_region():
     """A helix of one turn, 5 mN at 0.8 L: where M·p(s) = 0 has two roots 1.2 deviations apart, both are fitted,
-    although the force that was read lies beyond one of them."""
+    although the force that was read lies beyond one of them; where they merge to one wide place, it has an interval.
+    The error of what is located is the stated one."""
     cone = {"length_mm": 150.0, "base_d_mm": 12.0, "tip_d_mm": 2.0}
     helix = {"axis": "helix", "axis_bend_deg": 212.0, "axis_turns": 0.965, "axis_azimuth_deg": 83.0}
     model = build_probe(check_design({"schema": 1, "name": "helix", "probe": cone | helix})).model
-    rng, n, estimator = np.random.default_rng(5), 120, Estimator(model, EXACT)
+    rng, n, estimator = np.random.default_rng(5), 240, Estimator(model, EXACT)
     ratios = 0.5 * rng.normal(size=(n, 2))
     force = 5e-3 * np.column_stack([np.ones(n), ratios]) / np.sqrt(1.0 + (ratios**2).sum(axis=1))[:, None]
     touches = touches_at(model, 0.8, np.pi + rng.uniform(-1.0, 1.0, n), force)
     noise = rng.normal(size=(n, 6)) @ np.linalg.cholesky(model.noise_base()).T
     found = [estimator.estimate(w, GRAVITY) for w in touches.wrench + noise]
-    wrong = [c.ok and np.linalg.norm(c.p_surface_base - p) > 4.0 * c.candidates[0].rms
-             for c, p in zip(found, touches.p_surface, strict=True)]  # fmt: skip
-    assert any(c.result == "ambiguous" for c in found)
-    assert sum(wrong) <= 3  # 2.5 %; measured 0 to 2 of 120
+    off, stated = np.array([(np.linalg.norm(c.p_surface_base - p), c.candidates[0].rms)
+                            for c, p in zip(found, touches.p_surface, strict=True) if c.ok]).T  # fmt: skip
+    assert len(off) > 0.5 * n and any(c.result == "ambiguous" for c in found)
+    assert (off > 4.0 * stated).sum() <= 0.01 * n  # beyond `RIVAL_CHI2` a wrong root is taken once in 700 touches
+    # Of 150 errors with a tail the RMS is known to about 10 %.
+    assert np.sqrt(np.mean(off**2)) < 1.2 * np.sqrt(np.mean(stated**2))
