@@ -35,6 +35,8 @@ def live(
     tare: Tare | None = None,
     average: int | None = None,
     filter_hz: float | None = None,
+    mains_hz: float | None = None,
+    deadline_ms: float | None = None,
     pose: list[str] | None = None,
     pose_latency_ms: float = 0.0,
     gravity_world: str | None = None,
@@ -79,6 +81,9 @@ def live(
         average: number of readings per mean; each mean is one estimate. Default: by rate and noise of the first
             readings, so that a mean has the noise that BUNDLE states.
         filter_hz: cutoff frequency (-3 dB) of a low-pass filter before the estimates [Hz]; its delay is printed.
+        mains_hz: frequency of the mains, 50 or 60: each mean covers whole periods of it, so that hum is removed.
+        deadline_ms: readings that are older when their turn comes are not located if there are newer ones. Default: 12,
+            or the duration of a burst in which they arrive.
         pose: poses of the base: fixed, FILE.csv or .jsonl, a ROS 2 bag (BAG?topic=/pose or BAG?world=map&base=probe),
             udp://:PORT, tf://WORLD/BASE, ur://HOST or franka://HOST. With poses, touches are fused to points of the
             world. Default: fixed.
@@ -115,7 +120,10 @@ def live(
     from probedesign.live.processing.tare import parse_tare
 
     window, zero = parse_tare(tare_s, tare)
-    processing = ProcessingOptions(window, average, rate_hz, count, seconds, filter_hz, method=method, zero=zero)
+    processing = ProcessingOptions(
+        window, average, rate_hz, count, seconds, filter_hz, method=method, zero=zero, mains_hz=mains_hz,
+        deadline=None if deadline_ms is None else 1e-3 * deadline_ms,
+    )  # fmt: skip
     bundles = (bundle, *more)
     if manifest is not None and more:
         raise InputError("--manifest belongs to one probe; check each probe in a run of its own")
@@ -133,6 +141,8 @@ def live(
         "method": method,
         "friction": loaded[0].model.friction,
         "filter_hz": filter_hz,
+        "mains_hz": mains_hz,
+        "deadline_ms": deadline_ms,
         "pose": "; ".join(poses),
         "pose_latency_ms": pose_latency_ms,
         "gravity_world": gravity_world,

@@ -405,6 +405,58 @@ def test_a_recording_contains_the_received_poses_and_replays_exactly(estimator, 
     assert sum('"fused_result": "ok"' in line for line in live) > 25
 
 
+def hum(time):
+    """Hum of 3 mN in Fx and 0.3 N·mm in My at 50.02 Hz, (n, 6)."""
+    return np.sin(2.0 * np.pi * 50.02 * time)[:, None] * np.array([3e-3, 0.0, 0.0, 0.0, 3e-4, 0.0])
+
+
+@pytest.mark.parametrize("mains", [None, 50.0])
+def test_hum_of_the_mains_is_stated_and_removed_by_means_of_whole_periods(estimator, motion, mains):
+    time = np.arange(int((motion.cycle_time + 1.0) * RATE)) / RATE
+    plan = ProcessingOptions(TareWindow(0.0, 2.0), None if mains else SAMPLES, 25.0, mains_hz=mains)
+    stream = blocks(motion.model, motion.wrench_sensor(time) + hum(time) + BIAS, time)
+    if mains is None:
+        with pytest.raises(InputError, match=r"window.*; hum of the mains, 0.3 Nmm in My; with --mains-hz 50"):
+            run(estimator, stream, reported_poses(motion), plan)
+        return
+    _, lines, chain = run(estimator, stream, reported_poses(motion), plan)
+    assert "whole periods of 50 Hz: 10 are averaged to one" in lines
+    (contact,) = chain.contacts
+    assert contact.settled and contact.fused.ok
+    off = contact.fused.p_surface_world - motion.objects[0].point
+    assert off @ np.linalg.solve(contact.fused.cov_surface_world, off) < 16.3  # as without hum
+
+
+def test_mains_need_a_rate_and_exclude_another_average(estimator, motion):
+    time = np.arange(200) / 60.0
+    stream = blocks(motion.model, np.tile(BIAS, (200, 1)), time)
+    with pytest.raises(InputError, match="--mains-hz 50 needs 100 readings a second or more; these are 60"):
+        run(estimator, stream, plan=ProcessingOptions(TareWindow(0.0, 1.0), None, mains_hz=50.0))
+    with pytest.raises(InputError, match="exclude each other"):
+        ProcessingOptions(samples=5, mains_hz=50.0)
+
+
+def test_every_reading_of_a_burst_is_located(estimator, motion, monkeypatch):
+    """Those of 0.1 s at once, which take 3 ms each: the last is 60 ms old when its turn comes."""
+    now, stream = [0.0], touch(motion, size=50)
+    monkeypatch.setattr("probedesign.live.processing.chain.monotonic", lambda: now[0])
+
+    def bursts():
+        for block in stream:
+            now[0] = float(block.time[-1])
+            yield replace(block, received=np.full(len(block), now[0]))
+
+    for deadline, all_of_them in ((None, True), (0.012, False)):
+        lines = []
+        plan = ProcessingOptions(TareWindow(0.0, 2.0), SAMPLES, 100.0, deadline=deadline)
+        chain, stream, now[0] = Chain(estimator, plan, None, lines.append), touch(motion, size=50), 0.0
+        for block in bursts():
+            for _ in chain.process(block):
+                now[0] += 0.003
+        list(chain.finish())
+        assert (chain.scheduler.n_skipped == 0) == all_of_them
+
+
 FILTER_RATE = 7000.0
 
 

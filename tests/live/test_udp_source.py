@@ -210,6 +210,19 @@ def test_a_slow_sender_is_not_silent(opened):
     assert {r.stretch for r in reader.readings} == {0} and not reader.source.counts["interruptions"]
 
 
+def test_bursts_with_complete_times_are_no_interruptions(opened):
+    """Ten readings of 10 ms at once: after the first bursts, a pause between two is neither silence nor a gap."""
+    reader, sender = opened
+    for burst in range(12):
+        for i in range(10):
+            sender.send(time_s=0.1 * burst + 0.01 * i)
+        time.sleep(0.1)
+    reader.wait(lambda: len(reader.readings) == 120)
+    assert {r.stretch for r in reader.readings} == {0} and not reader.source.counts["interruptions"]
+    silent = [i for i, block in enumerate(reader.blocks) if not len(block)]
+    assert sum(map(len, reader.blocks[max(silent, default=0) :])) > 60
+
+
 def test_no_sender_ends_with_one_line(estimator):
     with Waiting(Sender("?wait_s=0.2"), estimator) as reader:
         reader.wait(lambda: reader.error is not None)

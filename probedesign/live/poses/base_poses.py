@@ -2,6 +2,7 @@
 
 import math
 from bisect import bisect_left, bisect_right
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from time import monotonic
@@ -99,6 +100,11 @@ def pose_from_matrix(time: float, T: Array) -> TimedPose:
 #: Maximum interval between poses that are interpolated [s]: a base that accelerates at 1 m/s² deviates from the
 #: straight line by 0.3 mm in it. Robots publish at 100 Hz and more.
 MAX_GAP = 0.050
+#: Where poses are slower than that: the largest interval in usual ones and in seconds, and the largest deviation from
+#: the straight line [m]. A base that starts or stops within the interval deviates by a quarter of its travel.
+MAX_PERIODS, MAX_SLOW_GAP, MAX_DEVIATION = 2.5, 0.25, 0.5e-3
+LEVER = 0.1  #: Lever arm that converts a rotation of the base to a distance [m], as in the tracker.
+MIN_INTERVALS = 5  #: Number of intervals whose median is the usual one, at least.
 MAX_POSES = 20_000  #: Maximum number of poses kept of a stream: 20 s of a fast one.
 
 
@@ -110,11 +116,12 @@ class PoseTrack:
     max_poses: float = math.inf  #: maximum number of poses that are kept.
     _poses: list[TimedPose] = field(default_factory=list, repr=False)
     _times: list[float] = field(default_factory=list, repr=False)
+    slow: bool = False  #: whether slower poses are interpolated too, as far as their speed allows it.
 
     @classmethod
-    def of(cls, poses: Iterable[TimedPose], max_gap: float = MAX_GAP) -> "PoseTrack":
+    def of(cls, poses: Iterable[TimedPose], max_gap: float = MAX_GAP, slow: bool = False) -> "PoseTrack":
         """Return the track of the poses; a pose that is not later than the one before is dropped."""
-        track = cls(max_gap)
+        track = cls(max_gap, slow=slow)
         for each in poses:
             track.add(each)
         return track
@@ -152,9 +159,24 @@ class PoseTrack:
         i = bisect_left(self._times, time)
         if i < len(self._times) and self._times[i] == time:
             return pose_matrix(self._poses[i])
-        if i in (0, len(self._times)) or self._times[i] - self._times[i - 1] > self.max_gap:
+        if i in (0, len(self._times)) or not self._bridged(i):
             return None
         return interpolate_pose(self._poses[i - 1], self._poses[i], time)
+
+    def usual(self, i: int) -> float:
+        """Return the usual interval of the poses up to one [s], later ones being unknown; 0 if there are too few."""
+        near = self._times[max(i - 2 * MIN_INTERVALS, 0) : i + 1]
+        return float(np.median(np.diff(near))) if len(near) > MIN_INTERVALS else 0.0
+
+    def _bridged(self, i: int) -> bool:
+        """Return whether the poses before and at a number are interpolated."""
+        gap = self._times[i] - self._times[i - 1]
+        if gap <= self.max_gap or not self.slow:
+            return gap <= self.max_gap
+        a, b = self._poses[i - 1], self._poses[i]
+        cosine = abs(sum(x * y for x, y in zip(_normalized(a.q), _normalized(b.q), strict=True)))
+        travel = math.dist(a.p, b.p) + LEVER * 2.0 * math.acos(min(cosine, 1.0))
+        return gap <= min(MAX_PERIODS * self.usual(i), MAX_SLOW_GAP) and 0.25 * travel <= MAX_DEVIATION
 
     def reason(self, time: float) -> str:
         """Return why there is no pose at a time."""
@@ -166,7 +188,8 @@ class PoseTrack:
         if i == len(self._times):
             return f"the last pose is {time - self._times[-1]:.3g} s older"
         gap = self._times[i] - self._times[i - 1]
-        return f"the neighbouring poses are {gap:.3g} s apart, more than {self.max_gap:g} s"
+        fast = " at this speed" if self.slow else ""
+        return f"the neighbouring poses are {gap:.3g} s apart, more than {self.max_gap:g} s{fast}"
 
 
 class TransformTree:
@@ -284,6 +307,7 @@ class PoseStream(Protocol):
         """The counts in one line."""
 
 
+LAG_POSES = 64  #: Number of poses whose median delay is compared with their period.
 POSE_WAIT = 2.0  #: Maximum wait of an estimate for the next pose, in units of the maximum gap.
 GRAVITY_WORLD = (0.0, 0.0, -9.81)  #: Gravity in a world whose z axis points up [m/s²].
 
@@ -314,21 +338,23 @@ class BasePoses:
         gravity_world: Array | None = None,
         notes: tuple[str, ...] = (),
         log: Log = lambda line: None,
+        slow: bool = False,
     ) -> None:
         """Start with all poses by the wrench's clock, or with a listener that receives them.
 
-        `max_gap` is that of `PoseTrack` [s]; gravity is 9.81 m/s² along -z if it is None.
+        `max_gap` [s] and `slow` are those of `PoseTrack`; gravity is 9.81 m/s² along -z if it is None.
         """
         self.title, self.notes, self.latency = title, notes, latency
         self.gravity_world = np.array(GRAVITY_WORLD if gravity_world is None else gravity_world, dtype=float)
         self._log = log
         self._listener = None if isinstance(poses, list) else poses
         if not isinstance(poses, list):
-            self.track = PoseTrack(max_gap, MAX_POSES)
+            self.track = PoseTrack(max_gap, MAX_POSES, slow=slow)
         else:
-            self.track = PoseTrack.of((self._delayed(pose, -latency) for pose in poses), max_gap)
+            self.track = PoseTrack.of((self._delayed(pose, -latency) for pose in poses), max_gap, slow)
         self._wrench, self._robot = ClockOffset(), ClockOffset()
         self._session = 0
+        self._delays, self._lag_reported = deque[float](maxlen=LAG_POSES), False
         self._cached: tuple[float, Array | None] = (math.nan, None)
         self._reported, self._since = -math.inf, math.nan
         self.on_pose: Callable[[TimedPose], None] = lambda pose: None
@@ -356,6 +382,14 @@ class BasePoses:
             if session != self._session:
                 self._session, self._robot = session, ClockOffset()
             ahead = self._robot.add(base_pose.time, arrival) - self._wrench.value
+            late = arrival - base_pose.time - self._robot.value + self.latency
+            self._delays.append(late)
+            usual = self.track.usual(len(self.track))
+            if not self._lag_reported and len(self._delays) == LAG_POSES and 0.0 < usual < np.median(self._delays):
+                self._lag_reported = True
+                self._log(f"poses: they are {1e3 * float(np.median(self._delays)):.0f} ms late, more than their own "
+                          f"period of {1e3 * usual:.0f} ms, and each estimate waits as long; stamp them where they are "
+                          "measured, and send each at once")  # fmt: skip
             self.track.add(self._delayed(base_pose, ahead - self.latency))
 
     def at(self, time: float) -> Array | None:
@@ -368,7 +402,8 @@ class BasePoses:
         """Return whether the pose after a time may still arrive, with the newest reading at `newest` [s]."""
         if self._listener is None or self.track.end >= time:
             return False
-        return newest - time < POSE_WAIT * self.track.max_gap
+        usual = self.track.usual(len(self.track)) if self.track.slow else 0.0
+        return newest - time < max(POSE_WAIT * self.track.max_gap, MAX_PERIODS * min(usual, MAX_SLOW_GAP))
 
     def reason(self, time: float) -> str:
         """Return why there is no pose at a time."""

@@ -52,11 +52,14 @@ def open_poses(
     if stream is not None:
         poses: PoseStream = resolve_name(stream[1])(target, texts)
         return BasePoses(
-            poses.title, poses, latency=latency, max_gap=max_gap, gravity_world=gravity, notes=poses.notes, log=log
-        )
+            poses.title, poses, latency=latency, max_gap=max_gap, gravity_world=gravity, notes=poses.notes, log=log,
+            slow="limit_ms" not in query,
+        )  # fmt: skip
     known = read_bag_poses(path, **texts) if in_bag else read_pose_file(path)
     title = f"{len(known)} poses of {path}, {known[0].time:.9g} ... {known[-1].time:.9g} s"
-    return BasePoses(title, known, latency=latency, max_gap=max_gap, gravity_world=gravity, log=log)
+    return BasePoses(
+        title, known, latency=latency, max_gap=max_gap, gravity_world=gravity, log=log, slow="limit_ms" not in query
+    )
 
 
 def _gravity(text: str | None) -> Array | None:

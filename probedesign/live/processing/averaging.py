@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
@@ -24,6 +25,7 @@ NEAR = 2.0
 MEDIAN = 0.4549  #: Median of χ² with one degree of freedom.
 
 
+MIN_PERIOD = 2  #: Least number of readings in a period of the mains.
 LONG_MEAN = 0.25  #: Duration of a mean from which it is stated [s]: a touch counts as settled after so long.
 
 
@@ -135,8 +137,12 @@ class Averager:
         n_pending: number of readings of the incomplete batch.
     """
 
-    def __init__(self, samples: int | None, model: ProbeModel, log: Log) -> None:
-        """Start with no readings; without `samples` the first readings decide, and `log` receives the reason."""
+    def __init__(self, samples: int | None, model: ProbeModel, log: Log, mains: float | None = None) -> None:
+        """Start with no readings; without `samples` the first readings decide, and `log` receives the reason.
+
+        With `mains`, the frequency of the mains [Hz], the chosen number is extended to whole periods of it.
+        """
+        self._mains = mains
         self.samples, self.n_pending, self._model, self._log = samples or 0, 0, model, log
         self._pending: list[Block] = []  # those of the incomplete batch, or all until the size of a batch is known
 
@@ -177,6 +183,15 @@ class Averager:
         whole = joined(blocks)
         needed = readings_needed(whole.time) or len(whole)
         chosen = choose_averaging(whole.time[:needed], whole.wrench_sensor[:needed], self._model)
+        if self._mains is not None:
+            step = float(whole.time[needed - 1] - whole.time[0]) / max(needed - 1, 1)
+            period = 1.0 / (self._mains * step) if step > 0.0 else 0.0
+            if period < MIN_PERIOD:
+                raise InputError(f"--mains-hz {self._mains:g} needs {MIN_PERIOD * self._mains:g} readings a second or "
+                                 f"more; these are {period * self._mains:.3g}")  # fmt: skip
+            count = math.ceil(chosen.samples / period - 0.01)
+            n = round(count * period)
+            chosen = Averaging(n, f"whole periods of {self._mains:g} Hz", n * step)
         if chosen.summary:
             self._log(chosen.summary)
         self.samples = chosen.samples

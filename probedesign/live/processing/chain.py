@@ -19,7 +19,7 @@ from probedesign.estimation.bias import KnownBias
 from probedesign.estimation.estimate import Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator, Method
 from probedesign.live import Log
-from probedesign.live.blocks import Block, WrenchReading
+from probedesign.live.blocks import Block, WrenchReading, joined
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.processing.averaging import AveragedBatch, Averager
 from probedesign.live.processing.estimates import (
@@ -41,6 +41,7 @@ from probedesign.live.processing.tare import (
     Zero,
     describe_tare,
     is_free,
+    mains_hum,
 )
 from probedesign.live.processing.touches import Contact, ContactHistory, TouchMonitor, TouchState
 
@@ -61,15 +62,21 @@ class ProcessingOptions:
     estimates: bool = True
     method: Method = "ml"  #: method by which a single reading is located.
     zero: Zero = "checked"  #: zero of the sensor that is used without a tare window.
+    #: frequency of the mains, whose hum each mean excludes by covering whole periods [Hz]; None: not considered.
+    mains_hz: float | None = None
+    deadline: float | None = None  #: age from which a reading is not located any more [s]; None: `MAX_AGE`.
     touches: bool = True  #: whether touches are reported, and fused where poses are known.
 
     def __post_init__(self) -> None:
         """Check the numbers; raises InputError if one is not positive."""
         limits = {"average": self.samples, "rate-hz": self.rate, "count": self.count, "seconds": self.seconds,
-                "filter-hz": self.filter_hz}  # fmt: skip
+                "filter-hz": self.filter_hz, "mains-hz": self.mains_hz,
+                "deadline-ms": self.deadline and 1e3 * self.deadline}  # fmt: skip
         for name, value in limits.items():
             if value is not None and not value > 0:
                 raise InputError(f"--{name} {value} must be positive")
+        if self.mains_hz is not None and self.samples is not None:
+            raise InputError(f"--average {self.samples} and --mains-hz {self.mains_hz:g} exclude each other")
 
 
 class LowPass:
@@ -120,6 +127,7 @@ class LowPass:
 #: estimate would be replaced at once, and delay all later ones. It is still recorded, monitored and fused. A reading
 #: that no contact explains takes longest, about 8 ms, so every estimate is available within 20 ms.
 MAX_AGE = 0.012
+MAX_BURST = 0.2  #: Longest burst of readings that are all located although they arrive together [s].
 
 #: Reporting period by the source's clock [s], and the fraction of skipped estimates that is reported at once.
 REPORT_PERIOD, MAX_SKIPPED_SHARE = 5.0, 0.05
@@ -218,7 +226,10 @@ class Chain:
         """
         self.tare = tare
         self._estimator, self._options, self._poses, self._log = estimator, options, poses, log
-        self.averager, self._waiting = Averager(options.samples, estimator.model, log), deque[AveragedBatch]()
+        mains = options.mains_hz
+        self._periods = None if mains is None else Averager(None, estimator.model, log, mains)
+        samples = options.samples if mains is None else 1
+        self.averager, self._waiting = Averager(samples, estimator.model, log), deque[AveragedBatch]()
         takes_tare = tare is None and (options.window is not None or options.zero == "auto")
         self._tare_collector = TareCollector(options.window, estimator, log=log) if takes_tare else None
         self._zero_known = tare is not None or takes_tare or options.zero == "trusted"
@@ -233,7 +244,8 @@ class Chain:
         self._low_pass: LowPass | None = None
         self._rate = self._first = math.nan
         self._now = -math.inf
-        self.scheduler = EstimateScheduler(options.rate, log, MAX_AGE if options.estimates else math.inf)
+        age = (options.deadline or MAX_AGE) if options.estimates else math.inf
+        self.scheduler = EstimateScheduler(options.rate, log, age)
         self._stretch = 0
         self._state, self._phase_before = TouchState("", None), ""
         self._pose_missing, self._touched_at_tare = False, ""
@@ -251,7 +263,20 @@ class Chain:
         n_waiting, now = len(self._waiting), monotonic()  # readings that waited for a pose
         if self._poses is not None:
             self._poses.refresh(block)
-        self._waiting.extend(self.averager.add(block))
+        # What was read over a while and arrives at once is as late as that, without the processing being slow.
+        burst = float((block.time[-1] - block.time[0]) - (block.received[-1] - block.received[0]))
+        if self._options.deadline is None and burst > self.scheduler.max_age:
+            self.scheduler.max_age = min(burst, MAX_BURST)
+        if self._periods is not None:
+            limit = self._estimator.model.saturation_limit
+            for raw, reading in self._periods.add(block):
+                within = (np.abs(raw.wrench_sensor) <= limit).all()
+                fault = reading.fault or ("" if within else "a channel is at its limit or not a number")
+                mean = Block(np.array([reading.time]), reading.wrench_sensor[None], reading.gravity_base,
+                             np.array([reading.received]), fault, reading.stretch)  # fmt: skip
+                self._waiting.extend(self.averager.add(mean))
+        else:
+            self._waiting.extend(self.averager.add(block))
         if math.isnan(self._rate) and not self._initialize():
             return
         while self._waiting and not (
@@ -479,13 +504,18 @@ class Chain:
             return
         free, self._tare_collector, last = tuple(self._free), None, self.tare
         self._free.clear()
+        raw = joined([batch.block for batch in free]) if free else None
+        hum = "" if raw is None else mains_hum(raw.time, raw.wrench_sensor)
         try:
             self.tare = collector.tare()
         except InputError as error:
+            refusal = f"{error}; {hum}" if hum else str(error)
             if not collector.on_request:
-                raise
-            return self._log(f"tare refused: {error}")
+                raise InputError(refusal) from None
+            return self._log(f"tare refused: {refusal}")
         self._log(describe_tare(self.tare))
+        if hum:
+            self._log(f"tare: {hum}")
         doubts = [self.tare.assumed] if self.tare.assumed else []
         if self._touched_at_tare:
             known = last.bias_sensor if last else np.zeros(6)

@@ -243,6 +243,36 @@ def take_tare(
     return Tare(bias, n, window, readings[-1].time, rate, cov, fastest, assumed)
 
 
+MAINS = (50.0, 60.0)  #: Frequencies of the mains [Hz].
+MIN_HUM = 70.0  #: χ² of twelve degrees of freedom that noise alone exceeds once in 3·10⁹ tares.
+
+
+def mains_hum(time: Array, wrench_sensor: Array) -> str:
+    """Return the hum of the mains in samples of a free probe, and the remedy; empty without.
+
+    Sine and cosine of 50 and 60 Hz are fitted beside a straight line; n A²/(2 σ²) of amplitude A in scatter σ is χ² of
+    two degrees of freedom in each channel.
+
+    Args:
+        time: of the samples [s], (n,).
+        wrench_sensor: the samples [N, N·m], (n, 6).
+    """
+    n, since = len(time), time - time[:1]
+    if n < 100 or not n / since[-1] > 4.0 * MAINS[-1]:
+        return ""
+    for frequency in MAINS:
+        angle = 2.0 * math.pi * frequency * since
+        columns = np.stack([np.ones(n), since, np.cos(angle), np.sin(angle)], axis=1)
+        fitted = np.linalg.lstsq(columns, wrench_sensor)[0]
+        amplitude = np.hypot(fitted[2], fitted[3])
+        scatter = np.maximum((wrench_sensor - columns @ fitted).std(axis=0), 1e-12)
+        if float((n * (amplitude / scatter) ** 2).sum() / 2.0) > MIN_HUM:
+            i = int(np.argmax(amplitude / scatter))
+            size = f"{1e3 * amplitude[i]:.2g} {'mN' if i < 3 else 'Nmm'} in {CHANNELS[i]}"
+            return f"hum of the mains, {size}; with --mains-hz {frequency:g} each mean covers whole periods"
+    return ""
+
+
 def describe_tare(tare: Tare) -> str:
     """Return the tare as one line."""
     bias = ", ".join(

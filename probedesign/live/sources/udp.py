@@ -85,6 +85,7 @@ def wrench_listener(
 GATHER_TIME = 0.001  #: Time in which datagrams are gathered [s]: a block of several costs less than several blocks.
 #: Number of intervals whose median is the usual one; silence is longer than so many of these, and than `STALE_TIME`.
 USUAL_INTERVALS, STALE_INTERVALS = 32, 5
+MAX_BURST = 0.25  #: Longest interval between bursts whose times show that nothing is missing [s].
 REPORT_INTERVAL = 10.0  #: Minimum interval between reports of lost datagrams [s].
 PARAMETERS = {"wait_s": SourceParameter(10.0, 0.1, 86_400.0)}
 TEXT_PARAMETERS = {"frame": get_args(Frame)}
@@ -121,8 +122,9 @@ class UdpSource:
         self._dropout = DropoutMonitor(self.title, log, text, wait)
         self.counts: Counter[str] = Counter()
         self._session, self._stretch = 0, 0
-        self._offset, self._time, self._arrival = 0.0, -inf, -inf
+        self._offset, self._time, self._arrival, self._step = 0.0, -inf, -inf, 0.0
         self._intervals: deque[float] = deque(maxlen=USUAL_INTERVALS)
+        self._burst = 0.0  # longest interval between two bursts so far [s]
         self._reported = (0, -inf)
 
     def __iter__(self) -> Generator[Block, None, None]:
@@ -156,7 +158,7 @@ class UdpSource:
         """Duration of silence that is an interruption [s]."""
         if len(self._intervals) < STALE_INTERVALS:
             return SENDER_TIMEOUT
-        return max(STALE_TIME, STALE_INTERVALS * median(self._intervals))
+        return max(STALE_TIME, STALE_INTERVALS * median(self._intervals), 1.5 * self._burst)
 
     def _reading(self, arrival: float, value: ReceivedWrench, session: int) -> WrenchReading:
         """Return the reading by the source's clock, which continues where a new session has another one."""
@@ -170,7 +172,16 @@ class UdpSource:
                 used = "base" if named == "base" else "sensor"
                 self._log(f"{self.title}: frame {named[:40]!r} is interpreted as the {used} frame")
         if not first:
-            if self._dropout.ongoing or (elapsed > STALE_TIME and elapsed > self._stale_time):
+            step = inf if isnan(value.time) else stamp + self._offset - self._time
+            complete = STALE_TIME < elapsed <= MAX_BURST and step <= max(
+                STALE_TIME / STALE_INTERVALS, STALE_INTERVALS * self._step
+            )
+            self._step = min(step, MAX_BURST)
+            if complete:
+                self._burst = max(self._burst, elapsed)
+                if self._dropout.ongoing:
+                    self._dropout.on_resumed(elapsed)
+            elif self._dropout.ongoing or (elapsed > STALE_TIME and elapsed > self._stale_time):
                 self._stretch += 1
                 self.counts["interruptions"] += 1
                 if self._dropout.ongoing:
