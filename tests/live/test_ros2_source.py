@@ -13,6 +13,7 @@ from probedesign.live.blocks import Block
 from probedesign.live.poses.open import open_poses
 from probedesign.live.sources.ros2 import BRIDGE
 from probedesign.live.sources.source import open_source
+from probedesign.live.sources.udp import parse_wrench
 from tests.live.peers import until
 
 STUB = Path(__file__).parents[1] / "ros2_stub"
@@ -44,6 +45,43 @@ def test_wrenches_of_a_topic(ros2, estimator, query, unit):
     assert any("'tool0' is interpreted as the sensor frame" in line for line in lines)
     bridge = source._listener.sender._process
     assert bridge.poll() is not None  # it ends with the source
+
+
+def test_the_topic_of_ros_netft_is_read_as_it_is(ros2, estimator, monkeypatch):
+    """netft_driver publishes WrenchStamped in N and N·m with best effort, by default /netft/wrench in netft_link.
+
+    Source: github.com/netft/ros-netft, src/ros2_node.cpp and config/netft_ros2.yaml. A subscriber that asks for a
+    reliable topic would receive nothing, and one with a short queue loses readings of 7 kHz.
+    """
+    lines = []
+    source = open_source("ros2://netft/wrench", estimator.model, lines.append)
+    assert some_readings(source, 3)[0].wrench_sensor == pytest.approx([0.25, 0, 0, 0, 0, 0.004], abs=1e-15)
+    monkeypatch.syspath_prepend(str(STUB))
+    before = set(sys.modules)
+    try:
+        from rclpy.node import Node
+
+        from probedesign.live.sources.ros2_bridge import forward_wrench
+
+        node = Node("bridge")
+        forward_wrench(node, "/netft/wrench", "127.0.0.1", "9", "Nm")
+        profile = node.subscription_profiles["/netft/wrench"]
+        assert profile.reliability.name == "BEST_EFFORT" and profile.depth >= 700  # 0.1 s of the fastest box
+    finally:
+        for name in set(sys.modules) - before:
+            del sys.modules[name]
+
+
+@pytest.mark.parametrize(("frame", "used"), [("large/base", "base"), ("base", "sensor"), ("netft_link", "sensor")])
+def test_the_base_of_a_topic_is_the_robots_unless_it_has_the_name_of_the_probe(ros2, estimator, frame, used):
+    lines = []
+    source = open_source("ros2://ft_sensor/wrench", estimator.model, lines.append)
+    source._listener.frame = frame
+    values = parse_wrench({"fx_N": 0.25, "fy_N": 0, "fz_N": 0, "mx_Nm": 0, "my_Nm": 0, "mz_Nm": 0}).value
+    reading = source._reading(0.0, values, 1)
+    at_base = estimator.model.to_sensor(values.wrench, estimator.model.gravity_base)
+    assert reading.wrench_sensor == pytest.approx(at_base if used == "base" else values.wrench, abs=1e-15)
+    source._listener._socket.close()  # nothing was started
 
 
 def test_an_ended_bridge_ends_the_run_with_its_reason(ros2, estimator, monkeypatch, tmp_path):

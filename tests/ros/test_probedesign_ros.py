@@ -1,5 +1,6 @@
 """Test the ROS 2 node with a substitute for rclpy: it publishes what a recording contains."""
 
+import ast
 import base64
 import json
 import socket
@@ -16,6 +17,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import get_types_from_msg
 from scipy.spatial.transform import Rotation
 
+from probedesign.cli.main import run as run_command
 from probedesign.design import load_design
 from probedesign.live.outputs.ros2 import RosPublisher
 from probedesign.live.outputs.sinks import ProbeSink, SinkGroup
@@ -46,7 +48,7 @@ def ros():
     import probedesign_ros.node as node
     from rclpy.node import Node
 
-    Node.overrides = {"port": 0, "control_port": 0}
+    Node.overrides = {"port": 0, "control_port": 9002}
     yield node
     sys.path[:] = path
     for name in set(sys.modules) - before:
@@ -147,7 +149,7 @@ def test_a_prefix_of_the_frames(ros, estimator):
     edges = {(t.header.frame_id, t.child_frame_id) for m in sent(node, "/tf") for t in m.transforms}
     assert frames == {"robot1/large/base"} and edges == {("robot1/large/base", "robot1/large/contact")}
     node.destroy_node()
-    ros.Node.overrides = {"port": 0, "control_port": 0}
+    ros.Node.overrides = {"port": 0, "control_port": 9002}
 
 
 def test_the_topics_of_several_probes_begin_with_their_names(node, estimator):
@@ -271,7 +273,7 @@ def test_services_have_the_results_of_the_run(ros):
     thread.join()
     inputs.close()
     node.destroy_node()
-    ros.Node.overrides = {"port": 0, "control_port": 0}
+    ros.Node.overrides = {"port": 0, "control_port": 9002}
 
 
 def test_a_service_without_a_run_fails_in_time(ros):
@@ -337,9 +339,123 @@ def test_the_set_up_of_the_python_package(monkeypatch):
     assert root.findtext("version") == given["version"]
 
 
-def test_the_launch_file_is_valid_and_names_known_parameters(ros):
-    text = (ROS / "probedesign_ros" / "launch" / "probe.launch.py").read_text(encoding="utf-8")
-    compile(text, "probe.launch.py", "exec")
-    assert "def generate_launch_description():" in text
-    for name in ("port", "control_port", "frame_prefix", "publish_tf"):
-        assert name in ros.PARAMETERS and f'"{name}"' in text
+def launched(**given):
+    """The actions of the launch file and its declared arguments, with the stand-in for launch."""
+    space = {}
+    exec(compile((ROS / "probedesign_ros/launch/probe.launch.py").read_text(), "probe.launch.py", "exec"), space)
+    *declared, opaque = space["generate_launch_description"]().entities
+    context = {each.arguments[0]: each.options["default_value"] for each in declared}
+    assert set(given) <= set(context) and all(each.options["description"] for each in declared)
+    return opaque.options["function"](context | given), context
+
+
+def test_the_launch_file_offers_every_parameter_and_every_option(ros):
+    (node,), context = launched()
+    assert {*ros.PARAMETERS, "use_sim_time", "bundle", "source", "pose", "tare", "options"} <= set(context)
+    (values,) = node.options["parameters"]
+    assert values.keys() == {*ros.PARAMETERS, "use_sim_time"}
+    assert all(values[name].value_type is type(p.default) for name, p in ros.PARAMETERS.items())
+    given = {"bundle": "a.json b.json", "source": "netft://h1 'sim:?a=1&b=2'", "pose": "fixed tf://world/b%2Fbase"}
+    (_, run), _ = launched(**given, options="--record 'my run.mcap' --rate-hz 50", port="7001")
+    words = run.options["cmd"]
+    assert words[:4] == ["probedesign", "live", "a.json", "b.json"]
+    assert words[4:8] == ["--source", "netft://h1", "--source", "sim:?a=1&b=2"] and "tf://world/b%2Fbase" in words
+    assert "ros2://127.0.0.1:7001" in words and words[-4:] == ["--record", "my run.mcap", "--rate-hz", "50"]
+
+
+def test_the_launch_ends_with_the_run(ros):
+    (_, run), _ = launched(bundle="a.json")
+    assert type(run.options["on_exit"]).__name__ == "Shutdown"
+
+
+def test_every_option_of_the_launch_is_one_of_live(ros, capsys):
+    """Only the frozen probe is missing, which is looked for after the options are read."""
+    (_, run), _ = launched(bundle="a.json")
+    assert run_command(run.options["cmd"][1:]) == 2
+    assert "a.json: no such frozen probe" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("package", ["probedesign_msgs", "probedesign_ros"])
+def test_every_import_of_ros_has_a_key_for_rosdep(package):
+    """The keys of packages are their names; that of numpy is python3-numpy (rosdep's python.yaml)."""
+    root = ElementTree.parse(ROS / package / "package.xml").getroot()
+    keys = {child.text for child in root if child.tag in ("depend", "exec_depend", "build_depend")}
+    imported = set()
+    for file in (ROS / package).rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            modules = [node.module] if isinstance(node, ast.ImportFrom) else []
+            modules += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            imported |= {module.split(".")[0] for module in modules}
+    imported -= {*sys.stdlib_module_names, package, "setuptools"}
+    assert {"python3-numpy" if each == "numpy" else each for each in imported} <= keys
+
+
+# parameters and diagnostics
+
+
+def made(ros, **overrides):
+    ros.Node.overrides = {"port": 0, "control_port": 9002} | overrides
+    try:
+        return ros.ProbeNode()
+    finally:
+        ros.Node.overrides = {"port": 0, "control_port": 9002}
+
+
+def test_parameters_have_types_ranges_and_descriptions(ros):
+    node = made(ros, control_timeout_s=2)  # an integer is accepted for a float
+    assert node._commander._timeout == 2.0
+    for name, parameter in ros.PARAMETERS.items():
+        described = node.descriptors[name]
+        assert described.description == parameter.text and described.read_only
+        ranges = described.integer_range + described.floating_point_range
+        assert len(ranges) == (type(parameter.default) in (int, float))
+        assert all(r.from_value == parameter.low and r.to_value == parameter.high for r in ranges)
+    node.destroy_node()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("control_timeout_s", 0, "is not in 0.01 ... 60"),
+        ("control_timeout_s", "1", "is not a float"),
+        ("port", 70000, "is not in 0 ... 65535"),
+        ("port", 9001.0, "is not a int"),
+        ("publish_tf", 1, "is not a bool"),
+        ("control_timeout_s", float("nan"), "is not in"),
+    ],
+)
+def test_a_wrong_parameter_is_named(ros, name, value, expected):
+    with pytest.raises(ValueError, match=f"parameter {name}: .*{expected}"):
+        made(ros, **{name: value})
+
+
+def test_the_clock_of_a_simulation_stamps_the_messages(ros, estimator):
+    node = made(ros, use_sim_time=True, world_frame="map")
+    a_run(node, estimator, seconds=1)
+    stamps = {m.header.stamp.sec for m in sent(node, "~/wrench")}
+    stamps |= {t.header.stamp.sec for m in sent(node, "/tf") for t in m.transforms}
+    assert stamps == {1}  # that of the stand-in stands at 1 s
+    assert {m.header.frame_id for m in sent(node, "~/base")} == {"map"}
+    node.destroy_node()
+
+
+def test_diagnostics_state_estimates_losses_and_silence(node, estimator, monkeypatch):
+    node.diagnose()
+    a_run(node, estimator, seconds=1)
+    node.diagnose()
+    node._receiver.counts["lost"] = 3
+    node.diagnose()
+    later = time.monotonic() + 2.0
+    monkeypatch.setattr(time, "monotonic", lambda: later)
+    node.diagnose()
+    states = [array.status[0] for array in sent(node, "/diagnostics")]
+    assert [state.level for state in states] == [b"\x03", b"\x00", b"\x01", b"\x03"]
+    assert {value.key: value.value for value in states[1].values}["estimates"] == "10"
+    assert "3 datagrams lost" in states[2].message
+
+
+def test_services_wait_beside_the_topics(ros, node):
+    """They are in a group of their own, and the executor has a thread for each."""
+    groups = set(node.groups.values())
+    assert len(groups) == 1 and groups.pop() is not None
+    assert "MultiThreadedExecutor(num_threads=2)" in Path(ros.__file__).read_text(encoding="utf-8")

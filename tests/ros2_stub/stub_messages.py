@@ -1,7 +1,7 @@
 """Message classes with fixed fields, which refuse unknown names and wrong types as those of rosidl do."""
 
 
-def message(name, **fields):
+def message(name, /, **fields):
     """Return a class with these fields; a field is a class whose call gives the default, or a default value."""
 
     def make(default):

@@ -23,7 +23,7 @@ from probedesign.frozen_probe import freeze
 from probedesign.live import Log
 from probedesign.live.blocks import Block, WrenchReading
 from probedesign.live.recordings.csv import Recording, check_wrenches, read_recording
-from probedesign.live.recordings.schemas import BLOCK, METADATA_NAME, RAW, Message, read_text, read_wrenches
+from probedesign.live.recordings.schemas import BLOCK, METADATA_NAME, RAW, Message, read_text, read_wrenches, ros_name
 from probedesign.live.sources import rosbag
 from probedesign.live.sources.netft.demo_recording import is_ati_demo, read_ati_demo
 from probedesign.live.sources.rosbag import BLOCK_SIZE, Bag
@@ -155,7 +155,7 @@ def _open_native(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Open
 
 def _open_foreign(bag: Bag, model: ProbeModel, options: RecordingOptions) -> OpenRecording:
     published = rosbag.find_wrench_topic(bag, options.topic)
-    named: Frame = "base" if published.frame_id == "base" else "sensor"
+    named: Frame = "base" if published.frame_id in ("base", f"{ros_name(model.name)}/base") else "sensor"
     frame = options.frame or named
     topic = f"topic {one_line(published.channel.topic)}"
     notes = [f"{topic}, frame {quoted(published.frame_id)}, interpreted as the {frame} frame"]

@@ -19,6 +19,7 @@ from probedesign.live import Log
 from probedesign.live.datagrams import Listener
 from probedesign.live.poses.base_poses import TimedPose
 from probedesign.live.poses.pose_sources import parse_pose
+from probedesign.live.recordings.schemas import ros_name
 from probedesign.live.sources.replay import MomentUnit
 from probedesign.live.sources.source import parse_parameters
 from probedesign.live.sources.udp import PARAMETERS, UdpSource, wrench_listener
@@ -92,7 +93,7 @@ class Bridge:
 
 
 def open_ros2(model: ProbeModel, target: str, query: str, log: Log) -> UdpSource:
-    """Open the source `ros2://TOPIC`, a topic of geometry_msgs/WrenchStamped.
+    """Open the source `ros2://TOPIC`, a topic of geometry_msgs/WrenchStamped; the probe's base frame is NAME/base.
 
     Raises:
         InputError: the topic or a parameter is invalid, or no interpreter has rclpy.
@@ -105,7 +106,7 @@ def open_ros2(model: ProbeModel, target: str, query: str, log: Log) -> UdpSource
     python = find_python(option, texts["python"])
     bridge = Bridge(option, python, ("wrench", f"/{topic}"), (texts["moment_unit"] or "Nm",))
     listener = wrench_listener(option, (LOOPBACK[0], 0), f"topic /{topic} of ROS 2", bridge)
-    return UdpSource(model, listener, log, texts["frame"], numbers["wait_s"])
+    return UdpSource(model, listener, log, texts["frame"], numbers["wait_s"], f"{ros_name(model.name)}/base")
 
 
 class TransformPoses(Listener[TimedPose]):

@@ -15,6 +15,7 @@ import threading
 from contextlib import suppress
 from typing import Any
 
+QUEUED = 1000  # wrenches that wait for the bridge
 TF_RATE_HZ = 200.0  # at which the newest transform is looked up; robots publish at 50 ... 1000 Hz
 
 
@@ -41,7 +42,7 @@ class Sender:
 def forward_wrench(node: Any, topic: str, host: str, port: str, unit: str) -> None:
     """Forward each wrench of a topic; a time stamp of zero means that the publisher sets none."""
     from geometry_msgs.msg import WrenchStamped
-    from rclpy.qos import qos_profile_sensor_data
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
 
     sender = Sender(host, port)
 
@@ -51,8 +52,9 @@ def forward_wrench(node: Any, topic: str, host: str, port: str, unit: str) -> No
         values.update({"mx_" + unit: moment.x, "my_" + unit: moment.y, "mz_" + unit: moment.z})
         sender.send(**values, **({"time_s": time} if time else {}))
 
-    # best effort: it receives from reliable publishers too
-    node.create_subscription(WrenchStamped, topic, forward, qos_profile_sensor_data)
+    # best effort: it receives from reliable publishers too; the usual depth of 5 is 0.7 ms of a Net F/T box
+    profile = QoSProfile(depth=QUEUED, reliability=ReliabilityPolicy.BEST_EFFORT)
+    node.create_subscription(WrenchStamped, topic, forward, profile)
 
 
 def forward_transform(node: Any, world: str, base: str, host: str, port: str) -> None:

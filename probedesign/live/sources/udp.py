@@ -106,6 +106,7 @@ class UdpSource:
         log: Log,
         frame: str = "",
         wait: float = PARAMETERS["wait_s"].default,
+        base: str = "base",
     ) -> None:
         """Prepare; nothing is received yet.
 
@@ -113,11 +114,12 @@ class UdpSource:
             model: probe on the sensor.
             listener: listener with a bound port.
             log: callback for messages.
-            frame: frame of the wrenches; empty: the base frame if the datagrams name it `base`, else the sensor's.
+            frame: frame of the wrenches; empty: the base frame if the datagrams name that, else the sensor's.
             wait: maximum wait for the first wrench [s].
+            base: name of the probe's base frame in the datagrams.
         """
         self.title, self.notes, self.address = listener.title, listener.notes, listener.address
-        self._model, self._listener, self._log, self._frame = model, listener, log, frame
+        self._model, self._listener, self._log, self._frame, self._base = model, listener, log, frame, base
         text = f"no wrench within {wait:g} s; check the sender, its address and port"
         self._dropout = DropoutMonitor(self.title, log, text, wait)
         self.counts: Counter[str] = Counter()
@@ -169,7 +171,7 @@ class UdpSource:
             self._session = session
             self._offset = self._time + elapsed - stamp if not first else (-stamp if isnan(value.time) else 0.0)
             if (named := self._listener.frame) and not self._frame:
-                used = "base" if named == "base" else "sensor"
+                used = "base" if named == self._base else "sensor"
                 self._log(f"{self.title}: frame {named[:40]!r} is interpreted as the {used} frame")
         if not first:
             step = inf if isnan(value.time) else stamp + self._offset - self._time
@@ -189,7 +191,7 @@ class UdpSource:
             self._intervals.append(elapsed)
         self._time, self._arrival = stamp + self._offset, arrival
         gravity, wrench = self._model.gravity_base, value.wrench
-        if (self._frame or self._listener.frame) == "base":
+        if self._frame == "base" or (not self._frame and self._listener.frame == self._base):
             wrench = self._model.to_sensor(wrench, gravity)
         return WrenchReading(self._time, wrench, gravity, None, value.fault, self._stretch, arrival)
 

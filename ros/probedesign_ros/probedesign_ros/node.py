@@ -5,14 +5,20 @@ Messages are those of a recording, with the same covariances and encoding; frame
 same messages. In a run with several probes the topics begin with the name of the probe.
 """
 
+import math
 import re
+import sys
+import time
 
 import numpy as np
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped, WrenchStamped
 from probedesign_msgs.msg import Contact
 from probedesign_msgs.srv import Command
-from rclpy.executors import ExternalShutdownException
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
@@ -23,6 +29,7 @@ from visualization_msgs.msg import MarkerArray
 
 from probedesign_ros.link import Commander, Receiver
 from probedesign_ros.markers import contact_markers, no_contact
+from probedesign_ros.parameters import PARAMETERS, checked
 
 TOPICS = {
     "/probedesign/wrench": WrenchStamped,
@@ -44,23 +51,13 @@ COMMANDS = {
     "stop": "stop",
 }
 """Commands of a run by the name of their service."""
-PARAMETERS = {
-    "host": "127.0.0.1",  # address on which the messages of the run arrive
-    "port": 9001,
-    "control_host": "127.0.0.1",  # address of the run's --control
-    "control_port": 9002,
-    "control_timeout_s": 1.0,
-    "frame_prefix": "",
-    "publish_tf": True,  # pose of the base in the world, if the robot does not publish it
-    "publish_sensor_tf": True,
-    "publish_contact_tf": True,
-    "poll_period_s": 0.005,
-}
 PROBE_TOPIC = re.compile(r"((?:/[A-Za-z]\w{0,79})?)(/probedesign/\w+)", re.ASCII)
 """Topic of a run: the name of the probe in a run with several, and the topic of `TOPICS`."""
 MAX_PROBES = 16
 STATUS_PERIOD = 5.0
 """Interval at which lost and malformed datagrams are reported [s]."""
+DIAGNOSTICS_PERIOD = 1.0
+"""Interval of /diagnostics [s]."""
 
 
 class ProbeNode(Node):
@@ -68,8 +65,9 @@ class ProbeNode(Node):
 
     def __init__(self):
         super().__init__("probedesign")
-        values = {name: self.declare_parameter(name, value).value for name, value in PARAMETERS.items()}
-        self._prefix = values["frame_prefix"]
+        values = {name: checked(name, self._declared(name)) for name in PARAMETERS}
+        self._stamped_here = self.get_parameter("use_sim_time").value
+        self._prefix, self._world = values["frame_prefix"], values["world_frame"]
         self._contact_tf = values["publish_contact_tf"]
         self._receiver = Receiver(values["host"], values["port"])
         self._commander = Commander(values["control_host"], values["control_port"], values["control_timeout_s"])
@@ -79,13 +77,26 @@ class ProbeNode(Node):
         }
         self._transforms = self._outputs.get("/tf") or self._publisher(TFMessage, "/tf")
         self._markers = {"": self.create_publisher(MarkerArray, "~/markers", 10)}
-        self._contacts = {}
-        self._reported = {}
+        self._contacts, self._states, self._reported = {}, {}, {}
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        # a service waits for the reply of the run, the topics go on meanwhile
+        group = MutuallyExclusiveCallbackGroup()
         for name in COMMANDS:
-            self.create_service(Trigger, f"~/{name}", self._service(name))
-        self.create_service(Command, "~/command", self._on_command)
+            self.create_service(Trigger, f"~/{name}", self._service(name), callback_group=group)
+        self.create_service(Command, "~/command", self._on_command, callback_group=group)
         self.create_timer(values["poll_period_s"], self.receive)
         self.create_timer(STATUS_PERIOD, self.report)
+        self.create_timer(DIAGNOSTICS_PERIOD, self.diagnose)
+
+    def _declared(self, name):
+        """Declare a parameter, which accepts an integer for a float, and return its value."""
+        default, text, low, high = PARAMETERS[name]
+        descriptor = ParameterDescriptor(description=text, read_only=True, dynamic_typing=True)
+        if type(default) is int:
+            descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
+        elif type(default) is float:
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
+        return self.declare_parameter(name, default, descriptor).value
 
     def _publisher(self, kind, topic, probe=""):
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -105,7 +116,7 @@ class ProbeNode(Node):
             except Exception:  # bytes from outside: rclpy raises errors of several kinds
                 self._receiver.counts["malformed"] += 1
                 continue
-            self._add_prefix(message)
+            self._adapt(message)
             if probe not in self._markers:
                 self._markers[probe] = self.create_publisher(MarkerArray, f"~{probe}/markers", 10)
                 names = [name for name in TOPICS if not name.startswith("/tf")]
@@ -120,6 +131,8 @@ class ProbeNode(Node):
             self._contacts[probe] = message
         elif topic == "/probedesign/state":
             contact = self._contacts.pop(probe, None)
+            count = self._states.get(probe, (0, 0.0, None))[0]
+            self._states[probe] = count + 1, time.monotonic(), message
             touched = message.result == Contact.OK and contact is not None
             self._markers[probe].publish(self._markers_of(contact, message) if touched else no_contact(message.header))
             if touched and self._contact_tf:
@@ -141,12 +154,15 @@ class ProbeNode(Node):
         at.x, at.y, at.z = position.x, position.y, position.z
         self._transforms.publish(TFMessage(transforms=[frame]))
 
-    def _add_prefix(self, message):
-        if not self._prefix:
-            return
+    def _adapt(self, message):
+        """Rename the frames, and stamp the message where the clock is that of a simulation."""
         for part in getattr(message, "transforms", [message]):
-            if hasattr(part, "header") and part.header.frame_id != "world":
-                part.header.frame_id = self._prefix + part.header.frame_id
+            if not hasattr(part, "header"):
+                continue
+            if self._stamped_here:
+                part.header.stamp = self.get_clock().now().to_msg()
+            in_world = part.header.frame_id == "world"
+            part.header.frame_id = self._world if in_world else self._prefix + part.header.frame_id
             if hasattr(part, "child_frame_id"):
                 part.child_frame_id = self._prefix + part.child_frame_id
 
@@ -168,6 +184,25 @@ class ProbeNode(Node):
             self._reported = counts
             self.get_logger().warning(f"{counts['lost']} datagrams lost, {counts['malformed']} malformed")
 
+    def diagnose(self):
+        """Publish the state of each probe: stale without estimates, a warning if datagrams were lost."""
+        counts, array = self._receiver.counts, DiagnosticArray()
+        array.header.stamp = self.get_clock().now().to_msg()
+        for probe, (count, arrival, state) in (self._states or {"": (0, -math.inf, None)}).items():
+            stale = time.monotonic() - arrival > DIAGNOSTICS_PERIOD
+            lost = counts["lost"] + counts["malformed"]
+            level = DiagnosticStatus.STALE if stale else DiagnosticStatus.WARN if lost else DiagnosticStatus.OK
+            text = "no estimate within a second" if stale else f"{lost} datagrams lost or malformed" if lost else "ok"
+            values = {"estimates": count, "lost": counts["lost"], "malformed": counts["malformed"]}
+            if state is not None:
+                values |= {"result": state.result, "phase": state.phase, "frame": state.header.frame_id}
+            array.status.append(DiagnosticStatus(
+                level=level, name=f"probedesign: {probe.strip('/') or 'probe'}", message=text,
+                hardware_id="probedesign",
+                values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+            ))  # fmt: skip
+        self._diagnostics.publish(array)
+
     def destroy_node(self):
         """Close the socket and destroy the node."""
         self._receiver.close()
@@ -177,9 +212,15 @@ class ProbeNode(Node):
 def main(args=None):
     """Run the node until it is shut down."""
     rclpy.init(args=args)
-    node = ProbeNode()
     try:
-        rclpy.spin(node)
+        node = ProbeNode()
+    except (ValueError, OSError) as error:  # a parameter, or a port in use
+        rclpy.try_shutdown()
+        sys.exit(f"probedesign_ros: {error}")
+    executor = MultiThreadedExecutor(num_threads=2)
+    executor.add_node(node)
+    try:
+        executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:

@@ -1,2 +1,7 @@
 class ExternalShutdownException(Exception):
     pass
+
+
+class MultiThreadedExecutor:
+    def __init__(self, num_threads):
+        self.num_threads = num_threads

@@ -42,23 +42,31 @@ class Node:
     def __init__(self, name):
         self.name, self.publishers_made, self.services_made = name, {}, {}
         self.subscriptions_made, self.timers_made, self._logger = [], [], Logger()
-        self.parameters = {}
+        self.parameters, self.descriptors, self.groups, self.subscription_profiles = {}, {}, {}, {}
 
     def create_publisher(self, kind, topic, qos):
         return self.publishers_made.setdefault(topic, Publisher(kind, topic))
 
     def create_subscription(self, kind, topic, callback, qos):
         self.subscriptions_made.append((kind, topic, callback))
+        self.subscription_profiles[topic] = qos
 
-    def create_service(self, kind, name, callback):
+    def create_service(self, kind, name, callback, callback_group=None):
         self.services_made[name] = (kind, callback)
+        self.groups[name] = callback_group
 
     def create_timer(self, period, callback):
         self.timers_made.append((period, callback))
 
-    def declare_parameter(self, name, default):
-        self.parameters[name] = self.overrides.get(name, default)
-        return Parameter(self.parameters[name])
+    def declare_parameter(self, name, default, descriptor=None):
+        value = self.overrides.get(name, default)
+        if descriptor is None or not descriptor.dynamic_typing:  # as rclpy does, whose type is that of the default
+            assert type(value) is type(default), name
+        self.parameters[name], self.descriptors[name] = value, descriptor
+        return Parameter(value)
+
+    def get_parameter(self, name):
+        return Parameter(self.overrides.get(name, False) if name == "use_sim_time" else self.parameters[name])
 
     def get_logger(self):
         return self._logger

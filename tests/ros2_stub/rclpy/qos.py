@@ -1,12 +1,14 @@
 from enum import Enum
 
-qos_profile_sensor_data = "sensor data"
-
 
 class DurabilityPolicy(Enum):
     TRANSIENT_LOCAL = 1
 
 
+class ReliabilityPolicy(Enum):
+    BEST_EFFORT = 2
+
+
 class QoSProfile:
-    def __init__(self, depth, durability):
-        self.depth, self.durability = depth, durability
+    def __init__(self, depth, durability=None, reliability=None):
+        self.depth, self.durability, self.reliability = depth, durability, reliability

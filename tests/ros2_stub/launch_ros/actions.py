@@ -1,0 +1,5 @@
+from launch.actions import _Action
+
+
+class Node(_Action):
+    pass
