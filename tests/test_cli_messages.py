@@ -59,6 +59,8 @@ validate exports/a/a.probe.json
 live exports/a/a.probe.json --source "sim:?speed=max&rate_hz=50&seconds=2" --record run.csv --count 3
 live exports/a/a.probe.json --source "sim:?speed=max&rate_hz=50&seconds=2" --record run.csv --count 3
 live exports/a/a.probe.json --source "sim:?speed=max&rate_hz=50&seconds=2" --record run.mcap --count 1
+calibrate exports/a/a.probe.json --source "sim:?orientations=6&speed=max"
+calibrate exports/a/a.probe.json --source "sim:?orientations=6&speed=max"
 estimate exports/a/a.probe.json run.csv --out estimates.csv
 estimate exports/a/a.probe.json run.csv --out run.csv
 estimate exports/a/a.probe.json run.csv --page run.html

@@ -41,8 +41,8 @@ def _to_json(value: Any) -> Any:
 
 
 def json_bytes(document: dict[str, Any], indent: int = 1, ascii_only: bool = True) -> bytes:
-    """Return plain data as the content of a JSON file."""
-    return (json.dumps(document, indent=indent, ensure_ascii=ascii_only) + "\n").encode()
+    """Return a document as the content of a JSON file, with the types of `print_json`."""
+    return (json.dumps(_to_json(document), indent=indent, ensure_ascii=ascii_only) + "\n").encode()
 
 
 def write_files(folder: Path, contents: Iterable[tuple[str, bytes]]) -> list[Path]:

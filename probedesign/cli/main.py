@@ -34,6 +34,7 @@ COMMANDS = {
     "campaign": "Simulate a measurement campaign: an example data folder.",
     "validate": "Compare a frozen probe's estimates with a stereo reference, as in the paper's Table I.",
     "live": "Locate contacts in real time.",
+    "calibrate": "Measure bias, payload, mount and stiffness with a robot that turns the free probe.",
     "explore": "Turn touches from a moving base into points of the world.",
     "recover": "Repair an MCAP recording that was cut off or is damaged.",
     "markers": "Detect the markers of a probe in the photographs of a campaign.",

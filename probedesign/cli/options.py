@@ -63,6 +63,8 @@ DesignFile = Annotated[Path, _path_of(design_file)]
 """Argument DESIGN of a command."""
 FrozenProbe = Annotated[Path, _path_of(frozen_probe)]
 """Argument BUNDLE of a command."""
+FrozenProbeIfAny = Annotated[Path | None, _path_of(frozen_probe)]
+"""The same of a command that does without one."""
 JsonOutput = Annotated[bool, Parameter(name="--json")]
 """The option --json of a command."""
 Method = Literal["ml", "force_moment"]

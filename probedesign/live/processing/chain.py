@@ -31,6 +31,7 @@ from probedesign.live.processing.estimates import (
     wrench_without_bias,
 )
 from probedesign.live.processing.motion import MotionMonitor
+from probedesign.live.processing.payload import PayloadCheck
 from probedesign.live.processing.plausibility import FaultReport, PoseMonitor, SignalMonitor, TravelCheck
 from probedesign.live.processing.tare import (
     CHANNELS,
@@ -237,6 +238,7 @@ class Chain:
         self._signals = SignalMonitor(estimator.model, 1, math.nan)
         self._base, self._travel = PoseMonitor(), TravelCheck()
         self._motion = None if poses is None else MotionMonitor(estimator.model, poses)
+        self._payload = PayloadCheck(estimator.model, log)
         self._faults, self._travel_faults = FaultReport(log), FaultReport(log)
         self._free = deque[AveragedBatch](maxlen=MAX_TARE_BATCHES)
         self._contacts = ContactHistory()
@@ -458,8 +460,10 @@ class Chain:
         if self._motion is not None:
             self._motion.update(whole.time)
         reading = self._with_gravity(whole)
-        if self._motion is not None and self._base.leapt == reading.time:
-            self._motion.reset()
+        if self._motion is not None:
+            if self._base.leapt == reading.time:
+                self._motion.reset()
+            self._payload.add(reading, self._motion.at_rest and self._motion.explained)
         if reading.wrench_sensor is not whole.wrench_sensor:
             turning = reading.wrench_sensor - whole.wrench_sensor
             block = replace(block, wrench_sensor=block.wrench_sensor + turning)

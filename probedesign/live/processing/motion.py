@@ -47,6 +47,7 @@ class MotionMonitor:
         sway: bound of the unexplained part in standard deviations of one reading.
         free_sway: the same without the sway by a contact.
         speed: of the base [m/s].
+        at_rest: whether the base has neither moved nor turned for `SPAN`.
     """
 
     def __init__(self, model: ProbeModel, poses: BasePoses) -> None:
@@ -72,6 +73,7 @@ class MotionMonitor:
         self._accelerations = np.zeros((POINTS // 2 + 1, 12))  # the last one is the present one
         self._y, self._dy, self._impact = np.zeros(3), np.zeros(3), 0.0
         self.sway = self.free_sway = self.speed = 0.0
+        self.at_rest = False
 
     @property
     def explained(self) -> bool:
@@ -145,10 +147,10 @@ class MotionMonitor:
         travel = np.sqrt((off[:, 3::4] ** 2).sum(axis=1)) + LEVER / math.sqrt(2.0) * np.sqrt(
             (off.reshape(POINTS, 3, 4)[:, :, :3] ** 2).sum(axis=(1, 2))
         )
-        rests = float(travel.max()) < MAX_TRAVEL
-        self.speed = 0.0 if rests else float(np.linalg.norm((_VELOCITY @ self._rows)[3::4]))
+        self.at_rest = float(travel.max()) < MAX_TRAVEL
+        self.speed = 0.0 if self.at_rest else float(np.linalg.norm((_VELOCITY @ self._rows)[3::4]))
         self._accelerations[:-1] = self._accelerations[1:]
-        self._accelerations[-1] = 0.0 if rests else _ACCELERATION @ self._rows
+        self._accelerations[-1] = 0.0 if self.at_rest else _ACCELERATION @ self._rows
         a, before = self._at(self._com), self._accelerations[0].reshape(3, 4)
         last = before[:, 3] + before[:, :3] @ self._com
         da = (a - last) / (SPAN / 2.0)

@@ -1,4 +1,5 @@
-"""Source `sim:`: a simulated contact that moves along the rod, with or without friction, and the sensor's noise."""
+"""Source `sim:`: a simulated contact that moves along the rod, with or without friction, and the sensor's noise; or a
+free probe that a robot turns, to rehearse `calibrate`."""
 
 import math
 from collections.abc import Generator, Iterator
@@ -7,10 +8,12 @@ import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
-from probedesign.core.units import MILLINEWTON, MM
+from probedesign.core.units import GRAM, MILLINEWTON, MM
 from probedesign.estimation.model import ProbeModel
+from probedesign.geometry.mass import MassProperties
 from probedesign.live import Log
 from probedesign.live.blocks import NO_CONTACT, Block, TrueContact, WrenchReading
+from probedesign.live.poses.base_poses import GRAVITY_WORLD, BasePoses, TimedPose
 from probedesign.live.sources.source import SPEED, SourceParameter, parse_parameters, played
 from probedesign.rod.contact import OUTERMOST, safe_force, solve_contact
 from probedesign.rod.friction import MAX_FRICTION
@@ -23,8 +26,14 @@ PARAMETERS = {
     "rate_hz": SourceParameter(50.0, 0.1, 7000.0),
     "seed": SourceParameter(1, 0, 1e9, integer=True),
     "friction": SourceParameter(0.0, 0.0, MAX_FRICTION),
+    "orientations": SourceParameter(0, 0, 100, integer=True),
+    "payload_g": SourceParameter(0.0, -1000.0, 1000.0),
     "speed": SPEED,
 }
+
+#: Time at rest in each orientation, and of the turn to the next [s]; time between poses [s].
+REST, TURN, POSE_STEP = 4.0, 3.0, 0.02
+PAYLOAD_AT = 30.0 * MM  #: Height of `payload_g` above the sensor's origin [m].
 
 PHASE = (0.0, 0.10, 0.15, 0.50, 0.85, 0.90, 1.0)
 POSITION = (0.3, 0.30, 0.30, OUTERMOST, 0.30, 0.30, 0.3)
@@ -60,6 +69,12 @@ class SimulatedSource:
         self._speed = parameters["speed"]
         self._count = max(1, round(parameters["seconds"] * parameters["rate_hz"]))
         self._seed, self._friction = int(parameters["seed"]), parameters["friction"]
+        self._payload, n = parameters["payload_g"] * GRAM, int(parameters["orientations"])
+        self.poses = self._turning(n) if n else None
+        if n:
+            self._count = round(n * (REST + TURN) * self._rate)
+            self.title = f"simulated robot that turns the free probe to {n} orientations, {self._rate:g} readings/s"
+            return
         low, high = min(POSITION) * model.rod.length / MM, max(POSITION) * model.rod.length / MM
         self.title = (
             f"simulated contact of {self._force / MILLINEWTON:.3g} mN sweeping s = {low:.1f} ... {high:.1f} mm, "
@@ -69,7 +84,39 @@ class SimulatedSource:
     def __iter__(self) -> Generator[Block, None, None]:
         return played(self._readings(), self._speed)
 
+    def _turning(self, n: int) -> BasePoses:
+        """Return poses of a base that rests in `n` orientations: gravity along ± x, ± y, ± z, then anywhere."""
+        from scipy.spatial.transform import Rotation, Slerp
+
+        angles = np.radians([[0, 0, 0], [180, 0, 0], [90, 0, 0], [-90, 0, 0], [0, 90, 0], [0, -90, 0]])
+        more = Rotation.random(max(n - 6, 0), rng=np.random.default_rng(self._seed)).as_rotvec()
+        at = Rotation.from_rotvec(np.concatenate([angles, more])[:n])
+        t = np.arange(-POSE_STEP, n * (REST + TURN) + 2.0 * POSE_STEP, POSE_STEP)
+        k, since = np.clip(t // (REST + TURN), 0, n - 1), np.maximum(t % (REST + TURN) - REST, 0.0) / TURN
+        share = since**3 * (10.0 - 15.0 * since + 6.0 * since**2)  # minimum jerk
+        quats = Slerp(np.arange(n), at)(np.clip(k + share, 0.0, n - 1.0) * (t > 0.0)).as_quat()
+        stated = [TimedPose(a, (0.0, 0.0, 0.5), tuple(q)) for a, q in zip(t.tolist(), quats.tolist(), strict=True)]
+        return BasePoses("simulated poses", stated)
+
+    def _free(self, T: Array) -> Array:
+        """Return the reading of the free probe and `payload_g` under T_world_base, without noise, (6,)."""
+        gravity = T[:3, :3].T @ np.array(GRAVITY_WORLD)
+        added = MassProperties(0.0, self._payload, np.array([0.0, 0.0, PAYLOAD_AT]), np.zeros((3, 3)))
+        free = self._model.rod.solve(gravity).wrench_base
+        return self._model.to_sensor(free, gravity) + added.wrench(self._model.T_sensor_base[:3, :3] @ gravity)
+
     def _readings(self) -> Iterator[WrenchReading]:
+        if self.poses is not None:
+            noise = np.random.default_rng(self._seed)
+            last, free = np.zeros((4, 4)), np.zeros(6)
+            for i in range(self._count):
+                T = self.poses.track.at(i / self._rate)
+                assert T is not None
+                if not np.array_equal(T, last):
+                    last, free = T, self._free(T)
+                wrench = free + self._model.noise.std * noise.standard_normal(6)
+                yield WrenchReading(i / self._rate, wrench, self._model.gravity_base, NO_CONTACT)
+            return
         # A force without equilibrium fails here, not during the run.
         for position in np.linspace(min(POSITION), max(POSITION), 8):
             self._loaded(position * self._model.rod.length, self._force)
