@@ -78,7 +78,7 @@ class DesignFigures:
     #: `predict` of it; without fused touches, force limits and workspace while `complete` is false.
     prediction: Prediction
     complete: bool  #: whether everything was predicted.
-    frequency: float  #: first natural frequency [Hz]; NaN where the weight buckles the straight probe.
+    frequency: float  #: first natural frequency [Hz]; NaN where the weight buckles the probe.
     findings: tuple[str, ...]  #: messages of the print check, errors first.
 
     @property

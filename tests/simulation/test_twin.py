@@ -84,6 +84,14 @@ def test_its_first_frequency_is_that_of_the_beam(model, gravity):
     )  # the issue asks for 2 %
 
 
+@pytest.mark.parametrize("name", ["flat", "arc", "helix"])
+def test_its_first_frequency_is_that_of_the_rod_with_another_section_or_axis(model, name):
+    rod = variant(model.rod, name)
+    assert Twin(mjcf(replace(model, rod=rod)), rod).frequency((0.0, 0.0, 0.0)) == pytest.approx(
+        natural_frequency(rod), rel=0.01
+    )
+
+
 def test_it_comes_to_rest_by_itself_with_the_reading_of_the_sensor(model):
     """From a kick of 5 rad/s at all hinges, at its own time step: the wrench of the rod and the weight of the mount,
     with the sign of wrench_base."""
