@@ -26,8 +26,8 @@ from probedesign.core import csv_tables
 from probedesign.core.svg import Anchor, Canvas
 from probedesign.core.units import MM, MPA
 from probedesign.design.catalog import RIGID_RESIN
-from probedesign.design.sensors import DowelPattern
 from probedesign.geometry.mass import combined
+from probedesign.mount import FlangeAdapter, SensorAdapter
 from probedesign.mount.flange_adapter import CENTRING_PIN_LENGTH
 from probedesign.mount.tolerance_stack import (
     CALIPERS,
@@ -62,7 +62,7 @@ class AssemblyStep:
     text: str  #: the instruction.
     moves: tuple[Move, ...]  #: of this step's parts, each onto a part that is present or moved before it.
     on_bench: bool = False  #: whether it is done on the bench, so that earlier parts are not shown.
-    seen_from_below: bool = False  #: whether its picture is taken from below.
+    measure: tuple[str, ...] = ()  #: how the names of the measurements begin that decide it.
 
     @property
     def parts(self) -> tuple[str, ...]:
@@ -94,63 +94,64 @@ def explosion(names: Collection[str]) -> tuple[Move, ...]:
 
 
 def assembly_steps(
-    screws: list[ScrewGroup],
-    dowels: DowelPattern,
-    pin_d: float,
-    centring_pins: int,
-    glued: bool = False,
-    curved: bool = False,
+    screws: list[ScrewGroup], a: SensorAdapter, plate: FlangeAdapter, glued: bool = False, curved: bool = False
 ) -> list[AssemblyStep]:
-    """Return the steps of the assembly.
+    """Return the steps of the assembly: on the bench, upright, and bolted to the robot last.
+
+    Where the sensor adapter covers the bolts of the robot, the plate is bolted to it before the adapter is mounted.
 
     Args:
         screws: of the assembly.
-        dowels: of the sensor's tool face.
-        pin_d: diameter of the robot's dowel pin [m], 0 if there is none.
-        centring_pins: number of pins around the sensor's body.
+        a, plate: of the mount.
         glued: whether the flange's underside is glued.
         curved: whether the axis of the probe is curved.
     """
-    centred = (
-        f"press the {centring_pins} centring pins into the flange adapter as deep as they go, set the sensor "
-        "between them with its cable over the pocket, and "
-        if centring_pins
-        else ""
-    )
-    plate = explosion(("centring_pins",) if centring_pins else ())[: 2 if centring_pins else 1]
-    film = "spread a thin film of flexible cyanoacrylate on the land only, none in groove and notch or on screw heads, "
-    glue = film if glued else ""
+    pins, robot = len(plate.p_centring_pins), plate.robot
+    centred = f"press the {pins} centring pins into the flange adapter as deep as they go, set the sensor between them "
+    base = explosion(("centring_pins",) if pins else ())[: 2 if pins else 1]
+    glue = "spread a thin film of flexible cyanoacrylate on the land only, none in groove and notch or on screw "
     along = (
         "thread the clamp ring over the tip and along the bend down to the flange; where the soft body lies over a "
         "screw, hold it aside with a finger"
         if curved
         else "slip the clamp ring over the tip"
     )
-    nut = next(use.screw.thread for use in screws if use.name == "ring_screws")
-    of = {use.name: f"{len(use.points)} {use.screw.thread}x{use.length / MM:g}" for use in screws}
-    pin = f", its own {pin_d / MM:g} mm dowel pin in the slot" if pin_d > 0.0 else ""
+    of = {
+        use.name: f"{len(use.points)} {use.screw.thread}x{use.length / MM:g}, at most "
+        f"{ring_torque(a) if use.name == 'ring_screws' else hand_torque(use.screw):g} N·m"
+        for use in screws
+    }
+    own_pin = f", its own {robot.pin_d / MM:g} mm dowel pin in the slot" if robot.pin_d > 0.0 else ""
+    bolted = AssemblyStep(
+        f"bolt the flange adapter to the robot: {of['robot_bolts']}, from above{own_pin}; tie the cable to the plate "
+        "through the two slots, with a slack loop before the tie",
+        (Move(("robot_bolts",), "flange_adapter", UP),))  # fmt: skip
+    covered = a.body_d > robot.bolt_circle_d - robot.screw.head_d
     return [
-        AssemblyStep(f"{centred}screw the flange adapter to the sensor's mounting side from below: "
+        AssemblyStep(f"{centred if pins else 'set the sensor on the flange adapter '}with its cable over the pocket, "
+             "and screw the flange adapter to the sensor's mounting side from below: "
              f"{of['mounting_screws']}, never longer",
-             (*plate, Move(("mounting_screws",), "flange_adapter", DOWN))),
-        AssemblyStep(f"bolt the flange adapter to the robot: {of['robot_bolts']} from above{pin}; tie the cable to the "
-             "plate through the two slots, with a slack loop before the tie",
-             (Move(("robot_bolts",), "flange_adapter", UP),)),
-        AssemblyStep(f"press the {dowels.diameter / MM:g} mm dowel pins into the underside of the sensor adapter, and "
-             f"slide {nut} nuts into its four slots from the side; they lie on the slots' floors as long as the "
-             "adapter is upright",
-             (Move(("ring_nuts",), "sensor_adapter", DOWN), Move(("dowel_pins",), "sensor_adapter", DOWN)),
-             on_bench=True, seen_from_below=True),
-        AssemblyStep("screw the sensor adapter to the tool side from above through its recess: "
-             f"{of['sensor_adapter_screws']}, never longer",
-             (Move(("sensor_adapter", "ring_nuts", "dowel_pins"), "sensor", UP),
-              Move(("sensor_adapter_screws",), "sensor_adapter", UP))),
-        AssemblyStep(f"{glue}lay the flange into the recess, its hole over the peg: peg and the flat on the rim are "
-             "at +X",
-             (Move(("probe",), "sensor_adapter", UP),)),
-        AssemblyStep(f"{along}, with an even gap around the probe, and screw it down with "
-             f"{of['ring_screws']} until it sits on the wall",
+             (*base, Move(("mounting_screws",), "flange_adapter", DOWN)), measure=("flange adapter:",)),
+        *([bolted] if covered else []),
+        AssemblyStep(f"stand the sensor upright{'' if covered else ' on the bench'}, and push the "
+             f"{a.dowels.diameter / MM:g} mm dowel pins into the holes of its tool face as deep as they go",
+             (Move(("dowel_pins",), "sensor", UP),)),
+        AssemblyStep(f"stand the sensor adapter upright and slide {a.ring_screw.thread} nuts into its four slots from "
+             "the side; they lie on the slots' floors, and fall out where the adapter is turned over",
+             (Move(("ring_nuts",), "sensor_adapter", DOWN),), on_bench=True,
+             measure=("sensor adapter: depth",)),
+        AssemblyStep("lower the sensor adapter with its nuts over the pins onto the tool face, and screw it down from "
+             f"above through its recess: {of['sensor_adapter_screws']}, never longer",
+             (Move(("sensor_adapter", "ring_nuts"), "dowel_pins", UP),
+              Move(("sensor_adapter_screws",), "sensor_adapter", UP)),
+             measure=("sensor adapter: each", "sensor adapter: thickness")),
+        AssemblyStep(f"{f'{glue}heads, ' if glued else ''}lay the flange into the recess, its hole over the peg: peg "
+             "and the flat on the rim are at +X, and the probe's number is in the window opposite",
+             (Move(("probe",), "sensor_adapter", UP),), measure=("probe:", "flange minus recess")),
+        AssemblyStep(f"{along}, with an even gap around the probe, and screw it down crosswise in two rounds with "
+             f"{of['ring_screws']}, until it sits on the wall all around",
              (Move(("clamp_ring",), "probe", UP), Move(("ring_screws",), "clamp_ring", UP))),
+        *([] if covered else [bolted]),
     ]  # fmt: skip
 
 
@@ -217,7 +218,7 @@ EXPLODED_SIZE, STEP_SIZE = (560, 1300), (360, 320)
 ABOVE = 25.0  #: Length of the probe that a step's picture shows above all other parts [mm].
 FIXED_PART = "sensor"
 LABEL_WIDTH, LINE = 285.0, 19.0  #: Width of the label column, and line spacing of a label [px].
-FROM_ABOVE, FROM_BELOW = OrthographicCamera(), OrthographicCamera(elevation_deg=-28.0)
+FROM_ABOVE = OrthographicCamera()
 
 Bodies = Mapping[str, RenderBody]
 
@@ -250,9 +251,8 @@ def step_pictures(bodies: Bodies, steps: Sequence[AssemblyStep], seat: float) ->
         shown = {name: bodies[name].faded() for name in dict.fromkeys(before)}
         shown |= {name: bodies[name] for name in step.parts}
         exploded = exploded_bodies(shown, step.moves, seat)
-        camera = FROM_BELOW if step.seen_from_below else FROM_ABOVE
         below = max(body.span[1] for name, body in exploded.items() if name != "probe") + ABOVE
-        pictures.append(render_png(list(exploded.values()), STEP_SIZE, camera, below))
+        pictures.append(render_png(list(exploded.values()), STEP_SIZE, FROM_ABOVE, below))
         if not step.on_bench:
             there += [name for name in step.parts if name not in there]
     return pictures
@@ -332,14 +332,15 @@ h2 { font-size: 13pt; margin: 4.5mm 0 1mm; break-after: avoid } p { margin: 1mm 
 table { width: 100% }
 th, td { text-align: left; padding: 0.8mm 2mm; vertical-align: top; white-space: normal }
 .n { text-align: right; white-space: nowrap }
-.exploded { break-before: page; break-inside: avoid } .exploded svg { display: block; background: #fff;
-  width: auto; height: auto; max-width: 100%; max-height: 245mm; margin: 0 auto }
+.step label { display: block; margin: 1mm 0 0 5mm; text-indent: -5mm } .step label b { margin: 0 }
+.exploded { break-inside: avoid } .exploded svg { display: block; background: #fff;
+  width: auto; height: auto; max-width: 100%; max-height: 195mm; margin: 0 auto }
 .steps { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(75mm, 100%), 1fr)); gap: 4mm }
 .step { border: 0.4pt solid var(--rule); padding: 3mm; break-inside: avoid }
 .step img { display: block; background: #fff; height: 55mm; max-width: 100%; object-fit: contain; margin: 0 auto 2mm }
 .step b { margin-right: 1.5mm }
 ul { margin: 1mm 0; padding-left: 5mm } .tools { columns: 2 75mm }
-@media print { body { font-size: 9.5pt } table { font-size: 8.5pt } }
+@media print { body { font-size: 9.5pt } table { font-size: 8.5pt } .step { padding: 2mm } .step img { height: 40mm } }
 """
 
 
@@ -356,19 +357,27 @@ def assembly_page(
     }
     tools = [
         *(f"hexagon key {screw.socket_af / MM:g} mm ({screw.thread}){note}" for screw, note in keys.items()),
-        "calipers with a depth rod, for the dimensions above and the probe's diameters",
+        "calipers with a depth rod, for the dimensions in the steps and the probe's diameters",
         "tweezers, for nuts and pins",
     ]
+    rows = measurements(model.adapter, model.plate)
     sections = [
-        _warning(model), _measure(model), "<h2>Parts</h2>", _parts(bill), _tightening(model),
-        f"<h2>Tools</h2><ul class=tools>{''.join(f'<li>{escape(tool)}</li>' for tool in tools)}</ul>", _frames(model),
-        f'<div class="exploded"><h2>Exploded view</h2>{exploded}</div>', '<h2>Steps</h2><div class="steps">',
+        f'<div class="exploded">{exploded}</div>', _warning(model),
+        f"<h2>Tools</h2><ul class=tools>{''.join(f'<li>{escape(tool)}</li>' for tool in tools)}</ul>",
+        '<h2>Steps</h2><p>Measure before you screw; the table at the end says what to do outside of a range.</p>'
+        '<div class="steps">',
     ]  # fmt: skip
     for number, (step, picture) in enumerate(zip(steps, pictures, strict=True), 1):
         source, text = base64.b64encode(picture).decode(), escape(step.text[0].upper() + step.text[1:])
         image = f'<img alt="step {number}" src="data:image/png;base64,{source}">'
-        sections.append(f'<div class="step">{image}<b>{number}</b>{text}.</div>')
-    sections.append("</div>")
+        ticks = [
+            f"{escape(row.what)}: <b>{row.accept[0] / MM:.2f} … {row.accept[1] / MM:.2f} mm</b>"
+            for row in rows
+            if row.what.startswith(step.measure or "-")
+        ]
+        boxes = "".join(f"<label><input type=checkbox> {tick}</label>" for tick in (*ticks, f"step {number} done"))
+        sections.append(f'<div class="step">{image}<b>{number}</b>{text}.{boxes}</div>')
+    sections += ["</div>", _measure(model), "<h2>Parts</h2>", _parts(bill), _tightening(model), _frames(model)]
     about = (
         f"geometry {model.geometry.fingerprint} · {escape(_sensor_text(model))} · {escape(model.plate.robot.source)}"
         " · compare the geometry's number with the manifest and with the probe that <code>live</code> runs"
@@ -492,9 +501,8 @@ def build_documents(model: CadModel) -> Documents:
     bill = bill_of_materials(model)
     steps = assembly_steps(
         model.screws,
-        model.adapter.dowels,
-        model.plate.robot.pin_d,
-        len(model.plate.p_centring_pins),
+        model.adapter,
+        model.plate,
         model.design.mount.hold == "glued",
         not model.geometry.axis.is_straight,
     )

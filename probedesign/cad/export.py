@@ -35,7 +35,7 @@ def manifest_of(
     """Return the manifest of an export."""
     a, robot, flange, mount = model.adapter, model.plate.robot, model.geometry.flange, model.design.mount
     hold = "clamped" if mount.hold == "bonded" else mount.hold  # the exported ring clamps
-    root, root_std = exported_root_radii(model.geometry, hold), exported_root_std(model.geometry)
+    root, root_std = exported_root_radii(model.geometry, hold), exported_root_std(model.geometry, a.pressed_share)
     record = model_record(model, files, findings)
     robot_pin = {f"dowel pin of {robot.pin_d / MM:g} mm that the robot's flange takes": 1} if robot.pin_d else {}
     pin = f"dowel pin {a.dowels.diameter / MM:g}x{a.dowels.pin_length / MM:g} mm"

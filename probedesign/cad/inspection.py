@@ -67,10 +67,12 @@ def _page(model: CadModel, part: CadPart, scale: float) -> Canvas:
     resin = model.design.resin.name if part.name == "probe" else RIGID_RESIN
     grams = 1e3 * mass_properties(part.shape, part.density).mass
     frame, date = part.frame.replace("_", " "), file_date(model.design)
+    names = [printed.name for printed in model.printed]
+    number_of = f"number {model.fingerprints[part.name]} · sheet {names.index(part.name) + 1} of {len(names)}"
     return page(f"{model.design.name}: {part.name.replace('_', ' ')}", [
-        f"fingerprint {model.fingerprints[part.name]} · {resin} · {grams:.3g} g · {part.name}.stl",
-        f"scale {scale_text(scale)}, in mm · {frame} frame, angles about +z from +x{f' · {date}' if date else ''}",
-        TOLERANCE,
+        f"{number_of} · {resin} · {grams:.3g} g · {part.name}.stl",
+        f"scale {scale_text(scale)}, in mm · {frame} frame, angles about +z from +x · date: {date or 'not stated'}",
+        f"{TOLERANCE} · owner: {model.design.owner or 'not stated'}",
     ])  # fmt: skip
 
 
@@ -138,7 +140,7 @@ def sensor_adapter_sheet(model: CadModel, part: CadPart) -> Canvas:
     notes = [
         f"z = 0 rests on the sensor's tool face; the flat at x = {_mm(a.mark_x)} shows +x",
         f"underside at {UNDERSIDE_DEG:g}°; groove around the land ⌀{_mm(a.land_d)}, notch {_mm(VENT_WIDTH)} wide to "
-        "the flat",
+        f"the flat, window {_mm(2 * a.window_half)} wide to the rim at -x, both down to the groove",
         f"pins {_mm(a.dowels.diameter)} h8 enter by hand (assumed; drill if tight); ⌀{_mm(a.recess_d)} takes the "
         f"flange ⌀{_mm(a.flange.diameter)} with {_mm(SLIP)} play",
         *_engraved(a.on_wall, "the rim"),
@@ -320,7 +322,7 @@ def _curved_probe_sheet(model: CadModel, part: CadPart) -> Canvas:
         *(f"s = {row[0]:.1f}:  {row[1]:.2f}, {row[2]:.2f}, {row[3]:.2f};  ⌀{row[4]:.2f}" for row in points),
         f"flange ⌀{_mm(g.flange.diameter)}, {_mm(g.flange.thickness)} thick",
         f"hole ⌀{_mm(model.adapter.peg_hole_d)} through the flange at x = {_mm(model.adapter.peg_x)}: it marks +x",
-        *_engraved(model.adapter.on_flange, "the flange's top"), *_accepted(model, "probe"),
+        *_engraved(model.adapter.on_flange, "the flange's rim at -x"), *_accepted(model, "probe"),
     ]  # fmt: skip
     note(sheet, (EDGE + 10.0, foot + 20.0), rows_of(lines, WIDTH - 2 * EDGE - 20.0, SMALL), SMALL)
     return sheet
@@ -386,7 +388,19 @@ def _underside(model: CadModel, part: CadPart, sheet: Canvas) -> None:
         f"hole ⌀{_mm(a.peg_hole_d)} through the flange:",
         "it marks +x of the base frame",
         "s = 0 is the flange's top",
-        *(part for text in (*_engraved(a.on_flange, "the flange's top"), *_accepted(model, "probe"))
+        *(part for text in (*_engraved(a.on_flange, "the flange's rim at -x"), *_accepted(model, "probe"))
           for part in text.replace(": ", ":\n").splitlines()),
     ]  # fmt: skip
-    note(sheet, (left, y + 22.0), rows_of(lines, WIDTH - EDGE - left, SMALL), SMALL)
+    rows = rows_of(lines, WIDTH - EDGE - left, SMALL)
+    note(sheet, (left, y + 22.0), rows, SMALL)
+    probe = model.design.probe
+    if probe.shape == "profile":  # leaders show what calipers measure, the table every knot
+        flat = probe.cross_section.flatness
+        knots = "; ".join(f"{number(s)}: {number(d)}{f' × {number(flat * d)}' if flat != 1.0 else ''}"
+                          for s, d in probe.blunt_mm)  # fmt: skip
+        top, end = (EDGE + 8.0, y - scale * rim - 16.0) if probe.cross_section.full_round else (
+            y + 24.0 + LINE * SMALL * len(rows), BOTTOM)  # fmt: skip
+        size = SMALL
+        while len(table := rows_of([f"every knot, s: ⌀ {knots}"], WIDTH - EDGE - left, size)) * LINE * size > end - top:
+            size *= 0.95
+        note(sheet, (left, top), table, size)

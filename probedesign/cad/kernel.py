@@ -27,7 +27,7 @@ from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.geometry import ProbeGeometry
 from probedesign.geometry.mass import MassProperties
-from probedesign.mount.engraving import DEPTH, XY, Engraving
+from probedesign.mount.engraving import CELL, DEPTH, ROWS, XY, Engraving, cut_outlines, glyph_width
 
 PRODUCT = "product"  #: Key in the metadata of an assembly's piece: the name of its product.
 #: Arcs of an ellipse. The kernel's quadrature is accurate to 1e-14 over an eighth, over a quarter only to 1e-8.
@@ -210,11 +210,14 @@ def engraving_cuts(engraving: Engraving) -> list[cq.Solid]:
     def turns(loop: list[XY]) -> float:
         return sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(loop, [*loop[1:], loop[0]], strict=True))
 
-    for loops in filter(None, engraving.outlines()):
-        # Every character is connected; a loop of the other orientation is an island in it.
-        corners = [[_vector(p, engraving.top - DEPTH) for p in loop] for loop in sorted(loops, key=turns)]
-        *islands, cut = [cq.Wire.makePolygon(points, close=True) for points in corners]
-        solids.append(cq.Solid.extrudeLinear(cq.Face.makeFromWires(cut, islands), up))
+    for character, T in engraving.placed():
+        middle = np.array([glyph_width(character), ROWS]) / 2
+        loops = [[(float(x), float(y)) for x, y in CELL * (np.array(loop) - middle)]
+                 for loop in cut_outlines(character)]  # fmt: skip
+        if loops:  # Every character is connected; a loop of the other orientation is an island in it.
+            corners = [[_vector(p, -DEPTH) for p in loop] for loop in sorted(loops, key=turns)]
+            *islands, cut = [cq.Wire.makePolygon(points, close=True) for points in corners]
+            solids.append(placed(cq.Solid.extrudeLinear(cq.Face.makeFromWires(cut, islands), up), T))
     return solids
 
 

@@ -223,6 +223,8 @@ def sensor_adapter_solid(a: SensorAdapter) -> cq.Solid:
         block((a.mark_x, rim), (-rim, rim), (a.cone_top, a.body_top)),
         block(((a.land_d + a.recess_d) / 4, a.mark_x),  # the vent: from the groove through the recess's wall
               (-VENT_WIDTH / 2, VENT_WIDTH / 2), (a.groove_floor, a.body_top)),
+        block((-1.2 * rim, 0.0), (-a.window_half, a.window_half), (a.groove_floor, a.body_top)).cut(
+            cylinder(a.recess_d, a.groove_floor, a.body_top)),
         *(cylinder(a.tool.screw.clearance_d, 0.0, a.tool.grip, p) for p in a.p_tool_screws),
         *(cylinder(a.tool.screw.counterbore_d, a.tool.grip, a.floor, p) for p in a.p_tool_screws),
         *(_dowel_hole(a, number) for number in range(len(a.p_dowels))),

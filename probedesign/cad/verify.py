@@ -23,7 +23,7 @@ from probedesign.core.units import MM
 from probedesign.design.catalog import Printer
 from probedesign.geometry import ProbeGeometry
 from probedesign.geometry.mass import combined, flexible_part
-from probedesign.mount import SensorAdapter, mount_mass_properties, mount_part_masses
+from probedesign.mount import FlangeAdapter, SensorAdapter, mount_mass_properties, mount_part_masses
 from probedesign.mount.engraving import XY
 from probedesign.mount.tolerance_stack import tolerance_stacks
 from probedesign.printing.check import BETWEEN, RAFT_MARGIN
@@ -31,7 +31,9 @@ from probedesign.printing.check import BETWEEN, RAFT_MARGIN
 CORRIDOR = 60.0 * MM  #: Length of the corridors of nuts and pins around the adapter, which lies free on the bench.
 
 
-def blocked_tools(parts: dict[str, CadPart], screws: list[ScrewGroup], adapter: SensorAdapter) -> dict[str, float]:
+def blocked_tools(
+    parts: dict[str, CadPart], screws: list[ScrewGroup], adapter: SensorAdapter, plate: FlangeAdapter
+) -> dict[str, float]:
     """Return the obstruction of each group of screws, nuts and pins, and of the ring.
 
     Returns:
@@ -42,17 +44,14 @@ def blocked_tools(parts: dict[str, CadPart], screws: list[ScrewGroup], adapter: 
     corridors: dict[str, list[cq.Shape]] = {
         **{use.name: _screw_corridors(use) for use in screws},
         "ring_nuts": [_nut_corridor(adapter, p) for p in adapter.p_ring_screws],  # from the rim
-        "dowel_pins": [  # from below
-            cylinder(pin.diameter, -CORRIDOR, pin.pin_length - pin.depth, p) for p in adapter.p_dowels
-        ],
+        "dowel_pins": [cylinder(pin.diameter, -pin.depth, CORRIDOR, p) for p in adapter.p_dowels],  # from above
         "clamp_ring": [  # from above the tip
             cylinder(adapter.body_d, *ring_bottom).cut(cylinder(adapter.ring_bore_d, *ring_bottom))
         ],
     }
-    centring_pins = len(parts["centring_pins"].places) if "centring_pins" in parts else 0
     blocked: dict[str, float] = {}
     present = ["sensor"]
-    for step in assembly_steps(screws, adapter.dowels, 0.0, centring_pins):
+    for step in assembly_steps(screws, adapter, plate):
         there = list(dict.fromkeys(move.onto for move in step.moves)) if step.on_bench else present
         for name in step.parts:
             if name in corridors and name not in blocked:
@@ -116,7 +115,7 @@ def verify(
     for stack in tolerance_stacks(model.adapter, model.plate):
         what = f"m outside the limits at the worst corner: {stack.what}"
         findings[f"{stack.name}_worst_case"] = _finding(stack.outside, 0.0, what)
-    blocked = blocked_tools(model.parts, model.screws, model.adapter)
+    blocked = blocked_tools(model.parts, model.screws, model.adapter, model.plate)
     what = "m³ of earlier parts in the corridors of the fastener and its key"
     findings |= {f"reach_{name}": _finding(volume, OVERLAP_LIMIT, what) for name, volume in blocked.items()}
     return checked(model.design.name, findings)

@@ -23,6 +23,7 @@ TIP_RATIO, MIN_TIP_D_MM = 6.0, 2.0
 #: Comment beside a key, unless the notes of the design replace it.
 COMMENTS = {
     "date": "of the design, on its sheets",
+    "owner": "of the design, on its sheets",
     "probe.shape": "cone | cylinder | profile",
     "probe.length_mm": "of the flexible part, base to tip",
     "probe.profile_mm": 's, diameter; only for shape = "profile"',

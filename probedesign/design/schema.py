@@ -446,6 +446,7 @@ class Design(Table, Displayed):
     schema_version: Literal[1] = Field(alias="schema")
     name: str
     date: str | None = None
+    owner: Annotated[str, Field(max_length=60, pattern=r"^[^\x00-\x1f\x7f]*$")] | None = None
     probe: ProbeTable
     material: MaterialTable = MaterialTable()
     sensor: SensorTable = SensorTable()

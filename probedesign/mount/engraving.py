@@ -120,25 +120,21 @@ def cut_outlines(character: str) -> list[Loop]:
 
 @dataclass(frozen=True)
 class Engraving:
-    """Characters cut into an upward face, their tops away from the axis."""
+    """Characters cut into an upward face, their tops away from the axis, or into the side of a disc, upright."""
 
     text: str  #: the characters that are cut.
     radius: float  #: distance of the characters' centres from the axis [m].
     azimuths: tuple[float, ...]  #: of each character's centre [rad], (n,).
-    top: float  #: z of the face [m].
-
-    def outlines(self) -> Iterator[list[list[XY]]]:
-        """Yield the polygons (x, y) [m] of each character, islands among them."""
-        for character, T in self.placed():
-            width = glyph_width(character)
-            loops = [np.array(loop) - [width / 2, ROWS / 2] for loop in cut_outlines(character)]
-            yield [[tuple(p) for p in CELL * loop @ T[:2, :2].T + T[:2, 3]] for loop in loops]
+    top: float  #: z of the face, or of the characters' centres on a side [m].
+    on_side: bool = False  #: whether the face is the side of a disc of that radius.
 
     def placed(self) -> Iterator[tuple[str, Array]]:
         """Yield each character with the pose (4, 4) of its own frame, whose y axis points to the character's top."""
         for character, azimuth in zip(self.text, self.azimuths, strict=True):
             p = [self.radius * np.cos(azimuth), self.radius * np.sin(azimuth), self.top]
-            yield character, pose(rotation_z(azimuth - np.pi / 2), p)
+            upright = pose([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])[:3, :3]  # z of the character outwards
+            turn = rotation_z(azimuth) @ upright if self.on_side else rotation_z(azimuth - np.pi / 2)
+            yield character, pose(turn, p)
 
 
 NOTHING_CUT = Engraving("", 0.0, (), 0.0)  #: No engraving.

@@ -4,6 +4,7 @@ The frozen probe takes them from here, so it needs no CAD; `cad/verify` proves t
 and differences of upright prisms and frusta.
 """
 
+import math
 from collections.abc import Iterable
 from functools import lru_cache
 
@@ -66,6 +67,10 @@ def _adapter_body(a: SensorAdapter, density: float) -> MassProperties:
             prism_of_box((0.0, a.mark_x), (-half, half), (a.groove_floor, a.body_top), density),
             [strip(a.recess_d / 2, 0.0, half, a.groove_floor, a.body_top, density)],
         ),
+        subtract(  # the window: from the recess's wall to the rim, at -x
+            strip(a.body_d / 2, 0.0, a.window_half, a.groove_floor, a.body_top, density),
+            [strip(a.recess_d / 2, 0.0, a.window_half, a.groove_floor, a.body_top, density)],
+        ).moved(pose(rotation_z(np.pi))),
         *(cylinder(a.tool.screw.clearance_d, 0.0, a.tool.grip, density, p) for p in a.p_tool_screws),
         *(cylinder(room_d, a.tool.grip, a.groove_floor, density, p) for p in a.p_tool_screws),
         *(common_part(a.land_d, room_d, p, land_z, density) for p in a.p_tool_screws),
@@ -165,18 +170,38 @@ def _screw(screw: SocketScrew, seat: float, length: float, density: float, p: XY
 
 def engraving_mass(engraving: Engraving, density: float) -> MassProperties:
     """Return the mass properties of the material that an engraving removes; density [kg/m³]."""
-    return combined(_glyph_mass(character, density).moved(T) for character, T in engraving.placed())
+    radius = engraving.radius if engraving.on_side else math.inf
+    return combined(_glyph_mass(character, density, radius).moved(T) for character, T in engraving.placed())
 
 
 @lru_cache(maxsize=256)
-def _glyph_mass(character: str, density: float) -> MassProperties:
-    """Return the mass properties of what one character removes, in its own frame."""
+def _glyph_mass(character: str, density: float, radius: float) -> MassProperties:
+    """Return the mass properties of what one character removes, in its own frame, from a face that is curved about y
+    with that radius [m]."""
     bars, width = [], glyph_width(character)
     for start, end, row in cut_runs(character):
         a, b = (end - start) * CELL, CELL
         p = ((start + end - width) / 2 * CELL, (row + 0.5 - ROWS / 2) * CELL)
-        bars.append(prism(a * b, a * b**3 / 12, a**3 * b / 12, (-DEPTH, 0.0), density, p))
+        if math.isinf(radius):
+            bars.append(prism(a * b, a * b**3 / 12, a**3 * b / 12, (-DEPTH, 0.0), density, p))
+        else:
+            bars.append(_curved_bar(p, (a, b), radius, density))
     return combined(bars)
+
+
+def _curved_bar(p: XY, size: XY, radius: float, density: float) -> MassProperties:
+    """Return a bar about (x, y) from z = -DEPTH up to a cylinder about y whose side is at z = 0 in the middle x = 0.
+
+    Its moments are integrals over x of polynomials of √(r² - x²), which Gauss points give to round-off.
+    """
+    x, w, (_, y), b = p[0] + size[0] / 2 * _NODES, density * size[0] / 2 * size[1] * _WEIGHTS, p, size[1]
+    top = np.sqrt(radius**2 - x * x) - radius
+    height, first, second = ((top**n - (-DEPTH) ** n) / n for n in (1, 2, 3))
+    mass, x_first, z_first = float(w @ height), float(w @ (x * height)), float(w @ first)
+    xx, yy, zz, xz = w @ (x * x * height), mass * (y * y + b * b / 12.0), w @ second, w @ (x * first)
+    xy, yz, com = y * x_first, y * z_first, np.array([x_first / mass, y, z_first / mass])
+    about_origin = np.array([[yy + zz, -xy, -xz], [-xy, xx + zz, -yz], [-xz, -yz, xx + yy]])
+    return MassProperties(mass / density, mass, com, about_origin - mass * (com @ com * np.eye(3) - np.outer(com, com)))
 
 
 def subtract(body: MassProperties, voids: Iterable[MassProperties]) -> MassProperties:

@@ -17,13 +17,7 @@ from probedesign.geometry.mass import MassProperties
 from probedesign.mount.flange_adapter import FlangeAdapter, flange_adapter_for
 from probedesign.mount.lip import STIFF_RESIN
 from probedesign.mount.mass import mount_mass_properties
-from probedesign.mount.sensor_adapter import (
-    MountOptions,
-    SensorAdapter,
-    least_squeeze,
-    sensor_adapter_for,
-    touched_part,
-)
+from probedesign.mount.sensor_adapter import MountOptions, SensorAdapter, sensor_adapter_for, touched_part
 
 
 def flange_of(design: Design, base_d: float) -> Flange:
@@ -138,6 +132,8 @@ ROOT_STD = 0.05
 #: Clamped root of wide bases, 16 to 25 mm, on a floor with the rooms of the screw heads, which the table leaves out:
 #: finite elements give -0.15 to -0.16. The difference is the standard deviation where it is more than `ROOT_STD`.
 OPEN_FLOOR = -0.155
+#: Estimated softening of the root [base radii] by a lip that is not pressed at all, in proportion: 0.03 for a quarter.
+UNPRESSED = 0.12
 BONDED = 0.12  #: `root_rigid_radii` of a face that is bonded to something rigid at s = 0 (decision 0006).
 #: Standard deviation of the shift of s = 0 along z by the squeeze of the lip, over the squeeze. The resin that the ring
 #: displaces inwards lifts the base by a third of the squeeze at most, and by nothing where it all moves outwards; half
@@ -161,9 +157,15 @@ def exported_root_radii(geometry: ProbeGeometry, hold: Hold = "clamped") -> floa
     return float(np.interp(geometry.base_radius / geometry.flange.thickness, _RATIO, _MISSING[hold]))
 
 
-def exported_root_std(geometry: ProbeGeometry) -> float:
-    """Return the standard deviation of the computed root of the exported mount [base radii]."""
-    return max(ROOT_STD, exported_root_radii(geometry) - OPEN_FLOOR)
+def exported_root_std(geometry: ProbeGeometry, pressed_share: float = 1.0) -> float:
+    """Return the standard deviation of the computed root of the exported mount [base radii].
+
+    Args:
+        geometry: of the probe.
+        pressed_share: of the land, see `SensorAdapter.pressed_share`.
+    """
+    computed = max(ROOT_STD, exported_root_radii(geometry) - OPEN_FLOOR)
+    return math.hypot(computed, UNPRESSED * (1.0 - pressed_share))
 
 
 def root_radii(design: Design, geometry: ProbeGeometry) -> float:
@@ -172,23 +174,25 @@ def root_radii(design: Design, geometry: ProbeGeometry) -> float:
     return round(exported_root_radii(geometry, design.mount.hold), 2) if stated is None else stated
 
 
-def held_tolerances(design: Design, geometry: ProbeGeometry, base_mm: float) -> dict[str, float]:
+def held_tolerances(mount: Mount, base_mm: float) -> dict[str, float]:
     """Return the defaults of `[tolerances]` that follow from the hold: of a computed root and of the squeezed base.
 
     Other sections and a base with a fillet were not computed: their root keeps the general default, which is larger.
 
     Args:
-        design: of the probe.
-        geometry: of the design.
+        mount: of the probe.
         base_mm: standard deviation of the base's place without a squeeze.
     """
-    mount, computed = design.mount, dict[str, float]()
-    if mount.hold == "bonded":
+    design, adapter, computed = mount.design, mount.sensor_adapter, dict[str, float]()
+    if design.mount.hold == "bonded":
         return computed
-    if mount.root_rigid_radii is None and design.probe.cross_section.full_round and design.probe.base_fillet_mm is None:
-        computed["root_radii"] = round(exported_root_std(geometry), 3)
-    squeeze = least_squeeze(geometry.flange) / MM if mount.squeeze_mm is None else mount.squeeze_mm
-    computed["base_mm"] = round(math.hypot(base_mm, SQUEEZE_SHIFT * squeeze), 3)
+    if (
+        design.mount.root_rigid_radii is None
+        and design.probe.cross_section.full_round
+        and design.probe.base_fillet_mm is None
+    ):
+        computed["root_radii"] = round(exported_root_std(mount.geometry, adapter.pressed_share), 3)
+    computed["base_mm"] = round(math.hypot(base_mm, SQUEEZE_SHIFT * adapter.squeeze / MM), 3)
     return computed
 
 

@@ -8,6 +8,7 @@ screws into nuts in slots that open at the rim. Both parts print on their datum 
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from probedesign.core.units import MM
 from probedesign.design.catalog import M2, NUTS, PRINT_TOLERANCE, Nut, SocketScrew
 from probedesign.design.sensors import DowelPattern, ScrewPattern, SensorModel
 from probedesign.geometry import FLANGE_LIP, Flange, ProbeGeometry, fingerprint_of
-from probedesign.mount.engraving import NOTHING_CUT, XY, Engraving, engrave, free_arcs
+from probedesign.mount.engraving import CELL, NOTHING_CUT, XY, Engraving, engrave, free_arcs
 from probedesign.mount.lip import (
     MIN_LIP,
     MIN_RELIEF,
@@ -57,6 +58,7 @@ LETTER_EDGE = 0.8 * MM  #: Distance from a hole or a screw head's seat to the ne
 #: (assumed), and the ring presses all around it.
 PEG_INWARD = 0.05 * MM
 MARK_FLAT = 0.8 * MM  #: Depth of the flat on the adapter's rim that marks +X on the outside.
+WINDOW_EDGE = 0.4 * MM  #: Between the sides of the window at -X and the characters behind it.
 #: Of the notches at +X through the recess's wall and across the ring's underside: on the platform, resin and air pass
 #: through them, and they show the clocking.
 VENT_WIDTH = 2.0 * MM
@@ -131,7 +133,8 @@ class SensorAdapter:
     nut_slot_z: tuple[float, float]
     nut_slot_reach: float
     ring_hole_bottom: float  #: of the blind hole below each nut.
-    #: on_flange, on_wall, on_ring: engravings of the flange's lip (base frame), of the wall around the recess (sensor
+    window_half: float  #: half width of the window in the recess's wall at -X, through which the flange's rim is read.
+    #: on_flange, on_wall, on_ring: engravings of the flange's rim (base frame), of the wall around the recess (sensor
     #: frame) and of the ring's top (its own frame).
     on_flange: Engraving = NOTHING_CUT
     on_wall: Engraving = NOTHING_CUT
@@ -146,7 +149,7 @@ class SensorAdapter:
             self.body_d, self.body_top, self.recess_d, self.mark_x, self.dowel_d, self.dowel_depth, self.dowel_slot,
             self.peg_top, self.peg_x, self.tool.grip, self.tool.screw.clearance_d, self.tool.screw.counterbore_d,
             self.roof_hole_d, self.ring_screw.clearance_d, self.ring_hole_bottom, self.nut_slot_width,
-            *self.nut_slot_z, self.nut_slot_reach,
+            *self.nut_slot_z, self.nut_slot_reach, self.window_half,
         ]  # fmt: skip
         ring = [self.body_d, self.ring_bore_d, self.ring_bore_top_d, self.ring_thickness, self.ring_vent_width,
                 self.ring_screw.clearance_d, *(x for p in self.p_ring_screws for x in p)]  # fmt: skip
@@ -171,6 +174,23 @@ class SensorAdapter:
         """Return by how much the ring's inner edge bends under a force of the lip [m], see `lip.plate_bending`."""
         load_d = (self.ring_bore_d + self.land_d) / 2
         return plate_bending(RIGID_MODULUS, self.ring_thickness, self.ring_bore_d, self.recess_d, load_d, force)
+
+    @cached_property
+    def pressed_share(self) -> float:
+        """Return the fraction of the ring between bore and land whose lip is pressed between rigid faces: without the
+        rooms of the screws' heads in the land, the clocking hole and the notch in the ring above it."""
+        nodes, weights = np.polynomial.legendre.leggauss(64)
+        middle, half = (self.land_d + self.ring_bore_d) / 4, (self.land_d - self.ring_bore_d) / 4
+        r = middle + half * nodes
+
+        def covered(apart: float, d: float) -> Array:
+            """Return half the angle of each circle of radius r that lies in one of diameter d about a point."""
+            return np.arccos(np.clip((r * r + apart**2 - d * d / 4) / (2 * r * apart), -1.0, 1.0))
+
+        heads = len(self.p_tool_screws) * covered(self.tool.bolt_circle_d / 2, self.tool.screw.counterbore_d)
+        notch = np.arcsin(np.minimum(self.ring_vent_width / 2 / r, 1.0))
+        open_angle = 2.0 * (heads + np.maximum(notch, covered(self.peg_x, self.peg_hole_d)))
+        return float(1.0 - weights * r @ open_angle / (2.0 * np.pi) / (weights @ r))
 
     @property
     def p_tool_screws(self) -> tuple[XY, ...]:
@@ -306,8 +326,15 @@ def sensor_adapter_for(
     mark_x = body_d / 2 - MARK_FLAT
     letters = (recess_d / 2 + mark_x) / 2
 
-    def engraved(part: str, radius: float, top: float, azimuths_deg: Iterable[float], hole_d: float) -> Engraving:
-        arcs = free_arcs(radius, [float(a) for a in np.radians(list(azimuths_deg))], hole_d / 2 + LETTER_EDGE)
+    # The window ends a wall before the nut slots beside it; a digit is three cells wide, and one apart from the next.
+    digits = int(((circle_d / 2 - reach) / math.sqrt(2.0) - width / 2 - WALL - WINDOW_EDGE) / (2.0 * CELL))
+    window_half = 2.0 * CELL * min(digits, len(geometry.fingerprint)) + WINDOW_EDGE
+
+    def engraved(part: str, radius: float, top: float, azimuths_deg: tuple[float, ...], hole_d: float) -> Engraving:
+        clear = [hole_d / 2 + LETTER_EDGE] * len(azimuths_deg)
+        if part == "sensor_adapter":
+            azimuths_deg, clear = (*azimuths_deg, 180.0), [*clear, window_half + LETTER_EDGE]
+        arcs = free_arcs(radius, np.radians(azimuths_deg).tolist(), clear)
         return engrave(fingerprints[part], name, radius, top, arcs)
 
     plain = SensorAdapter(
@@ -343,14 +370,22 @@ def sensor_adapter_for(
         nut_slot_z=(floor + slot_bottom, body_top - roof),
         nut_slot_reach=reach,
         ring_hole_bottom=floor + hole_bottom,
+        window_half=window_half,
     )
     fingerprints = {"probe": geometry.fingerprint, **plain.fingerprints}
     return replace(
         plain,
-        on_flange=engraved("probe", peg_x, 0.0, (0.0,), peg_hole_d),
+        on_flange=on_rim(geometry.fingerprint[:digits], flange),
         on_wall=engraved("sensor_adapter", letters, body_top, (0.0, *RING_AZIMUTHS_DEG), screw.clearance_d),
         on_ring=engraved("clamp_ring", letters, ring_thickness, RING_AZIMUTHS_DEG, screw.head_d),
     )
+
+
+def on_rim(digits: str, flange: Flange) -> Engraving:
+    """Return the engraving of the first digits of a fingerprint in the flange's rim, about -X, read from outside."""
+    step = 4.0 * CELL / (flange.diameter / 2)
+    azimuths = (math.pi + step * (i - (len(digits) - 1) / 2) for i in range(len(digits)))
+    return Engraving(digits, flange.diameter / 2, tuple(azimuths), -flange.thickness / 2, on_side=True)
 
 
 def touched_part(geometry: ProbeGeometry, a: SensorAdapter) -> str:
@@ -390,16 +425,10 @@ def length_tolerance(length: float) -> float:
     return max(PRINT_TOLERANCE, 0.005 * length)
 
 
-def least_squeeze(flange: Flange) -> float:
-    """Return the least nominal compression of a lip [m] that every corner of the tolerances leaves pressed."""
-    return MIN_SQUEEZE + length_tolerance(flange.thickness) + PRINT_TOLERANCE
-
-
 def _squeeze(flange: Flange, options: MountOptions) -> float:
     """Return the nominal compression of the lip [m], which is positive at every corner of the tolerances."""
-    low = least_squeeze(flange)
-    slack = low - MIN_SQUEEZE
-    high = MAX_SQUEEZE_SHARE * flange.thickness - slack
+    slack = length_tolerance(flange.thickness) + PRINT_TOLERANCE
+    low, high = MIN_SQUEEZE + slack, MAX_SQUEEZE_SHARE * flange.thickness - slack
     if low > high + 1e-9:
         least = (low + slack) / MAX_SQUEEZE_SHARE
         raise InputError(

@@ -348,6 +348,7 @@ class ClampForce:
     #: of the ring's inner edge at the nominal force, with the rim clamped and simply supported [m].
     bending: tuple[float, float]
     squeeze: float  #: nominal compression of the lip between rigid parts [m].
+    pressed_share: float  #: of the land, see `SensorAdapter.pressed_share`.
 
     @property
     def bending_share(self) -> float:
@@ -358,6 +359,7 @@ class ClampForce:
         """Return the record of the manifest."""
         return {
             "lip_force_N": round(self.nominal, 1),
+            "pressed_share": round(self.pressed_share, 3),
             "lip_force_range_N": [round(force, 1) for force in self.range],
             "preload_N": round(self.preload, 1),
             "torque_Nm": self.torque,
@@ -382,7 +384,7 @@ def clamp_force(a: SensorAdapter, plate: FlangeAdapter, modulus: float) -> Clamp
     squeeze = next(stack for stack in tolerance_stacks(a, plate) if stack.name == "lip_squeeze")
 
     def force(compression: float) -> float:
-        return pad_force(modulus, a.ring_bore_d, a.land_d, a.flange.thickness, compression)
+        return a.pressed_share * pad_force(modulus, a.ring_bore_d, a.land_d, a.flange.thickness, compression)
 
     nominal = force(squeeze.nominal)
     least, greatest = (math.hypot(force(end) / nominal - 1.0, MODULUS_TOLERANCE) for end in squeeze.rss)
@@ -396,6 +398,7 @@ def clamp_force(a: SensorAdapter, plate: FlangeAdapter, modulus: float) -> Clamp
         screws=screws,
         bending=a.ring_bending(nominal),
         squeeze=squeeze.nominal,
+        pressed_share=a.pressed_share,
     )
 
 

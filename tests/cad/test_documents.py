@@ -80,8 +80,21 @@ def test_hand_torque_limits_the_pressure_on_the_resin(large: CadModel) -> None:
 def test_every_part_has_a_step_and_an_exploded_position(large: CadModel) -> None:
     exploded = [name for move in EXPLOSION for name in move.parts]
     assert Counter(exploded) == Counter(set(large.parts) - {"sensor"})
-    steps = assembly_steps(large.screws, large.adapter.dowels, large.plate.robot.pin_d, centring_pins=3)
+    steps = assembly_steps(large.screws, large.adapter, large.plate)
     assert {name for step in steps for name in step.parts} == set(exploded)
+
+
+def test_the_bench_comes_first_and_the_robot_last_unless_the_adapter_covers_its_bolts(large: CadModel) -> None:
+    """Pins into the sensor, nuts before the adapter is mounted; each measurement is asked for in one step."""
+    steps = assembly_steps(large.screws, large.adapter, large.plate)
+    order = [name for step in steps for name in step.parts]
+    assert order.index("dowel_pins") < order.index("ring_nuts") < order.index("sensor_adapter")
+    assert order[-1] == "robot_bolts" and all("N·m" in s.text for s in steps if any("screws" in n for n in s.parts))
+    for row in measurements(large.adapter, large.plate):
+        assert sum(row.what.startswith(step.measure or "-") for step in steps) == 1, row.what
+    wide = replace(large.adapter, body_d=45e-3)  # over the heads of bolts on 50 mm
+    covered = [name for step in assembly_steps(large.screws, wide, large.plate) for name in step.parts]
+    assert covered.index("robot_bolts") < covered.index("sensor_adapter")
 
 
 def test_exploded_parts_do_not_overlap(large: CadModel) -> None:
@@ -251,6 +264,10 @@ def test_drawings_stay_in_their_frame_and_are_legible(probe: str) -> None:
         for (a, (low, high)), (b, (other_low, other_high)) in combinations(boxes.items(), 2):
             apart = max(*np.subtract(low, other_high), *np.subtract(other_low, high))
             assert apart > 0.0, (name, a.text, b.text)
+        words = " ".join(element.text or "" for element in boxes)
+        if design.probe.profile_mm is not None and name == "probe.svg":
+            assert all(f"{s:g}: {d:g}" in words for s, d in design.probe.profile_mm)  # every knot
+        assert name != "sensor_adapter.svg" or "window" in words
         notes = [e for e in boxes if " at s = " in (e.text or "") and "section" not in (e.text or "")]
         heights = sorted(float(e.get("y", "")) for e in notes)
         assert all(b - a > 3.0 for a, b in pairwise(heights))  # no note on another
@@ -279,13 +296,14 @@ def _box(text: ET.Element) -> tuple[tuple[float, float], tuple[float, float]]:
 def test_the_title_block_is_complete(large: CadModel, exported: Exported, monkeypatch: pytest.MonkeyPatch) -> None:
     """Fingerprint, mass and date, which is the design's or that of the sources."""
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1767225600")  # 2026-01-01 UTC
-    dated = replace(large, design=large.design.model_copy(update={"date": "2025-12-24"}))
-    for model, date in ((large, "2026-01-01"), (dated, "2025-12-24")):
-        for name, sheet in inspection_sheets(model).items():
+    dated = replace(large, design=large.design.model_copy(update={"date": "2025-12-24", "owner": "A. & B. GmbH"}))
+    for model, date, owner in ((large, "2026-01-01", "not stated"), (dated, "2025-12-24", "A. & B. GmbH")):
+        for number, (name, sheet) in enumerate(inspection_sheets(model).items(), 1):
             words = " ".join(words_of(sheet))
             part = name.removesuffix(".svg")
             grams, digits = 1e3 * exported[1]["parts"][part]["mass_kg"], large.fingerprints[part]
-            assert all(text in words for text in (date, digits, f"{grams:.3g} g", "±0.15 mm"))
+            assert all(text in words for text in (date, f"number {digits} · sheet {number} of 4",
+                                                   f"owner: {owner}", f"{grams:.3g} g", "±0.15 mm"))  # fmt: skip
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "yesterday")
     with pytest.raises(InputError, match="SOURCE_DATE_EPOCH = 'yesterday'"):
         inspection_sheets(large)

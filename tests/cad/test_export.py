@@ -78,7 +78,9 @@ def test_manifest_describes_the_export(exported: Exported) -> None:
     prints = manifest["fingerprints"]
     assert prints == Mount.of(design_of()).fingerprints and prints["probe"] == manifest["fingerprint"]
     assert len(set(prints.values())) == 5  # four parts and the payload
-    assert manifest["engraved"] == {part: f"{prints[part]} large" for part in manifest["parts"]}
+    engraved = {part: f"{prints[part]} large" for part in manifest["parts"]}
+    assert manifest["engraved"] == engraved | {"probe": manifest["fingerprint"][:5]}
+    assert manifest["clamp"]["pressed_share"] == pytest.approx(0.8, abs=0.005)
     check = manifest["print_check"]
     assert check["ok"] and check["errors"] == 0 and check["warnings"] == len(check["findings"])
     assert manifest["print_scale"]["probe"] == [1.0, 1.0, 1.0]

@@ -316,7 +316,7 @@ def test_every_screw_enters_within_its_limits_and_a_longer_one_is_refused(large:
 
 
 def ways(model: CadModel, **moved: CadPart) -> dict[str, float]:
-    return blocked_tools({**model.parts, **moved}, model.screws, model.adapter)
+    return blocked_tools({**model.parts, **moved}, model.screws, model.adapter, model.plate)
 
 
 def test_all_assembly_corridors_are_free_and_a_covered_screw_is_detected(large: CadModel) -> None:
@@ -333,7 +333,7 @@ def test_all_assembly_corridors_are_free_and_a_covered_screw_is_detected(large: 
 
 def test_every_part_is_mounted_onto_a_present_part(large: CadModel) -> None:
     present = {"sensor", "sensor_adapter"}  # the adapter is prepared on the bench
-    for step in assembly_steps(large.screws, large.adapter.dowels, 0.0, centring_pins=3):
+    for step in assembly_steps(large.screws, large.adapter, large.plate):
         for move in step.moves:
             assert move.onto in present
             present |= set(move.parts)

@@ -1,5 +1,6 @@
 """Test the engraving: legible characters, distances between them and exact masses."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -8,17 +9,22 @@ import pytest
 from probedesign.design import check_design
 from probedesign.design.catalog import M2
 from probedesign.design.sensor_catalog import SENSORS
+from probedesign.geometry import ProbeGeometry
 from probedesign.mount import SensorAdapter, build_geometry, sensor_adapter_for
 from probedesign.mount.engraving import CELL, DEPTH, GLYPHS, ROWS, Engraving, cut_outlines, cut_runs, glyph_width
 from probedesign.mount.mass import engraving_mass
+from probedesign.mount.sensor_adapter import WALL
 
 BASES = [3.0, 10.0, 10.5, 12.0, 25.0]
 
 
 def adapter_of(base_d: float, name: str = "large") -> SensorAdapter:
+    return sensor_adapter_for(build_geometry_of(base_d), SENSORS["nano17"], name)
+
+
+def build_geometry_of(base_d: float) -> ProbeGeometry:
     probe = {"length_mm": 150.0, "base_d_mm": base_d, "tip_d_mm": 2.0}
-    geometry = build_geometry(check_design({"schema": 1, "name": name, "probe": probe}))
-    return sensor_adapter_for(geometry, SENSORS["nano17"], name)
+    return build_geometry(check_design({"schema": 1, "name": "x", "probe": probe}))
 
 
 def test_no_two_characters_look_alike_and_all_are_five_high() -> None:
@@ -57,8 +63,9 @@ def sampled(engraving: Engraving, fine: int = 40) -> tuple[float, np.ndarray, np
 
 
 def test_the_engraving_mass_is_exact() -> None:
-    cut = adapter_of(12.0).on_flange
-    assert cut.text == "dbfe02e41516 large"
+    a = adapter_of(12.0)
+    cut = replace(a.on_ring, top=0.0)
+    assert cut.text == f"{a.fingerprints['clamp_ring']} large"
     area, mean, second = sampled(cut)
     body = engraving_mass(cut, 1010.0)
     assert body.volume == pytest.approx(area * DEPTH, rel=1e-12)
@@ -69,8 +76,37 @@ def test_the_engraving_mass_is_exact() -> None:
     assert -about_axis[0, 1] == pytest.approx(1010.0 * DEPTH * second[0, 1], rel=1e-4)
 
 
+def test_the_mass_of_an_engraving_in_a_rim_is_exact() -> None:
+    """Against sums of thin bars in polar coordinates: what lies between the rim and a plane at the depth."""
+    cut = adapter_of(12.0).on_flange
+    assert cut.on_side and cut.text == "dbfe0"
+    R, points, mass = cut.radius, [], []
+    for character, azimuth in zip(cut.text, cut.azimuths, strict=True):
+        for start, end, row in cut_runs(character):
+            edges = CELL * (np.linspace(start, end, 2001) - glyph_width(character) / 2)
+            u = (edges[1:] + edges[:-1]) / 2
+            outer, inner = np.sqrt(R * R - u * u), R - DEPTH
+            v = cut.top + CELL * (row + 0.5 - ROWS / 2)
+            radial, along = np.array([np.cos(azimuth), np.sin(azimuth)]), np.array([-np.sin(azimuth), np.cos(azimuth)])
+            xy = ((outer + inner) / 2)[:, None] * radial + u[:, None] * along
+            points.append(np.column_stack([xy, np.full(len(u), v)]))
+            mass.append(1010.0 * CELL * np.diff(edges) * (outer - inner))
+    p, m = np.concatenate(points), np.concatenate(mass)
+    body = engraving_mass(cut, 1010.0)
+    assert body.mass == pytest.approx(m.sum(), rel=1e-6)  # midpoints of 2,000 strips
+    assert body.p_com == pytest.approx(m @ p / m.sum(), abs=1e-9)
+    # About z the strips' own extents, 0.4 mm and 1/2000 of a bar, count 1/12 · 0.4² of 8² mm²: 2e-4.
+    about_z = body.inertia_about(np.zeros(3))[2, 2]
+    assert about_z == pytest.approx(float(m @ (p[:, :2] ** 2).sum(axis=1)), rel=3e-4)
+
+
 def corners_of(engraving: Engraving) -> list[np.ndarray]:
-    return [np.array([p for loop in loops for p in loop]) for loops in engraving.outlines() if loops]
+    def corners(character: str) -> np.ndarray:
+        middle = [glyph_width(character) / 2, ROWS / 2]
+        points = CELL * (np.array([p for loop in cut_outlines(character) for p in loop]) - middle)
+        return np.column_stack([points, np.zeros(len(points)), np.ones(len(points))])
+
+    return [(corners(c) @ T.T)[:, :2] for c, T in engraving.placed() if cut_outlines(c)]
 
 
 def apart(a: np.ndarray, b: np.ndarray) -> float:
@@ -81,10 +117,15 @@ def apart(a: np.ndarray, b: np.ndarray) -> float:
 @pytest.mark.parametrize("base_d", BASES)
 def test_characters_keep_to_their_place(base_d: float) -> None:
     a = adapter_of(base_d)
-    flange_r, base_r = a.flange.diameter / 2, base_d / 2 * 1e-3
+    digits = a.on_flange.text
+    assert len(digits) >= 4 and build_geometry_of(base_d).fingerprint.startswith(digits)
+    # the characters are behind the window, which keeps a wall to the nut slots, and within the flange's rim
+    assert len(digits) * 2.0 * CELL <= a.window_half - 0.3e-3 and a.flange.thickness > ROWS * CELL + 0.2e-3
+    slot_y = (a.ring_circle_d / 2 - a.nut_slot_reach) / np.sqrt(2.0) - a.nut_slot_width / 2
+    assert a.window_half <= slot_y - WALL + 1e-9
+    window = [((-a.recess_d / 2, y), 0.0) for y in (-a.window_half, a.window_half)]
     places = [
-        (a.on_flange, base_r, flange_r, [((a.peg_x, 0.0), a.peg_hole_d / 2)]),
-        (a.on_wall, a.recess_d / 2, a.mark_x, [(p, M2.clearance_d / 2) for p in a.p_ring_screws]),
+        (a.on_wall, a.recess_d / 2, a.mark_x, [*((p, M2.clearance_d / 2) for p in a.p_ring_screws), *window]),
         (a.on_ring, a.ring_bore_top_d / 2, a.body_d / 2, [(p, M2.head_d / 2) for p in a.p_ring_screws]),
     ]
     for engraving, inner, outer, holes in places:
@@ -100,6 +141,5 @@ def test_characters_keep_to_their_place(base_d: float) -> None:
 
 def test_a_long_name_is_shortened_and_the_fingerprint_never() -> None:
     short, long = adapter_of(3.0, "cone-60x3x1.2"), adapter_of(25.0, "cone-60x3x1.2")
-    fingerprint = short.on_flange.text[:12]
-    assert short.on_flange.text == f"{fingerprint} co"
-    assert short.on_ring.text[12:].startswith(" cone-6") and long.on_flange.text.endswith(" cone-60x3x1.2")
+    assert short.on_wall.text.startswith(short.fingerprints["sensor_adapter"])
+    assert short.on_ring.text[12:].startswith(" cone-6") and long.on_ring.text.endswith(" cone-60x3x1.2")

@@ -123,7 +123,8 @@ def test_the_mount_mass_is_the_sum_of_its_parts() -> None:
     gravity = np.array([3.0, -5.0, 8.0])
     assert whole.wrench(gravity) == pytest.approx(sum(p.wrench(gravity) for p in parts.values()))
     assert 5e-3 < whole.mass < 15e-3  # ten grams, beside a sensor that weighs nine
-    assert abs(whole.p_com[:2]).max() < 0.2e-3  # pins and peg are all that is not symmetric
+    # Pins, peg and window are not symmetric; the window removes 0.2 g of 10 g at 12 mm from the axis.
+    assert abs(whole.p_com[:2]).max() < 0.4e-3
 
 
 @pytest.mark.parametrize(("base_d", "computed"), [(4.0, -0.319), (8.0, -0.239), (12.0, -0.177), (20.0, -0.099)])
