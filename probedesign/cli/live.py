@@ -1,5 +1,6 @@
 """`probedesign live`: locate contacts in real time."""
 
+import math
 import os
 import sys
 from contextlib import ExitStack, closing, suppress
@@ -46,6 +47,9 @@ def live(
     publish: str | None = None,
     foxglove: str | bool = False,
     control: str | None = None,
+    guard: str | None = None,
+    limit_force_N: Annotated[float, Parameter(name="--limit-force-N", show_default=False)] = math.inf,
+    limit_moment_Nm: Annotated[float, Parameter(name="--limit-moment-Nm", show_default=False)] = math.inf,
     view: bool = False,
     view_host: str = "127.0.0.1",
     view_port: int = 8080,
@@ -95,6 +99,10 @@ def live(
         publish: send each estimate as a JSON datagram to udp://HOST:PORT, or all messages to the node of ROS 2 at
             ros2://HOST:PORT.
         control: receive commands (tare, mark, start and stop recording, stop) as datagrams at udp://[HOST]:PORT.
+        guard: send contacts, exceeded limits and a heartbeat at the rate of the samples to udp://HOST:PORT, or to the
+            node of ROS 2 at ros2://HOST:PORT.
+        limit_force_N: force of the contact beyond which the guard stops [N].
+        limit_moment_Nm: moment about the base beyond which it stops [N·m].
         foxglove: serve the messages of a recording to Foxglove and PlotJuggler, at HOST:PORT. Default:
             127.0.0.1:8765.
         view: show the probe, the contact and charts on a page in the browser.
@@ -114,6 +122,7 @@ def live(
     from probedesign import pipeline
     from probedesign.live.datagrams import parse_listen_address
     from probedesign.live.outputs.foxglove import parse_foxglove_address
+    from probedesign.live.outputs.guard import Limits
     from probedesign.live.outputs.options import OutputOptions
     from probedesign.live.outputs.recording import SplitLimits
     from probedesign.live.processing.chain import ProcessingOptions
@@ -157,11 +166,17 @@ def live(
         metadata={name: _setting_text(value) for name, value in settings.items()},
         split=SplitLimits.of_options(split_mb, split_minutes),
         foxglove=None if foxglove is False else parse_foxglove_address("" if foxglove is True else foxglove),
+        guard=guard,
+        limits=Limits(limit_force_N, limit_moment_Nm),
         open_browser=open_ and _is_terminal(),
     )
     outputs.check(source, several=bool(more))
     if control is not None:
         parse_listen_address(f"--control {control}")  # before anything is compiled
+    if guard is None and not math.isinf(min(limit_force_N, limit_moment_Nm)):
+        raise InputError("--limit-force-N and --limit-moment-Nm are watched by a guard; give --guard udp://HOST:PORT")
+    for estimator in estimators.values():
+        outputs.limits.check(estimator.model)
     specs = list(zip(source, poses, strict=True))
     _run(estimators, processing, outputs, specs, (pose_latency_ms, gravity_world), control, as_json, log)
 
@@ -211,6 +226,7 @@ def _run(
         log: file to which every message is appended.
     """
     from probedesign import pipeline
+    from probedesign.live.outputs.guard import Guard, GuardChannel, GuardedSource
     from probedesign.live.outputs.sinks import LogFile, ProbeSink, SinkGroup, StderrSink
     from probedesign.live.poses.open import open_poses
     from probedesign.live.processing.commands import CommandQueue, SharedCommands, open_inputs
@@ -234,12 +250,21 @@ def _run(
                 known.on_pose = part.on_pose
         queues = [CommandQueue() for _ in runs]
         commands = SharedCommands(queues) if len(queues) > 1 else queues[0]
+        readings = list(sources)
+        if outputs.guard is not None:
+            channel = GuardChannel(outputs.guard, sinks.log)
+            inputs.callback(channel.close)
+            for i, ((name, estimator), part, queue) in enumerate(zip(estimators.items(), parts, queues, strict=True)):
+                watching = Guard(estimator, outputs.limits, channel.send, part.log, name)
+                readings[i] = GuardedSource(sources[i], watching)
+                part.add(watching)
+                queue.register("reset", watching.reset)
         outputs.connect(sinks, commands, estimators, sources, publisher)
         for command_input in open_inputs(commands, sinks.log, control, keys=outputs.terminal):
             inputs.enter_context(closing(command_input))
         streams = [
             pipeline.live(estimator, source, processing, part.log, part, queue, known)
-            for (estimator, _, part), source, known, queue in zip(runs, sources, poses, queues, strict=True)
+            for (estimator, _, part), source, known, queue in zip(runs, readings, poses, queues, strict=True)
         ]
         updates = merged(streams, lambda: commands.put("stop"))
         source_ended = _print(updates, list(estimators), sinks.log, as_json, outputs.terminal)

@@ -10,6 +10,7 @@ from probedesign.core.files import check_overwrite
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
+from probedesign.live.outputs.guard import Limits
 from probedesign.live.outputs.recording import RecordingSink, SplitLimits, check_suffix
 from probedesign.live.outputs.ros2 import SCHEME, RosPublisher
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
@@ -32,6 +33,8 @@ class OutputOptions:
     metadata: Mapping[str, str]  #: options of the run, stored in the recording.
     split: SplitLimits = field(default_factory=SplitLimits)  #: when a recording continues in a new file.
     foxglove: tuple[str, int] | None = None  #: host and port of the Foxglove server; None serves none.
+    guard: str | None = None  #: address of the events of guarded motion; None: nothing is guarded.
+    limits: Limits = field(default_factory=Limits)  #: its limits.
     open_browser: bool = False  #: whether the page is shown in the user's browser.
 
     def check(self, sources: Sequence[str], several: bool) -> None:

@@ -222,22 +222,22 @@ class UdpPublisher(Sink):
         dropped: number of datagrams that the system did not accept.
     """
 
-    def __init__(self, address: str, log: Log) -> None:
-        """Resolve the address of the receiver, `udp://HOST:PORT`.
+    def __init__(self, address: str, log: Log, option: str = "--publish") -> None:
+        """Resolve the address of the receiver, `udp://HOST:PORT`, that an option of the user states.
 
         Raises:
             InputError: the address is invalid, or the host is unknown.
         """
         host, port = split_address(address, "udp") or ("", None)
         if not host or not port:
-            raise InputError(f"--publish {address}: write udp://HOST:PORT, as udp://127.0.0.1:9000")
+            raise InputError(f"{option} {address}: write udp://HOST:PORT, as udp://127.0.0.1:9000")
         try:
             receiver = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             self._socket, self._receiver = socket.socket(*receiver[:3]), receiver[4]
         except OSError as error:
-            raise InputError(f"--publish {address}: {error.strerror or error}") from None
+            raise InputError(f"{option} {address}: {error.strerror or error}") from None
         self._socket.setblocking(False)
-        self._address, self._log = address, log
+        self._address, self._log, self._option = address, log, option
         self.sent, self.dropped = 0, 0
 
     def on_estimate(self, update: EstimateUpdate) -> None:
@@ -267,7 +267,7 @@ class UdpPublisher(Sink):
             self.dropped += 1
             if self.dropped == 1:
                 why = error.strerror or error
-                self._log(f"--publish {self._address}: a datagram was not sent: {why}; the run continues")
+                self._log(f"{self._option} {self._address}: a datagram was not sent: {why}; the run continues")
 
 
 def time_stamps(received: float) -> Row:

@@ -18,7 +18,7 @@ from probedesign.live import Log
 from probedesign.live.datagrams import Listener, Parsed, decode_object, parse_listen_address
 from probedesign.live.processing.tare import TARE_DURATION
 
-CommandName = Literal["tare", "mark", "start recording", "stop recording", "stop"]
+CommandName = Literal["tare", "mark", "start recording", "stop recording", "reset", "stop"]
 
 
 class CommandDescription(NamedTuple):
@@ -34,6 +34,7 @@ COMMANDS: dict[CommandName, CommandDescription] = {
     "mark": CommandDescription("m", "mark this time, with a note"),
     "start recording": CommandDescription("r", "start a recording, in a new file"),
     "stop recording": CommandDescription("s", "stop the recording"),
+    "reset": CommandDescription("x", "end the stop of a guard, if its reason has ended"),
     "stop": CommandDescription("q", "end the run"),
 }
 MAX_NOTE = 200  #: Maximum number of characters of a mark.

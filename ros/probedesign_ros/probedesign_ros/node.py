@@ -39,6 +39,7 @@ TOPICS = {
     "/probedesign/state": Contact,
     "/probedesign/estimate": String,
     "/probedesign/event": String,
+    "/probedesign/guard": String,
     "/tf": TFMessage,
     "/tf_static": TFMessage,
 }
@@ -48,6 +49,7 @@ COMMANDS = {
     "mark": "mark",
     "start_recording": "start recording",
     "stop_recording": "stop recording",
+    "reset": "reset",
     "stop": "stop",
 }
 """Commands of a run by the name of their service."""
