@@ -1,18 +1,21 @@
 """`probedesign explore`: locate touches from a moving base as points of the world."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from probedesign.cli.console import interrupt_on_termination, plural, print_json, print_note, show_progress, write_files
-from probedesign.cli.options import BaseOptions, FrozenProbe, JsonOutput, ReadingOptions, RehearsalOptions
+from probedesign.cli.options import BaseOptions, FrozenProbe, JsonOutput, ReadingOptions, RehearsalOptions, frozen_probe
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, check_writable
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
     from probedesign.live.poses.base_poses import BasePoses
+    from probedesign.live.processing.chain import ProcessingOptions
     from probedesign.live.sources.source import Source
     from probedesign.mapping.contact_map import ContactMap
+    from probedesign.mapping.explore import Exploration
     from probedesign.mapping.touch_point import LocatedTouch
     from probedesign.reports.map_page import MapScene
 
@@ -25,9 +28,8 @@ ELLIPSOIDS = (
 
 def explore(
     bundle: FrozenProbe,
-    recording: Path | None = None,
     /,
-    *,
+    *more: Path,
     out: Path | None = None,
     force: bool = False,
     apart_mm: float = 5.0,
@@ -45,7 +47,8 @@ def explore(
 
     Args:
         bundle: the frozen probe: NAME.probe.json, its folder, or NAME of exports/NAME.
-        recording: MCAP, a ROS 2 bag, or CSV with named units; see docs/recording-format.md.
+        more: the recording: MCAP, a ROS 2 bag, or CSV with named units; see docs/recording-format.md. Before it,
+            further frozen probes of a recording of several, whose touches make one map.
         out: output folder.
         force: replace existing files.
         apart_mm: smallest distance between points of the object [mm]. Touches that are significantly nearer to each
@@ -55,7 +58,7 @@ def explore(
     """
     from probedesign import pipeline
     from probedesign.live.sources.replay import ReplaySource, check_readable
-    from probedesign.mapping.explore import LoadedRecording, parse_min_separation
+    from probedesign.mapping.explore import LoadedRecording, joint_map, parse_min_separation
     from probedesign.reports.map_page import MapScene
     from probedesign.simulation.scenes import true_outlines
 
@@ -64,6 +67,9 @@ def explore(
         model = pipeline.load_estimator(bundle, manifest).model
         written = rehearsal.write(rehearsal.rehearse, model, base.base(model), force)
         return print(f"wrote {', '.join(map(str, written))}")
+    bundles, recording = [bundle, *map(frozen_probe, more[:-1])], more[-1] if more else None
+    if manifest is not None and len(bundles) > 1:
+        raise InputError("--manifest belongs to one probe; check each probe in a run of its own")
     processing, apart = reading.processing(recording), parse_min_separation(apart_mm)
     if out is not None:
         if out.exists() and not out.is_dir():
@@ -73,39 +79,73 @@ def explore(
             check_overwrite(out / name, force)
     if recording is not None:
         check_readable(recording)
-    estimator = pipeline.load_estimator(bundle, manifest)
-    model, base_uncertainty = estimator.model, base.base(estimator.model)
-    source, poses = _open(estimator, recording, reading, base)
-    for note in (source.title, *source.notes, poses.title, *poses.notes, base_uncertainty.notice):
-        print_note(note)
-    priors = base_uncertainty.apply_to(estimator.priors)
-
-    def on_touch(touch: "LocatedTouch") -> None:
-        if recording is None:
-            print_note(f"touch {touch.segment.number} ended: {touch.result}")
-
-    with interrupt_on_termination():
-        exploration = pipeline.explore(estimator, source, processing, poses, print_note, priors, apart, on_touch)
-    if exploration.n_without_pose:
-        print_note(
-            f"{exploration.n_without_pose} of {exploration.n_readings} readings have no base pose and are ignored"
+    estimators = {each.model.name: each for each in (pipeline.load_estimator(path, manifest) for path in bundles)}
+    if len(estimators) < len(bundles):
+        raise InputError("two of the frozen probes have one name; a recording of several has one of each name")
+    several, explorations = len(bundles) > 1, {}
+    for name, estimator in estimators.items():
+        explorations[name], source, uncertainty = _explored(
+            estimator, recording, reading, base, (processing, apart), name if several else ""
         )
-    cloud, probe = exploration.map(), f"{model.name} {model.fingerprint}"
+    cloud = joint_map(explorations) if several else explorations[name].map()
     if out is not None:
-        notes = [source.title, f"probe {probe}", _summary(cloud), base_uncertainty.summary]
+        probe = ", ".join(f"{name} {each.model.fingerprint}" for name, each in estimators.items())
+        notes = [source.title, f"probe {probe}", _summary(cloud), uncertainty]
         recorded_from = source.recorded_from if isinstance(source, LoadedRecording | ReplaySource) else ""
         _write(out, MapScene(cloud, true_outlines(recorded_from)), probe, notes)
     _print(cloud, out, as_json)
 
 
+def _explored(
+    estimator: "Estimator",
+    recording: Path | None,
+    reading: ReadingOptions,
+    base: BaseOptions,
+    processing: "tuple[ProcessingOptions, float]",
+    probe: str,
+) -> "tuple[Exploration, Source, str]":
+    """Return the touches of one probe, their source, and the uncertainty of the base in one line.
+
+    Args:
+        estimator: of the probe.
+        recording: the recording; None for a live source.
+        reading: how it is read.
+        base: the poses of the base.
+        processing: how the readings are processed, and the least distance of points [m].
+        probe: name of the probe where there are several.
+    """
+    from probedesign import pipeline
+
+    uncertainty, of = base.base(estimator.model), f"{probe}: " if probe else ""
+    source, poses = _open(estimator, recording, reading, base, probe)
+    for note in (source.title, *source.notes, poses.title, *poses.notes, uncertainty.notice):
+        print_note(of + note)
+
+    def on_touch(touch: "LocatedTouch") -> None:
+        if recording is None:
+            print_note(f"touch {touch.segment.number} ended: {touch.result}")
+
+    options, apart = processing
+    priors = uncertainty.apply_to(estimator.priors)
+    with interrupt_on_termination():
+        exploration = pipeline.explore(estimator, source, options, poses, print_note, priors, apart, on_touch)
+    if exploration.n_without_pose:
+        counts = f"{exploration.n_without_pose} of {exploration.n_readings} readings"
+        print_note(f"{of}{counts} have no base pose and are ignored")
+    return exploration, source, uncertainty.summary
+
+
 def _open(
-    estimator: "Estimator", recording: Path | None, reading: ReadingOptions, base: BaseOptions
+    estimator: "Estimator", recording: Path | None, reading: ReadingOptions, base: BaseOptions, probe: str
 ) -> "tuple[Source, BasePoses]":
-    """Open readings and poses, with all kernels compiled before the first reading arrives."""
+    """Open readings and poses, with all kernels compiled before the first reading arrives.
+
+    `probe` is the name of the probe where there are several.
+    """
     from probedesign.live.run import warm_up
     from probedesign.mapping.explore import check_poses
 
-    poses = check_poses(base.poses(print_note), None)
+    poses = check_poses(base.poses(print_note, probe), None)
     with show_progress("loading the rod kernels"):
         warm_up(estimator, print_note, fusing=True)
         return reading.open(recording, estimator.model, poses, print_note), poses
@@ -136,7 +176,6 @@ def _summary(cloud: "ContactMap") -> str:
     """Return the number of points and touches, and the estimated stiffness scale."""
     located, lost = sum(len(point.touches) for point in cloud.points), len(cloud.unlocated)
     touches = f"{located}{f' of {located + lost}' if lost else ''} touch{'' if located + lost == 1 else 'es'}"
-    return (
-        f"{plural(len(cloud.points), 'point')} from {touches}; "
-        f"stiffness scale {cloud.stiffness:.3f} ± {cloud.std_stiffness:.3f}"
-    )
+    known = math.isfinite(cloud.stiffness)
+    stiffness = f"; stiffness scale {cloud.stiffness:.3f} ± {cloud.std_stiffness:.3f}" if known else ""
+    return f"{plural(len(cloud.points), 'point')} from {touches}{stiffness}"

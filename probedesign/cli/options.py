@@ -245,15 +245,17 @@ class BaseOptions:
         stated = {name: value for name, value in given.items() if value is not None}
         return replace(BasePoseUncertainty.from_model(model), **stated)
 
-    def poses(self, log: Callable[[str], None]) -> "BasePoses | None":
-        """Return the poses, None for a fixed base.
+    def poses(self, log: Callable[[str], None], probe: str = "") -> "BasePoses | None":
+        """Return the poses, None for a fixed base; those of a probe where a recording has several.
 
         Raises:
             InputError: the poses cannot be opened.
         """
         from probedesign.live.poses.open import open_poses
+        from probedesign.live.recordings.schemas import BASE
 
-        return open_poses(self.pose, self.pose_latency_ms, self.gravity_world, log)
+        pose = f"{self.pose}?topic={replace(BASE, probe=probe).path}" if probe and "?" not in self.pose else self.pose
+        return open_poses(pose, self.pose_latency_ms, self.gravity_world, log)
 
 
 @Parameter(name="*")

@@ -67,7 +67,7 @@ def build_map(
     """Return the map of touches, with the error sources that they share estimated jointly.
 
     Args:
-        touches: of one run, one probe on one robot.
+        touches: of one run; those of several probes, each on its robot, as `joint_map` prepares them.
         youngs_modulus: standard deviation of the prior on E, relative.
         min_separation: minimum distance between points of the object [m]; 0 fuses no touches.
     """
@@ -86,8 +86,8 @@ def build_map(
         )
         for point, members in groups
     )
-    names = groups[0][0].names if groups else ()
-    log_E, var_E = 0.0, 1.0
+    names = groups[0][0].names if groups else ()  # several probes have no common stiffness
+    log_E, var_E = (math.nan, math.nan) if any(touch.probe for touch in touches) else (0.0, 1.0)
     if "E" in names:
         i = names.index("E")
         log_E, var_E = float(common[i]), float(cov_common[i, i])
@@ -153,7 +153,7 @@ def map_rows(contact_map: ContactMap) -> list[Row]:
         )  # fmt: skip
         rows.append(dict(zip(COLUMNS, values, strict=True)))
     for touch in contact_map.unlocated:
-        known = {"result": touch.result, "touches": 1, "touch_numbers": str(touch.segment.number)}
+        known = {"result": touch.result, "touches": 1, "touch_numbers": touch.label}
         rows.append(dict.fromkeys(COLUMNS) | known | {"time_s": touch.segment.start})
     return rows
 
@@ -170,11 +170,15 @@ def map_document(contact_map: ContactMap) -> dict[str, Any]:
         "schema": 1,
         "points": [row for row in rows if row["point"] is not None],
         "not_located": [row for row in rows if row["point"] is None],
-        "stiffness_factor": contact_map.stiffness,
-        "std_stiffness_factor": contact_map.std_stiffness,
+        "stiffness_factor": _or_none(contact_map.stiffness),
+        "std_stiffness_factor": _or_none(contact_map.std_stiffness),
         "apart_mm": contact_map.min_separation / MM,
         "doubts": _warnings(contact_map),
     }
+
+
+def _or_none(value: float) -> float | None:
+    return None if math.isnan(value) else value
 
 
 def map_lines(contact_map: ContactMap) -> list[str]:
@@ -194,15 +198,16 @@ def unlocated_lines(contact_map: ContactMap) -> list[str]:
     """Return the touches that were not located: a line for each result with their numbers and times, and warnings."""
     lines = []
     for result in dict.fromkeys(touch.result for touch in contact_map.unlocated):
-        segments = [touch.segment for touch in contact_map.unlocated if touch.result == result]
-        which = ", ".join(f"{segment.number} at {segment.start:.2f} s" for segment in segments)
+        touches = [touch for touch in contact_map.unlocated if touch.result == result]
+        which = ", ".join(f"{touch.label} at {touch.segment.start:.2f} s" for touch in touches)
         lines.append(f"not located: touch {which}: {result}, {RESULT_MEANINGS[result]}")
     return lines + _warnings(contact_map)
 
 
 def touch_numbers(point: MapPoint, separator: str = " ") -> str:
-    """Return the numbers of the touches of a point."""
-    return separator.join(str(touch.segment.number) for touch in point.touches)
+    """Return the numbers of the touches of a point, with the probe of each in a map of several."""
+    several = any(touch.probe for touch in point.touches)
+    return (", " if several else separator).join(touch.label for touch in point.touches)
 
 
 def _warnings(contact_map: ContactMap) -> list[str]:

@@ -1,7 +1,7 @@
 """From readings and poses to a map: the chain of `live`, its touches segmented, located and combined."""
 
 import math
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -168,6 +168,23 @@ class Exploration:
         touch = locate_touch(segment, self.estimator, self.priors or self.estimator.priors, poses.gravity_world)
         self.touches.append(touch)
         return touch
+
+
+def joint_map(explorations: Mapping[str, Exploration]) -> ContactMap:
+    """Return one map of the touches of several probes by their names, each with error sources of its own.
+
+    Touches of one point by two probes are fused as those by one, and what one probe knows better helps the other.
+    """
+    runs = [exploration.touches for exploration in explorations.values()]
+    vectors = [[touch.point.information_vector for touch in touches if touch.point is not None] for touches in runs]
+    sizes = [len(known[0]) if known else 0 for known in vectors]
+    touches = [
+        replace(touch, probe=name, point=touch.point and touch.point.among(sizes, i))
+        for i, (name, exploration) in enumerate(explorations.items())
+        for touch in exploration.touches
+    ]
+    first = next(iter(explorations.values()))
+    return build_map(touches, first.estimator.priors.youngs_modulus, first.min_separation)
 
 
 def parse_min_separation(millimetres: float) -> float:

@@ -140,6 +140,20 @@ class ConditionalPoint:
             cov = 0.5 * (S + S.T) + positive_part(added)
         return cls(S @ vector[x] + shift, B, cov, on_m, vector_m, names)
 
+    def among(self, sizes: list[int], number: int) -> "ConditionalPoint":
+        """Return the point conditional on the error sources of several probes, of which those of one concern it.
+
+        Args:
+            sizes: number of common error sources of each probe.
+            number: number of the probe of this point.
+        """
+        J, start = sum(sizes), sum(sizes[:number])
+        columns = slice(start, start + sizes[number])
+        sensitivity, information, vector = np.zeros((3, J)), np.zeros((J, J)), np.zeros(J)
+        sensitivity[:, columns], vector[columns] = self.sensitivity, self.information_vector
+        information[columns, columns] = self.information
+        return ConditionalPoint(self.mean, sensitivity, self.cov, information, vector)
+
     def position(self, common: Array) -> Array:
         """Return the point for given common error sources (J,) [m], (3,)."""
         return np.asarray(self.mean + self.sensitivity @ common)
@@ -175,6 +189,12 @@ class LocatedTouch:
     direction: Array | None = None  #: direction of that force on the probe in the world, unit vector, (3,).
     s_contact: Array | None = None  #: arclength of the contact at each interval [m], (k,).
     rms: float = float("nan")  #: RMS error of the point by this touch alone [m].
+    probe: str = ""  #: name of the probe in a map of several.
+
+    @property
+    def label(self) -> str:
+        """Number of the touch, after the name of the probe in a map of several."""
+        return f"{self.probe} {self.segment.number}".lstrip()
 
 
 def locate_touch(segment: TouchSegment, estimator: Estimator, priors: Tolerances, gravity_world: Array) -> LocatedTouch:

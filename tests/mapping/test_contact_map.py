@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from probedesign.mapping.contact_map import build_map, map_document, map_lines
+from probedesign.mapping.contact_map import build_map, map_document, map_lines, touch_numbers
+from probedesign.mapping.explore import joint_map
 from probedesign.mapping.touch_point import NEVER_SETTLED, RESULT_MEANINGS, LocatedTouch
 from tests.mapping.synthetic_touches import BY_STIFFNESS, STD_E, touch
 
@@ -29,6 +30,24 @@ def test_one_point_with_two_lever_arms_makes_the_stiffness_observable():
     assert np.log(contact_map.stiffness) == pytest.approx(off, abs=1e-4)
     assert contact_map.std_stiffness < 1e-4
     assert point.p_world == pytest.approx(np.zeros(3), abs=2e-5)
+
+
+def test_the_error_sources_of_two_probes_are_their_own():
+    """A point far from a second probe's keeps its uncertainty, and one that both touch has that of a mean."""
+    alone = build_map([touch(1, (0, 0, 0), 0.02e-3)], STD_E).points[0].cov_world
+    runs = {name: SimpleNamespace(touches=[touch(1, (x, 0, 0), 0.02e-3)], min_separation=5e-3,
+                                  estimator=SimpleNamespace(priors=SimpleNamespace(youngs_modulus=STD_E)))
+            for name, x in (("left", 0.0), ("right", 0.0))}  # fmt: skip
+    (both,) = joint_map(runs).points
+    assert both.cov_world == pytest.approx(0.5 * alone, rel=1e-9, abs=1e-20)
+    assert touch_numbers(both) == "left 1, right 1"
+    runs["right"].touches[:] = [touch(1, (0.1, 0, 0), 0.02e-3)]
+    apart = joint_map(runs)
+    assert [touch_numbers(point) for point in apart.points] == ["left 1", "right 1"]
+    assert apart.points[0].cov_world == pytest.approx(alone, rel=1e-9, abs=1e-20)
+    runs["right"].touches[:] = [LocatedTouch(SimpleNamespace(number=1, start=2.0), NEVER_SETTLED)]
+    assert "touch right 1 at 2.00 s" in " ".join(map_lines(joint_map(runs)))
+    assert map_document(apart)["stiffness_factor"] is None  # each has its own
 
 
 def test_touches_are_compared_by_their_independent_errors():

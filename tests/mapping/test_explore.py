@@ -3,7 +3,7 @@
 import csv
 import io
 import json
-from contextlib import redirect_stdout
+from contextlib import closing, redirect_stdout
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +14,9 @@ from probedesign.cli.main import run
 from probedesign.core.statistics import max_chi2
 from probedesign.core.units import MM
 from probedesign.frozen_probe import load_estimator, write_frozen
-from probedesign.live.poses.pose_sources import POSE_COLUMNS
+from probedesign.live.poses.pose_sources import POSE_COLUMNS, read_pose_file
 from probedesign.live.recordings.csv import write_recording
+from probedesign.live.recordings.mcap_write import McapRecorder
 from probedesign.live.sources.replay import open_recording
 from probedesign.mapping.contact_map import COLUMNS
 
@@ -207,3 +208,27 @@ def test_a_live_source_with_positions_in_metres_gives_no_points(probe, house, tm
     printed = capsys.readouterr()
     assert json.loads(printed.out)["points"] == []
     assert "in metres" in printed.err and printed.err.count("ended: inconsistent") == len(house[0].touches)
+
+
+def test_a_recording_of_two_probes_makes_one_map_that_names_them(probe, house, tmp_path, capsys):
+    """Both have the readings of the same run: each point is touched by either, and the poses are in the recording."""
+    model = load_estimator(probe).model
+    models = [replace(model, name=name) for name in ("left", "right")]
+    poses = read_pose_file(house[1] / "poses.csv")
+    with closing(McapRecorder(tmp_path / "two.mcap", *models)) as recorder:
+        for each in models:
+            write_frozen(each, tmp_path / f"{each.name}.probe.json")
+            blocks = list(open_recording(house[1] / "house.mcap", model).blocks())
+            for block in blocks:
+                recorder.on_samples(replace(block, probe=each.name))
+            for pose in poses:
+                recorder.on_pose(replace(pose, probe=each.name))
+    bundles = [str(tmp_path / f"{each.name}.probe.json") for each in models]
+    options = ["--average", "36", "--tare-s", "0.5:3.5"]
+    assert run(["explore", *bundles, str(tmp_path / "two.mcap"), "--pose", str(tmp_path / "two.mcap"), *options]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.partition("touch ")[2] for line in lines[:2]] == [
+        "left 1, right 1, left 3, right 3",
+        "left 2, right 2",
+    ]
+    assert lines[-1] == "2 points from 6 touches"

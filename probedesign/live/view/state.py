@@ -71,23 +71,8 @@ def touch_points(contacts: tuple[Contact, ...]) -> tuple[TouchPoint, ...]:
 
 #: Columns of a row of a strip chart: wall clock [s], [N], [N·m], [m], [N], drift of the bias [N], whether the probe
 #: touches, and whether the user marked this time.
-STRIP = (
-    "time",
-    "Fx",
-    "Fy",
-    "Fz",
-    "Mx",
-    "My",
-    "Mz",
-    "s",
-    "std_s",
-    "force",
-    "bias_x",
-    "bias_y",
-    "bias_z",
-    "touch",
-    "mark",
-)
+STRIP = ("time", "Fx", "Fy", "Fz", "Mx", "My", "Mz", "s", "std_s", "force", "bias_x", "bias_y", "bias_z", "touch",
+         "mark")  # fmt: skip
 
 
 @dataclass(frozen=True)
