@@ -112,12 +112,12 @@ def _coupon_sheet(design: Design, parts: dict[str, list[Disc]]) -> str:
 def _probe_sheet(design: Design, fingerprint: str) -> str:
     probe = design.probe
     s, d = zip(*probe.blunt_mm, strict=True)
-    along = "" if probe.section != "elliptic" else ", along x, the wider side"
     lines = [
         f"# fingerprint: {fingerprint}",
-        f"# diameters of {design.name}{along}; s from the top of the flange; std: of one reading, 0.03 mm if empty",
-        "s_mm,diameter_mm,std_mm,note",
+        f"# diameters of {design.name} along x and along y; s from the top of the flange; std: of one reading, 0.03 mm "
+        "if empty",
+        "s_mm,diameter_mm,diameter_y_mm,std_mm,note",
     ]
     for station in np.round(np.linspace(0.05, 0.95, PLACES) * probe.flank_end_mm, 1).tolist():
-        lines.append(f"{station:g},,,drawn {float(np.interp(station, s, d)):.3f} mm")
+        lines.append(f"{station:g},,,,drawn {float(np.interp(station, s, d)):.3f} mm")
     return "\n".join(lines) + "\n"

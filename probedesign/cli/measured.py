@@ -60,8 +60,8 @@ def measured(
 
     Args:
         design: the design file, or its name.
-        calipers: CSV file with the columns s_mm, diameter_mm and std_mm, or coupon.csv (docs/parts.md); `coupon` writes
-            both, empty.
+        calipers: CSV file with the columns s_mm, diameter_mm, diameter_y_mm and std_mm, or coupon.csv (docs/parts.md);
+            `coupon` writes both, empty.
         axis: CSV file with the columns x_mm, y_mm, z_mm and, optionally, std_mm: points of the outline, on the surface
             of the unloaded print, in base axes. The axis that fits them is written as bow_mm, and for a helix or knots
             with a factor on the curvature of the design.
@@ -139,6 +139,7 @@ def _diameter_lines(fit: "MeasuredDiameters") -> Iterator[str]:
     (common, scatter), (together, each) = fit.before, fit.after
     yield (f"tolerance of all diameters together: {together:.3f} mm (before: {common:.3f} mm); of each for itself: "
            f"{each:.3f} mm (before: {scatter:.3f} mm)")  # fmt: skip
+    yield from (f"left out: {reading}; measure it again" for reading in fit.dropped)
     if math.hypot(together, each) > math.hypot(common, scatter):
         yield ("note: where nothing was measured the tolerance is wider than before, because a print may be larger or "
                "smaller as a whole by 1 % (assumed); measure near base and tip")  # fmt: skip

@@ -47,8 +47,8 @@ def test_sheet_of_the_probe_is_read_once_it_is_filled_in(tmp_path: Path) -> None
     sheet = tmp_path / "coupon/calipers.csv"
     with pytest.raises(InputError, match="empty"):
         read_calipers(sheet, CONE)
-    sheet.write_text(sheet.read_text("utf-8").replace(",,,drawn", ",7.0,,drawn"), "utf-8")
-    assert len(read_calipers(sheet, CONE).s) == 7
+    sheet.write_text(sheet.read_text("utf-8").replace(",,,,drawn", ",7.0,7.0,,drawn"), "utf-8")
+    assert len(read_calipers(sheet, CONE).s) == 14
 
 
 def test_sheet_that_was_filled_in_is_not_replaced(tmp_path: Path) -> None:
