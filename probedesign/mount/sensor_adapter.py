@@ -287,7 +287,7 @@ def sensor_adapter_for(
             f"probe.profile_mm: {probe_d / MM:g} mm at its widest, so the clamp ring cannot pass; at most "
             f"{max_d / MM:.4g} mm with a base of {2 * geometry.base_radius / MM:g} mm"
         )
-    bore_d = probe_d + 2 * RING_CLEARANCE + 2 * _beyond_least(probe_d)
+    bore_d = probe_d + 2 * (RING_CLEARANCE + length_tolerance(probe_d) - PRINT_TOLERANCE)
     land_d = land_diameter(2 * geometry.base_radius, options.lip, flange.diameter, bore_d, tool, WALL)
     stock = [n * MM for n in screw.stock_mm]
     thickest = stock[-1] - ROOF - nut.height - nut_slack(screw, stock[-1])
@@ -372,20 +372,15 @@ def sensor_adapter_for(
         ring_hole_bottom=floor + hole_bottom,
         window_half=window_half,
     )
-    fingerprints = {"probe": geometry.fingerprint, **plain.fingerprints}
+    first, fingerprints = geometry.fingerprint[:digits], plain.fingerprints
+    step = 4.0 * CELL / (flange.diameter / 2)
+    azimuths = tuple(math.pi + step * (i - (len(first) - 1) / 2) for i in range(len(first)))
     return replace(
         plain,
-        on_flange=on_rim(geometry.fingerprint[:digits], flange),
+        on_flange=Engraving(first, flange.diameter / 2, azimuths, -flange.thickness / 2, on_side=True),
         on_wall=engraved("sensor_adapter", letters, body_top, (0.0, *RING_AZIMUTHS_DEG), screw.clearance_d),
         on_ring=engraved("clamp_ring", letters, ring_thickness, RING_AZIMUTHS_DEG, screw.head_d),
     )
-
-
-def on_rim(digits: str, flange: Flange) -> Engraving:
-    """Return the engraving of the first digits of a fingerprint in the flange's rim, about -X, read from outside."""
-    step = 4.0 * CELL / (flange.diameter / 2)
-    azimuths = (math.pi + step * (i - (len(digits) - 1) / 2) for i in range(len(digits)))
-    return Engraving(digits, flange.diameter / 2, tuple(azimuths), -flange.thickness / 2, on_side=True)
 
 
 def touched_part(geometry: ProbeGeometry, a: SensorAdapter) -> str:
@@ -444,12 +439,7 @@ def _squeeze(flange: Flange, options: MountOptions) -> float:
     return squeeze
 
 
-def _beyond_least(length: float) -> float:
-    """Return by how much the tolerance of a printed length exceeds that of a short one [m]."""
-    return length_tolerance(length) - PRINT_TOLERANCE
-
-
 def max_ring_passage_d(flange: Flange) -> float:
     """Return the largest probe diameter over which a ring passes that still clamps the flange [m]."""
     rest = flange.diameter - 2 * (MIN_RELIEF + MIN_LIP + RING_CLEARANCE)
-    return rest - 2 * _beyond_least(rest)
+    return rest - 2 * (length_tolerance(rest) - PRINT_TOLERANCE)
