@@ -30,6 +30,7 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.frozen_probe import load_estimator, write_frozen
 from probedesign.live.blocks import Block
 from probedesign.live.outputs.foxglove import FoxgloveSink
+from probedesign.live.outputs.guard import Guard, GuardChannel, GuardedSource, Limits
 from probedesign.live.outputs.recording import RecordingSink
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
 from probedesign.live.priority import ESTIMATES
@@ -70,6 +71,7 @@ def report(minutes: float = MINUTES, view: bool = False, foxglove: bool = False)
         warm_up(estimator, print, fusing=True)
         with _box(bundle) as box:
             _rate(estimator, box, 60.0 * minutes, folder, view, foxglove)
+            _guard(estimator, box.spec, min(60.0 * minutes, 60.0))
         with _box(bundle, "--scene", "free", "--fault", "restart@8", "--fault", "stall@15") as box:
             _faults(estimator, box.spec, 20.0)
         _datagrams(estimator)
@@ -165,6 +167,49 @@ def _rate(estimator: Estimator, box: Peer, seconds: float, folder: Path, view: b
     title = f"live over loopback: {seconds:g} s of 7000 records/s, {AVERAGE} to an estimate, recorded, published by UDP"
     shown = ", seen" * view + ", subscribed in Foxglove's protocol" * foxglove
     print_table(title + shown, ["", "measured", "target"], rows)
+
+
+GUARD_CLIENT = """
+import json, socket, sys, time
+link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+link.bind(("127.0.0.1", 0))
+link.settimeout(3.0)
+print(link.getsockname()[1], flush=True)
+late, numbers = [], []
+while True:
+    try:
+        event = json.loads(link.recv(4096))
+    except TimeoutError:
+        if numbers:
+            break
+        continue
+    numbers.append(event["number"])
+    if event["armed"]:
+        late.append(1e3 * (time.monotonic() - event["received_monotonic_s"]))
+late.sort()
+print(len(late), late[len(late) // 2], late[int(0.999 * (len(late) - 1))], late[-1], numbers[-1] - len(numbers))
+"""
+
+
+def _guard(estimator: Estimator, spec: str, seconds: float) -> None:
+    """Print the latency of the events of a guard, from the arrival of a sample to another process."""
+    with subprocess.Popen([sys.executable, "-c", GUARD_CLIENT], stdout=subprocess.PIPE, text=True) as client:
+        assert client.stdout is not None
+        channel = GuardChannel(f"udp://127.0.0.1:{int(client.stdout.readline())}", print)
+        guard = Guard(estimator, Limits(1.0, 0.1), channel.send, print)
+        source = GuardedSource(open_source(spec, estimator.model, print), guard)
+        plan = ProcessingOptions(TARE, AVERAGE, seconds=seconds)
+        late = [1e3 * (a.computed - a.reading.received) for a in estimate_stream(estimator, source, plan, print, guard)]
+        events, median, most, latest, lost = map(float, client.stdout.read().split())
+    rows = [
+        ["events, lost", f"{events:.0f}, {lost:.0f}", "none lost"],
+        ["sample to event in another process, median [ms]", f"{median:.2f}", ""],
+        ["the same, 99.9 % [ms]", f"{most:.2f}", "≤ 5"],
+        ["the latest [ms]", f"{latest:.2f}", ""],
+        ["datagram to estimate meanwhile, median, 99.9 % [ms]",
+         f"{np.median(late):.2f}, {np.percentile(late, 99.9):.1f}", ""],
+    ]  # fmt: skip
+    print_table(f"guarded motion over loopback: {seconds:g} s", ["", "measured", "target"], rows)
 
 
 def _faults(estimator: Estimator, spec: str, seconds: float) -> None:

@@ -1,8 +1,13 @@
 """Guarded motion: events at the wire, limits with hysteresis, the latched stop, and the examples for robots."""
 
+import importlib
 import json
 import socket
+import struct
+import threading
 import time
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,8 +23,9 @@ from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.processing.tare import TareWindow
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.source import open_source
-from tests.live.peers import box
+from tests.live.peers import box, until
 
+EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 RATE, BIAS = 7000.0, np.array([0.3, -0.2, 0.5, 0.002, -0.003, 0.001])
 
 
@@ -168,3 +174,145 @@ def test_at_the_wire_a_press_on_a_streaming_box_stops_and_is_reset(estimator):
     assert next(event for event in events if event["kind"] == "limit")["force_N"] == pytest.approx(1.0, abs=0.1)
     assert any("guard: reset" in line for line in lines)
     assert {event["armed"] for event in events[-3:]} == {True} and all(event["schema"] == 1 for event in events)
+
+
+# examples
+
+
+def module(name, monkeypatch):
+    monkeypatch.syspath_prepend(EXAMPLES)
+    return importlib.import_module(name)
+
+
+class Events:
+    """A guard that sends events to an example."""
+
+    def __init__(self, port):
+        self._socket, self._to = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), ("127.0.0.1", port)
+
+    def send(self, kind="heartbeat", stop="", contact=False, armed=True):
+        event = {"schema": 1, "kind": kind, "stop": stop, "contact": contact, "armed": armed}
+        self._socket.sendto(json.dumps(event).encode(), self._to)
+
+
+class FakeController:
+    """The side of the controller in RTDE, version 2, with the packages of the published guide."""
+
+    def __init__(self, register=b"INT32"):
+        self._server = socket.create_server(("127.0.0.1", 0))
+        self.port, self.requests, self.values = self._server.getsockname()[1], [], []
+        self._register = register
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def _serve(self):
+        link, _ = self._server.accept()
+        with link, link.makefile("rb") as stream:
+            while len(head := stream.read(3)) == 3:
+                length, kind = struct.unpack(">HB", head)
+                content = stream.read(length - 3)
+                if kind == ord("U"):
+                    recipe, value = struct.unpack(">Bi", content)
+                    assert recipe == 7
+                    self.values.append(value)
+                    continue
+                self.requests.append((chr(kind), content))
+                started = {"O", "I"} <= {each for each, _ in self.requests}
+                answer = {"V": b"\x01" if content == b"\0\x02" else b"\0", "O": b"\x01DOUBLE",
+                          "I": b"\x07" + self._register, "S": bytes([started])}[chr(kind)]  # fmt: skip
+                note = struct.pack(">HB", 7, ord("M")) + b"\x01a\x00\x00"  # a text message in between
+                link.sendall(note + struct.pack(">HB", 3 + len(answer), kind) + answer)
+
+
+def test_the_example_for_universal_robots_writes_the_register(monkeypatch):
+    ur, receive = module("ur_guard", monkeypatch), module("receive_guard", monkeypatch)
+    monkeypatch.setattr(receive, "SILENCE", 5.0)
+    controller, guard, ended = FakeController(), receive.GuardEvents(0), threading.Event()
+    events, robot = Events(guard.port), ur.Rtde("127.0.0.1", controller.port)
+    thread = threading.Thread(target=ur.forward, args=(guard, robot, ended.is_set))
+    thread.start()
+
+    def write(value, **event):
+        events.send(**event)
+        until(lambda: controller.values[-1:] == [value], lambda: (value, controller.values[-5:]))
+
+    until(lambda: controller.values[:1] == [1])  # before the first event
+    write(1, armed=False)
+    write(0)
+    write(1, kind="contact", contact=True)
+    write(0, kind="contact")
+    write(1, kind="limit", stop="the force exceeds its limit")
+    write(0)
+    monkeypatch.setattr(receive, "SILENCE", 0.0)
+    until(lambda: controller.values[-1] == 1)
+    ended.set()
+    thread.join()
+    assert [kind for kind, _ in controller.requests] == ["V", "O", "I", "S"]
+    assert controller.requests[1][1] == struct.pack(">d", 1.0) + b"timestamp"
+    assert controller.requests[2][1] == b"input_int_register_24"
+
+
+def test_a_register_in_use_is_named(monkeypatch):
+    ur = module("ur_guard", monkeypatch)
+    with pytest.raises(ConnectionError, match="input_int_register_24: IN_USE"):
+        ur.Rtde("127.0.0.1", FakeController(b"IN_USE").port)
+
+
+class FakeFranky:
+    """The part of franky 2.0 that the example uses: a motion calls its callbacks in each step until another follows."""
+
+    def __init__(self):
+        self.started, self.calls, self.before = [], 0, {}
+
+    def CartesianVelocityMotion(self, target, duration):
+        assert isinstance(target, tuple)
+        return SimpleNamespace(kind="move", steps=duration, callbacks=[])
+
+    def CartesianVelocityStopMotion(self):
+        return SimpleNamespace(kind="stop", steps=0)
+
+    def Twist(self, linear_velocity):
+        return tuple(linear_velocity)
+
+    def Duration(self, milliseconds):
+        return milliseconds
+
+    def move(self, motion, asynchronous=False):
+        assert asynchronous
+        self.started.append(motion.kind)
+        self._motion = motion
+
+    def join_motion(self):
+        motion = self._motion
+        for step in range(motion.steps):
+            if self._motion is not motion:
+                return True
+            self.before.get(step, lambda: None)()
+            for callback in motion.callbacks:
+                callback(None, 1, step, step, None)
+                self.calls += 1
+        return True
+
+
+@pytest.mark.parametrize("event", [{"contact": True}, {"stop": "the force exceeds its limit"}, {"armed": False}, None])
+def test_the_example_for_franka_stops_in_the_callback(monkeypatch, event):
+    franka, receive = module("franka_guard", monkeypatch), module("receive_guard", monkeypatch)
+    monkeypatch.setattr(receive, "SILENCE", 5.0)
+    guard, robot = receive.GuardEvents(0), FakeFranky()
+    motion = robot.CartesianVelocityMotion
+
+    def with_callbacks(*arguments):
+        made = motion(*arguments)
+        made.register_callback = made.callbacks.append
+        return made
+
+    robot.CartesianVelocityMotion = with_callbacks
+    assert franka.move_guarded(robot, robot, guard) == "no event of the guard" and not robot.started
+    events = Events(guard.port)
+    events.send()
+    if event is not None:
+        robot.before[40] = lambda: events.send(**event)
+    reason = franka.move_guarded(robot, robot, guard, seconds=0.1)
+    if event is None:
+        assert (reason, robot.started, robot.calls) == ("", ["move"], 100)
+    else:
+        assert reason and robot.started == ["move", "stop"] and robot.calls == 41

@@ -107,7 +107,7 @@ class Guard(Sink):
 
     def watch(self, block: Block) -> None:
         """Compare raw readings with the limits and send what follows; a block without readings reports silence."""
-        time, received = (block.time[-1], block.received[-1]) if len(block) else (math.nan, math.nan)
+        time, received = (block.time[0], block.received[0]) if len(block) else (math.nan, math.nan)
         fault = block.fault
         if len(block) and not fault:
             beyond = ~(np.abs(block.wrench_sensor) <= self._estimator.model.saturation_limit)
