@@ -53,12 +53,12 @@ class Touch:
 
 
 @cache
-def paper_models(flatness: float = 1.0, axis: tuple[float, float] = (0.0, 0.0)) -> dict[str, ProbeModel]:
+def paper_models(flatness: float = 1.0, axis: tuple[float, ...] = (0.0, 0.0)) -> dict[str, ProbeModel]:
     """Return the models of the paper's probes by name.
 
     Args:
         flatness: of their sections, of the same width along x.
-        axis: bend [deg] towards -y at the base, and turns.
+        axis: bend [deg], turns and azimuth [deg]; it bends towards -y at the base without an azimuth.
     """
     designs = {name: load_design(ROOT / f"designs/{name}.toml") for name in ("large", "medium", "small")}
     values: dict[str, object] = {}
@@ -66,7 +66,7 @@ def paper_models(flatness: float = 1.0, axis: tuple[float, float] = (0.0, 0.0)) 
         values = {"probe.section": "elliptic", "probe.flatness": flatness}
     if axis[0] > 0.0:
         values |= {"probe.axis": "helix", "probe.axis_bend_deg": axis[0], "probe.axis_turns": axis[1],
-                   "probe.axis_azimuth_deg": -90.0}  # fmt: skip
+                   "probe.axis_azimuth_deg": axis[2] if len(axis) > 2 else -90.0}  # fmt: skip
     designs = {name: check_design(with_values(tables_of(design), values)) for name, design in designs.items()}
     return {name: build_probe(design).model for name, design in designs.items()}
 
