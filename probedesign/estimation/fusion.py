@@ -545,10 +545,20 @@ def _interpolated(branches: Sequence[Sequence[_Node]]) -> tuple[Array, Array, Ar
 
 
 def _moments(weight: Array, c: Array, points: Array, covs: Array) -> tuple[Array, Array, float]:
-    """Return covariance (3, 3, 3) and mean (3, 3) of the points, and the mean compliance [m/N], of `_interpolated`."""
+    """Return covariance (3, 3, 3) and mean (3, 3) of the points, and the mean compliance [m/N], of `_interpolated`.
+
+    A likely point is off the mean by e(c) and by a normal share of the widest direction that it has for this c. What of
+    both is not linear in the place along the principal axis bows, and counts by `TAIL` as in `Fusion.curvature`.
+    """
     mean = np.tensordot(weight, points, 1)
     error = points - mean
     cov = np.tensordot(weight, covs, 1) + np.einsum("w,wpi,wpj->pij", weight, error, error)
+    variances, axes = np.linalg.eigh(covs)
+    off = np.stack([error, np.sqrt(np.maximum(variances[..., -1:], 0.0)) * axes[..., -1]])
+    place = np.einsum("ewpi,pi->ewp", off, np.linalg.eigh(cov)[1][..., -1])
+    line = np.einsum("w,ewp,ewpi->pi", weight, place, off) / np.einsum("w,ewp->p", weight, place**2)[:, None]
+    bow = off - place[..., None] * line
+    cov += (TAIL - 1.0) * np.einsum("w,ewpi,ewpj->pij", weight, bow, bow)
     return cov, mean, float(weight @ c)
 
 
