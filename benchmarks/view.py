@@ -45,7 +45,7 @@ def report() -> None:
         write_frozen(build_probe(load_design(ROOT / "designs" / "large.toml")).model, bundle)
         estimator = load_estimator(bundle)  # the command also loads a frozen probe
         warm_up(estimator, print)
-        draw_page(estimator, ROOT / "exports" / "large")
+        draw_page(estimator, Path("exports/large"))
 
 
 def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: Path = PICTURE) -> None:

@@ -356,7 +356,7 @@ def page(estimator, tmp_path):
     pytest.importorskip("viser")
     from probedesign.live.view.page import ViewerPage
 
-    scene = scene_setup(estimator, tmp_path, lambda line: None)
+    scene = scene_setup(estimator, tmp_path, lambda line: None, (0.05, 1.0))
     page = ViewerPage(PageSetup("127.0.0.1", 8123, (scene, scene)), lambda name, text: None)
     page.show_first = lambda snapshot: page.show([snapshot, Snapshot()])
     yield page
@@ -371,7 +371,11 @@ def test_old_curves_move_out_and_limits_are_lines(estimator, page):
     plot = page._panel._charts[0][2]._plot  # force at the base
     assert plot.scales["x"]["range"] == (rows[-1, 0] + 5.0 - 30.0, rows[-1, 0] + 5.0)
     limit = 1e3 * estimator.model.wrench_range[:3].min()
-    assert [plot.data[4][0], plot.data[5][0]] == [limit, -limit]
+    assert [plot.data[4][0], plot.data[5][0]] == [limit, -limit] and plot.scales["y"]["range"][1] < limit
+    rows[:, 9] = 0.02  # a contact of 20 mN, of the guard's 50 mN
+    page.show_first(Snapshot(strip=rows + 40.0 * (np.arange(len(STRIP)) == 0)))
+    contact = page._panel._charts[0][1]._plot
+    assert contact.data[2][0] == 50.0 and contact.scales["y"]["range"][1] > 50.0
 
 
 def test_scene_and_charts_are_of_one_instant_and_stay_while_paused(estimator, page):

@@ -98,7 +98,12 @@ class OutputOptions:
         }
         if self.page is not None:
             folders = zip(estimators.values(), self.parts_folders, strict=True)
-            sinks.add(BrowserView(states, [*folders], commands, sinks.log, *self.page, open_browser=self.open_browser))
+            sinks.add(
+                BrowserView(
+                    states, [*folders], commands, sinks.log, *self.page, open_browser=self.open_browser,
+                    limits=(self.limits.force, self.limits.moment),
+                )
+            )  # fmt: skip
         if self.terminal:
             titles = [f"{model.name} {model.fingerprint}" for model in models]
             sinks.add(TerminalView(states, titles))

@@ -112,6 +112,7 @@ LIMIT_COLOUR, TOUCH_COLOUR, MARK_COLOUR = "#b3261e", "#e08a2e", "#8e44ad"
 AXIS: uplot.Axis = {"stroke": "#808b96", "grid": {"stroke": "rgba(128,139,150,0.22)", "width": 1},
                     "ticks": {"show": False}, "font": "11px sans-serif"}  # fmt: skip
 HEIGHT = 142
+NEAR_LIMIT = 3.0  #: A limit is visible up to this multiple of the largest value.
 STATUS_WIDTH, CHARTS_WIDTH = 350.0, 300.0  #: Widths of the panels [px]: of 1100, 450 are left for the scene.
 
 
@@ -157,6 +158,8 @@ class Chart:
         """Draw the columns of `StripCharts`, the last of which has an age [s]: old curves move out of the chart."""
         curves = [columns[name] / self._unit for name in self._columns]
         known = np.concatenate([*curves, np.zeros(1)])
+        near = NEAR_LIMIT * float(np.nanmax(np.abs(known)))
+        known = np.append(known, [level / self._unit for level in self._limits if abs(level / self._unit) < near])
         low, high = float(np.nanmin(known)), float(np.nanmax(known))
         margin = max(0.12 * (high - low), 0.5)
         low, high, end = low - margin, high + margin, float(columns["time"][-1]) + age
@@ -201,10 +204,10 @@ class Panel:
         for setup in scenes:
             title = f"Last {CHART_SECONDS:g} s" if len(scenes) == 1 else setup.title.partition(" ")[0]
             with strips.add_tab(title):
-                force, moment = float(setup.wrench_range[:3].min()), float(setup.wrench_range[3:].min())
+                force, moment, contact = setup.limits
                 self._charts.append([
                     Chart(gui, "s of the contact, 95 % [mm]", ("s", "low", "high"), MM, dots=True),
-                    Chart(gui, "force of the contact [mN]", ("force",), MILLINEWTON, (force,), dots=True),
+                    Chart(gui, "force of the contact [mN]", ("force",), MILLINEWTON, (contact,), dots=True),
                     Chart(gui, "base force [mN]: x red, y green, z blue", ("Fx", "Fy", "Fz"), MILLINEWTON,
                           (force, -force)),
                     Chart(gui, "base moment [N·mm]: x, y, z", ("Mx", "My", "Mz"), N_MM, (moment, -moment)),

@@ -1,6 +1,7 @@
 """Sinks of `live` that show the run: on a page that another process serves, or as a table on the terminal."""
 
 import json
+import math
 import os
 import pickle
 import secrets
@@ -14,6 +15,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, get_args
 from urllib.parse import urlsplit
+
+import numpy as np
 
 from probedesign.core.errors import InputError, require
 from probedesign.estimation.estimator import Estimator
@@ -52,6 +55,7 @@ class BrowserView(RunView):
         port: int = 8080,
         *,
         open_browser: bool = False,
+        limits: tuple[float, float] = (math.inf, math.inf),
     ) -> None:
         """Open the page.
 
@@ -63,6 +67,7 @@ class BrowserView(RunView):
             host: address to listen on.
             port: port, or the first free one after it.
             open_browser: show the page in the user's browser.
+            limits: force and moment at which a guard stops [N, N·m].
 
         Raises:
             InputError: the address cannot be used.
@@ -90,7 +95,7 @@ class BrowserView(RunView):
         assert process.stdin is not None and process.stdout is not None
         token = "" if host in LOOPBACK else secrets.token_urlsafe(TOKEN_BYTES)
         with suppress(BrokenPipeError):  # the next line reports the reason
-            scenes = tuple(scene_setup(estimator, folder, log) for estimator, folder in probes)
+            scenes = tuple(scene_setup(estimator, folder, log, limits) for estimator, folder in probes)
             self._send(process.stdin, PageSetup(host, port, scenes, token))
         message = _parse_message(process.stdout.readline())
         if "url" not in message:
@@ -141,8 +146,10 @@ class BrowserView(RunView):
             self._log(f"view: the page has closed: {why}; the run continues")
 
 
-def scene_setup(estimator: Estimator, folder: Path, log: Log) -> SceneSetup:
-    """Return the static content of the page for a probe, with the exported parts of a folder, if any."""
+def scene_setup(
+    estimator: Estimator, folder: Path, log: Log, limits: tuple[float, float] = (math.inf, math.inf)
+) -> SceneSetup:
+    """Return the static content of the page for a probe, with the exported parts of a folder and the guard's limits."""
     model = estimator.model
     parts, note = rigid_parts(model, folder)
     if note:
@@ -152,9 +159,9 @@ def scene_setup(estimator: Estimator, folder: Path, log: Log) -> SceneSetup:
         raise InputError("--view: the free probe has no equilibrium under its own weight")
     tube = TubeMesh(model.rod.s, model.rod.radius, model.cross_section.flatness)
     free = BentShape(eq.s, eq.p_base, eq.R_base)
-    return SceneSetup(
-        f"{model.name} {model.fingerprint}", tube, free, tuple(parts), model.gravity_base, model.wrench_range, note
-    )
+    force, moment = (float(np.min(model.wrench_range[channels])) for channels in (slice(3), slice(3, 6)))
+    drawn = (force, min(moment, limits[1]), min(force, limits[0]))
+    return SceneSetup(f"{model.name} {model.fingerprint}", tube, free, tuple(parts), model.gravity_base, drawn, note)
 
 
 def _parse_message(line: bytes) -> dict[str, Any]:

@@ -388,7 +388,7 @@ class SceneSetup:
     free: BentShape  #: shape of the free probe.
     parts: tuple[RigidPart, ...]  #: parts at its base.
     gravity_base: Array  #: gravity vector [m/s²], (3,).
-    wrench_range: Array  #: range of the sensor [N, N·m], (6,).
+    limits: tuple[float, float, float]  #: of force and moment at the base and of the contact's force [N, N·m, N].
     note: str = ""  #: note on what is drawn, if any.
 
 
