@@ -396,7 +396,7 @@ def _underside(model: CadModel, part: CadPart, sheet: Canvas) -> None:
     probe = model.design.probe
     if probe.shape == "profile":  # leaders show what calipers measure, the table every knot
         flat = probe.cross_section.flatness
-        knots = "; ".join(f"{number(s)}: {number(d)}{f' × {number(flat * d)}' if flat != 1.0 else ''}"
+        knots = "; ".join(f"{number(s)}:\u00a0{number(d)}{f' × {number(flat * d)}' if flat != 1.0 else ''}"
                           for s, d in probe.blunt_mm)  # fmt: skip
         top, end = (EDGE + 8.0, y - scale * rim - 16.0) if probe.cross_section.full_round else (
             y + 24.0 + LINE * SMALL * len(rows), BOTTOM)  # fmt: skip

@@ -264,7 +264,7 @@ def test_drawings_stay_in_their_frame_and_are_legible(probe: str) -> None:
         for (a, (low, high)), (b, (other_low, other_high)) in combinations(boxes.items(), 2):
             apart = max(*np.subtract(low, other_high), *np.subtract(other_low, high))
             assert apart > 0.0, (name, a.text, b.text)
-        words = " ".join(element.text or "" for element in boxes)
+        words = " ".join(element.text or "" for element in boxes).replace("\u00a0", " ")
         if design.probe.profile_mm is not None and name == "probe.svg":
             assert all(f"{s:g}: {d:g}" in words for s, d in design.probe.profile_mm)  # every knot
         assert name != "sensor_adapter.svg" or "window" in words
