@@ -99,13 +99,15 @@ def _coupon_sheet(design: Design, parts: dict[str, list[Disc]]) -> str:
     lines = [
         f"# coupons of {design.name}, {design.resin.product}: diameters along x and along y, at s above the foot",
         f"# resin: {design.resin.name}",
-        "# these parts are not scaled; probedesign measured DESIGN coupon.csv writes scale_xy of [print]",
+        "# these parts are not scaled; probedesign measured DESIGN coupon.csv writes scales and offset of [print]",
+        "# coupon_length: heights of the tops above the foot, by the depth rod of the calipers, at two sides",
         "part,s_mm,drawn_mm,diameter_x_mm,diameter_y_mm",
     ]
     for name, discs in parts.items():
         for d, low, high in discs:
             heights = (0.5,) if name == "coupon_steps" else (0.1, 0.5, 0.9)
             lines += [f"{name},{low + height * (high - low):g},{d:g},," for height in heights]
+    lines += [f"coupon_length,{discs[-1][2]:g},{discs[-1][2]:g},," for discs in parts.values()]
     return "\n".join(lines) + "\n"
 
 

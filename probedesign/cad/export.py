@@ -13,7 +13,7 @@ from probedesign.cad.documents import Documents, build_documents
 from probedesign.cad.exchange import file_date, glb_bytes, step_bytes
 from probedesign.cad.folder import check_target, digests, write_export
 from probedesign.cad.kernel import mass_properties
-from probedesign.cad.mesh import part_stl, scaled, tessellate
+from probedesign.cad.mesh import part_stl, printed_mesh, tessellate
 from probedesign.cad.model import CadModel, assembly_of, build_cad
 from probedesign.cad.packages import package_files, packed_parts
 from probedesign.cad.verify import Findings, verify
@@ -153,7 +153,7 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
     model = build_cad(design)
     progress("meshing")
     meshes = {part.name: tessellate(part.ruled or part.shape) for part in model.printed}
-    printed = {name: scaled(mesh, print_scale(design, name)) for name, mesh in meshes.items()}
+    printed = {name: printed_mesh(design, name, mesh) for name, mesh in meshes.items()}
     check = check_print(design)
     packed = packed_parts(design, check, printed, model.fingerprints)
     packages = package_files(design, packed)

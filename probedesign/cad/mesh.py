@@ -10,6 +10,7 @@ import cadquery as cq
 import numpy as np
 import trimesh
 from OCP.StlAPI import StlAPI_Writer
+from scipy.spatial import cKDTree
 
 from probedesign.cad.folder import check_target, listed_digests
 from probedesign.cad.kernel import mass_properties, meshed
@@ -18,7 +19,7 @@ from probedesign.core.errors import CheckFailedError, InputError
 from probedesign.core.files import write_atomically
 from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.mount import Mount
+from probedesign.mount import Mount, build_geometry
 from probedesign.printing.check import print_scale, scale_note
 
 LINEAR_TOLERANCE_MM = 0.01
@@ -56,9 +57,27 @@ def facets_of(shape: cq.Shape) -> trimesh.Trimesh:
     return mesh
 
 
-def scaled(mesh: trimesh.Trimesh, factors: tuple[float, float, float]) -> trimesh.Trimesh:
-    """Return a mesh scaled along x, y and z about the origin of its frame."""
-    return trimesh.Trimesh(mesh.vertices * np.array(factors), mesh.faces, process=False)
+def printed_mesh(design: Design, part: str, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Return the mesh of a printed part that shrinks and widens to the drawn one.
+
+    Every point of the flexible part's surface first goes by half the offset of `[print]` towards the axis, or away from
+    it on the wall of a bore, in its section. The part is then scaled along x, y and z about the origin of its frame.
+    """
+    points = np.array(mesh.vertices)
+    if part == "probe" and design.print_.offset_xy_mm:
+        geometry = build_geometry(design)
+        s = np.linspace(0.0, geometry.length, 4001)
+        T = geometry.axis.frames(s)
+        _, nearest = cKDTree(T[:, :3, 3] / MM).query(points)
+        T, radius = T[nearest], geometry.radius_at(s[nearest]) / MM
+        aside = points - T[:, :3, 3] / MM
+        aside -= np.einsum("ij,ij->i", aside, T[:, :3, 2])[:, None] * T[:, :3, 2]
+        r = np.linalg.norm(aside, axis=1)
+        outer = r > 0.5 * (geometry.cross_section.bore_ratio + geometry.cross_section.flatness) * radius
+        body = (points[:, 2] > -LINEAR_TOLERANCE_MM) & (r > 0.0) & (r < radius + 2.0 * LINEAR_TOLERANCE_MM)
+        towards = np.where(outer, -0.5, 0.5) * design.print_.offset_xy_mm
+        points[body] += (towards / np.where(r > 0.0, r, 1.0))[body, None] * aside[body]
+    return trimesh.Trimesh(points * np.array(print_scale(design, part)), mesh.faces, process=False)
 
 
 def volume_omitted(mesh: trimesh.Trimesh, shape: cq.Shape) -> float:
@@ -103,7 +122,7 @@ def export_part(design: Design, part: str, out: Path | None) -> dict[str, Any]:
     drawn = printed_solid(design, part, ruled=True)
     mesh, scale = checked_mesh(part, drawn), print_scale(design, part)
     fingerprint = Mount.of(design).fingerprints[part]
-    content = part_stl(design, part, scaled(mesh, scale), fingerprint)
+    content = part_stl(design, part, printed_mesh(design, part, mesh), fingerprint)
     path = folder / f"{part}.stl"
     listed = listed_digests(folder).get(path.name)
     if listed is not None and listed != hashlib.sha256(content).hexdigest():

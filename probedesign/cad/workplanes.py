@@ -13,7 +13,7 @@ import numpy as np
 from probedesign.cad.export import SCHEMA, cad_files, model_record
 from probedesign.cad.folder import check_target, digests, write_export
 from probedesign.cad.kernel import FLAT_MM, cylinder, location, mass_properties
-from probedesign.cad.mesh import part_stl, scaled, tessellate
+from probedesign.cad.mesh import part_stl, printed_mesh, tessellate
 from probedesign.cad.model import CadModel, CadPart, assembly_of, box_of, build_cad, printed_solid
 from probedesign.cad.solids import ScrewGroup
 from probedesign.cad.verify import checked, mesh_findings, room_findings
@@ -184,7 +184,7 @@ def export_changed(design: Design, changed: Mapping[str, cq.Workplane], out: Pat
     findings = checked(design.name, {**mesh_findings(model, meshes), **room_findings(model)})
     contents = cad_files(model, changed)
     for name, mesh in meshes.items():
-        as_printed = scaled(mesh, print_scale(design, name))
+        as_printed = printed_mesh(design, name, mesh)
         contents[f"{name}.stl"] = part_stl(design, name, as_printed, fingerprints[name])
 
     def masses(part: CadPart) -> dict[str, float]:

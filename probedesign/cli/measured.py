@@ -56,7 +56,8 @@ def measured(
 ) -> None:
     """Write what was measured on a print, diameters, axis or bow, into its design, whose error budget shrinks.
 
-    The sheet of a coupon, coupon.csv, gives the scale of the next print instead: scale_xy of [print].
+    The sheet of a coupon, coupon.csv, gives scales and offset of the next print instead: scale_xy, scale_z and
+    offset_xy_mm of [print].
 
     Args:
         design: the design file, or its name.
@@ -155,8 +156,9 @@ def _diameter_lines(fit: "MeasuredDiameters") -> Iterator[str]:
 def _scale_lines(scale: "CouponScale") -> tuple[str, list[str]]:
     what = (f"scale_xy = {scale.scale_xy:.4f} ± {scale.std:.2g} of [print], from {plural(scale.rows, 'place')} on the "
             "coupon")  # fmt: skip
-    lines = [f"the diameters deviate from one scale by up to {scale.left_mm:.3f} mm"]
-    if scale.has_offset:
-        lines.append(f"note: all diameters are {scale.offset_mm:+.3f} ± {scale.offset_std_mm:.2g} mm off, whatever "
-                     "their size, which a scale does not remove; measure the probe itself")  # fmt: skip
+    lines = [f"offset_xy_mm = {scale.offset_mm:.3f} ± {scale.offset_std_mm:.2g}: by how much all diameters are wider, "
+             "whatever their size; 0 where it is within two standard deviations",
+             f"the diameters deviate from both by up to {scale.left_mm:.3f} mm"]  # fmt: skip
+    if scale.scale_z is not None:
+        lines.append(f"scale_z = {scale.scale_z:.4f} ± {scale.std_z:.2g}")
     return what, [*lines, "export again: only the files to print change, and the tolerance of the diameters stays"]

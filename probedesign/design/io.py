@@ -52,6 +52,7 @@ COMMENTS = {
     "contact.object_walk_mm": "step of a loose object between two touches, standard deviation on each axis",
     "print.scale_xy": "flexible part, printed over drawn, from a coupon; files to print only",
     "print.scale_z": "printed over drawn, along its axis",
+    "print.offset_xy_mm": "by how much all its diameters come out wider, beside the scale, from a coupon",
     "print.rigid_scale_xy": "rigid parts, printed over drawn",
     "mount.hold": "clamped | glued: the flange's underside as well | bonded at s = 0; the root is computed for it",
     "mount.ring_screw": "M2 | M3",

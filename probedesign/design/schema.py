@@ -397,6 +397,7 @@ class PrintTable(Table):
     printer: str = "form-3"
     scale_xy: Scale = 1.0
     scale_z: Scale = 1.0
+    offset_xy_mm: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
     rigid_scale_xy: Scale = 1.0
     rigid_scale_z: Scale = 1.0
 

@@ -134,8 +134,8 @@ def _replaceable(change: Change, design: Design) -> bool:
     key = f"{change.table}.{change.key}"
     if change.table in ("probe", "material.provenance") or key == "material.identified_tests":
         return True
-    if key == "print.scale_xy":  # 1: no coupon was measured
-        return design.print_.scale_xy == 1.0
+    if change.table == "print":  # the default: no coupon was measured
+        return bool(getattr(design.print_, change.key) == type(design.print_).model_fields[change.key].default)
     if key == "mount.root_rigid_radii":  # a value that is the computed one is assumed; any other was set
         computed = round(exported_root_radii(build_geometry(design), design.mount.hold), 2)
         return design.mount.root_rigid_radii == computed and (

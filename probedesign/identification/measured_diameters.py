@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from probedesign.core.csv_tables import TableRows, TableSchema, read_lines, read_rows
 from probedesign.core.errors import InputError
@@ -340,10 +341,11 @@ def _measured(design: Design, *keys: str) -> Change:
 
 
 MIN_ROWS = 3
+LENGTH_ROWS = "coupon_length"  #: Name in the column `part` of the rows with lengths.
 COUPON_SCHEMA = TableSchema(
     what="table of a coupon's diameters",
     kinds={"part": "name", "s": "length", "drawn": "length", "diameter_x": "length", "diameter_y": "length"},
-    required=("drawn", "diameter_x"),
+    required=("part", "drawn", "diameter_x"),
     like="part,s_mm,drawn_mm,diameter_x_mm,diameter_y_mm",
     aliases={},
 )
@@ -351,21 +353,18 @@ COUPON_SCHEMA = TableSchema(
 
 @dataclass(frozen=True)
 class CouponScale:
-    """Scale that compensates for the shrinkage of a coupon."""
+    """Scale and offset that compensate for how a coupon came out: measured = drawn / scale_xy + offset."""
 
-    scale_xy: float  #: scale_xy, std: drawn over measured size, and its standard deviation.
+    scale_xy: float  #: scale_xy, std: the scale of the diameters, and its standard deviation.
     std: float
-    #: offset_mm, offset_std_mm: by how much all diameters are wider, whatever their size, beside the scale; a scale
-    #: does not remove it [mm].
+    #: offset_mm, offset_std_mm: by how much all diameters are wider, whatever their size [mm]; 0 where it is within two
+    #: of its standard deviations, so that the scale alone explains the readings.
     offset_mm: float
     offset_std_mm: float
-    left_mm: float  #: largest deviation of a diameter from the scaled one [mm].
-    rows: int  #: number of places with a reading.
-
-    @property
-    def has_offset(self) -> bool:
-        """Whether the offset exceeds two of its standard deviations."""
-        return abs(self.offset_mm) > 2.0 * self.offset_std_mm
+    scale_z: float | None  #: scale_z, std_z: the scale of the lengths; None where none was read.
+    std_z: float | None
+    left_mm: float  #: largest deviation of a diameter from what these explain [mm].
+    rows: int  #: number of diameters with a reading.
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data."""
@@ -380,7 +379,7 @@ def is_coupon_sheet(path: Path) -> bool:
     return any(name.strip().startswith("drawn") for name in lines.header)
 
 
-def read_coupon(path: Path, resin: str) -> tuple[Array, Array, Array]:
+def read_coupon(path: Path, resin: str) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """Read the sheet of a coupon.
 
     Args:
@@ -388,7 +387,8 @@ def read_coupon(path: Path, resin: str) -> tuple[Array, Array, Array]:
         resin: name of the resin of the probe.
 
     Returns:
-        Drawn and mean measured diameter of each place with a reading [mm], and its number of readings, (n,) each.
+        Drawn and mean measured size of each place with a reading [mm], its number of readings, and whether it is a
+        length, (n,) each.
 
     Raises:
         InputError: the file cannot be used, is of another resin, or too few places have a reading.
@@ -404,45 +404,71 @@ def read_coupon(path: Path, resin: str) -> tuple[Array, Array, Array]:
         rows.fail(int(row), "drawn_mm and the diameters must be positive; leave what was not measured empty")
     count = np.isfinite(values[:, 1:]).sum(axis=1)
     read = count > 0
-    if read.sum() < MIN_ROWS or len(set(values[read, 0])) < 2:
+    is_length = np.array([name == LENGTH_ROWS for name in rows.texts("part")])
+    across = read & ~is_length
+    if across.sum() < MIN_ROWS or len(set(values[across, 0])) < 2:
         raise InputError(
-            f"{path}: {int(read.sum())} places with a reading; fill in at least {MIN_ROWS}, of two diameters"
+            f"{path}: {int(across.sum())} places with a reading; fill in at least {MIN_ROWS}, of two diameters"
         )
-    return values[read, 0], np.nanmean(values[read, 1:], axis=1), count[read]
+    return values[read, 0], np.nanmean(values[read, 1:], axis=1), count[read], is_length[read]
 
 
-def fit_scale(drawn: Array, measured: Array, count: Array, calipers_std_mm: float) -> CouponScale:
-    """Return the scale of the next print by weighted least squares.
+def fit_scale(
+    drawn: Array, measured: Array, count: Array, is_length: NDArray[np.bool_], calipers_std_mm: float
+) -> CouponScale:
+    """Return scale and offset of the next print by weighted least squares.
 
     Args:
-        drawn, measured: diameters of the coupon [mm], (n,).
+        drawn, measured: diameters and lengths of the coupon [mm], (n,).
         count: number of readings of each, (n,).
+        is_length: which of them are lengths, (n,).
         calipers_std_mm: standard deviation of the error that all readings share [mm].
 
     Raises:
-        InputError: the scale is out of the range of a shrinkage.
+        InputError: a scale is out of the range of a shrinkage.
     """
     _check_shared_error(calipers_std_mm)
-    weights = count / READING_STD_MM**2
-    precision = float(weights @ drawn**2)
-    size = float(weights @ (measured * drawn)) / precision
+    scale_z: tuple[float | None, float | None] = (None, None)
+    if is_length.any():
+        scale_z = _scale_of(drawn[is_length], measured[is_length], count[is_length], calipers_std_mm, False)[:2]
+    d, y, count = drawn[~is_length], measured[~is_length], count[~is_length]
+    scale, std, offset, offset_std, left = _scale_of(d, y, count, calipers_std_mm, True)
+    if abs(offset) <= 2.0 * offset_std:
+        scale, std, offset, _, left = _scale_of(d, y, count, calipers_std_mm, False)
+    return CouponScale(scale, std, offset, offset_std, *scale_z, left, len(d))
+
+
+def _scale_of(
+    drawn: Array, measured: Array, count: Array, calipers_std_mm: float, with_offset: bool
+) -> tuple[float, float, float, float, float]:
+    """Return scale, offset and their standard deviations, and the largest residual."""
+    A = np.column_stack([drawn, np.ones(len(drawn))][: 1 + with_offset])
+    W = A * np.sqrt(count)[:, None] / READING_STD_MM
+    gain = np.linalg.pinv(W) * np.sqrt(count) / READING_STD_MM
+    x = gain @ measured
+    size, offset = float(x[0]), float(x[1]) if with_offset else 0.0
     if not SCALE_RANGE[0] <= 1.0 / size <= SCALE_RANGE[1]:
         raise InputError(
             f"the coupon is {size:.4g} times as large as drawn; allowed is 1/{SCALE_RANGE[1]:g} ... "
             f"1/{SCALE_RANGE[0]:g}: check the unit and the sheet"
         )
-    residuals = measured - size * drawn
-    A = np.column_stack([drawn, np.ones(len(drawn))]) * np.sqrt(weights)[:, None]
-    (_, offset), *_ = np.linalg.lstsq(A, measured * np.sqrt(weights), rcond=None)
+    residuals = measured - A @ x
     # Readings that scatter more than stated count less (R. T. Birge, Physical Review 40 (1932) 207).
-    scatter = max(1.0, float(np.sqrt(weights @ residuals**2 / (len(drawn) - 1))))
-    shared = calipers_std_mm * float(weights @ drawn) / precision
-    std = float(np.hypot(scatter / np.sqrt(precision), shared)) / size**2
-    offset_std = float(np.hypot(np.sqrt(np.linalg.inv(A.T @ A)[1, 1]), calipers_std_mm))
-    return CouponScale(1.0 / size, std, float(offset), offset_std, float(np.abs(residuals).max()), len(drawn))
+    square = float(count @ residuals**2) / READING_STD_MM**2
+    scatter = max(1.0, square / max(len(drawn) - len(x), 1))
+    shared = calipers_std_mm * gain.sum(axis=1)
+    std = np.sqrt(scatter * np.diag(np.linalg.inv(W.T @ W)) + shared**2)
+    return 1.0 / size, float(std[0]) / size**2, offset, float(std[-1]), float(np.abs(residuals).max())
 
 
 def scale_changes(found: CouponScale, day: str) -> tuple[Change, ...]:
-    """Return the change of a design by the scale of a coupon; `day` is for the comment."""
-    note = f"measured {day} on a coupon, {found.rows} places: ± {found.std:.2g} (one standard deviation)"
-    return (Change("print", "scale_xy", f"{found.scale_xy:.4f}", note),)
+    """Return the changes of a design by a coupon; `day` is for the comment."""
+    note = f"measured {day} on a coupon"
+    more = f"{found.rows} places: ± {{:.2g}} (one standard deviation)"
+    changes = [
+        Change("print", "scale_xy", f"{found.scale_xy:.4f}", f"{note}, {more.format(found.std)}"),
+        Change("print", "offset_xy_mm", f"{found.offset_mm:.3f}", f"{note}, {more.format(found.offset_std_mm)}"),
+    ]
+    if found.scale_z is not None:
+        changes.append(Change("print", "scale_z", f"{found.scale_z:.4f}", f"{note}: ± {found.std_z:.2g}"))
+    return tuple(changes)

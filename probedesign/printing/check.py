@@ -401,8 +401,11 @@ def print_scale(design: Design, part: str) -> tuple[float, float, float]:
 
 def scale_note(design: Design, part: str) -> str:
     """Return the note for a part's file; empty if the part is printed as drawn."""
-    scale = print_scale(design, part)
-    return "" if scale == (1.0, 1.0, 1.0) else f" scaled {scale[0]:g} {scale[1]:g} {scale[2]:g}"
+    scale, offset = print_scale(design, part), design.print_.offset_xy_mm if part == "probe" else 0.0
+    narrower = f" offset {-offset:g}" if offset else ""
+    return (
+        "" if scale == (1.0, 1.0, 1.0) and not offset else f" scaled {scale[0]:g} {scale[1]:g} {scale[2]:g}{narrower}"
+    )
 
 
 class Orientation(NamedTuple):

@@ -12,6 +12,7 @@ from probedesign.identification.measured_diameters import fit_scale, read_coupon
 from probedesign.mount import build_geometry
 
 DRAWN = np.array([12.0, 9.5, 7.0, 4.5, 2.0, 7.0, 7.0, 7.0])
+ACROSS = np.zeros(len(DRAWN), dtype=bool)
 HEAD = "part,s_mm,drawn_mm,diameter_x_mm,diameter_y_mm"
 DESIGN = """schema = 1
 name = "p"
@@ -34,7 +35,7 @@ def sheet(folder: Path, measured: np.ndarray) -> Path:
 def test_a_shrunk_coupon_gives_the_scale_that_restores_the_drawn_size(tmp_path: Path) -> None:
     found = fit_scale(*read_coupon(sheet(tmp_path, 0.985 * DRAWN), "elastic-50a"), 0.0)
     assert found.scale_xy * 0.985 == pytest.approx(1.0, abs=1e-4)  # the sheet has micrometres
-    assert found.left_mm < 1e-3 and not found.has_offset
+    assert found.left_mm < 1e-3 and found.offset_mm == 0.0 and found.scale_z is None
 
 
 def test_the_stated_uncertainty_covers_the_scale() -> None:
@@ -43,17 +44,26 @@ def test_the_stated_uncertainty_covers_the_scale() -> None:
     count = np.full(len(DRAWN), 2)
     for _ in range(1000):
         errors = rng.normal(0.0, 0.03 / np.sqrt(2), len(DRAWN)) + rng.normal(0.0, 0.02)
-        found = fit_scale(DRAWN, 0.98 * DRAWN + errors, count, 0.02)
+        found = fit_scale(DRAWN, 0.98 * DRAWN + errors, count, ACROSS, 0.02)
         off.append((found.scale_xy - 1.0 / 0.98) / found.std)
-        offsets.append(found.has_offset)
+        offsets.append(found.offset_mm != 0.0)
     # Both are widened where readings happen to scatter more: not above 1; 1000 draws know a deviation to 2 %.
     assert 0.85 < np.std(off) < 1.07
     assert np.mean(offsets) < 0.07
 
 
-def test_an_offset_is_reported_apart() -> None:
-    found = fit_scale(DRAWN, DRAWN + 0.12, np.full(len(DRAWN), 2), 0.02)
-    assert found.has_offset and found.offset_mm == pytest.approx(0.12, abs=1e-9)
+@pytest.mark.parametrize("offset", [0.12, -0.12])
+def test_scale_and_offset_make_the_next_tip_as_wide_as_drawn(offset: float) -> None:
+    """A print came out as 0.985 d + offset; the scale alone would make the tip of 2 mm several per cent wide."""
+    lengths = np.array([40.0, 70.0])
+    found = fit_scale(
+        np.append(DRAWN, lengths), np.append(0.985 * DRAWN + offset, 0.99 * lengths), np.full(len(DRAWN) + 2, 2),
+        np.append(ACROSS, [True, True]), 0.02,
+    )  # fmt: skip
+    assert found.offset_mm == pytest.approx(offset, abs=1e-9) and found.scale_z == pytest.approx(1.0 / 0.99, abs=1e-9)
+    file_d = found.scale_xy * (2.0 - found.offset_mm)  # as `printed_mesh` writes it
+    assert 0.985 * file_d + offset == pytest.approx(2.0, abs=1e-9)
+    assert found.std_z is not None and 2e-4 < found.std_z < 2e-3
 
 
 @pytest.mark.parametrize("measured", [0.5 * DRAWN, 10.0 * DRAWN, -DRAWN])
