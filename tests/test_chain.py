@@ -157,7 +157,9 @@ def test_the_demo_page_is_there_at_once_and_ends_complete(workplace, monkeypatch
         raise MissingDependencyError.of_extra("export", "CadQuery", "cad")
 
     monkeypatch.setattr(cad, "export_parts", without_cad)
-    monkeypatch.setattr(demo, "_explore", lambda bundle, folder, skipped: skipped.append("explore: left out") or {})
+    monkeypatch.setattr(
+        demo, "_explore", lambda bundle, folder, skipped: skipped.append("explore: left out") or ({}, "")
+    )
     pages = []
     result = demo.run_demo(workplace / "d", False, lambda _: pages.append((workplace / "d/index.html").read_text()))
     assert 'http-equiv="refresh"' in pages[0] and "being made" in pages[0]

@@ -1,7 +1,6 @@
 """`probedesign demo`: run the whole chain on a built-in example, from a few dimensions to located contacts."""
 
 import contextlib
-import csv
 import io
 import sys
 import webbrowser
@@ -19,7 +18,7 @@ from probedesign.cli.options import JsonOutput
 from probedesign.cli.predict import prediction_files
 from probedesign.core.errors import InputError, MissingDependencyError
 from probedesign.core.files import exports_of
-from probedesign.reports.html_page import REPORT_STYLE, html_document, labelled
+from probedesign.reports.html_page import REPORT_STYLE, ReportFigure, labelled, report_page
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
@@ -30,31 +29,22 @@ if TYPE_CHECKING:
 NAME = "demo"
 #: Heading and command of each section of the page.
 SECTIONS = {
-    "predict": ("The probe, coloured by its predicted error", "probedesign predict {folder}/demo.toml"),
     "whisker": ("A curved probe locates lighter touches",
                 "probedesign compare {folder}/demo.toml {folder}/whisker.toml --touches 1"),
     "estimate": ("A simulated touch, located and replayed",
                  "probedesign estimate {folder}/demo.probe.json {folder}/recording.csv --page {folder}/touches.html"),
-    "export": ("The parts", "probedesign export {folder}/demo.toml"),
     "explore": ("A card house, found by touch",
                 "probedesign explore {folder}/demo.probe.json --rehearse {folder}/rehearsal"),
 }  # fmt: skip
-#: Files of the parts that the page links to.
-PART_LINKS = (
-    ("assembly.html", "assembly instructions"),
-    ("assembly.step", "assembly for CAD"),
-    ("assembly.glb", "assembly for viewers"),
-)
 #: Time without contact at the start of a rehearsal, and samples of one reading, as in docs/exploring.md.
 TARE, AVERAGE = "0.5:3.5", 36
 #: Simulated contact: 20 mN, swept along the probe and back, with the sensor's noise.
 TOUCH = "force_mN=20&seconds=20&rate_hz=10&speed=max"
 
-_STYLE = """code { border: 0.4pt solid var(--rule); padding: 0.3mm 1.5mm; border-radius: 1mm; font-size: 9pt }
-.links a { margin-right: 4mm } .waiting { color: var(--soft); font-style: italic }
+_STYLE = """code { overflow-wrap: anywhere; font-size: 13px; color: var(--soft) }
+.links a { margin-right: 16px } .waiting { font-style: italic } .figures { margin: 32px 0 }
 section img { max-width: 100%; background: #fff }
 """
-_REFRESH = '<meta http-equiv="refresh" content="2">'
 
 
 def demo(
@@ -111,10 +101,6 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
         name: DemoSection(heading, command.format(folder=folder)) for name, (heading, command) in SECTIONS.items()
     }
 
-    def finish(name: str, text: str, **content: Any) -> None:
-        sections[name] = replace(sections[name], text=text, **content)
-        write_demo_page(folder, list(sections.values()))
-
     print_step("designing a 150 mm cone, 12 mm at its base")
     design = folder / f"{NAME}.toml"
     drafted, notes = draft_design(NAME, shape="cone", length_mm=150.0, base_d_mm=12.0)
@@ -127,29 +113,43 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
             )
     write_design(text, design, force=True)
     made[str(design)] = "the design; edit it and run the chain again"
-    page = write_demo_page(folder, list(sections.values()))
-    show(page.absolute().as_uri())
-
-    # the page is visible before the slow imports
     import numpy as np
 
     from probedesign import pipeline
     from probedesign.frozen_probe import deploy_model
-    from probedesign.reports.prediction_charts import probe_chart
     from probedesign.reports.recording_page import STYLE, recording_page, replay_element
+    from probedesign.web.home import write_home
 
-    print_step("predicting (the first run compiles the rod and the estimator, half a minute)")
     probe = pipeline.load_probe(design)
+
+    def write_page(working: str) -> Path:
+        """Write the page with what exists; it reloads itself until nothing is being made."""
+        extra = f'<div class="figures">{"".join(section.element() for section in sections.values())}</div>'
+        extra += "".join(f"<p>skipped: {escape(reason)}</p>" for reason in skipped)
+        style = "".join([REPORT_STYLE, _STYLE, *(section.style for section in sections.values())])
+        page = write_home(folder, probe.model, str(design), extra=extra, style=style, working=working)
+        if page is None:
+            raise InputError(f"{folder}/index.html: is not a page of this program; name another folder with --out")
+        return page
+
+    def begin(step: str) -> None:
+        print_step(step)
+        write_page(step)
+
+    def finish(name: str, text: str, **content: Any) -> None:
+        sections[name] = replace(sections[name], text=text, **content)
+
+    page = write_page("the prediction")
+    show(page.absolute().as_uri())
+    begin("predicting (the first run compiles the rod and the estimator, half a minute)")
     prediction = pipeline.predict(probe)
     made |= _predict(probe, prediction, folder, skipped)
-    finish("predict", prediction.verdict, svg=probe_chart(prediction, probe.estimator()).svg(),
-           links=[("prediction.html", "all predictions"), (design.name, "the design file")])  # fmt: skip
-    print_step("bending the probe to a whisker")
+    begin("bending the probe to a whisker")
     made |= _whisker(probe, folder, finish)
-    print_step("freezing the estimator and its geometry")
+    begin("freezing the estimator and its geometry")
     bundle = deploy_model(probe.model, folder / f"{NAME}.probe.json")
     made[str(bundle)] = "the frozen probe for estimate and live"
-    print_step("simulating a recording and locating its contacts")
+    begin("simulating a recording and locating its contacts")
     estimator = pipeline.load_estimator(bundle)
     recording, contacts = folder / "recording.csv", folder / "contacts.csv"
     estimates = _simulate(estimator, recording)
@@ -176,23 +176,17 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
         style=STYLE,
         links=[("touches.html", "charts"), (contacts.name, "located contacts"), (recording.name, "the recording")],
     )
-    print_step("building the parts")
-    parts = _export(probe, folder, skipped)
-    made |= parts
-    exploded = next((Path(name).name for name in parts if Path(name).name == "exploded.svg"), "")
-    finish("export", "The parts to print, with inspection sheets and assembly instructions." if parts else skipped[-1],
-           picture=exploded, links=PART_LINKS if parts else ())  # fmt: skip
-    print_step("touching a simulated card house")
-    made |= _explore(bundle, folder, skipped)
+    begin("touching a simulated card house")
+    files, score = _explore(bundle, folder, skipped)
+    made |= files
     if (folder / "found/points.svg").exists():
-        table = (folder / "found/points.csv").read_text("utf-8").splitlines()
-        points = csv.DictReader(line for line in table if not line.startswith("#"))
-        count = sum(point["result"] == "ok" for point in points)
-        text = f"A base touches a simulated card house with friction: {count} points of its edges, each with its "
-        finish("explore", f"{text}ellipsoid.", picture="found/points.svg",
+        finish("explore", f"A base touches a simulated card house with friction: {score}.", picture="found/points.svg",
                links=[("found/points.html", "the points in three dimensions")])  # fmt: skip
     else:
         finish("explore", skipped[-1])
+    begin("building the parts")
+    made |= _export(probe, folder, skipped)
+    write_page("")
     made[str(page)] = "the page with all results"
     return {"made": made, "page": str(page), "skipped": skipped, **result}
 
@@ -212,11 +206,14 @@ def _whisker(straight: "Probe", folder: Path, finish: Callable[..., None]) -> di
     over = {name: errors_over_directions(probe.estimator(), FRACTIONS, (SHOWN_N,))
             for name, probe in (("straight", straight), ("along an arc of 60°", build_probe(drafted)))}  # fmt: skip
     before, after = (rows[FRACTIONS.index(HEADLINE_FRACTION)].median_error_mm for rows in over.values())
-    finish("whisker", f"One reading of {1e3 * SHOWN_N:g} mN at {HEADLINE_FRACTION:g} of the length: {before:.2g} mm "
-           f"straight, {after:.2g} mm in the median direction along an arc. Line: median of all directions; "
-           "band: from the best to the worst, in the plane of the arc.",
-           svg=error_band_chart(over).svg(), links=[(path.name, "its design file")])  # fmt: skip
-    return {str(path): "the same probe along an arc"}
+    text = (f"One reading of {1e3 * SHOWN_N:g} mN at {HEADLINE_FRACTION:g} of the length: {before:.2g} mm straight, "
+            f"{after:.2g} mm in the median direction along an arc.")  # fmt: skip
+    caption = "Line: median of all directions; band: from the best to the worst, in the plane of the arc."
+    chart = error_band_chart(over).svg()
+    figure = ReportFigure("Contact error of one reading along the probe", caption, chart)
+    write_files(folder, [("comparison.html", report_page("Straight or curved", [], None, [figure], verdict=text))])
+    finish("whisker", f"{text} {caption}", svg=chart, links=[(path.name, "its design file")])
+    return {str(path): "the same probe along an arc", str(folder / "comparison.html"): "both errors beside each other"}
 
 
 def _predict(probe: "Probe", prediction: "Prediction", folder: Path, skipped: list[str]) -> dict[str, str]:
@@ -241,14 +238,14 @@ def _export(probe: "Probe", folder: Path, skipped: list[str]) -> dict[str, str]:
     return {str(folder / name): purpose for name, purpose in files.items()}
 
 
-def _explore(bundle: Path, folder: Path, skipped: list[str]) -> dict[str, str]:
-    """Simulate touches of a card house and locate them, and return the files."""
+def _explore(bundle: Path, folder: Path, skipped: list[str]) -> tuple[dict[str, str], str]:
+    """Simulate touches of a card house and locate them, and return the files and how near the points are."""
     from probedesign.cli.explore import FILES, explore
     from probedesign.cli.options import BaseOptions, ReadingOptions, RehearsalOptions
 
-    rehearsal, maps = folder / "rehearsal", folder / "found"
+    rehearsal, maps, printed = folder / "rehearsal", folder / "found", io.StringIO()
     try:
-        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(io.StringIO()):
             explore(bundle, rehearsal=RehearsalOptions(rehearse=rehearsal), force=True)
             explore(
                 bundle,
@@ -260,8 +257,9 @@ def _explore(bundle: Path, folder: Path, skipped: list[str]) -> dict[str, str]:
             )
     except MissingDependencyError as error:
         skipped.append(str(error))
-        return {}
-    return {str(maps / name): "points of a simulated card house" for name in FILES}
+        return {}, ""
+    files = {str(maps / name): "points of a simulated card house" for name in FILES}
+    return files, printed.getvalue().splitlines()[-1]
 
 
 def _simulate(estimator: "Estimator", recording: Path) -> "RecordingEstimates":
@@ -282,7 +280,7 @@ def _simulate(estimator: "Estimator", recording: Path) -> "RecordingEstimates":
     return estimates
 
 
-# the page, filled in while its files are made
+# sections of the page, filled in while their files are made
 
 
 @dataclass
@@ -309,19 +307,3 @@ class DemoSection:
             links = "".join(f'<a href="{escape(file)}">{escape(what)}</a>' for file, what in self.links)
             body = f'{shown}<p>{escape(self.text)}</p><p class="links">{links}</p>'
         return f"<section><h2>{escape(self.heading)}</h2>{body}<p><code>{escape(self.command)}</code></p></section>\n"
-
-
-def write_demo_page(folder: Path, sections: Sequence[DemoSection]) -> Path:
-    """Write index.html; it reloads itself while a section is being made.
-
-    Returns:
-        The file.
-    """
-    about = ["A 150 mm cone of Elastic 50A on an ATI Nano17: from a few dimensions to located touches."]
-    body = f'<div class="figures">{"".join(section.element() for section in sections)}</div>'
-    head = "" if all(section.text for section in sections) else _REFRESH
-    style = "".join([REPORT_STYLE, _STYLE, *(section.style for section in sections)])
-    page = folder / "index.html"
-    folder.mkdir(parents=True, exist_ok=True)
-    page.write_bytes(html_document("probedesign demo", about, body, style, head))
-    return page

@@ -60,7 +60,9 @@ def explore(
     from probedesign.live.sources.replay import ReplaySource, check_readable
     from probedesign.mapping.explore import LoadedRecording, joint_map, parse_min_separation
     from probedesign.reports.map_page import MapScene
+    from probedesign.simulation import simulated_run
     from probedesign.simulation.scenes import true_outlines
+    from probedesign.web.home import refresh_home
 
     reading, base = reading or ReadingOptions(), base or BaseOptions()
     if rehearsal is not None and rehearsal.rehearse is not None:
@@ -88,12 +90,14 @@ def explore(
             estimator, recording, reading, base, (processing, apart), name if several else ""
         )
     cloud = joint_map(explorations) if several else explorations[name].map()
+    recorded_from = source.recorded_from if isinstance(source, LoadedRecording | ReplaySource) else ""
     if out is not None:
         probe = ", ".join(f"{name} {each.model.fingerprint}" for name, each in estimators.items())
         notes = [source.title, f"probe {probe}", _summary(cloud), uncertainty]
-        recorded_from = source.recorded_from if isinstance(source, LoadedRecording | ReplaySource) else ""
         _write(out, MapScene(cloud, true_outlines(recorded_from)), probe, notes)
-    _print(cloud, out, as_json)
+        for each in estimators.values():
+            refresh_home(each.model)
+    _print(cloud, out, as_json, simulated_run.score(cloud, recording, recorded_from))
 
 
 def _explored(
@@ -156,20 +160,23 @@ def _write(out: Path, scene: "MapScene", probe: str, notes: list[str]) -> None:
     from probedesign.mapping.contact_map import map_csv, map_ply
     from probedesign.reports.map_page import map_page, map_svg
 
-    contents = (map_csv(scene.contact_map), map_ply(scene.contact_map, f"probedesign explore, probe {probe}"),
+    origin = f"probedesign explore, probe {probe}"
+    contents = (map_csv(scene.contact_map), map_ply(scene.contact_map, origin),
                 map_page(scene, "Points touched", [*notes, ELLIPSOIDS]), map_svg(scene))  # fmt: skip
     write_files(out, zip(FILES, contents, strict=True))
 
 
-def _print(cloud: "ContactMap", out: Path | None, as_json: bool) -> None:
+def _print(cloud: "ContactMap", out: Path | None, as_json: bool, score: str) -> None:
     """Print one JSON document, or one line per point and a summary."""
     from probedesign.mapping.contact_map import map_document, map_lines
 
     if as_json:
-        print_json(map_document(cloud))
+        print_json({**map_document(cloud), **({"score": score} if score else {})})
         return
     print("\n".join(map_lines(cloud)) or "no touch")
     print(_summary(cloud) + (f"; wrote {out}/{', '.join(FILES)}" if out is not None else ""))
+    if score:
+        print(score)
 
 
 def _summary(cloud: "ContactMap") -> str:

@@ -97,6 +97,7 @@ def export(
     """
     from probedesign import pipeline
     from probedesign.design import load_design
+    from probedesign.probe import build_probe
 
     drawn = load_design(design)
     folder = out or exports_of(design) / drawn.name
@@ -108,8 +109,11 @@ def export(
         else:
             print(f"wrote {written['file']}: {1e6 * written['volume_m3']:.3g} cm³, geometry {written['fingerprint']}")
         return
+    from probedesign.web.home import write_home  # an export of one part loads no model of the probe
+
     with _uncollected():
         manifest = pipeline.export(drawn, folder, print_step)
+    write_home(folder, build_probe(drawn).model, str(design))
     if as_json:
         print_json(manifest)
     else:
@@ -194,6 +198,7 @@ def deploy(design: DesignFile, /, *, out: Path | None = None, as_json: JsonOutpu
     from probedesign import pipeline
     from probedesign.frozen_probe import deploy_model
     from probedesign.identification.design_update import design_diff
+    from probedesign.web.home import refresh_home
 
     with show_progress("freezing the probe"):
         probe = pipeline.load_probe(design)
@@ -201,6 +206,8 @@ def deploy(design: DesignFile, /, *, out: Path | None = None, as_json: JsonOutpu
         path = deploy_model(probe.model, out or exports)
         identified = exports / "identification/identification.json"
         unapplied = design_diff(probe.design, probe.geometry.fingerprint, identified)
+    if out is None:
+        refresh_home(probe.model, design)
     if as_json:
         print_json({"file": path, "identified_apart": unapplied})
         return

@@ -52,6 +52,8 @@ def identify(
     from probedesign.campaigns import read_campaign
     from probedesign.design import load_design
     from probedesign.identification.parameters import check_requested
+    from probedesign.probe import build_probe
+    from probedesign.web.home import refresh_home
 
     if write and out is not None:
         raise InputError("--write changes the design file and --out writes another one; choose one of them")
@@ -64,6 +66,7 @@ def identify(
         identified = pipeline.identify(start, read_campaign(data), names, accept)
         folder = exports_of(design) / start.name / "identification" if folder is None else folder
         files = write_files(folder, _files(identified, page))
+        refresh_home(build_probe(start).model, design)
     if not as_json:
         _print(identified)
         print("wrote", ", ".join(map(str, files)))

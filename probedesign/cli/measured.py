@@ -80,6 +80,8 @@ def measured(
     from probedesign.identification.design_update import write_changes
     from probedesign.identification.measured_axis import axis_changes
     from probedesign.mount import build_geometry
+    from probedesign.probe import build_probe
+    from probedesign.web.home import refresh_home
 
     if out is not None:
         check_overwrite(out, force)
@@ -107,8 +109,10 @@ def measured(
         what = f"{plural(fit.readings, 'reading')}; the former values are kept as comments"
         lines = list(_diameter_lines(fit))
     path, kept = write_changes(design, changes, day, out, force)
+    changed = load_design(path)
+    refresh_home(build_probe(changed).model, path)
     if "measured_mm" in document:  # another geometry
-        document["fingerprint"] = build_geometry(load_design(path)).fingerprint
+        document["fingerprint"] = build_geometry(changed).fingerprint
         lines.append(f"the geometry is now {document['fingerprint']}: deploy the probe again, with this design")
     if as_json:
         print_json({**document, "changes": changes, "design_written": path, "design_kept": kept})

@@ -81,6 +81,8 @@ def new(
     from probedesign.design.io import draft_design, known_sensor, render_design, write_design
     from probedesign.mount.flange_adapter import fitting_flanges
     from probedesign.mount.mount import build_geometry, root_radii
+    from probedesign.probe import build_probe
+    from probedesign.web.home import refresh_home
 
     try:
         fitting = fitting_flanges(known_sensor(sensor))
@@ -124,11 +126,14 @@ def new(
     with show_progress("predicting its performance"):
         figures = summary(design)  # first: a design that fits no mount is not written
     write_design(render_design(design, notes), path, force)
+    page = refresh_home(build_probe(design).model, path)
     document = {"file": str(path), "name": design.name, "tip_d_mm": design.probe.blunt_mm[-1][1], **figures}
     if as_json:
         print_json(document)
     else:
         _print(document, tip_note=notes.get("probe.tip_d_mm"))
+        if page is not None:
+            print(f"  open {page}: the probe in 3-D, and its next steps")
         for hint in hints:
             print(f"  {hint}")
 

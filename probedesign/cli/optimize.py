@@ -100,6 +100,8 @@ def _run(
     from probedesign import pipeline
     from probedesign.design.io import write_design
     from probedesign.optimization.optimum import OptimizeResult, check_installed, design_text, pareto_front
+    from probedesign.probe import build_probe
+    from probedesign.web.home import refresh_home
 
     check_overwrite(path, force)
     check_writable(path)  # before the search, which takes a minute
@@ -107,6 +109,7 @@ def _run(
         check_installed()
     best = pipeline.optimize(search, path.stem, on_progress)
     write_design(design_text(search, best), path, force)  # first: the steps below may be interrupted or fail
+    refresh_home(build_probe(best.design).model, path)
     files, confirmed = [path], None
     try:
         if draws:

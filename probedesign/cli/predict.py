@@ -59,6 +59,7 @@ def predict(
     from probedesign import pipeline
     from probedesign.mount import root_contradiction
     from probedesign.prediction.fused import PressSchedule
+    from probedesign.web.home import write_home
 
     schedule = PressSchedule(touches, moments_about)
     with show_progress() as on_progress:
@@ -70,6 +71,7 @@ def predict(
         if monte_carlo is not None:
             prediction = pipeline.sample_prediction(probe, prediction, monte_carlo, seed, folder, on_progress)
         files = write_files(folder, prediction_files(probe, prediction, plots))
+        write_home(folder, probe.model, str(design))
     root = root_contradiction(probe.design)
     if as_json:
         print_json({**prediction.as_dict(), "root_warning": root or None})

@@ -31,6 +31,7 @@ def twin(
     """
     from probedesign import pipeline
     from probedesign.simulation.twin import FORMATS, twin_files
+    from probedesign.web.home import refresh_home
 
     chosen = formats.split(",")
     for name in chosen:
@@ -41,6 +42,8 @@ def twin(
         folder = exports_of(design) / probe.design.name / "twin" if out is None else out
         check_folder(folder)
         files = write_files(folder, twin_files(probe.model, chosen, links).items())
+        if out is None:
+            refresh_home(probe.model, design)
     if as_json:
         print_json({"files": files})
         return

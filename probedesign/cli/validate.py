@@ -43,6 +43,7 @@ def validate(
     from probedesign import pipeline
     from probedesign.campaigns import read_campaign
     from probedesign.validation.validate import MultiProbeReport, ValidationReport, check_names
+    from probedesign.web.home import refresh_home
 
     pairs = _pairs(bundles_and_data)
     reports, files = list[ValidationReport](), list[Path]()
@@ -57,6 +58,8 @@ def validate(
             report = pipeline.validate(estimator, campaign, exact_model, on_progress, include_identified)
             on_progress("drawing", None)
             files += write_files(folder, list(_files(report, plots)))  # all or none, if a picture cannot be drawn
+            if out is None:
+                refresh_home(estimator.model)
             reports.append(report)
         joined = MultiProbeReport(tuple(reports))
         if len(pairs) > 1:

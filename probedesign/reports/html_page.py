@@ -3,6 +3,7 @@
 `html_document` is the shell of every page; `report_page` is the layout of a report.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
@@ -11,6 +12,8 @@ from pathlib import Path
 from probedesign.core.errors import InputError
 
 DOCTYPE = "<!DOCTYPE html>"
+#: Links to the other pages of a design at the head of a page, which `web.home` writes.
+NAVIGATION = re.compile(rb"<nav>.*?</nav>", re.DOTALL)
 #: Common to all pages; dark where the reader's system is, and always light in print.
 STYLE = """
 @page { size: A4; margin: 14mm }
@@ -21,18 +24,22 @@ STYLE = """
   canvas, .legend svg { filter: invert(1) hue-rotate(180deg) }
 }
 @media print { :root { color-scheme: light } }
-body { font: 10.5pt/1.4 Helvetica, Arial, "Liberation Sans", "DejaVu Sans", sans-serif; color: var(--ink);
-  background: var(--paper); max-width: 260mm; margin: 8mm auto; padding: 0 4mm; overflow-wrap: break-word }
+body { font: 16px/1.5 system-ui, -apple-system, "Segoe UI", "Liberation Sans", "DejaVu Sans", sans-serif;
+  font-variant-numeric: tabular-nums; color: var(--ink); background: var(--paper); max-width: 260mm; margin: 24px auto;
+  padding: 0 16px; overflow-wrap: break-word }
 a { color: var(--link) }
-h1 { font-size: 18pt; margin: 0 } .about { color: var(--soft); margin: 1mm 0 4mm }
-.verdict { font-size: 13.5pt; line-height: 1.35; margin: 2mm 0 }
+nav { display: flex; flex-wrap: wrap; gap: 4px 16px; font-size: 14px; padding: 0 0 8px; margin: 0 0 16px;
+  border-bottom: 1px solid var(--rule); color: var(--soft) } nav:empty { display: none }
+h1 { font-size: 28px; line-height: 1.2; margin: 0 } .about { color: var(--soft); margin: 4px 0 16px; font-size: 14px }
+.verdict { font-size: 20px; line-height: 1.4; margin: 8px 0 }
 .wide { overflow-x: auto }
 table { border-collapse: collapse; font-size: 9.5pt; break-inside: avoid }
 th, td { text-align: right; padding: 0.8mm 3mm; border-bottom: 0.4pt solid var(--rule); white-space: nowrap }
 thead th, thead td { border-bottom: 1pt solid var(--ink) }
 """
 #: After all other styles. A table as wide as the sheet wraps its cells, and repeats its head on each sheet.
-PRINT_STYLE = """@media print { body { margin: 0; padding: 0; max-width: none } .wide { overflow: visible }
+PRINT_STYLE = """@media print { body { margin: 0; padding: 0; max-width: none; font-size: 10.5pt }
+  nav { display: none } .wide { overflow: visible }
   table { max-width: 100% } th { overflow-wrap: anywhere }
   th, td { white-space: normal; padding: 0.6mm 1mm } thead { display: table-header-group } }
 """
@@ -90,7 +97,7 @@ class HtmlTable:
 
 
 def html_document(
-    title: str, about: Sequence[str], body: str, style: str = "", head: str = "", lead: str = ""
+    title: str, about: Sequence[str], body: str, style: str = "", head: str = "", lead: str = "", home: str = ""
 ) -> bytes:
     """Return a page.
 
@@ -101,11 +108,12 @@ def html_document(
         style: additions to the common style sheet.
         head: additions to the head element.
         lead: HTML between the title and the lines below it.
+        home: HTML of the links at its head, until `web.home` writes those to the other pages of the design.
     """
     return (
         f'{DOCTYPE}\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         f'<meta name="viewport" content="width=device-width"><style>{STYLE}{style}{PRINT_STYLE}</style>{head}</head>\n'
-        f'<body><main><h1>{escape(title)}</h1>\n{lead}<p class="about">{"<br>".join(about)}</p>\n'
+        f'<body><nav>{home}</nav><main><h1>{escape(title)}</h1>\n{lead}<p class="about">{"<br>".join(about)}</p>\n'
         f"{body}</main></body></html>\n"
     ).encode()
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from probedesign.core import csv_tables
+from probedesign.core import csv_tables, statistics
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, write_atomically
 from probedesign.core.frames import Array, pose
@@ -30,6 +30,7 @@ from probedesign.live.poses.base_poses import TimedPose, pose_from_matrix
 from probedesign.live.poses.pose_sources import POSE_COLUMNS
 from probedesign.live.recordings.csv import CsvRecorder
 from probedesign.live.recordings.mcap_write import McapRecorder
+from probedesign.mapping.contact_map import ContactMap
 from probedesign.mapping.touch_point import BasePoseUncertainty
 from probedesign.prediction.monte_carlo import perturbed_rod
 from probedesign.rod.friction import ASSUMED_FRICTION, ASSUMED_SPREAD, CoulombContact, CoulombSolver, draw_friction
@@ -434,6 +435,30 @@ def write_run(
     write_atomically(paths[1], _csv(POSE_COLUMNS, poses))
     write_atomically(paths[2], _csv(TRUTH_COLUMNS, truth))
     return paths
+
+
+def score(contact_map: ContactMap, recording: Path | None, recorded_from: str) -> str:
+    """Return how far the points of a map are from the truth beside its recording, in one line; empty without truth.
+
+    A point is compared with the true one of the touch that began when its first touch did.
+    """
+    if recording is None or recorded_from != SOURCE or not contact_map.points:
+        return ""
+    path = recording.parent / FILES[2]
+    if not path.is_file():
+        return ""
+    true = np.genfromtxt(path, delimiter=",", skip_header=1, ndmin=2)
+    if true.shape[1] != len(TRUTH_COLUMNS) or not np.isfinite(true).all():
+        return ""
+    inside, squares = 0, 0.0
+    for point in contact_map.points:
+        row = int(np.abs(true[:, 0] - point.touches[0].segment.start).argmin())
+        error = point.p_world - true[row, 1:4] * MM
+        inside += float(error @ np.linalg.solve(point.cov_world, error)) <= statistics.max_chi2(3, 0.05)
+        squares += float(error @ error)
+    n = len(contact_map.points)
+    return (f"{inside} of {n} points lie inside their 95 % ellipsoids, {math.sqrt(squares / n) / MM:.2g} mm RMS from "
+            "the simulated truth")  # fmt: skip
 
 
 def _csv(columns: Sequence[str], rows: Iterable[Iterable[float]]) -> bytes:

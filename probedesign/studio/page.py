@@ -48,6 +48,7 @@ from probedesign.studio.improve import ImproveTab
 from probedesign.studio.scene import StudioScene
 from probedesign.studio.session import MOUNTINGS, PinnedDesign, Session, StudioTouch, with_knots
 from probedesign.web.guard import LoopbackServer, protect
+from probedesign.web.home import write_home
 
 TITLE = "probedesign studio"
 REST_SECONDS = 0.35  #: Time without a change after which everything is predicted.
@@ -59,7 +60,13 @@ PHONE_WIDTH = 576  #: Width up to which viser arranges the panels itself [px].
 def _save(design: Design, replace: bool) -> str:
     path = Path("designs") / f"{design.name}.toml"
     write_design(render_design(design), path, replace)
-    return f"wrote {path}"
+    return _written(f"wrote {path}", design)
+
+
+def _written(message: str, design: Design) -> str:
+    """Refresh the home page of the design, and return the message with its path."""
+    page = write_home(exports_of() / design.name, build_probe(design).model, f"designs/{design.name}.toml")
+    return message if page is None else f"{message}; open {page}"
 
 
 def _export(design: Design, replace: bool) -> str:
@@ -69,14 +76,14 @@ def _export(design: Design, replace: bool) -> str:
         manifest = pipeline.export(design, exports_of() / design.name, lambda _: None)
     except MissingDependencyError as error:
         raise InputError(str(error)) from None
-    return f"wrote {manifest['folder']}: {len(manifest['files']) + 1} files; open assembly.html"
+    return _written(f"wrote {manifest['folder']}: {len(manifest['files']) + 1} files", design)
 
 
 def _deploy(design: Design, replace: bool) -> str:
     from probedesign.frozen_probe import deploy_model
 
     path = exports_of() / design.name / f"{design.name}.probe.json"
-    return f"wrote {deploy_model(build_probe(design).model, path)}"
+    return _written(f"wrote {deploy_model(build_probe(design).model, path)}", design)
 
 
 #: Writes files of a design, which may be replaced where the second argument says so, and returns a message.

@@ -67,7 +67,7 @@ def rigid_parts(model: ProbeModel, folder: Path) -> tuple[list[RigidPart], str]:
         return plain + _exported(model, folder), ""
     except FileNotFoundError:
         why = "there is no manifest.json"
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         why = " ".join(str(error).split()) or "unreadable"
     bottom = float(inverse(model.T_sensor_base)[2, 3])
     adapter = _cylinder("adapter", flange.diameter, bottom, -flange.thickness, T_base)

@@ -11,7 +11,8 @@ import pytest
 
 from probedesign import pipeline
 from probedesign.campaigns import read_campaign
-from probedesign.cli.demo import DemoSection, write_demo_page
+from probedesign.cli.console import json_bytes
+from probedesign.cli.demo import DemoSection
 from probedesign.cli.main import run
 from probedesign.design import load_design
 from probedesign.live.blocks import iter_readings
@@ -22,6 +23,7 @@ from probedesign.live.sources.sim import SimulatedSource
 from probedesign.mapping.contact_map import build_map
 from probedesign.planning.candidates import Instruments
 from probedesign.probe import build_probe
+from probedesign.reports.html_page import REPORT_STYLE
 from probedesign.reports.identification_page import identification_page
 from probedesign.reports.map_page import MapScene, map_page, map_svg
 from probedesign.reports.plan_page import plan_page
@@ -31,6 +33,7 @@ from probedesign.reports.sweep_page import sweep_page
 from probedesign.reports.validation_page import validation_page
 from probedesign.simulation.campaign_folder import make_campaign
 from probedesign.simulation.ground_truth import CampaignPlan
+from probedesign.web.home import write_home
 from tests.mapping.synthetic_touches import STD_E, touch
 from tests.reports.page_checks import browser, check_page, opened, sheets
 from tests.reports.test_sweep_page import grid
@@ -124,7 +127,11 @@ def demo(request) -> bytes:
         DemoSection("Points", "probedesign explore", "Found.", picture="points.svg", links=[("points.svg", "points")]),
         DemoSection("The parts", "probedesign export " + 20 * "long/", "Not made."),
     ]
-    return write_demo_page(folder, sections).read_bytes()
+    extra, style = "".join(section.element() for section in sections), REPORT_STYLE + STYLE
+    (folder / "prediction.json").write_bytes(json_bytes(probe().predict().as_dict()))
+    page = write_home(folder, probe().model, extra=f'<div class="figures">{extra}</div>', style=style)
+    assert page is not None
+    return page.read_bytes()
 
 
 PAGES: tuple[Callable[[pytest.FixtureRequest], bytes], ...] = (

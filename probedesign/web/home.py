@@ -1,0 +1,354 @@
+"""The home page of a design's folder: the probe in three dimensions, its main figures, and the state of each step.
+
+Every command that writes into the folder refreshes the page, and with it the links at the head of the pages that it
+leads to. It reads what the other commands wrote, and computes nothing.
+"""
+
+import base64
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import date
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from probedesign.core.errors import InputError
+from probedesign.core.files import exports_of, write_atomically
+from probedesign.core.frames import Array
+from probedesign.estimation.model import ProbeModel
+from probedesign.geometry.axis import Axis
+from probedesign.geometry.tube import BentShape, TubeMesh
+from probedesign.reports.chart import ORDERED
+from probedesign.reports.html_page import DOCTYPE, NAVIGATION, html_document
+from probedesign.reports.html_page import STYLE as PAGE_STYLE
+from probedesign.web.scene import PART_COLOURS, PROBE, level_rotation, rigid_parts
+
+PAGE = "index.html"
+MAX_RECORD = 64_000_000  #: Size from which the file of a step is not read [bytes].
+#: Force [N] of the touches that colour the probe, and the errors [mm] at the ends of the colours.
+SHOWN_N, BEST_MM, WORST_MM = 0.01, 1.0, 30.0
+UNKNOWN = (150, 150, 150)  #: Colour of the probe where a touch is not located.
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step from the design to a located touch, whose state a card of the page states."""
+
+    title: str  #: of the card.
+    gives: str  #: what it gives, shown until it is made.
+    command: str  #: that makes it.
+    page: str = ""  #: page, record, picture: files in the folder; a pattern may have a star for a folder.
+    record: str = ""
+    picture: str = ""
+    state: Callable[[dict[str, Any]], str] = lambda record: ""  #: the result in one line, from the record.
+
+
+STEPS = (
+    Step("Prediction", "the contact error to expect, before printing", "probedesign predict {design}",
+         "prediction.html", "prediction.json", state=lambda record: str(record["verdict"])),
+    Step("Parts", "files to print, inspection sheets and assembly instructions", "probedesign export {design}",
+         "assembly.html", "manifest.json", "exploded.svg",
+         lambda record: f"{len(record['files'])} files of {len(record['parts'])} parts, "
+         f"{sum(check['ok'] for check in record['verification'].values())} of {len(record['verification'])} checks "
+         f"passed"),
+    Step("Frozen estimator", "one file for the robot's computer", "probedesign deploy {design}",
+         record="{name}.probe.json", state=lambda record: f"{{name}}.probe.json, for {record['sensor']['model']}"),
+    Step("Touches", "located touches of a recording",
+         "probedesign estimate {name} RECORDING --page {folder}/touches.html", "touches.html"),
+    Step("Map", "points of an object, found by touch",
+         "probedesign explore {name} RECORDING --pose POSES --out {folder}/map", "*/points.html",
+         picture="*/points.svg"),
+    Step("Comparison", "several designs side by side", "probedesign compare {design} OTHER.toml", "comparison.html"),
+    Step("Identification", "E, G and other parameters of the print, from tests",
+         "probedesign identify {design} DATA", "identification/identification.html",
+         "identification/identification.json", state=lambda record: _identified(record)),
+    Step("Validation", "stated regions against a stereo reference", "probedesign validate {name} DATA",
+         "validation/validation.html", "validation/validation.json",
+         state=lambda record: str(record["coverage"]["sentence"])),
+    Step("Twin", "the probe for simulators", "probedesign twin {design}", record="twin/{name}.xml"),
+    Step("Live", "touches as they happen; sim: needs no sensor", "probedesign live {name} --source sim: --view"),
+)  # fmt: skip
+
+STYLE = """
+main { max-width: 1120px; margin: auto }
+.hero { display: grid; grid-template-columns: minmax(0, 3fr) minmax(0, 2fr); gap: 24px;
+  align-items: center; margin: 16px 0 }
+#scene { width: 100%; height: 420px; touch-action: none; cursor: grab; display: block; color: var(--ink);
+  filter: none }
+.scale { height: 8px; border-radius: 4px; background: linear-gradient(to right, COLOURS) }
+.ends { display: flex; justify-content: space-between } .small { color: var(--soft); font-size: 14px; margin: 8px 0 }
+.number { margin: 0 0 24px }
+.number b { display: block; font-size: 40px; line-height: 1.1; font-weight: 600; color: var(--link) }
+.cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(300px, 100%), 1fr)); gap: 16px }
+.card { border: 1px solid var(--rule); border-radius: 8px; padding: 16px; display: flex; flex-direction: column;
+  gap: 8px }
+.card h2 { font-size: 18px; margin: 0; display: flex; justify-content: space-between; gap: 8px }
+.card p { margin: 0; font-size: 14px }
+.card img { width: 100%; height: 160px; object-fit: contain; background: #fff; border-radius: 4px }
+.card .state { font-size: 14px; font-weight: 400; color: var(--soft) } .card .stale { color: var(--alarm) }
+.card code { font-size: 13px; overflow-wrap: anywhere; color: var(--soft) }
+.missing { border-style: dashed }
+@media (max-width: 720px) {
+  .hero { grid-template-columns: 1fr } #scene { height: 300px } .number b { font-size: 32px }
+}
+@media print { #scene { height: 80mm } }
+""".replace("COLOURS", ", ".join(ORDERED))
+#: Keys of a design in plain words, with what measures each.
+ASSUMED = {
+    "material.youngs_modulus_mpa": "E (identify, or a hanging weight)",
+    "material.shear_modulus_mpa": "G (identify)",
+    "material.density_kg_m3": "density (a balance)",
+    "mount.root_rigid_radii": "bending of the root (identify)",
+    "contact.friction": "friction (a tilted plate)",
+    "contact.object_compliance_m_N": "compliance of the object (two presses at different places of the probe)",
+}
+STYLE_START = PAGE_STYLE[:40].encode()  #: Of every page of this program, of any version.
+REFRESH = '<meta http-equiv="refresh" content="2">'
+
+
+def write_home(
+    folder: Path, model: ProbeModel, design: str = "", *, extra: str = "", style: str = "", working: str = ""
+) -> Path | None:
+    """Write the home page of a folder, and the links at the head of its pages.
+
+    Args:
+        folder: of the design's files.
+        model: of the probe.
+        design: design file, for the commands of missing steps; the name of the design if empty.
+        extra: HTML between the figures and the cards, for which `style` is added to the style sheet.
+        working: what is being made; the page reloads itself until it is empty.
+
+    Returns:
+        The page; None where a file of this name was not written by this program, which stays.
+    """
+    page = folder / PAGE
+    if page.exists() and not _is_ours(page):
+        return None
+    words = {"design": design or model.name, "name": model.name, "folder": str(folder)}
+    made = [(step, *_files(folder, step, model.name)) for step in STEPS]
+    prediction = next((record for step, _, record, _ in made if step.title == "Prediction" and record), {})
+    if prediction.get("fingerprint") != model.fingerprint:
+        prediction = {}
+    cards = "".join(
+        _card(step, words, file, record, picture, model.fingerprint) for step, file, record, picture in made
+    )
+    waiting = f'<p class="small" role="status">being made: {escape(working)} ...</p>' if working else ""
+    figures = "".join(
+        f'<p class="number"><b>{value}</b>{escape(meaning)}</p>' for value, meaning in _numbers(prediction)
+    )
+    assumed = ", ".join(ASSUMED.get(key, key) for key in model.assumptions)
+    notes = f'<p class="small">Assumed until measured: {escape(assumed)}.</p>' if assumed else ""
+    body = (f'<div class="hero">{_scene(folder, model, prediction)}<div>{figures}{notes}</div></div>{waiting}{extra}'
+            f'<div class="cards">{cards}</div>')  # fmt: skip
+    about = [f"Geometry {model.fingerprint} · {escape(model.resin or 'unknown resin')} · {escape(model.sensor)} · "
+             f"{date.today().isoformat()}"]  # fmt: skip
+    content = html_document(model.name, about, body, STYLE + style, REFRESH if working else "")
+    write_atomically(page, content, durable=False)
+    _link(folder, model, [(step.title, file) for step, file, _, _ in made if file.endswith(".html")])
+    return page
+
+
+def refresh_home(model: ProbeModel, design: Path | None = None) -> Path | None:
+    """Refresh the home page in the default folder of a design's files, see `write_home`.
+
+    Args:
+        model: of the probe.
+        design: its design file; None for a command that was called with a frozen probe, whose files may lie elsewhere:
+            the page is written then only if the folder exists.
+    """
+    if design is None and not (exports_of() / model.name).is_dir():
+        return None
+    return write_home(exports_of(design) / model.name, model, "" if design is None else str(design))
+
+
+def _is_ours(page: Path) -> bool:
+    try:
+        with page.open("rb") as file:
+            head = file.read(4096)
+    except OSError:
+        return False
+    return head.startswith(DOCTYPE.encode()) and STYLE_START in head
+
+
+def _files(folder: Path, step: Step, name: str) -> tuple[str, dict[str, Any] | None, str]:
+    """Return page or file, record and picture of a step, relative to the folder; empty or None where there is none."""
+
+    def newest(pattern: str) -> str:
+        files = sorted(folder.glob(pattern.format(name=name)), key=lambda file: file.stat().st_mtime) if pattern else []
+        return files[-1].relative_to(folder).as_posix() if files else ""
+
+    record = newest(step.record)
+    return newest(step.page) or record, _record(folder / record) if record else None, newest(step.picture)
+
+
+def _record(path: Path) -> dict[str, Any]:
+    """Return a JSON document; empty if it is none."""
+    if path.suffix != ".json" or path.stat().st_size > MAX_RECORD:
+        return {}
+    try:
+        content = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def _card(
+    step: Step, words: dict[str, str], file: str, record: dict[str, Any] | None, picture: str, fingerprint: str
+) -> str:
+    """Return the card of a step as HTML: its result, or the command that makes it."""
+    command = f"<code>{escape(step.command.format(**words))}</code>"
+    if not file:
+        return f'<section class="card missing"><h2>{step.title}</h2><p>{escape(step.gives)}</p>{command}</section>\n'
+    day = date.fromtimestamp((Path(words["folder"]) / file).stat().st_mtime).isoformat()
+    state, stale = f'<span class="state">{day}</span>', ""
+    if record and record.get("fingerprint", fingerprint) != fingerprint:
+        stale = f'<p class="stale">made for geometry {escape(str(record["fingerprint"]))}; run it again:</p>{command}'
+    try:
+        text = step.state(record).format(**words) if record else step.gives
+    except (KeyError, TypeError, AttributeError, ValueError):
+        text = "the file cannot be read; run it again"
+    title = f'<a href="{escape(file)}">{step.title}</a>'
+    image = f'<a href="{escape(file)}"><img src="{escape(picture)}" alt="{step.title}"></a>' if picture else ""
+    return f'<section class="card"><h2>{title}{state}</h2>{image}<p>{escape(text)}</p>{stale}</section>\n'
+
+
+def _identified(record: dict[str, Any]) -> str:
+    """Return the identified numbers of `identification.json` with their 95 % intervals."""
+    values = [f"{number['name']} {number['value']:.4g} {number['unit']} ({number['low']:.4g} ... {number['high']:.4g})"
+              for number in record["found"] if number.get("identified")]  # fmt: skip
+    return ", ".join(values) or str(record["result"])
+
+
+def _numbers(prediction: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the three main figures of a prediction with their meaning; fewer where nothing is located."""
+    try:
+        felt = [row["detectable_force_mN"] for row in prediction["detection"] if row["detectable_force_mN"] is not None]
+        fused = prediction["fused_headline"]
+        single = _errors(prediction, SHOWN_N)
+        place = fused["contact_fraction"]
+        numbers = []
+        if felt:
+            numbers.append((f"{min(felt):.2g} mN", "is the lightest touch that is felt, at the most sensitive place."))
+        if fused["predicted_error_mm"] is not None:
+            numbers.append((f"{fused['predicted_error_mm']:.2g} mm",
+                            f"RMS error of {fused['touches']} fused touches of up to {1e3 * fused['force_N']:g} mN, at "
+                            f"{place:g} of the length."))  # fmt: skip
+        if single.get(place) is not None:
+            numbers.append((f"{single[place]:.2g} mm",
+                            f"RMS error of one reading of {1e3 * SHOWN_N:g} mN there, worst direction."))  # fmt: skip
+    except (KeyError, TypeError, ValueError):
+        return []
+    return numbers
+
+
+def _errors(prediction: dict[str, Any], force_N: float) -> dict[float, float | None]:
+    """Return the largest predicted error [mm] of one reading of a force by place; None where one is not located."""
+    errors = dict[float, float | None]()
+    for row in prediction["conditions"]:
+        if row["force_N"] == force_N:
+            error = row["predicted_error_mm"] if row["result"] == "ok" else None
+            before = errors.get(row["contact_fraction"], 0.0)
+            errors[row["contact_fraction"]] = None if error is None or before is None else max(error, before)
+    return errors
+
+
+# scene
+
+
+def _scene(folder: Path, model: ProbeModel, prediction: dict[str, Any]) -> str:
+    """Return the element with the probe and its parts, as mounted and unloaded, coloured by the predicted error."""
+    rod = model.rod
+    tube = TubeMesh(rod.s, rod.radius, model.cross_section.flatness)
+    axis = model.axis or Axis(np.array([0.0, rod.length]), np.zeros((2, 2)))
+    s = np.linspace(0.0, rod.length, 200)
+    T = axis.frames(s)
+    upright = level_rotation(model.gravity_base)
+    points = tube.vertices(BentShape(s, T[:, :3, 3], T[:, :3, :3])) @ upright.T
+    try:
+        errors = _errors(prediction, SHOWN_N) if prediction else {}
+    except (KeyError, TypeError, ValueError):
+        errors = {}
+    parts, note = rigid_parts(model, folder)
+    colours = _colours(errors, tube, len(points)) if errors else None
+    meshes: list[tuple[Array, Any, tuple[int, int, int], Any]] = [(points, tube.faces, PROBE, colours)]
+    meshes += [(part.vertices @ upright.T, part.faces, PART_COLOURS.get(part.name, UNKNOWN), None) for part in parts]
+    every = np.concatenate([mesh[0] for mesh in meshes])
+    low, high = every.min(axis=0), every.max(axis=0)
+    step = float((high - low).max()) / 65535.0
+    data = {
+        "azimuth": math.radians(32.0), "elevation": math.radians(18.0), "centre": (0.5 * (low + high)).tolist(),
+        "radius": 0.5 * float(np.linalg.norm(high - low)), "low": low.tolist(), "step": step,
+        "floor": float(low[2]) - 0.012, "grid": (0.01 * np.round(50.0 * (low + high)[:2])).tolist(),
+        "parts": [
+            {"points": _base64(np.round((vertices - low) / step).astype("<u2")), "faces": _base64(faces.astype("<u4")),
+             "colour": list(colour), "colours": None if colours is None else _base64(colours)}
+            for vertices, faces, colour, colours in meshes
+        ],
+    }  # fmt: skip
+    caption = "Unloaded, as mounted; gravity points down, the grid is 10 mm. Drag or use the arrow keys to rotate."
+    if note:
+        caption += " Mount and sensor are plain cylinders until the parts are exported."
+    scale = (
+        f'<div class="scale"></div><div class="ends small"><span>{BEST_MM:g} mm</span><span>error of one reading of '
+        f"{1e3 * SHOWN_N:g} mN at that place</span><span>{WORST_MM:g} mm</span></div>"
+        if errors
+        else ""
+    )
+    script = Path(__file__).with_suffix(".js").read_text("utf-8")
+    return (
+        '<div><canvas id="scene" role="img" tabindex="0" aria-label="the probe on its mount"></canvas>'
+        f'{scale}<p class="small" id="scene-note">{escape(caption)}</p>'
+        f'<script type="application/json" id="scene-data">{json.dumps(data)}</script>'
+        f'<script type="module">\n{script}</script></div>'
+    )
+
+
+def _base64(values: NDArray[np.generic]) -> str:
+    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
+
+
+def _colours(errors: dict[float, float | None], tube: TubeMesh, count: int) -> NDArray[np.uint8]:
+    """Return the colour of each corner of the tube by the predicted error at its place, (count, 3)."""
+    palette = np.array([list(bytes.fromhex(colour[1:])) for colour in ORDERED], dtype=float)
+    places = sorted(errors)
+    values = [math.nan if errors[place] is None else math.log(errors[place] or BEST_MM) for place in places]
+    at = np.interp(tube.stations / tube.s[-1], places, values)
+    share = np.clip((at - math.log(BEST_MM)) / math.log(WORST_MM / BEST_MM), 0.0, 1.0) * (len(palette) - 1)
+    rings = np.stack([np.interp(share, range(len(palette)), channel) for channel in palette.T], axis=1)
+    rings[np.isnan(at)] = UNKNOWN
+    corners = np.repeat(rings, tube.sides, axis=0)
+    caps = [np.repeat(rings[end : end + 1 or None], tube.sides + 1, axis=0) for end in (0, -1)]
+    return np.concatenate([corners, *caps]).round().astype(np.uint8)[:count]
+
+
+# links
+
+
+def _link(folder: Path, model: ProbeModel, pages: Sequence[tuple[str, str]]) -> None:
+    """Write the links between the pages of a folder at the head of each; those that the export lists stay as they are.
+
+    The digest of such a page is in the manifest, so that it links to the home page only, since it was written.
+    """
+    for title, file in pages:
+        if file == "assembly.html":
+            continue
+        up = "../" * file.count("/")
+        links = "".join(
+            f"<span>{name}</span>" if name == title else f'<a href="{up}{escape(other)}">{name}</a>'
+            for name, other in pages
+        )
+        about = f"{escape(model.name)} · geometry {model.fingerprint} · {date.today().isoformat()}"
+        head = f'<nav><a href="{up}{PAGE}">{about}</a>{links}</nav>'
+        path = folder / file
+        try:
+            content = path.read_bytes()
+            changed = NAVIGATION.sub(head.replace("\\", "\\\\").encode(), content, count=1)
+            if content.startswith(DOCTYPE.encode()) and changed != content:
+                write_atomically(path, changed, durable=False)
+        except (OSError, InputError):
+            continue  # the page stays as it is; the home page leads to it all the same
