@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
-from probedesign.prediction.touches import DIRECTIONS, Touches
+from probedesign.prediction.touches import Touches, angle_of
 
 ACCURACIES_MM = (1.0, 2.0, 5.0)  #: RMS errors for which the required force is computed.
 #: Forces that are evaluated, from a sixth of one reading's resolution up to the range of the finest calibration.
@@ -146,7 +146,7 @@ class Workspace:
     #: of the sheet that the positions sweep together, by direction; overlapping parts count repeatedly.
     area_mm2: dict[str, float] | None = None
     #: that they sweep when pushed from all around, interpolated smoothly between the directions; overlapping parts
-    #: count repeatedly. None where a direction across gravity is missing.
+    #: count repeatedly. None where directions are missing: fewer than four, or uneven ones.
     volume_mm3: float | None = None
 
 
@@ -166,8 +166,8 @@ def workspace_of(reach: Sequence[ForceThresholds], touches: Mapping[float, Touch
         for i, row in enumerate(reach)
         if row.greatest_force_N is not None
     )
-    found = {path.direction for path in paths}
-    sheets = {side: _sheet(paths, side) for side in DIRECTIONS if side in found}
+    found = sorted({path.direction for path in paths}, key=_turned)
+    sheets = {side: _sheet(paths, side) for side in found}
     if "+y" in sheets and "-y" not in sheets and abs(gravity[1]) <= _MIRRORED * np.linalg.norm(gravity):
         sheets["-y"] = sheets["+y"] * np.array([1.0, -1.0, 1.0])
     return Workspace(paths, {side: _area(sheet) for side, sheet in sheets.items()}, _volume(sheets))
@@ -189,6 +189,11 @@ def _path(row: ForceThresholds, max_force: float, forces: Array, points: Array, 
     return PressPath(row.contact_fraction, row.direction, max_force, row.limit, pressed, x, y, z)
 
 
+def _turned(side: str) -> float:
+    """Return the angle of a direction from +x, from 0 up to a turn [rad]."""
+    return angle_of(side) % (2.0 * np.pi)
+
+
 def _sheet(paths: Sequence[PressPath], side: str) -> Array:
     along = sorted((path for path in paths if path.direction == side), key=lambda path: path.contact_fraction)
     return np.array([np.zeros((STEPS, 3)), *(path.points for path in along)])
@@ -203,13 +208,14 @@ def _area(sheet: Array) -> float:
 
 def _volume(sheets: Mapping[str, Array]) -> float | None:
     """Return the swept volume [mm³]; a position's paths are a Fourier series of the angle through the directions."""
-    if set(sheets) != set(DIRECTIONS) or len({len(sheet) for sheet in sheets.values()}) > 1:
+    sides, n = sorted(sheets, key=_turned), len(sheets)
+    even = np.allclose([_turned(side) for side in sides], 2.0 * np.pi / max(n, 1) * np.arange(n))
+    if n < 4 or not even or len({len(sheet) for sheet in sheets.values()}) > 1:
         return None
-    plus, minus, left, right = (sheets[side] for side in ("+x", "-x", "+y", "-y"))
-    mean, twice = (plus + minus + left + right) / 4.0, (plus + minus - left - right) / 4.0
-    angle = np.linspace(0.0, 2.0 * np.pi, _TURNS + 1)[:, None, None, None]
-    once = (plus - minus) / 2.0 * np.cos(angle) + (left - right) / 2.0 * np.sin(angle)
-    p = mean + once + twice * np.cos(2.0 * angle)
+    terms = np.fft.rfft([sheets[side] for side in sides], axis=0)
+    turns = np.exp(1j * np.outer(np.linspace(0.0, 2.0 * np.pi, _TURNS + 1), np.arange(len(terms))))
+    once = (np.arange(len(terms)) == 0) | (2 * np.arange(len(terms)) == n)  # their conjugates are no terms of their own
+    p = np.tensordot(turns, terms * np.where(once, 1.0, 2.0)[:, None, None, None], 1).real / n
     by = [_between(np.diff(p, axis=axis), axis) for axis in range(3)]
     return float(np.abs(np.einsum("...i,...i->...", by[0], np.cross(by[1], by[2]))).sum())
 
