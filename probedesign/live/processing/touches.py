@@ -554,6 +554,9 @@ SHIFT_STEP = 0.004  #: Step between shifts [s].
 #: Minimum latency that is reported [s]: at 10 mm/s it is 0.1 mm, the tolerance of a tracker's keyframe.
 MIN_REPORTED = 0.010
 MIN_CHI2_GAIN = 25.0  #: Minimum decrease of χ² by the shift: five standard deviations.
+#: Share of χ² that a shift explains, at least, where it leaves more than noise: a contact that sticks and slips leaves
+#: twice the noise, whatever the shift, and a fifth of that follows a shift by chance.
+MIN_EXPLAINED = 0.5
 MAX_STD_SHARE = 0.2  #: Maximum standard deviation of the shift, as a fraction of `MIN_REPORTED`.
 MIN_TRAVEL = 0.5e-3  #: Minimum travel of the base [m].
 MAX_INTERVAL = 0.1  #: Maximum interval between readings of a touch [s].
@@ -602,7 +605,9 @@ class LatencyCheck:
         i = int(np.argmin(residuals))
         noise = max(1.0, residuals[i] / (inside.sum() - 4))
         unshifted = residuals[len(shifts) // 2]
-        if unshifted - residuals[i] < MIN_CHI2_GAIN * noise:
+        gain, free = unshifted - residuals[i], float(inside.sum() - 4)
+        fits = residuals[i] <= free + 5.0 * math.sqrt(2.0 * free)
+        if gain < MIN_CHI2_GAIN * noise or not (fits or gain >= MIN_EXPLAINED * unshifted):
             return 0.0
         if i in (0, len(shifts) - 1):
             return math.nan
