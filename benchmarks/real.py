@@ -19,6 +19,7 @@ from probedesign.design.catalog import RESINS
 from probedesign.design.sensor_catalog import SENSORS
 from probedesign.estimation.bias import WALK_STEPS
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.live.processing.payload import Rest, calibrate, tool_model
 from probedesign.rod.rod import Rod
 
 Row = list[str]
@@ -244,12 +245,35 @@ def payload(R: Array, wrenches: Array) -> tuple[Array, Array, Array, Array]:
     return w, moment[3:], off[0].reshape(n, 3), off[1].reshape(n, 3)
 
 
+DOWN = np.array([0.0, 0.0, -G])
+DRAWS, CHI2_95_6 = 10, 12.592  #: Of half of the poses; 95 % quantile of χ² with six degrees of freedom.
+
+
+def held_out(rests: list[Rest]) -> tuple[Array, Array]:
+    """Return χ² (n,) and errors (n, 6) of the readings in half of the poses, predicted from the other half."""
+    chi2, errors = [], []
+    for seed in range(DRAWS):
+        drawn = np.random.default_rng(seed).permutation(len(rests))
+        used = sorted(drawn[: len(rests) // 2])
+        found = calibrate(tool_model(), [rests[i] for i in used], DOWN, tool=True)
+        for i in drawn[len(rests) // 2 :]:
+            mean, cov = found.predict(rests[i].time, rests[i].R)
+            errors.append(rests[i].wrench - mean)
+            chi2.append(float(errors[-1] @ np.linalg.solve(cov, errors[-1])))
+    return np.array(chi2), np.array(errors)
+
+
 def axia80(folder: Path) -> list[Row]:
     """Fit bias, weight and centre of a gripper to 100 rest poses."""
     poses, wrenches = (numbers(folder / f"recorded_messages_{part}_100.txt") for part in ("pose", "wrench"))
     R = Rotation.from_quat(poses[:, 3:7]).as_matrix()
     w, c, force, moment = payload(R, wrenches)
     rms = [float(np.sqrt((off**2).mean())) for off in (force, moment)]
+    read = np.concatenate([np.einsum("nji,nj->ni", R, wrenches[:, k : k + 3]) for k in (0, 3)], axis=1)
+    rests = [Rest(float(i), row, np.zeros(6), each) for i, (row, each) in enumerate(zip(read, R, strict=True))]
+    whole = calibrate(tool_model(), rests, DOWN, tool=True).residuals
+    left = [float(np.sqrt((whole[:, k : k + 3] ** 2).mean())) for k in (0, 3)]
+    chi2, errors = held_out(rests)
     weight = float(np.linalg.norm(w))
     return [
         ["weight of the gripper, fitted", "-", f"{weight:.2f} N", "-"],
@@ -258,6 +282,10 @@ def axia80(folder: Path) -> list[Row]:
          "weight and bias", f"{rms[0]:.2f} N left, {rms[0] / weight:.1%} of the weight"],
         ["moment, the same", f"{1e3 * np.sqrt((wrenches[:, 3:] ** 2).mean()):.0f} mN·m", "weight and bias",
          f"{1e3 * rms[1]:.1f} mN·m left"],
+        ["residual of calibrate --tool, which follows the drift", "-", f"{whole.shape[0]} poses",
+         f"{left[0]:.3f} N, {1e3 * left[1]:.1f} mN·m left"],
+        [f"force of the other half predicted, {DRAWS} draws", "-", f"{np.sqrt((errors[:, :3] ** 2).mean()):.3f} N RMS",
+         f"{np.mean(chi2 < CHI2_95_6):.0%} in 95 %, mean χ² {chi2.mean():.1f} of 6"],
     ]  # fmt: skip
 
 
