@@ -117,15 +117,14 @@ def drift_outcome(
         mine = [c for c in chain.contacts if begin - 0.1 <= c.start < begin + DWELL]
         used |= {c.number for c in mine}
         estimate, fused = (mine[-1].estimate, mine[-1].fused) if mine else (None, None)
-        if arm is not None:
-            if fused is not None and fused.ok:
-                located += 1
-                error = fused.p_surface_world - arm.turns(float(_turned(np.array(begin)))).apply(solved.p_surface_base)
-                inside += nees(error - HEIGHT, fused.cov_surface_world, 1e-5) <= CHI2_95
-        elif estimate is not None and estimate.ok:
+        if estimate is not None and estimate.ok:
             located += 1
             error = estimate.p_surface_base - solved.p_surface_base
             inside += nees(error, estimate.cov_surface_base, 1e-5) <= CHI2_95
+        elif arm is not None and fused is not None and fused.ok:  # a touch too light for one reading
+            located += 1
+            error = fused.p_surface_world - arm.turns(float(_turned(np.array(begin)))).apply(solved.p_surface_base)
+            inside += nees(error - HEIGHT, fused.cov_surface_world, 1e-5) <= CHI2_95
     false_touches = len({c.number for c in chain.contacts} - used)
     return DriftOutcome(located, inside, false_touches, false_ok, warming)
 
