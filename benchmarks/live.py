@@ -71,6 +71,7 @@ def report(minutes: float = MINUTES, view: bool = False, foxglove: bool = False)
         warm_up(estimator, print, fusing=True)
         with _box(bundle) as box:
             _rate(estimator, box, 60.0 * minutes, folder, view, foxglove)
+        with _box(bundle) as box:  # another one, which is free at first
             _guard(estimator, box.spec, min(60.0 * minutes, 60.0))
         with _box(bundle, "--scene", "free", "--fault", "restart@8", "--fault", "stall@15") as box:
             _faults(estimator, box.spec, 20.0)
