@@ -19,7 +19,7 @@ from probedesign.design.schema import Design
 _OF_A_PRINT = ("diameter_mm", "diameter_share", "diameter_scatter_mm", "bow_mm")
 #: Keys that state what was measured of one resin and how well it is known, by table.
 _OF_A_RESIN = {
-    "material": ("identified_tests", "stiffness_spread", "creep_spread"),
+    "material": ("own", "identified_tests", "stiffness_spread", "creep_spread"),
     "print": ("scale_xy", "scale_z", "offset_xy_mm"),
     "tolerances": ("youngs_modulus", "shear_modulus", "youngs_modulus_by_diameter", "density", "creep",
                    "stiffness_scatter"),

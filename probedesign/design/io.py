@@ -7,12 +7,12 @@ from typing import Any
 
 from probedesign.core.csv_tables import read_text
 from probedesign.core.errors import CheckFailedError, InputError, quoted, unknown_name
-from probedesign.core.files import MAX_TOML, write_atomically
+from probedesign.core.files import MAX_TOML, check_regular, write_atomically
 from probedesign.core.units import MPA
 from probedesign.design.catalog import CUSTOM, OBJECT_COMPLIANCE, RESINS, Quantity, Resin, find
-from probedesign.design.diagnostics import check_toml, read_toml
-from probedesign.design.schema import Design
-from probedesign.design.sensor_catalog import FILES, SENSORS, load_sensor
+from probedesign.design.diagnostics import Table, check_toml, parse_toml, read_toml
+from probedesign.design.schema import Design, PrinterRecord, ResinRecord
+from probedesign.design.sensor_catalog import FILES, SENSORS, SensorRecord, load_sensor
 from probedesign.design.sensors import SensorModel
 
 COMMENT_COLUMN = 36
@@ -365,23 +365,35 @@ def check_design(data: dict[str, Any], text: str = "", where: str = "") -> Desig
     Raises:
         InputError: one line naming the key, the value and the remedy.
     """
-    return check_toml(_with_sensor_file(data, where), Design, text, where)
+    for table, (key, record) in _FILES.items():
+        data = _with_file(data, where, table, key, record)
+    return check_toml(data, Design, text, where)
 
 
-def _with_sensor_file(data: dict[str, Any], where: str) -> dict[str, Any]:
-    """Return the tables with `sensor.file`, a path relative to the design file, replaced by the content of that file.
+#: Tables whose key may be replaced by `file`, and the schema of that file.
+_FILES: dict[str, tuple[str, type[Table]]] = {
+    "sensor": ("model", SensorRecord), "material": ("resin", ResinRecord), "print": ("printer", PrinterRecord)
+}  # fmt: skip
+
+
+def _with_file(data: dict[str, Any], where: str, table: str, choice: str, record: type[Table]) -> dict[str, Any]:
+    """Return the tables with `file` of one, a path relative to the design file, replaced by the content of that file.
 
     Raises:
-        InputError: the file is wrong, or the design describes the sensor twice.
+        InputError: the file is wrong, or the design describes the same twice.
     """
-    sensor = data.get("sensor")
-    if not isinstance(sensor, dict) or "file" not in sensor:
+    values = data.get(table)
+    if not isinstance(values, dict) or "file" not in values:
         return data
-    path, place = sensor["file"], f"{where}: " if where else ""
-    if not isinstance(path, str):
-        raise InputError(f"{place}sensor.file = {quoted(path)}: expected text in quotes")
-    if twice := [key for key in ("model", "own") if key in sensor]:
-        raise InputError(f"{place}sensor.{twice[0]} is not used beside sensor.file; remove one of them")
-    own = load_sensor(Path(where).parent / path)
-    rest = {key: value for key, value in sensor.items() if key != "file"}
-    return {**data, "sensor": {**rest, "model": CUSTOM, "own": own}}
+    name, place = values["file"], f"{where}: " if where else ""
+    if not isinstance(name, str):
+        raise InputError(f"{place}{table}.file = {quoted(name)}: expected text in quotes")
+    if twice := [key for key in (choice, "own") if key in values]:
+        raise InputError(f"{place}{table}.{twice[0]} is not used beside {table}.file; remove one of them")
+    path = Path(where).parent / name
+    check_regular(path)
+    own = parse_toml(read_text(path, f"{table} file", MAX_TOML, kind="TOML"), record, str(path))
+    rest = {key: value for key, value in values.items() if key != "file"}
+    if isinstance(own, ResinRecord):  # what is known of a resin of the catalog by its name
+        rest.setdefault("stiffness_spread", own.stiffness_spread)
+    return {**data, table: {**rest, choice: CUSTOM, "own": own}}

@@ -19,10 +19,12 @@ from probedesign.core.notebook import Displayed
 from probedesign.core.units import MM, MPA
 from probedesign.design.catalog import (
     CUSTOM,
+    ELASTIC_FRICTION,
     OBJECT_COMPLIANCE,
     PRINTERS,
     RESINS,
     ROBOT_FLANGES,
+    UNMEASURED_SPREAD,
     Printer,
     Provenance,
     Quantity,
@@ -31,7 +33,7 @@ from probedesign.design.catalog import (
     find,
 )
 from probedesign.design.diagnostics import FromArray, Inconsistent, Table
-from probedesign.design.sensor_catalog import SENSORS, Millimetres, SensorRecord
+from probedesign.design.sensor_catalog import SENSORS, Millimetres, SensorRecord, Text
 from probedesign.design.sensors import DEFAULT_SENSOR, Calibration, SensorModel
 from probedesign.geometry.axis import Axis
 from probedesign.geometry.cross_section import CrossSection
@@ -273,10 +275,58 @@ class ProvenanceTable(Table):
 Digest = Annotated[str, Field(pattern="^[0-9a-f]{8}$")]  #: `campaigns.Test.digest` of a test.
 
 
+class ResinRecord(Table):
+    """A resin file: `source` is of its numbers; without a shear modulus that of an incompressible resin is assumed."""
+
+    name: Text
+    product: Text
+    source: Text
+    youngs_modulus_mpa: Annotated[float, Field(ge=0.01, le=1e5)]
+    shear_modulus_mpa: Annotated[float, Field(ge=0.003, le=1e5)] | None = None
+    density_kg_m3: Annotated[float, Field(ge=100.0, le=20000.0)]
+    stiffness_spread: Annotated[float, Field(ge=0.0, le=0.5)] = UNMEASURED_SPREAD.value
+    friction: Annotated[float, Field(ge=0.0, le=5.0)] = ELASTIC_FRICTION.value
+    provenance: Provenance = "assumed"
+    cure: str = "wash, dry and cure as the resin's data sheet says"
+
+    @property
+    def record(self) -> Resin:
+        """Return the resin in SI units."""
+        E, G = self.youngs_modulus_mpa, self.shear_modulus_mpa
+        return Resin(
+            self.name, self.product, Quantity(E * MPA, self.provenance, self.source),
+            Quantity(E * MPA / 3.0, "assumed", "E/3, the incompressible limit")
+            if G is None else Quantity(G * MPA, self.provenance, self.source),
+            Quantity(self.stiffness_spread, "assumed", self.source),
+            Quantity(self.density_kg_m3, self.provenance, self.source),
+            Quantity(self.friction, "assumed", self.source), "assumed: 1 %, as of Elastic 50A V1", self.cure,
+        )  # fmt: skip
+
+
+class PrinterRecord(Table):
+    """A printer file."""
+
+    name: Text
+    product: Text
+    source: Text
+    build_volume_mm: Annotated[tuple[Millimetres, Millimetres, Millimetres], FromArray]
+
+
+def _check_own(table: "MaterialTable | PrintTable", key: str) -> None:
+    if (table.own is not None) != (getattr(table, key) == CUSTOM):
+        missing = f"is missing beside {key} = {CUSTOM!r}; describe it there, or name its file: file = ..."
+        unused = f"is only for {key} = {CUSTOM!r}; remove it or change {key}"
+        raise Inconsistent("own", missing if table.own is None else unused)
+
+
 class MaterialTable(Table):
-    """`[material]`: a resin by name; numbers given here replace those of the resin."""
+    """`[material]`: a resin by name; numbers given here replace those of the resin.
+
+    In a file, `file` names a resin file, which `io` reads into `own`.
+    """
 
     resin: str = "elastic-50a"
+    own: ResinRecord | None = None
     youngs_modulus_mpa: Annotated[float, Field(ge=0.01, le=1e5)] | None = None
     shear_modulus_mpa: Annotated[float, Field(ge=0.003, le=1e5)] | None = None
     density_kg_m3: Annotated[float, Field(ge=100.0, le=20000.0)] | None = None
@@ -285,6 +335,11 @@ class MaterialTable(Table):
     creep_spread: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
     identified_tests: Annotated[tuple[Digest, ...], FromArray] = ()
     provenance: ProvenanceTable = ProvenanceTable()
+
+    @model_validator(mode="after")
+    def _described(self) -> Self:
+        _check_own(self, "resin")
+        return self
 
 
 class SensorTable(Table):
@@ -392,14 +447,23 @@ class ContactTable(Table):
 
 
 class PrintTable(Table):
-    """`[print]`: the printer, and the printed over the drawn size that compensates shrinkage."""
+    """`[print]`: the printer, and the printed over the drawn size that compensates shrinkage.
+
+    In a file, `file` names a printer file, which `io` reads into `own`.
+    """
 
     printer: str = "form-3"
+    own: PrinterRecord | None = None
     scale_xy: Scale = 1.0
     scale_z: Scale = 1.0
     offset_xy_mm: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
     rigid_scale_xy: Scale = 1.0
     rigid_scale_z: Scale = 1.0
+
+    @model_validator(mode="after")
+    def _described(self) -> Self:
+        _check_own(self, "printer")
+        return self
 
     @property
     def scale(self) -> tuple[float, float, float]:
@@ -505,7 +569,8 @@ class Design(Table, Displayed):
     @property
     def resin(self) -> Resin:
         """Return the resin of `[material]`."""
-        return find(RESINS, self.material.resin, "material.resin")
+        own = self.material.own
+        return find(RESINS, self.material.resin, "material.resin", CUSTOM) if own is None else own.record
 
     @property
     def sensor_model(self) -> SensorModel:
@@ -530,7 +595,10 @@ class Design(Table, Displayed):
     @property
     def printer(self) -> Printer:
         """Return the printer of `[print]`."""
-        return find(PRINTERS, self.print_.printer, "print.printer")
+        own = self.print_.own
+        if own is not None:
+            return Printer(own.name, own.product, own.build_volume_mm)
+        return find(PRINTERS, self.print_.printer, "print.printer", CUSTOM)
 
     @property
     def youngs_modulus(self) -> Quantity:

@@ -46,7 +46,9 @@ class DesignControls:
         self._slider("probe.axis_azimuth_deg", "azimuth of the bend [deg]", -180.0, 180.0, 1.0,
                      probe.axis_azimuth_deg or 0.0)  # fmt: skip
         self._choice("probe.tip", "tip", ("blunt", "rounded"), probe.tip)
-        self._choice("material.resin", "resin", tuple(RESINS), design.material.resin)
+        self._choice(
+            "material.resin", "resin", tuple(dict.fromkeys((*RESINS, design.material.resin))), design.material.resin
+        )
         self._slider("material.youngs_modulus_mpa", "E [MPa]", 0.2, 10.0, 0.01, design.youngs_modulus.value / 1e6)
 
     def add_bench(self) -> None:
