@@ -31,6 +31,7 @@ from probedesign.estimation.estimate import Candidate, Estimate, FusedEstimate, 
 from probedesign.estimation.force_moment import Problem
 from probedesign.estimation.model import Observation, ProbeModel, covariance
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
+from probedesign.estimation.uncertainty_kernel import WIDE
 from probedesign.rod.equilibrium import Equilibrium
 
 if TYPE_CHECKING:
@@ -393,7 +394,10 @@ class Estimator:
         best, length = listed[0], self.model.rod.length
         if best.chi2 > max_chi2(best.dof, MISFIT_CHANCE) or best.force_normal <= 0.0:
             return "out_of_range" if best.at_end else "inconsistent", None
-        normal = is_normal(self.force_share(best.force_base, readings), best.s_contact, best.std_s)
+        # At an end the likely places lie to one side; where they reach far, no ellipsoid about the end holds them.
+        normal = not (best.at_end and best.std_s > WIDE * length) and is_normal(
+            self.force_share(best.force_base, readings), best.s_contact, best.std_s
+        )
         if best.lever < MIN_LEVER and not (normal and best.std_s < length * UNIFORM_STD):
             return "unobservable", None
         if normal and best.std_s >= length * UNIFORM_STD:

@@ -42,6 +42,19 @@ def test_the_interval_ends_where_the_probe_ends(large):
     assert 0.0 < low < c.s_contact < high <= large.model.rod.length
 
 
+def test_a_place_that_the_end_bounds_is_an_interval(large):
+    """15 mN at 0.97 L, of which 1.2 mN less are read: the moment then puts the touch beyond the tip, and all likely
+    places lie to one side of the end."""
+    estimator = Estimator(large.model)
+    wrench = _wrench(estimator, 0.97, 0.7, 0.015, (0.0, 0.0))
+    assert estimator.estimate(wrench, GRAVITY).ok
+    push = wrench[:3] - estimator.free(GRAVITY).wrench_base[:3]
+    c = estimator.estimate(wrench - 1.2e-3 * np.append(push / np.linalg.norm(push), np.zeros(3)), GRAVITY)
+    low, high = c.s_interval_95
+    assert c.result == "interval_only" and c.candidates[0].at_end
+    assert low < 0.97 * large.model.rod.length < high
+
+
 def test_the_interval_holds_light_touches_near_the_tip(large):
     """Seeded draws of noise and friction, 5 to 20 mN at 0.7 to 0.95 L: of 60 draws with a coverage of 95 %, fewer than
     51 inside have a chance of one in a thousand."""
