@@ -52,6 +52,7 @@ SAMPLES = 36  #: Samples of each touch for the tracker; their mean is the readin
 MIN_STD = 1e-6  #: Smallest standard deviation of a point in any direction for its NEES [m].
 FLATNESS = 0.6  #: Of the elliptic probes.
 DRAWS, FUSED_DRAWS = 100, 30  #: Default numbers of single and of fused touches of each row.
+JOB_DRAWS = 100  #: Fused touches that one process draws at a time.
 
 #: Bend [deg] and turns of the curved axes: radii of 150, 100, 60 and 40 mm at a length of 150 mm.
 CURVED = {"arc R 150": (57.3, 0.0), "arc R 100": (85.94, 0.0), "helix R 60, half a turn": (143.24, 0.5),
@@ -565,8 +566,9 @@ def run(cases: Sequence[Case], draws: int, fused_draws: int, workers: int,
     jobs: list[tuple[int, tuple[Case, str, int, int]]] = []
     for i, case in enumerate(cases):
         # All rows have the same seeds, so that they do not differ by their touches.
-        if case.newtons:
-            jobs.append((i, (case, "large", fused_draws, 1)))
+        if case.newtons:  # long rows are divided among the workers
+            parts = np.array_split(np.arange(fused_draws), -(-fused_draws // JOB_DRAWS))
+            jobs += [(i, (case, "large", len(part), 1 + j)) for j, part in enumerate(parts)]
         else:
             probes = tuple(paper_models()) if case.axis == (0.0, 0.0) else ("large",)
             jobs += [(i, (case, probe, -(-draws // len(probes)), 10 + j)) for j, probe in enumerate(probes)]
@@ -586,6 +588,7 @@ COLUMNS = {
     "draws": ("draws", "d"),
     "ok_share": ("ok", ".1%"),
     "inside_95_share": ("in 95 %", ".1%"),
+    "inside_95_std": ("±", ".1%"),
     "ok_and_outside_share": ("ok and outside", ".1%"),
     "rms_mm": ("RMS [mm]", ".2f"),
     "rms_over_stated": ("RMS / stated", ".2f"),

@@ -123,6 +123,7 @@ class ErrorStatistics:
             "rms_over_bound": self.rms_over_bound() if located else None,
             "rms_over_stated": math.sqrt(np.mean(self.squared_errors) / np.mean(self.stated)) if located else None,
             "inside_95_share": inside / located if located else None,
+            "inside_95_std": math.sqrt(inside * (located - inside) / located**3) if located else None,
             "mean_nees": float(np.mean(self.nees)) if located else None,
             "median_nees": float(np.median(self.nees)) if located else None,
             "ok_and_outside_share": (located - inside) / n if n else None,
