@@ -132,6 +132,8 @@ SOFT_FACTOR = 2.0  #: Factor on these three for soft resin (assumed).
 MIN_THICKNESS = 1.5  #: Minimum thickness of an unsupported part of soft resin (assumed).
 #: Diameter over the height above it: vertical wires print from Ø0.3 (7 mm tall) to Ø1.5 (30 mm tall).
 GOOD_SLENDERNESS, MIN_SLENDERNESS = 0.05, 0.025
+#: Lateral stiffness at the tip of its longest wire, Ø1.5 mm and 30 mm tall, 3 E I/L³ with E = 2.8 GPa (Grey V4) [N/m].
+WIRE_STIFFNESS = 77.0
 MIN_OVERHANG, MIN_SOFT_OVERHANG = 19.0, 45.0
 MIN_DRAIN_D = 3.5
 
@@ -514,9 +516,17 @@ def check_print(design: Design) -> PrintCheck:
             findings += size_findings(part, printer, sx * width / MM, sz * height / MM)
         platforms += packed({part: sx * width / MM for part, (width, _) in rigid.items()}, printer)
     upright = f"print the probe upright on its flange, {LAYER:g} mm layers, supports below the flange"
+    s = np.linspace(0.0, geometry.length, 400)
+    d, section = 2.0 * geometry.radius_at(s[:-1]), geometry.cross_section
+    EI = design.youngs_modulus.value * np.pi / 64.0 * d**4 * (section.flatness**3 - section.bore_ratio**4)
+    lateral = 1.0 / float(np.sum((s[-1] - s[:-1]) ** 2 / EI) * s[1])  # as if it were straight
     advice = (
         f"{upright} only" if hanging is None else f"{upright} and below the bend; {hanging.text}",
+        f"its tip has a lateral stiffness of {lateral:.2g} N/m, that of the guide's longest rigid wire divided by "
+        f"{WIRE_STIFFNESS / lateral:.0f}: if the peel or the wiper moves it, lean supports on one side, whose scar "
+        "stays, and work with the sides at right angles to it",
         design.resin.cure,
+        "let it dry before curing and before measuring: alcohol in the resin swells it",
         "cure it hanging or in a V-groove: lying flat, it would cure bent under its own weight",
         "measure its diameters after curing: they determine its stiffness",
         *(
