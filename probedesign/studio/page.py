@@ -48,7 +48,6 @@ from probedesign.studio.improve import ImproveTab
 from probedesign.studio.scene import StudioScene
 from probedesign.studio.session import MOUNTINGS, PinnedDesign, Session, StudioTouch, with_knots
 from probedesign.web.guard import LoopbackServer, protect
-from probedesign.web.home import write_home
 
 TITLE = "probedesign studio"
 REST_SECONDS = 0.35  #: Time without a change after which everything is predicted.
@@ -65,6 +64,8 @@ def _save(design: Design, replace: bool) -> str:
 
 def _written(message: str, design: Design) -> str:
     """Refresh the home page of the design, and return the message with its path."""
+    from probedesign.web.home import write_home
+
     page = write_home(exports_of() / design.name, build_probe(design).model, f"designs/{design.name}.toml")
     return message if page is None else f"{message}; open {page}"
 

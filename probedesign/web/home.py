@@ -21,6 +21,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.files import exports_of, write_atomically
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
+from probedesign.frozen_probe import stale_parts
 from probedesign.geometry.axis import Axis
 from probedesign.geometry.tube import BentShape, TubeMesh
 from probedesign.reports.chart import ORDERED
@@ -134,9 +135,7 @@ def write_home(
     prediction = next((record for step, _, record, _ in made if step.title == "Prediction" and record), {})
     if prediction.get("fingerprint") != model.fingerprint:
         prediction = {}
-    cards = "".join(
-        _card(step, words, file, record, picture, model.fingerprint) for step, file, record, picture in made
-    )
+    cards = "".join(_card(step, words, file, record, picture, model) for step, file, record, picture in made)
     waiting = f'<p class="small" role="status">being made: {escape(working)} ...</p>' if working else ""
     figures = "".join(
         f'<p class="number"><b>{value}</b>{escape(meaning)}</p>' for value, meaning in _numbers(prediction)
@@ -198,7 +197,7 @@ def _record(path: Path) -> dict[str, Any]:
 
 
 def _card(
-    step: Step, words: dict[str, str], file: str, record: dict[str, Any] | None, picture: str, fingerprint: str
+    step: Step, words: dict[str, str], file: str, record: dict[str, Any] | None, picture: str, model: ProbeModel
 ) -> str:
     """Return the card of a step as HTML: its result, or the command that makes it."""
     command = f"<code>{escape(step.command.format(**words))}</code>"
@@ -206,12 +205,16 @@ def _card(
         return f'<section class="card missing"><h2>{step.title}</h2><p>{escape(step.gives)}</p>{command}</section>\n'
     day = date.fromtimestamp((Path(words["folder"]) / file).stat().st_mtime).isoformat()
     state, stale = f'<span class="state">{day}</span>', ""
-    if record and record.get("fingerprint", fingerprint) != fingerprint:
-        stale = f'<p class="stale">made for geometry {escape(str(record["fingerprint"]))}; run it again:</p>{command}'
     try:
         text = step.state(record).format(**words) if record else step.gives
+        if record and record.get("fingerprint", model.fingerprint) != model.fingerprint:
+            stale = f"made for geometry {record['fingerprint']}"
+        elif record and step.title == "Parts":  # those of the mount have fingerprints of their own
+            stale = stale_parts(model.parts or {"probe": model.fingerprint}, record)
     except (KeyError, TypeError, AttributeError, ValueError):
         text = "the file cannot be read; run it again"
+    if stale:
+        stale = f'<p class="stale">{escape(stale)}; run it again:</p>{command}'
     title = f'<a href="{escape(file)}">{step.title}</a>'
     image = f'<a href="{escape(file)}"><img src="{escape(picture)}" alt="{step.title}"></a>' if picture else ""
     return f'<section class="card"><h2>{title}{state}</h2>{image}<p>{escape(text)}</p>{stale}</section>\n'

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from probedesign.core.frames import Array, inverse, is_pose
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
-from probedesign.frozen_probe import stale_parts
 
 UNIT = 20.0  #: Scene units per metre: viser's lights, camera and shadows suit objects of a few units.
 MIN_HALF_AXIS = 0.9e-3  #: Minimum half-axis of the drawn ellipsoid [m], so that it is visible.
@@ -77,6 +76,8 @@ def rigid_parts(model: ProbeModel, folder: Path) -> tuple[list[RigidPart], str]:
 def _exported(model: ProbeModel, folder: Path) -> list[RigidPart]:
     """Return the printed parts, in base axes."""
     manifest = dict(json.loads((folder / "manifest.json").read_text(encoding="utf-8")))
+    from probedesign.frozen_probe import stale_parts  # the studio shows designs without an export
+
     if stale := stale_parts(model.parts or {"probe": model.fingerprint}, manifest):
         raise ValueError(stale)
     T_base_sensor = inverse(model.T_sensor_base)
