@@ -2,7 +2,7 @@
 
 The usual way through the package::
 
-    design = probedesign.load_design("designs/large.toml")        # Design
+    design = probedesign.load_design("designs/large.toml")        # Design, or new(length_mm=150, base_d_mm=12)
     probe = probedesign.build_probe(design)                       # Probe: geometry, sections, mass
     equilibrium = probe.solve(force_base=(0.01, 0.0, 0.0))        # Equilibrium of its Rod
     prediction = probe.predict()                                  # Prediction: expected contact error
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from probedesign.campaigns import Campaign, read_campaign
     from probedesign.core.errors import InputError
-    from probedesign.design import Design, check_design, load_design, parse_design
+    from probedesign.design import Design, check_design, load_design, new, parse_design
     from probedesign.design.catalog import Resin
     from probedesign.design.sensors import Noise
     from probedesign.design.sensors import SensorModel as Sensor
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "campaigns": ("Campaign", "read_campaign"),
     "core.errors": ("InputError",),
-    "design": ("Design", "check_design", "load_design", "parse_design"),
+    "design": ("Design", "check_design", "load_design", "new", "parse_design"),
     "design.catalog": ("Resin",),
     "design.sensors": ("Noise", "SensorModel"),
     "estimation.detector": ("Detector",),
@@ -81,8 +81,8 @@ __all__ = [
     "Campaign", "CoulombSolver", "CrossSection", "Design", "Detector", "Equilibrium", "Estimate", "Estimator",
     "FusedEstimate", "Identification", "InputError", "Noise", "Prediction", "PressSchedule", "Priors", "Probe",
     "Resin", "Rod", "Sensor", "Tolerances", "Tracker", "ValidationReport", "build_probe", "check_design", "data_of",
-    "identify", "load_design", "load_estimator", "parse_design", "predict", "predict_touch", "press_against_line",
-    "press_against_point", "read_campaign", "solve_batch", "solve_frictionless", "validate",
+    "identify", "load_design", "load_estimator", "new", "parse_design", "predict", "predict_touch",
+    "press_against_line", "press_against_point", "read_campaign", "solve_batch", "solve_frictionless", "validate",
 ]  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from probedesign.cli import doctor, main
-from probedesign.cli.main import COMMANDS, run
+from probedesign.cli.main import NAMES, run
 from probedesign.core.errors import CheckFailedError, InputError, MissingDependencyError
 from probedesign.core.files import check_overwrite, exports_of
 from probedesign.design import load_design
@@ -64,7 +64,7 @@ def test_help_lists_every_command_and_loads_nothing_heavy(tmp_path):
     assert result.returncode == 0
     assert result.stderr == "[]\n"
     listed = [line.split()[1] for line in result.stdout.splitlines() if line.startswith("│")]
-    assert [name for name in listed if name in COMMANDS] == list(COMMANDS)
+    assert [name for name in listed if name in NAMES] == list(NAMES)
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_version_is_that_of_the_package(capsys):
     assert capsys.readouterr().out.strip() == metadata.version("probedesign")
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", NAMES)
 def test_the_help_of_a_command_is_its_docstring(name, capsys):
     assert run([name, "--help"]) == 0
     shown = " ".join(capsys.readouterr().out.split())

@@ -15,7 +15,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from probedesign.cli.main import COMMANDS, run
+from probedesign.cli.main import NAMES, run
 from probedesign.core.errors import MissingDependencyError
 
 TRANSCRIPT = Path(__file__).parent / "data/cli_messages.txt"
@@ -189,7 +189,7 @@ def test_each_command_prints_the_words_of_the_transcript(tmp_path, monkeypatch):
 
 def test_the_transcript_has_a_success_and_a_refusal_of_each_command():
     statuses = {(block.split()[2], int(block.split()[-1])) for block in TRANSCRIPT.read_text("utf-8").split("\n\n")}
-    assert statuses == {(name, status) for name in COMMANDS for status in (0, 2)}
+    assert statuses == {(name, status) for name in NAMES for status in (0, 2)}
 
 
 if __name__ == "__main__":

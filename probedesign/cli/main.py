@@ -13,36 +13,44 @@ if TYPE_CHECKING:
 
     from cyclopts import App
 
-#: Commands in the order of the chain, each with its line of help. Kept here because reading it from the commands would
+#: Commands by the group of the help, each with its line of help. Kept here because reading it from the commands would
 #: import them all.
 COMMANDS = {
-    "new": "Write designs/NAME.toml from a few dimensions.",
-    "studio": "Design a probe in the browser by moving sliders.",
-    "check": "Check whether a design can be printed.",
-    "export": "Write the parts to print: STL, STEP, 3MF and their manifest.",
-    "coupon": "Write a stepped cone and a rod to print and measure, with their measuring sheets.",
-    "measured": "Write diameters measured with calipers into a design.",
-    "predict": "Predict sensitivity and contact error of a design.",
-    "compare": "Compare several designs in a table and on a page.",
-    "sweep": "Evaluate a grid of designs, on this machine or on a cluster.",
-    "optimize": "Optimize the shape of a probe for a task.",
-    "plan": "Plan the tests of a campaign, with the intervals to expect, a sheet and an empty data folder.",
-    "identify": "Identify E, G and other parameters from tests of a print.",
-    "deploy": "Freeze the estimator of a design into one file.",
-    "twin": "Write a probe for simulators: MJCF, SDF, URDF, USD.",
-    "estimate": "Locate the contacts of a recording, one estimate per row.",
-    "campaign": "Simulate a measurement campaign: an example data folder.",
-    "validate": "Compare a frozen probe's estimates with a stereo reference, as in the paper's Table I.",
-    "live": "Locate contacts in real time.",
-    "calibrate": "Measure bias, payload, mount and stiffness with a robot that turns the free probe.",
-    "explore": "Turn touches from a moving base into points of the world.",
-    "recover": "Repair an MCAP recording that was cut off or is damaged.",
-    "markers": "Detect the markers of a probe in the photographs of a campaign.",
-    "simulate": "Simulate a Net F/T box with a probe, for live and other clients.",
-    "demo": "Run the whole chain on a built-in example.",
-    "doctor": "Report installed and missing packages.",
+    "Design": {
+        "new": "Write designs/NAME.toml from a few dimensions.",
+        "studio": "Design a probe in the browser by moving sliders.",
+        "check": "Check whether a design can be printed.",
+        "predict": "Predict sensitivity and contact error of a design.",
+        "compare": "Compare several designs in a table and on a page.",
+        "sweep": "Evaluate a grid of designs, on this machine or on a cluster.",
+        "optimize": "Optimize the shape of a probe for a task.",
+    },
+    "Make": {
+        "export": "Write the parts to print: STL, STEP, 3MF and their manifest.",
+        "coupon": "Write a stepped cone and a rod to print and measure, with their measuring sheets.",
+        "measured": "Write diameters measured with calipers into a design.",
+        "deploy": "Freeze the estimator of a design into one file.",
+        "twin": "Write a probe for simulators: MJCF, SDF, URDF, USD.",
+    },
+    "Calibrate": {
+        "plan": "Plan the tests of a campaign, with the intervals to expect, a sheet and an empty data folder.",
+        "campaign": "Simulate a measurement campaign: an example data folder.",
+        "markers": "Detect the markers of a probe in the photographs of a campaign.",
+        "identify": "Identify E, G and other parameters from tests of a print.",
+        "validate": "Compare a frozen probe's estimates with a stereo reference, as in the paper's Table I.",
+        "calibrate": "Measure bias, payload, mount and stiffness with a robot that turns the free probe.",
+    },
+    "Run": {
+        "live": "Locate contacts in real time.",
+        "estimate": "Locate the contacts of a recording, one estimate per row.",
+        "explore": "Turn touches from a moving base into points of the world.",
+        "simulate": "Simulate a Net F/T box with a probe, for live and other clients.",
+        "recover": "Repair an MCAP recording that was cut off or is damaged.",
+    },
+    "Tools": {"demo": "Run the whole chain on a built-in example.", "doctor": "Report installed and missing packages."},
 }
 
+NAMES = tuple(name for commands in COMMANDS.values() for name in commands)  #: Of all commands.
 #: Module and function of a command, where they do not have its name.
 FUNCTIONS = {"check": "export:check", "coupon": "measured:coupon", "deploy": "export:deploy",
              "sweep": "compare:sweep", "plan": "campaign:plan", "markers": "campaign:markers",
@@ -66,7 +74,7 @@ def build_app(with_settings: bool = True, command: str = "") -> "App":
     """
     from importlib.metadata import version
 
-    from cyclopts import App, Parameter
+    from cyclopts import App, Group, Parameter
     from cyclopts.config import Dict, Env
 
     settings, path = read_settings() if with_settings else ({}, SETTINGS)
@@ -80,12 +88,15 @@ def build_app(with_settings: bool = True, command: str = "") -> "App":
         exit_on_error=False,
         suppress_keyboard_interrupt=False,
         result_action="return_value",
+        group_commands=Group("Options", sort_key=len(COMMANDS)),
         config=(Env(ENVIRONMENT, show=False), Dict(settings, source=path)),
     )
-    for sort_key, (name, line) in enumerate(COMMANDS.items()):
-        function = FUNCTIONS.get(name, f"{name}:{name}")
-        words = None if name == command else line
-        app.command(f"probedesign.cli.{function}", name=name, help=words, sort_key=sort_key)
+    for order, (title, commands) in enumerate(COMMANDS.items()):
+        group = Group(title, sort_key=order)
+        for sort_key, (name, line) in enumerate(commands.items()):
+            function = FUNCTIONS.get(name, f"{name}:{name}")
+            words = None if name == command else line
+            app.command(f"probedesign.cli.{function}", name=name, help=words, group=group, sort_key=sort_key)
     app.register_install_completion_command(
         add_to_startup=True, help="Install completion of commands and options for bash, zsh or fish."
     )
@@ -120,7 +131,7 @@ def read_settings() -> "tuple[dict[str, Any], str]":
     for name, table in settings.items():
         if not isinstance(table, dict):
             raise InputError(f"{path}: {name} is not in a table; use a table for each command, such as [live]")
-        if name not in COMMANDS:
+        if name not in NAMES:
             raise InputError(f"{path}: [{name}] is not a command; see probedesign --help")
     return settings, path
 

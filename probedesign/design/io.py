@@ -153,6 +153,35 @@ def _quantities(resin: Resin) -> dict[str, tuple[Quantity, float]]:
     }
 
 
+def new(
+    name: str | None = None,
+    *,
+    length_mm: float,
+    base_d_mm: float,
+    tip_d_mm: float | None = None,
+    tip: str = "blunt",
+    shape: str = "cone",
+    section: str = "round",
+    bore_ratio: float | None = None,
+    flatness: float | None = None,
+    axis: str = "straight",
+    axis_bend_deg: float | None = None,
+    axis_turns: float | None = None,
+    axis_azimuth_deg: float | None = None,
+    resin: str = "elastic-50a",
+    sensor: str = "nano17",
+    robot_flange: str = "iso-9409-1-50-4-m6",
+    friction: float | None = None,
+    hold: str = "clamped",
+) -> Design:
+    """Return a new design from a few dimensions, as `probedesign new` writes it; see `draft_design`.
+
+    Raises:
+        InputError: a value is out of range or contradicts another.
+    """
+    return draft_design(**locals())[0]
+
+
 def draft_design(
     name: str | None,
     *,

@@ -11,6 +11,7 @@ import numpy as np
 from probedesign.core import statistics
 from probedesign.core.frames import Array
 from probedesign.core.notebook import Tabular
+from probedesign.core.units import MILLINEWTON, MM
 from probedesign.rod.equilibrium import Equilibrium
 
 Result = Literal[
@@ -161,6 +162,18 @@ class Estimate(Tabular):
         """Return whether the point was located."""
         return self.result == "ok"
 
+    def __str__(self) -> str:
+        """Return the result with its numbers in one line."""
+        if self.ok:
+            x, y, z = self.p_surface_base / MM
+            rms = statistics.rms(self.cov_surface_base) / MM
+            return (f"ok: s = {self.s_contact / MM:.1f} ± {self.std_s / MM:.2g} mm, point ({x:.1f}, {y:.1f}, {z:.1f}) "
+                    f"mm ± {rms:.2g} mm RMS, force {np.linalg.norm(self.force_base) / MILLINEWTON:.3g} mN")  # fmt: skip
+        if self.result == "interval_only":
+            low, high = (s / MM for s in self.s_interval_95)
+            return f"interval_only: s = {low:.1f} ... {high:.1f} mm with a probability of 95 %"
+        return f"{self.result}: {RESULTS[self.result]}"
+
     @cached_property
     def shape(self) -> Equilibrium | None:
         """Return the reconstructed probe, solved on first access; None if there is none."""
@@ -209,6 +222,15 @@ class FusedEstimate(Tabular):
     def ok(self) -> bool:
         """Return whether the point was located."""
         return self.result == "ok"
+
+    def __str__(self) -> str:
+        """Return the result with its numbers in one line."""
+        if not self.ok:
+            return f"{self.result}: {RESULTS[self.result]}"
+        x, y, z = self.p_surface_world / MM
+        low, high = self.object_compliance_interval_95
+        return (f"ok: point at rest ({x:.1f}, {y:.1f}, {z:.1f}) mm ± {self.rms / MM:.2g} mm RMS in the world, object "
+                f"yields by {low:.2g} ... {high:.2g} m/N")  # fmt: skip
 
     @property
     def friction_ratio(self) -> Array:

@@ -59,6 +59,8 @@ STEPS = (
          f"passed"),
     Step("Frozen estimator", "one file for the robot's computer", "probedesign deploy {design}",
          record="{name}.probe.json", state=lambda record: f"{{name}}.probe.json, for {record['sensor']['model']}"),
+    Step("Calibration", "bias, payload, mount and stiffness, from free motion on the robot",
+         "probedesign calibrate {name} --source SPEC --pose POSES", record="{name}.calibrated.probe.json"),
     Step("Touches", "located touches of a recording",
          "probedesign estimate {name} RECORDING --page {folder}/touches.html", "touches.html"),
     Step("Map", "points of an object, found by touch",

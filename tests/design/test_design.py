@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import probedesign
+from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.design import Design, check_design, load_design, parse_design
 from probedesign.design.catalog import RESINS, ROBOT_FLANGES
@@ -562,3 +564,16 @@ def test_a_file_without_required_keys_is_refused_with_their_names(text, message)
     with pytest.raises(InputError) as error:
         parse_design(text, "x.toml")
     assert str(error.value) == message
+
+
+def test_a_new_design_is_the_one_that_the_command_writes(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(["new", "w", "--length", "120", "--base-d", "10", "--axis", "arc", "--bend-deg", "60"]) == 0
+    assert probedesign.new("w", length_mm=120.0, base_d_mm=10.0, axis="arc", axis_bend_deg=60.0) == load_design(
+        Path("designs/w.toml")
+    )
+
+
+def test_a_new_design_refuses_a_value_out_of_range():
+    with pytest.raises(InputError, match="length_mm"):
+        probedesign.new(length_mm=-120.0, base_d_mm=10.0)

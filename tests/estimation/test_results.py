@@ -307,3 +307,10 @@ def test_candidates_are_listed_best_first(method, large, gravity, touched):
     assert [k.chi2 for k in c.candidates] == sorted(k.chi2 for k in c.candidates)
     assert c.candidates[0].s_contact == c.s_contact
     assert c.detection_chi2 > ALARM_CHI2
+
+
+def test_an_estimate_prints_itself_in_one_line(estimator, gravity, touched):
+    located, free = estimator.estimate(touched(0.06, 0.05), gravity), estimator.estimate(touched(0.06, 1e-5), gravity)
+    assert str(located).startswith(f"ok: s = {1e3 * located.s_contact:.1f} ± ") and str(located).endswith("mN")
+    assert str(free) == "no_contact: the reading is that of the free probe under gravity"
+    assert all("\n" not in str(each) for each in (located, free))
