@@ -85,14 +85,19 @@ def volume_omitted(mesh: trimesh.Trimesh, shape: cq.Shape) -> float:
     return float(abs(mesh.volume * MM**3 / mass_properties(shape, 1.0).volume - 1.0))
 
 
-def checked_mesh(name: str, shape: cq.Shape) -> trimesh.Trimesh:
+def checked_mesh(name: str, shape: cq.Shape, solid: cq.Shape | None = None) -> trimesh.Trimesh:
     """Return the mesh of a solid.
+
+    Args:
+        name: of the part.
+        shape: whose facets are those of the mesh.
+        solid: the part, where `shape` is drawn for its facets and lacks some of the volume.
 
     Raises:
         CheckFailedError: it is not closed, or omits more than `MESH_LIMIT` of the volume.
     """
     mesh = tessellate(shape)
-    omitted = volume_omitted(mesh, shape)
+    omitted = volume_omitted(mesh, solid or shape)
     if not mesh.is_volume or omitted > MESH_LIMIT:
         raise CheckFailedError(f"{name}: the mesh is not closed, or omits {omitted:.2g} of the volume")
     return mesh
@@ -120,7 +125,7 @@ def export_part(design: Design, part: str, out: Path | None) -> dict[str, Any]:
     check_target(folder)
     shape = printed_solid(design, part)
     drawn = printed_solid(design, part, ruled=True)
-    mesh, scale = checked_mesh(part, drawn), print_scale(design, part)
+    mesh, scale = checked_mesh(part, drawn, shape), print_scale(design, part)
     fingerprint = Mount.of(design).fingerprints[part]
     content = part_stl(design, part, printed_mesh(design, part, mesh), fingerprint)
     path = folder / f"{part}.stl"

@@ -34,4 +34,5 @@ def paper_design(name: str) -> Design:
     material = {"resin": "elastic-50a", **_MATERIAL, "provenance": _PROVENANCE}
     sensor = {"model": "nano17", "calibration": "si-12-0.12"}
     return check_design({"schema": 1, "name": name, "probe": probe, "material": material, "sensor": sensor,
+                         "mount": {"hold": "bonded", "root_rigid_radii": 0.12},
                          "contact": {"friction": ELASTIC_50A.friction.value}})  # fmt: skip

@@ -32,6 +32,7 @@ POINT_STD_MM = 0.3
 #: Standard deviations of aligning the readings with the base: tilt [deg] and offset [mm] (assumed), and of the factor
 #: on the curvature of a helix [%]: the shrinkage of a resin bends it less by far (assumed).
 TILT_STD_DEG, OFFSET_STD_MM, FACTOR_STD = 0.3, 0.2, 5.0
+UNOBSERVED = 1e-8  #: Information on each parameter that is added [1/mm²]: the inverse exists where points show none.
 MAX_DEVIATIONS = 5.0  #: Of a point, beyond which it does not belong to this surface.
 STATIONS = 401  #: Of the axis; the section of a point between two is then exact to 1e-5 mm.
 SCHEMA = TableSchema(
@@ -110,7 +111,7 @@ def fit_axis(design: Design, outline: OutlinePoints, before_mm: float) -> Measur
                          "clocking mark")  # fmt: skip
     for free in [7, 6] if bends else [6]:  # with the factor, where the points determine it to half of its prior
         x, J, residual = _solve(geometry, outline, prior[:free])
-        cov = np.linalg.pinv(J.T @ J)
+        cov = np.linalg.inv(J.T @ J + UNOBSERVED * np.eye(free))
         if free == 6 or math.sqrt(cov[6, 6]) < 0.5 * FACTOR_STD:
             break
     distances = _distances(geometry, np.pad(x, (0, 7 - free)), outline)
@@ -126,6 +127,9 @@ def fit_axis(design: Design, outline: OutlinePoints, before_mm: float) -> Measur
     tips = [Axis(geometry.axis.s, f * geometry.axis.curvature).frames([geometry.length])[0, :3, 3] for f in (1.0, 1.01)]
     by_factor = float(np.linalg.norm(tips[1] - tips[0])) / 0.01 / MM
     std = math.hypot(math.sqrt(float(np.linalg.eigvalsh(cov[:2, :2])[-1])), factor_std * by_factor)
+    if std > 1.0 / math.sqrt(10.0 * UNOBSERVED):
+        raise InputError(f"{outline.places[0]}: these {count} points show the bow in one plane only; add points of the "
+                         "sides at right angles to it, as of a second photograph")  # fmt: skip
     if not std < before_mm:
         raise InputError(f"{outline.places[0]}: these {count} points determine the bow to ± {std:.2g} mm, its "
                          f"tolerance is ± {before_mm:.2g} mm already; measure more points on two sides, up to the "

@@ -77,7 +77,7 @@ class Parameter:
     max_std: float | None = None
     unit: str = ""  #: of reported values; empty for plain factors.
     scale: float = 1.0  #: reported unit per unit of the vector.
-    design_value: Callable[[Rod], float] = lambda rod: 0.0  #: design value in the reported unit.
+    design_value: Callable[[ProbeModel], float] = lambda model: 0.0  #: design value in the reported unit.
     attribute: str = ""  #: name of the property in `Rod`, `Design` and `Tolerances`; empty if the design has none.
     design_key: str = ""  #: key of the design file that holds the value; empty if the design has none.
     prior_name: str = ""  #: what the prior knowledge concerns; parameters of one name are tested together.
@@ -90,9 +90,9 @@ class Parameter:
         start = sum(len(PARAMETERS[name].labels) for name in names[: names.index(self.name)])
         return slice(start, start + len(self.labels))
 
-    def reported(self, rod: Rod, x: float) -> float:
-        """Return a component of the vector in the reported unit, for the given design rod."""
-        design = self.design_value(rod)
+    def reported(self, model: ProbeModel, x: float) -> float:
+        """Return a component of the vector in the reported unit, for the given model of the design."""
+        design = self.design_value(model)
         return design * math.exp(min(x, MAX_EXPONENT)) if self.logarithm else design + self.scale * x
 
     def format_std(self, std: float) -> str:
@@ -121,7 +121,7 @@ def _material(
 
     return Parameter(
         name, {name: label}, prior, apply, logarithm=True, max_std=max_std, unit=unit,
-        design_value=lambda rod: getattr(rod, attribute) / si, attribute=attribute, design_key=design_key,
+        design_value=lambda model: getattr(model.rod, attribute) / si, attribute=attribute, design_key=design_key,
         prior_name=prior_name, prior_source=prior_source,
     )  # fmt: skip
 
@@ -149,11 +149,13 @@ def _bow(axis: int) -> Parameter:
         rest = np.zeros((len(rod.s), 3)) if rod.rest_curvature is None else rod.rest_curvature
         return replace(rod, rest_curvature=rest + np.append(x * bow_curvature(rod.length)[axis], 0.0))
 
-    def design(rod: Rod) -> float:
-        """Return the deviation of the design [mm], whose curvature is that at the base all along."""
+    def design(model: ProbeModel) -> float:
+        """Return the measured bow of the design [mm]: the constant curvature beside that of its axis."""
+        rod = model.rod
         if rod.rest_curvature is None:
             return 0.0
-        return float(rod.rest_curvature[0, :2] @ bow_curvature(rod.length)[axis]) * rod.length**4 / 4.0 / MM
+        bow = rod.rest_curvature[0] - (0.0 if model.axis is None else model.axis.rest_curvature(rod.s[:1])[0])
+        return float(bow[:2] @ bow_curvature(rod.length)[axis]) * rod.length**4 / 4.0 / MM
 
     letter = "xy"[axis]
     return Parameter(
@@ -189,7 +191,8 @@ PARAMETERS: dict[str, Parameter] = {
                   lambda common: common.root_std,
                   lambda rod, x: replace(rod, rigid_length=rod.rigid_length + x * float(rod.radius[0])),
                   bounds=ROOT_RANGE, max_std=0.3,
-                  design_value=lambda rod: float(rod.rigid_length / rod.radius[0]), attribute="root_radii",
+                  design_value=lambda model: float(model.rod.rigid_length / model.rod.radius[0]),
+                  attribute="root_radii",
                   design_key="mount.root_rigid_radii", prior_name="root of the probe",
                   prior_source="root_rigid_radii in the design (-0.18 is computed for the exported flange), and the "
                   "tolerance root_radii"),
@@ -211,7 +214,7 @@ PARAMETERS: dict[str, Parameter] = {
                   prior_source="world_m_s2 in campaign.toml, and the tolerance gravity_deg"),
         Parameter("diameters", {"diameters": "all diameters over the design's"}, lambda common: 0.0,
                   lambda rod, x: scaled_diameters(rod, math.exp(x)), logarithm=True,
-                  max_std=0.1, design_value=lambda rod: 1.0),
+                  max_std=0.1, design_value=lambda model: 1.0),
         Parameter("mount_rotation", _xyz("mount_rotation", "rotation of the probe on the sensor about {}"),
                   lambda common: [common.tolerances.tilt_deg * DEGREE] * 2 + [common.tolerances.clocking_deg * DEGREE],
                   prior_name=_MOUNTING[0], prior_source=_MOUNTING[1]),
@@ -370,7 +373,7 @@ class CommonParameters:
         """Smallest and largest values of the vector, (2, size)."""
         bounds = np.full((2, self.size), np.inf) * [[-1.0], [1.0]]
         for one in PARAMETERS.values():
-            design = one.design_value(self.model.rod)
+            design = one.design_value(self.model)
             ends = [(end - design) / one.scale for end in one.bounds]
             bounds[:, one.columns] = np.array([(-MAX_LOGARITHM, MAX_LOGARITHM) if one.logarithm else ends]).T
         return bounds

@@ -251,14 +251,14 @@ def identified_numbers(
 
     `quantile` is that of the intervals, in standard deviations.
     """
-    rod, columns = fit.point.problem.common.model.rod, columns_of(identified)
+    model, columns = fit.point.problem.common.model, columns_of(identified)
     why = {one.name: one.description for one in unobservable}
     implied = [name for name in IMPLIED if "E" in identified and name not in requested]
     found = []
     for column in columns_of([*requested, *implied]):
         owner, name = OWNER[column], COMPONENTS[column]
         if owner.name in why and not (owner.name in IMPLIED and "E" in identified):  # G and the root go with E
-            design = owner.design_value(rod)
+            design = owner.design_value(model)
             found.append(Identified(name, owner.labels[name], owner.unit, "not_observable", design, design,
                                     why=why[owner.name]))  # fmt: skip
         elif fit.point.problem.active[column]:
@@ -296,18 +296,18 @@ def _at(fit: Fit, column: int) -> int:
 def _identified(fit: Fit, column: int, quantile: float) -> Identified:
     """Return one number given the design's dimensions, and with uncertain dimensions."""
     parameter, name = OWNER[column], COMPONENTS[column]
-    rod = fit.point.problem.common.model.rod
+    model = fit.point.problem.common.model
 
     def interval(x: float, std: float) -> tuple[float, float, float, float]:
         """Return value, standard deviation and ends of the interval in the reported unit."""
-        value, low, high = (parameter.reported(rod, x + sign * quantile * std) for sign in (0.0, -1.0, 1.0))
+        value, low, high = (parameter.reported(model, x + sign * quantile * std) for sign in (0.0, -1.0, 1.0))
         return value, value * std if parameter.logarithm else parameter.scale * std, low, high
 
     x, std_x, by_diameter = conditional_estimate(fit, column)
     value, std, low, high = interval(x, std_x)
     i = _at(fit, column)
     of_print = interval(float(fit.point.values.x[column]), float(np.sqrt(fit.cov[i, i])))
-    return Identified(name, parameter.labels[name], parameter.unit, "identified", value, parameter.design_value(rod),
+    return Identified(name, parameter.labels[name], parameter.unit, "identified", value, parameter.design_value(model),
                       std, low, high, *of_print,
                       by_diameter=by_diameter if parameter.logarithm else None)  # fmt: skip
 

@@ -232,8 +232,8 @@ class Information:
                 continue
             i = int(np.searchsorted(active, column))
             (_, std, _), of_print = conditional_estimate(fit, column), math.sqrt(fit.cov[i, i])
-            rod, unit = self.bench.model.rod, 1.0 if owner.logarithm else owner.scale
-            low, high = (owner.reported(rod, sign * quantile * std) for sign in (-1.0, 1.0))
+            model, unit = self.bench.model, 1.0 if owner.logarithm else owner.scale
+            low, high = (owner.reported(model, sign * quantile * std) for sign in (-1.0, 1.0))
             intervals.append(
                 ExpectedInterval(label, owner.unit, unit * std, low, high, unit * of_print, owner.logarithm)
             )

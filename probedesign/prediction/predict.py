@@ -199,14 +199,10 @@ class Prediction(Tabular):
         for over in self.over_directions:
             if (over.contact_fraction, over.force_N) == (place, touch.force_N) and over.median_error_mm is not None:
                 across = f" in the worst direction, {over.median_error_mm:.2g} mm in the median one"
-        fused, many = self.fused_headline, ""
-        if fused.predicted_error_mm is not None:
-            many = (f"{fused.touches} fused touches of up to {1e3 * fused.force_N:g} mN locate a point within "
-                    f"{fused.predicted_error_mm:.2g} mm RMS; ")  # fmt: skip
         return (
-            f"At {place:g} of the length a touch is felt from {detected:.2g} mN. {many}{'o' if many else 'O'}ne "
-            f"reading of {1e3 * touch.force_N:g} mN locates it within {touch.predicted_error_mm:.2g} mm{across}. The "
-            f"largest error source is then {largest}, with {shares[largest]:.0%} of the variance."
+            f"At {place:g} of the length a touch is felt from {detected:.2g} mN, and one reading of "
+            f"{1e3 * touch.force_N:g} mN locates it within {touch.predicted_error_mm:.2g} mm RMS{across}. The largest "
+            f"error source is then {largest}, with {shares[largest]:.0%} of the variance."
         )
 
     @property

@@ -36,9 +36,11 @@ h1 { font-size: 28px; line-height: 1.2; margin: 0 } .about { color: var(--soft);
 table { border-collapse: collapse; font-size: 9.5pt; break-inside: avoid }
 th, td { text-align: right; padding: 0.8mm 3mm; border-bottom: 0.4pt solid var(--rule); white-space: nowrap }
 thead th, thead td { border-bottom: 1pt solid var(--ink) }
+@media print { body { font: 10.5pt/1.4 Helvetica, Arial, "Liberation Sans", "DejaVu Sans", sans-serif }
+  h1 { font-size: 18pt } .about { font-size: 10.5pt } .verdict { font-size: 13.5pt; line-height: 1.35 } }
 """
 #: After all other styles. A table as wide as the sheet wraps its cells, and repeats its head on each sheet.
-PRINT_STYLE = """@media print { body { margin: 0; padding: 0; max-width: none; font-size: 10.5pt }
+PRINT_STYLE = """@media print { body { margin: 0; padding: 0; max-width: none }
   nav { display: none } .wide { overflow: visible }
   table { max-width: 100% } th { overflow-wrap: anywhere }
   th, td { white-space: normal; padding: 0.6mm 1mm } thead { display: table-header-group } }

@@ -7,13 +7,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
+from probedesign import new
 from probedesign.campaigns import Campaign
 from probedesign.core.errors import InputError
+from probedesign.design import check_design
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.identification.identify import IdentificationData, data_of, drift_sizes, identify
-from probedesign.identification.parameters import MAX_ROOT_DEVIATION, CommonParameters
+from probedesign.identification.parameters import MAX_ROOT_DEVIATION, PARAMETERS, CommonParameters
 from probedesign.identification.residuals import MassMeasurement, MeasuredTest
+from probedesign.probe import build_probe
 from probedesign.rod.rod import bow_curvature
 from tests.identification.conftest import TRUE_E
 
@@ -336,3 +339,13 @@ def test_the_bias_between_free_readings_is_in_its_interval(drift: float, model: 
         inside += [np.abs(change) < 1.96 * np.sqrt(np.diag(cov))]
     # six channels, of which each draw gives independent ones: four standard deviations of 360 draws
     assert np.mean(inside) > 0.95 - 4.0 * np.sqrt(0.95 * 0.05 / (6 * draws))
+
+
+@pytest.mark.parametrize("bow_mm", [None, [1.5, -0.5]])
+def test_the_axis_of_a_curved_design_is_no_bow(bow_mm: list[float] | None) -> None:
+    design = new(length_mm=150.0, base_d_mm=12.0, axis="helix", axis_bend_deg=180.0, axis_turns=1.0)
+    model = build_probe(check_design(design.model_dump(exclude_none=True, by_alias=True) | {
+        "probe": {**design.probe.model_dump(exclude_none=True), **({"bow_mm": bow_mm} if bow_mm else {})}
+    })).model  # fmt: skip
+    stated = [PARAMETERS[name].design_value(model) for name in ("bow_x", "bow_y")]
+    np.testing.assert_allclose(stated, bow_mm or [0.0, 0.0], atol=1e-9)

@@ -61,6 +61,16 @@ def test_another_bend_of_an_arc_is_a_bow() -> None:
     np.testing.assert_allclose(found.bow_mm, (0.0, 0.04 * np.pi / 2.0 * 75.0), atol=0.02)
 
 
+@pytest.mark.parametrize("probe", [CONE, ARC])
+def test_one_photograph_shows_the_bow_in_its_plane_only(probe: str) -> None:
+    design = design_of(probe)  # the arc bends in the plane of y and z
+    g = build_geometry(design)
+    T, r = g.axis.frames(s := np.linspace(0.05, 0.98, 40) * g.length), g.radius_at(s)[:, None]
+    p = 1e3 * (T[:, :3, 3] + np.where(np.arange(40) % 2, 1.0, -1.0)[:, None] * r * T[:, :3, 1])
+    with pytest.raises(InputError, match="in one plane only"):
+        fit_axis(design, OutlinePoints(p, np.full(40, 0.1), ("row",) * 40), BEFORE_MM)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("probe", [ARC, HELIX])
 def test_the_stated_deviation_covers_the_error(probe: str) -> None:

@@ -54,7 +54,7 @@ def page(tmp_path, monkeypatch):
 
 
 def assert_scene_is_wide(tab, width):
-    tab.wait_for_selector("text=/One reading of 10 mN is located/")
+    tab.wait_for_selector("text=/one reading of 10 mN locates/")
     # Edges and handles of the panels take some pixels.
     tab.wait_for_function(
         "wide => Math.abs([...document.querySelectorAll('canvas')].at(-1).clientWidth - wide) < 20", arg=width
@@ -94,7 +94,7 @@ def test_a_knot_of_a_profile_is_dragged_with_the_pointer(page, running):
     index, _, d = knots_of(page.session.design)[1]
     others = {i: other for i, _, other in knots_of(page.session.design) if i != index}
     with opened(running, page) as (tab, _):
-        tab.wait_for_selector("text=/One reading of 10 mN is located/")
+        tab.wait_for_selector("text=/one reading of 10 mN locates/")
         tab.wait_for_timeout(3000)  # the scene is drawn after the panels
         start, end = (knot_on_screen(page, tab, 1, stretch) for stretch in (1.0, 3.0))
         tab.mouse.move(*start)
