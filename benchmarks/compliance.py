@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.timing import print_table
 from probedesign.core.frames import Array, pose
 from probedesign.core.units import MM
-from probedesign.design.paper import paper_design
+from probedesign.design.io import load_design
 from probedesign.probe import build_probe
 from tests.estimation.true_touches import TrueTouch, settle, sources_of
 
@@ -39,7 +39,7 @@ def _press(touch: TrueTouch, turn: float) -> tuple[Array, Array]:
 
 def report() -> None:
     """Print stated error of the point and compliance for each schedule and each prior."""
-    probe = build_probe(paper_design("large"))
+    probe = build_probe(load_design("large"))
     estimator, sources = probe.estimator(), sources_of(probe.model, GRAVITY)
     rows = []
     for name, places, force, turns in SCHEDULES:

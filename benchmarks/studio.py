@@ -13,7 +13,7 @@ from benchmarks.timing import print_table
 from probedesign.cli.main import run
 from probedesign.design import load_design
 from probedesign.design.edit import tables_of
-from probedesign.design.paper import PROBES, paper_design
+from probedesign.design.paper import PROBES
 from probedesign.studio.page import StudioPage
 from probedesign.studio.session import Session
 
@@ -39,7 +39,7 @@ def report() -> None:
     rows = []
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     for name in PROBES:
-        page = StudioPage(Session(paper_design(name), name), "127.0.0.1", 8095)
+        page = StudioPage(Session(load_design(name), name), "127.0.0.1", 8095)
         try:
             alone = [_computed(page, factor) for factor in _factors()]
             row = [name, *_quantiles(alone)]

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from benchmarks.timing import format_seconds, interleaved, print_table
-from probedesign.design.paper import paper_design
+from probedesign.design.io import load_design
 from probedesign.geometry import Axis
 from probedesign.geometry.cross_section import CrossSection
 from probedesign.probe import build_probe
@@ -24,7 +24,7 @@ STEPS = 500  #: Of MuJoCo in a round.
 
 def report() -> None:
     """Print the largest errors over all loads, and the times."""
-    model = build_probe(paper_design("large")).model
+    model = build_probe(load_design("large")).model
     rod, rows, steps = model.rod, [], {}
     axis = Axis.helix(rod.length, math.pi / 2.0)
     tube = CrossSection(bore_ratio=0.6).factors

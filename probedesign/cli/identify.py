@@ -114,12 +114,13 @@ def _write_design(
     """
     from probedesign.design import load_design
     from probedesign.design.edit import edit_text
+    from probedesign.design.io import design_text
     from probedesign.identification.design_update import design_changes, write_changes
 
     day = date.today().isoformat()
     changes = design_changes(fit, load_design(design_path), day)
     if not write and out is None:  # checked all the same
-        edit_text(design_path.read_bytes().decode("utf-8-sig"), changes, day, str(design_path))
+        edit_text(design_text(design_path), changes, day, str(design_path))
         return changes, None, None
     return changes, *write_changes(design_path, changes, day, out, force)
 

@@ -70,11 +70,8 @@ def studio(
 
 
 def _design(name: str, changes: list[str]) -> "Design":
-    """Return the design of a file or of a preset, with some keys changed."""
+    """Return the design of a file or of a name, with some keys changed."""
     from probedesign.design import load_design
-    from probedesign.design.paper import PROBES, paper_design
     from probedesign.studio.session import with_options
 
-    file = design_file(Path(name))
-    start = paper_design(name) if name in PROBES and not file.exists() else load_design(file)
-    return with_options(start, changes)
+    return with_options(load_design(design_file(Path(name))), changes)

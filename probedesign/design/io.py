@@ -11,6 +11,7 @@ from probedesign.core.files import MAX_TOML, check_regular, write_atomically
 from probedesign.core.units import MPA
 from probedesign.design.catalog import CUSTOM, OBJECT_COMPLIANCE, RESINS, Quantity, Resin, find
 from probedesign.design.diagnostics import Table, check_toml, parse_toml, read_toml
+from probedesign.design.paper import PROBES, paper_tables
 from probedesign.design.schema import Design, PrinterRecord, ResinRecord
 from probedesign.design.sensor_catalog import FILES, SENSORS, SensorRecord, load_sensor
 from probedesign.design.sensors import SensorModel
@@ -351,10 +352,10 @@ def write_design(text: str, path: str | Path, force: bool = False) -> None:
 
 
 def load_design(path: str | Path) -> Design:
-    """Read and check a design file.
+    """Read and check a design file, or return a probe of the paper.
 
     Args:
-        path: the TOML file.
+        path: the TOML file; the name of a probe of the paper, such as "large", if there is no such file.
 
     Returns:
         The design.
@@ -362,11 +363,16 @@ def load_design(path: str | Path) -> Design:
     Raises:
         InputError: the file cannot be read, is not TOML, or has a wrong value; one line.
     """
-    path = Path(path)
+    return parse_design(design_text(Path(path)), str(path))
+
+
+def design_text(path: Path) -> str:
+    """Return the text of a design file, or that of a probe of the paper; see `load_design`."""
     if path.name.endswith(".probe.json"):
         raise InputError(f"{path}: is a frozen probe; give the design file that it was deployed from")
-    text = read_text(path, "design file", MAX_TOML, kind="TOML", remedy="make one with: probedesign new")
-    return parse_design(text, str(path))
+    if str(path) in PROBES and not path.is_file():
+        return render_design(check_design(paper_tables(str(path))))
+    return read_text(path, "design file", MAX_TOML, kind="TOML", remedy="make one with: probedesign new")
 
 
 def parse_design(text: str, where: str = "design") -> Design:

@@ -4,9 +4,9 @@ Source: "Spatial Position Estimation of Lightweight and Delicate Objects using a
 Table I.
 """
 
+from typing import Any
+
 from probedesign.design.catalog import ELASTIC_50A
-from probedesign.design.io import check_design
-from probedesign.design.schema import Design
 
 #: Length, base and tip diameter [mm]. The lengths are from Table I; all diameters except the large probe's base are
 #: assumed: the paper shows them in a figure without numbers.
@@ -22,8 +22,8 @@ _MATERIAL = {"youngs_modulus_mpa": 2.32, "shear_modulus_mpa": 0.761, "density_kg
 _PROVENANCE = dict(zip(_MATERIAL, ("identified", "identified", "datasheet"), strict=True))
 
 
-def paper_design(name: str) -> Design:
-    """Return the design of one of the paper's probes, as in designs/large.toml, medium.toml and small.toml.
+def paper_tables(name: str) -> dict[str, Any]:
+    """Return the tables of one of the paper's probes, as in designs/large.toml, medium.toml and small.toml.
 
     Args:
         name: a key of `PROBES`.
@@ -33,6 +33,6 @@ def paper_design(name: str) -> Design:
              "assumed": ["tip_d_mm"] if name == "large" else ["base_d_mm", "tip_d_mm"]}  # fmt: skip
     material = {"resin": "elastic-50a", **_MATERIAL, "provenance": _PROVENANCE}
     sensor = {"model": "nano17", "calibration": "si-12-0.12"}
-    return check_design({"schema": 1, "name": name, "probe": probe, "material": material, "sensor": sensor,
-                         "mount": {"hold": "bonded", "root_rigid_radii": 0.12},
-                         "contact": {"friction": ELASTIC_50A.friction.value}})  # fmt: skip
+    return {"schema": 1, "name": name, "probe": probe, "material": material, "sensor": sensor,
+            "mount": {"hold": "bonded", "root_rigid_radii": 0.12},
+            "contact": {"friction": ELASTIC_50A.friction.value}}  # fmt: skip

@@ -10,7 +10,7 @@ from probedesign.core.files import backup
 from probedesign.core.units import MPA
 from probedesign.design import Design
 from probedesign.design.edit import Change, edit_text
-from probedesign.design.io import load_design, write_design
+from probedesign.design.io import design_text, parse_design, write_design
 from probedesign.identification.parameters import PARAMETERS
 from probedesign.identification.result import Identification, Identified
 from probedesign.mount.mount import build_geometry, exported_root_radii
@@ -96,9 +96,12 @@ def write_changes(
     Raises:
         InputError: a value or file must not be replaced, or a file cannot be written.
     """
-    design, text = load_design(design_path), design_path.read_bytes().decode("utf-8-sig")
+    text = design_text(design_path)
     result = edit_text(text, changes, day, str(design_path))
     if out is None:
+        if not design_path.is_file():
+            raise InputError(f"{design_path}: is a probe of the paper, without a file to change; give --out FILE")
+        design = parse_design(text, str(design_path))
         check_overwritable(design, text, changes, str(design_path), force)
         write_design(result, design_path, force=True)
         return design_path, None

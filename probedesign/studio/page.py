@@ -24,8 +24,8 @@ from probedesign.core.statistics import rms as rms_of
 from probedesign.core.units import MM
 from probedesign.design import Design, check_design
 from probedesign.design.edit import tables_of
-from probedesign.design.io import render_design, write_design
-from probedesign.design.paper import PROBES, paper_design
+from probedesign.design.io import load_design, render_design, write_design
+from probedesign.design.paper import PROBES
 from probedesign.probe import build_probe
 from probedesign.reports.chart import Chart
 from probedesign.studio.controls import DesignControls
@@ -258,7 +258,7 @@ class StudioPage:
             def load_preset(_: Any) -> None:
                 if (name := preset.value) in PROBES:
                     preset.value = "-"  # so that the same one can be chosen later
-                    self._request(lambda: self._load(paper_design(name)))
+                    self._request(lambda: self._load(load_design(name)))
 
             preset.on_update(load_preset)
             steps = gui.add_button_group("changes", ("undo", "redo"))

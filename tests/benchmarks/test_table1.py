@@ -9,7 +9,7 @@ import pytest
 from benchmarks.table1 import REFERENCE_MM, agreement, compare, predicted, published
 from benchmarks.touches import paper_models
 from probedesign.design import load_design
-from probedesign.design.paper import CONDITIONS, PROBES, paper_design
+from probedesign.design.paper import CONDITIONS, PROBES
 
 ROOT = Path(__file__).parents[2]
 
@@ -31,7 +31,7 @@ def comparison(errors):
 
 @pytest.mark.parametrize("name", PROBES)
 def test_the_built_in_probes_are_those_of_the_design_files(name):
-    built_in, file = paper_design(name), load_design(ROOT / f"designs/{name}.toml")
+    built_in, file = load_design(name), load_design(ROOT / f"designs/{name}.toml")
     tables = file.model_dump()
     tables["material"] = {**tables["material"]}
     assert built_in.model_dump() == tables

@@ -9,7 +9,7 @@ import pytest
 from probedesign.campaigns import read_campaign
 from probedesign.campaigns.checks import check_probe
 from probedesign.core.errors import InputError
-from probedesign.design.paper import paper_design
+from probedesign.design.io import load_design
 from probedesign.probe import build_probe
 from probedesign.vision.camera import Camera
 
@@ -213,7 +213,7 @@ def test_missing_and_invalid_files_are_refused(tmp_path, folder):
 
 @pytest.fixture(scope="module")
 def large():
-    return build_probe(paper_design("large")).model
+    return build_probe(load_design("large")).model
 
 
 def test_data_of_another_probe_are_refused(folder, large):

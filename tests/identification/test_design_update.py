@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.design import parse_design
+from probedesign.design import load_design, parse_design
 from probedesign.design.edit import Change, edit_text
-from probedesign.identification.design_update import check_overwritable
+from probedesign.identification.design_update import check_overwritable, write_changes
 from tests.identification.conftest import LARGE
 
 DAY = "2026-01-02"
@@ -99,3 +99,14 @@ def test_assumed_values_are_replaced_without_force() -> None:
     )
     check_overwritable(parse_design(text), text, changes, "x.toml", False)
     assert "# until 2026-01-02: stiffness_spread = 0.1" in edit_text(text, changes, DAY, "x.toml")
+
+
+def test_a_probe_of_the_paper_loads_by_its_name_and_has_no_file_to_change(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # a folder without designs
+    changes = (Change("material", "youngs_modulus_mpa", "2.41", "identified"),)
+    with pytest.raises(InputError, match="without a file to change; give --out FILE"):
+        write_changes(Path("small"), changes, DAY, None, False)
+    assert list(tmp_path.iterdir()) == []
+    path, _ = write_changes(Path("small"), changes, DAY, Path("mine.toml"), False)
+    before, after = load_design("small"), load_design(path)
+    assert after.material.youngs_modulus_mpa == 2.41 and after.probe == before.probe

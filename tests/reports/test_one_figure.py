@@ -5,7 +5,7 @@ import json
 import pytest
 
 from probedesign.cli.main import run
-from probedesign.design.paper import paper_design
+from probedesign.design.io import load_design
 from probedesign.optimization.objective import Task
 from probedesign.prediction.predict import fused_headline
 from probedesign.probe import build_probe
@@ -14,7 +14,7 @@ from probedesign.studio.figures import complete
 
 
 def test_predict_studio_and_compare_show_the_same_error_of_fused_touches():
-    designs = [paper_design(name) for name in ("small", "medium")]
+    designs = [load_design(name) for name in ("small", "medium")]
     table = comparison_table(compare(designs, Task(touches=1, fractions=(0.8,))))
     for i, design in enumerate(designs):
         # With fewer positions and forces the solver begins elsewhere: equal within its tolerance.

@@ -5,14 +5,14 @@ import pytest
 
 from probedesign.campaigns.manifest import LENGTH_SCALE, WEIGHT_STD
 from probedesign.core.errors import InputError
-from probedesign.design.paper import paper_design
+from probedesign.design.io import load_design
 from probedesign.probe import build_probe
 from probedesign.simulation.ground_truth import CampaignPlan, GroundTruth
 
 
 @pytest.fixture(scope="module")
 def model():
-    return build_probe(paper_design("large")).model
+    return build_probe(load_design("large")).model
 
 
 def simulated_tests(model, **options):

@@ -13,7 +13,7 @@ from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.core.frames import inverse, pose
 from probedesign.design import parse_design
-from probedesign.design.paper import paper_design
+from probedesign.design.io import load_design
 from probedesign.geometry import Axis
 from probedesign.geometry.mass import combined
 from probedesign.probe import build_probe
@@ -28,7 +28,7 @@ GRAVITY = ((9.81, 0.0, 0.0), (0.0, 0.0, 9.81), (0.0, 0.0, -9.81))
 
 @pytest.fixture(scope="module")
 def model():
-    return build_probe(paper_design("large")).model
+    return build_probe(load_design("large")).model
 
 
 def bent(rod, axis):
@@ -155,7 +155,7 @@ def test_all_formats_have_the_mass_and_frames_of_the_probe(model, name):
     whole = combined([link.material.moved(link.T_base_link) for link in chain_of(rod)])
     assert whole.mass == pytest.approx(rod.mass, rel=1e-9)
     if name == "straight":
-        body = build_probe(paper_design("large")).body
+        body = build_probe(load_design("large")).body
         assert whole.p_com == pytest.approx(body.p_com, abs=1e-12)
         assert whole.inertia == pytest.approx(body.inertia, rel=1e-9, abs=1e-15)
     everything = combined([whole, model.payload.moved(frames["sensor"])])

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from probedesign.design.paper import paper_design
+from probedesign.design.io import load_design
 from probedesign.prediction.predict import FORCES_N
 from probedesign.probe import build_probe
 from probedesign.studio.figures import (
@@ -24,7 +24,7 @@ from probedesign.studio.session import PinnedDesign, Session, StudioTouch
 
 @pytest.mark.parametrize("name", ["large", "small"])
 def test_the_preview_has_the_numbers_of_predict(name):
-    design = paper_design(name)
+    design = load_design(name)
     full = build_probe(design).predict()
     quick = preview(build_probe(design), FORCES_N).prediction
     assert quick.verdict == full.verdict
@@ -46,7 +46,7 @@ def assert_close(a, b):
 
 
 def test_all_figures_are_those_of_predict():
-    design = paper_design("small")
+    design = load_design("small")
     full, figures = build_probe(design).predict(), complete(design)
     assert figures.complete and figures.prediction.as_dict() == full.as_dict()
     rows = {row.name: row.value for row in figures.summary()}
@@ -56,7 +56,7 @@ def test_all_figures_are_those_of_predict():
 
 
 def test_a_buckled_probe_has_figures_and_no_touch():
-    session = Session(paper_design("large"))
+    session = Session(load_design("large"))
     changes = {"probe.base_d_mm": 3.0, "probe.tip_d_mm": 2.0, "mount.gravity_base_m_s2": [0.0, 0.0, -9.81],
                "probe.length_mm": 200.0}  # fmt: skip
     assert session.change(changes, now=0.0), session.refused
@@ -72,7 +72,7 @@ def test_a_buckled_probe_has_figures_and_no_touch():
 
 @pytest.mark.parametrize("angle", [-90.0, 0.0, 60.0])
 def test_the_drawn_touch_is_located_where_it_is_drawn(angle):
-    probe = build_probe(paper_design("large"))
+    probe = build_probe(load_design("large"))
     drawn = drawn_touch(probe, StudioTouch(0.7, angle, 20.0))
     assert drawn is not None
     estimate = located(probe, drawn)
@@ -83,7 +83,7 @@ def test_the_drawn_touch_is_located_where_it_is_drawn(angle):
 
 
 def test_the_colour_of_a_segment_is_that_of_its_error():
-    figures = preview(build_probe(paper_design("large")), (0.01,))
+    figures = preview(build_probe(load_design("large")), (0.01,))
     edges = np.linspace(0.0, 1.0, 21)
     colours = segment_colours(figures, edges, 0.01)
     errors = {c.contact_fraction: c.predicted_error_mm for c in figures.prediction.conditions if c.force_N == 0.01}
@@ -91,8 +91,8 @@ def test_the_colour_of_a_segment_is_that_of_its_error():
 
 
 def test_a_pinned_design_is_shown_with_the_difference():
-    large, small = complete(paper_design("large")), complete(paper_design("small"))
-    pin = PinnedDesign("pin 1", paper_design("large"))
+    large, small = complete(load_design("large")), complete(load_design("small"))
+    pin = PinnedDesign("pin 1", load_design("large"))
     table = summary_table(small, [(pin, large)])
     change = small.prediction.mass_g / large.prediction.mass_g - 1.0
     assert f"{change:+.0%}" in table and 'class="better"' in table and 'class="worse"' in table
@@ -104,7 +104,7 @@ def test_the_arrow_has_the_length_of_its_force(force):
 
 
 def test_a_curved_probe_has_its_error_over_the_direction_at_once():
-    session = Session(paper_design("large"))
+    session = Session(load_design("large"))
     assert session.change({"probe.axis": "arc", "probe.axis_azimuth_deg": 90.0}, now=0.0), session.refused
     probe = build_probe(session.design)
     quick, full = preview(probe, (0.005, 0.01)).prediction, probe.predict()
@@ -113,4 +113,4 @@ def test_a_curved_probe_has_its_error_over_the_direction_at_once():
     assert quick.over_directions[1].errors_mm == pytest.approx(row.errors_mm, rel=1e-5)  # as above
     figures = preview(probe, (0.005, 0.01))
     assert [entry.name for entry in direction_figure(figures, (), (0.005, 0.01)).legend] == ["5 mN", "10 mN"]
-    assert direction_figure(preview(build_probe(paper_design("large")), (0.01,)), (), (0.01,)) is None
+    assert direction_figure(preview(build_probe(load_design("large")), (0.01,)), (), (0.01,)) is None

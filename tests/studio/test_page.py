@@ -14,7 +14,7 @@ import pytest
 import viser.transforms
 
 from probedesign.cli.main import run
-from probedesign.design.paper import paper_design
+from probedesign.design.io import load_design
 from probedesign.geometry.tube import centreline
 from probedesign.studio.page import CHARTS_WIDTH, CONTROLS_WIDTH, StudioPage
 from probedesign.studio.session import Session, knots_of
@@ -48,7 +48,7 @@ def opened(running, page, width=1280, height=720, **options):
 @pytest.fixture
 def page(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    served = StudioPage(Session(paper_design("small"), "small"), "127.0.0.1", 8185)
+    served = StudioPage(Session(load_design("small"), "small"), "127.0.0.1", 8185)
     yield served
     served.stop()
 
@@ -81,7 +81,7 @@ def test_tabs_show_one_state_and_the_scene_what_the_panels_leave(page, running):
             assert page.session.design.probe.length_mm == 60.0 and page.session.design.probe.tip_d_mm == 1.5
             wide.get_by_role("button", name="undo").click()
             narrow.wait_for_function("() => [...document.querySelectorAll('input')].some(i => i.value === '50')")
-            assert page.session.design == paper_design("small")
+            assert page.session.design == load_design("small")
             assert not [fault for fault in wide_faults + faults if "favicon" not in fault]
     with opened(running, page) as (tab, _):  # however the tab before was arranged
         assert_scene_is_wide(tab, beside_both)

@@ -5,13 +5,13 @@ import pytest
 from probedesign.core.errors import InputError
 from probedesign.design.catalog import RESINS
 from probedesign.design.edit import tables_of
-from probedesign.design.paper import paper_design
+from probedesign.design.io import load_design
 from probedesign.studio.session import MAX_PINNED, MERGE_SECONDS, Session, with_knots, with_options
 
 
 @pytest.fixture
 def session():
-    return Session(paper_design("large"))
+    return Session(load_design("large"))
 
 
 def test_a_drag_is_undone_at_once_and_separate_changes_one_by_one(session):
@@ -78,7 +78,7 @@ def test_the_command_line_restores_the_design(session):
     words = shlex.split(session.command_line)
     assert words[:3] == ["probedesign", "studio", "large"]
     options = [text for option, text in zip(words[3::2], words[4::2], strict=True) if option == "--set"]
-    assert tables_of(with_options(paper_design("large"), options)) == tables_of(session.design)
+    assert tables_of(with_options(load_design("large"), options)) == tables_of(session.design)
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def test_the_command_line_restores_the_design(session):
 )  # fmt: skip
 def test_bad_options_give_one_line(options):
     with pytest.raises(InputError) as error:
-        with_options(paper_design("small"), options.split())
+        with_options(load_design("small"), options.split())
     assert "\n" not in str(error.value)
 
 
@@ -108,7 +108,7 @@ def test_an_axis_is_bent_and_straightened(session):
     assert session.change({"probe.axis": "helix"}, now=4.0), session.refused
     probe = session.design.probe
     assert (probe.axis_bend_deg, probe.axis_turns, probe.axis_azimuth_deg) == (80.0, 0.5, 0.0)
-    again = with_options(paper_design("large"), ['probe.axis="helix"', "probe.axis_bend_deg=80"])
+    again = with_options(load_design("large"), ['probe.axis="helix"', "probe.axis_bend_deg=80"])
     assert again == session.design
     assert not session.change({"probe.axis_bend_deg": 2000.0}, now=6.0) and "axis_bend_deg" in session.refused
-    assert session.change({"probe.axis": "straight"}, now=8.0) and session.design == paper_design("large")
+    assert session.change({"probe.axis": "straight"}, now=8.0) and session.design == load_design("large")

@@ -11,7 +11,6 @@ from probedesign import build_probe, load_design, pipeline
 from probedesign.campaigns import read_campaign
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
-from probedesign.design.paper import paper_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.simulation.campaign_folder import make_campaign
 from probedesign.simulation.ground_truth import CampaignPlan
@@ -22,7 +21,7 @@ DESIGNS = Path(__file__).parents[2] / "designs"
 
 @pytest.fixture(scope="module")
 def small():
-    return build_probe(paper_design("small")).model
+    return build_probe(load_design("small")).model
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +55,7 @@ def test_identify_leaves_out_what_is_for_validate(folder):
     campaign = read_campaign(folder)
     held_out = {test.name for test in campaign.tests if test.use == "validate"}
     assert held_out == {"touch-02", "touch-04", "touch-06"}
-    found = pipeline.identify(paper_design("small"), campaign, ("E",))
+    found = pipeline.identify(load_design("small"), campaign, ("E",))
     assert not held_out & {one.test for one in found.residuals}
     assert set(found.served) == {test.digest for test in campaign.tests if test.name not in held_out}
 

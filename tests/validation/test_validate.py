@@ -13,7 +13,6 @@ from probedesign.campaigns import read_campaign
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design
-from probedesign.design.paper import paper_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.predict import predict_touch
 from probedesign.probe import build_probe
@@ -29,7 +28,7 @@ DESIGNS = Path(__file__).parents[2] / "designs"
 
 @pytest.fixture(scope="module")
 def large():
-    return build_probe(paper_design("large")).model
+    return build_probe(load_design("large")).model
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +143,7 @@ def test_coverage_over_prints(tmp_path):
     Touches of one print err together: counted as 36 squares for 12 prints, their mean errs by √(2/36) = 0.24, four of
     those; of 84 touches 80 lie within, and 72 where one print of twelve misses with all its seven.
     """
-    model = build_probe(paper_design("small")).model
+    model = build_probe(load_design("small")).model
     misses = []
     for seed in range(12):
         folder = make_campaign(model, tmp_path / "data", CampaignPlan("stage", seed), force=True).folder
@@ -265,7 +264,7 @@ def test_incomparable_data_are_refused(large, made):
     with pytest.raises(InputError, match=r"has no wrenches\.csv"):
         validate(Estimator(large), replace(campaign, tests=mute))
     with pytest.raises(InputError, match="data are of another probe: fingerprint"):
-        validate(Estimator(build_probe(paper_design("small")).model), campaign)
+        validate(Estimator(build_probe(load_design("small")).model), campaign)
 
 
 def test_the_page_draws_every_test_and_is_self_contained(found):
@@ -277,7 +276,7 @@ def test_the_page_draws_every_test_and_is_self_contained(found):
 
 
 def test_a_design_that_hangs_straight_down_has_a_campaign_too(tmp_path):
-    design = paper_design("small").model_dump(by_alias=True)
+    design = load_design("small").model_dump(by_alias=True)
     design["mount"]["gravity_base_m_s2"] = (0.0, 0.0, 9.81)
     model = build_probe(check_design(design)).model
     folder = make_campaign(model, tmp_path / "data", CampaignPlan(seed=1, marker_noise=5e-4)).folder
@@ -375,7 +374,7 @@ def test_several_probes_make_one_table_as_the_papers(call, tmp_path):
 def test_the_markers_of_a_flattened_probe_lie_on_its_surface(tmp_path):
     """A print as designed, seen all but exactly from obliquely: what is left of the shape is the sensor's noise, a
     tenth of what the surface of a round section would be off by (1.8 mm)."""
-    design = paper_design("large")
+    design = load_design("large")
     probe = design.probe.model_copy(update={"section": "elliptic", "flatness": 0.5})
     model = build_probe(design.model_copy(update={"probe": probe})).model
     folder = make_campaign(model, tmp_path / "flat", CampaignPlan(seed=4, exact=True, marker_noise=1e-6)).folder
