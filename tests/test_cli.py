@@ -16,6 +16,7 @@ from probedesign.cli.main import NAMES, run
 from probedesign.core.errors import CheckFailedError, InputError, MissingDependencyError
 from probedesign.core.files import check_overwrite, exports_of
 from probedesign.design import load_design
+from probedesign.design.catalog import assumed_text
 from probedesign.rod.kernels import cache
 
 LARGE = Path(__file__).parents[1] / "designs/large.toml"
@@ -199,7 +200,7 @@ def test_new_writes_the_file_and_prints_its_figures(workplace, capsys):
     rows = dict(re.findall(r"^  (\w[\w ]*?)  +(.*)$", capsys.readouterr().out, re.MULTILINE))
     assert [rows["mass"], *rows["sag"].split(" mm")[:1]] == ["6.82 g", "12.3"]
     assert rows["expected error"].split(",")[0] == "inf mm"
-    assert rows["assumed"].split(", ") == list(design.assumptions)
+    assert rows["assumed until measured"] == assumed_text(design.assumptions)
 
 
 @pytest.mark.parametrize(("base_d", "tip_d"), [("12", 2.0), ("24", 4.0), ("6", 2.0)])
@@ -221,13 +222,15 @@ def test_new_prints_one_json_document(workplace, capsys):
 
 def test_new_takes_every_option(workplace):
     options = ["--shape", "cylinder", "--resin", "flexible-80a", "--sensor", "si-25-0.25"]
-    options += ["--friction", "inf"]
+    options += ["--friction", "inf", "--points", "down", "--printer", "form-4l"]
     assert run([*NEW, "tube", *options, "--robot-flange", "iso-9409-1-31.5-4-m5"]) == 0
     design = load_design("designs/tube.toml")
     assert design.probe.knots_mm == ((0.0, 12.0), (150.0, 12.0))
     assert (design.material.resin, design.sensor.calibration) == ("flexible-80a", "si-25-0.25")
     assert design.mount.robot_flange == "iso-9409-1-31.5-4-m5"
     assert design.contact.friction == float("inf")
+    assert design.mount.gravity_base_m_s2 == (0.0, 0.0, 9.81)  # z of the base points to the tip, which hangs
+    assert design.printer.product == "Form 4L"
 
 
 @pytest.mark.parametrize(("section", "key", "ratio"), [("hollow", "bore_ratio", 0.4), ("elliptic", "flatness", 0.6)])

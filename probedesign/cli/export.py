@@ -133,6 +133,8 @@ def _uncollected() -> Iterator[None]:
 
 
 def _print(manifest: dict[str, Any], verbose: bool) -> None:
+    from probedesign.design.catalog import assumed_text
+
     whole, checks, stacks = manifest["mass"]["whole"], manifest["verification"], manifest["tolerance_stacks"]
     files: dict[str, list[str]] = {kind.use: [] for kind in FILE_KINDS.values()}
     for name in (*manifest["files"], "manifest.json"):
@@ -147,7 +149,7 @@ def _print(manifest: dict[str, Any], verbose: bool) -> None:
             f"{manifest['base']['held_by']}",
             "checks": f"{sum(c['ok'] for c in checks.values())} of {len(checks)} passed (solids, slices and meshes "
             "against the formulae)",
-            "assumed": ", ".join(manifest["assumptions"]),
+            "assumed": assumed_text(manifest["assumptions"]),
         }
     )
     for part, scale in manifest["print_scale"].items():

@@ -21,7 +21,7 @@ OPTIONS = {
     "probe.section": "--section", "probe.bore_ratio": "--bore-ratio", "probe.flatness": "--flatness",
     "probe.axis_bend_deg": "--bend-deg", "probe.axis_turns": "--turns", "probe.axis_azimuth_deg": "--azimuth-deg",
     "material.resin": "--resin", "sensor.calibration": "--sensor", "mount.robot_flange": "--robot-flange",
-    "contact.friction": "--friction",
+    "contact.friction": "--friction", "print.printer": "--printer",
 }  # fmt: skip
 
 
@@ -46,6 +46,8 @@ def new(
     robot_flange: str | None = None,
     friction: float | None = None,
     hold: Literal["clamped", "glued", "bonded"] = "clamped",
+    points: Literal["down", "up", "sideways"] = "sideways",
+    printer: str = "form-3",
     force: bool = False,
     as_json: JsonOutput = False,
 ) -> None:
@@ -75,6 +77,9 @@ def new(
         hold: how the adapter holds the flange: clamped by the ring, its underside glued as well, or the probe bonded to
             a rigid part at s = 0. It determines how much the root yields, which finite elements give for the exported
             parts.
+        points: where the probe points as mounted: it sets gravity in base axes, which [mount] states for any other
+            orientation.
+        printer: a known printer, such as form-3; an unknown name lists all.
         force: replace an existing design file.
         as_json: print one JSON document.
     """
@@ -101,6 +106,8 @@ def new(
             robot_flange=robot_flange or next(iter(fitting), DEFAULT_FLANGE),
             friction=friction,
             hold=hold,
+            points=points,
+            printer=printer,
             axis=axis,
             axis_bend_deg=bend_deg,
             axis_turns=turns,
@@ -180,6 +187,8 @@ def summary(design: "Design") -> dict[str, Any]:
 
 
 def _print(document: dict[str, Any], tip_note: str | None) -> None:
+    from probedesign.design.catalog import assumed_text
+
     error = document["expected_error_mm"]
     fits = "fits" if document["fits_upright"] else "does not fit"
     condition = document["expected_error_condition"]
@@ -203,7 +212,7 @@ def _print(document: dict[str, Any], tip_note: str | None) -> None:
         "print check": f"{plural(findings['errors'], 'error')}, {plural(findings['warnings'], 'warning')}; "
         f"details: probedesign check {document['file']}",
         "expected error": expected,
-        "assumed": ", ".join(document["assumptions"]) or "nothing",
+        "assumed until measured": assumed_text(document["assumptions"]),
     }
     if tip_note:
         rows = {"tip": f"{document['tip_d_mm']:g} mm, {tip_note}; set it with --tip-d"} | rows

@@ -109,6 +109,8 @@ def prediction_files(
 
 
 def _print_properties(prediction: "Prediction") -> None:
+    from probedesign.design.catalog import assumed_text
+
     sag = (
         "none: no stable equilibrium under gravity as mounted, so the figures below do not apply"
         if prediction.tip_sag_mm is None
@@ -129,7 +131,7 @@ def _print_properties(prediction: "Prediction") -> None:
             "friction": "any direction of the force"
             if prediction.friction is None
             else f"{prediction.friction:g}, standard deviation of tangential over normal force",
-            "assumed": ", ".join(prediction.assumptions) or "nothing",
+            "assumed until measured": assumed_text(prediction.assumptions),
         }
     )
 

@@ -3,7 +3,8 @@
 Every number has its source. A new resin, printer or flange is one record here; the other packages read it.
 """
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
 
@@ -289,3 +290,21 @@ ROBOT_FLANGES = {
 }
 
 CUSTOM = "own"  #: Value of `mount.robot_flange` where the pattern is in the design file itself, in `[mount.flange]`.
+
+#: Keys of a design whose values may be assumed, in words, each with what measures it.
+_ASSUMED = {
+    "material.youngs_modulus_mpa": "E (identify)",
+    "material.shear_modulus_mpa": "G (identify)",
+    "material.density_kg_m3": "density (balance)",
+    "mount.root_rigid_radii": "bending of the root (identify)",
+    "contact.friction": "friction (tilted plate)",
+    "contact.object_compliance_m_N": "compliance of the object (two presses at different places of the probe)",
+    "sensor.model": "model of the sensor (its label)",
+    "sensor.calibration": "calibration of the sensor (its label)",
+}
+
+
+def assumed_text(keys: Iterable[str]) -> str:
+    """Return assumed keys of a design, such as `Design.assumptions`, in words with what measures each."""
+    words = (_ASSUMED.get(key, re.sub(r"^probe\.(.*)_mm$", r"\1 (calipers)", key)) for key in keys)
+    return ", ".join(words) or "nothing"

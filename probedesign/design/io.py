@@ -20,6 +20,8 @@ COMMENT_COLUMN = 36
 #: Default tip: a sixth of the base, as of the large probe of the paper. Elastic 50A requires features of 1.5 mm; 2 mm
 #: leaves a margin for thin prints (assumed).
 TIP_RATIO, MIN_TIP_D_MM = 6.0, 2.0
+#: Gravity in base axes [m/s²] by where a mounted probe points.
+POINTS = {"down": (0.0, 0.0, 9.81), "up": (0.0, 0.0, -9.81), "sideways": (9.81, 0.0, 0.0)}
 
 #: Comment beside a key, unless the notes of the design replace it.
 COMMENTS = {
@@ -174,6 +176,8 @@ def new(
     robot_flange: str = "iso-9409-1-50-4-m6",
     friction: float | None = None,
     hold: str = "clamped",
+    points: str = "sideways",
+    printer: str = "form-3",
 ) -> Design:
     """Return a new design from a few dimensions, as `probedesign new` writes it; see `draft_design`.
 
@@ -199,6 +203,8 @@ def draft_design(
     robot_flange: str = "iso-9409-1-50-4-m6",
     friction: float | None = None,
     hold: str = "clamped",
+    points: str = "sideways",
+    printer: str = "form-3",
     **axis: str | float | None,
 ) -> tuple[Design, dict[str, str]]:
     """Return a new design from its main dimensions, with defaults for everything else.
@@ -211,6 +217,8 @@ def draft_design(
         sensor: a known sensor or calibration.
         friction: tangential over normal force of a touch, standard deviation of the prior; None for the resin's.
         hold: as in `[mount]`.
+        points: where the mounted probe points, a key of `POINTS`.
+        printer: as in `[print]`.
         axis: `axis` and the keys that go with it, as in `[probe]`.
 
     Returns:
@@ -244,11 +252,12 @@ def draft_design(
         "probe": probe,
         "material": material_keys(material),
         "sensor": _sensor_tables(sensor, notes),
-        "mount": {"robot_flange": robot_flange, "hold": hold},
+        "mount": {"robot_flange": robot_flange, "hold": hold, "gravity_base_m_s2": find(POINTS, points, "points")},
         "contact": {
             "friction": material.friction.value if friction is None else friction,
             "object_compliance_m_N": OBJECT_COMPLIANCE.value,
         },
+        "print": {"printer": printer},
     }
     return check_design(data), notes
 

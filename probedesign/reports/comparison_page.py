@@ -13,6 +13,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MM, format_value
 from probedesign.design import Design
+from probedesign.design.catalog import assumed_text
 from probedesign.estimation.estimator import Estimator
 from probedesign.optimization.objective import (
     COMPARED_FRACTIONS,
@@ -197,7 +198,7 @@ def comparison_page(compared: Sequence[ComparedDesign], task: Task) -> bytes:
                     f"The smallest RMS error [mm] of {force_text}, all sources included, by direction of the force "
                     "from X towards Y. Grey: the two best designs differ by less than 5 %.", _best_map(compared).svg()),
         ]  # fmt: skip
-    assumed = [f"{entry.design.name} assumes {', '.join(entry.design.assumptions) or 'nothing'}" for entry in compared]
+    assumed = [f"{entry.design.name} assumes {assumed_text(entry.design.assumptions)}" for entry in compared]
     title = f"Comparison: {' · '.join(entry.design.name for entry in compared)}"
     table, verdict = comparison_table(compared), comparison_verdict(compared)
     about = [task.text, *filter(None, [directions_verdict(compared)]), *assumed]

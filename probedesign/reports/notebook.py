@@ -18,6 +18,7 @@ from probedesign.core.errors import require
 from probedesign.core.frames import Array
 from probedesign.core.units import GRAM, MILLINEWTON, MM, MPA, N_MM, format_value
 from probedesign.design import Design
+from probedesign.design.catalog import assumed_text
 from probedesign.estimation.estimate import RESULTS, Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
@@ -208,7 +209,7 @@ def _(prediction: Prediction) -> Summary:
         *errors,
         ("sag of the tip", format_value(prediction.tip_sag_mm, ".3g", "mm", "it buckles")),
         ("mass of the flexible part", f"{prediction.mass_g:.3g} g"),
-        ("assumed", ", ".join(prediction.assumptions) or "nothing"),
+        ("assumed until measured", assumed_text(prediction.assumptions)),
     ]
     located = any(c.predicted_error_mm is not None for c in prediction.conditions)
     return Summary(f"prediction of {prediction.name}", rows, (lambda: error_chart(prediction)) if located else None)

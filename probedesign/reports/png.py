@@ -7,6 +7,7 @@ import numpy as np
 
 from probedesign.core.errors import MissingDependencyError
 from probedesign.core.units import MILLINEWTON, MM
+from probedesign.design.catalog import assumed_text
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.predict import Prediction
 from probedesign.reports.chart import NO_LINE, Chart, ChartArea, ChartLine
@@ -37,9 +38,9 @@ def draw_prediction(prediction: Prediction, estimator: Estimator) -> bytes:
         ax.set_title(panel.panel, y=1.0)  # a fixed position, which matplotlib would otherwise search for
     for ax in axes[len(panels) :]:
         ax.set_axis_off()
-    assumed = ", ".join(a.rpartition(".")[2] for a in prediction.assumptions) or "nothing"
     noise = f"σ {prediction.noise_force_mN:.2g} mN, {prediction.noise_moment_Nmm:.2g} N·mm per reading"
-    text = f"{prediction.name}  ·  geometry {prediction.fingerprint}  ·  {noise}\nassumed: {assumed}"
+    text = (f"{prediction.name}  ·  geometry {prediction.fingerprint}  ·  {noise}\n"
+            f"assumed until measured: {assumed_text(prediction.assumptions)}")  # fmt: skip
     figure.suptitle(text, fontsize=12, x=0.01, y=1.0 - 0.07 / (1.25 + 3.68 * rows), ha="left", va="top")
     return _png_bytes(figure)
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from probedesign.core.units import MILLINEWTON, MM, format_value
+from probedesign.design.catalog import assumed_text
 from probedesign.estimation.estimator import Estimator
 from probedesign.prediction.fused import SHOWN_N, shown
 from probedesign.prediction.predict import HEADLINE_FORCE_N, HEADLINE_FRACTION, Prediction, worst
@@ -156,7 +157,7 @@ def prediction_page(prediction: Prediction, estimator: Estimator, more: Sequence
         f"{prediction.mass_g:.3g} g, flexible part; {sags}, as mounted",
         f"geometry {prediction.fingerprint}; noise {prediction.noise_force_mN:.3g} mN and "
         f"{prediction.noise_moment_Nmm:.3g} N·mm per reading and channel",
-        f"assumed: {', '.join(prediction.assumptions) or 'nothing'}; standard deviations at the end",
+        f"assumed until measured: {assumed_text(prediction.assumptions)}; standard deviations at the end",
         f"{fused.label}, fused: {'not located' if fused_mm is None else f'{fused_mm:.2g} mm RMS'}",
         f"fused: {prediction.pressing.text}",
         *([] if prediction.bench_gain is None else [f"bench: {prediction.bench_gain.text}"]),

@@ -13,6 +13,7 @@ import numpy as np
 from probedesign.core.frames import Array
 from probedesign.core.statistics import rms, sigmas_95
 from probedesign.core.units import MILLINEWTON, MM
+from probedesign.design.catalog import assumed_text
 from probedesign.estimation.estimate import RESULTS
 from probedesign.estimation.estimator import Estimator
 from probedesign.live.processing.estimates import COVARIANCE, Row
@@ -110,7 +111,7 @@ def recording_page(estimates: RecordingEstimates) -> bytes:
     about = [
         f"{estimates.recording.path}: {estimates.readings} readings, {estimates.samples} averaged to one estimate",
         f"probe {model.name}, geometry {model.fingerprint}",
-        f"assumptions of the probe: {', '.join(model.assumptions) or 'nothing'}",
+        f"assumed of the probe until measured: {assumed_text(model.assumptions)}",
         *estimates.notes,
     ]
     replay = replay_element(estimates.estimator, rows, estimates.gravities, "The located touches, replayed")

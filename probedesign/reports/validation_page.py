@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM, N_MM, format_value
+from probedesign.design.catalog import assumed_text
 from probedesign.estimation.model import ProbeModel
 from probedesign.reports.chart import COLOURS, DASHES, Chart, ChartAxis
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
@@ -107,7 +108,7 @@ def validation_page(validation: ValidationReport) -> bytes:
     about = [
         *validation.notes_on_identification,
         f"{len(validation.tests)} tests of {validation.campaign.folder}; geometry {model.fingerprint}; {how}",
-        f"assumptions of the probe: {', '.join(model.assumptions) or 'nothing'}",
+        f"assumed of the probe until measured: {assumed_text(model.assumptions)}",
         *coverage.words,
     ]
     drawn = [trial for trial in validation.tests if trial.shape is not None or len(trial.markers_base)]

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from probedesign.core.errors import InputError
 from probedesign.core.files import exports_of, write_atomically
 from probedesign.core.frames import Array
+from probedesign.design.catalog import assumed_text
 from probedesign.estimation.model import ProbeModel
 from probedesign.frozen_probe import stale_parts
 from probedesign.geometry.axis import Axis
@@ -101,15 +102,6 @@ main { max-width: 1120px; margin: auto }
 }
 @media print { #scene { height: 80mm } }
 """.replace("COLOURS", ", ".join(ORDERED))
-#: Keys of a design in plain words, with what measures each.
-ASSUMED = {
-    "material.youngs_modulus_mpa": "E (identify, or a hanging weight)",
-    "material.shear_modulus_mpa": "G (identify)",
-    "material.density_kg_m3": "density (a balance)",
-    "mount.root_rigid_radii": "bending of the root (identify)",
-    "contact.friction": "friction (a tilted plate)",
-    "contact.object_compliance_m_N": "compliance of the object (two presses at different places of the probe)",
-}
 STYLE_START = PAGE_STYLE[:40].encode()  #: Of every page of this program, of any version.
 REFRESH = '<meta http-equiv="refresh" content="2">'
 
@@ -142,8 +134,7 @@ def write_home(
     figures = "".join(
         f'<p class="number"><b>{value}</b>{escape(meaning)}</p>' for value, meaning in _numbers(prediction)
     )
-    assumed = ", ".join(ASSUMED.get(key, key) for key in model.assumptions)
-    notes = f'<p class="small">Assumed until measured: {escape(assumed)}.</p>' if assumed else ""
+    notes = f'<p class="small">Assumed until measured: {escape(assumed_text(model.assumptions))}.</p>'
     body = (f'<div class="hero">{_scene(folder, model, prediction)}<div>{figures}{notes}</div></div>{waiting}{extra}'
             f'<div class="cards">{cards}</div>')  # fmt: skip
     about = [f"Geometry {model.fingerprint} · {escape(model.resin or 'unknown resin')} · {escape(model.sensor)} · "
