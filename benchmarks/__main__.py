@@ -9,7 +9,7 @@ from benchmarks.timing import print_machine
 #: Benchmarks by module. Each is imported when it runs, because worker processes import this module again.
 PARTS = ("rod", "start", "install", "estimation", "detection", "prints", "identify", "pictured", "validation",
          "planning", "prediction", "table1", "optimisation", "sweep", "export", "live", "recording", "view",
-         "studio", "day", "motion", "explore", "compliance", "coverage", "twin", "real")  # fmt: skip
+         "studio", "day", "motion", "explore", "shapes", "compliance", "coverage", "twin", "real")  # fmt: skip
 
 
 def main(arguments: list[str]) -> int:

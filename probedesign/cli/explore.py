@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from probedesign.live.sources.source import Source
     from probedesign.mapping.contact_map import ContactMap
     from probedesign.mapping.explore import Exploration
+    from probedesign.mapping.shapes import Shape
     from probedesign.mapping.touch_point import LocatedTouch
     from probedesign.reports.map_page import MapScene
 
@@ -59,6 +60,7 @@ def explore(
     from probedesign import pipeline
     from probedesign.live.sources.replay import ReplaySource, check_readable
     from probedesign.mapping.explore import LoadedRecording, joint_map, parse_min_separation
+    from probedesign.mapping.shapes import ShapeFit, TouchSet, missing
     from probedesign.reports.map_page import MapScene
     from probedesign.simulation import simulated_run
     from probedesign.simulation.scenes import true_outlines
@@ -90,6 +92,8 @@ def explore(
             estimator, recording, reading, base, (processing, apart), name if several else ""
         )
     cloud = joint_map(explorations) if several else explorations[name].map()
+    touched = TouchSet.of(cloud)
+    shapes = ShapeFit(touched, max(each.model.friction for each in estimators.values())).shapes()
     recorded_from = source.recorded_from if isinstance(source, LoadedRecording | ReplaySource) else ""
     if out is not None:
         probe = ", ".join(f"{name} {each.model.fingerprint}" for name, each in estimators.items())
@@ -97,7 +101,8 @@ def explore(
         _write(out, MapScene(cloud, true_outlines(recorded_from)), probe, notes)
         for each in estimators.values():
             refresh_home(each.model)
-    _print(cloud, out, as_json, simulated_run.score(cloud, recording, recorded_from))
+    score = simulated_run.score(cloud, recording, recorded_from)
+    _print(cloud, (shapes, missing(touched, shapes)), out, as_json, score)
 
 
 def _explored(
@@ -166,14 +171,21 @@ def _write(out: Path, scene: "MapScene", probe: str, notes: list[str]) -> None:
     write_files(out, zip(FILES, contents, strict=True))
 
 
-def _print(cloud: "ContactMap", out: Path | None, as_json: bool, score: str) -> None:
-    """Print one JSON document, or one line per point and a summary."""
-    from probedesign.mapping.contact_map import map_document, map_lines
+def _print(cloud: "ContactMap", shapes: "tuple[list[Shape], str]", out: Path | None, as_json: bool, score: str) -> None:
+    """Print one JSON document, or one line per point and per shape and a summary.
 
+    `shapes` are the shapes, and a line with the touches that belong to none.
+    """
+    from probedesign.mapping.contact_map import map_document, map_lines
+    from probedesign.mapping.shapes import shapes_document
+
+    known, unexplained = shapes
     if as_json:
-        print_json({**map_document(cloud), **({"score": score} if score else {})})
+        print_json({**map_document(cloud), "shapes": shapes_document(known), **({"score": score} if score else {})})
         return
     print("\n".join(map_lines(cloud)) or "no touch")
+    for line in (*(shape.text for shape in known), *([unexplained] if unexplained else [])):
+        print(line)
     print(_summary(cloud) + (f"; wrote {out}/{', '.join(FILES)}" if out is not None else ""))
     if score:
         print(score)

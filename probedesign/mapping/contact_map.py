@@ -56,6 +56,8 @@ class ContactMap:
     stiffness: float  #: stiffness, std_stiffness: factor on E by all touches, and its standard deviation.
     std_stiffness: float
     min_separation: float  #: distance below which points were not distinguished [m].
+    common: Array  #: error sources common to the touches, in standard deviations of their priors, (J,).
+    cov_common: Array  #: their covariance by all touches, (J, J).
 
 
 _Group = tuple[ConditionalPoint, tuple[LocatedTouch, ...]]  #: A point and its touches.
@@ -94,7 +96,7 @@ def build_map(
     stiffness = math.exp(youngs_modulus * log_E)
     std_stiffness = stiffness * youngs_modulus * math.sqrt(var_E)
     unlocated = tuple(touch for touch in touches if touch.point is None)
-    return ContactMap(points, unlocated, stiffness, std_stiffness, min_separation)
+    return ContactMap(points, unlocated, stiffness, std_stiffness, min_separation, common, cov_common)
 
 
 def _common_errors(points: Sequence[ConditionalPoint]) -> tuple[Array, Array]:

@@ -190,6 +190,8 @@ class LocatedTouch:
     s_contact: Array | None = None  #: arclength of the contact at each interval [m], (k,).
     rms: float = float("nan")  #: RMS error of the point by this touch alone [m].
     probe: str = ""  #: name of the probe in a map of several.
+    tangent: Array | None = None  #: of the free probe at the contact, towards the tip, in the world, (3,).
+    beyond: float = float("nan")  #: length of a straight probe beyond the contact [m]; NaN of a curved one.
 
     @property
     def label(self) -> str:
@@ -231,8 +233,12 @@ def locate_touch(segment: TouchSegment, estimator: Estimator, priors: Tolerances
     strongest = int(np.argmax(forces))
     R = fusion.readings[strongest].T_world_base[:3, :3]
     direction = R @ fused.force_base[strongest] / forces[strongest]
-    s_contact = fused.s_contact[np.isfinite(fused.s_contact)]
-    return LocatedTouch(segment, "ok", point, float(forces[strongest]), direction, s_contact, fused.rms)
+    s, rod = float(fused.s_contact[strongest]), estimator.model.rod
+    tangent = R @ estimator.free(fusion.readings[strongest].gravity).R_at(s)[:, 2]
+    return LocatedTouch(
+        segment, "ok", point, float(forces[strongest]), direction, fused.s_contact[np.isfinite(fused.s_contact)],
+        fused.rms, tangent=tangent, beyond=np.nan if rod.is_curved else rod.length - s,
+    )  # fmt: skip
 
 
 def _fusion(segment: TouchSegment, estimator: Estimator, priors: Tolerances, gravity_world: Array) -> Fusion | None:

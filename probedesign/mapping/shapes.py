@@ -1,0 +1,521 @@
+"""Shapes of touched objects: planes, edges, corners, tips, spheres and cylinders, fitted to the touches of a map.
+
+A touch gives a point of the surface with its covariance, and the direction of the force on the probe, which lies in the
+friction cone about the outward normal. For each kind of shape the residuals are the distances of the points from the
+shape, whitened by the joint covariance of all points, and the angles of the forces from the normals. The fit minimises
+their squares (`scipy.optimize.least_squares`). Candidates come from small random sets of touches; the best takes its
+touches with it, and the search goes on with the rest (sequential RANSAC).
+
+The kind is chosen by the evidence, the integral of likelihood times prior by Laplace's approximation at the fit:
+
+    log Z = log p(touches | θ) + log p(θ) + d/2 log 2π - ½ log det H
+
+A touched place is uniform over the extent of the shape, and the extent is log-uniform, so an edge that explains the
+touches of a line is more probable than a plane through them. Without a shape, points are uniform in the workspace and
+forces have any direction. A straight probe touches a plane with its tip, so a contact away from the tip is on no plane.
+
+Source: P. H. S. Torr and A. Zisserman, MLESAC, Computer Vision and Image Understanding 78 (2000); D. J. C. MacKay,
+Bayesian interpolation, Neural Computation 4 (1992), for the evidence.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+from scipy.special import log_ndtr, ndtr
+
+from probedesign.core import statistics
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
+from probedesign.mapping.contact_map import ContactMap
+from probedesign.mapping.touch_point import LocatedTouch
+
+WORKSPACE = 0.3  #: Length within which a shape is expected, each way [m]; assumed.
+RADII = (3e-3, 0.15)  #: Radii of spheres and cylinders [m], log-uniform; assumed. Smaller ones are edges.
+EXTENTS = (2e-3, 0.5)  #: Smallest and largest extent of a shape [m], log-uniform; assumed.
+#: Half angle of the cone of the normals of a corner [rad], with the solid angle of an octant as at the corner of a box;
+#: a tip has all normals of a half-space. Assumed.
+CORNER_CONE, TIP_CONE = math.acos(0.75), 0.5 * math.pi
+TIP_CONTACT = 1e-3  #: Standard deviation of the contact of a tip with a plane along the probe [m]; assumed.
+SHARE_ACROSS = 0.9  #: Share of touches of an edge by the side of the probe; assumed. Their normal is across both.
+MIN_ODDS = math.log(20.0)  #: Logarithm of the least odds of a shape against separate touches.
+SEEDS = 150  #: Number of random sets of touches from which each kind of shape is begun.
+ROUNDS = 6  #: Largest number of fits in which the set of touches of a shape settles.
+
+
+class Kind(NamedTuple):
+    """A kind of shape."""
+
+    free: tuple[int, ...]  #: its parameters: shifts along the frame 0, 1, 2, rotations about u, v 3, 4, log radius 5.
+    extents: int  #: number of directions in which it extends.
+    fewest: int  #: least number of touches that make one.
+    seed: int  #: number of touches of a random set.
+
+
+KINDS = {
+    "plane": Kind((2, 3, 4), 2, 3, 3),
+    "edge": Kind((0, 1, 3, 4), 1, 3, 2),
+    "corner": Kind((0, 1, 2), 0, 3, 1),
+    "tip": Kind((0, 1, 2), 0, 3, 1),
+    "sphere": Kind((0, 1, 2, 5), 2, 5, 4),
+    "cylinder": Kind((0, 1, 3, 4, 5), 2, 6, 5),
+}
+
+
+@dataclass(frozen=True)
+class TouchSet:
+    """Touches as the shapes see them, with the joint covariance of their points."""
+
+    p: Array  #: touched points in the world [m], (n, 3).
+    cov: Array  #: joint covariance of the points [m²], (n, 3, n, 3).
+    force: Array  #: directions of the forces on the probe, unit vectors, (n, 3).
+    tangent: Array  #: tangents of the probe, NaN where unknown, (n, 3).
+    beyond: Array  #: length of the probe beyond the contact [m], NaN where it says nothing, (n,).
+    labels: tuple[str, ...]  #: numbers of the touches.
+
+    @classmethod
+    def of(cls, contact_map: ContactMap) -> "TouchSet":
+        """Return the located touches of a map, in order of their points."""
+        touches: list[LocatedTouch] = [touch for point in contact_map.points for touch in point.touches]
+        n, points = len(touches), [touch.point for touch in touches if touch.point is not None]
+        B = np.array([point.sensitivity for point in points]).reshape(3 * n, len(contact_map.common))
+        cov = (B @ contact_map.cov_common @ B.T).reshape(n, 3, n, 3)
+        for i, point in enumerate(points):
+            cov[i, :, i] += point.cov
+        none = np.full(3, np.nan)
+        return cls(
+            np.array([point.position(contact_map.common) for point in points]).reshape(n, 3), cov,
+            np.array([none if touch.direction is None else touch.direction for touch in touches]).reshape(n, 3),
+            np.array([none if touch.tangent is None else touch.tangent for touch in touches]).reshape(n, 3),
+            np.array([touch.beyond for touch in touches]), tuple(touch.label for touch in touches),
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        """Return the number of touches."""
+        return len(self.p)
+
+    def subset(self, which: NDArray[np.intp]) -> "TouchSet":
+        """Return some of the touches."""
+        return TouchSet(
+            self.p[which], self.cov[which][:, :, which], self.force[which], self.tangent[which], self.beyond[which],
+            tuple(self.labels[i] for i in which),
+        )  # fmt: skip
+
+    @property
+    def own_cov(self) -> Array:
+        """Return the covariance of each point [m²], (n, 3, 3)."""
+        return np.asarray(np.einsum("iaib->iab", self.cov))
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A shape with the covariance of its parameters."""
+
+    kind: str  #: a key of `KINDS`.
+    p: Array  #: middle of the touched part of a plane or an edge, a corner, a centre, a point of an axis [m], (3,).
+    #: axes u, v, w as columns, (3, 3): w is the outward normal of a plane, the direction of an edge or of an axis, the
+    #: middle of the forces on a corner; u and v are the directions in which a plane extends most and least.
+    frame: Array
+    radius: float = 0.0  #: of a sphere or a cylinder [m].
+    cov: Array = field(default_factory=lambda: np.zeros((6, 6)))  #: of all six parameters of `Kind`, (6, 6).
+    #: range of the touched places [m], (extents, 2): along u and v, along w of an edge, along w and around a cylinder.
+    extent: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    touches: tuple[str, ...] = ()  #: labels of the touches that support it.
+    odds: float = 0.0  #: logarithm of the odds against touches without a shape.
+    probabilities: dict[str, float] = field(default_factory=dict)  #: of each kind, for its touches.
+
+    def moved(self, by: Array) -> "Shape":
+        """Return the shape with other parameters, (6,)."""
+        turn = Rotation.from_rotvec([by[3], by[4], 0.0]).as_matrix()
+        p, radius = self.p + self.frame @ by[:3], self.radius * math.exp(by[5])
+        return replace(self, p=p, frame=self.frame @ turn, radius=radius)
+
+    def distances(self, x: Array) -> tuple[Array, Array]:
+        """Return how far points (n, 3) are from the shape [m], (n, k), and the derivative by the points, (n, k, 3)."""
+        local, n = np.asarray((x - self.p) @ self.frame), len(x)
+        if self.kind == "plane":
+            return local[:, 2:], np.broadcast_to(self.frame[:, 2:].T, (n, 1, 3))
+        if self.kind in ("sphere", "cylinder"):
+            if self.kind == "cylinder":
+                local = local * (1.0, 1.0, 0.0)
+            far = np.maximum(np.linalg.norm(local, axis=1), 1e-9)
+            return (far - self.radius)[:, None], ((local / far[:, None]) @ self.frame.T)[:, None, :]
+        k = 2 if self.kind == "edge" else 3
+        return local[:, :k], np.broadcast_to(self.frame[:, :k].T, (n, k, 3))
+
+    def normals(self, x: Array) -> Array:
+        """Return the outward normals of a plane, a sphere or a cylinder at points (n, 3), unit vectors, (n, 3)."""
+        return np.asarray(self.distances(x)[1][:, 0, :])
+
+    def places(self, x: Array) -> Array:
+        """Return where points (n, 3) lie along the directions in which the shape extends [m], (n, extents)."""
+        local = np.asarray((x - self.p) @ self.frame)
+        if self.kind == "cylinder":
+            around = np.arctan2(local[:, 1], local[:, 0])
+            middle = np.angle(np.exp(1j * around).sum())
+            return np.column_stack([local[:, 2], self.radius * np.angle(np.exp(1j * (around - middle)))])
+        if self.kind == "sphere":  # on the plane about the middle of the touched part, equal distances
+            unit = local / np.linalg.norm(local, axis=1, keepdims=True)
+            middle = unit.sum(axis=0) / max(np.linalg.norm(unit.sum(axis=0)), 1e-9)
+            across = unit - np.outer(unit @ middle, middle)
+            angle = np.arccos(np.clip(unit @ middle, -1.0, 1.0)) / np.maximum(np.linalg.norm(across, axis=1), 1e-9)
+            flat: Array = self.radius * (across * angle[:, None]) @ np.linalg.svd(across)[2][:2].T
+            return flat
+        return np.asarray(local[:, {"plane": [0, 1], "edge": [2]}.get(self.kind, [])])
+
+    def cov_at(self, x: Array) -> Array:
+        """Return the covariance of the shape's points next to points (n, 3), across the shape alone [m²], (n, k, k)."""
+        J = _by_parameters(self, x)
+        return np.asarray(J @ self.cov @ J.transpose(0, 2, 1))
+
+    @property
+    def ends(self) -> Array:
+        """Return the ends of the touched part of an edge, the corners of that of a plane, the point otherwise [m]."""
+        if self.kind == "edge":
+            return self.p + self.extent[0][:, None] * self.frame[:, 2]
+        if self.kind == "plane":
+            (a, b), (c, d) = self.extent
+            return np.asarray(self.p + np.array([[a, c], [b, c], [b, d], [a, d]]) @ self.frame[:, :2].T)
+        return self.p[None]
+
+    @property
+    def rms(self) -> float:
+        """Return the largest RMS distance of the touched part from the true shape, across it [m]."""
+        if self.kind in ("sphere", "cylinder"):
+            return math.sqrt(float(np.trace(self.cov[:3, :3])))
+        return math.sqrt(float(np.trace(self.cov_at(self.ends), axis1=1, axis2=2).max()))
+
+    @property
+    def tilt(self) -> float:
+        """Return the standard deviation of the direction, the larger of two [rad]; NaN of a shape without one."""
+        if not {3, 4} <= set(KINDS[self.kind].free):
+            return math.nan
+        return math.sqrt(float(np.linalg.eigvalsh(self.cov[3:5, 3:5])[-1]))
+
+    @property
+    def text(self) -> str:
+        """Return the shape in one line."""
+        at = " to ".join(_mm(end) for end in self.ends) if self.kind == "edge" else _mm(self.p)
+        parts = [f"{self.kind} {at} mm ± {self.rms / MM:.2g} mm"]
+        if math.isfinite(self.tilt):
+            what = {"plane": "normal", "edge": "direction"}.get(self.kind, "axis")
+            parts.append(f"{what} ({', '.join(f'{part:z.3f}' for part in self.frame[:, 2])}) ± "
+                         f"{math.degrees(self.tilt):.2g}°")  # fmt: skip
+        if self.radius:
+            parts.append(f"radius {self.radius / MM:.2f} ± {self.radius * math.sqrt(self.cov[5, 5]) / MM:.2g} mm")
+        if self.kind == "plane":
+            parts.append("at least " + " × ".join(f"{np.ptp(range_) / MM:.0f}" for range_ in self.extent) + " mm")
+        sure = self.probabilities.get(self.kind, 1.0)
+        return ", ".join([*parts, f"{100 * sure:.0f} %", f"touches {' '.join(self.touches)}"])
+
+
+def _mm(p: Array) -> str:
+    return f"({', '.join(f'{part / MM:z.2f}' for part in p)})"
+
+
+def _by_parameters(shape: Shape, x: Array) -> Array:
+    """Return the derivative of the distances of points by the six parameters, (n, k, 6), by central differences."""
+    J = np.zeros((*shape.distances(x)[0].shape, 6))
+    for i in KINDS[shape.kind].free:
+        step = 1e-6 * np.eye(6)[i]
+        J[:, :, i] = (shape.moved(step).distances(x)[0] - shape.moved(-step).distances(x)[0]) / 2e-6
+    return J
+
+
+@dataclass(frozen=True)
+class ShapeFit:
+    """Fits shapes to touches.
+
+    Args:
+        touches: of a map.
+        friction: coefficient μ of the object on the probe. A sliding contact has a tangential force of μ times the
+            normal one in any direction, so the force deviates from the normal by μ/√2 about each of two axes.
+    """
+
+    touches: TouchSet
+    friction: float = 0.5
+
+    def _log_forces(self, shape: Shape, which: TouchSet) -> Array:
+        """Return the log density of the force directions [1/sr], and of the contact along the probe [1/m], (n,)."""
+        f, std = which.force, self._std(shape, which)
+        if shape.kind in ("corner", "tip"):
+            cone = CORNER_CONE if shape.kind == "corner" else TIP_CONE
+            inside = cone - np.arccos(np.clip(f @ shape.frame[:, 2], -1.0, 1.0))
+            theta = np.linspace(0.0, math.pi, 181)
+            density = ndtr((cone - theta) / std[0]) * 2.0 * math.pi * np.sin(theta)
+            return np.asarray(log_ndtr(inside / std) - math.log(float(density.sum()) * float(theta[1])))
+        if shape.kind == "edge":
+            w = shape.frame[:, 2]
+            along = -0.5 * (np.arcsin(np.clip(f @ w, -1.0, 1.0)) / std) ** 2 - np.log(math.sqrt(2.0 * math.pi) * std)
+            across = np.cross(np.nan_to_num(which.tangent), w)
+            length, flat = np.linalg.norm(across, axis=1), f - np.outer(f @ w, w)
+            aligned = np.abs((flat * across).sum(axis=1))  # the normal of an edge is perpendicular to the probe as well
+            aligned /= np.maximum(length * np.linalg.norm(flat, axis=1), 1e-9)
+            off = np.arccos(np.clip(aligned, 0.0, 1.0))
+            near = SHARE_ACROSS * np.exp(-0.5 * (off / std) ** 2) / (2.0 * math.sqrt(2.0 * math.pi) * std)
+            near = np.where(length > 0.3, near, SHARE_ACROSS / (2.0 * math.pi))
+            return along + np.log(near + (1.0 - SHARE_ACROSS) / (2.0 * math.pi))
+        angle = np.arccos(np.clip(np.einsum("na,na->n", f, shape.normals(which.p)), -1.0, 1.0))
+        log_forces = -0.5 * (angle / std) ** 2 - np.log(2.0 * math.pi * std**2)
+        if shape.kind == "plane":
+            log_forces = log_forces + _log_tip_contact(which)
+        return np.asarray(log_forces)
+
+    def _std(self, shape: Shape, which: TouchSet) -> Array:
+        """Return the standard deviation of the angle between force and normal about each axis [rad], (n,)."""
+        variance = np.full(len(which), 0.5 * self.friction**2 + 0.1**2)  # 0.1 rad: noise of a force of 5 mN
+        if shape.radius:
+            variance += np.trace(which.own_cov, axis1=1, axis2=2) / 3.0 / shape.radius**2
+        return np.asarray(np.sqrt(np.minimum(variance, 1.0)))
+
+    def _log_each(self, shape: Shape, which: TouchSet, extents: Array) -> Array:
+        """Return the log density of each touch for itself if the shape has extents [m], (n,)."""
+        g, N = shape.distances(which.p)
+        S = N @ which.own_cov @ N.transpose(0, 2, 1)
+        chi2 = np.einsum("nk,nk->n", g, np.linalg.solve(S, g[:, :, None])[:, :, 0])
+        place = -0.5 * chi2 - 0.5 * np.log(np.linalg.det(2.0 * math.pi * S)) - np.log(extents).sum()
+        return np.asarray(place + self._log_forces(shape, which))
+
+    def fitted(self, seed: Shape, which: TouchSet) -> Shape | None:
+        """Return the shape of a kind that fits touches best, with its covariance; None where they do not fix it."""
+        free, n, shape = list(KINDS[seed.kind].free), len(which), seed
+        H = np.zeros((0, 0))
+        for _ in range(2):
+            shape = self._framed(shape, which)
+            N, std = shape.distances(which.p)[1], self._std(shape, which)
+            k = N.shape[1]
+            S = np.einsum("iax,ixjy,jby->iajb", N, which.cov, N).reshape(n * k, n * k)
+            W, start = statistics.whiten(S), shape
+
+            def residuals(by: Array, start: Shape = start, W: Array = W, std: Array = std) -> Array:
+                at = start.moved(_six(free, by))
+                return np.concatenate([W @ at.distances(which.p)[0].ravel(), _turned(at, which, std)])
+
+            scale = np.array([1e-3] * 3 + [1e-3 / max(shape.radius, 0.02)] * 3)[free]
+            try:
+                solved = least_squares(residuals, np.zeros(len(free)), x_scale=scale, ftol=1e-4, max_nfev=12)
+            except (ValueError, np.linalg.LinAlgError):
+                return None
+            jac = np.asarray(solved.jac)
+            shape, H = start.moved(_six(free, solved.x)), jac.T @ jac
+            if shape.radius and not RADII[0] < shape.radius < RADII[1]:
+                return None
+        if np.linalg.cond(H) > 1e14:
+            return None
+        cov = np.zeros((6, 6))
+        cov[np.ix_(free, free)] = np.linalg.inv(H)
+        places = shape.places(which.p)
+        extent = np.stack([places.min(axis=0), places.max(axis=0)], axis=1)
+        shape = replace(shape, cov=cov, extent=extent, touches=which.labels)
+        return replace(shape, odds=self._log_evidence(shape, which, H) - float(_log_without(which).sum()))
+
+    def _framed(self, shape: Shape, which: TouchSet) -> Shape:
+        """Return the shape at the middle of its touches, the axes of a plane along their spread."""
+        p, F, middle = shape.p, shape.frame, which.p.mean(axis=0)
+        if shape.kind == "plane":
+            flat = (which.p - middle) - np.outer((which.p - middle) @ F[:, 2], F[:, 2])
+            u = np.linalg.svd(flat)[2][0]
+            u = u - (u @ F[:, 2]) * F[:, 2]
+            u = u / np.linalg.norm(u)
+            F, p = np.column_stack([u, np.cross(F[:, 2], u), F[:, 2]]), middle - ((middle - p) @ F[:, 2]) * F[:, 2]
+        elif shape.kind in ("edge", "cylinder"):
+            p = p + ((middle - p) @ F[:, 2]) * F[:, 2]
+        elif shape.kind in ("corner", "tip"):
+            F = _frame(which.force.sum(axis=0))
+        return replace(shape, p=p, frame=F)
+
+    def _log_evidence(self, shape: Shape, which: TouchSet, H: Array) -> float:
+        """Return log Z of a fitted shape, with H the information on its free parameters."""
+        n, free = len(which), KINDS[shape.kind].free
+        g, N = shape.distances(which.p)
+        S = np.einsum("iax,ixjy,jby->iajb", N, which.cov, N).reshape(g.size, g.size)
+        L = np.linalg.cholesky(S)
+        z = np.linalg.solve(L, g.ravel())
+        log_Z = -0.5 * float(z @ z) - float(np.log(L.diagonal()).sum()) - 0.5 * g.size * math.log(2.0 * math.pi)
+        log_Z += float(self._log_forces(shape, which).sum())
+        log_Z += sum(_log_extent(max(float(np.ptp(range_)), EXTENTS[0]), n) for range_ in shape.extent)
+        log_prior = -sum(i < 3 for i in free) * math.log(WORKSPACE)
+        if 3 in free:
+            log_prior -= math.log(4.0 * math.pi if shape.kind == "plane" else 2.0 * math.pi)
+        if 5 in free:
+            log_prior -= math.log(math.log(RADII[1] / RADII[0]))
+        return log_Z + log_prior + 0.5 * len(free) * math.log(2.0 * math.pi) - 0.5 * float(np.linalg.slogdet(H)[1])
+
+    def best_of(self, kind: str, which: TouchSet, rng: np.random.Generator, all_of_them: bool) -> Shape | None:
+        """Return the shape of a kind with the largest odds among touches, or of all of them."""
+        without, extents = _log_without(which), np.full(KINDS[kind].extents, 0.05)
+        scored: list[tuple[float, int, Shape, Array]] = []
+        for seed in _seeds(kind, which, rng):
+            gain = self._log_each(seed, which, extents) - without
+            scored.append((float(gain.sum() if all_of_them else np.maximum(gain, 0.0).sum()), len(scored), seed, gain))
+        best = None
+        for _, _, seed, gain in sorted(scored, reverse=True)[:3]:
+            shape = self.fitted(seed, which) if all_of_them else self._settled(seed, which, gain > 0.0, without)
+            if shape is not None and (best is None or shape.odds > best.odds):
+                best = shape
+        return best
+
+    def _settled(self, seed: Shape, which: TouchSet, inside: NDArray[np.bool_], without: Array) -> Shape | None:
+        """Return the shape of the touches that it explains better than no shape, from a seed and its touches."""
+        shape: Shape | None = seed
+        for _ in range(ROUNDS):
+            if inside.sum() < KINDS[seed.kind].fewest or shape is None:
+                return None
+            shape = self.fitted(shape, which.subset(np.flatnonzero(inside)))
+            if shape is None:
+                return None
+            extents = np.maximum(np.ptp(shape.extent, axis=1), EXTENTS[0]) * 1.5
+            now = self._log_each(shape, which, extents) > without
+            if (now == inside).all():
+                break
+            inside = now
+        return shape
+
+    def shapes(self, seed: int = 1) -> list[Shape]:
+        """Return the shapes of the touches, the most certain first; touches that no shape explains are left."""
+        rng, left, shapes = np.random.default_rng(seed), np.arange(len(self.touches)), list[Shape]()
+        while len(left) >= min(kind.fewest for kind in KINDS.values()):
+            which = self.touches.subset(left)
+            candidates = [self.best_of(kind, which, rng, False) for kind in KINDS]
+            best = max((shape for shape in candidates if shape is not None), key=lambda shape: shape.odds, default=None)
+            if best is None or best.odds < MIN_ODDS:
+                break
+            shape = self.of_one(self._indices(best), rng)
+            if shape is None or shape.odds < MIN_ODDS:
+                break
+            shapes.append(shape)
+            left = np.setdiff1d(left, self._indices(shape))
+        return shapes
+
+    def of_one(self, indices: NDArray[np.intp], rng: np.random.Generator) -> Shape | None:
+        """Return the most probable shape that all of some touches support, with the probability of each kind."""
+        which = self.touches.subset(indices)
+        fits = [self.best_of(kind, which, rng, True) for kind, of in KINDS.items() if len(which) >= of.fewest]
+        known = [shape for shape in fits if shape is not None]
+        if not known:
+            return None
+        best = max(known, key=lambda shape: shape.odds)
+        weights = {shape.kind: math.exp(shape.odds - best.odds) for shape in known}
+        return replace(best, probabilities={kind: w / sum(weights.values()) for kind, w in weights.items()})
+
+    def _indices(self, shape: Shape) -> NDArray[np.intp]:
+        return np.array([self.touches.labels.index(label) for label in shape.touches])
+
+
+def missing(touches: TouchSet, shapes: Sequence[Shape]) -> str:
+    """Return a line with the touches that no shape explains and what a shape takes; empty if there are none."""
+    used = {label for shape in shapes for label in shape.touches}
+    left = [label for label in touches.labels if label not in used]
+    if not left:
+        return ""
+    fewest = ", ".join(f"{'an' if kind == 'edge' else 'a'} {kind} {of.fewest}" for kind, of in KINDS.items())
+    return f"no shape: touch {' '.join(left)}; needed are touches that agree: {fewest}"
+
+
+def _six(free: list[int], by: Array) -> Array:
+    whole = np.zeros(6)
+    whole[free] = by
+    return whole
+
+
+def _turned(shape: Shape, which: TouchSet, std: Array) -> Array:
+    """Return the residuals of the force directions: the angle from the normal as a vector, or from across an edge."""
+    f = which.force
+    if shape.kind in ("corner", "tip"):
+        return np.zeros(0)
+    if shape.kind == "edge":
+        return np.asarray(np.arcsin(np.clip(f @ shape.frame[:, 2], -1.0, 1.0)) / std)
+    n = shape.normals(which.p)
+    axis = np.cross(f, n)
+    sine, cosine = np.linalg.norm(axis, axis=1), np.einsum("na,na->n", f, n)
+    return np.asarray((axis * (np.arctan2(sine, cosine) / np.maximum(sine, 1e-12) / std)[:, None]).ravel())
+
+
+def _log_tip_contact(which: TouchSet) -> Array:
+    """Return the log density of contacts along the probe if its tip touches, over that of any contact, (n,)."""
+    t, known = np.nan_to_num(which.tangent), np.isfinite(which.beyond)
+    variance = np.einsum("na,nab,nb->n", t, which.own_cov, t) + TIP_CONTACT**2
+    density = 2.0 * np.exp(-0.5 * np.nan_to_num(which.beyond) ** 2 / variance) / np.sqrt(2.0 * math.pi * variance)
+    anywhere = 1.0 / (0.25 * WORKSPACE)  # along the distal half of a probe of half the workspace
+    return np.where(known, np.log(np.maximum(density, 1e-300) / anywhere), 0.0)
+
+
+def _log_without(which: TouchSet) -> Array:
+    """Return the log density of each touch without a shape: anywhere, with a force of any direction, (n,)."""
+    return np.full(len(which), -3.0 * math.log(WORKSPACE) - math.log(4.0 * math.pi))
+
+
+def _log_extent(range_: float, n: int) -> float:
+    """Return the log density of n places with a range [m], uniform in an interval of log-uniform width.
+
+    ∫ w⁻ⁿ (w - R)/L dw/(w log(b/a)) from R to infinity = R¹⁻ⁿ / (n (n - 1) L log(b/a)).
+    """
+    return (1 - n) * math.log(range_) - math.log(n * (n - 1) * WORKSPACE * math.log(EXTENTS[1] / EXTENTS[0]))
+
+
+def _frame(w: Array) -> Array:
+    """Return a rotation whose third column is along a vector, (3, 3)."""
+    w = w / max(float(np.linalg.norm(w)), 1e-12)
+    u = np.cross(w, np.eye(3)[np.argmin(np.abs(w))])
+    u = u / np.linalg.norm(u)
+    return np.column_stack([u, np.cross(w, u), w])
+
+
+def _seeds(kind: str, which: TouchSet, rng: np.random.Generator) -> list[Shape]:
+    """Return shapes of a kind through small sets of touches, each a touch and some of its neighbours."""
+    n, size = len(which), min(KINDS[kind].seed, len(which))
+    far = np.linalg.norm(which.p[:, None] - which.p[None], axis=2)
+    near = np.argsort(far, axis=1)[:, : max(12, size + 3)]
+    sets = {tuple(sorted(rng.choice(near[i % n], size, replace=False))) for i in range(SEEDS if size > 1 else n)}
+    seeds = []
+    for chosen in sorted(sets):
+        p, f = which.p[list(chosen)], which.force[list(chosen)]
+        seed = _through(kind, p, f)
+        if seed is not None:
+            seeds.append(seed)
+    return seeds
+
+
+def _through(kind: str, p: Array, f: Array) -> Shape | None:
+    """Return the shape of a kind through points (n, 3) with forces (n, 3); None where they define none."""
+    middle, mean = p.mean(axis=0), f.sum(axis=0)
+    if kind in ("corner", "tip"):
+        return Shape(kind, middle, _frame(mean))
+    spread = np.linalg.svd(p - middle)
+    if kind == "edge":
+        return Shape(kind, middle, _frame(spread[2][0])) if spread[1][0] > 1e-4 else None
+    if kind == "plane":
+        normal = spread[2][2] if spread[1][1] > 1e-4 else mean - (mean @ spread[2][0]) * spread[2][0]
+        return Shape(kind, middle, _frame(normal * math.copysign(1.0, normal @ mean)))
+    F = np.eye(3)
+    if kind == "cylinder":
+        # The forces of a cylinder are perpendicular to its axis.
+        F = _frame(np.linalg.svd(f)[2][2])
+    flat = ((p - middle) @ F)[:, : 3 if kind == "sphere" else 2]
+    # A centre c and a radius r along the forces: p - r f = c, in least squares.
+    along = (f @ F)[:, : flat.shape[1]]
+    d_along, d_flat = along - along.mean(axis=0), flat - flat.mean(axis=0)
+    radius = float((d_along * d_flat).sum() / max(float((d_along**2).sum()), 1e-9))
+    if not RADII[0] < radius < RADII[1]:
+        return None
+    centre = flat.mean(axis=0) - radius * along.mean(axis=0)
+    return Shape(kind, middle + F[:, : len(centre)] @ centre, F, radius)
+
+
+def shapes_document(shapes: Sequence[Shape]) -> list[dict[str, Any]]:
+    """Return the shapes for a JSON document, lengths in mm and angles in degrees."""
+    return [
+        {
+            "kind": shape.kind, "p_mm": (shape.p / MM).tolist(), "axes": shape.frame.T.tolist(),
+            "radius_mm": float(shape.radius) / MM or None, "extent_mm": (shape.extent / MM).tolist(),
+            "cov": shape.cov.tolist(), "rms_mm": shape.rms / MM,
+            "tilt_deg": None if math.isnan(shape.tilt) else math.degrees(shape.tilt),
+            "touches": list(shape.touches), "probabilities": shape.probabilities,
+        }
+        for shape in shapes
+    ]  # fmt: skip

@@ -1,0 +1,59 @@
+"""Shapes from touches drawn on the surfaces of meshes, with the truth from the meshes."""
+
+import numpy as np
+import pytest
+
+from benchmarks.shapes import draw_touches, errors_of, object_of
+from probedesign.core import statistics
+from probedesign.mapping.shapes import KINDS, ShapeFit, missing
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_twelve_touches_tell_the_kind_of_shape(kind):
+    rng = np.random.default_rng(3)
+    kinds = []
+    for _ in range(3):
+        touches, _ = draw_touches(object_of(kind, rng), 12, rng)
+        kinds += [shape.kind for shape in ShapeFit(touches).shapes()]
+    assert kinds.count(kind) >= 2  # a corner and a tip differ by the spread of 12 forces alone
+
+
+@pytest.mark.parametrize("kind", ["plane", "edge", "cylinder"])
+def test_the_regions_of_a_shape_hold(kind):
+    rng, inside = np.random.default_rng(4), 0
+    for _ in range(20):
+        touches, truth = draw_touches(object_of(kind, rng), 9, rng)
+        shape = ShapeFit(touches).best_of(kind, touches, rng, True)
+        inside += errors_of(shape, truth) <= statistics.max_chi2(len(KINDS[kind].free), 0.05)
+    assert inside >= 16  # of 20 with a probability of 0.95 each, fewer happen once in 400 times
+
+
+def test_two_edges_of_a_box_stay_two_edges_and_a_lone_touch_is_no_shape():
+    rng = np.random.default_rng(5)
+    box = object_of("edge", rng)
+    touches, _ = draw_touches(box, 8, rng)
+    other, _ = draw_touches(box, 9, rng)
+    cov = np.zeros((17, 3, 17, 3))
+    cov[:8, :, :8], cov[8:, :, 8:] = touches.cov, other.cov
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    cov[8:, :, 8:] = np.einsum("ab,ibjc,dc->iajd", turn, other.cov, turn)
+    moved = other.p @ turn.T + (0.0, 0.0, 0.1)
+    moved[8] += 0.08
+    both = type(touches)(
+        np.concatenate([touches.p, moved]), cov, np.concatenate([touches.force, other.force @ turn.T]),
+        np.concatenate([touches.tangent, other.tangent @ turn.T]), np.concatenate([touches.beyond, other.beyond]),
+        tuple(str(i) for i in range(1, 18)),
+    )  # fmt: skip
+    shapes = ShapeFit(both).shapes()
+    assert [shape.kind for shape in shapes] == ["edge", "edge"]
+    assert {frozenset(shape.touches) for shape in shapes} == {
+        frozenset(map(str, range(1, 9))), frozenset(map(str, range(9, 17)))
+    }  # fmt: skip
+    assert missing(both, shapes).startswith("no shape: touch 17;")
+
+
+def test_two_touches_are_no_shape():
+    rng = np.random.default_rng(6)
+    touches, _ = draw_touches(object_of("plane", rng), 2, rng)
+    assert ShapeFit(touches).shapes() == []
+    assert "a plane 3, an edge 3" in missing(touches, [])
