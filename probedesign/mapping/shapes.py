@@ -177,7 +177,7 @@ class Shape:
     def ends(self) -> Array:
         """Return the ends of the touched part of an edge, the corners of that of a plane, the point otherwise [m]."""
         if self.kind == "edge":
-            return self.p + self.extent[0][:, None] * self.frame[:, 2]
+            return np.asarray(self.p + self.extent[0][:, None] * self.frame[:, 2])
         if self.kind == "plane":
             (a, b), (c, d) = self.extent
             return np.asarray(self.p + np.array([[a, c], [b, c], [b, d], [a, d]]) @ self.frame[:, :2].T)
