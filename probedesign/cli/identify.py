@@ -38,7 +38,8 @@ def identify(
     Args:
         design: the design file, or its name.
         data: folder of the tests (docs/measurements.md).
-        for_: comma-separated parameters: E, G, density, diameters, root, tilt, clocking, offset, gravity.
+        for_: comma-separated parameters: E, G, density, root, bow_x, bow_y, curvature, tilt, clocking, offset,
+            gravity, diameters. curvature is the factor on that of a helix or of knots; of an arc it is a bow.
         write: write the identified values to the design file. Default: print the changes only.
         out: write a changed copy of the design to this file instead.
         force: replace values that were set or identified before, or the file of --out, which is kept as FILE.old.

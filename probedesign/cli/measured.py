@@ -92,10 +92,12 @@ def measured(
     document: dict[str, Any]
     if axis is not None:
         found = pipeline.measure_axis(start, axis)
-        changes, document = axis_changes(found, start, day), found.as_dict()
+        factor = (found.factor, found.factor_std) if found.factor_std > 0.0 else None
+        changes = axis_changes(start, found.bow_mm, found.bow_std_mm, factor, f"measured {day}")
+        document = found.as_dict()
         what, lines = _axis_lines(found)
     elif bow_mm is not None:
-        changes = diameters.bow_changes(start, bow_mm, bow_std_mm, day)
+        changes = diameters.bow_changes(start, bow_mm, bow_std_mm, f"measured {day}")
         document = {"bow_mm": bow_mm, "bow_std_mm": bow_std_mm}
         what = f"the tip is {bow_mm[0]:g} mm off towards x and {bow_mm[1]:g} mm towards y, ± {bow_std_mm:g} mm"
         lines = ["deploy the probe again, with this design; the parts and their fingerprint stay"]

@@ -145,8 +145,8 @@ class ProbeTable(Table):
             low, high = 0.0, 1.0  # of all curvature, between which the body can just follow the axis
             for _ in range(12):
                 middle = 0.5 * (low + high)
-                axis = Axis(self.centreline.s, middle * self.centreline.curvature)
-                low, high = (low, middle) if axis.conflict(s, d / 2.0) else (middle, high)
+                conflict = self.centreline.scaled(middle).conflict(s, d / 2.0)
+                low, high = (low, middle) if conflict else (middle, high)
             bend = self.axis_bend_deg
             most = f"{low:.0%} of this curvature" if bend is None else f"{math.floor(10.0 * low * bend) / 10.0:g}"
             value = "" if bend is None else f"= {bend:g} "

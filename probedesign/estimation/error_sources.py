@@ -68,6 +68,40 @@ def parameters_of(rod: Rod, tolerances: Tolerances, hung: bool = False) -> dict[
     }
 
 
+def bow_of(model: ProbeModel, rod: Rod, factor: float = 1.0) -> Array:
+    """Return the bow of a print towards x and y [m], (2,): its constant curvature beside that of the designed axis.
+
+    Args:
+        model: of the probe as designed.
+        rod: as printed.
+        factor: on the curvature of the designed axis.
+    """
+    if rod.rest_curvature is None:
+        return np.zeros(2)
+    bow = rod.rest_curvature[0]
+    if model.axis is not None:
+        bow = bow - factor * model.axis.length / rod.length * model.axis.rest_curvature([0.0])[0]
+    return np.asarray(bow_curvature(rod.length) @ bow[:2] * rod.length**4 / 4.0)
+
+
+def scaled_curvature(model: ProbeModel, rod: Rod, x: float) -> Rod:
+    """Return the rod with x times the curvature of the designed axis added, unless the axis is straight or an arc."""
+    axis = model.axis
+    if axis is None or rod.rest_curvature is None or axis.is_arc:
+        return rod
+    stretch = axis.length / rod.length
+    return replace(rod, rest_curvature=rod.rest_curvature + x * stretch * axis.rest_curvature(rod.s * stretch))
+
+
+def curvature_std(model: ProbeModel, tolerances: Tolerances) -> float:
+    """Return the standard deviation of the factor on the curvature of an axis: it moves the tip by as much as the bow.
+
+    0 for a straight axis and for an arc, whose factor is a bow.
+    """
+    reach = 0.0 if model.axis is None or model.axis.is_arc else model.axis.tip_by_factor()
+    return tolerances.bow_mm * MM / reach if reach > 0.0 else 0.0
+
+
 def _at_corners(rod: Rod) -> Array:
     """Return the diameters at all knots for a unit at each end or corner of the flank, linear between them, (c, K)."""
     slope = np.diff(rod.radius) / np.diff(rod.s)

@@ -79,6 +79,11 @@ class Axis:
         return not self.curvature.any()
 
     @property
+    def is_arc(self) -> bool:
+        """Return whether the curvature is the same all along, zero included."""
+        return not np.ptp(self.curvature, axis=0).any()
+
+    @property
     def length(self) -> float:
         """Return the length [m]."""
         return float(self.s[-1])
@@ -87,7 +92,7 @@ class Axis:
         """Return the curvature towards X and Y [1/m] at arclengths s [m], (k, 2)."""
         return np.stack([np.interp(np.asarray(s, dtype=float), self.s, column) for column in self.curvature.T], axis=-1)
 
-    def rest_curvature(self, s: Array) -> Array:
+    def rest_curvature(self, s: ArrayLike) -> Array:
         """Return the curvature about X and Y, and the twist [1/m], at arclengths s [m], (k, 3): (-κ_y, κ_x, 0)."""
         towards_x, towards_y = self.curvature_at(s).T
         return np.stack([-towards_y, towards_x, np.zeros(len(towards_x))], axis=1)
@@ -95,6 +100,15 @@ class Axis:
     def with_curvature(self, curvature: ArrayLike) -> "Axis":
         """Return the axis with a constant curvature towards X and Y [1/m], (2,), added."""
         return Axis(self.s, self.curvature + np.asarray(curvature, dtype=float))
+
+    def scaled(self, factor: float) -> "Axis":
+        """Return the axis with all curvature times a factor."""
+        return Axis(self.s, factor * self.curvature)
+
+    def tip_by_factor(self) -> float:
+        """Return by how much the tip moves where all curvature is larger, over the relative change [m]."""
+        tips = [self.scaled(factor).frames(self.s[-1:])[0, :3, 3] for factor in (0.99, 1.01)]
+        return float(np.linalg.norm(tips[1] - tips[0])) / 0.02
 
     def frames(self, s: ArrayLike) -> Array:
         """Return the undeformed sections as T_base_section, with X, Y and the tangent as axes [m], (k, 4, 4).

@@ -5,17 +5,21 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from probedesign.core.errors import InputError
 from probedesign.core.files import backup
 from probedesign.core.units import MPA
 from probedesign.design import Design
 from probedesign.design.edit import Change, edit_text
 from probedesign.design.io import design_text, parse_design, write_design
+from probedesign.identification.measured_axis import axis_changes, deviation_std_mm
 from probedesign.identification.parameters import PARAMETERS
 from probedesign.identification.result import Identification, Identified
 from probedesign.mount.mount import build_geometry, exported_root_radii
 
 IN_DESIGN = {name: one for name, one in PARAMETERS.items() if one.design_key}  #: Parameters that a design file holds.
+AXIS = tuple(name for name, one in IN_DESIGN.items() if one.design_key.startswith("probe."))
 MATERIAL = {name: one for name, one in IN_DESIGN.items() if one.design_key.startswith("material.")}
 #: Keys that an identification of E replaces as well, where E was not identified before.
 REPLACED_WITH_E = ("material.stiffness_spread", "tolerances.youngs_modulus_by_diameter", "tolerances.root_radii")
@@ -34,10 +38,11 @@ def design_changes(found: Identification, design: Design, day: str) -> tuple[Cha
     if not found.valid:
         why = found.why or "the search did not converge"
         raise InputError(f"{found.data}: {found.result}: {why}; nothing is written")
-    numbers = [one for one in found.found if one.estimated and one.name in IN_DESIGN]
-    if not any(one.identified for one in numbers):
+    numbers = [one for one in found.found if one.estimated and one.name in IN_DESIGN and one.name not in AXIS]
+    axis = _axis_changes(found, design, day)
+    if not axis and not any(one.identified for one in numbers):
         raise InputError(f"{found.data}: no number of a design is identified; use --for {', '.join(IN_DESIGN)}")
-    changes = [_value(one, found, day) for one in numbers]
+    changes = [*axis, *(_value(one, found, day) for one in numbers)]
     for one in numbers:
         if one.name in MATERIAL:
             provenance = '"identified"' if one.identified else '"assumed"'
@@ -63,6 +68,21 @@ def design_changes(found: Identification, design: Design, day: str) -> tuple[Cha
         changes.append(Change("tolerances", "youngs_modulus_by_diameter", f"{E.by_diameter:.2f}",
                               f"identified {day}: E·d⁴ was measured, so E goes with the diameters"))  # fmt: skip
     return tuple(changes)
+
+
+def _axis_changes(found: Identification, design: Design, day: str) -> tuple[Change, ...]:
+    """Return the changes of the axis: both directions of the bow together, and the factor on the curvature."""
+    of = {one.name: one for one in found.found if one.identified and one.name in AXIS}
+    if not {"bow_x", "bow_y"} <= of.keys():
+        of = {name: one for name, one in of.items() if name == "curvature"}
+    factor, bow, std_mm = of.get("curvature"), None, 0.0
+    if "bow_x" in of:
+        i = [found.correlated.index(name) for name in of]
+        std = np.array([one.std for one in of.values()])
+        std_mm = deviation_std_mm(design.probe.centreline, found.correlation[np.ix_(i, i)] * np.outer(std, std))
+        bow = (of["bow_x"].value, of["bow_y"].value)
+    scale = None if factor is None or factor.std is None else (factor.value, factor.std)
+    return axis_changes(design, bow, std_mm, scale, f"identified {day}")
 
 
 def _split_key(name: str) -> tuple[str, str]:

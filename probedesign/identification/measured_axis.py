@@ -100,7 +100,7 @@ def fit_axis(design: Design, outline: OutlinePoints, before_mm: float) -> Measur
     """
     geometry, count = build_geometry(design), len(outline.p_mm)
     prior = np.array([np.inf, np.inf, TILT_STD_DEG, TILT_STD_DEG, OFFSET_STD_MM, OFFSET_STD_MM, FACTOR_STD])
-    bends = design.probe.axis in ("helix", "knots")
+    bends = not geometry.axis.is_arc
     if count < 4:
         raise InputError(f"{outline.places[0]}: {count} points of the outline; at least 4, on two sides of the probe")
     start = _distances(geometry, np.zeros(7), outline)
@@ -124,9 +124,9 @@ def fit_axis(design: Design, outline: OutlinePoints, before_mm: float) -> Measur
                          "points show; correct or remove it")  # fmt: skip
     cov = scale**2 * cov
     factor_std = math.sqrt(cov[6, 6]) / 100.0 if free == 7 else 0.0
-    tips = [Axis(geometry.axis.s, f * geometry.axis.curvature).frames([geometry.length])[0, :3, 3] for f in (1.0, 1.01)]
-    by_factor = float(np.linalg.norm(tips[1] - tips[0])) / 0.01 / MM
-    std = math.hypot(math.sqrt(float(np.linalg.eigvalsh(cov[:2, :2])[-1])), factor_std * by_factor)
+    shape = [0, 1, 6] if free == 7 else [0, 1]
+    unit = np.array([1.0, 1.0, 0.01])[: len(shape)]
+    std = deviation_std_mm(geometry.axis, np.asarray(cov[np.ix_(shape, shape)] * np.outer(unit, unit), dtype=float))
     if std > 1.0 / math.sqrt(10.0 * UNOBSERVED):
         raise InputError(f"{outline.places[0]}: these {count} points show the bow in one plane only; add points of the "
                          "sides at right angles to it, as of a second photograph")  # fmt: skip
@@ -161,8 +161,7 @@ def _distances(geometry: ProbeGeometry, x: Array, outline: OutlinePoints) -> Arr
         x: bow towards X and Y [mm], tilts about x and y [deg], offsets along x and y [mm], factor less one [%].
         outline: the points.
     """
-    curvature = geometry.axis.curvature * (1.0 + x[6] / 100.0)
-    axis = Axis(geometry.axis.s, curvature + 2.0 * MM / geometry.length**2 * x[:2])
+    axis = geometry.axis.scaled(1.0 + x[6] / 100.0).with_curvature(2.0 * MM / geometry.length**2 * x[:2])
     s = np.linspace(0.0, geometry.length, STATIONS)
     T = axis.frames(s)
     turn = Rotation.from_rotvec(np.radians([x[2], x[3], 0.0]))
@@ -179,17 +178,50 @@ def _distances(geometry: ProbeGeometry, x: Array, outline: OutlinePoints) -> Arr
     return np.asarray(np.where(beyond, np.hypot(ds, np.maximum(away, 0.0)), away) / MM)
 
 
-def axis_changes(found: MeasuredAxis, design: Design, day: str) -> tuple[Change, ...]:
-    """Return the changes of a design by the measured axis; `day` is for the comments."""
-    x, y = (round(value, 2) for value in found.bow_mm)
-    changes = list(bow_changes(design, (x, y), max(float(f"{found.bow_std_mm:.2g}"), 0.01), day))
-    if found.factor_std > 0.0:
-        probe = design.probe
-        note = f"measured {day}: {found.factor:.4f} ± {found.factor_std:.2g} of the curvature as drawn"
+def deviation_std_mm(axis: Axis, cov: Array) -> float:
+    """Return the standard deviation of the bow in its worse direction, with that of the factor on the curvature [mm].
+
+    The factor moves the tip as the nearest bow does, which counts with its correlation, and across what any bow does.
+
+    Args:
+        axis: as designed.
+        cov: covariance of the bow towards X and Y [mm] and, where it is 3×3, of the factor.
+    """
+    if len(cov) == 2:
+        return math.sqrt(float(np.linalg.eigvalsh(cov)[-1]))
+    per_mm = 2.0 * MM / axis.length**2 * np.eye(2)
+    moved = [axis.with_curvature(sign * bow) for bow in per_mm for sign in (1.0, -1.0)]
+    moved += [axis.scaled(factor) for factor in (1.005, 0.995)]
+    tips = np.array([other.frames([axis.length])[0, :3, 3] / MM for other in moved])
+    x, y, by_factor = (tips[0::2] - tips[1::2]) / [[2.0], [2.0], [0.01]]
+    nearest, across = np.linalg.lstsq(np.stack([x, y], axis=1), by_factor)[:2]
+    A = np.column_stack([np.eye(2), nearest])
+    return math.sqrt(float(np.linalg.eigvalsh(A @ cov @ A.T)[-1]) + float(across[0]) * cov[2, 2])
+
+
+def axis_changes(
+    design: Design, bow_mm: tuple[float, float] | None, std_mm: float, factor: tuple[float, float] | None, note: str
+) -> tuple[Change, ...]:
+    """Return the changes of a design by the axis of a print.
+
+    Args:
+        design: of the print.
+        bow_mm: towards X and Y [mm]; None where it is not known.
+        std_mm: standard deviation of the bow, with that of the factor [mm].
+        factor: on the curvature of the design, and its standard deviation; None where it is not known.
+        note: for the comments: how and when it was found.
+    """
+    changes: list[Change] = []
+    if bow_mm is not None:
+        x, y = (round(value, 2) for value in bow_mm)
+        changes += bow_changes(design, (x, y), max(float(f"{std_mm:.2g}"), 0.01), note)
+    if factor is not None:
+        probe, (value, std) = design.probe, factor
+        note = f"{note}: {value:.4f} ± {std:.2g} of the curvature as drawn"
         if probe.axis_bend_deg is not None:
-            changes.append(Change("probe", "axis_bend_deg", f"{probe.axis_bend_deg * found.factor:.5g}", note))
+            changes.append(Change("probe", "axis_bend_deg", f"{probe.axis_bend_deg * value:.5g}", note))
         else:
-            knots = [[s, *(round(found.factor * k, 4) for k in towards)]
+            knots = [[s, *(round(value * k, 4) for k in towards)]
                      for s, *towards in probe.axis_knots_mm_1_m or ()]  # fmt: skip
             changes.append(Change("probe", "axis_knots_mm_1_m", json.dumps(knots), note))
     return tuple(changes)

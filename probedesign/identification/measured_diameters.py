@@ -305,14 +305,14 @@ def diameter_changes(found: MeasuredDiameters, design: Design, day: str) -> tupl
     return tuple(changes)
 
 
-def bow_changes(design: Design, bow_mm: tuple[float, float], std_mm: float, day: str) -> tuple[Change, ...]:
+def bow_changes(design: Design, bow_mm: tuple[float, float], std_mm: float, note: str) -> tuple[Change, ...]:
     """Return the changes of a design by the measured bow of a print.
 
     Args:
         design: that was measured.
         bow_mm: deviation of the unloaded tip from the axis of the base, towards x and y [mm].
         std_mm: standard deviation of the measurement, in each direction [mm].
-        day: for the comments.
+        note: for the comments: how and when it was found.
 
     Raises:
         InputError: the bow is not smaller than the length, or the standard deviation is not one.
@@ -323,7 +323,6 @@ def bow_changes(design: Design, bow_mm: tuple[float, float], std_mm: float, day:
         raise InputError(f"--bow-mm {x:g} {y:g} must be a deviation smaller than the length, {length:g} mm")
     if not 0.0 <= std_mm < length:
         raise InputError(f"--bow-std-mm {std_mm:g} is a standard deviation; it must lie in 0 ... {length:g}")
-    note = f"measured {day}"
     return (
         Change("probe", "bow_mm", json.dumps(list(bow_mm)), f"{note}: deviation of the tip towards x and y"),
         _measured(design, "bow_mm"),

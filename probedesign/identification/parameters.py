@@ -1,8 +1,9 @@
 """Parameters that a campaign can identify, the nuisance parameters of its tests, and the rod and poses they imply.
 
 All of them form one parameter vector: the blocks of `PARAMETERS` in order, the modes of the print's dimension errors,
-and the steps of the sensor's bias from test to test. An entry of `PARAMETERS` and its derivative in
-`residuals.DERIVATIVES` add a parameter; the solver, the checks, the report and the design update iterate over them.
+and the steps of the sensor's bias from test to test. An entry of `PARAMETERS`, and its derivative in
+`residuals.DERIVATIVES` unless it has a `step`, add a parameter; the solver, the checks, the report and the design
+update iterate over them.
 Priors are those of `Tolerances`, so that a fit, an estimate and a prediction take the same errors into account.
 """
 
@@ -22,16 +23,14 @@ from probedesign.core.errors import InputError, unknown_name
 from probedesign.core.frames import Array, inverse, pose, wrench_map
 from probedesign.core.units import MM, MPA
 from probedesign.estimation.bias import RAMP_STEPS
-from probedesign.estimation.error_sources import BEFORE_KNOTS, parameters_of
+from probedesign.estimation.error_sources import BEFORE_KNOTS, bow_of, curvature_std, parameters_of, scaled_curvature
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
 from probedesign.rod.rod import Rod, bow_curvature
 
 DEGREE = math.pi / 180.0
 DEFAULT = ("E", "G")  #: Parameters identified unless others are requested: those of the paper.
-#: Step of root_rigid_radii for its central difference, the one derivative that the rod does not provide. The relative
-#: truncation error is 1e-4.
-ROOT_STEP = 0.02
+ROOT_STEP = 0.02  #: Of root_rigid_radii for its central difference, whose relative truncation error is 1e-4.
 ROOT_RANGE = (-0.98, 2.0)  #: Smallest and largest root_rigid_radii that the rod takes, with a margin of `ROOT_STEP`.
 MAX_LOGARITHM = 3.0  #: Of a factor on the design value: no probe is twenty times stiffer than designed.
 #: Fraction of the free probe's wrench that a tare with the probe hanging free absorbs as an error of its own weight.
@@ -67,8 +66,11 @@ class Parameter:
     labels: dict[str, str]  #: component name → description, in the order of the vector.
     #: standard deviation of the components about zero [vector unit]; 0 fixes them at the design value.
     prior: Callable[["CommonParameters"], ArrayLike]
-    #: the rod with the parameter at a value; None if the parameter does not change the rod.
-    apply: Callable[[Rod, float], Rod] | None = None
+    #: the rod with the parameter changed by a value, for the given model of the design; the same rod where it has no
+    #: effect. None if the parameter does not change the rod.
+    apply: Callable[[ProbeModel, Rod, float], Rod] | None = None
+    #: of a central difference [vector unit], where the rod has no derivative by the parameter; 0 where it has.
+    step: float = 0.0
     logarithm: bool = False  #: whether the vector has the logarithm of a factor on the design value.
     #: smallest and largest value in the reported unit; those of a logarithm are `MAX_LOGARITHM`.
     bounds: tuple[float, float] = (-math.inf, math.inf)
@@ -110,7 +112,7 @@ def _material(
 ) -> Parameter:  # fmt: skip
     """Return the parameter of a material property, the logarithm of a factor on the design's."""
 
-    def apply(rod: Rod, x: float) -> Rod:
+    def apply(_model: ProbeModel, rod: Rod, x: float) -> Rod:
         """Return the rod with the property scaled."""
         changes: dict[str, Any] = {attribute: getattr(rod, attribute) * math.exp(x)}
         return replace(rod, **changes)
@@ -142,7 +144,7 @@ def _xyz(name: str, label: str) -> dict[str, str]:
 def _bow(axis: int) -> Parameter:
     """Return the parameter of a constant curvature, as the deviation of the unloaded tip [m]."""
 
-    def apply(rod: Rod, x: float) -> Rod:
+    def apply(_model: ProbeModel, rod: Rod, x: float) -> Rod:
         """Return the rod with a further bow."""
         if x == 0.0:  # a straight rod is solved faster
             return rod
@@ -150,18 +152,14 @@ def _bow(axis: int) -> Parameter:
         return replace(rod, rest_curvature=rest + np.append(x * bow_curvature(rod.length)[axis], 0.0))
 
     def design(model: ProbeModel) -> float:
-        """Return the measured bow of the design [mm]: the constant curvature beside that of its axis."""
-        rod = model.rod
-        if rod.rest_curvature is None:
-            return 0.0
-        bow = rod.rest_curvature[0] - (0.0 if model.axis is None else model.axis.rest_curvature(rod.s[:1])[0])
-        return float(bow[:2] @ bow_curvature(rod.length)[axis]) * rod.length**4 / 4.0 / MM
+        """Return the measured bow of the design [mm]."""
+        return float(bow_of(model, model.rod)[axis]) / MM
 
     letter = "xy"[axis]
     return Parameter(
         f"bow_{letter}", {f"bow_{letter}": f"deviation of the unloaded tip towards {letter}"},
         lambda common: common.tolerances.bow_mm * MM, apply, max_std=1.0 * MM, unit="mm", scale=1.0 / MM,
-        design_value=design, prior_name="bent print",
+        design_value=design, design_key="probe.bow_mm", prior_name="bent print",
         prior_source="the probe by eye: write its bow into the design with measured --bow-mm, or raise bow_mm in "
         "[tolerances]",
     )  # fmt: skip
@@ -189,8 +187,8 @@ PARAMETERS: dict[str, Parameter] = {
                   prior_source="shear_modulus_mpa in the design, and its tolerance"),
         Parameter("root", {"root": "compliance that the base lacks, in base radii"},
                   lambda common: common.root_std,
-                  lambda rod, x: replace(rod, rigid_length=rod.rigid_length + x * float(rod.radius[0])),
-                  bounds=ROOT_RANGE, max_std=0.3,
+                  lambda _, rod, x: replace(rod, rigid_length=rod.rigid_length + x * float(rod.radius[0])),
+                  step=ROOT_STEP, bounds=ROOT_RANGE, max_std=0.3,
                   design_value=lambda model: float(model.rod.rigid_length / model.rod.radius[0]),
                   attribute="root_radii",
                   design_key="mount.root_rigid_radii", prior_name="root of the probe",
@@ -198,6 +196,11 @@ PARAMETERS: dict[str, Parameter] = {
                   "tolerance root_radii"),
         _bow(0),
         _bow(1),
+        Parameter("curvature", {"curvature": "curvature of a helix or of knots over the design's"},
+                  lambda common: curvature_std(common.model, common.tolerances), scaled_curvature, step=0.005,
+                  bounds=(0.5, 1.5), max_std=0.02, design_value=lambda model: 1.0, design_key="probe.axis",
+                  prior_name="bent print", prior_source="the axis of the print: measured --axis, or bow_mm in "
+                  "[tolerances]"),
         Parameter("tilt", {"tilt_x": "rotation about x", "tilt_y": "rotation about y"},
                   lambda common: common.std_tilt, max_std=2.0 * DEGREE, unit="deg", scale=1.0 / DEGREE,
                   prior_name=_BASE_ROTATION[0], prior_source=_BASE_ROTATION[1]),
@@ -213,7 +216,7 @@ PARAMETERS: dict[str, Parameter] = {
                   unit="deg", scale=1.0 / DEGREE, prior_name="direction of gravity",
                   prior_source="world_m_s2 in campaign.toml, and the tolerance gravity_deg"),
         Parameter("diameters", {"diameters": "all diameters over the design's"}, lambda common: 0.0,
-                  lambda rod, x: scaled_diameters(rod, math.exp(x)), logarithm=True,
+                  lambda _, rod, x: scaled_diameters(rod, math.exp(x)), logarithm=True,
                   max_std=0.1, design_value=lambda model: 1.0),
         Parameter("mount_rotation", _xyz("mount_rotation", "rotation of the probe on the sensor about {}"),
                   lambda common: [common.tolerances.tilt_deg * DEGREE] * 2 + [common.tolerances.clocking_deg * DEGREE],
@@ -403,7 +406,7 @@ class ParameterValues:
         rod = self.common.model.rod
         for one in PARAMETERS.values():
             if one.apply is not None:
-                rod = one.apply(rod, float(self.x[one.columns][0]))
+                rod = one.apply(self.common.model, rod, float(self.x[one.columns][0]))
         return scaled_diameters(rod, np.exp(self.x[self.common.print_columns] @ self.common.print_modes))
 
     def with_pose_error(self, error: Array) -> "ParameterValues":

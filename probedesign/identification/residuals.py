@@ -21,7 +21,6 @@ from probedesign.identification.parameters import (
     PARAMETERS,
     POISSON,
     POISSON_STD,
-    ROOT_STEP,
     ParameterValues,
 )
 from probedesign.identification.surface_touch import COUPLE_COLUMNS, SurfaceTouch, solve_touch
@@ -136,7 +135,7 @@ class RodVector(NamedTuple):
 
     value: Array  #: (3,), or (6,) for a wrench.
     by_rod: Array  #: by the parameters of the rod's sensitivities, (., k).
-    by_root: Array  #: by root_rigid_radii, (.,).
+    by_steps: Array  #: by the parameters of `SolvedTest.stepped`, (., n).
     by_angle: Array  #: by the angle of the touched point, (.,).
 
     def by(self, *names: str) -> Array:
@@ -151,12 +150,11 @@ class RodVector(NamedTuple):
 
 #: Derivative of a vector in base axes (...) by a parameter's components, (..., k).
 Derivative = Callable[["SolvedTest", RodVector], Array]
-#: By the entries of `PARAMETERS` that change the solved rod; the others change axes and readings alone.
+#: By the entries of `PARAMETERS` that change the solved rod and have no `step`; the others change axes and readings.
 DERIVATIVES: dict[str, Derivative] = {
     "E": lambda test, vector: vector.by("log_E"),
     "density": lambda test, vector: vector.by("log_density"),
     "G": lambda test, vector: vector.by("log_G"),
-    "root": lambda test, vector: vector.by_root[..., None],
     "bow_x": lambda test, vector: vector.by("rest_x", "rest_y") @ bow_curvature(test.rod.length)[0][:, None],
     "bow_y": lambda test, vector: vector.by("rest_x", "rest_y") @ bow_curvature(test.rod.length)[1][:, None],
     "tilt": lambda test, vector: test.by_rotation(vector, test.values.T_stated_base)[..., 0:2],
@@ -186,8 +184,8 @@ class SolvedTest:
     rod: Rod  #: with these values, and the test's own stiffness.
     eq: Equilibrium  #: the equilibrium, with all sensitivities.
     touch: SurfaceTouch | None  #: of a touched probe; None for others.
-    #: with a root a step less and a step more, at the same couple; empty where its derivative is not needed.
-    root_solutions: tuple[Equilibrium, ...]
+    #: with a parameter a step less and a step more, at the same couple, by its name, where its derivative is needed.
+    stepped: dict[str, tuple[Equilibrium, Equilibrium]]
     gravity_base: Array  #: at these values [m/s²], (3,).
     d_gravity: Array  #: derivative of gravity in base axes by its two rotations, (3, 2).
     ok: bool  #: whether the rod has a stable equilibrium.
@@ -246,6 +244,8 @@ class SolvedTest:
         J = np.zeros((*vector.value.shape, common.size + self.measured.nuisance_size))
         for name, derivative in DERIVATIVES.items():
             J[..., PARAMETERS[name].columns] = derivative(self, vector)
+        for i, name in enumerate(self.stepped):
+            J[..., PARAMETERS[name].columns] = vector.by_steps[..., i : i + 1]
         J[..., common.print_columns] = vector.by_rod[..., equations.ALL_COLUMNS :] @ common.print_modes.T
         for name in NUISANCE_DERIVATIVES.keys() & self.measured.nuisance.keys():
             J[..., self._columns(name)] = NUISANCE_DERIVATIVES[name](self, vector)
@@ -256,25 +256,23 @@ class SolvedTest:
         at, size = self.measured.nuisance[name], self.values.common.size
         return slice(size + at.start, size + at.stop)
 
-    def vector(self, value: Array, by_rod: Array, by_root: Array, by_angle: Array | None = None) -> RodVector:
+    def vector(self, value: Array, by_rod: Array, by_steps: Array, by_angle: Array | None = None) -> RodVector:
         """Return a vector in base axes with its total derivatives, through the couple of a touch.
 
         The arguments are its value and its derivatives at a given couple.
         """
         by_angle = np.zeros_like(value) if by_angle is None else by_angle
         if self.touch is None:
-            return RodVector(value, by_rod, by_root, by_angle)
+            return RodVector(value, by_rod, by_steps, by_angle)
         across = by_rod[..., COUPLE_COLUMNS]
-        couple_by_rod, couple_by_root, couple_by_angle = self.touch.couple_response
+        couple_by_rod, couple_by_steps, couple_by_angle = self.touch.couple_response
         total = by_rod + across @ couple_by_rod
         total[..., COUPLE_COLUMNS] = 0.0
-        return RodVector(value, total, by_root + across @ couple_by_root, by_angle + across @ couple_by_angle)
+        return RodVector(value, total, by_steps + across @ couple_by_steps, by_angle + across @ couple_by_angle)
 
-    def _by_root(self, value: Callable[[Equilibrium], Array]) -> Array:
-        if not self.root_solutions:
-            return np.zeros_like(value(self.eq))
-        less, more = map(value, self.root_solutions)
-        return np.asarray((more - less) / (2.0 * ROOT_STEP))
+    def _by_steps(self, value: Callable[[Equilibrium], Array]) -> Array:
+        """Return the derivatives of a value of the equilibrium by the stepped parameters, (..., n)."""
+        return differences(self.stepped, value, value(self.eq).shape)
 
     def in_world(self, vector: RodVector) -> tuple[Array, Array]:
         """Return points of the rod in the world as the reference measures them, with derivatives by all unknowns."""
@@ -316,8 +314,8 @@ class SolvedTest:
 
     def _wrench(self) -> Iterator[ResidualBlock]:
         measured, common, X = self.measured, self.values.common, wrench_map(self.values.T_mount_error)
-        by_root = self._by_root(lambda eq: eq.wrench_base)
-        vector = self.vector(self.eq.wrench_base, self.sensitivity.d_wrench, by_root)
+        by_steps = self._by_steps(lambda eq: eq.wrench_base)
+        vector = self.vector(self.eq.wrench_base, self.sensitivity.d_wrench, by_steps)
         modelled, J = X @ vector.value, X @ self.jacobian(vector)
         f, arm = skew(modelled[:3]), skew(self.values.T_mount_error[:3, 3])
         J[:3, MOUNT_ROTATION] -= f
@@ -342,8 +340,8 @@ class SolvedTest:
         if measured.marker_side is not None:
             offset, d_offset = self._surface_offset(measured.marker_s, measured.marker_side)
             p, d = p + offset, d + d_offset
-        by_root = self._by_root(lambda eq: eq.p_at(measured.marker_s))
-        modelled, J = self.in_world(self.vector(p, d, by_root))
+        by_steps = self._by_steps(lambda eq: eq.p_at(measured.marker_s))
+        modelled, J = self.in_world(self.vector(p, d, by_steps))
         residual = measured.p_markers_world - modelled
         return self._whitened("markers", residual, J, measured.cov_markers, measured.marker_numbers)
 
@@ -365,12 +363,12 @@ class SolvedTest:
 
     def _touch(self) -> Iterator[ResidualBlock]:
         measured = self.measured
-        by_root = self._by_root(lambda eq: eq.p_contact_base)
+        by_steps = self._by_steps(lambda eq: eq.p_contact_base)
         value, by_rod, by_angle = self.eq.p_contact_base, self.sensitivity.d_position, np.zeros(3)
         if self.touch is not None:
-            offset, offset_by_rod, offset_by_root, by_angle = self.touch.offset
-            value, by_rod, by_root = value + offset, by_rod + offset_by_rod, by_root + offset_by_root
-        modelled, J = self.in_world(self.vector(value, by_rod, by_root, by_angle))
+            offset, offset_by_rod, offset_by_steps, by_angle = self.touch.offset
+            value, by_rod, by_steps = value + offset, by_rod + offset_by_rod, by_steps + offset_by_steps
+        modelled, J = self.in_world(self.vector(value, by_rod, by_steps, by_angle))
         assert measured.p_touch_world is not None
         return self._whitened("touches", measured.p_touch_world - modelled, J, measured.std_touch**2 * np.eye(3))
 
@@ -378,9 +376,9 @@ class SolvedTest:
         """Yield the residual of the tip's displacement along gravity from the straight probe on the same base."""
         length, size = self.rod.length, float(np.linalg.norm(self.gravity_base))
         s, down = np.array([length]), self.gravity_base / size
-        by_root = self._by_root(lambda eq: eq.p_at(s))[0]
-        tip = self.vector(self.eq.p_at(s)[0] - [0.0, 0.0, length], self.eq.d_p_at(s)[0], by_root)
-        gravity = RodVector(self.gravity_base, np.zeros_like(tip.by_rod), np.zeros(3), np.zeros(3))
+        by_steps = self._by_steps(lambda eq: eq.p_at(s))[0]
+        tip = self.vector(self.eq.p_at(s)[0] - [0.0, 0.0, length], self.eq.d_p_at(s)[0], by_steps)
+        gravity = RodVector(self.gravity_base, np.zeros_like(tip.by_rod), np.zeros_like(by_steps), np.zeros(3))
         gravity.by_rod[:, GRAVITY] = np.eye(3)
         scale, sag = 1.0 + self.values.x[SCALE], float(tip.value @ down)
         J = scale * (down @ self.jacobian(tip) + tip.value @ self.jacobian(gravity) / size)
@@ -389,8 +387,20 @@ class SolvedTest:
         return self._whitened("sags", residual, J[None], np.array([[self.measured.std_sag**2]]))
 
 
+def differences(
+    stepped: dict[str, tuple[Equilibrium, Equilibrium]], value: Callable[[Equilibrium], Array], shape: tuple[int, ...]
+) -> Array:
+    """Return the central differences of a value of an equilibrium by the stepped parameters, (*shape, n)."""
+    by = [(value(more) - value(less)) / (2.0 * PARAMETERS[name].step) for name, (less, more) in stepped.items()]
+    return np.stack(by, axis=-1) if by else np.zeros((*shape, 0))
+
+
 def solve_test(
-    measured: MeasuredTest, values: ParameterValues, nuisance: Array, last: SolvedTest | None = None, root: bool = False
+    measured: MeasuredTest,
+    values: ParameterValues,
+    nuisance: Array,
+    last: SolvedTest | None = None,
+    stepped: Sequence[str] = (),
 ) -> SolvedTest:
     """Solve one test at some parameter values and nuisance parameters, (measured.nuisance_size,).
 
@@ -399,7 +409,7 @@ def solve_test(
         values: of the parameters.
         nuisance: the test's own parameters.
         last: the test at neighbouring values, as the initial guess.
-        root: whether derivatives by the root are needed.
+        stepped: parameters with a step whose derivatives are needed.
     """
     at = measured.nuisance
     if "pose" in at:
@@ -425,17 +435,18 @@ def solve_test(
     else:
         eq = rod.solve(gravity_base, force, s, guess=tip, columns="all")
         ok = eq.ok
-    others: tuple[Equilibrium, ...] = ()
-    axes = np.zeros((3, 3))
-    if ok and root:
-        steps = (-ROOT_STEP, ROOT_STEP)
-        rods = [replace(rod, rigid_length=rod.rigid_length + step * float(rod.radius[0])) for step in steps]
-        others = tuple(one.solve(gravity_base, force, s, couple=eq.load[9:12], guess=eq.tip) for one in rods)
-        ok = all(other.ok for other in others)
-        if ok and measured.touched:
-            axes = (others[1].R_at(eq.s_contact) - others[0].R_at(eq.s_contact)) / (2.0 * ROOT_STEP)
+    others: dict[str, tuple[Equilibrium, Equilibrium]] = {}
+    for name in stepped if ok else ():
+        apply, step = PARAMETERS[name].apply, PARAMETERS[name].step
+        assert apply is not None
+        less, more = (
+            apply(values.common.model, rod, x).solve(gravity_base, force, s, couple=eq.load[9:12], guess=eq.tip)
+            for x in (-step, step)
+        )
+        others[name] = (less, more)
+        ok = ok and less.ok and more.ok
     if ok and measured.touched:
-        touch = SurfaceTouch(rod, eq, force, angle, axes)
+        touch = SurfaceTouch(rod, eq, force, angle, differences(others, lambda one: one.R_at(eq.s_contact), (3, 3)))
     return SolvedTest(measured, values, nuisance, rod, eq, touch, others, gravity_base, R.T @ d_gravity, ok)
 
 

@@ -18,9 +18,9 @@ from probedesign.identification.parameters import (
     LOG_E,
     LOG_G,
     MAX_LOGARITHM,
+    PARAMETERS,
     CommonParameters,
     ParameterValues,
-    columns_of,
 )
 from probedesign.identification.residuals import (
     BlockKey,
@@ -228,18 +228,24 @@ def linearize(
     values: ParameterValues,
     nuisance: Sequence[Array],
     last: Linearization | None = None,
-    root: bool = False,
+    every: bool = False,
 ) -> Linearization:
     """Solve every test at some parameter values, with its nuisance parameters.
 
-    The equilibria of `last`, a neighbouring linearization, are the initial guesses. `root` asks for derivatives by the
-    root although it is fixed.
+    The equilibria of `last`, a neighbouring linearization, are the initial guesses. `every` asks for derivatives by
+    parameters with a step although they are fixed.
     """
-    root = root or bool(problem.active[columns_of(["root"])[0]])
+    rod, common = values.rod, problem.common
+    stepped = [
+        name
+        for name, one in PARAMETERS.items()
+        if one.step and one.apply is not None and (every or problem.active[one.columns][0])
+        and one.apply(common.model, rod, one.step) is not rod
+    ]  # fmt: skip
     solved: list[SolvedTest] = []
     for i, (test, of_test) in enumerate(zip(problem.tests, nuisance, strict=True)):
         solved.append(
-            solve_test(test, values, of_test, last.tests[i] if last is not None and last.tests else None, root)
+            solve_test(test, values, of_test, last.tests[i] if last is not None and last.tests else None, stepped)
         )
         if not solved[-1].ok:
             return Linearization(problem, values, tuple(solved), ())

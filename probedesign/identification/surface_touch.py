@@ -37,7 +37,7 @@ class SurfaceTouch:
     eq: Equilibrium  #: its equilibrium under force and couple, with all sensitivities.
     force: Array  #: on the rod [N], (3,).
     angle: float  #: φ of the outline's normal there about the tangent, from the section's x axis [rad].
-    root_axes: Array  #: derivatives of the section's axes by root_rigid_radii, (3, 3); zeros where they are not needed.
+    step_axes: Array  #: derivatives of the section's axes by the parameters with a step, (3, 3, n).
 
     @cached_property
     def _weights(self) -> Array:
@@ -70,10 +70,10 @@ class SurfaceTouch:
         return maps @ frame, np.einsum("ij,jkl->ikl", maps, d)
 
     @cached_property
-    def _by_root(self) -> Array:
-        """Return the derivatives of [t, e, h] by the root at a given couple, (3, 3)."""
-        x, y, t = self.root_axes.T
-        return np.vstack([t, self._weights[:, [1, 3]] @ np.stack([x, y])])
+    def _by_steps(self) -> Array:
+        """Return the derivatives of [t, e, h] by the parameters with a step at a given couple, (3, 3, n)."""
+        maps = np.vstack([[0.0, 0.0, 1.0], np.pad(self._weights[:, [1, 3]], ((0, 0), (0, 1)))])
+        return np.asarray(np.einsum("ij,kjn->ikn", maps, self.step_axes))
 
     @cached_property
     def radius(self) -> float:
@@ -113,24 +113,25 @@ class SurfaceTouch:
 
     @cached_property
     def couple_response(self) -> tuple[Array, Array, Array]:
-        """Derivatives of the couple at equilibrium by the rod's parameters (3, k), the root (3,) and the angle (3,)."""
+        """Derivatives of the couple at equilibrium by the rod's parameters (3, k), the parameters with a step (3, n) and
+        the angle (3,)."""
         J = self.couple_jacobian
         (spoke, by_angle), arm = self._spokes, -self.radius * skew(self.force)
-        root = arm @ (spoke @ self._by_root)
+        steps = arm @ np.einsum("j,jkn->kn", spoke, self._by_steps)
         direct = J.copy()
         direct[:, COUPLE_COLUMNS] = 0.0
-        columns = np.column_stack([direct, root, arm @ (by_angle @ self._directions[0])])
+        columns = np.column_stack([direct, steps, arm @ (by_angle @ self._directions[0])])
         found: Array = np.linalg.solve(np.eye(3) - J[:, COUPLE_COLUMNS], columns).astype(float, copy=False)
-        return found[:, :-2], found[:, -2], found[:, -1]
+        return found[:, : J.shape[1]], found[:, J.shape[1] : -1], found[:, -1]
 
     @property
     def offset(self) -> tuple[Array, Array, Array, Array]:
         """Vector from the axis to the touched point [m], (3,), and its derivatives by the rod's parameters (3, k), the
-        root (3,) and the angle (3,), at a given couple."""
+        parameters with a step (3, n) and the angle (3,), at a given couple."""
         (axes, d), (spoke, by_angle) = self._directions, self._spokes
         by_rod = self.radius * (np.einsum("j,jkl->kl", spoke, d) + np.outer(spoke @ axes, self._d_log_radius))
-        root, angle = self.radius * (spoke @ self._by_root), self.radius * (by_angle @ axes)
-        return self.radius * (spoke @ axes), by_rod, root, angle
+        steps, angle = self.radius * np.einsum("j,jkn->kn", spoke, self._by_steps), self.radius * (by_angle @ axes)
+        return self.radius * (spoke @ axes), by_rod, steps, angle
 
     @cached_property
     def _contact_maps(self) -> Array:
@@ -163,9 +164,11 @@ class SurfaceTouch:
         by_rod = np.einsum("ij,jkl->ikl", maps, d)
         moved = np.einsum("ikl,k->il", by_rod, self.force)
         moved[:, 0:3] += axes
-        moved = np.column_stack([moved, maps @ self._by_root @ self.force, by_angle @ self.force])
+        steps = np.einsum("ij,jkn,k->in", maps, self._by_steps, self.force)
+        moved = np.column_stack([moved, steps, by_angle @ self.force])
         D = (moved[1:] - ratio[:, None] * moved[0]) / normal
-        return ratio, D[:, :-2], D[:, -2], D[:, -1]
+        k = by_rod.shape[-1]
+        return ratio, D[:, :k], D[:, k:-1], D[:, -1]
 
 
 def solve_touch(
@@ -189,7 +192,7 @@ def solve_touch(
         eq = rod.solve(gravity, force, s, couple=couple, guess=tip, columns="all")
         if not eq.ok:
             return eq, False
-        touch = SurfaceTouch(rod, eq, force, angle, np.zeros((3, 3)))
+        touch = SurfaceTouch(rod, eq, force, angle, np.zeros((3, 3, 0)))
         if touch.converged:
             return eq, touch.pushes
         matrix = np.eye(3) - touch.couple_jacobian[:, COUPLE_COLUMNS]  # a step of Newton's method

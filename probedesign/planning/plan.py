@@ -165,7 +165,7 @@ class Information:
             )
         problem = LeastSquaresProblem(common, tests, None, np.ones(common.size))
         values = ParameterValues(common, np.zeros(common.size))
-        return linearize(problem, values, start_nuisance(tests, model.rod), root=True)
+        return linearize(problem, values, start_nuisance(tests, model.rod), every=True)
 
     @cached_property
     def blocks(self) -> dict[str, tuple[ResidualBlock, ...]]:

@@ -13,6 +13,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.files import check_replaceable, replaced_folder
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
+from probedesign.estimation.error_sources import bow_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import WALK_SECONDS
 from probedesign.simulation.ground_truth import STD_BASE, CampaignPlan, GroundTruth, SimulatedTest
@@ -244,6 +245,8 @@ def _truth(truth: GroundTruth, tests: list[SimulatedTest]) -> str:
         "density_kg_m3": rod.density,
         "length_mm": rod.length / MM,
         "diameters_mm": (2.0 * rod.radius / MM).tolist(),
+        "bow_mm": (bow_of(truth.model, rod, truth.curvature) / MM).tolist(),
+        "curvature": truth.curvature,
         "mass_g": 1e3 * rod.mass,
         "root_rigid_radii": rod.rigid_length / float(rod.radius[0]),
         "gain": truth.flaws.gain.tolist(),

@@ -13,7 +13,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose, rotation_under_gravity, wrench_map
 from probedesign.core.units import MM
 from probedesign.design.paper import CONDITIONS
-from probedesign.estimation.error_sources import BEFORE_KNOTS, parameters_of, turns_of
+from probedesign.estimation.error_sources import BEFORE_KNOTS, curvature_std, parameters_of, scaled_curvature, turns_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.prediction.monte_carlo import perturbed_rod
@@ -176,6 +176,7 @@ class GroundTruth:
     model: ProbeModel  #: of the probe as designed.
     plan: CampaignPlan  #: of the campaign.
     rod: Rod  #: as printed.
+    curvature: float  #: of a helix or of knots, over the designed one.
     T_world_base: Array  #: pose of the base as the campaign states it, (4, 4).
     T_world_mount: Array  #: true pose of that frame, (4, 4).
     T_world_true: Array  #: true pose of the base of the print, (4, 4).
@@ -199,7 +200,9 @@ class GroundTruth:
             turns += rng.normal(size=len(rows)) @ rows
         true = mount @ _displacement(turns[0:3], turns[3:6])
         flaws = BenchFlaws.draw(model, plan, tolerances)
-        return cls(model, plan, _rod(model, plan, tolerances, flaws, rng), T, mount, true, stated,
+        factor = 1.0 + curvature_std(model, tolerances) * np.random.default_rng([plan.seed, 7]).normal()
+        rod = scaled_curvature(model, _rod(model, plan, tolerances, flaws, rng), factor - 1.0)
+        return cls(model, plan, rod, factor, T, mount, true, stated,
                    stated + turns[6:9], tolerances, flaws)  # fmt: skip
 
     def tests(self) -> list[SimulatedTest]:

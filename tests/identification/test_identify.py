@@ -10,9 +10,12 @@ from scipy.stats import norm
 from probedesign import new
 from probedesign.campaigns import Campaign
 from probedesign.core.errors import InputError
-from probedesign.design import check_design
+from probedesign.design import check_design, parse_design
+from probedesign.design.edit import edit_text
+from probedesign.design.io import render_design
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.identification.design_update import design_changes
 from probedesign.identification.identify import IdentificationData, data_of, drift_sizes, identify
 from probedesign.identification.parameters import MAX_ROOT_DEVIATION, PARAMETERS, CommonParameters
 from probedesign.identification.residuals import MassMeasurement, MeasuredTest
@@ -349,3 +352,29 @@ def test_the_axis_of_a_curved_design_is_no_bow(bow_mm: list[float] | None) -> No
     })).model  # fmt: skip
     stated = [PARAMETERS[name].design_value(model) for name in ("bow_x", "bow_y")]
     np.testing.assert_allclose(stated, bow_mm or [0.0, 0.0], atol=1e-9)
+
+
+def test_tests_of_a_helix_show_its_curvature_beside_the_bow_which_the_design_gets(model: ProbeModel) -> None:
+    """3 % less curvature and a bow of 1.5 and -1 mm; the rod is that of the axis itself."""
+    design = new(length_mm=150.0, base_d_mm=12.0, axis="helix", axis_bend_deg=180.0, axis_turns=1.0)
+    model = build_probe(design).model
+    bow = 2e-3 / model.rod.length**2 * np.array([1.5, -1.0])
+    axis = design.probe.centreline.scaled(0.97).with_curvature(bow)
+    true = replace(model, rod=replace(model.rod, rest_curvature=axis.rest_curvature(model.rod.s)))
+    names = ("E", "bow_x", "bow_y", "curvature")
+    found = identify(IdentificationData(_shared(model), tuple(_dead_loads(true, 1.0)), None, "helix"), names)
+    factor, x = found.of("curvature"), found.of("bow_x")
+    assert factor is not None and x is not None and factor.low < 0.97 < factor.high
+    assert factor.std < 0.005 and abs(x.value - 1.5) < 0.3
+    changes = {f"{one.table}.{one.key}": one.text for one in design_changes(found, design, "2026-01-02")}
+    changed = parse_design(edit_text(render_design(design), design_changes(found, design, "2026-01-02"), "", "x.toml"))
+    tips = [one.frames([0.15])[0, :3, 3] for one in (build_probe(changed).axis, axis, build_probe(design).axis)]
+    # poses known to 0.1 mm and 1e-3 rad on a lever of 0.15 m
+    assert np.linalg.norm(tips[0] - tips[1]) < 0.3e-3 < 2e-3 < np.linalg.norm(tips[2] - tips[1])
+    assert float(changes["tolerances.bow_mm"]) < 0.5
+
+
+def test_the_curvature_of_an_arc_is_a_bow() -> None:
+    model = build_probe(new(length_mm=150.0, base_d_mm=12.0, axis="arc", axis_bend_deg=60.0)).model
+    with pytest.raises(InputError, match="too few tests.*curvature"):
+        identify(IdentificationData(_shared(model), tuple(_dead_loads(model, 1.0)), None, "arc"), ("curvature",))

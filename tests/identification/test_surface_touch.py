@@ -20,7 +20,7 @@ def test_a_touch_with_friction_is_the_rods_own(ratios: tuple[float, float], flat
     expected = solve_surface_force(rod, model.gravity_base, s, angle, 0.01, ratios)
     assert expected.result == "ok"
     eq, ok = solve_touch(rod, model.gravity_base, expected.force_base, s, angle, None, np.zeros(3))
-    touch = SurfaceTouch(rod, eq, expected.force_base, angle, np.zeros((3, 3)))
+    touch = SurfaceTouch(rod, eq, expected.force_base, angle, np.zeros((3, 3, 0)))
     assert ok and touch.converged
     # the couple is found to 1e-5 of force times radius: 0.4 nN·m here, and a ten-thousandth of a millimetre
     assert eq.wrench_base == pytest.approx(expected.equilibrium.wrench_base, abs=5e-9)
@@ -36,10 +36,10 @@ def test_derivatives_by_the_angle_and_the_force_are_differences(flatness: float,
     eq = rod.solve(model.gravity_base, force, s, columns="all")
 
     def at(angle: float, force: np.ndarray) -> np.ndarray:
-        touch = SurfaceTouch(rod, eq, force, angle, np.zeros((3, 3)))
+        touch = SurfaceTouch(rod, eq, force, angle, np.zeros((3, 3, 0)))
         return np.concatenate([touch.couple, touch.offset[0], touch.friction[0]])
 
-    touch = SurfaceTouch(rod, eq, force, angle, np.zeros((3, 3)))
+    touch = SurfaceTouch(rod, eq, force, angle, np.zeros((3, 3, 0)))
     found = at(angle + h, force) - at(angle - h, force)
     couple = (np.eye(3) - touch.couple_jacobian[:, COUPLE_COLUMNS]) @ touch.couple_response[2]
     wanted = 2.0 * h * np.concatenate([couple, touch.offset[3], touch.friction[3]])
