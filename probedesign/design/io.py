@@ -12,7 +12,7 @@ from probedesign.core.units import MPA
 from probedesign.design.catalog import CUSTOM, OBJECT_COMPLIANCE, RESINS, Quantity, Resin, find
 from probedesign.design.diagnostics import Table, check_toml, parse_toml, read_toml
 from probedesign.design.paper import PROBES, paper_tables
-from probedesign.design.schema import Design, PrinterRecord, ResinRecord
+from probedesign.design.schema import AXIS_KEYS, AXIS_KINDS, Design, PrinterRecord, ResinRecord
 from probedesign.design.sensor_catalog import FILES, SENSORS, SensorRecord, load_sensor
 from probedesign.design.sensors import SensorModel
 
@@ -36,11 +36,8 @@ COMMENTS = {
     "probe.flatness": "diameter along y over that along x; the diameters here are along x",
     "probe.base_fillet_mm": "radius of the fillet at s = 0, between flank and flange",
     "probe.assumed": "dimensions that nobody has confirmed; every report names them",
-    "probe.axis": "straight | arc | helix | knots; length_mm is measured along it",
-    "probe.axis_bend_deg": "total bending angle, curvature times length",
-    "probe.axis_turns": "of the plane of bending, from base to tip",
-    "probe.axis_azimuth_deg": "of the plane of bending at the base, from x towards y",
-    "probe.axis_knots_mm_1_m": "s [mm], curvature towards X and Y [1/m]",
+    "probe.axis": f"{' | '.join(AXIS_KINDS)}; length_mm is measured along it",
+    **{f"probe.{key}": axis.comment for key, axis in AXIS_KEYS.items()},
     "probe.bow_mm": "deviation of the print's tip towards x and y, lying without load: a constant curvature",
     "probe.measured": "measured on the print; diameters and bow in [tolerances] go with them",
     "material.resin": "fills what is not given here",
@@ -167,10 +164,6 @@ def new(
     section: str = "round",
     bore_ratio: float | None = None,
     flatness: float | None = None,
-    axis: str = "straight",
-    axis_bend_deg: float | None = None,
-    axis_turns: float | None = None,
-    axis_azimuth_deg: float | None = None,
     resin: str = "elastic-50a",
     sensor: str = "nano17",
     robot_flange: str = "iso-9409-1-50-4-m6",
@@ -178,13 +171,16 @@ def new(
     hold: str = "clamped",
     points: str = "sideways",
     printer: str = "form-3",
+    **axis: Any,
 ) -> Design:
     """Return a new design from a few dimensions, as `probedesign new` writes it; see `draft_design`.
+
+    `axis` and the keys that go with it, such as `axis_bend_deg`, are those of `[probe]`.
 
     Raises:
         InputError: a value is out of range or contradicts another.
     """
-    return draft_design(**locals())[0]
+    return draft_design(**{key: value for key, value in locals().items() if key != "axis"}, **axis)[0]
 
 
 def draft_design(
@@ -244,8 +240,8 @@ def draft_design(
         name = default_name(shape, length_mm, base_d_mm, tip_d_mm, section, ratio)
         name += "" if tip == "blunt" else f"-{tip}"
         if axis.get("axis", "straight") != "straight":
-            name += "-".join(["", str(axis["axis"]), *(f"{axis[key]:g}" for key in ("axis_bend_deg", "axis_turns")
-                                                       if axis.get(key) is not None)])  # fmt: skip
+            sizes = [axis[key] for key, of in AXIS_KEYS.items() if of.needed and axis.get(key) is not None]
+            name += "-".join(["", str(axis["axis"]), *(f"{size:g}" for size in sizes if isinstance(size, int | float))])
     data = {
         "schema": 1,
         "name": name,

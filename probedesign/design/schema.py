@@ -6,9 +6,10 @@ returns the quantities in SI units with their provenance.
 
 import datetime
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, NamedTuple, Self, get_args
 
 import numpy as np
 from pydantic import Field, field_validator, model_validator
@@ -43,6 +44,7 @@ ProbeShape = Literal["cone", "cylinder", "profile"]
 SectionKind = Literal["round", "hollow", "elliptic"]
 TipKind = Literal["blunt", "rounded"]
 AxisKind = Literal["straight", "arc", "helix", "knots"]
+AXIS_KINDS: tuple[AxisKind, ...] = get_args(AxisKind)
 MAX_GRAVITY = 30.0  #: Largest accepted gravity [m/s²]; a larger one is given in another unit.
 MAX_PROFILE_POINTS = 64
 
@@ -62,13 +64,28 @@ SECTION_KEYS = {
     "bore_ratio": ("hollow", "a hollow section needs its inner over its outer diameter"),
     "flatness": ("elliptic", "an elliptic section needs its diameter along y over that along x"),
 }
-#: Kinds of axis to which a key belongs, and the message when the key is missing, empty where it may be, by key.
-AXIS_KEYS: dict[str, tuple[tuple[AxisKind, ...], str]] = {
-    "axis_bend_deg": (("arc", "helix"), "a curved axis needs its total bending angle"),
-    "axis_turns": (("helix",), "a helix needs the turns of its plane of bending"),
-    "axis_azimuth_deg": (("arc", "helix"), ""),
-    "axis_knots_mm_1_m": (("knots",), "the axis needs triples [s, curvature towards X, towards Y]"),
-}
+
+
+class AxisKey(NamedTuple):
+    """A key of `[probe]` for a curved axis. A kind of axis is a case of `ProbeTable.designed_axis` and its keys."""
+
+    kinds: tuple[AxisKind, ...]  #: of axis to which it belongs.
+    needed: str  #: message when it is missing; empty where it may be.
+    comment: str  #: beside it in a design file.
+    slider: tuple[str, float, float, float] | None = None  #: label, lowest, highest and step in the studio.
+    start: float | None = None  #: value where the kind of axis is chosen in the studio.
+
+
+AXIS_KEYS = {
+    "axis_bend_deg": AxisKey(("arc", "helix"), "a curved axis needs its total bending angle",
+                             "total bending angle, curvature times length", ("bend [deg]", 0.0, 180.0, 1.0), 60.0),
+    "axis_turns": AxisKey(("helix",), "a helix needs the turns of its plane of bending",
+                          "of the plane of bending, from base to tip", ("turns of the bend", -1.5, 1.5, 0.05), 0.5),
+    "axis_azimuth_deg": AxisKey(("arc", "helix"), "", "of the plane of bending at the base, from x towards y",
+                                ("azimuth of the bend [deg]", -180.0, 180.0, 1.0), 0.0),
+    "axis_knots_mm_1_m": AxisKey(("knots",), "the axis needs triples [s, curvature towards X, towards Y]",
+                                 "s [mm], curvature towards X and Y [1/m]"),
+}  # fmt: skip
 
 
 class ProbeTable(Table):
@@ -127,30 +144,42 @@ class ProbeTable(Table):
         return self
 
     def _check_axis(self) -> None:
-        for key, (kinds, needed) in AXIS_KEYS.items():
+        for key, of in AXIS_KEYS.items():
             given = getattr(self, key) is not None
-            if given and self.axis not in kinds:
+            if given and self.axis not in of.kinds:
                 raise Inconsistent(
-                    key, f"is only for axis = {' or '.join(map(repr, kinds))}; remove it or change the axis"
+                    key, f"is only for axis = {' or '.join(map(repr, of.kinds))}; remove it or change the axis"
                 )
-            if not given and needed and self.axis in kinds:
-                raise Inconsistent(key, f"is missing; {needed}")
+            if not given and of.needed and self.axis in of.kinds:
+                raise Inconsistent(key, f"is missing; {of.needed}")
         if self.axis == "straight":
             return
         if self.axis_knots_mm_1_m is not None:
             self._check_axis_knots(self.axis_knots_mm_1_m)
         s, d = MM * np.array(self.knots_mm).T
-        if reason := self.centreline.conflict(s, d / 2.0):
-            key = "axis_bend_deg" if self.axis_knots_mm_1_m is None else "axis_knots_mm_1_m"
-            low, high = 0.0, 1.0  # of all curvature, between which the body can just follow the axis
-            for _ in range(12):
-                middle = 0.5 * (low + high)
-                conflict = self.centreline.scaled(middle).conflict(s, d / 2.0)
-                low, high = (low, middle) if conflict else (middle, high)
-            bend = self.axis_bend_deg
-            most = f"{low:.0%} of this curvature" if bend is None else f"{math.floor(10.0 * low * bend) / 10.0:g}"
-            value = "" if bend is None else f"= {bend:g} "
+        if reason := self.designed_axis.conflict(s, d / 2.0):
+            key, value, most, _ = self.largest_curvature(lambda axis: not axis.conflict(s, d / 2.0))
             raise Inconsistent(key, f"{value}{reason}; at most {most}")
+
+    def largest_curvature(self, fits: Callable[[Axis], bool]) -> tuple[str, str, str, float]:
+        """Return the key of the curvature, its value, the largest one with which the axis fits, and that factor.
+
+        Args:
+            fits: whether the body can follow an axis.
+        """
+        low, high, (key, bend) = 0.0, 1.0, self.scaled_axis(1.0)  # of all curvature, between which it just fits
+        for _ in range(12):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if fits(self.designed_axis.scaled(middle)) else (low, middle)
+        if not isinstance(bend, float):
+            return key, "", f"{low:.0%} of this curvature", low
+        return key, f"= {bend:g} ", f"{math.floor(10.0 * low * bend) / 10.0:g}", low
+
+    def scaled_axis(self, factor: float) -> tuple[str, float | list[list[float]]]:
+        """Return the key that states the curvature of the axis, and its value with all curvature times a factor."""
+        if self.axis_knots_mm_1_m is not None:
+            return "axis_knots_mm_1_m", [[s, factor * x, factor * y] for s, x, y in self.axis_knots_mm_1_m]
+        return "axis_bend_deg", factor * (self.axis_bend_deg or 0.0)
 
     def _check_axis_knots(self, knots: tuple[tuple[float, float, float], ...]) -> None:
         name = "axis_knots_mm_1_m"
@@ -164,8 +193,8 @@ class ProbeTable(Table):
             raise Inconsistent(name, f"begins and ends at s = {ends}; needs 0 and length_mm = {self.length_mm!r}")
 
     @property
-    def centreline(self) -> Axis:
-        """Return the undeformed centreline; lengths in metres."""
+    def designed_axis(self) -> Axis:
+        """Return the axis without load; lengths in metres."""
         if self.axis_knots_mm_1_m is not None:
             s, x, y = np.array(self.axis_knots_mm_1_m, dtype=float).T
             return Axis(s * MM, np.stack([x, y], axis=1))

@@ -79,7 +79,7 @@ def _axis_changes(found: Identification, design: Design, day: str) -> tuple[Chan
     if "bow_x" in of:
         i = [found.correlated.index(name) for name in of]
         std = np.array([one.std for one in of.values()])
-        std_mm = deviation_std_mm(design.probe.centreline, found.correlation[np.ix_(i, i)] * np.outer(std, std))
+        std_mm = deviation_std_mm(design.probe.designed_axis, found.correlation[np.ix_(i, i)] * np.outer(std, std))
         bow = (of["bow_x"].value, of["bow_y"].value)
     scale = None if factor is None or factor.std is None else (factor.value, factor.std)
     return axis_changes(design, bow, std_mm, scale, f"identified {day}")

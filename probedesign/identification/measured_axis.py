@@ -216,12 +216,7 @@ def axis_changes(
         x, y = (round(value, 2) for value in bow_mm)
         changes += bow_changes(design, (x, y), max(float(f"{std_mm:.2g}"), 0.01), note)
     if factor is not None:
-        probe, (value, std) = design.probe, factor
-        note = f"{note}: {value:.4f} ± {std:.2g} of the curvature as drawn"
-        if probe.axis_bend_deg is not None:
-            changes.append(Change("probe", "axis_bend_deg", f"{probe.axis_bend_deg * value:.5g}", note))
-        else:
-            knots = [[s, *(round(value * k, 4) for k in towards)]
-                     for s, *towards in probe.axis_knots_mm_1_m or ()]  # fmt: skip
-            changes.append(Change("probe", "axis_knots_mm_1_m", json.dumps(knots), note))
+        key, curvature = design.probe.scaled_axis(factor[0])
+        text = json.dumps(np.round(curvature, 4).tolist())
+        changes.append(Change("probe", key, text, f"{note}: {factor[0]:.4f} ± {factor[1]:.2g} of the curvature drawn"))
     return tuple(changes)

@@ -113,8 +113,8 @@ class SurfaceTouch:
 
     @cached_property
     def couple_response(self) -> tuple[Array, Array, Array]:
-        """Derivatives of the couple at equilibrium by the rod's parameters (3, k), the parameters with a step (3, n) and
-        the angle (3,)."""
+        """Derivatives of the couple at equilibrium by the rod's parameters (3, k), the parameters with a step (3, n)
+        and the angle (3,)."""
         J = self.couple_jacobian
         (spoke, by_angle), arm = self._spokes, -self.radius * skew(self.force)
         steps = arm @ np.einsum("j,jkn->kn", spoke, self._by_steps)

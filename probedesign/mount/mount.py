@@ -12,7 +12,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.design.catalog import SCREWS
-from probedesign.geometry import FLANGE_LIP, FLANGE_THICKNESS, Axis, Flange, ProbeGeometry, fingerprint_of, flange_for
+from probedesign.geometry import FLANGE_LIP, FLANGE_THICKNESS, Flange, ProbeGeometry, fingerprint_of, flange_for
 from probedesign.geometry.mass import MassProperties
 from probedesign.mount.flange_adapter import FlangeAdapter, flange_adapter_for
 from probedesign.mount.lip import STIFF_RESIN
@@ -37,7 +37,7 @@ def build_geometry(design: Design) -> ProbeGeometry:
         flange_of(design, 2.0 * float(radius[0])),
         design.probe.cross_section,
         None if design.probe.tip == "blunt" else design.probe.flank_end_mm * MM,
-        None if design.probe.centreline.is_straight else design.probe.centreline,
+        None if design.probe.designed_axis.is_straight else design.probe.designed_axis,
     )
 
 
@@ -73,17 +73,13 @@ class Mount:
         axis = self.geometry.axis
         if axis.is_straight or not (touched := touched_part(self.geometry, adapter)):
             return adapter
-        low, high = 0.0, 1.0  # of all curvature, between which the body just passes
-        for _ in range(12):
-            middle = 0.5 * (low + high)
-            bent = replace(self.geometry, curved=Axis(axis.s, middle * axis.curvature))
-            low, high = (low, middle) if touched_part(bent, adapter) else (middle, high)
-        bend, radius = self.design.probe.axis_bend_deg, 1.0 / float(np.linalg.norm(axis.curvature, axis=1).max())
-        key, most = ("axis_knots_mm_1_m", f"{low:.0%} of this curvature") if bend is None else (
-            f"axis_bend_deg = {bend:g}", f"{math.floor(10.0 * low * bend) / 10.0:g}")  # fmt: skip
+        key, value, most, factor = self.design.probe.largest_curvature(
+            lambda bent: not touched_part(replace(self.geometry, curved=bent), adapter)
+        )
+        radius = 1.0 / float(np.linalg.norm(axis.curvature, axis=1).max())
         raise InputError(
-            f"probe.{key}: the body, with a radius of curvature of {radius / MM:.3g} mm, touches {touched}; at most "
-            f"{most}, a radius of at least {radius / max(low, 1e-3) / MM:.3g} mm"
+            f"probe.{key} {value}bends the body to a radius of {radius / MM:.3g} mm, where it touches {touched}; at "
+            f"most {most}, a radius of at least {radius / max(factor, 1e-3) / MM:.3g} mm"
         )
 
     @cached_property

@@ -8,11 +8,13 @@ import viser
 
 from probedesign.core.units import MM
 from probedesign.design.catalog import RESINS
+from probedesign.design.schema import AXIS_KEYS, AXIS_KINDS
 from probedesign.design.sensor_catalog import SENSORS
 from probedesign.mount import build_geometry, root_radii
 from probedesign.prediction.predict import FORCES_N
 from probedesign.studio.session import MOUNTINGS, Session, knots_of, mounting_of
 
+AXIS_SLIDERS = {key: axis.slider for key, axis in AXIS_KEYS.items() if axis.slider is not None}
 MAX_FRICTION = 1.5  #: Friction at the end of its slider.
 Move = Callable[[str, Any], None]  #: Receives the key of a change and its new value.
 
@@ -39,12 +41,11 @@ class DesignControls:
         self._choice("probe.section", "section", ("round", "hollow", "elliptic"), probe.section)
         self._slider("probe.bore_ratio", "bore over outer diameter", 0.1, 0.9, 0.01, probe.bore_ratio or 0.5)
         self._slider("probe.flatness", "flatness, y over x", 0.2, 1.0, 0.01, probe.flatness or 0.7)
-        axes = dict.fromkeys(("straight", "arc", "helix", probe.axis))
+        listed = {kind for key, axis in AXIS_KEYS.items() if key not in AXIS_SLIDERS for kind in axis.kinds}
+        axes = dict.fromkeys([*(kind for kind in AXIS_KINDS if kind not in listed), probe.axis])
         self._choice("probe.axis", "axis", tuple(axes), probe.axis)
-        self._slider("probe.axis_bend_deg", "bend [deg]", 0.0, 180.0, 1.0, probe.axis_bend_deg or 0.0)
-        self._slider("probe.axis_turns", "turns of the bend", -1.5, 1.5, 0.05, probe.axis_turns or 0.0)
-        self._slider("probe.axis_azimuth_deg", "azimuth of the bend [deg]", -180.0, 180.0, 1.0,
-                     probe.axis_azimuth_deg or 0.0)  # fmt: skip
+        for key, (label, low, high, step) in AXIS_SLIDERS.items():
+            self._slider(f"probe.{key}", label, low, high, step, getattr(probe, key) or 0.0)
         self._choice("probe.tip", "tip", ("blunt", "rounded"), probe.tip)
         self._choice(
             "material.resin", "resin", tuple(dict.fromkeys((*RESINS, design.material.resin))), design.material.resin
@@ -115,8 +116,8 @@ class DesignControls:
         values = {
             "probe.shape": probe.shape, "probe.length_mm": probe.length_mm, "probe.base_d_mm": probe.base_d_mm,
             "probe.tip_d_mm": probe.tip_d_mm, "probe.section": probe.section, "probe.bore_ratio": probe.bore_ratio,
-            "probe.flatness": probe.flatness, "probe.axis": probe.axis, "probe.axis_bend_deg": probe.axis_bend_deg,
-            "probe.axis_turns": probe.axis_turns, "probe.axis_azimuth_deg": probe.axis_azimuth_deg,
+            "probe.flatness": probe.flatness, "probe.axis": probe.axis,
+            **{f"probe.{key}": getattr(probe, key) for key in AXIS_SLIDERS},
             "probe.tip": probe.tip, "material.resin": design.material.resin,
             "material.youngs_modulus_mpa": design.youngs_modulus.value / 1e6,
             "sensor.model": design.sensor_model.name,

@@ -215,9 +215,9 @@ def _with_key(data: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
             probe = {k: v for k, v in data["probe"].items() if k not in ("bore_ratio", "flatness")}
             return {**data, "probe": {**probe, "section": value, **ratios}}
         case "probe.axis":
-            old = {"axis_bend_deg": 60.0, "axis_azimuth_deg": 0.0, "axis_turns": 0.5} | data["probe"]
+            old = {key: axis.start for key, axis in AXIS_KEYS.items()} | data["probe"]
             probe = {k: v for k, v in data["probe"].items() if k not in AXIS_KEYS} | {"axis": value}
-            kept = {k: old.get(k) for k, (kinds, _) in AXIS_KEYS.items() if value in kinds}
+            kept = {k: old[k] for k, axis in AXIS_KEYS.items() if value in axis.kinds}
             return {**data, "probe": probe | {k: v for k, v in kept.items() if v is not None}}
         case "material.youngs_modulus_mpa":  # chosen by hand: no longer what was identified
             return with_values(data, {key: value, "material.provenance.youngs_modulus_mpa": "assumed"})

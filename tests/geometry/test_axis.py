@@ -70,8 +70,8 @@ def test_frames_are_rotations_that_do_not_depend_on_what_is_asked_for(turns):
 
 def test_knots_of_a_constant_curvature_are_the_arc():
     knots = ((0.0, 0.0, -10.0), (40.0, 0.0, -10.0), (150.0, 0.0, -10.0))
-    by_knots = design_of(axis="knots", axis_knots_mm_1_m=knots).probe.centreline
-    arc = whisker(axis_bend_deg=np.degrees(1.5), axis_azimuth_deg=-90.0).probe.centreline
+    by_knots = design_of(axis="knots", axis_knots_mm_1_m=knots).probe.designed_axis
+    arc = whisker(axis_bend_deg=np.degrees(1.5), axis_azimuth_deg=-90.0).probe.designed_axis
     np.testing.assert_allclose(by_knots.frames([0.05, L]), arc.frames([0.05, L]), atol=1e-13)
 
 

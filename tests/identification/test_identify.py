@@ -359,7 +359,7 @@ def test_tests_of_a_helix_show_its_curvature_beside_the_bow_which_the_design_get
     design = new(length_mm=150.0, base_d_mm=12.0, axis="helix", axis_bend_deg=180.0, axis_turns=1.0)
     model = build_probe(design).model
     bow = 2e-3 / model.rod.length**2 * np.array([1.5, -1.0])
-    axis = design.probe.centreline.scaled(0.97).with_curvature(bow)
+    axis = design.probe.designed_axis.scaled(0.97).with_curvature(bow)
     true = replace(model, rod=replace(model.rod, rest_curvature=axis.rest_curvature(model.rod.s)))
     names = ("E", "bow_x", "bow_y", "curvature")
     found = identify(IdentificationData(_shared(model), tuple(_dead_loads(true, 1.0)), None, "helix"), names)
@@ -376,5 +376,5 @@ def test_tests_of_a_helix_show_its_curvature_beside_the_bow_which_the_design_get
 
 def test_the_curvature_of_an_arc_is_a_bow() -> None:
     model = build_probe(new(length_mm=150.0, base_d_mm=12.0, axis="arc", axis_bend_deg=60.0)).model
-    with pytest.raises(InputError, match="too few tests.*curvature"):
+    with pytest.raises(InputError, match=r"too few tests.*curvature"):
         identify(IdentificationData(_shared(model), tuple(_dead_loads(model, 1.0)), None, "arc"), ("curvature",))
