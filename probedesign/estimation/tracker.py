@@ -43,8 +43,10 @@ MAX_COUNT = 1e9  #: Readings after which a mean follows like a low-pass filter.
 #: Distance [m] below which two poses are one, or three standard deviations of the robot's place if that is more; a
 #: rotation of 1 rad counts as a tenth of a metre.
 _APART = 5e-6
-#: Distance [m], rotations included, above which two poses are not merged into one keyframe: their readings differ.
-_MIXED = 1e-4
+#: Distance over the length, and rotation [rad], above which two poses are not merged into one keyframe. Below, the mean
+#: of their readings is that at the mean pose up to about 1e-4, a hundredth of `Tolerances.stiffness_scatter`; rotations
+#: are not averaged.
+_MIXED, _TURNED = 0.01, 1e-3
 
 
 @dataclass(eq=False)
@@ -227,9 +229,14 @@ class Tracker:
         """Add a reading to the last keyframe, or to a new one if the base has moved."""
         frames, state = touch.keyframes, self._state
         last = frames[-1] if frames else None
-        if last is not None and fusion_kernel.apart(last.T, T) <= self._apart:
-            last.take_in(wrench, T, self._time)
-            return
+        if last is not None:
+            far, gap = self._gap(last.T, T)
+            # In the second case it would become a keyframe that is merged with the last one at once.
+            if gap <= self._apart or (
+                len(frames) == self.keyframes and not far and (far, gap) <= min(self._gaps(frames))
+            ):
+                last.take_in(wrench, T, self._time)
+                return
         row = next(i for i in range(self.keyframes + 1) if all(frame.row != i for frame in frames))
         state.wrench[row], state.pose[row] = wrench, T
         state.touches[row] = 0.0 if last is None else state.touches[last.row]
@@ -246,14 +253,22 @@ class Tracker:
         if len(frames) > self.keyframes:
             self._join(touch)
 
+    def _gaps(self, frames: list[Keyframe]) -> list[tuple[bool, float]]:
+        return [self._gap(a.T, b.T) for a, b in pairwise(frames)]
+
+    def _gap(self, a: Array, b: Array) -> tuple[bool, float]:
+        """Return whether two poses lie too far apart to be averaged, and their distance, rotations included [m]."""
+        moved, gap = math.dist(a[:3, 3], b[:3, 3]), float(fusion_kernel.apart(a, b))
+        return moved > _MIXED * self._state.model.rod.length or gap - moved > 0.1 * _TURNED, gap
+
     def _join(self, touch: _Touch) -> None:
         """Make one of the two neighbours that lie closest, or drop the lighter where they lie too far apart."""
         frames = touch.keyframes
-        gaps = [fusion_kernel.apart(a.T, b.T) for a, b in pairwise(frames)]
-        i = int(np.argmin(gaps))
+        gaps = self._gaps(frames)
+        i = gaps.index(min(gaps))
         a, b = frames[i], frames[i + 1]
         kept, dropped = (a, b) if a.count >= b.count and i + 2 < len(frames) else (b, a)
-        if gaps[i] <= _MIXED:
+        if not gaps[i][0]:
             kept.merge(a, b)
             if kept.linearised:
                 self._reduce(touch, frames.index(kept))

@@ -164,6 +164,7 @@ def test_no_result_outlives_a_reading_that_does_not_fit(large, gravity, pressed)
 
 
 def test_memory_is_bounded_while_the_base_moves_on(large, gravity, pressed):
+    """Every reading counts: poses less than a hundredth of the length apart are averaged."""
     wrenches, Ts = pressed
     feed = Feed(Tracker(large.estimator(), None, gravity, keyframes=4), large.model)
     for share in np.linspace(0.0, 1.0, 40):
@@ -171,6 +172,7 @@ def test_memory_is_bounded_while_the_base_moves_on(large, gravity, pressed):
         T[:3, 3] = (1.0 - share) * Ts[3][:3, 3] + share * Ts[4][:3, 3]
         feed((1.0 - share) * wrenches[3] + share * wrenches[4], T, 2)
         assert feed.tracker.kept <= 4
+    assert sum(frame.count for frame in feed.tracker._touch.keyframes) == 80
 
 
 def test_many_poses_of_a_turning_base_stay_consistent(large):
