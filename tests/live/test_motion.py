@@ -9,12 +9,12 @@ from probedesign.core.frames import pose
 from probedesign.live.blocks import Block
 from probedesign.live.poses.base_poses import BasePoses, TimedPose, pose_from_matrix
 from probedesign.live.processing.chain import Chain, ProcessingOptions
-from probedesign.live.processing.motion import DAMPING, LIMIT, SPAN, MotionMonitor
+from probedesign.live.processing.motion import DAMPING, LIMIT, SPAN, MotionMonitor, fit_sway
 from probedesign.live.processing.tare import TareWindow
 from probedesign.simulation import scenes
 from tests.reference.beam import SwayingBeam
 
-RATE = 1000.0  #: Of the samples [Hz].
+RATE = 2000.0  #: Of the samples [Hz].
 QUIET = 3.0  #: Time before a motion, with a tare of 2 s [s].
 ALONG = np.array([0.6, 0.64, 0.48])
 
@@ -45,14 +45,30 @@ def readings(model, travel, along, wrench, damping, rng, held=None):
 
 def run(estimator, travel, along, read):
     model, t = estimator.model, np.arange(len(travel)) / RATE
-    p = travel[::8, None] * along
-    stated = [TimedPose(at, tuple(x), (0.0, 0.0, 0.0, 1.0)) for at, x in zip(t[::8].tolist(), p.tolist(), strict=True)]
+    p = travel[::16, None] * along
+    stated = [TimedPose(at, tuple(x), (0.0, 0.0, 0.0, 1.0)) for at, x in zip(t[::16].tolist(), p.tolist(), strict=True)]
     poses = BasePoses("stated", stated, gravity_world=model.gravity_base)
     chain, updates = Chain(estimator, ProcessingOptions(TareWindow(0.0, 2.0), 36), poses, lambda line: None), []
-    for i in range(0, len(t), 50):
-        part = slice(i, i + 50)
+    for i in range(0, len(t), 100):
+        part = slice(i, i + 100)
         updates += chain.process(Block(t[part], read[part], model.gravity_base, np.full(len(t[part]), math.nan)))
     return [*updates, *chain.finish()], chain
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+@pytest.mark.parametrize("hertz", [7.0, 12.0, 25.0])
+def test_a_sway_is_fitted_beside_a_parabola(hertz, noise):
+    """Two modes of one frequency in two planes, 20 standard deviations, at 56 readings a second for a quarter of one.
+
+    Without noise it is found to the last digits. Seven unknowns in 84 readings leave √(12/84) of the noise.
+    """
+    rng, k = np.random.default_rng(1), np.arange(14)
+    wave = np.exp((-0.05 + 1j) * 2.0 * math.pi * hertz / 56.0 * k)
+    sway = (20.0 * wave[:, None] * (rng.normal(size=6) + 1j * rng.normal(size=6))).real
+    values = sway + np.outer(1.0 + 0.3 * k - 0.02 * k**2, rng.normal(size=6)) + noise * rng.normal(size=(14, 6))
+    fitted, left = fit_sway(values)
+    assert np.sqrt(np.mean((fitted - sway) ** 2)) < (0.6 if noise else 1e-4)
+    assert left == pytest.approx(noise * (6 * 9 - 2), abs=1e-6 + noise * 3.0 * math.sqrt(2.0 * 52.0))
 
 
 @pytest.mark.parametrize("damping", [0.05, 0.1])
@@ -78,10 +94,11 @@ def test_moves_of_a_free_probe_are_no_touches(duration, damping, estimator, mode
     assert all(u.time_to_rest == 0.0 for u in after)
 
 
-@pytest.mark.parametrize("speed", [0.02, 0.05])
-def test_a_fast_press_is_located_soon_after_it_stops(speed, estimator, model, monkeypatch):
-    """An edge at 0.6 of the length, hit from 40 mm away, a damping ratio of 0.1: located for good within a second, and
-    within the ellipsoid (χ² of three degrees of freedom below 16.3 in 999 of 1000 cases)."""
+@pytest.mark.parametrize(("speed", "damping"), [(0.02, 0.1), (0.05, 0.05), (0.1, 0.05)])
+def test_a_fast_press_is_located_soon_after_it_stops(speed, damping, estimator, model, monkeypatch):
+    """An edge at 0.6 of the length, hit from 40 mm away: located for good 0.7 s after the stop, of which the poses and
+    the contact test take 0.25 s each, with the error at rest, and within the ellipsoid (χ² of three degrees of freedom
+    below 16.3 in 999 of 1000 cases). The sway after 100 mm/s is then up to 60 standard deviations of a reading."""
     monkeypatch.setitem(scenes.SCENES, "edge", (scenes.SceneObject("edge", 0.6, 0.0),))
     (pressed,) = scenes.press_scene(model, "edge", friction=0.0)
     distance, ramp = 0.04 + float(pressed.travel[-1]), speed / 2.0
@@ -93,13 +110,16 @@ def test_a_fast_press_is_located_soon_after_it_stops(speed, estimator, model, mo
     wrench = np.stack([np.interp(travel, pressed.travel, pressed.wrench_base[:, i]) for i in range(6)], axis=1)
     hit = int(np.argmax(np.linalg.norm(wrench - wrench[0], axis=1) > 1e-7))
     read = readings(
-        model, travel, pressed.direction, wrench, 0.1, np.random.default_rng(2), (hit, 0.6 * model.rod.length)
+        model, travel, pressed.direction, wrench, damping, np.random.default_rng(2), (hit, 0.6 * model.rod.length)
     )
     updates, chain = run(estimator, travel, pressed.direction, read)
     assert {u.estimate.result for u in updates if u.reading.time < QUIET + t[hit]} <= {"no_contact", "in_motion"}
     assert not any(u.fused.ok for u in updates if u.reading.time < QUIET + t[hit])
-    later = [u for u in updates if u.reading.time > QUIET + stop + 1.0]
-    assert {(u.estimate.result, u.fused.result) for u in later} == {("ok", "ok")} and len(chain.contacts) == 1
+    later = [u for u in updates if u.reading.time > QUIET + stop + 0.7]
+    assert {u.fused.result for u in later} == {"ok"} and len(chain.contacts) == 1
+    assert {u.estimate.result for u in later[-10:]} == {"ok"}
+    # Fourteen readings of the span know the place nearly as well as a hundred.
+    assert later[0].fused.rms < 1.3 * later[-1].fused.rms
     for u in later:
         off = u.fused.p_surface_world - pressed.point
         assert off @ np.linalg.solve(u.fused.cov_surface_world, off) < 16.3

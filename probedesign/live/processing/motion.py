@@ -14,6 +14,7 @@ number of standard deviations of one reading; below `LIMIT` of them the motion i
 """
 
 import math
+from functools import cache
 
 import numpy as np
 
@@ -34,10 +35,65 @@ MARGIN = 1.5
 #: Travel of the base within `SPAN` below which it rests [m], as in `touches`; a rotation of 1 rad counts as 0.1 m.
 MAX_TRAVEL, LEVER = 50e-6, 0.1
 
+#: Least number of periods of a sway in the readings that it is fitted to, and of readings in a period: with fewer, it
+#: passes for a part of the parabola, and the variance of their mean grows by more than a fifth.
+MIN_PERIODS, MIN_READINGS = 1.5, 2.0
+SWAY_DAMPINGS, SWAY_STEPS = (0.03, 0.1, 0.2), 4  #: Of the first guesses of a sway, and steps from the best of them.
+
 _t = np.linspace(-0.5 * SPAN, 0.5 * SPAN, POINTS)
 #: Weights of the poses for the velocity at the end of the parabola and for the acceleration.
 _FIT = np.linalg.pinv(np.stack([np.ones(POINTS), _t, 0.5 * _t * _t], axis=1))
 _VELOCITY, _ACCELERATION = _FIT[1] + 0.5 * SPAN * _FIT[2], _FIT[2]
+
+
+@cache
+def parabola(n: int) -> Array:
+    """Return an orthonormal basis of the parabolas through n values at equal intervals, (n, 3)."""
+    return np.asarray(np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, n), 3))[0], dtype=float)
+
+
+@cache
+def _guesses(n: int) -> tuple[Array, Array]:
+    """Return exponents of oscillations at n equal intervals, (k, 2), and an orthonormal basis of each, (k, n, 2)."""
+    angles = np.arange(2.0 * math.pi * MIN_PERIODS / n, 2.0 * math.pi / MIN_READINGS, 1.0 / n)
+    exponents = np.array([(-damping * angle, angle) for angle in angles for damping in SWAY_DAMPINGS])
+    return exponents, np.stack([_oscillation(n, *exponent) for exponent in exponents])
+
+
+def _oscillation(n: int, decay: float, angle: float) -> Array:
+    """Return an orthonormal basis of Re(A exp((decay + i angle) k)) without its part that is a parabola, (n, 2)."""
+    z = np.exp((decay + 1j * angle) * np.arange(n))
+    basis = np.stack([z.real, z.imag], axis=1)
+    return np.asarray(np.linalg.qr(basis - parabola(n) @ (parabola(n).T @ basis))[0], dtype=float)
+
+
+def fit_sway(values: Array) -> tuple[Array, float]:
+    """Fit a parabola and one damped oscillation, Re(A exp(λ k)) with one λ, to values at equal intervals, (n, m).
+
+    Least squares with the amplitudes eliminated (variable projection).
+
+    Returns:
+        The oscillation, (n, m), and the sum of squares that is left.
+
+    Source: G. H. Golub, V. Pereyra, SIAM J. Numer. Anal. 10, 1973.
+    """
+    n = len(values)
+    rest = values - parabola(n) @ (parabola(n).T @ values)
+    limits = (-0.5, 2.0 * math.pi * MIN_PERIODS / n), (0.0, 2.0 * math.pi / MIN_READINGS)
+    exponents, bases = _guesses(n)
+    exponent = exponents[int(np.argmax(np.square(bases.transpose(0, 2, 1) @ rest).sum(axis=(1, 2))))]
+
+    def left(exponent: Array) -> Array:
+        basis = _oscillation(n, *exponent)
+        return np.asarray((rest - basis @ (basis.T @ rest)).ravel(), dtype=float)
+
+    for _ in range(SWAY_STEPS):  # Gauss-Newton
+        here = left(exponent)
+        J = np.stack([left(exponent + step) - here for step in 1e-5 * np.eye(2)], axis=1) / 1e-5
+        exponent = np.clip(exponent - np.linalg.lstsq(J, here)[0], *limits)
+    z = np.exp(complex(*exponent) * np.arange(n))
+    amplitudes = np.linalg.lstsq(np.column_stack([parabola(n), z.real, z.imag]), values)[0]
+    return np.outer(z.real, amplitudes[3]) + np.outer(z.imag, amplitudes[4]), float(np.square(left(exponent)).sum())
 
 
 class MotionMonitor:

@@ -34,7 +34,7 @@ from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.processing.averaging import AveragedBatch
 from probedesign.live.processing.drift import DriftFollower
 from probedesign.live.processing.motion import SPAN as FIT_SPAN
-from probedesign.live.processing.motion import MotionMonitor
+from probedesign.live.processing.motion import MotionMonitor, fit_sway, parabola
 from probedesign.live.processing.tare import CHANNELS, Tare
 
 Phase = Literal["", "free", "moving", "touching", "settled", "released"]
@@ -48,6 +48,8 @@ LEVER = 0.1  #: Lever arm that converts a rotation to a distance [m], as in the 
 #: Probability that readings without a sway are not smooth: that only delays a position. A sway of 1.3 standard
 #: deviations of 48 readings is as improbable.
 SMOOTH_CHANCE = 0.05
+KEPT_CHANCE = 1e-4  #: The same of readings with a sway after those before were explained: a position does not flicker.
+MIN_SPAN = 8  #: Least number of values in the span that show a sway.
 MAX_MEANS = 64  #: Maximum number of values in the span; more readings are averaged.
 
 
@@ -69,7 +71,6 @@ class StationarityTest:
         self._samples, self._filled = np.zeros((n, 6)), 0  # the last rows are filled
         self._poses, self._posed = (np.zeros((n, 12)), 0)  # rows of each pose, and how many of the last rows are known
         self._sum, self._count = np.zeros(6), 0
-        self._smooth_limit = float(chdtri(6 * (n - 3), SMOOTH_CHANCE)) if n > 3 else 0.0
         self._limits = chdtri(6 * (n - 1), 0.5 * FALSE_ALARM), chdtri(6, 0.5 * FALSE_ALARM)  # scatter, step
 
     def update(self, wrench: Array, T_world_base: Array | None) -> None:
@@ -89,6 +90,16 @@ class StationarityTest:
         """Discard the span: its readings belong to another phase."""
         self._filled = self._posed = 0
         self._sum, self._count = np.zeros(6), 0
+
+    @property
+    def readings(self) -> int:
+        """Number of readings in the span."""
+        return self._period * len(self._samples)
+
+    @property
+    def ages(self) -> Array:
+        """Number of readings from the middle of each value of the span to the last reading, (n,)."""
+        return np.asarray(self._count + self._period * (np.arange(len(self._samples))[::-1] + 0.5) - 0.5)
 
     @property
     def mean(self) -> Array:
@@ -111,15 +122,29 @@ class StationarityTest:
         scatter, shifted = np.vdot(deviations, deviations), 0.5 * half * np.vdot(step, step)
         return bool(scatter <= self._limits[0] and shifted <= self._limits[1])
 
-    @property
-    def smooth(self) -> bool:
-        """Whether the span is full and its readings scatter about a parabola like noise: the probe does not sway."""
-        if not self.full:
-            return False
-        t = np.linspace(-1.0, 1.0, len(self._samples))
-        basis = np.linalg.qr(np.stack([np.ones_like(t), t, t * t], axis=1))[0]
-        left = self._samples - basis @ (basis.T @ self._samples)
-        return bool(np.vdot(left, left) <= self._smooth_limit)
+    def sway(self, chance: float) -> Array | None:
+        """Return the sway in the values of the span [N, N·m], (n, 6).
+
+        It is zero where they scatter about a parabola like noise. Otherwise it is one damped oscillation, where that
+        and a parabola leave noise while the base moves along a parabola. None where there is more, or the span is not
+        full.
+
+        Args:
+            chance: probability that readings without any other sway than one are refused.
+        """
+        n, values = len(self._samples), self._samples
+        if not self.full or n <= 3:
+            return None
+        left = values - parabola(n) @ (parabola(n).T @ values)
+        if np.vdot(left, left) <= chdtri(6 * (n - 3), SMOOTH_CHANCE):
+            return np.zeros((n, 6))
+        strayed = self._poses - parabola(n) @ (parabola(n).T @ self._poses)
+        if min(self._posed, n) < max(n, MIN_SPAN) or (strayed * strayed @ _TRAVELS).max() > MAX_TRAVEL**2:
+            return None
+        sway, chi2 = fit_sway(values)
+        if chi2 > chdtri(6 * (n - 5) - 2, chance):
+            return None
+        return np.asarray(np.linalg.solve(self._whiten, sway.T).T / math.sqrt(self._period))
 
     @property
     def moving(self) -> bool | None:
@@ -293,6 +318,10 @@ class _Held:
                     "the zero rather than a touch? the command tare takes the probe for free")  # fmt: skip
 
 
+#: Mean at the base minus the free probe's wrench [N, N·m], gravity in base axes, pose of the base, and time [s].
+_Reading = tuple[Array, Array, Array | None, float]
+
+
 class TouchMonitor:
     """Monitors every batch: the contact test uses its samples, the phase and the fusion its mean."""
 
@@ -326,6 +355,8 @@ class TouchMonitor:
         self._phases = PhaseTracker(model, rate / samples)
         self._follower = DriftFollower(model, self._detector.bias_filter, estimator.priors.drift_steps)
         self._suspected, self._sure = -math.inf, False
+        #: Readings of the touch that are not fused yet, and whether the last ones were explained.
+        self._unfused, self._explained = deque[_Reading](maxlen=self._phases.stationarity.readings), False
         self.in_motion, self._alarm, self._largest = False, math.nan, 0.0
         self.warming_up, self._next_check, self._held = False, -math.inf, _Held()
         self._latency_check = LatencyCheck(model.whiten)
@@ -373,11 +404,13 @@ class TouchMonitor:
                 phase, decisions = "free", ["free"]
         elif phase not in ("touching", "settled"):
             self._held = _Held()
-        smooth = self.in_motion and phase in ("touching", "settled") and self._phases.stationarity.smooth
-        if smooth and motion is not None:
-            motion.on_smooth()
-            self.in_motion = False
-        fused = self._fused(decisions, mean, gravity, T_world_base, batch.reading.time)
+        reading = (mean, gravity, T_world_base, batch.reading.time)
+        if motion is not None and self.in_motion and phase in ("touching", "settled"):
+            fused = self._fused_in_motion(reading, motion)
+        else:
+            self._unfused.clear()
+            self._explained = phase in ("touching", "settled")
+            fused = self._fused(decisions, *reading)
         ended = self._contacts.update(batch.reading.time, phase, fused)
         if ended is not None and self._estimates:
             self._log(ended.summary)
@@ -513,6 +546,28 @@ class TouchMonitor:
         self._contacts.update(time, "", None)
         if self._tracker is not None:
             self._tracker.restart()
+
+    def _fused_in_motion(self, reading: _Reading, motion: MotionMonitor) -> FusedEstimate | None:
+        """Fuse the readings of a touch since it began, or of the last span, less the sway that they show.
+
+        Ends `in_motion` where they show none. What shows more than a sway waits.
+        """
+        stationarity = self._phases.stationarity
+        self._unfused.append(reading)
+        sway = stationarity.sway(KEPT_CHANCE if self._explained else SMOOTH_CHANCE)
+        self._explained = sway is not None
+        if sway is None:
+            return self._fused(["contact"], *reading)
+        ages = np.arange(len(self._unfused))[::-1]
+        shares = np.stack([np.interp(-ages, -stationarity.ages, column) for column in sway.T], axis=1)
+        fused, self.in_motion = None, False
+        for (mean, gravity, T, time), share in zip(self._unfused, shares, strict=True):
+            fused = self._fused(["contact"], mean - share, gravity, T, time)
+        self._unfused.clear()
+        self.in_motion = bool(sway.any())
+        if not self.in_motion:
+            motion.on_smooth()
+        return fused
 
     def _fused(
         self, decisions: list[Touching], excess: Array, gravity: Array, T: Array | None, time: float
