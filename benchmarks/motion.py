@@ -4,19 +4,22 @@ Payload: twenty minutes with thirty touches by an arm that turns to another orie
 sensor that the frozen probe does not know, before and after `calibrate` from twelve rests.
 
 Drift: twenty minutes with thirty touches of 5 to 25 mN, a bias that warms up, leaps or creeps beside its random walk,
-and the rod solved in reference mode. Motion: a free probe is moved by 100 mm, and an edge is hit; the sway is that of
-the modes of a beam (`tests/reference/beam.py`), free and held at the edge.
+and the rod solved in reference mode. Motion: a free probe is moved by 100 mm; drawn probes are pressed on an object and
+dragged over it. The sway is that of the modes of a beam (`tests/reference/beam.py`), free and held at the object.
 """
 
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from benchmarks.error_statistics import CHI2_95, nees
+from benchmarks.reference_probes import Perturbations, PriorStds
+from benchmarks.reference_touches import evaluate_readings
 from benchmarks.timing import print_table
 from benchmarks.touches import paper_models
 from probedesign.core.frames import Array, rotation_under_gravity
@@ -31,8 +34,8 @@ from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.processing.payload import Rest, calibrate
 from probedesign.live.processing.tare import TareWindow
 from probedesign.rod.contact import SurfaceForce, solve_surface_force
-from probedesign.simulation.scenes import SCENES, SceneObject, press_scene
 from tests.reference.beam import SwayingBeam
+from tests.reference.cosserat import solve
 
 # Drift ---------------------------------------------------------------------------------------------------------------
 
@@ -232,7 +235,7 @@ POSE_NOISE = 5e-6  #: Standard deviation of a reported position on each axis [m]
 DISTANCE, PAUSE, MOVES = 0.1, 1.5, 11  #: Length of a move [m], pause after it [s], and their number.
 ALONG = np.array([0.6, 0.64, 0.48])  #: Direction of the moves in base axes.
 DAMPINGS = (0.05, 0.1)
-SEEDS = 5  #: Draws of the noise of each press.
+SEEDS = (1, 2, 3)  #: Of the moves.
 
 
 def jerk_limited(duration: float) -> Callable[[Array], Array]:
@@ -260,43 +263,40 @@ def trapezoid(speed: float, acceleration: float, distance: float = DISTANCE) -> 
 
 
 def base_readings(
-    model: ProbeModel, travel: Array, direction: Array, wrench: Array, damping: float, rng: np.random.Generator,
+    model: ProbeModel, path: Array, wrench: Array, damping: float, rng: np.random.Generator,
     held: tuple[int, float] | None = None,
 ) -> Array:  # fmt: skip
-    """Return readings of the sensor (n, 6) while the base travels along a direction.
+    """Return readings of the sensor (n, 6) while the base travels without turning.
 
     Args:
         model: probe and sensor.
-        travel: of the base at each sample [m], (n,).
-        direction: in base axes, (3,).
+        path: of the base at each sample [m], (n, 3).
         wrench: quasi-static one at the base, (n, 6).
         damping: ratio of every mode.
         rng: of the noise.
         held: sample at which the probe hits an object, and the arclength there [m]; None: it stays free.
     """
-    a = np.gradient(np.gradient(travel, 1.0 / SAMPLES_HZ), 1.0 / SAMPLES_HZ)
-    load = SwayingBeam.of(model.rod).base_load(a, SAMPLES_HZ, damping)
-    mass = float(SwayingBeam.of(model.rod).rigid[0])
-    if held is not None:
-        at, s = held
-        v = (travel[at] - travel[at - 1]) * SAMPLES_HZ
-        load[at:] = SwayingBeam.of(model.rod, s).base_load(a[at:], SAMPLES_HZ, damping, float(v))
-    dynamic = np.zeros((len(a), 6))
-    dynamic[:, :2] = load[:, :1] * direction[:2]
-    dynamic[:, 2] = -mass * a * direction[2]
-    dynamic[:, 3], dynamic[:, 4] = -load[:, 1] * direction[1], load[:, 1] * direction[0]
-    gravity = model.gravity_base - a[:, None] * direction
-    read = model.to_sensor(wrench + dynamic, np.zeros(3)) + gravity @ model.payload_by_gravity.T
+    v = np.gradient(path, 1.0 / SAMPLES_HZ, axis=0)
+    a = np.gradient(v, 1.0 / SAMPLES_HZ, axis=0)
+    free, dynamic = SwayingBeam.of(model.rod), np.zeros((len(a), 6))
+    for axis, sign in ((0, 1.0), (1, -1.0)):
+        load = free.base_load(a[:, axis], SAMPLES_HZ, damping)
+        if held is not None:
+            at, s = held
+            load[at:] = SwayingBeam.of(model.rod, s).base_load(a[at:, axis], SAMPLES_HZ, damping, float(v[at, axis]))
+        dynamic[:, axis], dynamic[:, 4 - axis] = load[:, 0], sign * load[:, 1]
+    dynamic[:, 2] = -float(free.rigid[0]) * a[:, 2]
+    read = model.to_sensor(wrench + dynamic, np.zeros(3)) + (model.gravity_base - a) @ model.payload_by_gravity.T
     steps = model.noise.std * math.sqrt(model.averaging_samples)
     return np.asarray(read + steps * rng.standard_normal(read.shape))
 
 
 def run_chain(
-    model: ProbeModel, travel: Array, direction: Array, read: Array, rng: np.random.Generator
+    model: ProbeModel, path: Array, read: Array, rng: np.random.Generator
 ) -> tuple[list[EstimateUpdate], Chain]:
-    """Return what the chain gives for the readings, with poses of the base that scatter."""
-    t, every = np.arange(len(travel)) / SAMPLES_HZ, int(SAMPLES_HZ / POSES_HZ)
-    p = travel[::every, None] * direction + POSE_NOISE * rng.standard_normal((len(travel[::every]), 3))
+    """Return what the chain gives for the readings, with poses of the base that scatter about a path (n, 3)."""
+    t, every = np.arange(len(path)) / SAMPLES_HZ, int(SAMPLES_HZ / POSES_HZ)
+    p = path[::every] + POSE_NOISE * rng.standard_normal((len(path[::every]), 3))
     stated = [
         TimedPose(at, tuple(x), (0.0, 0.0, 0.0, 1.0)) for at, x in zip(t[::every].tolist(), p.tolist(), strict=True)
     ]
@@ -316,8 +316,8 @@ class MoveOutcome:
     touches: int  #: number of touches.
     ok: int  #: number of rows with a position from one reading.
     fused: int  #: number of rows with a fused position.
-    rows: int  #: number of rows.
     unexplained: int  #: number of rows `in_motion`.
+    rows: int  #: number of rows.
 
 
 def move_outcome(model: ProbeModel, position: Callable[[Array], Array], damping: float, seed: int = 1) -> MoveOutcome:
@@ -329,70 +329,16 @@ def move_outcome(model: ProbeModel, position: Callable[[Array], Array], damping:
     share = position(t - n * duration)
     travel = DISTANCE * np.where(n % 2 == 0, share, 1.0 - share)
     free = model.rod.solve(model.gravity_base, mode="reference").wrench_base
-    read = base_readings(model, travel, ALONG, np.tile(free, (len(t), 1)), damping, rng)
-    updates, chain = run_chain(model, travel, ALONG, read, rng)
+    path = travel[:, None] * ALONG
+    read = base_readings(model, path, np.tile(free, (len(t), 1)), damping, rng)
+    updates, chain = run_chain(model, path, read, rng)
     results = Counter(u.estimate.result for u in updates)
     fused = sum(u.fused is not None and u.fused.ok for u in updates)
-    return MoveOutcome(len(chain.contacts), results["ok"], fused, len(updates), results["in_motion"])
+    return MoveOutcome(len(chain.contacts), results["ok"], fused, results["in_motion"], len(updates))
 
 
-@dataclass(frozen=True)
-class PressOutcome:
-    """What a chain made of a press at some speed."""
-
-    first: float  #: time after the stop from which positions are given throughout [s]; NaN if there is none.
-    error: float  #: error of the fused point at the first of them [m].
-    error_at_rest: float  #: error after four seconds at rest [m].
-
-
-def press_outcome(model: ProbeModel, speed: float, damping: float, seed: int = 1) -> PressOutcome:
-    """Press an edge at 0.6 of the length from 40 mm away at a speed [m/s] with 2 m/s² and return the outcome."""
-    rng = np.random.default_rng(seed)
-    SCENES["edge"] = (SceneObject("edge", 0.6, 0.0),)
-    (pressed,) = press_scene(model, "edge", friction=0.0)
-    away, distance = 0.04, 0.04 + float(pressed.travel[-1])
-    position = trapezoid(speed, 2.0, distance)
-    stop = distance / speed + speed / 2.0
-    t = np.arange(int((TARE.end + 1.0 + stop + 5.0) * SAMPLES_HZ)) / SAMPLES_HZ - TARE.end - 1.0
-    travel = distance * position(t) - away
-    wrench = np.stack([np.interp(travel, pressed.travel, pressed.wrench_base[:, i]) for i in range(6)], axis=1)
-    changed = np.linalg.norm(wrench - wrench[0], axis=1) > 1e-7
-    read = base_readings(
-        model, travel, pressed.direction, wrench, damping, rng, (int(np.argmax(changed)), 0.6 * model.rod.length)
-    )
-    updates, _ = run_chain(model, travel, pressed.direction, read, rng)
-    end, found = TARE.end + 1.0 + stop, list[tuple[float, float]]()
-    for update in updates:
-        if update.reading.time < end:
-            continue
-        if update.fused is None or not update.fused.ok:
-            found.clear()
-            continue
-        error = update.fused.p_surface_world - pressed.point
-        along = np.cross(pressed.direction, [0.0, 0.0, 1.0])  # the edge fixes the point across it alone
-        found.append((update.reading.time - end, float(np.linalg.norm(error - (error @ along) * along))))
-    if not found:
-        return PressOutcome(math.nan, math.nan, math.nan)
-    return PressOutcome(*found[0], found[-1][1])
-
-
-def report(only: str | None = None) -> None:
-    """Print the tables.
-
-    Args:
-        only: "payload" prints that table alone.
-    """
-    model, rows = paper_models()["large"], []
-    report_payload(model)
-    if only == "payload":
-        return
-    for name, drift in DRIFTS.items():
-        o = drift_outcome(model, drift)
-        rows.append([name, f"{o.located} of {TOUCHES}", f"{o.inside}", f"{3.0 * o.false_touches:g}", f"{o.false_ok}",
-                     f"{o.warming}"])  # fmt: skip
-    print_table("Twenty minutes with one tare, single touches of 5 to 25 mN",
-                ["bias", "located", "in 95 %", "false touches an hour", "false ok rows", "warming_up rows"],
-                rows)  # fmt: skip
+def report_moves(model: ProbeModel) -> None:
+    """Print the table of a free probe that is moved."""
     moves: dict[str, Callable[[Array], Array]] = {
         f"minimum jerk, {duration:g} s": jerk_limited(duration) for duration in (0.5, 1.0, 2.0, 4.0)
     }
@@ -401,20 +347,156 @@ def report(only: str | None = None) -> None:
     rows = []
     for damping in DAMPINGS:
         for name, position in moves.items():
-            m = move_outcome(model, position, damping)
-            rows.append([name, f"{damping:g}", f"{m.touches}", f"{m.ok}", f"{m.fused}", f"{m.unexplained} of {m.rows}"])
-    print_table(f"{MOVES} moves of {1e3 * DISTANCE:.0f} mm of a free probe",
+            m = [move_outcome(model, position, damping, seed) for seed in SEEDS]
+            touches, ok, fused, unexplained, n = (
+                sum(getattr(x, field.name) for x in m) for field in fields(MoveOutcome)
+            )
+            rows.append([name, f"{damping:g}", f"{touches}", f"{ok}", f"{fused}", f"{unexplained} of {n}"])
+    print_table(f"{MOVES} moves of {1e3 * DISTANCE:.0f} mm of a free probe, {len(SEEDS)} times",
                 ["move", "damping", "false touches", "false ok rows", "false fused", "in_motion rows"],
                 rows)  # fmt: skip
+
+
+# Touches of drawn probes ----------------------------------------------------------------------------------------------
+
+KNOTS = 9  #: Of the path of a base that touches; places and wrenches between them are cubic splines.
+AWAY = 0.04  #: Length of the straight approach [m].
+BEFORE = 0.05  #: Time before the stop at which a position of the moving base counts [s].
+DRAWS = 60  #: Probes drawn for each row.
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A touch of the world's origin by a probe that its model does not know exactly, while the base moves on."""
+
+    true: Array  #: true, stated: positions of the base, and as the robot states them [m], (KNOTS, 3).
+    stated: Array
+    wrench: Array  #: quasi-static, at the base [N, N·m], (KNOTS, 6); the first one is that of the free probe.
+    s: float  #: arclength in the middle [m].
+
+
+def drawn_contacts(model: ProbeModel, n: int, start: float, slide: float, newtons: float, seed: int) -> list[Contact]:
+    """Draw probes, mounts, sensors and friction from their priors, and touch with each.
+
+    Args:
+        model: as designed.
+        n: number of probes.
+        start, slide: place where the touch begins, and how far it slides to one end, over the length.
+        newtons: normal force at the end; it grows in proportion to the slide.
+        seed: of the draws.
+    """
+    rng = np.random.default_rng(seed)
+    perturbations = Perturbations.of(model, PriorStds.of(model), KNOTS)
+    z, slots = perturbations.draw(n, rng), perturbations.slots
+    z[:, slots["drift"]] = 0.0  # the bias walks during the run instead
+    z[:, slots["stiffness scatter"]] = z[:, slots["stiffness scatter"]][:, :1]  # it is one touch
+    samples = perturbations.samples(z)
+    free, phi, ratios = samples.free_wrench(), rng.uniform(-math.pi, math.pi, n), rng.normal(size=(n, 2))
+    push = np.column_stack([np.ones(n), model.friction * ratios])
+    towards = np.sign(ratios[:, 1])  # the object pulls the place along
+    true, wrenches, ok = np.empty((n, KNOTS, 3)), np.empty((n, KNOTS, 6)), np.ones(n, dtype=bool)
+    for k, share in enumerate(np.linspace(0.0, 1.0, KNOTS)):
+        s = (start + share * slide * towards) * samples.probes.length
+        touch = solve(samples.at_touch(k), samples.gravity, s, phi, share * newtons * push, axes="surface", loads=3)
+        reading = evaluate_readings(samples, z, touch, free, k, columns=False)
+        yielded = samples.compliance[:, None] * np.einsum("nij,nj->ni", samples.R, touch.force)
+        true[:, k], wrenches[:, k], ok = -reading.point - yielded, reading.wrench, ok & touch.ok
+    middle = (start + 0.5 * slide * towards) * model.rod.length
+    return [Contact(true[i], true[i] - samples.robot[i], wrenches[i], float(middle[i])) for i in np.flatnonzero(ok)]
+
+
+@dataclass(frozen=True)
+class Located:
+    """Fused points of a touch in motion."""
+
+    #: errors [m], and whether they are within the ellipsoid: `BEFORE` the stop, at the first reading after it from
+    #: which positions are given throughout, and after four seconds; None without a position.
+    moving: tuple[float, bool] | None
+    first: tuple[float, bool] | None
+    rest: tuple[float, bool] | None
+    after: float  #: time of the first one after the stop [s]; NaN if there is none.
+
+
+def contact_outcome(model: ProbeModel, contact: Contact, speed: float, damping: float, seed: int) -> Located:
+    """Approach straight on at a speed [m/s], touch, stop with 2 m/s² at the last knot, and return the outcome."""
+    rng, knots = np.random.default_rng(seed), np.linspace(0.0, 1.0, KNOTS)
+    true, stated, quasi_static = (CubicSpline(knots, x) for x in (contact.true, contact.stated, contact.wrench))
+    fine = np.linspace(0.0, 1.0, 401)
+    arclength = CubicSpline(fine, np.linalg.norm(true(fine, 1), axis=1)).antiderivative()(fine)
+    share = CubicSpline(arclength, fine)
+    distance = AWAY + float(arclength[-1])
+    stop, towards = distance / speed + speed / 2.0, true(0.0, 1) / np.linalg.norm(true(0.0, 1))
+    t = np.arange(int((TARE.end + 1.0 + stop + 4.0) * SAMPLES_HZ)) / SAMPLES_HZ - TARE.end - 1.0
+    travel = distance * trapezoid(speed, 2.0, distance)(t) - AWAY
+    at, before = share(np.clip(travel, 0.0, arclength[-1])), np.minimum(travel, 0.0)[:, None] * towards
+    hit = int(np.argmax(travel > 0.0))
+    read = base_readings(model, true(at) + before, quasi_static(at), damping, rng, (hit, contact.s))
+    walk = WALK_STEPS / math.sqrt(SAMPLES_HZ) * np.cumsum(rng.standard_normal(read.shape), axis=0)
+    read += model.noise.std * math.sqrt(model.averaging_samples) * walk
+    updates, _ = run_chain(model, stated(at) + before, read, rng)
+    end, moving, rows = TARE.end + 1.0 + stop, None, list[tuple[float, tuple[float, bool]]]()
+    for update in updates:
+        fused, since, row = update.fused, update.reading.time - end, None
+        if fused is not None and fused.ok:
+            error = fused.p_surface_world
+            row = float(np.linalg.norm(error)), nees(error, fused.cov_surface_world, 1e-5) <= CHI2_95
+        if since < -BEFORE:
+            moving = row
+        elif row is None or since < 0.0:
+            rows.clear()
+        else:
+            rows.append((since, row))
+    if not rows:
+        return Located(moving, None, None, math.nan)
+    return Located(moving, rows[0][1], rows[-1][1], rows[0][0])
+
+
+def _cells(found: list[tuple[float, bool] | None], others: list[tuple[float, bool] | None]) -> list[str]:
+    """Return the number of positions, their RMS error, that over another one of the same draws, and those in 95 %."""
+    both = [(a, b) for a, b in zip(found, others, strict=True) if a is not None and b is not None]
+    if not both:
+        return ["0", "", "", ""]
+    rms, other = (math.sqrt(sum(x[0] ** 2 for x in pair) / len(both)) for pair in zip(*both, strict=True))
+    inside = sum(a[1] for a, _ in both) / len(both)
+    return [f"{len(both)} of {len(found)}", f"{1e3 * rms:.2f} mm", f"{rms / other:.2f}", f"{100.0 * inside:.0f} %"]
+
+
+def report_contacts(model: ProbeModel, draws: int = DRAWS, seed: int = 1) -> None:
+    """Print the table of touches by probes that are drawn."""
     rows = []
-    for damping in DAMPINGS:
-        for speed in (0.02, 0.05, 0.1):
-            found = [press_outcome(model, speed, damping, seed) for seed in range(SEEDS)]
-            rms = [math.sqrt(sum(e**2 for e in errors) / SEEDS) for errors in
-                   ([p.error for p in found], [p.error_at_rest for p in found])]  # fmt: skip
-            first = sorted(p.first for p in found)
-            rows.append([f"{1e3 * speed:.0f} mm/s", f"{damping:g}", f"{first[SEEDS // 2]:.2f} to {first[-1]:.2f} s",
-                         f"{1e3 * rms[0]:.2f} mm", f"{1e3 * rms[1]:.2f} mm"])  # fmt: skip
-    print_table(f"An edge at 0.6 L is hit and pressed, {SEEDS} draws of the noise",
-                ["speed", "damping", "located after the stop, median to largest", "RMS error there", "after 4 s more"],
+    for name, speed, slide in (("dragged by 30 mm", 0.02, 0.2), ("pressed", 0.02, 0.0),
+                               ("pressed", 0.05, 0.0), ("pressed", 0.1, 0.0)):  # fmt: skip
+        contacts = drawn_contacts(model, draws, 0.7, slide, 15e-3, seed)
+        for damping in DAMPINGS:
+            found = [contact_outcome(model, c, speed, damping, seed + i) for i, c in enumerate(contacts)]
+            rest = [x.rest for x in found]
+            after = sorted(x.after for x in found)
+            rows.append([f"{name}, {1e3 * speed:.0f} mm/s", f"{damping:g}", *_cells([x.moving for x in found], rest),
+                         f"{after[len(after) // 2]:.2f} to {after[int(0.95 * len(after))]:.2f} s",
+                         *_cells([x.first for x in found], rest), *_cells(rest, rest)[1::2]])  # fmt: skip
+    columns = ["positions", "RMS error", "over rest", "in 95 %"]
+    print_table(f"Touches at 0.7 L up to 15 mN, {draws} drawn probes: moving, stopped (median to 95 %), 4 s later",
+                ["touch", "damping", *columns, "after the stop", *columns, "RMS error", "in 95 %"], rows)  # fmt: skip
+
+
+def report(only: str | None = None) -> None:
+    """Print the tables.
+
+    Args:
+        only: "payload", "moves" or "touches" prints that table alone.
+    """
+    model, rows = paper_models()["large"], []
+    for name, part in {"payload": report_payload, "touches": report_contacts, "moves": report_moves}.items():
+        if only == name:
+            part(model)
+            return
+    for name, drift in DRIFTS.items():
+        o = drift_outcome(model, drift)
+        rows.append([name, f"{o.located} of {TOUCHES}", f"{o.inside}", f"{3.0 * o.false_touches:g}", f"{o.false_ok}",
+                     f"{o.warming}"])  # fmt: skip
+    print_table("Twenty minutes with one tare, single touches of 5 to 25 mN",
+                ["bias", "located", "in 95 %", "false touches an hour", "false ok rows", "warming_up rows"],
                 rows)  # fmt: skip
+    report_payload(model)
+    report_moves(model)
+    report_contacts(model)
