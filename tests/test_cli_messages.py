@@ -42,6 +42,8 @@ sweep designs/a.toml --vary probe.length_mm=100,120
 sweep designs/a.toml --vary probe.length_mm=100,120 --workers 0
 optimize designs/a.toml --at 0.8 --touches 1 --over length
 optimize designs/a.toml --at 0.8 --touches 1 --over length
+advise soft --force-mN 1 --reach-mm 40 --points down
+advise soft --force-mN 1 --reach-mm 40
 deploy designs/a.toml
 deploy designs/a.toml --out designs/a.toml
 twin designs/a.toml

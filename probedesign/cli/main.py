@@ -24,6 +24,7 @@ COMMANDS = {
         "compare": "Compare several designs in a table and on a page.",
         "sweep": "Evaluate a grid of designs, on this machine or on a cluster.",
         "optimize": "Optimize the shape of a probe for a task.",
+        "advise": "Find a design for an object: the force that it bears, its stiffness and reach.",
     },
     "Make": {
         "export": "Write the parts to print: STL, STEP, 3MF and their manifest.",
@@ -52,9 +53,9 @@ COMMANDS = {
 
 NAMES = tuple(name for commands in COMMANDS.values() for name in commands)  #: Of all commands.
 #: Module and function of a command, where they do not have its name.
-FUNCTIONS = {"check": "export:check", "coupon": "measured:coupon", "deploy": "export:deploy",
-             "sweep": "compare:sweep", "plan": "campaign:plan", "markers": "campaign:markers",
-             "recover": "estimate:recover"}  # fmt: skip
+FUNCTIONS = {"advise": "optimize:advise", "check": "export:check", "coupon": "measured:coupon",
+             "deploy": "export:deploy", "sweep": "compare:sweep", "plan": "campaign:plan",
+             "markers": "campaign:markers", "recover": "estimate:recover"}  # fmt: skip
 
 DEBUG = "PROBEDESIGN_DEBUG"
 #: Prefix of the variables that set options, such as PROBEDESIGN_LIVE_SOURCE for --source of live.

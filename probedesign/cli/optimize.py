@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from probedesign.cli.console import print_columns, print_json, show_progress, write_files
+from probedesign.cli.new import DEFAULT_FLANGE
 from probedesign.cli.options import DesignFile, JsonOutput, TaskOptions
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, check_writable
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
 
 DISTINCT = 3.0  #: Standard deviations between places, as in `distinction`, below which a search is warned about.
 MAX_SHOWN_CASES = 6  #: Cases with a larger error than the start's that are printed.
+MAX_SAG = 0.2  #: Largest sag of an advised design over its reach (assumed).
+#: Further limits of an advised design: touches stay where they are, prints vary (assumed).
+ADVISED = ("slide_mm<=1", "buckling_margin>=2", "print_warnings<=0")
 Over = Literal["cone", "taper", "length", "section", "axis"]
 
 
@@ -82,6 +86,87 @@ def optimize(
     else:
         _print(result.optimum, result.confirmed, result.front)
         print("wrote", ", ".join(map(str, result.files)))
+
+
+def advise(
+    name: str | None = None,
+    /,
+    *,
+    force_mN: Annotated[float, Parameter(name="--force-mN")],
+    reach_mm: float,
+    stiffness_N_m: Annotated[float | None, Parameter(name="--stiffness-N-m")] = None,
+    tip_mm: float | None = None,
+    points: Literal["down", "up", "sideways"] = "sideways",
+    resin: str = "elastic-50a",
+    sensor: str = "nano17",
+    printer: str = "form-3",
+    force: bool = False,
+    as_json: JsonOutput = False,
+) -> None:
+    """Find a design for an object, by a search over diameters and length, and write designs/NAME.toml.
+
+    The largest error of five touches of one point, fused as the base presses on, at 0.4 to 0.9 of the length becomes as
+    small as the limits allow: print without warnings, tip of 2 mm or more, sag of a fifth of the reach, slide along the
+    probe of 1 mm, twice the force before it buckles.
+
+    Args:
+        name: name of the design. Default: composed of force and reach, such as advised-5mN-120mm.
+        force_mN: largest force that the object bears [mN].
+        reach_mm: smallest distance from the base to the tip of the probe as it hangs [mm].
+        stiffness_N_m: stiffness of the object [N/m], such as 20 for a card. Default: unknown, softer than that of hard
+            things.
+        tip_mm: largest diameter at the tip [mm], such as the width of a gap.
+        points: where the probe points as mounted.
+        resin: a known resin.
+        sensor: a known sensor, or one of its calibrations.
+        printer: a known printer.
+        force: replace existing files.
+        as_json: print one JSON document.
+    """
+    from probedesign.design.io import MIN_TIP_D_MM, TIP_RATIO, draft_design, known_sensor
+    from probedesign.mount.flange_adapter import fitting_flanges
+    from probedesign.optimization.constraints import OptimizationProblem, parse_limit
+    from probedesign.optimization.design_space import LENGTH_MM
+
+    for option, value in (("--force-mN", force_mN), ("--reach-mm", reach_mm), ("--stiffness-N-m", stiffness_N_m)):
+        if value is not None and not 0.0 < value < math.inf:
+            raise InputError(f"{option} {value:g} must be positive")
+    if tip_mm is not None and not tip_mm >= MIN_TIP_D_MM:
+        raise InputError(f"--tip-mm {tip_mm:g} is below the {MIN_TIP_D_MM:g} mm that a soft tip needs to be printed")
+    # The start bends under the force by the same fraction of its length as the paper's large probe under 5 mN.
+    base = 12.0 * (force_mN / 5.0 * (reach_mm / 150.0) ** 2) ** 0.25
+    start, _ = draft_design(
+        name or f"advised-{force_mN:g}mN-{reach_mm:g}mm",
+        shape="cone",
+        length_mm=min(round(1.02 * reach_mm, 1), LENGTH_MM[1]),
+        base_d_mm=round(base, 1),
+        tip_d_mm=round(min(max(base / TIP_RATIO, MIN_TIP_D_MM), tip_mm or math.inf), 1),
+        resin=resin,
+        sensor=sensor,
+        robot_flange=next(iter(fitting_flanges(known_sensor(sensor))), DEFAULT_FLANGE),
+        points=points,
+        printer=printer,
+    )
+    if stiffness_N_m is not None:
+        contact = start.contact.model_copy(update={"object_compliance_m_N": 1.0 / stiffness_N_m})
+        start = start.model_copy(update={"contact": contact})
+    limits = [f"reach_mm>={reach_mm}", f"sag_mm<={MAX_SAG * reach_mm}", f"thinnest_mm>={MIN_TIP_D_MM}", *ADVISED]
+    limits += [] if tip_mm is None else [f"thinnest_mm<={tip_mm}"]
+    task = TaskOptions(force_N=[force_mN / 1e3], combine="worst").task()
+    limited = tuple(map(parse_limit, limits))
+    search = OptimizationProblem(start, ("cone", "length"), task, "error-at-force", None, limited)
+    with show_progress() as on_progress:
+        result = _run(search, Path("designs") / f"{start.name}.toml", force, 0, 0, 1, on_progress)
+    if as_json:
+        print_json(result.as_dict())
+        return
+    after = result.optimum.after
+    print(
+        f"Five touches of up to {force_mN:g} mN locate a point within {after.error_mm:.2g} mm RMS or better; at 0.8 of "
+        f"the length one reading of {after.detectable_mN:.2g} mN is felt. Its stiffness is not measured yet."
+    )
+    _print(result.optimum, None, None)
+    print("wrote", ", ".join(map(str, result.files)))
 
 
 def _run(

@@ -139,7 +139,9 @@ class DesignSpace:
     def bounds(self) -> list[tuple[float, float]]:
         """Return the lower and upper bound of each coordinate."""
         intervals = [(max(MIN_DIAMETER_MM, 0.8 * limits.MIN_THICKNESS), MAX_DIAMETER_MM)] * self.controls
-        for name, (low, high) in {"length": LENGTH_MM, "section": RATIO}.items():
+        longest = limits.longest_mm(self.start, flange_of(self.start, self.start.probe.base_d_mm * MM).thickness)
+        length = (LENGTH_MM[0], min(LENGTH_MM[1], math.floor(longest)))  # a longer one is an error of the print check
+        for name, (low, high) in {"length": length, "section": RATIO}.items():
             if name in self.free:
                 intervals.append((low / _UNIT[name], high / _UNIT[name]))
         if "axis" in self.free:

@@ -167,10 +167,10 @@ class ForceContinuation:
         self.touch, self.lin = ahead, lin
         return True
 
-    def shift(self, by_s: float, by_phi: float) -> bool:
-        """Move the touch over the surface by (m, rad) at constant force; return whether there is an equilibrium."""
+    def shift(self, by_s: float) -> bool:
+        """Move the touch along the surface [m] at constant force; return whether there is an equilibrium."""
         step = np.zeros(UNKNOWNS)
-        step[S], step[PHI] = by_s, by_phi
+        step[S] = by_s
         return self.lin is not None and self._try_step(step)
 
     @property
@@ -182,9 +182,10 @@ class ForceContinuation:
 def slide(on: SurfaceRod, s: float, phi: float, forces: Sequence[float]) -> float:
     """Return how far a fixed object slides along the rod while the base presses on along a straight line.
 
-    The base moves against the outward normal of the free rod. Friction, which would shorten the slide, is neglected: to
-    stick, a straight press of a slender probe needs several times the normal force along it, because the surface
-    rotates with the section.
+    The base moves against the outward normal of the free rod. Friction along the rod, which would shorten the slide, is
+    neglected: to stick, a straight press of a slender probe needs several times the normal force along it, because the
+    surface rotates with the section. Around the rod friction holds the object: without it, no round rod could be
+    pressed by more than its radius before the object passes it sideways.
 
     Args:
         on: the rod.
@@ -202,19 +203,20 @@ def slide(on: SurfaceRod, s: float, phi: float, forces: Sequence[float]) -> floa
     begin = float(press.touch[S])
     start = press.lin[POINT : POINT + 3, 0].copy()
     push = press.lin[0:3, BY_TOUCH + NORMAL]
-    across = np.linalg.svd(push[None])[2][1:]
+    along = press.lin[POINT : POINT + 3, BY_TOUCH + S]
+    along = along - (along @ push) / (push @ push) * push
+    along /= np.linalg.norm(along)
     for force in forces:
         if press.increase_to(force) is None:
             return math.inf
         for _ in range(_MAX_ITERATIONS):
             assert press.lin is not None
-            off = across @ (press.lin[POINT : POINT + 3, 0] - start)
-            if np.linalg.norm(off) <= _LATERAL_TOLERANCE * on.rod.length:
+            off = along @ (press.lin[POINT : POINT + 3, 0] - start)
+            if abs(off) <= _LATERAL_TOLERANCE * on.rod.length:
                 break
-            change = np.linalg.solve(across @ press.lin[POINT : POINT + 3, BY_TOUCH : BY_TOUCH + 2], -off)
-            change *= min(1.0, _MAX_SLIDE * on.rod.length / max(abs(float(change[0])), 1e-300))
-            ahead = float(press.touch[S] + change[0])
-            if not 0.0 <= ahead <= on.rod.flank_end or not press.shift(float(change[0]), float(change[1])):
+            newton = -float(off / (along @ press.lin[POINT : POINT + 3, BY_TOUCH + S]))
+            change = float(np.clip(newton, -_MAX_SLIDE * on.rod.length, _MAX_SLIDE * on.rod.length))
+            if not 0.0 <= press.touch[S] + change <= on.rod.flank_end or not press.shift(change):
                 return math.inf
         else:
             return math.inf

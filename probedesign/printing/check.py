@@ -172,6 +172,11 @@ def size_findings(part: str, printer: Printer, width: float, height: float, reme
     ]
 
 
+def longest_mm(design: Design, flange: float) -> float:
+    """Return the largest length of a straight probe that fits upright [mm], for the thickness of its flange [m]."""
+    return (design.printer.build_volume_mm[2] - SUPPORT_HEIGHT) / design.print_.scale_z - flange / MM
+
+
 def probe_findings(geometry: ProbeGeometry) -> list[Finding]:
     """Return the findings on the flexible part above the flange, as drawn."""
     section, part = geometry.cross_section, "probe"
@@ -490,7 +495,7 @@ def check_print(design: Design) -> PrintCheck:
     geometry, scale = mount.geometry, print_scale(design, "probe")
     low, high = np.array(scale) * bounds(geometry) / MM
     width, height = float((high - low)[:2].max()), float(high[2] - low[2])
-    longest = (printer.build_volume_mm[2] - SUPPORT_HEIGHT) / scale[2] - geometry.flange.thickness / MM
+    longest = longest_mm(design, geometry.flange.thickness)
     straight = geometry.axis.is_straight
     remedy = f"the longest probe for a {printer.name} is {int(longest)} mm" if longest > 0 and straight else ""
     findings = [*size_findings("probe", printer, width, height, remedy), *probe_findings(geometry)]

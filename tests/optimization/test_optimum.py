@@ -412,6 +412,13 @@ def test_directions_of_a_task_are_cases_of_its_error(large):
     assert task.combined(together.errors) == pytest.approx(np.sqrt(np.mean(np.square(each))))
 
 
+def test_a_search_over_the_length_ends_at_the_longest_probe_that_the_printer_takes(large):
+    longest = DesignSpace.of(large, ("length",)).bounds[-1][1] * 10.0  # its unit is 10 mm
+    fits = [large.model_copy(update={"probe": large.probe.model_copy(update={"length_mm": length})})
+            for length in (longest, longest + 2.0)]  # fmt: skip
+    assert [check_print(design).fits for design in fits] == [True, False]
+
+
 def curved(design, **axis):
     tables = tables_of(design)
     return tables | {"probe": tables["probe"] | {"axis": "arc", "axis_bend_deg": 60.0, "axis_azimuth_deg": 90.0} | axis}
