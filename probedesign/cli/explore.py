@@ -1,11 +1,23 @@
 """`probedesign explore`: locate touches from a moving base as points of the world."""
 
+import json
 import math
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from probedesign.cli.console import interrupt_on_termination, plural, print_json, print_note, show_progress, write_files
-from probedesign.cli.options import BaseOptions, FrozenProbe, JsonOutput, ReadingOptions, RehearsalOptions, frozen_probe
+from probedesign.cli.options import (
+    BaseOptions,
+    FrozenProbe,
+    JsonOutput,
+    ReadingOptions,
+    RehearsalOptions,
+    SuggestionOptions,
+    frozen_probe,
+)
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, check_writable
 
@@ -16,11 +28,13 @@ if TYPE_CHECKING:
     from probedesign.live.sources.source import Source
     from probedesign.mapping.contact_map import ContactMap
     from probedesign.mapping.explore import Exploration
+    from probedesign.mapping.known_object import KnownObject, ObjectPose
+    from probedesign.mapping.next_touch import Suggestion
     from probedesign.mapping.shapes import Shape
     from probedesign.mapping.touch_point import LocatedTouch
     from probedesign.reports.map_page import MapScene
 
-FILES = ("points.csv", "points.ply", "points.html", "points.svg")
+FILES = ("points.csv", "points.ply", "points.html", "points.svg", "shapes.json")
 ELLIPSOIDS = (
     "The ellipsoids contain the true point with a probability of 95 %, given the stated uncertainty of stiffness, "
     "base, robot and bias. ± is the RMS distance."
@@ -38,6 +52,7 @@ def explore(
     reading: ReadingOptions | None = None,
     base: BaseOptions | None = None,
     rehearsal: RehearsalOptions | None = None,
+    suggestion: SuggestionOptions | None = None,
     as_json: JsonOutput = False,
 ) -> None:
     """Turn touches from a moving base into points of the world with their ellipsoids.
@@ -60,7 +75,6 @@ def explore(
     from probedesign import pipeline
     from probedesign.live.sources.replay import ReplaySource, check_readable
     from probedesign.mapping.explore import LoadedRecording, joint_map, parse_min_separation
-    from probedesign.mapping.shapes import ShapeFit, TouchSet, missing
     from probedesign.reports.map_page import MapScene
     from probedesign.simulation import simulated_run
     from probedesign.simulation.scenes import true_outlines
@@ -75,6 +89,7 @@ def explore(
     if manifest is not None and len(bundles) > 1:
         raise InputError("--manifest belongs to one probe; check each probe in a run of its own")
     processing, apart = reading.processing(recording), parse_min_separation(apart_mm)
+    (suggestion := suggestion or SuggestionOptions()).check()
     if out is not None:
         if out.exists() and not out.is_dir():
             raise InputError(f"--out {out} is a file; choose a folder")
@@ -92,17 +107,17 @@ def explore(
             estimator, recording, reading, base, (processing, apart), name if several else ""
         )
     cloud = joint_map(explorations) if several else explorations[name].map()
-    touched = TouchSet.of(cloud)
-    shapes = ShapeFit(touched, max(each.model.friction for each in estimators.values())).shapes()
+    lines, document = _understood(cloud, estimators, explorations, suggestion)
     recorded_from = source.recorded_from if isinstance(source, LoadedRecording | ReplaySource) else ""
     if out is not None:
         probe = ", ".join(f"{name} {each.model.fingerprint}" for name, each in estimators.items())
         notes = [source.title, f"probe {probe}", _summary(cloud), uncertainty]
-        _write(out, MapScene(cloud, true_outlines(recorded_from)), probe, notes)
+        _write(out, MapScene(cloud, true_outlines(recorded_from)), probe, notes, document)
         for each in estimators.values():
             refresh_home(each.model)
-    score = simulated_run.score(cloud, recording, recorded_from)
-    _print(cloud, (shapes, missing(touched, shapes)), out, as_json, score)
+    if score := simulated_run.score(cloud, recording, recorded_from):
+        document["score"] = score
+    _print(cloud, lines, document, out, as_json)
 
 
 def _explored(
@@ -160,35 +175,83 @@ def _open(
         return reading.open(recording, estimator.model, poses, print_note), poses
 
 
-def _write(out: Path, scene: "MapScene", probe: str, notes: list[str]) -> None:
-    """Write table, points, page and picture; `notes` on the origin of the points are for the page."""
+def _write(out: Path, scene: "MapScene", probe: str, notes: list[str], document: dict[str, Any]) -> None:
+    """Write table, points, page, picture and shapes; `notes` on the origin of the points are for the page."""
     from probedesign.mapping.contact_map import map_csv, map_ply
     from probedesign.reports.map_page import map_page, map_svg
 
     origin = f"probedesign explore, probe {probe}"
     contents = (map_csv(scene.contact_map), map_ply(scene.contact_map, origin),
-                map_page(scene, "Points touched", [*notes, ELLIPSOIDS]), map_svg(scene))  # fmt: skip
+                map_page(scene, "Points touched", [*notes, ELLIPSOIDS]), map_svg(scene),
+                json.dumps(document, indent=1).encode())  # fmt: skip
     write_files(out, zip(FILES, contents, strict=True))
 
 
-def _print(cloud: "ContactMap", shapes: "tuple[list[Shape], str]", out: Path | None, as_json: bool, score: str) -> None:
-    """Print one JSON document, or one line per point and per shape and a summary.
+def _understood(
+    cloud: "ContactMap",
+    estimators: "dict[str, Estimator]",
+    explorations: "dict[str, Exploration]",
+    options: SuggestionOptions,
+) -> tuple[list[str], dict[str, Any]]:
+    """Return the shapes, a known object and the next touch as lines and for a JSON document."""
+    from probedesign.mapping.shapes import ShapeFit, TouchSet, missing, shapes_document
 
-    `shapes` are the shapes, and a line with the touches that belong to none.
+    touched, friction = TouchSet.of(cloud), max(each.model.friction for each in estimators.values())
+    shapes, known = ShapeFit(touched, friction).shapes(), options.known(touched, friction)
+    lines = [*(shape.text for shape in shapes), missing(touched, shapes)]
+    document: dict[str, Any] = {"shapes": shapes_document(shapes)}
+    if known is not None:
+        at, lines = known[1], [*lines, known[1].text]
+        document["object"] = {"T_world_object": at.T_world_object.tolist(), "cov": at.cov.tolist(),
+                              "touches": at.touches, "left_out": at.left_out}  # fmt: skip
+    if options.suggest:
+        best = _suggested(options, estimators, explorations, shapes, known)
+        document["suggestion"], lines = best.document, [*lines, *best.lines]
+    return [line for line in lines if line], document
+
+
+def _suggested(
+    options: SuggestionOptions,
+    estimators: "dict[str, Estimator]",
+    explorations: "dict[str, Exploration]",
+    shapes: "list[Shape]",
+    known: "tuple[KnownObject, ObjectPose] | None",
+) -> "Suggestion":
+    """Return the next touch, by the probe that improves the goal most.
+
+    Raises:
+        InputError: the goal has nothing to improve, or no probe reaches a touch that does.
     """
-    from probedesign.mapping.contact_map import map_document, map_lines
-    from probedesign.mapping.shapes import shapes_document
+    from probedesign.mapping.next_touch import suggest
 
-    known, unexplained = shapes
+    problem, best = InputError("--suggest needs a touch with a base at rest"), None
+    for name, estimator in estimators.items():
+        poses = [each.T_world_base for touch in explorations[name].touches for each in touch.segment.intervals]
+        if not poses:
+            continue
+        try:
+            found = suggest(estimator, np.array(poses), explorations[name].gravity_world, options.goal, shapes, known,
+                            1e-3 * options.force_limit_mN)  # fmt: skip
+        except InputError as error:
+            problem = error
+            continue
+        if best is None or found.after < best.after:
+            best = replace(found, probe=name if len(estimators) > 1 else "")
+    if best is None:
+        raise problem
+    return best
+
+
+def _print(cloud: "ContactMap", lines: list[str], document: dict[str, Any], out: Path | None, as_json: bool) -> None:
+    """Print one JSON document, or one line per point, `lines` on the shapes, and a summary."""
+    from probedesign.mapping.contact_map import map_document, map_lines
+
     if as_json:
-        print_json({**map_document(cloud), "shapes": shapes_document(known), **({"score": score} if score else {})})
-        return
-    print("\n".join(map_lines(cloud)) or "no touch")
-    for line in (*(shape.text for shape in known), *([unexplained] if unexplained else [])):
-        print(line)
+        return print_json({**map_document(cloud), **document})
+    print("\n".join([*map_lines(cloud), *lines]) or "no touch")
     print(_summary(cloud) + (f"; wrote {out}/{', '.join(FILES)}" if out is not None else ""))
-    if score:
-        print(score)
+    if "score" in document:
+        print(document["score"])
 
 
 def _summary(cloud: "ContactMap") -> str:

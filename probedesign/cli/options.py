@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from probedesign.live.poses.base_poses import BasePoses
     from probedesign.live.processing.chain import ProcessingOptions
     from probedesign.live.sources.source import Source
+    from probedesign.mapping.known_object import KnownObject, ObjectPose
+    from probedesign.mapping.shapes import TouchSet
     from probedesign.mapping.touch_point import BasePoseUncertainty
     from probedesign.optimization.objective import Task
 
@@ -300,3 +302,60 @@ class RehearsalOptions:
             errors = RunErrors.from_priors(model, base, self.friction, self.friction_spread)
             run = simulate_run(model, targets, rng, errors)
             return write_run(run, model, folder, rng, force)
+
+
+@Parameter(name="*")
+@dataclass
+class SuggestionOptions:
+    """A known object and the next touch."""
+
+    suggest: bool = False
+    """Print the touch that is expected to improve the goal most, with the pose of the base."""
+    goal: str = "shapes"
+    """shapes (the one that is known worst), extent (of an edge or another shape) or pose (of --object)."""
+    force_limit_mN: Annotated[float, Parameter(name="--force-limit-mN")] = 4.0
+    """Largest force on the object [mN]; less where an object as soft as the design's prior would yield by 2 mm."""
+    object: Path | None = None
+    """Mesh of the touched object, in mm, closed: STL, OBJ, PLY or what trimesh reads. Its pose is estimated."""
+    object_at: str = ""
+    """First guess of its pose in the world: x,y,z in mm, or x,y,z,qx,qy,qz,qw, as --object-at=-30,0,45."""
+    object_std_mm: float = 10.0
+    """Standard deviation of the first guess of its position, on each axis [mm]."""
+    object_std_deg: float = 10.0
+    """Standard deviation of the first guess of its rotation, about each axis [deg]."""
+
+    def check(self) -> None:
+        """Raise InputError where an option is out of range, before the recording is read."""
+        from probedesign.mapping.known_object import parse_pose
+        from probedesign.mapping.next_touch import GOALS
+
+        if self.goal not in GOALS:
+            raise InputError(f"--goal {self.goal} is unknown; available are {', '.join(GOALS)}")
+        if not 0.1 <= self.force_limit_mN <= 1000.0:
+            raise InputError(f"--force-limit-mN {self.force_limit_mN:g} must lie in 0.1 ... 1000")
+        if (self.object is None) != (not self.object_at):
+            raise InputError("--object and --object-at belong together: the mesh and the first guess of its pose")
+        if self.goal == "pose" and self.object is None:
+            raise InputError("--goal pose needs --object and --object-at")
+        if not (0.0 < self.object_std_mm <= 100.0 and 0.0 < self.object_std_deg <= 60.0):
+            raise InputError("--object-std-mm must lie in 0 ... 100, --object-std-deg in 0 ... 60, both above 0")
+        if self.object is not None:
+            parse_pose(self.object_at)
+            if not self.object.is_file():
+                raise InputError(f"--object {self.object}: no such file")
+
+    def known(self, touches: "TouchSet", friction: float) -> "tuple[KnownObject, ObjectPose] | None":
+        """Return the known object with its pose by touches, None where no mesh is given.
+
+        Raises:
+            InputError: the mesh cannot be read, is not closed, or trimesh is missing.
+        """
+        if self.object is None:
+            return None
+        from probedesign.mapping.known_object import KnownObject, ObjectPose, locate_object, parse_pose
+
+        known = KnownObject.load(self.object)
+        guess = ObjectPose.prior(
+            parse_pose(self.object_at), 1e-3 * self.object_std_mm, math.radians(self.object_std_deg)
+        )
+        return known, locate_object(touches, known, guess, friction)

@@ -123,6 +123,7 @@ class Exploration:
     priors: Tolerances | None = None  #: standard deviations of the error sources; those of the estimator if None.
     min_separation: float = MIN_SEPARATION  #: as in `build_map` [m].
     touches: list[LocatedTouch] = field(default_factory=list)  #: touches so far, in order of time.
+    gravity_world: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))  #: of the run [m/s²], (3,).
     n_readings: int = 0  #: number of readings.
     n_without_pose: int = 0  #: number of readings without a pose.
     _low: Array = field(default_factory=lambda: np.full(3, np.inf))
@@ -141,7 +142,7 @@ class Exploration:
         Raises:
             InputError: the tare window is invalid, or the source fails.
         """
-        segmenter = TouchSegmenter()
+        segmenter, self.gravity_world = TouchSegmenter(), poses.gravity_world
         try:
             with closing(estimate_stream(self.estimator, source, options, log, sink, None, poses)) as updates:
                 for update in updates:

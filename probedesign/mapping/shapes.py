@@ -43,6 +43,7 @@ EXTENTS = (2e-3, 0.5)  #: Smallest and largest extent of a shape [m], log-unifor
 CORNER_CONE, TIP_CONE = math.acos(0.75), 0.5 * math.pi
 TIP_CONTACT = 1e-3  #: Standard deviation of the contact of a tip with a plane along the probe [m]; assumed.
 SHARE_ACROSS = 0.9  #: Share of touches of an edge by the side of the probe; assumed. Their normal is across both.
+FORCE_NOISE = 0.1  #: Standard deviation of the direction of a force by the sensor's noise [rad]: 0.5 mN of 5 mN.
 MIN_ODDS = math.log(20.0)  #: Logarithm of the least odds of a shape against separate touches.
 SEEDS = 150  #: Number of random sets of touches from which each kind of shape is begun.
 ROUNDS = 6  #: Largest number of fits in which the set of touches of a shape settles.
@@ -65,6 +66,9 @@ KINDS = {
     "sphere": Kind((0, 1, 2, 5), 2, 5, 4),
     "cylinder": Kind((0, 1, 3, 4, 5), 2, 6, 5),
 }
+
+
+FLAT = ("plane", "edge", "corner", "tip")  #: Kinds without a radius.
 
 
 @dataclass(frozen=True)
@@ -126,6 +130,7 @@ class Shape:
     #: range of the touched places [m], (extents, 2): along u and v, along w of an edge, along w and around a cylinder.
     extent: Array = field(default_factory=lambda: np.zeros((0, 2)))
     touches: tuple[str, ...] = ()  #: labels of the touches that support it.
+    forces: Array = field(default_factory=lambda: np.zeros((0, 3)))  #: directions of their forces, (n, 3).
     odds: float = 0.0  #: logarithm of the odds against touches without a shape.
     probabilities: dict[str, float] = field(default_factory=dict)  #: of each kind, for its touches.
 
@@ -168,9 +173,14 @@ class Shape:
             return flat
         return np.asarray(local[:, {"plane": [0, 1], "edge": [2]}.get(self.kind, [])])
 
+    def local(self, x: Array) -> Array:
+        """Return where a point (3,) lies along the axes in which a plane or an edge extends [m], (extents,)."""
+        local = (x - self.p) @ self.frame
+        return np.asarray(local[:2] if self.kind == "plane" else local[2:])
+
     def cov_at(self, x: Array) -> Array:
         """Return the covariance of the shape's points next to points (n, 3), across the shape alone [m²], (n, k, k)."""
-        J = _by_parameters(self, x)
+        J = by_parameters(self, x)
         return np.asarray(J @ self.cov @ J.transpose(0, 2, 1))
 
     @property
@@ -218,7 +228,7 @@ def _mm(p: Array) -> str:
     return f"({', '.join(f'{part / MM:z.2f}' for part in p)})"
 
 
-def _by_parameters(shape: Shape, x: Array) -> Array:
+def by_parameters(shape: Shape, x: Array) -> Array:
     """Return the derivative of the distances of points by the six parameters, (n, k, 6), by central differences."""
     J = np.zeros((*shape.distances(x)[0].shape, 6))
     for i in KINDS[shape.kind].free:
@@ -268,7 +278,7 @@ class ShapeFit:
 
     def _std(self, shape: Shape, which: TouchSet) -> Array:
         """Return the standard deviation of the angle between force and normal about each axis [rad], (n,)."""
-        variance = np.full(len(which), 0.5 * self.friction**2 + 0.1**2)  # 0.1 rad: noise of a force of 5 mN
+        variance = np.full(len(which), 0.5 * self.friction**2 + FORCE_NOISE**2)
         if shape.radius:
             variance += np.trace(which.own_cov, axis1=1, axis2=2) / 3.0 / shape.radius**2
         return np.asarray(np.sqrt(np.minimum(variance, 1.0)))
@@ -311,7 +321,7 @@ class ShapeFit:
         cov[np.ix_(free, free)] = np.linalg.inv(H)
         places = shape.places(which.p)
         extent = np.stack([places.min(axis=0), places.max(axis=0)], axis=1)
-        shape = replace(shape, cov=cov, extent=extent, touches=which.labels)
+        shape = replace(shape, cov=cov, extent=extent, touches=which.labels, forces=which.force)
         return replace(shape, odds=self._log_evidence(shape, which, H) - float(_log_without(which).sum()))
 
     def _framed(self, shape: Shape, which: TouchSet) -> Shape:
@@ -377,20 +387,29 @@ class ShapeFit:
         return shape
 
     def shapes(self, seed: int = 1) -> list[Shape]:
-        """Return the shapes of the touches, the most certain first; touches that no shape explains are left."""
-        rng, left, shapes = np.random.default_rng(seed), np.arange(len(self.touches)), list[Shape]()
-        while len(left) >= min(kind.fewest for kind in KINDS.values()):
-            which = self.touches.subset(left)
-            candidates = [self.best_of(kind, which, rng, False) for kind in KINDS]
-            best = max((shape for shape in candidates if shape is not None), key=lambda shape: shape.odds, default=None)
-            if best is None or best.odds < MIN_ODDS:
-                break
-            shape = self.of_one(self._indices(best), rng)
-            if shape is None or shape.odds < MIN_ODDS:
-                break
-            shapes.append(shape)
-            left = np.setdiff1d(left, self._indices(shape))
-        return shapes
+        """Return the shapes of the touches, the most certain first; touches that no shape explains are left.
+
+        One shape after the other takes the touches that it explains. A large round shape may take touches of several
+        edges, so the search is repeated without round shapes, and the sum of the odds decides.
+        """
+        rng, known = np.random.default_rng(seed), dict[tuple[str, bytes], Shape | None]()
+        partitions = []
+        for kinds in (tuple(KINDS), (*FLAT, "sphere"), FLAT):
+            left, shapes = np.arange(len(self.touches)), list[Shape]()
+            while len(left) >= min(KINDS[kind].fewest for kind in kinds):
+                for kind in kinds:
+                    if (kind, left.tobytes()) not in known:
+                        known[kind, left.tobytes()] = self.best_of(kind, self.touches.subset(left), rng, False)
+                candidates = [shape for kind in kinds if (shape := known[kind, left.tobytes()]) is not None]
+                best = max(candidates, key=lambda shape: shape.odds, default=None)
+                if best is None or best.odds < MIN_ODDS:
+                    break
+                shapes.append(best)
+                left = np.setdiff1d(left, self._indices(best))
+            partitions.append(shapes)
+        best_partition = max(partitions, key=lambda shapes: sum(shape.odds for shape in shapes))
+        judged = (self.of_one(self._indices(shape), rng) for shape in best_partition)
+        return [shape for shape in judged if shape is not None and shape.odds >= MIN_ODDS]
 
     def of_one(self, indices: NDArray[np.intp], rng: np.random.Generator) -> Shape | None:
         """Return the most probable shape that all of some touches support, with the probability of each kind."""
