@@ -436,15 +436,16 @@ class Fusion:
         of the touched point at rest and now and of the centreline point [m²], (3, 3, 3).
 
         The points that explain the readings lie on a curve x + a δ + b δ² + c δ³, far narrower than it is bowed. Its
-        mean square about x, for a standard normal δ, is a aᵀ + 3 (a cᵀ + c aᵀ) + 3 b bᵀ + 15 c cᵀ. The fusion is solved
-        again with the point constrained at δ = ±√3, where the misfit has risen by about three. One pose leaves the
-        point as uncertain as a single reading does, and its curve is that of the single estimate.
+        mean square about x, for a standard normal δ, is a aᵀ + 3 (a cᵀ + c aᵀ) + 3 b bᵀ + 15 c cᵀ; the bows of two
+        directions, b₁ δ₁² + b₂ δ₂², have b₁ b₂ᵀ + b₂ b₁ᵀ more. The fusion is solved again with the point constrained at
+        δ = ±√3, where the misfit has risen by about three. One pose leaves the point as uncertain as a single reading
+        does, and its curve is that of the single estimate.
         """
         if self.one_pose:
             surface, centre = self._single_curvature()
             return np.array([surface, surface, centre])
         variances, axes = np.linalg.eigh(best.cov)
-        added = np.zeros((3, 3))
+        added, bowed = np.zeros((3, 3)), np.zeros(3)
         for variance, axis in zip(variances[:0:-1], axes.T[:0:-1], strict=True):
             std = math.sqrt(max(float(variance), 0.0))
             if not std > 0.0:
@@ -458,11 +459,11 @@ class Fusion:
             if not bows:
                 continue
             # With one side alone the cubic term is taken for zero.
-            b = sum((bow for _, bow in bows), np.zeros(3)) / (3.0 * len(bows))
-            c = sum((side * bow for side, bow in bows), np.zeros(3)) / 18.0 if len(bows) == 2 else np.zeros(3)
-            ac = np.outer(a, c)
-            added += 3.0 * (ac + ac.T) + 3.0 * TAIL * np.outer(b, b) + 15.0 * np.outer(c, c)
-        return np.array([added, added, added])
+            b = np.sum([bow for _, bow in bows], axis=0) / (3.0 * len(bows))
+            ac = np.outer(a, c := np.sum([side * bow for side, bow in bows], axis=0) / 18.0 * (len(bows) == 2))
+            added += 3.0 * (ac + ac.T) + 2.0 * TAIL * np.outer(b, b) + 15.0 * np.outer(c, c)
+            bowed += b
+        return np.array(3 * [added + TAIL * np.outer(bowed, bowed)])
 
     def _constrained(self, best: Solution, axis: Array, offset: float, compliance: float) -> Solution | None:
         """Return the solution with the point constrained at an offset along an axis [m], or further until the misfit

@@ -24,6 +24,7 @@ from probedesign.rod.kernels.linalg import (
     dot,
     factor,
     invert_lower,
+    minus,
     plus,
     principal_axis,
     put3,
@@ -258,9 +259,9 @@ NODE = math.sqrt(3.0)
 #: Sagitta of the valley, over the smallest standard deviation of the point, that a linear covariance may neglect.
 FLAT_ENOUGH = 0.2
 #: Factor on the mean square of what bows. b δ² has the long tail of a χ² with one degree of freedom: with its mean
-#: square alone the 95 % ellipsoid of a bow much wider than the rest holds 92 %, with twice that 94.6 % (the integral of
-#: the standard normal over δ² + δ⁴/(3 TAIL) + χ²₁ <= χ²₃(95 %)).
-TAIL = 2.0
+#: square alone the 95 % ellipsoid of a bow much wider than the rest holds 92 %, with 2.32 times that 95 % (the integral
+#: of the standard normal over δ² + δ⁴/(3 TAIL) + χ²₁ <= χ²₃(95 %)).
+TAIL = 2.32
 #: Curvature of the valley times the length, at most: a probe bent to a quarter of a circle over its outer fifth.
 MAX_CURVATURE = 8.0
 #: Standard deviation of the point, over the length, from which the curve is evaluated on both sides; where it is less,
@@ -392,14 +393,18 @@ def _offsets_beside(measured, whiten, tol, touch, lin, chi2, valley, side, memor
 
 @inner
 def _add_turn_around(lin, left, cov):
-    """Add to the covariance of the touched point, (3, 3), the bow of its angle ψ varying by √left beside the valley."""
-    # Mean square of ρ δψ²/2 for a normal δψ: 3/4 of its variance squared; a whole turn has a mean square of 3/2.
-    bow = TAIL * min(0.75 * left * left, 1.5)
+    """Add to the covariance of the touched point, (3, 3), the bow of its angle ψ varying by √left beside the valley.
+
+    Returns:
+        The bow for an angle one standard deviation off [m], (3,).
+    """
+    # ρ δψ²/2 has the mean square 3 bow²; a whole turn has one of 3/2 ρ².
+    outward = minus(take3(lin, POINT, VALUE), take3(lin, CENTRE, VALUE))
+    bow = times(-0.5 * min(left, math.sqrt(2.0)), outward)
     for i in range(3):
         for j in range(3):
-            e_i = lin[POINT + i, VALUE] - lin[CENTRE + i, VALUE]
-            e_j = lin[POINT + j, VALUE] - lin[CENTRE + j, VALUE]
-            cov[i, j] += bow * e_i * e_j
+            cov[i, j] += 3.0 * TAIL * bow[i] * bow[j]
+    return bow
 
 
 @inner
@@ -408,7 +413,8 @@ def add_curvature(measured, whiten, tol, touch, lin, J, memory, work, fit):
 
     The touches that explain a reading lie on a curve x + a δ + b δ² + c δ³ far narrower than it is bowed; its mean
     square about x is a aᵀ + 3 (a cᵀ + c aᵀ) + 3 b bᵀ + 15 c cᵀ for a standard normal δ. It is evaluated √3 standard
-    deviations to either side. Around the section, ρ = r (cos ψ, f sin ψ) bows by ρ δψ²/2, dψ/dφ = f/g².
+    deviations to either side. Around the section, ρ = r (cos ψ, f sin ψ) bows by ρ δψ²/2, dψ/dφ = f/g²; to one side
+    with b, both together have b βᵀ + β bᵀ more, where β is that bow for one standard deviation.
 
     Args:
         measured: what the touch is fitted to; whiten: of the reading, (6, 6); tol: of sweeps [rad].
@@ -417,7 +423,7 @@ def add_curvature(measured, whiten, tol, touch, lin, J, memory, work, fit):
         fit: `multistart.FIT`, added to.
     """
     of_point, of_centre, offsets, body = work.valley[0], work.valley[1], work.offsets, measured.body
-    C, evaluated = fit.cov_touch, 0
+    C, evaluated, around = fit.cov_touch, 0, (0.0, 0.0, 0.0)
     at = outline_at(body, 0.0, touch[PHI])
     by_phi = body.constants[FLATNESS] / (at.reach * at.reach)
     for point in range(2):
@@ -430,7 +436,7 @@ def add_curvature(measured, whiten, tol, touch, lin, J, memory, work, fit):
         std, thin = math.sqrt(variance), math.sqrt(smallest_variance(cov))
         if point == 0:
             left = max(C[PHI, PHI] - change[PHI] * change[PHI], 0.0)
-            _add_turn_around(lin, by_phi * by_phi * left, cov)
+            around = _add_turn_around(lin, by_phi * by_phi * left, cov)
         curvature = MAX_CURVATURE / body.knots[-1] + abs(change[PHI]) / std
         checked = point == 0 and is_curved(body)
         if 0.5 * variance * curvature < FLAT_ENOUGH * thin and not checked:
@@ -452,12 +458,14 @@ def add_curvature(measured, whiten, tol, touch, lin, J, memory, work, fit):
         if evaluated:
             # The side that was not evaluated counts as the other one.
             low, high = int(evaluated == 2), int(evaluated != 1)
-            _add_bow(lin, row, change, offsets[low, 3 * point :], offsets[high, 3 * point :], cov)
+            beside = around if point == 0 else (0.0, 0.0, 0.0)
+            _add_bow(lin, row, change, offsets[low, 3 * point :], offsets[high, 3 * point :], beside, cov)
 
 
 @inner
-def _add_bow(lin, row, v, low, high, cov):
-    """Add to a covariance, (3, 3), how far a point is off the straight valley on its two sides, low and high (3,).
+def _add_bow(lin, row, v, low, high, beside, cov):
+    """Add to a covariance, (3, 3), how far a point is off the straight valley on its two sides, low and high (3,), and
+    the product with its bow beside the valley, of an independent standard deviation.
 
     Error sources that move point and touch against each other may leave the point less uncertain than a, its change
     along the valley: a is then shortened to one standard deviation, so that cov - a aᵀ, and with it the sum, stays
@@ -473,7 +481,8 @@ def _add_bow(lin, row, v, low, high, cov):
     c = times(1.0 / (6.0 * NODE), (high[0] - low[0], high[1] - low[1], high[2] - low[2]))
     for i in range(3):
         for j in range(3):
-            cov[i, j] += 3.0 * (a[i] * c[j] + c[i] * a[j]) + 3.0 * TAIL * b[i] * b[j] + 15.0 * c[i] * c[j]
+            cov[i, j] += 3.0 * (a[i] * c[j] + c[i] * a[j]) + 15.0 * c[i] * c[j]
+            cov[i, j] += TAIL * (3.0 * b[i] * b[j] + b[i] * beside[j] + beside[i] * b[j])
 
 
 @kernel
