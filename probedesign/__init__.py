@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from probedesign.prediction.predict import Prediction, predict, predict_touch
     from probedesign.probe import Probe, build_probe
     from probedesign.rod.batch import solve_batch
-    from probedesign.rod.contact import solve_frictionless
+    from probedesign.rod.contact import press_poses, solve_frictionless
     from probedesign.rod.equilibrium import Equilibrium
     from probedesign.rod.friction import CoulombSolver, press_against_line, press_against_point
     from probedesign.rod.rod import Rod
@@ -66,7 +66,7 @@ _MODULES = {
     "prediction.predict": ("Prediction", "predict", "predict_touch"),
     "probe": ("Probe", "build_probe"),
     "rod.batch": ("solve_batch",),
-    "rod.contact": ("solve_frictionless",),
+    "rod.contact": ("press_poses", "solve_frictionless"),
     "rod.equilibrium": ("Equilibrium",),
     "rod.friction": ("CoulombSolver", "press_against_line", "press_against_point"),
     "rod.rod": ("Rod",),
@@ -82,7 +82,8 @@ __all__ = [
     "FusedEstimate", "Identification", "InputError", "Noise", "Prediction", "PressSchedule", "Priors", "Probe",
     "Resin", "Rod", "Sensor", "Tolerances", "Tracker", "ValidationReport", "build_probe", "check_design", "data_of",
     "identify", "load_design", "load_estimator", "new", "parse_design", "predict", "predict_touch",
-    "press_against_line", "press_against_point", "read_campaign", "solve_batch", "solve_frictionless", "validate",
+    "press_against_line", "press_against_point", "press_poses", "read_campaign", "solve_batch", "solve_frictionless",
+    "validate",
 ]  # fmt: skip
 
 

@@ -7,12 +7,14 @@ counterpart that is linearised from one sweep (`rod.kernels.surface_contact`); s
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON
 from probedesign.rod.equilibrium import Equilibrium, Sensitivity
@@ -229,6 +231,45 @@ def solve_surface_force(
     solved = _solve_following(rod, np.asarray(gravity, dtype=float), s, unit, normal_force, mode)
     point = solved.equilibrium.p_contact_base + solved.axes @ arm
     return SurfaceForce(solved.result, solved.equilibrium, solved.load[0:3], np.asarray(point))
+
+
+def press_poses(
+    rod: Rod,
+    gravity: ArrayLike,
+    s: float,
+    angle: float,
+    normal_forces: Sequence[float],
+    point: ArrayLike = (0.0, 0.0, 0.0),
+    object_compliance: float = 0.0,
+) -> tuple[Array, Array]:
+    """Return where the base stands while it presses on one point of an object, and what a reading is there.
+
+    The base keeps its axes, those of the world, and the probe touches without friction: x_base = x - c F - p(F), with x
+    the point at rest, F the force on the probe, p the touched point in base axes. With c > 0 the object yields.
+
+    Args:
+        rod: the rod.
+        gravity: in base axes [m/s²], (3,).
+        s: arclength of the touched point [m].
+        angle: of the outward normal about the tangent, from the section's x axis [rad].
+        normal_forces: [N], (n,).
+        point: of the object at rest, in world axes [m], (3,).
+        object_compliance: c [m/N].
+
+    Returns:
+        Wrenches at the base [N, N·m], (n, 6), and poses of the base in the world, (n, 4, 4).
+
+    Raises:
+        InputError: the probe buckles before it pushes so hard.
+    """
+    wrenches, poses = np.zeros((len(normal_forces), 6)), np.tile(np.eye(4), (len(normal_forces), 1, 1))
+    for k, force in enumerate(normal_forces):
+        touch = solve_surface_force(rod, gravity, s, angle, force)
+        if touch.result != "ok":
+            raise InputError(f"the probe has no equilibrium under {1e3 * force:g} mN at s = {1e3 * s:g} mm")
+        wrenches[k] = touch.equilibrium.wrench_base
+        poses[k, :3, 3] = np.asarray(point) - object_compliance * touch.force_base - touch.p_surface_base
+    return wrenches, poses
 
 
 def line_of_action(rod: Rod, eq: Equilibrium, p_surface: ArrayLike) -> float:

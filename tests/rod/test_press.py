@@ -8,7 +8,7 @@ import pytest
 from rods import CONE, CYLINDER, ELLIPTIC, PROFILE, ROOTED_CONE, approach, surface_point
 
 from probedesign.core.errors import InputError
-from probedesign.rod.contact import line_of_action, solve_frictionless
+from probedesign.rod.contact import line_of_action, press_poses, solve_frictionless
 from probedesign.rod.friction import press_against_line, press_against_point
 from probedesign.rod.rod import Rod
 
@@ -192,3 +192,17 @@ def test_an_unstable_free_rod_has_nothing_to_press():
     soft = replace(CONE, youngs_modulus=100.0, shear_modulus=33.0)
     press = press_against_point(soft, (0, 0, -9.81), (0.0, 0.0, 0.1), (-1.0, 0, 0))
     assert press.result in ("unstable", "not_converged") and math.isnan(press.s)
+
+
+def test_the_poses_of_a_press_put_the_base_where_the_point_pushes_so_hard():
+    rest, forces, compliance = np.array([0.3, -0.2, 0.1]), np.array([0.002, 0.006]), 0.04
+    s = 0.6 * CONE.length
+    wrenches, poses = press_poses(CONE, GRAVITY, s, -math.pi / 2, forces, rest, compliance)
+    weight = CONE.solve(GRAVITY).wrench_base[:3]
+    for force, wrench, T in zip(forces, wrenches, poses, strict=True):
+        pushed = wrench[:3] - weight  # by the object
+        assert np.linalg.norm(pushed) == pytest.approx(force, rel=1e-6)
+        point = rest - compliance * pushed - T[:3, 3]  # in base axes: those of the world
+        press = press_against_point(CONE, GRAVITY, point, 0.02 * pushed / force, "reference")
+        assert press.s == pytest.approx(s, rel=1e-5)
+        np.testing.assert_allclose(press.equilibrium.wrench_base, wrench, atol=2e-7)  # fast mode: 5e-6 of the weight
