@@ -84,6 +84,28 @@ def as_new_print(tables: dict[str, Any], before: Mapping[str, Any] | None = None
     return {**tables, "probe": as_drawn, "tolerances": kept}
 
 
+def as_assumed(tables: dict[str, Any], before: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the tables of a design, E and G assumed where they were identified on a print of another `[probe]`.
+
+    They keep their values; the tests that served, and what they left unknown, go.
+
+    Args:
+        tables: of the changed design; those whose `[material]` is none are returned unchanged.
+        before: of the former one; tables with its `[probe]` are returned unchanged.
+    """
+    material = tables["material"]
+    given = material.get("provenance") if isinstance(material, dict) else None
+    if not isinstance(given, dict):  # the check of the design refuses it
+        return tables
+    assumed = {k: "assumed" for k in ("youngs_modulus_mpa", "shear_modulus_mpa") if given.get(k) == "identified"}
+    if not assumed or tables["probe"] == before["probe"]:
+        return tables
+    kept = {k: v for k, v in material.items() if k != "identified_tests"} | {"provenance": given | assumed}
+    of_print = ("youngs_modulus", "shear_modulus", "youngs_modulus_by_diameter")
+    tolerances = {k: v for k, v in tables.get("tolerances", {}).items() if k not in of_print}
+    return {**tables, "material": kept, "tolerances": tolerances}
+
+
 @dataclass(frozen=True)
 class Change:
     """A new value of one key of a design file."""

@@ -1,7 +1,8 @@
 """What the studio shows of a design: the numbers and charts of `predict`, and one bent touch.
 
 `preview` takes some tens of milliseconds and follows the sliders: single touches at every second position. `complete`
-adds the other positions, fused touches, the largest force and the workspace, and follows when the hand rests.
+adds the other positions, fused touches, the largest force, the workspace, the natural frequency and the print
+check, and follows when the hand rests.
 """
 
 import itertools
@@ -29,28 +30,35 @@ from probedesign.prediction.predict import (
 )
 from probedesign.printing.check import check_print
 from probedesign.probe import Probe, build_probe
-from probedesign.reports.chart import COLOURS, DASHES, MARKS, ORDERED, Chart, ChartAxis, line_colours
-from probedesign.reports.prediction_charts import LEVELS_MM, LIMITS, budget_chart, direction_chart, error_level
+from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis, line_colours
+from probedesign.reports.prediction_charts import LIMITS, budget_chart, direction_chart
 from probedesign.rod.contact import FrictionlessContact, solve_frictionless, surface_point
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.vibration import natural_frequency
 from probedesign.studio.session import PinnedDesign, StudioTouch
 
 _PLACE = ChartAxis("contact position, fraction of the length", 0.0, 1.02, ticks=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0))
-#: Style of the texts, tables and charts of the page.
-STYLE = """<style>.st table{border-collapse:collapse;font-size:12.5px;width:100%}
-.st .chips{display:flex;flex-wrap:wrap;gap:2px 10px;margin:4px 0;font-size:12px}
-.st .chips i{display:inline-block;width:12px;height:12px;margin-right:4px;vertical-align:-1px}
+#: Style of the page; viser's own is narrower, smaller, and covers a phone's probe with its sheet.
+HEAD = """<style>.st{font:16px/1.5 system-ui,sans-serif;font-variant-numeric:tabular-nums;padding:8px 16px}
+.st table{border-collapse:collapse;width:100%}
+.st td,.st th{text-align:left;padding:4px 8px 4px 0;vertical-align:top;overflow-wrap:anywhere}
+.st svg{width:100%;height:auto;display:block;font-family:system-ui,sans-serif}
+.st svg rect[fill=none]{stroke:#c4ccd4}
+.st th{white-space:nowrap}.st tr>:first-child{width:52%}
+.st .better{color:#1b7f4b}.st .worse{color:#b3261e}
+.st .bad{background:#b3261e;color:#fff;border-radius:8px;padding:8px}
+.st .note{color:light-dark(#4d5761,#a9b2bb);font-size:14px;margin:8px 0}
+.st .status{height:136px;overflow:auto}.st .status .note{font-size:16px;margin:0}
+.st small{display:block;color:light-dark(#4d5761,#a9b2bb);font-size:14px;line-height:1.3}
+.st .button{display:block;margin:8px 0;padding:8px;border:1px solid #8a949e;border-radius:8px;text-align:center;
+text-decoration:none;color:light-dark(#26547c,#8cc4f0)}
 [data-mantine-color-scheme=dark] [role=tab][aria-selected=true]{color:#8cc4f0!important}
 [data-mantine-color-scheme=dark] .st svg{filter:invert(1) hue-rotate(180deg)}
 [data-mantine-color-scheme=dark] .st svg text[style]{fill:var(--dark)}
 [data-mantine-color-scheme=dark] .st .better{color:#6fd39b}[data-mantine-color-scheme=dark] .st .worse{color:#ff9a92}
-.st td,.st th{text-align:left;padding:2px 8px 2px 0;vertical-align:top;font-variant-numeric:tabular-nums}
-.st .better{color:#1b7f4b}.st .worse{color:#b3261e}.st svg{width:100%;height:auto;display:block;background:#fff}
-.st .bad{background:#b3261e;color:#fff;border-radius:6px;padding:6px 10px}
-.st .note{color:light-dark(#5b6570,#a9b2bb);font-size:12px}</style>"""
+</style>"""
+WAITING = "…"  #: Stands for what follows when the hand rests, so that no line moves.
 PREVIEWED = FRACTIONS[1::2]  #: Contact positions that follow a slider, the one of the summary among them.
-NOT_LOCATED = (150, 150, 150)  #: Colour of a part of the probe that is not located.
 
 
 @dataclass(frozen=True)
@@ -66,8 +74,16 @@ class Figure:
     @property
     def text(self) -> str:
         """Return the value with its unit."""
+        if self.note == WAITING:
+            return WAITING
         number = "none" if self.value is None else f"{self.value:.3g} {self.unit}".strip()
         return f"{number} ({self.note})" if self.note else number
+
+    @property
+    def html(self) -> str:
+        """Return the text as HTML, the note on a line of its own."""
+        value, _, note = escape(self.text).removesuffix(")").partition(" (")
+        return f"{value}<small>{note or '&nbsp;'}</small>" if self.note else value
 
 
 @dataclass(frozen=True)
@@ -77,7 +93,7 @@ class DesignFigures:
     probe: Probe  #: the probe.
     #: `predict` of it; without fused touches, force limits and workspace while `complete` is false.
     prediction: Prediction
-    complete: bool  #: whether everything was predicted.
+    complete: bool  #: whether everything was predicted; `frequency` and `findings` are unknown before.
     frequency: float  #: first natural frequency [Hz]; NaN where the weight buckles the probe.
     findings: tuple[str, ...]  #: messages of the print check, errors first.
 
@@ -104,21 +120,22 @@ class DesignFigures:
             Figure("of it noise and friction", touch.noise_error_mm if touch else None, "mm", "of an exact probe"),
             Figure(f"detected at {HEADLINE_FRACTION:g} L", _largest(felt), "mN", "with probability 0.5"),
         ]
-        if self.complete:
-            reach = [r for r in p.reach if r.contact_fraction == HEADLINE_FRACTION]
-            weakest = min(reach, key=lambda r: r.greatest_force_N or 0.0)
-            force = None if weakest.greatest_force_N is None else 1e3 * weakest.greatest_force_N
-            fused = p.fused_headline
-            rows += [
-                Figure(fused.label, fused.predicted_error_mm, "mm", "fused"),
-                Figure(f"largest force at {HEADLINE_FRACTION:g} L", force, "mN", LIMITS[weakest.limit][0], False),
-            ]
+        reach = [r for r in p.reach if r.contact_fraction == HEADLINE_FRACTION]
+        weakest = min(reach, key=lambda r: r.greatest_force_N or 0.0)
+        force = None if weakest.greatest_force_N is None else 1e3 * weakest.greatest_force_N
+        fused = p.fused_headline
+        rows += [
+            Figure(fused.label, fused.predicted_error_mm, "mm", "fused" if self.complete else WAITING),
+            Figure(f"largest force at {HEADLINE_FRACTION:g} L", force, "mN",
+                   LIMITS[weakest.limit][0] if self.complete else WAITING, False),
+        ]  # fmt: skip
         rows += [
             Figure("tip sag", p.tip_sag_mm, "mm", "" if not self.buckles else "it buckles under its own weight"),
             Figure("mass", p.mass_g, "g", "flexible part", None),
             Figure(
                 "first natural frequency",
-                None if math.isnan(self.frequency) else self.frequency, "Hz", "undamped", False,
+                None if math.isnan(self.frequency) else self.frequency, "Hz",
+                "undamped" if self.complete else WAITING, False,
             ),
         ]  # fmt: skip
         return rows
@@ -135,7 +152,7 @@ _MAX_KEPT = 16
 
 
 def preview(probe: Probe, forces_N: tuple[float, ...]) -> DesignFigures:
-    """Return what follows a slider: single touches, sag, mass, frequency, print check.
+    """Return what follows a slider: single touches, sag and mass.
 
     Args:
         probe: of a valid design.
@@ -167,45 +184,19 @@ def _figures(
     only_single: bool,
     on_progress: OnProgress = quiet,
 ) -> DesignFigures:
-    model = probe.model
-    check = check_print(probe.design)
-    return DesignFigures(
-        probe,
-        predict(model, fractions, forces_N, only_single=only_single, on_progress=on_progress),
-        not only_single,
-        natural_frequency(probe.rod, model.gravity_base),
-        tuple(f"{finding.severity}: {finding.message}" for finding in (*check.errors, *check.warnings)),
-    )
+    model, frequency, findings = probe.model, math.nan, ()
+    if not only_single:
+        frequency, check = natural_frequency(probe.rod, model.gravity_base), check_print(probe.design)
+        findings = tuple(f"{finding.severity}: {finding.message}" for finding in (*check.errors, *check.warnings))
+    prediction = predict(model, fractions, forces_N, only_single=only_single, on_progress=on_progress)
+    return DesignFigures(probe, prediction, not only_single, frequency, findings)
 
 
-def segment_colours(figures: DesignFigures, edges: Array, force_N: float) -> list[tuple[int, int, int]]:
-    """Return the colour of each segment of the probe: the error of a touch there, by the levels of the page.
-
-    Args:
-        figures: of the design.
-        edges: fractions of the length between which the segments are, (n + 1,).
-        force_N: of the touch.
-    """
-    located = {c.contact_fraction: c.predicted_error_mm for c in worst(figures.prediction.conditions, force_N)}
-    places = np.array(sorted({c.contact_fraction for c in figures.prediction.conditions}))
-    colours = []
-    for middle in (edges[1:] + edges[:-1]) / 2.0:
-        error = located.get(float(places[np.argmin(np.abs(places - middle))]))
-        colour = NOT_LOCATED
-        if error is not None:
-            red, green, blue = bytes.fromhex(ORDERED[error_level(error)][1:])
-            colour = red, green, blue
-        colours.append(colour)
-    return colours
-
-
-def colour_legend(force_mN: float) -> str:
-    """Return the legend of `segment_colours` as HTML: the error of a touch of a force [mN] at that place."""
-    bounds = [f"≤ {level:g}" for level in LEVELS_MM] + [f"> {LEVELS_MM[-1]:g} mm"]
-    chips = [(ORDERED[error_level(level)], text) for level, text in zip((*LEVELS_MM, 1e9), bounds, strict=True)]
-    chips.append((f"rgb{NOT_LOCATED}", "not located"))
-    items = "".join(f'<span><i style="background:{colour}"></i>{text}</span>' for colour, text in chips)
-    return f"<div class=note>Colour of the probe: error of {force_mN:g} mN there</div><div class=chips>{items}</div>"
+def errors_along(figures: DesignFigures, force_N: float) -> dict[float, float | None]:
+    """Return the error [mm] of a touch of the nearest force by its fraction of the length; None where not located."""
+    places = dict.fromkeys(c.contact_fraction for c in figures.prediction.conditions)
+    rows = ((place, figures.at(place, force_N)) for place in places)
+    return {place: None if row is None else row.predicted_error_mm for place, row in rows}
 
 
 @dataclass(frozen=True)
@@ -233,6 +224,32 @@ def drawn_touch(probe: Probe, touch: StudioTouch) -> DrawnTouch | None:
 def located(probe: Probe, drawn: DrawnTouch) -> Estimate:
     """Return the touch as it is located from its reading without noise, with its covariance."""
     return probe.estimator().estimate(drawn.contact.equilibrium.wrench_base)
+
+
+N_CLOUD, N_TOGETHER = 200, 10  #: Estimates of `estimate_cloud`, and those between two reports of its progress.
+
+
+def estimate_cloud(probe: Probe, drawn: DrawnTouch, touch: StudioTouch, on_progress: OnProgress) -> Array:
+    """Return where the estimator locates the touch on `N_CLOUD` prints with other errors, (k, 3) [m].
+
+    Each print, reading and friction is a draw of the priors, as in `predict --monte-carlo`; the difference from the
+    point that was touched is drawn from the touched point of the nominal probe. Touches that are not located are left
+    out.
+    """
+    from probedesign.prediction.monte_carlo import PrintSamples
+
+    estimator, rng, points = probe.estimator(), np.random.default_rng(1), list[Array]()
+    for k in range(N_CLOUD // N_TOGETHER):
+        on_progress("estimates", k * N_TOGETHER / N_CLOUD)
+        samples = PrintSamples.draw(probe.model, estimator.priors, N_TOGETHER, k)
+        wrenches, touched = samples.simulate_touches(
+            drawn.s / probe.length, math.radians(touch.angle_deg) + math.pi, (1e-3 * touch.force_mN,), rng
+        )
+        readings = (wrenches + samples.draw_noise(N_TOGETHER, 1, rng))[:, 0]
+        for reading, p in zip(readings, touched[:, 0], strict=True):
+            if np.isfinite(reading).all() and (estimate := estimator.estimate(reading)).ok:
+                points.append(drawn.p_surface + estimate.p_surface_base - p)
+    return np.array(points).reshape(-1, 3)
 
 
 def _touched(probe: Probe, touch: StudioTouch) -> tuple[float, FrictionlessContact]:
@@ -343,7 +360,7 @@ def summary_table(
     body = ""
     for row in rows:
         cells = "".join(_difference(row, by_name.get(row.name)) for _, by_name in others)
-        body += f"<tr><td>{escape(row.name)}</td><td>{escape(row.text)}</td>{cells}</tr>"
+        body += f"<tr><td>{escape(row.name)}</td><td>{row.html}</td>{cells}</tr>"
     return f"<table><tr><th></th><th>{escape(label)}</th>{head}</tr>{body}</table>"
 
 
@@ -360,4 +377,4 @@ def _difference(now: Figure, then: Figure | None) -> str:
 
 def styled(content: str) -> str:
     """Return HTML in the style of the page."""
-    return f'<div class="st" style="padding:4px 12px">{STYLE}{content}</div>'
+    return f'<div class="st">{content}</div>'

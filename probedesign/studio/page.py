@@ -4,13 +4,15 @@ Handlers of the page only put requests into a queue; one thread works them off, 
 slider moves, only the last value counts. All browser tabs show the same state.
 """
 
+import base64
 import io
 import queue
 import threading
 import time
+import webbrowser
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
-from functools import partial
+from functools import lru_cache, partial
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -23,21 +25,23 @@ from probedesign.core.files import exports_of
 from probedesign.core.statistics import rms as rms_of
 from probedesign.core.units import MM
 from probedesign.design import Design, check_design
-from probedesign.design.edit import tables_of
+from probedesign.design.edit import as_assumed, tables_of
 from probedesign.design.io import load_design, render_design, write_design
 from probedesign.design.paper import PROBES
 from probedesign.probe import build_probe
 from probedesign.reports.chart import Chart
 from probedesign.studio.controls import DesignControls
 from probedesign.studio.figures import (
+    HEAD,
+    N_CLOUD,
     DesignFigures,
     DrawnTouch,
     budget_figure,
-    colour_legend,
     complete,
     direction_figure,
     drawn_touch,
     error_chart,
+    estimate_cloud,
     fused_chart,
     located,
     preview,
@@ -47,13 +51,13 @@ from probedesign.studio.figures import (
 from probedesign.studio.improve import ImproveTab
 from probedesign.studio.scene import StudioScene
 from probedesign.studio.session import MOUNTINGS, PinnedDesign, Session, StudioTouch, with_knots
-from probedesign.web.guard import LoopbackServer, protect
+from probedesign.web.guard import PHONE_SCENE, PHONE_WIDTH, LoopbackServer, protect
+from probedesign.web.scene import colour_bar
 
 TITLE = "probedesign studio"
 REST_SECONDS = 0.35  #: Time without a change after which everything is predicted.
 #: Widths of the panels, and of the scene below which the panels share one side [px].
-CONTROLS_WIDTH, CHARTS_WIDTH, MIN_SCENE_WIDTH = 310.0, 360.0, 300.0
-PHONE_WIDTH = 576  #: Width up to which viser arranges the panels itself [px].
+CONTROLS_WIDTH, CHARTS_WIDTH, MIN_SCENE_WIDTH = 340.0, 400.0, 300.0
 
 
 def _save(design: Design, replace: bool) -> str:
@@ -67,7 +71,15 @@ def _written(message: str, design: Design) -> str:
     from probedesign.web.home import write_home
 
     page = write_home(exports_of() / design.name, build_probe(design).model, f"designs/{design.name}.toml")
-    return message if page is None else f"{message}; open {page}"
+    return message if page is None else f"{message}; open {page}".removeprefix("; ")
+
+
+def _open(design: Design, replace: bool) -> str:
+    message = _written("", design)
+    page = exports_of() / design.name / "index.html"
+    if message and webbrowser.open(page.resolve().as_uri()):
+        return f"opened {page}"
+    raise InputError(f"{page} cannot be opened: open it by hand, or another program wrote it")
 
 
 def _export(design: Design, replace: bool) -> str:
@@ -87,10 +99,12 @@ def _deploy(design: Design, replace: bool) -> str:
     return _written(f"wrote {deploy_model(build_probe(design).model, path)}", design)
 
 
+_built = lru_cache(maxsize=8)(build_probe)  # of the shadows
 #: Writes files of a design, which may be replaced where the second argument says so, and returns a message.
 Action = Callable[[Design, bool], str]
 #: Action of each button by its label.
-ACTIONS: dict[str, Action] = {"Save the design": _save, "Export the parts": _export, "Deploy the estimator": _deploy}
+ACTIONS: dict[str, Action] = {"Save the design": _save, "Export the parts": _export, "Deploy the estimator": _deploy,
+                              "Open the page of the design": _open}  # fmt: skip
 
 
 class _RequestWaitsError(Exception):
@@ -115,17 +129,16 @@ class StudioPage:
         self._probe = build_probe(session.design)
         self.figures = preview(self._probe, self._forces)
         self._drawn: DrawnTouch | None = None
-        self._complete = self._searching = False
+        self._complete = self._searching = self._clouded = False
         self._kept: tuple[str, bool] | None = None  # message of an action, shown until the next change
         self._stopped = threading.Event()
-        self._window = protect(TITLE)
+        self._window = protect(TITLE, head=HEAD, on_link=lambda text: self._request(lambda: self._open_link(text)))
         with redirect_stdout(io.StringIO()):  # viser prints a banner
             self._server = LoopbackServer(host, port, TITLE, verbose=False)
         self._host = host
         self._controls()
         self._scene = StudioScene(self._server.scene, self.move)
-        self._show_shape()
-        self._show_figures()
+        self._show()
         self._scene.set_camera(self._server.initial_camera)
         self._server.on_client_connect(self._lay_out)
         self._thread = threading.Thread(target=self._work, name="studio", daemon=True)
@@ -196,7 +209,7 @@ class StudioPage:
         """Carry out requests; predict everything when there were none for a while."""
         while not self._stopped.is_set():
             try:
-                at_rest = self._complete and not self._searching
+                at_rest = self._complete and self._clouded and not self._searching
                 request = self._requests.get(timeout=None if at_rest else REST_SECONDS)
             except queue.Empty:
                 request = self._rest
@@ -209,7 +222,7 @@ class StudioPage:
             else:
                 continue
             if request == self._rest:  # it would fail again
-                self._complete, self._searching = True, False
+                self._complete, self._clouded, self._searching = True, True, False
 
     def _rest(self) -> None:
         """Predict everything once the hand rests, and draw the path of a search; the next request ends both."""
@@ -220,7 +233,11 @@ class StudioPage:
             if not self._complete:
                 self.figures = complete(self.session.design, self._yield)
                 self._complete = True
-                self._show_figures()
+                self._scene.end_change()
+                self._show(shape=False)
+            if not self._clouded:
+                self._show_cloud()
+                self._clouded = True
         except _RequestWaitsError:
             self._searching = self._improve.search is not None
 
@@ -239,8 +256,8 @@ class StudioPage:
             self._probe = build_probe(self.session.design)
             self.figures = preview(self._probe, self._forces)
             self._complete = False
-        self._show_shape()
-        self._show_figures()
+        self._clouded = not self._cloud.value
+        self._show()
 
     # Controls
 
@@ -263,6 +280,14 @@ class StudioPage:
             preset.on_update(load_preset)
             steps = gui.add_button_group("changes", ("undo", "redo"))
             steps.on_click(lambda _: self._request(lambda: self._step(steps.value)))
+            for label, key, modifier, change in (
+                ("Undo", "Z", "cmd/ctrl", lambda: self._step("undo")),
+                ("Redo", "Z", "cmd/ctrl+shift", lambda: self._step("redo")),
+                ("Exchange with the pinned design", "space", None, self._toggle),
+                ("Fit the view", "F", None, self._fit),
+            ):
+                command: Any = gui.add_command(label, hotkey=key, modifier=modifier)  # type: ignore[arg-type]  # literals
+                command.on_trigger(lambda _, change=change: self._request(change))
             self._design_controls.add_probe()
         with tabs.add_tab("Bench"):
             self._design_controls.add_bench()
@@ -270,7 +295,9 @@ class StudioPage:
             self._design_controls.add_touch()
             gui.add_markdown("Drag the red point along the probe, or the end of its arrow: its direction is that of "
                              "the force, and it grows with the logarithm of the force.")  # fmt: skip
-            self._touch_text = gui.add_html("")
+            self._cloud = gui.add_checkbox(f"{N_CLOUD} estimates of it, on as many prints", False)
+            self._cloud.on_update(lambda _: self._request(lambda: self._refresh(moved=False)))
+            self._touch_text, self._cloud_text = gui.add_html(""), gui.add_html("")
         with tabs.add_tab("Improve"):
             self._improve = ImproveTab(
                 gui, lambda: self._request(self._start_search),
@@ -286,8 +313,10 @@ class StudioPage:
             replace: Any = gui.add_checkbox("replace existing files", False)
             for label, action in ACTIONS.items():
                 gui.add_button(label).on_click(partial(self._press, action))
-            command: Any = gui.add_text("command that restores this state", "", multiline=True)
-            self._save = {"name": name, "replace": replace, "command": command}
+            links = gui.add_html("")
+            name.on_update(lambda _: self._request(lambda: self._refresh(moved=False)))
+            restoring: Any = gui.add_text("command that restores this state", "", multiline=True)
+            self._save = {"name": name, "replace": replace, "command": restoring, "links": links}
             dark = gui.add_checkbox("dark page", False)
             dark.on_update(lambda _: self._theme(dark.value))
         self._stacked, self._panel = False, gui.add_panel()
@@ -330,6 +359,8 @@ class StudioPage:
                     self._panel.dock_left()
                 self._panel.set_width(CONTROLS_WIDTH if narrow else CHARTS_WIDTH)
                 self._server.gui.main_panel.set_width(CONTROLS_WIDTH)
+        else:
+            height *= PHONE_SCENE
         # A browser that moves panels takes the initial camera.
         for camera in (self._server.initial_camera, client.camera):
             self._scene.set_camera(camera, scene / max(height, 1.0))
@@ -344,6 +375,24 @@ class StudioPage:
     def _step(self, name: str) -> None:
         if self.session.undo() if name == "undo" else self.session.redo():
             self._refresh()
+
+    def _toggle(self) -> None:
+        if self.session.toggle():
+            self._refresh()
+        elif not self.session.pinned:
+            self._say("Space exchanges the design with a pinned one: pin one on the tab Save.")
+
+    def _open_link(self, text: str) -> None:
+        self.session.open_link(text)
+        self._load(self.session.design)
+
+    def _fit(self, turned: bool = True) -> None:
+        """Place the cameras so that the whole probe is seen: beside it if `turned`, else from where each looks."""
+        for client in self._server.get_clients().values():
+            camera = client.camera
+            direction = np.asarray(camera.position) - np.asarray(camera.look_at)
+            self._scene.set_camera(camera, camera.aspect, None if turned else direction)
+        self._scene.set_camera(self._server.initial_camera)
 
     def _pin(self, change: Callable[[], object]) -> None:
         change()
@@ -365,32 +414,19 @@ class StudioPage:
         self._searching = True
 
     def _accept(self, design: Design) -> None:
+        start = tables_of(self._improve.search.start) if self._improve.search else tables_of(self.session.design)
         self._improve.drop()
-        self._load(design)
+        self._load(check_design(as_assumed(tables_of(design), start)))
 
     # Show
 
-    def _show_shape(self) -> None:
-        """Show the bent probe and the touch in one update."""
+    def _show(self, shape: bool = True) -> None:
+        """Show everything in one update: what a browser draws in a frame is of one state."""
         session = self.session
+        pinned = [(pin, complete(pin.design)) for pin in session.pinned]
+        others = [_built(pin.design) for pin in session.pinned if pin.design != session.design]
+        former = _built(session.former) if session.former and not self._complete else None
         self._drawn = drawn_touch(self._probe, session.touch)
-        others = [build_probe(pin.design) for pin in session.pinned if pin.design != session.design]
-        with self._server.atomic():
-            self._scene.show_shape(self._probe, self._drawn, session.touch, others)
-        self._server.flush()
-
-    def _show_figures(self) -> None:
-        """Show controls, charts and tables, then colours and the located touch.
-
-        The first update changes nothing of the scene: a browser shows it without waiting for a frame of the scene.
-        """
-        pinned = [(pin, complete(pin.design)) for pin in self.session.pinned]
-        with self._lock:
-            waiting = set(self._latest)
-        with self._server.atomic():
-            self._design_controls.show(waiting)
-            self._show_text(pinned)
-        self._server.flush()
         estimate = located(self._probe, self._drawn) if self._drawn else None
         if estimate is None:
             touch = '<div class="bad">The probe buckles under this touch.</div>'
@@ -400,20 +436,35 @@ class StudioPage:
             touch += f"<tr><td>error</td><td>{rms:.2g} mm RMS, all error sources</td></tr></table>"
         else:
             touch = f'<div class="bad">The reading is not located: {escape(estimate.result)}.</div>'
+        with self._lock:
+            waiting = set(self._latest)
         with self._server.atomic():
-            self._scene.show_errors(self.figures, estimate, self.session.touch)
+            self._design_controls.show(waiting)
+            self._show_text(pinned)
             self._touch_text.content = styled(touch)
+            if shape:
+                self._scene.show_shape(self._probe, self._drawn, session.touch, others, former)
+                self._cloud_text.content = styled("<p class=note>…</p>" if self._cloud.value else "")
+            self._scene.show_errors(self.figures, estimate, session.touch)
             if self._complete and self._scene.is_out_of_frame:
-                turned = self._scene.has_turned
-                for client in self._server.get_clients().values():
-                    camera = client.camera
-                    direction = np.asarray(camera.position) - np.asarray(camera.look_at)
-                    self._scene.set_camera(camera, camera.aspect, None if turned else direction)
-                self._scene.set_camera(self._server.initial_camera)
+                self._fit(self._scene.has_turned)
+        self._server.flush()
+
+    def _show_cloud(self) -> None:
+        """Draw estimates of the touch, if they are asked for."""
+        points = np.zeros((0, 3))
+        if self._cloud.value and self._drawn is not None:
+            points = estimate_cloud(self._probe, self._drawn, self.session.touch, self._yield)
+            off = np.sqrt(np.mean(np.sum((points - self._drawn.p_surface) ** 2, axis=1))) / MM if len(points) else 0.0
+            self._cloud_text.content = styled(f"<p class=note>{len(points)} of {N_CLOUD} located, {off:.2g} mm RMS</p>")
+        with self._server.atomic():
+            self._scene.show_cloud(points)
         self._server.flush()
 
     def _say(self, text: str, bad: bool = False) -> None:
-        self._status.content = styled(f'<div class="{"bad" if bad else "note"}">{escape(text)}</div>')
+        self._status.content = styled(
+            f"<div class=status><div class={'bad' if bad else 'note'}>{escape(text)}</div></div>"
+        )
 
     def _keep(self, text: str, bad: bool = False) -> None:
         self._kept = text, bad
@@ -432,6 +483,7 @@ class StudioPage:
             self._say(figures.prediction.verdict)
         lines = "".join(f"<li>{escape(text)}</li>" for text in figures.findings)
         check = f"<ul>{lines}</ul>" if lines else "<p class=note>Print check: no errors, no warnings.</p>"
+        check = check if figures.complete else ""
         charts: dict[str, Chart | None] = {
             "error": error_chart(figures, pinned, self._forces), "budget": budget_figure(figures),
             "direction": direction_figure(figures, pinned, self._forces),
@@ -442,7 +494,17 @@ class StudioPage:
         for name, chart in charts.items():
             text = empty.get(name, "nothing is located") if chart is None else chart.svg().decode()
             self._charts[name].content = styled(text)
-        dotted = "<p class=note>Solid: all error sources. Dotted: an exact probe. Dashed: pinned designs.</p>"
-        dotted += colour_legend(session.touch.force_mN)
-        self._charts["summary"].content = styled(dotted + summary_table(figures, pinned) + check)
+        dotted = (
+            "<p class=note>Grey: not located. Solid: all error sources. Dotted: an exact probe. Dashed: pinned.</p>"
+        )
+        bar = colour_bar(f"error of {session.touch.force_mN:g} mN there")
+        self._charts["summary"].content = styled(bar + dotted + summary_table(figures, pinned) + check)
         self._save["command"].value = session.command_line
+        name = self._save["name"].value.strip()
+        text = render_design(session.design.model_copy(update={"name": name})).encode()
+        self._save["links"].content = styled(
+            f'<a class=button download="{escape(name)}.toml" href="data:application/toml;base64,'
+            f'{base64.b64encode(text).decode()}">Download {escape(name)}.toml</a>'
+            f'<a class=button href="?state={session.link}" onclick="event.preventDefault();'
+            "navigator.clipboard.writeText(this.href);this.textContent='Copied'\">Copy a link to this state</a>"
+        )

@@ -2,21 +2,22 @@
 
 import math
 from collections.abc import Callable, Sequence
-from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from probedesign.core.files import exports_of
 from probedesign.core.frames import Array
 from probedesign.core.statistics import ellipsoid_95
+from probedesign.core.statistics import rms as rms_of
+from probedesign.core.units import MM
 from probedesign.estimation.estimate import Estimate
-from probedesign.geometry.tube import BentShape, centreline, disc_faces, tube_faces, tube_rings
+from probedesign.geometry.tube import BentShape, TubeMesh, centreline
 from probedesign.probe import Probe
 from probedesign.rod.equilibrium import Equilibrium
-from probedesign.studio.figures import DesignFigures, DrawnTouch, segment_colours, touched_shape
+from probedesign.studio.figures import DesignFigures, DrawnTouch, errors_along, touched_shape
 from probedesign.studio.session import StudioTouch, knots_of
 from probedesign.web.scene import (
     ARROW,
@@ -26,23 +27,31 @@ from probedesign.web.scene import (
     SPREAD,
     STALE_COLOUR,
     UNIT,
+    Stage,
+    arrow,
+    error_colours,
     level_rotation,
     quaternion,
     rigid_parts,
+    update,
 )
 
-#: Coloured segments of the drawn probe, rings of each, points of a ring: without a GPU, the triangles of the probe take
-#: half of a frame's time.
-SEGMENTS, RINGS, RING_POINTS = 20, 3, 20
-EDGES = np.linspace(0.0, 1.0, SEGMENTS + 1)  #: Fractions of the length between which the segments are.
+SLICES = 96  #: Of the drawn probe, each of one colour.
+PLACES = (np.arange(SLICES) + 0.5) / SLICES  #: Of their middles, fractions of the length.
+OVERLAP = 1.2  #: Length of a slice over their distance, so that a bent probe has no gaps.
+#: A slice of radius and length 1.
+SLICE = TubeMesh(np.array([0.0, 1.0]), np.ones(2), rings=2, sides=20)
+STRAIGHT = BentShape(np.array([0.0, 1.0]), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.tile(np.eye(3), (2, 1, 1)))
 KNOT_COLOUR = (38, 84, 124)
-GHOST_RINGS, GHOST_COLOUR = 40, (120, 126, 132)  #: Rings and colour of a pinned probe.
+GHOST_COLOUR, FORMER_COLOUR = (120, 126, 132), (38, 84, 124)  #: Of a pinned probe, and of the one before a change.
 MAX_KNOTS = 12  #: Number of diameters of a profile that can be dragged; a profile with more is changed in its file.
 FIELD_OF_VIEW = math.radians(40.0)
 MOUNT_LENGTH = 0.03  #: Length behind the base that is seen as well: sensor and adapters [m].
-#: Distance of the camera and width of the scene at least [lengths of probe and mount], and the changes of the probe's
-#: length and of its tip's place beside the axis of the base, over the length, that the camera follows.
-DISTANCE, SHOWN_WIDTH, MAX_GROWTH, MAX_ASIDE = 1.95, 1.3, 1.25, 0.2
+#: Distance of the camera and width of the scene at least [lengths of probe and mount], and the lengths, over that at
+#: which the camera was placed, between which it stays, and the change of the tip's place beside the axis of the base,
+#: over the length.
+DISTANCE, SHOWN_WIDTH, MIN_GROWTH, MAX_GROWTH, MAX_ASIDE = 1.95, 1.3, 0.4, 1.3, 0.2
+BELOW = 0.02  #: Height of the lowest point above the floor when the camera is placed [m].
 MIN_FRACTION, MAX_FORCE_MN, MIN_FORCE_MN = 0.05, 200.0, 0.5  #: Range of the touch that is drawn.
 
 
@@ -57,31 +66,30 @@ class StudioScene:
             on_change: receives a key of the touch, `touch.fraction`, `touch.angle_deg` or `touch.force_mN`, or
                 `knot.INDEX`, and its new value when something is dragged.
         """
-        self._on_change, self._scene = on_change, scene
+        self._on_change, self._scene, self._stage = on_change, scene, Stage(scene)
         self._shown: tuple[Probe, DrawnTouch | None, BentShape] | None = None
         self._stands = False  # the probe does not buckle
         self._grabbed = (0.0, np.zeros(3))  # diameter of a knot and pointer in base axes when its drag began [m]
-        scene.set_up_direction("+z")
-        # Reflections of an environment and shadows take nine tenths of a frame's time in a browser without a GPU.
-        scene.configure_environment_map(None)
-        scene.configure_default_lights(True, cast_shadow=False)
-        scene.add_light_hemisphere("/sky", ground_color=(150, 150, 150), intensity=2.5)
         self._base = scene.add_frame("/base", show_axes=False)
-        nothing, faces = np.zeros((RINGS * RING_POINTS + 1, 3)), _tube_faces(RINGS)
-        self._segments = [
-            scene.add_mesh_simple(f"/base/probe/{i}", nothing, faces, color=STALE_COLOUR, cast_shadow=False)
-            for i in range(SEGMENTS)
-        ]
+        nowhere, corners = np.zeros((SLICES, 3)), SLICE.vertices(STRAIGHT)
+        corners[2 * SLICE.sides :, :2] *= 0.93  # the ends, so that their edges stay within the next slice
+        self._probe = scene.add_batched_meshes_simple(
+            "/base/probe", corners, SLICE.faces, np.tile((1.0, 0.0, 0.0, 0.0), (SLICES, 1)), nowhere,
+            batched_scales=nowhere + 1.0, batched_colors=np.full((SLICES, 3), 150, dtype=np.uint8), lod="off",
+            cast_shadow=False,
+        )  # fmt: skip
         self._contact = scene.add_icosphere("/base/contact", UNIT * 1.8e-3, CONTACT, cast_shadow=False)
-        for node in (*self._segments, self._contact):
+        for node in (self._probe, self._contact):
             node.on_drag(self._drag_place)
         self._end = scene.add_icosphere("/base/force_end", UNIT * 1.8e-3, CONTACT, cast_shadow=False)
         self._end.on_drag(self._drag_force)
-        self._spread = scene.add_icosphere("/base/spread", 1.0, SPREAD, cast_shadow=False)
-        self._force = scene.add_arrows(
-            "/base/force", np.zeros((1, 2, 3)), CONTACT, shaft_radius=UNIT * 0.5e-3, head_radius=UNIT * 1.4e-3,
-            head_length=UNIT * 3.5e-3,
-        )  # fmt: skip
+        self._spread = scene.add_icosphere("/base/spread", 1.0, SPREAD, opacity=0.35, cast_shadow=False)
+        self._force = arrow(scene, "/base/force", CONTACT)
+        self._force_label = scene.add_label("/base/force_label", "", anchor="bottom-center")
+        self._spread_label = scene.add_label("/base/spread_label", "", anchor="bottom-center")
+        self._cloud = scene.add_point_cloud(
+            "/base/cloud", np.zeros((1, 3)), CONTACT, point_size=UNIT * 7e-4, point_shape="circle", visible=False
+        )
         self._knots = [
             scene.add_icosphere(f"/base/knot/{i}", UNIT * 1.6e-3, KNOT_COLOUR, visible=False, cast_shadow=False)
             for i in range(MAX_KNOTS)
@@ -91,48 +99,66 @@ class StudioScene:
         self._length = 1.0  # of the longest probe [m]
         # Length [m], direction of the probe and tip beside it [m] that the camera fits.
         self._framed = (1.0, np.array([0.0, 0.0, 1.0]), np.zeros(3))
-        self._ghosts: list[viser.MeshHandle] = []
-        self._parts: list[viser.MeshHandle] = []
+        self._ghosts: dict[str, viser.MeshHandle] = {}
+        self._parts: dict[str, viser.MeshHandle] = {}
         self._parts_of = ""
+        self._hull = np.zeros((0, 3))  # points of the rigid parts in base axes [m]
 
-    def show_shape(self, probe: Probe, drawn: DrawnTouch | None, touch: StudioTouch, pinned: Sequence[Probe]) -> None:
-        """Draw a probe, its mount and a touch, and pinned probes under the same touch as grey shadows.
+    def show_shape(
+        self, probe: Probe, drawn: DrawnTouch | None, touch: StudioTouch, pinned: Sequence[Probe], former: Probe | None
+    ) -> None:
+        """Draw a probe, its mount and a touch, and other probes under the same touch as shadows of it.
 
         Args:
             probe: the probe; its colours remain those of `show_errors`.
             drawn: the touch; None where the probe buckles under it.
             touch: its values.
             pinned: probes to compare.
+            former: the probe before the change that goes on.
         """
         model = probe.model
-        self._base.wxyz = quaternion(level_rotation(model.gravity_base))
+        T = level_rotation(model.gravity_base)
+        self._base.wxyz = quaternion(T)
         eq = drawn.contact.equilibrium if drawn else model.rod.solve(model.gravity_base)
         bent = _bent(eq, probe)
         self._shown, self._stands = (probe, drawn, bent), eq.ok
         self._length = max(each.length for each in (probe, *pinned))
-        for mesh, (low, high) in zip(self._segments, pairwise(EDGES), strict=True):
-            mesh.vertices = _tube(bent, probe, np.linspace(low, high, RINGS))
+        p, x, y = centreline(bent, PLACES * probe.length)
+        R = np.stack([x, y, np.cross(x, y)], axis=-1)
+        radius, step = np.interp(PLACES * probe.length, probe.geometry.s, probe.geometry.radius), probe.length / SLICES
+        self._probe.batched_wxyzs = Rotation.from_matrix(R).as_quat()[:, [3, 0, 1, 2]].astype(np.float32)
+        self._probe.batched_positions = (UNIT * (p - 0.5 * step * R[:, :, 2])).astype(np.float32)
+        size = [radius, (probe.design.probe.flatness or 1.0) * radius, np.full(SLICES, OVERLAP * step)]
+        self._probe.batched_scales = (UNIT * np.stack(size, axis=1)).astype(np.float32)
         self._show_knots(bent, probe)
-        self._contact.visible = self._force.visible = self._end.visible = drawn is not None
+        self._contact.visible = self._force.visible = self._end.visible = self._force_label.visible = drawn is not None
+        self._cloud.visible = False
         if drawn is None:
-            self._spread.visible = False
+            self._spread.visible = self._spread_label.visible = False
         else:
             tail = drawn.p_surface - arrow_length(touch.force_mN) * drawn.normal
             self._contact.position, self._end.position = UNIT * drawn.p_surface, UNIT * tail
             self._force.points = (UNIT * np.array([[tail, drawn.p_surface]])).astype(np.float32)
+            self._force_label.position = UNIT * (tail - 4e-3 * drawn.normal)
+            self._force_label.text = f"{touch.force_mN:g} mN"
         self._show_parts(probe)
-        while len(self._ghosts) > len(pinned):
-            self._ghosts.pop().remove()
-        for i, other in enumerate(pinned):
-            vertices = _tube(_bent(touched_shape(other, touch), other), other, np.linspace(0.0, 1.0, GHOST_RINGS))
-            if i < len(self._ghosts):
-                self._ghosts[i].vertices = vertices
+        tube = _tube(probe)
+        self._stage.shade("probe", tube.vertices(bent) @ T.T, tube.faces)
+        self._stage.shade("mount", self._hull @ T.T)
+        ghosts = {f"pinned/{i}": (other, GHOST_COLOUR) for i, other in enumerate(pinned)}
+        if former is not None:
+            ghosts["former"] = former, FORMER_COLOUR
+        for name in self._ghosts.keys() - ghosts.keys():
+            self._ghosts.pop(name).remove()
+        for name, (other, colour) in ghosts.items():
+            tube = _tube(other, 0.97)  # hidden where both are the same
+            vertices = (UNIT * tube.vertices(_bent(touched_shape(other, touch), other))).astype(np.float32)
+            if name in self._ghosts:
+                update(self._ghosts[name], vertices, tube.faces)
             else:
-                mesh = self._scene.add_mesh_simple(
-                    f"/base/pinned/{i}", vertices, _tube_faces(GHOST_RINGS), color=GHOST_COLOUR, opacity=0.35,
-                    cast_shadow=False,
-                )  # fmt: skip
-                self._ghosts.append(mesh)
+                self._ghosts[name] = self._scene.add_mesh_simple(
+                    f"/base/{name}", vertices, tube.faces, color=colour, opacity=0.3, cast_shadow=False
+                )
 
     def show_errors(self, figures: DesignFigures, estimate: Estimate | None, touch: StudioTouch) -> None:
         """Colour the probe by its predicted error, and draw the covariance of the touch.
@@ -142,17 +168,29 @@ class StudioScene:
             estimate: of the touch that is drawn; None without one.
             touch: its values.
         """
-        colours = segment_colours(figures, EDGES, 1e-3 * touch.force_mN)
-        for mesh, colour in zip(self._segments, colours, strict=True):
-            now = colour if self._stands else STALE_COLOUR  # grey: it buckles
-            if mesh.color != now:
-                mesh.color = now
-        self._spread.visible = estimate is not None and estimate.ok
+        errors = errors_along(figures, 1e-3 * touch.force_mN) if self._stands else {}  # grey: it buckles
+        # viser takes the colours of instances as linear.
+        self._probe.batched_colors = np.round(255.0 * (error_colours(errors, PLACES) / 255.0) ** 2.2).astype(np.uint8)
+        self._spread.visible = self._spread_label.visible = estimate is not None and estimate.ok
         if estimate is not None and estimate.ok:
             half_axes, axes = ellipsoid_95(estimate.cov_surface_base)
             self._spread.position = UNIT * estimate.p_surface_base
             self._spread.scale = tuple(UNIT * np.maximum(half_axes, MIN_HALF_AXIS))
             self._spread.wxyz = quaternion(axes)
+            up = level_rotation(figures.probe.model.gravity_base)[2]
+            self._spread_label.position = UNIT * (estimate.p_surface_base + 0.015 * up)
+            self._spread_label.text = f"95 % region, {rms_of(estimate.cov_surface_base) / MM:.2g} mm RMS"
+
+    def show_cloud(self, points: Array) -> None:
+        """Draw located points of the touch, (k, 3) [m]; none hides them."""
+        self._cloud.visible = len(points) > 0
+        if len(points):
+            self._cloud.points = (UNIT * points).astype(np.float16)
+
+    def end_change(self) -> None:
+        """Remove the shape before the last change."""
+        if "former" in self._ghosts:
+            self._ghosts.pop("former").remove()
 
     def _show_knots(self, bent: BentShape, probe: Probe) -> None:
         knots = knots_of(probe.design)[:MAX_KNOTS]
@@ -164,22 +202,27 @@ class StudioScene:
                 node.visible, node.position = True, UNIT * (point + 0.5 * diameter * side)
 
     def _show_parts(self, probe: Probe) -> None:
-        """Draw sensor, flange and adapter when they have changed."""
-        model = probe.model
-        key = f"{model.flange} {model.sensor} {model.gravity_base}"
+        """Draw sensor, flange and adapters when they have changed."""
+        model, folder = probe.model, exports_of() / probe.design.name
+        exported = folder / "manifest.json"  # fits one probe; else the parts of the mount decide
+        key = f"{exported.stat().st_mtime} {model.fingerprint}" if exported.exists() else ""
+        key += str([model.flange, model.sensor, *(v for k, v in model.parts.items() if k not in ("probe", "payload"))])
         if key == self._parts_of:
             return
         self._parts_of = key
-        for part in self._parts:
-            part.remove()
-        parts, _ = rigid_parts(model, Path())
-        self._parts = [
-            self._scene.add_mesh_simple(
-                f"/base/part/{part.name}", UNIT * part.vertices, part.faces,
-                color=PART_COLOURS.get(part.name, STALE_COLOUR), flat_shading=True,
-            )
-            for part in parts
-        ]  # fmt: skip
+        parts = {part.name: part for part in rigid_parts(model, folder, probe.design)[0]}
+        self._hull = np.concatenate([part.vertices for part in parts.values()])
+        for name in self._parts.keys() - parts.keys():
+            self._parts.pop(name).remove()
+        for name, part in parts.items():
+            vertices, faces = (UNIT * part.vertices).astype(np.float32), part.faces.astype(np.uint32)
+            if name in self._parts:
+                update(self._parts[name], vertices, faces)
+            else:
+                self._parts[name] = self._scene.add_mesh_simple(
+                    f"/base/part/{name}", vertices, faces, color=PART_COLOURS.get(name, STALE_COLOUR),
+                    cast_shadow=False,
+                )  # fmt: skip
 
     # Camera
 
@@ -198,7 +241,7 @@ class StudioScene:
             return False
         grown = self._length / self._framed[0]
         aside = float(np.linalg.norm(self._aside - self._framed[2])) > MAX_ASIDE * self._length
-        return self.has_turned or aside or not 1.0 / MAX_GROWTH < grown < MAX_GROWTH
+        return self.has_turned or aside or not MIN_GROWTH < grown < MAX_GROWTH
 
     @property
     def _aside(self) -> Array:
@@ -233,6 +276,21 @@ class StudioScene:
         camera.position = middle + distance * direction / np.linalg.norm(direction)
         camera.look_at = middle  # last: the position moves it too
         self._framed = self._length, along, self._aside
+        self._put_floor()
+
+    def _put_floor(self) -> None:
+        """Place the floor below probe and mount, and what stands on it."""
+        if self._shown is None:
+            return
+        probe, _, bent = self._shown
+        gravity = np.asarray(probe.model.gravity_base)
+        T = level_rotation(gravity)
+        body = np.concatenate([_tube(probe).vertices(bent), self._hull]) @ T.T
+        low, high = body.min(axis=0), body.max(axis=0)
+        front = np.array([0.5 * (low[0] + high[0]), low[1] - 0.02, 0.0])
+        self._stage.put(low[2] - BELOW, front, np.array([low[0], low[1] - 0.01, low[2] + 0.005]), bool(gravity.any()))
+        self._stage.shade("probe", _tube(probe).vertices(bent) @ T.T, _tube(probe).faces)
+        self._stage.shade("mount", self._hull @ T.T)
 
     # Drags
 
@@ -296,14 +354,7 @@ def _bent(eq: Equilibrium, probe: Probe) -> BentShape:
     return BentShape(s, T[:, :3, 3], T[:, :3, :3])
 
 
-def _tube_faces(rings: int) -> NDArray[np.uint32]:
-    disc = disc_faces((rings - 1) * RING_POINTS, rings * RING_POINTS, RING_POINTS)
-    return np.concatenate([tube_faces(rings, RING_POINTS), disc]).astype(np.uint32)
-
-
-def _tube(shape: BentShape, probe: Probe, fractions: Array) -> NDArray[np.float32]:
-    geometry, s = probe.geometry, fractions * probe.length
-    radius = np.interp(s, geometry.s, geometry.radius)
-    rings = tube_rings(shape, s, radius, probe.design.probe.flatness or 1.0, RING_POINTS)
-    end = centreline(shape, s[-1:])[0]
-    return (UNIT * np.vstack([rings.reshape(-1, 3), end])).astype(np.float32)
+def _tube(probe: Probe, width: float = 1.0) -> TubeMesh:
+    return TubeMesh(
+        probe.geometry.s, width * probe.geometry.radius, probe.design.probe.flatness or 1.0, rings=24, sides=16
+    )

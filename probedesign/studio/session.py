@@ -3,9 +3,11 @@
 Every change passes through `Session.change`, which checks it as a design file is checked. Nothing here draws.
 """
 
+import base64
 import json
 import shlex
 import tomllib
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,7 +15,7 @@ from typing import Any
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import Design, check_design
-from probedesign.design.edit import as_new_print, tables_of, with_values
+from probedesign.design.edit import as_assumed, as_new_print, tables_of, with_values
 from probedesign.design.io import default_tip_d_mm, sensor_keys
 from probedesign.design.schema import AXIS_KEYS
 from probedesign.design.sensor_catalog import SENSORS
@@ -23,6 +25,7 @@ from probedesign.prediction.predict import FORCES_N
 MAX_STEPS = 200  #: Number of changes that can be undone.
 MERGE_SECONDS = 1.0  #: Changes of the same key within this time are undone together: one drag of a slider.
 DEFAULT_FORCES_MN = (2.0, 5.0, 10.0, 20.0, 50.0)  #: Contact forces whose errors are drawn at the start.
+MAX_LINK = 1_000_000  #: Size of the state in a link, unpacked [bytes].
 MAX_PINNED = 4  #: Number of pinned designs that a chart distinguishes beside the current one.
 #: Gravity in base axes [m/s²] of the directions in which the probe points.
 MOUNTINGS = {"horizontal": (9.81, 0.0, 0.0), "down": (0.0, 0.0, 9.81), "up": (0.0, 0.0, -9.81)}
@@ -61,6 +64,7 @@ class Session:
     _undo: list[Design] = field(default_factory=list)
     _redo: list[Design] = field(default_factory=list)
     _last: tuple[str, float] = ("", 0.0)
+    _beside: Design | None = None  # what `toggle` returns to
 
     def __post_init__(self) -> None:
         """Start from the design itself if no other is given."""
@@ -110,6 +114,23 @@ class Session:
         self.design, self._last, self.refused = source.pop(), ("", 0.0), ""
         return True
 
+    @property
+    def former(self) -> Design | None:
+        """Return the design before the last change; None at the start."""
+        return self._undo[-1] if self._undo else None
+
+    def toggle(self) -> bool:
+        """Exchange the current design with the one that was pinned last; return whether one is pinned."""
+        if not self.pinned:
+            return False
+        pinned, now = self.pinned[-1].design, self.design
+        if now != pinned:
+            self._beside = now
+        elif self._beside is None:
+            return False
+        self.replace_design(pinned if now != pinned else self._beside or pinned)
+        return True
+
     def pin(self) -> PinnedDesign | None:
         """Keep the current design for comparison; None if it is kept already."""
         if any(other.design == self.design for other in self.pinned):
@@ -138,6 +159,33 @@ class Session:
             table = ", ".join(f"{key} = {_text(value)}" for key, value in changed.items())
             words.append(f"--pin {shlex.quote(f'{{{table}}}')}")
         return " ".join(["probedesign studio", shlex.quote(self.source), *words])
+
+    @property
+    def link(self) -> str:
+        """Return the whole state as text for the address of a page, which `open_link` reads."""
+        state = {
+            "design": tables_of(self.design), "touch": ",".join(f"{value:g}" for value in vars(self.touch).values()),
+            "forces": ",".join(f"{force:g}" for force in self.forces_mN),
+            "pins": [tables_of(pin.design) for pin in self.pinned],
+        }  # fmt: skip
+        return base64.urlsafe_b64encode(zlib.compress(json.dumps(state).encode(), 9)).decode()
+
+    def open_link(self, text: str) -> None:
+        """Set the state to that of a link; the former design can be undone.
+
+        Raises:
+            InputError: the link is damaged, or a design in it is not valid; the state is as before.
+        """
+        try:
+            unpacked = zlib.decompressobj().decompress(base64.urlsafe_b64decode(text), MAX_LINK)
+            state = json.loads(unpacked)
+            design, *pins = (check_design(tables) for tables in (state["design"], *state["pins"][:MAX_PINNED]))
+            touch, forces = str(state["touch"]), str(state["forces"])
+        except (ValueError, LookupError, TypeError, zlib.error, RecursionError) as error:
+            raise InputError(f"the link is damaged: {' '.join(str(error).split())}") from None
+        self.restore(touch, forces, ())
+        self.pinned = [PinnedDesign(f"pin {n}", pin) for n, pin in enumerate(pins, 1)]
+        self.replace_design(design)
 
     def restore(self, touch: str | None, forces: str | None, pins: Sequence[str]) -> None:
         """Set touch, forces and pinned designs as `command_line` writes them.
@@ -189,7 +237,7 @@ def _with_keys(data: dict[str, Any], values: Mapping[str, Any]) -> dict[str, Any
     before, order = data, {key: i for i, key in enumerate(_FIRST)}
     for key in sorted(values, key=lambda key: len(_FIRST) + (key == _LAST) if key not in order else order[key]):
         data = _with_key(data, key, values[key])
-    return as_new_print(data, before)
+    return as_assumed(as_new_print(data, before), before)
 
 
 def _with_key(data: dict[str, Any], key: str, value: Any) -> dict[str, Any]:

@@ -38,14 +38,23 @@ _ICON = (
 FAVICON = f"data:image/svg+xml,{quote(_ICON)}"  #: The probe with a contact, as the address of the icon.
 #: Cookie with the size of the browser's window, and that pattern.
 WINDOW, _SIZE = "probedesign_window", re.compile(r"(\d{1,5})x(\d{1,5})")
-#: States the size of the window, of which viser knows only what the panels leave, and in drawn pixels. Follows the
-#: browser's colour scheme. A tablet draws one pixel of the scene for each of the page. A browser without a GPU draws
-#: without antialiasing, a third of a frame's time.
+#: Reads a link's state no second time. States the size of the window, of which viser knows only what the panels leave,
+#: and in drawn pixels. Follows the browser's colour scheme, with the
+#: labels of the scene, which viser draws black on white. A tablet draws one pixel of the scene for each of the page.
+#: A browser without a GPU draws without antialiasing, a third of a frame's time.
 SCRIPT = """
 (function () {
   document.cookie = 'probedesign_window=' + innerWidth + 'x' + innerHeight + '; SameSite=Strict; Path=/';
   var query = new URLSearchParams(location.search);
-  if (matchMedia('(prefers-color-scheme: dark)').matches) query.set('darkMode', '');
+  query.delete('state');
+  if (matchMedia('(prefers-color-scheme: dark)').matches) {
+    query.set('darkMode', '');
+    var source = WebGL2RenderingContext.prototype.shaderSource;
+    WebGL2RenderingContext.prototype.shaderSource = function (shader, text) {
+      return source.call(this, shader, text.replace('vec4(1.0, 1.0, 1.0, 0.85', 'vec4(0.08, 0.08, 0.08, 0.85')
+        .replace('vec4(0.0, 0.0, 0.0, a)', 'vec4(0.9, 0.9, 0.9, a)'));
+    };
+  }
   if (matchMedia('(pointer: coarse)').matches) query.set('fixedDpr', '1');
   history.replaceState(null, '', location.pathname + '?' + query.toString());
   var context = HTMLCanvasElement.prototype.getContext, software = null;
@@ -63,6 +72,26 @@ SCRIPT = """
 """
 
 
+PHONE_WIDTH, PHONE_SCENE = 576, 0.45  #: Up to this width [px] viser has a sheet; share of the height above it.
+#: Legible text; viser's note on a missing GPU as one line; on a phone the scene above a sheet of the full width.
+STYLE = """
+html { font-size: 16px !important; --mantine-font-size-xs: 14px; --mantine-font-family: system-ui, sans-serif }
+body, input, button, textarea { font-family: system-ui, sans-serif !important; font-variant-numeric: tabular-nums }
+[style*="letter-spacing"] { letter-spacing: 0 !important; font-size: 14px !important; line-height: 1.3 !important }
+.mantine-Slider-markLabel { font-size: 12px !important }
+#webgl-software-rendering .mantine-Notification-description { display: none }
+#webgl-software-rendering .mantine-Notification-title { font-size: 0 }
+#webgl-software-rendering .mantine-Notification-title::after { content: "Drawn without a GPU"; font-size: 14px }
+.mantine-Notifications-root { --notifications-container-width: 220px !important }
+@media (max-width: PHONE_WIDTHpx) {
+  div[style*="background-color"][style*="flex-grow"] { height: SCENE% !important }
+  .mantine-Paper-root[style*="60%"] { width: 100% !important; height: SHEET%; max-height: SHEET% !important }
+  .mantine-Paper-root [style*="width: 20em"] { width: 100% !important }
+}
+""".replace("PHONE_WIDTH", str(PHONE_WIDTH)).replace("SCENE", f"{100 * PHONE_SCENE:g}")
+STYLE = STYLE.replace("SHEET", f"{100 * (1 - PHONE_SCENE):g}")
+
+
 class LoopbackServer(viser.ViserServer):
     """A server without viser's tunnel to the internet, which any client could request."""
 
@@ -76,13 +105,14 @@ class Window:
     size: tuple[float, float] = (1280.0, 720.0)  #: Width and height in pixels of the page.
 
 
-def protect(title: str, token: str = "", head: str = "") -> Window:
+def protect(title: str, token: str = "", head: str = "", on_link: Callable[[str], None] | None = None) -> Window:
     """Guard every server that viser starts from now on in this process.
 
     Args:
         title: title of the page in the browser.
         token: secret that a browser must know; empty on an address of this machine only.
         head: HTML that is added to the head of the page.
+        on_link: receives `state` of the address at which a user opens the page; a link in another page has none.
 
     Returns:
         The window of the browser that connects last.
@@ -90,7 +120,7 @@ def protect(title: str, token: str = "", head: str = "") -> Window:
     original, window = server.serve, Window()
 
     def serve(handler: object, host: str, port: int, *, process_request: Handler | None, **options: object) -> object:
-        request_filter = RequestFilter(title, token, port, head, process_request, window)
+        request_filter = RequestFilter(title, token, port, head, process_request, window, on_link)
         return original(handler, host, port, process_request=request_filter, **options)  # type: ignore[arg-type]  # viser's
 
     server.serve = serve  # type: ignore[misc, assignment]
@@ -101,10 +131,11 @@ class RequestFilter:
     """Decides about each request, and completes the responses of viser's own handler."""
 
     def __init__(
-        self, title: str, token: str, port: int, head: str, serve_file: Handler | None, window: Window
-    ) -> None:
-        self._token, self._serve_file, self._window = token, serve_file, window
-        self._head = f"<title>{escape(title)}</title><script>{SCRIPT}</script>{head}"
+        self, title: str, token: str, port: int, head: str, serve_file: Handler | None, window: Window,
+        on_link: Callable[[str], None] | None = None,
+    ) -> None:  # fmt: skip
+        self._token, self._serve_file, self._window, self._on_link = token, serve_file, window, on_link
+        self._head = f"<title>{escape(title)}</title><script>{SCRIPT}</script><style>{STYLE}</style>{head}"
         self._cookie = f"probedesign_view_{port}"  # a browser sends cookies to all ports of a host
         self._pages: dict[int, bytes] = {}
 
@@ -128,6 +159,9 @@ class RequestFilter:
             self._window.size = float(size[1]), float(size[2])
         if upgrade or self._serve_file is None:
             return None
+        state = parse_qs(urlsplit(request.path).query).get("state")
+        if state and self._on_link and request.headers.get("Sec-Fetch-Site", "none") in ("none", "same-origin"):
+            self._on_link(state[-1])
         accepted = request.headers.get("Accept-Encoding", "")
         plain = Headers(
             [(name, value) for name, value in request.headers.raw_items() if name.lower() != "accept-encoding"]

@@ -25,16 +25,21 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.frozen_probe import stale_parts
 from probedesign.geometry.axis import Axis
 from probedesign.geometry.tube import BentShape, TubeMesh
-from probedesign.reports.chart import ORDERED
 from probedesign.reports.html_page import DOCTYPE, NAVIGATION, html_document
 from probedesign.reports.html_page import STYLE as PAGE_STYLE
-from probedesign.web.scene import PART_COLOURS, PROBE, level_rotation, rigid_parts
+from probedesign.web.scene import (
+    PART_COLOURS,
+    PROBE,
+    STALE_COLOUR,
+    colour_bar,
+    error_colours,
+    level_rotation,
+    rigid_parts,
+)
 
 PAGE = "index.html"
 MAX_RECORD = 64_000_000  #: Size from which the file of a step is not read [bytes].
-#: Force [N] of the touches that colour the probe, and the errors [mm] at the ends of the colours.
-SHOWN_N, BEST_MM, WORST_MM = 0.01, 1.0, 30.0
-UNKNOWN = (150, 150, 150)  #: Colour of the probe where a touch is not located.
+SHOWN_N = 0.01  #: Force of the touches that colour the probe [N].
 
 
 @dataclass(frozen=True)
@@ -84,8 +89,7 @@ main { max-width: 1120px; margin: auto }
   align-items: center; margin: 16px 0 }
 #scene { width: 100%; height: 420px; touch-action: none; cursor: grab; display: block; color: var(--ink);
   filter: none }
-.scale { height: 8px; border-radius: 4px; background: linear-gradient(to right, COLOURS) }
-.ends { display: flex; justify-content: space-between } .small { color: var(--soft); font-size: 14px; margin: 8px 0 }
+.small { color: var(--soft); font-size: 14px; margin: 8px 0 }
 .number { margin: 0 0 24px }
 .number b { display: block; font-size: 40px; line-height: 1.1; font-weight: 600; color: var(--link) }
 .cards { display: grid; grid-template-columns: repeat(auto-fill, minmax(min(300px, 100%), 1fr)); gap: 16px }
@@ -101,7 +105,7 @@ main { max-width: 1120px; margin: auto }
   .hero { grid-template-columns: 1fr } #scene { height: 300px } .number b { font-size: 32px }
 }
 @media print { #scene { height: 80mm } }
-""".replace("COLOURS", ", ".join(ORDERED))
+"""
 STYLE_START = PAGE_STYLE[:40].encode()  #: Of every page of this program, of any version.
 REFRESH = '<meta http-equiv="refresh" content="2">'
 
@@ -270,9 +274,11 @@ def _scene(folder: Path, model: ProbeModel, prediction: dict[str, Any]) -> str:
     except (KeyError, TypeError, ValueError):
         errors = {}
     parts, note = rigid_parts(model, folder)
-    colours = _colours(errors, tube, len(points)) if errors else None
+    colours = _colours(errors, tube) if errors else None
     meshes: list[tuple[Array, Any, tuple[int, int, int], Any]] = [(points, tube.faces, PROBE, colours)]
-    meshes += [(part.vertices @ upright.T, part.faces, PART_COLOURS.get(part.name, UNKNOWN), None) for part in parts]
+    meshes += [
+        (part.vertices @ upright.T, part.faces, PART_COLOURS.get(part.name, STALE_COLOUR), None) for part in parts
+    ]
     every = np.concatenate([mesh[0] for mesh in meshes])
     low, high = every.min(axis=0), every.max(axis=0)
     step = float((high - low).max()) / 65535.0
@@ -289,12 +295,7 @@ def _scene(folder: Path, model: ProbeModel, prediction: dict[str, Any]) -> str:
     caption = "Unloaded, as mounted; gravity points down, the grid is 10 mm. Drag or use the arrow keys to rotate."
     if note:
         caption += " Mount and sensor are plain cylinders until the parts are exported."
-    scale = (
-        f'<div class="scale"></div><div class="ends small"><span>{BEST_MM:g} mm</span><span>error of one reading of '
-        f"{1e3 * SHOWN_N:g} mN at that place</span><span>{WORST_MM:g} mm</span></div>"
-        if errors
-        else ""
-    )
+    scale = colour_bar(f"error of one reading of {1e3 * SHOWN_N:g} mN at that place") if errors else ""
     script = Path(__file__).with_suffix(".js").read_text("utf-8")
     return (
         '<div><canvas id="scene" role="img" tabindex="0" aria-label="the probe on its mount"></canvas>'
@@ -308,18 +309,11 @@ def _base64(values: NDArray[np.generic]) -> str:
     return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
 
 
-def _colours(errors: dict[float, float | None], tube: TubeMesh, count: int) -> NDArray[np.uint8]:
-    """Return the colour of each corner of the tube by the predicted error at its place, (count, 3)."""
-    palette = np.array([list(bytes.fromhex(colour[1:])) for colour in ORDERED], dtype=float)
-    places = sorted(errors)
-    values = [math.nan if errors[place] is None else math.log(errors[place] or BEST_MM) for place in places]
-    at = np.interp(tube.stations / tube.s[-1], places, values)
-    share = np.clip((at - math.log(BEST_MM)) / math.log(WORST_MM / BEST_MM), 0.0, 1.0) * (len(palette) - 1)
-    rings = np.stack([np.interp(share, range(len(palette)), channel) for channel in palette.T], axis=1)
-    rings[np.isnan(at)] = UNKNOWN
-    corners = np.repeat(rings, tube.sides, axis=0)
+def _colours(errors: dict[float, float | None], tube: TubeMesh) -> NDArray[np.uint8]:
+    """Return the colour of each corner of the tube by the predicted error at its place."""
+    rings = error_colours(errors, tube.stations / tube.s[-1])
     caps = [np.repeat(rings[end : end + 1 or None], tube.sides + 1, axis=0) for end in (0, -1)]
-    return np.concatenate([corners, *caps]).round().astype(np.uint8)[:count]
+    return np.concatenate([np.repeat(rings, tube.sides, axis=0), *caps])
 
 
 # links

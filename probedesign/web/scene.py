@@ -1,16 +1,28 @@
-"""What the scenes of `live --view` and the studio share: scale, colours, rotations, and the rigid parts as meshes."""
+"""What the scenes of the home page, `live --view` and the studio share: light, floor, colours, and the rigid parts."""
 
 import hashlib
 import json
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, inverse, is_pose
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
+from probedesign.geometry.tube import tube_faces
+from probedesign.reports.chart import ORDERED
+
+if TYPE_CHECKING:
+    import viser
+
+    from probedesign.design import Design
 
 UNIT = 20.0  #: Scene units per metre: viser's lights, camera and shadows suit objects of a few units.
 MIN_HALF_AXIS = 0.9e-3  #: Minimum half-axis of the drawn ellipsoid [m], so that it is visible.
@@ -19,6 +31,112 @@ PROBE, CONTACT, SPREAD, STALE_COLOUR = (236, 148, 66), (150, 10, 30), (232, 72, 
 METAL = (132, 142, 154)
 PART_COLOURS = {"sensor": (60, 64, 72), "flange": PROBE, "clamp_ring": (112, 122, 136),
                 "flange_adapter": (150, 158, 168)}  # fmt: skip
+BEST_MM, WORST_MM = 1.0, 30.0  #: Errors at the ends of the colours.
+SHADOW, SHADOW_OPACITY = (0.2, 0.3), 0.16  #: Way of a shadow along x and y per height above the floor.
+SCALE_BAR = 0.05  #: Length of the bar on the floor [m].
+
+
+def error_colours(errors_mm: Mapping[float, float | None], fractions: Array) -> NDArray[np.uint8]:
+    """Return the colour of places of the probe by the error of a touch there, interpolated in its logarithm, (k, 3).
+
+    Args:
+        errors_mm: by fraction of the length; None where a touch is not located, which is grey.
+        fractions: of the places, (k,).
+    """
+    palette = np.array([list(bytes.fromhex(colour[1:])) for colour in ORDERED], dtype=float)
+    places = sorted(errors_mm)
+    values = [math.nan if errors_mm[place] is None else math.log(errors_mm[place] or BEST_MM) for place in places]
+    at = np.interp(fractions, places, values) if places else np.full(len(fractions), math.nan)
+    share = np.clip((at - math.log(BEST_MM)) / math.log(WORST_MM / BEST_MM), 0.0, 1.0) * (len(palette) - 1)
+    colours = np.stack([np.interp(share, range(len(palette)), channel) for channel in palette.T], axis=1)
+    colours[np.isnan(at)] = STALE_COLOUR
+    return colours.round().astype(np.uint8)
+
+
+def colour_bar(text: str) -> str:
+    """Return the bar of `error_colours` as HTML, with a text between its ends."""
+    return (
+        f'<div style="height:8px;border-radius:4px;background:linear-gradient(to right,{",".join(ORDERED)})"></div>'
+        f'<div style="display:flex;justify-content:space-between;gap:8px;margin:4px 0 8px;font-size:14px">'
+        f"<span>{BEST_MM:g}&nbsp;mm</span><span>{escape(text)}</span><span>{WORST_MM:g}&nbsp;mm</span></div>"
+    )
+
+
+class Stage:
+    """Light, a floor with a scale bar, and the direction of gravity; the scene's z axis points up.
+
+    Shadows are flat meshes on the floor: those of viser, and reflections of an environment, take nine tenths of a
+    frame's time in a browser without a GPU.
+    """
+
+    def __init__(self, scene: "viser.SceneApi") -> None:
+        """Create all objects; `put` places them."""
+        self._scene, self.floor = scene, 0.0  # its height [m]
+        scene.set_up_direction("+z")
+        scene.configure_environment_map(None)
+        scene.configure_default_lights(False)
+        scene.add_light_hemisphere("/sky", sky_color=(255, 255, 255), ground_color=(150, 146, 140), intensity=1.5)
+        scene.add_light_directional("/sun", intensity=2.2, position=(-8.0, -12.0, 20.0))
+        grey = (150, 156, 162)
+        self._grid = scene.add_grid(
+            "/floor", UNIT * 0.8, UNIT * 0.8, cell_size=UNIT * 0.01, section_size=UNIT * 0.05, cell_color=grey,
+            section_color=(124, 132, 140), shadow_opacity=0.0, fade_distance=UNIT * 0.42, fade_from="origin",
+        )  # fmt: skip
+        bar = UNIT * np.array([SCALE_BAR, 1e-3, 1e-3])
+        self._bar = [scene.add_box("/scale", (96, 104, 112), bar, cast_shadow=False),
+                     scene.add_label("/scale_label", f"{SCALE_BAR / MM:g} mm", anchor="top-center"),
+                     ]  # fmt: skip
+        self._gravity = [arrow(scene, "/gravity", grey), scene.add_label("/gravity_label", "gravity")]
+        self._shadows: dict[str, viser.MeshHandle] = {}
+
+    def put(self, floor: float, bar: Array, gravity: Array, has_gravity: bool = True) -> None:
+        """Place the floor in height, the middle of the scale bar on it, and the tail of the arrow of gravity [m]."""
+        self.floor = floor
+        self._grid.position = (0.0, 0.0, UNIT * floor)
+        for node in self._bar:
+            node.position = UNIT * np.array([*bar[:2], floor + 1e-3])
+        points = np.array([[gravity, gravity - (0.0, 0.0, 0.6 * ARROW)]])
+        self._gravity[0].points, self._gravity[1].position = (UNIT * points).astype(np.float32), UNIT * points[0, 1]
+        for node in self._gravity:
+            node.visible = has_gravity
+
+    def shade(self, name: str, points: Array, faces: NDArray[np.integer] | None = None) -> None:
+        """Draw the shadow of a mesh, or of the convex hull of points, (k, 3), in the scene [m].
+
+        Each pixel must be darkened once: the upper faces of a tube cover it once, those of several parts do not.
+        """
+        height = points[:, 2:] - self.floor
+        flat = np.hstack(
+            [points[:, :2] + height * SHADOW, np.full_like(height, self.floor + (1e-4 if faces is None else 2e-4))]
+        )
+        if faces is None:
+            from scipy.spatial import ConvexHull
+
+            flat = flat[ConvexHull(flat[:, :2]).vertices]
+            faces = np.array([[0, k, k + 1] for k in range(1, len(flat) - 1)])
+        vertices, faces = (UNIT * flat).astype(np.float32), faces.astype(np.uint32)
+        if name in self._shadows:
+            update(self._shadows[name], vertices, faces)
+        else:
+            self._shadows[name] = self._scene.add_mesh_simple(
+                f"/shadow/{name}", vertices, faces, color=(0, 0, 0), opacity=SHADOW_OPACITY, cast_shadow=False,
+                receive_shadow=False,
+            )  # fmt: skip
+
+
+def arrow(scene: "viser.SceneApi", name: str, colour: tuple[int, int, int], **options: Any) -> "viser.ArrowHandle":
+    """Add an arrow with a head; its points are set later."""
+    return scene.add_arrows(
+        name, np.zeros((1, 2, 3)), colour, shaft_radius=UNIT * 0.6e-3, head_radius=UNIT * 1.7e-3,
+        head_length=UNIT * 4.5e-3, **options,
+    )  # fmt: skip
+
+
+def update(mesh: "viser.MeshHandle", vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> None:
+    """Replace vertices and faces of a mesh; unchanged faces are not sent again."""
+    mesh.vertices = vertices
+    if not np.array_equal(mesh.faces, faces):
+        mesh.faces = faces
 
 
 def level_rotation(gravity_base: Array) -> Array:
@@ -57,20 +175,44 @@ class RigidPart:
     faces: NDArray[np.integer]  #: triangles, (j, 3).
 
 
-def rigid_parts(model: ProbeModel, folder: Path) -> tuple[list[RigidPart], str]:
-    """Return sensor, adapters and the probe's flange, and a note on them, from the folder of the exported parts."""
-    flange, T_base = model.flange, np.eye(4)
-    sensor = _cylinder("sensor", model.sensor_d, -model.sensor_height, 0.0, inverse(model.T_sensor_base))
-    plain = [sensor, _cylinder("flange", flange.diameter, -flange.thickness, 0.0, T_base)]
+def rigid_parts(model: ProbeModel, folder: Path, design: "Design | None" = None) -> tuple[list[RigidPart], str]:
+    """Return sensor, adapters and the probe's flange, and a note on what is simplified.
+
+    Args:
+        model: of the probe.
+        folder: with the exported parts, which are drawn where they fit the model.
+        design: of the probe; without exported parts the adapters are bodies of revolution of its mount, without holes.
+    """
+    flange, base = model.flange, np.eye(4)
+    T_base_sensor = inverse(model.T_sensor_base)
+    plain = [_cylinder("sensor", model.sensor_d, -model.sensor_height, 0.0, T_base_sensor),
+             _cylinder("flange", flange.diameter, -flange.thickness, 0.0, base)]  # fmt: skip
     try:
         return plain + _exported(model, folder), ""
     except FileNotFoundError:
         why = "there is no manifest.json"
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         why = " ".join(str(error).split()) or "unreadable"
-    bottom = float(inverse(model.T_sensor_base)[2, 3])
-    adapter = _cylinder("adapter", flange.diameter, bottom, -flange.thickness, T_base)
-    return [*plain, adapter], f"parts of {folder}: {why}; plain cylinders are drawn instead"
+    note = f"parts of {folder}: {why}; plain cylinders are drawn instead"
+    if design is not None:
+        from probedesign.mount.mount import Mount
+
+        mount = Mount.of(design)
+        try:
+            a, plate = mount.sensor_adapter, mount.flange_adapter
+        except InputError as error:
+            note = str(error)
+        else:
+            foot, cone, rim, recess = (d / 2.0 for d in (a.foot_d, a.cone_d, a.body_d, a.recess_d))
+            outline = [(0.0, 0.0), (foot, 0.0), (foot, a.foot_height), (cone, a.foot_height), (rim, a.cone_top),
+                       (rim, a.body_top), (recess, a.body_top), (recess, a.floor), (0.0, a.floor)]  # fmt: skip
+            bore, top, high = a.ring_bore_d / 2.0, a.ring_bore_top_d / 2.0, a.ring_thickness
+            ring = [(bore, 0.0), (rim, 0.0), (rim, high), (top, high), (bore, 0.0)]
+            T_base_plate = T_base_sensor @ plate.T_sensor_robotflange
+            return [*plain, _revolved("sensor_adapter", outline, T_base_sensor), _revolved("clamp_ring", ring, base),
+                    _cylinder("flange_adapter", plate.plate_d, 0.0, plate.plate_top, T_base_plate)], note  # fmt: skip
+    adapter = _cylinder("adapter", flange.diameter, float(T_base_sensor[2, 3]), -flange.thickness, base)
+    return [*plain, adapter], note
 
 
 def _exported(model: ProbeModel, folder: Path) -> list[RigidPart]:
@@ -114,19 +256,50 @@ def read_stl(path: Path) -> Array:
 
 def _placed(name: str, corners: Array, T: Array) -> RigidPart:
     vertices, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-    return RigidPart(name, vertices @ T[:3, :3].T + T[:3, 3], faces.reshape(-1, 3))
+    points, faces = creased(vertices, faces.reshape(-1, 3))
+    return RigidPart(name, points @ T[:3, :3].T + T[:3, 3], faces)
+
+
+def creased(vertices: Array, faces: NDArray[np.integer]) -> tuple[Array, NDArray[np.integer]]:
+    """Return a mesh whose faces share vertices only where they meet at less than 37°: shading is smooth, edges sharp.
+
+    Args:
+        vertices: points, (i, 3).
+        faces: triangles, (j, 3).
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+    # The ends of each edge of a face as corners 3 face + k, the one at the lower vertex first; equal edges meet.
+    corner = np.arange(faces.size).reshape(-1, 3)
+    ends = np.stack([corner, np.roll(corner, -1, axis=1)], axis=-1).reshape(-1, 2)
+    at = faces.ravel()[ends]
+    ends = np.where((at[:, :1] > at[:, 1:]), ends[:, ::-1], ends)
+    order = np.lexsort(np.sort(at, axis=1).T)
+    first, second = ends[order[:-1]], ends[order[1:]]
+    meet = (faces.ravel()[first] == faces.ravel()[second]).all(axis=1)
+    meet &= np.sum(normal[first[:, 0] // 3] * normal[second[:, 0] // 3], axis=1) > 0.8
+    rows, columns = first[meet].ravel(), second[meet].ravel()
+    graph = coo_array((np.ones(len(rows)), (rows, columns)), (faces.size, faces.size))
+    _, labels = connected_components(graph, directed=False)
+    _, where = np.unique(labels, return_index=True)
+    return vertices[faces.ravel()[where]], labels.reshape(-1, 3)
 
 
 def _cylinder(name: str, diameter: float, low: float, high: float, T: Array) -> RigidPart:
     """Return a cylinder along z from low to high [m]."""
+    r = 0.5 * diameter
+    return _revolved(name, [(0.0, low), (r, low), (r, high), (0.0, high)], T)
+
+
+def _revolved(name: str, outline: Sequence[tuple[float, float]], T: Array) -> RigidPart:
+    """Return a body of revolution about z of an outline of radius and z [m], with the body on its left."""
     angle = np.linspace(0.0, 2.0 * np.pi, CYLINDER_SIDES, endpoint=False)
-    a = 0.5 * diameter * np.stack([np.cos(angle), np.sin(angle), np.zeros(CYLINDER_SIDES)], axis=1)
-    b = np.roll(a, -1, axis=0)
-    down, up = np.array([0.0, 0.0, low]), np.array([0.0, 0.0, high])
-    corners = [
-        np.stack([a + down, b + down, b + up], axis=1),
-        np.stack([a + down, b + up, a + up], axis=1),
-        np.stack([b + down, a + down, np.tile(down, (CYLINDER_SIDES, 1))], axis=1),
-        np.stack([a + up, b + up, np.tile(up, (CYLINDER_SIDES, 1))], axis=1),
-    ]
-    return _placed(name, np.concatenate(corners), T)
+    r, z = np.repeat(np.array(outline), CYLINDER_SIDES, axis=0).T
+    vertices = np.stack([r * np.tile(np.cos(angle), len(outline)), r * np.tile(np.sin(angle), len(outline)), z], axis=1)
+    faces = tube_faces(len(outline), CYLINDER_SIDES)
+    points, faces = creased(vertices, faces[np.count_nonzero(r[faces] == 0.0, axis=1) < 2])  # none on the axis alone
+    return RigidPart(name, points @ T[:3, :3].T + T[:3, 3], faces)

@@ -13,13 +13,15 @@ from probedesign.studio.figures import (
     complete,
     direction_figure,
     drawn_touch,
+    errors_along,
+    estimate_cloud,
     located,
     preview,
-    segment_colours,
     summary_table,
 )
 from probedesign.studio.scene import arrow_length, force_of_arrow
 from probedesign.studio.session import PinnedDesign, Session, StudioTouch
+from probedesign.web.scene import STALE_COLOUR, error_colours
 
 
 @pytest.mark.parametrize("name", ["large", "small"])
@@ -82,12 +84,27 @@ def test_the_drawn_touch_is_located_where_it_is_drawn(angle):
     assert np.linalg.norm(drawn.normal) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_the_colour_of_a_segment_is_that_of_its_error():
+def test_the_probe_has_the_colour_of_its_error_and_grey_where_a_touch_is_not_located():
     figures = preview(build_probe(load_design("large")), (0.01,))
-    edges = np.linspace(0.0, 1.0, 21)
-    colours = segment_colours(figures, edges, 0.01)
-    errors = {c.contact_fraction: c.predicted_error_mm for c in figures.prediction.conditions if c.force_N == 0.01}
-    assert len(colours) == 20 and colours[0] != colours[-1] and errors[0.2] < errors[0.8]
+    errors = errors_along(figures, 0.01)
+    assert errors[0.2] < errors[0.8]
+    near, far, unknown = error_colours({0.2: errors[0.2], 0.8: errors[0.8], 1.0: None}, np.array([0.2, 0.8, 1.0]))
+    # Viridis, dark where the error is small: its green component grows with the error.
+    assert near[1] < far[1] and tuple(unknown) == STALE_COLOUR
+
+
+def test_the_cloud_spreads_as_the_estimator_states():
+    """Estimates on 200 prints drawn from the priors, along the longest axis of the stated region.
+
+    The region is a tenth of a millimetre thin, less than a point moves by the curvature of the probe.
+    """
+    probe, touch = build_probe(load_design("small")), StudioTouch(0.6, 90.0, 20.0)
+    drawn = drawn_touch(probe, touch)
+    off = estimate_cloud(probe, drawn, touch, lambda *_: None) - drawn.p_surface
+    variance, axes = np.linalg.eigh(located(probe, drawn).cov_surface_base)
+    inside = np.abs(off @ axes[:, 2]) <= 1.96 * math.sqrt(variance[2])
+    # Three standard deviations of a count of 200 of which 95 % are expected.
+    assert len(off) > 180 and abs(np.mean(inside) - 0.95) < 0.047
 
 
 def test_a_pinned_design_is_shown_with_the_difference():

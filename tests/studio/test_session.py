@@ -3,9 +3,11 @@
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.design.catalog import RESINS
+from probedesign.design.catalog import RESINS, STIFFNESS_SPREAD
 from probedesign.design.edit import tables_of
-from probedesign.design.io import load_design
+from probedesign.design.io import load_design, parse_design, render_design
+from probedesign.estimation.tolerances import Tolerances
+from probedesign.probe import build_probe
 from probedesign.studio.session import MAX_PINNED, MERGE_SECONDS, Session, with_knots, with_options
 
 
@@ -111,4 +113,44 @@ def test_an_axis_is_bent_and_straightened(session):
     again = with_options(load_design("large"), ['probe.axis="helix"', "probe.axis_bend_deg=80"])
     assert again == session.design
     assert not session.change({"probe.axis_bend_deg": 2000.0}, now=6.0) and "axis_bend_deg" in session.refused
-    assert session.change({"probe.axis": "straight"}, now=8.0) and session.design == load_design("large")
+    assert session.change({"probe.axis": "straight"}, now=8.0)
+    assert session.design.probe == load_design("large").probe
+
+
+def test_a_changed_body_has_assumed_stiffness_and_the_same_body_keeps_its_own(session):
+    """What was identified on the paper's prints says nothing of a print of another body."""
+    moduli = {"material.youngs_modulus_mpa", "material.shear_modulus_mpa"}
+    assert session.change({"contact.friction": 0.4}, now=0.0)
+    assert not moduli & set(session.design.assumptions)
+    assert session.change({"probe.length_mm": 140.0}, now=2.0)
+    assert moduli <= set(parse_design(render_design(session.design)).assumptions)
+    assert session.design.youngs_modulus.value == load_design("large").youngs_modulus.value
+    known = Tolerances.of(build_probe(session.design).model)
+    assert known.youngs_modulus == pytest.approx(STIFFNESS_SPREAD.value)
+    assert session.undo() and not moduli & set(session.design.assumptions)
+
+
+def test_a_link_restores_the_state_and_a_damaged_one_changes_nothing(session):
+    assert session.change({"probe.length_mm": 130.0}, now=0.0)
+    session.pin()
+    assert session.change({"probe.section": "hollow"}, now=2.0)
+    session.restore("0.5,30,20", "5,10", ())
+    other = Session(load_design("small"))
+    for damaged in ("", "x", session.link[:-9], session.link[9:]):
+        with pytest.raises(InputError, match="link is damaged"):
+            other.open_link(damaged)
+    assert other.design == load_design("small") and not other.pinned
+    other.open_link(session.link)
+    assert (other.design, other.touch, other.forces_mN) == (session.design, session.touch, session.forces_mN)
+    assert other.pinned == session.pinned
+    assert other.undo() and other.design == load_design("small")
+
+
+def test_the_pinned_design_and_the_current_one_are_exchanged(session):
+    assert not session.toggle()
+    session.pin()
+    start = session.design
+    assert session.change({"probe.length_mm": 130.0}, now=0.0) and session.former == start
+    changed = session.design
+    assert session.toggle() and session.design == start
+    assert session.toggle() and session.design == changed
