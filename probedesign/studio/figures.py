@@ -184,7 +184,7 @@ def _figures(
     only_single: bool,
     on_progress: OnProgress = quiet,
 ) -> DesignFigures:
-    model, frequency, findings = probe.model, math.nan, ()
+    model, frequency, findings = probe.model, math.nan, tuple[str, ...]()
     if not only_single:
         frequency, check = natural_frequency(probe.rod, model.gravity_base), check_print(probe.design)
         findings = tuple(f"{finding.severity}: {finding.message}" for finding in (*check.errors, *check.warnings))

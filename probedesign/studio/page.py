@@ -501,10 +501,10 @@ class StudioPage:
         self._charts["summary"].content = styled(bar + dotted + summary_table(figures, pinned) + check)
         self._save["command"].value = session.command_line
         name = self._save["name"].value.strip()
-        text = render_design(session.design.model_copy(update={"name": name})).encode()
+        file = render_design(session.design.model_copy(update={"name": name})).encode()
         self._save["links"].content = styled(
             f'<a class=button download="{escape(name)}.toml" href="data:application/toml;base64,'
-            f'{base64.b64encode(text).decode()}">Download {escape(name)}.toml</a>'
+            f'{base64.b64encode(file).decode()}">Download {escape(name)}.toml</a>'
             f'<a class=button href="?state={session.link}" onclick="event.preventDefault();'
             "navigator.clipboard.writeText(this.href);this.textContent='Copied'\">Copy a link to this state</a>"
         )

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, inverse, is_pose
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
@@ -21,8 +20,6 @@ from probedesign.reports.chart import ORDERED
 
 if TYPE_CHECKING:
     import viser
-
-    from probedesign.design import Design
 
 UNIT = 20.0  #: Scene units per metre: viser's lights, camera and shadows suit objects of a few units.
 MIN_HALF_AXIS = 0.9e-3  #: Minimum half-axis of the drawn ellipsoid [m], so that it is visible.
@@ -100,7 +97,7 @@ class Stage:
         for node in self._gravity:
             node.visible = has_gravity
 
-    def shade(self, name: str, points: Array, faces: NDArray[np.integer] | None = None) -> None:
+    def shade(self, name: str, points: Array, faces: NDArray[Any] | None = None) -> None:
         """Draw the shadow of a mesh, or of the convex hull of points, (k, 3), in the scene [m].
 
         Each pixel must be darkened once: the upper faces of a tube cover it once, those of several parts do not.
@@ -124,7 +121,7 @@ class Stage:
             )  # fmt: skip
 
 
-def arrow(scene: "viser.SceneApi", name: str, colour: tuple[int, int, int], **options: Any) -> "viser.ArrowHandle":
+def arrow(scene: "viser.SceneApi", name: str, colour: tuple[int, int, int], **options: Any) -> Any:
     """Add an arrow with a head; its points are set later."""
     return scene.add_arrows(
         name, np.zeros((1, 2, 3)), colour, shaft_radius=UNIT * 0.6e-3, head_radius=UNIT * 1.7e-3,
@@ -132,7 +129,7 @@ def arrow(scene: "viser.SceneApi", name: str, colour: tuple[int, int, int], **op
     )  # fmt: skip
 
 
-def update(mesh: "viser.MeshHandle", vertices: NDArray[np.float32], faces: NDArray[np.uint32]) -> None:
+def update(mesh: "viser.MeshHandle", vertices: NDArray[Any], faces: NDArray[Any]) -> None:
     """Replace vertices and faces of a mesh; unchanged faces are not sent again."""
     mesh.vertices = vertices
     if not np.array_equal(mesh.faces, faces):
@@ -172,47 +169,28 @@ class RigidPart:
 
     name: str  #: name of the part.
     vertices: Array  #: points in base axes [m], (i, 3).
-    faces: NDArray[np.integer]  #: triangles, (j, 3).
+    faces: NDArray[Any]  #: triangles, (j, 3).
 
 
-def rigid_parts(model: ProbeModel, folder: Path, design: "Design | None" = None) -> tuple[list[RigidPart], str]:
+def rigid_parts(model: ProbeModel, folder: Path, adapters: Sequence[RigidPart] = ()) -> tuple[list[RigidPart], str]:
     """Return sensor, adapters and the probe's flange, and a note on what is simplified.
 
     Args:
         model: of the probe.
         folder: with the exported parts, which are drawn where they fit the model.
-        design: of the probe; without exported parts the adapters are bodies of revolution of its mount, without holes.
+        adapters: drawn without exported parts; a plain cylinder if empty.
     """
-    flange, base = model.flange, np.eye(4)
-    T_base_sensor = inverse(model.T_sensor_base)
-    plain = [_cylinder("sensor", model.sensor_d, -model.sensor_height, 0.0, T_base_sensor),
-             _cylinder("flange", flange.diameter, -flange.thickness, 0.0, base)]  # fmt: skip
+    flange, T_base_sensor = model.flange, inverse(model.T_sensor_base)
+    plain = [cylinder("sensor", model.sensor_d, -model.sensor_height, 0.0, T_base_sensor),
+             cylinder("flange", flange.diameter, -flange.thickness, 0.0, np.eye(4))]  # fmt: skip
     try:
         return plain + _exported(model, folder), ""
     except FileNotFoundError:
         why = "there is no manifest.json"
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         why = " ".join(str(error).split()) or "unreadable"
-    note = f"parts of {folder}: {why}; plain cylinders are drawn instead"
-    if design is not None:
-        from probedesign.mount.mount import Mount
-
-        mount = Mount.of(design)
-        try:
-            a, plate = mount.sensor_adapter, mount.flange_adapter
-        except InputError as error:
-            note = str(error)
-        else:
-            foot, cone, rim, recess = (d / 2.0 for d in (a.foot_d, a.cone_d, a.body_d, a.recess_d))
-            outline = [(0.0, 0.0), (foot, 0.0), (foot, a.foot_height), (cone, a.foot_height), (rim, a.cone_top),
-                       (rim, a.body_top), (recess, a.body_top), (recess, a.floor), (0.0, a.floor)]  # fmt: skip
-            bore, top, high = a.ring_bore_d / 2.0, a.ring_bore_top_d / 2.0, a.ring_thickness
-            ring = [(bore, 0.0), (rim, 0.0), (rim, high), (top, high), (bore, 0.0)]
-            T_base_plate = T_base_sensor @ plate.T_sensor_robotflange
-            return [*plain, _revolved("sensor_adapter", outline, T_base_sensor), _revolved("clamp_ring", ring, base),
-                    _cylinder("flange_adapter", plate.plate_d, 0.0, plate.plate_top, T_base_plate)], note  # fmt: skip
-    adapter = _cylinder("adapter", flange.diameter, float(T_base_sensor[2, 3]), -flange.thickness, base)
-    return [*plain, adapter], note
+    adapter = cylinder("adapter", flange.diameter, float(T_base_sensor[2, 3]), -flange.thickness, np.eye(4))
+    return [*plain, *(adapters or [adapter])], f"parts of {folder}: {why}; plain cylinders are drawn instead"
 
 
 def _exported(model: ProbeModel, folder: Path) -> list[RigidPart]:
@@ -255,12 +233,16 @@ def read_stl(path: Path) -> Array:
 
 
 def _placed(name: str, corners: Array, T: Array) -> RigidPart:
-    vertices, faces = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-    points, faces = creased(vertices, faces.reshape(-1, 3))
+    vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+    return _part(name, vertices, index.reshape(-1, 3), T)
+
+
+def _part(name: str, vertices: Array, faces: NDArray[Any], T: Array) -> RigidPart:
+    points, faces = creased(vertices, faces)
     return RigidPart(name, points @ T[:3, :3].T + T[:3, 3], faces)
 
 
-def creased(vertices: Array, faces: NDArray[np.integer]) -> tuple[Array, NDArray[np.integer]]:
+def creased(vertices: Array, faces: NDArray[Any]) -> tuple[Array, NDArray[Any]]:
     """Return a mesh whose faces share vertices only where they meet at less than 37°: shading is smooth, edges sharp.
 
     Args:
@@ -289,17 +271,16 @@ def creased(vertices: Array, faces: NDArray[np.integer]) -> tuple[Array, NDArray
     return vertices[faces.ravel()[where]], labels.reshape(-1, 3)
 
 
-def _cylinder(name: str, diameter: float, low: float, high: float, T: Array) -> RigidPart:
+def cylinder(name: str, diameter: float, low: float, high: float, T: Array) -> RigidPart:
     """Return a cylinder along z from low to high [m]."""
     r = 0.5 * diameter
-    return _revolved(name, [(0.0, low), (r, low), (r, high), (0.0, high)], T)
+    return revolved(name, [(0.0, low), (r, low), (r, high), (0.0, high)], T)
 
 
-def _revolved(name: str, outline: Sequence[tuple[float, float]], T: Array) -> RigidPart:
+def revolved(name: str, outline: Sequence[tuple[float, float]], T: Array) -> RigidPart:
     """Return a body of revolution about z of an outline of radius and z [m], with the body on its left."""
     angle = np.linspace(0.0, 2.0 * np.pi, CYLINDER_SIDES, endpoint=False)
     r, z = np.repeat(np.array(outline), CYLINDER_SIDES, axis=0).T
     vertices = np.stack([r * np.tile(np.cos(angle), len(outline)), r * np.tile(np.sin(angle), len(outline)), z], axis=1)
     faces = tube_faces(len(outline), CYLINDER_SIDES)
-    points, faces = creased(vertices, faces[np.count_nonzero(r[faces] == 0.0, axis=1) < 2])  # none on the axis alone
-    return RigidPart(name, points @ T[:3, :3].T + T[:3, 3], faces)
+    return _part(name, vertices, faces[np.count_nonzero(r[faces] == 0.0, axis=1) < 2], T)  # none of no area

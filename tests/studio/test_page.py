@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+import urllib.request
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -127,6 +128,49 @@ def knot_on_screen(page, tab, i, stretch):
     return np.array([box["x"] + box["width"] / 2.0, box["y"] + box["height"] / 2.0]) + focal / (off @ ahead) * np.array(
         [off @ right, off @ down]
     )
+
+
+def test_keys_undo_and_exchange_and_a_link_restores(page, running):
+    with opened(running, page) as (tab, faults):
+        tab.wait_for_selector("text=/one reading of 10 mN locates/")
+        page._request(lambda: page._pin(page.session.pin))
+        page.move("probe.length_mm", 60.0)
+        page.settle()
+        link = f"{page.url}/?state={page.session.link}"
+        for key, length in (("Control+z", 50.0), ("Control+Shift+z", 60.0), ("Space", 50.0), ("Space", 60.0)):
+            tab.keyboard.press(key)
+            wait_until(lambda length=length: page.session.design.probe.length_mm == length)
+        page.move("probe.length_mm", 40.0)
+        page.settle()
+        tab.goto(link)
+        wait_until(lambda: page.session.design.probe.length_mm == 60.0)
+        tab.wait_for_selector("text=/one reading of 10 mN locates/")
+        assert "state" not in tab.url  # a reload keeps what was changed since
+        assert not [fault for fault in faults if "favicon" not in fault]
+
+
+def test_a_link_in_another_page_changes_nothing(page):
+    """A browser states whether the user opened the address or another page led to it."""
+    address = f"{page.url}/?state={Session(paper_design('large')).link}"
+    for site, name in (("cross-site", "small"), ("same-site", "small"), ("none", "large")):
+        urllib.request.urlopen(urllib.request.Request(address, headers={"Sec-Fetch-Site": site})).read()
+        page.settle()
+        assert page.session.design.name == name
+
+
+def test_the_former_shape_stays_while_a_slider_moves(page):
+    """The ghost is the probe before the drag, bent by the same touch, and goes when the hand rests."""
+    wait_until(lambda: page._complete)
+    tip = page._scene._shown[2].p_base[-1]
+    for length in (55.0, 60.0):
+        page.move("probe.length_mm", length)
+        page.settle()
+        ghost, camera = page._scene._ghosts["former"].vertices / UNIT, page._server.initial_camera.position
+        # Its end is a disc about the tip, 0.97 of the radius of 0.75 mm.
+        assert np.linalg.norm(ghost - tip, axis=1).min() < 1e-6
+        assert page._scene._shown[0].length == length / 1e3
+    wait_until(lambda: page._complete and "former" not in page._scene._ghosts)
+    assert np.array_equal(camera, page._server.initial_camera.position)
 
 
 def test_the_buttons_write_what_the_commands_write(page, running, tmp_path):

@@ -7,6 +7,7 @@ docs/decisions/0020-the-page-is-an-instrument.md. All text from outside is escap
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from html import escape
 
 import numpy as np
@@ -16,7 +17,7 @@ from viser import uplot
 from probedesign.core.frames import Array
 from probedesign.core.statistics import ellipsoid_95
 from probedesign.core.units import MILLINEWTON, MM, N_MM
-from probedesign.live.view.state import CHART_SECONDS, MAX_TOUCHES, PageSetup, SceneSetup, Snapshot, StripCharts
+from probedesign.live.view.state import CHART_SECONDS, CLOUD, MAX_TOUCHES, PageSetup, SceneSetup, Snapshot, StripCharts
 from probedesign.web.guard import LoopbackServer
 from probedesign.web.scene import (
     ARROW,
@@ -28,6 +29,8 @@ from probedesign.web.scene import (
     SPREAD,
     STALE_COLOUR,
     UNIT,
+    Stage,
+    arrow,
     level_rotation,
     quaternion,
 )
@@ -36,13 +39,13 @@ from probedesign.web.scene import (
 STYLE = """
 :root { --pd-good: #1b7f4b; --pd-fair: #9a5b00; --pd-bad: #b3261e; --pd-plain: #46525e; --pd-dim: #66717c; }
 [data-mantine-color-scheme="dark"] { --pd-dim: #9aa5b0; }
-.pd { padding: 4px 12px; font-size: 13px; line-height: 1.4; font-variant-numeric: tabular-nums; }
+.pd { padding: 8px 16px; font-size: 15px; line-height: 1.5; }
 .pd table { width: 100%; border-collapse: collapse; }
 .pd td { vertical-align: top; padding: 0; }
-.pd td:first-child { color: var(--pd-dim); padding-right: 10px; white-space: nowrap; }
-.pd-small { font-size: 12px; }
-.pd-banner { color: white; border-radius: 6px; padding: 7px 10px; margin-bottom: 6px; font-size: 14px;
-  font-weight: 600; }
+.pd td { overflow-wrap: anywhere; }
+.pd td:first-child { color: var(--pd-dim); padding-right: 8px; white-space: nowrap; }
+.pd-small { font-size: 14px; }
+.pd-banner { color: white; border-radius: 8px; padding: 8px; margin-bottom: 8px; font-size: 16px; font-weight: 600; }
 .pd-banner.pd-good { background: var(--pd-good); } .pd-banner.pd-fair { background: var(--pd-fair); }
 .pd-banner.pd-bad { background: var(--pd-bad); } .pd-banner.pd-plain { background: var(--pd-plain); }
 td.pd-good, td.pd-fair, td.pd-bad { font-weight: 600; }
@@ -52,9 +55,9 @@ td.pd-good { color: var(--pd-good); } td.pd-fair { color: var(--pd-fair); } td.p
 [data-mantine-color-scheme="dark"] td.pd-bad { color: #ff8a80; }
 .pd-old td { opacity: 0.45; }
 [data-mantine-color-scheme="dark"] .u-title { color: #c8d0d8; }
-.u-title { font-size: 12px !important; line-height: 1.5; font-weight: 600; }
+.u-title { font-size: 14px !important; line-height: 1.5; font-weight: 600; }
 #pd-lost { display: none; position: fixed; z-index: 10000; top: 0; left: 0; right: 0; background: #b3261e;
-  color: white; font: 600 15px sans-serif; padding: 10px 14px; text-align: center; }
+  color: white; font: 600 16px system-ui, sans-serif; padding: 8px 16px; text-align: center; }
 .pd-lost #pd-lost { display: block; }
 .pd-lost .pd { filter: grayscale(1); opacity: 0.45; } .pd-lost .pd-banner { background: var(--pd-plain) !important; }
 .pd-lost canvas, .pd-lost .uplot { filter: grayscale(1); opacity: 0.45; }
@@ -110,10 +113,10 @@ INTERVAL_COLOURS = ("#c81e28", "#e9a3a8", "#e9a3a8")
 LIMIT_COLOUR, TOUCH_COLOUR, MARK_COLOUR = "#b3261e", "#e08a2e", "#8e44ad"
 #: An axis whose colours are readable on light and on dark ground.
 AXIS: uplot.Axis = {"stroke": "#808b96", "grid": {"stroke": "rgba(128,139,150,0.22)", "width": 1},
-                    "ticks": {"show": False}, "font": "11px sans-serif"}  # fmt: skip
+                    "ticks": {"show": False}, "font": "12px system-ui, sans-serif"}  # fmt: skip
 HEIGHT = 142
 NEAR_LIMIT = 3.0  #: A limit is visible up to this multiple of the largest value.
-STATUS_WIDTH, CHARTS_WIDTH = 350.0, 300.0  #: Widths of the panels [px]: of 1100, 450 are left for the scene.
+STATUS_WIDTH, CHARTS_WIDTH = 370.0, 310.0  #: Widths of the panels [px]: of 1280, 600 are left for the scene.
 
 
 class Chart:
@@ -195,6 +198,7 @@ class Panel:
         self._start.on_click(lambda _: send_command("start recording", ""))
         self._stop = gui.add_button("Stop recording", icon=viser.Icon.PLAYER_STOP, color="gray", disabled=True)
         self._stop.on_click(lambda _: send_command("stop recording", ""))
+        self.cloud = gui.add_checkbox(f"Last {CLOUD} estimates", False)
         with gui.add_folder("Events"):
             self._texts.append(gui.add_html(""))
         for setup in scenes:
@@ -246,23 +250,25 @@ AGEING = 0.5  #: Interval in which the charts of old data are drawn again [s].
 class ProbeScene:
     """What is drawn of one probe; all of it is of one estimate."""
 
-    def __init__(self, scene: viser.SceneApi, setup: SceneSetup, number: int, aside: Array) -> None:
+    def __init__(self, scene: viser.SceneApi, stage: Stage, setup: SceneSetup, number: int, aside: Array) -> None:
         """Create all objects, invisible if their content is unknown.
 
         Args:
             scene: where they are created.
+            stage: receives the shadows.
             setup: the static content.
             number: number of the probe, from 0.
             aside: where its base is drawn if its pose is unknown [m], (3,).
         """
         self._setup, self._aside, self._T, root = setup, aside, np.eye(4), f"/{number}"
+        self._stage, self._number = stage, number
+        self._tube = replace(setup.tube, rings=16, sides=12)  # of the shadow
+        self._hull = np.concatenate([part.vertices for part in setup.parts])
         self._base = scene.add_frame(f"{root}/base", show_axes=False)
         self._base.wxyz, self._base.position = quaternion(level_rotation(setup.gravity_base)), UNIT * aside
         for part in setup.parts:
             colour, name = PART_COLOURS.get(part.name, METAL), f"{root}/base/{part.name}"
-            scene.add_mesh_simple(
-                name, UNIT * part.vertices, part.faces, color=colour, flat_shading=True, cast_shadow=False
-            )
+            scene.add_mesh_simple(name, UNIT * part.vertices, part.faces, color=colour, cast_shadow=False)
         free = UNIT * setup.tube.vertices(setup.free)
         self._probe = scene.add_mesh_simple(
             f"{root}/base/probe", free, setup.tube.faces, color=PROBE, opacity=0.42, side="double", cast_shadow=False
@@ -270,10 +276,11 @@ class ProbeScene:
         self._contact = scene.add_icosphere(f"{root}/contact", UNIT * 1.5e-3, CONTACT, visible=False, cast_shadow=False)
         # Opaque: a translucent object inside another is drawn or not, depending on the camera.
         self._spread = scene.add_icosphere(f"{root}/spread", 1.0, SPREAD, visible=False, cast_shadow=False)
-        self._force = scene.add_arrows(
-            f"{root}/force", np.zeros((1, 2, 3)), CONTACT, shaft_radius=UNIT * 0.6e-3, head_radius=UNIT * 1.6e-3,
-            head_length=UNIT * 4e-3, visible=False,
-        )  # fmt: skip
+        self._force = arrow(scene, f"{root}/force", CONTACT, visible=False)
+        self._spread_label = scene.add_label(f"{root}/spread_label", "95 % region", anchor="top-left", visible=False)
+        self._cloud = scene.add_point_cloud(
+            f"{root}/cloud", np.zeros((1, 3)), CONTACT, point_size=UNIT * 7e-4, point_shape="circle", visible=False
+        )
         self._label = scene.add_label(f"{root}/contact_label", "", anchor="bottom-center", visible=False)
         size = UNIT * 1.5e-3
         self._marks = [
@@ -284,16 +291,20 @@ class ProbeScene:
             for i in range(MAX_TOUCHES)
         ]
 
-    def show(self, snapshot: Snapshot) -> None:
-        """Show a snapshot."""
+    def show(self, snapshot: Snapshot, cloud: bool) -> None:
+        """Show a snapshot, with its cloud of the last estimates if it is asked for."""
         self._show_probe(snapshot)
         self._show_contact(snapshot)
         self._show_touches(snapshot)
+        self._cloud.visible = cloud and len(snapshot.cloud) > 0
+        if self._cloud.visible:
+            R, origin = (np.eye(3), np.zeros(3)) if snapshot.has_pose else (self._T[:3, :3], self._T[:3, 3])
+            self._cloud.points = (UNIT * (snapshot.cloud @ R.T + origin)).astype(np.float16)
 
     def _show_probe(self, snapshot: Snapshot) -> None:
         """Show the estimated shape; where it is unknown the free probe in grey."""
         T = np.eye(4)  # of the base in the scene: in the world, or upright by gravity if it is unknown
-        if np.isfinite(snapshot.T_world_base).all():
+        if snapshot.has_pose:
             T = snapshot.T_world_base
         else:
             T[:3, :3], T[:3, 3] = level_rotation(snapshot.gravity_base), self._aside
@@ -301,6 +312,11 @@ class ProbeScene:
         self._base.wxyz, self._base.position = quaternion(T[:3, :3]), UNIT * T[:3, 3]
         shape = snapshot.shape or self._setup.free
         self._probe.vertices = (UNIT * self._setup.tube.vertices(shape)).astype(np.float32)
+        for name, points, faces in (
+            ("probe", self._tube.vertices(shape), self._tube.faces),
+            ("mount", self._hull, None),
+        ):
+            self._stage.shade(f"{self._number}/{name}", points @ T[:3, :3].T + T[:3, 3], faces)
         current = (snapshot.shape is not None and not snapshot.stale) or not snapshot.result
         self._probe.color = PROBE if current else STALE_COLOUR
 
@@ -309,7 +325,7 @@ class ProbeScene:
         marker = snapshot.marker
         shown = marker is not None
         self._contact.visible = self._label.visible = shown
-        self._spread.visible = self._force.visible = shown and not snapshot.stale
+        self._spread.visible = self._spread_label.visible = self._force.visible = shown and not snapshot.stale
         if marker is None:
             return
         R, origin = (np.eye(3), np.zeros(3)) if marker.in_world else (self._T[:3, :3], self._T[:3, 3])
@@ -318,6 +334,7 @@ class ProbeScene:
         self._contact.position = self._spread.position = UNIT * surface
         self._spread.scale = tuple(UNIT * np.maximum(half_axes, MIN_HALF_AXIS))
         self._spread.wxyz = quaternion(axes)
+        self._spread_label.position = UNIT * (surface - half_axes[-1] * axes[:, -1])
         force = R @ marker.force
         strength = float(np.linalg.norm(force))
         tail = surface - ARROW * force / strength
@@ -347,14 +364,10 @@ class ViewerPage:
         server.gui.configure_theme(
             show_logo=False, show_share_button=False, control_width="large", brand_color=(38, 84, 124)
         )
-        scene = server.scene
-        scene.set_up_direction("+z")
-        # Reflections of an environment and shadows take nine tenths of a frame's time in a browser without a GPU.
-        scene.configure_environment_map(None)
-        scene.configure_default_lights(True, cast_shadow=False)
-        scene.add_light_hemisphere("/sky", ground_color=(150, 150, 150), intensity=2.5)
+        self._stage = Stage(server.scene)
         aside = self._set_camera()
-        self._scenes = [ProbeScene(scene, each, i, i * aside) for i, each in enumerate(setup.scenes)]
+        self._scenes = [ProbeScene(server.scene, self._stage, each, i, i * aside)
+                        for i, each in enumerate(setup.scenes)]  # fmt: skip
         self._panel = Panel(server, send_command, setup.scenes)
 
     @property
@@ -378,7 +391,7 @@ class ViewerPage:
                 redraw = self._charts[i].add(snapshot.strip)
                 if self._panel.paused:
                     continue
-                self._scenes[i].show(snapshot)
+                self._scenes[i].show(snapshot, self._panel.cloud.value)
                 age = snapshot.age if snapshot.stale and math.isfinite(snapshot.age) else 0.0
                 if redraw or abs(age - self._drawn_ages[i]) > AGEING:
                     self._panel.draw(i, self._charts[i], age)
@@ -395,12 +408,10 @@ class ViewerPage:
         free, length = setup.free, float(setup.tube.s[-1])
         T = level_rotation(setup.gravity_base)
         p = free.p_base @ T.T
-        low = float(min(p[:, 2].min(), -0.04)) - 0.25 * length
-        self._server.scene.add_grid(
-            "/floor", UNIT * 0.6, UNIT * 0.6, cell_size=UNIT * 0.01, section_size=UNIT * 0.05,
-            cell_color=(150, 156, 162), section_color=(124, 132, 140), plane_opacity=0.0, shadow_opacity=0.0,
-            position=(0.0, 0.0, UNIT * low),
-        )  # fmt: skip
+        body = np.concatenate([p, *(part.vertices @ T.T for part in setup.parts)])
+        low = body.min(axis=0) - (0.0, 0.02, 0.02)
+        front = np.array([0.5 * (low[0] + body[:, 0].max()), low[1], 0.0])
+        self._stage.put(low[2], front, low + np.array([0.0, 0.0, 0.025]), bool(np.any(setup.gravity_base)))
         along = T[:, 2]
         middle = UNIT * (0.5 * (p[0] + p[-1]) - 0.02 * along)
         side = np.cross(along, (0.0, 0.0, 1.0))
