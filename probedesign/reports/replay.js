@@ -14,12 +14,6 @@ function index(time) {  // of the last frame that is not later
   }
   return low;
 }
-function body(time, i) {  // centreline between two frames
-  const a = frames[i], b = frames[Math.min(i + 1, frames.length - 1)];
-  if (!a.p || !b.p || a.free) return a.p;
-  const share = b.t > a.t ? (time - a.t) / (b.t - a.t) : 0;
-  return a.p.map((p, k) => p.map((value, j) => value + share * (b.p[k][j] - value)));
-}
 function tube(line) {  // outline of the probe seen from the viewer
   const points = line.map(scene.at), left = [], right = [];
   points.forEach(([x, y], k) => {
@@ -30,7 +24,7 @@ function tube(line) {  // outline of the probe seen from the viewer
   return [...left, ...right];
 }
 function paint({pen, at, scale, ink, near}) {
-  const time = playing ? now() : Number(place.value), i = index(time), frame = frames[i], line = body(time, i);
+  const time = playing ? now() : Number(place.value), i = index(time), frame = frames[i], line = frame.p;
   for (let k = 0; k <= i; k++) if (frames[k].contact) scene.dot(frames[k].contact.p, 1.6, frames[k].contact.colour + "88");
   const contact = frame.contact, behind = contact && dot(contact.force, near) < 0;
   if (contact && behind) touch(contact);

@@ -129,7 +129,7 @@ class StudioPage:
         self._probe = build_probe(session.design)
         self.figures = preview(self._probe, self._forces)
         self._drawn: DrawnTouch | None = None
-        self._complete = self._searching = self._clouded = False
+        self._pending = {"prediction"}  # of prediction, search and cloud: what follows when the hand rests
         self._kept: tuple[str, bool] | None = None  # message of an action, shown until the next change
         self._stopped = threading.Event()
         self._window = protect(TITLE, head=HEAD, on_link=lambda text: self._request(lambda: self._open_link(text)))
@@ -209,8 +209,7 @@ class StudioPage:
         """Carry out requests; predict everything when there were none for a while."""
         while not self._stopped.is_set():
             try:
-                at_rest = self._complete and self._clouded and not self._searching
-                request = self._requests.get(timeout=None if at_rest else REST_SECONDS)
+                request = self._requests.get(timeout=REST_SECONDS if self._pending else None)
             except queue.Empty:
                 request = self._rest
             try:
@@ -222,24 +221,26 @@ class StudioPage:
             else:
                 continue
             if request == self._rest:  # it would fail again
-                self._complete, self._clouded, self._searching = True, True, False
+                self._pending.clear()
 
     def _rest(self) -> None:
         """Predict everything once the hand rests, and draw the path of a search; the next request ends both."""
         try:
-            if self._searching:
-                self._searching = self._improve.running  # before the last state is shown
+            if "search" in self._pending:
+                if not self._improve.running:  # before the last state is shown
+                    self._pending.remove("search")
                 self._improve.show(lambda design: complete(design, self._yield))
-            if not self._complete:
+            if "prediction" in self._pending:
                 self.figures = complete(self.session.design, self._yield)
-                self._complete = True
+                self._pending.remove("prediction")
                 self._scene.end_change()
                 self._show(shape=False)
-            if not self._clouded:
+            if "cloud" in self._pending:
                 self._show_cloud()
-                self._clouded = True
+                self._pending.remove("cloud")
         except _RequestWaitsError:
-            self._searching = self._improve.search is not None
+            if self._improve.search is not None:
+                self._pending.add("search")
 
     def _yield(self, _step: str, _share: float | None) -> None:
         """End what is computed if a request waits."""
@@ -255,8 +256,9 @@ class StudioPage:
             self._kept = None
             self._probe = build_probe(self.session.design)
             self.figures = preview(self._probe, self._forces)
-            self._complete = False
-        self._clouded = not self._cloud.value
+            self._pending.add("prediction")
+        if self._touch["cloud"].value:
+            self._pending.add("cloud")
         self._show()
 
     # Controls
@@ -295,9 +297,9 @@ class StudioPage:
             self._design_controls.add_touch()
             gui.add_markdown("Drag the red point along the probe, or the end of its arrow: its direction is that of "
                              "the force, and it grows with the logarithm of the force.")  # fmt: skip
-            self._cloud = gui.add_checkbox(f"{N_CLOUD} estimates of it, on as many prints", False)
-            self._cloud.on_update(lambda _: self._request(lambda: self._refresh(moved=False)))
-            self._touch_text, self._cloud_text = gui.add_html(""), gui.add_html("")
+            cloud: Any = gui.add_checkbox(f"{N_CLOUD} estimates of it, on as many prints", False)
+            cloud.on_update(lambda _: self._request(lambda: self._refresh(moved=False)))
+            self._touch: dict[str, Any] = {"cloud": cloud, "text": gui.add_html(""), "scatter": gui.add_html("")}
         with tabs.add_tab("Improve"):
             self._improve = ImproveTab(
                 gui, lambda: self._request(self._start_search),
@@ -411,7 +413,7 @@ class StudioPage:
     def _start_search(self) -> None:
         """Start a search in a thread of its own; its path is drawn as it goes."""
         self._improve.start(self.session.design)
-        self._searching = True
+        self._pending.add("search")
 
     def _accept(self, design: Design) -> None:
         start = tables_of(self._improve.search.start) if self._improve.search else tables_of(self.session.design)
@@ -425,7 +427,7 @@ class StudioPage:
         session = self.session
         pinned = [(pin, complete(pin.design)) for pin in session.pinned]
         others = [_built(pin.design) for pin in session.pinned if pin.design != session.design]
-        former = _built(session.former) if session.former and not self._complete else None
+        former = _built(session.former) if session.former and "prediction" in self._pending else None
         self._drawn = drawn_touch(self._probe, session.touch)
         estimate = located(self._probe, self._drawn) if self._drawn else None
         if estimate is None:
@@ -441,22 +443,24 @@ class StudioPage:
         with self._server.atomic():
             self._design_controls.show(waiting)
             self._show_text(pinned)
-            self._touch_text.content = styled(touch)
+            self._touch["text"].content = styled(touch)
             if shape:
                 self._scene.show_shape(self._probe, self._drawn, session.touch, others, former)
-                self._cloud_text.content = styled("<p class=note>…</p>" if self._cloud.value else "")
+                self._touch["scatter"].content = styled("<p class=note>…</p>" if self._touch["cloud"].value else "")
             self._scene.show_errors(self.figures, estimate, session.touch)
-            if self._complete and self._scene.is_out_of_frame:
+            if not shape and self._scene.is_out_of_frame:
                 self._fit(self._scene.has_turned)
         self._server.flush()
 
     def _show_cloud(self) -> None:
         """Draw estimates of the touch, if they are asked for."""
         points = np.zeros((0, 3))
-        if self._cloud.value and self._drawn is not None:
+        if self._touch["cloud"].value and self._drawn is not None:
             points = estimate_cloud(self._probe, self._drawn, self.session.touch, self._yield)
             off = np.sqrt(np.mean(np.sum((points - self._drawn.p_surface) ** 2, axis=1))) / MM if len(points) else 0.0
-            self._cloud_text.content = styled(f"<p class=note>{len(points)} of {N_CLOUD} located, {off:.2g} mm RMS</p>")
+            self._touch["scatter"].content = styled(
+                f"<p class=note>{len(points)} of {N_CLOUD} located, {off:.2g} mm RMS</p>"
+            )
         with self._server.atomic():
             self._scene.show_cloud(points)
         self._server.flush()

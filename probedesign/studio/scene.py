@@ -147,9 +147,7 @@ class StudioScene:
             self._force_label.position = UNIT * (tail - 4e-3 * drawn.normal)
             self._force_label.text = f"{touch.force_mN:g} mN"
         self._show_parts(probe)
-        tube = _tube(probe)
-        self._stage.shade("probe", tube.vertices(bent) @ T.T, tube.faces)
-        self._stage.shade("mount", self._hull @ T.T)
+        self._shade()
         ghosts = {f"pinned/{i}": (other, GHOST_COLOUR) for i, other in enumerate(pinned)}
         if former is not None:
             ghosts["former"] = former, FORMER_COLOUR
@@ -281,21 +279,22 @@ class StudioScene:
         camera.position = middle + distance * direction / np.linalg.norm(direction)
         camera.look_at = middle  # last: the position moves it too
         self._framed = self._length, along, self._aside
-        self._put_floor()
+        self._shade(place=True)
 
-    def _put_floor(self) -> None:
-        """Place the floor below probe and mount, and what stands on it."""
+    def _shade(self, place: bool = False) -> None:
+        """Draw the shadows, after placing the floor below probe and mount if `place`."""
         if self._shown is None:
             return
         probe, _, bent = self._shown
-        gravity = np.asarray(probe.model.gravity_base)
-        T = level_rotation(gravity)
-        body = np.concatenate([_tube(probe).vertices(bent), self._hull]) @ T.T
-        low, high = body.min(axis=0), body.max(axis=0)
-        front = np.array([0.5 * (low[0] + high[0]), low[1] - 0.02, 0.0])
-        self._stage.put(low[2] - BELOW, front, np.array([low[0], low[1] - 0.01, low[2] + 0.005]), bool(gravity.any()))
-        self._stage.shade("probe", _tube(probe).vertices(bent) @ T.T, _tube(probe).faces)
-        self._stage.shade("mount", self._hull @ T.T)
+        T, tube = level_rotation(probe.model.gravity_base), _tube(probe)
+        body, mount = tube.vertices(bent) @ T.T, self._hull @ T.T
+        if place:
+            low, high = (getattr(np.concatenate([body, mount]), end)(axis=0) for end in ("min", "max"))
+            front, tail = low - (0.0, 0.02, BELOW), low - (0.0, 0.01, -0.005)
+            front[0] = 0.5 * (low[0] + high[0])
+            self._stage.put(front[2], front, tail, bool(np.any(probe.model.gravity_base)))
+        self._stage.shade("probe", body, tube.faces)
+        self._stage.shade("mount", mount)
 
     # Drags
 

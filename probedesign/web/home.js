@@ -9,23 +9,18 @@ const minus = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]], dot = (a, b) =>
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const unit = a => { const n = Math.hypot(...a) || 1; return [a[0] / n, a[1] / n, a[2] / n]; };
 
-function corners(part) {  // point, normal and colour of each corner; a normal averages the faces about it that bend little
-  const raw = decode(part.points, Uint16Array), index = decode(part.faces, Uint32Array), step = scene.step;
-  const p = Array.from({length: raw.length / 3}, (_, i) => [0, 1, 2].map(k => scene.low[k] + step * raw[3 * i + k]));
-  const count = index.length / 3, normals = [], about = p.map(() => []);
-  for (let f = 0; f < count; f++) {
-    const [a, b, c] = [0, 1, 2].map(k => p[index[3 * f + k]]);
-    normals.push(cross(minus(b, a), minus(c, a)));
-    for (let k = 0; k < 3; k++) about[index[3 * f + k]].push(f);
+function corners(part) {  // point, normal and colour of each corner; faces that meet at an edge share no vertices
+  const raw = decode(part.points, Uint16Array), index = decode(part.faces, Uint32Array), data = new Float32Array(9 * index.length);
+  const p = Array.from({length: raw.length / 3}, (_, i) => [0, 1, 2].map(k => scene.low[k] + scene.step * raw[3 * i + k]));
+  const normals = p.map(() => [0, 0, 0]), colours = part.colours && decode(part.colours, Uint8Array);
+  for (let f = 0; f < index.length; f += 3) {
+    const [a, b, c] = [0, 1, 2].map(k => p[index[f + k]]), normal = cross(minus(b, a), minus(c, a));
+    for (let k = 0; k < 3; k++) for (let j = 0; j < 3; j++) normals[index[f + k]][j] += normal[j];
   }
-  const units = normals.map(unit), colours = part.colours && decode(part.colours, Uint8Array);
-  const data = new Float32Array(27 * count);
-  for (let f = 0, at = 0; f < count; f++) for (let k = 0; k < 3; k++, at += 9) {
-    const v = index[3 * f + k], sum = [0, 0, 0];
-    for (const g of about[v]) if (dot(units[f], units[g]) > 0.8) for (let j = 0; j < 3; j++) sum[j] += normals[g][j];
-    data.set(p[v], at); data.set(unit(sum), at + 3);
-    data.set(colours ? [0, 1, 2].map(j => colours[3 * v + j] / 255) : part.colour.map(c => c / 255), at + 6);
-  }
+  index.forEach((v, i) => {
+    data.set(p[v], 9 * i); data.set(unit(normals[v]), 9 * i + 3);
+    data.set(colours ? [0, 1, 2].map(j => colours[3 * v + j] / 255) : part.colour.map(c => c / 255), 9 * i + 6);
+  });
   return data;
 }
 

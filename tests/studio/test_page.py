@@ -151,7 +151,7 @@ def test_keys_undo_and_exchange_and_a_link_restores(page, running):
 
 def test_a_link_in_another_page_changes_nothing(page):
     """A browser states whether the user opened the address or another page led to it."""
-    address = f"{page.url}/?state={Session(paper_design('large')).link}"
+    address = f"{page.url}/?state={Session(load_design('large')).link}"
     for site, name in (("cross-site", "small"), ("same-site", "small"), ("none", "large")):
         urllib.request.urlopen(urllib.request.Request(address, headers={"Sec-Fetch-Site": site})).read()
         page.settle()
@@ -160,7 +160,7 @@ def test_a_link_in_another_page_changes_nothing(page):
 
 def test_the_former_shape_stays_while_a_slider_moves(page):
     """The ghost is the probe before the drag, bent by the same touch, and goes when the hand rests."""
-    wait_until(lambda: page._complete)
+    wait_until(lambda: page.figures.complete)
     tip = page._scene._shown[2].p_base[-1]
     for length in (55.0, 60.0):
         page.move("probe.length_mm", length)
@@ -169,7 +169,7 @@ def test_the_former_shape_stays_while_a_slider_moves(page):
         # Its end is a disc about the tip, 0.97 of the radius of 0.75 mm.
         assert np.linalg.norm(ghost - tip, axis=1).min() < 1e-6
         assert page._scene._shown[0].length == length / 1e3
-    wait_until(lambda: page._complete and "former" not in page._scene._ghosts)
+    wait_until(lambda: page.figures.complete and "former" not in page._scene._ghosts)
     assert np.array_equal(camera, page._server.initial_camera.position)
 
 
@@ -208,14 +208,14 @@ def test_a_button_that_fails_is_one_line_and_the_page_goes_on(page, capsys):
 
 
 def test_a_prediction_at_rest_that_fails_is_one_line_and_the_page_goes_on(page, capsys, monkeypatch):
-    wait_until(lambda: page._complete)
+    wait_until(lambda: page.figures.complete)
     with monkeypatch.context() as patch:
         patch.setattr("probedesign.studio.page.complete", fail)
         page.move("probe.length_mm", 60.0)
         wait_until(lambda: "That failed: OSError" in page._status.content)
         assert capsys.readouterr().err.count("Traceback") == 1  # it is not repeated
     page.move("probe.length_mm", 61.0)
-    wait_until(lambda: page._complete and page.figures.complete)
+    wait_until(lambda: page.figures.complete)
     assert "failed" not in page._status.content
 
 
