@@ -205,4 +205,5 @@ def test_the_poses_of_a_press_put_the_base_where_the_point_pushes_so_hard():
         point = rest - compliance * pushed - T[:3, 3]  # in base axes: those of the world
         press = press_against_point(CONE, GRAVITY, point, 0.02 * pushed / force, "reference")
         assert press.s == pytest.approx(s, rel=1e-5)
-        np.testing.assert_allclose(press.equilibrium.wrench_base, wrench, atol=2e-7)  # fast mode: 5e-6 of the weight
+        # The fast mode is within a micrometre, which is 1e-4 of the deflection and so of the force.
+        np.testing.assert_allclose(press.equilibrium.wrench_base, wrench, atol=1e-4 * force)
