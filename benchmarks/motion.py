@@ -23,9 +23,11 @@ from benchmarks.reference_touches import evaluate_readings
 from benchmarks.timing import print_table
 from benchmarks.touches import paper_models
 from probedesign.core.frames import Array, rotation_under_gravity
+from probedesign.core.units import MM
 from probedesign.estimation.bias import WALK_STEPS
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.tolerances import Tolerances
 from probedesign.geometry.mass import MassProperties, combined
 from probedesign.live.blocks import Block
 from probedesign.live.poses.base_poses import BasePoses, TimedPose
@@ -157,6 +159,18 @@ def _drifting(
             read = np.stack([np.interp(t, knots, turning[:, i]) for i in range(6)], axis=1)
         read += drift(t, steps)
         yield Block(t, read + steps * (walk + rng.standard_normal((n, 6))), model.gravity_base, np.full(n, math.nan))
+
+
+def report_drift(model: ProbeModel) -> None:
+    """Print the table of a sensor that drifts."""
+    rows = []
+    for name, drift in DRIFTS.items():
+        o = drift_outcome(model, drift)
+        rows.append([name, f"{o.located} of {TOUCHES}", f"{o.inside}", f"{3.0 * o.false_touches:g}", f"{o.false_ok}",
+                     f"{o.warming}"])  # fmt: skip
+    print_table("Twenty minutes with one tare, single touches of 5 to 25 mN",
+                ["bias", "located", "in 95 %", "false touches an hour", "false ok rows", "warming_up rows"],
+                rows)  # fmt: skip
 
 
 # Payload -------------------------------------------------------------------------------------------------------------
@@ -362,7 +376,7 @@ def report_moves(model: ProbeModel) -> None:
 KNOTS = 9  #: Of the path of a base that touches; places and wrenches between them are cubic splines.
 AWAY = 0.04  #: Length of the straight approach [m].
 BEFORE = 0.05  #: Time before the stop at which a position of the moving base counts [s].
-DRAWS = 60  #: Probes drawn for each row.
+DRAWS = 60, 20  #: Probes drawn for each drag, and for each press.
 
 
 @dataclass(frozen=True)
@@ -394,15 +408,20 @@ def drawn_contacts(model: ProbeModel, n: int, start: float, slide: float, newton
     free, phi, ratios = samples.free_wrench(), rng.uniform(-math.pi, math.pi, n), rng.normal(size=(n, 2))
     push = np.column_stack([np.ones(n), model.friction * ratios])
     towards = np.sign(ratios[:, 1])  # the object pulls the place along
+    stated = Tolerances.of(model)  # of the pose as the robot states it, beside `samples.robot`
+    turned = Rotation.from_rotvec(np.deg2rad(stated.pose_deg * rng.normal(size=(n, 3)))).as_matrix()
+    shifted = MM * stated.base_mm * rng.normal(size=(n, 1, 3))
     true, wrenches, ok = np.empty((n, KNOTS, 3)), np.empty((n, KNOTS, 6)), np.ones(n, dtype=bool)
     for k, share in enumerate(np.linspace(0.0, 1.0, KNOTS)):
         s = (start + share * slide * towards) * samples.probes.length
         touch = solve(samples.at_touch(k), samples.gravity, s, phi, share * newtons * push, axes="surface", loads=3)
         reading = evaluate_readings(samples, z, touch, free, k, columns=False)
         yielded = samples.compliance[:, None] * np.einsum("nij,nj->ni", samples.R, touch.force)
-        true[:, k], wrenches[:, k], ok = -reading.point - yielded, reading.wrench, ok & touch.ok
+        true[:, k] = -np.einsum("nij,nj->ni", turned, reading.point + yielded)
+        wrenches[:, k], ok = reading.wrench, ok & touch.ok
     middle = (start + 0.5 * slide * towards) * model.rod.length
-    return [Contact(true[i], true[i] - samples.robot[i], wrenches[i], float(middle[i])) for i in np.flatnonzero(ok)]
+    read = true - samples.robot - shifted
+    return [Contact(true[i], read[i], wrenches[i], float(middle[i])) for i in np.flatnonzero(ok)]
 
 
 @dataclass(frozen=True)
@@ -461,12 +480,12 @@ def _cells(found: list[tuple[float, bool] | None], others: list[tuple[float, boo
     return [f"{len(both)} of {len(found)}", f"{1e3 * rms:.2f} mm", f"{rms / other:.2f}", f"{100.0 * inside:.0f} %"]
 
 
-def report_contacts(model: ProbeModel, draws: int = DRAWS, seed: int = 1) -> None:
+def report_contacts(model: ProbeModel, seed: int = 1) -> None:
     """Print the table of touches by probes that are drawn."""
     rows = []
-    for name, speed, slide in (("dragged by 30 mm", 0.02, 0.2), ("pressed", 0.02, 0.0),
-                               ("pressed", 0.05, 0.0), ("pressed", 0.1, 0.0)):  # fmt: skip
-        contacts = drawn_contacts(model, draws, 0.7, slide, 15e-3, seed)
+    for speed, slide in ((0.02, 0.2), (0.02, 0.0), (0.05, 0.0), (0.1, 0.0)):
+        contacts = drawn_contacts(model, DRAWS[slide == 0.0], 0.7, slide, 15e-3, seed)
+        name = "dragged by 30 mm" if slide else "pressed"
         for damping in DAMPINGS:
             found = [contact_outcome(model, c, speed, damping, seed + i) for i, c in enumerate(contacts)]
             rest = [x.rest for x in found]
@@ -475,7 +494,7 @@ def report_contacts(model: ProbeModel, draws: int = DRAWS, seed: int = 1) -> Non
                          f"{after[len(after) // 2]:.2f} to {after[int(0.95 * len(after))]:.2f} s",
                          *_cells([x.first for x in found], rest), *_cells(rest, rest)[1::2]])  # fmt: skip
     columns = ["positions", "RMS error", "over rest", "in 95 %"]
-    print_table(f"Touches at 0.7 L up to 15 mN, {draws} drawn probes: moving, stopped (median to 95 %), 4 s later",
+    print_table("Touches at 0.7 L up to 15 mN by drawn probes: moving, stopped (median to 95 %), 4 s later",
                 ["touch", "damping", *columns, "after the stop", *columns, "RMS error", "in 95 %"], rows)  # fmt: skip
 
 
@@ -483,20 +502,9 @@ def report(only: str | None = None) -> None:
     """Print the tables.
 
     Args:
-        only: "payload", "moves" or "touches" prints that table alone.
+        only: "payload", "drift", "moves" or "touches" prints that table alone.
     """
-    model, rows = paper_models()["large"], []
-    for name, part in {"payload": report_payload, "touches": report_contacts, "moves": report_moves}.items():
-        if only == name:
-            part(model)
-            return
-    for name, drift in DRIFTS.items():
-        o = drift_outcome(model, drift)
-        rows.append([name, f"{o.located} of {TOUCHES}", f"{o.inside}", f"{3.0 * o.false_touches:g}", f"{o.false_ok}",
-                     f"{o.warming}"])  # fmt: skip
-    print_table("Twenty minutes with one tare, single touches of 5 to 25 mN",
-                ["bias", "located", "in 95 %", "false touches an hour", "false ok rows", "warming_up rows"],
-                rows)  # fmt: skip
-    report_payload(model)
-    report_moves(model)
-    report_contacts(model)
+    tables = {"payload": report_payload, "drift": report_drift, "moves": report_moves, "touches": report_contacts}
+    for name, table in tables.items():
+        if only in (None, name):
+            table(paper_models()["large"])

@@ -67,13 +67,17 @@ def _oscillation(n: int, decay: float, angle: float) -> Array:
     return np.asarray(np.linalg.qr(basis - parabola(n) @ (parabola(n).T @ basis))[0], dtype=float)
 
 
-def fit_sway(values: Array) -> tuple[Array, float]:
-    """Fit a parabola and one damped oscillation, Re(A exp(λ k)) with one λ, to values at equal intervals, (n, m).
+def fit_sway(values: Array, at: Array) -> tuple[Array, float]:
+    """Fit a parabola and one damped oscillation, Re(A exp(λ k)) with one λ, to values at equal intervals.
 
     Least squares with the amplitudes eliminated (variable projection).
 
+    Args:
+        values: k = 0, 1 ... of them, (n, m).
+        at: numbers k at which the oscillation is wanted, (j,).
+
     Returns:
-        The oscillation, (n, m), and the sum of squares that is left.
+        The oscillation there, (j, m), and the sum of squares that is left.
 
     Source: G. H. Golub, V. Pereyra, SIAM J. Numer. Anal. 10, 1973.
     """
@@ -91,9 +95,10 @@ def fit_sway(values: Array) -> tuple[Array, float]:
         here = left(exponent)
         J = np.stack([left(exponent + step) - here for step in 1e-5 * np.eye(2)], axis=1) / 1e-5
         exponent = np.clip(exponent - np.linalg.lstsq(J, here)[0], *limits)
-    z = np.exp(complex(*exponent) * np.arange(n))
+    z, z_at = (np.exp(complex(*exponent) * k) for k in (np.arange(n), at))
     amplitudes = np.linalg.lstsq(np.column_stack([parabola(n), z.real, z.imag]), values)[0]
-    return np.outer(z.real, amplitudes[3]) + np.outer(z.imag, amplitudes[4]), float(np.square(left(exponent)).sum())
+    sway = np.stack([z_at.real, z_at.imag], axis=1) @ amplitudes[3:]
+    return np.asarray(sway, dtype=float), float(np.square(left(exponent)).sum())
 
 
 class MotionMonitor:

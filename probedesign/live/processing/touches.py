@@ -97,11 +97,6 @@ class StationarityTest:
         return self._period * len(self._samples)
 
     @property
-    def ages(self) -> Array:
-        """Number of readings from the middle of each value of the span to the last reading, (n,)."""
-        return np.asarray(self._count + self._period * (np.arange(len(self._samples))[::-1] + 0.5) - 0.5)
-
-    @property
     def mean(self) -> Array:
         """Mean of the span, whitened by the noise of one reading, (6,)."""
         return np.asarray(self._samples.mean(axis=0) / math.sqrt(self._period))
@@ -122,14 +117,15 @@ class StationarityTest:
         scatter, shifted = np.vdot(deviations, deviations), 0.5 * half * np.vdot(step, step)
         return bool(scatter <= self._limits[0] and shifted <= self._limits[1])
 
-    def sway(self, chance: float) -> Array | None:
-        """Return the sway in the values of the span [N, N·m], (n, 6).
+    def sway(self, count: int, chance: float) -> Array | None:
+        """Return the sway in the last readings [N, N·m], (count, 6), by the values of the span.
 
         It is zero where they scatter about a parabola like noise. Otherwise it is one damped oscillation, where that
         and a parabola leave noise while the base moves along a parabola. None where there is more, or the span is not
         full.
 
         Args:
+            count: number of readings.
             chance: probability that readings without any other sway than one are refused.
         """
         n, values = len(self._samples), self._samples
@@ -137,11 +133,12 @@ class StationarityTest:
             return None
         left = values - parabola(n) @ (parabola(n).T @ values)
         if np.vdot(left, left) <= chdtri(6 * (n - 3), SMOOTH_CHANCE):
-            return np.zeros((n, 6))
+            return np.zeros((count, 6))
         strayed = self._poses - parabola(n) @ (parabola(n).T @ self._poses)
         if min(self._posed, n) < max(n, MIN_SPAN) or (strayed * strayed @ _TRAVELS).max() > MAX_TRAVEL**2:
             return None
-        sway, chi2 = fit_sway(values)
+        ages = np.arange(count)[::-1] - self._count - 0.5 * (self._period - 1)  # since the middle of the last value
+        sway, chi2 = fit_sway(values, n - 1 - ages / self._period)
         if chi2 > chdtri(6 * (n - 5) - 2, chance):
             return None
         return np.asarray(np.linalg.solve(self._whiten, sway.T).T / math.sqrt(self._period))
@@ -552,16 +549,14 @@ class TouchMonitor:
 
         Ends `in_motion` where they show none. What shows more than a sway waits.
         """
-        stationarity = self._phases.stationarity
         self._unfused.append(reading)
-        sway = stationarity.sway(KEPT_CHANCE if self._explained else SMOOTH_CHANCE)
+        chance = KEPT_CHANCE if self._explained else SMOOTH_CHANCE
+        sway = self._phases.stationarity.sway(len(self._unfused), chance)
         self._explained = sway is not None
         if sway is None:
             return self._fused(["contact"], *reading)
-        ages = np.arange(len(self._unfused))[::-1]
-        shares = np.stack([np.interp(-ages, -stationarity.ages, column) for column in sway.T], axis=1)
         fused, self.in_motion = None, False
-        for (mean, gravity, T, time), share in zip(self._unfused, shares, strict=True):
+        for (mean, gravity, T, time), share in zip(self._unfused, sway, strict=True):
             fused = self._fused(["contact"], mean - share, gravity, T, time)
         self._unfused.clear()
         self.in_motion = bool(sway.any())
