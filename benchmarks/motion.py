@@ -376,7 +376,7 @@ def report_moves(model: ProbeModel) -> None:
 KNOTS = 9  #: Of the path of a base that touches; places and wrenches between them are cubic splines.
 AWAY = 0.04  #: Length of the straight approach [m].
 BEFORE = 0.05  #: Time before the stop at which a position of the moving base counts [s].
-DRAWS = 60, 20  #: Probes drawn for each drag, and for each press.
+DRAWS = 20, 10  #: Probes drawn for each drag, and for each press.
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import eigh
+from scipy.signal import lfilter
 
 from probedesign.core.frames import Array
 from probedesign.rod.rod import Rod
@@ -71,16 +72,13 @@ class SwayingBeam:
             damping: ratio of every mode.
             impact: velocity of the base when the held node stops, before the first sample [m/s].
         """
-        w, t = self.omega, 1.0 / rate
-        decay, turn = damping * w, w * math.sqrt(1.0 - damping**2)
-        c, s, kept = np.cos(turn * t), np.sin(turn * t), np.exp(-damping * w * t)
-        q, v = np.zeros(len(w)), self.by_impact * impact
-        loads = np.empty((len(acceleration), 2))
-        for i, a in enumerate(acceleration.tolist()):
-            force = -self.by_base * a
-            loads[i] = -self.rigid * a - (force - 2.0 * decay * v - w**2 * q) @ self.by_force
-            u = q - force / w**2
-            v0 = (v + decay * u) / turn
-            q = force / w**2 + kept * (c * u + s * v0)
-            v = kept * (turn * (c * v0 - s * u)) - decay * (q - force / w**2)
-        return loads
+        # With the roots λ of each mode, q = c + c̄ and dc/dt = λ c + f/(λ - λ̄).
+        w = self.omega
+        root = w * (-damping + 1j * math.sqrt(1.0 - damping**2))
+        split, step, force = root - root.conj(), np.exp(root / rate), -np.outer(acceleration, self.by_base)
+        gain = (step - 1.0) / (root * split)
+        c = np.exp(np.outer(np.arange(len(force)) / rate, root)) * self.by_impact * impact / split
+        for i in range(len(w)):
+            c[:, i] += lfilter([0.0, gain[i]], [1.0, -step[i]], force[:, i])
+        q, v = 2.0 * c.real, 2.0 * (root * c).real
+        return -np.outer(acceleration, self.rigid) - (force - 2.0 * damping * w * v - w**2 * q) @ self.by_force
