@@ -74,8 +74,8 @@ def probe_solid(design: Design) -> "cq.Workplane":
         design: the design, for example from `load_design`.
 
     Returns:
-        The solid in millimetres in the base frame. Tagged faces: base_plane, tip, underside; tagged point:
-        clocking_mark.
+        The solid in millimetres in the base frame. Tagged faces: base_plane, tip, underside; frames: probe_base,
+        probe_tip; point: clocking_mark.
 
     Raises:
         InputError: the mount cannot clamp this probe.
@@ -87,7 +87,7 @@ def probe_solid(design: Design) -> "cq.Workplane":
 def sensor_adapter(design: Design) -> "cq.Workplane":
     """Return the sensor adapter in millimetres in the sensor frame; raises what `probe_solid` raises.
 
-    Tagged faces: tool_face, seat, rim; tagged centres of holes: tool_screws, dowels, ring_screws.
+    Tagged faces: tool_face, seat, rim; frames: sensor, probe_base; centres of holes: tool_screws, dowels, ring_screws.
     """
     return _part(design, "sensor_adapter")
 
@@ -95,7 +95,7 @@ def sensor_adapter(design: Design) -> "cq.Workplane":
 def clamp_ring(design: Design) -> "cq.Workplane":
     """Return the clamp ring in millimetres in its own frame; raises what `probe_solid` raises.
 
-    Tagged faces: base_plane, top; tagged centres of holes: ring_screws.
+    Tagged faces: base_plane, top; frame: probe_base; centres of holes: ring_screws.
     """
     return _part(design, "clamp_ring")
 
@@ -103,7 +103,8 @@ def clamp_ring(design: Design) -> "cq.Workplane":
 def flange_adapter(design: Design) -> "cq.Workplane":
     """Return the robot flange's adapter in millimetres in that flange's frame; raises what `probe_solid` raises.
 
-    Tagged faces: robot_face, sensor_face; tagged centres of holes: robot_bolts, mounting_screws, centring_pins.
+    Tagged faces: robot_face, sensor_face; frames: robotflange, sensor; centres of holes: robot_bolts, mounting_screws,
+    centring_pins.
     """
     return _part(design, "flange_adapter")
 
@@ -115,28 +116,44 @@ def _part(design: Design, part: str) -> "cq.Workplane":
     return part_workplane(design, part)
 
 
-def assembly(design: Design, **changed: "cq.Workplane") -> "cq.Assembly":
+def assembly(
+    design: Design,
+    *,
+    probe: "cq.Workplane | None" = None,
+    sensor_adapter: "cq.Workplane | None" = None,
+    clamp_ring: "cq.Workplane | None" = None,
+    flange_adapter: "cq.Workplane | None" = None,
+) -> "cq.Assembly":
     """Return all parts, screws, pins and the sensor's envelope, named, coloured and placed in the sensor frame.
 
     Args:
         design: the design.
-        changed: printed parts that replace the design's, by name, each in its own frame.
+        probe, sensor_adapter, clamp_ring, flange_adapter: changed parts that replace the design's, each in its own
+            frame; None for the design's.
 
     Returns:
         The assembly in millimetres. Its printed parts carry their tags, such as `probe?tip` in a constraint.
 
     Raises:
-        InputError: the mount cannot clamp this probe, a name is not that of a printed part, or a part is not one solid.
+        InputError: the mount cannot clamp this probe, or a part is not one solid.
         CheckFailedError: a changed solid is not valid.
         MissingDependencyError: CadQuery is not installed.
     """
     with _kernel():
         from probedesign.cad.workplanes import assembly as build
     design.sensor_model.check_holes_known()
-    return build(design, changed)
+    return build(design, _given(probe, sensor_adapter, clamp_ring, flange_adapter))
 
 
-def export_changed(design: Design, out: Path, **changed: "cq.Workplane") -> dict[str, Any]:
+def export_changed(
+    design: Design,
+    out: Path,
+    *,
+    probe: "cq.Workplane | None" = None,
+    sensor_adapter: "cq.Workplane | None" = None,
+    clamp_ring: "cq.Workplane | None" = None,
+    flange_adapter: "cq.Workplane | None" = None,
+) -> dict[str, Any]:
     """Check changed parts in the assembly, and write their STL and STEP, the assembly's STEP and GLB and a manifest.
 
     Checked are what needs no formula of the original part: valid solids, closed meshes, no overlap of parts, the
@@ -147,7 +164,7 @@ def export_changed(design: Design, out: Path, **changed: "cq.Workplane") -> dict
     Args:
         design: the design.
         out: output folder.
-        changed: as for `assembly`.
+        probe, sensor_adapter, clamp_ring, flange_adapter: changed parts, as for `assembly`.
 
     Returns:
         The manifest, with the output folder under `folder`; `changed` has the mass of each part beside that of the
@@ -161,7 +178,12 @@ def export_changed(design: Design, out: Path, **changed: "cq.Workplane") -> dict
     with _kernel():
         from probedesign.cad.workplanes import export_changed as export
     design.sensor_model.check_holes_known()
-    return export(design, changed, out)
+    return export(design, _given(probe, sensor_adapter, clamp_ring, flange_adapter), out)
+
+
+def _given(*parts: "cq.Workplane | None") -> "dict[str, cq.Workplane]":
+    names = ("probe", "sensor_adapter", "clamp_ring", "flange_adapter")
+    return {name: part for name, part in zip(names, parts, strict=True) if part is not None}
 
 
 @contextmanager

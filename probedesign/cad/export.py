@@ -167,6 +167,7 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
     manifest = manifest_of(model, documents, digests(contents), findings)
     manifest["print_check"] = check.as_record()
     manifest["print_scale"] = {name: list(print_scale(design, name)) for name in printed}
+    manifest["print_offset_xy_mm"] = design.print_.offset_xy_mm  # of the probe, beside its scale
     progress("writing")
     return write_export(folder, contents, manifest)
 

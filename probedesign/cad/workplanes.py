@@ -17,8 +17,8 @@ from probedesign.cad.mesh import part_stl, printed_mesh, tessellate
 from probedesign.cad.model import CadModel, CadPart, assembly_of, box_of, build_cad, printed_solid
 from probedesign.cad.solids import ScrewGroup
 from probedesign.cad.verify import checked, mesh_findings, room_findings
-from probedesign.core.errors import CheckFailedError, InputError, unknown_name
-from probedesign.core.frames import Array, pose
+from probedesign.core.errors import CheckFailedError, InputError
+from probedesign.core.frames import Array, inverse, pose
 from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.geometry import fingerprint_of
@@ -27,9 +27,6 @@ from probedesign.mount import Mount
 from probedesign.mount.engraving import XY
 from probedesign.mount.mount import payload_fingerprint
 from probedesign.printing.check import print_scale
-
-#: Printed parts, which an assembly takes changed.
-CHANGEABLE = ("probe", "sensor_adapter", "clamp_ring", "flange_adapter")
 
 #: Parts that each group of screws clamps, from the head to the thread.
 CLAMPED = {"sensor_adapter_screws": ("sensor_adapter",), "ring_screws": ("clamp_ring", "sensor_adapter"),
@@ -58,13 +55,11 @@ def changed_model(design: Design, changed: Mapping[str, cq.Workplane]) -> CadMod
     """Return the CAD model of a design with some printed parts replaced.
 
     Raises:
-        InputError: a name is not that of a printed part, or the part is not one solid.
+        InputError: a part is not one solid.
         CheckFailedError: the solid is not valid.
     """
     solids: dict[str, cq.Solid] = {}
     for name, part in changed.items():
-        if name not in CHANGEABLE:
-            raise unknown_name("part", name, CHANGEABLE)
         found = part.findSolid().Solids() if isinstance(part, cq.Workplane) else []
         if len(found) != 1:
             raise InputError(f"{name}: has {len(found)} solids; give a CadQuery Workplane with one solid")
@@ -126,19 +121,23 @@ def _measured(group: ScrewGroup, parts: Mapping[str, CadPart]) -> ScrewGroup:
 
 
 def _tagged(design: Design, part: str, solid: cq.Shape) -> cq.Workplane:
-    """Return a part's workplane with its tags: faces by their height, circles by the centres of their holes."""
+    """Return a part's workplane with its tags: faces by their height, frames, centres of holes at the face from which
+    each is drilled."""
     mount = Mount.of(design)
     geometry, a, plate = mount.geometry, mount.sensor_adapter, mount.flange_adapter
     faces: dict[str, float]
     circles: dict[str, tuple[Iterable[XY], float]]
+    frames = {"probe_base": np.eye(4)}  # by the names of the manifest's and the simulators' frames
     match part:
         case "probe":
             faces = {"base_plane": 0.0, "underside": -geometry.flange.thickness}
             circles = {"clocking_mark": ([(a.peg_x, 0.0)], 0.0)}
+            frames["probe_tip"] = geometry.axis.frames([geometry.length])[0]
         case "sensor_adapter":
             faces = {"tool_face": 0.0, "seat": a.floor, "rim": a.body_top}
-            circles = {"tool_screws": (a.p_tool_screws, 0.0), "dowels": (a.p_dowels, 0.0),
+            circles = {"tool_screws": (a.p_tool_screws, a.tool.grip), "dowels": (a.p_dowels, 0.0),
                        "ring_screws": (a.p_ring_screws, a.body_top)}  # fmt: skip
+            frames = {"sensor": np.eye(4), "probe_base": a.T_sensor_base}
         case "clamp_ring":
             faces = {"base_plane": 0.0, "top": a.ring_thickness}
             circles = {"ring_screws": (a.p_ring_screws, a.ring_thickness)}
@@ -147,6 +146,7 @@ def _tagged(design: Design, part: str, solid: cq.Shape) -> cq.Workplane:
             circles = {"robot_bolts": (plate.p_bolts, plate.plate_top),
                        "mounting_screws": (plate.p_mounting_screws, plate.plate_top),
                        "centring_pins": (plate.p_centring_pins, plate.plate_top)}  # fmt: skip
+            frames = {"robotflange": np.eye(4), "sensor": inverse(plate.T_sensor_robotflange)}
     work = cq.Workplane(obj=solid)
 
     def tag_plane(name: str, T: Array) -> None:
@@ -159,7 +159,14 @@ def _tagged(design: Design, part: str, solid: cq.Shape) -> cq.Workplane:
     for name, z in faces.items():
         tag_plane(name, pose(p=[0.0, 0.0, z]))
     if part == "probe":
-        tag_plane("tip", geometry.axis.frames([geometry.length])[0])
+        tag_plane("tip", frames["probe_tip"])
+    for name, T in frames.items():
+        at = location(T)
+        for tag, axis in ((name, T[:3, 2]), (f"{name}_x", T[:3, 0])):  # two faces hold all six freedoms of a mate
+            disc = cq.Face.makeFromWires(cq.Wire.makeCircle(1.0, cq.Vector(*T[:3, 3] / MM), cq.Vector(*axis)))
+            tagged = work.newObject([disc])
+            tagged.plane = cq.Plane(at)
+            tagged.tag(tag)
     for name, (points, z) in circles.items():
         work.newObject([cq.Vertex.makeVertex(x / MM, y / MM, z / MM) for x, y in points]).tag(name)
     return work
