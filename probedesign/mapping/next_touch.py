@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from probedesign.core import statistics
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose
 from probedesign.core.units import MILLINEWTON, MM
@@ -87,8 +88,13 @@ class Suggestion:
     s: float  #: arclength of the contact on the probe [m].
     force: float  #: firm force [N].
     Ts_world_base: Array  #: poses of the base at first contact, at the light and at the firm press, (3, 4, 4).
-    error: float  #: expected RMS error of the located point [m].
+    cov: Array  #: expected covariance of the located point in the world [m²], (3, 3).
     probe: str = ""  #: name of the probe.
+
+    @property
+    def error(self) -> float:
+        """Return the expected RMS error of the located point [m]."""
+        return statistics.rms(self.cov)
 
     @property
     def depth(self) -> float:
@@ -248,7 +254,7 @@ def suggest(
     for i in np.argsort(gains)[::-1]:
         if best is not None and gains[i] <= best[0]:
             break  # without any error of the touch it would reduce the variance by less
-        for press, T in _reachable(candidates[i], presses, R0, Ts_world_base, known):
+        for press, T in reachable(candidates[i], presses, R0, Ts_world_base, known):
             Sigma = T[:3, :3] @ press.cov @ T[:3, :3].T
             gain = gains[i] if goal == "extent" else before**2 - _left(P, A, candidates[i], Sigma)
             gain -= 1e-6 * float(np.trace(Sigma))  # among equal ones the most accurate
@@ -258,8 +264,8 @@ def suggest(
         raise InputError(f"no touch that the base reaches improves the {name} by more than {100 * MIN_GAIN:g} %")
     gain, candidate, press, T = best
     Ts = np.array([pose(T[:3, :3], T[:3, 3] - T[:3, :3] @ by) for by in (np.zeros(3), press.light, press.firm)])
-    after, error = math.sqrt(max(before**2 - gain, 0.0)), math.sqrt(float(np.trace(press.cov)))
-    return Suggestion(name, before, after, candidate.x, candidate.normal, press.s, force, Ts, error)
+    after, cov = math.sqrt(max(before**2 - gain, 0.0)), T[:3, :3] @ press.cov @ T[:3, :3].T
+    return Suggestion(name, before, after, candidate.x, candidate.normal, press.s, force, Ts, cov)
 
 
 def _left(P: Array, A: Array, candidate: Candidate, Sigma: Array | None = None) -> float:
@@ -270,7 +276,7 @@ def _left(P: Array, A: Array, candidate: Candidate, Sigma: Array | None = None) 
     return float(np.trace(A @ (P - K @ J @ P) @ A.T))
 
 
-def _reachable(
+def reachable(
     candidate: Candidate, presses: Sequence[Press], R0: Array, Ts: Array, known: tuple[KnownObject, ObjectPose] | None
 ) -> Iterator[tuple[Press, Array]]:
     """Yield the presses that touch a place, with the pose of the base at first contact, without collision."""

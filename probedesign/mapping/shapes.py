@@ -44,6 +44,7 @@ CORNER_CONE, TIP_CONE = math.acos(0.75), 0.5 * math.pi
 TIP_CONTACT = 1e-3  #: Standard deviation of the contact of a tip with a plane along the probe [m]; assumed.
 SHARE_ACROSS = 0.9  #: Share of touches of an edge by the side of the probe; assumed. Their normal is across both.
 FORCE_NOISE = 0.1  #: Standard deviation of the direction of a force by the sensor's noise [rad]: 0.5 mN of 5 mN.
+MISSED = 0.003  #: Probability with which a touch of a shape is too far from it to count as one.
 MIN_ODDS = math.log(20.0)  #: Logarithm of the least odds of a shape against separate touches.
 SEEDS = 150  #: Number of random sets of touches from which each kind of shape is begun.
 ROUNDS = 6  #: Largest number of fits in which the set of touches of a shape settles.
@@ -289,6 +290,7 @@ class ShapeFit:
         S = N @ which.own_cov @ N.transpose(0, 2, 1)
         chi2 = np.einsum("nk,nk->n", g, np.linalg.solve(S, g[:, :, None])[:, :, 0])
         place = -0.5 * chi2 - 0.5 * np.log(np.linalg.det(2.0 * math.pi * S)) - np.log(extents).sum()
+        place[chi2 > statistics.max_chi2(g.shape[1], MISSED)] = -np.inf
         return np.asarray(place + self._log_forces(shape, which))
 
     def fitted(self, seed: Shape, which: TouchSet) -> Shape | None:
@@ -404,12 +406,40 @@ class ShapeFit:
                 best = max(candidates, key=lambda shape: shape.odds, default=None)
                 if best is None or best.odds < MIN_ODDS:
                     break
-                shapes.append(best)
+                shapes.append(best := self._part(best))
                 left = np.setdiff1d(left, self._indices(best))
-            partitions.append(shapes)
+            partitions.append(self._exchanged(shapes))
         best_partition = max(partitions, key=lambda shapes: sum(shape.odds for shape in shapes))
         judged = (self.of_one(self._indices(shape), rng) for shape in best_partition)
         return [shape for shape in judged if shape is not None and shape.odds >= MIN_ODDS]
+
+    def _part(self, shape: Shape) -> Shape:
+        """Return a shape, or the more probable part of it where two shapes of its kind are more probable than one."""
+        i, fewest, best, odds = self._indices(shape), KINDS[shape.kind].fewest, shape, shape.odds
+        for places in shape.places(self.touches.p[i]).T:
+            order = i[np.argsort(places)]
+            for k in range(fewest, len(order) - fewest + 1):
+                parts = [self.fitted(shape, self.touches.subset(part)) for part in (order[:k], order[k:])]
+                both = [part for part in parts if part is not None and part.odds > 0.0]
+                if len(both) == 2 and (total := sum(part.odds for part in both)) > odds:
+                    best, odds = max(both, key=lambda part: part.odds), total
+        return best if best is shape else self._part(best)
+
+    def _exchanged(self, shapes: list[Shape]) -> list[Shape]:
+        """Return the shapes after each touch has gone to the shape that explains it best, a few times over."""
+        without = _log_without(self.touches)
+        for _ in range(ROUNDS):
+            extents = [np.maximum(np.ptp(shape.extent, axis=1), EXTENTS[0]) * 1.5 for shape in shapes]
+            each = [self._log_each(shape, self.touches, extent)
+                    for shape, extent in zip(shapes, extents, strict=True)]  # fmt: skip
+            of = np.argmax(np.stack([without, *each]), axis=0)
+            sets = [np.flatnonzero(of == j + 1) for j in range(len(shapes))]
+            if all(np.array_equal(i, self._indices(shape)) for i, shape in zip(sets, shapes, strict=True)):
+                break
+            fits = [self.fitted(shape, self.touches.subset(i)) for i, shape in zip(sets, shapes, strict=True)
+                    if len(i) >= KINDS[shape.kind].fewest]  # fmt: skip
+            shapes = [shape for shape in fits if shape is not None and shape.odds >= MIN_ODDS]
+        return sorted(shapes, key=lambda shape: -shape.odds)
 
     def of_one(self, indices: NDArray[np.intp], rng: np.random.Generator) -> Shape | None:
         """Return the most probable shape that all of some touches support, with the probability of each kind."""
@@ -423,7 +453,7 @@ class ShapeFit:
         return replace(best, probabilities={kind: w / sum(weights.values()) for kind, w in weights.items()})
 
     def _indices(self, shape: Shape) -> NDArray[np.intp]:
-        return np.array([self.touches.labels.index(label) for label in shape.touches])
+        return np.array(sorted(self.touches.labels.index(label) for label in shape.touches), dtype=np.intp)
 
 
 def missing(touches: TouchSet, shapes: Sequence[Shape]) -> str:
