@@ -7,7 +7,7 @@ from importlib import import_module
 from benchmarks.timing import print_machine
 
 #: Benchmarks by module. Each is imported when it runs, because worker processes import this module again.
-PARTS = ("rod", "start", "install", "estimation", "detection", "prints", "identify", "pictured", "validation",
+PARTS = ("rod", "start", "install", "estimation", "curved", "detection", "prints", "identify", "pictured", "validation",
          "planning", "prediction", "table1", "optimisation", "sweep", "export", "live", "recording", "view",
          "studio", "day", "motion", "explore", "shapes", "compliance", "coverage", "twin", "real")  # fmt: skip
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from probedesign.cad.inspection import inspection_sheets
-from probedesign.cad.kernel import mass_properties
 from probedesign.cad.model import CadModel, CadPart
 from probedesign.cad.render import (
     OrthographicCamera,
@@ -116,6 +115,7 @@ def assembly_steps(
         if curved
         else "slip the clamp ring over the tip"
     )
+    aside = "; where the soft body lies over a bolt, hold it aside with a finger" if curved else ""
     of = {
         use.name: f"{len(use.points)} {use.screw.thread}x{use.length / MM:g}, at most "
         f"{ring_torque(a) if use.name == 'ring_screws' else hand_torque(use.screw):g} N·m"
@@ -124,7 +124,7 @@ def assembly_steps(
     own_pin = f", its own {robot.pin_d / MM:g} mm dowel pin in the slot" if robot.pin_d > 0.0 else ""
     bolted = AssemblyStep(
         f"bolt the flange adapter to the robot: {of['robot_bolts']}, from above{own_pin}; tie the cable to the plate "
-        "through the two slots, with a slack loop before the tie",
+        f"through the two slots, with a slack loop before the tie{aside}",
         (Move(("robot_bolts",), "flange_adapter", UP),))  # fmt: skip
     covered = a.body_d > robot.bolt_circle_d - robot.screw.head_d
     return [
@@ -189,7 +189,7 @@ def bill_of_materials(model: CadModel) -> list[BillItem]:
 def _item(number: int, model: CadModel, part: CadPart) -> BillItem:
     count, length, material, file, torque = len(part.places), None, STEEL, "", None
     what = part.standard
-    grams = float(f"{1e3 * mass_properties(part.shape, part.density).mass:.3g}") if part.density else None
+    grams = float(f"{1e3 * part.body.mass:.3g}") if part.density else None
     use = next((use for use in model.screws if use.name == part.name), None)
     if part.printed:
         file = f"{part.name}.stl"

@@ -12,7 +12,6 @@ import numpy as np
 from probedesign.cad.documents import Documents, build_documents
 from probedesign.cad.exchange import file_date, glb_bytes, step_bytes
 from probedesign.cad.folder import check_target, digests, write_export
-from probedesign.cad.kernel import mass_properties
 from probedesign.cad.mesh import part_stl, printed_mesh, tessellate
 from probedesign.cad.model import CadModel, assembly_of, build_cad
 from probedesign.cad.packages import package_files, packed_parts
@@ -90,7 +89,7 @@ def model_record(model: CadModel, files: dict[str, dict[str, Any]], findings: Fi
         "files": files,
         "parts": {
             part.name: {"frame": part.frame, "T_sensor_part": _pose(part.T_sensor_part), "density_kg_m3": part.density}
-            | _body(mass_properties(part.shape, part.density))
+            | _body(part.body)
             for part in model.printed
         },
         "poses": "4x4, in metres; T_a_b maps b's coordinates into a's",

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from probedesign.cad.exchange import file_date
-from probedesign.cad.kernel import mass_properties
 from probedesign.cad.model import CadModel, CadPart
 from probedesign.cad.sheet import (
     ABOVE,
@@ -65,7 +64,7 @@ def inspection_sheets(model: CadModel) -> dict[str, bytes]:
 def _page(model: CadModel, part: CadPart, scale: float) -> Canvas:
     """Return the empty sheet of a part."""
     resin = model.design.resin.name if part.name == "probe" else RIGID_RESIN
-    grams = 1e3 * mass_properties(part.shape, part.density).mass
+    grams = 1e3 * part.body.mass
     frame, date = part.frame.replace("_", " "), file_date(model.design)
     names = [printed.name for printed in model.printed]
     number_of = f"number {model.fingerprints[part.name]} · sheet {names.index(part.name) + 1} of {len(names)}"
@@ -317,7 +316,9 @@ def _curved_probe_sheet(model: CadModel, part: CadPart) -> Canvas:
         left += max(scale * (high - low), CAPTION_WIDTH) + VIEWS_APART
     s = np.linspace(0.0, g.length, 9)
     points = np.column_stack([s / MM, g.axis.frames(s)[:, :3, 3] / MM, 2.0 * g.radius_at(s) / MM])
+    full = "" if scale == 1.0 else f"; printed at {100.0 / scale:g} % they are of the size of the part"
     lines = [
+        f"outlines are drawn {scale_text(scale)}{full}",
         "axis, at rest and without weight: s; x, y, z in the base frame; diameter",
         *(f"s = {row[0]:.1f}:  {row[1]:.2f}, {row[2]:.2f}, {row[3]:.2f};  ⌀{row[4]:.2f}" for row in points),
         f"flange ⌀{_mm(g.flange.diameter)}, {_mm(g.flange.thickness)} thick",

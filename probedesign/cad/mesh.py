@@ -80,24 +80,24 @@ def printed_mesh(design: Design, part: str, mesh: trimesh.Trimesh) -> trimesh.Tr
     return trimesh.Trimesh(points * np.array(print_scale(design, part)), mesh.faces, process=False)
 
 
-def volume_omitted(mesh: trimesh.Trimesh, shape: cq.Shape) -> float:
-    """Return by how much the volume of a mesh differs from that of its solid, relative to it."""
-    return float(abs(mesh.volume * MM**3 / mass_properties(shape, 1.0).volume - 1.0))
+def volume_omitted(mesh: trimesh.Trimesh, volume: float) -> float:
+    """Return by how much the volume of a mesh differs from that of its solid [m³], relative to it."""
+    return float(abs(mesh.volume * MM**3 / volume - 1.0))
 
 
-def checked_mesh(name: str, shape: cq.Shape, solid: cq.Shape | None = None) -> trimesh.Trimesh:
+def checked_mesh(name: str, shape: cq.Shape, volume: float | None = None) -> trimesh.Trimesh:
     """Return the mesh of a solid.
 
     Args:
         name: of the part.
         shape: whose facets are those of the mesh.
-        solid: the part, where `shape` is drawn for its facets and lacks some of the volume.
+        volume: of the part [m³], where `shape` is drawn for its facets and lacks some of it.
 
     Raises:
         CheckFailedError: it is not closed, or omits more than `MESH_LIMIT` of the volume.
     """
     mesh = tessellate(shape)
-    omitted = volume_omitted(mesh, solid or shape)
+    omitted = volume_omitted(mesh, mass_properties(shape, 1.0).volume if volume is None else volume)
     if not mesh.is_volume or omitted > MESH_LIMIT:
         raise CheckFailedError(f"{name}: the mesh is not closed, or omits {omitted:.2g} of the volume")
     return mesh
@@ -124,8 +124,10 @@ def export_part(design: Design, part: str, out: Path | None) -> dict[str, Any]:
     folder = Path(os.path.abspath(out or Path("exports") / design.name))
     check_target(folder)
     shape = printed_solid(design, part)
-    drawn = printed_solid(design, part, ruled=True)
-    mesh, scale = checked_mesh(part, drawn, shape), print_scale(design, part)
+    twice = part == "probe" and not design.probe.designed_axis.is_straight
+    drawn = printed_solid(design, part, ruled=True) if twice else shape
+    volume, scale = mass_properties(shape, 1.0).volume, print_scale(design, part)
+    mesh = checked_mesh(part, drawn, volume)
     fingerprint = Mount.of(design).fingerprints[part]
     content = part_stl(design, part, printed_mesh(design, part, mesh), fingerprint)
     path = folder / f"{part}.stl"
@@ -140,8 +142,8 @@ def export_part(design: Design, part: str, out: Path | None) -> dict[str, Any]:
         "file": str(path),
         "part": part,
         "fingerprint": fingerprint,
-        "volume_m3": mass_properties(shape, 1.0).volume,
-        "mesh_volume_missing": volume_omitted(mesh, shape),
+        "volume_m3": volume,
+        "mesh_volume_missing": volume_omitted(mesh, volume),
         "size_bytes": len(content),
         "print_scale": list(scale),
     }

@@ -66,6 +66,11 @@ class CadPart:
         return pieces[0] if len(pieces) == 1 else cq.Compound.makeCompound(pieces)
 
     @cached_property
+    def body(self) -> MassProperties:
+        """Return the mass properties of the shape in its own frame."""
+        return mass_properties(self.shape, self.density)
+
+    @cached_property
     def displayed(self) -> cq.Shape:
         """Return a copy of the shape with the facets of pictures."""
         return meshed(self.ruled or self.shape, COARSE_MM, COARSE_RAD)
@@ -172,7 +177,7 @@ class CadModel:
         probe, T = self.parts["probe"], self.adapter.T_sensor_base
         wide = 2.0 * self.geometry.flange.diameter / MM  # the plane s = 0
         flange, flexible = sorted(
-            probe.shape.split(cq.Face.makePlane(wide, wide)).Solids(), key=lambda solid: solid.Center().z
+            probe.shape.split(cq.Face.makePlane(wide, wide)).Solids(), key=lambda solid: solid.BoundingBox().zmin
         )
         return {
             "flexible": mass_properties(placed(flexible, T), probe.density),

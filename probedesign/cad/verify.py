@@ -56,8 +56,8 @@ def blocked_tools(
         for name in step.parts:
             if name in corridors and name not in blocked:
                 corridor = cq.Compound.makeCompound(corridors[name])
-                # a curved probe is threaded through the ring, and bent aside for the key
-                aside = ("clamp_ring", "ring_screws") if parts["probe"].ruled is not None else ()
+                # a curved probe is threaded through the ring, and bent aside for the keys
+                aside = ("clamp_ring", "ring_screws", "robot_bolts") if parts["probe"].ruled is not None else ()
                 others = [parts[other] for other in there if other != "probe" or name not in aside]
                 blocked[name] = volume_inside(corridor, others)
             if name not in there:  # the adapter comes with its nuts and pins
@@ -185,7 +185,7 @@ def mesh_findings(model: CadModel, meshes: dict[str, trimesh.Trimesh]) -> Findin
     """Return whether meshes are closed, and what they omit of their solids."""
     findings: Findings = {}
     for name, mesh in meshes.items():
-        omitted = volume_omitted(mesh, model.parts[name].shape)
+        omitted = volume_omitted(mesh, model.parts[name].body.volume)
         findings[f"{name}_mesh_closed"] = _flag(mesh.is_volume, "watertight, consistent winding, outward normals")
         findings[f"{name}_mesh_volume"] = _finding(omitted, MESH_LIMIT, "relative, to the solid")
     return findings

@@ -532,8 +532,11 @@ def check_print(design: Design) -> PrintCheck:
         "stays, and work with the sides at right angles to it",
         design.resin.cure,
         "let it dry before curing and before measuring: alcohol in the resin swells it",
-        "cure it hanging or in a V-groove: lying flat, it would cure bent under its own weight",
+        "cure it hanging or in a V-groove: lying flat, it would cure bent under its own weight" if straight else
+        "cure it upright on its flange with its supports left on, which hold the bend: hanging, lying flat or in a "
+        "V-groove its own weight would change it",
         "measure its diameters after curing: they determine its stiffness",
+        *([] if straight else ["measure its axis after curing (measured --axis): it places the firmer touches"]),
         *(
             f"print the {part.replace('_', ' ')} {stands.side}, on {stands.rests_on}, without supports and raft"
             for part, stands in ORIENTATIONS.items()

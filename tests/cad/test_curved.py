@@ -153,7 +153,7 @@ def crossing(mesh: trimesh.Trimesh) -> int:
 def test_a_body_that_would_touch_the_clamp_ring_is_refused_with_the_largest_bend() -> None:
     """A half circle whose tip comes down onto the ring: a smaller bend keeps it above."""
     text = 'length_mm = 25.0\nbase_d_mm = 4.0\ntip_d_mm = 2.0\naxis = "arc"\naxis_azimuth_deg = 45.0\naxis_bend_deg = '
-    with pytest.raises(InputError, match=r"axis_bend_deg = 179: the body, .* touches .* at most ([\d.]+), a radius"
+    with pytest.raises(InputError, match=r"axis_bend_deg = 179 bends the body .* touches .* at most ([\d.]+), a radius"
                        ) as refused:  # fmt: skip
         _ = Mount.of(design_of(f"{text}179.0\n")).sensor_adapter
     most = float(str(refused.value).split("at most ")[1].split(",")[0])
