@@ -1,4 +1,4 @@
-"""Time, memory and files of `probedesign export` for the large probe as a whole process, and of a single STL."""
+"""Time, memory and files of `probedesign export` as a whole process, straight and curved, and of a single STL."""
 
 import os
 import shutil
@@ -14,12 +14,13 @@ from benchmarks.timing import print_table
 
 ROOT = Path(__file__).parents[1]
 PICTURE = ROOT / "docs/pictures/exploded.svg"
-COMMAND = (sys.executable, "-m", "probedesign.cli.main", "export", "designs/large.toml")
+COMMAND = (sys.executable, "-m", "probedesign.cli.main", "export")
 RUNS = 3
-#: What is measured: its options, and the targets of wall time, CPU time and memory on an idle machine.
+#: What is measured: design and options, and the targets of wall time, CPU time and memory on an idle machine.
 CASES = (
-    ("the whole export", (), ("≤ 15 s", "", "≤ 900 MB")),
-    ("a single STL, --only probe", ("--only", "probe"), ("≤ 4 s", "", "")),
+    (("designs/whisker.toml",), ("≤ 15 s", "", "≤ 900 MB")),
+    (("designs/large.toml", "--only", "probe"), ("≤ 4 s", "", "")),
+    (("designs/large.toml",), ("≤ 15 s", "", "≤ 900 MB")),
 )
 
 
@@ -49,13 +50,13 @@ def measure_export(folder: Path, *options: str) -> Run:
 def report() -> None:
     """Print the tables and copy the exploded view to the documentation."""
     with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch) / "large"
-        for title, options, targets in CASES:
+        for options, targets in CASES:
+            folder = Path(scratch) / "-".join(Path(option).stem for option in options)
             first, *warm = [measure_export(folder, *options) for _ in range(1 + RUNS)]
             middle = Run(*(statistics.median(values) for values in zip(*warm, strict=True)))
             names = ("wall time [s]", "CPU time [s]", "peak memory [MB]")
             print_table(
-                f"probedesign export designs/large.toml, {title}: first run, and median of {RUNS} more",
+                f"probedesign export {' '.join(options)}: first run, and median of {RUNS} more",
                 ["", "first", "warm", "target"],
                 [
                     [name, f"{a:.3g}", f"{b:.3g}", target]
