@@ -350,8 +350,14 @@ def assembly_page(
     steps: Sequence[AssemblyStep],
     exploded: Canvas,
     pictures: Sequence[bytes],
+    post_processing: Mapping[str, str],
 ) -> bytes:
-    """Return the assembly page: one HTML file that needs no network and prints on A4."""
+    """Return the assembly page: one HTML file that needs no network and prints on A4.
+
+    Args:
+        model, bill, steps, exploded, pictures: of the assembly.
+        post_processing: what to do with the print of the probe before, by step.
+    """
     keys = dict.fromkeys((use.screw for use in model.screws), "") | {
         model.adapter.ring_screw: " with a long arm, to reach past the probe"
     }
@@ -363,6 +369,7 @@ def assembly_page(
     rows = measurements(model.adapter, model.plate)
     sections = [
         f'<div class="exploded">{exploded}</div>', _warning(model),
+        _after_printing(model, post_processing),
         f"<h2>Tools</h2><ul class=tools>{''.join(f'<li>{escape(tool)}</li>' for tool in tools)}</ul>",
         '<h2>Steps</h2><p>Measure before you screw; the table at the end says what to do outside of a range.</p>'
         '<div class="steps">',
@@ -383,6 +390,14 @@ def assembly_page(
         " · compare the geometry's number with the manifest and with the probe that <code>live</code> runs"
     )
     return html_document(f"{model.design.name}: assembly", [about], "\n".join(sections) + "\n", STYLE)
+
+
+def _after_printing(model: CadModel, post_processing: Mapping[str, str]) -> str:
+    rows = "".join(
+        f"<tr><td><label><input type=checkbox> {escape(step)}</label></td><td>{escape(text)}</td></tr>"
+        for step, text in post_processing.items()
+    )
+    return f"<h2>After printing the probe, in {escape(model.design.resin.product)}</h2><table>{rows}</table>"
 
 
 def _warning(model: CadModel) -> str:
@@ -495,8 +510,8 @@ class Documents:
     steps: list[str]  #: the instructions, in order.
 
 
-def build_documents(model: CadModel) -> Documents:
-    """Return all documents of an export."""
+def build_documents(model: CadModel, post_processing: Mapping[str, str]) -> Documents:
+    """Return all documents of an export; `post_processing` is that of the probe's print, by step."""
     bodies = {name: render_body(part) for name, part in model.parts.items()}
     bill = bill_of_materials(model)
     steps = assembly_steps(
@@ -513,6 +528,7 @@ def build_documents(model: CadModel) -> Documents:
     files["assembly.png"] = render_png(list(bodies.values()), ASSEMBLY_SIZE)
     files["exploded.svg"] = bytes(exploded)
     files["bill_of_materials.csv"] = csv_tables.write(list(asdict(bill[0])), map(asdict, bill))
-    files["assembly.html"] = assembly_page(model, bill, steps, exploded, step_pictures(bodies, steps, seat))
+    pictures = step_pictures(bodies, steps, seat)
+    files["assembly.html"] = assembly_page(model, bill, steps, exploded, pictures, post_processing)
     records = [{key: value for key, value in asdict(item).items() if value not in (None, "")} for item in bill]
     return Documents(files, records, [step.text for step in steps])

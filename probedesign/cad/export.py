@@ -16,6 +16,7 @@ from probedesign.cad.mesh import part_stl, printed_mesh, tessellate
 from probedesign.cad.model import CadModel, assembly_of, build_cad
 from probedesign.cad.packages import package_files, packed_parts
 from probedesign.cad.verify import Findings, verify
+from probedesign.core.errors import InputError, quoted
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.design import Design
@@ -23,7 +24,7 @@ from probedesign.geometry.mass import MassProperties, combined
 from probedesign.mount import root_radii
 from probedesign.mount.mount import exported_root_radii, exported_root_std
 from probedesign.mount.tolerance_stack import clamp_force, measurements, tolerance_stacks
-from probedesign.printing.check import check_print, print_scale
+from probedesign.printing.check import BUILD_VOLUME, check_print, print_scale
 
 SCHEMA = 1
 
@@ -148,18 +149,20 @@ def export_parts(design: Design, out: Path | None, progress: Callable[[str], Non
     """Build, verify and write an export; see `probedesign.cad.export_parts`."""
     folder = Path(os.path.abspath(out or Path("exports") / design.name))
     check_target(folder)
+    check = check_print(design)
+    if small := next((f for f in check.errors if f.rule == BUILD_VOLUME.name), None):
+        raise InputError(f"print.printer = {quoted(check.printer)} is too small: {small.message}")
     progress("drawing the parts")
     model = build_cad(design)
     progress("meshing")
     meshes = {part.name: tessellate(part.ruled or part.shape) for part in model.printed}
     printed = {name: printed_mesh(design, name, mesh) for name, mesh in meshes.items()}
-    check = check_print(design)
     packed = packed_parts(design, check, printed, model.fingerprints)
     packages = package_files(design, packed)
     progress("checking solids, slices and meshes against the formulae")
     findings = verify(model, meshes, packed, packages)
     progress("rendering pictures and drawings")
-    documents = build_documents(model)
+    documents = build_documents(model, check.post_processing)
     progress("converting to STEP and GLB")
     stl = {f"{name}.stl": part_stl(design, name, mesh, model.fingerprints[name]) for name, mesh in printed.items()}
     contents = stl | packages | documents.files | cad_files(model, list(printed))

@@ -72,6 +72,8 @@ def check(design: DesignFile, /, *, as_json: JsonOutput = False) -> int:
         print("\nadvice for printing")
         for advice in report.advice:
             print(f"  {advice}")
+        print("\nafter printing the probe")
+        print_table(dict(report.post_processing))
         for warning in filter(None, (root, stale)):
             print(f"\nwarning: {warning}")
     return 1 if report.errors else 0

@@ -43,6 +43,20 @@ class Quantity:
 
 
 @dataclass(frozen=True)
+class PostProcessing:
+    """What to do with a print after the printer, a line for each step, in order."""
+
+    wash: str = "as the resin's data sheet says, in clean solvent; flush holes and engraving"
+    dry: str = (
+        "in air until two weighings an hour apart agree, before it is cured, and again before calipers: solvent in the "
+        "resin swells it (assumed)"
+    )
+    cure: str = "as the resin's data sheet says"
+    ageing: str = "not published: measure its diameters and identify E after the last cure, and again after a month"
+    storage: str = "hanging, dark, dry and at the temperature at which it is used: light cures it further (assumed)"
+
+
+@dataclass(frozen=True)
 class Resin:
     """A printable material."""
 
@@ -55,7 +69,7 @@ class Resin:
     #: tangential over normal force of a touch [-], standard deviation of the prior per tangential direction.
     friction: Quantity
     density_tolerance_source: str  #: source of the relative standard deviation of the density, `Tolerances.density`.
-    cure: str = "wash and cure as the resin's data sheet says"  #: instruction for washing and curing.
+    post: PostProcessing = PostProcessing()
 
 
 #: Friction of an elastic resin that has not been measured [-]. No value is published for Elastic 50A.
@@ -83,7 +97,7 @@ ELASTIC_50A = Resin(
     friction=ELASTIC_FRICTION,
     density_tolerance_source="datasheet: Formlabs Elastic 50A V1, 1.00-1.02 g/ml, its half width taken for one "
     "standard deviation",
-    cure="wash 20 min, cure 20 min at 60 °C (Formlabs, Elastic 50A)",
+    post=PostProcessing(wash="20 min in isopropanol (Formlabs)", cure="20 min at 60 °C (Formlabs)"),
 )
 #: What is sold as Elastic 50A today. Its stiffness and density have not been found published.
 ELASTIC_50A_V2 = replace(
@@ -95,6 +109,7 @@ ELASTIC_50A_V2 = replace(
     stiffness_spread=UNMEASURED_SPREAD,
     density=Quantity(1010.0, "assumed", "as Elastic 50A V1: weigh the print"),
     density_tolerance_source="assumed: 1 %, as of Elastic 50A V1; no density of Elastic 50A V2 is known",
+    post=PostProcessing(cure="20 min at 60 °C (Formlabs)"),
 )
 
 
@@ -120,13 +135,16 @@ FLEXIBLE_80A = _incompressible(
     UNMEASURED_SPREAD,
     "Formlabs Flexible 80A V2, 1.12 g/ml",
 )  # fmt: skip
-SILICONE_40A = _incompressible(
+SILICONE_40A = replace(_incompressible(
     "silicone-40a", "Silicone 40A", 0.95, 1040.0,
     "36 prints by others, washed in two ways: 0.93 and 1.01 MPa, from a Phrozen Sonic Mini 8K, soaked in saline "
     "(Scientific Data 2025, doi 10.1038/s41597-025-05738-7): identify yours",
     Quantity(0.1, "assumed", "5 and 13 % within the two groups of the prints that E is from"),
     "Formlabs Silicone 40A, 1.04 g/ml",
-)  # fmt: skip
+), post=PostProcessing(
+    wash="as its data sheet says; of 72 prints by others washing changed the thickness by 7 to 20 %, and E by 9 % with "
+    "the solvent (doi 10.1038/s41597-025-05738-7)"
+))  # fmt: skip
 
 RESINS = {resin.name: resin for resin in (ELASTIC_50A, ELASTIC_50A_V2, FLEXIBLE_80A, SILICONE_40A)}
 
@@ -136,13 +154,32 @@ RIGID_RESIN = "rigid resin, e.g. Grey V4"
 RIGID_DENSITY = 1180.0
 
 
+GUIDE = "Formlabs' design guide, Form 2, rigid resin"
+
+
+@dataclass(frozen=True)
+class PrintLimits:
+    """Layer of a printer and the smallest features that it prints in a rigid resin; keys as in a printer file."""
+
+    layer_mm: float = 0.1  #: Elastic 50A has no other on printers of Formlabs. Source: PreForm's list of materials.
+    supported_wall_mm: float = 0.4  #: held on two or more sides.
+    wall_mm: float = 0.6  #: held on one side.
+    hole_mm: float = 0.5
+    drain_mm: float = 3.5  #: hole through which resin drains.
+    engraving_mm: float = 0.4  #: width and depth of a stroke (assumed).
+    soft_feature_mm: float = 1.5  #: unsupported feature of soft resin (assumed).
+    overhang_deg: float = 19.0  #: of an unsupported surface above the horizontal.
+    source: str = GUIDE
+
+
 @dataclass(frozen=True)
 class Printer:
-    """A printer: its name in a design file, and its build volume along x, y, z [mm]."""
+    """A printer: its name in a design file, its build volume along x, y, z [mm], and its limits."""
 
     name: str
     product: str
     build_volume_mm: tuple[float, float, float]
+    limits: PrintLimits = PrintLimits()
 
 
 #: Source: PreForm.

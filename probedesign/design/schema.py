@@ -7,7 +7,7 @@ returns the quantities in SI units with their provenance.
 import datetime
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import pairwise
 from typing import Annotated, Literal, NamedTuple, Self, get_args
 
@@ -21,12 +21,15 @@ from probedesign.core.units import MM, MPA
 from probedesign.design.catalog import (
     CUSTOM,
     ELASTIC_FRICTION,
+    GUIDE,
     OBJECT_COMPLIANCE,
     PRINTERS,
     RESINS,
     ROBOT_FLANGES,
     UNMEASURED_SPREAD,
+    PostProcessing,
     Printer,
+    PrintLimits,
     Provenance,
     Quantity,
     Resin,
@@ -316,7 +319,11 @@ class ResinRecord(Table):
     stiffness_spread: Annotated[float, Field(ge=0.0, le=0.5)] = UNMEASURED_SPREAD.value
     friction: Annotated[float, Field(ge=0.0, le=5.0)] = ELASTIC_FRICTION.value
     provenance: Provenance = "assumed"
-    cure: str = "wash, dry and cure as the resin's data sheet says"
+    wash: Text = PostProcessing.wash
+    dry: Text = PostProcessing.dry
+    cure: Text = PostProcessing.cure
+    ageing: Text = PostProcessing.ageing
+    storage: Text = PostProcessing.storage
 
     @property
     def record(self) -> Resin:
@@ -328,17 +335,38 @@ class ResinRecord(Table):
             if G is None else Quantity(G * MPA, self.provenance, self.source),
             Quantity(self.stiffness_spread, "assumed", self.source),
             Quantity(self.density_kg_m3, self.provenance, self.source),
-            Quantity(self.friction, "assumed", self.source), "assumed: 1 %, as of Elastic 50A V1", self.cure,
+            Quantity(self.friction, "assumed", self.source), "assumed: 1 %, as of Elastic 50A V1",
+            PostProcessing(self.wash, self.dry, self.cure, self.ageing, self.storage),
         )  # fmt: skip
 
 
+Feature = Annotated[float, Field(gt=0.0, le=20.0)]
+Platform = Annotated[float, Field(gt=0.0, le=2000.0)]
+
+
 class PrinterRecord(Table):
-    """A printer file."""
+    """A printer file; a limit that it leaves out is that of Formlabs' printers."""
 
     name: Text
     product: Text
     source: Text
-    build_volume_mm: Annotated[tuple[Millimetres, Millimetres, Millimetres], FromArray]
+    build_volume_mm: Annotated[tuple[Platform, Platform, Platform], FromArray]
+    layer_mm: Feature | None = None
+    supported_wall_mm: Feature | None = None
+    wall_mm: Feature | None = None
+    hole_mm: Feature | None = None
+    drain_mm: Feature | None = None
+    engraving_mm: Feature | None = None
+    soft_feature_mm: Feature | None = None
+    overhang_deg: Annotated[float, Field(ge=0.0, le=90.0)] | None = None
+
+    @property
+    def record(self) -> Printer:
+        """Return the printer with its limits."""
+        given = self.model_dump(exclude_none=True, exclude={"name", "product", "source", "build_volume_mm"})
+        left = "" if len(given) == len(fields(PrintLimits)) - 1 else f"; limits that it leaves out: {GUIDE}"
+        return Printer(self.name, self.product, self.build_volume_mm,
+                       PrintLimits(**given, source=f"{self.source}{left}"))  # fmt: skip
 
 
 def _check_own(table: "MaterialTable | PrintTable", key: str) -> None:
@@ -625,9 +653,7 @@ class Design(Table, Displayed):
     def printer(self) -> Printer:
         """Return the printer of `[print]`."""
         own = self.print_.own
-        if own is not None:
-            return Printer(own.name, own.product, own.build_volume_mm)
-        return find(PRINTERS, self.print_.printer, "print.printer", CUSTOM)
+        return find(PRINTERS, self.print_.printer, "print.printer", CUSTOM) if own is None else own.record
 
     @property
     def youngs_modulus(self) -> Quantity:

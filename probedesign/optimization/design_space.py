@@ -13,6 +13,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.design import Design, check_design
+from probedesign.design.catalog import PrintLimits
 from probedesign.design.edit import as_new_print, tables_of
 from probedesign.design.schema import AXIS_KEYS, MAX_DIAMETER_MM, MIN_DIAMETER_MM
 from probedesign.estimation.model import ProbeModel
@@ -21,7 +22,7 @@ from probedesign.mount import flange_of, max_ring_passage_d
 from probedesign.optimization.displacement import MIN_FORCE, displacement_metric
 from probedesign.optimization.objective import Task, detectable_mN, predict_task, tip_offset
 from probedesign.prediction.predict import tip_sag
-from probedesign.printing import check as limits
+from probedesign.printing import check
 from probedesign.probe import Probe, build_probe
 from probedesign.rod.contact import solve_frictionless
 from probedesign.rod.vibration import natural_frequency
@@ -136,10 +137,15 @@ class DesignSpace:
         return np.linspace(0.0, self.length_mm(x), len(d)), d
 
     @property
+    def limits(self) -> PrintLimits:
+        """Return the limits of the printer."""
+        return self.start.printer.limits
+
+    @property
     def bounds(self) -> list[tuple[float, float]]:
         """Return the lower and upper bound of each coordinate."""
-        intervals = [(max(MIN_DIAMETER_MM, 0.8 * limits.MIN_THICKNESS), MAX_DIAMETER_MM)] * self.controls
-        longest = limits.longest_mm(self.start, flange_of(self.start, self.start.probe.base_d_mm * MM).thickness)
+        intervals = [(max(MIN_DIAMETER_MM, 0.8 * self.limits.soft_feature_mm), MAX_DIAMETER_MM)] * self.controls
+        longest = check.longest_mm(self.start, flange_of(self.start, self.start.probe.base_d_mm * MM).thickness)
         length = (LENGTH_MM[0], min(LENGTH_MM[1], math.floor(longest)))  # a longer one is an error of the print check
         for name, (low, high) in {"length": length, "section": RATIO}.items():
             if name in self.free:
@@ -159,23 +165,24 @@ class DesignSpace:
         s, d = self.knots_mm(x)
         ratio, hollow = self.ratio(x), self.start.probe.section == "hollow"
         thin = d * (ratio if ratio is not None and not hollow else 1.0)
-        angle = limits.MIN_SOFT_OVERHANG if without_warnings else limits.MIN_OVERHANG
+        angle = check.MIN_SOFT_OVERHANG if without_warnings else self.limits.overhang_deg
         steepest = math.tan(math.radians(angle))
-        slenderness = limits.GOOD_SLENDERNESS if without_warnings else limits.MIN_SLENDERNESS
-        bore = max(limits.SOFT_FACTOR * limits.MIN_HOLE_D, limits.MIN_DRAIN_D if without_warnings else 0.0)
+        slenderness = check.GOOD_SLENDERNESS if without_warnings else check.MIN_SLENDERNESS
+        bore = max(check.SOFT_FACTOR * self.limits.hole_mm, self.limits.drain_mm if without_warnings else 0.0)
         rules = {
-            "print rule smallest_feature": thin / limits.MIN_THICKNESS - 1.0,
-            "print rule slenderness": (thin[:-1] - slenderness * (s[-1] - s[:-1])) / limits.MIN_THICKNESS,
+            "print rule smallest_feature": thin / self.limits.soft_feature_mm - 1.0,
+            "print rule slenderness": (thin[:-1] - slenderness * (s[-1] - s[:-1])) / self.limits.soft_feature_mm,
             "print rule overhang": (np.diff(s) - steepest * np.diff(d) / 2.0) / s[-1],
         }
         if hollow and ratio is not None:
-            rules["print rule wall"] = (1.0 - ratio) * d / 2.0 / (limits.SOFT_FACTOR * limits.SUPPORTED_WALL) - 1.0
+            wall = check.SOFT_FACTOR * self.limits.supported_wall_mm
+            rules["print rule wall"] = (1.0 - ratio) * d / 2.0 / wall - 1.0
             rules["print rule hole"] = ratio * d / bore - 1.0
         if self.controls > 2:
             flange = flange_of(self.start, d[0] * MM)
-            rules["room for the clamp ring"] = (max_ring_passage_d(flange) / MM - d) / limits.MIN_THICKNESS
+            rules["room for the clamp ring"] = (max_ring_passage_d(flange) / MM - d) / self.limits.soft_feature_mm
         if self.controls == 2:
-            rules["a cone that tapers"] = (d[:-1] - d[1:]) / limits.MIN_THICKNESS
+            rules["a cone that tapers"] = (d[:-1] - d[1:]) / self.limits.soft_feature_mm
         if "axis" in self.free:
             rules |= self._axis_margins(x, s, d)
         spare = _ROUNDING_MARGIN if "section" in self.free else 0.0

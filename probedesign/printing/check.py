@@ -10,7 +10,7 @@ fingerprint, the STEP file or the check of the drawn parts.
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -19,10 +19,10 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.design import Design
-from probedesign.design.catalog import PRINTERS, Printer
+from probedesign.design.catalog import GUIDE, PRINT_TOLERANCE, PRINTERS, Printer, PrintLimits
 from probedesign.geometry import FLANGE_LIP, ProbeGeometry
 from probedesign.mount import FlangeAdapter, Mount, SensorAdapter
-from probedesign.mount.engraving import XY
+from probedesign.mount.engraving import CELL, DEPTH, XY
 from probedesign.mount.flange_adapter import TIE_SLOT
 from probedesign.mount.lip import MAX_BENDING_SHARE
 from probedesign.mount.sensor_adapter import MAX_OVERHANG, PEG_D
@@ -113,36 +113,29 @@ class Rule:
 
 # rules
 
-GUIDE = "Formlabs' design guide, Form 2, rigid resin"
 DOUBLED = f"twice {GUIDE}, for soft resin (assumed)"
 
 MAX_CUP_D = 10.0  #: Widest cup that the peel of a rigid resin stands [mm] (assumed).
 #: Longest bridge without supports [mm]: about half of the guide's 21 mm for a beam 5 mm wide and 3 mm thick (assumed).
 MAX_BRIDGE = 10.0
 
-LAYER = 0.1  #: Elastic 50A has no other layer height. Source: PreForm's list of materials.
-
 #: Raft of 2 mm and supports of 5 mm below the base, margin around it (assumed), and distance between parts.
 SUPPORT_HEIGHT, RAFT_MARGIN, BETWEEN = 7.0, 5.0, 5.0
 PLATFORM_SETUP = f"raft 2 mm, supports 5 mm, margin {RAFT_MARGIN:g} mm (assumed)"
 
-#: Formlabs' limits for rigid resin: wall supported on two or more sides, wall supported on one side, open hole.
-SUPPORTED_WALL, UNSUPPORTED_WALL, MIN_HOLE_D = 0.4, 0.6, 0.5
-SOFT_FACTOR = 2.0  #: Factor on these three for soft resin (assumed).
-MIN_THICKNESS = 1.5  #: Minimum thickness of an unsupported part of soft resin (assumed).
+SOFT_FACTOR = 2.0  #: Factor on a printer's limits of walls and holes for soft resin (assumed).
 #: Diameter over the height above it: vertical wires print from Ø0.3 (7 mm tall) to Ø1.5 (30 mm tall).
 GOOD_SLENDERNESS, MIN_SLENDERNESS = 0.05, 0.025
 #: Lateral stiffness at the tip of its longest wire, Ø1.5 mm and 30 mm tall, 3 E I/L³ with E = 2.8 GPa (Grey V4) [N/m].
 WIRE_STIFFNESS = 77.0
-MIN_OVERHANG, MIN_SOFT_OVERHANG = 19.0, 45.0
-MIN_DRAIN_D = 3.5
+MIN_SOFT_OVERHANG = 45.0
 
 BUILD_VOLUME = Rule("build_volume", "mm", f"PreForm's build volumes; {PLATFORM_SETUP}", "high")
 STACK = Rule("tolerance_stack", "mm", "worst case of the tolerances of prints and bought parts", "high")
 RING_BENDING = Rule("ring_bending", "mm", "Roark's formulas for annular plates, mean of two supports", "medium")
 CLAMP = Rule("clamp_force", "N", "Gent and Lindley 1959, compared with finite elements", "medium")
-SLENDERNESS = Rule("slenderness", "1", f"about the wires of {GUIDE}; an error below half of it (assumed)", "low")
-SMALLEST_FEATURE = Rule("smallest_feature", "mm", "assumed: nothing is published for soft resin", "low")
+SLENDERNESS = Rule("slenderness", "1", "wires of Formlabs' design guide; an error below half of it (assumed)", "low")
+SMALLEST_FEATURE = Rule("smallest_feature", "mm", f"assumed beside {GUIDE}: nothing is published for soft resin", "low")
 WALL = Rule("wall", "mm", GUIDE, "medium")
 SOFT_WALL = Rule("wall", "mm", DOUBLED, "low")
 OPEN_HOLE = Rule("hole", "mm", GUIDE, "medium")
@@ -153,6 +146,8 @@ LAYER_OVERHANG = Rule("overhang", "mm", "Formlabs' design guide: 1 mm, or 19° t
 BRIDGE = Rule("bridge", "mm", "half of the 21 mm of Formlabs' design guide (assumed)", "low")
 ISLAND = Rule("island", "mm", "what begins in mid-air is lost", "high")
 CUP = Rule("cup", "mm", "assumed: suction of a shallow cup that a rigid resin stands", "low")
+ENGRAVING = Rule("engraving", "mm", GUIDE, "low")
+LAYER = Rule("layer", "mm", "the tolerance that the mount assumes of a printed height (assumed)", "medium")
 MOUNT = Rule("mount", "mm", "the adapter's own dimensions", "high")
 
 
@@ -177,7 +172,7 @@ def longest_mm(design: Design, flange: float) -> float:
     return (design.printer.build_volume_mm[2] - SUPPORT_HEIGHT) / design.print_.scale_z - flange / MM
 
 
-def probe_findings(geometry: ProbeGeometry) -> list[Finding]:
+def probe_findings(geometry: ProbeGeometry, limits: PrintLimits) -> list[Finding]:
     """Return the findings on the flexible part above the flange, as drawn."""
     section, part = geometry.cross_section, "probe"
     s, d = geometry.s / MM, 2.0 * geometry.radius / MM
@@ -185,8 +180,8 @@ def probe_findings(geometry: ProbeGeometry) -> list[Finding]:
     flank = s <= geometry.flank_end / MM  # a rounded tip is not a wire
     i = int(np.argmin(thin[flank]))
     findings = [SMALLEST_FEATURE.at_least(
-        part, f"minimum thickness, at s = {s[i]:g} mm", float(thin[i]), MIN_THICKNESS,
-        remedy=f"make it {MIN_THICKNESS:g} mm there",
+        part, f"minimum thickness, at s = {s[i]:g} mm", float(thin[i]), limits.soft_feature_mm,
+        remedy=f"make it {limits.soft_feature_mm:g} mm there",
     )]  # fmt: skip
     # Each knot's diameter over the height above it; between knots the ratio has no minimum.
     height = s[-1] - s[:-1]
@@ -205,7 +200,7 @@ def probe_findings(geometry: ProbeGeometry) -> list[Finding]:
     limit = 2.0 * rise[i] / (1.0 if out[i] >= 0.0 else bore_ratio or 1.0)  # 45 degrees
     findings.append(NO_OVERHANG.at_least(
         part, f"surface from s = {s[i]:g} to {s[i + 1]:g} mm that faces down, angle to the horizontal",
-        float(angle[i]), MIN_SOFT_OVERHANG, MIN_OVERHANG,
+        float(angle[i]), MIN_SOFT_OVERHANG, limits.overhang_deg,
         f"change the diameter by at most {limit:.3g} mm there, or supports must be placed on it",
     ))  # fmt: skip
     if not section.hollow:
@@ -214,11 +209,11 @@ def probe_findings(geometry: ProbeGeometry) -> list[Finding]:
     wall, bore, at = (1.0 - bore_ratio) * float(d[i]) / 2.0, bore_ratio * float(d[i]), f"at s = {s[i]:g} mm"
     return [
         *findings,
-        SOFT_WALL.at_least(part, f"wall {at}", wall, SOFT_FACTOR * SUPPORTED_WALL, SUPPORTED_WALL,
+        SOFT_WALL.at_least(part, f"wall {at}", wall, SOFT_FACTOR * limits.supported_wall_mm, limits.supported_wall_mm,
                            "take a smaller bore_ratio or a wider tip"),
-        SOFT_HOLE.at_least(part, f"bore {at}", bore, SOFT_FACTOR * MIN_HOLE_D, MIN_HOLE_D,
+        SOFT_HOLE.at_least(part, f"bore {at}", bore, SOFT_FACTOR * limits.hole_mm, limits.hole_mm,
                            "take a larger bore_ratio or a wider tip"),
-        TRAPPED_VOLUME.at_least(part, f"bore {at}, as a drain hole", bore, MIN_DRAIN_D, 0.0,
+        TRAPPED_VOLUME.at_least(part, f"bore {at}, as a drain hole", bore, limits.drain_mm, 0.0,
                                 "flush it with a syringe before curing"),
     ]  # fmt: skip
 
@@ -234,11 +229,12 @@ def bounds(geometry: ProbeGeometry) -> Array:
                      np.maximum((p + reach).max(axis=0), [rim, rim, 0.0])])  # fmt: skip
 
 
-class HangingSide(NamedTuple):
-    """The part of a curved probe that hangs over when it stands upright, and needs supports on its lower side."""
+class Scar(NamedTuple):
+    """Where supports touch the body of a probe that is printed upright."""
 
-    s_mm: XY  #: from where to where it leans by more than 45° [mm].
-    azimuth_deg: XY  #: of the lower side in the section there, from X towards Y, at both ends.
+    s_mm: XY  #: from where to where [mm].
+    azimuth_deg: XY  #: of the side in the section there, from X, the clocking mark, towards Y, at both ends.
+    hangs: bool  #: whether a curved body leans there by more than 45°; otherwise it is so soft that a peel moves it.
 
     @property
     def text(self) -> str:
@@ -247,56 +243,72 @@ class HangingSide(NamedTuple):
         turn = (b - a + 180.0) % 360.0 - 180.0
         side = f"{a:.0f}°" if abs(turn) < 1.0 else f"{a:.0f}° at the begin and {b:.0f}° at the end of that"
         return (
-            f"from s = {self.s_mm[0]:.0f} to {self.s_mm[1]:.0f} mm they scar the lower side, at an angle of {side} in "
-            "the section, from X towards Y: work with the sides at right angles to it, and sand what remains there"
+            f"from s = {self.s_mm[0]:.0f} to {self.s_mm[1]:.0f} mm at {side} from the clocking mark, from X towards Y "
+            "in the section: sand the scar, and work with the sides at right angles to it"
         )
 
 
-def hanging_side(geometry: ProbeGeometry) -> HangingSide | None:
-    """Return where the axis of a probe that stands on its flange leans by more than 45°; None where it does not."""
+def lateral_stiffness(geometry: ProbeGeometry, modulus: float) -> Array:
+    """Return arclengths [m] and the force there over its deflection, as if the axis were straight [N/m], (2, n)."""
+    s = np.linspace(0.0, geometry.length, 400)
+    d, section = 2.0 * geometry.radius_at(s), geometry.cross_section
+    EI = modulus * np.pi / 64.0 * d**4 * (section.flatness**3 - section.bore_ratio**4)
+    lever = np.maximum(s[1:, None] - s[:-1], 0.0)
+    return np.stack([s[1:], 1.0 / (lever**2 / EI[:-1] * s[1]).sum(axis=1)])
+
+
+def support_scar(geometry: ProbeGeometry, modulus: float) -> Scar | None:
+    """Return where supports touch the body: below what hangs over, or else, leaning on one side, where a probe of
+    modulus E [Pa] is softer than the longest wire that prints; None where no supports are needed."""
     s = np.linspace(0.0, geometry.length, 400)
     T = geometry.axis.frames(s)
     leans = np.flatnonzero(T[:, 2, 2] < math.cos(math.radians(MIN_SOFT_OVERHANG)))
     if not len(leans):
-        return None
+        at, stiffness = lateral_stiffness(geometry, modulus)
+        soft = at[stiffness < WIRE_STIFFNESS] / MM
+        return Scar((round(float(soft[0]), 1), geometry.length / MM), (180.0, 180.0), False) if len(soft) else None
     ends = leans[[0, -1]]
     # -z of the base frame in the axes of the section
     azimuths = np.degrees(np.arctan2(-T[ends, 2, 1], -T[ends, 2, 0])).round() + 0.0
     (first, last), (a, b) = s[ends] / MM, azimuths
-    return HangingSide((float(first), float(last)), (float(a), float(b)))
+    return Scar((float(first), float(last)), (float(a), float(b)), True)
 
 
-def flange_findings(adapter: SensorAdapter) -> list[Finding]:
+def flange_findings(adapter: SensorAdapter, limits: PrintLimits) -> list[Finding]:
     """Return the findings on the flange with its clocking hole."""
     flange, hole, part = adapter.flange, adapter.peg_hole_d, "probe"
     web = (flange.diameter / 2 - adapter.peg_x - hole / 2) / MM
     return [
-        SOFT_WALL.at_least(part, "flange thickness", flange.thickness / MM, SOFT_FACTOR * UNSUPPORTED_WALL,
-                           UNSUPPORTED_WALL, "make it thicker"),
-        SOFT_WALL.at_least(part, "flange between the clocking hole and its rim", web, SOFT_FACTOR * SUPPORTED_WALL,
-                           SUPPORTED_WALL, "inspect it after washing: it may tear or close"),
-        SOFT_HOLE.at_least(part, "clocking hole in the flange", hole / MM, SOFT_FACTOR * MIN_HOLE_D, MIN_HOLE_D,
+        SOFT_WALL.at_least(part, "flange thickness", flange.thickness / MM, SOFT_FACTOR * limits.wall_mm,
+                           limits.wall_mm, "make it thicker"),
+        SOFT_WALL.at_least(part, "flange between the clocking hole and its rim", web,
+                           SOFT_FACTOR * limits.supported_wall_mm, limits.supported_wall_mm,
+                           "inspect it after washing: it may tear or close"),
+        SOFT_HOLE.at_least(part, "clocking hole in the flange", hole / MM, SOFT_FACTOR * limits.hole_mm, limits.hole_mm,
                            "open it with a hand drill"),
     ]  # fmt: skip
 
 
-def mount_findings(a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
+def mount_findings(a: SensorAdapter, plate: FlangeAdapter, limits: PrintLimits) -> list[Finding]:
     """Return the findings on the rigid parts, as drawn."""
     screw, robot = plate.mounting.screw, plate.robot
     ring, hole = _reach(a.p_ring_screws), a.ring_screw.clearance_d / 2
     ring_walls: Walls = [
-        ("thickness", a.ring_thickness, UNSUPPORTED_WALL),
-        ("between screw hole and rim", a.body_d / 2 - ring - hole, UNSUPPORTED_WALL),
-        ("between screw hole and bore", ring - hole - a.ring_bore_top_d / 2, UNSUPPORTED_WALL),
+        ("thickness", a.ring_thickness, limits.wall_mm),
+        ("between screw hole and rim", a.body_d / 2 - ring - hole, limits.wall_mm),
+        ("between screw hole and bore", ring - hole - a.ring_bore_top_d / 2, limits.wall_mm),
     ]
     parts = {
-        "sensor_adapter": (_adapter_walls(a), {"screw hole": 2 * hole, "dowel hole": a.dowel_d}),
+        "sensor_adapter": (_adapter_walls(a, limits), {"screw hole": 2 * hole, "dowel hole": a.dowel_d}),
         "clamp_ring": (ring_walls, {"screw hole": 2 * hole}),
-        "flange_adapter": (_plate_walls(plate), {"sensor screw hole": screw.clearance_d,
+        "flange_adapter": (_plate_walls(plate, limits), {"sensor screw hole": screw.clearance_d,
                                                  "bolt hole": robot.screw.clearance_d, "pin slot": robot.pin_slot[0]}),
     }  # fmt: skip
     nearest = min(math.dist((a.peg_x, 0.0), p) for p in a.p_tool_screws)
     findings = [
+        LAYER.warn_above("mount", "half a layer", limits.layer_mm / 2, PRINT_TOLERANCE / MM, "print thinner layers"),
+        ENGRAVING.at_least("mount", "strokes of the engraving, width and depth", min(CELL, DEPTH) / MM,
+                           limits.engraving_mm, 0.0, "mark each part by hand as well"),
         SLENDERNESS.at_least("sensor_adapter", "clocking peg, diameter over height",
                              PEG_D / (a.peg_top - a.groove_floor), GOOD_SLENDERNESS, remedy="make it thicker"),
         ISLAND.at_least("sensor_adapter", "clocking peg, beside the room of a screw's head",
@@ -322,7 +334,7 @@ def mount_findings(a: SensorAdapter, plate: FlangeAdapter) -> list[Finding]:
     for part, (walls, holes) in parts.items():
         for what, thickness, limit in walls:
             findings.append(WALL.at_least(part, what, thickness / MM, limit, remedy="make it thicker"))
-        findings += [OPEN_HOLE.at_least(part, what, d / MM, MIN_HOLE_D, remedy="make it wider")
+        findings += [OPEN_HOLE.at_least(part, what, d / MM, limits.hole_mm, remedy="make it wider")
                      for what, d in holes.items() if d > 0.0]  # fmt: skip
     beyond = "beyond its limits at the worst corner of the tolerances"
     return findings + [STACK.at_most("mount", f"{stack.what}, {beyond}", stack.outside / MM, 0.0, stack.remedy)
@@ -348,7 +360,7 @@ def clamp_findings(a: SensorAdapter, plate: FlangeAdapter, modulus: float) -> li
 Walls = list[tuple[str, float, float]]  #: Thin features: name, thickness [m] and its limit [mm].
 
 
-def _adapter_walls(a: SensorAdapter) -> Walls:
+def _adapter_walls(a: SensorAdapter, limits: PrintLimits) -> Walls:
     ring, rim, recess, roof_hole = _reach(a.p_ring_screws), a.body_d / 2, a.recess_d / 2, a.roof_hole_d / 2
     hole, inner = a.ring_screw.clearance_d / 2, ring - a.nut_slot_reach - a.nut_slot_width / 2
     tool, dowel, foot = _reach(a.p_tool_screws), _reach(a.p_dowels), a.foot_d / 2
@@ -356,43 +368,43 @@ def _adapter_walls(a: SensorAdapter) -> Walls:
     # The cone below a ring screw's blind hole, and below the floor of a nut's slot at the rim.
     cone = a.foot_height + (ring + hole - a.cone_d / 2) * (a.cone_top - a.foot_height) / (rim - a.cone_d / 2)
     return [
-        ("rim around the recess, at the flat", a.mark_x - recess, UNSUPPORTED_WALL),
-        ("between ring screw and recess", ring - roof_hole - recess, SUPPORTED_WALL),
-        ("between ring screw and rim", rim - ring - roof_hole, UNSUPPORTED_WALL),
-        ("between nut slot and recess", inner - recess, SUPPORTED_WALL),
-        ("above a nut", a.nut_roof, SUPPORTED_WALL),
-        ("below a nut slot, at the rim", a.nut_slot_z[0] - a.cone_top, UNSUPPORTED_WALL),
-        ("below a ring screw's hole", a.ring_hole_bottom - cone, SUPPORTED_WALL),
-        ("between sensor screw and edge of the foot", foot - tool - a.tool.screw.clearance_d / 2, UNSUPPORTED_WALL),
-        *([("between a head's room and edge of the land", land, UNSUPPORTED_WALL)] if land >= 0.0 else []),
-        ("between dowel hole and edge of the foot", foot - dowel - a.dowel_d / 2, UNSUPPORTED_WALL),
-        ("over a dowel hole", a.groove_floor - a.dowel_depth, SUPPORTED_WALL),
-        ("below the groove, at the notch", a.groove_floor - a.cone_top, UNSUPPORTED_WALL),
-        ("under the heads of the sensor screws", a.tool.grip, SUPPORTED_WALL),
+        ("rim around the recess, at the flat", a.mark_x - recess, limits.wall_mm),
+        ("between ring screw and recess", ring - roof_hole - recess, limits.supported_wall_mm),
+        ("between ring screw and rim", rim - ring - roof_hole, limits.wall_mm),
+        ("between nut slot and recess", inner - recess, limits.supported_wall_mm),
+        ("above a nut", a.nut_roof, limits.supported_wall_mm),
+        ("below a nut slot, at the rim", a.nut_slot_z[0] - a.cone_top, limits.wall_mm),
+        ("below a ring screw's hole", a.ring_hole_bottom - cone, limits.supported_wall_mm),
+        ("between sensor screw and edge of the foot", foot - tool - a.tool.screw.clearance_d / 2, limits.wall_mm),
+        *([("between a head's room and edge of the land", land, limits.wall_mm)] if land >= 0.0 else []),
+        ("between dowel hole and edge of the foot", foot - dowel - a.dowel_d / 2, limits.wall_mm),
+        ("over a dowel hole", a.groove_floor - a.dowel_depth, limits.supported_wall_mm),
+        ("below the groove, at the notch", a.groove_floor - a.cone_top, limits.wall_mm),
+        ("under the heads of the sensor screws", a.tool.grip, limits.supported_wall_mm),
     ]
 
 
-def _plate_walls(p: FlangeAdapter) -> Walls:
+def _plate_walls(p: FlangeAdapter, limits: PrintLimits) -> Walls:
     robot, rim, screw = p.robot, p.plate_d / 2, p.mounting.screw
     bolts, screws = _reach(p.p_bolts), _reach(p.p_mounting_screws)
     (width, length), spigot_d = robot.pin_slot, robot.spigot[0]
     walls = [
-        ("thickness", p.plate_top, UNSUPPORTED_WALL),
-        ("between bolt and rim", rim - bolts - robot.screw.clearance_d / 2, UNSUPPORTED_WALL),
+        ("thickness", p.plate_top, limits.wall_mm),
+        ("between bolt and rim", rim - bolts - robot.screw.clearance_d / 2, limits.wall_mm),
         ("between the opening for the cable tie and rim", rim - _reach(p.p_tie_slots) - max(TIE_SLOT) / 2,
-         UNSUPPORTED_WALL),
-        ("under the heads of the sensor screws", p.mounting.grip, SUPPORTED_WALL),
+         limits.wall_mm),
+        ("under the heads of the sensor screws", p.mounting.grip, limits.supported_wall_mm),
     ]  # fmt: skip
     if width > 0.0:
         slot = rim - math.hypot(bolts + length / 2, width / 2)
-        walls.append(("between pin slot and rim", slot, UNSUPPORTED_WALL))
+        walls.append(("between pin slot and rim", slot, limits.wall_mm))
     if p.p_centring_pins and p.centring_hole[1] < p.counterbore_top:
         nearest = min(math.dist(a, b) for a in p.p_centring_pins for b in p.p_mounting_screws)
         apart = nearest - p.centring_hole[0] / 2 - screw.counterbore_d / 2
-        walls.append(("between pin and head's room", apart, SUPPORTED_WALL))
+        walls.append(("between pin and head's room", apart, limits.supported_wall_mm))
     if spigot_d > 0.0:
         edge = spigot_d / 2 - screws - screw.counterbore_d / 2
-        walls.append(("between a head's room and edge of the spigot", edge, SUPPORTED_WALL))
+        walls.append(("between a head's room and edge of the spigot", edge, limits.supported_wall_mm))
     return walls
 
 
@@ -448,7 +460,10 @@ class PrintCheck:
     printer: str  #: printer, resin: the rules depend on.
     resin: str
     findings: tuple[Finding, ...]  #: one per rule and feature, passed ones included.
+    layer_mm: float  #: height of a layer.
+    scar: Scar | None  #: where supports touch the body of the probe.
     advice: tuple[str, ...]  #: for what no rule can measure.
+    post_processing: Mapping[str, str]  #: what to do with the print of the probe, by step, in order.
     #: parts of each platform, the probe's first, with the position of their axes from its corner [mm].
     platforms: tuple[dict[str, XY], ...]
 
@@ -478,11 +493,13 @@ class PrintCheck:
             "ok": not self.errors,
             "printer": self.printer,
             "resin": self.resin,
-            "layer_mm": LAYER,
+            "layer_mm": self.layer_mm,
             "errors": len(self.errors),
             "warnings": len(self.warnings),
             "findings": [f.as_record() for f in (*self.errors, *self.warnings)],
             "advice": list(self.advice),
+            "scar": None if self.scar is None else self.scar._asdict(),
+            "post_processing": dict(self.post_processing),
             "orientation": {part: {**stands._asdict(), "z_direction": [0.0, 0.0, 1.0 if stands.upright else -1.0]}
                             for part, stands in ORIENTATIONS.items()},
             "platforms": [{part: list(axis) for part, axis in platform.items()} for platform in self.platforms],
@@ -491,15 +508,15 @@ class PrintCheck:
 
 def check_print(design: Design) -> PrintCheck:
     """Check a design against the rules of its printer and of both resins."""
-    mount, printer = Mount.of(design), design.printer
+    mount, printer, limits = Mount.of(design), design.printer, design.printer.limits
     geometry, scale = mount.geometry, print_scale(design, "probe")
     low, high = np.array(scale) * bounds(geometry) / MM
     width, height = float((high - low)[:2].max()), float(high[2] - low[2])
     longest = longest_mm(design, geometry.flange.thickness)
     straight = geometry.axis.is_straight
     remedy = f"the longest probe for a {printer.name} is {int(longest)} mm" if longest > 0 and straight else ""
-    findings = [*size_findings("probe", printer, width, height, remedy), *probe_findings(geometry)]
-    hanging = hanging_side(geometry)
+    findings = [*size_findings("probe", printer, width, height, remedy), *probe_findings(geometry, limits)]
+    modulus, scar = design.youngs_modulus.value, support_scar(geometry, design.youngs_modulus.value)
     platforms = packed({"probe": width}, printer)
     x, y = np.round(np.array(platforms[0]["probe"]) - (low + high)[:2] / 2, 3).tolist()
     platforms[0]["probe"] = (x, y)
@@ -509,8 +526,8 @@ def check_print(design: Design) -> PrintCheck:
     except InputError as error:
         findings.append(MOUNT.impossible("clamp_ring", str(error)))
     else:
-        findings += [*flange_findings(a), *mount_findings(a, plate)]
-        findings += clamp_findings(a, plate, design.youngs_modulus.value)
+        findings += [*flange_findings(a, limits), *mount_findings(a, plate, limits)]
+        findings += clamp_findings(a, plate, modulus)
         sx, _, sz = print_scale(design, "rigid parts")
         rigid = {
             "flange_adapter": (plate.plate_d, plate.plate_top + plate.robot.spigot[1]),
@@ -520,23 +537,13 @@ def check_print(design: Design) -> PrintCheck:
         for part, (width, height) in rigid.items():
             findings += size_findings(part, printer, sx * width / MM, sz * height / MM)
         platforms += packed({part: sx * width / MM for part, (width, _) in rigid.items()}, printer)
-    upright = f"print the probe upright on its flange, {LAYER:g} mm layers, supports below the flange"
-    s = np.linspace(0.0, geometry.length, 400)
-    d, section = 2.0 * geometry.radius_at(s[:-1]), geometry.cross_section
-    EI = design.youngs_modulus.value * np.pi / 64.0 * d**4 * (section.flatness**3 - section.bore_ratio**4)
-    lateral = 1.0 / float(np.sum((s[-1] - s[:-1]) ** 2 / EI) * s[1])  # as if it were straight
+    upright = f"print the probe upright on its flange, {limits.layer_mm:g} mm layers, supports below the flange"
+    lateral = lateral_stiffness(geometry, modulus)[1, -1]
     advice = (
-        f"{upright} only" if hanging is None else f"{upright} and below the bend; {hanging.text}",
-        f"its tip has a lateral stiffness of {lateral:.2g} N/m, that of the guide's longest rigid wire divided by "
-        f"{WIRE_STIFFNESS / lateral:.0f}: if the peel or the wiper moves it, lean supports on one side, whose scar "
-        "stays, and work with the sides at right angles to it",
-        design.resin.cure,
-        "let it dry before curing and before measuring: alcohol in the resin swells it",
-        "cure it hanging or in a V-groove: lying flat, it would cure bent under its own weight" if straight else
-        "cure it upright on its flange with its supports left on, which hold the bend: hanging, lying flat or in a "
-        "V-groove its own weight would change it",
-        "measure its diameters after curing: they determine its stiffness",
-        *([] if straight else ["measure its axis after curing (measured --axis): it places the firmer touches"]),
+        f"{upright} and below the bend, {scar.text}" if scar is not None and scar.hangs else f"{upright} only",
+        *([f"its tip has a lateral stiffness of {lateral:.2g} N/m, that of the guide's longest rigid wire divided by "
+           f"{WIRE_STIFFNESS / lateral:.0f}: if the peel or the wiper moves it, lean supports on one side, {scar.text}"]
+          if scar is not None and not scar.hangs else []),
         *(
             f"print the {part.replace('_', ' ')} {stands.side}, on {stands.rests_on}, without supports and raft"
             for part, stands in ORIENTATIONS.items()
@@ -545,8 +552,30 @@ def check_print(design: Design) -> PrintCheck:
         *([f"the rigid parts do not fit on one platform of a {printer.name}: print all {len(platforms) - 1} packages, "
            f"adapters.3mf to adapters_{len(platforms) - 1}.3mf"] if len(platforms) > 2 else []),
     )  # fmt: skip
-    return PrintCheck(design.name, geometry.fingerprint, printer.name, design.resin.name, tuple(findings), advice,
-                      tuple(platforms))  # fmt: skip
+    post = design.resin.post
+    marks = "" if scar is None else f"; on the body, where there were any, {scar.text}"
+    hung = (
+        "hang it by its flange, the tip down, or lay it in a V-groove: lying flat it would cure bent under its own weight"
+        if straight
+        else "upright on its flange with its supports left on, which hold the bend: hanging, lying flat or in a V-groove "
+        "its own weight would change it"
+    )
+    axis = "" if straight else "; measure its axis too (measured --axis): it places the firmer touches"
+    post_processing = {
+        "wash": post.wash,
+        "dry": post.dry,
+        "cure": f"{post.cure}; {hung}",
+        "supports": f"trim their marks on the flange's underside flush{marks}",
+        "calipers": f"washed, dried and cured, and not before: the diameters determine the stiffness{axis}",
+        "ageing": post.ageing,
+        "storage": post.storage,
+    }
+    if (source := limits.source) != GUIDE:
+        findings = [replace(finding, source=finding.source.replace(GUIDE, source)) for finding in findings]
+    return PrintCheck(
+        design.name, geometry.fingerprint, printer.name, design.resin.name, tuple(findings), limits.layer_mm, scar,
+        advice, post_processing, tuple(platforms),
+    )  # fmt: skip
 
 
 def packed(diameters_mm: Mapping[str, float], printer: Printer) -> list[dict[str, XY]]:

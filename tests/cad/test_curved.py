@@ -24,7 +24,7 @@ from probedesign.geometry import ProbeGeometry
 from probedesign.geometry.mass import combined, flexible_part
 from probedesign.mount import Mount
 from probedesign.mount.mass import mount_part_masses
-from probedesign.printing.check import bounds, check_print, hanging_side
+from probedesign.printing.check import bounds, check_print, support_scar
 from tests.cad.conftest import design_of
 
 ARC = 'axis = "arc"\naxis_bend_deg = 90.0\naxis_azimuth_deg = -90.0\n'
@@ -179,13 +179,24 @@ def test_the_box_of_the_print_is_that_of_the_mesh_and_lies_in_the_middle_of_the_
 
 def test_scars_of_an_arc_lie_on_its_inner_side_and_leave_the_sides_across_its_plane() -> None:
     """An arc of 90° towards -y leans by 45° at half its length; from there on its inner side faces the platform."""
-    hanging = hanging_side(Mount.of(design_of(CONE + ARC)).geometry)
-    assert hanging is not None
-    assert hanging.s_mm == (pytest.approx(75.0, abs=0.4), pytest.approx(150.0))
-    assert hanging.azimuth_deg == (-90.0, -90.0)
-    assert hanging.text.startswith("from s = 75 to 150 mm they scar the lower side, at an angle of -90° in the section")
-    assert hanging_side(Mount.of(design_of(CONE)).geometry) is None
-    assert hanging_side(Mount.of(design_of(f"{CONE}{ARC}".replace("90.0\naxis_az", "40.0\naxis_az"))).geometry) is None
+    scar = support_scar(Mount.of(design_of(CONE + ARC)).geometry, 2.32e6)
+    assert scar is not None and scar.hangs
+    assert scar.s_mm == (pytest.approx(75.0, abs=0.4), pytest.approx(150.0))
+    assert scar.azimuth_deg == (-90.0, -90.0)
+    assert scar.text.startswith("from s = 75 to 150 mm at -90° from the clocking mark")
+    for axis in ("", ARC.replace("90.0\naxis_az", "40.0\naxis_az")):
+        upright = support_scar(Mount.of(design_of(CONE + axis)).geometry, 2.32e6)
+        assert upright is not None and not upright.hangs and upright.azimuth_deg == (180.0, 180.0)
+
+
+def test_supports_lean_on_a_soft_probe_where_it_is_softer_than_the_longest_wire() -> None:
+    """A cylinder deflects by F s³/(3 E I): 77 N/m of the wire Ø1.5 x 30 mm at s = (3 E I/77)^(1/3)."""
+    cylinder = Mount.of(design_of('shape = "cylinder"\nlength_mm = 60.0\nbase_d_mm = 6.0\n')).geometry
+    for modulus in (1e6, 3e6):
+        scar = support_scar(cylinder, modulus)
+        EI = modulus * np.pi / 64.0 * 6e-3**4
+        assert scar is not None and scar.s_mm == (pytest.approx(1e3 * (3.0 * EI / 77.0) ** (1 / 3), rel=0.02), 60.0)
+    assert support_scar(cylinder, 2.8e9) is None
 
 
 @pytest.mark.slow

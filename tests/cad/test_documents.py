@@ -376,17 +376,17 @@ def test_the_page_has_warning_parts_steps_and_tools(exported: Exported, large: C
     assert large.geometry.fingerprint in words and "assumed" in words
 
 
-def test_the_page_is_legible_and_prints_on_four_sheets(exported: Exported) -> None:
+def test_the_page_is_legible_and_prints_on_five_sheets(exported: Exported) -> None:
     """Nothing is cut at 360 px or on paper."""
     file = exported[0] / "assembly.html"
     with browser() as running:
         check_page(running, file)
-        assert sheets(running, file) == (4, [])
+        assert sheets(running, file) == (5, [])
 
 
 def test_names_from_outside_are_escaped(large: CadModel) -> None:
     model = replace(large, design=design_of().model_copy(update={"name": "<b>&"}))
-    page = assembly_page(model, [], [], Canvas(1.0, 1.0), []).decode()
+    page = assembly_page(model, [], [], Canvas(1.0, 1.0), [], {}).decode()
     assert "<b>&" not in page and page.count("&lt;b&gt;&amp;: assembly") == 2  # title and heading
 
 

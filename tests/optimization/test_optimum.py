@@ -10,6 +10,7 @@ import pytest
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design
+from probedesign.design.catalog import PrintLimits
 from probedesign.design.io import render_design
 from probedesign.optimization.constraints import Limit, OptimizationProblem, check_limits, parse_limit
 from probedesign.optimization.design_space import (
@@ -22,7 +23,7 @@ from probedesign.optimization.design_space import (
 from probedesign.optimization.objective import Task, design_metrics, predict_task
 from probedesign.optimization.optimum import confirm, optimum
 from probedesign.prediction.predict import predict
-from probedesign.printing.check import MIN_HOLE_D, SOFT_FACTOR, SUPPORTED_WALL, check_print
+from probedesign.printing.check import SOFT_FACTOR, check_print
 from probedesign.probe import build_probe
 from probedesign.rod.vibration import natural_frequency
 
@@ -379,7 +380,7 @@ def test_a_hollow_optimum_keeps_the_limits_of_soft_resin(large):
     assert any("print rule" in text for text in found.active_constraints) and found.after.print_errors == 0
     probe = found.design.probe
     wall, bore = (1 - probe.bore_ratio) * probe.tip_d_mm / 2, probe.bore_ratio * probe.tip_d_mm
-    assert wall >= SOFT_FACTOR * SUPPORTED_WALL and bore >= SOFT_FACTOR * MIN_HOLE_D
+    assert wall >= SOFT_FACTOR * PrintLimits.supported_wall_mm and bore >= SOFT_FACTOR * PrintLimits.hole_mm
     assert not [f for f in check_print(found.design).warnings if f.rule in ("wall", "hole") and f.part == "probe"]
 
 

@@ -205,7 +205,7 @@ def test_the_command_prints_findings_and_passes_with_warnings(written, capsys):
     assert run(["check", written((150.0, 2.0))]) == 0
     out = capsys.readouterr().out
     assert "elastic-50a on a form-3" in out and "no errors" in out
-    assert "hanging or in a V-groove" in out
+    assert "hang it by its flange" in out and "180° from the clocking mark" in out
 
 
 def test_the_command_fails_on_errors_and_its_json_holds_every_number(written, capsys):

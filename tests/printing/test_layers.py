@@ -8,7 +8,7 @@ import pytest
 
 from probedesign.core.errors import CheckFailedError
 from probedesign.design import parse_design
-from probedesign.design.catalog import ROBOT_FLANGES
+from probedesign.design.catalog import ROBOT_FLANGES, PrintLimits
 from probedesign.design.sensor_catalog import SENSORS
 from probedesign.design.sensors import DowelPattern
 from probedesign.mount import FlangeAdapter, Mount, SensorAdapter, flange_adapter_for, sensor_adapter_for
@@ -130,7 +130,7 @@ def test_rigid_parts_print_in_their_constant_orientation(sensor: str, flange: st
         rooms = {"sensor_adapter": a.tool, "flange_adapter": plate.mounting}
         room = 1e3 * rooms[name].screw.counterbore_d if name in rooms else 0.0  # what the check warns of
         assert report.cup_d <= max(MAX_CUP_D, room + 2 * pixel)
-    assert [f.message for f in mount_findings(a, plate) if f.rule in ("bridge", "island")
+    assert [f.message for f in mount_findings(a, plate, PrintLimits()) if f.rule in ("bridge", "island")
             and f.severity != "ok"] == []  # fmt: skip
 
 
@@ -151,7 +151,11 @@ def test_the_check_finds_what_an_own_sensor_and_an_own_flange_make_unprintable()
         return sensor_adapter_for(Mount.of(design).geometry, sensor), flange_adapter_for(sensor, robot)
 
     def worst(rule: str, part: str) -> float:
-        wrong = [f for f in mount_findings(a, plate) if (f.rule, f.part) == (rule, part) and f.severity != "ok"]
+        wrong = [
+            f
+            for f in mount_findings(a, plate, PrintLimits())
+            if (f.rule, f.part) == (rule, part) and f.severity != "ok"
+        ]
         return max(f.measured for f in wrong)
 
     dowels = DowelPattern(12e-3, 3e-3, 22e-3, (0.0, 180.0), 10e-3)
@@ -165,7 +169,7 @@ def test_the_check_finds_what_an_own_sensor_and_an_own_flange_make_unprintable()
     # A screw at 0° under the clocking peg: the kernel draws a peg without a foot.
     tool = replace(known.interface.tool, bolt_circle_d=36e-3, azimuths_deg=(0.0, 120.0, 240.0))
     a, plate = adapters(tool=tool)
-    (peg,) = [f for f in mount_findings(a, plate) if f.rule == "island"]
+    (peg,) = [f for f in mount_findings(a, plate, PrintLimits()) if f.rule == "island"]
     assert peg.severity == "error" and peg.measured == pytest.approx(0.2 - 1.9 / 2 - 5.9 / 2)
     with pytest.raises(CheckFailedError):
         sensor_adapter_solid(a)
