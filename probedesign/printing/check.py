@@ -555,9 +555,9 @@ def check_print(design: Design) -> PrintCheck:
     post = design.resin.post
     marks = "" if scar is None else f"; on the body, where there were any, {scar.text}"
     hung = (
-        "hang it by its flange, the tip down, or lay it in a V-groove: lying flat it would cure bent under its own weight"
+        "hang it by its flange, the tip down, or lay it in a V-groove: lying flat, its weight bends it"
         if straight
-        else "upright on its flange with its supports left on, which hold the bend: hanging, lying flat or in a V-groove "
+        else "upright on its flange on its supports, which hold the bend: hanging or lying down "
         "its own weight would change it"
     )
     axis = "" if straight else "; measure its axis too (measured --axis): it places the firmer touches"
