@@ -107,12 +107,14 @@ def explore(
             estimator, recording, reading, base, (processing, apart), name if several else ""
         )
     cloud = joint_map(explorations) if several else explorations[name].map()
-    lines, document = _understood(cloud, estimators, explorations, suggestion)
+    shapes, best, lines, document = _understood(cloud, estimators, explorations, suggestion)
     recorded_from = source.recorded_from if isinstance(source, LoadedRecording | ReplaySource) else ""
     if out is not None:
         probe = ", ".join(f"{name} {each.model.fingerprint}" for name, each in estimators.items())
         notes = [source.title, f"probe {probe}", _summary(cloud), uncertainty]
-        _write(out, MapScene(cloud, true_outlines(recorded_from)), probe, notes, document)
+        ghost = None if best is None else best.axis_world
+        scene = MapScene(cloud, true_outlines(recorded_from), tuple(shapes), tuple(lines), ghost)
+        _write(out, scene, probe, notes, document)
         for each in estimators.values():
             refresh_home(each.model)
     if score := simulated_run.score(cloud, recording, recorded_from):
@@ -192,8 +194,8 @@ def _understood(
     estimators: "dict[str, Estimator]",
     explorations: "dict[str, Exploration]",
     options: SuggestionOptions,
-) -> tuple[list[str], dict[str, Any]]:
-    """Return the shapes, a known object and the next touch as lines and for a JSON document."""
+) -> "tuple[list[Shape], Suggestion | None, list[str], dict[str, Any]]":
+    """Return the shapes and the next touch, and both with a known object as lines and for a JSON document."""
     from probedesign.mapping.shapes import ShapeFit, TouchSet, missing, shapes_document
 
     touched, friction = TouchSet.of(cloud), max(each.model.friction for each in estimators.values())
@@ -204,10 +206,11 @@ def _understood(
         at, lines = known[1], [*lines, known[1].text]
         document["object"] = {"T_world_object": at.T_world_object.tolist(), "cov": at.cov.tolist(),
                               "touches": at.touches, "left_out": at.left_out}  # fmt: skip
+    best = None
     if options.suggest:
         best = _suggested(options, estimators, explorations, shapes, known)
         document["suggestion"], lines = best.document, [*lines, *best.lines]
-    return [line for line in lines if line], document
+    return shapes, best, [line for line in lines if line], document
 
 
 def _suggested(

@@ -89,6 +89,7 @@ class Suggestion:
     force: float  #: firm force [N].
     Ts_world_base: Array  #: poses of the base at first contact, at the light and at the firm press, (3, 4, 4).
     cov: Array  #: expected covariance of the located point in the world [m²], (3, 3).
+    axis_world: Array  #: axis of the free probe at first contact, from base to tip [m], (k, 3).
     probe: str = ""  #: name of the probe.
 
     @property
@@ -265,7 +266,9 @@ def suggest(
     gain, candidate, press, T = best
     Ts = np.array([pose(T[:3, :3], T[:3, 3] - T[:3, :3] @ by) for by in (np.zeros(3), press.light, press.firm)])
     after, cov = math.sqrt(max(before**2 - gain, 0.0)), T[:3, :3] @ press.cov @ T[:3, :3].T
-    return Suggestion(name, before, after, candidate.x, candidate.normal, press.s, force, Ts, cov)
+    probe = estimator.free(R0.T @ gravity_world)
+    axis = np.array([probe.p_at(s) for s in np.linspace(0.0, estimator.model.rod.length, 15)]) @ T[:3, :3].T + T[:3, 3]
+    return Suggestion(name, before, after, candidate.x, candidate.normal, press.s, force, Ts, cov, axis)
 
 
 def _left(P: Array, A: Array, candidate: Candidate, Sigma: Array | None = None) -> float:

@@ -195,6 +195,28 @@ class Shape:
         return self.p[None]
 
     @property
+    def outlines(self) -> list[Array]:
+        """Return lines that show the touched part [m], (k, 3) each."""
+        if self.kind == "plane":
+            return [self.ends[[0, 1, 2, 3, 0]]]
+        if not self.radius:
+            return [self.ends]
+        circle = np.linspace(0.0, 2.0 * math.pi, 49)
+        ring = self.radius * np.stack([np.cos(circle), np.sin(circle), np.zeros(49)], axis=1)
+        if self.kind == "sphere":
+            return [self.p + np.roll(ring, k, axis=1) for k in range(3)]
+        rings = [self.p + (ring + np.array([0.0, 0.0, end])) @ self.frame.T for end in self.extent[0]]
+        return [*rings, *(np.array([rings[0][k], rings[1][k]]) for k in (0, 12, 24, 36))]
+
+    @property
+    def end_covs(self) -> Array:
+        """Return the covariance of the shape across itself at its ends, as one of points [m²], (k, 3, 3)."""
+        if self.radius:
+            return (self.frame @ self.cov[:3, :3] @ self.frame.T)[None]
+        N = self.distances(self.ends)[1]
+        return np.asarray(N.transpose(0, 2, 1) @ self.cov_at(self.ends) @ N)
+
+    @property
     def rms(self) -> float:
         """Return the largest RMS distance of the touched part from the true shape, across it [m]."""
         if self.kind in ("sphere", "cylinder"):

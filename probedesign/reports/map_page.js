@@ -19,6 +19,17 @@ function paint({pen, scale, right, up, ink, at, line}) {
     line(polygon, true); pen.fill(); pen.lineWidth = 0.6; pen.stroke();
     line(polygon.slice(0, 2)); pen.lineWidth = 2; pen.stroke();
   }
+  pen.strokeStyle = data.shape_colour; pen.fillStyle = data.shape_colour + "30";
+  for (const shape of data.shapes) {
+    pen.lineWidth = 2;
+    for (const points of shape.lines) { line(points); pen.stroke(); }
+    pen.lineWidth = 0.8;
+    shape.ends.forEach((end, i) => { view.ellipsoid(end, shape.covs[i], size); pen.fill(); pen.stroke(); });
+  }
+  if (data.ghost) {
+    pen.strokeStyle = data.ghost_colour + "90"; pen.lineWidth = 4; line(data.ghost); pen.stroke();
+    view.dot(data.ghost[data.ghost.length - 1], 3, data.ghost_colour);
+  }
   const placed = data.points.map((point, i) => [at(point.p), point, i]).sort((a, b) => a[0][2] - b[0][2]);
   for (const [[x, y], point, i] of placed) {
     const lit = i === shown;

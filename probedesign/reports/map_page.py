@@ -24,6 +24,7 @@ from probedesign.mapping.contact_map import (
     touch_numbers,
     unlocated_lines,
 )
+from probedesign.mapping.shapes import Shape
 from probedesign.reports.html_page import HtmlTable, html_document
 
 # Scene
@@ -41,6 +42,10 @@ class MapScene:
     #: outlines of the touched objects, if a simulation states them [m], (k, 3) each, closed; the first side is the
     #: touched edge.
     truth: tuple[Array, ...] = ()
+    shapes: tuple[Shape, ...] = ()  #: shapes that the touches support.
+    #: lines of text on the shapes and the next touch.
+    lines: tuple[str, ...] = ()
+    ghost: Array | None = None  #: axis of the probe at the suggested touch, from base to tip [m], (k, 3).
 
     @property
     def centre_mm(self) -> Array:
@@ -65,7 +70,8 @@ class MapScene:
     @property
     def _corners_mm(self) -> Array:
         points = np.array([point.p_world for point in self.contact_map.points]).reshape(-1, 3)
-        corners = np.concatenate([points, *self.truth]) / MM
+        drawn = [line for shape in self.shapes for line in shape.outlines]
+        corners = np.concatenate([points, *self.truth, *drawn, *([] if self.ghost is None else [self.ghost])]) / MM
         return corners if len(corners) else np.zeros((1, 3))
 
 
@@ -89,14 +95,14 @@ class ParallelProjection:
         return np.asarray(np.asarray(points) @ self.axes.T)
 
 
-TRUTH_COLOUR, STROKE_COLOUR = "#a08c5a", "#999"
+TRUTH_COLOUR, STROKE_COLOUR, SHAPE_COLOUR, GHOST_COLOUR = "#a08c5a", "#999", "#0b7a4b", "#8a4fbf"
 SYMBOL_SIZE = (34, 14)  #: Width and height of a symbol of the legend, in units of SVG.
 
 
-def map_symbols(ellipsoids: str, truth: bool) -> list[tuple[str, str]]:
+def map_symbols(ellipsoids: str, scene: MapScene) -> list[tuple[str, str]]:
     """Return the symbols of the legend: SVG within `SYMBOL_SIZE`, and its meaning as plain text.
 
-    `ellipsoids` states their magnification; `truth` adds the simulated truth.
+    `ellipsoids` states their magnification; truth, shapes and the next touch are explained where the scene has them.
     """
     blue, steps = hex_colour(MIN_RMS_MM), 8
     width = (SYMBOL_SIZE[0] - 4) / steps
@@ -113,7 +119,13 @@ def map_symbols(ellipsoids: str, truth: bool) -> list[tuple[str, str]]:
         (element("path", d="M6 7H28", stroke=STROKE_COLOUR),
          "outward normal of the object, from the force on the probe; its length has no meaning"),
     ]  # fmt: skip
-    if truth:
+    if scene.shapes:
+        line = element("path", d="M4 7H30", stroke=SHAPE_COLOUR, stroke_width=2)
+        symbols.append((line, "shape by its touches; ellipses at its ends: its 95 % region across, magnified alike"))
+    if scene.ghost is not None:
+        line = element("path", d="M4 7H30", stroke=GHOST_COLOUR, stroke_width=3, stroke_opacity=0.5)
+        symbols.append((line, "the probe at the suggested next touch"))
+    if scene.truth:
         outline = element("path", d="M5 12L12 3H30L23 12Z", fill="none", stroke=TRUTH_COLOUR, stroke_width=0.8)
         edge = element("path", d="M5 12L12 3", stroke=TRUTH_COLOUR, stroke_width=2)
         meaning = "the simulated truth, not measured: touched objects, touched edges thick"
@@ -138,10 +150,12 @@ def map_svg(scene: MapScene) -> bytes:
     """Return the picture of a scene: points with 95 % ellipsoids and numbers."""
     view, points, times = ParallelProjection(), scene.contact_map.points, scene.magnification
     polygons = [view.project(polygon) / MM for polygon in scene.truth]
+    drawn = [view.project(line) / MM for shape in scene.shapes for line in shape.outlines]
+    ghost = [] if scene.ghost is None else [view.project(scene.ghost) / MM]
     p = view.project(np.array([point.p_world for point in points]).reshape(-1, 3)) / MM
     covs = view.axes @ np.array([point.cov_world for point in points]).reshape(-1, 3, 3) @ view.axes.T
     extents = times * statistics.sigmas_95(3) * np.sqrt(np.diagonal(covs, axis1=1, axis2=2)) / MM
-    shown = np.concatenate([p - extents, p + extents, *polygons])
+    shown = np.concatenate([p - extents, p + extents, *polygons, *drawn, *ghost])
     low, high = (shown.min(axis=0), shown.max(axis=0)) if len(shown) else (np.zeros(2), np.zeros(2))
     space = np.array([WIDTH - 2.0 * MARGIN, HEIGHT - MARGIN - LEGEND_HEIGHT])
     scale, origin = float((space / np.maximum(high - low, MIN_SPAN_MM)).min()), 0.5 * (low + high)
@@ -154,6 +168,8 @@ def map_svg(scene: MapScene) -> bytes:
     for polygon in map(at, polygons):
         canvas.area([polygon], "#c9b98a", fill_opacity="0.10", stroke=TRUTH_COLOUR, stroke_width="0.6")
         canvas.polylines([polygon[:2]], 2.0, TRUTH_COLOUR)
+    canvas.polylines([at(line) for line in drawn], 2.0, SHAPE_COLOUR)
+    canvas.polylines([at(line) for line in ghost], 4.0, GHOST_COLOUR)
     normals = [(xy, xy + NORMAL_LENGTH * (view.axes @ point.direction) * (1.0, -1.0))
                for point, xy in zip(points, placed, strict=True) if point.direction is not None]  # fmt: skip
     canvas.polylines(normals, 1.0, STROKE_COLOUR)
@@ -175,7 +191,7 @@ def map_svg(scene: MapScene) -> bytes:
     canvas.polylines([((right - length * scale, y), (right, y))], 2.0, "#111")
     canvas.text((right, y - 6), f"{length:g} mm", 12, "end")
     size = "in scale" if times == 1 else f"drawn {times} times as large"
-    for i, (symbol, meaning) in enumerate(map_symbols(size, bool(polygons))):
+    for i, (symbol, meaning) in enumerate(map_symbols(size, scene)):
         words = element("text", text=meaning, x=42, y=11, font_size=11, fill="#333")
         canvas.add("g", symbol, words, transform=f"translate(16 {12 + 18 * i})")
     return str(canvas).encode()
@@ -210,9 +226,10 @@ def map_page(scene: MapScene, title: str, about: Sequence[str]) -> bytes:
     width, height = SYMBOL_SIZE
     symbols = "".join(
         f'<li><svg width="{width}" height="{height}" aria-hidden="true">{svg}</svg> {escape(meaning)}</li>'
-        for svg, meaning in map_symbols("magnified as chosen above", bool(scene.truth))
+        for svg, meaning in map_symbols("magnified as chosen above", scene)
     )
-    unlocated = "".join(f"<p>{escape(line)}.</p>" for line in unlocated_lines(scene.contact_map))
+    below = (*unlocated_lines(scene.contact_map), *scene.lines)
+    unlocated = "".join(f"<p>{escape(line)}.</p>" for line in below)
     body = (
         f'<form id="times">Magnification of ellipsoids {choices}</form>\n'
         '<canvas id="map" role="img" tabindex="0" aria-label="points and their ellipsoids"></canvas>'
@@ -233,7 +250,16 @@ def _data(scene: MapScene) -> dict[str, Any]:
         "azimuth": view.azimuth, "elevation": view.elevation, "flat": 1.0, "centre": scene.centre_mm.tolist(),
         "radius": scene.radius_mm, "radius_95": statistics.sigmas_95(3), "normal": NORMAL_LENGTH, "hint": HINT,
         "truth": [(polygon / MM).tolist() for polygon in scene.truth], "truth_colour": TRUTH_COLOUR,
-        "stroke_colour": STROKE_COLOUR,
+        "stroke_colour": STROKE_COLOUR, "shape_colour": SHAPE_COLOUR, "ghost_colour": GHOST_COLOUR,
+        "ghost": None if scene.ghost is None else (scene.ghost / MM).tolist(),
+        "shapes": [
+            {
+                "lines": [(line / MM).tolist() for line in shape.outlines],
+                "ends": (shape.ends / MM).tolist(),
+                "covs": [[float(cov[i, j] / MM**2) for _, i, j in COVARIANCE_ENTRIES] for cov in shape.end_covs],
+            }
+            for shape in scene.shapes
+        ],
         "points": [
             {
                 "p": (point.p_world / MM).tolist(),

@@ -1,0 +1,31 @@
+"""The page of a map with shapes and the suggested touch."""
+
+import json
+import re
+
+import numpy as np
+
+from benchmarks.shapes import draw_touches, object_of
+from probedesign.mapping.contact_map import build_map
+from probedesign.mapping.shapes import KINDS, ShapeFit
+from probedesign.reports.map_page import MapScene, map_page, map_svg
+from tests.mapping.synthetic_touches import STD_E, touch
+
+
+def test_shapes_of_each_kind_and_the_next_touch_are_drawn_and_listed():
+    rng, shapes = np.random.default_rng(1), []
+    for kind in KINDS:
+        touches, _ = draw_touches(object_of(kind, rng), 12, rng)
+        shapes.append(ShapeFit(touches).best_of(kind, touches, rng, True))
+    ghost = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.15]])
+    lines = tuple(shape.text for shape in shapes)
+    scene = MapScene(build_map([touch(1, (0, 0, 0), 5e-3)], STD_E), (), tuple(shapes), lines, ghost)
+    page = map_page(scene, "Points", []).decode()
+    data = json.loads(re.search(r'id="data">(.*?)</script>', page).group(1))
+    assert len(data["shapes"]) == len(KINDS)
+    assert data["ghost"][-1] == [0.0, 0.0, 150.0]
+    for shape in data["shapes"]:
+        assert np.isfinite(np.concatenate([np.ravel(line) for line in shape["lines"]])).all()
+        assert len(shape["ends"]) == len(shape["covs"])
+    assert page.count("±") > len(KINDS)
+    assert b"next touch" in map_svg(scene)
