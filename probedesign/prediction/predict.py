@@ -249,8 +249,8 @@ def predict(
         directions: in which the object pushes, see `angle_of`; those of `directions_of` the probe if None.
         tolerances: standard deviations of the error sources; `Tolerances.of` the model if None.
         pressing: how the fused touches of one point are made.
-        only_single: leave out fused touches, force thresholds and workspace, for a preview within tens of
-            milliseconds.
+        only_single: leave out radii of 95 %, fused touches, force thresholds and workspace, for a preview within tens
+            of milliseconds.
         on_progress: receives the step and its share some tens of times a second; an exception that it raises ends the
             prediction.
 
@@ -277,7 +277,7 @@ def predict(
         ladder, ends = ((), []) if only_single else (LADDER_N, ends)
         touches = touches_of(estimator, lines + ends, (_WEAK_N, *ladder, *forces_N, *pressed), on_progress)
         for force in forces_N:
-            for line, condition in zip(lines, conditions_of(touches[force], lines), strict=True):
+            for line, condition in zip(lines, conditions_of(touches[force], lines, not only_single), strict=True):
                 conditions[(*line, force)] = condition
         if model.rod.is_curved:  # a preview has the place of the verdict alone
             nearest = min(fractions, key=lambda at: abs(at - HEADLINE_FRACTION))
@@ -389,17 +389,18 @@ def predict_touch(
     return conditions_of(touches_of(estimator, [line], [force_N])[force_N], [line])[0]
 
 
-def conditions_of(touches: Touches, lines: Sequence[tuple[float, str]]) -> list[Condition]:
-    """Return the conditions of some lines at one force."""
+def conditions_of(touches: Touches, lines: Sequence[tuple[float, str]], radii: bool = True) -> list[Condition]:
+    """Return the conditions of some lines at one force; without the radii of 95 % if not `radii`."""
     per_N = touches.wrench_by_force
     by_moment, by_force = np.linalg.norm(per_N[:, 3:6], axis=1), np.linalg.norm(per_N[:, 0:3], axis=1)
     per_mm = MM / np.where(touches.press_per_N > 0.0, touches.press_per_N, np.nan)
-    error, within = touches.rms[0] / MM, touches.within_95[0] / MM
+    error = touches.rms[0] / MM
+    within = touches.within_95 if radii else np.full((2, len(error)), np.nan)
     numbers = {
         "predicted_error_mm": error,
-        "predicted_error_95_mm": within,
+        "predicted_error_95_mm": within[0] / MM,
         "noise_error_mm": touches.rms[1] / MM,
-        "noise_error_95_mm": touches.within_95[1] / MM,
+        "noise_error_95_mm": within[1] / MM,
         "std_s_mm": touches.budget.std_s / MM,
         "deflection_mm": touches.deflection / MM,
         "moment_per_N_Nmm": 1e3 * by_moment,
