@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.timing import print_table
+from benchmarks.view import write_picture
 from probedesign.cli.main import run
 from probedesign.design import load_design
 from probedesign.design.edit import tables_of
@@ -18,7 +19,7 @@ from probedesign.studio.page import StudioPage
 from probedesign.studio.session import Session
 
 PICTURE = Path(__file__).parents[1] / "docs/pictures/studio.png"
-SIZE = {"width": 1280, "height": 720}
+SIZE = {"width": 1280, "height": 800}
 MOVES = 60  #: Moves of a slider for each probe.
 #: Options of a browser without a GPU, which draws WebGL on the processor.
 ARGUMENTS = ["--enable-unsafe-swiftshader", "--no-sandbox"]
@@ -75,10 +76,10 @@ def draw_page(chromium: str, picture: Path = PICTURE) -> None:
             browser = driver.chromium.launch(executable_path=chromium, args=ARGUMENTS)
             tab = browser.new_page(viewport=SIZE)
             tab.goto(page.url)
-            tab.wait_for_selector("text=(fused)", timeout=120_000)
+            tab.wait_for_selector("small >> text=fused", timeout=120_000)
             tab.locator(".mantine-Notification-closeButton").click()  # of the note that there is no GPU
             tab.wait_for_timeout(5000)
-            tab.screenshot(path=picture)
+            write_picture(tab.screenshot(), picture)
             browser.close()
     finally:
         page.stop()

@@ -88,7 +88,7 @@ def draw_page(estimator: Estimator, folder: Path, until: float = 26.5, picture: 
             tab.goto(page.url)
             tab.get_by_text("Events").wait_for(timeout=120_000)
             time.sleep(FADE_IN_SECONDS)
-            _write(screenshot(tab), picture)
+            write_picture(screenshot(tab), picture)
             tab.close()  # a browser that still draws takes half a minute to close
             browser.close()
     finally:
@@ -107,7 +107,7 @@ def screenshot(tab: Any) -> bytes:
     return base64.b64decode(session.send("Page.captureScreenshot", {"format": "png"})["data"])
 
 
-def _write(shot: bytes, picture: Path) -> None:
+def write_picture(shot: bytes, picture: Path) -> None:
     """Write a screenshot with 256 colours, which halves its size."""
     from PIL import Image
 

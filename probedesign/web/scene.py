@@ -76,8 +76,8 @@ class Stage:
         scene.add_light_directional("/sun", intensity=2.2, position=(-8.0, -12.0, 20.0))
         grey = (150, 156, 162)
         self._grid = scene.add_grid(
-            "/floor", UNIT * 0.8, UNIT * 0.8, cell_size=UNIT * 0.01, section_size=UNIT * 0.05, cell_color=grey,
-            section_color=(124, 132, 140), shadow_opacity=0.0, fade_distance=UNIT * 0.42, fade_from="origin",
+            "/floor", UNIT * 0.5, UNIT * 0.5, cell_size=UNIT * 0.01, section_size=UNIT * 0.05, cell_color=grey,
+            section_color=(124, 132, 140), shadow_opacity=0.0, fade_distance=UNIT * 0.3, fade_from="origin",
         )  # fmt: skip
         bar = UNIT * np.array([SCALE_BAR, 1e-3, 1e-3])
         self._bar = [scene.add_box("/scale", (96, 104, 112), bar, cast_shadow=False),
