@@ -71,8 +71,15 @@ def design_changes(found: Identification, design: Design, day: str) -> tuple[Cha
 
 
 def _axis_changes(found: Identification, design: Design, day: str) -> tuple[Change, ...]:
-    """Return the changes of the axis: both directions of the bow together, and the factor on the curvature."""
+    """Return the changes of the axis: both directions of the bow together, and the factor on the curvature.
+
+    Raises:
+        InputError: they were fitted with an E that is exactly the design's, and that nobody identified.
+    """
     of = {one.name: one for one in found.found if one.identified and one.name in AXIS}
+    if of and found.of("E") is None and design.material.provenance.youngs_modulus_mpa != "identified":
+        raise InputError(f"{found.data}: {', '.join(of)}: fitted with exactly the E of the design, which is "
+                         f"not identified; use --for E,{','.join(of)}")  # fmt: skip
     if not {"bow_x", "bow_y"} <= of.keys():
         of = {name: one for name, one in of.items() if name == "curvature"}
     factor, bow, std_mm = of.get("curvature"), None, 0.0
