@@ -3,6 +3,7 @@
 import html
 import json
 import re
+import runpy
 import shlex
 import shutil
 import tomllib
@@ -138,9 +139,21 @@ def test_the_site_lists_every_page_and_every_public_name():
     index = (ROOT / "docs/index.md").read_text(encoding="utf-8")
     for page in (ROOT / "docs").glob("*.md"):
         listed = re.search(rf"^(.* <)?{page.stem}>?$", index, re.MULTILINE)
-        assert page.stem in ("README", "index") or listed, page.name
+        assert page.stem in ("README", "index", "paper") or listed, page.name
     documented = re.findall(r"auto(?:class|function|exception):: (\w+)", (ROOT / "docs/api.md").read_text())
     assert sorted(documented) == sorted(probedesign.__all__)
+
+
+@pytest.mark.parametrize("script", sorted((ROOT / "docs/gallery").glob("plot_*.py")), ids=lambda path: path.stem)
+def test_an_example_of_the_gallery_draws_one_picture_with_named_axes(script, monkeypatch):
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    monkeypatch.setattr(pyplot, "show", lambda: None)
+    pyplot.close("all")
+    runpy.run_path(str(script))
+    (axes,) = pyplot.gcf().axes
+    assert axes.get_title() or axes.get_xlabel()  # a polar chart has a title
+    assert axes.lines or axes.patches
+    pyplot.close("all")
 
 
 @pytest.mark.slow
@@ -148,7 +161,7 @@ def test_the_site_is_built_without_warnings(tmp_path):
     build = pytest.importorskip("sphinx.cmd.build")
     assert build.main(["-q", "-W", str(ROOT / "docs"), str(tmp_path)]) == 0
     for page in (ROOT / "docs").glob("*.md"):
-        if page.stem != "README":
+        if page.stem not in ("README", "paper"):
             title = page.read_text(encoding="utf-8").splitlines()[0].removeprefix("# ").replace("`", "")
             built = (tmp_path / f"{page.stem}.html").read_text(encoding="utf-8")
             heading = re.search(r"<h1>(.*?)<a ", built, re.DOTALL)
