@@ -13,6 +13,7 @@ import pytest
 
 from probedesign.cli import doctor, main
 from probedesign.cli.main import NAMES, run
+from probedesign.cli.options import frozen_probe, uncalibrated_probe
 from probedesign.core.errors import CheckFailedError, InputError, MissingDependencyError
 from probedesign.core.files import check_overwrite, exports_of
 from probedesign.design import load_design
@@ -453,3 +454,17 @@ def test_predict_prints_one_screen_and_all_tables_on_request(tmp_path, capsys):
     brief = capsys.readouterr().out.splitlines()
     assert run([*arguments, "--verbose"]) == 0
     assert len(brief) <= 40 < len(capsys.readouterr().out.splitlines())  # a terminal shows 24 to 50 lines
+
+
+def test_a_folder_means_the_calibration_of_its_frozen_probe_while_it_is_newer(tmp_path, capsys):
+    deployed, calibration = (tmp_path / f"x.{kind}probe.json" for kind in ("", "calibrated."))
+    deployed.write_text('{"fingerprint": "a"}')
+    assert frozen_probe(tmp_path) == tmp_path
+    calibration.write_text('{"fingerprint": "a"}')
+    os.utime(deployed, (0.0, 0.0))
+    assert frozen_probe(tmp_path) == calibration and "the calibration of x.probe.json" in capsys.readouterr().err
+    assert uncalibrated_probe(tmp_path) == deployed and frozen_probe(deployed) == deployed
+    os.utime(calibration, (-1.0, -1.0))
+    assert frozen_probe(tmp_path) == deployed and "calibrate again" in capsys.readouterr().err
+    calibration.write_text('{"fingerprint": "b"}')
+    assert frozen_probe(tmp_path) == deployed

@@ -3,6 +3,7 @@
 The field names are the names of the options and the docstrings below them are their help texts.
 """
 
+import json
 import math
 import os
 from collections.abc import Callable, Sequence
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter, Token
 
-from probedesign.cli.console import show_progress
+from probedesign.cli.console import print_note, show_progress
 from probedesign.core.errors import InputError
 from probedesign.core.files import EXPORTS, chosen_exports, file_in
 
@@ -40,11 +41,38 @@ def design_file(given: Path) -> Path:
 
 
 def frozen_probe(given: Path) -> Path:
-    """Return the frozen probe of an argument: the file, its folder, or NAME of exports/NAME."""
-    if given.exists():
-        return given
+    """Return the frozen probe of an argument: the file, its folder, or NAME of exports/NAME.
+
+    Of a folder with a frozen probe and its calibration the calibration counts if it is of the same geometry and newer.
+    """
+    deployed, calibrations = _frozen_probes(given)
+    if not calibrations:
+        return deployed
+    try:
+        same = len({json.loads(file.read_bytes())["fingerprint"] for file in (deployed, *calibrations)}) == 1
+    except (OSError, ValueError, TypeError, KeyError):
+        same = False
+    if same and calibrations[0].stat().st_mtime >= deployed.stat().st_mtime:
+        print_note(f"{calibrations[0]}: the calibration of {deployed.name}")
+        return calibrations[0]
+    print_note(f"{deployed}: {calibrations[0].name} is older or of another geometry; calibrate again")
+    return deployed
+
+
+def uncalibrated_probe(given: Path) -> Path:
+    """Return the frozen probe of an argument as `frozen_probe`, without its calibration."""
+    return _frozen_probes(given)[0]
+
+
+def _frozen_probes(given: Path) -> tuple[Path, list[Path]]:
+    """Return the frozen probe, and its calibration if the argument means a folder with nothing but these two."""
     chosen = chosen_exports()
-    return _in_project(EXPORTS / given, given) if chosen is None else chosen / given
+    if not given.exists():
+        given = _in_project(EXPORTS / given, given) if chosen is None else chosen / given
+    files = sorted(given.glob("*.probe.json"), key=lambda file: len(file.name)) if given.is_dir() else []
+    if [file.name for file in files[1:]] != [file.name.replace(".probe", ".calibrated.probe") for file in files[:1]]:
+        return given, []
+    return files[0], files[1:]
 
 
 def _in_project(path: Path, default: Path) -> Path:
@@ -65,8 +93,8 @@ DesignFile = Annotated[Path, _path_of(design_file)]
 """Argument DESIGN of a command."""
 FrozenProbe = Annotated[Path, _path_of(frozen_probe)]
 """Argument BUNDLE of a command."""
-FrozenProbeIfAny = Annotated[Path | None, _path_of(frozen_probe)]
-"""The same of a command that does without one."""
+FrozenProbeIfAny = Annotated[Path | None, _path_of(uncalibrated_probe)]
+"""The same of `calibrate`, which does without one, and without its calibration."""
 JsonOutput = Annotated[bool, Parameter(name="--json")]
 """The option --json of a command."""
 Method = Literal["ml", "force_moment"]
