@@ -284,6 +284,8 @@ def explore(
     priors: "Tolerances | None",
     min_separation: float,
     on_touch: "Callable[[LocatedTouch], None]",
+    *,
+    one_object: bool = False,
 ) -> "Exploration":
     """Collect touches from a moving base until the source ends or Ctrl-C; the touches up to then are kept.
 
@@ -291,13 +293,14 @@ def explore(
         priors: standard deviations of the error sources; those of the estimator if None.
         min_separation: smallest distance between two points of the map [m].
         on_touch: takes each touch when it has ended.
+        one_object: whether all touches are of one object, whose compliance is the same everywhere.
 
     Returns:
         The touches; `Exploration.map` combines them to points of the world.
     """
     from probedesign.mapping.explore import Exploration
 
-    exploration = Exploration(estimator, priors, min_separation)
+    exploration = Exploration(estimator, priors, min_separation, one_object)
     with suppress(KeyboardInterrupt):
         for touch in exploration.run(source, options, poses, log):
             on_touch(touch)

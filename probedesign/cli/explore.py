@@ -48,6 +48,7 @@ def explore(
     out: Path | None = None,
     force: bool = False,
     apart_mm: float = 5.0,
+    one_object: bool = False,
     manifest: Path | None = None,
     reading: ReadingOptions | None = None,
     base: BaseOptions | None = None,
@@ -69,6 +70,8 @@ def explore(
         force: replace existing files.
         apart_mm: smallest distance between points of the object [mm]. Touches that are significantly nearer to each
             other may be fused to one point. 0 fuses none.
+        one_object: all touches are of one object, which yields by the same compliance everywhere. Without it each touch
+            has its own.
         manifest: manifest.json of the printed parts; its geometry must be the bundle's.
         as_json: print one JSON document with the points and their uncertainty.
     """
@@ -104,7 +107,7 @@ def explore(
     several, explorations = len(bundles) > 1, {}
     for name, estimator in estimators.items():
         explorations[name], source, uncertainty = _explored(
-            estimator, recording, reading, base, (processing, apart), name if several else ""
+            estimator, recording, reading, base, (processing, apart, one_object), name if several else ""
         )
     cloud = joint_map(explorations) if several else explorations[name].map()
     shapes, best, lines, document = _understood(cloud, estimators, explorations, suggestion)
@@ -127,7 +130,7 @@ def _explored(
     recording: Path | None,
     reading: ReadingOptions,
     base: BaseOptions,
-    processing: "tuple[ProcessingOptions, float]",
+    processing: "tuple[ProcessingOptions, float, bool]",
     probe: str,
 ) -> "tuple[Exploration, Source, str]":
     """Return the touches of one probe, their source, and the uncertainty of the base in one line.
@@ -137,7 +140,7 @@ def _explored(
         recording: the recording; None for a live source.
         reading: how it is read.
         base: the poses of the base.
-        processing: how the readings are processed, and the least distance of points [m].
+        processing: how the readings are processed, the least distance of points [m], and whether all are of one object.
         probe: name of the probe where there are several.
     """
     from probedesign import pipeline
@@ -151,10 +154,11 @@ def _explored(
         if recording is None:
             print_note(f"touch {touch.segment.number} ended: {touch.result}")
 
-    options, apart = processing
+    options, apart, one_object = processing
     priors = uncertainty.apply_to(estimator.priors)
     with interrupt_on_termination():
-        exploration = pipeline.explore(estimator, source, options, poses, print_note, priors, apart, on_touch)
+        exploration = pipeline.explore(estimator, source, options, poses, print_note, priors, apart, on_touch,
+                                       one_object=one_object)  # fmt: skip
     if exploration.n_without_pose:
         counts = f"{exploration.n_without_pose} of {exploration.n_readings} readings"
         print_note(f"{of}{counts} have no base pose and are ignored")
@@ -263,4 +267,6 @@ def _summary(cloud: "ContactMap") -> str:
     touches = f"{located}{f' of {located + lost}' if lost else ''} touch{'' if located + lost == 1 else 'es'}"
     known = math.isfinite(cloud.stiffness)
     stiffness = f"; stiffness scale {cloud.stiffness:.3f} ± {cloud.std_stiffness:.3f}" if known else ""
+    if math.isfinite(cloud.object_compliance):
+        stiffness += f"; object yields by {cloud.object_compliance:.3f} ± {cloud.std_object_compliance:.3f} m/N"
     return f"{plural(len(cloud.points), 'point')} from {touches}{stiffness}"

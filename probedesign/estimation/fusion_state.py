@@ -286,16 +286,16 @@ class FusionState:
         chi2 = self.solve(priors.walk_steps**2 * self.elapsed, priors.drift_steps)
         return chi2, self.x.copy(), self.cov[:3, :3].copy()
 
-    def information(self) -> tuple[Array, Array]:
+    def information(self, compliance: bool = False) -> tuple[Array, Array]:
         """Return the information matrix (n, n) and vector (n,) of touched point [m] and error sources, as solved.
 
         All other unknowns are marginalised; the unit priors of the error sources are part of the matrix.
 
-        Returns:
-            Both of n = 3 + J unknowns.
+        Args:
+            compliance: whether that of the object is kept too, in the last column, with a unit prior.
         """
         n, (L, scale) = len(self.x), _factor(self._work.solve, len(self.x))
-        kept = np.r_[np.arange(n)[POINT_COLUMNS], : self.causes]
+        kept = np.arange(n)[np.r_[POINT_COLUMNS, : self.causes, [COMPLIANCE] * compliance].astype(int)]
         rest = np.delete(np.arange(n), kept)
         root = scale[:, None] * L
         A = root @ root.T

@@ -15,6 +15,7 @@ import numpy as np
 from probedesign.core import csv_tables, statistics
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
+from probedesign.estimation.fusion_state import HALF_NORMAL
 from probedesign.mapping.touch_point import RESULT_MEANINGS, ConditionalPoint, LocatedTouch
 
 MIN_SEPARATION = 5e-3  #: Default distance below which points of an object are not distinguished [m].
@@ -58,20 +59,25 @@ class ContactMap:
     min_separation: float  #: distance below which points were not distinguished [m].
     common: Array  #: error sources common to the touches, in standard deviations of their priors, (J,).
     cov_common: Array  #: their covariance by all touches, (J, J).
+    #: object_compliance, std_object_compliance: of the one object of all touches [m/N]; NaN if it was not stated.
+    object_compliance: float = math.nan
+    std_object_compliance: float = math.nan
 
 
 _Group = tuple[ConditionalPoint, tuple[LocatedTouch, ...]]  #: A point and its touches.
 
 
 def build_map(
-    touches: Sequence[LocatedTouch], youngs_modulus: float, min_separation: float = MIN_SEPARATION
-) -> ContactMap:
+    touches: Sequence[LocatedTouch], youngs_modulus: float, min_separation: float = MIN_SEPARATION,
+    object_compliance: float = 0.0,
+) -> ContactMap:  # fmt: skip
     """Return the map of touches, with the error sources that they share estimated jointly.
 
     Args:
         touches: of one run; those of several probes, each on its robot, as `joint_map` prepares them.
         youngs_modulus: standard deviation of the prior on E, relative.
         min_separation: minimum distance between points of the object [m]; 0 fuses no touches.
+        object_compliance: scale of the half-normal prior of its compliance [m/N], for touches of one object.
     """
     groups: list[_Group] = [(touch.point, (touch,)) for touch in touches if touch.point is not None]
     while (pair := _closest_pair([point for point, _ in groups], min_separation)) is not None:
@@ -95,8 +101,12 @@ def build_map(
         log_E, var_E = float(common[i]), float(cov_common[i, i])
     stiffness = math.exp(youngs_modulus * log_E)
     std_stiffness = stiffness * youngs_modulus * math.sqrt(var_E)
+    compliance = (math.nan, math.nan)
+    if names[-1:] == ("object",):
+        mean, std = object_compliance * np.array(HALF_NORMAL)
+        compliance = max(float(mean + std * common[-1]), 0.0), float(std) * math.sqrt(cov_common[-1, -1])
     unlocated = tuple(touch for touch in touches if touch.point is None)
-    return ContactMap(points, unlocated, stiffness, std_stiffness, min_separation, common, cov_common)
+    return ContactMap(points, unlocated, stiffness, std_stiffness, min_separation, common, cov_common, *compliance)
 
 
 def _common_errors(points: Sequence[ConditionalPoint]) -> tuple[Array, Array]:
@@ -174,6 +184,8 @@ def map_document(contact_map: ContactMap) -> dict[str, Any]:
         "not_located": [row for row in rows if row["point"] is None],
         "stiffness_factor": _or_none(contact_map.stiffness),
         "std_stiffness_factor": _or_none(contact_map.std_stiffness),
+        "object_compliance_m_N": _or_none(contact_map.object_compliance),
+        "std_object_compliance_m_N": _or_none(contact_map.std_object_compliance),
         "apart_mm": contact_map.min_separation / MM,
         "doubts": _warnings(contact_map),
     }

@@ -122,6 +122,7 @@ class Exploration:
     estimator: Estimator  #: of the probe.
     priors: Tolerances | None = None  #: standard deviations of the error sources; those of the estimator if None.
     min_separation: float = MIN_SEPARATION  #: as in `build_map` [m].
+    one_object: bool = False  #: whether all touches are of one object, whose compliance is the same everywhere.
     touches: list[LocatedTouch] = field(default_factory=list)  #: touches so far, in order of time.
     gravity_world: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))  #: of the run [m/s²], (3,).
     n_readings: int = 0  #: number of readings.
@@ -160,13 +161,14 @@ class Exploration:
     def map(self) -> ContactMap:
         """Return the map of all touches so far."""
         priors = self.priors or self.estimator.priors
-        return build_map(self.touches, priors.youngs_modulus, self.min_separation)
+        return build_map(self.touches, priors.youngs_modulus, self.min_separation, priors.object_compliance)
 
     def _located(self, segment: TouchSegment, poses: BasePoses, log: Callable[[str], None]) -> LocatedTouch:
         if problem := _too_little_motion(float((self._high - self._low).max())):
             log(problem)
             segment = replace(segment, refused=True)
-        touch = locate_touch(segment, self.estimator, self.priors or self.estimator.priors, poses.gravity_world)
+        priors = self.priors or self.estimator.priors
+        touch = locate_touch(segment, self.estimator, priors, poses.gravity_world, self.one_object)
         self.touches.append(touch)
         return touch
 

@@ -115,15 +115,16 @@ class ConditionalPoint:
     names: tuple[str, ...] = ()  #: error source of each column, as `ErrorSources.names`.
 
     @classmethod
-    def from_fusion(cls, state: FusionState, fused: FusedEstimate) -> "ConditionalPoint":
+    def from_fusion(cls, state: FusionState, fused: FusedEstimate, one_object: bool = False) -> "ConditionalPoint":
         """Return the conditional point of the fusion of one touch.
 
         Args:
             state: of the fusion, linearised and solved with its own priors.
             fused: its result, whose point and covariance count what the linearised fusion does not.
+            one_object: whether the object's compliance is common to all touches too, in the last column.
         """
-        information, vector = state.information()
-        J = state.causes
+        information, vector = state.information(one_object)
+        J = state.causes + one_object
         x, m = slice(0, 3), slice(3, 3 + J)
         S = np.linalg.inv(information[x, x])
         B = -S @ information[x, m]
@@ -133,7 +134,7 @@ class ConditionalPoint:
         kept = vectors[:, values > MIN_INFORMATION]
         on_m = (kept * values[values > MIN_INFORMATION]) @ kept.T
         vector_m = kept @ (kept.T @ (vector[m] - information[m, x] @ S @ vector[x]))
-        names = state.sources[0].names
+        names = state.sources[0].names + ("object",) * one_object
         shift, added = fused.p_surface_world - state.point, fused.cov_surface_world - state.cov[:3, :3]
         cov = 0.5 * (S + S.T) + added
         if not np.linalg.eigvalsh(cov)[0] > 0.0:  # what is added is that of the point with its common error sources
@@ -199,7 +200,9 @@ class LocatedTouch:
         return f"{self.probe} {self.segment.number}".lstrip()
 
 
-def locate_touch(segment: TouchSegment, estimator: Estimator, priors: Tolerances, gravity_world: Array) -> LocatedTouch:
+def locate_touch(
+    segment: TouchSegment, estimator: Estimator, priors: Tolerances, gravity_world: Array, one_object: bool = False
+) -> LocatedTouch:
     """Return the touch with its point, from a batch fusion of its intervals and of the free probe around them.
 
     Args:
@@ -208,6 +211,7 @@ def locate_touch(segment: TouchSegment, estimator: Estimator, priors: Tolerances
         priors: standard deviations of the error sources; that of the bias is replaced by `UNKNOWN_BIAS_STEPS` or
             `BIAS_STEPS`.
         gravity_world: gravity in the world [m/s²], (3,).
+        one_object: as in `ConditionalPoint.from_fusion`.
     """
     if not segment.intervals:
         return LocatedTouch(segment, NEVER_SETTLED)
@@ -226,7 +230,7 @@ def locate_touch(segment: TouchSegment, estimator: Estimator, priors: Tolerances
     if not state.linearise():
         return LocatedTouch(segment, "not_converged")
     state.solved()
-    point = ConditionalPoint.from_fusion(state, fused)
+    point = ConditionalPoint.from_fusion(state, fused, one_object and priors.object_compliance > 0.0)
     if not np.linalg.eigvalsh(point.cov)[0] > 0.0:  # a direction is open, or the readings contradict each other
         return LocatedTouch(segment, "not_converged")
     forces = np.linalg.norm(fused.force_base, axis=1)

@@ -1,22 +1,27 @@
 """Tests of located touches of a base with a rotation error that its poses do not contain."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
+from probedesign.core.statistics import max_chi2
 from probedesign.core.units import MM
 from probedesign.estimation.estimate import FusedEstimate
 from probedesign.estimation.fusion import Fusion, Reading
-from probedesign.estimation.fusion_state import channels_of
+from probedesign.estimation.fusion_state import HALF_NORMAL, channels_of
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.mapping.contact_map import build_map
 from probedesign.mapping.touch_point import BasePoseUncertainty, ConditionalPoint
 from probedesign.simulation.scenes import touch_targets
 from probedesign.simulation.simulated_run import RunErrors, simulate_run
+from tests.mapping.synthetic_touches import touch
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 TURN = np.radians([0.4, 0.4, 1.0])  #: Two standard deviations of the assumed tolerances.
+SOFT = 0.04  #: Compliance of an object [m/N].
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +83,29 @@ def test_the_rotation_is_a_common_error_source(estimator, houses):
     cov = np.linalg.inv(np.eye(len(located.information_vector)) + located.information)
     assert located.position(cov @ located.information_vector) == pytest.approx(best.x, abs=1e-9)
     assert located.covariance(cov) == pytest.approx(best.cov, rel=1e-6, abs=1e-14)
+
+
+def test_touches_of_one_object_share_its_compliance(estimator):
+    """Two touches of one point by different places of the probe know the compliance, if it is that of both."""
+    errors = RunErrors(stiffness=0.0, base_offset=0.0, base_repeat=0.0, bias_rate=0.0, friction=0.0)
+    targets = touch_targets(lambda: SOFT)
+    (again,) = (target for target in targets if target.repeated and np.array_equal(target.p_world, targets[0].p_world))
+    house = simulate_run(estimator.model, (targets[0], again), np.random.default_rng(2), errors)
+    parts = [found(estimator, replace(house, touches=(part,)), object_compliance=0.05)[1] for part in house.touches]
+
+    def mapped(one_object):
+        fused = [FusedEstimate("ok", state.point, state.cov[:3, :3]) for state in parts]
+        points = [ConditionalPoint.from_fusion(*each, one_object) for each in zip(parts, fused, strict=True)]
+        touches = [replace(touch(i, (0, 0, 0), 1e-3), point=point) for i, point in enumerate(points)]
+        return build_map(touches, 1e-6, 0.1, 0.05)
+
+    together, apart = mapped(True), mapped(False)
+    assert len(together.points) == len(apart.points) == 1 and math.isnan(apart.object_compliance)
+    assert together.object_compliance == pytest.approx(SOFT, abs=2.5 * together.std_object_compliance)
+    alone = HALF_NORMAL[1] * 0.05 * min(math.sqrt(state.cov[3, 3]) for state in parts)
+    assert together.std_object_compliance < 0.7 * alone
+    off = together.points[0].p_world - house.touches[0].p_world
+    assert off @ np.linalg.solve(together.points[0].cov_world, off) < max_chi2(3, 0.01)
 
 
 def test_the_simulated_robot_stops_at_a_force(houses):
