@@ -42,7 +42,13 @@ MAX_ITERATIONS = 40
 CLOSE = 1e-3  #: Step of the touched point, in standard deviations, at which the iterations end.
 #: Step of a pose's own unknowns, in standard deviations given the point, at which they end too; it is taken.
 SETTLED_STEP = 0.03
-GROUPS = ("stiffness", "bias", "robot", "object")  #: Groups of error sources whose absence `rms_without` reports.
+#: Groups of error sources whose absence `rms_without` reports, with the priors of exact ones.
+GROUPS: dict[str, dict[str, Any]] = {
+    "stiffness": {"youngs_modulus": 0.0, "shear_modulus": 0.0, "creep": 0.0, "stiffness_scatter": 0.0},
+    "bias": {"drift_steps": 0.0, "walk_steps": 0.0},
+    "robot": {"base_mm": 0.0, "robot_mm": 0.0},
+    "object": {"object_compliance": 0.0},
+}
 #: Standard deviation, over that of the free point, to which `Fusion.curvature` constrains the point.
 CONSTRAINT_STD = 1e-3
 #: Extensions of the offset at which the point is constrained, until the misfit has risen by about three.
@@ -318,11 +324,9 @@ class Fusion:
             return estimate
         # The bounds below are linear: the curvature is taken to scale with them.
         scale = rms / linear if linear > 0.0 else 1.0
-        gains = self._gains(state) if estimate.ok else {}
-        return replace(
-            estimate, rms_without={group: scale * state.rms(_without(self.priors, group)) for group in GROUPS},
-            rms_with={measure: scale * gain for measure, gain in gains.items()},
-        )  # fmt: skip
+        gains = {name: scale * gain for name, gain in self._gains(state).items()} if estimate.ok else {}
+        without = {group: scale * state.rms(replace(self.priors, **exact)) for group, exact in GROUPS.items()}
+        return replace(estimate, rms_without=without, rms_with=gains)
 
     def _gains(self, state: FusionState) -> dict[str, float]:
         """Return the RMS error with one more touch like the last, with a further press, or with half the standard
@@ -561,17 +565,6 @@ def _moments(weight: Array, c: Array, points: Array, covs: Array) -> tuple[Array
     bow = off - place[..., None] * line
     cov += (TAIL - 1.0) * np.einsum("w,ewpi,ewpj->pij", weight, bow, bow)
     return cov, mean, float(weight @ c)
-
-
-def _without(priors: Tolerances, group: str) -> Tolerances:
-    """Return the priors with one group of error sources removed."""
-    if group == "stiffness":
-        return replace(priors, youngs_modulus=0.0, shear_modulus=0.0, creep=0.0, stiffness_scatter=0.0)
-    if group == "bias":
-        return replace(priors, drift_steps=0.0, walk_steps=0.0)
-    if group == "object":
-        return replace(priors, object_compliance=0.0)
-    return replace(priors, base_mm=0.0, robot_mm=0.0)
 
 
 def _distinct(solutions: Iterable[Solution | None]) -> list[Solution]:
