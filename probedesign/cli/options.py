@@ -70,7 +70,8 @@ def _frozen_probes(given: Path) -> tuple[Path, list[Path]]:
     if not given.exists():
         given = _in_project(EXPORTS / given, given) if chosen is None else chosen / given
     files = sorted(given.glob("*.probe.json"), key=lambda file: len(file.name)) if given.is_dir() else []
-    if [file.name for file in files[1:]] != [file.name.replace(".probe", ".calibrated.probe") for file in files[:1]]:
+    deployed = files[0].name if len(files) == 2 else ""
+    if not deployed or files[1].name != deployed.replace(".probe.json", ".calibrated.probe.json"):
         return given, []
     return files[0], files[1:]
 
