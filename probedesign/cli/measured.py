@@ -100,7 +100,7 @@ def measured(
         changes = diameters.bow_changes(start, bow_mm, bow_std_mm, f"measured {day}")
         document = {"bow_mm": bow_mm, "bow_std_mm": bow_std_mm}
         what = f"the tip is {bow_mm[0]:g} mm off towards x and {bow_mm[1]:g} mm towards y, ± {bow_std_mm:g} mm"
-        lines = ["deploy the probe again, with this design; the parts and their fingerprint stay"]
+        lines = [_bow_test(bow_mm, bow_std_mm), "deploy the probe again, with this design; the parts stay"]
     elif calipers is not None and diameters.is_coupon_sheet(calipers):
         scale = diameters.fit_scale(*diameters.read_coupon(calipers, start.resin.name), calipers_std_mm)
         changes, document = diameters.scale_changes(scale, day), scale.as_dict()
@@ -109,7 +109,8 @@ def measured(
         fit = pipeline.measure(start, diameters.read_calipers(calipers, start), calipers_std_mm)
         changes, document = diameters.diameter_changes(fit, start, day), fit.as_dict()
         what = f"{plural(fit.readings, 'reading')}; the former values are kept as comments"
-        lines = list(_diameter_lines(fit))
+        lines = [*_diameter_lines(fit), "the bow is not seen: diameters, in however many directions, are those of a "
+                 "straight probe; measure it with --bow-mm or --axis"]  # fmt: skip
     path, kept = write_changes(design, changes, day, out, force)
     changed = load_design(path)
     refresh_home(build_probe(changed).model, path)
@@ -126,11 +127,19 @@ def measured(
         print(f"kept the former {out} as {kept}")
 
 
+def _bow_test(bow_mm: tuple[float, float], std_mm: float) -> str:
+    """Return the chi-square test of a straight print, with two degrees of freedom: the chance is exp(-χ²/2)."""
+    chance = math.exp(-((math.hypot(*bow_mm) / std_mm) ** 2) / 2.0) if std_mm > 0.0 else 0.0
+    stated = f"a straight print would show as much with a chance of {100 * chance:.2g} %"
+    return f"the print is bent: {stated}" if chance < 0.05 else f"the print may be straight: {stated}"
+
+
 def _axis_lines(found: "MeasuredAxis") -> tuple[str, list[str]]:
     x, y = found.bow_mm
     what = (f"{plural(found.points, 'point')}; the axis deviates by a constant curvature that moves the tip by "
             f"{x:.2f} mm towards X and {y:.2f} mm towards Y, ± {found.bow_std_mm:.2g} mm")  # fmt: skip
     lines = [f"tolerance of the bow: {found.bow_std_mm:.2g} mm (before: {found.before_mm:.2g} mm)",
+             _bow_test(found.bow_mm, found.bow_std_mm),
              f"the points are {found.rms_mm:.2g} mm from the fitted surface (RMS)"]  # fmt: skip
     if found.scale > 1.0:
         lines.append(f"note: they scatter by {found.scale:.1f} times their standard deviation, which was widened")
