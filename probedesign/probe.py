@@ -129,7 +129,7 @@ class Probe(Displayed):
         )
         stated = {key: value for key, value in d.tolerances.model_dump().items() if value is not None}
         contact = {"object_compliance": d.object_compliance.value, "object_walk_mm": d.contact.object_walk_mm}
-        given = held_tolerances(mount, Tolerances.base_mm) | stated | contact
+        given = held_tolerances(mount, Tolerances.base_mm, Tolerances.clocking_deg) | stated | contact
         return replace(model, tolerances=Tolerances.of(model, given))
 
     def solve(

@@ -3,7 +3,7 @@
 import base64
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from html import escape
 from typing import Any
 
@@ -86,10 +86,12 @@ EXPLOSION = (
 
 
 def explosion(names: Collection[str]) -> tuple[Move, ...]:
-    """Return the moves of an assembly with these parts: a robot flange may leave no room for the centring pins."""
-    if "centring_pins" in names:
-        return EXPLOSION
-    return (Move(("flange_adapter",), "sensor", DOWN), *EXPLOSION[2:])
+    """Return the moves of an assembly with these parts; some have no centring pins or no dowel pins."""
+    moves = EXPLOSION if "centring_pins" in names else (Move(("flange_adapter",), "sensor", DOWN), *EXPLOSION[2:])
+    if "dowel_pins" in names:
+        return moves
+    return tuple(replace(move, onto="sensor") if move.onto == "dowel_pins" else move for move in moves
+                 if move.parts != ("dowel_pins",))  # fmt: skip
 
 
 def assembly_steps(
@@ -126,6 +128,8 @@ def assembly_steps(
         f"bolt the flange adapter to the robot: {of['robot_bolts']}, from above{own_pin}; tie the cable to the plate "
         f"through the two slots, with a slack loop before the tie{aside}",
         (Move(("robot_bolts",), "flange_adapter", UP),))  # fmt: skip
+    by_eye, centred_by_eye = f"(its screws leave ±{a.tool_play_deg:.1f}°), ", "" if a.p_dowels else "centre it, "
+    turned = "" if len(a.p_dowels) > 1 else f"turn the flat on its rim to the sensor's +X {by_eye}{centred_by_eye}"
     covered = a.body_d > robot.bolt_circle_d - robot.screw.head_d
     return [
         AssemblyStep(f"{centred if pins else 'set the sensor on the flange adapter '}with its cable over the pocket, "
@@ -133,16 +137,17 @@ def assembly_steps(
              f"{of['mounting_screws']}, never longer",
              (*base, Move(("mounting_screws",), "flange_adapter", DOWN)), measure=("flange adapter:",)),
         *([bolted] if covered else []),
-        AssemblyStep(f"stand the sensor upright{'' if covered else ' on the bench'}, and push the "
-             f"{a.dowels.diameter / MM:g} mm dowel pins into the holes of its tool face as deep as they go",
-             (Move(("dowel_pins",), "sensor", UP),)),
+        *([AssemblyStep(f"stand the sensor upright{'' if covered else ' on the bench'}, and push the "
+             f"{a.dowels.diameter / MM:g} mm dowel {'pins' if len(a.p_dowels) > 1 else 'pin'} into the holes of its "
+             "tool face as deep as they go", (Move(("dowel_pins",), "sensor", UP),))] if a.p_dowels else []),
         AssemblyStep(f"stand the sensor adapter upright and slide {a.ring_screw.thread} nuts into its four slots from "
              "the side; they lie on the slots' floors, and fall out where the adapter is turned over",
              (Move(("ring_nuts",), "sensor_adapter", DOWN),), on_bench=True,
              measure=("sensor adapter: depth",)),
-        AssemblyStep("lower the sensor adapter with its nuts over the pins onto the tool face, and screw it down from "
-             f"above through its recess: {of['sensor_adapter_screws']}, never longer",
-             (Move(("sensor_adapter", "ring_nuts"), "dowel_pins", UP),
+        AssemblyStep("lower the sensor adapter with its nuts "
+             f"{'over the pins ' if a.p_dowels else ''}onto the tool face, {turned}and "
+             f"screw it down from above through its recess: {of['sensor_adapter_screws']}, never longer",
+             (Move(("sensor_adapter", "ring_nuts"), "dowel_pins" if a.p_dowels else "sensor", UP),
               Move(("sensor_adapter_screws",), "sensor_adapter", UP)),
              measure=("sensor adapter: each", "sensor adapter: thickness")),
         AssemblyStep(f"{f'{glue}heads, ' if glued else ''}lay the flange into the recess, its hole over the peg: peg "

@@ -22,6 +22,7 @@ from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.geometry.mass import MassProperties, combined
 from probedesign.mount import root_radii
+from probedesign.mount.flange_adapter import CENTRING_PIN_D, CENTRING_PIN_LENGTH
 from probedesign.mount.mount import exported_root_radii, exported_root_std
 from probedesign.mount.tolerance_stack import clamp_force, measurements, tolerance_stacks
 from probedesign.printing.check import BUILD_VOLUME, check_print, print_scale
@@ -38,7 +39,8 @@ def manifest_of(
     root, root_std = exported_root_radii(model.geometry, hold), exported_root_std(model.geometry, a.pressed_share)
     record = model_record(model, files, findings)
     robot_pin = {f"dowel pin of {robot.pin_d / MM:g} mm that the robot's flange takes": 1} if robot.pin_d else {}
-    pin = f"dowel pin {a.dowels.diameter / MM:g}x{a.dowels.pin_length / MM:g} mm"
+    d, length = (a.dowels.diameter, a.dowels.pin_length) if a.p_dowels else (CENTRING_PIN_D, CENTRING_PIN_LENGTH)
+    pin = f"dowel pin {d / MM:g}x{length / MM:g} mm"
     return {
         "schema": SCHEMA,
         "kind": "export",
@@ -50,7 +52,7 @@ def manifest_of(
         "measure_before_assembly": [row.as_record() for row in measurements(a, model.plate)],
         "also_needed": {
             f"{a.ring_screw.thread} nut, ISO 4032": len(a.p_ring_screws),
-            pin: len(a.p_dowels) + len(model.plate.p_centring_pins),
+            **({pin: pins} if (pins := len(a.p_dowels) + len(model.plate.p_centring_pins)) else {}),
             "cable tie, 2.5 mm wide": 1,
             **robot_pin,
         },

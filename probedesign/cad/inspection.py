@@ -130,18 +130,22 @@ def sensor_adapter_sheet(model: CadModel, part: CadPart) -> Canvas:
         f"slot {_mm(a.nut_slot_width)} wide, {_mm(z1 - z0)} high, {_mm(a.body_top - z1)} below the top, round end "
         f"about r = {_mm(a.ring_circle_d / 2 - a.nut_slot_reach)}"
     )
-    second = f"the second a slot {_mm(a.dowel_d)} × {_mm(a.dowel_d + a.dowel_slot)} towards the first"
+    slotted = f", the second a slot {_mm(a.dowel_d)} × {_mm(a.dowel_d + a.dowel_slot)} towards the first"
     below = [
         Holes(a.p_ring_screws, a.nut_slot_width, slot),
-        Holes(a.p_dowels, a.dowel_d, f"⌀{_mm(a.dowel_d)}, {_mm(a.dowel_depth)} deep, {second}"),
-    ]
+        Holes(
+            a.p_dowels,
+            a.dowel_d,
+            f"⌀{_mm(a.dowel_d)}, {_mm(a.dowel_depth)} deep{slotted if len(a.p_dowels) > 1 else ''}",
+        ),
+    ][: 2 if a.p_dowels else 1]
     heights = [*_from_face(a.foot_height, a.cone_top, a.groove_floor, a.peg_top, a.body_top), (a.floor, a.body_top)]
     notes = [
         f"z = 0 rests on the sensor's tool face; the flat at x = {_mm(a.mark_x)} shows +x",
         f"underside at {UNDERSIDE_DEG:g}°; groove around the land ⌀{_mm(a.land_d)}, notch {_mm(VENT_WIDTH)} wide to "
         f"the flat, window {_mm(2 * a.window_half)} wide to the rim at -x, both down to the groove",
-        f"pins {_mm(a.dowels.diameter)} h8 enter by hand (assumed; drill if tight); ⌀{_mm(a.recess_d)} takes the "
-        f"flange ⌀{_mm(a.flange.diameter)} with {_mm(SLIP)} play",
+        *([f"pins {_mm(a.dowels.diameter)} h8 enter by hand (assumed; drill if tight)"] if a.p_dowels else []),
+        f"⌀{_mm(a.recess_d)} takes the flange ⌀{_mm(a.flange.diameter)} with {_mm(SLIP)} play",
         *_engraved(a.on_wall, "the rim"),
     ]
     return _disc(model, part, (0.0, a.body_top), heights, ([a.land_d, a.recess_d, a.body_d], [a.foot_d, a.cone_d]),

@@ -184,7 +184,7 @@ class CadModel:
             "flange": mass_properties(placed(flange, T), probe.density),
             "sensor_adapter": self._mass_of("sensor_adapter"),
             "clamp_ring": self._mass_of("clamp_ring"),
-            "fasteners": combined(self._mass_of(name) for name in FASTENERS),
+            "fasteners": combined(self._mass_of(name) for name in FASTENERS if name in self.parts),
         }
 
     @cached_property

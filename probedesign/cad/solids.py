@@ -25,7 +25,7 @@ from probedesign.core.errors import CheckFailedError
 from probedesign.core.frames import Array, pose, rotation_z
 from probedesign.core.units import MM
 from probedesign.design.catalog import SocketScrew
-from probedesign.design.sensors import CableExit, ScrewPattern, SensorInterface
+from probedesign.design.sensors import ScrewPattern, SensorInterface
 from probedesign.geometry import ProbeGeometry
 from probedesign.mount import FlangeAdapter, SensorAdapter
 from probedesign.mount.engraving import XY
@@ -157,10 +157,10 @@ def fasteners(a: SensorAdapter, plate: FlangeAdapter, screws: list[ScrewGroup]) 
         cylindrical = partial(cylinder, CENTRING_PIN_D, 0.0, CENTRING_PIN_LENGTH)
         groups.append(("centring_pins", f"ISO 2338 {pin}", cylindrical, poses))
     solids: dict[str, cq.Solid] = {}
-    for _, standard, draw, _ in groups:
-        if standard not in solids:
+    for _, standard, draw, poses in groups:
+        if poses and standard not in solids:
             solids[standard] = draw()
-    return [Fasteners(name, standard, solids[standard], poses) for name, standard, _, poses in groups]
+    return [Fasteners(name, standard, solids[standard], poses) for name, standard, _, poses in groups if poses]
 
 
 def _screw(screw: SocketScrew, length: float) -> cq.Solid:
@@ -283,10 +283,9 @@ def flange_adapter_solid(a: FlangeAdapter) -> cq.Solid:
     return single_solid(body.cut(*holes))
 
 
-def _turned_to(shape: cq.Solid, azimuth_deg: float, p: XY = (0.0, 0.0)) -> cq.Shape:
+def _turned_to(shape: cq.Shape, azimuth_deg: float, p: XY = (0.0, 0.0)) -> cq.Shape:
     """Return a shape turned about z and moved to p [m]."""
-    turned = shape.rotate((0, 0, 0), (0, 0, 1), azimuth_deg)
-    return placed(turned, pose(p=[*p, 0.0]))
+    return placed(shape.rotate((0, 0, 0), (0, 0, 1), azimuth_deg), pose(p=[*p, 0.0]))
 
 
 def sensor_envelope(sensor: SensorInterface) -> cq.Shape:
@@ -294,7 +293,7 @@ def sensor_envelope(sensor: SensorInterface) -> cq.Shape:
     h, cable, dowels = sensor.height, sensor.cable, sensor.dowels
     low, high = cable.heights
     exit_block = block((0.0, cable.reach), (-cable.width / 2, cable.width / 2), (low - h, high - h))
-    return cylinder(sensor.body_d, -h, 0.0).fuse(_at_cable(exit_block, cable)).cut(
+    return cylinder(sensor.body_d, -h, 0.0).fuse(_turned_to(exit_block, cable.azimuth_deg)).cut(
         *_threads(sensor.tool, -sensor.tool.max_entry, 0.0),
         *_threads(sensor.mounting, -h, sensor.mounting.max_entry - h),
         *(cylinder(dowels.diameter, -dowels.depth, 0.0, p) for p in on_circle(dowels.circle_d, dowels.azimuths_deg)),
@@ -306,10 +305,6 @@ def _threads(pattern: ScrewPattern, z0: float, z1: float) -> list[cq.Solid]:
     return [cylinder(d, z0, z1, p) for p in points]
 
 
-def _at_cable(shape: cq.Shape, cable: CableExit, turn_deg: float = 0.0) -> cq.Shape:
-    return shape.rotate((0, 0, 0), (0, 0, 1), cable.azimuth_deg + turn_deg)
-
-
 def clearance_volumes(sensor: SensorInterface) -> list[cq.Shape]:
     """Return the volumes around the sensor's body, tool face and cable exit that must stay empty."""
     h, r, cable, gap = sensor.height, sensor.body_d / 2, sensor.cable, MIN_CLEARANCE
@@ -319,7 +314,7 @@ def clearance_volumes(sensor: SensorInterface) -> list[cq.Shape]:
     # Within the rim no part lies above the mounting face; from there the clearance is measured obliquely.
     inward = math.sqrt(max(gap**2 - low**2, 0.0))
     exit_room = block((r - inward, cable.reach + gap), (-side, side), (low - gap - h, high + gap - h))
-    return [shell, _at_cable(exit_room, cable)]
+    return [shell, _turned_to(exit_room, cable.azimuth_deg)]
 
 
 def cable_sector(sensor: SensorInterface) -> cq.Shape:
@@ -329,4 +324,4 @@ def cable_sector(sensor: SensorInterface) -> cq.Shape:
         (sensor.body_d / 2 + SECTOR_REACH) / MM, cable.free_height / MM, cq.Vector(0, 0, z / MM),
         angleDegrees=2 * cable.half_width_deg,
     )  # fmt: skip
-    return _at_cable(wedge, cable, -cable.half_width_deg).cut(cylinder(sensor.body_d, z, 0.0))
+    return _turned_to(wedge, cable.azimuth_deg - cable.half_width_deg).cut(cylinder(sensor.body_d, z, 0.0))

@@ -91,7 +91,7 @@ class ScrewTable(Table):
 
 
 class DowelTable(Table):
-    """`[interface.dowels]`: the two dowel holes in the tool face."""
+    """`[interface.dowels]`: one or two dowel holes in the tool face; without the table it has none."""
 
     diameter_mm: Millimetres
     depth_mm: Millimetres
@@ -101,7 +101,7 @@ class DowelTable(Table):
 
     @model_validator(mode="after")
     def _drilled(self) -> Self:
-        _check_holes("azimuths_deg", self.azimuths_deg, 2, 2, _hole_deg(self.diameter_mm, self.circle_d_mm))
+        _check_holes("azimuths_deg", self.azimuths_deg, 1, 2, _hole_deg(self.diameter_mm, self.circle_d_mm))
         if self.pin_length_mm <= self.depth_mm:
             raise Inconsistent(
                 "pin_length_mm", f"= {self.pin_length_mm:g} ends in its hole, {self.depth_mm:g} mm deep; take longer"
@@ -136,7 +136,7 @@ class InterfaceTable(Table):
     p_com_mm: Annotated[tuple[float, float, float] | None, FromArray] = None
     tool: ScrewTable
     mounting: ScrewTable
-    dowels: DowelTable
+    dowels: DowelTable | None = None
     cable: CableTable
 
     @model_validator(mode="after")
@@ -151,6 +151,8 @@ class InterfaceTable(Table):
         if self.cable.heights_mm[1] > self.height_mm:
             raise Inconsistent("interface.cable.heights_mm", f"end above the tool face, height_mm = {self.height_mm:g}")
         screw_d, dowels = SCREWS[self.tool.screw].nominal_d / MM, self.dowels
+        if dowels is None:
+            return self
         if dowels.circle_d_mm + dowels.diameter_mm > self.tool.face_d_mm:
             raise Inconsistent("dowels.circle_d_mm", f"= {dowels.circle_d_mm:g} leaves the holes outside the face")
         bolts = _points(self.tool.bolt_circle_d_mm, self.tool.azimuths_deg)
@@ -172,7 +174,7 @@ class InterfaceTable(Table):
             height=self.height_mm * MM,
             tool=self.tool.pattern,
             mounting=self.mounting.pattern,
-            dowels=DowelPattern(
+            dowels=DowelPattern(0.0, 0.0, 0.0, (), 0.0) if d is None else DowelPattern(
                 d.diameter_mm * MM, d.depth_mm * MM, d.circle_d_mm * MM, d.azimuths_deg, d.pin_length_mm * MM
             ),
             cable=CableExit(

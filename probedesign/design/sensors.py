@@ -111,7 +111,7 @@ class ScrewPattern:
 
 @dataclass(frozen=True)
 class DowelPattern:
-    """Dowel holes in the tool face of a sensor, with azimuths in the sensor frame."""
+    """Dowel holes in the tool face of a sensor, two at most, with azimuths in the sensor frame."""
 
     diameter: float  #: diameter, depth: of a hole [m].
     depth: float

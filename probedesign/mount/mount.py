@@ -170,14 +170,15 @@ def root_radii(design: Design, geometry: ProbeGeometry) -> float:
     return round(exported_root_radii(geometry, design.mount.hold), 2) if stated is None else stated
 
 
-def held_tolerances(mount: Mount, base_mm: float) -> dict[str, float]:
-    """Return the defaults of `[tolerances]` that follow from the hold: of a computed root and of the squeezed base.
+def held_tolerances(mount: Mount, base_mm: float, clocking_deg: float) -> dict[str, float]:
+    """Return the defaults of `[tolerances]` that follow from the hold: of a computed root, of the squeezed base and of
+    an adapter that fewer than two dowel pins place, which lies anywhere in the play of its screws.
 
     Other sections and a base with a fillet were not computed: their root keeps the general default, which is larger.
 
     Args:
         mount: of the probe.
-        base_mm: standard deviation of the base's place without a squeeze.
+        base_mm, clocking_deg: standard deviations of the base without a squeeze and with two dowel pins.
     """
     design, adapter, computed = mount.design, mount.sensor_adapter, dict[str, float]()
     if design.mount.hold == "bonded":
@@ -188,7 +189,10 @@ def held_tolerances(mount: Mount, base_mm: float) -> dict[str, float]:
         and design.probe.base_fillet_mm is None
     ):
         computed["root_radii"] = round(exported_root_std(mount.geometry, adapter.pressed_share), 3)
-    computed["base_mm"] = round(math.hypot(base_mm, SQUEEZE_SHIFT * adapter.squeeze / MM), 3)
+    aside = adapter.tool_play / 2 if len(adapter.p_dowels) < 2 else 0.0  # ±, as uniform distributions
+    computed["base_mm"] = round(math.hypot(base_mm, SQUEEZE_SHIFT * adapter.squeeze / MM, aside / MM / 3**0.5), 3)
+    if aside:
+        computed["clocking_deg"] = round(math.hypot(clocking_deg, adapter.tool_play_deg / 3**0.5), 3)
     return computed
 
 

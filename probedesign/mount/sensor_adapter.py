@@ -235,8 +235,20 @@ class SensorAdapter:
 
     @property
     def dowel_distance(self) -> float:
-        """Return the distance between the dowel holes [m]."""
-        return math.dist(*self.p_dowels)
+        """Return the distance between the dowel holes [m]; 0 for fewer than two."""
+        return math.dist(self.p_dowels[0], self.p_dowels[-1]) if self.p_dowels else 0.0
+
+    @property
+    def tool_play(self) -> float:
+        """Return the greatest play of the screws into the sensor in their holes, on the diameter [m]."""
+        return self.tool.screw.clearance_d + PRINT_TOLERANCE - self.tool.screw.nominal_d
+
+    @property
+    def tool_play_deg(self) -> float:
+        """Return the greatest angle ± by which the adapter turns in the play of its screws [deg]; 0 with two dowels."""
+        centre = self.p_dowels[0] if self.p_dowels else (0.0, 0.0)
+        reach = max(math.dist(centre, p) for p in self.p_tool_screws)
+        return 0.0 if len(self.p_dowels) > 1 else math.degrees(math.atan(self.tool_play / 2 / reach))
 
     @property
     def dowel_slot(self) -> float:
@@ -299,7 +311,7 @@ def sensor_adapter_for(
     length = next(n for n in stock if n >= needed + nut_slack(screw, n) - 1e-9)
     roof = length - ring_thickness - nut.height - nut_slack(screw, length)
     pin_beyond = dowels.pin_length - dowels.depth
-    dowel_depth = pin_beyond + PIN_TOLERANCE + PRINT_TOLERANCE + FACE_LOSS + PIN_ROOM
+    dowel_depth = (pin_beyond + PIN_TOLERANCE + PRINT_TOLERANCE + FACE_LOSS + PIN_ROOM) * bool(dowels.azimuths_deg)
     body_d = circle_d + screw.head_d + 2 * HEAD_EDGE
     head_clear_d = circle_d - screw.counterbore_d  # the heads need a seat beside the bore
     foot_d, cone_d = tool.face_d, tool.face_d + 2 * FOOT_LEDGE

@@ -198,11 +198,6 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
         ("peg_below_ring", "room between the clocking peg and the ring",
          (_printed("depth of the recess", recess), _printed("height of the peg", a.floor - a.peg_top)),
          (0.0, recess), lip),
-        ("dowel_pin_room", "room beyond the ends of a dowel pin",
-         (_within("depth of the sensor's hole", dowels.depth, SENSOR_HOLE_TOLERANCE),
-          _printed("depth of the adapter's hole", a.dowel_depth), pin(-dowels.pin_length),
-          replace(lost, below=FACE_LOSS, above=0.0)),
-         (0.0, a.dowel_depth), "interface.dowels of the sensor: depth_mm or pin_length_mm"),
         ("flange_in_recess", "play of the probe's flange in its recess",
          (_printed("diameter of the recess", a.recess_d), _printed("diameter of the flange", -flange.diameter)),
          (-SOFT_INTERFERENCE * flange.diameter, 2 * RING_CLEARANCE), "mount.flange_lip_mm or probe.base_d_mm"),
@@ -213,16 +208,27 @@ def tolerance_stacks(a: SensorAdapter, plate: FlangeAdapter) -> list[Stack]:
         ("peg_fit", "play of the clocking peg in the flange",
          (_printed("diameter of the hole", a.peg_hole_d), _printed("diameter of the peg", -PEG_D)),
          (-PEG_STRETCH * PEG_D, _turned(a.peg_x)), "mount.flange_lip_mm or probe.base_d_mm"),
-        ("dowel_fit", "play of a dowel pin in the sensor adapter",
-         (StackItem("diameter of the hole, drilled where it is tight", a.dowel_d, PRINTED_PIN_PLAY,
-                    length_tolerance(a.dowel_d), PRINTED), h8(-dowels.diameter)),
-         (0.0, _turned(apart / 2)), "interface.dowels of the sensor: circle_d_mm"),
-        ("dowel_slot", "room of the second dowel pin at the ends of its slot",
-         (_within("half the slot beyond its width", a.dowel_slot / 2, slot, PRINTED),
-          StackItem("distance of the holes in the adapter", 0.0, distance, 0.0, PRINTED),
-          StackItem("distance of the sensor's holes", 0.0, SENSOR_HOLE_DISTANCE, 0.0, "assumed")),
-         (0.0, a.dowel_slot), "interface.dowels of the sensor: circle_d_mm"),
     ]  # fmt: skip
+    if a.p_dowels:
+        rows += [
+            ("dowel_pin_room", "room beyond the ends of a dowel pin",
+             (_within("depth of the sensor's hole", dowels.depth, SENSOR_HOLE_TOLERANCE),
+              _printed("depth of the adapter's hole", a.dowel_depth), pin(-dowels.pin_length),
+              replace(lost, below=FACE_LOSS, above=0.0)),
+             (0.0, a.dowel_depth), "interface.dowels of the sensor: depth_mm or pin_length_mm"),
+            ("dowel_fit", "play of a dowel pin in the sensor adapter",
+             (StackItem("diameter of the hole, drilled where it is tight", a.dowel_d, PRINTED_PIN_PLAY,
+                        length_tolerance(a.dowel_d), PRINTED), h8(-dowels.diameter)),
+             (0.0, _turned((apart or dowels.circle_d) / 2)), "interface.dowels of the sensor: circle_d_mm"),
+        ]  # fmt: skip
+    if len(a.p_dowels) > 1:
+        rows.append(
+            ("dowel_slot", "room of the second dowel pin at the ends of its slot",
+             (_within("half the slot beyond its width", a.dowel_slot / 2, slot, PRINTED),
+              StackItem("distance of the holes in the adapter", 0.0, distance, 0.0, PRINTED),
+              StackItem("distance of the sensor's holes", 0.0, SENSOR_HOLE_DISTANCE, 0.0, "assumed")),
+             (0.0, a.dowel_slot), "interface.dowels of the sensor: circle_d_mm")
+        )  # fmt: skip
     if plate.p_centring_pins:
         rows += [
             ("centring_fit", "play of the sensor's body between its pins",

@@ -293,13 +293,14 @@ def mount_findings(a: SensorAdapter, plate: FlangeAdapter, limits: PrintLimits) 
     """Return the findings on the rigid parts, as drawn."""
     screw, robot = plate.mounting.screw, plate.robot
     ring, hole = _reach(a.p_ring_screws), a.ring_screw.clearance_d / 2
+    dowel_d = a.dowel_d if a.p_dowels else 0.0
     ring_walls: Walls = [
         ("thickness", a.ring_thickness, limits.wall_mm),
         ("between screw hole and rim", a.body_d / 2 - ring - hole, limits.wall_mm),
         ("between screw hole and bore", ring - hole - a.ring_bore_top_d / 2, limits.wall_mm),
     ]
     parts = {
-        "sensor_adapter": (_adapter_walls(a, limits), {"screw hole": 2 * hole, "dowel hole": a.dowel_d}),
+        "sensor_adapter": (_adapter_walls(a, limits), {"screw hole": 2 * hole, "dowel hole": dowel_d}),
         "clamp_ring": (ring_walls, {"screw hole": 2 * hole}),
         "flange_adapter": (_plate_walls(plate, limits), {"sensor screw hole": screw.clearance_d,
                                                  "bolt hole": robot.screw.clearance_d, "pin slot": robot.pin_slot[0]}),
@@ -323,8 +324,8 @@ def mount_findings(a: SensorAdapter, plate: FlangeAdapter, limits: PrintLimits) 
     pocket = v1 - v0 if cut else min(r1 - r0, v1 - v0)
     heads = "rooms of the screws' heads"
     for part, roof, span, cups in (
-        ("sensor_adapter", "roof of a dowel hole", a.dowel_d,
-         {heads: a.tool.screw.counterbore_d, "dowel holes": a.dowel_d}),
+        ("sensor_adapter", "roof of a dowel hole", dowel_d,
+         {heads: a.tool.screw.counterbore_d, "dowel holes": dowel_d}),
         ("flange_adapter", "roof of the cable's pocket", pocket,
          {heads: screw.counterbore_d, "pin slot": min(robot.pin_slot), "cable's pocket": 0.0 if cut else pocket}),
     ):  # fmt: skip
@@ -377,8 +378,14 @@ def _adapter_walls(a: SensorAdapter, limits: PrintLimits) -> Walls:
         ("below a ring screw's hole", a.ring_hole_bottom - cone, limits.supported_wall_mm),
         ("between sensor screw and edge of the foot", foot - tool - a.tool.screw.clearance_d / 2, limits.wall_mm),
         *([("between a head's room and edge of the land", land, limits.wall_mm)] if land >= 0.0 else []),
-        ("between dowel hole and edge of the foot", foot - dowel - a.dowel_d / 2, limits.wall_mm),
-        ("over a dowel hole", a.groove_floor - a.dowel_depth, limits.supported_wall_mm),
+        *(
+            [
+                ("between dowel hole and edge of the foot", foot - dowel - a.dowel_d / 2, limits.wall_mm),
+                ("over a dowel hole", a.groove_floor - a.dowel_depth, limits.supported_wall_mm),
+            ]
+            if a.p_dowels
+            else []
+        ),
         ("below the groove, at the notch", a.groove_floor - a.cone_top, limits.wall_mm),
         ("under the heads of the sensor screws", a.tool.grip, limits.supported_wall_mm),
     ]

@@ -110,6 +110,29 @@ def test_parts_on_another_sensor_agree_with_their_closed_form(large: CadModel) -
         assert whole.p_com == pytest.approx(bodies[name].p_com, abs=1e-9)
 
 
+@pytest.mark.parametrize("azimuths_deg", [(), (0.0,)])
+def test_parts_on_a_sensor_with_fewer_than_two_dowels_agree_with_their_closed_form(
+    large: CadModel, azimuths_deg: tuple[float, ...]
+) -> None:
+    """No hole and no pin without a dowel; the adapter then turns in the play of its screws, M2 in 2.4 + 0.15 mm."""
+    nano = SENSORS["nano17"]
+    interface = replace(nano.interface, dowels=replace(nano.interface.dowels, azimuths_deg=azimuths_deg))
+    a = sensor_adapter_for(large.geometry, replace(nano, interface=interface))
+    parts = build_parts(large.geometry, 1010.0, interface, a, large.plate, screw_groups(a, large.plate))
+    assert ("dowel_pins" in parts) == bool(azimuths_deg) and max(overlaps(parts).values()) == 0.0
+    bodies = mount_part_masses(large.geometry, a, 1010.0)
+    fastened = combined(mass_properties(parts[name].placed, parts[name].density) for name in FASTENERS if name in parts)
+    adapter = mass_properties(parts["sensor_adapter"].placed, parts["sensor_adapter"].density)
+    for drawn, name in ((adapter, "sensor_adapter"), (fastened, "fasteners")):
+        assert drawn.mass == pytest.approx(bodies[name].mass, rel=1e-9)
+        assert drawn.p_com == pytest.approx(bodies[name].p_com, abs=1e-9)
+    names = {stack.name for stack in tolerance_stacks(a, large.plate)}
+    assert ("dowel_fit" in names) == bool(azimuths_deg) and "dowel_slot" not in names
+    # The farthest screw is on the circle of 12.5 mm: half of it from its middle, all of it from a pin opposite.
+    reach = 12.5e-3 if azimuths_deg else 6.25e-3
+    assert a.tool_play_deg == pytest.approx(np.degrees(np.arctan(0.275e-3 / reach)))
+
+
 def test_dowel_holes_are_blind_and_the_second_is_a_slot_towards_the_first(large: CadModel) -> None:
     adapter = large.parts["sensor_adapter"].shape
     for azimuth in (0, 120):

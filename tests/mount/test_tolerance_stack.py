@@ -228,7 +228,7 @@ def test_the_uncertainty_of_the_root_grows_where_the_floor_opens_under_a_wide_ba
     for base_d in (5.0, 12.0, 16.0, 20.0, 25.0):
         design = parse_design(PROBE.replace("base_d_mm = 12.0", f"base_d_mm = {base_d}"))
         geometry = build_geometry(design)
-        std = held_tolerances(Mount.of(design), 0.05)["root_radii"]
+        std = held_tolerances(Mount.of(design), 0.05, 0.5)["root_radii"]
         share = Mount.of(design).sensor_adapter.pressed_share
         assert std == pytest.approx(exported_root_std(geometry, share), abs=6e-4) and std >= ROOT_STD
         if base_d >= 16.0:
@@ -244,4 +244,4 @@ def test_the_squeeze_may_shift_the_base_plane() -> None:
         tolerances = build_probe(parse_design(PROBE + text)).model.tolerances
         assert tolerances is not None and tolerances.base_mm == 0.05
     hollow = parse_design(PROBE + 'section = "hollow"\nbore_ratio = 0.5\n')
-    assert "root_radii" not in held_tolerances(Mount.of(hollow), 0.05)  # was not computed
+    assert "root_radii" not in held_tolerances(Mount.of(hollow), 0.05, 0.5)  # was not computed
