@@ -29,6 +29,7 @@ from probedesign.live.processing.chain import Chain, ProcessingOptions
 from probedesign.live.processing.commands import CommandQueue
 from probedesign.live.processing.estimates import COLUMNS, EstimateUpdate, Row, csv_line, estimate_row
 from probedesign.live.processing.plausibility import ClockMonitor
+from probedesign.live.processing.screen import SampleScreen
 from probedesign.live.processing.tare import Tare, TareWindow, Zero, describe_tare, is_free, tare_of
 from probedesign.live.sources.source import Source
 from probedesign.rod.contact import safe_force, solve_frictionless
@@ -188,7 +189,9 @@ def warm_up(estimator: Estimator, log: Log, *, fusing: bool = False) -> None:
             _ = estimate.s_interval_95, estimator.estimate(wrench, near=estimate).shape
         if fusing:
             free, still = estimator.free(model.gravity_base).wrench_base, pose(np.eye(3), np.zeros(3))
-            Detector(model, WARM_UP_RATE).run(np.zeros((WARM_UP_SAMPLES, 6)))
+            samples = np.zeros((WARM_UP_SAMPLES, 6))
+            Detector(model, WARM_UP_RATE).run(samples)
+            SampleScreen(model, 1, WARM_UP_RATE).screened(np.arange(float(WARM_UP_SAMPLES)), samples)
             tracker = Tracker(estimator, gravity_world=model.gravity_base, rate=WARM_UP_RATE)
             steps = [(free, still), *(touch for touch in touches for _ in range(WARM_UP_SAMPLES))]
             for i, (wrench, T) in enumerate(steps):

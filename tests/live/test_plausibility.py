@@ -23,7 +23,7 @@ from tests.live.mcap_files import TIME_ROUNDING
 from tests.live.peers import box
 
 RATE, SAMPLES = 2000.0, 36
-FAULT = (3.0, 4.5)  #: Time of each fault [s], longer than the second in which a dead channel is found.
+FAULT = (3.0, 4.5)  #: Time of each fault [s].
 #: Time after its end by which a fault must have ended [s]: noise is measured over the last quarter of a second.
 MARGIN = 0.4
 
@@ -65,7 +65,7 @@ def thousandth(wrench, inside, model):
 
 @pytest.mark.parametrize(
     ("change", "named", "found_after"),
-    [(frozen, "frozen", 0.05), (dead, "My", 1.1), (saturated, "Fy", 0.0), (noisy, "scatter", 0.3),
+    [(frozen, "frozen", 0.05), (dead, "My", 0.05), (saturated, "Fy", 0.0), (noisy, "scatter", 0.3),
      (thousandth, "scatter", 0.15)],
 )  # fmt: skip
 def test_a_fault_in_a_file_has_no_position_and_ends(change, named, found_after, estimator, free, tmp_path):

@@ -33,6 +33,7 @@ from probedesign.live.processing.estimates import (
 from probedesign.live.processing.motion import MotionMonitor
 from probedesign.live.processing.payload import PayloadCheck
 from probedesign.live.processing.plausibility import FaultReport, PoseMonitor, SignalMonitor, TravelCheck
+from probedesign.live.processing.screen import SampleScreen
 from probedesign.live.processing.tare import (
     CHANNELS,
     TARE_DURATION,
@@ -190,6 +191,7 @@ class EstimateScheduler:
         self._overloaded = overloaded
 
 
+SPIKE_PERIOD = 10.0  #: Least time between two reports of spikes [s].
 MIN_RATE_SAMPLES = 8  #: Number of samples from which the rate of the source is determined before processing starts.
 MAX_TARE_BATCHES = 1000  #: Maximum number of batches of a tare window that calibrate the detector: the last ones.
 NO_TARE = (
@@ -229,6 +231,7 @@ class Chain:
         self._estimator, self._options, self._poses, self._log = estimator, options, poses, log
         mains = options.mains_hz
         self._periods = None if mains is None else Averager(None, estimator.model, log, mains)
+        self._raw = SampleScreen(estimator.model, estimator.model.averaging_samples)
         samples = options.samples if mains is None else 1
         self.averager, self._waiting = Averager(samples, estimator.model, log), deque[AveragedBatch]()
         takes_tare = tare is None and (options.window is not None or options.zero == "auto")
@@ -250,7 +253,7 @@ class Chain:
         self.scheduler = EstimateScheduler(options.rate, log, age)
         self._stretch = 0
         self._state, self._phase_before = TouchState("", None), ""
-        self._pose_missing, self._touched_at_tare = False, ""
+        self._pose_missing, self._touched_at_tare, self._spikes = False, "", (-math.inf, 0)
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
@@ -270,12 +273,10 @@ class Chain:
         if self._options.deadline is None and burst > self.scheduler.max_age:
             self.scheduler.max_age = min(burst, MAX_BURST)
         if self._periods is not None:
-            limit = self._estimator.model.saturation_limit
-            for raw, reading in self._periods.add(block):
-                within = (np.abs(raw.wrench_sensor) <= limit).all()
-                fault = reading.fault or ("" if within else "a channel is at its limit or not a number")
+            for raw in self._periods.add(block):
+                (_, reading), fault, _ = self._raw.check(raw)
                 mean = Block(np.array([reading.time]), reading.wrench_sensor[None], reading.gravity_base,
-                             np.array([reading.received]), fault, reading.stretch)  # fmt: skip
+                             np.array([reading.received]), reading.fault or fault, reading.stretch)  # fmt: skip
                 self._waiting.extend(self.averager.add(mean))
         else:
             self._waiting.extend(self.averager.add(block))
@@ -365,15 +366,17 @@ class Chain:
         if math.isnan(self._first):
             self._first = batch.reading.time
         # A fault of one sample is a fault of the whole batch: the mean would not show it.
-        fault = batch.reading.fault or self._signals.fault(batch)
-        whole = batch.reading if fault == batch.reading.fault else replace(batch.reading, fault=fault)
+        reported = batch.reading.fault
+        batch, fault = self._signals.check(batch)
+        self._report_spikes(batch.reading.time, self._signals.screen.spikes)
+        whole = batch.reading if reported else replace(batch.reading, fault=fault)
         block, reading = self._at_pose(batch.block, whole)
         T = None if self._poses is None else self._poses.at(reading.time)
         if self._poses is not None and (T is None) != self._pose_missing:
             self._pose_missing = T is None
             why = f"{self._poses.reason(reading.time)}; no estimates until one is available"
             self._log(why if T is None else "the base pose is available again")
-        self._faults.update(reading.time, "" if batch.reading.fault or self._pose_missing else reading.fault)
+        self._faults.update(reading.time, "" if reported or self._pose_missing else reading.fault)
         if self._base.leapt == reading.time and self._monitor is not None:
             self._monitor.on_leap(reading.time)
         if reading.stretch != self._stretch:  # readings are missing before this one
@@ -397,6 +400,12 @@ class Chain:
             self._state = self._monitor.update(AveragedBatch(block, reading), self.tare, T, self._motion)
         if self.scheduler.is_due(reading, ready):
             yield self._estimate(reading if smooth is None else self._with_gravity(smooth))
+
+    def _report_spikes(self, time: float, spikes: int) -> None:
+        """Report the number of samples that were spikes so far, where it has grown, at most once in `SPIKE_PERIOD`."""
+        if spikes > self._spikes[1] and time - self._spikes[0] >= SPIKE_PERIOD:
+            self._log(f"{time:.2f} s: {spikes} samples so far leapt and returned at once: spikes, which do not count")
+            self._spikes = time, spikes
 
     def _estimate(self, reading: WrenchReading) -> EstimateUpdate:
         """Return the estimate of a reading, filtered or not, with the current state."""

@@ -107,7 +107,7 @@ class MotionMonitor:
     Attributes:
         sway: bound of the unexplained part in standard deviations of one reading.
         free_sway: the same without the sway by a contact.
-        speed: of the base [m/s].
+        speed: of the base or of the tip, of the faster one [m/s].
         at_rest: whether the base has neither moved nor turned for `SPAN`.
     """
 
@@ -116,6 +116,7 @@ class MotionMonitor:
         self._model, self._poses = model, poses
         self._omega = 2.0 * math.pi * natural_frequency(model.rod)
         rest = model.rod.solve((0.0, 0.0, 0.0))
+        self._ends = np.stack([np.array([0.0, 0.0, 0.0, 1.0]), np.append(rest.p_base[-1], 1.0)], axis=1)
         weights = np.gradient(rest.s) * model.rod.radius_at(rest.s) ** 2
         self._com = weights @ rest.p_base / weights.sum()  # of the rod, in base axes
         T = model.T_sensor_base
@@ -209,7 +210,11 @@ class MotionMonitor:
             (off.reshape(POINTS, 3, 4)[:, :, :3] ** 2).sum(axis=(1, 2))
         )
         self.at_rest = float(travel.max()) < MAX_TRAVEL
-        self.speed = 0.0 if self.at_rest else float(np.linalg.norm((_VELOCITY @ self._rows)[3::4]))
+        self.speed = (
+            0.0
+            if self.at_rest
+            else float(np.linalg.norm((_VELOCITY @ self._rows).reshape(3, 4) @ self._ends, axis=0).max())
+        )
         self._accelerations[:-1] = self._accelerations[1:]
         self._accelerations[-1] = 0.0 if self.at_rest else _ACCELERATION @ self._rows
         a, before = self._at(self._com), self._accelerations[0].reshape(3, 4)

@@ -17,13 +17,9 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.blocks import Block
 from probedesign.live.processing.averaging import AveragedBatch, second_differences
+from probedesign.live.processing.screen import SampleScreen
 from probedesign.live.processing.tare import CHANNELS
 
-#: Identical readings in all channels from which the signal counts as frozen. With a noise of half a step of the
-#: resolution, two raw readings are identical in all six channels once in sixty pairs, and eight once in 10¹².
-FROZEN_READINGS = 8
-#: Duration [s] and number of identical readings of one channel from which it counts as dead.
-DEAD_TIME, DEAD_READINGS = 1.0, 20
 #: Interval over which the noise is measured, and time from one measurement to the next [s]. A knock is shorter than
 #: half of the interval, and noise is found after that half.
 NOISE_WINDOW, NOISE_PERIOD = 0.25, 0.1
@@ -109,11 +105,10 @@ class SignalMonitor:
             samples: number of readings averaged to one: their mean has the noise of the model.
             rate: of readings [Hz]; NaN if it is unknown.
         """
-        self._limit, self._noise = model.saturation_limit, model.noise.std * math.sqrt(samples)
+        self._noise = model.noise.std * math.sqrt(samples)
+        self.screen = SampleScreen(model, samples, rate)
         self._samples, self._rate = samples, rate
         self._window_readings = max(WINDOW_READINGS, NOISE_WINDOW * rate)  # the first one where the rate is NaN
-        self._last, self._repeats, self._same_since = np.full(6, np.nan), 1, np.full(6, np.nan)
-        self._same_count = np.ones(6)
         self._window = deque[Array]()
         self._in_window, self._noise_fault = 0, ""
         self._next_noise, self._next_count = math.inf, MIN_NOISE_READINGS
@@ -121,23 +116,25 @@ class SignalMonitor:
 
     def preview(self, batches: Iterable[AveragedBatch]) -> None:
         """Measure the noise of the first batches, so that it is known when the first of them is checked."""
-        self._noise_fault = self._noise_of(np.concatenate([batch.block.wrench_sensor for batch in batches]))
+        rows = np.concatenate([batch.block.wrench_sensor for batch in batches])
+        self._noise_fault = self._noise_of(rows)
+        self.screen.start(rows)
 
-    def fault(self, batch: AveragedBatch) -> str:
-        """Return the fault of a batch; empty without one. A fault that the source reports takes precedence."""
+    def check(self, batch: AveragedBatch) -> tuple[AveragedBatch, str]:
+        """Return a batch without spikes and its fault; empty without one. One that the source reports comes first."""
         block = batch.block
         if block.fault:
-            return block.fault
-        rows, time = block.wrench_sensor, block.time
+            return batch, block.fault
         if block.stretch != self._stretch:  # a fault of the noise lasts until it is measured again
             self._stretch, self._in_window = block.stretch, 0
             self._next_noise, self._next_count = math.inf, MIN_NOISE_READINGS
             self._window.clear()
-        beyond = ~(np.abs(rows) <= self._limit)
-        if beyond.any():
-            i, channel = np.argwhere(beyond)[0]
-            return f"{CHANNELS[channel]} is at its limit or not a number: {rows[i, channel]:.4g}"
-        still = self._standstill(rows, time)
+        batch, fault, saturated = self.screen.check(batch)
+        if saturated:
+            return batch, fault
+        # The noise of a channel is a median, in which spikes do not count.
+        rows = (block if self._rate >= MIN_NOISE_RATE else batch.block).wrench_sensor
+        time = block.time
         self._window.append(rows)
         self._in_window += len(rows)
         while self._in_window - len(self._window[0]) >= self._window_readings:
@@ -146,40 +143,7 @@ class SignalMonitor:
         if self._in_window >= self._next_count or now >= self._next_noise:  # twice as many as before, or periodically
             self._next_noise, self._next_count = now + NOISE_PERIOD, 2 * self._in_window
             self._noise_fault = self._noise_of(np.concatenate(self._window))
-        return still or self._noise_fault
-
-    def _standstill(self, rows: Array, time: Array) -> str:
-        """Return whether all channels, or one of them, have stood still for too long."""
-        same = np.empty(rows.shape, dtype=bool)
-        same[0] = rows[0] == self._last
-        np.equal(rows[1:], rows[:-1], out=same[1:])
-        self._last = rows[-1]
-        if not same.any():
-            self._repeats = 1
-            self._same_count.fill(1.0)
-            self._same_since.fill(time[-1])
-            return ""
-        frozen, identical = 0, np.logical_and.reduce(same, axis=1)
-        if identical.any():
-            for is_identical in identical.tolist():
-                self._repeats = self._repeats + 1 if is_identical else 1
-                frozen = max(frozen, self._repeats)
-        else:
-            self._repeats = 1
-        if frozen >= FROZEN_READINGS:
-            return f"frozen: {frozen} readings in a row are identical"
-        # A channel that changes within a batch counts from its end on.
-        constant = np.logical_and.reduce(same, axis=0)
-        self._same_count = np.where(constant, self._same_count + len(rows), 1.0)
-        self._same_since = np.where(constant, self._same_since, time[-1])
-        if not constant.any():
-            return ""
-        lasting = time[-1] - self._same_since
-        dead = (lasting >= DEAD_TIME) & (self._same_count >= DEAD_READINGS)
-        if dead.any():
-            channel = int(np.argmax(dead))
-            return f"{CHANNELS[channel]} has not changed for {lasting[channel]:.3g} s: dead, or rounded too coarsely"
-        return ""
+        return batch, fault or self._noise_fault
 
     def _noise_of(self, rows: Array) -> str:
         """Return the fault of the noise of readings (n, 6), by second differences, which no slow signal shows in."""

@@ -230,7 +230,7 @@ class ContactHistory:
 
     def __init__(self) -> None:
         self.contacts: tuple[Contact, ...] = ()
-        self._count = 0
+        self._count, self._lost = 0, math.nan
 
     @property
     def current(self) -> Contact | None:
@@ -243,7 +243,13 @@ class ContactHistory:
         if fused is not None and fused.result == "in_motion":  # the last position of the touch stays
             fused = None
         if phase not in ("touching", "settled"):
-            return None if current is None else self._replace_last(replace(current, end=time))
+            self._lost = time if math.isnan(self._lost) else self._lost
+            # A contact that comes back within `SPAN` and never settled is a sway, which crosses the threshold twice a
+            # period, or an object that slips.
+            if current is None or (phase == "released" and not current.settled):
+                return None
+            return self._replace_last(replace(current, end=self._lost))
+        self._lost = math.nan
         if current is None:
             self._count += 1
             current = Contact(self._count, time)
