@@ -207,9 +207,19 @@ class Arm:
         return np.asarray(self.turns(float(_turned(np.array(time)))).inv().apply(WORLD_GRAVITY), dtype=float)
 
     def free(self, time: float) -> Array:
-        """Return the reading of the free probe without noise and bias, (6,)."""
-        gravity = self.gravity(time)
-        return self.truth.to_sensor(self.truth.rod.solve(gravity).wrench_base, gravity)
+        """Return the reading of the free probe without noise and bias, (6,), with the inertia of every section."""
+        gravity, rod, h = self.gravity(time), self.truth.rod, 1e-3
+        R0, R, R1 = (self.turns(float(_turned(np.array(time + dt)))).as_matrix() for dt in (-h, 0.0, h))
+        turning = R.T @ (R1 - 2.0 * R + R0) / h**2  # of a point p of the base: its acceleration in base axes
+        eq = rod.solve(gravity)
+        share = np.gradient(eq.s) * rod.radius_at(eq.s) ** 2
+        loads = -(self.truth.mass * share / share.sum())[:, None] * (eq.p_base @ turning.T)
+        inertia = np.concatenate([loads.sum(axis=0), np.cross(eq.p_base, loads).sum(axis=0)])
+        payload, T = self.truth.payload, self.truth.T_sensor_base
+        at = T[:3, :3].T @ (payload.p_com - T[:3, 3])
+        load = -payload.mass * T[:3, :3] @ turning @ at
+        read = self.truth.to_sensor(eq.wrench_base + inertia, gravity)
+        return read + np.concatenate([load, np.cross(payload.p_com, load)])
 
 
 def _turned(t: Array) -> Array:

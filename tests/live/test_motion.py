@@ -181,9 +181,10 @@ def test_the_time_to_rest_follows_its_formula(model):
     assert late.time_to_rest == pytest.approx(math.log(late.sway / LIMIT) / (DAMPING * 2.0 * math.pi * 6.60), rel=2e-3)
 
 
-def test_the_payload_of_a_turning_base_obeys_newton_and_euler(model):
-    """Eight point masses with the mass properties of the payload, on a base that turns about a tilted axis with
-    constant angular acceleration through a small angle: their inertia, less that of the effective gravity."""
+def test_rod_and_payload_of_a_turning_base_obey_newton_and_euler(model):
+    """Eight point masses with the mass properties of the payload, and the sections of the rod, on a base that turns
+    about a tilted axis with constant angular acceleration through a small angle: their inertia, less that of the
+    effective gravity."""
     payload, axis, alpha = model.payload, np.array([0.6, 0.0, 0.8]), 2.0
     t = np.arange(40) / 125.0 - 38 / 125.0
 
@@ -207,5 +208,12 @@ def test_the_payload_of_a_turning_base_obeys_newton_and_euler(model):
         at = R_sb.T @ (r - origin)  # in base axes, from the base's origin, which does not move
         force = payload.mass / 8.0 * (-R_sb @ np.cross(alpha * axis, at) - effective)
         expected += np.concatenate([force, np.cross(r, force)])
+    rod = model.rod.solve((0.0, 0.0, 0.0))
+    sections = model.rod.radius_at(rod.s) ** 2 * np.gradient(rod.s)
+    sections *= model.mass / sections.sum()
+    com = sections @ rod.p_base / model.mass  # where the effective gravity is that of the rod
+    for p, mass in zip(rod.p_base, sections, strict=True):
+        force = -mass * (R_sb @ np.cross(alpha * axis, p - com))
+        expected += np.concatenate([force, np.cross(R_sb @ p + origin, force)])
     # Speeds of up to 0.1 rad/s add 1 % of centripetal acceleration, and the turn of 0.1° as much.
     assert followed.inertia(T) == pytest.approx(expected, rel=0.03, abs=0.02 * np.abs(expected[3:]).max())

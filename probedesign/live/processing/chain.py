@@ -191,7 +191,6 @@ class EstimateScheduler:
         self._overloaded = overloaded
 
 
-SPIKE_PERIOD = 10.0  #: Least time between two reports of spikes [s].
 MIN_RATE_SAMPLES = 8  #: Number of samples from which the rate of the source is determined before processing starts.
 MAX_TARE_BATCHES = 1000  #: Maximum number of batches of a tare window that calibrate the detector: the last ones.
 NO_TARE = (
@@ -253,7 +252,7 @@ class Chain:
         self.scheduler = EstimateScheduler(options.rate, log, age)
         self._stretch = 0
         self._state, self._phase_before = TouchState("", None), ""
-        self._pose_missing, self._touched_at_tare, self._spikes = False, "", (-math.inf, 0)
+        self._pose_missing, self._touched_at_tare = False, ""
 
     @property
     def contacts(self) -> tuple[Contact, ...]:
@@ -368,7 +367,7 @@ class Chain:
         # A fault of one sample is a fault of the whole batch: the mean would not show it.
         reported = batch.reading.fault
         batch, fault = self._signals.check(batch)
-        self._report_spikes(batch.reading.time, self._signals.screen.spikes)
+        self._signals.screen.report(batch.reading.time, self._log)
         whole = batch.reading if reported else replace(batch.reading, fault=fault)
         block, reading = self._at_pose(batch.block, whole)
         T = None if self._poses is None else self._poses.at(reading.time)
@@ -400,12 +399,6 @@ class Chain:
             self._state = self._monitor.update(AveragedBatch(block, reading), self.tare, T, self._motion)
         if self.scheduler.is_due(reading, ready):
             yield self._estimate(reading if smooth is None else self._with_gravity(smooth))
-
-    def _report_spikes(self, time: float, spikes: int) -> None:
-        """Report the number of samples that were spikes so far, where it has grown, at most once in `SPIKE_PERIOD`."""
-        if spikes > self._spikes[1] and time - self._spikes[0] >= SPIKE_PERIOD:
-            self._log(f"{time:.2f} s: {spikes} samples so far leapt and returned at once: spikes, which do not count")
-            self._spikes = time, spikes
 
     def _estimate(self, reading: WrenchReading) -> EstimateUpdate:
         """Return the estimate of a reading, filtered or not, with the current state."""

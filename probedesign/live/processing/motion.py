@@ -120,6 +120,10 @@ class MotionMonitor:
         weights = np.gradient(rest.s) * model.rod.radius_at(rest.s) ** 2
         self._com = weights @ rest.p_base / weights.sum()  # of the rod, in base axes
         T = model.T_sensor_base
+        from_com = rest.p_base - self._com
+        spread = model.mass * (weights / weights.sum() * from_com.T) @ from_com
+        rod_inertia = np.trace(spread) * np.eye(3) - spread  # about its centre of mass, in base axes
+        self._inertia = model.payload.inertia + T[:3, :3] @ rod_inertia @ T[:3, :3].T
         self._payload_com = T[:3, :3].T @ (model.payload.p_com - T[:3, 3])
         g = model.gravity_base
         rod = np.stack([model.rod.solve(g + e).wrench_base - model.rod.solve(g - e).wrench_base for e in np.eye(3)]) / 2
@@ -181,7 +185,7 @@ class MotionMonitor:
         return np.asarray(T_world_base[:3, :3].T @ (self._poses.gravity_world - self._at(self._com)), dtype=float)
 
     def inertia(self, T_world_base: Array) -> Array:
-        """Return what the parts on the sensor add to its reading because the base turns [N, N·m], (6,).
+        """Return what rod and parts on the sensor add to its reading because the base turns [N, N·m], (6,).
 
         With the angular velocity Ω and acceleration α in base axes: force -m R̈ (c - c_rod) of the centre of mass and
         moment -(J α + Ω × J Ω) about it; g - a at the rod's centre is in the effective gravity.
@@ -195,7 +199,7 @@ class MotionMonitor:
         alpha, omega = (0.5 * R_sb @ np.array([X[2, 1] - X[1, 2], X[0, 2] - X[2, 0], X[1, 0] - X[0, 1]])
                         for X in (A, W))  # fmt: skip
         force = -payload.mass * (R_sb @ R.T) @ (self._at(self._payload_com) - self._at(self._com))
-        moment = np.cross(payload.p_com, force) - payload.inertia @ alpha - np.cross(omega, payload.inertia @ omega)
+        moment = np.cross(payload.p_com, force) - self._inertia @ alpha - np.cross(omega, self._inertia @ omega)
         return np.concatenate([force, moment])
 
     def _at(self, p_base: Array) -> Array:

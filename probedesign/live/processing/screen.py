@@ -17,6 +17,7 @@ import numpy as np
 
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
+from probedesign.live import Log
 from probedesign.live.processing.averaging import AveragedBatch
 from probedesign.live.processing.tare import CHANNELS
 from probedesign.rod.kernels import kernel
@@ -32,11 +33,12 @@ LEAST_SHARE, FIRST_SAMPLES, FIRST_RUNS = 0.1, 64.0, 8.0
 MEMORY = 256.0  #: Number of runs over which the share is measured.
 #: Longest spike: as many samples as come in `SPIKE_TIME`, and up to three in `WAIT`, in which no touch is missed [s].
 SPIKE_TIME, WAIT = 1e-3, 20e-3
-#: Distance of a spike from the mean before it, in medians of a step (six standard deviations) and in steps of the
+#: Distance of a spike from the mean before it, in medians of a step (6.7 standard deviations) and in steps of the
 #: resolution.
-FAR, FAR_STEPS = 6.3, 1.2
+FAR, FAR_STEPS = 7.0, 1.2
+NOTE_PERIOD = 10.0  #: Least time between two lines about spikes [s].
 QUIET = 8  #: Number of samples without a leap after a touch until the next leap may be a spike.
-GROWTH, SHARE = math.exp(1.0 / 32.0), 0.25  #: Factor on the median for one step, and weight of a sample in the mean.
+GROWTH, SHARE = math.exp(1.0 / 128.0), 0.25  #: Factor on the median for one step, and weight of a sample in the mean.
 
 LAST, MEAN, MEDIAN, SINCE, RUN, SAMPLES, RUNS = range(7)  # what is known of each channel
 HELD, STAYS, CALM, FROZEN = range(4)  # samples that are held, whether a leap stays, samples since it, identical ones
@@ -117,7 +119,7 @@ class SampleScreen:
 
     def __init__(self, model: ProbeModel, samples: int, rate: float = math.nan) -> None:
         """Start without samples; `samples` of them and `rate` are as those of `SignalMonitor`."""
-        self.spikes, self._limit = 0, model.saturation_limit
+        self.spikes, self._noted, self._limit = 0, (-math.inf, 0), model.saturation_limit
         resolution = model.noise.std * math.sqrt(model.averaging_samples)
         self._floor, known = FAR_STEPS * resolution, rate if math.isfinite(rate) else 3.0 / WAIT
         self._most = max(1.0, min(round(WAIT * known), 3.0), float(round(SPIKE_TIME * known)))
@@ -130,6 +132,12 @@ class SampleScreen:
         """Take the steps between the first samples (n, 6) where they are larger than the stated noise."""
         steps = np.median(np.abs(np.diff(rows, axis=0)), axis=0)
         self._channels[MEDIAN] = np.fmax(self._channels[MEDIAN], steps)
+
+    def report(self, time: float, log: Log) -> None:
+        """Report the number of spikes at a time [s] if it has grown, at most once in `NOTE_PERIOD`."""
+        if self.spikes > self._noted[1] and time - self._noted[0] >= NOTE_PERIOD:
+            self._noted = time, self.spikes
+            log(f"{time:.2f} s: {self.spikes} samples so far leapt and returned at once: spikes, which do not count")
 
     def check(self, batch: AveragedBatch) -> tuple[AveragedBatch, str, bool]:
         """Return a batch without spikes, its fault, and whether that is saturation."""
