@@ -55,7 +55,7 @@ section svg { width: 100%; height: auto; display: block }
 }
 section p { color: var(--soft); margin: 1mm 0; font-size: 9.5pt }
 th:first-child, td:first-child, .last td:last-child, .last th:last-child { text-align: left }
-.worded td:last-child, .worded th:last-child { text-align: left }
+.worded td:last-child, .worded th:last-child { text-align: left; min-width: 40mm } .worded th { white-space: normal }
 td:last-child { white-space: normal }
 details { margin: 0 0 3mm } summary { font-size: 12.5pt; font-weight: bold; cursor: pointer }
 details p { color: var(--soft); font-size: 9.5pt }

@@ -61,22 +61,20 @@ def identification_page(fit: Identification) -> bytes:
 
 
 def verdict(fit: Identification) -> str:
-    """Return the result of an identification, one sentence for each number."""
+    """Return the result of an identification in one line: each number ± one standard deviation, and the design's."""
     if not fit.valid:
         return f"No number is identified: {fit.why or fit.result}."
     if not any(number.identified for number in fit.found):
         return "The tests determine none of the requested numbers."
-    sentences = []
+    numbers = []
     for number in fit.found:
-        unit, design = f" {number.unit}" if number.unit else "", f"{number.design:.4g}"
-        if not number.estimated:
-            sentences.append(f"{number.name} is {number.state} and stays at the design's {design}{unit}.")
+        unit = f" {number.unit}" if number.unit else ""
+        if number.std is None:
+            numbers.append(f"{number.name} {number.state}")
             continue
-        change = f" (design {design}{unit}, change {number.change})" if number.change else ""
-        why = "" if number.identified else f"; {number.why}"
-        sentences.append(f"{number.name} is {number.value:.4g}{unit}, with a 95 % interval of {number.low:.4g} to "
-                         f"{number.high:.4g}{unit}{change}{why}.")  # fmt: skip
-    return " ".join(sentences)
+        note = f"design {number.design:.4g}{'' if number.identified else ', not observable'}"
+        numbers.append(f"{number.name} {number.value:.4g} ± {number.std:.2g}{unit} ({note})")
+    return ", ".join(numbers)
 
 
 def _table(fit: Identification) -> HtmlTable:
