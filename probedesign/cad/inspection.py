@@ -120,8 +120,10 @@ def sensor_adapter_sheet(model: CadModel, part: CadPart) -> Canvas:
     a = model.adapter
     bore, room, screw_d = a.tool.screw.clearance_d, a.tool.screw.counterbore_d, a.ring_screw.clearance_d
     above_nut = f", ⌀{_mm(a.roof_hole_d)} above the slot" if a.roof_hole_d > screw_d else ""
+    ring = a.tool.bolt_circle_d > 0.0
+    head = f"⌀{_mm(bore)} through, ⌀{_mm(room)} from z = {_mm(a.tool.grip)} up"
     above = [
-        Holes(a.p_tool_screws, room, f"⌀{_mm(bore)} through, ⌀{_mm(room)} from z = {_mm(a.tool.grip)} up"),
+        Holes(a.p_tool_screws, room, f"{head}{'' if ring else ', on the axis'}", ring),
         Holes(a.p_ring_screws, screw_d, f"⌀{_mm(screw_d)} to z = {_mm(a.ring_hole_bottom)}{above_nut}"),
         Holes([(a.peg_x, 0.0)], PEG_D, f"peg ⌀{_mm(PEG_D)} at x = {_mm(a.peg_x)}, top at z = {_mm(a.peg_top)}", False),
     ]
@@ -248,7 +250,8 @@ def _disc(
         numbered = list(enumerate(groups, len(table) + 1))
         table += [f"{label}: {group.text}" for label, group in numbered]
         for label, group in sorted(numbered, key=lambda entry: len(entry[1].points)):  # a single hole has no choice
-            points = [(x / MM, (-y if direction is BELOW else y) / MM) for x, y in group.points]
+            # a hole on the axis is labelled towards -x
+            points = [(x / MM or -1e-6, (-y if direction is BELOW else y) / MM) for x, y in group.points]
             view.holes(points, 0.6 * group.size / MM, group.on_circle)
             rooms = [min((abs(float(np.angle(complex(*p) / q))) for q in labelled), default=np.pi) for p in points]
             chosen = points[int(np.argmax(np.round(rooms, 6)))]  # in the direction farthest from other labels

@@ -621,6 +621,13 @@ class Design(Table, Displayed):
         except InputError as error:
             key, _, rest = str(error).partition(": ")
             raise Inconsistent(key, rest) from None
+        face = self.sensor_model.interface
+        if face.tool.bolt_circle_d == 0.0 and not face.dowels.azimuths_deg and self.tolerances.clocking_deg is None:
+            raise Inconsistent(
+                "tolerances.clocking_deg",
+                "is missing: the sensor's one screw on the axis leaves any turn of the adapter; "
+                "describe a dowel hole as interface.dowels of the sensor, or measure the turn and state its std here",
+            )
         return self
 
     @property

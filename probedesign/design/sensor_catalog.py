@@ -59,10 +59,11 @@ def _hole_deg(diameter: float, circle_d: float) -> float:
 
 
 class ScrewTable(Table):
-    """`[interface.tool]`, `[interface.mounting]`: equal threaded holes on a bolt circle in one face."""
+    """`[interface.tool]`, `[interface.mounting]`: equal threaded holes on a bolt circle in one face, or one hole on
+    the axis, with a circle of 0."""
 
     face_d_mm: Millimetres
-    bolt_circle_d_mm: Millimetres
+    bolt_circle_d_mm: Annotated[float, Field(ge=0.0, le=300.0)]
     azimuths_deg: Azimuths
     screw: Literal["M2", "M3", "M4", "M5", "M6"]
     min_entry_mm: Millimetres
@@ -71,7 +72,10 @@ class ScrewTable(Table):
     @model_validator(mode="after")
     def _drilled(self) -> Self:
         d_mm = SCREWS[self.screw].nominal_d / MM
-        _check_holes("azimuths_deg", self.azimuths_deg, 3, 12, _hole_deg(d_mm, self.bolt_circle_d_mm))
+        if self.bolt_circle_d_mm > 0.0:
+            _check_holes("azimuths_deg", self.azimuths_deg, 3, 12, _hole_deg(d_mm, self.bolt_circle_d_mm))
+        elif (count := len(self.azimuths_deg)) != 1:
+            raise Inconsistent("azimuths_deg", f"has {count} holes; bolt_circle_d_mm = 0 has one, on the axis")
         if self.bolt_circle_d_mm + d_mm > self.face_d_mm:
             raise Inconsistent(
                 "bolt_circle_d_mm",
@@ -146,6 +150,10 @@ class InterfaceTable(Table):
                 raise Inconsistent(
                     f"interface.{key}.face_d_mm", f"= {face.face_d_mm:g} is wider than body_d_mm = {self.body_d_mm:g}"
                 )
+        if self.mounting.bolt_circle_d_mm == 0.0:
+            raise Inconsistent(
+                "interface.mounting.bolt_circle_d_mm", "= 0: only the tool side may have one centre thread"
+            )
         if self.tool.max_entry_mm + self.mounting.max_entry_mm > self.height_mm:
             raise Inconsistent("height_mm", f"= {self.height_mm:g} is less than the depths of the screws together")
         if self.cable.heights_mm[1] > self.height_mm:

@@ -86,7 +86,7 @@ class ScrewPattern:
     """Equal threaded holes on a bolt circle in one face of a sensor."""
 
     face_d: float  #: diameter of the face [m].
-    bolt_circle_d: float  #: [m].
+    bolt_circle_d: float  #: [m]; 0 for one hole on the axis.
     azimuths_deg: tuple[float, ...]  #: of the holes in the sensor frame.
     screw: SocketScrew  #: that fits.
     min_entry: float  #: least useful depth of thread [m].

@@ -102,9 +102,10 @@ def land_diameter(base_d: float, lip: float, flange_d: float, bore_d: float, hea
         heads: screws whose heads lie in the land.
         wall: least thickness between the room of a head and the land's edge [m].
     """
-    flange_r, least = flange_d / 2, bore_d / 2 + MIN_LIP
-    land_r = max(base_d / 2 + lip - LAND_RELIEF, min(least, flange_r - MIN_RELIEF))
     middle, room = heads.bolt_circle_d / 2, heads.screw.counterbore_d / 2
+    flange_r, least = flange_d / 2, bore_d / 2 + MIN_LIP
+    around = least if middle else max(least, room + MIN_LIP)  # the lip surrounds a head on the axis
+    land_r = max(base_d / 2 + lip - LAND_RELIEF, min(around, flange_r - MIN_RELIEF))
     if middle + BLUNT * room < land_r < middle + room + wall:
         land_r = middle + room + wall
         if land_r > flange_r - MIN_RELIEF:

@@ -185,11 +185,12 @@ class SensorAdapter:
 
         def covered(apart: float, d: float) -> Array:
             """Return half the angle of each circle of radius r that lies in one of diameter d about a point."""
+            apart = max(apart, 1e-9 * d)  # on the axis, all of a circle or nothing
             return np.arccos(np.clip((r * r + apart**2 - d * d / 4) / (2 * r * apart), -1.0, 1.0))
 
         heads = len(self.p_tool_screws) * covered(self.tool.bolt_circle_d / 2, self.tool.screw.counterbore_d)
         notch = np.arcsin(np.minimum(self.ring_vent_width / 2 / r, 1.0))
-        open_angle = 2.0 * (heads + np.maximum(notch, covered(self.peg_x, self.peg_hole_d)))
+        open_angle = 2.0 * np.minimum(heads + np.maximum(notch, covered(self.peg_x, self.peg_hole_d)), np.pi)
         return float(1.0 - weights * r @ open_angle / (2.0 * np.pi) / (weights @ r))
 
     @property
@@ -245,10 +246,11 @@ class SensorAdapter:
 
     @property
     def tool_play_deg(self) -> float:
-        """Return the greatest angle ± by which the adapter turns in the play of its screws [deg]; 0 with two dowels."""
+        """Return the greatest angle ± by which the adapter turns in the play of its screws [deg]; 0 with two dowels,
+        90 where one screw on the axis and no dowel leave any turn."""
         centre = self.p_dowels[0] if self.p_dowels else (0.0, 0.0)
         reach = max(math.dist(centre, p) for p in self.p_tool_screws)
-        return 0.0 if len(self.p_dowels) > 1 else math.degrees(math.atan(self.tool_play / 2 / reach))
+        return 0.0 if len(self.p_dowels) > 1 else math.degrees(math.atan2(self.tool_play / 2, reach))
 
     @property
     def dowel_slot(self) -> float:
@@ -301,6 +303,11 @@ def sensor_adapter_for(
         )
     bore_d = probe_d + 2 * (RING_CLEARANCE + length_tolerance(probe_d) - PRINT_TOLERANCE)
     land_d = land_diameter(2 * geometry.base_radius, options.lip, flange.diameter, bore_d, tool, WALL)
+    if not tool.bolt_circle_d and land_d < (around := tool.screw.counterbore_d + 2 * WALL):
+        raise InputError(
+            f"mount.flange_lip_mm = {options.lip / MM:g} leaves no land around the head of the sensor's screw on the "
+            f"axis; at least {(around / 2 + MIN_RELIEF) / MM - geometry.base_radius / MM:.3g} mm"
+        )
     stock = [n * MM for n in screw.stock_mm]
     thickest = stock[-1] - ROOF - nut.height - nut_slack(screw, stock[-1])
     force = pad_force(options.lip_modulus, bore_d, land_d, flange.thickness, squeeze)

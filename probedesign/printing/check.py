@@ -366,6 +366,8 @@ def _adapter_walls(a: SensorAdapter, limits: PrintLimits) -> Walls:
     hole, inner = a.ring_screw.clearance_d / 2, ring - a.nut_slot_reach - a.nut_slot_width / 2
     tool, dowel, foot = _reach(a.p_tool_screws), _reach(a.p_dowels), a.foot_d / 2
     land = a.land_d / 2 - tool - a.tool.screw.counterbore_d / 2  # below zero its edge crosses the heads' room
+    apart = min((math.dist(p, q) for p in a.p_tool_screws for q in a.p_dowels), default=0.0)
+    apart -= (a.tool.screw.counterbore_d + a.dowel_d) / 2
     # The cone below a ring screw's blind hole, and below the floor of a nut's slot at the rim.
     cone = a.foot_height + (ring + hole - a.cone_d / 2) * (a.cone_top - a.foot_height) / (rim - a.cone_d / 2)
     return [
@@ -382,6 +384,7 @@ def _adapter_walls(a: SensorAdapter, limits: PrintLimits) -> Walls:
             [
                 ("between dowel hole and edge of the foot", foot - dowel - a.dowel_d / 2, limits.wall_mm),
                 ("over a dowel hole", a.groove_floor - a.dowel_depth, limits.supported_wall_mm),
+                ("between dowel hole and a head's room", apart, limits.supported_wall_mm),
             ]
             if a.p_dowels
             else []

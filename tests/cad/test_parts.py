@@ -110,27 +110,53 @@ def test_parts_on_another_sensor_agree_with_their_closed_form(large: CadModel) -
         assert whole.p_com == pytest.approx(bodies[name].p_com, abs=1e-9)
 
 
+@pytest.mark.parametrize("thread", ["M2", "M3", "M6"])  # three M2, or one thread on the axis
 @pytest.mark.parametrize("azimuths_deg", [(), (0.0,)])
 def test_parts_on_a_sensor_with_fewer_than_two_dowels_agree_with_their_closed_form(
-    large: CadModel, azimuths_deg: tuple[float, ...]
+    large: CadModel, azimuths_deg: tuple[float, ...], thread: str
 ) -> None:
     """No hole and no pin without a dowel; the adapter then turns in the play of its screws, M2 in 2.4 + 0.15 mm."""
-    nano = SENSORS["nano17"]
-    interface = replace(nano.interface, dowels=replace(nano.interface.dowels, azimuths_deg=azimuths_deg))
-    a = sensor_adapter_for(large.geometry, replace(nano, interface=interface))
-    parts = build_parts(large.geometry, 1010.0, interface, a, large.plate, screw_groups(a, large.plate))
+    nano, geometry, screw = SENSORS["nano17"], large.geometry, SCREWS[thread]
+    dowels, tool = replace(nano.interface.dowels, azimuths_deg=azimuths_deg), nano.interface.tool
+    if thread != "M2":
+        tool = ScrewPattern(20e-3, 0.0, (0.0,), screw, min_entry=4e-3, max_entry=6e-3)
+        dowels = replace(dowels, circle_d=16e-3)
+        geometry = replace(geometry, radius=geometry.radius / 2, flange=flange_for(6e-3, 20e-3))
+    interface = replace(nano.interface, body_d=22e-3 if thread != "M2" else 17e-3, tool=tool, dowels=dowels)
+    sensor = replace(nano, interface=interface)
+    a, plate = sensor_adapter_for(geometry, sensor), flange_adapter_for(sensor, large.plate.robot)
+    parts = build_parts(geometry, 1010.0, interface, a, plate, screw_groups(a, plate))
     assert ("dowel_pins" in parts) == bool(azimuths_deg) and max(overlaps(parts).values()) == 0.0
-    bodies = mount_part_masses(large.geometry, a, 1010.0)
+    bodies = mount_part_masses(geometry, a, 1010.0)
     fastened = combined(mass_properties(parts[name].placed, parts[name].density) for name in FASTENERS if name in parts)
     adapter = mass_properties(parts["sensor_adapter"].placed, parts["sensor_adapter"].density)
     for drawn, name in ((adapter, "sensor_adapter"), (fastened, "fasteners")):
         assert drawn.mass == pytest.approx(bodies[name].mass, rel=1e-9)
         assert drawn.p_com == pytest.approx(bodies[name].p_com, abs=1e-9)
-    names = {stack.name for stack in tolerance_stacks(a, large.plate)}
+    names = {stack.name for stack in tolerance_stacks(a, plate)}
     assert ("dowel_fit" in names) == bool(azimuths_deg) and "dowel_slot" not in names
-    # The farthest screw is on the circle of 12.5 mm: half of it from its middle, all of it from a pin opposite.
-    reach = 12.5e-3 if azimuths_deg else 6.25e-3
-    assert a.tool_play_deg == pytest.approx(np.degrees(np.arctan(0.275e-3 / reach)))
+    if thread == "M2":
+        # The farthest screw is on the circle of 12.5 mm: half of it from its middle, all of it from a pin opposite.
+        reach = 12.5e-3 if azimuths_deg else 6.25e-3
+        assert a.tool_play_deg == pytest.approx(np.degrees(np.arctan(0.275e-3 / reach)))
+        return
+    # A screw on the axis is 8 mm from a pin; without a pin it holds no turn.
+    play = screw.clearance_d + 0.15e-3 - screw.nominal_d
+    assert a.tool_play_deg == (pytest.approx(np.degrees(np.arctan(play / 2 / 8e-3))) if azimuths_deg else 90.0)
+    # Random points of the lip with resin in it, land below and ring above: M3's head lies within the ring's bore.
+    rng, inner, outer = np.random.default_rng(1), a.ring_bore_d / 2, a.land_d / 2
+    drawn = list(zip(rng.uniform(0.0, 360.0, 400), 1e3 * np.sqrt(rng.uniform(inner**2, outer**2, 400)), strict=True))
+    base = 1e3 * a.T_sensor_base[2, 3]
+    heights = {"sensor_adapter": 1e3 * a.floor - 0.05, "probe": base - 1.5, "clamp_ring": base + 0.05}
+    pressed = [all(filled(parts[name].shape, at(*point, z), parts[name].T_sensor_part) for name, z in heights.items())
+               for point in drawn]  # fmt: skip
+    # three standard deviations of a share of 400 draws
+    assert a.pressed_share == pytest.approx(np.mean(pressed), abs=3 * np.sqrt(0.25 / 400))
+    head = max(screw.counterbore_d / 2, inner)
+    assert a.pressed_share < (outer**2 - head**2) / (outer**2 - inner**2) + 0.01
+    steps = " ".join(step.text for step in assembly_steps(screw_groups(a, plate), a, plate))
+    assert ("over the pin onto" in steps and "pin into the hole of" in steps) == bool(azimuths_deg)
+    assert ("holds no turn" in steps) == (not azimuths_deg) and f"1 {thread}x" in steps
 
 
 def test_dowel_holes_are_blind_and_the_second_is_a_slot_towards_the_first(large: CadModel) -> None:

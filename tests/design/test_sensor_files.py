@@ -132,6 +132,16 @@ NAN = "[[nan, 0.0, 0.0, 0.0, 0.0, 0.0]]"
     [
         ("[60.0, 180.0, 300.0]", "[60.0, 180.0]", "interface.tool.azimuths_deg has 2 holes"),
         ("[60.0, 180.0, 300.0]", "[60.0, 61.0, 300.0]", "which overlap"),
+        (
+            "bolt_circle_d_mm = 12.5",
+            "bolt_circle_d_mm = 0.0",
+            "interface.tool.azimuths_deg has 3 holes; bolt_circle_d_mm",
+        ),
+        (
+            "bolt_circle_d_mm = 12.5",
+            "bolt_circle_d_mm = -1.0",
+            "interface.tool.bolt_circle_d_mm = -1.0 is out of range",
+        ),
         ("[60.0, 180.0, 300.0]", "[5.0, 180.0, 300.0]", "interface.dowels.azimuths_deg has a hole"),
         ("[0.0, 120.0]", "[0.0, 50.0, 120.0]", "interface.dowels.azimuths_deg has 3 holes; it needs 1 to 2"),
         ("[0.0, 120.0]", "[]", "interface.dowels.azimuths_deg has 0 holes"),
@@ -166,6 +176,54 @@ def test_a_wrong_sensor_file_is_refused_in_one_line(path, old, new, message):
     assert message in str(error.value) and "sensor.toml" in str(error.value)
     assert "\n" not in str(error.value)
     assert sorted(path.parent.rglob("*")) == before
+
+
+def centred(screw: str) -> str:
+    """Return a sensor file with one thread on the axis of its tool face."""
+    old = 'bolt_circle_d_mm = 12.5\nazimuths_deg = [60.0, 180.0, 300.0]\nscrew = "M2"'
+    text = record().replace(old, f'bolt_circle_d_mm = 0.0\nazimuths_deg = [0.0]\nscrew = "{screw}"', 1)
+    return re.sub(r"max_entry_mm = 3\.5.*", "max_entry_mm = 4.5", text, count=1)
+
+
+def test_a_thread_on_the_axis_needs_a_dowel_or_a_measured_turn(path: Path) -> None:
+    file = path.parent / "my" / "sensor.toml"
+    file.write_text(centred("M3"))
+    assert not pipeline.check(load_design(path)).errors
+    # One dowel: M3 in a hole of 3.4 + 0.15 mm, 6.25 mm from the pin, gives ±2.5°, evenly distributed.
+    file.write_text(centred("M3").replace("[0.0, 120.0]", "[0.0]"))
+    turn = np.degrees(np.arctan(0.275 / 6.25)) / np.sqrt(3.0)
+    assert build_probe(load_design(path)).tolerances.clocking_deg == pytest.approx(np.hypot(0.5, turn), abs=0.001)
+    head, _, rest = centred("M3").partition("[interface.dowels]")
+    file.write_text(head + rest[rest.index("[interface.cable]") :])
+    with pytest.raises(InputError, match=r"design\.toml: tolerances\.clocking_deg is missing: .*one screw") as error:
+        load_design(path)
+    assert "\n" not in str(error.value)
+    path.write_text(DESIGN + "[tolerances]\nclocking_deg = 2.0\n")
+    design = load_design(path)
+    assert build_probe(design).tolerances.clocking_deg == 2.0
+    pytest.importorskip("cadquery")
+    manifest = pipeline.export(design, path.parent / "out", lambda step: None)
+    assert all(finding["ok"] for finding in manifest["verification"].values())
+    assert manifest["clamp"]["pressed_share"] == pytest.approx(
+        0.95, abs=0.01
+    )  # but for the clocking hole and the notch
+
+
+def test_a_centre_thread_is_refused_where_it_does_not_fit(path: Path) -> None:
+    file = path.parent / "my" / "sensor.toml"
+    file.write_text(centred("M6"))  # its head's room of 10.4 mm reaches into the dowel holes on a circle of 12.5 mm
+    assert "dowel hole and a head's room" in " ".join(one.message for one in pipeline.check(load_design(path)).errors)
+    side = "bolt_circle_d_mm = 0.0\nazimuths_deg = [0.0]"
+    file.write_text(record().replace("bolt_circle_d_mm = 12.5\nazimuths_deg = [95.0, 215.0, 335.0]", side))
+    with pytest.raises(InputError, match=r"interface\.mounting\.bolt_circle_d_mm = 0: only the tool side"):
+        load_design(path)
+    narrow = centred("M6").replace("face_d_mm = 17.0", "face_d_mm = 10.9", 1)
+    file.write_text(
+        narrow.replace("circle_d_mm = 12.5\nazimuths_deg = [0.0, 1", "circle_d_mm = 8.5\nazimuths_deg = [0.0, 1")
+    )
+    path.write_text(DESIGN.replace("base_d_mm = 10.0", "base_d_mm = 4.0"))
+    with pytest.raises(InputError, match=r"flange_lip_mm = .* leaves no land .* on the axis"):
+        build_probe(load_design(path))
 
 
 def line_named(path: Path) -> str:
