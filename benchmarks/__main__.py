@@ -20,7 +20,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--hours", type=float, help="day: length of the simulated day, default 8")
     parser.add_argument("--view", action="store_true", help="live: with the page of live --view")
     parser.add_argument("--foxglove", action="store_true", help="live: with the server of live --foxglove")
-    parser.add_argument("--draws", type=int, help="coverage: single touches in each row")
+    parser.add_argument("--draws", type=int, help="coverage: touches in each row; shapes: objects of each kind")
     parser.add_argument("--only", help="coverage: rows with this in the name; motion: payload, drift, moves, touches")
     parser.add_argument("--bounds", action="store_true", help="coverage: print the bounds of one touch instead")
     parser.add_argument("--workers", type=int, help="coverage: number of processes, default 2")
@@ -40,6 +40,8 @@ def main(arguments: list[str]) -> int:
             given = {"data": args.data}
         elif name == "motion":
             given = {"only": args.only}
+        elif name == "shapes":
+            given = {"draws": args.draws}
         elif name == "day":
             given = {"hours": args.hours}
         elif name == "coverage":

@@ -41,8 +41,8 @@ def plan(
         design: the design file, or its name.
         out: data folder to write, with plan.html. Default: data/NAME.
         minutes: time available [min], preparation included.
-        for_: comma-separated parameters, as of identify: E, G, density, diameters, root, tilt, clocking,
-            offset, gravity.
+        for_: comma-separated parameters, as of identify: E, G, density, diameters, root, bow_x, bow_y,
+            curvature, tilt, clocking, offset, gravity.
         stage_mm: standard deviation of a place that the stage measures, on each axis [mm].
         stage: there is a stage.
         cameras_mm: standard deviation of a marker by cameras or another reference, on each axis [mm]. Default: none.

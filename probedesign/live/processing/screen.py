@@ -1,6 +1,6 @@
 """Samples that no working sensor gives: spikes, which are replaced, and channels that are saturated or stuck.
 
-A **spike** leaves the samples before it by more than six of their standard deviations and returns after a few. Until a
+A **spike** leaves the samples before it by more than 6.7 of their standard deviations and returns after a few. Until a
 sample is known to stay, the mean of those before it takes its place; one that stays is a touch. The standard deviation
 is followed by the median of the steps m between samples,
 
