@@ -337,8 +337,8 @@ STYLE = """body { max-width: 182mm }
 h2 { font-size: 13pt; margin: 4.5mm 0 1mm; break-after: avoid } p { margin: 1mm 0 }
 .warning { border: 2.5pt solid var(--alarm); padding: 3mm 4mm; margin: 4mm 0; break-inside: avoid }
 .warning strong { color: var(--alarm); font-size: 13pt; display: block }
-table { width: 100% }
-th, td { text-align: left; padding: 0.8mm 2mm; vertical-align: top; white-space: normal } td label { white-space: nowrap }
+table { width: 100% } td label { white-space: nowrap }
+th, td { text-align: left; padding: 0.8mm 2mm; vertical-align: top; white-space: normal }
 .n { text-align: right; white-space: nowrap }
 .step label { display: block; margin: 1mm 0 0 5mm; text-indent: -5mm } .step label b { margin: 0 }
 .exploded { break-inside: avoid } .exploded svg { display: block; background: #fff;
