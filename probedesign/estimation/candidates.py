@@ -263,9 +263,9 @@ def _hang(body, s, t, d, gravity, room):
 
 
 @inner
-def guess(body, end, gravity, force, known_twist, work, room, s, reached, touch):
+def guess(body, end, gravity, force, std_force, std_moment, work, room, s, reached, touch):
     """Fill in a guess (TOUCH,) of the contact whose line of action crosses the centreline at s; return whether there is
-    one. known_twist: standard deviation of the twist moment [N·m]."""
+    one. std_force, std_moment: of the reading, the moment about the base's axis [N, N·m]."""
     start = min(max(math.floor(s / end * (STATIONS - 1)), 0), reached - 1)
     for q in range(WIDTH):
         work[q] = room[WIDTH * start + q]
@@ -273,6 +273,8 @@ def guess(body, end, gravity, force, known_twist, work, room, s, reached, touch)
         return False
     t, x_axis = take(work, T), take(work, D)
     twist = dot(add(take(work, M), -1.0, _free_moment(body, s, t, x_axis, gravity, room)), t)
+    lever = cross(take(work, P), t)  # of the force about the tangent: short on a straight probe
+    known_twist = math.sqrt(std_moment * std_moment + std_force * std_force * dot(lever, lever))
     place_touch(body, end, s, force, t, x_axis, twist, known_twist, touch)
     put(touch, TIP, t)
     put(touch, TIP + 3, x_axis)

@@ -240,7 +240,7 @@ def fit_contacts(
         body, end, g, force, take(wrench, 3), 1.0 / narrow[0, 0], 1.0 / narrow[3, 3], arm, memory.sweep, room
     )
     places = _places(measured, narrow, force, arm, room, reached, rows)
-    known_twist = math.sqrt(noise[5, 5])
+    std_force, std_moment = math.sqrt(noise[0, 0]), math.sqrt(noise[5, 5])
     for k in range(places):
         s, likely = rows[k].s_contact, rows[k].chi2 > 0.0
         if k > 0 and not likely:
@@ -249,7 +249,7 @@ def fit_contacts(
         touch, limit = row.touch[:], MAX_ITERATIONS if k == 0 else FEW
         for back in BACK:
             start = max(s - back * end, 0.0)
-            if candidates.guess(body, end, g, force, known_twist, memory.sweep, room, start, reached, touch):
+            if candidates.guess(body, end, g, force, std_force, std_moment, memory.sweep, room, start, reached, touch):
                 status, _chi2, sweeps = fit_touch(
                     measured, narrow, 0.0, end, limit, touch, memory.sweep, memory.lin_touch, fit_work
                 )
