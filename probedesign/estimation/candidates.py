@@ -265,7 +265,7 @@ def _hang(body, s, t, d, gravity, room):
 @inner
 def guess(body, end, gravity, force, std_force, std_moment, work, room, s, reached, touch):
     """Fill in a guess (TOUCH,) of the contact whose line of action crosses the centreline at s; return whether there is
-    one. std_force, std_moment: of the reading, the moment about the base's axis [N, N·m]."""
+    one. std_force, std_moment: of the reading's channels [N, N·m]."""
     start = min(max(math.floor(s / end * (STATIONS - 1)), 0), reached - 1)
     for q in range(WIDTH):
         work[q] = room[WIDTH * start + q]

@@ -236,11 +236,9 @@ def fit_contacts(
     g, fitted = take(gravity, 0), 0
     force = minus(take(wrench, 0), times(mass, g))
     arm = min(friction, MAX_FRICTION) + abs(1.0 - body.constants[FLATNESS])
-    reached = candidates.trace(
-        body, end, g, force, take(wrench, 3), 1.0 / narrow[0, 0], 1.0 / narrow[3, 3], arm, memory.sweep, room
-    )
+    std_force, std_moment = 1.0 / narrow[0, 0], 1.0 / narrow[3, 3]
+    reached = candidates.trace(body, end, g, force, take(wrench, 3), std_force, std_moment, arm, memory.sweep, room)
     places = _places(measured, narrow, force, arm, room, reached, rows)
-    std_force, std_moment = math.sqrt(noise[0, 0]), math.sqrt(noise[5, 5])
     for k in range(places):
         s, likely = rows[k].s_contact, rows[k].chi2 > 0.0
         if k > 0 and not likely:
