@@ -339,7 +339,7 @@ h2 { font-size: 13pt; margin: 4.5mm 0 1mm; break-after: avoid } p { margin: 1mm 
 .warning strong { color: var(--alarm); font-size: 13pt; display: block }
 table { width: 100% } td label { white-space: nowrap }
 th, td { text-align: left; padding: 0.8mm 2mm; vertical-align: top; white-space: normal }
-.n { text-align: right; white-space: nowrap }
+.n { text-align: right } .n, td label { white-space: nowrap }
 .step label { display: block; margin: 1mm 0 0 5mm; text-indent: -5mm } .step label b { margin: 0 }
 .exploded { break-inside: avoid } .exploded svg { display: block; background: #fff;
   width: auto; height: auto; max-width: 100%; max-height: 195mm; margin: 0 auto }
@@ -347,7 +347,7 @@ th, td { text-align: left; padding: 0.8mm 2mm; vertical-align: top; white-space:
 .step { border: 0.4pt solid var(--rule); padding: 3mm; break-inside: avoid }
 .step img { display: block; background: #fff; height: 55mm; max-width: 100%; object-fit: contain; margin: 0 auto 2mm }
 .step b { margin-right: 1.5mm }
-ul { margin: 1mm 0; padding-left: 5mm } .tools { columns: 2 75mm }
+ul { margin: 1mm 0; padding-left: 5mm } .tools { columns: 2 75mm } li { break-inside: avoid }
 @media print { body { font-size: 9.5pt } table { font-size: 8.5pt } .step { padding: 2mm } .step img { height: 40mm } }
 """
 
@@ -369,16 +369,18 @@ def assembly_page(
     keys = dict.fromkeys((use.screw for use in model.screws), "") | {
         model.adapter.ring_screw: " with a long arm, to reach past the probe"
     }
+    pin_d = model.plate.robot.pin_d
     tools = [
         *(f"hexagon key {screw.socket_af / MM:g} mm ({screw.thread}){note}" for screw, note in keys.items()),
         "calipers with a depth rod, for the dimensions in the steps and the probe's diameters",
-        "tweezers, for nuts and pins",
-    ]
+        "tweezers, for nuts and pins", "cable tie, 2.5 mm wide",
+        *([f"dowel pin of {pin_d / MM:g} mm, for the hole in the robot's flange"] if pin_d else []),
+    ]  # fmt: skip
     rows = measurements(model.adapter, model.plate)
     sections = [
         f'<div class="exploded">{exploded}</div>', _warning(model),
         _after_printing(model, post_processing),
-        f"<h2>Tools</h2><ul class=tools>{''.join(f'<li>{escape(tool)}</li>' for tool in tools)}</ul>",
+        f"<h2>Tools and small parts</h2><ul class=tools>{''.join(f'<li>{escape(tool)}</li>' for tool in tools)}</ul>",
         '<h2>Steps</h2><p>Measure before you screw; the table at the end says what to do outside of a range.</p>'
         '<div class="steps">',
     ]  # fmt: skip
@@ -500,7 +502,8 @@ def _frames(model: CadModel) -> str:
         f"On the robot, from the centre of its face with z out of it and x through its dowel hole, the base lies at "
         f"0, 0, <b>{model.T_robotflange_base[2, 3] / MM:.2f} mm</b>, turned by <b>{turn:.1f}°</b> about z "
         f"(rotation vector 0, 0, {model.base_turn:.4f} rad). The robot carries {1e3 * load.mass:.3g} g, the sensor "
-        f"included, with their centre of mass at {', '.join(f'{x / MM:.1f}' for x in load.p_com)} mm. "
+        f"included, with their centre of mass at {', '.join(f'{x / MM:.1f}' for x in load.p_com)} mm and, about "
+        f"it, moments of inertia of {', '.join(f'{x:.2g}' for x in np.diag(load.inertia))} kg·m². "
         "For CAD there is one STEP file of each printed part in its own frame and <code>assembly.step</code> in the "
         "sensor's, in millimetres; <code>assembly.glb</code> is for viewers, in metres with y up.</p>"
     )
