@@ -190,7 +190,12 @@ class Information:
         return {name: tuple(of_candidate) for name, of_candidate in blocks.items()}
 
     def matrix(self, name: str, active: NDArray[np.intp]) -> Array:
-        """Return the information of one candidate on the active parameters, its own unknowns marginalised."""
+        """Return the information of one candidate on the active parameters, its own unknowns marginalised.
+
+        A touch that the designed probe cannot make has none.
+        """
+        if not self.blocks[name]:
+            return np.zeros((len(active), len(active)))
         every = np.concatenate([block.J for block in self.blocks[name]])
         J, of_test = every[:, active], every[:, self.whole.problem.common.size :]
         if of_test.shape[1]:
