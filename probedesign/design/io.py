@@ -171,16 +171,17 @@ def new(
     hold: str = "clamped",
     points: str = "sideways",
     printer: str = "form-3",
-    **axis: Any,
+    axis: str = "straight",
+    axis_bend_deg: float | None = None,
+    axis_turns: float | None = None,
+    axis_azimuth_deg: float | None = None,
 ) -> Design:
     """Return a new design from a few dimensions, as `probedesign new` writes it; see `draft_design`.
-
-    `axis` and the keys that go with it, such as `axis_bend_deg`, are those of `[probe]`.
 
     Raises:
         InputError: a value is out of range or contradicts another.
     """
-    return draft_design(**{key: value for key, value in locals().items() if key != "axis"}, **axis)[0]
+    return draft_design(**locals())[0]
 
 
 def draft_design(

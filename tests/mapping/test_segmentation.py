@@ -39,7 +39,12 @@ def test_a_touch_lost_at_its_beginning_continues():
 def test_a_contact_detected_later_is_another_touch():
     """A brief contact stays in the list as a touch that never settled."""
     brush, touch = segments(
-        ("free", 2.0), ("touching", 0.1), ("released", REJOIN_TIME), ("touching", 0.2), ("settled", 1.0)
+        ("free", 2.0),
+        ("touching", 0.1),
+        ("released", REJOIN_TIME),
+        ("free", REJOIN_TIME),
+        ("touching", 0.2),
+        ("settled", 1.0),
     )
     assert (brush.number, touch.number) == (1, 2)
     assert brush.intervals == () and len(touch.intervals) == 1

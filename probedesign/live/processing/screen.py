@@ -33,6 +33,7 @@ LEAST_SHARE, FIRST_SAMPLES, FIRST_RUNS = 0.1, 64.0, 8.0
 MEMORY = 256.0  #: Number of runs over which the share is measured.
 #: Longest spike: as many samples as come in `SPIKE_TIME`, and up to three in `WAIT`, in which no touch is missed [s].
 SPIKE_TIME, WAIT = 1e-3, 20e-3
+SLOW = 10.0  #: Rate up to which one sample may be a touch [Hz]; assumed: none is shorter than a tenth of a second.
 #: Distance of a spike from the mean before it, in medians of a step (6.7 standard deviations) and in steps of the
 #: resolution.
 FAR, FAR_STEPS = 7.0, 1.2
@@ -117,12 +118,16 @@ class SampleScreen:
         spikes: number of samples that were spikes.
     """
 
-    def __init__(self, model: ProbeModel, samples: int, rate: float = math.nan) -> None:
-        """Start without samples; `samples` of them and `rate` are as those of `SignalMonitor`."""
+    def __init__(self, model: ProbeModel, samples: int, rate: float = 3.0 / WAIT) -> None:
+        """Start without samples; `samples` of them and `rate` are as those of `SignalMonitor`.
+
+        A rate that is unknown, as of a few readings, is taken as too slow for spikes.
+        """
         self.spikes, self._noted, self._limit = 0, (-math.inf, 0), model.saturation_limit
         resolution = model.noise.std * math.sqrt(model.averaging_samples)
-        self._floor, known = FAR_STEPS * resolution, rate if math.isfinite(rate) else 3.0 / WAIT
-        self._most = max(1.0, min(round(WAIT * known), 3.0), float(round(SPIKE_TIME * known)))
+        self._floor, self._most = FAR_STEPS * resolution, 0.0
+        if rate > SLOW:
+            self._most = max(1.0, min(round(WAIT * rate), 3.0), float(round(SPIKE_TIME * rate)))
         unknown, one = np.full(6, np.nan), np.ones(6)
         std = model.noise.std * math.sqrt(samples)
         self._channels = np.stack([unknown, unknown, std, unknown, one, FIRST_SAMPLES * one, FIRST_RUNS * one])
