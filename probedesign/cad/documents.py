@@ -485,6 +485,7 @@ def _frames(model: CadModel) -> str:
     height = model.adapter.T_sensor_base[2, 3] / MM
     carried, load = combined(model.bodies.values()), model.carried
     turn = math.degrees(model.base_turn)
+    matrix = "\n".join("  ".join(f"{x + 0.0:10.6g}" for x in row) for row in model.T_robotflange_base.round(9))
     sensor = model.design.sensor_model
     if sensor.overload is None:
         overload = "Its overload is not known"
@@ -501,11 +502,15 @@ def _frames(model: CadModel) -> str:
         f"{1e3 * sensor.interface.mass:.3g} g. {overload}. The manifest and the frozen probe contain the numbers. "
         f"On the robot, from the centre of its face with z out of it and x through its dowel hole, the base lies at "
         f"0, 0, <b>{model.T_robotflange_base[2, 3] / MM:.2f} mm</b>, turned by <b>{turn:.1f}°</b> about z "
-        f"(rotation vector 0, 0, {model.base_turn:.4f} rad). The robot carries {1e3 * load.mass:.3g} g, the sensor "
+        f"(rotation vector 0, 0, {model.base_turn:.4f} rad). In a controller's axes, in which the dowel hole is at φ "
+        f"from x towards y, the turn is φ {'-' if turn < 0.0 else '+'} {abs(turn):.1f}°; in the tool frame of "
+        f"Universal Robots φ is 90° for a dowel hole opposite the tool connector. The robot carries "
+        f"{1e3 * load.mass:.3g} g, the sensor "
         f"included, with their centre of mass at {', '.join(f'{x / MM:.1f}' for x in load.p_com)} mm and, about "
         f"it, moments of inertia of {', '.join(f'{x:.2g}' for x in np.diag(load.inertia))} kg·m². "
         "For CAD there is one STEP file of each printed part in its own frame and <code>assembly.step</code> in the "
         "sensor's, in millimetres; <code>assembly.glb</code> is for viewers, in metres with y up.</p>"
+        f'<p>T_robotflange_base, in metres:</p><div class="wide" tabindex="0"><pre>{matrix}</pre></div>'
     )
 
 
