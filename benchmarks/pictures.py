@@ -98,7 +98,7 @@ def _live() -> Iterator[str]:
         try:
             for line in running.stdout:
                 if "http://" in line:
-                    yield "http://" + line.split("http://")[1].split()[0]
+                    yield "http://" + line.split("http://")[1].split()[0].rstrip(",")
                     break
         finally:
             running.terminate()

@@ -57,7 +57,7 @@ text-decoration:none;color:light-dark(#26547c,#8cc4f0)}
 [data-mantine-color-scheme=dark] .st svg text[style]{fill:var(--dark)}
 [data-mantine-color-scheme=dark] .st .better{color:#6fd39b}[data-mantine-color-scheme=dark] .st .worse{color:#ff9a92}
 </style>"""
-WAITING = "…"  #: Stands for what follows when the hand rests, so that no line moves.
+WAITING = "…"  #: Shown while a slider moves, for a value that is computed once it rests.
 PREVIEWED = FRACTIONS[1::2]  #: Contact positions that follow a slider, the one of the summary among them.
 
 
