@@ -12,16 +12,14 @@ from functools import partial
 from itertools import chain
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Protocol
+from typing import Any, Protocol
 
 from probedesign.core.errors import InputError, ProbeDesignError
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.blocks import Block
 from probedesign.live.outputs.sinks import Sink, SinkGroup
-from probedesign.live.poses.base_poses import TimedPose
 from probedesign.live.priority import yield_to_estimates
-from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.recordings import lock_file, part_path
 
 MAX_QUEUED_READINGS = 65_536  #: Maximum number of queued readings: 9 s at the 7000 Hz of a Net F/T box, 5 MB.
@@ -117,17 +115,10 @@ class BackgroundWriter(Sink):
         self._dropped[block.probe] = self._dropped.get(block.probe, 0) + len(block)
         self.dropped += len(block)
 
-    def on_estimate(self, update: EstimateUpdate) -> None:
-        """Queue an estimate; see `Sink`."""
-        self._enqueue_other(lambda: self._file.on_estimate(update))
-
-    def on_pose(self, pose: TimedPose) -> None:
-        """Queue a pose; see `Sink`."""
-        self._enqueue_other(lambda: self._file.on_pose(pose))
-
-    def on_event(self, time: float, line: str) -> None:
-        """Queue an event; see `Sink`."""
-        self._enqueue_other(lambda: self._file.on_event(time, line))
+    def pass_on(self, call: str, *data: Any) -> None:
+        """Queue an estimate, a pose or an event."""
+        if not self._enqueue(1, lambda: getattr(self._file, call)(*data)):
+            self._others_dropped += 1
 
     def close(self) -> None:
         """Write the queue and close the file."""
@@ -151,10 +142,6 @@ class BackgroundWriter(Sink):
             self._queued += weight
             self._queue.put((weight, job))
         return True
-
-    def _enqueue_other(self, job: Callable[[], None]) -> None:
-        if not self._enqueue(1, job):
-            self._others_dropped += 1
 
     def _queue_dropped(self) -> None:
         others, self._others_dropped = self._others_dropped, 0

@@ -6,14 +6,13 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from queue import SimpleQueue
 from time import monotonic
-from typing import Protocol
+from typing import Any, Protocol
 
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_regular
@@ -26,27 +25,31 @@ from probedesign.live.processing.estimates import EstimateUpdate, Row, estimate_
 class Sink(Protocol):
     """Receives readings, estimates and events of a run. No call may wait for a disk, a network or a person.
 
-    A subclass ignores what it does not override.
+    What a subclass does not override goes to `pass_on`, which ignores it.
     """
 
     def on_samples(self, block: Block) -> None:
         """Receive raw readings, before averaging and tare; a block without readings reports silence in its fault."""
-        return None
+        self.pass_on("on_samples", block)
 
     def on_estimate(self, update: EstimateUpdate) -> None:
         """Receive an estimate, at the rate of estimates."""
-        return None
+        self.pass_on("on_estimate", update)
 
     def on_pose(self, pose: TimedPose) -> None:
         """Receive a pose of the base by the source's clock, once and in order, as the readings reach it."""
-        return None
+        self.pass_on("on_pose", pose)
 
     def on_event(self, time: float, line: str) -> None:
         """Receive an event at the source's time [s]: a tare, a mark, silence, loss, a fault."""
-        return None
+        self.pass_on("on_event", time, line)
 
     def on_end(self) -> None:
         """Handle the end of the source: no further reading will come, but the run may stay open."""
+        self.pass_on("on_end")
+
+    def pass_on(self, call: str, *data: Any) -> None:
+        """Receive the call of another method by its name; a sink that forwards everything overrides this."""
         return None
 
     def close(self) -> None:
@@ -54,7 +57,7 @@ class Sink(Protocol):
         return None
 
 
-class SinkGroup:
+class SinkGroup(Sink):
     """Forwards every call to several sinks; a sink that fails is removed and reported, and the run continues."""
 
     def __init__(self, *sinks: Sink) -> None:
@@ -70,23 +73,7 @@ class SinkGroup:
         """Forward raw readings."""
         if len(block):
             self._time = float(block.time[-1])
-        self._call_all(lambda sink: sink.on_samples(block))
-
-    def on_estimate(self, update: EstimateUpdate) -> None:
-        """Forward an estimate."""
-        self._call_all(lambda sink: sink.on_estimate(update))
-
-    def on_pose(self, pose: TimedPose) -> None:
-        """Forward a pose of the base."""
-        self._call_all(lambda sink: sink.on_pose(pose))
-
-    def on_event(self, time: float, line: str) -> None:
-        """Forward an event."""
-        self._call_all(lambda sink: sink.on_event(time, line))
-
-    def on_end(self) -> None:
-        """Forward the end of the source."""
-        self._call_all(lambda sink: sink.on_end())
+        super().on_samples(block)
 
     def log(self, line: str) -> None:
         """Forward an event at the time of the last reading; may be called from any thread."""
@@ -101,10 +88,11 @@ class SinkGroup:
             except Exception as error:
                 self.log(f"{type(last).__name__} cannot be closed: {error} ({type(error).__name__})")
 
-    def _call_all(self, call: Callable[[Sink], None]) -> None:
+    def pass_on(self, call: str, *data: Any) -> None:
+        """Call the method of every sink that has it."""
         for sink in tuple(self._sinks):
             try:
-                call(sink)
+                getattr(sink, call)(*data)
             except Exception as error:
                 if sink in self._sinks:  # it may have failed in a call within this one
                     self._sinks.remove(sink)
@@ -121,20 +109,10 @@ class ProbeSink(Sink):
     def __init__(self, name: str, run: SinkGroup) -> None:
         self._name, self._run = name, run
 
-    def on_samples(self, block: Block) -> None:
-        """Pass on raw readings."""
+    def pass_on(self, call: str, *data: Any) -> None:
+        """Pass on data with the name of the probe."""
         with self._run.lock:
-            self._run.on_samples(replace(block, probe=self._name))
-
-    def on_estimate(self, update: EstimateUpdate) -> None:
-        """Pass on an estimate."""
-        with self._run.lock:
-            self._run.on_estimate(replace(update, probe=self._name))
-
-    def on_pose(self, pose: TimedPose) -> None:
-        """Pass on a pose of the base."""
-        with self._run.lock:
-            self._run.on_pose(replace(pose, probe=self._name))
+            getattr(self._run, call)(*(replace(each, probe=self._name) for each in data))
 
     def on_event(self, time: float, line: str) -> None:
         """Pass on an event; it is not locked, since a thread that ends may wait for it."""

@@ -9,6 +9,7 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -66,17 +67,10 @@ class MessageEncoder(Sink, ABC):
         """Every topic."""
         return [*{t.path: t for name in self._encoders for t in schemas.topics_of(name)}.values()]
 
-    def on_samples(self, block: Block) -> None:
-        """Encode readings; see `ProbeEncoder`."""
-        self._encoders[block.probe].on_samples(block)
-
-    def on_estimate(self, update: EstimateUpdate) -> None:
-        """Encode an estimate; see `ProbeEncoder`."""
-        self._encoders[update.probe].on_estimate(update)
-
-    def on_pose(self, pose: TimedPose) -> None:
-        """Encode a pose of the base; see `ProbeEncoder`."""
-        self._encoders[pose.probe].on_pose(pose)
+    def pass_on(self, call: str, *data: Any) -> None:
+        """Encode readings, an estimate or a pose of a probe; see `ProbeEncoder`."""
+        for each in data:
+            getattr(self._encoders[each.probe], call)(each)
 
     def on_event(self, time: float, line: str) -> None:
         """Encode an event of the probe whose name it begins with, otherwise of the first."""

@@ -8,7 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.geometry.tube import BentShape, TubeMesh
 from probedesign.live.blocks import Block
 from probedesign.live.outputs.sinks import Sink
+from probedesign.live.poses.base_poses import TimedPose
 from probedesign.live.processing.estimates import (
     ContactMarker,
     EstimateUpdate,
@@ -371,23 +372,11 @@ class RunView(Sink):
         """Take the states by the name of the probe in the run, which is empty for a single one."""
         self.states = states
 
-    def on_samples(self, block: Block) -> None:
-        """Store the fault and the rate of readings."""
-        self.states[block.probe].on_samples(block)
-
-    def on_estimate(self, update: EstimateUpdate) -> None:
-        """Store an estimate."""
-        self.states[update.probe].on_estimate(update)
-
-    def on_event(self, time: float, line: str) -> None:
-        """Store an event."""
-        for state in self.states.values():
-            state.on_event(time, line)
-
-    def on_end(self) -> None:
-        """Store that no further reading will come."""
-        for state in self.states.values():
-            state.on_end()
+    def pass_on(self, call: str, *data: Any) -> None:
+        """Store data of a probe, and an event or the end for each."""
+        named = [each.probe for each in data if isinstance(each, Block | EstimateUpdate | TimedPose)]
+        for state in [self.states[name] for name in named] or self.states.values():
+            getattr(state, call)(*data)
 
     def snapshots(self, shaped: bool = True) -> list[Snapshot]:
         """Return the current snapshot of each probe; see `ViewState.snapshot`."""
