@@ -35,7 +35,6 @@ def live(
     tare_s: str | None = None,
     tare: Tare | None = None,
     average: int | None = None,
-    filter_hz: float | None = None,
     mains_hz: float | None = None,
     deadline_ms: float | None = None,
     pose: list[str] | None = None,
@@ -84,7 +83,6 @@ def live(
             sensor's own zero, taken without the probe. Default: that zero only if readings agree with the free probe.
         average: number of readings per mean; each mean is one estimate. Default: by rate and noise of the first
             readings, so that a mean has the noise that BUNDLE states.
-        filter_hz: cutoff frequency (-3 dB) of a low-pass filter before the estimates [Hz]; its delay is printed.
         mains_hz: frequency of the mains, 50 or 60: each mean covers whole periods of it, so that hum is removed.
         deadline_ms: readings that are older when their turn comes are not located if there are newer ones. Default: 12,
             or the duration of a burst in which they arrive.
@@ -130,7 +128,7 @@ def live(
 
     window, zero = parse_tare(tare_s, tare)
     processing = ProcessingOptions(
-        window, average, rate_hz, count, seconds, filter_hz, method=method, zero=zero, mains_hz=mains_hz,
+        window, average, rate_hz, count, seconds, method=method, zero=zero, mains_hz=mains_hz,
         deadline=None if deadline_ms is None else 1e-3 * deadline_ms,
     )  # fmt: skip
     bundles = (bundle, *more)
@@ -149,7 +147,6 @@ def live(
         "exact_model": exact_model,
         "method": method,
         "friction": loaded[0].model.friction,
-        "filter_hz": filter_hz,
         "mains_hz": mains_hz,
         "deadline_ms": deadline_ms,
         "pose": "; ".join(poses),

@@ -1,4 +1,4 @@
-"""The filter, and the chain on a probe that a moving base presses against an edge, the rod solved in reference mode."""
+"""The chain on a probe that a moving base presses against an edge, the rod solved in reference mode."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from probedesign.live.datagrams import decode_object
 from probedesign.live.poses.base_poses import BasePoses, TimedPose, pose_from_matrix
 from probedesign.live.poses.open import open_poses
 from probedesign.live.poses.pose_sources import parse_pose
-from probedesign.live.processing.chain import Chain, LowPass, ProcessingOptions
+from probedesign.live.processing.chain import Chain, ProcessingOptions
 from probedesign.live.processing.estimates import estimate_row, json_line, world_row
 from probedesign.live.processing.tare import Tare, TareWindow
 from probedesign.live.processing.touches import SPAN
@@ -134,9 +134,7 @@ def test_without_poses_there_is_no_place_in_the_world(estimator, motion, touched
 def test_the_size_of_the_blocks_changes_nothing(size, estimator, motion):
     def short(size):
         stream = (b for b in touch(motion, size=size) if b.time[-1] < 3.0)
-        return run(
-            estimator, stream, reported_poses(motion), ProcessingOptions(TareWindow(0.0, 0.5), SAMPLES, filter_hz=20.0)
-        )[0]
+        return run(estimator, stream, reported_poses(motion), ProcessingOptions(TareWindow(0.0, 0.5), SAMPLES))[0]
 
     answers, like = short(size), short(25)
     fewest = min(len(answers), len(like))
@@ -324,21 +322,6 @@ def test_a_bias_that_walks_is_no_touch(seed, estimator, motion):
     assert len(chain.contacts) == 1 and chain.contacts[0].settled
 
 
-def test_a_filtered_estimate_has_the_time_of_its_signal(estimator, motion):
-    """During the press the force grows evenly: filtered and dated back it is what is read then, within five
-    deviations of the noise that both have."""
-    plan = ProcessingOptions(TareWindow(0.0, 2.0), SAMPLES, 100.0, filter_hz=10.0)
-    answers, lines, _ = run(estimator, touch(motion), None, plan)
-    assert any(line.startswith("low-pass 10 Hz: estimates are delayed by 18.6 ms") for line in lines)
-    rising = [a for a in answers if REST_TIME + MOVE_TIME + 1.42 < a.reading.time < REST_TIME + MOVE_TIME + 1.48]
-    assert len(rising) > 3
-    for a in rising:
-        at = np.array([a.reading.time])
-        expected = motion.model.to_base(motion.wrench_sensor(at)[0], motion.model.gravity_base)
-        std = np.sqrt(np.diag(motion.model.noise_base()))
-        assert (np.abs(a.wrench_base - expected) < 5.0 * std).all()
-
-
 def test_poses_of_the_simulated_robot_are_received_in_an_upright_world(motion):
     """What it sends, read as a robot's: gravity is down there, and the way is the base's."""
     model = motion.model
@@ -455,47 +438,3 @@ def test_every_reading_of_a_burst_is_located(estimator, motion, monkeypatch):
                 now[0] += 0.003
         list(chain.finish())
         assert (chain.scheduler.n_skipped == 0) == all_of_them
-
-
-FILTER_RATE = 7000.0
-
-
-@pytest.mark.parametrize("cutoff", [5.0, 20.0, 500.0])
-def test_a_ramp_comes_out_later_by_the_stated_delay(cutoff):
-    """Of first order exactly: what is left of the start dies away, and sums of thousands round at 1e-12."""
-    low_pass = LowPass(cutoff, FILTER_RATE)
-    time = np.arange(int(6.0 / cutoff * FILTER_RATE)) / FILTER_RATE
-    out = low_pass.filter(time[:, None])[-1, 0]
-    assert out == pytest.approx(time[-1] - low_pass.delay, abs=1e-9)
-    assert low_pass.delay < 0.205 / cutoff  # 2/(2π f) √(√2 - 1), a filter's of continuous time
-
-
-@pytest.mark.parametrize("cutoff", [5.0, 20.0, 500.0])
-def test_the_power_of_a_wave_at_the_cut_off_is_halved(cutoff):
-    """Over whole waves after the start; a tenth of a percent for the samples that do not fall on their ends."""
-    low_pass = LowPass(cutoff, FILTER_RATE)
-    wave = np.sin(2.0 * np.pi * cutoff * np.arange(int(12.0 / cutoff * FILTER_RATE)) / FILTER_RATE)
-    out = low_pass.filter(wave[:, None])[:, 0]
-    part = slice(int(4.0 / cutoff * FILTER_RATE), None)
-    assert np.mean(out[part] ** 2) / np.mean(wave[part] ** 2) == pytest.approx(0.5, rel=1e-3)
-
-
-def test_a_step_never_overshoots_and_it_begins_at_rest():
-    low_pass = LowPass(20.0, FILTER_RATE)
-    assert low_pass.filter(np.full((50, 6), 3.0)) == pytest.approx(3.0, rel=1e-14)  # rounding
-    rise = low_pass.filter(np.full((2000, 6), 4.0))
-    assert (np.diff(rise, axis=0) >= -1e-14).all() and rise.max() <= 4.0 + 1e-13
-    assert rise[-1] == pytest.approx(4.0, abs=1e-9)  # ten time constants and more
-
-
-def test_pieces_make_the_whole():
-    samples = np.random.default_rng(1).standard_normal((360, 6))
-    whole, pieces = LowPass(20.0, FILTER_RATE), LowPass(20.0, FILTER_RATE)
-    cut = np.concatenate([pieces.filter(samples[i : i + 36]) for i in range(0, 360, 36)])
-    assert np.array_equal(whole.filter(samples), cut)
-
-
-@pytest.mark.parametrize("cutoff", [0.0, -1.0, 3500.0, float("nan")])
-def test_an_invalid_cut_off_is_refused(cutoff):
-    with pytest.raises(InputError, match="--filter-hz"):
-        LowPass(cutoff, FILTER_RATE)

@@ -1,4 +1,4 @@
-"""Processing chain from blocks of raw readings to estimates: gravity, tare, filter, phase and fusion, estimate.
+"""Processing chain from blocks of raw readings to estimates: gravity, tare, phase and fusion, estimate.
 
 The output does not depend on how the source cuts its blocks: all processing is on batches of as many samples as are
 averaged to one reading. A replay therefore reproduces the estimates of the live run.
@@ -14,7 +14,6 @@ from time import monotonic
 import numpy as np
 
 from probedesign.core.errors import InputError
-from probedesign.core.frames import Array
 from probedesign.estimation.bias import KnownBias
 from probedesign.estimation.estimate import Estimate, FusedEstimate
 from probedesign.estimation.estimator import Estimator, Method
@@ -58,8 +57,6 @@ class ProcessingOptions:
     rate: float = math.inf  #: maximum number of estimates per second of the source's clock [Hz].
     count: int | None = None  #: end after this many estimates.
     seconds: float | None = None  #: end this long after the first reading [s].
-    #: cut-off frequency of the low-pass filter before each estimate; None does not filter.
-    filter_hz: float | None = None
     #: whether contacts are located as readings arrive; otherwise only phases and touches are reported.
     estimates: bool = True
     method: Method = "ml"  #: method by which a single reading is located.
@@ -72,57 +69,12 @@ class ProcessingOptions:
     def __post_init__(self) -> None:
         """Check the numbers; raises InputError if one is not positive."""
         limits = {"average": self.samples, "rate-hz": self.rate, "count": self.count, "seconds": self.seconds,
-                "filter-hz": self.filter_hz, "mains-hz": self.mains_hz,
-                "deadline-ms": self.deadline and 1e3 * self.deadline}  # fmt: skip
+                "mains-hz": self.mains_hz, "deadline-ms": self.deadline and 1e3 * self.deadline}  # fmt: skip
         for name, value in limits.items():
             if value is not None and not value > 0:
                 raise InputError(f"--{name} {value} must be positive")
         if self.mains_hz is not None and self.samples is not None:
             raise InputError(f"--average {self.samples} and --mains-hz {self.mains_hz:g} exclude each other")
-
-
-class LowPass:
-    """Low-pass filter with a double real pole (critically damped), 3 dB down at the cut-off.
-
-    Its step response has no overshoot, so a contact force is never overestimated.
-
-    Each pole is y += (1 - a)(x - y), with gain (1 - a)² / (1 - 2 a cos ω + a²), which is 1/√2 at the cut-off. At
-    low frequencies its delay is exactly a / (1 - a) samples, for any cut-off.
-
-    Attributes:
-        delay: delay of signals that are slow compared with the cut-off [s]; about 0.2/cut-off.
-    """
-
-    def __init__(self, cutoff: float, rate: float) -> None:
-        """Design the filter for a half-power frequency and a sampling rate [Hz]; it starts in steady state.
-
-        Raises:
-            InputError: the cut-off is not positive or not below half the rate.
-        """
-        if not 0.0 < cutoff < 0.5 * rate:
-            raise InputError(f"--filter-hz {cutoff:g} must be positive and below half of {rate:.6g} readings/s")
-        cosine = math.cos(2.0 * math.pi * cutoff / rate)
-        # (1 - a)² √2 = 1 - 2 a cos ω + a², the root within the unit circle.
-        half = (math.sqrt(2.0) - cosine) / (math.sqrt(2.0) - 1.0)
-        pole = half - math.sqrt(half * half - 1.0)
-        self.delay = 2.0 * pole / (1.0 - pole) / rate
-        self._sections = np.array([[1.0 - pole, 0.0, 0.0, 1.0, -pole, 0.0]] * 2)
-        self._state: Array | None = None
-
-    def filter(self, samples: Array) -> Array:
-        """Return the next samples (n, k), filtered."""
-        from scipy.signal import sosfilt  # takes half a second to import, so only if a filter is used
-
-        if self._state is None:  # steady state of each pole is pole × value
-            pole = -self._sections[0, 4]
-            self._state = np.zeros((2, 2, samples.shape[1]))
-            self._state[:, 0] = pole * samples[0]
-        filtered, self._state = sosfilt(self._sections, samples, axis=0, zi=self._state)
-        return np.asarray(filtered, dtype=float)
-
-    def reset(self) -> None:
-        """Discard the filter state: the next sample is treated as the first."""
-        self._state = None
 
 
 #: Maximum age of a reading that is still located [s]. An older reading is skipped where a newer one has arrived: its
@@ -245,7 +197,6 @@ class Chain:
         self._free = deque[AveragedBatch](maxlen=MAX_TARE_BATCHES)
         self._contacts = ContactHistory()
         self._monitor: TouchMonitor | None = None
-        self._low_pass: LowPass | None = None
         self._rate = self._first = math.nan
         self._now = -math.inf
         age = (options.deadline or MAX_AGE) if options.estimates else math.inf
@@ -338,14 +289,10 @@ class Chain:
         self._signals = SignalMonitor(self._estimator.model, samples, known)
         self._signals.preview(islice(self._waiting, needed))
         if math.isinf(self._rate):
-            self._log("the source's clock does not advance: phases and filter are off")
+            self._log("the source's clock does not advance: phases are off")
             return True
         # The newest reading is never skipped, however late it is.
         self.scheduler.max_age = max(self.scheduler.max_age, samples / self._rate)
-        if self._options.filter_hz is not None:
-            self._low_pass = LowPass(self._options.filter_hz, self._rate)
-            delay = 1e3 * self._low_pass.delay
-            self._log(f"low-pass {self._options.filter_hz:g} Hz: estimates are delayed by {delay:.1f} ms")
         self._reset_monitor()
         if self.tare is not None and self._monitor is not None:
             # It was taken beforehand, or is that of a later window of the same recording.
@@ -380,11 +327,8 @@ class Chain:
             self._monitor.on_leap(reading.time)
         if reading.stretch != self._stretch:  # readings are missing before this one
             self._stretch = reading.stretch
-            if self._low_pass is not None:
-                self._low_pass.reset()
             if self._monitor is not None:
                 self._monitor.on_interruption()
-        smooth = self._filtered(batch.block, whole)
         self._collect_tare(AveragedBatch(block, reading))
         if self._tare_collector is not None and not self._tare_collector.on_request:
             return
@@ -398,10 +342,10 @@ class Chain:
         else:
             self._state = self._monitor.update(AveragedBatch(block, reading), self.tare, T, self._motion)
         if self.scheduler.is_due(reading, ready):
-            yield self._estimate(reading if smooth is None else self._with_gravity(smooth))
+            yield self._estimate(reading)
 
     def _estimate(self, reading: WrenchReading) -> EstimateUpdate:
-        """Return the estimate of a reading, filtered or not, with the current state."""
+        """Return the estimate of a reading with the current state."""
         drift = None if self._monitor is None else self._monitor.drift
         estimate = Estimate("unobservable")
         if not (self._zero_known or reading.fault):
@@ -485,16 +429,6 @@ class Chain:
         added, wrench = self._motion.inertia(T), reading.wrench_sensor
         wrench = wrench - added if added.any() else wrench
         return replace(reading, gravity_base=self._motion.gravity(T), wrench_sensor=wrench, fault=fault)
-
-    def _filtered(self, block: Block, reading: WrenchReading) -> WrenchReading | None:
-        """Return the filtered reading at the time it represents; None without a filter."""
-        if self._low_pass is None:
-            return None
-        if reading.fault:
-            self._low_pass.reset()
-            return reading
-        wrench = self._low_pass.filter(block.wrench_sensor).mean(axis=0)
-        return replace(reading, time=reading.time - self._low_pass.delay, wrench_sensor=wrench)
 
     def _collect_tare(self, batch: AveragedBatch) -> None:
         """Add a batch to the active tare; take the tare when its window is over."""

@@ -2,13 +2,23 @@
 
 It is a small instrument: what a history needs (scrolling back, zoom, cursors, export) is left to Foxglove, see
 docs/decisions/0020-the-page-is-an-instrument.md. All text from outside is escaped.
+
+It runs in a process of its own, so that drawing and browsers never delay the estimator. Its standard input receives a
+pickled `PageSetup`, then one list of snapshots after another; its standard output returns lines of JSON: the URL of the
+page, commands of the user, or an error. It ends with its input.
 """
 
+import json
+import logging
 import math
+import os
+import pickle
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from html import escape
+from threading import Lock
 
 import numpy as np
 import viser
@@ -17,8 +27,8 @@ from viser import uplot
 from probedesign.core.frames import Array
 from probedesign.core.statistics import ellipsoid_95
 from probedesign.core.units import MILLINEWTON, MM, N_MM
-from probedesign.live.view.state import CHART_SECONDS, CLOUD, MAX_TOUCHES, PageSetup, SceneSetup, Snapshot, StripCharts
-from probedesign.web.guard import LoopbackServer
+from probedesign.live.view.state import CHART_SECONDS, MAX_TOUCHES, PageSetup, SceneSetup, Snapshot, StripCharts
+from probedesign.web.guard import LoopbackServer, protect
 from probedesign.web.scene import (
     ARROW,
     CONTACT,
@@ -198,7 +208,6 @@ class Panel:
         self._start.on_click(lambda _: send_command("start recording", ""))
         self._stop = gui.add_button("Stop recording", icon=viser.Icon.PLAYER_STOP, color="gray", disabled=True)
         self._stop.on_click(lambda _: send_command("stop recording", ""))
-        self.cloud = gui.add_checkbox(f"Last {CLOUD} estimates", False)
         with gui.add_folder("Events"):
             self._texts.append(gui.add_html(""))
         for setup in scenes:
@@ -278,9 +287,6 @@ class ProbeScene:
         self._spread = scene.add_icosphere(f"{root}/spread", 1.0, SPREAD, visible=False, cast_shadow=False)
         self._force = arrow(scene, f"{root}/force", CONTACT, visible=False)
         self._spread_label = scene.add_label(f"{root}/spread_label", "95 % region", anchor="top-left", visible=False)
-        self._cloud = scene.add_point_cloud(
-            f"{root}/cloud", np.zeros((1, 3)), CONTACT, point_size=UNIT * 7e-4, point_shape="circle", visible=False
-        )
         self._label = scene.add_label(f"{root}/contact_label", "", anchor="bottom-center", visible=False)
         size = UNIT * 1.5e-3
         self._marks = [
@@ -291,15 +297,14 @@ class ProbeScene:
             for i in range(MAX_TOUCHES)
         ]
 
-    def show(self, snapshot: Snapshot, cloud: bool) -> None:
-        """Show a snapshot, with its cloud of the last estimates if it is asked for."""
+    def show(self, snapshot: Snapshot) -> None:
+        """Show a snapshot."""
         self._show_probe(snapshot)
         self._show_contact(snapshot)
-        self._show_touches(snapshot)
-        self._cloud.visible = cloud and len(snapshot.cloud) > 0
-        if self._cloud.visible:
-            R, origin = (np.eye(3), np.zeros(3)) if snapshot.has_pose else (self._T[:3, :3], self._T[:3, 3])
-            self._cloud.points = (UNIT * (snapshot.cloud @ R.T + origin)).astype(np.float16)
+        for (mark, number), touch in zip(self._marks, snapshot.touches, strict=False):  # earlier ones, in grey
+            R, origin = (np.eye(3), np.zeros(3)) if touch.in_world else (self._T[:3, :3], self._T[:3, 3])
+            mark.visible = number.visible = True
+            mark.position, number.text = UNIT * (R @ touch.p_surface + origin), f"{touch.number}"
 
     def _show_probe(self, snapshot: Snapshot) -> None:
         """Show the estimated shape; where it is unknown the free probe in grey."""
@@ -345,13 +350,6 @@ class ProbeScene:
         fresh = f"{position}, {1e3 * strength:.1f} mN"
         self._label.text = f"{snapshot.age:.0f} s old: {position}" if snapshot.stale else fresh
 
-    def _show_touches(self, snapshot: Snapshot) -> None:
-        """Show the points of earlier touches in grey, numbered."""
-        for (mark, number), touch in zip(self._marks, snapshot.touches, strict=False):
-            R, origin = (np.eye(3), np.zeros(3)) if touch.in_world else (self._T[:3, :3], self._T[:3, 3])
-            mark.visible = number.visible = True
-            mark.position, number.text = UNIT * (R @ touch.p_surface + origin), f"{touch.number}"
-
 
 class ViewerPage:
     """Shows the snapshots of a run, one for each probe, in every connected browser."""
@@ -391,7 +389,7 @@ class ViewerPage:
                 redraw = self._charts[i].add(snapshot.strip)
                 if self._panel.paused:
                     continue
-                self._scenes[i].show(snapshot, self._panel.cloud.value)
+                self._scenes[i].show(snapshot)
                 age = snapshot.age if snapshot.stale and math.isfinite(snapshot.age) else 0.0
                 if redraw or abs(age - self._drawn_ages[i]) > AGEING:
                     self._panel.draw(i, self._charts[i], age)
@@ -424,3 +422,33 @@ class ViewerPage:
         camera.look_at = middle
         camera.position = middle + UNIT * length * (DISTANCE + 0.5 * (n - 1)) * direction / np.linalg.norm(direction)
         return aside
+
+
+def main() -> None:
+    """Show snapshots until the input ends."""
+    back = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # viser prints a banner
+    logging.getLogger("websockets").setLevel(logging.CRITICAL)
+    lock = Lock()
+
+    def send(**message: str) -> None:
+        with lock:
+            back.write(json.dumps(message) + "\n")
+            back.flush()
+
+    try:
+        setup = pickle.load(sys.stdin.buffer)
+        protect(setup.title, setup.token, f"<style>{STYLE}</style><script>{SCRIPT}</script>")
+        page = ViewerPage(setup, lambda name, text: send(command=name, text=text))
+        send(url=page.url)
+        while True:
+            page.show(pickle.load(sys.stdin.buffer))
+    except (EOFError, BrokenPipeError):
+        pass  # the run has ended
+    except Exception as error:
+        send(error=f"{error} ({type(error).__name__})")
+    os._exit(0)  # do not wait for threads of an open browser
+
+
+if __name__ == "__main__":
+    main()

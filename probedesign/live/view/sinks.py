@@ -89,7 +89,7 @@ class BrowserView(RunView):
         paths = os.pathsep.join(filter(None, [str(Path(__file__).parents[3]), os.environ.get("PYTHONPATH", "")]))
         # neither Ctrl-C nor a closing terminal ends it, only the end of its input
         self._process = process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "probedesign.live.view"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            [sys.executable, "-P", "-m", "probedesign.live.view.page"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             env=os.environ | {"PYTHONPATH": paths}, start_new_session=True,
         )  # fmt: skip
         assert process.stdin is not None and process.stdout is not None
