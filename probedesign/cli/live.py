@@ -122,7 +122,6 @@ def live(
     from probedesign.live.outputs.foxglove import parse_foxglove_address
     from probedesign.live.outputs.guard import Limits
     from probedesign.live.outputs.options import OutputOptions
-    from probedesign.live.outputs.recording import SplitLimits
     from probedesign.live.processing.chain import ProcessingOptions
     from probedesign.live.processing.tare import parse_tare
 
@@ -161,7 +160,7 @@ def live(
         terminal=not (lines or as_json) and _is_terminal(),
         parts_folders=[each if each.is_dir() else each.parent for each in bundles],
         metadata={name: _setting_text(value) for name, value in settings.items()},
-        split=SplitLimits.of_options(split_mb, split_minutes),
+        split=(split_mb, split_minutes),
         foxglove=None if foxglove is False else parse_foxglove_address("" if foxglove is True else foxglove),
         guard=guard,
         limits=Limits(limit_force_N, limit_moment_Nm),

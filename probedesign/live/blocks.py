@@ -63,7 +63,6 @@ class Block:
         return len(self.time)
 
     def __getitem__(self, index: slice) -> "Block":
-        """Return a slice of the readings as a block."""
         return Block(
             self.time[index], self.wrench_sensor[index], self.gravity_base, self.received[index], self.fault,
             self.stretch, self.truths[index],

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from queue import Empty, SimpleQueue
 from time import monotonic, sleep
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from probedesign.core.csv_tables import UNITS
 from probedesign.core.errors import InputError, quoted
@@ -138,19 +138,6 @@ class Parsed(NamedTuple, Generic[T]):
     sequence: int | None = None  #: number of the datagram; None without one.
 
 
-class SenderProcess(Protocol):
-    """A process that sends the datagrams for as long as they are received."""
-
-    def start(self, address: tuple[str, int]) -> None:
-        """Start to send to an address."""
-
-    def check(self) -> None:
-        """Raise InputError if nothing more will be sent."""
-
-    def close(self) -> None:
-        """End it."""
-
-
 class Listener(Generic[T]):
     """Receives datagrams in its own thread, at a limited rate, and queues the values of one sender.
 
@@ -162,9 +149,7 @@ class Listener(Generic[T]):
         address: host and port.
         counts: number of datagrams by kind, and of bursts: ticks in which the limit was reached.
         title: one line that describes the stream.
-        notes: notes for the user.
         frame: frame of the values, as the sender names it; may be empty.
-        sender: process that is started with the stream and sends to it, if any.
     """
 
     def __init__(
@@ -175,7 +160,6 @@ class Listener(Generic[T]):
         parse: Callable[[Mapping[str, Any]], Parsed[T]],
         max_rate: float = 2000.0,
         title: str = "",
-        sender: SenderProcess | None = None,
     ) -> None:
         """Bind the port; nothing is received before `start`.
 
@@ -186,7 +170,6 @@ class Listener(Generic[T]):
             parse: returns the content of an object, or raises InputError.
             max_rate: maximum number of datagrams per second.
             title: one line that describes the stream; name and address if empty.
-            sender: process that sends to it.
 
         Raises:
             InputError: the port is in use, or the address does not belong to this machine.
@@ -203,8 +186,7 @@ class Listener(Generic[T]):
             raise InputError(f"{option}: {why}; use another port, or an address of this machine") from None
         self.address: tuple[str, int] = self._socket.getsockname()[:2]
         self.title = title or "{} by UDP to {}:{}".format(name, *self.address)
-        self.notes = (self.access_note,) if sender is None else ()
-        self.sender, self.frame = sender, ""
+        self.frame = ""
         self._messages = Handover[str]()
         self._arrived = SimpleQueue[None]()  # a signal within the wait of an Event can leave its lock held
         self._queue = Handover[tuple[float, T, int]]()
@@ -216,11 +198,11 @@ class Listener(Generic[T]):
         self._thread = threading.Thread(target=self._listen, name=name, daemon=True)
 
     @property
-    def access_note(self) -> str:
-        """One line on who can send."""
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the user: who can send."""
         host, port = self.address
         public = "" if host.startswith("127.") else ": anyone on that network can send"
-        return f"listening for {self._name} on {host}:{port}{public}"
+        return (f"listening for {self._name} on {host}:{port}{public}",)
 
     def start(self) -> None:
         """Start to receive; what arrived since the port was bound is discarded, because it is old."""
@@ -230,17 +212,16 @@ class Listener(Generic[T]):
                 self._socket.recv(1)
         self._socket.settimeout(0.1)
         self._thread.start()
-        if self.sender is not None:
-            self.sender.start(self.address)
+
+    def check(self) -> None:
+        """Raise InputError if nothing more will be sent; who sends is unknown here."""
 
     def pop_messages(self) -> list[str]:
         """Return the messages to the user since the last call."""
         return self._messages.take()
 
     def close(self) -> None:
-        """End the sender, stop the thread and close the socket."""
-        if self.sender is not None:
-            self.sender.close()
+        """Stop the thread and close the socket."""
         self._ended.set()
         if self._thread.is_alive():
             self._thread.join()

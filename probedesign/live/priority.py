@@ -40,7 +40,6 @@ def yield_to_estimates() -> None:
 
 
 def _request() -> bool:
-    """Request the priorities; return whether they are granted. Those that the user has set are kept."""
     if sys.platform != "linux" or os.sched_getscheduler(0) != os.SCHED_OTHER:
         return False
     try:
@@ -52,7 +51,6 @@ def _request() -> bool:
 
 
 def _set_all(policy: int, priority: int, except_for: int = 0) -> None:
-    """Set policy and priority of all threads of this program, except for one."""
     for name in os.listdir("/proc/self/task"):
         if int(name) != except_for:
             with suppress(OSError):  # the thread has just ended

@@ -205,7 +205,6 @@ def warm_up(estimator: Estimator, log: Log, *, fusing: bool = False) -> None:
 
 
 def _warm_up_touches(estimator: Estimator) -> list[tuple[Array, Array]]:
-    """Return wrench and base pose of touches of the world origin, with increasing force."""
     model = estimator.model
     s, touches = 0.7 * model.rod.length, []
     for force in safe_force(model.rod) * np.linspace(0.5, 1.0, WARM_UP_TOUCHES):

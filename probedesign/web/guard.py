@@ -198,7 +198,6 @@ class RequestFilter:
 
 
 def _cookie(request: Request, name: str) -> str:
-    """Return the value of a cookie; empty if the request has none."""
     try:
         cookies = SimpleCookie("; ".join(request.headers.get_all("Cookie")))
     except CookieError:

@@ -172,8 +172,6 @@ def _is_ours(page: Path) -> bool:
 
 
 def _files(folder: Path, step: Step, name: str) -> tuple[str, dict[str, Any] | None, str]:
-    """Return page or file, record and picture of a step, relative to the folder; empty or None where there is none."""
-
     def newest(pattern: str) -> str:
         files = sorted(folder.glob(pattern.format(name=name)), key=lambda file: file.stat().st_mtime) if pattern else []
         return files[-1].relative_to(folder).as_posix() if files else ""
@@ -183,7 +181,6 @@ def _files(folder: Path, step: Step, name: str) -> tuple[str, dict[str, Any] | N
 
 
 def _record(path: Path) -> dict[str, Any]:
-    """Return a JSON document; empty if it is none."""
     if path.suffix != ".json" or path.stat().st_size > MAX_RECORD:
         return {}
     try:
@@ -310,7 +307,6 @@ def _base64(values: NDArray[np.generic]) -> str:
 
 
 def _colours(errors: dict[float, float | None], tube: TubeMesh) -> NDArray[np.uint8]:
-    """Return the colour of each corner of the tube by the predicted error at its place."""
     rings = error_colours(errors, tube.stations / tube.s[-1])
     caps = [np.repeat(rings[end : end + 1 or None], tube.sides + 1, axis=0) for end in (0, -1)]
     return np.concatenate([np.repeat(rings, tube.sides, axis=0), *caps])

@@ -31,7 +31,7 @@ from tests.live.peers import until
 
 def test_the_table_has_every_command_and_every_key_once():
     assert set(COMMANDS) == set(get_args(CommandName))
-    keys = [command.key for command in COMMANDS.values()]
+    keys = list(COMMANDS.values())
     assert len(set(keys)) == len(keys) and all(len(key) == 1 for key in keys)
 
 
@@ -185,7 +185,7 @@ def test_keys_of_the_terminal(monkeypatch):
     keys.close()
     assert done == ["tare", "mark"]
     assert termios.tcgetattr(terminal) == before
-    assert all(f"{command.key} {name}" in lines[0] for name, command in COMMANDS.items())
+    assert all(f"{key} {name}" in lines[0] for name, key in COMMANDS.items())
     os.close(primary)
     os.close(terminal)
 

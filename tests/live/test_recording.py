@@ -14,7 +14,7 @@ import pytest
 
 from probedesign.core.errors import InputError
 from probedesign.live import recordings as pieces
-from probedesign.live.outputs.recording import BackgroundWriter, RecordingSink, SplitLimits
+from probedesign.live.outputs.recording import BackgroundWriter, RecordingSink
 from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.recordings.csv import read_recording
 from probedesign.live.recordings.mcap_write import McapRecorder
@@ -200,7 +200,7 @@ def test_a_second_writer_on_the_same_file_is_refused_and_leaves_it_whole(model, 
 @pytest.mark.parametrize("kind", ["mcap", "csv"])
 def test_a_recording_is_split_by_size_without_a_reading_lost(model, tmp_path, kind):
     log_lines, path = [], tmp_path / f"r.{kind}"
-    sink = RecordingSink(path, [model], log_lines.append, limits=SplitLimits(size=40_000))
+    sink = RecordingSink(path, [model], log_lines.append, split_mb=0.04)
     sink.start()
     sink._current._flush_period = 0.0
     written = [block(i * 100, 100) for i in range(12)]
@@ -222,7 +222,7 @@ def test_a_recording_is_split_by_size_without_a_reading_lost(model, tmp_path, ki
 def test_no_part_of_a_split_recording_is_replaced_while_it_is_written(model, tmp_path):
     """The first part, an earlier one and the current one; a recording with such a name beside it is not concerned."""
     path = tmp_path / "r.csv"
-    with closing(RecordingSink(path, [model], print, limits=SplitLimits(size=1000))) as sink:
+    with closing(RecordingSink(path, [model], print, split_mb=0.001)) as sink:
         sink.start()
         for i in range(4):
             sink.on_samples(block(i * 10, 10))
@@ -242,7 +242,7 @@ def test_no_part_of_a_split_recording_is_replaced_while_it_is_written(model, tmp
 
 def test_complete_parts_may_be_moved_while_the_recording_continues(model, tmp_path):
     path = tmp_path / "r.csv"
-    with closing(RecordingSink(path, [model], print, limits=SplitLimits(size=1000))) as sink:
+    with closing(RecordingSink(path, [model], print, split_mb=0.001)) as sink:
         sink.start()
         for i in range(4):
             sink.on_samples(block(i * 10, 10))
@@ -254,7 +254,7 @@ def test_complete_parts_may_be_moved_while_the_recording_continues(model, tmp_pa
 
 def test_a_recording_is_split_by_time(model, tmp_path):
     path = tmp_path / "r.csv"
-    sink = RecordingSink(path, [model], print, limits=SplitLimits(duration=0.15))
+    sink = RecordingSink(path, [model], print, split_minutes=0.0025)
     sink.start()
     sink._current._flush_period = 0.0
     for i in range(5):
@@ -264,14 +264,6 @@ def test_a_recording_is_split_by_time(model, tmp_path):
     files = list(tmp_path.iterdir())
     assert len(files) > 1
     assert sum(len(read_recording(each).time) for each in files) == 50
-
-
-def test_limits_that_are_no_positive_numbers_are_refused():
-    for limits in ((0.0, None), (None, -1.0), (float("nan"), None)):
-        with pytest.raises(InputError, match="must be a positive number"):
-            SplitLimits.of_options(*limits)
-    assert SplitLimits.of_options(None, None) == SplitLimits()
-    assert SplitLimits.of_options(2.0, 3.0) == SplitLimits(2e6, 180.0)
 
 
 def test_csv_and_mcap_contain_the_same_readings_with_their_faults(model, tmp_path):

@@ -43,7 +43,7 @@ def test_wrenches_of_a_topic(ros2, estimator, query, unit):
     assert readings[0].wrench_sensor == pytest.approx([0.25, 0, 0, 0, 0, 0.004 * unit], abs=1e-15)
     assert readings[0].time >= 100.0 and (np.diff([r.time for r in readings]) > 0.0).all()
     assert any("'tool0' is interpreted as the sensor frame" in line for line in lines)
-    bridge = source._listener.sender._process
+    bridge = source._listener._process
     assert bridge.poll() is not None  # it ends with the source
 
 
@@ -117,7 +117,7 @@ def test_poses_of_tf(ros2):
         assert T[:3, 0] == pytest.approx([0.28, 0.96, 0.0], abs=1e-12)
     finally:
         poses.close()
-    assert poses._listener.sender._process.poll() is not None
+    assert poses._listener._process.poll() is not None
 
 
 @pytest.mark.parametrize("spec", ["tf://world", "tf:world/base", "tf://a/b/c", "tf:///base", "tf://world/base?pyton=x"])

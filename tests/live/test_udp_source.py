@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.live.datagrams import MAX_DATAGRAM, SENDER_TIMEOUT
+from probedesign.live.datagrams import MAX_DATAGRAM, SENDER_TIMEOUT, Listener
 from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources import source as sources
 from probedesign.live.sources.source import STALE_TIME, open_source
-from probedesign.live.sources.udp import parse_wrench, wrench_listener
+from probedesign.live.sources.udp import MAX_RATE, parse_wrench
 from probedesign.rod.contact import solve_frictionless
 from tests.live.peers import Reader, until
 
@@ -299,7 +299,7 @@ def test_ctrl_c_while_waiting_does_not_block_the_thread_that_receives():
         raise KeyboardInterrupt
 
     random.seed(1)
-    with closing(wrench_listener("--source udp://", ("127.0.0.1", 0))) as listener:
+    with closing(Listener("--source udp://", "wrenches", ("127.0.0.1", 0), parse_wrench, MAX_RATE)) as listener:
         listener.start()
         previous = signal.signal(signal.SIGALRM, interrupt)
         try:

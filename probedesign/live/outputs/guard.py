@@ -155,7 +155,6 @@ class Guard(Sink):
                 self._emit("contact", block.time[first], block.received[first])
 
     def _latch(self, reason: str, time: float, received: float) -> None:
-        """Stop, if nothing has stopped before: the first reason stays."""
         if not self.stop:
             self.stop = reason
             self._emit("limit", time, received)

@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from itertools import chain
@@ -213,26 +212,6 @@ def open_recording_file(
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-@dataclass(frozen=True)
-class SplitLimits:
-    """When a recording continues in a new file."""
-
-    size: float = math.inf  #: length of a file [bytes].
-    duration: float = math.inf  #: duration of a file [s], by the computer's clock.
-
-    @classmethod
-    def of_options(cls, megabytes: float | None, minutes: float | None) -> "SplitLimits":
-        """Return the limits that the user stated, in units of 10⁶ bytes and 60 s; None sets no limit.
-
-        Raises:
-            InputError: a number is not positive.
-        """
-        for name, value in (("--split-mb", megabytes), ("--split-minutes", minutes)):
-            if value is not None and not 0.0 < value < math.inf:
-                raise InputError(f"{name} {value:g} must be a positive number")
-        return cls(1e6 * (megabytes or math.inf), 60.0 * (minutes or math.inf))
-
-
 class RecordingSink(SinkGroup):
     """Sink that records between `start` and `stop`, to a new file each time; no file is ever overwritten unasked."""
 
@@ -243,7 +222,8 @@ class RecordingSink(SinkGroup):
         log: Log,
         force: bool = False,
         metadata: Mapping[str, str] | None = None,
-        limits: SplitLimits = SplitLimits(),  # it is immutable
+        split_mb: float | None = None,
+        split_minutes: float | None = None,
     ) -> None:
         """Prepare to record; no file is opened.
 
@@ -253,13 +233,15 @@ class RecordingSink(SinkGroup):
             models: probes of the run.
             force: whether the first file may replace an existing one.
             metadata: additional metadata of an MCAP file.
-            limits: when a recording continues in a new file.
+            split_mb: length of a file from which the recording continues in a new one [10⁶ bytes]; None: any.
+            split_minutes: the same by its duration, by the computer's clock [min].
         """
         super().__init__()  # with the writer as its only sink while it records
         name = "-".join(model.name for model in models)
         self._named = path or DEFAULT_FOLDER / f"{name}-{datetime.now():%Y%m%d-%H%M%S}.mcap"
         self._models, self._log, self._metadata = models, log, metadata or {}
-        self._force, self._limits = force and path is not None, limits
+        self._force = force and path is not None
+        self._max_size, self._max_time = 1e6 * (split_mb or math.inf), 60.0 * (split_minutes or math.inf)
         self._current: BackgroundWriter | None = None
         self._number = 0  # of the newest file
         self._paths: list[Path] = []
@@ -305,8 +287,7 @@ class RecordingSink(SinkGroup):
         return file
 
     def _next_file(self, file: RecordingFile) -> RecordingFile:
-        """Return the file, or beyond a limit the next one; the first one stays locked, and with it the series."""
-        if file.size < self._limits.size and time.monotonic() - self._opened < self._limits.duration:
+        if file.size < self._max_size and time.monotonic() - self._opened < self._max_time:
             return file
         file.close()
         with suppress(OSError):  # the user has moved it

@@ -129,7 +129,6 @@ class StderrSink(Sink):
     """Prints events to standard error, one line each; of lines that differ in numbers only, one in ten seconds."""
 
     def __init__(self) -> None:
-        """Start without an event."""
         self._printed: dict[str, tuple[float, int, str]] = {}  # time, number of lines since then, and the last of them
 
     def on_event(self, time: float, line: str) -> None:

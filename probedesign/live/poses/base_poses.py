@@ -169,7 +169,6 @@ class PoseTrack:
         return float(np.median(np.diff(near))) if len(near) > MIN_INTERVALS else 0.0
 
     def _bridged(self, i: int) -> bool:
-        """Return whether the poses before and at a number are interpolated."""
         gap = self._times[i] - self._times[i - 1]
         if gap <= self.max_gap or not self.slow:
             return gap <= self.max_gap

@@ -67,7 +67,6 @@ class ProcessingOptions:
     touches: bool = True  #: whether touches are reported, and fused where poses are known.
 
     def __post_init__(self) -> None:
-        """Check the numbers; raises InputError if one is not positive."""
         limits = {"average": self.samples, "rate-hz": self.rate, "count": self.count, "seconds": self.seconds,
                 "mains-hz": self.mains_hz, "deadline-ms": self.deadline and 1e3 * self.deadline}  # fmt: skip
         for name, value in limits.items():
@@ -374,7 +373,6 @@ class Chain:
                               math.nan if self._motion is None else self._motion.time_to_rest)  # fmt: skip
 
     def _touches_in_motion(self, reading: WrenchReading, drift: KnownBias | None) -> bool:
-        """Return whether a reading in motion differs from that of the free probe."""
         if reading.fault or drift is None:
             return False
         wrench = wrench_without_bias(self._estimator.model, reading, self.tare) - drift.excess

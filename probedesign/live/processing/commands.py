@@ -16,27 +16,14 @@ from typing import Any, Literal, NamedTuple, get_args
 from probedesign.core.errors import InputError, ProbeDesignError, one_line
 from probedesign.live import Log
 from probedesign.live.datagrams import Listener, Parsed, decode_object, parse_listen_address
-from probedesign.live.processing.tare import TARE_DURATION
 
 CommandName = Literal["tare", "mark", "start recording", "stop recording", "reset", "stop"]
 
 
-class CommandDescription(NamedTuple):
-    """A command's key in the terminal, and what it does."""
-
-    key: str
-    text: str
-
-
-#: Every command. Keys, the page, datagrams and services of ROS 2 offer these, and `CommandQueue` executes them.
-COMMANDS: dict[CommandName, CommandDescription] = {
-    "tare": CommandDescription("t", f"take a tare from the next {TARE_DURATION:g} s"),
-    "mark": CommandDescription("m", "mark this time, with a note"),
-    "start recording": CommandDescription("r", "start a recording, in a new file"),
-    "stop recording": CommandDescription("s", "stop the recording"),
-    "reset": CommandDescription("x", "end the stop of a guard, if its reason has ended"),
-    "stop": CommandDescription("q", "end the run"),
-}
+#: Every command and its key in the terminal. The page, datagrams and services of ROS 2 offer these, too.
+COMMANDS: dict[CommandName, str] = {
+    "tare": "t", "mark": "m", "start recording": "r", "stop recording": "s", "reset": "x", "stop": "q",
+}  # fmt: skip
 MAX_NOTE = 200  #: Maximum number of characters of a mark.
 
 
@@ -103,7 +90,6 @@ class SharedCommands(CommandQueue):
     """Passes each command to every probe of a run, and those that concern recordings to the first."""
 
     def __init__(self, queues: Sequence[CommandQueue]) -> None:
-        """Take the queue of each probe."""
         self._queues = queues
 
     def register(self, name: CommandName, handler: Callable[[Command], str | None]) -> None:
@@ -155,7 +141,7 @@ class KeyInput:
             return
         self._thread = threading.Thread(target=self._read, name="keys", daemon=True)
         self._thread.start()
-        log("keys: " + ", ".join(f"{command.key} {name}" for name, command in COMMANDS.items()))
+        log("keys: " + ", ".join(f"{key} {name}" for name, key in COMMANDS.items()))
 
     def close(self) -> None:
         """Restore the terminal."""
@@ -169,7 +155,7 @@ class KeyInput:
         os.close(self._wake)
 
     def _read(self) -> None:
-        names = {command.key: name for name, command in COMMANDS.items()}
+        names = {key: name for name, key in COMMANDS.items()}
         while True:
             ready, _, _ = select.select([self._fd, self._wake], [], [])
             if self._wake in ready:
@@ -201,7 +187,7 @@ class DatagramInput(Listener[None]):
         option = f"--control {address}"
         super().__init__(option, "commands", parse_listen_address(option), lambda values: Parsed(None))
         self._commands, self._log = commands, log
-        log(self.access_note)
+        log(*self.notes)
         self.start()
 
     def receive(self, datagram: bytes, sender: tuple[str, int], now: float) -> None:

@@ -208,7 +208,6 @@ def interval_text(estimate: Estimate) -> str:
 
 
 def _format_or_blank(template: str, *values: float) -> str:
-    """Return the template with its numbers, or blanks of equal width if one is not finite."""
     if all(math.isfinite(value) for value in values):
         return template.format(*values)
     return " " * len(template.format(*[0.0] * len(values)))

@@ -112,7 +112,6 @@ class MotionMonitor:
     """
 
     def __init__(self, model: ProbeModel, poses: BasePoses) -> None:
-        """Start at rest."""
         self._model, self._poses = model, poses
         self._omega = 2.0 * math.pi * natural_frequency(model.rod)
         rest = model.rod.solve((0.0, 0.0, 0.0))

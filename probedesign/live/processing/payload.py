@@ -510,7 +510,6 @@ def _check_turns(R: Sequence[Array], gravity_world: Array, frame: str) -> None:
 
 
 def _stiffness_prior(model: ProbeModel) -> float:
-    """Return the standard deviation of the factor on E and G before the calibration."""
     return max(Tolerances.of(model).youngs_modulus, 1e-3)
 
 

@@ -57,7 +57,6 @@ class FaultReport:
     """Reports a fault where it begins, and its end, at most once a second."""
 
     def __init__(self, log: Log) -> None:
-        """Start without a fault."""
         self._log, self._ongoing, self._reported = log, "", -math.inf
 
     def update(self, time: float, fault: str) -> None:
@@ -186,7 +185,6 @@ class PoseMonitor:
     """
 
     def __init__(self) -> None:
-        """Start without a pose."""
         self._last: tuple[float, Array] | None = None
         self.leapt = -math.inf
         self._reason = ""
@@ -215,7 +213,6 @@ class TravelCheck:
     """Checks that a base travels as far as the probe bends at a touched point that is fixed in the world."""
 
     def __init__(self) -> None:
-        """Start without a touch."""
         self._start: Array | None = None
         self.fault = ""
 

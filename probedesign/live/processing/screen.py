@@ -176,7 +176,6 @@ class SampleScreen:
         return clean if replaced else rows, int(frozen)
 
     def _dead(self, now: float) -> str:
-        """Return the fault of a channel that does not change."""
         run = self._channels[RUN]
         if run.max() < DEAD_READINGS and self._stuck.max() < STUCK:
             return ""

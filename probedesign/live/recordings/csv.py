@@ -87,7 +87,6 @@ def read_recording(path: str | Path) -> Recording:
 
 
 def _faults(table: CsvLines, rows: list[str]) -> tuple[str, ...]:
-    """Return the fault of each row; nothing if there is no such column."""
     names = [name.strip().casefold() for name in table.header]
     if FAULT not in names:
         return ()

@@ -307,7 +307,6 @@ class McapBag:
             raise InputError(f"{self.path}: cannot be read: {error.strerror}") from None
 
     def _records(self) -> Iterator[tuple[int, bytes | memoryview]]:
-        """Yield all records up to the end of the data, including those in chunks."""
         with self.path.open("rb") as file:
             file.seek(len(MCAP_MAGIC))
             for opcode, content in walk_intact(file, self._damage):

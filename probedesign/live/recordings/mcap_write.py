@@ -41,10 +41,9 @@ _BEFORE_DATA = 22  #: Length of a message record before its data: channel, seque
 
 
 class McapWriter:
-    """Writes an MCAP file in chunks; each chunk is written completely or not at all."""
+    """Writes an MCAP file of CDR messages in chunks; each chunk is written completely or not at all."""
 
     def __init__(self, file: AppendFile, profile: str, library: str) -> None:
-        """Start the file; see the specification for profile and library."""
         self._file = file
         self._schemas: dict[str, records.Schema] = {}
         self._channels: list[records.Channel] = []
@@ -68,10 +67,7 @@ class McapWriter:
         self._indexes.append(records.MetadataIndex(offset, length, name))
 
     def register(self, topic: str, type_name: str, definition: bytes, metadata: Mapping[str, str]) -> int:
-        """Register a channel of CDR messages of a type; return its number.
-
-        It is written outside the chunks, so that no damaged chunk makes the later ones unreadable.
-        """
+        """Register a channel; return its number. It is outside the chunks, which may be damaged."""
         if type_name not in self._schemas:
             number = len(self._schemas) + 1
             self._schemas[type_name] = records.Schema(id=number, data=definition, encoding="ros2msg", name=type_name)
@@ -118,21 +114,16 @@ class McapWriter:
         self.flush()
         self._write(records.DataEnd(0))
         start = self._file.tell()
+        attachments, metadata = (sum(isinstance(index, kind) for index in self._indexes)
+                                 for kind in (records.AttachmentIndex, records.MetadataIndex))  # fmt: skip
         statistics = records.Statistics(
-            attachment_count=sum(isinstance(index, records.AttachmentIndex) for index in self._indexes),
-            channel_count=len(self._channels),
-            channel_message_counts=self._counts,
-            chunk_count=self._chunks,
-            message_count=sum(self._counts.values()),
-            metadata_count=sum(isinstance(index, records.MetadataIndex) for index in self._indexes),
-            message_start_time=min(self._span[0], self._span[1]),
-            message_end_time=self._span[1],
-            schema_count=len(self._schemas),
-        )
+            attachments, len(self._channels), self._counts, self._chunks, sum(self._counts.values()), self._span[1],
+            min(self._span), metadata, len(self._schemas),
+        )  # fmt: skip
         summary = b"".join(map(_bytes, [*self._schemas.values(), *self._channels, statistics, *self._indexes]))
-        metadata = RECORD_PREFIX.pack(Opcode.FOOTER, 20) + struct.pack("<QQ", start, 0)
+        footer = RECORD_PREFIX.pack(Opcode.FOOTER, 20) + struct.pack("<QQ", start, 0)
         self._file.write(summary)
-        self._write(records.Footer(start, 0, zlib.crc32(metadata, zlib.crc32(summary))))
+        self._write(records.Footer(start, 0, zlib.crc32(footer, zlib.crc32(summary))))
         self._file.write(MCAP_MAGIC)
         self._file.flush()
 
@@ -154,24 +145,13 @@ class McapWriter:
             offsets[channel] = self._file.tell()
             content = struct.pack("<HI", channel, index.nbytes) + index.astype("<u8").tobytes()
             self._file.write(RECORD_PREFIX.pack(Opcode.MESSAGE_INDEX, len(content)) + content)
-        self._indexes.append(
-            records.ChunkIndex(
-                chunk_length=length,
-                chunk_start_offset=start,
-                compression="zstd",
-                compressed_size=len(packed),
-                message_end_time=last,
-                message_index_length=self._file.tell() - start - length,
-                message_index_offsets=offsets,
-                message_start_time=first,
-                uncompressed_size=len(data),
-            )
-        )
+        end = self._file.tell() - start - length
+        chunk = records.ChunkIndex(length, start, "zstd", len(packed), last, end, offsets, first, len(data))
+        self._indexes.append(chunk)
         self._chunks += 1
         self._span = min(self._span[0], first), max(self._span[1], last)
 
     def _write(self, record: records.McapRecord) -> int:
-        """Write a record; return its length."""
         return self._file.write(_bytes(record))
 
 

@@ -4,13 +4,12 @@ Source: OMG DDSI-RTPS, CDR encapsulation; the definitions are those of ROS 2's c
 rosbags; `probedesign_msgs/msg/Contact` is this project's.
 """
 
-import json
 import re
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from probedesign.core.errors import require
 from probedesign.core.frames import Array
 from probedesign.estimation.estimate import RESULTS
-from probedesign.live.processing.estimates import COLUMNS, WORLD_COLUMNS
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -244,7 +242,6 @@ class Topic:
 
     name: str  #: name in ROS.
     type: str  #: type of its messages.
-    schema: dict[str, Any]  #: JSON Schema of the JSON in its strings; empty for other messages.
     #: whether a subscriber receives the last message even if it was sent before (transient local).
     latched: bool = False
     probe: str = ""  #: name of the probe in a run with several.
@@ -256,18 +253,17 @@ class Topic:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """Metadata of the channel: the QoS profile that rosbag2 needs to play it, and the JSON Schema.
+        """Metadata of the channel: the QoS profile that rosbag2 needs to play it.
 
         A publisher keeps the last messages, is reliable, volatile or transient local, and its liveliness automatic.
         """
-        known = {"json_schema": json.dumps(self.schema)} if self.schema else {}
         history, depth, reliability, durability, liveliness = 1, 10, 1, 1 if self.latched else 2, 1
         qos = (
             f"- history: {history}\n  depth: {depth}\n  reliability: {reliability}\n  durability: {durability}\n"
             f"  deadline:{_FOREVER}\n  lifespan:{_FOREVER}\n  liveliness: {liveliness}\n"
             f"  liveliness_lease_duration:{_FOREVER}\n  avoid_ros_namespace_conventions: false"
         )
-        return {"offered_qos_profiles": qos} | known
+        return {"offered_qos_profiles": qos}
 
 
 #: Metadata record without which newer versions of rosbag2 expect the policies of a QoS profile as words. Source:
@@ -282,64 +278,26 @@ def ros_name(name: str) -> str:
     return f"probe_{text}" if text[:1].isdigit() else text
 
 
-def _object(title: str, required: list[str], properties: dict[str, Any]) -> dict[str, Any]:
-    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": title, "type": "object"}
-    return head | {"properties": properties, "required": required}
-
-
-NUMBER = {"type": "number"}
-NUMBER_OR_NULL = {"type": ["number", "null"]}
-TEXT_VALUE = {"type": "string"}
-NUMBERS = {"type": "array", "items": NUMBER}
-
 #: Every reading as the sensor delivered it, in the sensor frame, bias included.
-RAW = Topic("/probedesign/wrench_raw", WRENCH, {})
-BLOCK = Topic(
-    "/probedesign/block",
-    TEXT,
-    _object(
-        "A block of readings: the raw wrenches since the last block, and what their headers do not contain",
-        ["first", "readings", "gravity_base_m_s2", "stretch", "fault"],
-        {
-            "first": {"type": "integer", "description": "number of readings before it, including dropped ones"},
-            "readings": {"type": "integer", "description": "number of its readings, the last ones on the topic"},
-            "gravity_base_m_s2": {**NUMBERS, "minItems": 3, "maxItems": 3},
-            "stretch": {"type": "integer", "description": "number of the uninterrupted stretch of readings"},
-            "fault": {**TEXT_VALUE, "description": "fault of all readings; empty if none"},
-        },
-    ),
-)
+RAW = Topic("/probedesign/wrench_raw", WRENCH)
+#: JSON of a block of readings, the last ones on `RAW`, and what their headers do not contain: `first`, the number of
+#: readings before it, including dropped ones; `readings`; `gravity_base_m_s2`; `stretch`, the number of the
+#: uninterrupted stretch of readings; `fault` of all readings.
+BLOCK = Topic("/probedesign/block", TEXT)
 #: The wrench that was located: without bias, averaged, at the base.
-WITHOUT_BIAS = Topic("/probedesign/wrench", WRENCH, {})
-CONTACT = Topic("/probedesign/contact", UNCERTAIN_POSE, {})  #: Touched point in the base frame, for each result `ok`.
+WITHOUT_BIAS = Topic("/probedesign/wrench", WRENCH)
+CONTACT = Topic("/probedesign/contact", UNCERTAIN_POSE)  #: Touched point in the base frame, for each result `ok`.
 #: Touched point from all readings of a touch, for each fused result `ok`.
-CONTACT_WORLD = Topic("/probedesign/contact_world", UNCERTAIN_POSE, {})
-BASE = Topic("/probedesign/base", POSE, {})  #: Each pose of the base in the world that is used, by the source's clock.
-ESTIMATE = Topic(
-    "/probedesign/estimate",
-    TEXT,
-    _object(
-        "An estimate; null where unknown",
-        ["time_s", "result"],
-        {
-            **{name: NUMBER_OR_NULL for name in (*COLUMNS, *WORLD_COLUMNS)},
-            **{name: TEXT_VALUE for name in ("phase", "fused_result", "stale")},
-            "time_s": NUMBER,
-            "result": {"enum": list(RESULTS)},
-            "T_world_base": {"type": "array", "items": NUMBERS, "description": "4 × 4, if known"},
-        },
-    ),
-)
-#: Tares, marks, silence, loss, faults.
-EVENT = Topic(
-    "/probedesign/event", TEXT, _object("An event", ["event"], {"time_s": NUMBER_OR_NULL, "event": TEXT_VALUE})
-)
+CONTACT_WORLD = Topic("/probedesign/contact_world", UNCERTAIN_POSE)
+BASE = Topic("/probedesign/base", POSE)  #: Each pose of the base in the world that is used, by the source's clock.
+ESTIMATE = Topic("/probedesign/estimate", TEXT)  #: JSON of an estimate as of `live --json`, null if unknown.
+EVENT = Topic("/probedesign/event", TEXT)  #: JSON of a tare, a mark, silence, loss, a fault: `time_s` and `event`.
 #: The numbers of each estimate with its result and its phase, for plots.
-STATE = Topic("/probedesign/state", CONTACT_STATE, {})
+STATE = Topic("/probedesign/state", CONTACT_STATE)
 #: The bent probe, the sensor, and the contact with its 95 % ellipsoid and its force.
-SCENE = Topic("/probedesign/scene", MARKERS, {})
-TF = Topic("/tf", TRANSFORMS, {})  #: Pose of the base in the world, as `BASE`.
-TF_STATIC = Topic("/tf_static", TRANSFORMS, {}, latched=True)  #: Pose of the sensor in the base.
+SCENE = Topic("/probedesign/scene", MARKERS)
+TF = Topic("/tf", TRANSFORMS)  #: Pose of the base in the world, as `BASE`.
+TF_STATIC = Topic("/tf_static", TRANSFORMS, latched=True)  #: Pose of the sensor in the base.
 TOPICS = (RAW, BLOCK, WITHOUT_BIAS, CONTACT, CONTACT_WORLD, BASE, ESTIMATE, EVENT, STATE, SCENE, TF, TF_STATIC)
 
 

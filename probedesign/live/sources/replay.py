@@ -131,12 +131,6 @@ def _open_native(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Open
     elif probe.get("checksum") != freeze(model)["checksum"]:
         notes += ("recorded with another frozen version of this probe (material, sensor): estimates may differ",)
     metadata = bag.metadata[METADATA_NAME]
-    first = next(iter(bag.messages({states})), None)
-    if first is not None and b'"time_s"' in bytes(first.data):
-        raise InputError(
-            f"{bag.path}: an earlier version wrote it: its blocks lack the number of their readings; read it with that "
-            f"version, or only its wrenches with --topic {raw} (replay:FILE?topic={raw})"
-        )
     blocks = NativeRecording(bag, raw, states)
 
     def missing() -> tuple[str, ...]:

@@ -7,28 +7,30 @@ of its own, so that the callbacks of ROS 2 do not delay the estimates.
 import re
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import get_args
+from typing import Any, TypeVar, get_args
 from urllib.parse import unquote
 
 from probedesign.core.csv_tables import Frame
 from probedesign.core.errors import InputError, one_line
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
-from probedesign.live.datagrams import Listener
+from probedesign.live.datagrams import Listener, Parsed
 from probedesign.live.poses.base_poses import TimedPose
 from probedesign.live.poses.pose_sources import parse_pose
 from probedesign.live.recordings.schemas import ros_name
 from probedesign.live.sources.replay import MomentUnit
 from probedesign.live.sources.source import parse_parameters
-from probedesign.live.sources.udp import PARAMETERS, UdpSource, wrench_listener
+from probedesign.live.sources.udp import MAX_RATE, PARAMETERS, UdpSource, parse_wrench
 from probedesign.web import LOOPBACK
 
 BRIDGE = Path(__file__).with_name("ros2_bridge.py")
 #: Interpreters that may have rclpy where this one does not; ROS 2 installs it for the system's.
 SYSTEM_PYTHONS = ("/usr/bin/python3", "python3")
 PROBE_TIMEOUT = 20.0  #: Maximum time to import rclpy [s].
+MAX_POSE_RATE = 2000.0  #: Maximum number of poses per second.
+T = TypeVar("T")
 TEXT_PARAMETERS: dict[str, tuple[str, ...]] = {
     "frame": get_args(Frame), "moment_unit": get_args(MomentUnit), "python": (),
 }  # fmt: skip
@@ -56,20 +58,34 @@ def find_python(option: str, chosen: str = "") -> str:
     )
 
 
-class Bridge:
-    """The bridge process; see `SenderProcess`."""
+class Bridge(Listener[T]):
+    """Receives what a bridge process sends."""
 
-    def __init__(self, option: str, python: str, before: tuple[str, ...], after: tuple[str, ...] = ()) -> None:
-        """Prepare; `before` and `after` are the arguments of the script around the address."""
-        self._option, self._python, self._before, self._after = option, python, before, after
+    notes = ()
+
+    def __init__(
+        self,
+        option: str,
+        name: str,
+        parse: Callable[[Mapping[str, Any]], Parsed[T]],
+        max_rate: float,
+        title: str,
+        command: tuple[str, ...],
+        after: tuple[str, ...] = (),
+    ) -> None:
+        """See `Listener`; `command` is the interpreter with the arguments before the address, `after` the others."""
+        super().__init__(option, name, (LOOPBACK[0], 0), parse, max_rate, title)
+        python, *before = command
+        self._option = option
+        self._command = [python, str(BRIDGE), *before, self.address[0], str(self.address[1]), *after]
         self._process: subprocess.Popen[bytes] | None = None
 
-    def start(self, address: tuple[str, int]) -> None:
-        """Start the process, which sends to an address; Ctrl-C does not reach it."""
-        arguments = [*self._before, address[0], str(address[1]), *self._after]
+    def start(self) -> None:
+        """Start to receive, and the process; Ctrl-C does not reach it."""
+        super().start()
         self._process = subprocess.Popen(
-            [self._python, str(BRIDGE), *arguments],
-            stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True,
+            self._command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+            start_new_session=True,
         )  # fmt: skip
 
     def check(self) -> None:
@@ -82,14 +98,14 @@ class Bridge:
             raise InputError(f"{self._option}: the bridge to ROS 2 has ended: {why}")
 
     def close(self) -> None:
-        """End the process."""
-        if self._process is None:
-            return
-        assert self._process.stdin is not None and self._process.stderr is not None
-        self._process.kill()
-        self._process.wait()
-        self._process.stdin.close()
-        self._process.stderr.close()
+        """End the process and the stream."""
+        if self._process is not None:
+            assert self._process.stdin is not None and self._process.stderr is not None
+            self._process.kill()
+            self._process.wait()
+            self._process.stdin.close()
+            self._process.stderr.close()
+        super().close()
 
 
 def open_ros2(model: ProbeModel, target: str, query: str, log: Log) -> UdpSource:
@@ -104,12 +120,12 @@ def open_ros2(model: ProbeModel, target: str, query: str, log: Log) -> UdpSource
     if not target.startswith("//") or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*", topic):
         raise InputError(f"{option}: write ros2://TOPIC, as ros2://ft_sensor/wrench")
     python = find_python(option, texts["python"])
-    bridge = Bridge(option, python, ("wrench", f"/{topic}"), (texts["moment_unit"] or "Nm",))
-    listener = wrench_listener(option, (LOOPBACK[0], 0), f"topic /{topic} of ROS 2", bridge)
-    return UdpSource(model, listener, log, texts["frame"], numbers["wait_s"], f"{ros_name(model.name)}/base")
+    command, unit = (python, "wrench", f"/{topic}"), texts["moment_unit"] or "Nm"
+    bridge = Bridge(option, "wrenches", parse_wrench, MAX_RATE, f"topic /{topic} of ROS 2", command, (unit,))
+    return UdpSource(model, bridge, log, texts["frame"], numbers["wait_s"], f"{ros_name(model.name)}/base")
 
 
-class TransformPoses(Listener[TimedPose]):
+class TransformPoses(Bridge[TimedPose]):
     """Poses of TF, which a bridge sends; see `PoseStream`."""
 
     _end_reported = False
@@ -118,8 +134,8 @@ class TransformPoses(Listener[TimedPose]):
         """Return the messages to the user since the last call, with the end of the bridge once."""
         lines = super().pop_messages()
         try:
-            if self.sender is not None and not self._end_reported:
-                self.sender.check()
+            if not self._end_reported:
+                self.check()
         except InputError as error:
             self._end_reported = True
             lines.append(str(error))
@@ -144,8 +160,7 @@ def open_tf(target: str, parameters: Mapping[str, str]) -> TransformPoses:
     if not target.startswith("tf://") or not world or not base or "/" in base:
         raise InputError(f"{option}: write tf://WORLD/BASE, as tf://world/probe_base")
     world, base = unquote(world), unquote(base)
-    bridge = Bridge(option, find_python(option, parameters.get("python", "")), ("tf", world, base))
-    title = f"TF of {base} in {world}"
-    poses = TransformPoses(option, "poses", (LOOPBACK[0], 0), parse_pose, title=title, sender=bridge)
+    command = (find_python(option, parameters.get("python", "")), "tf", world, base)
+    poses = TransformPoses(option, "poses", parse_pose, MAX_POSE_RATE, f"TF of {base} in {world}", command)
     poses.start()
     return poses

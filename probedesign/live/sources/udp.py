@@ -20,7 +20,6 @@ from probedesign.live.datagrams import (
     SENDER_TIMEOUT,
     Listener,
     Parsed,
-    SenderProcess,
     parse_listen_address,
     read_quantities,
     read_quantity,
@@ -72,16 +71,6 @@ def parse_wrench(values: Mapping[str, Any]) -> Parsed[ReceivedWrench]:
     return Parsed(received, one_line(str(values.get("frame") or "")), received.time, sequence)
 
 
-WrenchListener = Listener[ReceivedWrench]
-
-
-def wrench_listener(
-    option: str, address: tuple[str, int], title: str = "", sender: SenderProcess | None = None
-) -> WrenchListener:
-    """Return a listener for wrenches; see `Listener`."""
-    return Listener(option, "wrenches", address, parse_wrench, MAX_RATE, title, sender)
-
-
 GATHER_TIME = 0.001  #: Time in which datagrams are gathered [s]: a block of several costs less than several blocks.
 #: Number of intervals whose median is the usual one; silence is longer than so many of these, and than `STALE_TIME`.
 USUAL_INTERVALS, STALE_INTERVALS = 32, 5
@@ -102,7 +91,7 @@ class UdpSource:
     def __init__(
         self,
         model: ProbeModel,
-        listener: WrenchListener,
+        listener: Listener[ReceivedWrench],
         log: Log,
         frame: str = "",
         wait: float = PARAMETERS["wait_s"].default,
@@ -139,7 +128,7 @@ class UdpSource:
                 self._report(listener)
                 self._log(f"{self.title}: {listener.summary}")
 
-    def _blocks(self, listener: WrenchListener) -> Generator[Block, None, None]:
+    def _blocks(self, listener: Listener[ReceivedWrench]) -> Generator[Block, None, None]:
         while True:
             listener.wait(STALE_TIME)
             started = monotonic()
@@ -150,8 +139,7 @@ class UdpSource:
                 sleep(max(0.0, started + GATHER_TIME - monotonic()))
             elif started - self._arrival > self._stale_time:
                 self._report(listener)
-                if listener.sender is not None:
-                    listener.sender.check()
+                listener.check()
                 self._dropout.on_silence(self._arrival, "is the sender running?")
                 yield dropout_block(self._model.gravity_base, self._dropout.reason, self._stretch)
 
@@ -195,8 +183,7 @@ class UdpSource:
             wrench = self._model.to_sensor(wrench, gravity)
         return WrenchReading(self._time, wrench, gravity, None, value.fault, self._stretch, arrival)
 
-    def _count(self, listener: WrenchListener) -> None:
-        """Update the counts, pass messages on, and report an increase of the losses at limited frequency."""
+    def _count(self, listener: Listener[ReceivedWrench]) -> None:
         for line in listener.pop_messages():
             self._log(line)
         counts = listener.counts
@@ -205,7 +192,7 @@ class UdpSource:
         if monotonic() - self._reported[1] > REPORT_INTERVAL:
             self._report(listener)
 
-    def _report(self, listener: WrenchListener) -> None:
+    def _report(self, listener: Listener[ReceivedWrench]) -> None:
         lost = listener.counts["lost"]
         if lost > self._reported[0]:
             self._log(f"{self.title}: {lost - self._reported[0]} wrenches lost; {self.counts['received']} received")
@@ -220,5 +207,5 @@ def open_udp(model: ProbeModel, target: str, query: str, log: Log) -> UdpSource:
     """
     numbers, texts = parse_parameters("udp:", query, PARAMETERS, TEXT_PARAMETERS)
     option = f"--source udp:{target}"
-    listener = wrench_listener(option, parse_listen_address(option))
+    listener = Listener(option, "wrenches", parse_listen_address(option), parse_wrench, MAX_RATE)
     return UdpSource(model, listener, log, texts["frame"], numbers["wait_s"])

@@ -192,7 +192,6 @@ class Panel:
     def __init__(
         self, server: viser.ViserServer, send_command: Callable[[str, str], None], scenes: Sequence[SceneSetup]
     ) -> None:
-        """Create the panels for the probes of a run."""
         self.paused, gui = False, server.gui
         gui.main_panel.dock_right()
         gui.main_panel.set_width(STATUS_WIDTH)

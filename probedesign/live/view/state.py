@@ -359,7 +359,6 @@ class RunView(Sink):
     """What a view stores: the state of each probe of a run."""
 
     def __init__(self, states: Mapping[str, ViewState]) -> None:
-        """Take the states by the name of the probe in the run, which is empty for a single one."""
         self.states = states
 
     def pass_on(self, call: str, *data: Any) -> None:

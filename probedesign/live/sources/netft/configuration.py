@@ -46,7 +46,6 @@ class NetFTConfiguration:
     bias: tuple[float, ...] = (0.0,) * 6  #: gauge counts that the box subtracts [setbias].
 
     def __post_init__(self) -> None:
-        """Check units and numbers; raises InputError if one is unknown or impossible."""
         for tag, value in (("cfgcpf", self.counts_per_force), ("cfgcpt", self.counts_per_torque)):
             if not value > 0.0:
                 raise InputError(f"netftapi2.xml: {tag} = {value:g} must be positive")

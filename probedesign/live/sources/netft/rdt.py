@@ -162,7 +162,6 @@ class SequenceMonitor:
 
 
 def _signed(difference: int) -> int:
-    """Return the difference of two 32-bit counters, positive if the first is ahead."""
     return (difference + WRAP // 2) % WRAP - WRAP // 2
 
 

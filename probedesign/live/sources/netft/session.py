@@ -189,7 +189,6 @@ class RdtRecords:
         return len(self.ft_sequence)
 
     def __getitem__(self, part: slice | NDArray[np.bool_]) -> "RdtRecords":
-        """Return some of the records."""
         return RdtRecords(self.ft_sequence[part], self.status[part], self.received[part], self.counts[part])
 
 
@@ -295,7 +294,6 @@ class RdtSession:
         return min(self._delays, default=-math.inf) + (self._newest + gathered) / self._rate
 
     def _request(self) -> None:
-        """Request the stream, whose records are counted from one again."""
         self._requested = monotonic()
         self._sequence.restart()
         self._delays.clear()

@@ -185,7 +185,6 @@ class NetFTSource:
                 )
 
     def _report_silence(self, hint: str = "asking again") -> Generator[Block, None, None]:
-        """Report silence; yield a block without readings if there have been any."""
         self._dropout.on_silence(self._last, hint)
         if self._dropout.ongoing:
             yield dropout_block(self._gravity, self._dropout.reason, self._stretch)
@@ -212,7 +211,6 @@ class NetFTSource:
         return True
 
     def _check_configuration(self) -> None:
-        """Check that the configuration is unchanged."""
         if self._monitor.changed:
             text = ", ".join(self._monitor.changed)
             raise InputError(
