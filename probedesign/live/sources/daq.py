@@ -49,10 +49,6 @@ class GaugeCalibration:
     matrix: Array  #: wrench [N, N·m] per gauge voltage, about the centre of the tool face, (6, 6).
     ranges: Array  #: range of each channel [N, N·m], (6,).
 
-    def wrench(self, volts: Array, zero: Array | float = 0.0) -> Array:
-        """Return the wrench [N, N·m] of gauge voltages minus zero voltages [V], (6,) or (n, 6)."""
-        return np.asarray((volts - zero) @ self.matrix.T)
-
 
 def clipped(volts: Array) -> NDArray[np.bool_]:
     """Return which gauges are clipped by the amplifier or not finite, in the shape of `volts`."""
@@ -134,94 +130,6 @@ NOT_YET_AVAILABLE = -200284  # SAMPLES_NOT_YET_AVAILABLE
 OVERRUN_CODES = (-200279, -200222, -200361, -200010)
 
 
-@dataclass(frozen=True)
-class GaugeSamples:
-    """n samples of the gauges; empty if none arrived."""
-
-    volts: Array  #: voltages [V], (n, 6).
-    start: float  #: time of the first sample since the acquisition started, by the card's clock [s].
-    rate: float  #: rate of the card's clock [Hz].
-    received: float  #: arrival of the last sample, by `time.monotonic` [s].
-    interrupted: bool = False  #: whether samples are missing before these.
-
-
-class DaqCard:
-    """Six differential inputs of a card, sampled together."""
-
-    def __init__(self, channels: str, rate: float) -> None:
-        """Check that the driver and the card are present; nothing is acquired yet.
-
-        Args:
-            channels: NI's names, `Dev1/ai0:5`, or six separated by commas.
-            rate: sampling rate [Hz]; a card may only approximate it.
-
-        Raises:
-            InputError: the channels are not six inputs of one card, or there is no such card.
-            MissingDependencyError: nidaqmx or NI's driver is not installed.
-        """
-        self.name = f"daq://{channels}"
-        self._channels, self._rate = channels, rate
-        self._n_read = 0  # since the acquisition began
-        pattern = re.compile(r"\s*([^/,:\s]+)/ai(\d{1,4})(?::(?:ai)?(\d{1,4}))?\s*")
-        parts = [match.groups() for part in channels.split(",") if (match := pattern.fullmatch(part))]
-        count = sum(abs(int(last or first) - int(first)) + 1 for _, first, last in parts)
-        cards = {card for card, _, _ in parts}
-        if count != GAUGES or len(cards) != 1 or len(parts) <= channels.count(","):
-            raise InputError(f"daq://{channels}: name six inputs of one card, as daq://Dev1/ai0:5?cal=FILE")
-        device, names = cards.pop(), _devices()
-        if device.lower() not in (name.lower() for name in names):
-            there = f"available are {', '.join(names)}" if names else "none is present"
-            raise InputError(f"{self.name}: no card {device}; {there}; NI's tools list and rename them")
-
-    def acquired(self) -> Generator[GaugeSamples, None, None]:
-        """Yield samples as they arrive, empty after each `STALE_TIME` without one; restart after a buffer overrun.
-
-        Raises:
-            InputError: the driver reports another error.
-        """
-        from nidaqmx import Task
-        from nidaqmx.constants import AcquisitionType, TerminalConfiguration
-        from nidaqmx.errors import DaqError
-
-        interrupted = False
-        limits = {"min_val": -INPUT_RANGE, "max_val": INPUT_RANGE}
-        differential, continuous = TerminalConfiguration.DIFF, AcquisitionType.CONTINUOUS
-        size = max(1000, round(BUFFER_DURATION * self._rate))
-        while True:
-            try:
-                with Task() as task:
-                    task.ai_channels.add_ai_voltage_chan(self._channels, terminal_config=differential, **limits)
-                    task.timing.cfg_samp_clk_timing(self._rate, sample_mode=continuous, samps_per_chan=size)
-                    yield from self._from(task, interrupted)
-            except DaqError as error:
-                if error.error_code not in OVERRUN_CODES or not self._n_read:
-                    line = " ".join(str(error).split("\n\n")[0].split())
-                    raise InputError(f"{self.name}: NI's driver reports: {line} (error {error.error_code})") from None
-                interrupted = True
-
-    def _from(self, task: "Task", interrupted: bool) -> Generator[GaugeSamples, None, None]:
-        from nidaqmx.errors import DaqError
-        from nidaqmx.stream_readers import AnalogMultiChannelReader
-
-        rate = float(task.timing.samp_clk_rate)
-        reader = AnalogMultiChannelReader(task.in_stream)
-        minimum, maximum = max(1, round(WAIT_TIME * rate)), max(1, round(MAX_READ * rate))
-        task.start()
-        self._n_read = 0
-        while True:
-            count = int(np.clip(task.in_stream.avail_samp_per_chan, minimum, maximum))
-            data = np.empty((GAUGES, count))
-            try:
-                reader.read_many_sample(data, count, timeout=STALE_TIME)
-            except DaqError as error:
-                if error.error_code != NOT_YET_AVAILABLE:
-                    raise
-                data = data[:, :0]
-            yield GaugeSamples(data.T, self._n_read / rate, rate, monotonic(), interrupted)
-            self._n_read += data.shape[1]
-            interrupted = interrupted and not data.shape[1]
-
-
 def _devices() -> list[str]:
     """Return the names of the cards that NI's driver reports."""
     try:
@@ -245,15 +153,16 @@ SAMPLES_LOST = "samples were lost because reading was too slow; the acquisition 
 
 
 class DaqSource:
-    """A sensor on a DAQ card; see `Source`."""
+    """A sensor at six differential inputs of a card, sampled together; see `Source`."""
 
     def __init__(self, model: ProbeModel, target: str, query: str, log: Log) -> None:
-        """Read the calibration and find the card; nothing is acquired yet.
+        """Read the calibration and find driver and card; nothing is acquired yet.
 
         Args:
             model: probe on the sensor.
-            target: `//DEVICE/ai0:5`.
-            query: cal, zero_V, and the parameters of `PARAMETERS`.
+            target: `//DEVICE/ai0:5`, or six inputs separated by commas.
+            query: cal, zero_V, and the parameters of `PARAMETERS`; a card may only approximate the rate.
+            log: callback for messages.
 
         Raises:
             InputError: the channels, a parameter or the calibration is invalid, or there is no such card.
@@ -264,55 +173,108 @@ class DaqSource:
         numbers, texts = parse_parameters("daq:", query, PARAMETERS, {"cal": (), "zero_V": ()})
         if not texts["cal"]:
             raise InputError(f"daq:{target}: needs its sensor's calibration; write daq:{target}?cal=FT12345.cal")
-        self.calibration: GaugeCalibration = read_calibration(Path(texts["cal"]))
+        self._calibration = read_calibration(Path(texts["cal"]))
         try:
-            volts = (
-                np.array([float(part) for part in texts["zero_V"].split(",")]) if texts["zero_V"] else np.zeros(GAUGES)
-            )
+            volts = np.array([float(part) for part in (texts["zero_V"] or "0,0,0,0,0,0").split(",")])
         except ValueError:
             volts = np.full(GAUGES, np.nan)
         if volts.shape != (GAUGES,) or clipped(volts).any():
-            given = repr(texts["zero_V"][:60])
-            raise InputError(
-                f"daq: zero_V = {given} must be {GAUGES} voltages within {MAX_GAUGE_VOLTS:g} V, with commas"
-            )
-        self._zero = volts
-        self._card = DaqCard(target.removeprefix("//"), numbers["rate_hz"])
-        self._gravity, self._log = model.gravity_base, log
-        self.title = f"{self._card.name}, sensor {self.calibration.serial} {self.calibration.part}"
+            raise InputError(f"daq: zero_V = {texts['zero_V'][:60]!r} must be {GAUGES} voltages within "
+                             f"{MAX_GAUGE_VOLTS:g} V, with commas")  # fmt: skip
+        self._zero, self._rate, self._channels = volts, numbers["rate_hz"], target.removeprefix("//")
+        pattern = re.compile(r"\s*([^/,:\s]+)/ai(\d{1,4})(?::(?:ai)?(\d{1,4}))?\s*")
+        parts = [match.groups() for part in self._channels.split(",") if (match := pattern.fullmatch(part))]
+        count = sum(abs(int(last or first) - int(first)) + 1 for _, first, last in parts)
+        cards = {card for card, _, _ in parts}
+        if count != GAUGES or len(cards) != 1 or len(parts) <= self._channels.count(","):
+            raise InputError(f"daq:{target}: name six inputs of one card, as daq://Dev1/ai0:5?cal=FILE")
+        self._name, device, names = f"daq:{target}", cards.pop(), _devices()
+        if device.lower() not in (name.lower() for name in names):
+            there = f"available are {', '.join(names)}" if names else "none is present"
+            raise InputError(f"{self._name}: no card {device}; {there}; NI's tools list and rename them")
+        self._gravity, self._log, self._n_read = model.gravity_base, log, 0
+        self.title = f"{self._name}, sensor {self._calibration.serial} {self._calibration.part}"
         self.notes = (
             "gauges are assigned in the order of the channels",
-            *range_note("calibration", self.calibration.ranges, model),
+            *range_note("calibration", self._calibration.ranges, model),
         )
 
     def __iter__(self) -> Generator[Block, None, None]:
-        dropout, stretch = DropoutMonitor(self._card.name, self._log, NO_SAMPLE), 0
+        dropout, stretch = DropoutMonitor(self._name, self._log, NO_SAMPLE), 0
         offset, last = 0.0, (0.0, -inf)  # time and arrival of the last sample
-        with closing(self._card.acquired()) as stream:
-            for samples in stream:
-                if not len(samples.volts):
+        with closing(self._acquired()) as stream:
+            for volts, start, rate, interrupted in stream:
+                if not len(volts):
                     dropout.on_silence(last[1], "still waiting")
                     if dropout.ongoing:
                         yield dropout_block(self._gravity, dropout.reason, stretch)
                     continue
-                ticks = np.arange(len(samples.volts)) / samples.rate
-                received = samples.received - ticks[::-1]
+                ticks = np.arange(len(volts)) / rate
+                received = monotonic() - ticks[::-1]
                 gap = float(received[0]) - last[1]
-                if isfinite(gap) and (samples.interrupted or dropout.ongoing):
+                if isfinite(gap) and (interrupted or dropout.ongoing):
                     stretch += 1
-                    if samples.interrupted:  # the card's clock restarts at zero; the host's clock covers the gap
-                        offset = last[0] + max(gap, 1.0 / samples.rate)
-                        self._log(f"{self._card.name}: {SAMPLES_LOST}")
+                    if interrupted:  # the card's clock restarts at zero; the host's clock covers the gap
+                        offset = last[0] + max(gap, 1.0 / rate)
+                        self._log(f"{self._name}: {SAMPLES_LOST}")
                     if dropout.ongoing:
                         dropout.on_resumed(gap)
-                time = offset + samples.start + ticks
-                yield from self._blocks(samples.volts, time, received, stretch)
+                time = offset + start + ticks
+                yield from self._blocks(volts, time, received, stretch)
                 last = float(time[-1]), float(received[-1])
+
+    def _acquired(self) -> Generator[tuple[Array, float, float, bool], None, None]:
+        """Yield samples as they arrive, none after each `STALE_TIME` without one; restart after a buffer overrun.
+
+        They are voltages [V], (n, 6), with the time of the first by the card's clock [s], its rate [Hz], and whether
+        samples are missing before them.
+        """
+        from nidaqmx import Task
+        from nidaqmx.constants import AcquisitionType, TerminalConfiguration
+        from nidaqmx.errors import DaqError
+
+        interrupted = False
+        limits = {"min_val": -INPUT_RANGE, "max_val": INPUT_RANGE}
+        differential, continuous = TerminalConfiguration.DIFF, AcquisitionType.CONTINUOUS
+        size = max(1000, round(BUFFER_DURATION * self._rate))
+        while True:
+            try:
+                with Task() as task:
+                    task.ai_channels.add_ai_voltage_chan(self._channels, terminal_config=differential, **limits)
+                    task.timing.cfg_samp_clk_timing(self._rate, sample_mode=continuous, samps_per_chan=size)
+                    yield from self._from(task, interrupted)
+            except DaqError as error:
+                if error.error_code not in OVERRUN_CODES or not self._n_read:
+                    line = " ".join(str(error).split("\n\n")[0].split())
+                    raise InputError(f"{self._name}: NI's driver reports: {line} (error {error.error_code})") from None
+                interrupted = True
+
+    def _from(self, task: "Task", interrupted: bool) -> Generator[tuple[Array, float, float, bool], None, None]:
+        from nidaqmx.errors import DaqError
+        from nidaqmx.stream_readers import AnalogMultiChannelReader
+
+        rate = float(task.timing.samp_clk_rate)
+        reader = AnalogMultiChannelReader(task.in_stream)
+        minimum, maximum = max(1, round(WAIT_TIME * rate)), max(1, round(MAX_READ * rate))
+        task.start()
+        self._n_read = 0
+        while True:
+            count = int(np.clip(task.in_stream.avail_samp_per_chan, minimum, maximum))
+            data = np.empty((GAUGES, count))
+            try:
+                reader.read_many_sample(data, count, timeout=STALE_TIME)
+            except DaqError as error:
+                if error.error_code != NOT_YET_AVAILABLE:
+                    raise
+                data = data[:, :0]
+            yield data.T, self._n_read / rate, rate, interrupted
+            self._n_read += data.shape[1]
+            interrupted = interrupted and not data.shape[1]
 
     def _blocks(self, volts: Array, time: Array, received: Array, stretch: int) -> Generator[Block, None, None]:
         """Yield samples as wrenches, split where their fault changes."""
-        wrench = self.calibration.wrench(volts, self._zero)
-        invalid = np.hstack([clipped(volts), ~(np.abs(wrench) <= self.calibration.ranges)])
+        wrench = (volts - self._zero) @ self._calibration.matrix.T
+        invalid = np.hstack([clipped(volts), ~(np.abs(wrench) <= self._calibration.ranges)])
         cuts = np.flatnonzero((invalid[1:] != invalid[:-1]).any(axis=1)) + 1
         for start, end in pairwise([0, *cuts.tolist(), len(time)]):
             part, fault = slice(start, end), ""

@@ -4,28 +4,40 @@ Our own MCAP recordings reproduce the readings of the original source, their tim
 Other ROS 2 bags and CSV are read too.
 """
 
+import csv
 import json
+import re
 from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
 
 from probedesign.core.csv_tables import Frame
+from probedesign.core.csv_tables import read_text as read_table
 from probedesign.core.errors import InputError, one_line, quoted
 from probedesign.core.files import check_regular
 from probedesign.core.frames import Array
-from probedesign.core.units import MM
+from probedesign.core.units import FORCE_UNITS, MM, TORQUE_UNITS, unit_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.frozen_probe import freeze
 from probedesign.live import Log
 from probedesign.live.blocks import Block, WrenchReading
-from probedesign.live.recordings.csv import Recording, check_wrenches, read_recording
-from probedesign.live.recordings.schemas import BLOCK, METADATA_NAME, RAW, Message, read_text, read_wrenches, ros_name
+from probedesign.live.recordings.csv import Recording, check_wrenches, gaps_in, read_recording
+from probedesign.live.recordings.schemas import (
+    BLOCK,
+    METADATA_NAME,
+    RAW,
+    WRENCH,
+    Message,
+    read_text,
+    read_wrenches,
+    ros_name,
+)
 from probedesign.live.sources import rosbag
-from probedesign.live.sources.netft.demo_recording import is_ati_demo, read_ati_demo
+from probedesign.live.sources.netft.rdt import SAMPLES_PER_SECOND, WRAP, fault_of
 from probedesign.live.sources.rosbag import BLOCK_SIZE, Bag
 from probedesign.live.sources.source import SPEED, SourceParameter, parse_parameters, played
 
@@ -148,15 +160,19 @@ def _open_native(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Open
 
 
 def _open_foreign(bag: Bag, model: ProbeModel, options: RecordingOptions) -> OpenRecording:
-    published = rosbag.find_wrench_topic(bag, options.topic)
-    named: Frame = "base" if published.frame_id in ("base", f"{ros_name(model.name)}/base") else "sensor"
-    frame = options.frame or named
-    topic = f"topic {one_line(published.channel.topic)}"
-    notes = [f"{topic}, frame {quoted(published.frame_id)}, interpreted as the {frame} frame"]
-    if published.unstamped:
+    channel = rosbag.select_channel(bag, {WRENCH}, options.topic)
+    topic = f"topic {one_line(channel.topic)}"
+    first = list(islice(bag.messages({channel.topic}), BLOCK_SIZE))
+    if not first:
+        raise InputError(f"{bag.path}: {topic} has no messages" + (bag.damage and f"; {bag.damage}"))
+    read = [rosbag.read_wrench_message(bag, message) for message in first]
+    stamp, frame_id, _ = read[0]
+    frame: Frame = options.frame or ("base" if frame_id in ("base", f"{ros_name(model.name)}/base") else "sensor")
+    notes = [f"{topic}, frame {quoted(frame_id)}, interpreted as the {frame} frame"]
+    if stamp == 0:
         notes.append("its headers have no time stamp: the time of recording is used")
-    _, wrench = next(published.wrenches())
-    typical, limit = np.median(np.abs(wrench[:, 3:]), axis=0), model.wrench_range[3:]
+    typical = np.median(np.abs([values[3:] for _, _, values in read]), axis=0)
+    limit = model.wrench_range[3:]
     if options.moment_unit == "Nm" and (typical > limit).any() and (typical * MM <= limit).all():
         notes.append(
             f"moments of {typical.max():.3g} N·m are beyond the sensor's {limit.max():.3g} N·m; "
@@ -166,11 +182,15 @@ def _open_foreign(bag: Bag, model: ProbeModel, options: RecordingOptions) -> Ope
     unread = np.full(BLOCK_SIZE, np.nan)
 
     def blocks() -> Iterator[Block]:
-        for time, published_wrench in published.wrenches():
-            wrench = published_wrench * factors
+        messages = bag.messages({channel.topic})
+        while batch := list(islice(messages, BLOCK_SIZE)):
+            read = [rosbag.read_wrench_message(bag, message) for message in batch]
+            stamps = [at if stamp else message.logged
+                      for message, (at, _, _) in zip(batch, read, strict=True)]  # fmt: skip
+            wrench = np.array([values for _, _, values in read]) * factors
             if frame == "base":
                 wrench = model.to_sensor(wrench, model.gravity_base)
-            yield Block(time, wrench, model.gravity_base, unread[: len(time)])
+            yield Block(np.array(stamps, dtype=float) / 1e9, wrench, model.gravity_base, unread[: len(batch)])
 
     return OpenRecording(bag.path, topic, frame, tuple(notes),
                     lambda: _checked(bag.path, blocks()),
@@ -253,6 +273,101 @@ def _native_block(raw: list[Message], clock_offset: int, text: str) -> tuple[int
     time = np.array([(message.logged - clock_offset) / 1e9 for message in raw])
     wrench = read_wrenches([message.data for message in raw]).copy()
     return first, Block(time, wrench, gravity, np.full(len(time), np.nan), one_line(fault, 200), stretch)
+
+
+FIRST_WORDS = "Start Time"
+ATI_HEADER = ("status(hex)", "rdtsequence", "f/tsequence", "fx", "fy", "fz", "tx", "ty", "tz", "time")
+
+
+def is_ati_demo(path: Path) -> bool:
+    """Return whether a file begins like a recording of ATI's Java demo, version 1.1.1."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(FIRST_WORDS) + 4).lstrip(b'\xef\xbb\xbf"').startswith(FIRST_WORDS.encode())
+    except (OSError, ValueError):
+        return False
+
+
+def read_ati_demo(path: Path) -> Recording:
+    """Read a recording of ATI's demonstration program: seven lines, a header, and rows of quoted fields.
+
+    A row contains counts or units. The time is the sensor's, from the first sample.
+
+    Raises:
+        InputError: the file cannot be read or is invalid; the message names the line.
+    """
+    lines = read_table(path, "recording").splitlines()
+    factors, start = _head(path, lines)
+    rows = [(number, fields) for number, fields in enumerate(csv.reader(lines[start:]), start + 1) if fields]
+    notes = []
+    if rows and len(rows[-1][1]) < len(ATI_HEADER):
+        notes.append(f"line {rows[-1][0]} is incomplete at the end: dropped")
+        rows.pop()
+    dropped = len(notes)
+    values = np.array([_numbers(path, number, fields) for number, fields in rows]).reshape(-1, 8)
+    if not len(values):
+        raise InputError(f"{path}: no samples, only a header")
+    time = _time(path, values[:, 1], [number for number, _ in rows])
+    counts = bool((values[:, 2:] == np.rint(values[:, 2:])).all())  # counts are integers, newtons are not
+    wrench = values[:, 2:] * factors[0] / (factors[1] if counts else 1.0)
+    good = np.array([not fault_of(int(status)) for status in values[:, 0]])
+    if not good.all():
+        notes.append(f"{int((~good).sum())} samples with a fault are omitted")
+    gaps, missing = gaps_in(time[good])
+    if gaps:
+        notes.append(f"{missing} samples are missing in {gaps} gaps")
+    check_wrenches(path, time[good], wrench[good])
+    return Recording(time[good], wrench[good], "sensor", None, gaps, missing, dropped, tuple(notes))
+
+
+def _head(path: Path, lines: list[str]) -> tuple[tuple[Array, Array], int]:
+    """Return units in SI and counts per unit, (6,) each, and the number of lines before the first row."""
+    head: dict[str, str] = {}
+    for number, line in enumerate(lines[:20], 1):
+        if re.sub(r"[\s\"]", "", line).lower().split(",") == list(ATI_HEADER):
+            force, torque = (
+                unit_of(f"{path}: {what} Units", head.get(f"{what} Units", ""), units)
+                for what, units in (("Force", FORCE_UNITS), ("Torque", TORQUE_UNITS))
+            )
+            counts = [_counts(path, head, f"Counts per Unit {what}") for what in ("Force", "Torque")]
+            return (np.repeat([force, torque], 3), np.repeat(counts, 3)), number
+        name, _, value = line.strip().strip('"').partition(":")
+        head[name.strip()] = value.strip()
+    raise InputError(f"{path}: like a recording of ATI's demo, but without its header: Status (hex), ..., Time")
+
+
+def _counts(path: Path, head: dict[str, str], name: str) -> float:
+    try:
+        counts = float(head[name])
+    except (KeyError, ValueError):
+        counts = 0.0
+    if not 0.0 < counts < np.inf:
+        raise InputError(f"{path}: {name} {quoted(head.get(name, ''))} must be a positive number")
+    return counts
+
+
+def _numbers(path: Path, number: int, fields: list[str]) -> list[float]:
+    """Return status, sequence number of the sensor and six channels."""
+    try:
+        if len(fields) != len(ATI_HEADER):
+            raise ValueError
+        numbers = [int(fields[0].strip(), 16), int(fields[2]), *map(float, fields[3:9])]
+    except ValueError:
+        text = quoted(",".join(fields))
+        raise InputError(f"{path}:{number}: {text} is not a row of {len(ATI_HEADER)} fields of ATI's demo") from None
+    if not np.isfinite(numbers).all() or not 0 <= min(numbers[:2]) <= max(numbers[:2]) < WRAP:
+        raise InputError(f"{path}:{number}: {quoted(','.join(fields))} contains a number that no box sends")
+    return numbers
+
+
+def _time(path: Path, sequence: Array, numbers: list[int]) -> Array:
+    """Return the time by the sensor's own counter, across its 32-bit overflow [s], (n,)."""
+    ticks = np.diff(sequence) % WRAP
+    back = np.flatnonzero(ticks > WRAP / 2)
+    if len(back):
+        number = numbers[int(back[0]) + 1]
+        raise InputError(f"{path}:{number}: F/T Sequence decreases; sort the rows or split the recording")
+    return np.concatenate([[0.0], np.cumsum(ticks)]) / SAMPLES_PER_SECOND
 
 
 PARAMETERS = {"speed": SPEED, "other_probe": SourceParameter(0, 0, 1, integer=True)}

@@ -2,22 +2,16 @@
 
 import difflib
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import Any, Protocol
 
-import numpy as np
-
 from probedesign.core.errors import InputError, MissingDependencyError, one_line, quoted
-from probedesign.core.frames import Array
 from probedesign.live.poses.base_poses import TimedPose, TransformTree, timed_pose
 from probedesign.live.recordings import require_mcap
 from probedesign.live.recordings.schemas import (
     MCAP_MAGIC,
     POSE,
     TRANSFORMS,
-    WRENCH,
     BagTopic,
     Message,
     read_stamped,
@@ -113,9 +107,7 @@ class RosBag:
         except ImportError:
             raise MissingDependencyError.of_extra("reading a bag", "rosbags", "live") from None
         self.path, self.damage = path, ""
-        self.clock_offsets: dict[str, int] = {}
-        self.metadata: dict[str, dict[str, str]] = {}
-        self.probes: list[dict[str, object]] = []
+        self.clock_offsets, self.metadata, self.probes = dict[str, int](), dict[str, dict[str, str]](), list[Any]()
         self._reader = Reader
         try:
             with Reader(path) as reader:
@@ -128,11 +120,7 @@ class RosBag:
         return list(dict.fromkeys(self._channels))
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """Yield the messages of the topics; see `Bag`.
-
-        Raises:
-            InputError: the bag cannot be read further.
-        """
+        """Yield the messages of the topics; see `Bag`."""
         try:
             with self._reader(self.path) as reader:
                 wanted = [connection for connection in reader.connections if connection.topic in topics]
@@ -152,49 +140,10 @@ class RosBag:
 
 
 BLOCK_SIZE = 256  #: Readings per block: few enough for a short delay, enough for efficiency.
-Wrenches = tuple[Array, Array]  #: Times [s], (n,), and wrenches as published, (n, 6).
 
 
-@dataclass(frozen=True)
-class RosWrenchTopic:
-    """A topic of wrenches."""
-
-    bag: Bag  #: the bag.
-    channel: BagTopic  #: channel of the topic.
-    frame_id: str  #: frame of its first message.
-    unstamped: bool  #: whether its headers have no time stamp, so that the time of recording is used.
-
-    def wrenches(self) -> Iterator[Wrenches]:
-        """Yield times and wrenches in blocks.
-
-        Raises:
-            InputError: a message is invalid.
-        """
-        messages = self.bag.messages({self.channel.topic})
-        while batch := list(islice(messages, BLOCK_SIZE)):
-            read = [_read_wrench(self.bag, message) for message in batch]
-            pairs = zip(batch, read, strict=True)
-            stamps = [message.logged if self.unstamped else stamp for message, (stamp, _, _) in pairs]
-            yield np.array(stamps, dtype=float) / 1e9, np.array([values for _, _, values in read])
-
-
-def find_wrench_topic(bag: Bag, topic: str = "") -> RosWrenchTopic:
-    """Return the topic of wrenches in a bag; `topic` may be empty if there is only one.
-
-    Raises:
-        InputError: none exists, it is empty, or there are several and no name is given.
-    """
-    channel = select_channel(bag, {WRENCH}, topic)
-    first = next(iter(bag.messages({channel.topic})), None)
-    if first is None:
-        raise InputError(
-            f"{bag.path}: topic {one_line(channel.topic)} has no messages" + (bag.damage and f"; {bag.damage}")
-        )
-    stamp, frame_id, _ = _read_wrench(bag, first)
-    return RosWrenchTopic(bag, channel, frame_id, stamp == 0)
-
-
-def _read_wrench(bag: Bag, message: Message) -> tuple[int, str, tuple[float, ...]]:
+def read_wrench_message(bag: Bag, message: Message) -> tuple[int, str, tuple[float, ...]]:
+    """Return time [ns], frame and wrench of a message; raises InputError if it is invalid."""
     try:
         return read_stamped(message.data, 6)
     except ValueError as error:

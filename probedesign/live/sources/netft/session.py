@@ -10,7 +10,7 @@ from collections.abc import Generator
 from contextlib import suppress
 from dataclasses import dataclass
 from time import monotonic, sleep, time_ns
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,12 +27,10 @@ MAX_DATAGRAM = 2048  #: More bytes than any datagram of a box has.
 SO_TIMESTAMPNS, SO_RXQ_OVFL = 35, 40
 
 
-class Datagrams(NamedTuple):
-    """Records that were gathered."""
-
-    words: NDArray[np.int64]  #: the records: numbers of record and sample, status, counts of the six channels, (n, 9).
-    received: Array  #: arrival by `time.monotonic` [s], (n,); not yet limited to the arrival of earlier ones.
-    dropped: int | None  #: number of datagrams that the socket's buffer has dropped so far; None if it is not stated.
+#: Records: numbers of record and sample, status, counts of the six channels, (n, 9); their arrival by `time.monotonic`
+#: [s], (n,), not yet limited to that of earlier ones; the number of datagrams that the socket's buffer has dropped so
+#: far, None if it is not stated.
+Gathered = tuple[NDArray[np.int64], Array, int | None]
 
 
 class SingleReceiver:
@@ -60,12 +58,12 @@ class SingleReceiver:
                 self._received.append(monotonic())
                 self.count += 1
 
-    def take(self) -> Datagrams:
+    def take(self) -> Gathered:
         """Return what was gathered, and begin again."""
         rows = np.frombuffer(b"".join(self._datagrams), dtype=np.uint8).reshape(-1, RECORD.size)
         received = np.array(self._received)
         self._datagrams, self._received, self.count = [], [], 0
-        return Datagrams(_words(rows), received, None)
+        return _words(rows), received, None
 
 
 def _words(rows: NDArray[np.uint8]) -> NDArray[np.int64]:
@@ -131,7 +129,7 @@ class BatchReceiver(SingleReceiver):
             table[start : self.count] = table[kept]
         self._control_lengths[self.count : end] = _CONTROL.itemsize
 
-    def take(self) -> Datagrams:
+    def take(self) -> Gathered:
         """Return what was gathered; see `SingleReceiver`."""
         n = self.count
         words = _words(self._rows[:n, : RECORD.size])
@@ -145,7 +143,7 @@ class BatchReceiver(SingleReceiver):
         dropped = int(control["dropped"][-1]) if known else None
         stated[:] = _CONTROL.itemsize
         self.count = 0
-        return Datagrams(words, received, dropped)
+        return words, received, dropped
 
 
 def open_receiver(link: socket.socket) -> SingleReceiver:
@@ -192,9 +190,6 @@ class RdtRecords:
         return RdtRecords(self.ft_sequence[part], self.status[part], self.received[part], self.counts[part])
 
 
-NO_RECORDS = RdtRecords(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), np.empty((0, 6), np.int64))
-
-
 class RdtSession:
     """Streams the records of one box, and requests the stream again when it is silent.
 
@@ -209,13 +204,7 @@ class RdtSession:
     """
 
     def __init__(self, name: str, host: str, port: int, rate: float = SAMPLES_PER_SECOND) -> None:
-        """Open a socket to the box at a host and RDT port; nothing streams yet.
-
-        Args:
-            name: name of the source, for messages.
-            host: host of the box.
-            port: its RDT port.
-            rate: records a second.
+        """Open a socket to the box at a host and RDT port, which sends `rate` records a second; nothing streams yet.
 
         Raises:
             InputError: the host is unknown.
@@ -247,8 +236,8 @@ class RdtSession:
             f"records. On Linux: sysctl -w net.core.rmem_max={BUFFER_BYTES}",
         )
 
-    def records(self) -> Generator[RdtRecords, None, None]:
-        """Yield new records as they arrive; none after each `STALE_TIME` without one."""
+    def records(self) -> Generator[RdtRecords | None, None, None]:
+        """Yield new records as they arrive; None after each `STALE_TIME` without one."""
         try:
             self._request()
             last = started = monotonic()  # the last new record; the first that was gathered
@@ -281,7 +270,7 @@ class RdtSession:
                     if now - self._requested > REQUEST_INTERVAL:
                         self._request()
                     last = now
-                    yield NO_RECORDS
+                    yield None
         finally:
             self._send(Request(STOP))
             self._link.close()

@@ -137,7 +137,7 @@ class NetFTSource:
                         text = ", ".join(f"{count} {COUNTERS[name]}" for name, count in more.items() if count)
                         self._log(f"{self._name}: {text}; {self.counts['received']} received so far")
                         self._reported, self._report_time = self.counts.copy(), monotonic()
-                yield from self._decode(records) if len(records) else self._report_silence()
+                yield from self._decode(records) if records is not None else self._report_silence()
 
     def _count(self) -> None:
         self._counted = monotonic()
