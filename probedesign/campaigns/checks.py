@@ -255,7 +255,6 @@ class MeasuredPush:
 
 
 def _pushes(campaign: Campaign, model: ProbeModel) -> list[MeasuredPush]:
-    """Return the measured push of every loaded test with readings."""
     read = {test.name: test.mean_wrench_base(model)[:3] - model.mass * test.gravity_base
             for test in campaign.tests if len(test.wrenches)}  # fmt: skip
     free = [read[test.name] for test in campaign.tests if test.free and test.name in read]
@@ -272,7 +271,6 @@ def _pushes(campaign: Campaign, model: ProbeModel) -> list[MeasuredPush]:
 
 
 def _check_loads(campaign: Campaign, pushes: list[MeasuredPush]) -> None:
-    """Refuse known loads that differ from the readings in most tests."""
     loads = [
         (push, force)
         for push in pushes
@@ -306,7 +304,6 @@ def _comparison(measured: Array, known: Array) -> str:
 
 
 def _check_directions(campaign: Campaign, pushes: list[MeasuredPush]) -> None:
-    """Refuse push directions that are opposite to the readings in most tests."""
     along = [
         (push, float(push.force @ np.array(PUSH_DIRECTIONS[push.test.direction])))
         for push in pushes

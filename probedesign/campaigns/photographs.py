@@ -200,7 +200,6 @@ class DetectionCache:
     _done: dict[str, DetectedMarkers] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Read the file; incomplete and foreign lines are skipped."""
         try:
             lines = self.path.read_text(encoding="utf-8").splitlines()
         except (OSError, ValueError):
@@ -244,5 +243,4 @@ class DetectionCache:
         return found
 
     def __len__(self) -> int:
-        """Return the number of finished photographs."""
         return len(self._done)

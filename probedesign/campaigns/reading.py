@@ -134,7 +134,6 @@ def read_campaign(path: str | Path) -> Campaign:
 
 
 def _markers(folder: Path, manifest: Manifest, tests: dict[str, int]) -> tuple[list[Markers | None], tuple[str, ...]]:
-    """Return the markers of each test, from cameras or another reference, and notes."""
     measured = read_markers(folder, manifest, tests)
     located, notes = read_pixels(folder, manifest, tests)
     for name, test in tests.items():
@@ -188,7 +187,6 @@ def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
 
 
 def _poses(rows: TableRows, manifest: Manifest) -> list[Array]:
-    """Return T_world_base of each row: its own, or that of `[base]`."""
     values, given = rows.all_or_none(*BASE_POSITION, *BASE_ROTATION)
     usual = base_pose(manifest)
     return [pose(Rotation.from_rotvec(v[3:]).as_matrix(), v[:3]) if own else usual
@@ -349,7 +347,6 @@ def read_pixels(
 def _located(
     cameras: list[Camera], which: NDArray[np.intp], numbers: NDArray[np.intp], uv: Array, std: Array
 ) -> Markers:
-    """Return the markers of one test in space."""
     seen = np.unique(numbers)
     column = np.searchsorted(seen, numbers)
     pixels = np.full((len(cameras), len(seen), 2), np.nan)

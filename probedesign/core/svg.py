@@ -92,12 +92,10 @@ class Canvas:
                  font_weight="bold" if bold else None, **attributes)  # fmt: skip
 
     def __str__(self) -> str:
-        """Return the element for an HTML page."""
         size = {name: f"{number(value)}{self.unit}" for name, value in (("width", self.width), ("height", self.height))}
         title = [element("title", text=self.title)] if self.title else []
         return element("svg", *title, *self.elements, xmlns="http://www.w3.org/2000/svg", **(size if self.unit else {}),
                        viewBox=f"0 0 {number(self.width)} {number(self.height)}", font_family=FONT)  # fmt: skip
 
     def __bytes__(self) -> bytes:
-        """Return the content of an SVG file."""
         return f"<?xml version='1.0' encoding='utf-8'?>\n{self}\n".encode()

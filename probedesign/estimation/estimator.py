@@ -371,7 +371,6 @@ class Estimator:
     def _decide(
         self, found: list[Candidate], detection_chi2: float, readings: int, problem: Problem | None = None
     ) -> Estimate:
-        """Return the estimate of the candidates with its result code."""
         if not found:
             return Estimate("not_converged", detection_chi2=detection_chi2)
         listed = tuple(sorted(found, key=lambda candidate: candidate.chi2)) if len(found) > 1 else tuple(found)

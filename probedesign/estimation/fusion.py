@@ -504,7 +504,6 @@ class Fusion:
         return added if all(np.isfinite(cov).all() for cov in added) else (none, none)
 
     def _result(self, solutions: list[Solution], state: FusionState) -> Result:
-        """Return the result code of the best solution among its rivals."""
         best, rms = solutions[0], statistics.rms(solutions[0].cov)
         std = np.array([math.sqrt(float(reading.cov[0, 0])) for reading in self.readings])
         result = state.result(best.chi2, rms, std[self.touched])
@@ -568,7 +567,6 @@ def _moments(weight: Array, c: Array, points: Array, covs: Array) -> tuple[Array
 
 
 def _distinct(solutions: Iterable[Solution | None]) -> list[Solution]:
-    """Return the distinct solutions, best first."""
     kept: list[Solution] = []
     for solution in sorted((solution for solution in solutions if solution is not None), key=lambda other: other.chi2):
         near = 0.1 * statistics.rms(solution.cov) + 1e-6

@@ -57,7 +57,6 @@ def locate(problem: Problem, near: Candidate | None = None) -> list[Candidate]:
 
 
 def _scanned(problem: Problem) -> list[Candidate]:
-    """Return the places that are fitted from the least misfits of the scan."""
     rod, force, places = problem.sources.model.rod, problem.seen.force, list[Candidate]()
     for s, tip in problem.scan.starts:
         eq = rod.solve(problem.seen.gravity, force, s, guess=tip)
@@ -133,7 +132,6 @@ def _candidate(problem: Problem, row: np.void) -> Candidate:
     normal = float(touch[NORMAL])
 
     def shape() -> Equilibrium:
-        """Solve for the probe under the fitted touch."""
         return model.rod.solve(
             problem.seen.gravity, touch[DEAD : DEAD + 3], float(touch[S]), couple=touch[DEAD + 3 : TIP],
             guess=touch[TIP:],
@@ -203,7 +201,6 @@ def ratio_interval(s: float, std_s: float, share: float, length: float) -> tuple
 
 
 def _distinct(problem: Problem, places: list[Candidate]) -> list[Candidate]:
-    """Return each place once, best first."""
     if len(places) < 2:
         return places
     kept: list[Candidate] = []
@@ -325,7 +322,6 @@ def _fit_force(problem: Problem, s: float, lean: float) -> _ForceFit | None:
 def _covariance(
     problem: Problem, s: float, lean: float, force: Array, eq: Equilibrium, sensitivity: Sensitivity
 ) -> Array:
-    """Return the covariance of the reading with error sources and friction, (6, 6)."""
     rod = problem.sources.model.rod
     R = eq.R_at(s)
     D = np.nan_to_num(problem.sources.columns_at(touch_at(rod, s, force, R[:, 2], R[:, 0], eq.tip))[1])

@@ -68,7 +68,6 @@ class ProbeModel(Displayed):
     identified_tests: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Raise InputError if the friction is negative or not a number."""
         if not self.friction >= 0.0:
             raise InputError(
                 f"friction = {self.friction} must be 0 or greater; inf leaves the direction of the force free"

@@ -136,7 +136,6 @@ class Tolerances:
     bore_mm: float = 0.075
 
     def __post_init__(self) -> None:
-        """Raise InputError if a standard deviation is negative or not finite, or the power is not finite."""
         if not math.isfinite(self.youngs_modulus_by_diameter):
             raise InputError(f"youngs_modulus_by_diameter = {self.youngs_modulus_by_diameter} must be finite")
         for entry in fields(self):

@@ -305,7 +305,6 @@ def _count(
     test: str | None = None,
 ) -> OutlierCount:
     def chosen(block: ResidualBlock) -> bool:
-        """Return whether a block counts."""
         return block.kind in READING_KINDS and kind in (None, block.kind) and test in (None, block.test)
 
     far = [(distance, len(block.r)) for block, distance in outliers if chosen(block)]

@@ -139,7 +139,6 @@ def fit_axis(design: Design, outline: OutlinePoints, before_mm: float) -> Measur
 
 
 def _solve(geometry: ProbeGeometry, outline: OutlinePoints, prior: Array) -> tuple[Array, Array, Array]:
-    """Return the parameters, the Jacobian and the residuals, whitened, at the minimum."""
     unused = np.zeros(7 - len(prior))
 
     def residuals(x: Array) -> Array:

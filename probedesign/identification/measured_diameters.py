@@ -144,7 +144,6 @@ def read_calipers(path: Path, design: Design) -> Calipers:
 
 
 def _named(rows: TableRows, key: str) -> Iterator[tuple[int, str]]:
-    """Yield the lines of comments `# key: VALUE` and their values."""
     for number, line in rows.lines.comments:
         match = re.match(rf"\s*#\s*{key}\s*[:=]\s*(\S*)", line, re.IGNORECASE)
         if match:

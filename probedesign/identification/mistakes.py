@@ -187,7 +187,6 @@ def print_defects(stated: Linearization) -> list[LikelyCause]:
 
 
 def _other_probe(stated: Linearization) -> LikelyCause:
-    """Return that the data are of another probe: what the tests say of its diameters if those are not the design's."""
     problem, common = stated.problem, stated.problem.common
     prior = problem.prior.copy()
     prior[common.print_columns] *= OTHER_PRINT
@@ -269,11 +268,9 @@ def _mistakes(problem: LeastSquaresProblem, pair: tuple[str, str] | None) -> Ite
 
 
 def _exchange(common: CommonParameters, of: dict[str, MeasuredTest], pair: tuple[str, str]) -> Mistake:
-    """Return the exchange of the readings of two tests."""
     other = {pair[0]: of[pair[1]], pair[1]: of[pair[0]]}
 
     def change(test: MeasuredTest) -> MeasuredTest:
-        """Return the test with the readings of the other one."""
         if test.name not in other:
             return test
         swapped = _with_columns(common, test, _columns(common, other[test.name]))

@@ -113,12 +113,10 @@ def _material(
     """Return the parameter of a material property, the logarithm of a factor on the design's."""
 
     def apply(_model: ProbeModel, rod: Rod, x: float) -> Rod:
-        """Return the rod with the property scaled."""
         changes: dict[str, Any] = {attribute: getattr(rod, attribute) * math.exp(x)}
         return replace(rod, **changes)
 
     def prior(common: "CommonParameters") -> float:
-        """Return the tolerance; an E that is not requested is exactly the design's, as touches report it."""
         return 0.0 if name == "E" else float(getattr(common.tolerances, attribute))
 
     return Parameter(
@@ -145,14 +143,12 @@ def _bow(axis: int) -> Parameter:
     """Return the parameter of a constant curvature, as the deviation of the unloaded tip [m]."""
 
     def apply(_model: ProbeModel, rod: Rod, x: float) -> Rod:
-        """Return the rod with a further bow."""
         if x == 0.0:  # a straight rod is solved faster
             return rod
         rest = np.zeros((len(rod.s), 3)) if rod.rest_curvature is None else rod.rest_curvature
         return replace(rod, rest_curvature=rest + np.append(x * bow_curvature(rod.length)[axis], 0.0))
 
     def design(model: ProbeModel) -> float:
-        """Return the measured bow of the design [mm]."""
         return float(bow_of(model, model.rod)[axis]) / MM
 
     letter = "xy"[axis]

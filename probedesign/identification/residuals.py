@@ -252,7 +252,6 @@ class SolvedTest:
         return J
 
     def _columns(self, name: str) -> slice:
-        """Position of a nuisance parameter among all unknowns of the test."""
         at, size = self.measured.nuisance[name], self.values.common.size
         return slice(size + at.start, size + at.stop)
 
@@ -271,7 +270,6 @@ class SolvedTest:
         return RodVector(value, total, by_steps + across @ couple_by_steps, by_angle + across @ couple_by_angle)
 
     def _by_steps(self, value: Callable[[Equilibrium], Array]) -> Array:
-        """Return the derivatives of a value of the equilibrium by the stepped parameters, (..., n)."""
         return differences(self.stepped, value, value(self.eq).shape)
 
     def in_world(self, vector: RodVector) -> tuple[Array, Array]:

@@ -299,7 +299,6 @@ def _identified(fit: Fit, column: int, quantile: float) -> Identified:
     model = fit.point.problem.common.model
 
     def interval(x: float, std: float) -> tuple[float, float, float, float]:
-        """Return value, standard deviation and ends of the interval in the reported unit."""
         value, low, high = (parameter.reported(model, x + sign * quantile * std) for sign in (0.0, -1.0, 1.0))
         return value, value * std if parameter.logarithm else parameter.scale * std, low, high
 

@@ -43,7 +43,6 @@ class NoiseScale:
 
 @cache
 def _full_weight_limit(k: int) -> float:
-    """Return c²."""
     return float(chi2.ppf(FULL_WEIGHT, k))
 
 

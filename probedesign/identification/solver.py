@@ -355,7 +355,6 @@ def _least_squares(point: Linearization, weight: Array) -> Linearization:
     tried = {begin.tobytes(): point if np.array_equal(begin, point.unknowns) else point.at(begin)}
 
     def solved(unknowns: Array) -> Linearization:
-        """Return the campaign there; the last one accepted is the initial guess."""
         key = unknowns.tobytes()
         if key not in tried:
             tried.clear()
@@ -363,12 +362,10 @@ def _least_squares(point: Linearization, weight: Array) -> Linearization:
         return tried[key]
 
     def residuals(unknowns: Array) -> Array:
-        """Return the weighted residuals, none of which is finite where the rod has no equilibrium."""
         at = solved(unknowns)
         return root * at.rows[0] if at.ok else np.full(len(root), np.nan)
 
     def jacobian(unknowns: Array) -> Array:
-        """Return their derivatives where a step was accepted."""
         nonlocal accepted
         accepted = solved(unknowns)
         return np.asarray(root[:, None] * accepted.rows[1])

@@ -110,7 +110,6 @@ class Bench:
     gravity_world: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        """Raise InputError for a mount without gravity."""
         size = float(np.linalg.norm(self.model.gravity_base))
         if size == 0.0:
             raise InputError("mount.gravity_base_m_s2 is zero; a campaign needs gravity")
@@ -250,5 +249,4 @@ class Bench:
 
 
 def _rounded(length: float) -> float:
-    """Return a length in whole steps, one at least [m]."""
     return max(round(length / ROUNDED), 1) * ROUNDED

@@ -25,7 +25,7 @@ from probedesign.identification.fit_checks import conditional_estimate, unobserv
 from probedesign.identification.identify import TEST_SECONDS, data_of
 from probedesign.identification.parameters import OWNER, PARAMETERS, ParameterValues, columns_of
 from probedesign.identification.residuals import MassMeasurement, ResidualBlock, poisson_block
-from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, linearize, start_nuisance
+from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, linearize, solvable_tests, start_nuisance
 from probedesign.planning.candidates import TOUCH_PLACES, Bench, CandidateTest, Instruments, SetUp
 
 DEFAULT = ("E", "G", "root", "diameters")  #: Parameters that a plan is for unless others are requested.
@@ -150,7 +150,7 @@ class Information:
 
     @cached_property
     def whole(self) -> Linearization:
-        """All tests at the designed probe, linearised by every parameter."""
+        """The tests that `identify` can solve at the designed probe, linearised by every parameter."""
         model = self.bench.model
         data = data_of(self.bench.campaign(list(self.candidates)), model, self.flange_volume)
         common, tests = data.common, data.tests
@@ -163,9 +163,10 @@ class Information:
                 replace(test, epoch=0, cov_wrench=None if test.cov_wrench is None else test.cov_wrench + drift)
                 for test in tests
             )
-        problem = LeastSquaresProblem(common, tests, None, np.ones(common.size))
+        every = LeastSquaresProblem(common, tests, None, np.ones(common.size))
+        solvable = tuple(solvable_tests(every, free_E=False)[0])
         values = ParameterValues(common, np.zeros(common.size))
-        return linearize(problem, values, start_nuisance(tests, model.rod), every=True)
+        return linearize(replace(every, tests=solvable), values, start_nuisance(solvable, model.rod), every=True)
 
     @cached_property
     def blocks(self) -> dict[str, tuple[ResidualBlock, ...]]:
@@ -190,12 +191,7 @@ class Information:
         return {name: tuple(of_candidate) for name, of_candidate in blocks.items()}
 
     def matrix(self, name: str, active: NDArray[np.intp]) -> Array:
-        """Return the information of one candidate on the active parameters, its own unknowns marginalised.
-
-        A touch that the designed probe cannot make has none.
-        """
-        if not self.blocks[name]:
-            return np.zeros((len(active), len(active)))
+        """Return the information of one candidate on the active parameters, its own unknowns marginalised."""
         every = np.concatenate([block.J for block in self.blocks[name]])
         J, of_test = every[:, active], every[:, self.whole.problem.common.size :]
         if of_test.shape[1]:
@@ -286,6 +282,8 @@ def make_plan(
     if len(candidates) == len(fixed):
         raise InputError("no test is possible besides the free hang; name a stage, cameras, weights, a balance or "
                          "calipers, or leave out --no-turn")  # fmt: skip
+    information = Information(bench, tuple(candidates), flange_volume)
+    candidates = [candidate for candidate in candidates if information.blocks[candidate.name]]
     for_validation = _spread([candidate for candidate in candidates if candidate.set_up == "touch"], held_out)
     reserved = PREPARATION + sum(candidate.minutes for candidate in (*fixed, *for_validation))
     shortest = reserved + min((candidate.minutes for candidate in candidates[2:]), default=0.0)
@@ -293,7 +291,6 @@ def make_plan(
         raise InputError(f"--minutes {minutes:g} is too short: {PREPARATION:g} min of preparation, two free hangs and "
                          f"{len(for_validation)} touches for validate need {shortest:g} min with one further test; "
                          "give more time, or fewer touches with --held-out")  # fmt: skip
-    information = Information(bench, tuple(candidates), flange_volume)
     free = [candidate for candidate in candidates[2:] if candidate not in for_validation]
     choice = _Choice(information, names, fixed)
     validation = [replace(touch, held_out=True) for touch in sorted(for_validation, key=lambda touch: touch.mark)]
@@ -380,7 +377,6 @@ class _Choice:
 
     @cached_property
     def active(self) -> NDArray[np.intp]:
-        """Indices of the estimated entries of the parameter vector."""
         return np.asarray(np.flatnonzero(self.scale > 0.0))
 
     @cached_property
@@ -388,10 +384,9 @@ class _Choice:
         """Information of each candidate in units of the prior."""
         scale = self.scale[self.active]
         return {candidate.name: scale[:, None] * self.information.matrix(candidate.name, self.active) * scale
-                for candidate in self.information.candidates}  # fmt: skip
+                for candidate in self.information.candidates if self.information.blocks[candidate.name]}  # fmt: skip
 
     def value(self, matrices: Array) -> Array:
-        """Return ½ log det of the marginal information on the requested parameters, of matrices (..., n, n)."""
         others = np.flatnonzero(~np.isin(self.active, columns_of(self.names)))
         whole = np.linalg.slogdet(matrices)[1]
         return np.asarray(0.5 * (whole - np.linalg.slogdet(matrices[..., others[:, None], others])[1]))

@@ -166,7 +166,6 @@ def _cases(
 
 
 def _batch(solutions: NDArray[Any], derivatives: Array, loads: Array, bodies: Body, of: Array) -> Batch:
-    """Return the kernels' rows as a `Batch`."""
     status = solutions["status"].astype(int)
     bad = status != OK
     mass = (bodies.constants[:, DENSITY] * bodies.volume_beyond[:, 0])[of]

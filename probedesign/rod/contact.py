@@ -169,7 +169,6 @@ def solve_frictionless(
     radius, taper = float(rod.radius_at(s)), float(rod.taper_at(s))
 
     def unit_load(angle: complex) -> Numbers:
-        """Return the force and, on an elliptic rod, the couple per magnitude, in section axes; complex steps pass."""
         e, t = np.array([-np.cos(angle), -np.sin(angle), 0.0]), _AXIS
         reach, aside = outline(rod.flatness, e[0], e[1])
         tan = taper * reach
@@ -403,7 +402,6 @@ class SurfaceProfile(NamedTuple):
 
 
 def _straight(s: Numbers, knots: Array, values: Array) -> Numbers:
-    """Interpolate linearly, and extrapolate beyond the ends."""
     i = np.clip(np.searchsorted(knots, s.real, side="right") - 1, 0, len(knots) - 2)
     slope = (values[i + 1] - values[i]) / (knots[i + 1] - knots[i])
     interpolated: Numbers = values[i] + slope * (s - knots[i])

@@ -210,7 +210,6 @@ def _lanes(columns: Array) -> Array:
 
 
 def _volume_beyond(body: Body, s: Array) -> Array:
-    """Return the volume from s to the tip [m³]."""
     i = np.clip(np.searchsorted(body.knots, s, side="right") - 1, 0, len(body.knots) - 2)
     h = body.knots[i + 1] - s
     r, r1 = np.interp(s, body.knots, body.radii), body.radii[i + 1]

@@ -223,7 +223,6 @@ class CoulombSolver:
     compliance: float = 0.0  #: c of the object [m/N]; 0 is a rigid object.
 
     def __post_init__(self) -> None:
-        """Raise InputError for a friction below 0 or a compliance out of range."""
         if not self.friction >= 0.0:
             raise InputError(f"friction = {self.friction} must not be negative")
         if not 0.0 <= self.compliance < math.inf:
@@ -419,7 +418,6 @@ class CoulombSolver:
         return self._checked(last, slipped)
 
     def _checked(self, last: CoulombContact, contact: CoulombContact) -> CoulombContact | str:
-        """Return the contact if it continues the last one, else "far"."""
         turn = float(np.linalg.norm(contact.normal - last.normal))
         turn = max(turn, float(np.linalg.norm(contact.equilibrium.tip_tangent - last.equilibrium.tip_tangent)))
         far = turn > _MAX_TURN or float(np.linalg.norm(contact.slide)) > _MAX_SLIDE * self.rod.length

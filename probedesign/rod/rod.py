@@ -152,7 +152,6 @@ class Rod:
 
     @cached_property
     def _tapers(self) -> Array:
-        """tan α of each frustum."""
         return np.asarray(-np.diff(self.radius) / np.diff(self.s), dtype=float)
 
     @property

@@ -91,7 +91,6 @@ def make_campaign(
 
 
 def _manifest(truth: GroundTruth, rig: StereoRig) -> str:
-    """Return the text of `campaign.toml`."""
     plan, model = truth.plan, truth.model
     turn = np.degrees(Rotation.from_matrix(truth.T_world_base[:3, :3]).as_rotvec())
     std_place, std_turn = STD_BASE[plan.kind]
@@ -126,13 +125,11 @@ def _manifest(truth: GroundTruth, rig: StereoRig) -> str:
 
 
 def _weighed_mass(truth: GroundTruth) -> float:
-    """Return the weighed mass of the flexible part [g]."""
     noise = np.random.default_rng([truth.plan.seed, 1]).normal() * STD_WEIGHING
     return float(1e3 * (truth.rod.mass + noise))
 
 
 def _tests(truth: GroundTruth, tests: list[SimulatedTest], rng: np.random.Generator) -> str:
-    """Return the text of `tests.csv`."""
     rows, touches = [TESTS_HEADER], 0
     for test in tests:
         force = ["", "", ""] if test.weight is None else [f"{value + 0.0:.6g}" for value in test.weight]
@@ -235,7 +232,6 @@ def calibration_yaml(camera: Camera, target_world: Array, rng: np.random.Generat
 
 
 def _truth(truth: GroundTruth, tests: list[SimulatedTest]) -> str:
-    """Return the text of `truth.json`."""
     rod = truth.rod
     document = {
         "what": "what a synthetic campaign was made from; no command reads it",

@@ -363,7 +363,6 @@ class SimulatedNetFT:
                     self._stream()
 
     def _receive(self) -> None:
-        """Process one datagram."""
         try:
             datagram, address = self._udp.recvfrom(65536)
         except OSError:  # the system may report a closed client here
@@ -385,7 +384,6 @@ class SimulatedNetFT:
                 self.configuration = replace(self.configuration, bias=self._transducer.gauges())
 
     def _stream(self) -> None:
-        """Send all records that are due."""
         spacing = max(1, round(SAMPLES_PER_SECOND / self.configuration.rate))
         now = self._samples()
         self._next = max(self._next, now - MAX_BACKLOG)
@@ -409,7 +407,6 @@ class SimulatedNetFT:
                 self._udp.sendto(packet, self.client)
 
     def _records(self, samples: NDArray[np.int64], spacing: int) -> NDArray[np.void]:
-        """Return the records of samples since power-up."""
         if monotonic() < self._stalled_until:
             samples = np.full(len(samples), self._frozen)
         start = self._motion_start - self._zero if self._motion_start else 0.0
@@ -427,7 +424,6 @@ class SimulatedNetFT:
         return int((monotonic() - self._zero) * SAMPLES_PER_SECOND)
 
     def _run_events(self) -> None:
-        """Run the events that are due."""
         events = self._faults.events
         while events and self._motion_start and self.motion_time >= events[0][0]:
             actions: dict[str, Callable[[], None]] = {
@@ -449,7 +445,6 @@ class SimulatedNetFT:
 
 
 def _bound(host: str, port: int) -> socket.socket:
-    """Return a UDP socket bound to the address."""
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         udp.bind((host, port))

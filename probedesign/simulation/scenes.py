@@ -67,7 +67,6 @@ class StraightPress:
         """
 
         def force_at(travel: float) -> float:
-            """Return the force [N], infinite without a stable contact."""
             contact = self.at(travel, last)
             return contact.magnitude if contact.ok else math.inf
 
@@ -204,7 +203,6 @@ def _pressed(model: ProbeModel, free: Equilibrium, obj: SceneObject, solver: Cou
 
 
 def _wrenches(free: Equilibrium, contacts: Sequence[CoulombContact]) -> Array:
-    """Return the wrench of the free probe and those at contacts [N, N·m], (1 + n, 6)."""
     return np.array([free.wrench_base, *(contact.equilibrium.wrench_base for contact in contacts)])
 
 

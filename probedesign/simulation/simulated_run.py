@@ -99,7 +99,6 @@ class SimulatedTrajectory:
     biases: list[Array] = field(default_factory=list)  #: bias of the sensor, in steps of its resolution, (6,) each.
 
     def __post_init__(self) -> None:
-        """Start free in front of the house."""
         self._add(0.0, np.array([0.0, -0.2, 0.0]), self.wrench_free, np.zeros(6))
         self._dwell(TARE_TIME)
 
@@ -275,7 +274,6 @@ class _Bench:
         self.true_free = true_rod.solve(self.gravity, mode="reference")
 
     def start(self, target: TouchTarget) -> Array:
-        """Return the base position at which the free designed probe meets the edge [m], (3,)."""
         s = target.fraction * self.rod.length
         radius = float(self.rod.radius_at(s))
         start: Array = target.p_world - self.R @ self.free.p_at(s) - radius * target.direction
@@ -291,7 +289,6 @@ class _Bench:
         return StraightPress(solver, self.gravity, point + clear * direction, direction, along)
 
     def depths(self, target: TouchTarget, forces: Sequence[float], friction: float) -> list[float]:
-        """Return the depths at which the designed probe has given forces [m], for forces in increasing order [N]."""
         press = self.press(target, self.start(target), friction, true=False)
         contact, depths = press.first_contact(CLEARANCE + _SEARCH_DEPTH), list[float]()
         _require_ok(target, contact.result)

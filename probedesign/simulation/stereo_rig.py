@@ -146,7 +146,6 @@ def render(
     ink = np.zeros(shade.shape[:2], dtype=np.uint8)
 
     def fixed(corners: Array) -> NDArray[np.int32]:
-        """Return pixels as numbers of OpenCV of the finer picture."""
         return np.asarray(np.round(((corners - low + 0.5) * FINE - 0.5) * 2**_SHIFT), dtype=np.int32)
 
     for corners, lights in drawn:
@@ -197,7 +196,6 @@ def _facets(
 
 
 def _background(size_px: tuple[int, int], style: RenderStyle, rng: np.random.Generator) -> Array:
-    """Return an uneven wall with round objects that are not dots."""
     width, height = size_px
     v, u = np.mgrid[0:height, 0:width]
     rough = gaussian_filter(rng.normal(size=(height // 8 + 2, width // 8 + 2)), 4.0) * 10.0

@@ -334,7 +334,6 @@ def judged(tests: Sequence[ValidatedTest], include_identified: bool) -> tuple[Va
 
 
 def _plain(value: Any) -> Any:
-    """Return NaN as None, and NumPy scalars as Python's."""
     value = value.item() if hasattr(value, "item") else value
     return None if isinstance(value, float) and math.isnan(value) else value
 

@@ -111,7 +111,6 @@ def control_points(
 
 
 def _check_duplicates(control: ControlPoints, places: Array, what: str) -> None:
-    """Refuse two points with identical numbers, as of a copied line."""
     _, first, inverse = np.unique(places, axis=0, return_index=True, return_inverse=True)
     duplicate = first[inverse] != np.arange(len(places))
     if duplicate.any():
@@ -246,11 +245,9 @@ def _fitted(control: ControlPoints, distortion: int) -> Camera:
     scale = _scale(start, control.points_world)
 
     def residuals(step: Array) -> Array:
-        """Return the pixels' residuals after a scaled step of the parameters."""
         return np.asarray((start.moved(step * scale).project(control.points_world) - control.pixels).ravel())
 
     def derivative(step: Array) -> Array:
-        """Return the derivative of the residuals by the scaled step."""
         moved = start.moved(step * scale)
         return np.asarray(moved.by_parameters(control.points_world).reshape(-1, len(scale)) * scale)
 
@@ -353,18 +350,15 @@ def locate(camera: Camera, points_world: ArrayLike, pixels: ArrayLike, labels: S
     std_px, inside = max(camera.std_px, MIN_NOISE_PX), np.ones(len(points), dtype=bool)
 
     def moved(step: Array) -> Camera:
-        """Return the camera after a scaled step of its parameters but the skew."""
         whole = np.zeros(len(scale))
         whole[free] = step * scale[free]
         return start.moved(whole)
 
     def rows(step: Array) -> Array:
-        """Return the derivatives of the residuals by the scaled step."""
         by = moved(step).by_parameters(points[inside])[..., free] * scale[free]
         return np.concatenate([by.reshape(-1, len(free)) / std_px, prior])
 
     def residuals(step: Array) -> Array:
-        """Return the residuals of the pixels and of the prior over their standard deviations."""
         residual = moved(step).project(points[inside]) - seen[inside]
         return np.concatenate([residual.ravel() / std_px, prior @ step])
 

@@ -54,7 +54,6 @@ class _Document:
         return InputError(f"{self.name}: {problem}")
 
     def key(self, names: Sequence[str], suffix: str = "") -> str | None:
-        """Return the first of the names that is there."""
         return next((name + suffix for name in names if name + suffix in self.values), None)
 
     def numbers(self, key: str, counts: Sequence[int]) -> Array:
@@ -271,7 +270,6 @@ def _whole(document: _Document, width: float, height: float) -> tuple[int, int]:
 
 
 def _error(document: _Document) -> float | None:
-    """Return the reprojection error [px], None if there is none."""
     key = document.key(ERROR)
     if key is None:
         return None

@@ -123,7 +123,6 @@ def _fitted(grey: NDArray[np.uint8], pixel: Array, shape: Array, along: Array) -
     weight, radius = ROBUST / SUNK, float(1 / np.sqrt(np.linalg.det(shape)))
 
     def residual(values: Array) -> Array:
-        """Return the grey levels' residuals and the prior's."""
         return np.append(_model(values, offsets, view) - levels, weight * values[SINK])
 
     values = least_squares(residual, start, loss="soft_l1", f_scale=ROBUST, x_scale=np.abs(start) + 0.1, xtol=1e-5,
@@ -290,7 +289,6 @@ class SequenceSearch:
 
     @cached_property
     def _steps(self) -> Array:
-        """Lengths of the steps, in units of their mean, (m - 1,)."""
         return np.asarray(np.diff(self.s) / np.mean(np.diff(self.s)))
 
     def best(self) -> MarkerSequence:
@@ -312,7 +310,6 @@ class SequenceSearch:
         return bool(np.any(near & self._alike(row.chosen[-1])))
 
     def _pairs(self) -> list[MarkerSequence]:
-        """Return every spot with each of its neighbours, from the base onwards."""
         rows, pixels = [], self.spots.pixels
         for i, pixel in enumerate(pixels):
             alike = self._alike(i)
@@ -333,7 +330,6 @@ class SequenceSearch:
         return float(np.linalg.norm(pixel - self.base))
 
     def _longer(self, row: MarkerSequence) -> list[MarkerSequence]:
-        """Return the row with one more spot, for each spot that continues it."""
         number, last = len(row.chosen), row.chosen[-1]
         points = self.spots.pixels[list(row.chosen[-2:])]
         step = (points[1] - points[0]) / self._steps[number - 2] * self._steps[number - 1]

@@ -308,7 +308,6 @@ _warned: list[str] = []  #: Why compiled kernels could not be saved in this proc
 
 
 def _warn(reason: str) -> None:
-    """Print one line, once in a process."""
     if not _warned:
         _progress.show("")
         print(

@@ -108,7 +108,6 @@ def _report(case, scratch, body, load, tol, until):
 
 @inlined
 def _write(solution, case, y, contact, count):
-    """Store a result in its row."""
     solution.status, solution.margin, solution.residual, solution.count = case.status, case.margin, case.residual, count
     for q in range(6):
         solution.tip[q] = case.tip[q]

@@ -289,7 +289,6 @@ def _row3(block, row, lane):
 
 @inlined
 def _put3(block, row, lane, x):
-    """Set three rows of one lane."""
     o = WIDE * row
     block[o + lane] = x[0]
     block[o + WIDE + lane] = x[1]

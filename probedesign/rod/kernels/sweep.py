@@ -267,7 +267,6 @@ def row3(columns, o):
 
 @inlined
 def _accept(blocks, chunks):
-    """Set the columns to the result of the step."""
     for c in range(chunks):
         o = c * BLOCK
         for q in range(WIDE * COLUMN):
@@ -276,7 +275,6 @@ def _accept(blocks, chunks):
 
 @inlined
 def _note(y, blocks, chunks, row):
-    """Store state and columns in a row."""
     for q in range(STATE):
         row[q] = y[q]
     for c in range(chunks):
