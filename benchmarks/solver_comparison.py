@@ -124,7 +124,7 @@ def print_comparison(found: Sequence[dict[str, Measurement]]) -> None:
         [row(name, found) for name in found[0]],
     )
     print("  error: largest distance from the converged centreline (Rod.solve in reference mode, "
-          "itself within 1e-11 L of tests/reference/shooting.py; tests/rod/test_shooting.py)\n"
+          "which tests/rod/test_truth.py and test_balance.py compare with closed forms)\n"
           "  target: for every load, and only for methods whose error is not below that of Rod.solve")  # fmt: skip
 
 

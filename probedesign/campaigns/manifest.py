@@ -1,15 +1,21 @@
-"""Schema of `campaign.toml`: the probe, the poses, the markers and the cameras of a campaign."""
+"""`campaign.toml`: the probe, the poses, the markers and the cameras of a campaign."""
 
+import json
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import BeforeValidator, Field, field_validator, model_validator
+from scipy.spatial.transform import Rotation
 
 from probedesign.core.csv_tables import read_text
 from probedesign.core.errors import InputError
+from probedesign.core.frames import Array
+from probedesign.core.units import MM
 from probedesign.design import check_name
 from probedesign.design.diagnostics import Inconsistent, Table, as_tuple, parse_toml
 from probedesign.design.schema import MAX_GRAVITY
+from probedesign.estimation.model import ProbeModel
 
 FILE = "campaign.toml"
 MAX_BYTES = 1_000_000
@@ -129,6 +135,41 @@ class Manifest(Table):
     def _valid_name(cls, value: str) -> str:
         check_name(value)
         return value
+
+
+def manifest_lines(
+    about: str, model: ProbeModel, T_world_base: Array, std_base: tuple[float, float], gravity_world: Array
+) -> list[str]:
+    """Return the lines of a `campaign.toml` with the probe, the pose of its base and gravity.
+
+    Args:
+        about: first line, a comment.
+        model: of the probe.
+        T_world_base: (4, 4).
+        std_base: standard deviations of its position [m] and of its rotation [rad], each about an axis.
+        gravity_world: [m/s²], (3,).
+    """
+    rotation_deg = np.degrees(Rotation.from_matrix(T_world_base[:3, :3]).as_rotvec())
+    return [
+        f"# {about}",
+        "schema = 1",
+        f"probe = {json.dumps(model.name)}",
+        f"fingerprint = {json.dumps(model.fingerprint)}   # of the geometry, in manifest.json and on the part",
+        "",
+        "[base]                      # pose of the base in the frame of the stage or of the cameras",
+        f"p_world_mm = {number_list(T_world_base[:3, 3] / MM)}",
+        f"rotation_world_deg = {number_list(rotation_deg)}",
+        f"std_mm = {std_base[0] / MM:g}                # how well it is known",
+        f"std_deg = {np.degrees(std_base[1]):g}",
+        "",
+        "[gravity]",
+        f"world_m_s2 = {number_list(gravity_world)}",
+    ]
+
+
+def number_list(values: Array) -> str:
+    """Return numbers as a list of TOML, to six decimals."""
+    return "[" + ", ".join(repr(round(float(value), 6) + 0.0) for value in values) + "]"
 
 
 def read_manifest(folder: Path) -> Manifest:

@@ -1,6 +1,5 @@
 """Data folder of a plan: tables with the planned tests, which a laboratory fills, and a checklist for the bench."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,11 +7,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from probedesign.campaigns.campaign import MARKERS, TESTS, WRENCHES
+from probedesign.campaigns.manifest import manifest_lines, number_list
 from probedesign.campaigns.reading import IMAGES, PIXELS
 from probedesign.core import csv_tables
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_replaceable, check_writable, replaced_folder
-from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.planning.candidates import READINGS, STD_MARK, CandidateTest
 from probedesign.planning.plan import Plan
@@ -31,26 +30,13 @@ def tables(plan: Plan) -> dict[str, str]:
     """Return the tables of the data folder by name, with a row for each planned test."""
     rows = [_row(candidate) for candidate in plan.candidates if candidate.test is not None]
     model, bench = plan.bench.model, plan.bench
-    T = bench.T_world_base(model.gravity_base)
-    place, turn = bench.instruments.std_base
-    lines = [
-        "# Planned by `probedesign plan`. Correct what differs on your bench; README.md says how.",
-        "schema = 1",
-        f"probe = {json.dumps(model.name)}",
-        f"fingerprint = {json.dumps(model.fingerprint)}   # of the geometry, in manifest.json and on the part",
-        "",
-        "[base]                      # pose of the base in the frame of the stage or of the cameras: measure it",
-        f"p_world_mm = {_list(T[:3, 3] / MM)}",
-        f"rotation_world_deg = {_list(_rotation_deg(T))}",
-        f"std_mm = {place / MM:g}                # how well you know it; assumed",
-        f"std_deg = {np.degrees(turn):g}",
-        "",
-        "[gravity]",
-        f"world_m_s2 = {_list(bench.gravity_world)}",
-    ]
+    lines = manifest_lines(
+        "Planned by `probedesign plan`. Correct what differs on your bench; README.md says how.",
+        model, bench.T_world_base(model.gravity_base), bench.instruments.std_base, bench.gravity_world,
+    )  # fmt: skip
     if bench.instruments.cameras is not None:
         s = np.array(marker_arclengths(model.rod.length)) / MM
-        lines += ["", "[markers]                   # marker 1 is the nearest to the base", f"s_mm = {_list(s)}",
+        lines += ["", "[markers]                   # marker 1 is the nearest to the base", f"s_mm = {number_list(s)}",
                   "# side_deg = -110.0         # where the dots are on the surface; absent: on the axis",
                   f"std_mm = {bench.instruments.cameras / MM:g}"]  # fmt: skip
     if any(candidate.set_up == "weighing" for candidate in plan.candidates) and bench.instruments.balance is not None:
@@ -75,17 +61,9 @@ def _row(candidate: CandidateTest) -> dict[str, str]:
         row["std_contact_mm"] = f"{test.std_contact / MM:g}"
     if candidate.set_up == "turned":
         T = test.T_world_base
-        values = [*T[:3, 3] / MM, *_rotation_deg(T)]
+        values = [*T[:3, 3] / MM, *np.degrees(Rotation.from_matrix(T[:3, :3]).as_rotvec())]
         row |= {name: f"{value + 0.0:.4f}" for name, value in zip(COLUMNS[11:17], values, strict=True)}
     return row
-
-
-def _rotation_deg(T: Array) -> Array:
-    return np.asarray(np.degrees(Rotation.from_matrix(T[:3, :3]).as_rotvec()))
-
-
-def _list(values: Array) -> str:
-    return "[" + ", ".join(repr(round(float(value), 6) + 0.0) for value in values) + "]"
 
 
 # the bench

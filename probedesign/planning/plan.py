@@ -25,7 +25,14 @@ from probedesign.identification.fit_checks import conditional_estimate, unobserv
 from probedesign.identification.identify import TEST_SECONDS, data_of
 from probedesign.identification.parameters import OWNER, PARAMETERS, ParameterValues, columns_of
 from probedesign.identification.residuals import MassMeasurement, ResidualBlock, poisson_block
-from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, linearize, solvable_tests, start_nuisance
+from probedesign.identification.solver import (
+    Fit,
+    LeastSquaresProblem,
+    Linearization,
+    linearize,
+    solvable_tests,
+    start_nuisance,
+)
 from probedesign.planning.candidates import TOUCH_PLACES, Bench, CandidateTest, Instruments, SetUp
 
 DEFAULT = ("E", "G", "root", "diameters")  #: Parameters that a plan is for unless others are requested.

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from probedesign.campaigns.manifest import manifest_lines, number_list
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_replaceable, replaced_folder
 from probedesign.core.frames import Array
@@ -92,26 +92,11 @@ def make_campaign(
 
 def _manifest(truth: GroundTruth, rig: StereoRig) -> str:
     plan, model = truth.plan, truth.model
-    turn = np.degrees(Rotation.from_matrix(truth.T_world_base[:3, :3]).as_rotvec())
-    std_place, std_turn = STD_BASE[plan.kind]
-    lines = [
-        "# A synthetic campaign, simulated by `probedesign campaign`. The ground truth is in truth.json.",
-        "schema = 1",
-        f"probe = {json.dumps(model.name)}",
-        f"fingerprint = {json.dumps(model.fingerprint)}",
-        "",
-        "[base]                      # pose of the base in the world of the control points",
-        f"p_world_mm = {_list(truth.T_world_base[:3, 3] / MM)}",
-        f"rotation_world_deg = {_list(turn)}",
-        f"std_mm = {std_place / MM:g}",
-        f"std_deg = {math.degrees(std_turn):g}",
-        "",
-        "[gravity]",
-        f"world_m_s2 = {_list(truth.stated_gravity)}",
-    ]
+    about = "A synthetic campaign, simulated by `probedesign campaign`. The ground truth is in truth.json."
+    lines = manifest_lines(about, model, truth.T_world_base, STD_BASE[plan.kind], truth.stated_gravity)
     if plan.kind == "cameras":
         lines += ["", "[markers]                   # marker 1 is the nearest to the base",
-                  f"s_mm = {_list(rig.marker_s / MM)}"]  # fmt: skip
+                  f"s_mm = {number_list(rig.marker_s / MM)}"]  # fmt: skip
         if plan.marker_noise is None:
             lines += [f"side_deg = {math.degrees(rig.side):g}              # dots on the surface, this side",
                       "", "[cameras]", 'names = ["left", "right"]']  # fmt: skip
@@ -119,14 +104,10 @@ def _manifest(truth: GroundTruth, rig: StereoRig) -> str:
                 lines += ['calibration = ["left.yaml", "right.yaml"]', 'length_unit = "mm"']
         else:
             lines += [f"std_mm = {plan.marker_noise / MM:g}"]
-    lines += ["", "[weighing]", f"mass_g = {_weighed_mass(truth):.2f}", f"std_g = {1e3 * STD_WEIGHING:g}",
+    mass_g = 1e3 * (truth.rod.mass + np.random.default_rng([plan.seed, 1]).normal() * STD_WEIGHING)
+    lines += ["", "[weighing]", f"mass_g = {mass_g:.2f}", f"std_g = {1e3 * STD_WEIGHING:g}",
               'of = "flexible"', "", "[source]", f'made_by = "probedesign campaign, seed {plan.seed}"', ""]  # fmt: skip
     return "\n".join(lines)
-
-
-def _weighed_mass(truth: GroundTruth) -> float:
-    noise = np.random.default_rng([truth.plan.seed, 1]).normal() * STD_WEIGHING
-    return float(1e3 * (truth.rod.mass + noise))
 
 
 def _tests(truth: GroundTruth, tests: list[SimulatedTest], rng: np.random.Generator) -> str:
@@ -270,10 +251,6 @@ def _true_test(test: SimulatedTest) -> dict[str, object]:
         "axis_world_mm": (truth.to_world(eq.p_at(test.s_contact)) / MM).tolist() if touched else None,
         "wrench_sensor": test.wrench_sensor.tolist(),
     }
-
-
-def _list(values: Array) -> str:
-    return "[" + ", ".join(repr(round(float(value), 6) + 0.0) for value in values) + "]"
 
 
 def _row(values: Array, digits: int) -> str:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from probedesign.core.errors import InputError
-from probedesign.core.frames import Array, pose, skew
+from probedesign.core.frames import Array, pose, rotation_under_gravity
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.live.poses.base_poses import pose_from_matrix
@@ -40,54 +40,43 @@ from probedesign.simulation.scenes import PressedObject
 
 def configuration_page(configuration: NetFTConfiguration) -> bytes:
     """Return the page `netftapi2.xml` of a configuration."""
+
+    def text(value: object) -> str:
+        if isinstance(value, tuple):
+            return ";".join(map(text, value))
+        return f"{value:.9g}" if isinstance(value, float) else str(value)
+
     lines = ['<?xml version="1.0" encoding="UTF-8"?>', "<netft>"]
     for name in (f.name for f in fields(configuration)):
-        lines.append(f"<{TAGS[name]}>{escape(_page_text(getattr(configuration, name)))}</{TAGS[name]}>")
+        lines.append(f"<{TAGS[name]}>{escape(text(getattr(configuration, name)))}</{TAGS[name]}>")
     return "\n".join([*lines, "</netft>", ""]).encode()
 
 
-def _page_text(value: object) -> str:
-    if isinstance(value, tuple):
-        return ";".join(f"{v:.9g}" for v in value)
-    return f"{value:.9g}" if isinstance(value, float) else str(value)
+def _page_server(address: tuple[str, int], page: Callable[[], bytes | None]) -> ThreadingHTTPServer:
+    """Return a server of what `page` returns; None sends no response, as a box that is switched off."""
 
+    class Handler(BaseHTTPRequestHandler):
+        timeout = 5.0  # of a client that sends nothing
 
-class PageServer(ThreadingHTTPServer):
-    """HTTP server of the page."""
+        def do_GET(self) -> None:
+            content = page()
+            if content is None:
+                self.close_connection = True
+                return
+            known = self.path.partition("?")[0] == PAGE
+            body = content if known else b""
+            self.send_response(200 if known else 404)
+            self.send_header("Content-Type", "text/xml")
+            self.send_header("Content-Length", str(len(body)))
+            self.send_header("Connection", "close")
+            self.end_headers()
+            self.wfile.write(body)
 
-    daemon_threads = True
-    block_on_close = False
+        def log_message(self, format: str, *args: object) -> None: ...
 
-    def __init__(self, address: tuple[str, int], page: Callable[[], bytes | None]) -> None:
-        """Start to listen on host and port; 0 lets the system choose.
-
-        `page` returns the page; None sends no response, as a box that is switched off.
-        """
-        self.page = page
-        super().__init__(address, _PageHandler)
-
-
-class _PageHandler(BaseHTTPRequestHandler):
-    server: PageServer
-    timeout = 5.0  # of a client that sends nothing
-
-    def do_GET(self) -> None:
-        """Send the page, or 404 for any other path."""
-        page = self.server.page()
-        if page is None:
-            self.close_connection = True
-            return
-        known = self.path.partition("?")[0] == PAGE
-        body = page if known else b""
-        self.send_response(200 if known else 404)
-        self.send_header("Content-Type", "text/xml")
-        self.send_header("Content-Length", str(len(body)))
-        self.send_header("Connection", "close")
-        self.end_headers()
-        self.wfile.write(body)
-
-    def log_message(self, format: str, *args: object) -> None:
-        """Do not log requests."""
+    server = ThreadingHTTPServer(address, Handler)
+    server.daemon_threads, server.block_on_close = True, False
+    return server
 
 
 #: Events that affect the box, for a second or permanently; `units`: another configuration is selected.
@@ -106,33 +95,29 @@ class FaultInjector:
     #: (time since the stream started [s], one of `FAULT_EVENTS`).
     events: list[tuple[float, str]] = field(default_factory=list)
     seed: int = 1  #: seed of the random numbers.
-    _delayed: list[bytes] = field(default_factory=list, repr=False)
 
     def __post_init__(self) -> None:
-        self._random = np.random.default_rng(self.seed)
+        self._random, self._delayed = np.random.default_rng(self.seed), list[bytes]()
 
     def apply(self, packets: list[bytes]) -> list[bytes]:
         """Return the packets as they reach the wire, in order."""
         if not (self.loss or self.reorder or self.duplicate or self.garbage or self.short):
             return packets
-        sent: list[bytes] = []
+        sent = list[bytes]()
         for packet in packets:
-            sent += self._disturb(packet)
+            loss, reorder, duplicate, garbage, short = self._random.random(5)
+            if garbage < self.garbage:
+                sent += [self._random.bytes(int(self._random.integers(0, 35))), packet]
+            elif loss < self.loss:
+                continue
+            elif reorder < self.reorder and not self._delayed:
+                self._delayed.append(packet)
+            else:
+                if short < self.short:
+                    packet = packet[: int(self._random.integers(1, len(packet)))]
+                sent += [packet] * (1 + (duplicate < self.duplicate)) + self._delayed
+                self._delayed = []
         return sent
-
-    def _disturb(self, packet: bytes) -> list[bytes]:
-        loss, reorder, duplicate, garbage, short = self._random.random(5)
-        if garbage < self.garbage:
-            return [self._random.bytes(int(self._random.integers(0, 35))), packet]
-        if loss < self.loss:
-            return []
-        if reorder < self.reorder and not self._delayed:
-            self._delayed.append(packet)
-            return []
-        late, self._delayed = self._delayed, []
-        if short < self.short:
-            packet = packet[: int(self._random.integers(1, len(packet)))]
-        return [packet] * (1 + (duplicate < self.duplicate)) + late
 
 
 def parse_faults(texts: list[str], seed: int = 1) -> FaultInjector:
@@ -171,16 +156,11 @@ MAX_COUNTS = 2**31 - 1
 
 
 class SimulatedTransducer:
-    """Simulates the samples of the box.
-
-    Attributes:
-        saturated: whether a fault sets it to its limit.
-        latched: whether a monitor condition is latched.
-    """
+    """Simulates the samples of the box: noise and range of the model's sensor, and a walk of its zero."""
 
     def __init__(self, model: ProbeModel, load: Load, seed: int, drift: float = DRIFT) -> None:
-        """Start at rest; the model gives the sensor's noise and range, `seed` that of noise and drift."""
-        self.saturated = self.latched = False
+        self.saturated = False  #: Whether a fault sets it to its limit.
+        self.latched = False  #: Whether a monitor condition is latched.
         self._load = load
         self._random = np.random.default_rng(seed)
         self._noise, self._drift = model.noise.std * math.sqrt(model.averaging_samples), drift
@@ -203,16 +183,13 @@ class SimulatedTransducer:
         status = np.where(over, SUMMARY | SATURATED, 0) | (SUMMARY | LATCHED if self.latched else 0)
         return np.clip(counts, -MAX_COUNTS, MAX_COUNTS), status
 
-    def bias(self) -> None:
-        """Store the current wrench as the software bias."""
-        self._bias = self._last.copy()
+    def bias(self, on: bool) -> tuple[float, ...]:
+        """Store the current wrench as the software bias, or clear it.
 
-    def clear_bias(self) -> None:
-        """Clear the software bias, as a restart does."""
-        self._bias = np.zeros(6)
-
-    def gauges(self) -> tuple[float, ...]:
-        """Return the bias as shown on the page: six integers, here in ten-thousandths of the range."""
+        Returns:
+            The bias as shown on the page: six integers, here in ten-thousandths of the range.
+        """
+        self._bias = self._last * on
         return tuple(float(v) for v in np.rint(1e4 * self._bias / self._range))
 
 
@@ -229,12 +206,7 @@ NATIVE = NetFTConfiguration("Net F/T (simulated by probedesign)", "N", "N-mm", 1
 
 
 class SimulatedNetFT:
-    """A simulated Net F/T box. Use it as a context manager; inside, it listens.
-
-    Attributes:
-        configuration: active configuration.
-        client: receiver of the records; None before a request.
-    """
+    """A simulated Net F/T box. Use it as a context manager; inside, it listens."""
 
     def __init__(
         self,
@@ -261,16 +233,20 @@ class SimulatedNetFT:
         Raises:
             InputError: a port is in use, or the address does not belong to this machine.
         """
-        self.configuration = configuration
-        self.client: tuple[str, int] | None = None
+        self.configuration = configuration  #: Active configuration.
+        self.client: tuple[str, int] | None = None  #: Receiver of the records; None before a request.
         self._transducer, self._faults = transducer, faults or FaultInjector()
-        self._udp = _bound(host, port)
-        self.address: tuple[str, int] = self._udp.getsockname()[:2]
+        self._udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        option, number = "--port", port
         try:
-            self._http = PageServer((host, http_port), self._page)
-        except OSError as error:
+            self._udp.bind((host, port))
+            option, number = "--http-port", http_port
+            self._http = _page_server((host, http_port), self._page)
+        except (OSError, OverflowError) as error:
             self._udp.close()
-            raise InputError(_refusal(host, http_port, error, "--http-port")) from None
+            why = getattr(error, "strerror", None) or str(error)
+            raise InputError(f"{host}:{number}: {why}; use another {option}, or an address of this machine") from None
+        self.address: tuple[str, int] = self._udp.getsockname()[:2]
         self.http_port = int(self._http.server_address[1])
         self._lock = threading.RLock()
         self._ended = threading.Event()
@@ -314,8 +290,7 @@ class SimulatedNetFT:
         """Restart: the counter starts at one, client and bias are cleared."""
         with self._lock:
             self.client = None
-            self._transducer.clear_bias()
-            self.configuration = replace(self.configuration, bias=(0.0,) * 6)
+            self.configuration = replace(self.configuration, bias=self._transducer.bias(False))
             self._off_until = monotonic() + seconds
             self._zero = self._off_until
             self._next = 0
@@ -380,8 +355,7 @@ class SimulatedNetFT:
             case rdt.RESET_LATCH:
                 self._transducer.latched = False
             case rdt.BIAS:
-                self._transducer.bias()
-                self.configuration = replace(self.configuration, bias=self._transducer.gauges())
+                self.configuration = replace(self.configuration, bias=self._transducer.bias(True))
 
     def _stream(self) -> None:
         spacing = max(1, round(SAMPLES_PER_SECOND / self.configuration.rate))
@@ -397,14 +371,10 @@ class SimulatedNetFT:
         self._next += spacing * due
         width = RECORDS.itemsize * size
         for packet in self._faults.apply([records[i : i + width] for i in range(0, len(records), width)]):
-            self._send_or_lose(packet)
+            with suppress(OSError):  # lost with full buffers or closed clients, as on a wire
+                self._udp.sendto(packet, self.client)  # type: ignore[arg-type]  # `_serve` streams to a client only
         if self._request.records and self._rdt >= self._request.records:
             self.client = None
-
-    def _send_or_lose(self, packet: bytes) -> None:
-        with suppress(OSError):  # lost with full buffers or closed clients, as on a wire
-            if self.client is not None:
-                self._udp.sendto(packet, self.client)
 
     def _records(self, samples: NDArray[np.int64], spacing: int) -> NDArray[np.void]:
         if monotonic() < self._stalled_until:
@@ -425,38 +395,21 @@ class SimulatedNetFT:
 
     def _run_events(self) -> None:
         events = self._faults.events
-        while events and self._motion_start and self.motion_time >= events[0][0]:
-            actions: dict[str, Callable[[], None]] = {
-                "stall": self.stall, "restart": self.restart, "stolen": self.drop_client, "units": self._other_units,
-                "saturate": self._saturate_briefly,
-            }  # fmt: skip
-            actions[events.pop(0)[1]]()
-            if self.client is None:
-                return
-
-    def _other_units(self) -> None:
-        self.configure(torque_unit="N-mm" if self.configuration.torque_unit == "N-m" else "N-m")
-
-    def _saturate_briefly(self) -> None:
-        self.saturate()
-        timer = threading.Timer(FAULT_DURATION, self.saturate, [False])
-        timer.daemon = True
-        timer.start()
-
-
-def _bound(host: str, port: int) -> socket.socket:
-    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
-        udp.bind((host, port))
-    except (OSError, OverflowError) as error:
-        udp.close()
-        raise InputError(_refusal(host, port, error, "--port")) from None
-    return udp
-
-
-def _refusal(host: str, port: int, error: Exception, option: str) -> str:
-    why = getattr(error, "strerror", None) or str(error)
-    return f"{host}:{port}: {why}; use another {option}, or an address of this machine"
+        while events and self._motion_start and self.motion_time >= events[0][0] and self.client is not None:
+            match events.pop(0)[1]:
+                case "stall":
+                    self.stall()
+                case "restart":
+                    self.restart()
+                case "stolen":
+                    self.drop_client()
+                case "units":
+                    self.configure(torque_unit="N-mm" if self.configuration.torque_unit == "N-m" else "N-m")
+                case "saturate":
+                    self.saturate()
+                    timer = threading.Timer(FAULT_DURATION, self.saturate, [False])
+                    timer.daemon = True
+                    timer.start()
 
 
 # cyclic motion of its base
@@ -522,11 +475,7 @@ class BaseMotion:
 
 
 def _interpolated(at: Array, knots: Array, values: Array) -> Array:
-    fraction = np.clip(np.searchsorted(knots, at, side="right") - 1, 0, len(knots) - 2)
-    low, high = knots[fraction], knots[fraction + 1]
-    weight = np.clip((at - low) / (high - low), 0.0, 1.0)[:, None]
-    between: Array = (1.0 - weight) * values[fraction] + weight * values[fraction + 1]
-    return between
+    return np.stack([np.interp(at, knots, column) for column in values.T], axis=-1)
 
 
 # poses sent by UDP
@@ -538,12 +487,7 @@ class SimulatedRobot:
     """Sends the pose of the base in a world whose z axis points up. Use it as a context manager."""
 
     def __init__(self, motion: BaseMotion, motion_time: Callable[[], float], target: str) -> None:
-        """Resolve the receiver.
-
-        Args:
-            motion: motion of the base.
-            motion_time: returns the time since the motion started [s].
-            target: HOST:PORT.
+        """Resolve the receiver, HOST:PORT; `motion_time` returns the time since the motion started [s].
 
         Raises:
             InputError: this is not an address.
@@ -556,7 +500,7 @@ class SimulatedRobot:
             self._target = ("", 0)
         if not all(self._target):
             raise InputError(f"--pose-to {target} must be HOST:PORT, as 127.0.0.1:30010")
-        self._R = upright_rotation(motion.model.gravity_base)
+        self._R = rotation_under_gravity(motion.model.gravity_base)
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._send, name="robot", daemon=True)
 
@@ -580,13 +524,3 @@ class SimulatedRobot:
             while not self._ended.wait(POSE_PERIOD):
                 with suppress(OSError):  # there is no listener
                     udp.sendto(self.datagram(monotonic(), self._motion_time()), self._target)
-
-
-def upright_rotation(gravity_base: Array) -> Array:
-    """Return R_world_base of the base at rest (3, 3): the shortest rotation that turns gravity to -z."""
-    down = gravity_base / np.linalg.norm(gravity_base)
-    axis, cosine = np.cross(down, (0.0, 0.0, -1.0)), -float(down[2])
-    if cosine < -1.0 + 1e-9:  # gravity points up: rotate by π about x
-        return np.diag([1.0, -1.0, -1.0])
-    K = skew(axis)
-    return np.asarray(np.eye(3) + K + K @ K / (1.0 + cosine))
