@@ -20,8 +20,7 @@ from probedesign.core.units import MM
 from probedesign.design import Design, load_design
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.planning.candidates import READINGS, STD_MARK, CandidateTest, Instruments
-from probedesign.planning.folder import tables
-from probedesign.planning.plan import Plan
+from probedesign.planning.plan import Plan, tables
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.reports.plan_page import set_up_chart
 from probedesign.rod.contact import solve_contact

@@ -16,8 +16,7 @@ from benchmarks.timing import format_seconds, interleaved, print_table, two_digi
 from probedesign.core.frames import Array
 from probedesign.rod.batch import CHUNK, solve_batch
 from probedesign.rod.kernels.equations import ALL_COLUMNS, LOAD_COLUMNS, OK, Body
-from probedesign.rod.kernels.newton import COLD
-from probedesign.rod.kernels.solve import SOLUTION, scratch_buffers, solve_cases
+from probedesign.rod.kernels.newton import COLD, SOLUTION, scratch_buffers, solve_cases
 from probedesign.rod.rod import RESULTS, TOLERANCES, Rod
 
 #: Targets of the time of a cold solve, a warm solve and a call from Python [s].

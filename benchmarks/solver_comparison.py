@@ -12,8 +12,7 @@ from benchmarks.peers.shooting import shoot_rk45
 from benchmarks.timing import format_seconds, interleaved, print_table, two_digits, value_range
 from probedesign.core.frames import Array
 from probedesign.rod.kernels.equations import OK
-from probedesign.rod.kernels.newton import COLD, WARM_ONLY
-from probedesign.rod.kernels.solve import SOLUTION, scratch_buffers, solve_cases
+from probedesign.rod.kernels.newton import COLD, SOLUTION, WARM_ONLY, scratch_buffers, solve_cases
 from probedesign.rod.rod import TOLERANCES, Rod
 
 ROUNDS = 9

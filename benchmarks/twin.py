@@ -12,7 +12,7 @@ from probedesign.design.io import load_design
 from probedesign.geometry import Axis
 from probedesign.geometry.cross_section import CrossSection
 from probedesign.probe import build_probe
-from probedesign.rod.vibration import natural_frequency
+from probedesign.rod.rod import natural_frequency
 from probedesign.simulation.twin import twin_files
 from tests.simulation.mujoco_statics import Twin
 

@@ -18,8 +18,7 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.simulation.campaign_folder import make_campaign
 from probedesign.simulation.ground_truth import CampaignKind, CampaignPlan
-from probedesign.validation.validate import validate
-from probedesign.validation.validated_test import ValidatedTest
+from probedesign.validation.validate import ValidatedTest, validate
 
 CAMPAIGNS = 150
 #: Reference measurement, and median friction coefficient of the touches.

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from probedesign.design import Design
     from probedesign.estimation.estimator import Estimator, Method
     from probedesign.estimation.tolerances import Tolerances
-    from probedesign.identification.measured_axis import MeasuredAxis
-    from probedesign.identification.measured_diameters import Calipers, MeasuredDiameters
+    from probedesign.identification.measured_print import Calipers, MeasuredAxis, MeasuredDiameters
     from probedesign.identification.result import Identification
     from probedesign.live import Log
     from probedesign.live.outputs.sinks import Sink
@@ -89,7 +88,7 @@ def export_coupon(design: "Design", folder: Path | None) -> dict[str, Any]:
 
 def measure(design: "Design", calipers: "Calipers", calipers_std_mm: float) -> "MeasuredDiameters":
     """Estimate the diameters of a print from readings of calipers, with its tolerances as prior."""
-    from probedesign.identification.measured_diameters import fit_diameters
+    from probedesign.identification.measured_print import fit_diameters
     from probedesign.probe import build_probe
 
     return fit_diameters(design, build_probe(design).tolerances, calipers, calipers_std_mm)
@@ -98,7 +97,7 @@ def measure(design: "Design", calipers: "Calipers", calipers_std_mm: float) -> "
 def measure_axis(design: "Design", points: Path) -> "MeasuredAxis":
     """Fit the axis of a print to points of its outline."""
     from probedesign.estimation.tolerances import BOW_SHARE
-    from probedesign.identification.measured_axis import fit_axis, read_outline
+    from probedesign.identification.measured_print import fit_axis, read_outline
     from probedesign.probe import build_probe
 
     again = "bow_mm" in design.probe.measured

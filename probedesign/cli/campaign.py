@@ -57,7 +57,7 @@ def plan(
     from probedesign import pipeline
     from probedesign.design import load_design
     from probedesign.identification.parameters import check_requested
-    from probedesign.planning.folder import CHECKLIST, PAGE, PLAN, check_target, checklist_text, tables, write_folder
+    from probedesign.planning.plan import CHECKLIST, PAGE, PLAN, check_target, checklist_text, tables, write_folder
     from probedesign.reports.plan_page import plan_page
 
     if stage_mm == 0.0:

@@ -12,8 +12,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, exports_of
 
 if TYPE_CHECKING:
-    from probedesign.identification.measured_axis import MeasuredAxis
-    from probedesign.identification.measured_diameters import CouponScale, MeasuredDiameters
+    from probedesign.identification.measured_print import CouponScale, MeasuredAxis, MeasuredDiameters
 
 
 def coupon(design: DesignFile, /, *, out: Path | None = None, as_json: JsonOutput = False) -> None:
@@ -76,9 +75,8 @@ def measured(
     """
     from probedesign import pipeline
     from probedesign.design import load_design
-    from probedesign.identification import measured_diameters as diameters
+    from probedesign.identification import measured_print
     from probedesign.identification.design_update import write_changes
-    from probedesign.identification.measured_axis import axis_changes
     from probedesign.mount import build_geometry
     from probedesign.probe import build_probe
     from probedesign.web.home import refresh_home
@@ -93,21 +91,21 @@ def measured(
     if axis is not None:
         found = pipeline.measure_axis(start, axis)
         factor = (found.factor, found.factor_std) if found.factor_std > 0.0 else None
-        changes = axis_changes(start, found.bow_mm, found.bow_std_mm, factor, f"measured {day}")
+        changes = measured_print.axis_changes(start, found.bow_mm, found.bow_std_mm, factor, f"measured {day}")
         document = found.as_dict()
         what, lines = _axis_lines(found)
     elif bow_mm is not None:
-        changes = diameters.bow_changes(start, bow_mm, bow_std_mm, f"measured {day}")
+        changes = measured_print.bow_changes(start, bow_mm, bow_std_mm, f"measured {day}")
         document = {"bow_mm": bow_mm, "bow_std_mm": bow_std_mm}
         what = f"the tip is {bow_mm[0]:g} mm off towards x and {bow_mm[1]:g} mm towards y, ± {bow_std_mm:g} mm"
         lines = [_bow_test(bow_mm, bow_std_mm), "deploy the probe again, with this design; the parts stay"]
-    elif calipers is not None and diameters.is_coupon_sheet(calipers):
-        scale = diameters.fit_scale(*diameters.read_coupon(calipers, start.resin.name), calipers_std_mm)
-        changes, document = diameters.scale_changes(scale, day), scale.as_dict()
+    elif calipers is not None and measured_print.is_coupon_sheet(calipers):
+        scale = measured_print.fit_scale(*measured_print.read_coupon(calipers, start.resin.name), calipers_std_mm)
+        changes, document = measured_print.scale_changes(scale, day), scale.as_dict()
         what, lines = _scale_lines(scale)
     elif calipers is not None:
-        fit = pipeline.measure(start, diameters.read_calipers(calipers, start), calipers_std_mm)
-        changes, document = diameters.diameter_changes(fit, start, day), fit.as_dict()
+        fit = pipeline.measure(start, measured_print.read_calipers(calipers, start), calipers_std_mm)
+        changes, document = measured_print.diameter_changes(fit, start, day), fit.as_dict()
         what = f"{plural(fit.readings, 'reading')}; the former values are kept as comments"
         lines = [*_diameter_lines(fit), "the bow is not seen: diameters, in however many directions, are those of a "
                  "straight probe; measure it with --bow-mm or --axis"]  # fmt: skip

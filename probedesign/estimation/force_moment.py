@@ -28,8 +28,7 @@ from probedesign.rod.batch import Batch, solve_batch
 from probedesign.rod.contact import surface_point
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.kernels.equations import OK
-from probedesign.rod.kernels.newton import COLD
-from probedesign.rod.kernels.solve import SOLUTION, scratch_buffers, solve_cases
+from probedesign.rod.kernels.newton import COLD, SOLUTION, scratch_buffers, solve_cases
 from probedesign.rod.kernels.surface_contact import TIP, TOUCH
 from probedesign.rod.rod import Rod
 

@@ -13,7 +13,7 @@ from probedesign.core.units import MPA
 from probedesign.design import Design
 from probedesign.design.edit import Change, edit_text
 from probedesign.design.io import design_text, parse_design, write_design
-from probedesign.identification.measured_axis import axis_changes, deviation_std_mm
+from probedesign.identification.measured_print import axis_changes, deviation_std_mm
 from probedesign.identification.parameters import PARAMETERS
 from probedesign.identification.result import Identification, Identified
 from probedesign.mount.mount import build_geometry, exported_root_radii

@@ -26,13 +26,16 @@ from probedesign.identification.fit_checks import (
     UnobservableDirection,
     bad_tests,
     contradictions,
+    exchange_hint,
+    explaining_mistakes,
     inconsistency,
+    likely_causes,
     outlier_notes,
+    print_defects,
     reconciled,
     unobservable_direction,
     widened,
 )
-from probedesign.identification.mistakes import exchange_hint, explaining_mistakes, likely_causes, print_defects
 from probedesign.identification.parameters import (
     CHANNELS,
     DEFAULT,
@@ -44,8 +47,15 @@ from probedesign.identification.parameters import (
 )
 from probedesign.identification.residuals import MassMeasurement, MeasuredTest
 from probedesign.identification.result import Identification, Outlier
-from probedesign.identification.robust_loss import outliers
-from probedesign.identification.solver import Fit, LeastSquaresProblem, Linearization, fit, solvable_tests, start_point
+from probedesign.identification.solver import (
+    Fit,
+    LeastSquaresProblem,
+    Linearization,
+    fit,
+    outliers,
+    solvable_tests,
+    start_point,
+)
 
 MIN_READINGS = 8  #: Readings of one test from which on their scatter replaces the sensor's noise where it is larger.
 #: Factor on the design's E from which on units are questioned: published values of one resin, 1.6 to 3.2 MPa, differ by

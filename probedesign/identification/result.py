@@ -15,8 +15,12 @@ from probedesign.core import csv_tables
 from probedesign.core.frames import Array
 from probedesign.core.notebook import Tabular
 from probedesign.core.units import MM
-from probedesign.identification.fit_checks import UnobservableDirection, conditional_estimate, cov_conditional
-from probedesign.identification.mistakes import LikelyCause
+from probedesign.identification.fit_checks import (
+    LikelyCause,
+    UnobservableDirection,
+    conditional_estimate,
+    cov_conditional,
+)
 from probedesign.identification.parameters import (
     COMPONENTS,
     IMPLIED,
@@ -27,8 +31,7 @@ from probedesign.identification.parameters import (
     POISSON_STD,
     columns_of,
 )
-from probedesign.identification.robust_loss import READING_KINDS, ROBUST_KINDS, NoiseScale, chi2_words
-from probedesign.identification.solver import Fit
+from probedesign.identification.solver import READING_KINDS, ROBUST_KINDS, Fit, NoiseScale, chi2_words
 
 CONFIDENCE = 0.95
 #: Units of residuals by kind of reading.

@@ -25,7 +25,7 @@ from probedesign.prediction.predict import tip_sag
 from probedesign.printing import check
 from probedesign.probe import Probe, build_probe
 from probedesign.rod.contact import solve_frictionless
-from probedesign.rod.vibration import natural_frequency
+from probedesign.rod.rod import natural_frequency
 
 FreeParameter = Literal["cone", "taper", "length", "section", "axis"]
 CONTROLS = 5  #: Number of control diameters of a free taper, evenly spaced along the probe.

@@ -10,8 +10,7 @@ from probedesign.campaigns.campaign import PUSH_DIRECTIONS
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.planning.candidates import CandidateTest
-from probedesign.planning.folder import checklist
-from probedesign.planning.plan import ENOUGH, ExpectedInterval, Plan
+from probedesign.planning.plan import ENOUGH, ExpectedInterval, Plan, checklist
 from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis
 from probedesign.reports.html_page import REPORT_STYLE, HtmlTable, html_document, labelled
 from probedesign.reports.prediction_charts import STATIONS, flanks

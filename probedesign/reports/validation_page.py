@@ -15,8 +15,7 @@ from probedesign.reports.chart import COLOURS, DASHES, Chart, ChartAxis
 from probedesign.reports.html_page import HtmlTable, ReportFigure, report_page
 from probedesign.reports.prediction_charts import flanks
 from probedesign.rod.equilibrium import Equilibrium
-from probedesign.validation.validate import WHY, ErrorStatistics, ValidationReport
-from probedesign.validation.validated_test import ValidatedTest
+from probedesign.validation.validate import WHY, ErrorStatistics, ValidatedTest, ValidationReport
 
 MEASURED, ESTIMATED, CONTACT = COLOURS[0], COLOURS[1], COLOURS[2]
 POINTS = 80  #: Arclengths at which a shape is drawn.

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.rod.kernels.equations import DENSITY, LOAD, OK, Body
-from probedesign.rod.kernels.newton import COLD, WARM, WARM_ONLY
-from probedesign.rod.kernels.solve import SOLUTION, scratch_buffers, solve_cases
+from probedesign.rod.kernels.newton import COLD, SOLUTION, WARM, WARM_ONLY, scratch_buffers, solve_cases
 from probedesign.rod.rod import RESULTS, TOLERANCES, Columns, Mode, Rod
 
 #: Cases per task of a thread: a few milliseconds, so that interrupts are handled and all cores finish together.

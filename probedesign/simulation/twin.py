@@ -28,8 +28,7 @@ from probedesign.core.frames import Array, inverse, pose, rotation_z
 from probedesign.estimation.model import ProbeModel
 from probedesign.geometry.mass import MassProperties, combined
 from probedesign.rod.equilibrium import Equilibrium
-from probedesign.rod.rod import Rod
-from probedesign.rod.vibration import natural_frequency
+from probedesign.rod.rod import Rod, natural_frequency
 
 #: Name of the format, ending of its file.
 FORMATS = {"mjcf": ".xml", "sdf": ".sdf", "urdf": ".urdf", "usd": ".usda"}

@@ -34,7 +34,7 @@ from probedesign.reports.chart import COLOURS, DASHES, MARKS, Chart, ChartAxis, 
 from probedesign.reports.prediction_charts import LIMITS, budget_chart, direction_chart
 from probedesign.rod.contact import FrictionlessContact, solve_frictionless, surface_point
 from probedesign.rod.equilibrium import Equilibrium
-from probedesign.rod.vibration import natural_frequency
+from probedesign.rod.rod import natural_frequency
 from probedesign.studio.session import PinnedDesign, StudioTouch
 
 _PLACE = ChartAxis("contact position, fraction of the length", 0.0, 1.02, ticks=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0))

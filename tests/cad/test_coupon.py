@@ -17,7 +17,7 @@ from probedesign.cad.mesh import printed_mesh, tessellate
 from probedesign.cad.model import printed_solid
 from probedesign.core.errors import InputError
 from probedesign.design import Design, parse_design
-from probedesign.identification.measured_diameters import read_calipers
+from probedesign.identification.measured_print import read_calipers
 
 
 def design_of(probe: str) -> Design:

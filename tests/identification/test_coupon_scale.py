@@ -8,7 +8,7 @@ import pytest
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.design import load_design
-from probedesign.identification.measured_diameters import fit_scale, read_coupon
+from probedesign.identification.measured_print import fit_scale, read_coupon
 from probedesign.mount import build_geometry
 
 DRAWN = np.array([12.0, 9.5, 7.0, 4.5, 2.0, 7.0, 7.0, 7.0])

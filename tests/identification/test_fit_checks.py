@@ -13,8 +13,7 @@ from probedesign.identification.fit_checks import Contradiction, OutlierCount, c
 from probedesign.identification.identify import IdentificationData, data_of, identify
 from probedesign.identification.residuals import MeasuredTest
 from probedesign.identification.result import Identification
-from probedesign.identification.robust_loss import REJECTION_CHANCE, chi2_words
-from probedesign.identification.solver import LeastSquaresProblem, fit, start_point
+from probedesign.identification.solver import REJECTION_CHANCE, LeastSquaresProblem, chi2_words, fit, start_point
 from tests.identification.conftest import TRUE_E
 
 

@@ -11,7 +11,7 @@ from probedesign.core.frames import Array
 from probedesign.design import Design, load_design, parse_design
 from probedesign.design.io import write_design
 from probedesign.geometry import Axis
-from probedesign.identification.measured_axis import OutlinePoints, fit_axis
+from probedesign.identification.measured_print import OutlinePoints, fit_axis
 from probedesign.mount import build_geometry
 from probedesign.probe import build_probe
 

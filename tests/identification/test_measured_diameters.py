@@ -13,13 +13,7 @@ from probedesign.design.edit import as_new_print, tables_of
 from probedesign.design.io import render_design, write_design
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.frozen_probe import _model_of, freeze
-from probedesign.identification.measured_diameters import (
-    PRINT_SCALE_STD,
-    Calipers,
-    covering,
-    fit_diameters,
-    read_calipers,
-)
+from probedesign.identification.measured_print import PRINT_SCALE_STD, Calipers, covering, fit_diameters, read_calipers
 from probedesign.mount import build_geometry
 from probedesign.probe import build_probe
 

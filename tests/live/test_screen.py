@@ -10,7 +10,7 @@ from probedesign.live.processing.chain import Chain, ProcessingOptions
 from probedesign.live.processing.tare import TareWindow
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.source import open_source
-from probedesign.rod.vibration import natural_frequency
+from probedesign.rod.rod import natural_frequency
 from tests.live.peers import box
 
 SECONDS = 12.0

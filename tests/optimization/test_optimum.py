@@ -25,7 +25,7 @@ from probedesign.optimization.optimum import confirm, optimum
 from probedesign.prediction.predict import predict
 from probedesign.printing.check import SOFT_FACTOR, check_print
 from probedesign.probe import build_probe
-from probedesign.rod.vibration import natural_frequency
+from probedesign.rod.rod import natural_frequency
 
 LARGE = Path(__file__).parents[2] / "designs/large.toml"
 TASK = Task()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.planning import fill
-from probedesign import pipeline
+from probedesign import new, pipeline
 from probedesign.campaigns import read_campaign
 from probedesign.cli.main import run
 from probedesign.core.errors import InputError
@@ -18,8 +18,7 @@ from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.planning.candidates import Bench, Instruments
-from probedesign.planning.folder import checklist_text, tables
-from probedesign.planning.plan import HANG_EVERY, PREPARATION, Information, make_plan
+from probedesign.planning.plan import HANG_EVERY, PREPARATION, Information, checklist_text, make_plan, tables
 from probedesign.reports.plan_page import plan_page
 from probedesign.rod.contact import surface_point
 from tests.reports.test_pages import assert_whole
@@ -270,6 +269,14 @@ def test_proposed_touches_are_located(bench):
     assert located >= 0.98 * len(touches) and len(touches) > 30
     # the lightest touch near the tip, 5.4 mN at 138 mm, is not among them
     assert not any(one.mark > 0.9 * bench.model.rod.length and one.displacement < 10 * MM for one in touches)
+
+
+def test_touches_of_an_arc_that_identify_cannot_solve_are_left_out():
+    """The others determine E and the root."""
+    arc = new(length_mm=150.0, base_d_mm=12.0, axis="arc", axis_bend_deg=60.0, sensor="nano17")
+    found = pipeline.plan(arc, 90.0, ("E", "root"), replace(STAGE, weights=(), turnable=False), 2)
+    assert sum(one.set_up == "touch" for one in found.candidates) > 5
+    assert all(one.std is not None for one in found.expected)
 
 
 def test_calipers_and_identify_share_one_recommendation(design):

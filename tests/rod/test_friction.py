@@ -70,7 +70,9 @@ def test_the_base_bears_the_contact_and_the_weight(name):
     ds = (0.5 * (high - low) * weights).ravel()
     weight = rod.density * rod.factors[0] * np.pi * rod.radius_at(s) ** 2 * ds
     force = contact.force_base + weight.sum() * GRAVITY
-    moment = np.cross(contact.p_surface_base, contact.force_base) + np.cross(weight @ contact.equilibrium.p_at(s), GRAVITY)
+    moment = np.cross(contact.p_surface_base, contact.force_base) + np.cross(
+        weight @ contact.equilibrium.p_at(s), GRAVITY
+    )
     felt = contact.equilibrium.wrench_base
     assert np.allclose(felt[:3], force, rtol=1e-9, atol=1e-12)
     assert np.linalg.norm(felt[3:] - moment) <= 1e-7 * np.linalg.norm(moment)

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from probedesign.rod.rod import Rod
-from probedesign.rod.vibration import natural_frequency
+from probedesign.rod.rod import Rod, natural_frequency
 
 
 def cylinder(**changes):

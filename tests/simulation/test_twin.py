@@ -17,7 +17,7 @@ from probedesign.design.io import load_design
 from probedesign.geometry import Axis
 from probedesign.geometry.mass import combined
 from probedesign.probe import build_probe
-from probedesign.rod.vibration import natural_frequency
+from probedesign.rod.rod import natural_frequency
 from probedesign.simulation.twin import chain_of, twin_files
 from tests.rod.rods import FLAT, TUBE
 from tests.simulation.mujoco_statics import FREE, Twin

@@ -19,8 +19,7 @@ from probedesign.probe import build_probe
 from probedesign.reports.validation_page import estimated_contact, internal_load, known_contact, validation_page
 from probedesign.simulation.campaign_folder import make_campaign
 from probedesign.simulation.ground_truth import CampaignPlan
-from probedesign.validation.validate import COLUMNS, coverage_of, validate
-from probedesign.validation.validated_test import tare_weights
+from probedesign.validation.validate import COLUMNS, coverage_of, tare_weights, validate
 from tests.reports.test_pages import assert_whole
 
 DESIGNS = Path(__file__).parents[2] / "designs"

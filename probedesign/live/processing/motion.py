@@ -21,7 +21,7 @@ import numpy as np
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live.poses.base_poses import BasePoses
-from probedesign.rod.vibration import natural_frequency
+from probedesign.rod.rod import natural_frequency
 
 #: Damping ratio of the first mode. Assumed: the least of printed elastic resins and silicones; with more the sway ends
 #: earlier than stated, and readings at rest confirm it.
