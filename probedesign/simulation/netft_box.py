@@ -141,7 +141,7 @@ def parse_faults(texts: list[str], seed: int = 1) -> FaultInjector:
                 f"--fault {text!r} must be one of {', '.join(rates)} as loss=0.01, a fraction of all packets, "
                 f"or one of {', '.join(FAULT_EVENTS)} as restart@10, seconds after the stream started"
             )
-    return FaultInjector(**rates_given, events=sorted(events), seed=seed)  # type: ignore[arg-type]  # the names are those of rates
+    return FaultInjector(**rates_given, events=sorted(events), seed=seed)
 
 
 # the transducer
