@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.cases import GRAVITY, random_directions
 from probedesign.core.frames import Array, pose
 from probedesign.design import check_design, load_design
-from probedesign.design.edit import tables_of, with_values
+from probedesign.design.edit import tables_of
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.multistart import placed
@@ -63,12 +63,13 @@ def paper_models(flatness: float = 1.0, axis: tuple[float, ...] = (0.0, 0.0)) ->
     designs = {name: load_design(ROOT / f"designs/{name}.toml") for name in ("large", "medium", "small")}
     values: dict[str, object] = {}
     if flatness < 1.0:
-        values = {"probe.section": "elliptic", "probe.flatness": flatness}
+        values = {"section": "elliptic", "flatness": flatness}
     if axis[0] > 0.0:
-        values |= {"probe.axis": "helix", "probe.axis_bend_deg": axis[0], "probe.axis_turns": axis[1],
-                   "probe.axis_azimuth_deg": axis[2] if len(axis) > 2 else -90.0}  # fmt: skip
-    designs = {name: check_design(with_values(tables_of(design), values)) for name, design in designs.items()}
-    return {name: build_probe(design).model for name, design in designs.items()}
+        values |= {"axis": "helix", "axis_bend_deg": axis[0], "axis_turns": axis[1],
+                   "axis_azimuth_deg": axis[2] if len(axis) > 2 else -90.0}  # fmt: skip
+    tables = {name: tables_of(design) for name, design in designs.items()}  # E and G as well known as of the paper's
+    changed = {name: check_design(of | {"probe": of["probe"] | values}) for name, of in tables.items()}
+    return {name: build_probe(design).model for name, design in changed.items()}
 
 
 def touch(model: ProbeModel, gravity: Array, s: float, angle: float, force: float) -> Touch | None:

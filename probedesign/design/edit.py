@@ -35,7 +35,7 @@ def with_values(tables: Mapping[str, Any], values: Mapping[str, Any]) -> dict[st
     """Return tables with the values of some keys, `table.key`, changed, and with what follows from them.
 
     Another resin brings its moduli, density and friction, which `values` can replace; what was measured of the former
-    resin and on its print goes. A changed shape has no measured diameters, another hold no stated root.
+    resin and on its print goes. A changed shape is a new print, see `as_new_print`; another hold has no stated root.
 
     Raises:
         InputError: a key lies in something that is not a table, or the resin is not known.
@@ -66,44 +66,35 @@ def _table(tables: Any, parents: Sequence[str], key: str) -> Any:
 
 
 def as_new_print(tables: dict[str, Any], before: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Return the tables of a changed design without what was measured on the print of the former one.
+    """Return the tables of a changed design without what is known of the print of the former one alone.
+
+    What was measured on that print goes. E and G that were identified on it keep their values and are assumed; the
+    tests that served, and what they left unknown, go.
 
     Args:
         tables: of the changed design.
         before: of the former one. Tables with its `[probe]` are returned unchanged, and tolerances that differ from its
             own are kept. None: both are one design of which a new print is made.
     """
-    probe, tolerances = tables["probe"], tables.get("tolerances", {})
-    if not isinstance(probe, dict) or not isinstance(tolerances, dict):  # the check of the design refuses it
+    probe, material, tolerances = tables["probe"], tables["material"], tables.get("tolerances", {})
+    if not (isinstance(probe, dict) and isinstance(material, dict) and isinstance(tolerances, dict)):
+        return tables  # the check of the design refuses it
+    if before is not None and probe == before["probe"]:
         return tables
-    if not probe.get("measured") or (before is not None and probe == before["probe"]):
+    former, gone = tolerances if before is None else before.get("tolerances", {}), tuple[str, ...]()
+    if probe.get("measured"):
+        gone = _OF_A_PRINT
+        probe = {k: v for k, v in probe.items() if k not in ("measured", "bow_mm")}
+    given = material.get("provenance")
+    known = given if isinstance(given, dict) else {}
+    assumed = {k: "assumed" for k in ("youngs_modulus_mpa", "shear_modulus_mpa") if known.get(k) == "identified"}
+    if assumed:
+        gone += ("youngs_modulus", "shear_modulus", "youngs_modulus_by_diameter")
+        material = {k: v for k, v in material.items() if k != "identified_tests"} | {"provenance": known | assumed}
+    if not gone:
         return tables
-    former = tolerances if before is None else before.get("tolerances", {})
-    kept = {k: v for k, v in tolerances.items() if k not in _OF_A_PRINT or v != former.get(k)}
-    as_drawn = {k: v for k, v in probe.items() if k not in ("measured", "bow_mm")}
-    return {**tables, "probe": as_drawn, "tolerances": kept}
-
-
-def as_assumed(tables: dict[str, Any], before: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the tables of a design, E and G assumed where they were identified on a print of another `[probe]`.
-
-    They keep their values; the tests that served, and what they left unknown, go.
-
-    Args:
-        tables: of the changed design; those whose `[material]` is none are returned unchanged.
-        before: of the former one; tables with its `[probe]` are returned unchanged.
-    """
-    material = tables["material"]
-    given = material.get("provenance") if isinstance(material, dict) else None
-    if not isinstance(given, dict):  # the check of the design refuses it
-        return tables
-    assumed = {k: "assumed" for k in ("youngs_modulus_mpa", "shear_modulus_mpa") if given.get(k) == "identified"}
-    if not assumed or tables["probe"] == before["probe"]:
-        return tables
-    kept = {k: v for k, v in material.items() if k != "identified_tests"} | {"provenance": given | assumed}
-    of_print = ("youngs_modulus", "shear_modulus", "youngs_modulus_by_diameter")
-    tolerances = {k: v for k, v in tables.get("tolerances", {}).items() if k not in of_print}
-    return {**tables, "material": kept, "tolerances": tolerances}
+    kept = {k: v for k, v in tolerances.items() if k not in gone or v != former.get(k)}
+    return {**tables, "probe": probe, "material": material, "tolerances": kept}
 
 
 @dataclass(frozen=True)

@@ -188,11 +188,9 @@ class NonlinearProgram:
         task, metrics = self.evaluator.task, self.evaluator.metrics
 
         def bears(x: Array) -> Array:
-            """Return the margin of the critical load over the task's force to the safety factor."""
             return np.array([np.log(metrics(x)["critical_load"] / SAFETY_FACTOR) - SPARE])
 
         def slips(x: Array) -> Array:
-            """Return the margin of the slide while the base presses on, which ends at the tip."""
             left = (1.0 - max(task.fractions)) * metrics(x)["length_mm"] + _SLIP_ALLOWANCE_MM
             return np.array([np.log(left / metrics(x)["slide_mm"]) - SPARE])
 

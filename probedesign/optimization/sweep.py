@@ -205,7 +205,6 @@ def _evaluate_chunk(base: dict[str, Any], task: Task, chunk: _Chunk) -> list[Rec
 def _computed_here(
     base: dict[str, Any], task: Task, chunks: list[_Chunk], workers: int, on_progress: OnProgress
 ) -> Iterator[Record]:
-    """Yield the records that processes of this machine compute, in the order of completion."""
     count = min(workers, len(chunks))
     on_progress(f"starting {count} workers", None)
     evaluate = partial(_evaluate_chunk, base, task)
@@ -220,7 +219,6 @@ def _computed_here(
 
 
 def _computed_by_dask(client: "Client", base: dict[str, Any], task: Task, chunks: list[_Chunk]) -> Iterator[Record]:
-    """Yield the records that the workers of a scheduler compute, in the order of completion."""
     from distributed import as_completed
 
     futures = [client.submit(_evaluate_chunk, base, task, chunk, pure=False) for chunk in chunks]
@@ -237,7 +235,6 @@ def _computed_by_dask(client: "Client", base: dict[str, Any], task: Task, chunks
 
 @contextmanager
 def _client(scheduler: str, on_progress: OnProgress) -> Iterator["Client"]:
-    """Connect to a scheduler."""
     try:
         import dask
         from distributed import Client

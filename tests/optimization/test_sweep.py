@@ -50,11 +50,22 @@ def test_an_invalid_range_is_refused(text, message):
         parse_axis(text)
 
 
-def test_a_key_is_varied_and_no_other():
+def test_a_key_is_varied_and_no_other_and_another_body_has_assumed_moduli():
+    """What was identified on the paper's prints says nothing of a print of another body."""
     base = tables_of(load_design(LARGE))
     changed = with_values(base, {"probe.tip_d_mm": 3.0})
     assert changed["probe"].pop("tip_d_mm") == 3.0
-    assert changed == base | {"probe": {k: v for k, v in base["probe"].items() if k != "tip_d_mm"}}
+    provenance = changed["material"].pop("provenance")
+    assert provenance == base["material"]["provenance"] | dict.fromkeys(
+        ("youngs_modulus_mpa", "shear_modulus_mpa"), "assumed"
+    )
+    assert changed == base | {
+        "probe": {k: v for k, v in base["probe"].items() if k != "tip_d_mm"},
+        "material": {k: v for k, v in base["material"].items() if k not in ("provenance", "identified_tests")},
+    }
+    assert with_values(base, {"contact.friction": 0.4})["material"] == base["material"]
+    space = DesignSpace.of(load_design(LARGE), ("cone",))
+    assert space.design(1.1 * space.x_of(space.start)).youngs_modulus.provenance == "assumed"
 
 
 def test_designs_that_are_invalid_buckle_or_overload_the_sensor_give_a_reason():
