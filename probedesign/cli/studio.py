@@ -2,7 +2,7 @@
 
 import webbrowser
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -10,18 +10,12 @@ from probedesign.cli.console import print_note, show_progress
 from probedesign.cli.options import design_file
 from probedesign.core.errors import InputError, require
 
-if TYPE_CHECKING:
-    from probedesign.design import Design
-
 
 def studio(
     design: str = "large",
     /,
     *,
     set_: Annotated[list[str] | None, Parameter(name="--set", negative=(), consume_multiple=False)] = None,
-    touch: str | None = None,
-    forces_mN: Annotated[str | None, Parameter(name="--forces-mN")] = None,
-    pin: Annotated[list[str] | None, Parameter(negative=(), consume_multiple=False)] = None,
     host: str = "127.0.0.1",
     port: int = 8085,
     open_: Annotated[bool, Parameter(name="--open", negative="--no-open")] = True,
@@ -33,9 +27,6 @@ def studio(
     Args:
         design: the design file, or its name, or one of the paper's probes: large, medium or small.
         set_: KEY=VALUE with a key of the design file, as the studio shows it under "Save"; repeat the option for more.
-        touch: PLACE,DEGREES,MILLINEWTONS of the touch that is drawn, such as 0.8,90,10.
-        forces_mN: the forces whose errors are drawn, such as 5,10.
-        pin: keys of a design that is pinned, as an inline table of TOML; repeat the option for more.
         host: address of the page; only this machine can open it.
         port: TCP port; the next free port is used.
         open_: open the page in a browser.
@@ -49,14 +40,15 @@ def studio(
         raise InputError(f"--host {host}: the studio is open to this machine only; use one of {', '.join(LOOPBACK)}")
     with show_progress() as on_progress:
         on_progress("loading the design", None)
-        current = _design(design, set_ or [])
-        on_progress("predicting (the first run compiles the rod and the estimator, half a minute)", None)
+        from probedesign.design import load_design
         from probedesign.design.edit import tables_of
-        from probedesign.studio.page import StudioPage
-        from probedesign.studio.session import Session
+        from probedesign.studio.session import Session, with_options
 
-        session = Session(current, source=design, start=tables_of(_design(design, [])))
-        session.restore(touch, forces_mN, pin or [])
+        start = load_design(design_file(Path(design)))
+        session = Session(with_options(start, set_ or []), source=design, start=tables_of(start))
+        on_progress("predicting (the first run compiles the rod and the estimator, half a minute)", None)
+        from probedesign.studio.page import StudioPage
+
         page = StudioPage(session, host, port)
     try:
         print(f"studio: {page.url}  (Ctrl-C ends it)", flush=True)
@@ -67,11 +59,3 @@ def studio(
         pass
     finally:
         page.stop()
-
-
-def _design(name: str, changes: list[str]) -> "Design":
-    """Return the design of a file or of a name, with some keys changed."""
-    from probedesign.design import load_design
-    from probedesign.studio.session import with_options
-
-    return with_options(load_design(design_file(Path(name))), changes)

@@ -12,7 +12,7 @@ from probedesign.design.schema import AXIS_KEYS, AXIS_KINDS
 from probedesign.design.sensor_catalog import SENSORS
 from probedesign.mount import build_geometry, root_radii
 from probedesign.prediction.predict import FORCES_N
-from probedesign.studio.session import MOUNTINGS, Session, knots_of, mounting_of
+from probedesign.studio.session import MOUNTINGS, TOUCH_RANGE, Session, knots_of, mounting_of
 
 AXIS_SLIDERS = {key: axis.slider for key, axis in AXIS_KEYS.items() if axis.slider is not None}
 MAX_FRICTION = 1.5  #: Friction at the end of its slider.
@@ -25,6 +25,7 @@ class DesignControls:
     def __init__(self, gui: viser.GuiApi, session: Session, move: Move) -> None:
         """Remember where the controls are added; `move` receives their changes."""
         self._gui, self._session, self._move = gui, session, move
+        self._start = _values(session)
         self._handles: dict[str, Any] = {}
         self._knot_sliders: list[Any] = []
         self._forces: list[Any] = []
@@ -32,61 +33,49 @@ class DesignControls:
 
     def add_probe(self) -> None:
         """Add the controls of the probe."""
-        gui, design, probe = self._gui, self._session.design, self._session.design.probe
-        self._choice("probe.shape", "shape", ("cone", "cylinder", "profile"), probe.shape)
-        self._slider("probe.length_mm", "length [mm]", 20.0, 250.0, 1.0, probe.length_mm)
-        self._slider("probe.base_d_mm", "base diameter [mm]", 2.0, 20.0, 0.1, probe.base_d_mm)
-        self._slider("probe.tip_d_mm", "tip diameter [mm]", 1.0, 12.0, 0.1, probe.tip_d_mm or probe.base_d_mm)
-        self._knots = gui.add_folder("profile: diameters between [mm]", visible=False)
-        self._choice("probe.section", "section", ("round", "hollow", "elliptic"), probe.section)
-        self._slider("probe.bore_ratio", "bore over outer diameter", 0.1, 0.9, 0.01, probe.bore_ratio or 0.5)
-        self._slider("probe.flatness", "flatness, y over x", 0.2, 1.0, 0.01, probe.flatness or 0.7)
+        self._choice("probe.shape", "shape", ("cone", "cylinder", "profile"))
+        self._slider("probe.length_mm", "length [mm]", 20.0, 250.0, 1.0)
+        self._slider("probe.base_d_mm", "base diameter [mm]", 2.0, 20.0, 0.1)
+        self._slider("probe.tip_d_mm", "tip diameter [mm]", 1.0, 12.0, 0.1)
+        self._knots = self._gui.add_folder("profile: diameters between [mm]", visible=False)
+        self._choice("probe.section", "section", ("round", "hollow", "elliptic"))
+        self._slider("probe.bore_ratio", "bore over outer diameter", 0.1, 0.9, 0.01)
+        self._slider("probe.flatness", "flatness, y over x", 0.2, 1.0, 0.01)
         listed = {kind for key, axis in AXIS_KEYS.items() if key not in AXIS_SLIDERS for kind in axis.kinds}
-        axes = dict.fromkeys([*(kind for kind in AXIS_KINDS if kind not in listed), probe.axis])
-        self._choice("probe.axis", "axis", tuple(axes), probe.axis)
+        self._choice("probe.axis", "axis", tuple(kind for kind in AXIS_KINDS if kind not in listed))
         for key, (label, low, high, step) in AXIS_SLIDERS.items():
-            self._slider(f"probe.{key}", label, low, high, step, getattr(probe, key) or 0.0)
-        self._choice("probe.tip", "tip", ("blunt", "rounded"), probe.tip)
-        self._choice(
-            "material.resin", "resin", tuple(dict.fromkeys((*RESINS, design.material.resin))), design.material.resin
-        )
-        self._slider("material.youngs_modulus_mpa", "E [MPa]", 0.2, 10.0, 0.01, design.youngs_modulus.value / 1e6)
+            self._slider(f"probe.{key}", label, low, high, step)
+        self._choice("probe.tip", "tip", ("blunt", "rounded"))
+        self._choice("material.resin", "resin", tuple(RESINS))
+        self._slider("material.youngs_modulus_mpa", "E [MPa]", 0.2, 10.0, 0.01)
 
     def add_bench(self) -> None:
         """Add the controls of the sensor, the mount and the forces that are drawn."""
-        gui, design = self._gui, self._session.design
-        sensor = design.sensor_model
-        self._choice("sensor.model", "sensor", tuple(dict.fromkeys((sensor.name, *SENSORS))), sensor.name)
-        self._choice("sensor.calibration", "calibration", _calibrations(self._session), design.calibration.name)
-        self._bind(
-            "sensor.averaging_samples",
-            gui.add_slider("samples in one reading", 1, 1000, 1, design.sensor.averaging_samples),
-        )
-        gravity = design.mount.gravity_base_m_s2
-        self._choice("mounting", "probe points", (*MOUNTINGS, "other"), mounting_of(gravity))
+        gui, session = self._gui, self._session
+        self._choice("sensor.model", "sensor", tuple(SENSORS))
+        self._choice("sensor.calibration", "calibration", _calibrations(session))
+        samples = self._start["sensor.averaging_samples"]
+        self._bind("sensor.averaging_samples", gui.add_slider("samples in one reading", 1, 1000, 1, samples))
+        self._choice("mounting", "probe points", (*MOUNTINGS, "other"))
+        gravity = session.design.mount.gravity_base_m_s2
         vector = gui.add_vector3("gravity in base axes [m/s²]", gravity, step=0.01)
         self._bind("mount.gravity_base_m_s2", vector, list)
-        self._choice("mount.hold", "flange is held", ("clamped", "glued", "bonded"), design.mount.hold)
-        root = root_radii(design, build_geometry(design))
-        self._slider("mount.root_rigid_radii", "root, rigid base radii", -0.5, 0.5, 0.01, root)
-        self._slider("contact.friction", "friction", 0.0, MAX_FRICTION, 0.05, min(design.friction.value, MAX_FRICTION))
-        yielding = design.object_compliance.value
-        self._slider("contact.object_compliance_m_N", "object yields [m/N]", 0.0, 0.5, 0.005, yielding)
+        self._choice("mount.hold", "flange is held", ("clamped", "glued", "bonded"))
+        self._slider("mount.root_rigid_radii", "root, rigid base radii", -0.5, 0.5, 0.01)
+        self._slider("contact.friction", "friction", 0.0, MAX_FRICTION, 0.05)
+        self._slider("contact.object_compliance_m_N", "object yields [m/N]", 0.0, 0.5, 0.005)
         gui.add_markdown("Forces whose errors are drawn:")
-        shown = self._session.forces_mN
-        self._forces = [gui.add_checkbox(f"{1e3 * f:g} mN", 1e3 * f in shown) for f in FORCES_N]
+        self._forces = [gui.add_checkbox(f"{1e3 * f:g} mN", 1e3 * f in session.forces_mN) for f in FORCES_N]
         for box in self._forces:
             box.on_update(lambda _: self._choose_forces())
 
     def add_touch(self) -> None:
         """Add the controls of the touch that is drawn."""
-        touch = self._session.touch
-        self._slider("touch.fraction", "place, fraction of the length", 0.05, 1.0, 0.01, touch.fraction)
-        self._slider("touch.angle_deg", "direction [deg]", -180.0, 180.0, 1.0, touch.angle_deg)
-        self._slider("touch.force_mN", "force [mN]", 0.5, 200.0, 0.5, touch.force_mN)
+        self._slider("touch.fraction", "place, fraction of the length", *TOUCH_RANGE["fraction"], 0.01)
+        self._slider("touch.angle_deg", "direction [deg]", *TOUCH_RANGE["angle_deg"], 1.0)
+        self._slider("touch.force_mN", "force [mN]", *TOUCH_RANGE["force_mN"], 0.5)
 
     def _bind(self, key: str, handle: Any, value: Callable[[Any], Any] = lambda value: value) -> None:
-        """Connect a control to a key of the design or of the touch."""
         self._handles[key] = handle
 
         def changed(_: Any) -> None:
@@ -95,10 +84,14 @@ class DesignControls:
 
         handle.on_update(changed)
 
-    def _choice(self, key: str, label: str, options: tuple[str, ...], value: str) -> None:
-        self._bind(key, self._gui.add_dropdown(label, options, initial_value=value))
+    def _choice(self, key: str, label: str, options: tuple[str, ...]) -> None:
+        value = self._start[key]
+        listed = tuple(dict.fromkeys((*options, value)))
+        self._bind(key, self._gui.add_dropdown(label, listed, initial_value=value))
 
-    def _slider(self, key: str, label: str, low: float, high: float, step: float, value: float) -> None:
+    def _slider(self, key: str, label: str, low: float, high: float, step: float) -> None:
+        value = self._start[key]
+        value = low if value is None else value  # hidden: the design does not use it
         self._bind(key, self._gui.add_slider(label, min(low, value), max(high, value), step, value))
 
     def _choose_forces(self) -> None:
@@ -112,30 +105,11 @@ class DesignControls:
             waiting: keys whose next value is known already; their controls are left alone.
         """
         session = self._session
-        design, probe = session.design, session.design.probe
-        values = {
-            "probe.shape": probe.shape, "probe.length_mm": probe.length_mm, "probe.base_d_mm": probe.base_d_mm,
-            "probe.tip_d_mm": probe.tip_d_mm, "probe.section": probe.section, "probe.bore_ratio": probe.bore_ratio,
-            "probe.flatness": probe.flatness, "probe.axis": probe.axis,
-            **{f"probe.{key}": getattr(probe, key) for key in AXIS_SLIDERS},
-            "probe.tip": probe.tip, "material.resin": design.material.resin,
-            "material.youngs_modulus_mpa": design.youngs_modulus.value / 1e6,
-            "sensor.model": design.sensor_model.name,
-            "sensor.calibration": design.calibration.name,
-            "sensor.averaging_samples": design.sensor.averaging_samples,
-            "mounting": mounting_of(design.mount.gravity_base_m_s2),
-            "mount.gravity_base_m_s2": tuple(design.mount.gravity_base_m_s2),
-            "mount.hold": design.mount.hold,
-            "mount.root_rigid_radii": root_radii(design, build_geometry(design)),
-            "contact.friction": min(design.friction.value, MAX_FRICTION),
-            "contact.object_compliance_m_N": design.object_compliance.value,
-            **{f"touch.{key}": value for key, value in vars(session.touch).items()},
-        }  # fmt: skip
         self._showing.now = True  # viser calls the handlers of a value that is set here in this thread
         try:
             if (options := _calibrations(session)) != self._handles["sensor.calibration"].options:
                 self._handles["sensor.calibration"].options = options
-            for key, value in values.items():
+            for key, value in _values(session).items():
                 handle = self._handles[key]
                 if handle.visible is (value is None):
                     handle.visible = value is not None  # hidden where the design does not use it
@@ -146,7 +120,6 @@ class DesignControls:
             self._showing.now = False
 
     def _show_knots(self) -> None:
-        """Show a slider for each interior diameter of a profile."""
         knots = knots_of(self._session.design)
         self._knots.visible = bool(knots)
         if len(knots) != len(self._knot_sliders):
@@ -161,6 +134,27 @@ class DesignControls:
                 self._bind(f"knot.{index}", slider)
         for slider, (_, _, d) in zip(self._knot_sliders, knots, strict=True):
             _set(slider, d / MM)
+
+
+def _values(session: Session) -> dict[str, Any]:
+    """Return the value of each control; None where the design does not use it."""
+    design, probe = session.design, session.design.probe
+    plain = ("shape", "length_mm", "base_d_mm", "tip_d_mm", "section", "bore_ratio", "flatness", "axis", "tip")
+    return {
+        **{f"probe.{key}": getattr(probe, key) for key in (*plain, *AXIS_SLIDERS)},
+        "material.resin": design.material.resin,
+        "material.youngs_modulus_mpa": design.youngs_modulus.value / 1e6,
+        "sensor.model": design.sensor_model.name,
+        "sensor.calibration": design.calibration.name,
+        "sensor.averaging_samples": design.sensor.averaging_samples,
+        "mounting": mounting_of(design.mount.gravity_base_m_s2),
+        "mount.gravity_base_m_s2": tuple(design.mount.gravity_base_m_s2),
+        "mount.hold": design.mount.hold,
+        "mount.root_rigid_radii": root_radii(design, build_geometry(design)),
+        "contact.friction": min(design.friction.value, MAX_FRICTION),
+        "contact.object_compliance_m_N": design.object_compliance.value,
+        **{f"touch.{key}": value for key, value in vars(session.touch).items()},
+    }
 
 
 def _set(handle: Any, value: Any) -> None:

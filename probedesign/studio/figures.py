@@ -142,7 +142,6 @@ class DesignFigures:
 
 
 def _largest(values: Sequence[float | None]) -> float | None:
-    """Return the largest value, None if one is missing."""
     known = [value for value in values if value is not None]
     return max(known) if known and len(known) == len(values) else None
 

@@ -25,9 +25,9 @@ from probedesign.core.files import exports_of
 from probedesign.core.statistics import rms as rms_of
 from probedesign.core.units import MM
 from probedesign.design import Design, check_design
-from probedesign.design.edit import as_assumed, tables_of
+from probedesign.design.catalog import PROBES
+from probedesign.design.edit import tables_of
 from probedesign.design.io import load_design, render_design, write_design
-from probedesign.design.paper import PROBES
 from probedesign.probe import build_probe
 from probedesign.reports.chart import Chart
 from probedesign.studio.controls import DesignControls
@@ -243,7 +243,6 @@ class StudioPage:
                 self._pending.add("search")
 
     def _yield(self, _step: str, _share: float | None) -> None:
-        """End what is computed if a request waits."""
         if not self._requests.empty():
             raise _RequestWaitsError
 
@@ -411,14 +410,12 @@ class StudioPage:
         self._request(act)
 
     def _start_search(self) -> None:
-        """Start a search in a thread of its own; its path is drawn as it goes."""
         self._improve.start(self.session.design)
         self._pending.add("search")
 
     def _accept(self, design: Design) -> None:
-        start = tables_of(self._improve.search.start) if self._improve.search else tables_of(self.session.design)
         self._improve.drop()
-        self._load(check_design(as_assumed(tables_of(design), start)))
+        self._load(design)
 
     # Show
 
@@ -453,7 +450,6 @@ class StudioPage:
         self._server.flush()
 
     def _show_cloud(self) -> None:
-        """Draw estimates of the touch, if they are asked for."""
         points = np.zeros((0, 3))
         if self._touch["cloud"].value and self._drawn is not None:
             points = estimate_cloud(self._probe, self._drawn, self.session.touch, self._yield)
@@ -475,7 +471,6 @@ class StudioPage:
         self._say(text, bad)
 
     def _show_text(self, pinned: Sequence[tuple[PinnedDesign, DesignFigures]]) -> None:
-        """Update texts, tables and charts."""
         session, figures = self.session, self.figures
         if self._kept is not None:
             self._say(*self._kept)

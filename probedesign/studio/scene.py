@@ -20,7 +20,7 @@ from probedesign.mount.mount import Mount
 from probedesign.probe import Probe
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.studio.figures import DesignFigures, DrawnTouch, errors_along, touched_shape
-from probedesign.studio.session import StudioTouch, knots_of
+from probedesign.studio.session import TOUCH_RANGE, StudioTouch, knots_of
 from probedesign.web.scene import (
     ARROW,
     CONTACT,
@@ -57,7 +57,6 @@ MOUNT_LENGTH = 0.03  #: Length behind the base that is seen as well: sensor and 
 #: over the length.
 DISTANCE, SHOWN_WIDTH, MIN_GROWTH, MAX_GROWTH, MAX_ASIDE = 1.95, 1.3, 0.4, 1.3, 0.2
 BELOW = 0.02  #: Height of the lowest point above the floor when the camera is placed [m].
-MIN_FRACTION, MAX_FORCE_MN, MIN_FORCE_MN = 0.05, 200.0, 0.5  #: Range of the touch that is drawn.
 
 
 class StudioScene:
@@ -205,7 +204,6 @@ class StudioScene:
                 node.visible, node.position = True, UNIT * (point + 0.5 * diameter * side)
 
     def _show_parts(self, probe: Probe) -> None:
-        """Draw sensor, flange and adapters when they have changed."""
         model, folder = probe.model, exports_of() / probe.design.name
         exported = folder / "manifest.json"  # fits one probe; else the parts of the mount decide
         key = f"{exported.stat().st_mtime} {model.fingerprint}" if exported.exists() else ""
@@ -306,14 +304,13 @@ class StudioScene:
         return np.asarray(T.T @ np.asarray(event.end_position, dtype=float) / UNIT)
 
     def _drag_place(self, event: Any) -> None:
-        """Move the touch to the section nearest to the pointer."""
         pointer = self._in_base(event)
         if pointer is None or self._shown is None:
             return
         probe, _, bent = self._shown
         s = np.linspace(0.0, probe.length, 201)
         nearest = int(np.argmin(np.linalg.norm(centreline(bent, s)[0] - pointer, axis=1)))
-        self._on_change("touch.fraction", round(float(np.clip(s[nearest] / probe.length, MIN_FRACTION, 1.0)), 3))
+        self._on_change("touch.fraction", round(float(np.clip(s[nearest] / probe.length, *TOUCH_RANGE["fraction"])), 3))
 
     def _drag_force(self, event: Any) -> None:
         """Turn the force to the pointer; its distance from the touch sets the magnitude."""
@@ -322,7 +319,7 @@ class StudioScene:
             return
         arm = drawn.p_surface - pointer
         _, x, y = centreline(bent, np.array([drawn.s]))
-        force = np.clip(force_of_arrow(float(np.linalg.norm(arm))), MIN_FORCE_MN, MAX_FORCE_MN)
+        force = np.clip(force_of_arrow(float(np.linalg.norm(arm))), *TOUCH_RANGE["force_mN"])
         self._on_change("touch.angle_deg", float(round(math.degrees(math.atan2(arm @ y[0], arm @ x[0])))))
         self._on_change("touch.force_mN", round(2.0 * float(force)) / 2.0)
 

@@ -9,13 +9,13 @@ import shlex
 import tomllib
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import Design, check_design
-from probedesign.design.edit import as_assumed, as_new_print, tables_of, with_values
+from probedesign.design.edit import as_new_print, tables_of, with_values
 from probedesign.design.io import default_tip_d_mm, sensor_keys
 from probedesign.design.schema import AXIS_KEYS
 from probedesign.design.sensor_catalog import SENSORS
@@ -30,6 +30,10 @@ MAX_PINNED = 4  #: Number of pinned designs that a chart distinguishes beside th
 #: Gravity in base axes [m/s²] of the directions in which the probe points.
 MOUNTINGS = {"horizontal": (9.81, 0.0, 0.0), "down": (0.0, 0.0, 9.81), "up": (0.0, 0.0, -9.81)}
 INTERIOR_KNOTS = (0.25, 0.5, 0.75)  #: Fractions of the length of the diameters that a free profile adds.
+
+
+#: Smallest and largest value of each number of a touch that is drawn.
+TOUCH_RANGE = {"fraction": (0.05, 1.0), "angle_deg": (-180.0, 180.0), "force_mN": (0.5, 200.0)}
 
 
 @dataclass(frozen=True)
@@ -147,27 +151,16 @@ class Session:
 
     @property
     def command_line(self) -> str:
-        """Return the command that starts a studio with this state."""
+        """Return the command that starts a studio with this design; the whole state is in `link`."""
         changed = changes(self.start, tables_of(self.design))
-        words = [f"--set {shlex.quote(f'{key}={_text(value)}')}" for key, value in changed.items()]
-        if self.touch != StudioTouch():
-            words.append(f"--touch={','.join(f'{value:g}' for value in vars(self.touch).values())}")
-        if self.forces_mN != DEFAULT_FORCES_MN:
-            words.append(f"--forces-mN {','.join(f'{force:g}' for force in self.forces_mN)}")
-        for pin in self.pinned:
-            changed = changes(self.start, tables_of(pin.design))
-            table = ", ".join(f"{key} = {_text(value)}" for key, value in changed.items())
-            words.append(f"--pin {shlex.quote(f'{{{table}}}')}")
-        return " ".join(["probedesign studio", shlex.quote(self.source), *words])
+        options = [f"--set {shlex.quote(f'{key}={_text(value)}')}" for key, value in changed.items()]
+        return " ".join(["probedesign studio", shlex.quote(self.source), *options])
 
     @property
     def link(self) -> str:
         """Return the whole state as text for the address of a page, which `open_link` reads."""
-        state = {
-            "design": tables_of(self.design), "touch": ",".join(f"{value:g}" for value in vars(self.touch).values()),
-            "forces": ",".join(f"{force:g}" for force in self.forces_mN),
-            "pins": [tables_of(pin.design) for pin in self.pinned],
-        }  # fmt: skip
+        state = {"design": tables_of(self.design), "touch": asdict(self.touch), "forces": self.forces_mN,
+                 "pins": [tables_of(pin.design) for pin in self.pinned]}  # fmt: skip
         return base64.urlsafe_b64encode(zlib.compress(json.dumps(state).encode(), 9)).decode()
 
     def open_link(self, text: str) -> None:
@@ -180,50 +173,15 @@ class Session:
             unpacked = zlib.decompressobj().decompress(base64.urlsafe_b64decode(text), MAX_LINK)
             state = json.loads(unpacked)
             design, *pins = (check_design(tables) for tables in (state["design"], *state["pins"][:MAX_PINNED]))
-            touch, forces = str(state["touch"]), str(state["forces"])
-        except (ValueError, LookupError, TypeError, zlib.error, RecursionError) as error:
+            touch = StudioTouch(**{key: float(value) for key, value in state["touch"].items()})
+            drawn = {round(1e3 * force, 6) for force in FORCES_N} & set(state["forces"])
+            if not drawn or not all(low <= getattr(touch, key) <= high for key, (low, high) in TOUCH_RANGE.items()):
+                raise ValueError("a touch or a force that is not drawn")
+        except (ValueError, LookupError, TypeError, AttributeError, zlib.error, RecursionError) as error:
             raise InputError(f"the link is damaged: {' '.join(str(error).split())}") from None
-        self.restore(touch, forces, ())
+        self.touch, self.forces_mN = touch, tuple(sorted(drawn))
         self.pinned = [PinnedDesign(f"pin {n}", pin) for n, pin in enumerate(pins, 1)]
         self.replace_design(design)
-
-    def restore(self, touch: str | None, forces: str | None, pins: Sequence[str]) -> None:
-        """Set touch, forces and pinned designs as `command_line` writes them.
-
-        Args:
-            touch: place, direction [deg] and force [mN].
-            forces: contact forces [mN] whose errors are drawn.
-            pins: keys of each design that differ from the start, as an inline table of TOML.
-
-        Raises:
-            InputError: a text cannot be read, or a design is not valid.
-        """
-        if touch is not None:
-            numbers = _numbers("--touch", touch, "PLACE,DEGREES,MILLINEWTONS such as 0.8,90,10")
-            if len(numbers) != 3 or not (
-                0.05 <= numbers[0] <= 1.0 and abs(numbers[1]) <= 180.0 and 0.5 <= numbers[2] <= 200.0
-            ):
-                raise InputError(
-                    f"--touch {touch!r}: write place (0.05 ... 1), direction (-180 ... 180 degrees) and force "
-                    "(0.5 ... 200 mN), such as 0.8,90,10"
-                )
-            self.touch = StudioTouch(*numbers)
-        if forces is not None:
-            known = tuple(round(1e3 * force, 6) for force in FORCES_N)
-            chosen = _numbers("--forces-mN", forces, "some of the drawn forces, such as 5,10")
-            if not set(chosen) <= set(known) or not chosen:
-                names = ", ".join(f"{force:g}" for force in known)
-                raise InputError(f"--forces-mN {forces!r}: choose from {names}")
-            self.forces_mN = tuple(sorted(set(chosen)))
-        if len(pins) > MAX_PINNED:
-            raise InputError(f"--pin: {len(pins)} designs; at most {MAX_PINNED} are shown")
-        current = self.design
-        try:
-            for text in pins:
-                self.design = check_design(_with_keys(self.start, changes({}, _table(text))))
-                self.pin()
-        finally:
-            self.design = current
 
 
 #: Keys that choose something by its name; others follow from them, unless they are given too.
@@ -237,7 +195,7 @@ def _with_keys(data: dict[str, Any], values: Mapping[str, Any]) -> dict[str, Any
     before, order = data, {key: i for i, key in enumerate(_FIRST)}
     for key in sorted(values, key=lambda key: len(_FIRST) + (key == _LAST) if key not in order else order[key]):
         data = _with_key(data, key, values[key])
-    return as_assumed(as_new_print(data, before), before)
+    return as_new_print(data, before)
 
 
 def _with_key(data: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
@@ -325,33 +283,6 @@ def _text(value: Any) -> str:
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{key} = {_text(inner)}' for key, inner in value.items())}}}"
     return f"{value:.10g}" if isinstance(value, float) else json.dumps(value)
-
-
-def _table(text: str) -> dict[str, Any]:
-    """Return an inline table of TOML.
-
-    Raises:
-        InputError: the text is none.
-    """
-    try:
-        table = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"--pin {text!r} is not an inline table of TOML: {error}") from None
-    if not isinstance(table, dict):
-        raise InputError(f"--pin {text!r} is not an inline table, such as '{{probe.length_mm = 140}}'")
-    return table
-
-
-def _numbers(option: str, text: str, form: str) -> tuple[float, ...]:
-    """Return numbers with commas between them.
-
-    Raises:
-        InputError: the text has something else.
-    """
-    try:
-        return tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"{option} {text!r} cannot be read; write {form}") from None
 
 
 def with_options(design: Design, options: Sequence[str]) -> Design:

@@ -8,7 +8,7 @@ from probedesign.design.edit import tables_of
 from probedesign.design.io import load_design, parse_design, render_design
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.probe import build_probe
-from probedesign.studio.session import MAX_PINNED, MERGE_SECONDS, Session, with_knots, with_options
+from probedesign.studio.session import MAX_PINNED, MERGE_SECONDS, Session, StudioTouch, with_knots, with_options
 
 
 @pytest.fixture
@@ -134,7 +134,7 @@ def test_a_link_restores_the_state_and_a_damaged_one_changes_nothing(session):
     assert session.change({"probe.length_mm": 130.0}, now=0.0)
     session.pin()
     assert session.change({"probe.section": "hollow"}, now=2.0)
-    session.restore("0.5,30,20", "5,10", ())
+    session.touch, session.forces_mN = StudioTouch(0.5, 30.0, 20.0), (5.0, 10.0)
     other = Session(load_design("small"))
     for damaged in ("", "x", session.link[:-9], session.link[9:]):
         with pytest.raises(InputError, match="link is damaged"):
