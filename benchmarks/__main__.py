@@ -7,9 +7,9 @@ from importlib import import_module
 from benchmarks.timing import print_machine
 
 #: Benchmarks by module. Each is imported when it runs, because worker processes import this module again.
-PARTS = ("rod", "start", "install", "estimation", "curved", "detection", "prints", "identify", "pictured", "validation",
-         "planning", "prediction", "table1", "optimisation", "sweep", "export", "live", "recording", "view", "studio",
-         "pictures", "day", "motion", "explore", "shapes", "compliance", "coverage", "twin", "real")  # fmt: skip
+PARTS = ("rod", "start", "install", "estimation", "curved", "detection", "identify", "pictured",
+         "planning", "table1", "optimisation", "export", "live", "recording", "view", "studio",
+         "pictures", "day", "motion", "explore", "shapes", "coverage", "twin", "real")  # fmt: skip
 
 
 def main(arguments: list[str]) -> int:

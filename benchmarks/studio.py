@@ -13,8 +13,8 @@ from benchmarks.timing import print_table
 from benchmarks.view import write_picture
 from probedesign.cli.main import run
 from probedesign.design import load_design
+from probedesign.design.catalog import PROBES
 from probedesign.design.edit import tables_of
-from probedesign.design.paper import PROBES
 from probedesign.studio.page import StudioPage
 from probedesign.studio.session import Session
 
