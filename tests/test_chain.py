@@ -151,12 +151,12 @@ def test_demo_reports_a_picture_that_was_not_drawn(tmp_path, monkeypatch):
 
 def test_the_demo_page_is_there_at_once_and_ends_complete(workplace, monkeypatch, capsys):
     """CAD and the card house are replaced: their own tests run them."""
-    from probedesign import cad
+    from probedesign import pipeline
 
     def without_cad(*_):
         raise MissingDependencyError.of_extra("export", "CadQuery", "cad")
 
-    monkeypatch.setattr(cad, "export_parts", without_cad)
+    monkeypatch.setattr(pipeline, "export", without_cad)
     monkeypatch.setattr(
         demo, "_explore", lambda bundle, folder, skipped: skipped.append("explore: left out") or ({}, "")
     )

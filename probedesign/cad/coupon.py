@@ -33,8 +33,20 @@ CHECK_LIMIT = 1e-9  #: Relative, of a solid's volume to its closed form, as in `
 Disc = tuple[float, float, float]  #: Diameter, and the heights between which it is [mm].
 
 
-def export_coupon(design: Design, out: Path | None) -> dict[str, Any]:
-    """Draw, check and write the coupons; see `probedesign.cad.export_coupon`."""
+def export_coupon(design: Design, out: Path | None = None) -> dict[str, Any]:
+    """Write a stepped cone and a straight rod in the resin of a design, with sheets for the diameters.
+
+    Args:
+        design: whose range of diameters the coupons cover.
+        out: output folder; `exports/NAME/coupon` if None.
+
+    Returns:
+        The manifest, with the output folder under `folder`.
+
+    Raises:
+        InputError: the folder cannot be written, or a sheet there was filled in.
+        CheckFailedError: a part disagrees with its closed form; nothing is written.
+    """
     folder = Path(os.path.abspath(out or Path("exports") / design.name / "coupon"))
     check_target(folder, "coupon")
     listed = listed_digests(folder)

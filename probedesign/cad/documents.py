@@ -283,7 +283,6 @@ def exploded_svg(bodies: Bodies, bill: Sequence[BillItem], title: str, seat: flo
         return float(rows.mean()) if len(rows) else 0.0
 
     def visible_pixel(name: str, side: int) -> tuple[float, float]:
-        """Return a visible pixel of a body, slightly inside its left or right edge."""
         rows, columns = np.nonzero(owners == names.index(name))
         if len(rows) == 0:
             return width / 2, height / 2

@@ -147,8 +147,23 @@ def _body(body: MassProperties) -> dict[str, Any]:
     }
 
 
-def export_parts(design: Design, out: Path | None, progress: Callable[[str], None]) -> dict[str, Any]:
-    """Build, verify and write an export; see `probedesign.cad.export_parts`."""
+def export_parts(
+    design: Design, out: Path | None = None, progress: Callable[[str], None] = lambda step: None
+) -> dict[str, Any]:
+    """Build a design's parts, verify them, and write the files of one export.
+
+    Args:
+        design: the design to export.
+        out: output folder; `exports/NAME` if None.
+        progress: called with the name of each step.
+
+    Returns:
+        The manifest, with the output folder under `folder`.
+
+    Raises:
+        InputError: the folder cannot be written, or the mount cannot clamp the probe.
+        CheckFailedError: a part disagrees with its closed form; nothing is written.
+    """
     folder = Path(os.path.abspath(out or Path("exports") / design.name))
     check_target(folder)
     check = check_print(design)

@@ -62,7 +62,6 @@ def inspection_sheets(model: CadModel) -> dict[str, bytes]:
 
 
 def _page(model: CadModel, part: CadPart, scale: float) -> Canvas:
-    """Return the empty sheet of a part."""
     resin = model.design.resin.name if part.name == "probe" else RIGID_RESIN
     grams = 1e3 * part.body.mass
     frame, date = part.frame.replace("_", " "), file_date(model.design)
@@ -80,7 +79,6 @@ def _mm(value: float) -> str:
 
 
 def _engraved(engraving: Engraving, where: str) -> list[str]:
-    """Return the note on an engraving, or none if nothing is engraved."""
     size = f"{_mm(HEIGHT)} high, {_mm(DEPTH)} deep"
     return [f"engraved on {where}: {engraving.text}, {size}"] if engraving.text else []
 
@@ -363,7 +361,6 @@ def _stations(model: CadModel, apart: float) -> Iterable[tuple[float, float, str
 
 
 def _halfway(model: CadModel, part: CadPart, sheet: Canvas) -> None:
-    """Draw the cross-section of a hollow or elliptic probe at half its length."""
     g = model.geometry
     section, r = g.cross_section, float(g.radius_at(g.length / 2)) / MM
     scale = scale_for((2 * r, 2 * r), (0.7 * SIDE_ROOM, 0.7 * SIDE_ROOM))

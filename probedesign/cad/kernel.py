@@ -179,7 +179,6 @@ def _patch(poles: Array, weights: Array, v: Array, degree: int) -> cq.Face:
 
 
 def _ring_at(faces: Sequence[cq.Face], v: float) -> cq.Wire:
-    """Return the end of a tube's faces at their parameter v."""
     curves = []
     for face in faces:
         *_, v0, v1 = BRepTools.UVBounds_s(face.wrapped)

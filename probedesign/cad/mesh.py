@@ -119,8 +119,12 @@ def part_stl(design: Design, part: str, mesh: trimesh.Trimesh, fingerprint: str)
     return stl_bytes(mesh, f"probedesign {fingerprint}{scale_note(design, part)} {design.name} {part}")
 
 
-def export_part(design: Design, part: str, out: Path | None) -> dict[str, Any]:
-    """Build, check and write the mesh of one printed part; see `probedesign.cad.export_part`."""
+def export_part(design: Design, part: str, out: Path | None = None) -> dict[str, Any]:
+    """Write the STL file of one printed part only: probe, sensor_adapter, clamp_ring or flange_adapter.
+
+    Returns the file, its volume and its scale; raises what `export_parts` raises, and an InputError where the file
+    belongs to an export of another design.
+    """
     folder = Path(os.path.abspath(out or Path("exports") / design.name))
     check_target(folder)
     shape = printed_solid(design, part)

@@ -253,7 +253,6 @@ class View:
         self.sheet.text((x, y), words, TEXT, anchor, turned=upright)
 
     def _arrow(self, tip: Iterable[float], direction: Iterable[float]) -> None:
-        """Draw an arrowhead that points in a direction of unit length."""
         tip, direction = np.array(tip), np.array(direction)
         side = ARROW / 6 * np.array([-direction[1], direction[0]])
         self.sheet.area([[tip, tip - ARROW * direction + side, tip - ARROW * direction - side]], "#000")

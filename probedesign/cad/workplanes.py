@@ -36,19 +36,86 @@ TOUCHING, GAP_MM = (("sensor_adapter", "sensor"), ("flange_adapter", "sensor"), 
 EDGE = 0.05 * MM  #: Distance of the cut below a screw's head from its hole and from the rim of the head.
 
 
-def part_workplane(design: Design, part: str) -> cq.Workplane:
-    """Return one printed part; see `probedesign.cad.probe_solid` and the functions beside it."""
+def probe_solid(design: Design) -> cq.Workplane:
+    """Return the probe with its flange as a CadQuery workplane of one solid.
+
+    Args:
+        design: the design, for example from `load_design`.
+
+    Returns:
+        The solid in millimetres in the base frame. Tagged faces: base_plane, tip, underside; frames: probe_base,
+        probe_tip; point: clocking_mark.
+
+    Raises:
+        InputError: the mount cannot clamp this probe.
+    """
+    return _part(design, "probe")
+
+
+def sensor_adapter(design: Design) -> cq.Workplane:
+    """Return the sensor adapter in millimetres in the sensor frame; raises what `probe_solid` raises.
+
+    Tagged faces: tool_face, seat, rim; frames: sensor, probe_base; centres of holes: tool_screws, dowels, ring_screws.
+    """
+    return _part(design, "sensor_adapter")
+
+
+def clamp_ring(design: Design) -> cq.Workplane:
+    """Return the clamp ring in millimetres in its own frame; raises what `probe_solid` raises.
+
+    Tagged faces: base_plane, top; frame: probe_base; centres of holes: ring_screws.
+    """
+    return _part(design, "clamp_ring")
+
+
+def flange_adapter(design: Design) -> cq.Workplane:
+    """Return the robot flange's adapter in millimetres in that flange's frame; raises what `probe_solid` raises.
+
+    Tagged faces: robot_face, sensor_face; frames: robotflange, sensor; centres of holes: robot_bolts, mounting_screws,
+    centring_pins.
+    """
+    return _part(design, "flange_adapter")
+
+
+def _part(design: Design, part: str) -> cq.Workplane:
+    design.sensor_model.check_holes_known()
     return _tagged(design, part, printed_solid(design, part))
 
 
-def assembly(design: Design, changed: Mapping[str, cq.Workplane]) -> cq.Assembly:
-    """Return all parts, placed in the sensor frame; see `probedesign.cad.assembly`."""
+def assembly(
+    design: Design,
+    *,
+    probe: cq.Workplane | None = None,
+    sensor_adapter: cq.Workplane | None = None,
+    clamp_ring: cq.Workplane | None = None,
+    flange_adapter: cq.Workplane | None = None,
+) -> cq.Assembly:
+    """Return all parts, screws, pins and the sensor's envelope, named, coloured and placed in the sensor frame.
+
+    Args:
+        design: the design.
+        probe, sensor_adapter, clamp_ring, flange_adapter: changed parts that replace the design's, each in its own
+            frame; None for the design's.
+
+    Returns:
+        The assembly in millimetres. Its printed parts carry their tags, such as `probe?tip` in a constraint.
+
+    Raises:
+        InputError: the mount cannot clamp this probe, or a part is not one solid.
+        CheckFailedError: a changed solid is not valid.
+    """
+    changed = _given(probe, sensor_adapter, clamp_ring, flange_adapter)
     model = changed_model(design, changed)
     result = assembly_of(model.parts, model.design.name)
     for part in model.printed:
         kept = changed.get(part.name)
         result.objects[part.name].obj = _tagged(model.design, part.name, part.shape) if kept is None else kept
     return result
+
+
+def _given(*parts: cq.Workplane | None) -> dict[str, cq.Workplane]:
+    names = ("probe", "sensor_adapter", "clamp_ring", "flange_adapter")
+    return {name: part for name, part in zip(names, parts, strict=True) if part is not None}
 
 
 def changed_model(design: Design, changed: Mapping[str, cq.Workplane]) -> CadModel:
@@ -66,6 +133,7 @@ def changed_model(design: Design, changed: Mapping[str, cq.Workplane]) -> CadMod
         if not found[0].isValid() or found[0].Volume() <= 0.0:
             raise CheckFailedError(f"{name}: the changed solid is not valid; check its last operation")
         solids[name] = found[0]
+    design.sensor_model.check_holes_known()
     model = build_cad(design)
     parts: dict[str, CadPart] = {
         name: replace(part, shape=solids[name], ruled=None) if name in solids else part
@@ -172,8 +240,36 @@ def _tagged(design: Design, part: str, solid: cq.Shape) -> cq.Workplane:
     return work
 
 
-def export_changed(design: Design, changed: Mapping[str, cq.Workplane], out: Path) -> dict[str, Any]:
-    """Check, mesh and write changed parts; see `probedesign.cad.export_changed`."""
+def export_changed(
+    design: Design,
+    out: Path,
+    *,
+    probe: cq.Workplane | None = None,
+    sensor_adapter: cq.Workplane | None = None,
+    clamp_ring: cq.Workplane | None = None,
+    flange_adapter: cq.Workplane | None = None,
+) -> dict[str, Any]:
+    """Check changed parts in the assembly, and write their STL and STEP, the assembly's STEP and GLB and a manifest.
+
+    Checked are what needs no formula of the original part: valid solids, closed meshes, no overlap of parts, the
+    clearance to the sensor and its cable, the entry of every screw, measured in the changed parts, and that adapters
+    touch sensor and probe. Tolerance stacks and printability of a changed part are neither checked nor in the
+    manifest.
+
+    Args:
+        design: the design.
+        out: output folder.
+        probe, sensor_adapter, clamp_ring, flange_adapter: changed parts, as for `assembly`.
+
+    Returns:
+        The manifest, with the output folder under `folder`; `changed` has the mass of each part beside that of the
+        design, which `deploy` uses.
+
+    Raises:
+        InputError: as `assembly`, or no part is given, or the folder cannot be written.
+        CheckFailedError: a check fails; nothing is written.
+    """
+    changed = _given(probe, sensor_adapter, clamp_ring, flange_adapter)
     if not changed:
         raise InputError("no part is given; name the changed ones, such as sensor_adapter=PART")
     folder = Path(os.path.abspath(out))
