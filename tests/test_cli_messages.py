@@ -140,19 +140,19 @@ def missing() -> str:
 
 def replace_export(patch: pytest.MonkeyPatch, arguments: list[str]) -> None:
     """Replace the export of parts: `demo` runs without CadQuery, `export` with it."""
-    from probedesign import cad
+    from probedesign import pipeline
 
     def export(design: object, *_: object) -> dict[str, object]:
         if arguments[0] == "demo":
             raise MissingDependencyError.of_extra("export", "CadQuery", "cad")
         return manifest()
 
-    patch.setattr(cad, "export_parts", export)
+    patch.setattr(pipeline, "export", export)
     coupon = {
         "folder": "exports/a/coupon", "files": ["calipers.csv", "coupon.step"], "steps_mm": [12.0, 2.0],
         "step_height_mm": 8.0, "rod_mm": [7.0, 70.0],
     }  # fmt: skip
-    patch.setattr(cad, "export_coupon", lambda *_: coupon)
+    patch.setattr(pipeline, "export_coupon", lambda *_: coupon)
 
 
 def masked(text: str) -> list[str]:

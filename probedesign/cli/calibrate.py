@@ -44,7 +44,6 @@ def calibrate(
     frozen probe with the payload, the stiffness and the pose on the robot that were measured: docs/robot.md.
 
     Args:
-        bundle: the frozen probe: NAME.probe.json, its folder, or NAME of exports/NAME. Not with --tool.
         source: as of live, or replay:FILE?speed=max for a recording.
         pose: poses of the base as of live; with --tool of the robot's flange. Default: those of a simulated source.
         tool: calibrate a sensor with any tool, without a probe.
@@ -55,7 +54,6 @@ def calibrate(
         count: end after this number of rests.
         seconds: end this many seconds after the first reading.
         manifest: manifest.json of the printed parts; its geometry must be the bundle's.
-        as_json: print one JSON document.
     """
     from probedesign import pipeline
     from probedesign.frozen_probe import write_frozen
@@ -102,7 +100,6 @@ def calibrate(
 
 
 def _print(found: "Calibration") -> None:
-    """Print the result with one standard deviation."""
     from scipy.spatial.transform import Rotation
 
     from probedesign.live.processing.payload import BIAS, MASS, RATE, STIFFNESS, TURN

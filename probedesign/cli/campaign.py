@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from probedesign.cli.console import json_bytes, plural, print_json, print_table, show_progress
+from probedesign.cli.console import json_bytes, plural, print_columns, print_json, print_table, show_progress
 from probedesign.cli.options import DesignFile, JsonOutput
 from probedesign.core.errors import InputError
 from probedesign.core.units import GRAM, MM, MPA
@@ -38,7 +38,6 @@ def plan(
     """Plan a campaign: tests, expected intervals after each, a sheet to print and an empty data folder.
 
     Args:
-        design: the design file, or its name.
         out: data folder to write, with plan.html. Default: data/NAME.
         minutes: time available [min], preparation included.
         for_: comma-separated parameters, as of identify: E, G, density, diameters, root, bow_x, bow_y,
@@ -52,7 +51,6 @@ def plan(
         calipers_mm: standard deviation of a measured diameter [mm]; 0 without calipers.
         held_out: number of touches that identify leaves out and validate judges by.
         force: replace a plan without measured values.
-        as_json: print one JSON document.
     """
     from probedesign import pipeline
     from probedesign.design import load_design
@@ -121,12 +119,13 @@ def _print_plan(plan: "Plan") -> None:
     names = [interval.name for interval in plan.expected]
     print(f"{plan.bench.model.name}  {len(plan.tests)} measurements in {plan.tests[-1].minutes:.0f} of "
           f"{plan.minutes:g} min; expected 95 % intervals after each")  # fmt: skip
-    print(f"  {'min':>4} {'test':<12}" + "".join(f"{name:>13}" for name in names) + "  what")
-    for test in plan.tests:
-        candidate = test.candidate
-        cells = ["" if candidate.held_out else interval_text(interval) for interval in test.expected]
-        print(f"  {test.minutes:>4.0f} {candidate.name:<12}" + "".join(f"{cell:>13}" for cell in cells)
-              + f"  {candidate.words}{' For validate.' * candidate.held_out}")  # fmt: skip
+    rows = [
+        [f"{test.minutes:.0f}", test.candidate.name,
+         *("" if test.candidate.held_out else interval_text(interval) for interval in test.expected),
+         f"{test.candidate.words}{' For validate.' * test.candidate.held_out}"]
+        for test in plan.tests
+    ]  # fmt: skip
+    print_columns(["min", "test", *names, "what"], rows)
     enough = plan.enough
     print(f"  after {enough.candidate.name} ({enough.minutes:.0f} min) every interval is within 10 % of the final one")
     for note in plan.notes:
@@ -160,7 +159,6 @@ def campaign(
     true values; no command reads it. See docs/measurements.md.
 
     Args:
-        design: the design file, or its name.
         out: output folder.
         seed: seed of all drawn values.
         stage: touches at positions known to 0.05 mm, without cameras.
@@ -178,7 +176,6 @@ def campaign(
         flaws: the bench has the flaws of the design's tolerances: friction, gain and drift of the sensor, root, creep
             and scatter of the stiffness.
         force: replace an existing simulated campaign.
-        as_json: print one JSON document.
     """
     from probedesign import pipeline
     from probedesign.simulation.campaign_folder import make_campaign
@@ -222,7 +219,6 @@ def markers(
         overlays: write the copies for visual inspection.
         skip: leave out tests whose photographs are rejected, with a note.
         force: replace an existing pixels.csv.
-        as_json: print one JSON document.
     """
     from probedesign import vision
 

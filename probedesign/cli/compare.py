@@ -32,7 +32,6 @@ def compare(
         out: HTML file of the page. Default: exports/compare-NAME-NAME.html.
         page: write the page.
         options: the task for which the designs are compared.
-        as_json: print one JSON document.
     """
     from probedesign.design import load_design
     from probedesign.optimization.objective import METRICS
@@ -91,14 +90,12 @@ def sweep(
     sweep. An invalid design is a row with the reason. --scheduler needs the extra 'sweep'. More: docs/choosing.md.
 
     Args:
-        design: the design file, or its name, with the values of all other keys.
         vary: KEY=START:STOP:STEP or KEY=A,B,C with a key of the design file; repeat the option for more keys.
         out: output folder. Default: exports/NAME/sweep.
         scheduler: address of a dask scheduler, tcp://HOST:PORT. Default: processes on this machine.
         workers: number of processes on this machine. Default: one per processor.
         beside: sweep.csv of another grid of the same keys, drawn beside this one.
         options: the task for which the designs are evaluated.
-        as_json: print one JSON document.
     """
     from probedesign.core.parallel import start_forkserver
 
@@ -138,7 +135,7 @@ def sweep(
         shown = [*keys, *SHOWN]
         best = sorted(good, key=lambda record: record["error_mm"])[:8]
         rows = [[format_value(record[key]) for key in shown] for record in best]
-        print_columns([key.rpartition(".")[2] for key in shown], rows, left=0)
+        print_columns([key.rpartition(".")[2] for key in shown], rows)
     for record in failed[:5]:
         print(f"  point {record['point']}: {record['result']}: {record['reason']}")
     if len(failed) > 5:

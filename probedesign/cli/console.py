@@ -26,7 +26,6 @@ def print_json(document: Any) -> None:
 
 
 def _to_json(value: Any) -> Any:
-    """Convert a value to JSON's own types."""
     if isinstance(value, dict):
         return {str(key): _to_json(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -61,22 +60,22 @@ def print_table(rows: dict[str, str]) -> None:
         print(f"  {name:<{width}}  {text}")
 
 
-def print_columns(head: Sequence[str], rows: Iterable[Sequence[str]], left: int = 1) -> None:
-    """Print a table as wide as its cells.
+def print_columns(head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """Print a table as wide as its cells, numbers to the right and words to the left.
 
     Args:
         head: a name of each column; a second line of it, such as a unit, stands below the first.
         rows: cells.
-        left: number of columns aligned to the left; the others are aligned to the right.
     """
-    lines = max(name.count("\n") for name in head) + 1
+    lines, cells = max(name.count("\n") for name in head) + 1, list(rows)
     heads = zip(*((name.split("\n") + [""] * lines)[:lines] for name in head), strict=True)
-    cells = [list(row) for row in (*heads, *rows)]
-    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-    for row in cells:
-        padded = [cell.ljust(width) if i < left else cell.rjust(width)
-                  for i, (cell, width) in enumerate(zip(row, widths, strict=True))]  # fmt: skip
-        print(f"  {'  '.join(padded)}".rstrip())
+    columns = []
+    for name, *column in zip([*head], *cells, strict=True):
+        numbers = any(cell[:1].isdigit() for cell in column) or not any(cell[:1].isalpha() for cell in column)
+        width = max(map(len, (*name.split("\n"), *column)))
+        columns.append(f"{'>' if numbers else '<'}{width}")
+    for row in (*heads, *cells):
+        print("  " + "  ".join(map(format, row, columns)).rstrip())
 
 
 def plural(number: int, noun: str) -> str:

@@ -5,7 +5,6 @@ import io
 import sys
 import webbrowser
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -60,7 +59,6 @@ def demo(
         out: output folder. Default: exports/demo.
         force: replace existing files, even those that the demo did not write.
         open_: open the page with the results in a browser, if the output is a terminal.
-        as_json: print one JSON document.
     """
     folder = exports_of() / NAME if out is None else out
     show = open_ and not as_json and sys.stdout.isatty()
@@ -97,10 +95,7 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
 
     made: dict[str, str] = {}
     skipped: list[str] = []
-    sections = {
-        name: DemoSection(heading, command.format(folder=folder)) for name, (heading, command) in SECTIONS.items()
-    }
-
+    sections = {name: demo_section(folder, name) for name in SECTIONS}
     print_step("designing a 150 mm cone, 12 mm at its base")
     design = folder / f"{NAME}.toml"
     drafted, notes = draft_design(NAME, shape="cone", length_mm=150.0, base_d_mm=12.0)
@@ -123,10 +118,9 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
     probe = pipeline.load_probe(design)
 
     def write_page(working: str) -> Path:
-        """Write the page with what exists; it reloads itself until nothing is being made."""
-        extra = f'<div class="figures">{"".join(section.element() for section in sections.values())}</div>'
+        extra = f'<div class="figures">{"".join(sections.values())}</div>'
         extra += "".join(f"<p>skipped: {escape(reason)}</p>" for reason in skipped)
-        style = "".join([REPORT_STYLE, _STYLE, *(section.style for section in sections.values())])
+        style = REPORT_STYLE + _STYLE + STYLE
         page = write_home(folder, probe.model, str(design), extra=extra, style=style, working=working)
         if page is None:
             raise InputError(f"{folder}/index.html: is not a page of this program; name another folder with --out")
@@ -136,8 +130,8 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
         print_step(step)
         write_page(step)
 
-    def finish(name: str, text: str, **content: Any) -> None:
-        sections[name] = replace(sections[name], text=text, **content)
+    def finish(name: str, text: str, shown: str = "", links: Sequence[tuple[str, str]] = ()) -> None:
+        sections[name] = demo_section(folder, name, text, shown, links)
 
     page = write_page("the prediction")
     show(page.absolute().as_uri())
@@ -172,16 +166,16 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
         "estimate",
         f"A touch of 20 mN sweeps along the probe: {result['located']} of {result['touches']} readings located, "
         f"{result['error_mm']:.2f} mm RMS, predicted {result['predicted_mm']:.2f} mm.",
-        html=replay_element(estimator, estimates.rows, estimates.gravities, SECTIONS["estimate"][0]),
-        style=STYLE,
-        links=[("touches.html", "charts"), (contacts.name, "located contacts"), (recording.name, "the recording")],
+        replay_element(estimator, estimates.rows, estimates.gravities, SECTIONS["estimate"][0]),
+        [("touches.html", "charts"), (contacts.name, "located contacts"), (recording.name, "the recording")],
     )
     begin("touching a simulated card house")
     files, score = _explore(bundle, folder, skipped)
     made |= files
     if (folder / "found/points.svg").exists():
-        finish("explore", f"A base touches a simulated card house with friction: {score}.", picture="found/points.svg",
-               links=[("found/points.html", "the points in three dimensions")])  # fmt: skip
+        picture = f'<img src="found/points.svg" alt="{escape(SECTIONS["explore"][0])}">'
+        finish("explore", f"A base touches a simulated card house with friction: {score}.", picture,
+               [("found/points.html", "the points in three dimensions")])  # fmt: skip
     else:
         finish("explore", skipped[-1])
     begin("building the parts")
@@ -192,7 +186,6 @@ def run_demo(folder: Path, force: bool, show: Callable[[str], object]) -> dict[s
 
 
 def _whisker(straight: "Probe", folder: Path, finish: Callable[..., None]) -> dict[str, str]:
-    """Write the design along an arc, show the errors of both on the page, and return the file."""
     from probedesign.design.io import draft_design, render_design, write_design
     from probedesign.prediction.fused import SHOWN_N
     from probedesign.prediction.predict import FRACTIONS, HEADLINE_FRACTION, errors_over_directions
@@ -212,12 +205,11 @@ def _whisker(straight: "Probe", folder: Path, finish: Callable[..., None]) -> di
     chart = error_band_chart(over).svg()
     figure = ReportFigure("Contact error of one reading along the probe", caption, chart)
     write_files(folder, [("comparison.html", report_page("Straight or curved", [], None, [figure], verdict=text))])
-    finish("whisker", f"{text} {caption}", svg=chart, links=[(path.name, "its design file")])
+    finish("whisker", f"{text} {caption}", labelled(chart, SECTIONS["whisker"][0]), [(path.name, "its design file")])
     return {str(path): "the same probe along an arc", str(folder / "comparison.html"): "both errors beside each other"}
 
 
 def _predict(probe: "Probe", prediction: "Prediction", folder: Path, skipped: list[str]) -> dict[str, str]:
-    """Write a prediction, and return the files; a picture that cannot be drawn is added to `skipped`."""
     files = write_files(folder, prediction_files(probe, prediction))
     if not any(file.suffix == ".png" for file in files):
         skipped.append(str(MissingDependencyError.of_extra("a plot", "matplotlib", "plots")))
@@ -225,7 +217,6 @@ def _predict(probe: "Probe", prediction: "Prediction", folder: Path, skipped: li
 
 
 def _export(probe: "Probe", folder: Path, skipped: list[str]) -> dict[str, str]:
-    """Export the parts, and return the files; without CadQuery the reason is added to `skipped`."""
     from probedesign import pipeline
 
     try:
@@ -239,7 +230,6 @@ def _export(probe: "Probe", folder: Path, skipped: list[str]) -> dict[str, str]:
 
 
 def _explore(bundle: Path, folder: Path, skipped: list[str]) -> tuple[dict[str, str], str]:
-    """Simulate touches of a card house and locate them, and return the files and how near the points are."""
     from probedesign.cli.explore import FILES, explore
     from probedesign.cli.options import BaseOptions, ReadingOptions, RehearsalOptions
 
@@ -263,7 +253,6 @@ def _explore(bundle: Path, folder: Path, skipped: list[str]) -> tuple[dict[str, 
 
 
 def _simulate(estimator: "Estimator", recording: Path) -> "RecordingEstimates":
-    """Simulate and record readings, and return their estimates with the truth in each row."""
     import numpy as np
 
     from probedesign.live.blocks import iter_readings
@@ -280,30 +269,14 @@ def _simulate(estimator: "Estimator", recording: Path) -> "RecordingEstimates":
     return estimates
 
 
-# sections of the page, filled in while their files are made
-
-
-@dataclass
-class DemoSection:
-    """One step of the demo."""
-
-    heading: str  #: of the step.
-    command: str  #: the command that makes it.
-    text: str = ""  #: what was made, or why it was not; empty while it is being made.
-    svg: bytes = b""  #: a picture in the page.
-    html: str = ""  #: html, style: an element of the page instead of a picture, and its style sheet.
-    style: str = ""
-    picture: str = ""  #: file of a picture beside the page.
-    links: Sequence[tuple[str, str]] = field(default_factory=tuple)  #: files beside the page, with what they are.
-
-    def element(self) -> str:
-        """Return the section as HTML; a picture links to the first file."""
-        if not self.text:
-            body = '<p class="waiting">being made ...</p>'
-        else:
-            shown = self.html or labelled(self.svg, self.heading)
-            if self.picture:
-                shown = f'<img src="{escape(self.picture)}" alt="{escape(self.heading)}">'
-            links = "".join(f'<a href="{escape(file)}">{escape(what)}</a>' for file, what in self.links)
-            body = f'{shown}<p>{escape(self.text)}</p><p class="links">{links}</p>'
-        return f"<section><h2>{escape(self.heading)}</h2>{body}<p><code>{escape(self.command)}</code></p></section>\n"
+def demo_section(
+    folder: Path, name: str, text: str = "", shown: str = "", links: Sequence[tuple[str, str]] = ()
+) -> str:
+    """Return a section of the page; without a text it is being made. `shown` is its picture, as HTML."""
+    heading, command = SECTIONS[name]
+    body = '<p class="waiting">being made ...</p>'
+    if text:
+        files = "".join(f'<a href="{escape(file)}">{escape(what)}</a>' for file, what in links)
+        body = f'{shown}<p>{escape(text)}</p><p class="links">{files}</p>'
+    command = escape(command.format(folder=folder))
+    return f"<section><h2>{escape(heading)}</h2>{body}<p><code>{command}</code></p></section>\n"

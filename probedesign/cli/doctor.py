@@ -33,9 +33,6 @@ def doctor(*, as_json: JsonOutput = False) -> int:
     """Report installed and missing packages, and the features that need them.
 
     Exit status 1 if a required package is missing.
-
-    Args:
-        as_json: print one JSON document.
     """
     findings = examine()
     if as_json:

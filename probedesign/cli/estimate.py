@@ -43,7 +43,6 @@ def estimate(
     printed instead. A row has a position only if its result is ok. See docs/live.md.
 
     Args:
-        bundle: the frozen probe: NAME.probe.json, its folder, or NAME of exports/NAME.
         recording: MCAP, a ROS 2 bag, or CSV with named units; see docs/recording-format.md.
         out: output file, CSV.
         page: write a page with the touches, a replay in three dimensions and charts to this file.
@@ -63,7 +62,6 @@ def estimate(
         method: ml (maximum a posteriori, with friction) or force_moment, the published method.
         friction: standard deviation of tangential over normal force, instead of BUNDLE's. 0: the force is normal to
             the surface; inf: any direction.
-        as_json: print one JSON document with the rows and their metadata.
     """
     from probedesign import pipeline
     from probedesign.live.processing.tare import parse_tare
@@ -106,7 +104,6 @@ def estimate(
 
 
 def _track(readings: "list[WrenchReading]") -> "Iterable[WrenchReading]":
-    """Return the readings, with a progress bar on a terminal."""
     if not sys.stderr.isatty():
         return readings
     from rich.console import Console
@@ -125,7 +122,6 @@ def recover(recording: Path, /, *, out: Path | None = None, force: bool = False,
         recording: the MCAP file.
         out: output file. Default: NAME-recovered.mcap.
         force: replace an existing output file.
-        as_json: print one JSON document.
     """
     from probedesign.live.recordings import require_mcap
 

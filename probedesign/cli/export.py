@@ -1,15 +1,17 @@
-"""`probedesign check`, `export` and `deploy`: the rules of printing, the parts to print, and the frozen probe."""
+"""`probedesign check`, `export`, `deploy` and `twin`: print rules, parts, frozen probe, files for simulators."""
 
 import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
-from probedesign.cli.console import plural, print_json, print_step, print_table, show_progress
+from cyclopts import Parameter
+
+from probedesign.cli.console import plural, print_json, print_step, print_table, show_progress, write_files
 from probedesign.cli.options import DesignFile, JsonOutput
 from probedesign.core.errors import InputError
-from probedesign.core.files import exports_of
+from probedesign.core.files import check_folder, exports_of
 
 
 class FileKind(NamedTuple):
@@ -38,10 +40,6 @@ def check(design: DesignFile, /, *, as_json: JsonOutput = False) -> int:
 
     Exit status 1 if a rule finds an error; warnings do not change it. The rules, their sources and their confidence:
     docs/printing.md.
-
-    Args:
-        design: the design file, or its name.
-        as_json: print one JSON document.
     """
     from probedesign import pipeline
     from probedesign.design import load_design
@@ -91,11 +89,9 @@ def export(
     """Write the parts to print: STL, 3MF, STEP, GLB, inspection sheets and their manifest. Needs the extra 'cad'.
 
     Args:
-        design: the design file, or its name.
         out: output folder. Default: exports/NAME.
         only: write the STL file of this part only.
         verbose: print all tolerance stacks and the steps of the assembly, too.
-        as_json: print the manifest instead of a summary.
     """
     from probedesign import pipeline
     from probedesign.design import load_design
@@ -195,9 +191,7 @@ def deploy(design: DesignFile, /, *, out: Path | None = None, as_json: JsonOutpu
     """Freeze the estimator of a design into one file.
 
     Args:
-        design: the design file, or its name.
         out: output file, or a folder for NAME.probe.json. Default: exports/NAME.
-        as_json: print one JSON document.
     """
     from probedesign import pipeline
     from probedesign.frozen_probe import deploy_model
@@ -221,3 +215,40 @@ def deploy(design: DesignFile, /, *, out: Path | None = None, as_json: JsonOutpu
             f"note: the frozen probe has the values of {design}, which differ from the identified ones: {unapplied}. "
             "To write those, run identify with --write or --out"
         )
+
+
+def twin(
+    design: DesignFile,
+    /,
+    *,
+    formats: Annotated[str, Parameter(name="--format")] = "mjcf,sdf,urdf",
+    out: Path | None = None,
+    links: int | None = None,
+    as_json: JsonOutput = False,
+) -> None:
+    """Write a probe for simulators: an elastic chain as MJCF (MuJoCo) and USD, a rigid body as SDF and URDF.
+
+    Args:
+        formats: out of mjcf, sdf, urdf and usd, separated by commas. usd needs usd-core.
+        out: output folder. Default: exports/NAME/twin.
+        links: number of links of the chain, even. Default: 10, or 14 of a curved probe.
+    """
+    from probedesign import pipeline
+    from probedesign.simulation.twin import FORMATS, twin_files
+    from probedesign.web.home import refresh_home
+
+    chosen = formats.split(",")
+    for name in chosen:
+        if name not in FORMATS:
+            raise InputError(f"--format {formats}: {name!r} is not a format; choose out of {', '.join(FORMATS)}")
+    with show_progress("writing the twin"):
+        probe = pipeline.load_probe(design)
+        folder = exports_of(design) / probe.design.name / "twin" if out is None else out
+        check_folder(folder)
+        files = write_files(folder, twin_files(probe.model, chosen, links).items())
+        if out is None:
+            refresh_home(probe.model, design)
+    if as_json:
+        print_json({"files": files})
+        return
+    print("wrote", ", ".join(map(str, files)))

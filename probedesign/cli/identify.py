@@ -36,7 +36,6 @@ def identify(
     """Identify E, G and other parameters from tests of a print by least squares on the full rod model.
 
     Args:
-        design: the design file, or its name.
         data: folder of the tests (docs/measurements.md).
         for_: comma-separated parameters: E, G, density, root, bow_x, bow_y, curvature, tilt, clocking, offset,
             gravity, diameters. curvature is the factor on that of a helix or of knots; of an arc it is a bow.
@@ -47,7 +46,6 @@ def identify(
         folder: folder for identification.json, residuals.csv and identification.html. Default:
             exports/NAME/identification.
         page: write the page with residuals.
-        as_json: print one JSON document.
     """
     from probedesign import pipeline
     from probedesign.campaigns import read_campaign
@@ -96,7 +94,6 @@ def identify(
 
 
 def _files(fit: "Identification", page: bool) -> Iterator[tuple[str, bytes]]:
-    """Yield the names and contents of the files of an identification."""
     yield "identification.json", json_bytes(fit.as_dict(), ascii_only=False)
     yield "residuals.csv", fit.csv()
     if page:

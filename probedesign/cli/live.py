@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from probedesign.cli.console import interrupt_on_termination
-from probedesign.cli.options import FrozenProbe, JsonOutput, Method, Tare
+from probedesign.cli.options import FrozenProbe, Method, Tare
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,7 +26,13 @@ if TYPE_CHECKING:
 def live(
     bundle: FrozenProbe,
     /,
-    *more: FrozenProbe,
+    *more: Annotated[
+        FrozenProbe,
+        Parameter(
+            help="further probes of the same run. The i-th source and pose belong to the i-th probe, whose name is the "
+            "prefix of its topics and frames."
+        ),
+    ],
     source: list[str],
     record: Path | None = None,
     split_mb: float | None = None,
@@ -59,7 +65,7 @@ def live(
     friction: float | None = None,
     lines: bool = False,
     log: Path | None = None,
-    as_json: JsonOutput = False,
+    as_json: Annotated[bool, Parameter(name="--json", help="print each estimate as one line of JSON.")] = False,
 ) -> None:
     """Locate contacts in real time: a live table on a terminal, otherwise one line per estimate.
 
@@ -68,9 +74,6 @@ def live(
     docs/live.md.
 
     Args:
-        bundle: the frozen probe: NAME.probe.json, its folder, or NAME of exports/NAME.
-        more: further probes of the same run. The i-th source and pose belong to the i-th probe, whose name is the
-            prefix of its topics and frames.
         source: netft://HOST (a Net F/T box or an Axia), "daq://Dev1/ai0:5?cal=FILE" (a sensor at a DAQ card),
             replay:FILE (a recording), udp://:PORT (wrenches in JSON or MessagePack), ros2://TOPIC, or sim: (a simulated
             contact that moves along the probe).
@@ -115,7 +118,6 @@ def live(
             the surface; inf: any direction.
         lines: print one line per estimate on a terminal, too.
         log: append every message with its time to this file.
-        as_json: print each estimate as one line of JSON.
     """
     from probedesign import pipeline
     from probedesign.live.datagrams import parse_listen_address
@@ -182,7 +184,6 @@ _SHARED = ("sim:", "replay:")
 
 
 def _check_pairs(names: list[str], sources: list[str], poses: list[str]) -> None:
-    """Check that each probe has a name, a source and poses of its own; raises InputError."""
     from probedesign.live.recordings.schemas import ros_name
 
     for option, values in (("--source", sources), ("--pose", poses)):
@@ -272,7 +273,6 @@ def _run(
 
 
 def _setting_text(value: object) -> str:
-    """Return the value of an option as a recording states it; empty if it is not given."""
     if isinstance(value, bool):
         return str(value).lower()
     return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)

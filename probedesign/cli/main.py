@@ -54,7 +54,7 @@ COMMANDS = {
 NAMES = tuple(name for commands in COMMANDS.values() for name in commands)  #: Of all commands.
 #: Module and function of a command, where they do not have its name.
 FUNCTIONS = {"advise": "optimize:advise", "check": "export:check", "coupon": "measured:coupon",
-             "deploy": "export:deploy", "sweep": "compare:sweep", "plan": "campaign:plan",
+             "deploy": "export:deploy", "twin": "export:twin", "sweep": "compare:sweep", "plan": "campaign:plan",
              "markers": "campaign:markers", "recover": "estimate:recover"}  # fmt: skip
 
 DEBUG = "PROBEDESIGN_DEBUG"

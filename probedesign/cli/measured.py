@@ -19,9 +19,7 @@ def coupon(design: DesignFile, /, *, out: Path | None = None, as_json: JsonOutpu
     """Write a stepped cone and a straight rod in the probe's resin, and sheets for diameters. Needs the extra 'cad'.
 
     Args:
-        design: the design file, or its name.
         out: output folder. Default: exports/NAME/coupon.
-        as_json: print the manifest instead of a summary.
     """
     from probedesign import pipeline
     from probedesign.design import load_design
@@ -59,7 +57,6 @@ def measured(
     offset_xy_mm of [print].
 
     Args:
-        design: the design file, or its name.
         calipers: CSV file with the columns s_mm, diameter_mm, diameter_y_mm and std_mm, or coupon.csv (docs/parts.md);
             `coupon` writes both, empty.
         axis: CSV file with the columns x_mm, y_mm, z_mm and, optionally, std_mm: points of the outline, on the surface
@@ -71,7 +68,6 @@ def measured(
         calipers_std_mm: standard deviation of the error that all readings share [mm].
         out: write a changed copy of the design to this file instead.
         force: replace tolerances that were set before, or the file of --out, which is kept as FILE.old.
-        as_json: print one JSON document.
     """
     from probedesign import pipeline
     from probedesign.design import load_design

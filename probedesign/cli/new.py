@@ -81,7 +81,6 @@ def new(
             orientation.
         printer: a known printer, such as form-3; an unknown name lists all.
         force: replace an existing design file.
-        as_json: print one JSON document.
     """
     from probedesign.design.io import draft_design, known_sensor, render_design, write_design
     from probedesign.mount.flange_adapter import fitting_flanges

@@ -49,7 +49,6 @@ def optimize(
     FIGURE>=NUMBER, such as "sag_mm<=60"; all figures: docs/choosing.md.
 
     Args:
-        design: the design file of the start, or its name; keys that are not varied are copied from it.
         goal: minimize the error at --force-N, or the force that reaches --error-mm.
         error_mm: error to be reached [mm], for force-for-error.
         subject_to: a constraint such as "sag_mm<=60"; repeat the option for more.
@@ -63,16 +62,14 @@ def optimize(
         seed: seed of Monte Carlo simulation and Pareto front.
         out: output design file. Default: designs/NAME-best.toml.
         force: replace an existing output file.
-        as_json: print one JSON document.
     """
     from probedesign.design import load_design
-    from probedesign.optimization.constraints import OptimizationProblem, check_limits, parse_limit
+    from probedesign.optimization.constraints import OptimizationProblem, parse_limit
 
     for name, count in (("--confirm", confirm), ("--pareto", pareto)):
         if not 0 <= count <= 100_000:
             raise InputError(f"{name} {count} must lie in 0 ... 100000")
     limits = [parse_limit(text) for text in subject_to or []]
-    check_limits(limits)
     start = load_design(design)
     free: tuple[Over, ...] = tuple(over or ["cone"])
     task = (options or TaskOptions()).task("axis" in free or start.probe.axis != "straight")
@@ -121,7 +118,6 @@ def advise(
         sensor: a known sensor, or one of its calibrations.
         printer: a known printer.
         force: replace existing files.
-        as_json: print one JSON document.
     """
     from probedesign.design.io import MIN_TIP_D_MM, TIP_RATIO, draft_design, known_sensor
     from probedesign.mount.flange_adapter import fitting_flanges
@@ -247,4 +243,4 @@ def _print(
     if front is not None:
         print(f"\nPareto front: {len(front.rows)} of {front.n_evaluations} cones")
         shown = front.rows[:: max(1, len(front.rows) // 12)]
-        print_columns(list(front.rows[0]), [[f"{value:.4g}" for value in row.values()] for row in shown], left=0)
+        print_columns(list(front.rows[0]), [[f"{value:.4g}" for value in row.values()] for row in shown])

@@ -83,25 +83,21 @@ def _in_project(path: Path, default: Path) -> Path:
     return default
 
 
-def _path_of(resolve: Callable[[Path], Path]) -> Parameter:
+def _path_of(resolve: Callable[[Path], Path], what: str) -> Parameter:
     def convert(_type: object, tokens: Sequence[Token]) -> Path:
         return resolve(Path(tokens[0].value))
 
-    return Parameter(converter=convert)
+    return Parameter(converter=convert, help=what)
 
 
-DesignFile = Annotated[Path, _path_of(design_file)]
-"""Argument DESIGN of a command."""
-FrozenProbe = Annotated[Path, _path_of(frozen_probe)]
-"""Argument BUNDLE of a command."""
-FrozenProbeIfAny = Annotated[Path | None, _path_of(uncalibrated_probe)]
-"""The same of `calibrate`, which does without one, and without its calibration."""
-JsonOutput = Annotated[bool, Parameter(name="--json")]
-"""The option --json of a command."""
+_BUNDLE = "the frozen probe: NAME.probe.json, its folder, or NAME of exports/NAME."
+DesignFile = Annotated[Path, _path_of(design_file, "the design file, or its name.")]
+FrozenProbe = Annotated[Path, _path_of(frozen_probe, _BUNDLE)]
+#: Of `calibrate`, which does without one, and without its calibration.
+FrozenProbeIfAny = Annotated[Path | None, _path_of(uncalibrated_probe, f"{_BUNDLE} Not with --tool.")]
+JsonOutput = Annotated[bool, Parameter(name="--json", help="print one JSON document.")]
 Method = Literal["ml", "force_moment"]
-"""Values of --method."""
 Tare = Literal["auto", "none"]
-"""Values of --tare."""
 Origin = Literal["sensor", "base"]
 _SECTOR_STEP = 30.0  #: Largest step between the directions of a sector [deg].
 _LIST: dict[str, Any] = {"negative": (), "consume_multiple": True}
@@ -170,7 +166,6 @@ class TaskOptions:
 
 
 def _vector(text: str) -> tuple[float, float, float]:
-    """Return the three numbers of --gravity [m/s²]."""
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:

@@ -45,7 +45,6 @@ def predict(
     """Predict sensitivity and contact error of a design; write prediction.json, .csv, .html and .png.
 
     Args:
-        design: the design file, or its name.
         out: output folder. Default: exports/NAME.
         monte_carlo: check the error budget by this number of simulated estimates per condition. An interrupted run is
             resumed by the same command.
@@ -54,7 +53,6 @@ def predict(
         moments_about: fuse the moments about this origin only. Default: forces and moments.
         plots: write page and picture. Default: the page, and the picture if matplotlib is installed.
         verbose: print all tables: sensitivity, error budgets, force limits and workspace too.
-        as_json: print one JSON document instead of tables.
     """
     from probedesign import pipeline
     from probedesign.mount import root_contradiction
@@ -174,7 +172,6 @@ def print_tables(prediction: "Prediction", verbose: bool = True) -> None:
 
 
 def _print_errors(prediction: "Prediction", error: str) -> None:
-    """Print the largest error over the directions [mm], or a mark, by place and force."""
     forces, rows = sorted({c.force_N for c in prediction.conditions}), []
     for fraction in sorted({c.contact_fraction for c in prediction.conditions}):
         cells = []
@@ -188,7 +185,6 @@ def _print_errors(prediction: "Prediction", error: str) -> None:
 
 
 def _print_sensitivity(prediction: "Prediction") -> None:
-    """Print detectable force, and moments and force per contact force and per press depth, by place."""
     print("\nSensitivity at the lightest force, worst direction")
     lightest, rows = min(c.force_N for c in prediction.conditions), []
     for fraction in sorted({c.contact_fraction for c in prediction.conditions}):
@@ -239,7 +235,6 @@ def _print_budget(prediction: "Prediction", conditions: "Sequence[AnyCondition]"
 
 
 def _print_thresholds(prediction: "Prediction") -> None:
-    """Print the forces at which contacts are detected and located to 5, 2 and 1 mm, and the largest force."""
     from probedesign.reports.prediction_page import threshold_rows
 
     print("\nForce limits and thresholds, full error budget, worst direction")
@@ -254,7 +249,6 @@ def _print_thresholds(prediction: "Prediction") -> None:
 
 
 def _print_workspace(workspace: "Workspace") -> None:
-    """Print how far the contact point can be pushed."""
     if not workspace.paths:
         return
     print("\nWorkspace of the contact point for a fixed base")

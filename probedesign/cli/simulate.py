@@ -44,7 +44,6 @@ def simulate(
     scenes: docs/live.md.
 
     Args:
-        bundle: the frozen probe: NAME.probe.json, its folder, or NAME of exports/NAME.
         host: address on which the box is served. 0.0.0.0 is every network of this machine.
         port: UDP port of RDT; 0 lets the system choose.
         http_port: TCP port of netftapi2.xml; 0 lets the system choose.
@@ -98,7 +97,6 @@ def simulate(
 def _configuration(
     model: "ProbeModel", torque_unit: str, rate_hz: float, records: int, seconds: float | None
 ) -> "NetFTConfiguration":
-    """Return the configuration of the box."""
     from probedesign.live.sources.netft.rdt import MAX_RECORDS, SAMPLES_PER_SECOND
     from probedesign.simulation.netft_box import NATIVE
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from probedesign.cli.console import json_bytes, print_json, print_note, show_progress, write_files
+from probedesign.cli.console import json_bytes, print_columns, print_json, print_note, show_progress, write_files
 from probedesign.cli.options import JsonOutput, frozen_probe
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_writable, exports_of
@@ -15,6 +15,9 @@ from probedesign.core.units import format_value
 
 if TYPE_CHECKING:
     from probedesign.validation.validate import ValidationReport
+
+#: Printed columns of a test, after its force and place.
+NUMBERS = ("shape_rms_mm", "shape_rms_percent", "contact_error_mm", "stated_error_mm", "predicted_error_mm")
 
 
 def validate(
@@ -38,7 +41,6 @@ def validate(
         include_identified: judge also tests that the parameters of BUNDLE were identified from. Default: these are
             listed and left out of the verdict and the means.
         plots: write page and picture. Default: the page, and the picture if matplotlib is installed.
-        as_json: print one JSON document instead of tables.
     """
     from probedesign import pipeline
     from probedesign.campaigns import read_campaign
@@ -82,7 +84,6 @@ def _pairs(paths: tuple[Path, ...]) -> list[tuple[Path, Path]]:
 
 
 def _files(report: "ValidationReport", plots: bool | None) -> Iterator[tuple[str, bytes]]:
-    """Yield the names and contents of the files of one probe."""
     yield "validation.json", json_bytes(report.as_dict())
     yield "validation.csv", report.csv()
     if plots is not False:
@@ -104,14 +105,10 @@ def _print(reports: "Sequence[ValidationReport]") -> None:
         model = report.estimator.model
         print(f"{model.name}  geometry {model.fingerprint}  {report.campaign.folder}")
         print(f"  {report.coverage.sentence}")
-    print(
-        "\n  probe     test          force     s/L dir    shape RMS    contact  stated predicted 95 %  "
-        "method       result"
-    )
-    print("                             mN                mm     %       mm      mm      mm")
-    for report in reports:
-        for row in report.rows():
-            print(_line(row))
+    print()
+    head = ["probe", "test", "dir", "force\nmN", "s/L", "shape RMS\nmm", "\n%", "contact\nmm", "stated\nmm",
+            "predicted\nmm", "95 %", "method", "result"]  # fmt: skip
+    print_columns(head, [_cells(row) for report in reports for row in report.rows()])
     for report in reports:
         prefix = _prefix(report, reports)
         print()
@@ -125,19 +122,14 @@ def _print(reports: "Sequence[ValidationReport]") -> None:
     print()
 
 
-def _line(row: dict[str, Any]) -> str:
+def _cells(row: dict[str, Any]) -> list[str]:
+    force = None if row["force_N"] is None else 1e3 * row["force_N"]
+    numbers = (force, row["contact_fraction"], *(row[name] for name in NUMBERS))
     inside = {None: "", True: "in", False: "out"}[row["within_95"]]
     served = "" if row["held_out"] or row["kind"] == "free" else "  served"
-    force = None if row["force_N"] is None else 1e3 * row["force_N"]
-    return (f"  {row['probe'][:9]:<10}{row['test'][:12]:<12}{_cell(force, 7)}{_cell(row['contact_fraction'], 8)} "
-            f"{row['direction'][:3] or '-':<4}{_cell(row['shape_rms_mm'], 7)}{_cell(row['shape_rms_percent'], 7)}"
-            f"{_cell(row['contact_error_mm'], 8)}{_cell(row['stated_error_mm'], 8)}"
-            f"{_cell(row['predicted_error_mm'], 8)}{inside:>6}   {row['method']:<13}"
-            f"{row['result']}{served}")  # fmt: skip
-
-
-def _cell(value: Any, width: int) -> str:
-    return f"{format_value(value, '.3g', missing='-'):>{width}}"
+    return [row["probe"], row["test"], row["direction"][:3] or "-",
+            *(format_value(number, ".3g", missing="-") for number in numbers),
+            inside, row["method"], row["result"] + served]  # fmt: skip
 
 
 def _mm(value: float | None) -> str:

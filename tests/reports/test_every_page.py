@@ -12,7 +12,7 @@ import pytest
 from probedesign import pipeline
 from probedesign.campaigns import read_campaign
 from probedesign.cli.console import json_bytes
-from probedesign.cli.demo import DemoSection
+from probedesign.cli.demo import demo_section
 from probedesign.cli.main import run
 from probedesign.design import load_design
 from probedesign.live.blocks import iter_readings
@@ -122,12 +122,10 @@ def demo(request) -> bytes:
     scene = MapScene(build_map([touch(1, (0, 0, 0), 0.2e-3)], STD_E))
     (folder / "points.svg").write_bytes(map_svg(scene))
     replay = replay_element(estimates.estimator, estimates.rows, estimates.gravities, "a touch")
-    sections = [
-        DemoSection("A touch", "probedesign estimate", "Located.", html=replay, style=STYLE),
-        DemoSection("Points", "probedesign explore", "Found.", picture="points.svg", links=[("points.svg", "points")]),
-        DemoSection("The parts", "probedesign export " + 20 * "long/", "Not made."),
-    ]
-    extra, style = "".join(section.element() for section in sections), REPORT_STYLE + STYLE
+    picture, long = '<img src="points.svg" alt="points">', Path(20 * "long/")
+    extra = demo_section(folder, "estimate", "Located.", replay) + demo_section(long, "whisker", "Not made.")
+    extra += demo_section(folder, "explore", "Found.", picture, [("points.svg", "points")])
+    style = REPORT_STYLE + STYLE
     (folder / "prediction.json").write_bytes(json_bytes(probe().predict().as_dict()))
     page = write_home(folder, probe().model, extra=f'<div class="figures">{extra}</div>', style=style)
     assert page is not None
