@@ -115,7 +115,6 @@ def _of(table: int | None) -> str:
 
 
 def _explain(key: str, item: str, detail: Any, model: type[BaseModel]) -> str:
-    """Return the message for an error of pydantic: key, value, allowed values."""
     ctx, wrong = detail.get("ctx", {}), f"{key}{item} = {quoted(detail['input'])}"
     match detail["type"]:
         case "extra_forbidden":
@@ -145,7 +144,6 @@ _WANTED = {
 
 
 def _fields(model: type[BaseModel], table: str) -> dict[str, Any]:
-    """Return the fields of a dotted table by their names in the file."""
     inner: Any = model
     for part in filter(None, table.split(".")):
         fields = {f.alias or n: f for n, f in inner.model_fields.items()}
@@ -174,7 +172,6 @@ def known_keys(model: type[BaseModel], table: str = "") -> list[str]:
 
 
 def _did_you_mean(key: str, model: type[BaseModel]) -> str:
-    """Return a hint with the nearest key of the same table, or of any."""
     keys = known_keys(model)
     table, _, last = key.rpartition(".")
     siblings = [k for k in keys if k.rpartition(".")[0] == table]
@@ -186,7 +183,6 @@ def _did_you_mean(key: str, model: type[BaseModel]) -> str:
 
 
 def _range_of(key: str, model: type[BaseModel]) -> str:
-    """Return the text of the range of a bounded key."""
     table, _, last = key.rpartition(".")
     field = _fields(model, table).get(last)
     metadata: list[Any] = [] if field is None else [*field.metadata, *_metadata(field.annotation)]
@@ -201,7 +197,6 @@ def _range_of(key: str, model: type[BaseModel]) -> str:
 
 
 def _metadata(annotation: Any) -> Iterator[Any]:
-    """Yield the bounds within an annotation, such as those of the items of a list."""
     yield from getattr(annotation, "__metadata__", ())
     for argument in get_args(annotation):
         yield from _metadata(argument)

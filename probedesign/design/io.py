@@ -9,9 +9,8 @@ from probedesign.core.csv_tables import read_text
 from probedesign.core.errors import CheckFailedError, InputError, quoted, unknown_name
 from probedesign.core.files import MAX_TOML, check_regular, write_atomically
 from probedesign.core.units import MPA
-from probedesign.design.catalog import CUSTOM, OBJECT_COMPLIANCE, RESINS, Quantity, Resin, find
+from probedesign.design.catalog import CUSTOM, OBJECT_COMPLIANCE, PROBES, RESINS, Quantity, Resin, find, paper_tables
 from probedesign.design.diagnostics import Table, check_toml, parse_toml, read_toml
-from probedesign.design.paper import PROBES, paper_tables
 from probedesign.design.schema import AXIS_KEYS, AXIS_KINDS, Design, PrinterRecord, ResinRecord
 from probedesign.design.sensor_catalog import FILES, SENSORS, SensorRecord, load_sensor
 from probedesign.design.sensors import SensorModel

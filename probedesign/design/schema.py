@@ -38,7 +38,7 @@ from probedesign.design.catalog import (
 )
 from probedesign.design.diagnostics import FromArray, Inconsistent, Table
 from probedesign.design.sensor_catalog import SENSORS, Millimetres, SensorRecord, Text
-from probedesign.design.sensors import DEFAULT_SENSOR, Calibration, SensorModel
+from probedesign.design.sensors import DEFAULT_SENSOR, SensorCalibration, SensorModel
 from probedesign.geometry.axis import Axis
 from probedesign.geometry.cross_section import CrossSection
 from probedesign.geometry.probe_geometry import filleted, rounded, rounding_height_mm
@@ -593,7 +593,6 @@ class Design(Table, Displayed):
 
     @model_validator(mode="after")
     def _root_fits(self) -> Self:
-        """Check that the rigid root is shorter than the probe."""
         root = self.mount.root_rigid_radii or 0.0
         rigid = root * self.probe.base_d_mm / 2.0
         if rigid >= self.probe.length_mm:
@@ -605,7 +604,6 @@ class Design(Table, Displayed):
 
     @model_validator(mode="after")
     def _bow_fits(self) -> Self:
-        """Check that the tip deviates by less than the length."""
         bow, length = self.tolerances.bow_mm, self.probe.length_mm
         if bow is not None and bow >= length:
             raise Inconsistent(
@@ -643,7 +641,7 @@ class Design(Table, Displayed):
         return find(SENSORS, self.sensor.model, "sensor.model", CUSTOM) if own is None else own.sensor
 
     @property
-    def calibration(self) -> Calibration:
+    def calibration(self) -> SensorCalibration:
         """Return the calibration of `[sensor]`: the finest if none is named."""
         name = self.sensor.calibration
         return self.sensor_model.calibrations[0] if name is None else self.sensor_model.calibration(name)

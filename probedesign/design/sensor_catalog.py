@@ -21,9 +21,9 @@ from probedesign.design.diagnostics import FromArray, Inconsistent, Table, known
 from probedesign.design.sensors import (
     DEFAULT_SENSOR,
     CableExit,
-    Calibration,
     DowelPattern,
     ScrewPattern,
+    SensorCalibration,
     SensorInterface,
     SensorModel,
 )
@@ -309,13 +309,13 @@ class SensorRecord(Table):
             rate=self.rate_hz,
         )
 
-    def _calibration(self, table: CalibrationTable) -> Calibration:
+    def _calibration(self, table: CalibrationTable) -> SensorCalibration:
         cov = None if self.noise is None else self.noise.sample_cov
         if table.resolution_N is not None and table.resolution_Nm is not None:
             resolution: tuple[float, ...] = (*table.resolution_N, *table.resolution_Nm)
         else:
             resolution = tuple(np.sqrt(np.diag(np.array(cov))).tolist())
-        return Calibration(table.name, (*table.range_N, *table.range_Nm), resolution, cov)
+        return SensorCalibration(table.name, (*table.range_N, *table.range_Nm), resolution, cov)
 
 
 def load_sensor(path: Path) -> SensorRecord:

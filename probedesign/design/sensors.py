@@ -20,7 +20,7 @@ NANO17_BODY = (17.0 * MM, 14.5 * MM)  #: Diameter and height of its body [m], fo
 
 
 @dataclass(frozen=True)
-class Calibration:
+class SensorCalibration:
     """A calibration of a sensor; channels in the order Fx, Fy, Fz [N], Mx, My, Mz [N·m]."""
 
     name: str  #: as written in a design file.
@@ -158,7 +158,7 @@ class SensorModel:
     name: str  #: as written in a design file.
     product: str  #: maker and type, for documents.
     interface: SensorInterface  #: mechanical.
-    calibrations: tuple[Calibration, ...]  #: the finest first.
+    calibrations: tuple[SensorCalibration, ...]  #: the finest first.
     source: str  #: of the numbers.
     #: keys of the numbers without a source, as in a sensor file, such as `interface.tool.azimuths_deg`.
     assumed: tuple[str, ...] = ()
@@ -187,7 +187,7 @@ class SensorModel:
                 f"'probedesign new ... --sensor {self.name}' writes a design with these tables"
             )
 
-    def calibration(self, name: str) -> Calibration:
+    def calibration(self, name: str) -> SensorCalibration:
         """Return the calibration of that name.
 
         Raises:

@@ -12,7 +12,7 @@ from probedesign.campaigns.manifest import LENGTH_SCALE, WEIGHT_STD, WRIST
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose, rotation_under_gravity, wrench_map
 from probedesign.core.units import MM
-from probedesign.design.paper import CONDITIONS
+from probedesign.design.catalog import CONDITIONS
 from probedesign.estimation.error_sources import BEFORE_KNOTS, curvature_std, parameters_of, scaled_curvature, turns_of
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances

@@ -9,7 +9,7 @@ import pytest
 from benchmarks.table1 import REFERENCE_MM, agreement, compare, predicted, published
 from benchmarks.touches import paper_models
 from probedesign.design import load_design
-from probedesign.design.paper import CONDITIONS, PROBES
+from probedesign.design.catalog import CONDITIONS, PROBES
 
 ROOT = Path(__file__).parents[2]
 
