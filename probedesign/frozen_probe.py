@@ -65,8 +65,6 @@ def _array(*shape: int) -> Callable[[Any], Array]:
 
 
 def _number(lowest: float = -math.inf, highest: float = math.inf) -> Callable[[Any], float]:
-    """Return the check of a finite number between limits."""
-
     def read(value: Any) -> float:
         number = isinstance(value, (int, float)) and not isinstance(value, bool)
         if not (number and lowest <= value <= highest and math.isfinite(value)):

@@ -41,7 +41,6 @@ def _rod(probe: "Probe") -> None:
 
 
 def _sources(probe: "Probe") -> "ErrorSources":
-    """Return error sources that need no solution of the rod."""
     from probedesign.estimation.error_sources import ErrorSources
 
     model, free = probe.model, cast("Equilibrium", SimpleNamespace(wrench_base=np.zeros(6)))

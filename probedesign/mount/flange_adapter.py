@@ -217,7 +217,6 @@ def _engraving(
     robot: RobotFlange, fingerprint: str, name: str, top: float,
     around: tuple[float, tuple[XY, ...], tuple[XY, XY, XY], float],
 ) -> Engraving:  # fmt: skip
-    """Return the engraving around the sensor, starting at the dowel, clear of pins and of the cable's pocket."""
     inner, pins, (reach, across, _), cable_deg = around
     outer = robot.bolt_circle_d / 2 - max(robot.screw.head_d, robot.pin_slot[1]) / 2
     radius = (inner + outer) / 2

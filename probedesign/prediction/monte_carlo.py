@@ -123,7 +123,6 @@ class PrintSample:
         return np.asarray(seen + hanging + base_from_sensor @ (self.gain * (to_sensor @ whole)))
 
     def _in_nominal_frame(self, wrench: Array) -> Array:
-        """Transform a wrench of the true base frame to the model's base frame, (6,)."""
         force, moment = self.R @ wrench[0:3], self.R @ wrench[3:6]
         return np.concatenate([force, moment + np.cross(self.translation, force)])
 
@@ -300,7 +299,6 @@ def locate_draws(
 
 
 def _located(estimator: Estimator, wrench: Array, point: Array) -> DrawResult:
-    """Locate a touch from a single reading."""
     found = estimator.estimate(wrench)
     best = found.candidates[0] if found.candidates else None
     if best is None or found.result not in LOCATED_RESULTS:
@@ -310,7 +308,6 @@ def _located(estimator: Estimator, wrench: Array, point: Array) -> DrawResult:
 
 
 def _fused(estimator: Estimator, schedule: PressSchedule, wrenches: Array, places: Array) -> DrawResult:
-    """Locate one point, which is the world's origin, from several touches."""
     if not np.isfinite(wrenches).all():
         return DrawResult("gives_way", None)
     found = estimator.fuse(
@@ -380,7 +377,6 @@ _worker_state: tuple[MonteCarloPlan, PrintSamples] | None = None  #: Plan and pr
 
 
 def _initialize(plan: MonteCarloPlan) -> None:
-    """Draw the print samples of a worker process."""
     global _worker_state
     _worker_state = plan, plan.samples()
 

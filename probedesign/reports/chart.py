@@ -335,7 +335,6 @@ def _extended(axis: ChartAxis, length: float) -> ChartAxis:
 
 
 def _mark(mark: str, x: float, y: float, colour: str) -> str:
-    """Return a marker about a point."""
     if mark == "o":
         return element("circle", cx=x, cy=y, r=3.4, fill=colour)
     shapes = {"s": "M-3.2-3.2h6.4v6.4h-6.4z", "d": "M0-4.4l4.4 4.4-4.4 4.4-4.4-4.4z", "^": "M0-4.2l4.2 7.4h-8.4z",

@@ -282,7 +282,6 @@ def _lines(
 def _rows(
     rows: Sequence[Any], value: Callable[[Any], float | None], worst: Callable[..., float], unit: float = 1.0
 ) -> _Points:
-    """Return place and value, the worst of all directions."""
     by_place: dict[float, list[float]] = {}
     for row in rows:
         v = value(row)
@@ -293,7 +292,6 @@ def _rows(
 
 
 def _sag_chart(compared: Sequence[ComparedDesign]) -> Chart:
-    """Return the free shapes from the side."""
     shapes = []
     for entry in compared:
         probe = build_probe(entry.design)

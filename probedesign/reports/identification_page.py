@@ -121,7 +121,6 @@ def residual_chart(fit: Identification) -> Chart:
 
 
 def _normal(fit: Identification) -> ReportFigure:
-    """Return the normalised residuals against their quantiles under normal noise."""
     sizes = {"markers": 3, "wrenches": 6, "touches": 3}
     lines = {}
     for kind, k in sizes.items():
@@ -147,7 +146,6 @@ def _normal(fit: Identification) -> ReportFigure:
 
 
 def _along(fit: Identification) -> ReportFigure:
-    """Return the markers' residuals along the probe: mean over the tests and its scatter."""
     rows = [residual for residual in fit.residuals if residual.kind == "markers" and residual.s_mm is not None]
     places = sorted({residual.s_mm for residual in rows if residual.s_mm is not None})
     each = [np.array([residual.off for residual in rows if residual.s_mm == s]) for s in places]
@@ -172,7 +170,6 @@ def _along(fit: Identification) -> ReportFigure:
 
 
 def _wrenches(fit: Identification, what: str) -> ReportFigure:
-    """Return each reading's residual by channel: the forces, or the moments."""
     first, unit, size, letter = {"forces": (0, "mN", 1e3, "F"), "moments": (3, "µN·m", 1e6, "M")}[what]
     off = size * np.array(
         [residual.off[first : first + 3] for residual in fit.residuals if residual.kind == "wrenches"]
@@ -195,7 +192,6 @@ def _wrenches(fit: Identification, what: str) -> ReportFigure:
 
 
 def _correlation(fit: Identification) -> ReportFigure:
-    """Return the correlation matrix of the parameters' errors."""
     n, names = len(fit.correlated), list(fit.correlated)
     chart = Chart(ChartAxis.named("", names), ChartAxis.named("", names[::-1]))
     for i in range(n):

@@ -174,7 +174,6 @@ def _(model: ProbeModel) -> Summary:
 
 
 def _material(quantities: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return E, G [MPa] and density [kg/m³] with their provenance."""
     units = {"E": (MPA, "MPa"), "G": (MPA, "MPa"), "density": (1.0, "kg/m³")}
     return [
         (name, f"{quantity.value / units[name][0]:.4g} {units[name][1]} ({quantity.provenance})")
@@ -183,7 +182,6 @@ def _material(quantities: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def _body(shape: Array, radius: Array) -> Chart:
-    """Return a probe from the side."""
     chart, upper, lower = body_chart(shape, radius)
     corners = np.concatenate([upper, lower[::-1]])
     chart.area([(z, x) for z, x in corners.tolist()], COLOURS[1], 0.35)
@@ -244,7 +242,6 @@ def _(estimate: Estimate) -> Summary:
 
 
 def _contact(estimate: Estimate) -> Chart:
-    """Return the reconstructed centreline and the touched point with its 95 % ellipse, seen across the force."""
     shape, p, force = estimate.shape, estimate.p_surface_base, estimate.force_base
     assert shape is not None
     length = float(shape.s[-1])
@@ -295,7 +292,6 @@ def _(fused: FusedEstimate) -> Summary:
 
 
 def _projections(cov: Array) -> Chart:
-    """Return the 95 % ellipses of a covariance (3, 3) about its mean, seen along each axis."""
     pairs = {"x and y": [0, 1], "x and z": [0, 2], "y and z": [1, 2]}
     ellipses = {name: _ellipse(cov[np.ix_(pair, pair)]) / MM for name, pair in pairs.items()}
     every = np.concatenate(list(ellipses.values()))

@@ -104,7 +104,6 @@ def _table(plan: Plan) -> HtmlTable:
 
 
 def _chart_section(plan: Plan) -> str:
-    """Return the chart of the intervals over time, relative to the final ones."""
     times = [test.minutes for test in plan.tests]
     lines = {}
     for k, final in enumerate(plan.expected):

@@ -72,7 +72,6 @@ def error_chart(prediction: Prediction) -> Chart:
 
 
 def _shown(rows: Sequence[Any]) -> list[str]:
-    """Return the directions that have a line of their own: of more than four, those along the axes."""
     directions = list(dict.fromkeys(row.direction for row in rows))
     return directions if len(directions) <= len(DIRECTIONS) else [*DIRECTIONS]
 
@@ -188,7 +187,6 @@ def error_map(cells: Sequence[Cell], error: Callable[[Cell], float | None]) -> C
 
 
 def _cell(here: Sequence[Cell], error: Callable[[Cell], float | None]) -> tuple[str, str]:
-    """Return colour and text of a cell."""
     bad = next((c.result for c in here if c.result != "ok"), None)
     errors = [e for e in map(error, here) if e is not None]
     if bad or not errors:

@@ -80,13 +80,11 @@ def _column(rows: Sequence[Row], name: str) -> Array:
 
 
 def _force(rows: Sequence[Row]) -> Array:
-    """Return the magnitudes of the forces [mN]."""
     force = [_column(rows, f"force_base_{axis}_N") for axis in "xyz"]
     return np.asarray(np.linalg.norm(force, axis=0) / MILLINEWTON)
 
 
 def _rms(rows: Sequence[Row]) -> Array:
-    """Return the stated RMS errors of the touched points [mm]."""
     variances = [_column(rows, f"cov_surface_base_{axis}{axis}_mm2") for axis in "xyz"]
     return np.asarray(np.sqrt(np.sum(variances, axis=0)))
 

@@ -91,7 +91,6 @@ def heat_map(records: Sequence[Record], keys: Sequence[str], low: float, high: f
 
 
 def _legend(chart: Chart, low: float, high: float) -> None:
-    """Add all colours to the legend, each with the largest error that has it."""
     steps = len(ORDERED)
     chart.legend += [
         LegendEntry(f"≤ {low * (high / low) ** (k / steps):.2g} mm", ORDERED[-k])
@@ -133,7 +132,6 @@ def _level(error: float, low: float, high: float) -> int:
 
 
 def _curves(records: Sequence[Record], key: str, name: str) -> list[ReportFigure]:
-    """Return a chart of each of `CURVES` over one key."""
     figures = []
     x = [record[key] for record in records]
     numeric = all(isinstance(value, int | float) for value in x)

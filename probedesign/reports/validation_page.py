@@ -124,7 +124,6 @@ def validation_page(validation: ValidationReport) -> bytes:
 
 
 def _summary(validation: ValidationReport) -> HtmlTable:
-    """Return the means by kind of test."""
     rows = []
     for kind, means in validation.summary.items():
         here = [trial for trial in validation.judged if trial.kind == kind]
@@ -140,7 +139,6 @@ def _mean_cells(mean: ErrorStatistics) -> list[str]:
 
 
 def _table(validation: ValidationReport) -> HtmlTable:
-    """Return Table I of the paper with stated and predicted errors."""
     head = ["test", "force", "contact", "direction", "shape RMS", "of length", "contact error", "stated", "predicted",
             "in 95 %", "method", "result"]  # fmt: skip
     rows = []
@@ -170,7 +168,6 @@ def _mm(value: float | None) -> str:
 
 
 def _figures(validation: ValidationReport) -> list[ReportFigure]:
-    """Return measured error against stated error, and the NEES against its distribution."""
     located = [trial for trial in validation.judged if trial.contact_error is not None]
     if not located:
         return []
@@ -196,7 +193,6 @@ def _figures(validation: ValidationReport) -> list[ReportFigure]:
 
 
 def _internal_loads(validation: ValidationReport) -> list[ReportFigure]:
-    """Return internal force and moment of the free probe and of the middle one of the located touches."""
     free = next((t for t in validation.tests if t.kind == "free" and t.shape is not None), None)
     located = [t for t in validation.tests if t.kind != "free" and t.shape is not None]
     shown = [trial for trial in (free, located[len(located) // 2] if located else None) if trial is not None]
@@ -226,7 +222,6 @@ def _words(trial: ValidatedTest) -> str:
 
 
 def _shape(trial: ValidatedTest, model: ProbeModel) -> ReportFigure:
-    """Return the figure of one probe as measured and as estimated."""
     parts = []
     if not math.isnan(trial.shape_rms):
         parts.append(f"RMS {trial.shape_rms / MM:.3g} mm, the reference alone {trial.reference_rms / MM:.3g} mm")

@@ -129,7 +129,7 @@ NEAR_LIMIT = 3.0  #: A limit is visible up to this multiple of the largest value
 STATUS_WIDTH, CHARTS_WIDTH = 370.0, 310.0  #: Widths of the panels [px]: of 1280, 600 are left for the scene.
 
 
-class Chart:
+class StripChart:
     """A strip chart over wall-clock time, with limits as dashed lines, touches below and marks above the curves."""
 
     def __init__(
@@ -212,18 +212,18 @@ class Panel:
         for setup in scenes:
             if setup.note:
                 gui.add_markdown(setup.note)
-        strips, self._charts = gui.add_panel(), list[list[Chart]]()
+        strips, self._charts = gui.add_panel(), list[list[StripChart]]()
         for setup in scenes:
             title = f"Last {CHART_SECONDS:g} s" if len(scenes) == 1 else setup.title.partition(" ")[0]
             with strips.add_tab(title):
                 force, moment, contact = setup.limits
                 self._charts.append([
-                    Chart(gui, "s of the contact, 95 % [mm]", ("s", "low", "high"), MM, dots=True),
-                    Chart(gui, "force of the contact [mN]", ("force",), MILLINEWTON, (contact,), dots=True),
-                    Chart(gui, "base force [mN]: x red, y green, z blue", ("Fx", "Fy", "Fz"), MILLINEWTON,
+                    StripChart(gui, "s of the contact, 95 % [mm]", ("s", "low", "high"), MM, dots=True),
+                    StripChart(gui, "force of the contact [mN]", ("force",), MILLINEWTON, (contact,), dots=True),
+                    StripChart(gui, "base force [mN]: x red, y green, z blue", ("Fx", "Fy", "Fz"), MILLINEWTON,
                           (force, -force)),
-                    Chart(gui, "base moment [N·mm]: x, y, z", ("Mx", "My", "Mz"), N_MM, (moment, -moment)),
-                    Chart(gui, "drift of the bias [mN]: x, y, z", ("bias_x", "bias_y", "bias_z"), MILLINEWTON),
+                    StripChart(gui, "base moment [N·mm]: x, y, z", ("Mx", "My", "Mz"), N_MM, (moment, -moment)),
+                    StripChart(gui, "drift of the bias [mN]: x, y, z", ("bias_x", "bias_y", "bias_z"), MILLINEWTON),
                 ])  # fmt: skip
         strips.dock_left()
         strips.set_width(CHARTS_WIDTH)
