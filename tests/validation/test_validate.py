@@ -352,7 +352,7 @@ def test_several_probes_make_one_table_as_the_papers(call, tmp_path):
         assert call("campaign", DESIGNS / f"{name}.toml", data, "--stage")[0] == 0
         pairs += [bundle, data]
     status, out, _ = call("validate", *pairs, "--out", tmp_path / "out", "--no-plots")
-    assert status == 0 and "  medium    touch-01" in out and "small: " in out
+    assert status == 0 and "  medium  touch-01" in out and "small: " in out
     table = (tmp_path / "out/table1.csv").read_text().splitlines()
     assert table[0].startswith(
         "probe,length_mm,force_N,contact_fraction,shape_rms_mm,shape_rms_percent,contact_error_mm"
