@@ -27,7 +27,7 @@ from viser import uplot
 from probedesign.core.frames import Array
 from probedesign.core.statistics import ellipsoid_95
 from probedesign.core.units import MILLINEWTON, MM, N_MM
-from probedesign.live.view.state import CHART_SECONDS, MAX_TOUCHES, PageSetup, SceneSetup, Snapshot, StripCharts
+from probedesign.live.view.state import CHART_SECONDS, CLOUD, MAX_TOUCHES, PageSetup, SceneSetup, Snapshot, StripCharts
 from probedesign.web.guard import LoopbackServer, protect
 from probedesign.web.scene import (
     ARROW,
@@ -207,6 +207,7 @@ class Panel:
         self._start.on_click(lambda _: send_command("start recording", ""))
         self._stop = gui.add_button("Stop recording", icon=viser.Icon.PLAYER_STOP, color="gray", disabled=True)
         self._stop.on_click(lambda _: send_command("stop recording", ""))
+        self.cloud = gui.add_checkbox(f"Last {CLOUD} estimates", False)
         with gui.add_folder("Events"):
             self._texts.append(gui.add_html(""))
         for setup in scenes:
@@ -286,6 +287,9 @@ class ProbeScene:
         self._spread = scene.add_icosphere(f"{root}/spread", 1.0, SPREAD, visible=False, cast_shadow=False)
         self._force = arrow(scene, f"{root}/force", CONTACT, visible=False)
         self._spread_label = scene.add_label(f"{root}/spread_label", "95 % region", anchor="top-left", visible=False)
+        self._cloud = scene.add_point_cloud(
+            f"{root}/cloud", np.zeros((1, 3)), CONTACT, point_size=UNIT * 7e-4, point_shape="circle", visible=False
+        )
         self._label = scene.add_label(f"{root}/contact_label", "", anchor="bottom-center", visible=False)
         size = UNIT * 1.5e-3
         self._marks = [
@@ -296,14 +300,18 @@ class ProbeScene:
             for i in range(MAX_TOUCHES)
         ]
 
-    def show(self, snapshot: Snapshot) -> None:
-        """Show a snapshot."""
+    def show(self, snapshot: Snapshot, cloud: bool) -> None:
+        """Show a snapshot, with its cloud of the last estimates if it is asked for."""
         self._show_probe(snapshot)
         self._show_contact(snapshot)
         for (mark, number), touch in zip(self._marks, snapshot.touches, strict=False):  # earlier ones, in grey
             R, origin = (np.eye(3), np.zeros(3)) if touch.in_world else (self._T[:3, :3], self._T[:3, 3])
             mark.visible = number.visible = True
             mark.position, number.text = UNIT * (R @ touch.p_surface + origin), f"{touch.number}"
+        self._cloud.visible = cloud and len(snapshot.cloud) > 0
+        if self._cloud.visible:
+            R, origin = (np.eye(3), np.zeros(3)) if snapshot.has_pose else (self._T[:3, :3], self._T[:3, 3])
+            self._cloud.points = (UNIT * (snapshot.cloud @ R.T + origin)).astype(np.float16)
 
     def _show_probe(self, snapshot: Snapshot) -> None:
         """Show the estimated shape; where it is unknown the free probe in grey."""
@@ -388,7 +396,7 @@ class ViewerPage:
                 redraw = self._charts[i].add(snapshot.strip)
                 if self._panel.paused:
                     continue
-                self._scenes[i].show(snapshot)
+                self._scenes[i].show(snapshot, self._panel.cloud.value)
                 age = snapshot.age if snapshot.stale and math.isfinite(snapshot.age) else 0.0
                 if redraw or abs(age - self._drawn_ages[i]) > AGEING:
                     self._panel.draw(i, self._charts[i], age)

@@ -96,6 +96,8 @@ class Snapshot:
     #: rows of `STRIP` since the last snapshot, (j, 15).
     strip: Array = field(default_factory=lambda: np.empty((0, len(STRIP))))
     events: tuple[Event, ...] = ()  #: last events, oldest first.
+    #: touched points of the last single readings, of the world where the pose is known, else of the base [m], (k, 3).
+    cloud: Array = field(default_factory=lambda: np.empty((0, 3)))
 
     @property
     def has_pose(self) -> bool:
@@ -177,6 +179,7 @@ class RateMeter:
 
 
 MAX_EVENTS = 12  #: Maximum number of events that are kept: the last ones. All are on standard error and in a recording.
+CLOUD = 200  #: Number of estimates in a cloud.
 MAX_STRIP_ROWS = 4096  #: Maximum number of queued chart rows; at 30 snapshots per second there are a few.
 
 
@@ -216,6 +219,7 @@ class ViewState(Sink):
         self._readings, self._updates = RateMeter(clock), RateMeter(clock)
         self._strip: deque[tuple[float, ...]] = deque(maxlen=MAX_STRIP_ROWS)
         self._events, self._tare, self._marked = deque[Event](maxlen=MAX_EVENTS), "", False
+        self._cloud = deque[tuple[Array, bool]](maxlen=CLOUD)  # points, and whether each is of the world
         self._wall_offset = math.nan  # wall clock minus the source's clock [s]
 
     def on_samples(self, block: Block) -> None:
@@ -233,6 +237,10 @@ class ViewState(Sink):
             self._wall_offset = time.time() - now
         self._update = update
         force = float(np.linalg.norm(estimate.force_base)) if estimate.ok else math.nan
+        if estimate.ok:
+            T, known = update.T_world_base, bool(np.isfinite(update.T_world_base).all())
+            p = estimate.p_surface_base
+            self._cloud.append((T[:3, :3] @ p + T[:3, 3] if known else p, known))
         state = (update.phase in ("touching", "settled"), self._marked)
         self._marked = False
         self._strip.append((self._wall_offset + now, *update.wrench_base.tolist(), estimate.s_contact, estimate.std_s,
@@ -263,8 +271,10 @@ class ViewState(Sink):
         )
         if update is None:
             return known
+        has_pose = bool(np.isfinite(update.T_world_base).all())
         return replace(
             known,
+            cloud=np.array([p for p, world in self._cloud.copy() if world is has_pose]).reshape(-1, 3),
             time=update.reading.time,
             age=self._updates.silent_for,
             result=update.estimate.result,
