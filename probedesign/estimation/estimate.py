@@ -196,7 +196,7 @@ class FusedEstimate(Tabular):
     p_contact_world: Array = field(default_factory=lambda: _nan(3))
     cov_contact_world: Array = field(default_factory=lambda: _nan(3, 3))  #: its covariance [m²], (3, 3).
     object_compliance: float = float("nan")  #: yielding of the object along the force, -c F: posterior mean of c [m/N].
-    #: shortest interval that contains c with a probability of 95 % [m/N], (2,).
+    #: interval that contains c with a probability of 95 %, from 0 unless a rigid object is rejected [m/N], (2,).
     object_compliance_interval_95: Array = field(default_factory=lambda: _nan(2))
     #: arclength of that point at each pose, NaN where free [m], (k,).
     s_contact: Array = field(default_factory=lambda: _nan(0))

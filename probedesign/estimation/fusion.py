@@ -103,7 +103,7 @@ class Posterior(NamedTuple):
     points: Array  #: points, covs: as in `Solution`.
     covs: Array
     chi2: float  #: least misfit, with the half-normal prior of the compliance.
-    compliance: float  #: mean [m/N], and the shortest interval of 95 % (2,).
+    compliance: float  #: mean [m/N], and an interval of 95 %, (2,).
     interval: Array
 
     @property
@@ -384,12 +384,14 @@ class Fusion:
         nodes = max(branches, key=lambda branch: max(node.log_weight for node in branch))
         nearest = min(nodes, key=lambda node: abs(node.compliance - compliance))
         added = self.curvature(nearest.solution, nearest.compliance)
-        # The shortest interval holds the most likely compliances.
-        widths = [branch[-1].compliance - branch[0].compliance for branch in branches]
-        likely = np.argsort(-weight / np.repeat(widths, DENSE))
-        kept = c[likely[: int(np.searchsorted(np.cumsum(weight[likely]), 0.95)) + 1]]
+        # The interval is one-sided, from 0, unless the readings alone reject a rigid object. The shortest would leave
+        # 0 out too often: the place follows M/F, and a force that is read as too large makes the object look soft.
+        misfits = {node.compliance: node.solution.chi2 for branch in branches for node in branch}
+        rigid = misfits.get(0.0, math.inf) - min(misfits.values()) < max_chi2(1, 0.1)
+        order = np.argsort(c)
+        interval = np.interp([0.0, 0.95] if rigid else [0.025, 0.975], np.cumsum(weight[order]), c[order])
         chi2 = min(node.chi2 for node in nodes)
-        return Posterior(mean, cov + added, chi2, compliance, np.array([kept.min(), kept.max()]))
+        return Posterior(mean, cov + added, chi2, compliance, interval)
 
     def _branch(self, start: Solution, centre: float, step: float, met: "_Node | None" = None) -> list["_Node"]:
         """Return solutions with given compliances of the object, in ascending order, until their weight is negligible.

@@ -197,6 +197,17 @@ def test_an_ellipsoid_holds_points_that_bow_with_the_compliance(share):
     assert 0.935 < inside.mean() < 0.97  # TAIL promises 95 % about the vertex; the mean square alone gives 92 %
 
 
+def test_the_interval_of_a_rigid_object_contains_zero(large, gravity, exact_sources):
+    """The true compliance is the bound of its prior: 19 of 20 one-sided intervals contain it."""
+    touches, Ts = presses(exact_sources, 0.5 * large.length, 0.4, FORCES / 2.0)
+    estimator = Estimator(large.model, replace(EXACT, object_compliance=0.05))
+    rng = np.random.default_rng(1)
+    found = [estimator.fuse(noisy(large.model, wrenches_of(touches), rng), Ts, gravity) for _ in range(60)]
+    assert all(f.ok for f in found)
+    held = sum(f.object_compliance_interval_95[0] == 0.0 for f in found)
+    assert held >= stats.binom.ppf(RARE, len(found), 0.95)  # the shortest interval: 69 of 100
+
+
 def test_the_contact_may_slide_and_the_base_may_turn(large, gravity, exact_sources, exact):
     """The point of the object is fixed, and the touched material point may change."""
     touches, Ts = presses(exact_sources, 0.6 * large.length, 0.5, 2.0 * FORCES, slide=3e-3)
