@@ -148,8 +148,8 @@ def write_pixels(folder: Path, tests: list[PhotographedTest], force: bool) -> Pa
     lines = [
         f"{test.test},{photograph.camera},{number},{u:.3f},{v:.3f},{std:.3f}"
         for test in tests
-        for photograph, found in zip(test.photographs, test.found, strict=bool(test.found))
-        for number, ((u, v), std) in enumerate(zip(found.pixels, found.std_px, strict=True), 1)
+        for photograph, markers in zip(test.photographs, test.found, strict=bool(test.found))
+        for number, ((u, v), std) in enumerate(zip(markers.pixels, markers.std_px, strict=True), 1)
     ]
     write_atomically(path, "\n".join([HEADER, *lines, ""]).encode())
     DetectionCache(folder).path.unlink(missing_ok=True)
@@ -231,16 +231,16 @@ class DetectionCache:
         if key in self._done:
             self.used += 1
             return self._done[key]
-        found = find_markers(photograph, s, base, dark)
-        dots = [[*dot.pixel, dot.std_px, *dot.shape.ravel()] for dot in found.dots]
-        line = json.dumps({"key": key, "dark": found.dark, "dots": dots})
+        detected = find_markers(photograph, s, base, dark)
+        dots = [[*dot.pixel, dot.std_px, *dot.shape.ravel()] for dot in detected.dots]
+        line = json.dumps({"key": key, "dark": detected.dark, "dots": dots})
         try:
             with self.path.open("a", encoding="utf-8") as file:
                 file.write(f"\n{line}\n")  # the newline in front ends an incomplete line
         except OSError as error:
             raise InputError(f"{self.path}: cannot be written: {error.strerror}") from None
-        self._done[key] = found
-        return found
+        self._done[key] = detected
+        return detected
 
     def __len__(self) -> int:
         return len(self._done)

@@ -113,7 +113,7 @@ def read_campaign(path: str | Path) -> Campaign:
         if seen is not None:
             where = f"{folder / seen.file}: test {test.name}"
             check_marker_order(where, seen, marker_s, marker_side, test.T_world_base[:3, 3], std_base)
-    one = manifest.weighing
+    table = manifest.weighing
     return Campaign(
         name=manifest.probe,
         fingerprint=manifest.fingerprint,
@@ -127,7 +127,7 @@ def read_campaign(path: str | Path) -> Campaign:
             replace(test, wrenches=readings, time=time, frame=frame, markers=seen)
             for test, readings, time, seen in zip(tests, wrenches, times, markers, strict=True)
         ),
-        weighing=None if one is None else Weighing(GRAM * one.mass_g, GRAM * one.std_g, one.of),
+        weighing=None if table is None else Weighing(GRAM * table.mass_g, GRAM * table.std_g, table.of),
         folder=folder,
         notes=(*notes, *assumptions),
     )
@@ -189,8 +189,8 @@ def read_tests(folder: Path, manifest: Manifest) -> list[Test]:
 def _poses(rows: TableRows, manifest: Manifest) -> list[Array]:
     values, given = rows.all_or_none(*BASE_POSITION, *BASE_ROTATION)
     usual = base_pose(manifest)
-    return [pose(Rotation.from_rotvec(v[3:]).as_matrix(), v[:3]) if own else usual
-            for v, own in zip(values, given, strict=True)]  # fmt: skip
+    return [pose(Rotation.from_rotvec(v[3:]).as_matrix(), v[:3]) if given_row else usual
+            for v, given_row in zip(values, given, strict=True)]  # fmt: skip
 
 
 def base_pose(manifest: Manifest) -> Array:
@@ -206,14 +206,14 @@ def _std(rows: TableRows, given: NDArray[np.bool_], what: str, name: str) -> Arr
 
 def indices_of_tests(rows: TableRows, names: dict[str, int]) -> NDArray[np.intp]:
     """Return the index of the test of each row of another table; refuse a test that `tests.csv` does not have."""
-    found = []
+    indices = []
     for row, name in enumerate(rows.texts("test")):
         if name not in names:
             near = difflib.get_close_matches(name, names, 1, 0.3)
             hint = f"did you mean {near[0]!r}?" if near else "add it there"
             rows.fail(row, f"test {name[:40]!r} is not in {TESTS}; {hint}" if name else "names no test")
-        found.append(names[name])
-    return np.array(found, dtype=np.intp)
+        indices.append(names[name])
+    return np.array(indices, dtype=np.intp)
 
 
 def read_wrench_table(folder: Path, tests: dict[str, int]) -> tuple[list[Array], list[float], Frame, tuple[str, ...]]:
@@ -410,15 +410,15 @@ def _by_control_points(path: Path, table: CamerasTable, fit: Fit) -> tuple[list[
     world, pixels = rows.required(*POSITION), rows.required(*PIXEL)
     cameras, notes = [], []
     for name in table.names:
-        own = np.flatnonzero(np.array(names) == name)
-        if not len(own):
+        of_camera = np.flatnonzero(np.array(names) == name)
+        if not len(of_camera):
             raise InputError(f"{path}: has no point of camera {name}")
         try:
-            camera = fit(name, world[own], pixels[own], [labels[i] for i in own])
+            camera = fit(name, world[of_camera], pixels[of_camera], [labels[i] for i in of_camera])
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         outliers = f"; outliers left out: {', '.join(camera.outliers)}" if camera.outliers else ""
-        notes.append(f"camera {name}: {len(own)} control points, residual {camera.std_px:.2g} px{outliers}")
+        notes.append(f"camera {name}: {len(of_camera)} control points, residual {camera.std_px:.2g} px{outliers}")
         cameras.append(camera)
     return cameras, tuple(notes)
 

@@ -18,9 +18,10 @@ from probedesign.identification.parameters import PARAMETERS
 from probedesign.identification.result import Identification, Identified
 from probedesign.mount.mount import build_geometry, exported_root_radii
 
-IN_DESIGN = {name: one for name, one in PARAMETERS.items() if one.design_key}  #: Parameters that a design file holds.
-AXIS = tuple(name for name, one in IN_DESIGN.items() if one.design_key.startswith("probe."))
-MATERIAL = {name: one for name, one in IN_DESIGN.items() if one.design_key.startswith("material.")}
+#: Parameters that a design file holds.
+IN_DESIGN = {name: parameter for name, parameter in PARAMETERS.items() if parameter.design_key}
+AXIS = tuple(name for name, parameter in IN_DESIGN.items() if parameter.design_key.startswith("probe."))
+MATERIAL = {name: parameter for name, parameter in IN_DESIGN.items() if parameter.design_key.startswith("material.")}
 #: Keys that an identification of E replaces as well, where E was not identified before.
 REPLACED_WITH_E = ("material.stiffness_spread", "tolerances.youngs_modulus_by_diameter", "tolerances.root_radii")
 
@@ -38,21 +39,22 @@ def design_changes(found: Identification, design: Design, day: str) -> tuple[Cha
     if not found.valid:
         why = found.why or "the search did not converge"
         raise InputError(f"{found.data}: {found.result}: {why}; nothing is written")
-    numbers = [one for one in found.found if one.estimated and one.name in IN_DESIGN and one.name not in AXIS]
+    of_rod = IN_DESIGN.keys() - set(AXIS)
+    numbers = [number for number in found.found if number.estimated and number.name in of_rod]
     axis = _axis_changes(found, design, day)
-    if not axis and not any(one.identified for one in numbers):
+    if not axis and not any(number.identified for number in numbers):
         raise InputError(f"{found.data}: no number of a design is identified; use --for {', '.join(IN_DESIGN)}")
-    changes = [*axis, *(_value(one, found, day) for one in numbers)]
-    for one in numbers:
-        if one.name in MATERIAL:
-            provenance = '"identified"' if one.identified else '"assumed"'
-            changes.append(Change("material.provenance", _split_key(one.name)[1], provenance))
-    for one in numbers:
-        if PARAMETERS[one.name].attribute:
-            spread = one.relative_std if one.name in MATERIAL else one.std
-            note = f"identified {day}, all errors of the bench included" if one.identified else one.why
-            changes.append(Change("tolerances", PARAMETERS[one.name].attribute, f"{spread:.2g}", note))
-    keys = [_split_key(one.name)[1] for one in numbers if one.name in MATERIAL and one.identified]
+    changes = [*axis, *(_value(number, found, day) for number in numbers)]
+    for number in numbers:
+        if number.name in MATERIAL:
+            provenance = '"identified"' if number.identified else '"assumed"'
+            changes.append(Change("material.provenance", _split_key(number.name)[1], provenance))
+    for number in numbers:
+        if PARAMETERS[number.name].attribute:
+            spread = number.relative_std if number.name in MATERIAL else number.std
+            note = f"identified {day}, all errors of the bench included" if number.identified else number.why
+            changes.append(Change("tolerances", PARAMETERS[number.name].attribute, f"{spread:.2g}", note))
+    keys = [_split_key(number.name)[1] for number in numbers if number.name in MATERIAL and number.identified]
     if found.served and keys:
         sources = design.material.provenance.model_dump()
         stay = any(sources[key] == "identified" for key in sources if key not in keys)
@@ -76,16 +78,16 @@ def _axis_changes(found: Identification, design: Design, day: str) -> tuple[Chan
     Raises:
         InputError: they were fitted with an E that is exactly the design's, and that nobody identified.
     """
-    of = {one.name: one for one in found.found if one.identified and one.name in AXIS}
+    of = {number.name: number for number in found.found if number.identified and number.name in AXIS}
     if of and found.of("E") is None and design.material.provenance.youngs_modulus_mpa != "identified":
         raise InputError(f"{found.data}: {', '.join(of)}: fitted with exactly the E of the design, which is "
                          f"not identified; use --for E,{','.join(of)}")  # fmt: skip
     if not {"bow_x", "bow_y"} <= of.keys():
-        of = {name: one for name, one in of.items() if name == "curvature"}
+        of = {name: number for name, number in of.items() if name == "curvature"}
     factor, bow, std_mm = of.get("curvature"), None, 0.0
     if "bow_x" in of:
         i = [found.correlated.index(name) for name in of]
-        std = np.array([one.std for one in of.values()])
+        std = np.array([number.std for number in of.values()])
         std_mm = deviation_std_mm(design.probe.designed_axis, found.correlation[np.ix_(i, i)] * np.outer(std, std))
         bow = (of["bow_x"].value, of["bow_y"].value)
     scale = None if factor is None or factor.std is None else (factor.value, factor.std)
@@ -97,12 +99,12 @@ def _split_key(name: str) -> tuple[str, str]:
     return table, key
 
 
-def _value(one: Identified, found: Identification, day: str) -> Change:
-    caveat = f"; {one.caveat}" if one.caveat else ""
+def _value(number: Identified, found: Identification, day: str) -> Change:
+    caveat = f"; {number.caveat}" if number.caveat else ""
     tests = f"{found.tests} test{'s' * (found.tests != 1)}"
-    start = f"identified {day}, {tests}" if one.identified else one.why
-    note = f"{start}: {one.low:.4g} ... {one.high:.4g} in 95 %, with these diameters{caveat}"
-    return Change(*_split_key(one.name), f"{one.value:.4g}", note)
+    start = f"identified {day}, {tests}" if number.identified else number.why
+    note = f"{start}: {number.low:.4g} ... {number.high:.4g} in 95 %, with these diameters{caveat}"
+    return Change(*_split_key(number.name), f"{number.value:.4g}", note)
 
 
 def write_changes(
@@ -171,8 +173,9 @@ def _replaceable(change: Change, design: Design) -> bool:
         return design.mount.root_rigid_radii == computed and (
             design.material.provenance.youngs_modulus_mpa != "identified"
         )
-    for name, one in MATERIAL.items():
-        if key in (one.design_key, f"tolerances.{one.attribute}", *(REPLACED_WITH_E if name == "E" else ())):
+    for name, parameter in MATERIAL.items():
+        keys = (parameter.design_key, f"tolerances.{parameter.attribute}", *(REPLACED_WITH_E if name == "E" else ()))
+        if key in keys:
             provenance: str = getattr(design.material.provenance, _split_key(name)[1])
             return provenance != "identified"
     return False
@@ -185,13 +188,14 @@ def design_diff(design: Design, fingerprint: str, file: Path) -> str:
         if data["result"] not in ("ok", "accepted") or data["fingerprint"] != fingerprint:
             return ""
         differences = []
-        for one in data["found"]:
-            if one["result"] == "identified" and one["name"] in MATERIAL:
-                quantity = getattr(design, MATERIAL[one["name"]].attribute)
-                unit = MPA if one["unit"] == "MPa" else 1.0
-                identified, present = f"{one['value']:.4g}", f"{quantity.value / unit:.4g}"  # as in a design file
+        for number in data["found"]:
+            if number["result"] == "identified" and number["name"] in MATERIAL:
+                quantity = getattr(design, MATERIAL[number["name"]].attribute)
+                unit = number["unit"]
+                identified = f"{number['value']:.4g}"
+                present = f"{quantity.value / (MPA if unit == 'MPa' else 1.0):.4g}"  # as in a design file
                 if identified != present:
-                    differences.append(f"{one['name']} {identified} {one['unit']}, where the design has {present}")
+                    differences.append(f"{number['name']} {identified} {unit}, where the design has {present}")
         return f"by {data['tests']} tests of {data['data']}, {', '.join(differences)}" if differences else ""
     except (OSError, ValueError, KeyError, TypeError):  # no identification was made, or another program's file
         return ""

@@ -238,7 +238,7 @@ def inconsistency(fit: Fit) -> Contradiction | None:
     if bad:
         words = (f"{_count(blocks, far, test=bad[0])}; check the known force and s_contact_mm, the marker numbers, the "
                  "wrench and the base pose, or leave it out")  # fmt: skip
-        readings = frozenset(one.key for one in blocks if one.test in bad and one.kind in READING_KINDS)
+        readings = frozenset(block.key for block in blocks if block.test in bad and block.kind in READING_KINDS)
         return Contradiction(f"readings of {_listed(bad)}", words, readings)
     every = _count(blocks, far)
     if every.too_many:
@@ -247,18 +247,20 @@ def inconsistency(fit: Fit) -> Contradiction | None:
     if exchanged := _exchanged_markers(blocks, tests):
         (i, j), saved = exchanged
         words = f"χ² is smaller by {saved:.3g} with both exchanged; check the numbering of the markers"
-        return Contradiction(f"markers {i} and {j}", words, frozenset(one.key for one in blocks if one.item in (i, j)))
-    for one in fit.noise:
-        if one.measured and one.kind in CHECKS and (share := _unexplained(blocks, tests, one.kind)) > MAX_UNEXPLAINED:
+        return Contradiction(
+            f"markers {i} and {j}", words, frozenset(block.key for block in blocks if block.item in (i, j))
+        )
+    for kind, noise in ((noise.kind, noise) for noise in fit.noise):
+        if noise.measured and kind in CHECKS and (share := _unexplained(blocks, tests, kind)) > MAX_UNEXPLAINED:
             words = (f"{share:.0%} of their RMS scatter is not explained by the probe as designed; check "
-                     f"{CHECKS[one.kind]}")  # fmt: skip
-            return Contradiction(LABELS[one.kind], words)
-        if one.kind == "markers" and one.scale > MAX_NOISE_SCALE:
+                     f"{CHECKS[kind]}")  # fmt: skip
+            return Contradiction(LABELS[kind], words)
+        if kind == "markers" and noise.scale > MAX_NOISE_SCALE:
             markers = [block for block in blocks if block.kind == "markers"]
             products = sum(float(a.r @ b.r) for a, b in pairwise(markers) if a.test == b.test)
             correlation = products / sum(block.squared_distance for block in markers)
             if correlation > MAX_NEIGHBOUR_CORRELATION:
-                words = (f"they scatter {one.scale:.2g} times as much as stated, and neighbours alike (correlation "
+                words = (f"they scatter {noise.scale:.2g} times as much as stated, and neighbours alike (correlation "
                          f"{correlation:.2f}), so the probe as designed does not explain them; check "
                          f"{CHECKS['markers']}")  # fmt: skip
                 return Contradiction("markers", words)
@@ -271,18 +273,18 @@ def _exchanged_markers(
     """Return which neighbouring markers are exchanged in the whole campaign, and the χ² that their exchange saves; each
     single reading may be within its noise."""
     of = {test.name: test for test in tests}
-    found = {(one.test, one.item): one for one in blocks if one.kind == "markers"}
+    seen = {(block.test, block.item): block for block in blocks if block.kind == "markers"}
     saved: dict[tuple[int, int], float] = {}
-    for (name, i), one in found.items():
+    for (name, i), block in seen.items():
         test = of[name]
         at = test.marker_numbers.index(i)
         j = test.marker_numbers[at + 1] if at + 1 < len(test.marker_numbers) else 0
-        if (other := found.get((name, j))) is None:
+        if (other := seen.get((name, j))) is None:
             continue
         step = test.p_markers_world[at + 1] - test.p_markers_world[at]
-        now = one.squared_distance + other.squared_distance
+        now = block.squared_distance + other.squared_distance
         then = sum(float(r @ np.linalg.solve(cov, r)) for r, cov in
-                   ((one.residual + step, test.cov_markers[at]), (other.residual - step, test.cov_markers[at + 1]))
+                   ((block.residual + step, test.cov_markers[at]), (other.residual - step, test.cov_markers[at + 1]))
                    )  # fmt: skip
         saved[i, j] = saved.get((i, j), 0.0) + now - then
     best = max(saved.items(), key=lambda pair: pair[1], default=None)
@@ -305,7 +307,9 @@ def _unexplained(blocks: Sequence[ResidualBlock], tests: Sequence[MeasuredTest],
             values, residuals = (np.array(part) for part in zip(*pairs, strict=True))
             sums = np.sum((values - values.mean(axis=0)) ** 2), np.sum(residuals**2)
             squares[i] = squares.get(i, np.zeros(2)) + sums
-    return max((float(np.sqrt(off / scatter)) for scatter, off in squares.values() if scatter > 0.0), default=0.0)
+    return max(
+        (float(np.sqrt(residual / scatter)) for scatter, residual in squares.values() if scatter > 0.0), default=0.0
+    )
 
 
 def _value(test: MeasuredTest | None, block: ResidualBlock) -> Array | None:
@@ -370,9 +374,9 @@ def _full_weight_residuals(
     active = np.flatnonzero(problem.active)
     std = problem.prior[active]
     groups: dict[tuple[str, str], list[int]] = {}
-    for one in PARAMETERS.values():
-        if one.prior_name:
-            groups.setdefault((one.prior_name, one.prior_source), []).extend(columns_of([one.name]))
+    for parameter in PARAMETERS.values():
+        if parameter.prior_name:
+            groups.setdefault((parameter.prior_name, parameter.prior_source), []).extend(columns_of([parameter.name]))
     groups[DIMENSIONS, "what was printed: measure it, or increase the tolerances"] = list(
         range(problem.common.print_columns.start, problem.common.print_columns.stop)
     )
@@ -406,11 +410,11 @@ def reconciled(fitted: Fit, names: Sequence[str]) -> tuple[Fit, tuple[str, ...]]
     """
     now, warnings = fitted, list[str]()
     before = {column: conditional_estimate(fitted, column)[:2] for column in columns_of(names)}
-    while found := contradictions(now):
-        final = any(one.label == DIMENSIONS or not (one.readings or one.columns) for one in found)
+    while rejected := contradictions(now):
+        final = any(each.label == DIMENSIONS or not (each.readings or each.columns) for each in rejected)
         if final or len(warnings) == MAX_CONTRADICTIONS:
             return None
-        farthest, without = 0.0, [fit(now.point.without(one.readings, one.columns)) for one in found]
+        farthest, without = 0.0, [fit(now.point.without(each.readings, each.columns)) for each in rejected]
         for (column, (value, std)), other in product(before.items(), without):
             after, grown, _ = conditional_estimate(other, column)
             far = abs(after - value) / std
@@ -418,7 +422,7 @@ def reconciled(fitted: Fit, names: Sequence[str]) -> tuple[Fit, tuple[str, ...]]
                 return None
             farthest = max(farthest, far)
         now = without[0]
-        warnings.append(f"warning: {found[0]}; left out, which moves {', '.join(names)} by up to {farthest:.2g} "
+        warnings.append(f"warning: {rejected[0]}; left out, which moves {', '.join(names)} by up to {farthest:.2g} "
                         "standard deviations")  # fmt: skip
     return (now, tuple(warnings)) if now.result == "ok" else None
 

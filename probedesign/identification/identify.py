@@ -205,7 +205,7 @@ def drift_sizes(common: CommonParameters, tests: Sequence[MeasuredTest]) -> tupl
     It is then multiplied by Student's quantile over the normal one, because so few contrasts determine it.
     """
     read = [test for test in tests if test.free and test.wrench_base is not None]
-    found = np.ones(6)
+    sizes = np.ones(6)
     if common.tolerances.walk_steps > 0.0 and len(read) > 1:
         t = np.cumsum((0.0, *common.walk_seconds))[[test.epoch for test in read]]
         poses = np.unique(np.round([test.gravity_base for test in read], 1), axis=0, return_inverse=True)[1].ravel()
@@ -223,8 +223,8 @@ def drift_sizes(common: CommonParameters, tests: Sequence[MeasuredTest]) -> tupl
             loss = np.sum(np.log(total) + (U.T @ bias[:, channel]) ** 2 / total, axis=1)
             loss += np.log(squares[:, 0]) + 1.0 / squares[:, 0]
             best = math.sqrt(squares[int(np.argmin(loss)), 0])
-            found[channel] = best * student if best > 1.0 else 1.0
-    return tuple(found.tolist())
+            sizes[channel] = best * student if best > 1.0 else 1.0
+    return tuple(sizes.tolist())
 
 
 def _unusable(test: MeasuredTest) -> str:
@@ -278,7 +278,7 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
     )  # corrected in one place of the files
     if why and not mistaken and (agreeing := reconciled(fitted, identified)) is not None:
         (fitted, warnings), why = agreeing, ""
-    if not causes and any(one.kind == "stiffness" and one.measured for one in fitted.noise):
+    if not causes and any(noise.kind == "stiffness" and noise.measured for noise in fitted.noise):
         causes = tuple(print_defects(fitted.point))
         warnings += tuple(f"warning: likely cause of stiffnesses that scatter: {cause}" for cause in causes)
     outlying = outliers(fitted.point.blocks, fitted.scales)
@@ -287,8 +287,8 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
     used = widened(fitted, causes[0].moves if causes else {}) if why and accept else fitted
     if used is not fitted:
         lost = result.beyond_limits(used, identified)
-        identified = tuple(name for name in identified if name not in [one.name for one in lost])
-        unobservable += [one for one in lost if "E" not in identified or one.name not in IMPLIED]
+        identified = tuple(name for name in identified if name not in [other.name for other in lost])
+        unobservable += [other for other in lost if "E" not in identified or other.name not in IMPLIED]
     numbers, correlation, correlated = result.identified_numbers(used, identified, unobservable, names, quantile)
     numbers = result.with_caveats(numbers)
     whole = Identification(
@@ -297,7 +297,8 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
         fitted.noise, quantile,
         tuple(Outlier(*block.key, distance, len(block.r)) for block, distance in outlying),
         result.error_budget(used, identified),
-        (*warnings, *data.notes, *(() if why else exchange_hint(*at_first)), *(one.description for one in unobservable),
+        (*warnings, *data.notes, *(() if why else exchange_hint(*at_first)),
+         *(other.description for other in unobservable),
          *outlier_notes(blocks, outlying),
          *_remarks(fitted)),
         result.residuals_of(fitted), time.perf_counter() - begun, likely_causes=causes,
@@ -311,7 +312,7 @@ def identify(data: IdentificationData, names: Sequence[str] = DEFAULT, accept: b
     if not accept:
         return whole.as_inconsistent(reason)
     if not identified:
-        return whole.as_inconsistent("; ".join([reason, *(one.description for one in unobservable)]))
+        return whole.as_inconsistent("; ".join([reason, *(other.description for other in unobservable)]))
     widening = result.widening(used, identified)
     note = (f"accepted although inconsistent: {reason}; standard deviations are up to {widening:.3g} times as large, "
             "by the residuals and by what the likely causes would change")  # fmt: skip
@@ -344,9 +345,8 @@ def _search(
                 return fitted, requested, unobservable
         unobservable.append(lost)
         requested = tuple(name for name in requested if name != lost.name)
-    raise InputError(
-        f"{data.where}: too few tests, or too weak ones: {'; '.join(one.description for one in unobservable)}"
-    )
+    reasons = "; ".join(direction.description for direction in unobservable)
+    raise InputError(f"{data.where}: too few tests, or too weak ones: {reasons}")
 
 
 def _solvable(data: IdentificationData, names: Sequence[str]) -> tuple[IdentificationData, Linearization]:
@@ -373,19 +373,19 @@ def _solvable(data: IdentificationData, names: Sequence[str]) -> tuple[Identific
                 f"{buckles}, and the others do not determine {', '.join(names)}; is it the right design, and are "
                 "forces in their column's unit?"
             )
-    notes = tuple(f"{one.name}: not used: the probe buckles under its load" for one in lost)
+    notes = tuple(f"{test.name}: not used: the probe buckles under its load" for test in lost)
     return replace(data, tests=tuple(kept), notes=(*data.notes, *notes)), start
 
 
 def _check_counts(data: IdentificationData, names: Sequence[str]) -> None:
     """Refuse fewer measured values than unknowns."""
     values = sum(
-        6 * (one.wrench_base is not None) + 3 * len(one.marker_s) + 3 * (one.p_touch_world is not None)
-        + bool(one.sag == one.sag) + (one.s_estimated and one.s_contact == one.s_contact) + 2 * one.touched
-        + sum(name in one.nuisance for name in ("weight", "stiffness")) + 6 * ("pose" in one.nuisance)
-        for one in data.tests
+        6 * (test.wrench_base is not None) + 3 * len(test.marker_s) + 3 * (test.p_touch_world is not None)
+        + bool(test.sag == test.sag) + (test.s_estimated and test.s_contact == test.s_contact) + 2 * test.touched
+        + sum(name in test.nuisance for name in ("weight", "stiffness")) + 6 * ("pose" in test.nuisance)
+        for test in data.tests
     ) + (data.mass is not None)  # fmt: skip
-    unknowns = len(columns_of(names)) + sum(one.nuisance_size for one in data.tests)
+    unknowns = len(columns_of(names)) + sum(test.nuisance_size for test in data.tests)
     if values < unknowns:
         raise InputError(
             f"{data.where}: too few tests for {', '.join(names)}: {values} values are measured for {unknowns} unknowns"
@@ -406,7 +406,7 @@ def _remarks(fitted: Fit) -> list[str]:
                          f"walk of {size * common.tolerances.walk_steps:.2g} steps of the resolution in "
                          f"{WALK_SECONDS:g} s, a rate of {rate:.2g} steps an hour; intervals include it")  # fmt: skip
     return notes + [
-        f"{LABELS[one.kind]} scatter {one.scale:.2g} times as much as stated; the intervals include it"
-        for one in fitted.noise
-        if one.measured
+        f"{LABELS[noise.kind]} scatter {noise.scale:.2g} times as much as stated; the intervals include it"
+        for noise in fitted.noise
+        if noise.measured
     ]

@@ -188,18 +188,24 @@ def fit_diameters(
     A = np.ones((len(calipers.s), 1)) if is_cylinder else linear
     x, c = (drawn[:1], common[:1]) if is_cylinder else (drawn, common)
     prior = np.outer(c, c) + PRINT_SCALE_STD**2 * np.outer(x, x) + (0.0 if is_cylinder else scatter**2) * np.eye(len(x))
-    own = calipers.std**2 + (scatter**2 if is_cylinder else 0.0)
+    variance = calipers.std**2 + (scatter**2 if is_cylinder else 0.0)
     deviation = calipers.diameter - A @ x
-    stated = A @ prior @ A.T + np.diag(own) + calipers_std_mm**2  # not widened: another probe scatters, too
+    stated = A @ prior @ A.T + np.diag(variance) + calipers_std_mm**2  # not widened: another probe scatters, too
     kept, dropped = _outliers(stated, deviation, [
         f"{where}: {read:g} mm at s = {at:g} mm"
         for where, read, at in zip(calipers.places, calipers.diameter, calipers.s, strict=True)
     ])  # fmt: skip
-    A, own, deviation, s_read, read = A[kept], own[kept], deviation[kept], calipers.s[kept], calipers.diameter[kept]
-    W, y = A / np.sqrt(own)[:, None], deviation / np.sqrt(own)
+    A, variance, deviation, s_read, read = (
+        A[kept],
+        variance[kept],
+        deviation[kept],
+        calipers.s[kept],
+        calipers.diameter[kept],
+    )
+    W, y = A / np.sqrt(variance)[:, None], deviation / np.sqrt(variance)
     knots, _, rank, _ = np.linalg.lstsq(W, y, rcond=None)
     scale = max(1.0, float(np.linalg.norm(W @ knots - y)) / math.sqrt(max(len(y) - int(rank), 1)))
-    noise = np.diag(scale**2 * own) + calipers_std_mm**2
+    noise = np.diag(scale**2 * variance) + calipers_std_mm**2
     allowed = MAX_DEVIATIONS * np.sqrt(np.diag(stated))[kept]
     worst = int(np.argmax(np.abs(deviation) / allowed))
     if abs(deviation[worst]) > allowed[worst]:
@@ -604,8 +610,8 @@ def _solve(geometry: ProbeGeometry, outline: OutlinePoints, prior: Array) -> tup
     def jacobian(x: Array) -> Array:
         return np.stack([(residuals(x + d) - residuals(x - d)) / 2e-3 for d in 1e-3 * np.eye(len(x))], axis=1)
 
-    found = least_squares(residuals, np.zeros(len(prior)), jacobian, x_scale=np.minimum(prior, 1.0))
-    return found.x, np.asarray(found.jac), found.fun
+    minimum = least_squares(residuals, np.zeros(len(prior)), jacobian, x_scale=np.minimum(prior, 1.0))
+    return minimum.x, np.asarray(minimum.jac), minimum.fun
 
 
 def _distances(geometry: ProbeGeometry, x: Array, outline: OutlinePoints) -> Array:

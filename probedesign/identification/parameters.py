@@ -172,8 +172,8 @@ _MOUNTING = ("mounting of the probe on the sensor",
 #: %; G has a tenth, since a full round probe shows it by a shear of a tenth of a millimetre alone, which any other
 #: small error of the model makes as well; the others are assumed.
 PARAMETERS: dict[str, Parameter] = {
-    one.name: one
-    for one in (
+    parameter.name: parameter
+    for parameter in (
         _material("E", "Young's modulus", "youngs_modulus", "MPa", MPA, 0.3, design_key="material.youngs_modulus_mpa"),
         _material("density", "density", "density", "kg/m³", 1.0, 0.1, design_key="material.density_kg_m3",
                   prior_name="design density",
@@ -237,10 +237,10 @@ PARAMETERS: dict[str, Parameter] = {
     )
 }  # fmt: skip
 
-REQUESTABLE = tuple(name for name, one in PARAMETERS.items() if one.max_std is not None)
-COMPONENTS = tuple(label for one in PARAMETERS.values() for label in one.labels)
+REQUESTABLE = tuple(name for name, parameter in PARAMETERS.items() if parameter.max_std is not None)
+COMPONENTS = tuple(label for parameter in PARAMETERS.values() for label in parameter.labels)
 #: Parameter that each entry of the vector belongs to.
-OWNER = tuple(one for one in PARAMETERS.values() for _ in one.labels)
+OWNER = tuple(parameter for parameter in PARAMETERS.values() for _ in parameter.labels)
 #: First entry of the print's dimension modes and, after them, of the steps of the bias; all have unit normal priors.
 PRINT = len(COMPONENTS)
 
@@ -363,18 +363,20 @@ class CommonParameters:
     def prior(self) -> Array:
         """Standard deviations of the vector about zero, (size,); zero for what is fixed at the design value."""
         std = np.ones(self.size)
-        for one in PARAMETERS.values():
-            std[one.columns] = one.prior(self)
+        for parameter in PARAMETERS.values():
+            std[parameter.columns] = parameter.prior(self)
         return std
 
     @cached_property
     def bounds(self) -> Array:
         """Smallest and largest values of the vector, (2, size)."""
         bounds = np.full((2, self.size), np.inf) * [[-1.0], [1.0]]
-        for one in PARAMETERS.values():
-            design = one.design_value(self.model)
-            ends = [(end - design) / one.scale for end in one.bounds]
-            bounds[:, one.columns] = np.array([(-MAX_LOGARITHM, MAX_LOGARITHM) if one.logarithm else ends]).T
+        for parameter in PARAMETERS.values():
+            design = parameter.design_value(self.model)
+            ends = [(end - design) / parameter.scale for end in parameter.bounds]
+            bounds[:, parameter.columns] = np.array(
+                [(-MAX_LOGARITHM, MAX_LOGARITHM) if parameter.logarithm else ends]
+            ).T
         return bounds
 
     def prior_without(self, requested: Sequence[str]) -> Array:
@@ -400,9 +402,9 @@ class ParameterValues:
     def rod(self) -> Rod:
         """The rod with these values."""
         rod = self.common.model.rod
-        for one in PARAMETERS.values():
-            if one.apply is not None:
-                rod = one.apply(self.common.model, rod, float(self.x[one.columns][0]))
+        for parameter in PARAMETERS.values():
+            if parameter.apply is not None:
+                rod = parameter.apply(self.common.model, rod, float(self.x[parameter.columns][0]))
         return scaled_diameters(rod, np.exp(self.x[self.common.print_columns] @ self.common.print_modes))
 
     def with_pose_error(self, error: Array) -> "ParameterValues":

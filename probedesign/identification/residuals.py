@@ -98,7 +98,7 @@ class MeasuredTest:
     @cached_property
     def nuisance_size(self) -> int:
         """Number of nuisance parameters of this test."""
-        return max((one.stop for one in self.nuisance.values()), default=0)
+        return max((columns.stop for columns in self.nuisance.values()), default=0)
 
     @property
     def gravity_base(self) -> Array:

@@ -189,12 +189,12 @@ class Identification(Tabular):
 
     def as_inconsistent(self, why: str) -> "Identification":
         """Return the result without numbers, intervals or error budget, for the reason given."""
-        found = tuple(
-            Identified(one.name, one.words, one.unit, "withheld", one.design, one.design,
+        numbers = tuple(
+            Identified(number.name, number.words, number.unit, "withheld", number.design, number.design,
                        why="the tests contradict the design, or each other")
-            for one in self.found
+            for number in self.found
         )  # fmt: skip
-        return replace(self, result="inconsistent", found=found, correlation=self.correlation[:0, :0],
+        return replace(self, result="inconsistent", found=numbers, correlation=self.correlation[:0, :0],
                        correlated=(), shifts=(), why=why)  # fmt: skip
 
     @property
@@ -205,7 +205,7 @@ class Identification(Tabular):
     @property
     def caveats(self) -> tuple[str, ...]:
         """Caveats of the numbers, one line each."""
-        return tuple(f"{one.name}: {one.caveat}" for one in self.found if one.caveat)
+        return tuple(f"{number.name}: {number.caveat}" for number in self.found if number.caveat)
 
     @property
     def causes(self) -> dict[str, tuple[ErrorContribution, ...]]:
@@ -215,21 +215,21 @@ class Identification(Tabular):
 
     def of(self, name: str) -> Identified | None:
         """Return the number of that name, if it was requested and identified."""
-        return next((one for one in self.found if one.name == name and one.identified), None)
+        return next((number for number in self.found if number.name == name and number.identified), None)
 
     def csv(self) -> bytes:
         """Return every residual as a row of CSV."""
-        off = [f"off_{i}" for i in range(1, 7)]
+        names = [f"off_{i}" for i in range(1, 7)]
         rows = [{"test": residual.test, "kind": residual.kind, "item": residual.item or "", "s_mm": residual.s_mm,
-                 **dict(zip(off, residual.off, strict=False)), "unit": UNITS[residual.kind],
+                 **dict(zip(names, residual.off, strict=False)), "unit": UNITS[residual.kind],
                  "deviations": f"{residual.deviations:.4g}", "weight": f"{residual.weight:.4g}"}
                 for residual in self.residuals]  # fmt: skip
-        return csv_tables.write(["test", "kind", "item", "s_mm", *off, "unit", "deviations", "weight"], rows, ".6g")
+        return csv_tables.write(["test", "kind", "item", "s_mm", *names, "unit", "deviations", "weight"], rows, ".6g")
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
         document = asdict(self)
-        document["found"] = [{JSON_NAMES.get(key, key): one[key] for key in one} for one in document["found"]]
+        document["found"] = [{JSON_NAMES.get(key, key): number[key] for key in number} for number in document["found"]]
         document["correlation"] = self.correlation.tolist()
         document["residuals"] = [{**row, "unit": UNITS[row["kind"]]} for row in document["residuals"]]
         return document
@@ -238,7 +238,7 @@ class Identification(Tabular):
 def student_quantile(fit: Fit) -> float:
     """Return the quantile of 95 % intervals, in standard deviations: Student's with the fewest degrees of freedom that
     a noise scale was estimated with, else normal."""
-    freedom = [one.freedom for one in fit.noise if one.measured]
+    freedom = [noise.freedom for noise in fit.noise if noise.measured]
     share = 0.5 * (1.0 + CONFIDENCE)
     return float(t.ppf(share, min(freedom)) if freedom else norm.ppf(share))
 
@@ -255,22 +255,22 @@ def identified_numbers(
     `quantile` is that of the intervals, in standard deviations.
     """
     model, columns = fit.point.problem.common.model, columns_of(identified)
-    why = {one.name: one.description for one in unobservable}
+    why = {number.name: number.description for number in unobservable}
     implied = [name for name in IMPLIED if "E" in identified and name not in requested]
-    found = []
+    numbers = []
     for column in columns_of([*requested, *implied]):
         owner, name = OWNER[column], COMPONENTS[column]
         if owner.name in why and not (owner.name in IMPLIED and "E" in identified):  # G and the root go with E
             design = owner.design_value(model)
-            found.append(Identified(name, owner.labels[name], owner.unit, "not_observable", design, design,
+            numbers.append(Identified(name, owner.labels[name], owner.unit, "not_observable", design, design,
                                     why=why[owner.name]))  # fmt: skip
         elif fit.point.problem.active[column]:
-            one = _identified(fit, column, quantile)
+            number = _identified(fit, column, quantile)
             reason = _prior_of(fit, owner.name, owner.name in identified) or why.get(owner.name, "")
-            found.append(replace(one, result="inferred", why=reason) if reason else one)
+            numbers.append(replace(number, result="inferred", why=reason) if reason else number)
     cov = cov_conditional(fit, columns)
     std = np.sqrt(np.diag(cov))
-    return tuple(found), cov / np.outer(std, std), tuple(COMPONENTS[column] for column in columns)
+    return tuple(numbers), cov / np.outer(std, std), tuple(COMPONENTS[column] for column in columns)
 
 
 def _prior_of(fit: Fit, name: str, requested: bool) -> str:
@@ -317,7 +317,7 @@ def _identified(fit: Fit, column: int, quantile: float) -> Identified:
 def residuals_of(fit: Fit) -> tuple[Residual, ...]:
     """Return every reading against the fit."""
     tests = {test.measured.name: test for test in fit.point.tests}
-    found, weights = [], {block.key: weight for block, weight in zip(fit.point.blocks, fit.weight, strict=True)}
+    rows, weights = [], {block.key: weight for block, weight in zip(fit.point.blocks, fit.weight, strict=True)}
     for block in fit.point.every_block():
         weight = weights.get(block.key, 0.0)
         scale = fit.scales.get(block.kind, 1.0) if block.kind in ROBUST_KINDS else 1.0
@@ -328,10 +328,10 @@ def residuals_of(fit: Fit) -> tuple[Residual, ...]:
         elif block.kind in ("touches", "wrenches") and not tests[block.test].measured.free:
             s = tests[block.test].eq.s_contact / MM
         unit = {"scales": 1e3, **dict.fromkeys(("markers", "touches", "places", "sags"), 1.0 / MM)}.get(block.kind, 1.0)
-        off = tuple(float(v) * unit for v in block.residual)
+        residual = tuple(float(v) * unit for v in block.residual)
         distance = float(np.sqrt(block.squared_distance / len(block.r))) / scale
-        found.append(Residual(block.test, block.kind, block.item, s, off, distance, float(weight) * scale**2))
-    return tuple(found)
+        rows.append(Residual(block.test, block.kind, block.item, s, residual, distance, float(weight) * scale**2))
+    return tuple(rows)
 
 
 def farthest_tests(residuals: Sequence[Residual]) -> str:
@@ -392,25 +392,25 @@ def widening(fit: Fit, names: Sequence[str]) -> float:
 def beyond_limits(fit: Fit, names: Sequence[str]) -> tuple[UnobservableDirection, ...]:
     """Return the parameters whose standard deviation exceeds its limit of use, as after the acceptance of a
     contradiction."""
-    found = []
+    lost = []
     for name in names:
         limit, at = PARAMETERS[name].max_std, [_at(fit, column) for column in columns_of([name])]
         std = float(np.sqrt(np.diag(fit.cov)[at]).max())
         if limit is not None and std > limit:
             text = (f"{name}: the contradiction leaves a standard deviation of {PARAMETERS[name].format_std(std)} "
                     f"(limit {PARAMETERS[name].format_std(limit)})")  # fmt: skip
-            found.append(UnobservableDirection(name, text))
-    return tuple(found)
+            lost.append(UnobservableDirection(name, text))
+    return tuple(lost)
 
 
 def with_caveats(numbers: Sequence[Identified]) -> tuple[Identified, ...]:
     """Return the numbers, with caveats where one is near the limit of observability."""
     result = []
-    for one in numbers:
-        parameter = PARAMETERS.get(one.name)
+    for number in numbers:
+        parameter = PARAMETERS.get(number.name)
         limit = parameter.max_std if parameter is not None and parameter.logarithm else None
-        if one.identified and limit is not None and one.relative_std >= WEAK * limit:
-            caveat = f"weakly identifiable: standard deviation {one.relative_std:.0%} (limit {limit:.0%})"
-            one = replace(one, caveat=f"{caveat}; consider fixing it at the design value")
-        result.append(one)
+        if number.identified and limit is not None and number.relative_std >= WEAK * limit:
+            caveat = f"weakly identifiable: standard deviation {number.relative_std:.0%} (limit {limit:.0%})"
+            number = replace(number, caveat=f"{caveat}; consider fixing it at the design value")
+        result.append(number)
     return tuple(result)

@@ -353,9 +353,9 @@ def linearize(
     rod, common = values.rod, problem.common
     stepped = [
         name
-        for name, one in PARAMETERS.items()
-        if one.step and one.apply is not None and (every or problem.active[one.columns][0])
-        and one.apply(common.model, rod, one.step) is not rod
+        for name, parameter in PARAMETERS.items()
+        if parameter.step and parameter.apply is not None and (every or problem.active[parameter.columns][0])
+        and parameter.apply(common.model, rod, parameter.step) is not rod
     ]  # fmt: skip
     solved: list[SolvedTest] = []
     for i, (test, of_test) in enumerate(zip(problem.tests, nuisance, strict=True)):
@@ -428,7 +428,7 @@ def fit(start: Linearization) -> Fit:
     result = Fit("ok" if converged else "not_converged", point, {})
     for _ in range(MAX_SCALE_ROUNDS):
         noise = noise_scales(point.blocks, result.weight, result.leverage, result.scales)
-        scales = {one.kind: one.scale for one in noise}
+        scales = {estimated.kind: estimated.scale for estimated in noise}
         settled = all(abs(scales[kind] / result.scales.get(kind, np.inf) - 1.0) < SETTLED for kind in scales)
         if converged:  # of contradictory tests more steps change no more than the noise
             point, converged = minimise(point, scales)

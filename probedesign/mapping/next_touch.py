@@ -66,7 +66,7 @@ class Press(NamedTuple):
     cov: Array  #: covariance of the located point [m²], (3, 3).
 
 
-class Candidate(NamedTuple):
+class PlaceToTouch(NamedTuple):
     """A place to touch."""
 
     x: Array  #: the place in the world [m], (3,).
@@ -166,7 +166,7 @@ def presses_of(estimator: Estimator, gravity_base: Array, force: float) -> list[
     return presses
 
 
-def of_shape(shape: Shape) -> Iterator[Candidate]:
+def of_shape(shape: Shape) -> Iterator[PlaceToTouch]:
     """Yield the places on a shape and beyond its touched part."""
     free = list(KINDS[shape.kind].free)
     if shape.kind in ("plane", "edge"):
@@ -181,10 +181,10 @@ def of_shape(shape: Shape) -> Iterator[Candidate]:
     J, N = by_parameters(shape, x)[:, :, free], shape.distances(x)[1]
     for i, at in enumerate(x):
         if shape.kind in ("plane", "sphere", "cylinder"):
-            yield Candidate(at, N[i, 0], J[i], N[i], shape.kind == "plane")
+            yield PlaceToTouch(at, N[i, 0], J[i], N[i], shape.kind == "plane")
         else:
             for side in _sides(shape):
-                yield Candidate(at, side, J[i], N[i], False)
+                yield PlaceToTouch(at, side, J[i], N[i], False)
 
 
 def _sides(shape: Shape) -> Array:
@@ -196,14 +196,14 @@ def _sides(shape: Shape) -> Array:
     return np.asarray(f[list(divmod(int((f @ f.T).argmin()), len(f)))])
 
 
-def of_object(known: KnownObject, at: ObjectPose) -> Iterator[Candidate]:
+def of_object(known: KnownObject, at: ObjectPose) -> Iterator[PlaceToTouch]:
     """Yield places on a known object, evenly spread."""
     chosen = np.linspace(0, len(known.samples) - 1, N_PLACES).astype(int)
     x = at.to_world(known.samples[chosen])
     normals = known.normals[known.sample_faces[chosen]] @ at.T_world_object[:3, :3].T
     J = by_pose(at, x, normals)
     for i in range(len(x)):
-        yield Candidate(x[i], normals[i], J[i : i + 1], normals[i : i + 1], True)
+        yield PlaceToTouch(x[i], normals[i], J[i : i + 1], normals[i : i + 1], True)
 
 
 def suggest(
@@ -251,7 +251,7 @@ def suggest(
     if goal == "extent":
         before, gains = _extent_std(shape)[0], [_extent_gain(shape, candidate.x) for candidate in candidates]
         name = f"extent of the {name}"
-    best: tuple[float, Candidate, Press, Array] | None = None
+    best: tuple[float, PlaceToTouch, Press, Array] | None = None
     for i in np.argsort(gains)[::-1]:
         if best is not None and gains[i] <= best[0]:
             break  # without any error of the touch it would reduce the variance by less
@@ -271,7 +271,7 @@ def suggest(
     return Suggestion(name, before, after, candidate.x, candidate.normal, press.s, force, Ts, cov, axis)
 
 
-def _left(P: Array, A: Array, candidate: Candidate, Sigma: Array | None = None) -> float:
+def _left(P: Array, A: Array, candidate: PlaceToTouch, Sigma: Array | None = None) -> float:
     """Return the variance of the goal after a touch with the covariance of its point [m²]; exact if None."""
     J, N = candidate.J, candidate.N
     S = J @ P @ J.T + (1e-12 * np.eye(len(J)) if Sigma is None else N @ Sigma @ N.T)
@@ -280,7 +280,11 @@ def _left(P: Array, A: Array, candidate: Candidate, Sigma: Array | None = None) 
 
 
 def reachable(
-    candidate: Candidate, presses: Sequence[Press], R0: Array, Ts: Array, known: tuple[KnownObject, ObjectPose] | None
+    candidate: PlaceToTouch,
+    presses: Sequence[Press],
+    R0: Array,
+    Ts: Array,
+    known: tuple[KnownObject, ObjectPose] | None,
 ) -> Iterator[tuple[Press, Array]]:
     """Yield the presses that touch a place, with the pose of the base at first contact, without collision."""
     low, high = Ts[:, :3, 3].min(axis=0) - REACH, Ts[:, :3, 3].max(axis=0) + REACH

@@ -91,8 +91,8 @@ def contact_error(
     if estimate is None or not estimate.ok:
         return None
     if contact is not None:
-        own = cov_of_reference(campaign, contact) + max(test.std_contact, MIN_REFERENCE_STD) ** 2 * np.eye(3)
-        return ContactError(estimate.p_surface_base - contact, estimate.cov_surface_base + own, own)
+        cov_reference = cov_of_reference(campaign, contact) + max(test.std_contact, MIN_REFERENCE_STD) ** 2 * np.eye(3)
+        return ContactError(estimate.p_surface_base - contact, estimate.cov_surface_base + cov_reference, cov_reference)
     if not math.isnan(test.s_contact):
         reference = np.array([[max(test.std_s, MIN_REFERENCE_STD) ** 2]])
         error = np.array([estimate.s_contact - test.s_contact])
@@ -239,16 +239,17 @@ def tared_reading(campaign: Campaign, test: Test, estimator: Estimator) -> Tared
     A free test in a pose of its own is tared by the free tests of other poses: they share the sensor's bias, and errors
     of the probe's weight remain, each with the difference of the model in both poses.
     """
-    gravity, own = test.gravity_base, test.wrenches_base(estimator.model)
-    free = [one for one in campaign.tests if one.free and len(one.wrenches) and one is not test]
-    tares = [one for one in free
-             if one.gravity_base @ gravity >= SAME_GRAVITY * np.linalg.norm(one.gravity_base) * np.linalg.norm(gravity)
-             ]  # fmt: skip
+    gravity, wrenches = test.gravity_base, test.wrenches_base(estimator.model)
+    free = [other for other in campaign.tests if other.free and len(other.wrenches) and other is not test]
+    down, limit = gravity / np.linalg.norm(gravity), SAME_GRAVITY * np.linalg.norm(gravity)
+    tares = [other for other in free if other.gravity_base @ down >= limit]  # gravity has one size in a campaign
     same_pose = bool(tares) or not test.free
     tares = tares if same_pose else free
-    offsets = [one.mean_wrench_base(estimator.model) - estimator.free(one.gravity_base).wrench_base for one in tares]
-    weights, walked = tare_weights(test.time, np.array([one.time for one in tares]))
-    tared = own - weights @ np.array(offsets) if offsets else own
+    offsets = [
+        other.mean_wrench_base(estimator.model) - estimator.free(other.gravity_base).wrench_base for other in tares
+    ]
+    weights, walked = tare_weights(test.time, np.array([other.time for other in tares]))
+    tared = wrenches - weights @ np.array(offsets) if offsets else wrenches
     return TaredReading(tared, gravity, weights, walked, same_pose)
 
 
@@ -447,7 +448,7 @@ def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
 def _of_weights(tests: Sequence[ValidatedTest]) -> tuple[str, ...]:
     """Return a line on weights, which are separate: the lightest that are located have too low a coverage
     (docs/measurements.md)."""
-    errors = [one.contact_error for one in tests if one.kind == "weight" and one.contact_error is not None]
+    errors = [test.contact_error for test in tests if test.kind == "weight" and test.contact_error is not None]
     if not errors:
         return ()
     within = sum(error.within_95 for error in errors)
@@ -499,26 +500,26 @@ class ValidationReport:
     @property
     def summary(self) -> dict[str, dict[str, ErrorStatistics]]:
         """Shape and contact errors [mm] of the judged tests by kind."""
-        found = {}
+        statistics = {}
         for kind in ("free", "weight", "touch"):
             here = [test for test in self.judged if test.kind == kind]
             errors = (test.contact_error.size / MM for test in here if test.contact_error is not None)
             if here:
-                found[kind] = {"shape_rms_mm": ErrorStatistics.of(test.shape_rms / MM for test in here),
+                statistics[kind] = {"shape_rms_mm": ErrorStatistics.of(test.shape_rms / MM for test in here),
                                "contact_error_mm": ErrorStatistics.of(errors)}  # fmt: skip
-        return found
+        return statistics
 
     @property
     def notes_on_identification(self) -> tuple[str, ...]:
         """Notes on tests from which the probe's parameters were identified, each one line."""
         lines = list[str]()
-        served = [one for one in self.tests if one.served and one.kind != "free"]
+        served = [test for test in self.tests if test.served and test.kind != "free"]
         if served and self.include_identified:
             lines.append(f"{len(served)} of the tests judged served the identification of this probe, which fits its "
                          "parameters to them; leave out --include-identified")  # fmt: skip
         elif served:
-            touches = sum(one.kind == "touch" for one in served)
-            left = sum(one.kind == "touch" for one in self.judged)
+            touches = sum(test.kind == "touch" for test in served)
+            left = sum(test.kind == "touch" for test in self.judged)
             lines.append(f"{len(served)} tests served the identification of this probe and are listed, not judged: "
                          f"{touches} touches; held out: {left} touches")  # fmt: skip
             if not left:
@@ -530,13 +531,13 @@ class ValidationReport:
     def notes(self) -> tuple[str, ...]:
         """Notes for the user, each one line."""
         lines = [*self.campaign.notes, *self.notes_on_identification]
-        for one in self.unexpected:
-            lines.append(f"{one.test.name} ({one.kind}): {one.result}: {WHY[one.result]}")
+        for test in self.unexpected:
+            lines.append(f"{test.test.name} ({test.kind}): {test.result}: {WHY[test.result]}")
         untared = [test for test in self.tests if not test.tares and test.readings and test.kind != "free"]
         if untared:
             lines.append(f"{len(untared)} tests were not tared, for lack of a free test with readings: their errors "
                          "include those of print and mount in the free probe's reading")  # fmt: skip
-        if all(one.test.markers is None for one in self.tests):
+        if all(test.test.markers is None for test in self.tests):
             lines.append("no markers: no shape errors")
         return tuple(lines)
 
@@ -544,22 +545,22 @@ class ValidationReport:
         """Return one row per test, with `COLUMNS`; None where there is no number."""
         return [self._row(test) for test in self.tests]
 
-    def _row(self, one: ValidatedTest) -> dict[str, Any]:
-        error, length = one.contact_error, self.estimator.model.rod.length
+    def _row(self, test: ValidatedTest) -> dict[str, Any]:
+        error, length = test.contact_error, self.estimator.model.rod.length
         z = list(error.z) if error is not None and error.dof == 3 else [math.nan] * 3
-        found = one.estimate or Estimate("out_of_range")
-        friction = (found.force_normal, found.force_tangential, found.friction_ratio)
+        estimate = test.estimate or Estimate("out_of_range")
+        friction = (estimate.force_normal, estimate.force_tangential, estimate.friction_ratio)
         stated = (
-            (error.size, error.expected, one.predicted, rms(error.cov_reference))
+            (error.size, error.expected, test.predicted, rms(error.cov_reference))
             if error
-            else (math.nan, math.nan, one.predicted, math.nan)
+            else (math.nan, math.nan, test.predicted, math.nan)
         )
         values = (
-            self.estimator.model.name, length / MM, one.test.name, one.kind, one.force, one.fraction,
-            one.push_direction, one.method, one.result, one.shape_rms / MM,
-            100.0 * one.shape_rms / length, one.reference_rms / MM, *(value / MM for value in stated),
-            error.within_95 if error else None, error.nees if error else None, *z, len(one.markers_base),
-            one.readings, one.tares, *friction, not one.served,
+            self.estimator.model.name, length / MM, test.test.name, test.kind, test.force, test.fraction,
+            test.push_direction, test.method, test.result, test.shape_rms / MM,
+            100.0 * test.shape_rms / length, test.reference_rms / MM, *(value / MM for value in stated),
+            error.within_95 if error else None, error.nees if error else None, *z, len(test.markers_base),
+            test.readings, test.tares, *friction, not test.served,
         )  # fmt: skip
         return {name: _plain(value) for name, value in zip(COLUMNS, values, strict=True)}
 
@@ -627,7 +628,7 @@ def validate(
 
 def judged(tests: Sequence[ValidatedTest], include_identified: bool) -> tuple[ValidatedTest, ...]:
     """Return the tests that the parameters of the probe were not identified from, or all; free ones always."""
-    return tuple(one for one in tests if include_identified or not one.served or one.kind == "free")
+    return tuple(test for test in tests if include_identified or not test.served or test.kind == "free")
 
 
 def _plain(value: Any) -> Any:
@@ -646,7 +647,7 @@ class MultiProbeReport:
 
     def rows(self) -> list[dict[str, Any]]:
         """Return all loaded tests: by probe, along it, from strong to weak, as Table I."""
-        return [row for one in self.validations for row in one.rows() if row["kind"] != "free"]
+        return [row for validation in self.validations for row in validation.rows() if row["kind"] != "free"]
 
     def csv(self) -> bytes:
         """Return the table as CSV with a header."""
@@ -655,7 +656,7 @@ class MultiProbeReport:
     def as_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
         table = [{name: row[name] for name in TABLE1_COLUMNS} for row in self.rows()]
-        return {"schema": 1, "table": table, "probes": [one.as_dict() for one in self.validations]}
+        return {"schema": 1, "table": table, "probes": [validation.as_dict() for validation in self.validations]}
 
 
 def check_names(names: Sequence[str]) -> None:

@@ -181,12 +181,12 @@ def _check_agreement(seen: MarkerObservations, located: Triangulated) -> None:
         if not _wrong(corrected, _located(corrected)).any():
             raise InputError(f"{mistake}: the pictures agree with this corrected, but not as given")
     worst = int(np.argmax(np.where(wrong, np.nan_to_num(_max_residual(located), nan=np.inf), -1.0)))
-    off = " and ".join(f"{np.linalg.norm(r):.1f} px in {camera.name}"
+    apart = " and ".join(f"{np.linalg.norm(r):.1f} px in {camera.name}"
                        for camera, r in zip(seen.cameras, located.residual_px[:, worst], strict=True)
                        if np.isfinite(r).all())  # fmt: skip
     many = f" ({np.sum(wrong)} of {len(wrong)} markers are)" if np.sum(wrong) > 1 else ""
     raise InputError(
-        f"marker {seen.labels[worst]}: its pixels are not of one point in front of the cameras, off by {off}{many}; "
+        f"marker {seen.labels[worst]}: its pixels are not of one point in front of the cameras, off by {apart}{many}; "
         "check that it is the same dot in each picture, and that no camera moved after its calibration"
     )
 
@@ -195,8 +195,8 @@ def _wrong(seen: MarkerObservations, located: Triangulated) -> NDArray[np.bool_]
     free = 2 * seen.mask.sum(axis=0) - 3
     rear = np.array([(c.depth(located.p_world) <= 0) & m for c, m in zip(seen.cameras, seen.mask, strict=True)])
     improbable = located.agreement * free > stats.chi2.isf(FALSE_ALARM, free)
-    off = improbable & (_max_residual(located) > MIN_RESIDUAL_PX)
-    return np.asarray(rear.any(axis=0) | off | ~np.isfinite(located.p_world).all(axis=1))
+    apart = improbable & (_max_residual(located) > MIN_RESIDUAL_PX)
+    return np.asarray(rear.any(axis=0) | apart | ~np.isfinite(located.p_world).all(axis=1))
 
 
 def _max_residual(located: Triangulated) -> Array:
