@@ -35,7 +35,7 @@ from probedesign.live.processing.chain import Chain, ProcessingOptions
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.processing.payload import Rest, calibrate
 from probedesign.live.processing.tare import TareWindow
-from probedesign.rod.contact import SurfaceForce, solve_surface_force
+from probedesign.rod.contact import RodContact, solve_surface_force
 from tests.reference.beam import SwayingBeam
 from tests.reference.cosserat import solve
 
@@ -98,7 +98,7 @@ def drift_outcome(
     """
     rng = np.random.default_rng(seed)
     steps = model.noise.std * math.sqrt(model.averaging_samples)
-    touches = list[tuple[float, SurfaceForce]]()
+    touches = list[tuple[float, RodContact]]()
     arm = None if truth is None else Arm.drawn(truth, rng)
     for k in range(TOUCHES):
         gravity = model.gravity_base if arm is None else arm.gravity(PERIOD * k + BEGIN)
@@ -135,7 +135,7 @@ def drift_outcome(
 
 
 def _drifting(
-    model: ProbeModel, arm: "Arm | None", touches: list[tuple[float, SurfaceForce]],
+    model: ProbeModel, arm: "Arm | None", touches: list[tuple[float, RodContact]],
     drift: Callable[[Array, Array], Array], steps: Array, rng: np.random.Generator,
 ) -> Iterator[Block]:  # fmt: skip
     rate = RATE if arm is None else RATE_OF_ARM

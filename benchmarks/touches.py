@@ -17,7 +17,7 @@ from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.multistart import placed
 from probedesign.estimation.tolerances import Tolerances
 from probedesign.probe import build_probe
-from probedesign.rod.contact import SurfaceForce, solve_surface_force
+from probedesign.rod.contact import RodContact, solve_surface_force
 from probedesign.rod.kernels import surface_contact as surface
 
 ROOT = Path(__file__).parents[1]
@@ -38,7 +38,7 @@ class Touch:
     s: float  #: s, angle, force: arclength [m], angle about the section [rad] and normal force [N].
     angle: float
     force: float
-    solved: SurfaceForce  #: solution in reference mode.
+    solved: RodContact  #: solution in reference mode.
     bound: float  #: Cramér–Rao bound of the RMS error of the touched point, from one reading without friction [m].
 
     @property
@@ -81,7 +81,7 @@ def touch(model: ProbeModel, gravity: Array, s: float, angle: float, force: floa
     return Touch(model, gravity, s, angle, force, solved, bound) if np.isfinite(bound) else None
 
 
-def cramer_rao(model: ProbeModel, gravity: Array, solved: SurfaceForce) -> float:
+def cramer_rao(model: ProbeModel, gravity: Array, solved: RodContact) -> float:
     """Return the Cramér–Rao bound of the RMS error of the touched point, from one reading without friction [m].
 
     The bound is √tr(X (Hᵀ Σ⁻¹ H)⁻¹ Xᵀ) with the derivatives H of the base wrench and X of the touched point by

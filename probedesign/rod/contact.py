@@ -185,13 +185,15 @@ def solve_frictionless(
     return FrictionlessContact(solved.result, solved.equilibrium, solved.load[0:3], d_load)
 
 
-class SurfaceForce(NamedTuple):
-    """Equilibrium under a force that is given in the axes of the surface it acts on."""
+class RodContact(NamedTuple):
+    """A contact with the rod; all but `result` and `equilibrium` is meaningful only with result "ok"."""
 
-    result: str  #: "ok", or the code of the failed equilibrium.
-    equilibrium: Equilibrium  #: of the rod.
-    force_base: Array  #: [N], (3,).
-    p_surface_base: Array  #: point of the surface where it acts [m], (3,).
+    result: str  #: "ok" or the code of the equilibrium that was not found.
+    equilibrium: Equilibrium  #: of the rod under the contact.
+    s_contact: float  #: arclength where the line of action of the force passes the centreline [m].
+    p_contact_base: Array  #: point of the centreline there [m], (3,).
+    force_base: Array  #: force of the object on the probe [N], (3,).
+    p_surface_base: Array  #: touched point of the surface [m], (3,).
 
 
 def solve_surface_force(
@@ -202,7 +204,7 @@ def solve_surface_force(
     normal_force: float,
     tangential: tuple[float, float] = (0.0, 0.0),
     mode: Mode = "fast",
-) -> SurfaceForce:
+) -> RodContact:
     """Solve for the equilibrium under a force at a point of the deformed surface, given in the surface's own axes.
 
     F = F_n (-N + c_a a + c_h h) with N the outward normal, a towards the tip along the flank and h around it; it turns
@@ -228,8 +230,11 @@ def solve_surface_force(
     force = -cos * (e + tan * t) + tangential[0] * cos * (t - tan * e) + tangential[1] * h
     unit = np.concatenate([force, np.cross(arm, force)])
     solved = _solve_following(rod, np.asarray(gravity, dtype=float), s, unit, normal_force, mode)
-    point = solved.equilibrium.p_contact_base + solved.axes @ arm
-    return SurfaceForce(solved.result, solved.equilibrium, solved.load[0:3], np.asarray(point))
+    eq, ok = solved.equilibrium, solved.result == "ok"
+    point = np.asarray(eq.p_contact_base + solved.axes @ arm)
+    s_axis = line_of_action(rod, eq, point) if ok else s
+    p_axis = eq.p_at(s_axis) if ok else np.full(3, np.nan)
+    return RodContact(solved.result, eq, s_axis, p_axis, solved.load[0:3], point)
 
 
 def press_poses(
@@ -313,17 +318,6 @@ def surface_point(rod: Rod, eq: Equilibrium) -> Array:
     return np.asarray(eq.p_at(there) + radius * (R @ [reach * x - aside * y, reach * y + aside * x, 0.0]))
 
 
-class RodContact(NamedTuple):
-    """A contact with the rod; all but `result` and `equilibrium` is meaningful only with result "ok"."""
-
-    result: str  #: "ok" or the code of the equilibrium that was not found.
-    equilibrium: Equilibrium  #: of the rod under the contact.
-    s_contact: float  #: arclength where the line of action of the force passes the centreline [m].
-    p_contact_base: Array  #: point of the centreline there [m], (3,).
-    force_base: Array  #: force of the object on the probe [N], (3,).
-    p_surface_base: Array  #: touched point of the surface [m], (3,).
-
-
 def solve_contact(
     rod: Rod,
     gravity_base: Array,
@@ -344,22 +338,12 @@ def solve_contact(
         friction_ratios: axial and circumferential force over normal force; None for a contact without friction.
         mode: "fast" or "reference".
     """
-    missing = np.full(3, np.nan)
-    if friction_ratios is None:
-        frictionless = solve_frictionless(rod, gravity_base, s, push_angle, normal_force, mode=mode)
-        eq = frictionless.equilibrium
-        if frictionless.result != "ok":
-            return RodContact(frictionless.result, eq, s, missing, missing, missing)
-        surface = surface_point(rod, eq)
-        return RodContact("ok", eq, eq.s_contact, eq.p_contact_base, frictionless.force_base, surface)
-    # The touched point lies opposite to the direction of the push.
-    angle = push_angle + math.pi
-    contact = solve_surface_force(rod, gravity_base, s, angle, normal_force, friction_ratios, mode)
-    eq = contact.equilibrium
-    if contact.result != "ok":
-        return RodContact(contact.result, eq, s, missing, missing, missing)
-    s_axis = line_of_action(rod, eq, contact.p_surface_base)
-    return RodContact("ok", eq, s_axis, eq.p_at(s_axis), contact.force_base, contact.p_surface_base)
+    if friction_ratios is not None:  # the touched point lies opposite to the direction of the push
+        return solve_surface_force(rod, gravity_base, s, push_angle + math.pi, normal_force, friction_ratios, mode)
+    contact = solve_frictionless(rod, gravity_base, s, push_angle, normal_force, mode=mode)
+    eq, none = contact.equilibrium, np.full(3, np.nan)
+    points = (eq.p_contact_base, contact.force_base, surface_point(rod, eq)) if contact.result == "ok" else 3 * (none,)
+    return RodContact(contact.result, eq, eq.s_contact, *points)
 
 
 Numbers = NDArray[Any]  #: Real or complex: derivatives are taken by complex steps.
