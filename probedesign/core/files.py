@@ -26,7 +26,6 @@ def check_writable(path: Path) -> None:
 
 
 def _write_into(folder: Path, target: Path) -> None:
-    """Make and remove a file in a folder, or in the nearest one above it that exists."""
     start = folder.absolute()
     existing = next(place for place in (start, *start.parents) if place.exists())
     try:

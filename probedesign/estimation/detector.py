@@ -201,7 +201,6 @@ class Detector:
     _state: DetectorState = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Raise InputError for a number that is not positive and finite."""
         for name, value in (("rate", self.rate), ("hours_between_alarms", self.hours_between_alarms)):
             if not 0.0 < value < math.inf:
                 raise InputError(f"{name} = {value} must be positive and finite")
@@ -220,7 +219,6 @@ class Detector:
         return tuple(n for n in LENGTHS if n == 1 or n <= BLOCK_TIME * self.rate)
 
     def _thresholds(self) -> Array:
-        """Return the threshold of T² for each length."""
         tests_an_hour = 3600.0 * self.rate / np.array(self.lengths)
         chance = 1.0 / self.hours_between_alarms / tests_an_hour / len(self.lengths)
         nu = PRIOR_WEIGHT

@@ -295,7 +295,6 @@ def equal_moments(rod: Rod, gravity: Array, moment: Array, T_world_base: Array) 
 
 
 def _max_force(rod: Rod, s: Array) -> Array:
-    """Return the pushes beyond which there is no equilibrium [N], (j,)."""
     radius = rod.radius_at(s)
     most: Array = MAX_BENT * rod.youngs_modulus * math.pi / 4.0 * float(rod.radius[0]) ** 3 * radius / s**2
     return most

@@ -108,20 +108,18 @@ class _Scratch(NamedTuple):
 
 
 class FusionState:
-    """Readings of one point, their touches as linearised, and the solution of the unknowns that they have in common."""
+    """Readings of one point, their touches as linearised, and the solution of the unknowns that they have in common.
+
+    Args:
+        model, priors: the probe, and standard deviations of the error sources.
+        channels: what of a wrench at the base counts, (m, 6): see `channels_of`.
+        sources: the error sources at any pose.
+        rows: the most readings.
+        friction_parts: see `PRESSED_FRICTION`.
+    """
 
     def __init__(self, model: ProbeModel, priors: Tolerances, channels: Array, sources: ErrorSources, rows: int,
                  friction_parts: tuple[float, float] = PRESSED_FRICTION) -> None:  # fmt: skip
-        """Allocate the memory of the kernels.
-
-        Args:
-            model: the probe.
-            priors: standard deviations of the error sources.
-            channels: what of a wrench at the base counts, (m, 6): see `channels_of`.
-            sources: the error sources at any pose.
-            rows: the most readings.
-            friction_parts: see `PRESSED_FRICTION`.
-        """
         self.model, self.priors, self.channels, self.friction_parts = model, priors, channels, friction_parts
         self.causes, m, parameters = len(sources.names), len(channels), OWN + len(model.rod.s)
         width = fusion_kernel.columns(self.causes)

@@ -110,7 +110,6 @@ _PULLED = 1e-3
 
 
 def _places(problem: Problem, rows: NDArray[Any]) -> list[Candidate]:
-    """Return candidates of the fits that are least misfits, or that end where nothing explains the reading."""
     candidates = [_candidate(problem, row) for row in rows]
     return [
         candidate
@@ -125,7 +124,6 @@ _FIELDS = FIT.names or ()
 
 
 def _candidate(problem: Problem, row: np.void) -> Candidate:
-    """Return a fit, a row of `FIT`, as a candidate."""
     model = problem.sources.model
     fit = dict(zip(_FIELDS, cast("tuple[Any, ...]", row.item()), strict=True))  # faster than field by field
     touch = fit["touch"]

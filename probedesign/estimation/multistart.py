@@ -262,8 +262,6 @@ def fit_contacts(
 
 @inner
 def _places(measured, whiten, force, arm, room, reached, rows):
-    """Rank the candidates of the trace into rows, with the score as status, s_contact and, as chi2, 1 for a likely one;
-    return how many."""
     wrench = measured.wrench
     moment, places = math.sqrt(wrench[3] ** 2 + wrench[4] ** 2 + wrench[5] ** 2), 0
     size = math.sqrt(force[0] ** 2 + force[1] ** 2 + force[2] ** 2)

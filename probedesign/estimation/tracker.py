@@ -122,7 +122,6 @@ class _Touch:
     result: FusedEstimate = field(default_factory=lambda: FusedEstimate("unobservable"))  #: the last one.
 
     def variance_at(self, time: float, walk: float) -> float:
-        """Return the variance of the bias [steps²], for a walk of that variance a second."""
         return self.bias.variance_after(max(time - self.began, 0.0), walk)
 
     def start_std(self, walk: float) -> float:
@@ -151,7 +150,6 @@ class Tracker:
     bias: BiasFilter | None = None
 
     def __post_init__(self) -> None:
-        """Raise InputError if an argument is out of range."""
         self._gravity_world = np.asarray(self.gravity_world, dtype=float)
         if self._gravity_world.shape != (3,) or not np.isfinite(self._gravity_world).all():
             raise InputError(f"gravity_world = {self.gravity_world} must be three finite numbers in m/s²")
@@ -292,7 +290,6 @@ class Tracker:
         return self._remember(touch, self._iterate(touch, 2 if new else 1))
 
     def _iterate(self, touch: _Touch, steps: int) -> FusedEstimate:
-        """Take some Gauss-Newton steps over all keyframes."""
         result = FusedEstimate("not_converged")
         for _ in range(steps):
             if not all(self._linearise(touch, k) for k in range(len(touch.keyframes))):
@@ -301,9 +298,7 @@ class Tracker:
         return result
 
     def _linearise(self, touch: _Touch, k: int) -> bool:
-        """Move the touch of a keyframe to the present solution and linearise it; return whether it has a stable
-        equilibrium.
-        """
+        """Move a touch to the present solution and linearise it; return whether it has a stable equilibrium."""
         frame = touch.keyframes[k]
         if frame.linearised and touch.located:
             self._state.move_row(frame.row)
@@ -321,7 +316,6 @@ class Tracker:
         state.reduce_row(frame.row)
 
     def _step(self, touch: _Touch) -> FusedEstimate:
-        """Solve all keyframes as they are linearised."""
         frames, state = touch.keyframes, self._state
         variances = np.array([touch.variance_at(frame.time, self._walk) for frame in frames])
         state.order = np.array([frame.row for frame in frames], dtype=np.int64)
@@ -392,9 +386,7 @@ class Tracker:
     # Starting --------------------------------------------------------------------------------------------------------
 
     def _begin(self, touch: _Touch) -> FusedEstimate:
-        """Start at the first reading and then ever more rarely; between, return the last result, which is never
-        "ok".
-        """
+        """Start at the first reading and then ever more rarely; between, return the last result, never "ok"."""
         several = len(touch.keyframes) > 1
         if self.moments_only and not several:
             touch.result = FusedEstimate("unobservable")
@@ -410,7 +402,6 @@ class Tracker:
         return self._remember(touch, result)
 
     def _from_one(self, touch: _Touch) -> FusedEstimate:
-        """Start from the touch that the last keyframe's reading gives by itself."""
         last = touch.keyframes[-1]
         single = self.estimator.estimate(last.wrench, self._state.sources[last.row].gravity)
         if single.result == "ambiguous":
@@ -420,7 +411,6 @@ class Tracker:
         return self._settle(touch, [single.candidates[0].touch] * len(touch.keyframes))
 
     def _from_batch(self, touch: _Touch) -> FusedEstimate:
-        """Start from the whole batch."""
         fusion = self._batch(touch)
         solutions = fusion.solutions()
         if isinstance(solutions, FusedEstimate):
@@ -429,14 +419,12 @@ class Tracker:
         return self._settle(touch, list(solutions[0].touches)) if result.ok else result
 
     def _settle(self, touch: _Touch, guesses: list[Array]) -> FusedEstimate:
-        """Take a few steps over all keyframes from a guess of their touches."""
         touch.located = False
         for frame, guess in zip(touch.keyframes, guesses, strict=True):
             self._state.touches[frame.row], frame.linearised = guess, False
         return self._iterate(touch, SETTLING if len(touch.keyframes) > 1 else 2)
 
     def _batch(self, touch: _Touch) -> Fusion:
-        """Return the keyframes as one batch."""
         frames, state = touch.keyframes, self._state
         readings = tuple(
             Reading(frame.wrench.copy(), self._noise / frame.weight(self._walk_rate), frame.T,

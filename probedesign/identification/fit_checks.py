@@ -313,7 +313,6 @@ def _unexplained(blocks: Sequence[ResidualBlock], tests: Sequence[MeasuredTest],
 
 
 def _value(test: MeasuredTest | None, block: ResidualBlock) -> Array | None:
-    """Return the reading that a block is of; None for other kinds."""
     if test is None:
         return None
     if block.kind == "markers":
@@ -635,7 +634,6 @@ def _moves(point: Linearization, stated: Linearization | None) -> dict[str, floa
 
 
 def _best_exchange(point: Linearization, seeds: Sequence[str]) -> Exchange | None:
-    """Return the two tests, one of them outlying, whose loss falls most by an exchange of their readings."""
     common, of = point.problem.common, {test.name: test for test in point.problem.tests}
     read = [name for name, test in of.items() if test.wrench_base is not None]
     stated = {name: _loss_of_test(point, of[name]) for name in read} if seeds else {}

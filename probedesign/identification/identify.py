@@ -378,7 +378,6 @@ def _solvable(data: IdentificationData, names: Sequence[str]) -> tuple[Identific
 
 
 def _check_counts(data: IdentificationData, names: Sequence[str]) -> None:
-    """Refuse fewer measured values than unknowns."""
     values = sum(
         6 * (test.wrench_base is not None) + 3 * len(test.marker_s) + 3 * (test.p_touch_world is not None)
         + bool(test.sag == test.sag) + (test.s_estimated and test.s_contact == test.s_contact) + 2 * test.touched

@@ -339,7 +339,6 @@ def bow_changes(design: Design, bow_mm: tuple[float, float], std_mm: float, note
 
 
 def _measured(design: Design, *keys: str) -> Change:
-    """Return the change of the list of what was measured on the print."""
     values = list(dict.fromkeys((*design.probe.measured, *keys)))
     return Change("probe", "measured", json.dumps(values), "measured on the print")
 

@@ -397,7 +397,6 @@ class _Choice:
 
     @cached_property
     def matrices(self) -> dict[str, Array]:
-        """Information of each candidate in units of the prior."""
         scale = self.scale[self.active]
         return {candidate.name: scale[:, None] * self.information.matrix(candidate.name, self.active) * scale
                 for candidate in self.information.candidates if self.information.blocks[candidate.name]}  # fmt: skip
@@ -408,7 +407,6 @@ class _Choice:
         return np.asarray(0.5 * (whole - np.linalg.slogdet(matrices[..., others[:, None], others])[1]))
 
     def best(self, candidates: list[CandidateTest], minutes: float) -> list[CandidateTest]:
-        """Return tests within the time, the most informative per minute first."""
         total = np.eye(len(self.active)) + sum(self.matrices[candidate.name] for candidate in self.fixed)
         chosen: list[CandidateTest] = []
         left = minutes

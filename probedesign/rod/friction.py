@@ -661,7 +661,6 @@ class CoulombSolver:
     def _contact(
         self, goal: CoulombContact, x: Array, before: Array, eq: Equilibrium, curvature: Array, state: str
     ) -> CoulombContact:
-        """Return the contact with its units."""
         length, unit = self._units
         assert eq.sensitivity is not None
         f = eq.sensitivity.frame

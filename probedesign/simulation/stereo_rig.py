@@ -168,8 +168,6 @@ def render(
 def _facets(
     camera: Camera, tube: SurfaceTube, grey: float, style: RenderStyle, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Return the corners of the visible facets of a tube [px], (n, c, 2), the far ones first, and the diffuse light,
-    the highlight (Blinn) and the coverage of each, (n, 3)."""
     streaks = style.mottle * gaussian_filter(rng.normal(size=2000), 3.0) * 3.0
     p, tangent, s = tube.p_world[:, None], tube.tangents_world[:, None], np.pad(tube.s[:-1], (1, 1), "edge")
     around, n = np.tile(_AROUND, (len(p), 1)), len(_AROUND) - 1

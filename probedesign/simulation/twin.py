@@ -188,12 +188,10 @@ def _add(parent: Element, tag: str, text: ArrayLike = "", **attributes: ArrayLik
 
 
 def _quaternion(R: Array) -> Array:
-    """Return [w, x, y, z] of a rotation, w ≥ 0."""
     return np.roll(Rotation.from_matrix(R).as_quat(canonical=True), 1)
 
 
 def _principal(inertia: Array) -> tuple[Array, Array]:
-    """Return the principal moments (3,) and the rotation whose columns are their axes."""
     moments, axes = np.linalg.eigh(inertia)
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     return moments, axes

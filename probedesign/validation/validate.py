@@ -446,8 +446,6 @@ def coverage_of(tests: Sequence[ValidatedTest], exact: bool) -> Coverage:
 
 
 def _of_weights(tests: Sequence[ValidatedTest]) -> tuple[str, ...]:
-    """Return a line on weights, which are separate: the lightest that are located have too low a coverage
-    (docs/measurements.md)."""
     errors = [test.contact_error for test in tests if test.kind == "weight" and test.contact_error is not None]
     if not errors:
         return ()
@@ -620,8 +618,8 @@ def validate(
         on_progress(i / len(campaign.tests))
         tests.append(validate_test(campaign, test, estimator, exact))
     kinds = ("free", "weight", "touch")
-    tests.sort(key=lambda one: (kinds.index(one.kind), 2.0 if math.isnan(one.fraction) else round(one.fraction, 2),
-                                -one.force))  # fmt: skip
+    tests.sort(key=lambda test: (kinds.index(test.kind), 2.0 if math.isnan(test.fraction) else round(test.fraction, 2),
+                                 -test.force))  # fmt: skip
     coverage = coverage_of(judged(tests, include_identified), exact)
     return ValidationReport(estimator, campaign, exact, tuple(tests), coverage, include_identified)
 

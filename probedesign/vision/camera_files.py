@@ -256,7 +256,6 @@ def _camera(document: _Document, name: str, K: Array, bends: Array, size: tuple[
 
 
 def _size(document: _Document) -> tuple[int, int] | None:
-    """Return width and height of the pictures; None if the file does not state them."""
     width, height, both = document.key(WIDTH), document.key(HEIGHT), document.key(SIZE)
     if width and height:
         return _whole(document, document.number(width), document.number(height))

@@ -200,7 +200,6 @@ def _wrong(seen: MarkerObservations, located: Triangulated) -> NDArray[np.bool_]
 
 
 def _max_residual(located: Triangulated) -> Array:
-    """Return the largest reprojection error of each marker [px], (m,)."""
     return np.asarray(np.nanmax(np.linalg.norm(located.residual_px, axis=2), axis=0))
 
 

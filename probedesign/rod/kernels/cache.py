@@ -334,7 +334,6 @@ class _Progress:
             self.show("")
 
     def show(self, now: str) -> None:
-        """Replace the line."""
         if sys.stderr.isatty():
             text = f"Compiling the kernels, once, about a minute: {self.compiled} done, {now}" if now else ""
             print(f"\r\x1b[K{text[:110]}", end="", file=sys.stderr, flush=True)
