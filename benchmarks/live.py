@@ -29,8 +29,8 @@ from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
 from probedesign.frozen_probe import load_estimator, write_frozen
 from probedesign.live.blocks import Block
-from probedesign.live.outputs.foxglove import FoxgloveSink
 from probedesign.live.outputs.guard import Guard, GuardChannel, GuardedSource, Limits
+from probedesign.live.outputs.message_streams import FoxgloveSink
 from probedesign.live.outputs.recording import RecordingSink
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
 from probedesign.live.priority import ESTIMATES
@@ -39,7 +39,7 @@ from probedesign.live.processing.commands import CommandQueue
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.processing.tare import TareWindow
 from probedesign.live.run import estimate_stream, warm_up
-from probedesign.live.sources.netft.source import NetFTSource
+from probedesign.live.sources.netft import NetFTSource
 from probedesign.live.sources.source import open_source
 from probedesign.live.sources.udp import UdpSource
 from probedesign.live.view.sinks import BrowserView

@@ -121,8 +121,8 @@ def live(
     """
     from probedesign import pipeline
     from probedesign.live.datagrams import parse_listen_address
-    from probedesign.live.outputs.foxglove import parse_foxglove_address
     from probedesign.live.outputs.guard import Limits
+    from probedesign.live.outputs.message_streams import parse_foxglove_address
     from probedesign.live.outputs.options import OutputOptions
     from probedesign.live.processing.chain import ProcessingOptions
     from probedesign.live.processing.tare import parse_tare

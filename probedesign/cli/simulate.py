@@ -13,7 +13,7 @@ from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
-    from probedesign.live.sources.netft.configuration import NetFTConfiguration
+    from probedesign.live.sources.netft_configuration import NetFTConfiguration
 
 MAX_SECONDS = 1e8  #: Duration without --seconds: three years [s].
 
@@ -97,7 +97,7 @@ def simulate(
 def _configuration(
     model: "ProbeModel", torque_unit: str, rate_hz: float, records: int, seconds: float | None
 ) -> "NetFTConfiguration":
-    from probedesign.live.sources.netft.rdt import MAX_RECORDS, SAMPLES_PER_SECOND
+    from probedesign.live.sources.netft_rdt import MAX_RECORDS, SAMPLES_PER_SECOND
     from probedesign.simulation.netft_box import NATIVE
 
     divisor = SAMPLES_PER_SECOND / rate_hz if rate_hz > 0.0 else 0.0

@@ -23,9 +23,9 @@ from probedesign.core.frames import Array, pose, rotation_under_gravity
 from probedesign.core.units import MM
 from probedesign.estimation.model import ProbeModel
 from probedesign.live.poses.base_poses import pose_from_matrix
-from probedesign.live.sources.netft import rdt
-from probedesign.live.sources.netft.configuration import TAGS, NetFTConfiguration
-from probedesign.live.sources.netft.rdt import (
+from probedesign.live.sources import netft_rdt as rdt
+from probedesign.live.sources.netft_configuration import TAGS, NetFTConfiguration
+from probedesign.live.sources.netft_rdt import (
     LATCHED,
     PAGE,
     RECORDS,

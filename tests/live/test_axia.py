@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from probedesign.core.errors import InputError
-from probedesign.live.sources.netft.rdt import AXIA, NET_BOX, RATE_PERIOD, RateMonitor, SensorClock, fault_of
+from probedesign.live.sources.netft_rdt import AXIA, NET_BOX, RATE_PERIOD, RateMonitor, SensorClock, fault_of
 from probedesign.live.sources.source import open_source
 from probedesign.simulation.netft_box import NATIVE
 from tests.live.peers import Reader, box

@@ -24,7 +24,7 @@ from probedesign.live.outputs.recording import RecordingSink
 from probedesign.live.poses.pose_sources import read_pose_file
 from probedesign.live.recordings import AppendFile
 from probedesign.live.recordings.csv import read_recording
-from probedesign.live.sources.netft.configuration import MAX_PAGE_BYTES, fetch_page
+from probedesign.live.sources.netft_configuration import MAX_PAGE_BYTES, fetch_page
 from probedesign.live.sources.replay import read_ati_demo
 from probedesign.live.sources.source import open_source
 

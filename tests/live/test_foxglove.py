@@ -238,7 +238,7 @@ def test_the_layout_names_existing_topics_and_fields():
 @pytest.fixture
 def server(model):
     pytest.importorskip("foxglove")
-    from probedesign.live.outputs.foxglove import FoxgloveSink
+    from probedesign.live.outputs.message_streams import FoxgloveSink
 
     log_lines = []
     with socket.socket() as trial:
@@ -326,7 +326,7 @@ def test_garbage_of_a_client_and_its_end_do_not_end_the_server(server, updates):
 
 def test_without_a_subscriber_nothing_is_encoded(model, updates, monkeypatch):
     pytest.importorskip("foxglove")
-    from probedesign.live.outputs.foxglove import FoxgloveServer
+    from probedesign.live.outputs.message_streams import FoxgloveServer
 
     server = FoxgloveServer([model], ("127.0.0.1", 0))
     monkeypatch.setattr(schemas, "stamped", lambda *_: pytest.fail("encoded"))
@@ -338,7 +338,7 @@ def test_without_a_subscriber_nothing_is_encoded(model, updates, monkeypatch):
 
 @pytest.mark.parametrize("text", ["a/b", "127.0.0.1:99999", "127.0.0.1:0", "a b:1", "::1:3", "x@y:1"])
 def test_what_is_no_address_is_refused(text):
-    from probedesign.live.outputs.foxglove import parse_foxglove_address
+    from probedesign.live.outputs.message_streams import parse_foxglove_address
 
     with pytest.raises(InputError, match="--foxglove") as error:
         parse_foxglove_address(text)
@@ -346,7 +346,7 @@ def test_what_is_no_address_is_refused(text):
 
 
 def test_addresses_have_defaults():
-    from probedesign.live.outputs.foxglove import parse_foxglove_address
+    from probedesign.live.outputs.message_streams import parse_foxglove_address
 
     assert parse_foxglove_address("") == ("127.0.0.1", 8765)
     assert parse_foxglove_address(":9000") == ("127.0.0.1", 9000)
@@ -355,7 +355,7 @@ def test_addresses_have_defaults():
 
 
 def test_a_port_in_use_is_one_line(model, server):
-    from probedesign.live.outputs.foxglove import FoxgloveServer
+    from probedesign.live.outputs.message_streams import FoxgloveServer
 
     port = int(server.url.rpartition(":")[2])
     for address in (("127.0.0.1", port), ("192.0.2.1", 8765)):  # the second is nobody's
@@ -365,7 +365,7 @@ def test_a_port_in_use_is_one_line(model, server):
 
 
 def test_without_the_package_the_remedy_is_reported(model, monkeypatch):
-    from probedesign.live.outputs.foxglove import FoxgloveServer
+    from probedesign.live.outputs.message_streams import FoxgloveServer
 
     monkeypatch.setattr("probedesign.core.errors.find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r"probedesign\[foxglove\]"):

@@ -13,7 +13,7 @@ from probedesign.live.processing.estimates import locate
 from probedesign.live.processing.tare import TareWindow
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.netft import configuration, rdt
-from probedesign.live.sources.netft.rdt import RECORD, SensorClock
+from probedesign.live.sources.netft_rdt import RECORD, SensorClock
 from probedesign.live.sources.source import STALE_TIME, open_source
 from probedesign.simulation.netft_box import OFFSET, FaultInjector
 from tests.live.peers import LOAD, Reader, averaged, box, close, mean_of

@@ -7,8 +7,8 @@ import time
 import numpy as np
 import pytest
 
-from probedesign.live.sources.netft.rdt import RECORD
-from probedesign.live.sources.netft.session import MAX_RECORDS, BatchReceiver, SingleReceiver, open_receiver
+from probedesign.live.sources.netft import MAX_RECORDS, BatchReceiver, SingleReceiver, open_receiver
+from probedesign.live.sources.netft_rdt import RECORD
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="only Linux reads many datagrams in one call")
 

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from probedesign.cli.main import run as run_command
 from probedesign.design import load_design
-from probedesign.live.outputs.ros2 import RosPublisher
+from probedesign.live.outputs.message_streams import RosPublisher
 from probedesign.live.outputs.sinks import ProbeSink, SinkGroup
 from probedesign.live.poses.base_poses import BasePoses, TimedPose
 from probedesign.live.processing.chain import ProcessingOptions

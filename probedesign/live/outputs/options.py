@@ -12,8 +12,8 @@ from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.outputs.guard import Limits
+from probedesign.live.outputs.message_streams import SCHEME, RosPublisher
 from probedesign.live.outputs.recording import RecordingSink, check_suffix
-from probedesign.live.outputs.ros2 import SCHEME, RosPublisher
 from probedesign.live.outputs.sinks import SinkGroup, UdpPublisher
 from probedesign.live.processing.commands import CommandQueue
 from probedesign.live.sources.source import Source
@@ -75,14 +75,7 @@ class OutputOptions:
         sources: Sequence[Source],
         publisher: UdpPublisher | None,
     ) -> None:
-        """Add the selected sinks to a run and register their commands.
-
-        Args:
-            sinks: the sinks of the run.
-            commands: receives the commands of the page.
-            estimators: estimator of each probe by its name in the run, which is empty for a single probe.
-            sources: source of each.
-            publisher: see `publisher`.
+        """Add the selected sinks to a run and register their commands; the name of a single probe is empty.
 
         Raises:
             InputError: the file cannot be written, or an address cannot be used.
@@ -95,7 +88,7 @@ class OutputOptions:
         commands.register("stop recording", lambda command: recordings.stop())
         sinks.add(recordings)
         if self.foxglove is not None:
-            from probedesign.live.outputs.foxglove import FoxgloveSink
+            from probedesign.live.outputs.message_streams import FoxgloveSink
 
             sinks.add(FoxgloveSink(models, self.foxglove, sinks.log))
         states = {

@@ -66,17 +66,10 @@ class BackgroundWriter(Sink):
         cause: str = "the disk",
         next_file: Callable[[RecordingFile], RecordingFile] = lambda file: file,
     ) -> None:
-        """Start the thread; it alone uses the file from now on, and calls `log`, as this one does, and `next_file`.
+        """Start the thread, which alone uses the file from now on.
 
-        Args:
-            file: what is written.
-            name: its name, for messages.
-            log: callback for messages.
-            max_queued: maximum number of queued readings.
-            flush_period: period of flushing [s].
-            cause: what may be too slow.
-            next_file: returns the file in which a recording continues, given the current one, before readings are
-                written: that one, or another after it has been closed.
+        `cause` names what may be too slow. `next_file` returns the file in which a recording continues, before
+        readings are written: the current one, or another after that has been closed.
         """
         self._file, self._name, self._log = file, name, log
         self._max_queued, self._flush_period, self._cause = max_queued, flush_period, cause

@@ -26,7 +26,7 @@ from probedesign.core.units import FORCE_UNITS, LENGTH_UNITS, TORQUE_UNITS, unit
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
 from probedesign.live.blocks import Block, dropout_block
-from probedesign.live.sources.netft.configuration import parse_xml
+from probedesign.live.sources.netft_configuration import parse_xml
 from probedesign.live.sources.source import STALE_TIME, DropoutMonitor, SourceParameter, parse_parameters, range_note
 
 if TYPE_CHECKING:

@@ -37,7 +37,7 @@ from probedesign.live.recordings.schemas import (
     ros_name,
 )
 from probedesign.live.sources import rosbag
-from probedesign.live.sources.netft.rdt import SAMPLES_PER_SECOND, WRAP, fault_of
+from probedesign.live.sources.netft_rdt import SAMPLES_PER_SECOND, WRAP, fault_of
 from probedesign.live.sources.rosbag import BLOCK_SIZE, Bag
 from probedesign.live.sources.source import SPEED, SourceParameter, parse_parameters, played
 

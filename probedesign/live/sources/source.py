@@ -41,7 +41,7 @@ class Source(Protocol):
 #: By scheme: an example, and module and name of the function or class that opens the source from model, target, query
 #: and log. It is imported when the source is used, because each needs packages of its own.
 SOURCES = {
-    "netft": ("netft://HOST", "probedesign.live.sources.netft.source:NetFTSource"),
+    "netft": ("netft://HOST", "probedesign.live.sources.netft:NetFTSource"),
     "daq": ("daq://DEVICE/ai0:5?cal=FILE", "probedesign.live.sources.daq:DaqSource"),
     "replay": ("replay:FILE", "probedesign.live.sources.replay:ReplaySource"),
     "sim": ("sim:", "probedesign.live.sources.sim:open_simulation"),

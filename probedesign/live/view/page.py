@@ -141,15 +141,9 @@ class StripChart:
         limits: tuple[float, ...] = (),
         dots: bool = False,
     ) -> None:
-        """Create an empty chart.
+        """Create an empty chart of columns of `STRIP` in a unit; "low" and "high" are the 95 % interval of s.
 
-        Args:
-            gui: where it is added.
-            title: its title.
-            columns: columns of `STRIP`; "low" and "high" are the ends of the 95 % interval of s.
-            unit: unit of the values.
-            limits: levels of the dashed lines, in the unit of the columns; they are visible as curves come near.
-            dots: dots instead of lines, where values may be missing in between: a line is drawn across NaN.
+        Dashed `limits` are visible as curves come near. With `dots`, missing values are not drawn across.
         """
         self._columns, self._unit, self._limits = columns, unit, limits
         series = [uplot.Series(label="time")]
@@ -260,15 +254,7 @@ class ProbeScene:
     """What is drawn of one probe; all of it is of one estimate."""
 
     def __init__(self, scene: viser.SceneApi, stage: Stage, setup: SceneSetup, number: int, aside: Array) -> None:
-        """Create all objects, invisible if their content is unknown.
-
-        Args:
-            scene: where they are created.
-            stage: receives the shadows.
-            setup: the static content.
-            number: number of the probe, from 0.
-            aside: where its base is drawn if its pose is unknown [m], (3,).
-        """
+        """Create all objects, invisible if their content is unknown; `aside` is where a base of unknown pose is [m]."""
         self._setup, self._aside, self._T, root = setup, aside, np.eye(4), f"/{number}"
         self._stage, self._number = stage, number
         self._tube = replace(setup.tube, rings=16, sides=12)  # of the shadow
@@ -304,10 +290,9 @@ class ProbeScene:
         """Show a snapshot, with its cloud of the last estimates if it is asked for."""
         self._show_probe(snapshot)
         self._show_contact(snapshot)
-        for (mark, number), touch in zip(self._marks, snapshot.touches, strict=False):  # earlier ones, in grey
-            R, origin = (np.eye(3), np.zeros(3)) if touch.in_world else (self._T[:3, :3], self._T[:3, 3])
-            mark.visible = number.visible = True
-            mark.position, number.text = UNIT * (R @ touch.p_surface + origin), f"{touch.number}"
+        for (mark, label), (number, p, in_world) in zip(self._marks, snapshot.touches, strict=False):
+            mark.visible = label.visible = True
+            mark.position, label.text = UNIT * (p if in_world else self._T[:3, :3] @ p + self._T[:3, 3]), f"{number}"
         self._cloud.visible = cloud and len(snapshot.cloud) > 0
         if self._cloud.visible:
             R, origin = (np.eye(3), np.zeros(3)) if snapshot.has_pose else (self._T[:3, :3], self._T[:3, 3])

@@ -57,17 +57,10 @@ class BrowserView(RunView):
         open_browser: bool = False,
         limits: tuple[float, float] = (math.inf, math.inf),
     ) -> None:
-        """Open the page.
+        """Open the page at `port` of `host`, or at the first free port after it.
 
-        Args:
-            states: state of each probe; see `RunView`.
-            probes: estimator of each, and the folder of its exported parts, if any.
-            commands: receives the commands of the user.
-            log: callback for messages.
-            host: address to listen on.
-            port: port, or the first free one after it.
-            open_browser: show the page in the user's browser.
-            limits: force and moment at which a guard stops [N, N·m].
+        `probes` are the estimators with the folders of exported parts, `limits` the force and the moment at which a
+        guard stops [N, N·m].
 
         Raises:
             InputError: the address cannot be used.
@@ -112,9 +105,8 @@ class BrowserView(RunView):
         if open_browser and not webbrowser.open(f"{self.url}/?token={token}" if token else self.url):
             log("view: no browser was found; open the address by hand")
         self._writer = threading.Thread(target=self._write, args=(process.stdin,), daemon=True)
-        self._reader = threading.Thread(target=self._read, args=(process.stdout,), daemon=True)
         self._writer.start()
-        self._reader.start()
+        threading.Thread(target=self._read, args=(process.stdout,), daemon=True).start()
 
     def close(self) -> None:
         """Close the page."""
@@ -182,7 +174,6 @@ class TerminalView(RunView):
     def __init__(
         self, states: Mapping[str, ViewState], titles: Sequence[str], console: "Console | None" = None
     ) -> None:
-        """Start the table of each probe, with its title, on standard output if `console` is None."""
         from rich.live import Live
 
         super().__init__(states)

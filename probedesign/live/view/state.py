@@ -6,7 +6,7 @@ A snapshot is made of one update, so that everything drawn is of one instant.
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
@@ -47,27 +47,21 @@ class Event(NamedTuple):
     line: str
 
 
-class TouchPoint(NamedTuple):
-    """An earlier touch: its number, the touched point [m], (3,), and whether that is in the world or the base frame."""
-
-    number: int
-    p_surface: Array
-    in_world: bool
-
-
+#: Number of a touch, the touched point [m], (3,), and whether that is in the world or the base frame.
+TouchPoint = tuple[int, Array, bool]
 MAX_TOUCHES = 24  #: Maximum number of earlier touches that are drawn.
 
 
-def touch_points(contacts: tuple[Contact, ...]) -> tuple[TouchPoint, ...]:
+def touch_points(contacts: tuple[Contact, ...]) -> list[TouchPoint]:
     """Return the touches that have ended and were located: fused, or of a base that does not move."""
-    points = []
+    points: list[TouchPoint] = []
     for contact in contacts[-MAX_TOUCHES:]:
         fused, estimate = contact.fused, contact.estimate
         if fused is not None and fused.ok and not contact.ongoing:
-            points.append(TouchPoint(contact.number, fused.p_surface_world, True))
+            points.append((contact.number, fused.p_surface_world, True))
         elif fused is None and estimate is not None and not contact.ongoing:
-            points.append(TouchPoint(contact.number, estimate.p_surface_base, False))
-    return tuple(points)
+            points.append((contact.number, estimate.p_surface_base, False))
+    return points
 
 
 #: Columns of a row of a strip chart: wall clock [s], [N], [N·m], [m], [N], drift of the bias [N], whether the probe
@@ -89,7 +83,7 @@ class Snapshot:
     status: tuple[StatusLine, ...] = ()  #: the status lines.
     shape: BentShape | None = None  #: shape of the probe, if estimated.
     marker: ContactMarker | None = None  #: the contact, if the estimate is ok.
-    touches: tuple[TouchPoint, ...] = ()  #: the earlier touches that were located, the last ones.
+    touches: Sequence[TouchPoint] = ()  #: the earlier touches that were located, the last ones.
     #: pose of the base, (4, 4); NaN if unknown.
     T_world_base: Array = field(default_factory=lambda: np.full((4, 4), np.nan))
     gravity_base: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))  #: gravity vector [m/s²], (3,).
@@ -127,13 +121,6 @@ def _contact_lines(marker: ContactMarker | None, estimate: Estimate) -> list[Sta
         StatusLine("point", f"{_numbers(marker.p_surface, MM)} mm, {frame}; ± {stds} mm"),
         StatusLine("force", f"{float(np.linalg.norm(marker.force)) / MILLINEWTON:.1f} mN{friction}"),
     ]
-
-
-def _age_text(age: float) -> str:
-    """Return an age [s] in seconds, or in minutes beyond two."""
-    if not math.isfinite(age):
-        return "–"
-    return f"{age:.1f} s" if age < 120.0 else f"{age / 60.0:.0f} min"
 
 
 def _numbers(values: Array, unit: float, digits: int = 1) -> str:
@@ -183,34 +170,17 @@ CLOUD = 200  #: Number of estimates in a cloud.
 MAX_STRIP_ROWS = 4096  #: Maximum number of queued chart rows; at 30 snapshots per second there are a few.
 
 
-Counts = Callable[[], Mapping[str, int]]
-#: Returns what is recorded, and why the last recording ended by itself; each may be empty.
-RecordingState = Callable[[], tuple[str, str]]
-
-
-def not_recording() -> tuple[str, str]:
-    """Return that nothing is recorded."""
-    return "", ""
-
-
 class ViewState(Sink):
     """Stores the latest data of a probe without blocking, and returns a `Snapshot` on request."""
 
     def __init__(
         self,
-        counts: Counts = dict,
+        counts: Callable[[], Mapping[str, int]] = dict,  # of the source
         clock: Callable[[], float] = time.monotonic,
-        recording: RecordingState = not_recording,
+        recording: Callable[[], tuple[str, str]] = lambda: ("", ""),  # what is recorded, and why it ended by itself
         name: str = "",
     ) -> None:
-        """Start before the first reading.
-
-        Args:
-            counts: returns the counters of the source.
-            clock: returns the time [s].
-            recording: returns what is recorded.
-            name: name of the probe in a run with several, with which its events begin.
-        """
+        """Start before the first reading; events of a probe begin with its `name` in a run with several."""
         self._prefix = f"{name}: " if name else ""
         self._counts, self._clock, self._recording = counts, clock, recording
         self._update: EstimateUpdate | None = None
@@ -320,10 +290,11 @@ class ViewState(Sink):
 
     def _result_line(self, update: EstimateUpdate | None) -> StatusLine:
         age = self._readings.silent_for
+        text = f"{age:.1f} s" if age < 120.0 else f"{age / 60.0:.0f} min" if math.isfinite(age) else "–"
         if self._has_ended:
-            return StatusLine("result", f"the run has ended: all values are {_age_text(age)} old")
+            return StatusLine("result", f"the run has ended: all values are {text} old")
         if self._readings.stale:
-            return StatusLine("result", f"stale: no reading for {_age_text(age)}", "bad")
+            return StatusLine("result", f"stale: no reading for {text}", "bad")
         if update is None:
             return StatusLine("result", "no estimate yet" if self._n_readings else "no reading yet", "fair")
         if self._updates.stale:

@@ -21,7 +21,7 @@ import numpy as np
 from probedesign.core.errors import InputError, MissingDependencyError, one_line
 from probedesign.core.frames import Array, pose, rotation_z, wrench_map
 from probedesign.core.units import ANGLE_UNITS, FORCE_UNITS, LENGTH_UNITS, TORQUE_UNITS, unit_of
-from probedesign.live.sources.netft.rdt import PAGE
+from probedesign.live.sources.netft_rdt import PAGE
 
 MAX_TEXT = 128  # of one value
 
