@@ -16,7 +16,7 @@ from probedesign.core.files import check_overwrite, write_atomically
 from probedesign.core.units import GRAM, MM, MPA
 
 if TYPE_CHECKING:
-    from probedesign.live.processing.payload import Calibration
+    from probedesign.live.processing.payload import FreeMotionFit
 
 KIND = "probedesign tool calibration"
 
@@ -99,7 +99,7 @@ def calibrate(
     print(f"wrote {out}")
 
 
-def _print(found: "Calibration") -> None:
+def _print(found: "FreeMotionFit") -> None:
     from scipy.spatial.transform import Rotation
 
     from probedesign.live.processing.payload import BIAS, MASS, RATE, STIFFNESS, TURN

@@ -12,7 +12,8 @@ from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.processing.estimates import locate
 from probedesign.live.processing.tare import TareWindow
 from probedesign.live.run import estimate_stream
-from probedesign.live.sources.netft import configuration, rdt
+from probedesign.live.sources import netft_configuration as configuration
+from probedesign.live.sources import netft_rdt as rdt
 from probedesign.live.sources.netft_rdt import RECORD, SensorClock
 from probedesign.live.sources.source import STALE_TIME, open_source
 from probedesign.simulation.netft_box import OFFSET, FaultInjector

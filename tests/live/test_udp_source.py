@@ -4,11 +4,9 @@ import json
 import random
 import signal
 import socket
-import sys
 import threading
 import time
 from contextlib import closing, suppress
-from importlib.metadata import EntryPoint
 
 import msgpack
 import numpy as np
@@ -18,7 +16,6 @@ from probedesign.core.errors import InputError
 from probedesign.live.datagrams import MAX_DATAGRAM, SENDER_TIMEOUT, Listener
 from probedesign.live.processing.chain import ProcessingOptions
 from probedesign.live.run import estimate_stream
-from probedesign.live.sources import source as sources
 from probedesign.live.sources.source import STALE_TIME, open_source
 from probedesign.live.sources.udp import MAX_RATE, parse_wrench
 from probedesign.rod.contact import solve_frictionless
@@ -263,32 +260,6 @@ def test_a_wrench_by_udp_is_located_as_it_was_sent(estimator):
     (update,) = updates
     assert update.estimate.ok
     assert abs(update.estimate.s_contact - s) < update.estimate.std_s  # noise-free: the model error alone is stated
-
-
-# sources of other packages
-
-
-def test_a_source_of_another_package_is_an_entry_point(estimator, monkeypatch):
-    calls = []
-    module = type(sys)("their_sensor")
-    module.open = lambda model, target, query, log: calls.append((target, query)) or "source"
-    module.broken = lambda *arguments: 1 / 0
-    monkeypatch.setitem(sys.modules, "their_sensor", module)
-    added = [
-        EntryPoint("their", "their_sensor:open", sources.ENTRY_POINTS),
-        EntryPoint("broken", "their_sensor:broken", sources.ENTRY_POINTS),
-        EntryPoint("absent", "no_such_module:open", sources.ENTRY_POINTS),
-        EntryPoint("sim", "their_sensor:broken", sources.ENTRY_POINTS),
-    ]
-    monkeypatch.setattr(sources, "entry_points", lambda group: added)
-    assert open_source("their://here?rate_hz=5", estimator.model) == "source"
-    assert calls == [("//here", "rate_hz=5")]
-    for name in ("broken", "absent"):
-        with pytest.raises(InputError, match=f"source {name}"):
-            open_source(f"{name}:", estimator.model)
-    assert open_source("sim:", estimator.model).title.startswith("simulated")  # no package replaces a source of ours
-    with pytest.raises(InputError, match="their:"):
-        open_source("unknown:", estimator.model)
 
 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="Windows has no timer signals")

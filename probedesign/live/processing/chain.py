@@ -168,15 +168,7 @@ class Chain:
         log: Log,
         tare: Tare | None = None,
     ) -> None:
-        """Start with no readings.
-
-        Args:
-            estimator: of the probe.
-            options: how readings are processed.
-            poses: None if the base is fixed as the frozen probe or the source states.
-            log: takes messages for the user.
-            tare: one that was taken beforehand; then that of the options is not taken.
-        """
+        """Start with no readings; with a `tare` that was taken beforehand, that of the options is not taken."""
         self.tare = tare
         self._estimator, self._options, self._poses, self._log = estimator, options, poses, log
         mains = options.mains_hz

@@ -96,12 +96,12 @@ def spread_along(R: Sequence[Array], gravity_world: Array) -> tuple[float, int, 
 
 def orientations(R: Sequence[Array], gravity_world: Array) -> int:
     """Return the number of directions of gravity in the axes of the base that differ by `MIN_TURN`."""
-    found: list[Array] = []
+    directions: list[Array] = []
     for each in R:
         down = each.T @ gravity_world / np.linalg.norm(gravity_world)
-        if all(float(down @ other) < math.cos(MIN_TURN) for other in found):
-            found.append(down)
-    return len(found)
+        if all(float(down @ other) < math.cos(MIN_TURN) for other in directions):
+            directions.append(down)
+    return len(directions)
 
 
 class RestCollector:
@@ -242,7 +242,7 @@ class PayloadCheck:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class FreeMotionFit:
     """Bias, payload, mount and stiffness with their covariance, and how well they explain the rests."""
 
     model: ProbeModel  #: the probe before it.
@@ -307,9 +307,9 @@ class Calibration:
         """
         times, (scatter, walk) = np.array([rest.time for rest in self.rests]), self.noise
         w, J = _linearised(self.model, self.x, self.R, R.T @ self.gravity_world, time - self._time, self.tool)
-        near = np.minimum.outer(np.append(times, time) - min(times.min(), time), times - min(times.min(), time))[-1]
-        own = time - min(times.min(), time)
-        mean, var = w, scatter**2 + walk**2 * own + np.mean([rest.std**2 for rest in self.rests], axis=0)
+        start = min(times.min(), time)
+        near, mean = np.minimum(time, times) - start, w
+        var = scatter**2 + walk**2 * (time - start) + np.mean([rest.std**2 for rest in self.rests], axis=0)
         for c in range(6):
             gain = walk[c] ** 2 * near @ self._inverses[c]
             mean[c] += gain @ self._left[:, c]
@@ -373,7 +373,7 @@ class Calibration:
         }  # fmt: skip
 
 
-def calibrate(model: ProbeModel, rests: Sequence[Rest], gravity_world: Array, *, tool: bool = False) -> Calibration:
+def calibrate(model: ProbeModel, rests: Sequence[Rest], gravity_world: Array, *, tool: bool = False) -> FreeMotionFit:
     """Fit bias, payload, mount and stiffness to rests of a free probe.
 
     Args:
@@ -393,8 +393,8 @@ def calibrate(model: ProbeModel, rests: Sequence[Rest], gravity_world: Array, *,
     time = np.array([rest.time for rest in rests])
     middle = float(time.mean())
     down = np.array([each.T @ gravity_world for each in R])
-    start, turned = np.zeros(SIZE), np.eye(3)
-    start[MASS], start[MOMENT] = model.payload.mass, model.payload.mass * model.payload.p_com
+    x, turned = np.zeros(SIZE), np.eye(3)
+    x[MASS], x[MOMENT] = model.payload.mass, model.payload.mass * model.payload.p_com
     wrench = np.array([rest.wrench for rest in rests])
     rod = np.array([_linearised(model, np.zeros(SIZE), turned, g, 0.0, tool)[0] for g in down])
     linear = np.column_stack([np.ones(len(rests)), down, *([time - middle] if len(rests) > 7 else [])])
@@ -410,7 +410,7 @@ def calibrate(model: ProbeModel, rests: Sequence[Rest], gravity_world: Array, *,
         U, size, Vt = np.linalg.svd(by_gravity)
         sign = float(np.linalg.det(U @ Vt))
         turned = (sign * U @ Vt).T
-        start[MASS] = sign * size.mean()
+        x[MASS] = sign * size.mean()
     priors = Tolerances.of(model)
     step = model.noise.std * math.sqrt(model.averaging_samples)
     least_walk = np.zeros(6) if tool else step * priors.walk_steps / math.sqrt(WALK_SECONDS)
@@ -429,7 +429,7 @@ def calibrate(model: ProbeModel, rests: Sequence[Rest], gravity_world: Array, *,
         rows = [_linearised(model, x, R, g, t - middle, tool) for g, t in zip(down, time, strict=True)]
         return np.array([w for w, _ in rows]), np.array([J for _, J in rows])
 
-    line, y, x = linear, wrench - rod, start
+    line, y = linear, wrench - rod
     for _ in range(ROUNDS):
         noise = np.array([_variances(line, y[:, c], std[:, c], walked, least_walk[c]) for c in range(6)])
         inverses = np.array([
@@ -437,7 +437,7 @@ def calibrate(model: ProbeModel, rests: Sequence[Rest], gravity_world: Array, *,
         ])  # fmt: skip
         roots = np.linalg.cholesky(inverses).transpose(0, 2, 1)
 
-        def off(x: Array, roots: Array = roots) -> Array:
+        def residual(x: Array, roots: Array = roots) -> Array:
             w, _ = predicted(x)
             return np.concatenate([*(roots[c] @ (w[:, c] - wrench[:, c]) for c in range(6)), x / prior])
 
@@ -445,7 +445,7 @@ def calibrate(model: ProbeModel, rests: Sequence[Rest], gravity_world: Array, *,
             _, J = predicted(x)
             return np.concatenate([*(roots[c] @ J[:, c] for c in range(6)), np.diag(1.0 / prior)])
 
-        x = np.asarray(least_squares(off, x, slopes, method="lm", x_scale="jac").x, dtype=float)
+        x = np.asarray(least_squares(residual, x, slopes, method="lm", x_scale="jac").x, dtype=float)
         w, jacobian = predicted(x)
         # What the sensor gets wrong in proportion to gravity counts as scatter, too: a rigid payload does not have it.
         line = np.column_stack([np.ones(n), time - middle])
@@ -464,33 +464,30 @@ def calibrate(model: ProbeModel, rests: Sequence[Rest], gravity_world: Array, *,
             f"the payload has a negative mass, {1e3 * x[MASS]:.3g} ± {1e3 * mass_std:.2g} g: check the sign of "
             "--gravity-world, the frame of the poses and the axes of the sensor"
         )
-    turn = x[TURN].copy()
-    R_turned = turned @ Rotation.from_rotvec(turn).as_matrix()
+    R_turned = turned @ Rotation.from_rotvec(x[TURN]).as_matrix()
     chi2 = np.array([float(left[:, c] @ stated[c] @ left[:, c]) for c in range(6)])
-    found = Calibration(model, tuple(rests), gravity_world, x, cov, R_turned, residuals, chi2,
+    fit = FreeMotionFit(model, tuple(rests), gravity_world, x, cov, R_turned, residuals, chi2,
                         noise.T, correlation, dropped, (), tool, jacobian, left, inverses, middle)  # fmt: skip
-    return replace(found, notes=tuple(_notes(found, prior)))
+    return replace(fit, notes=tuple(_notes(fit, prior)))
 
 
-def _notes(found: Calibration, prior: Array) -> list[str]:
+def _notes(fit: FreeMotionFit, prior: Array) -> list[str]:
     """Return what the user should know; `prior` has the standard deviations before the calibration, (20,)."""
-    notes = [
-        f"the rest at {t:.6g} s differs from all others and is not used: touched or moving?" for t in found.dropped
-    ]
-    if not found.tool and found.std[STIFFNESS] > UNOBSERVED * prior[STIFFNESS]:
+    notes = [f"the rest at {t:.6g} s differs from all others and is not used: touched or moving?" for t in fit.dropped]
+    if not fit.tool and fit.std[STIFFNESS] > UNOBSERVED * prior[STIFFNESS]:
         notes.append(f"E is not observable: the sag tells it no better than ± {prior[STIFFNESS]:.1%}, as it was known; "
                      "more orientations with the axis horizontal help")  # fmt: skip
-    hidden = [axis for axis, s in zip("xyz", found.std[TURN], strict=True) if s > UNOBSERVED * prior[TURN][0]]
+    hidden = [axis for axis, s in zip("xyz", fit.std[TURN], strict=True) if s > UNOBSERVED * prior[TURN][0]]
     if hidden:
         notes.append(f"the mount's rotation about {', '.join(hidden)} is not observable: the weight is too small")
-    if not found.tool and float(np.linalg.norm(found.x[TURN])) > 3.0 * MOUNT_STD:
-        angle = math.degrees(float(np.linalg.norm(found.x[TURN])))
+    if not fit.tool and float(np.linalg.norm(fit.x[TURN])) > 3.0 * MOUNT_STD:
+        angle = math.degrees(float(np.linalg.norm(fit.x[TURN])))
         notes.append(
             f"the base is turned by {angle:.1f}° against the poses: is the tool centre point that of the probe?"
         )
-    for name in found.inconsistent:
+    for name in fit.inconsistent:
         c = CHANNELS.index(name)
-        factor = math.sqrt(found.chi2[c] / max(len(found.rests) - 3, 1))
+        factor = math.sqrt(fit.chi2[c] / max(len(fit.rests) - 3, 1))
         notes.append(f"{name} is off by {factor:.2g} times what noise and walk explain: touched, warming up or a "
                      "pulling cable? the stated covariance includes it")  # fmt: skip
     return notes
@@ -509,20 +506,14 @@ def _check_turns(R: Sequence[Array], gravity_world: Array, frame: str) -> None:
                          f"{MIN_ORIENTATIONS - count} more that differ by {math.degrees(MIN_TURN):.0f}°")  # fmt: skip
 
 
-def _stiffness_prior(model: ProbeModel) -> float:
+def _stiffness_prior(model: ProbeModel) -> float:  # standard deviation of the factor on E and G
     return max(Tolerances.of(model).youngs_modulus, 1e-3)
 
 
 def _linearised(model: ProbeModel, x: Array, R: Array, gravity: Array, t: float, tool: bool) -> tuple[Array, Array]:
     """Return the reading (6,) and its derivative (6, 20) under gravity in the axes of the pose [m/s²], (3,).
 
-    Args:
-        model: the probe.
-        x: the parameters; the rotation in them counts from `R`, which includes it.
-        R: R_pose_base, (3, 3).
-        gravity: in axes of the pose.
-        t: time since that of the bias [s].
-        tool: there is no rod.
+    The rotation in the parameters `x` counts from `R`, R_pose_base, which includes it; `t` is since that of the bias.
     """
     R_sb, g = model.T_sensor_base[:3, :3], R.T @ gravity
     seen = R_sb @ g
@@ -555,9 +546,9 @@ def _regular(linear: Array, wrench: Array) -> NDArray[np.bool_]:
         A, y = linear[kept], wrench[kept]
         Q, _ = np.linalg.qr(A)
         left = np.maximum(1.0 - (Q**2).sum(axis=1), 1e-6)[:, None]
-        off = y - Q @ (Q.T @ y)
-        others = np.maximum((off**2).sum(axis=0) - off**2 / left, 1e-300) / dof
-        worst = (np.abs(off) / np.sqrt(others * left)).max(axis=1)
+        residual = y - Q @ (Q.T @ y)
+        others = np.maximum((residual**2).sum(axis=0) - residual**2 / left, 1e-300) / dof
+        worst = (np.abs(residual) / np.sqrt(others * left)).max(axis=1)
         if worst.max() < stdtrit(dof, 1.0 - OUTLIER_CHANCE / (12.0 * len(A))) or 4 * (~kept).sum() >= len(kept) - 4:
             break
         kept[np.flatnonzero(kept)[int(np.argmax(worst))]] = False
@@ -567,17 +558,11 @@ def _regular(linear: Array, wrench: Array) -> NDArray[np.bool_]:
 def _variances(A: Array, y: Array, std: Array, walked: Array, least_walk: float) -> tuple[float, float]:
     """Return the scatter from rest to rest and the walk [1/√s] of a channel by its restricted likelihood.
 
-    They are the means over all values, not the most likely ones, which few rests would set to zero.
-
-    Args:
-        A: what the channel is linear in, (n, k).
-        y: its readings, (n,).
-        std: standard deviation by noise, (n,).
-        walked: covariance of a walk of one [s], (n, n).
-        least_walk: that is stated.
+    They are the means over all values, not the most likely ones, which few rests would set to zero. `A` is what the
+    readings `y` are linear in, (n, k); `std` their noise; `walked` the covariance of a walk of one [s], (n, n).
     """
-    off = y - A @ np.linalg.lstsq(A, y, rcond=None)[0]
-    size = math.sqrt(float(off @ off) / max(len(y) - A.shape[1], 1)) + 1e-12
+    residual = y - A @ np.linalg.lstsq(A, y, rcond=None)[0]
+    size = math.sqrt(float(residual @ residual) / max(len(y) - A.shape[1], 1)) + 1e-12
     levels = size * np.geomspace(0.02, 3.0, 12)
     tried = []
     per_second = 1.0 / math.sqrt(max(float(walked.max()), 1e-9))
@@ -590,8 +575,7 @@ def _variances(A: Array, y: Array, std: Array, walked: Array, least_walk: float)
             continue
         B, z = np.linalg.solve(root, A), np.linalg.solve(root, y)
         r = z - B @ np.linalg.lstsq(B, z, rcond=None)[0]
-        sign_log = np.linalg.slogdet(B.T @ B)[1]
-        value = 2.0 * float(np.log(np.diag(root)).sum()) + float(sign_log) + float(r @ r)
+        value = 2.0 * float(np.log(np.diag(root)).sum()) + float(np.linalg.slogdet(B.T @ B)[1]) + float(r @ r)
         tried.append((value, scatter**2, walk**2))
     value, scatter2, walk2 = np.array(tried).T
     weights = np.exp(0.5 * (value.min() - value))

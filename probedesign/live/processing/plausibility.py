@@ -97,13 +97,7 @@ class SignalMonitor:
     """Checks the readings of a sensor, batch by batch."""
 
     def __init__(self, model: ProbeModel, samples: int, rate: float) -> None:
-        """Start without readings.
-
-        Args:
-            model: probe and sensor.
-            samples: number of readings averaged to one: their mean has the noise of the model.
-            rate: of readings [Hz]; NaN if it is unknown.
-        """
+        """Start without readings at a rate [Hz], NaN if unknown; the mean of `samples` has the noise of the model."""
         self._noise = model.noise.std * math.sqrt(samples)
         self.screen = SampleScreen(model, samples, rate)
         self._samples, self._rate = samples, rate

@@ -338,15 +338,9 @@ class TouchMonitor:
         log: Log,
         estimates: bool = True,
     ) -> None:
-        """Start with no batch.
+        """Start with no batch of so many `samples` at a `rate` [Hz]; `contacts` is the list to continue.
 
-        Args:
-            estimator: estimator of the probe, for the noise of a batch mean.
-            contacts: list to continue.
-            rate: rate of single samples [Hz].
-            samples: number of samples in a batch.
-            poses: poses of the base, if known.
-            estimates: whether the readings of a touch are fused to a point in the world, and touches are reported.
+        With `estimates`, the readings of a touch are fused to a point in the world, and touches are reported.
         """
         model = estimator.model
         self._estimator, self._contacts, self._poses, self._log = estimator, contacts, poses, log
@@ -369,12 +363,8 @@ class TouchMonitor:
                 estimator, gravity_world=poses.gravity_world, rate=rate / samples, samples=1,
                 bias=self._detector.bias_filter,
             )  # fmt: skip
-        self._state = self._no_state
+        self._unknown = self._state = TouchState("", None if poses is None else FusedEstimate("out_of_range"))
         self._period, self._last = samples / rate, math.nan
-
-    @property
-    def _no_state(self) -> TouchState:
-        return TouchState("", None if self._poses is None else FusedEstimate("out_of_range"))
 
     def update(
         self, batch: AveragedBatch, tare: Tare | None, T_world_base: Array | None, motion: MotionMonitor | None = None
@@ -386,7 +376,7 @@ class TouchMonitor:
         gravity = batch.reading.gravity_base
         free = self._estimator.free(gravity)
         if not free.ok:
-            return self._no_state
+            return self._unknown
         gap = batch.reading.time - self._last - self._period
         if gap > self._period:
             self._detector.rest(gap)

@@ -1,14 +1,12 @@
 """Sources of readings: the interface, the registry of their schemes, their parameters, and the monitor of dropouts.
 
-A new source is a module with a class like `Source`, an entry in `SOURCES`, and its section in docs/live.md. A source of
-another package is an entry point of the group `ENTRY_POINTS`.
+A new source is a module with a class like `Source`, an entry in `SOURCES`, and its section in docs/live.md.
 """
 
 import difflib
 import math
 from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import entry_points
 from pkgutil import resolve_name
 from time import monotonic
 from typing import Protocol
@@ -16,7 +14,7 @@ from urllib.parse import parse_qsl
 
 import numpy as np
 
-from probedesign.core.errors import InputError, ProbeDesignError
+from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
@@ -48,8 +46,6 @@ SOURCES = {
     "udp": ("udp://:PORT", "probedesign.live.sources.udp:open_udp"),
     "ros2": ("ros2://TOPIC", "probedesign.live.sources.ros2:open_ros2"),
 }
-#: Group of entry points by which other packages add sources: scheme = "module:function", with the same arguments.
-ENTRY_POINTS = "probedesign.sources"
 
 
 def open_source(spec: str, model: ProbeModel, log: Log = lambda line: None) -> Source:
@@ -65,23 +61,11 @@ def open_source(spec: str, model: ProbeModel, log: Log = lambda line: None) -> S
         MissingDependencyError: the package that reads it is not installed.
     """
     scheme, colon, rest = spec.partition(":")
-    added = {entry.name: entry for entry in entry_points(group=ENTRY_POINTS)} if scheme not in SOURCES else {}
-    if not colon or scheme not in (*SOURCES, *added):
-        *examples, last = (*(example for example, _ in SOURCES.values()), *(f"{name}:" for name in sorted(added)))
+    if not colon or scheme not in SOURCES:
+        *examples, last = (example for example, _ in SOURCES.values())
         raise InputError(f"source {spec!r} is unknown; available are {', '.join(examples)} and {last}")
     target, _, query = rest.rpartition("?") if "?" in rest else (rest, "", "")
-    if scheme in SOURCES:
-        opened: Source = resolve_name(SOURCES[scheme][1])(model, target, query, log)
-        return opened
-    entry = added[scheme]
-    try:
-        opened = entry.load()(model, target, query, log)
-    except ProbeDesignError:
-        raise
-    except Exception as error:  # reported in one line that names the package
-        package = entry.dist.name if entry.dist is not None else entry.value
-        why = f"{type(error).__name__}: {error}"
-        raise InputError(f"source {entry.name}: of package {package} cannot be opened: {why}") from error
+    opened: Source = resolve_name(SOURCES[scheme][1])(model, target, query, log)
     return opened
 
 
