@@ -69,11 +69,9 @@ def read_quantity(values: Mapping[str, Any], names: Spellings) -> float | None:
         return None
     if len(given) > 1:
         raise InputError(f"has {given[0]} and {given[1]}; keep one")
-    value = values[given[0]]
-    try:
+    value, number = values[given[0]], math.nan
+    with suppress(TypeError, ValueError, OverflowError):
         number = math.nan if isinstance(value, bool) or value is None else float(value)
-    except (TypeError, ValueError, OverflowError):
-        number = math.nan
     if not math.isfinite(number):
         raise InputError(f"{given[0]} = {quoted(value)} is not a finite number")
     return names[given[0]] * number
@@ -146,9 +144,7 @@ class Listener(Generic[T]):
     or jumps. Datagrams that a gap of the sequence shows as lost are counted too.
 
     Attributes:
-        address: host and port.
         counts: number of datagrams by kind, and of bursts: ticks in which the limit was reached.
-        title: one line that describes the stream.
         frame: frame of the values, as the sender names it; may be empty.
     """
 
@@ -161,15 +157,10 @@ class Listener(Generic[T]):
         max_rate: float = 2000.0,
         title: str = "",
     ) -> None:
-        """Bind the port; nothing is received before `start`.
+        """Bind the port of this machine, or one that the system chooses if it is 0; nothing is received before `start`.
 
-        Args:
-            option: option of the user, for errors.
-            name: what is received, in plural, for messages.
-            address: host and port of this machine to listen on; port 0 lets the system choose.
-            parse: returns the content of an object, or raises InputError.
-            max_rate: maximum number of datagrams per second.
-            title: one line that describes the stream; name and address if empty.
+        Messages name the `option` of the user and what is received, `name`, in plural. `parse` returns the content of
+        an object, or raises InputError; `max_rate` is that of datagrams [Hz].
 
         Raises:
             InputError: the port is in use, or the address does not belong to this machine.
@@ -263,11 +254,7 @@ class Listener(Generic[T]):
             self._arrived.get(timeout=timeout)
 
     def pop(self) -> list[tuple[float, T, int]]:
-        """Return the values since the last call.
-
-        Returns:
-            Arrival by `time.monotonic` [s], value, and number of the sender's session, for each.
-        """
+        """Return arrival by `time.monotonic` [s], value, and session of the sender of what came since the last call."""
         with suppress(Empty):
             self._arrived.get_nowait()
         return self._queue.take()

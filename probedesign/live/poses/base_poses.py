@@ -289,11 +289,7 @@ class PoseStream(Protocol):
     notes: tuple[str, ...]  #: notes for the user, one line each.
 
     def pop(self) -> list[tuple[float, TimedPose, int]]:
-        """Return the poses since the last call.
-
-        Returns:
-            Arrival by `time.monotonic` [s], pose by its sender's clock, and number of the sender's session, for each.
-        """
+        """Return arrival by `time.monotonic` [s], pose by its sender's clock and session of the sender since then."""
 
     def pop_messages(self) -> list[str]:
         """Return the messages to the user since the last call."""
@@ -318,13 +314,10 @@ class BasePoses:
     clocks are related to this machine's by the minimum delay of their messages.
 
     Attributes:
-        title: one line that describes the poses.
-        notes: notes for the user, one line each.
         gravity_world: gravity vector in the world [m/s²], (3,).
         latency: delay of a pose's time stamp relative to a reading of the same instant [s].
         track: the poses by the wrench's clock, corrected for latency.
-        on_pose: callback for each pose, once and in order, as the readings reach it; a recording needs them for
-            replay.
+        on_pose: callback for each pose, once and in order, as the readings reach it, for recordings.
     """
 
     def __init__(
@@ -347,10 +340,10 @@ class BasePoses:
         self.gravity_world = np.array(GRAVITY_WORLD if gravity_world is None else gravity_world, dtype=float)
         self._log = log
         self._listener = None if isinstance(poses, list) else poses
-        if not isinstance(poses, list):
-            self.track = PoseTrack(max_gap, MAX_POSES, slow=slow)
-        else:
+        if isinstance(poses, list):
             self.track = PoseTrack.of((self._delayed(pose, -latency) for pose in poses), max_gap, slow)
+        else:
+            self.track = PoseTrack(max_gap, MAX_POSES, slow=slow)
         self._wrench, self._robot = ClockOffset(), ClockOffset()
         self._session = 0
         self._delays, self._lag_reported = deque[float](maxlen=LAG_POSES), False

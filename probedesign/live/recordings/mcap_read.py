@@ -217,15 +217,7 @@ MAX_PROBE_BYTES = 10_000_000  #: Maximum length of an attachment that is read as
 
 
 class McapBag:
-    """An MCAP file as a bag; damaged parts of it are skipped.
-
-    Attributes:
-        path: path of the file.
-        metadata: metadata by name, as far as they precede the first message.
-        clock_offsets: wall clock of the headers minus the source's clock [ns], by the beginning of the names of the
-            topics; only in our own recordings.
-        probes: attached frozen probes.
-    """
+    """An MCAP file as a bag, see `Bag`; damaged parts are skipped, and metadata precede the first message."""
 
     def __init__(self, path: Path) -> None:
         """Read the records before the first message.
@@ -234,11 +226,8 @@ class McapBag:
             InputError: the file is not MCAP.
         """
         self.path, self._damage = path, Damage()
-        self.clock_offsets: dict[str, int] = {}
-        self.metadata: dict[str, dict[str, str]] = {}
-        self.probes: list[dict[str, object]] = []
-        self._channels: dict[int, BagTopic] = {}
-        self._schemas: dict[int, str] = {}
+        self.clock_offsets, self.metadata = dict[str, int](), dict[str, dict[str, str]]()
+        self.probes, self._channels, self._schemas = list[dict[str, object]](), dict[int, BagTopic](), dict[int, str]()
         try:
             with path.open("rb") as file:
                 if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
@@ -258,10 +247,10 @@ class McapBag:
                         break
         except DamagedError as error:
             self._damage.add(str(error))
-        except FileNotFoundError:
-            raise InputError(f"{path}: no such recording") from None
         except OSError as error:
-            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+            missing = isinstance(error, FileNotFoundError)
+            why = "no such recording" if missing else f"cannot be read: {error.strerror}"
+            raise InputError(f"{path}: {why}") from None
 
     @property
     def damage(self) -> str:
@@ -348,13 +337,30 @@ class _RecordCopier:
     """Copies records of one file to another and renumbers schemas and channels."""
 
     def __init__(self, writer: Writer) -> None:
-        self._writer = writer
-        self._schemas: dict[int, int] = {0: 0}
-        self._channels: dict[int, int] = {}
+        self._writer, self._schemas, self._channels = writer, {0: 0}, dict[int, int]()
         self.messages, self.first, self.last = 0, 0, 0
 
-    def copy_record(self, opcode: int, content: bytes, damage: Damage) -> None:
-        """Copy a record of the file, without what is damaged in a chunk."""
+    def copy(self, file: BinaryIO) -> str:
+        """Copy a file record by record; return its damage, empty at a regular end."""
+        damage, ended = Damage(), False
+        try:
+            for i, (opcode, content) in enumerate(walk_intact(file, damage)):
+                if i == 0 and opcode != Opcode.HEADER:
+                    return "its records do not begin with a header"
+                ended = ended or opcode == Opcode.DATA_END
+                if ended or (i and opcode == Opcode.HEADER):
+                    continue
+                try:
+                    self._copy_record(opcode, content, damage)
+                except DamagedError as error:
+                    damage.add(str(error))
+        except struct.error:
+            return "it names more channels than there can be"
+        if not str(damage) and not (ended and file.read() == MCAP_MAGIC):
+            return "it was cut off"
+        return str(damage)
+
+    def _copy_record(self, opcode: int, content: bytes, damage: Damage) -> None:
         if opcode == Opcode.HEADER:
             header = parse(records.Header, content)
             self._writer.start(header.profile, header.library)
@@ -375,7 +381,6 @@ class _RecordCopier:
             self._copy_inner(opcode, memoryview(content))
 
     def _copy_inner(self, opcode: int, content: memoryview) -> None:
-        """Copy a schema, channel or message record, in a chunk or outside."""
         if opcode == Opcode.SCHEMA:
             schema = parse(records.Schema, bytes(content))
             if schema.id not in self._schemas:
@@ -421,7 +426,7 @@ def recover(path: Path, out: Path, force: bool = False) -> RecoveryResult:
             with temporary.open("xb") as written:
                 writer = Writer(written)
                 copier = _RecordCopier(writer)
-                damage = _copy_records(copier, file)
+                damage = copier.copy(file)
                 if damage and copier.messages:
                     writer.finish()
         if damage and not copier.messages:
@@ -437,24 +442,3 @@ def recover(path: Path, out: Path, force: bool = False) -> RecoveryResult:
         raise InputError(f"{path}: cannot be recovered to {out}: {error.strerror}") from None
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def _copy_records(copier: _RecordCopier, file: BinaryIO) -> str:
-    """Copy record by record; return the damage, empty at a regular end."""
-    damage, ended = Damage(), False
-    try:
-        for i, (opcode, content) in enumerate(walk_intact(file, damage)):
-            if i == 0 and opcode != Opcode.HEADER:
-                return "its records do not begin with a header"
-            ended = ended or opcode == Opcode.DATA_END
-            if ended or (i and opcode == Opcode.HEADER):
-                continue
-            try:
-                copier.copy_record(opcode, content, damage)
-            except DamagedError as error:
-                damage.add(str(error))
-    except struct.error:
-        return "it names more channels than there can be"
-    if not str(damage) and not (ended and file.read() == MCAP_MAGIC):
-        return "it was cut off"
-    return str(damage)
