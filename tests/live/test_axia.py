@@ -24,22 +24,12 @@ def test_the_patterns_of_the_manual(status, text):
     assert text in fault and f"0x{status:08x}" in fault and ", " not in fault
 
 
-def test_several_conditions_are_all_named():
+def test_other_words_of_an_axia_and_of_a_net_box():
     """The manual's example 80000005: temperature, broken gauge and any error."""
     fault = fault_of(0x80000005, AXIA)
     assert "temperature" in fault and "broken gauge" in fault
-
-
-@pytest.mark.parametrize("status", [0x00000000, 0x00010000])
-def test_a_healthy_axia(status):
-    assert fault_of(status, AXIA) == ""
-
-
-def test_an_error_without_a_condition_is_a_fault():
+    assert fault_of(0x00000000, AXIA) == fault_of(0x00010000, AXIA) == ""
     assert "unknown" in fault_of(0x80000000, AXIA)
-
-
-def test_the_same_word_has_another_meaning_in_a_net_box():
     assert "temperature" not in fault_of(0x80000002, AXIA) and "HTTP" in fault_of(0x80000002, NET_BOX)
 
 
@@ -75,15 +65,11 @@ def rates_of(rate, assumed, seconds=4 * RATE_PERIOD):
     return [each for each in found if each is not None]
 
 
-@pytest.mark.parametrize("rate", [488.0, 976.0, 1953.0, 3906.0, 7912.0])
+@pytest.mark.parametrize("rate", [488.0, 976.0, 1953.0, 3906.0, 6800.0, 7000.0, 7300.0, 7912.0])
 def test_another_rate_is_measured_and_reported_once(rate):
     """Rates of the manual, 9620-05-C-Ethernet Axia-02, table 5.5; two intervals suffice. 1e-9 for rounding."""
-    assert rates_of(rate, 7000.0) == [pytest.approx(rate, rel=1e-9)]
-
-
-@pytest.mark.parametrize("rate", [6800.0, 7000.0, 7300.0])
-def test_the_expected_rate_is_not_reported(rate):
-    assert rates_of(rate, 7000.0) == []
+    near = abs(rate / 7000.0 - 1.0) < 0.05
+    assert rates_of(rate, 7000.0) == ([] if near else [pytest.approx(rate, rel=1e-9)])
 
 
 def test_a_stated_rate_scales_the_time(estimator):

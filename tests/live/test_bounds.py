@@ -20,7 +20,6 @@ from probedesign.core.errors import InputError
 from probedesign.core.files import parse_bounded_toml
 from probedesign.frozen_probe import _checksum, load_model
 from probedesign.live.blocks import dropout_block, limit_duration
-from probedesign.live.outputs.recording import RecordingSink
 from probedesign.live.poses.pose_sources import read_pose_file
 from probedesign.live.recordings import AppendFile
 from probedesign.live.recordings.csv import read_recording
@@ -231,14 +230,6 @@ def test_a_message_with_a_piece_of_a_file_does_not_control_the_terminal(bundle, 
         assert run(["estimate", str(forged(bundle, tmp_path, **changes)), str(bundle)]) == 2
         err = capsys.readouterr().err
         assert err.count("\n") == 1 and err.strip().isprintable()
-
-
-def test_a_recording_without_a_name_stays_in_its_folder(estimator, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    recordings = RecordingSink(None, [estimator.model], lambda line: None)
-    recordings.start()
-    assert recordings.path.resolve().parent == tmp_path / "recordings"
-    recordings.close()
 
 
 # time

@@ -1,7 +1,5 @@
 """Signals that no working sensor or robot gives: each is a named fault without a position, and ends with its cause."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -38,6 +36,13 @@ def free(estimator):
     return time, np.rint((still + step * rng.normal(size=(len(time), 6))) / (0.2 * step)) * 0.2 * step
 
 
+def replayed(estimator, path, options):
+    """The updates of a recording that is replayed, and the messages."""
+    lines = []
+    source = ReplaySource(estimator.model, path, "speed=max")
+    return list(estimate_stream(estimator, source, options, lines.append)), lines
+
+
 def during(time):
     return (time >= FAULT[0]) & (time < FAULT[1])
 
@@ -72,9 +77,7 @@ def test_a_fault_in_a_file_has_no_position_and_ends(change, named, found_after, 
     time, wrench = free[0], free[1].copy()
     change(wrench, during(time), estimator.model)
     write_recording(tmp_path / "fault.csv", time, wrench)
-    source, lines = ReplaySource(estimator.model, tmp_path / "fault.csv", "speed=max"), []
-    options = ProcessingOptions(TareWindow(0.0, 1.0), SAMPLES)
-    updates = list(estimate_stream(estimator, source, options, lines.append))
+    updates, lines = replayed(estimator, tmp_path / "fault.csv", ProcessingOptions(TareWindow(0.0, 1.0), SAMPLES))
     while_it_lasts = [u for u in updates if FAULT[0] + found_after + 0.05 < u.reading.time < FAULT[1] - 0.05]
     assert while_it_lasts and all(named in u.reading.fault for u in while_it_lasts)
     assert {u.estimate.result for u in while_it_lasts} == {"out_of_range"}
@@ -130,18 +133,14 @@ def test_frozen_values_and_a_leap_of_the_counter_at_the_wire(estimator, tmp_path
     assert sum("leapt ahead by" in line for line in lines) == 1
     assert faults[-10:] == [""] * 10
     recorded.close()
-    source = ReplaySource(estimator.model, tmp_path / "faults.mcap", "speed=max")
-    options = ProcessingOptions(TareWindow(0.0, 0.5), SAMPLES)
-    replayed = {
-        update.reading.time: update.reading.fault
-        for update in estimate_stream(estimator, source, options, lambda line: None)
-    }
-    times = np.array(list(replayed))
+    updates, _ = replayed(estimator, tmp_path / "faults.mcap", ProcessingOptions(TareWindow(0.0, 0.5), SAMPLES))
+    again = {update.reading.time: update.reading.fault for update in updates}
+    times = np.array(list(again))
     for time, fault in by_time.items():  # a recording keeps times to the nanosecond
         nearest = times[np.argmin(np.abs(times - time))]
-        assert nearest == pytest.approx(time, abs=TIME_ROUNDING) and replayed[nearest] == fault
+        assert nearest == pytest.approx(time, abs=TIME_ROUNDING) and again[nearest] == fault
     # the live run may have skipped all of these as too late
-    assert sum("leapt" in fault for fault in replayed.values()) > 0.5 * CLOCK_HOLD * 7000.0 / SAMPLES
+    assert sum("leapt" in fault for fault in again.values()) > 0.5 * CLOCK_HOLD * 7000.0 / SAMPLES
 
 
 # poses
@@ -235,9 +234,7 @@ def test_noise_of_means_is_a_fault_from_the_first_reading(rate, estimator, tmp_p
     write_recording(
         tmp_path / "noisy.csv", np.arange(n) / rate, still + 8.0 * model.noise.std * rng.normal(size=(n, 6))
     )
-    source = ReplaySource(model, tmp_path / "noisy.csv", "speed=max")
-    options = ProcessingOptions(samples=1, zero="trusted")
-    updates = list(estimate_stream(estimator, source, options, lambda line: None))
+    updates, _ = replayed(estimator, tmp_path / "noisy.csv", ProcessingOptions(samples=1, zero="trusted"))
     assert len(updates) == n and all("scatters" in u.reading.fault for u in updates)
     assert {u.estimate.result for u in updates} == {"out_of_range"}
 
@@ -253,9 +250,7 @@ def test_a_probe_that_sways_and_is_touched_at_a_low_rate_has_no_fault(rate, esti
     wrench = estimator.free().wrench_base + np.hstack([force, force @ arm.T])
     read = model.to_sensor(wrench, model.gravity_base) + model.noise.std * rng.normal(size=(n, 6))
     write_recording(tmp_path / "swaying.csv", np.arange(n) / rate, read)
-    source = ReplaySource(model, tmp_path / "swaying.csv", "speed=max")
-    options = ProcessingOptions(samples=1, zero="trusted", rate=2.0)
-    updates = list(estimate_stream(estimator, source, options, lambda line: None))
+    updates, _ = replayed(estimator, tmp_path / "swaying.csv", ProcessingOptions(samples=1, zero="trusted", rate=2.0))
     assert updates and not any(u.reading.fault for u in updates)
 
 
@@ -263,9 +258,9 @@ def test_raw_samples_without_averaging_are_a_fault(estimator, free, tmp_path):
     """`--average 1` for single samples: their noise is six times that of the model's means. Sixteen show it surely, so
     that only the first estimate may precede it."""
     write_recording(tmp_path / "raw.csv", *free)
-    source = ReplaySource(estimator.model, tmp_path / "raw.csv", "speed=max")
-    options = ProcessingOptions(samples=1, rate=5.0, seconds=3.0, zero="trusted")
-    updates = list(estimate_stream(estimator, source, options, lambda line: None))
+    updates, _ = replayed(
+        estimator, tmp_path / "raw.csv", ProcessingOptions(samples=1, rate=5.0, seconds=3.0, zero="trusted")
+    )
     assert {u.estimate.result for u in updates[1:]} == {"out_of_range"}
     assert "averaged" in updates[1].reading.fault
 
@@ -288,8 +283,7 @@ def mounted(estimator, free, tmp_path_factory):
 def test_a_zero_that_was_never_taken_has_no_position(estimator, mounted):
     rows = estimate_recording(estimator, mounted).rows
     assert {row["result"] for row in rows} == {"no_tare"}
-    source, lines = ReplaySource(estimator.model, mounted, "speed=max"), []
-    updates = list(estimate_stream(estimator, source, ProcessingOptions(), lines.append))
+    updates, lines = replayed(estimator, mounted, ProcessingOptions())
     assert {u.estimate.result for u in updates} == {"no_tare"} and {u.phase for u in updates} == {""}
     assert sum("--tare auto" in line for line in lines) == 1
 
@@ -297,42 +291,25 @@ def test_a_zero_that_was_never_taken_has_no_position(estimator, mounted):
 def test_an_automatic_tare_takes_the_first_rest(estimator, mounted):
     rows = estimate_recording(estimator, mounted, zero="auto").rows
     assert {row["result"] for row in rows} == {"no_contact"}
-    source, lines = ReplaySource(estimator.model, mounted, "speed=max"), []
-    updates = list(estimate_stream(estimator, source, ProcessingOptions(zero="auto"), lines.append))
+    updates, _ = replayed(estimator, mounted, ProcessingOptions(zero="auto"))
     assert {u.estimate.result for u in updates} == {"no_contact"}
     assert updates[0].reading.time == pytest.approx(1.0, abs=0.1)
 
 
-def test_an_automatic_tare_waits_for_rest(estimator, mounted, tmp_path):
-    """A channel that moves for the first three seconds is not at rest."""
+def test_an_automatic_tare_waits_for_rest_and_names_its_reason_without_a_window(estimator, mounted, tmp_path):
+    """A channel that moves for the first three seconds is not at rest; one that moves throughout has no rest."""
     readings = [r for block in ReplaySource(estimator.model, mounted, "speed=max") for r in block.readings()]
-    moved = [
-        replace(r, wrench_sensor=r.wrench_sensor + 1e-3 * np.sin(9.0 * r.time) * (r.time < 3.0) * np.eye(6)[4])
-        for r in readings
-    ]
-    write_recording(tmp_path / "moved.csv", [r.time for r in moved], [r.wrench_sensor for r in moved])
-    source, lines = ReplaySource(estimator.model, tmp_path / "moved.csv", "speed=max"), []
-    list(estimate_stream(estimator, source, ProcessingOptions(zero="auto"), lines.append))
+    for path, end in ((tmp_path / "moved.csv", 3.0), (tmp_path / "moving.csv", np.inf)):
+        moved = [r.wrench_sensor + 1e-3 * np.sin(9.0 * r.time) * (r.time < end) * np.eye(6)[4] for r in readings]
+        write_recording(path, [r.time for r in readings], moved)
+    _, lines = replayed(estimator, tmp_path / "moved.csv", ProcessingOptions(zero="auto"))
     waits = [line for line in lines if "waits for" in line]
     assert len(waits) == 1 and "My scatters by" in waits[0]
     tare = estimate_recording(estimator, tmp_path / "moved.csv", zero="auto").tare
     assert tare is not None and 2.5 < tare.window.start < 4.5
-
-
-def test_an_automatic_tare_without_rest_names_its_reason_and_no_window(estimator, mounted, tmp_path):
-    readings = [r for block in ReplaySource(estimator.model, mounted, "speed=max") for r in block.readings()]
-    moved = [r.wrench_sensor + 1e-3 * np.sin(9.0 * r.time) * np.eye(6)[4] for r in readings]
-    write_recording(tmp_path / "moved.csv", [r.time for r in readings], moved)
     for run in (
-        lambda: estimate_recording(estimator, tmp_path / "moved.csv", zero="auto"),
-        lambda: list(
-            estimate_stream(
-                estimator,
-                ReplaySource(estimator.model, tmp_path / "moved.csv", "speed=max"),
-                ProcessingOptions(zero="auto"),
-                print,
-            )
-        ),
+        lambda: estimate_recording(estimator, tmp_path / "moving.csv", zero="auto"),
+        lambda: replayed(estimator, tmp_path / "moving.csv", ProcessingOptions(zero="auto")),
     ):
         with pytest.raises(InputError, match="no 1 s at rest: My scatters by") as error:
             run()

@@ -8,7 +8,6 @@ import pytest
 from probedesign.core.frames import inverse, wrench_map
 from probedesign.live.blocks import WrenchReading, group_readings
 from probedesign.live.processing.chain import ProcessingOptions
-from probedesign.live.processing.estimates import locate
 from probedesign.live.recordings.csv import CsvRecorder, read_recording, write_recording
 from probedesign.live.run import estimate_recording, estimate_stream
 from probedesign.live.sources.replay import ReplaySource
@@ -105,11 +104,6 @@ def test_the_source_is_closed_when_enough_is_seen(estimator, recorded):
     assert not source.closed
     answers.close()
     assert source.closed
-
-
-def test_locate_takes_a_reading_that_no_sensor_gives(estimator):
-    reading = WrenchReading(0.0, np.full(6, 1e3), estimator.model.gravity_base)
-    assert locate(estimator, reading).result == "out_of_range"
 
 
 def test_readings_that_fill_no_mean_are_reported(estimator):

@@ -85,10 +85,7 @@ def test_readings_come_at_their_own_time():
     assert slept([5.0, 5.5, 7.0], 1.0) == pytest.approx([0.5, 1.5], abs=1e-13)
     assert slept([5.0, 5.5, 7.0], 2.0) == pytest.approx([0.25, 0.75], abs=1e-13)
     assert slept([5.0, 5.5, 7.0], float("inf")) == []
-
-
-def test_a_block_comes_with_its_last_reading():
-    assert slept([5.0, 5.5, 7.0, 9.0], 1.0, most=2) == pytest.approx([0.5, 3.5], abs=1e-13)
+    assert slept([5.0, 5.5, 7.0, 9.0], 1.0, most=2) == pytest.approx([0.5, 3.5], abs=1e-13)  # with its last reading
 
 
 def readings(blocks) -> list[WrenchReading]:
@@ -110,18 +107,12 @@ def answered(estimator, times: list[float], rate: float) -> list[float]:
     return [answer.reading.time for answer in answers]
 
 
-def test_at_most_so_many_a_second(estimator):
+def test_at_most_so_many_estimates_a_second(estimator):
+    """A pause is not made up for, and a source at exactly this rate loses none: i/20 and i times 1/20 differ."""
     times = [i / 16 for i in range(16)]  # exact in binary
     assert answered(estimator, times, 4.0) == [0.0, 0.25, 0.5, 0.75]
     assert answered(estimator, times, 1000.0) == times
-
-
-def test_a_source_at_exactly_the_requested_rate_loses_no_estimate(estimator):
-    """i/20 and i times 1/20 differ in the last bit."""
     assert len(answered(estimator, [i / 20 for i in range(200)], 20.0)) == 200
-
-
-def test_a_pause_is_not_made_up_for(estimator):
     assert answered(estimator, [0.0, 10.0, 10.25, 10.5, 11.0], 1.0) == [0.0, 10.0, 11.0]
 
 

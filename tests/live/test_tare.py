@@ -92,12 +92,9 @@ def test_a_window_that_is_not_free_is_refused(estimator, readings, window, log_l
 
 @pytest.mark.parametrize("text", ["", "2", "2:", ":2", "2:1", "1:1", "-1:2", "0:nan", "0:inf", "a:b", "0:1:2"])
 def test_what_is_no_window(text):
+    assert parse_window("0.5:2") == TareWindow(0.5, 2.0)
     with pytest.raises(InputError, match="must be START:END"):
         parse_window(text)
-
-
-def test_a_window():
-    assert parse_window("0.5:2") == TareWindow(0.5, 2.0)
 
 
 class Fixed:
@@ -125,25 +122,11 @@ def wanted(at, times, received, monkeypatch):
     return found, log_lines
 
 
-def test_estimates_have_the_requested_rate(monkeypatch):
-    found, log_lines = wanted([0.0] * 100, 1e-3 * np.arange(100), 7.0, monkeypatch)
-    assert sum(found) == 10 and not log_lines
-
-
 def test_a_reading_that_is_too_old_is_skipped_and_counted(monkeypatch):
     at = [0.0, MAX_AGE + 0.01, 0.0, MAX_AGE + 0.5, 0.5 * MAX_AGE]
     found, log_lines = wanted(at, 0.01 * np.arange(5), 7.0, monkeypatch)
     assert found == [True, False, True, False, True]
     assert log_lines == ["2 of 5 estimates were skipped: each was more than 12 ms late, with newer readings queued"]
-
-
-def test_the_newest_reading_is_not_skipped(monkeypatch):
-    """Of readings every 50 ms, one that is 30 ms late is still the newest."""
-    kept = EstimateScheduler(100.0, print, max_age=0.05)
-    monkeypatch.setattr(due, "monotonic", lambda: 7.0 + 0.03)
-    assert kept.is_due(replace(READING, received=7.0))
-    monkeypatch.setattr(due, "monotonic", lambda: 7.0 + 0.06)
-    assert not kept.is_due(replace(READING, time=1.0, received=7.0))
 
 
 def test_many_skipped_estimates_are_reported_at_once_and_at_their_end(monkeypatch):
@@ -155,20 +138,14 @@ def test_many_skipped_estimates_are_reported_at_once_and_at_their_end(monkeypatc
     assert len(log_lines) == 3 and "reduce --rate-hz" in log_lines[0] and "on time again" in log_lines[1]
 
 
-def test_a_reading_that_waited_for_its_pose_is_as_old_as_that(monkeypatch):
-    kept = EstimateScheduler(100.0, print)
+@pytest.mark.parametrize(
+    ("late", "max_age", "ready", "wanted"),
+    [(0.03, 0.05, -np.inf, True), (0.06, 0.05, -np.inf, False),  # the newest of readings every 50 ms is not too old
+     (1.0, MAX_AGE, 0.5 * MAX_AGE, True), (1.0, MAX_AGE, 2.0 * MAX_AGE, False),  # it waited for its pose
+     (1e6, np.inf, -np.inf, True),  # `explore` makes points of whole touches, and wants every reading
+     (np.nan, MAX_AGE, -np.inf, True)],  # a replay is never late
+)  # fmt: skip
+def test_the_age_of_a_reading_counts_from_its_arrival_or_that_of_its_pose(monkeypatch, late, max_age, ready, wanted):
+    scheduler = EstimateScheduler(100.0, print, max_age)
     monkeypatch.setattr(due, "monotonic", lambda: 8.0)
-    assert kept.is_due(replace(READING, received=7.0), ready=8.0 - 0.5 * MAX_AGE)
-    assert not kept.is_due(replace(READING, time=1.0, received=7.0), ready=8.0 - 2.0 * MAX_AGE)
-
-
-def test_a_replay_is_never_late(monkeypatch):
-    found, log_lines = wanted([0.0, 1e6, 0.0], 0.01 * np.arange(3), float("nan"), monkeypatch)
-    assert found == [True] * 3 and not log_lines
-
-
-def test_without_a_maximum_age_no_reading_is_late(monkeypatch):
-    """`explore` makes points of whole touches, and wants every reading."""
-    kept = EstimateScheduler(100.0, print, np.inf)
-    monkeypatch.setattr(due, "monotonic", lambda: 1e6)
-    assert kept.is_due(replace(READING, received=0.0)) and kept.n_skipped == 0
+    assert scheduler.is_due(replace(READING, received=8.0 - late), ready=8.0 - ready) == wanted
