@@ -290,7 +290,7 @@ def _print(
     Returns:
         Whether the estimates ended without an interruption.
     """
-    from probedesign.live.processing.estimates import estimate_row, json_line, readable_line, world_row
+    from probedesign.live.processing.estimates import json_line, readable_line, update_row
     from probedesign.live.run import count_results, describe_counts
 
     results: dict[str, list[str]] = {name: [] for name in names}
@@ -299,15 +299,14 @@ def _print(
     try:
         with closing(updates):
             for number, update in updates:
-                reading, estimate, name = update.reading, update.estimate, names[number]
-                results[name].append(estimate.result)
+                name = names[number]
+                results[name].append(update.estimate.result)
                 if as_json:
-                    world = world_row(update) if update.fused is not None else {}
-                    of = {"probe": name} if name else {}
-                    print(json_line(of | estimate_row(reading, estimate) | world), flush=True)
+                    of: dict[str, float | str] = {"probe": name} if name else {}
+                    print(json_line(of | update_row(update)), flush=True)
                 elif not live_table:
                     of_probe = f"{name:<{width}}  " if name else ""
-                    print(of_probe + readable_line(reading.time, reading, estimate, update), flush=True)
+                    print(of_probe + readable_line(update), flush=True)
         complete = True
     except KeyboardInterrupt:
         pass

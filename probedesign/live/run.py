@@ -47,13 +47,10 @@ def estimate_stream(
     commands: CommandQueue | None = None,
     poses: BasePoses | None = None,
 ) -> Generator[EstimateUpdate, None, None]:
-    """Yield estimates as readings arrive.
+    """Yield estimates as readings arrive; source and poses are closed at the end in any case.
 
-    Args:
-        source: source of the readings; closed at the end in any case.
-        sink: receives every raw reading, before averaging and tare, and every estimate.
-        commands: commands from the user: a tare, a mark, the end.
-        poses: poses of the base; closed at the end. None: it is fixed as the frozen probe or the source states.
+    The sink receives every raw reading, before averaging and tare, and every estimate. Without poses the base is fixed
+    as the frozen probe or the source states.
 
     Raises:
         InputError: the tare window cannot be used, or the source fails.
@@ -107,14 +104,8 @@ def merged(
 ) -> Generator[tuple[int, EstimateUpdate], None, None]:
     """Yield the estimates of several probes as they become available, with the number of the probe.
 
-    Each of several is processed in a thread of its own, so that no sensor waits for another.
-
-    Args:
-        streams: stream of each probe.
-        stop: asks all of them to end, which happens if one fails or the caller ends.
-
-    Raises:
-        Exception: what a stream raised.
+    Each of several is processed in a thread of its own, so that no sensor waits for another. `stop` asks all of them to
+    end, which happens if one fails, whose exception is raised here, or the caller ends.
     """
     if len(streams) == 1:
         with closing(streams[0]) as stream:
@@ -177,9 +168,8 @@ def warm_up(estimator: Estimator, log: Log, *, fusing: bool = False) -> None:
     With `fusing`, detector and tracker are included.
     """
     kernels = "rod, estimator, detector and tracker" if fusing else "rod and estimator"
-    notice = threading.Timer(
-        NOTICE_DELAY, log, [f"compiling {kernels}; this takes about a minute once, reading starts afterwards"]
-    )
+    text = f"compiling {kernels}; this takes about a minute once, reading starts afterwards"
+    notice = threading.Timer(NOTICE_DELAY, log, [text])
     notice.daemon = True
     notice.start()
     try:
@@ -297,8 +287,7 @@ def estimate_recording(
         allow_incomplete: accept an incomplete recording: dropped lines of CSV, a truncated file.
         options: what to read of a bag.
         method: see `Estimator.estimate`.
-        zero: zero of the sensor that is used without a tare window. "checked": without a reading that agrees with the
-            free probe the result is "no_tare" throughout.
+        zero: used without a tare window; "checked": "no_tare" throughout if no reading agrees with the free probe.
 
     Raises:
         InputError: the recording or the tare window cannot be used.

@@ -1,6 +1,7 @@
 """A row has the estimate in the units that its names state."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -50,11 +51,9 @@ def test_unknown_values_are_empty_or_null():
     assert csv_line(answer) == "1.0,no_contact" + 17 * "," + ",4" + 11 * "," + "\n"
     document = json.loads(json_line(answer))
     assert [name for name, value in document.items() if value is not None] == ["time_s", "result", "detection_chi2"]
-    assert readable_line(0.0, reading, Estimate("no_contact")).split() == ["0.00", "s", "no_contact", "true:", "free"]
-
-
-def test_the_readable_line():
-    assert readable_line(12.34, TRUE, FOUND) == (
+    line = readable_line(EstimateUpdate(reading, Estimate("no_contact")))
+    assert line.split() == ["1.00", "s", "no_contact", "true:", "free"]
+    assert readable_line(EstimateUpdate(replace(TRUE, time=12.34), FOUND)) == (
         "    12.34 s  ok             s   80.0 ±   2.5 mm  p (   4.0,    5.0,    6.0) mm  F   500.0 mN  true s   80.1 mm"
     )
 
@@ -83,4 +82,4 @@ def test_without_a_pose_the_world_is_empty():
         "fused_result": "out_of_range",
         "stale": "pose",
     }
-    assert "world: no pose" in readable_line(0.0, TRUE, FOUND, answer)
+    assert "world: no pose" in readable_line(answer)

@@ -225,7 +225,7 @@ def test_a_light_touch_has_an_interval_and_no_place(estimator):
     state.on_estimate(update := answer(estimator, estimate))
     snapshot = state.snapshot()
     assert snapshot.marker is None and of(snapshot)["contact"].text == "s between 61 and 95 mm"
-    assert "  between 61 and 95 mm  " in readable_line(0.0, update.reading, estimate) + "  "
+    assert "  between 61 and 95 mm  " in readable_line(update) + "  "
     row = estimate_row(update.reading, estimate)
     assert (row["s_interval_95_low_mm"], row["s_interval_95_high_mm"]) == pytest.approx((61.2, 94.9))
     assert math.isnan(float(row["s_contact_mm"]))

@@ -22,7 +22,7 @@ from probedesign.estimation.detector import Detector
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.live import Log
-from probedesign.live.blocks import Block
+from probedesign.live.blocks import Block, joined
 from probedesign.live.outputs.sinks import Sink, UdpPublisher, time_stamps
 from probedesign.live.processing.averaging import choose_averaging
 from probedesign.live.processing.commands import Command
@@ -73,18 +73,14 @@ class GuardChannel(UdpPublisher):
 
 
 class Guard(Sink):
-    """Watches the samples of one probe.
+    """Watches the samples of one probe; nothing is compared before the first estimate with a known zero.
 
     Attributes:
         stop: why motion must stop; empty if it need not. It lasts until `reset`.
     """
 
     def __init__(self, estimator: Estimator, limits: Limits, send: Callable[[Row], None], log: Log, name: str = ""):
-        """Start without a reference: until the first estimate with a known zero nothing is compared.
-
-        Raises:
-            InputError: a limit is beyond the sensor's range.
-        """
+        """Check the limits; raises InputError if one is beyond the sensor's range."""
         model = estimator.model
         limits.check(model)
         self.stop = ""
@@ -124,11 +120,10 @@ class Guard(Sink):
         if self._first is not None:
             self._first.append(block)
             if sum(map(len, self._first)) >= FIRST_READINGS:
-                times = np.concatenate([each.time for each in self._first])
-                rows = np.concatenate([each.wrench_sensor for each in self._first])
+                known, priors, self._first = joined(self._first), self._estimator.priors, None
+                times = known.time
                 step = float(np.median(np.diff(times))) or float(times[-1] - times[0]) / (len(times) - 1)
-                samples = choose_averaging(times, rows, self._estimator.model).samples
-                priors, self._first = self._estimator.priors, None
+                samples = choose_averaging(times, known.wrench_sensor, self._estimator.model).samples
                 self._detector = Detector(
                     self._estimator.model, 1.0 / max(step, 1e-5), samples=samples, walk_steps=priors.walk_steps,
                     start_steps=priors.drift_steps,

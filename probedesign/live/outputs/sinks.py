@@ -19,7 +19,7 @@ from probedesign.core.files import check_regular
 from probedesign.live import Log, split_address
 from probedesign.live.blocks import Block
 from probedesign.live.poses.base_poses import TimedPose
-from probedesign.live.processing.estimates import EstimateUpdate, Row, estimate_row, json_line, world_row
+from probedesign.live.processing.estimates import EstimateUpdate, Row, json_line, update_row
 
 
 class Sink(Protocol):
@@ -220,9 +220,7 @@ class UdpPublisher(Sink):
     def on_estimate(self, update: EstimateUpdate) -> None:
         """Send the row of `live --json` and its time stamps."""
         kind: Row = {"kind": "estimate", **({"probe": update.probe} if update.probe else {})}
-        row = estimate_row(update.reading, update.estimate)
-        world = world_row(update) if update.fused is not None else {}
-        self._send(kind | row | world | time_stamps(update.reading.received))
+        self._send(kind | update_row(update) | time_stamps(update.reading.received))
 
     def on_event(self, time: float, line: str) -> None:
         """Send an event."""

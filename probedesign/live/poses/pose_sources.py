@@ -41,7 +41,9 @@ def read_pose_file(path: Path) -> list[TimedPose]:
     Raises:
         InputError: the file cannot be read, has no poses, or a line is wrong; the message names the line.
     """
-    lines = _lines(path)
+    check_regular(path)
+    numbered = enumerate(read_text(path, "file of poses", kind="CSV or JSON").splitlines(), 1)
+    lines = [(number, line) for number, line in numbered if line.strip() and not line.lstrip().startswith("#")]
     objects: Iterable[tuple[int, Callable[[], dict[str, Any]]]]
     if path.suffix.lower() == ".csv":
         rows = csv.reader(line for _, line in lines)
@@ -73,12 +75,6 @@ def _named(header: list[str], row: list[str]) -> dict[str, Any]:
     if len(row) != len(header):
         raise InputError(f"has {len(row)} fields, but the header has {len(header)}")
     return dict(zip(header, row, strict=True))
-
-
-def _lines(path: Path) -> list[tuple[int, str]]:
-    check_regular(path)
-    numbered = enumerate(read_text(path, "file of poses", kind="CSV or JSON").splitlines(), 1)
-    return [(number, line) for number, line in numbered if line.strip() and not line.lstrip().startswith("#")]
 
 
 def listen(target: str, parameters: Mapping[str, str]) -> Listener[TimedPose]:

@@ -87,9 +87,12 @@ class RobotPoses:
             try:
                 pose = self._reader()
             except InputError as error:  # a pose that is not one
-                self._count("invalid", str(error))
+                self.counts["invalid"] += 1
+                if self.counts["invalid"] == 1:
+                    self._messages.append(f"{self.title}: {error}")
             except Exception as error:
-                self._count("connections lost", f"{_reason(error)}; connecting again", always=True)
+                self.counts["connections lost"] += 1
+                self._messages.append(f"{self.title}: {_reason(error)}; connecting again")
                 self._reader = None
                 continue
             else:
@@ -100,11 +103,6 @@ class RobotPoses:
                     self.counts["taken"] += 1
                     self._queue.append((monotonic(), pose, self._session))
             sleep(max(0.0, started + self._period - monotonic()))
-
-    def _count(self, kind: str, why: str, always: bool = False) -> None:
-        self.counts[kind] += 1
-        if always or self.counts[kind] == 1:
-            self._messages.append(f"{self.title}: {why}")
 
 
 def _reason(error: Exception) -> str:

@@ -54,13 +54,9 @@ def readings_needed(time: Array) -> int:
 
 
 def second_differences(wrench_sensor: Array, std: Array) -> Array:
-    """Return the second differences of readings (n, 6), (n - 2, 6), of variance one for white noise.
+    """Return the second differences of readings (n, 6), (n - 2, 6), of variance one for white noise of `std`, (6,).
 
     A slow signal does not show in them.
-
-    Args:
-        wrench_sensor: the readings [N, N·m].
-        std: standard deviation of the noise of each channel [N, N·m], (6,).
     """
     return np.asarray(np.diff(wrench_sensor, 2, axis=0) / (math.sqrt(6.0) * std), dtype=float)
 
@@ -142,8 +138,7 @@ class Averager:
 
         With `mains`, the frequency of the mains [Hz], the chosen number is extended to whole periods of it.
         """
-        self._mains = mains
-        self.samples, self.n_pending, self._model, self._log = samples or 0, 0, model, log
+        self.samples, self.n_pending, self._model, self._log, self._mains = samples or 0, 0, model, log, mains
         self._pending: list[Block] = []  # those of the incomplete batch, or all until the size of a batch is known
 
     def add(self, block: Block) -> Iterator[AveragedBatch]:

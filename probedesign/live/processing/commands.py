@@ -174,8 +174,8 @@ class KeyInput:
 class DatagramInput(Listener[None]):
     """Receives commands by UDP: `{"command": "tare"}`, with an optional `text` and `id`, in JSON or MessagePack.
 
-    Each is answered to its sender with one JSON object: `schema`, `kind` "reply", `command`, `id` as given, `accepted`,
-    and in `text` the outcome or the reason of the refusal.
+    Each is answered to its sender with a JSON object: `schema`, `kind` "reply", `command`, `id` as given, `accepted`,
+    and `text`, the outcome or the reason of the refusal.
     """
 
     def __init__(self, address: str, commands: CommandQueue, log: Log) -> None:
@@ -222,17 +222,7 @@ class DatagramInput(Listener[None]):
 def open_inputs(
     commands: CommandQueue, log: Log, control: str | None, keys: bool
 ) -> Iterator[KeyInput | DatagramInput]:
-    """Yield the selected inputs, each to be closed.
-
-    Args:
-        commands: receives the commands.
-        log: callback for messages.
-        control: address on which datagrams are received; None receives none.
-        keys: whether keys of the terminal are read.
-
-    Raises:
-        InputError: the address is invalid, or the port is in use.
-    """
+    """Yield the selected inputs, each to be closed: datagrams at the address `control`, and keys of the terminal."""
     if control is not None:
         yield DatagramInput(control, commands, log)
     if keys:

@@ -53,12 +53,7 @@ def locate(
 ) -> Estimate:
     """Return the estimate of one reading, bias included. Saturation is tested before the bias is removed.
 
-    Args:
-        estimator: of the probe.
-        reading: the reading.
-        tare: bias of the sensor, if one was taken.
-        method: see `Estimator.estimate`.
-        drift: of the bias since then, as it was followed; None: its variance grows with the age of the tare.
+    `drift` is that of the bias since the tare, as it was followed; without it, its variance grows with the age.
     """
     if reading.fault or not estimator.model.in_range(reading.wrench_sensor):
         return Estimate("out_of_range")
@@ -107,6 +102,12 @@ WORLD_COLUMNS = (
 )  # fmt: skip
 TRUE_COLUMNS = ("true_s_contact_mm", *(f"true_p_contact_base_{axis}_mm" for axis in "xyz"),
                 *(f"true_p_surface_base_{axis}_mm" for axis in "xyz"))  # fmt: skip
+
+
+def update_row(update: EstimateUpdate) -> Row:
+    """Return the estimate, and what is known in the world, in the units of `COLUMNS` and `WORLD_COLUMNS`."""
+    world = {} if update.fused is None else world_row(update)
+    return estimate_row(update.reading, update.estimate) | world
 
 
 def estimate_row(reading: WrenchReading, estimate: Estimate) -> Row:
@@ -169,26 +170,21 @@ def json_line(row: Row) -> str:
     return json.dumps(finite, allow_nan=False)
 
 
-def readable_line(
-    elapsed: float, reading: WrenchReading, estimate: Estimate, update: EstimateUpdate | None = None
-) -> str:
-    """Return one line of fixed columns for the terminal, `elapsed` seconds after the first; unknown values are blank.
-
-    The update has the phase and world coordinates, if poses of the base are known.
-    """
+def readable_line(update: EstimateUpdate) -> str:
+    """Return one line of fixed columns for the terminal; unknown values are blank."""
+    reading, estimate = update.reading, update.estimate
     force = math.sqrt(sum(float(f) ** 2 for f in estimate.force_base)) / MILLINEWTON
-    place = _format_or_blank("s {:6.1f} ± {:5.1f} mm", estimate.s_contact / MM, estimate.std_s / MM)
+    s = _format_or_blank("s {:6.1f} ± {:5.1f} mm", estimate.s_contact / MM, estimate.std_s / MM)
     if interval := interval_text(estimate):
-        place = interval.ljust(len(place))
+        s = interval.ljust(len(s))
     cells = [
-        f"{elapsed:9.2f} s",
+        f"{reading.time:9.2f} s",
         f"{estimate.result:<13}",
-        place,
+        s,
         _format_or_blank("p ({:6.1f}, {:6.1f}, {:6.1f}) mm", *_mm(estimate.p_surface_base)),
         _format_or_blank("F {:7.1f} mN", force),
     ]
-    if update is not None and update.fused is not None:
-        fused = update.fused
+    if (fused := update.fused) is not None:
         cells.append(f"{update.phase:<8}")
         world = _format_or_blank(
             "world ({:7.2f}, {:7.2f}, {:7.2f}) ± {:5.2f} mm", *_mm(fused.p_surface_world), fused.rms / MM

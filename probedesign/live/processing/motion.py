@@ -208,16 +208,11 @@ class MotionMonitor:
 
     def _advance(self) -> None:
         """Advance by `STEP`."""
-        off = self._rows - self._rows[-1]
-        travel = np.sqrt((off[:, 3::4] ** 2).sum(axis=1)) + LEVER / math.sqrt(2.0) * np.sqrt(
-            (off.reshape(POINTS, 3, 4)[:, :, :3] ** 2).sum(axis=(1, 2))
-        )
-        self.at_rest = float(travel.max()) < MAX_TRAVEL
-        self.speed = (
-            0.0
-            if self.at_rest
-            else float(np.linalg.norm((_VELOCITY @ self._rows).reshape(3, 4) @ self._ends, axis=0).max())
-        )
+        squares = np.square(self._rows - self._rows[-1]).reshape(POINTS, 3, 4)
+        turns = LEVER / math.sqrt(2.0) * np.sqrt(squares[:, :, :3].sum(axis=(1, 2)))
+        self.at_rest = float((np.sqrt(squares[:, :, 3].sum(axis=1)) + turns).max()) < MAX_TRAVEL
+        speeds = np.linalg.norm((_VELOCITY @ self._rows).reshape(3, 4) @ self._ends, axis=0)
+        self.speed = 0.0 if self.at_rest else float(speeds.max())
         self._accelerations[:-1] = self._accelerations[1:]
         self._accelerations[-1] = 0.0 if self.at_rest else _ACCELERATION @ self._rows
         a, before = self._at(self._com), self._accelerations[0].reshape(3, 4)

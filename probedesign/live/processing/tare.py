@@ -63,9 +63,7 @@ class Tare:
 class TareCollector:
     """Collects the readings of a tare until the first reading after its window, or until a rest is complete.
 
-    Attributes:
-        window: time window in which the probe is free; None: the first `REST_TIME` at rest.
-        on_request: whether the tare was requested during the run; otherwise it precedes all estimates.
+    Without a window that is the first `REST_TIME` at rest. A tare that was not requested precedes all estimates.
     """
 
     def __init__(
@@ -128,10 +126,8 @@ class TareCollector:
         """
         if self.window is not None:
             return self.tare()
-        raise InputError(
-            f"--tare auto found no {REST_TIME:g} s at rest: {self._unrest}; give the time when the probe is free as "
-            "--tare-s START:END"
-        )
+        raise InputError(f"--tare auto found no {REST_TIME:g} s at rest: {self._unrest}; give the time when the probe "
+                         "is free as --tare-s START:END")  # fmt: skip
 
 
 def tare_of(readings: list[WrenchReading], window: TareWindow | None, estimator: Estimator) -> Tare:
@@ -156,11 +152,7 @@ def is_free(reading: WrenchReading, estimator: Estimator) -> bool:
 
 
 def parse_window(text: str) -> TareWindow:
-    """Return the window given as START:END in seconds.
-
-    Raises:
-        InputError: the text is not two numbers with 0 ≤ START < END.
-    """
+    """Return the window given as START:END in seconds; raises InputError if they are not 0 ≤ START < END."""
     start, _, end = text.partition(":")
     try:
         window = TareWindow(float(start), float(end))
@@ -172,11 +164,7 @@ def parse_window(text: str) -> TareWindow:
 
 
 def parse_tare(tare_s: str | None, tare: Literal["auto", "none"] | None) -> tuple[TareWindow | None, Zero]:
-    """Return the window of --tare-s, if it is given, and the zero that is used otherwise, by --tare.
-
-    Raises:
-        InputError: both are given, or the window is invalid.
-    """
+    """Return the window of --tare-s, if it is given, and the zero that is used otherwise, by --tare."""
     if tare_s is not None and tare is not None:
         raise InputError(f"--tare {tare} and --tare-s {tare_s} exclude each other; give one of them")
     zeros: dict[str | None, Zero] = {None: "checked", "auto": "auto", "none": "trusted"}

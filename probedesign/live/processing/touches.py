@@ -436,15 +436,11 @@ class TouchMonitor:
             self._sure = self._sure or motion.explained or self._state.phase == "settled"
             if self._sure or size > 0.5 * (motion.free_sway + NOISE):
                 return decisions
-            self._detector.release()
-            self._alarm, self._largest = math.nan, 0.0
-            return ["lost"]
+            return self._released(["lost"])
         if math.isnan(self._alarm):
             self._alarm = time
         if self._largest > 0.0 and size <= self._largest + NOISE:
-            self._detector.release()
-            self._alarm, self._largest = math.nan, 0.0
-            return ["free"]
+            return self._released(["free"])
         if time - self._alarm < CONFIRM:
             self.in_motion = True
             return ["free"]
@@ -452,6 +448,11 @@ class TouchMonitor:
         self._sure = False
         motion.on_contact()
         self.in_motion = self.in_motion or motion.speed > 0.0
+        return decisions
+
+    def _released(self, decisions: list[Touching]) -> list[Touching]:
+        self._detector.release()
+        self._alarm, self._largest = math.nan, 0.0
         return decisions
 
     def _follow_drift(self, decisions: list[Touching], mean: Array, time: float) -> bool:

@@ -30,21 +30,6 @@ FAULT = "fault"  #: Optional column with the fault of a reading as text; empty i
 _NO_DELIMITERS = str.maketrans(',"', ";'")
 
 
-def recording_columns(table: CsvLines) -> list[Column]:
-    """Return the columns to read: time, wrench and, if present, gravity.
-
-    Raises:
-        InputError: a column is missing, duplicated or without a known unit.
-    """
-    columns = csv_tables.find_columns(table, KINDS, ALIASES, CSV_HEADER)
-    wanted = ("time", *WRENCH, *(GRAVITY if columns.keys() & set(GRAVITY) else ()))
-    names = f"{CSV_HEADER},{GRAVITY_HEADER}".split(",")
-    if missing := [name for quantity, name in zip(wanted, names, strict=False) if quantity not in columns]:
-        problem = f"columns are missing: {', '.join(missing)}; the header must be like {CSV_HEADER}"
-        table.fail(table.header_number, problem)
-    return [columns[quantity] for quantity in wanted]
-
-
 GAP = 1.5  #: Factor of the median interval above which an interval counts as a gap.
 
 
@@ -70,11 +55,18 @@ def read_recording(path: str | Path) -> Recording:
         InputError: the file cannot be read or is invalid; the message names the line.
     """
     table = csv_tables.read_lines(Path(path), "recording", CSV_HEADER)
-    columns = recording_columns(table)
+    known = csv_tables.find_columns(table, KINDS, ALIASES, CSV_HEADER)
+    wanted = ("time", *WRENCH, *(GRAVITY if known.keys() & set(GRAVITY) else ()))
+    names = f"{CSV_HEADER},{GRAVITY_HEADER}".split(",")
+    if absent := [name for quantity, name in zip(wanted, names, strict=False) if quantity not in known]:
+        problem = f"columns are missing: {', '.join(absent)}; the header must be like {CSV_HEADER}"
+        table.fail(table.header_number, problem)
+    columns = [known[quantity] for quantity in wanted]
     rows, notes = _whole_rows(table, columns)
     if not rows:
         raise InputError(f"{path}: no samples, only a header")
-    faults = _faults(table, rows)
+    index = next((i for i, name in enumerate(table.header) if name.strip().casefold() == FAULT), None)
+    faults = () if index is None else tuple(one_line(row.split(",")[index], 200) for row in rows)
     values = _numeric_columns(table, rows, columns, faults)
     gravity = values[:, 7:] if values.shape[1] > 7 else None
     gaps, missing = gaps_in(values[:, 0])
@@ -84,14 +76,6 @@ def read_recording(path: str | Path) -> Recording:
     return Recording(
         values[:, 0], values[:, 1:7], table.frame or "sensor", gravity, gaps, missing, dropped, notes, faults
     )
-
-
-def _faults(table: CsvLines, rows: list[str]) -> tuple[str, ...]:
-    names = [name.strip().casefold() for name in table.header]
-    if FAULT not in names:
-        return ()
-    index = names.index(FAULT)
-    return tuple(one_line(row.split(",")[index], 200) for row in rows)
 
 
 def _whole_rows(table: CsvLines, columns: list[Column]) -> tuple[list[str], tuple[str, ...]]:
@@ -211,12 +195,8 @@ def write_recording(
         InputError: the file cannot be written.
         ValueError: the shapes of the arrays do not match.
     """
-    times = np.asarray(time, dtype=float).reshape(-1, 1)
-    wrenches = np.asarray(wrench, dtype=float).reshape(-1, 6)
-    columns = [times, wrenches]
-    if gravity_base is not None:
-        columns.append(np.asarray(gravity_base, dtype=float).reshape(-1, 3))
-    rows = np.hstack(columns)
+    rows = np.hstack([np.reshape(values, (-1, width)) for values, width in ((time, 1), (wrench, 6), (gravity_base, 3))
+                      if values is not None]).astype(float)  # fmt: skip
     header = CSV_HEADER if gravity_base is None else f"{CSV_HEADER},{GRAVITY_HEADER}"
     file = AppendFile(Path(path), force=True)
     try:

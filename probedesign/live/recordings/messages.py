@@ -23,14 +23,7 @@ from probedesign.geometry.tube import TubeMesh
 from probedesign.live.blocks import Block, joined
 from probedesign.live.outputs.sinks import Sink
 from probedesign.live.poses.base_poses import TimedPose, pose_from_matrix
-from probedesign.live.processing.estimates import (
-    EstimateUpdate,
-    bent_shape,
-    contact_marker,
-    estimate_row,
-    json_line,
-    world_row,
-)
+from probedesign.live.processing.estimates import EstimateUpdate, bent_shape, contact_marker, json_line, update_row
 from probedesign.live.recordings import schemas
 from probedesign.live.recordings.schemas import (
     MARKERS,
@@ -280,8 +273,7 @@ def update_messages(
             contact = [math.nan] * len(contact)
         numbers.append([*map(float, contact), float(estimate.detection_chi2)])
         codes.append((_RESULT_CODES[estimate.result], schemas.PHASES.index(update.phase)))
-        world = world_row(update) if update.fused is not None else {}
-        line, T = json_line(estimate_row(update.reading, estimate) | world), update.T_world_base
+        line, T = json_line(update_row(update)), update.T_world_base
         lines.append(f'{line[:-1]}, "T_world_base": {json.dumps(T.tolist())}}}' if np.isfinite(T).all() else line)
     yield schemas.STATE, stamps, stamped(f"{frames}base", stamps, numbers, codes)
     yield schemas.ESTIMATE, stamps, texts(lines)

@@ -282,7 +282,10 @@ class RdtSession:
                 if n and (n > gathered - 1.0 or now - started > MAX_GATHER_TIME or n == MAX_RECORDS):
                     words, received, dropped = self._receiver.take()
                     rdt, ft = words[:, 0], words[:, 1]
-                    records = RdtRecords(ft, words[:, 2], self._arrival(received), words[:, 3:])
+                    # The system states it by the wall clock, which may be set at any time.
+                    received = np.maximum.accumulate(np.maximum(np.minimum(received, monotonic()), self._received))
+                    self._received = float(received[-1])
+                    records = RdtRecords(ft, words[:, 2], received, words[:, 3:])
                     self.counts["received"] += len(words)
                     if dropped is not None:
                         self.counts["dropped"] = dropped
@@ -293,7 +296,9 @@ class RdtSession:
                         last = now
                         yield records if new is None else records[new]
                 elif n > before:
-                    sleep(min(max(self._due(gathered) - now, MIN_SLEEP), MAX_GATHER_TIME))
+                    # The last of them arrives then at the earliest; a network or a busy program delays some.
+                    due = min(self._delays, default=-math.inf) + (self._newest + gathered) / self._rate
+                    sleep(min(max(due - now, MIN_SLEEP), MAX_GATHER_TIME))
                 elif now - last <= STALE_TIME:  # the next record, or the silence
                     select.select([self._link], [], [], last + STALE_TIME - now + MIN_SLEEP)
                 if now - last > STALE_TIME and not self._receiver.count:
@@ -305,13 +310,6 @@ class RdtSession:
             self._send(Request(STOP))
             self._link.close()
 
-    def _due(self, gathered: float) -> float:
-        """Return when the last of so many records arrives at the earliest, by `time.monotonic` [s].
-
-        A box sends records as they are sampled, and a network or a busy program delays some of them.
-        """
-        return min(self._delays, default=-math.inf) + (self._newest + gathered) / self._rate
-
     def _request(self) -> None:
         self._requested = monotonic()
         self._sequence.restart()
@@ -321,15 +319,6 @@ class RdtSession:
     def _send(self, request: Request) -> None:
         with suppress(OSError):  # the box is off or the network is down: the silence is reported
             self._link.send(request.packed())
-
-    def _arrival(self, received: Array) -> Array:
-        """Return the arrival of datagrams, (n,), neither before that of the last ones nor after now.
-
-        The system states it by the wall clock, which may be set at any time.
-        """
-        received = np.maximum.accumulate(np.maximum(np.minimum(received, monotonic()), self._received))
-        self._received = float(received[-1])
-        return received
 
 
 COUNT_INTERVAL = 1.0  #: Interval at which the counts are updated [s].
@@ -342,12 +331,6 @@ COUNTERS = {
     "restarts": "restarts",
 }  # fmt: skip
 REPORTED = ("lost", "dropped", "malformed")  #: Counters that are reported while they increase.
-
-
-def summary(counts: Counter[str]) -> str:
-    """Return all counters as one line."""
-    text = [f"{counts[name]} {text}" for name, text in COUNTERS.items() if counts[name]]
-    return f"{counts['received']} records, {', '.join(text) or 'none lost'}"
 
 
 NO_RECORD = "the box responds to HTTP but sends no records; check the firewall and the port"
@@ -422,7 +405,8 @@ class NetFTSource:
                 yield from blocks
         finally:
             self._count()
-            self._log(f"{self._name}: {summary(self.counts)}")
+            text = ", ".join(f"{self.counts[name]} {text}" for name, text in COUNTERS.items() if self.counts[name])
+            self._log(f"{self._name}: {self.counts['received']} records, {text or 'none lost'}")
 
     def _blocks(self) -> Generator[Block, None, None]:
         with closing(self._session.records()) as stream:

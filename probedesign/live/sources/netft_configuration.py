@@ -186,8 +186,7 @@ def fetch_page(host: str, port: int, timeout: float = PAGE_TIMEOUT) -> bytes:
     late = threading.Event()
     deadline = threading.Timer(timeout, late.set)
 
-    def give_up(link: socket.socket) -> None:
-        """End the connection, so that whoever waits for it continues."""
+    def give_up(link: socket.socket) -> None:  # whoever waits for the connection continues
         late.set()
         with suppress(OSError):  # it may just have been closed
             link.shutdown(socket.SHUT_RDWR)
@@ -218,16 +217,14 @@ def fetch_page(host: str, port: int, timeout: float = PAGE_TIMEOUT) -> bytes:
 
 
 class ConfigurationMonitor:
-    """Fetches the page in a thread, periodically and on request, to detect a configuration that changes.
+    """Fetches the page in a thread, periodically [s] and on request, to detect a configuration that changes.
 
     Attributes:
         changed: the changes; empty if there are none.
-        period: polling period [s].
         read: number of the last request that preceded a page that was read.
     """
 
     def __init__(self, host: str, port: int, first: NetFTConfiguration, period: float) -> None:
-        """Prepare; nothing is fetched yet. `first` is the configuration at the start."""
         self.changed: list[str] = []
         self.period, self._host, self._port, self._initial = period, host, port, first
         self.read = self._requests = 0

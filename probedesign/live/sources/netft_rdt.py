@@ -200,10 +200,7 @@ def ascending(values: NDArray[np.int64], before: float, largest: float) -> bool:
 class SensorClock:
     """Time since the first record by `ft_sequence` [s], a 32-bit counter that overflows, stops or restarts.
 
-    The time never decreases.
-
-    Attributes:
-        restarts: number of restarts of the counter; the host's clock covers the gaps.
+    The time never decreases; the host's clock covers the gaps of `restarts` of the counter.
     """
 
     def __init__(self, rate: float = SAMPLES_PER_SECOND) -> None:
@@ -267,10 +264,8 @@ class RateMonitor:
             return None
         measured = self._rate * (time - self._start[0]) / elapsed
         before, self._before, self._start = self._before, measured, (time, received)
-        deviates = (
-            abs(measured / self._rate - 1.0) > MAX_RATE_ERROR and abs(measured - before) < RATE_SCATTER * self._rate
-        )
-        if not deviates or self._reported:
+        steady = abs(measured - before) < RATE_SCATTER * self._rate
+        if self._reported or not steady or abs(measured / self._rate - 1.0) <= MAX_RATE_ERROR:
             return None
         self._reported = True
         return measured

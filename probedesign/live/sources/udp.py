@@ -97,15 +97,9 @@ class UdpSource:
         wait: float = PARAMETERS["wait_s"].default,
         base: str = "base",
     ) -> None:
-        """Prepare; nothing is received yet.
+        """Prepare to read from a listener, and to wait so long for the first wrench [s]; nothing is received yet.
 
-        Args:
-            model: probe on the sensor.
-            listener: listener with a bound port.
-            log: callback for messages.
-            frame: frame of the wrenches; empty: the base frame if the datagrams name that, else the sensor's.
-            wait: maximum wait for the first wrench [s].
-            base: name of the probe's base frame in the datagrams.
+        Without a `frame`, wrenches are in the base frame if the datagrams name that, `base`, else in the sensor's.
         """
         self.title, self.notes, self.address = listener.title, listener.notes, listener.address
         self._model, self._listener, self._log, self._frame, self._base = model, listener, log, frame, base
