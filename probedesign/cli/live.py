@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import sys
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
@@ -192,11 +193,12 @@ def _check_pairs(names: list[str], sources: list[str], poses: list[str]) -> None
                 f"{len(values)} {option} for {len(names)} probe{'s' * (len(names) > 1)}: give one for each, in the "
                 "order of the probes"
             )
+    sensors = [re.sub(r"//(localhost|127[.\d]+|\[::1\])", "//127.0.0.1", source) for source in sources]
     for i, (name, source) in enumerate(zip(names, sources, strict=True)):
         if ros_name(name) in map(ros_name, names[:i]):
             raise InputError(f"two probes are named {name}, which is the prefix of their data; deploy one from a "
                              "design with another name")  # fmt: skip
-        if source in sources[:i] and not source.startswith(_SHARED):
+        if sensors[i] in sensors[:i] and not source.startswith(_SHARED):
             raise InputError(f"--source {source} is given twice; each probe has a sensor of its own")
 
 

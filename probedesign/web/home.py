@@ -227,16 +227,16 @@ def _numbers(prediction: dict[str, Any]) -> list[tuple[str, str]]:
         felt = [row["detectable_force_mN"] for row in prediction["detection"] if row["detectable_force_mN"] is not None]
         fused = prediction["fused_headline"]
         single = _errors(prediction, SHOWN_N)
-        place = fused["contact_fraction"]
+        fraction = fused["contact_fraction"]
         numbers = []
         if felt:
             numbers.append((f"{min(felt):.2g} mN", "is the lightest touch that is felt, at the most sensitive place."))
         if fused["predicted_error_mm"] is not None:
             numbers.append((f"{fused['predicted_error_mm']:.2g} mm",
                             f"RMS error of {fused['touches']} fused touches of up to {1e3 * fused['force_N']:g} mN, at "
-                            f"{place:g} of the length."))  # fmt: skip
-        if single.get(place) is not None:
-            numbers.append((f"{single[place]:.2g} mm",
+                            f"{fraction:g} of the length."))  # fmt: skip
+        if single.get(fraction) is not None:
+            numbers.append((f"{single[fraction]:.2g} mm",
                             f"RMS error of one reading of {1e3 * SHOWN_N:g} mN there, worst direction."))  # fmt: skip
     except (KeyError, TypeError, ValueError):
         return []

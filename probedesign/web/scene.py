@@ -41,9 +41,9 @@ def error_colours(errors_mm: Mapping[float, float | None], fractions: Array) -> 
         fractions: of the places, (k,).
     """
     palette = np.array([list(bytes.fromhex(colour[1:])) for colour in ORDERED], dtype=float)
-    places = sorted(errors_mm)
-    values = [math.nan if errors_mm[place] is None else math.log(errors_mm[place] or BEST_MM) for place in places]
-    at = np.interp(fractions, places, values) if places else np.full(len(fractions), math.nan)
+    known = sorted(errors_mm)
+    values = [math.nan if errors_mm[x] is None else math.log(errors_mm[x] or BEST_MM) for x in known]
+    at = np.interp(fractions, known, values) if known else np.full(len(fractions), math.nan)
     share = np.clip((at - math.log(BEST_MM)) / math.log(WORST_MM / BEST_MM), 0.0, 1.0) * (len(palette) - 1)
     colours = np.stack([np.interp(share, range(len(palette)), channel) for channel in palette.T], axis=1)
     colours[np.isnan(at)] = STALE_COLOUR

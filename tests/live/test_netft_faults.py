@@ -61,10 +61,10 @@ def assert_events_in_order(reader) -> None:
     assert (before.stretch, silence.stretch) == (0, 0) and after.stretch > 0
 
 
-@pytest.mark.parametrize("initial_samples", [0, 20_000])
-def test_a_restart_is_survived_marked_and_not_mixed(estimator, initial_samples):
+@pytest.mark.parametrize("options", [{}, {"initial_samples": 20_000}])
+def test_a_restart_is_survived_marked_and_not_mixed(estimator, options):
     """Also soon after power-up: a counter that goes back a little is no late record."""
-    with box(estimator, initial_samples=initial_samples) as peer, Reader(peer, estimator) as reader:
+    with box(estimator, **options) as peer, Reader(peer, estimator) as reader:
         peer.restart(0.3)
         reader.has_logged("previous tare is kept")
         reader.more()

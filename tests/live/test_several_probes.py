@@ -129,6 +129,10 @@ def test_a_command_reaches_every_probe_and_is_answered_once():
         (["--source", "sim:"], "1 --source for 2 probes"),
         (["--source", "sim:", "--source", "sim:", "--pose", "fixed"], "1 --pose for 2 probes"),
         (["--source", "udp://:9000", "--source", "udp://:9000"], "--source udp://:9000 is given twice"),
+        (
+            ["--source", "netft://localhost", "--source", "netft://127.0.0.1"],
+            "--source netft://127.0.0.1 is given twice",
+        ),
         ([*SOURCES, "--record", "r.csv"], "record to NAME.mcap"),
         ([*SOURCES, "--manifest", "manifest.json"], "--manifest belongs to one probe"),
     ],

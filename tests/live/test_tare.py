@@ -140,10 +140,10 @@ def test_many_skipped_estimates_are_reported_at_once_and_at_their_end(monkeypatc
 
 @pytest.mark.parametrize(
     ("late", "max_age", "ready", "wanted"),
-    [(0.03, 0.05, -np.inf, True), (0.06, 0.05, -np.inf, False),  # the newest of readings every 50 ms is not too old
+    [(0.03, 0.05, np.inf, True), (0.06, 0.05, np.inf, False),  # the newest of readings every 50 ms is not too old
      (1.0, MAX_AGE, 0.5 * MAX_AGE, True), (1.0, MAX_AGE, 2.0 * MAX_AGE, False),  # it waited for its pose
-     (1e6, np.inf, -np.inf, True),  # `explore` makes points of whole touches, and wants every reading
-     (np.nan, MAX_AGE, -np.inf, True)],  # a replay is never late
+     (1e6, np.inf, np.inf, True),  # `explore` makes points of whole touches, and wants every reading
+     (np.nan, MAX_AGE, np.inf, True)],  # a replay is never late
 )  # fmt: skip
 def test_the_age_of_a_reading_counts_from_its_arrival_or_that_of_its_pose(monkeypatch, late, max_age, ready, wanted):
     scheduler = EstimateScheduler(100.0, print, max_age)

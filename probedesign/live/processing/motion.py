@@ -108,7 +108,7 @@ class MotionMonitor:
         sway: bound of the unexplained part in standard deviations of one reading.
         free_sway: the same without the sway by a contact.
         speed: of the base or of the tip, of the faster one [m/s].
-        at_rest: whether the base has neither moved nor turned for `SPAN`.
+        at_rest, turning: whether the base has neither moved nor turned for `SPAN`, and whether it has turned.
     """
 
     def __init__(self, model: ProbeModel, poses: BasePoses) -> None:
@@ -138,7 +138,7 @@ class MotionMonitor:
         self._accelerations = np.zeros((POINTS // 2 + 1, 12))  # the last one is the present one
         self._y, self._dy, self._impact = np.zeros(3), np.zeros(3), 0.0
         self.sway = self.free_sway = self.speed = 0.0
-        self.at_rest = False
+        self.at_rest = self.turning = False
 
     @property
     def explained(self) -> bool:
@@ -210,6 +210,7 @@ class MotionMonitor:
         """Advance by `STEP`."""
         squares = np.square(self._rows - self._rows[-1]).reshape(POINTS, 3, 4)
         turns = LEVER / math.sqrt(2.0) * np.sqrt(squares[:, :, :3].sum(axis=(1, 2)))
+        self.turning = float(turns.max()) >= MAX_TRAVEL
         self.at_rest = float((np.sqrt(squares[:, :, 3].sum(axis=1)) + turns).max()) < MAX_TRAVEL
         speeds = np.linalg.norm((_VELOCITY @ self._rows).reshape(3, 4) @ self._ends, axis=0)
         self.speed = 0.0 if self.at_rest else float(speeds.max())

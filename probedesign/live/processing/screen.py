@@ -128,9 +128,9 @@ class SampleScreen:
         self._floor, self._most = FAR_STEPS * resolution, 0.0
         if rate > SLOW:
             self._most = max(1.0, min(round(WAIT * rate), 3.0), float(round(SPIKE_TIME * rate)))
-        unknown, one = np.full(6, np.nan), np.ones(6)
+        unknown, ones = np.full(6, np.nan), np.ones(6)
         std = model.noise.std * math.sqrt(samples)
-        self._channels = np.stack([unknown, unknown, std, unknown, one, FIRST_SAMPLES * one, FIRST_RUNS * one])
+        self._channels = np.stack([unknown, unknown, std, unknown, ones, FIRST_SAMPLES * ones, FIRST_RUNS * ones])
         self._state, self._stuck, self._clean = np.zeros(4), np.zeros(6), np.empty((0, 6))
 
     def start(self, rows: Array) -> None:

@@ -387,7 +387,8 @@ class TouchMonitor:
             self._suspected = batch.reading.time
         if motion is not None and not self.warming_up:
             decisions = self._without_motion(decisions, mean, batch.reading.time, motion)
-        if self._follow_drift(decisions, mean, batch.reading.time):
+        turning = motion is not None and motion.turning  # an error of gravity then looks like a drift
+        if self._follow_drift(decisions, mean, batch.reading.time, turning):
             self._contacts.update(batch.reading.time, "", None)
             return TouchState("", None if self._poses is None else FusedEstimate("warming_up"))
         phase = self._phases.next("lost" if "lost" in decisions else decisions[-1], mean, T_world_base)
@@ -455,11 +456,11 @@ class TouchMonitor:
         self._alarm, self._largest = math.nan, 0.0
         return decisions
 
-    def _follow_drift(self, decisions: list[Touching], mean: Array, time: float) -> bool:
+    def _follow_drift(self, decisions: list[Touching], mean: Array, time: float, turning: bool) -> bool:
         """Follow the bias by one reading; return whether its drift is too fast to distinguish contacts."""
         if self._follower.warming_up and set(decisions) != {"free"}:
             self._detector.release()
-        elif self.in_motion or set(decisions) != {"free"}:
+        elif self.in_motion or turning or set(decisions) != {"free"}:
             self._follower.drop()
             return False
         self._follower.add(mean, time)

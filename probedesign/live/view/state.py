@@ -110,8 +110,8 @@ LOSSES = ("lost", "late", "dropped", "faults")  #: Counters of the source that a
 def _contact_lines(marker: ContactMarker | None, estimate: Estimate) -> list[StatusLine]:
     if marker is None:
         interval = interval_text(estimate)
-        place = f"s {interval}" if interval else "–"
-        return [StatusLine("contact", place), StatusLine("point", "–"), StatusLine("force", "–")]
+        text = f"s {interval}" if interval else "–"
+        return [StatusLine("contact", text), StatusLine("point", "–"), StatusLine("force", "–")]
     frame = "world" if marker.in_world else "base"
     stds = _numbers(np.sqrt(np.maximum(np.diag(marker.cov), 0.0)), MM)
     ratio = marker.friction_ratio
