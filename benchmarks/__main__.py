@@ -21,7 +21,9 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--view", action="store_true", help="live: with the page of live --view")
     parser.add_argument("--foxglove", action="store_true", help="live: with the server of live --foxglove")
     parser.add_argument("--draws", type=int, help="coverage: touches in each row; shapes: objects of each kind")
-    parser.add_argument("--only", help="coverage: rows with this in the name; motion: payload, drift, moves, touches")
+    parser.add_argument(
+        "--only", help="coverage: rows with this in the name; motion: payload, drift, moves, touches; explore: probes"
+    )
     parser.add_argument("--bounds", action="store_true", help="coverage: print the bounds of one touch instead")
     parser.add_argument("--workers", type=int, help="coverage: number of processes, default 2")
     parser.add_argument("--data", help="real: folder with measurements by others")
@@ -38,7 +40,7 @@ def main(arguments: list[str]) -> int:
             given = {"minutes": args.minutes, "view": args.view or None, "foxglove": args.foxglove or None}
         elif name == "real":
             given = {"data": args.data}
-        elif name == "motion":
+        elif name in ("motion", "explore"):
             given = {"only": args.only}
         elif name == "shapes":
             given = {"draws": args.draws}

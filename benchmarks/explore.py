@@ -32,7 +32,7 @@ from probedesign.estimation.tolerances import Tolerances
 from probedesign.frozen_probe import write_frozen
 from probedesign.mapping.touch_point import BasePoseUncertainty
 from probedesign.rod.friction import ASSUMED_FRICTION
-from probedesign.simulation.scenes import card_house, touch_targets
+from probedesign.simulation.scenes import card_house, shared_targets, touch_targets
 from probedesign.simulation.simulated_run import RunErrors, SimulatedRun, simulate_run, write_run
 
 #: Simulated runs for the command and for `fuse`. All touches of a run have the same E and base errors, so their errors
@@ -58,18 +58,21 @@ class PointErrors:
     rows: Array  #: position and covariance xx, xy, xz, yy, yz, zz of the located points [mm, mm²], (k, 9).
 
 
-def report() -> None:
-    """Print the tables and draw the points of the first run."""
+def report(only: str = "") -> None:
+    """Print the tables and draw the points of the first run; `only` "probes" prints that of two probes alone."""
+    report_probes()
+    if only == "probes":
+        return
     model = replace(paper_models()["large"], stiffness_spread=0.01)
     with_rotation = RunErrors.from_priors(model, BasePoseUncertainty(), FRICTION)
     simulated = list(islice(_simulated_runs(model), FUSE_RUNS))
-    exact = [_by_command(model, one, seed, EXACT_ROTATION) for seed, one in enumerate(simulated[:COMMAND_RUNS])]
+    exact = [_by_command(model, [one], seed, EXACT_ROTATION) for seed, one in enumerate(simulated[:COMMAND_RUNS])]
     rotated = [
-        _by_command(model, simulate_run(model, touch_targets(), np.random.default_rng(seed), with_rotation), seed)
+        _by_command(model, [simulate_run(model, touch_targets(), np.random.default_rng(seed), with_rotation)], seed)
         for seed in range(COMMAND_RUNS)
     ]
     soft = replace(model, tolerances=replace(Tolerances.of(model), object_compliance=CARDS[1]))
-    yielding = [_by_command(soft, one, seed, EXACT_ROTATION)
+    yielding = [_by_command(soft, [one], seed, EXACT_ROTATION)
                 for seed, one in enumerate(islice(_simulated_runs(soft, CARDS), COMMAND_RUNS))]  # fmt: skip
     fused = [_by_fuse(model, one, np.random.default_rng(100 + i)) for i, one in enumerate(simulated)]
     methods = {
@@ -95,6 +98,25 @@ def report() -> None:
     draw_card_house(cards, exact[0].rows, np.array(targets))
 
 
+def report_probes(runs: int = COMMAND_RUNS) -> None:
+    """Print the time and the errors of one probe and of two that touch the same house at the same time."""
+    model, rows = replace(paper_models()["large"], stiffness_spread=0.01), list[list[str]]()
+    errors, alone = RunErrors.from_priors(model, BasePoseUncertainty(), FRICTION), 0.0
+    for n in (1, 2):
+        found, seconds = list[PointErrors](), list[float]()
+        for seed in range(runs):
+            parts = enumerate(shared_targets(touch_targets(), n))
+            at_once = [simulate_run(model, part, np.random.default_rng([seed, i]), errors) for i, part in parts]
+            seconds.append(max(one.trajectory.end for one in at_once))
+            found.append(_by_command(model, at_once, seed))
+        alone = alone or float(np.mean(seconds))
+        share = f"{100 * np.mean(seconds) / alone:.0f} %"
+        rows.append([str(n), f"{np.mean(seconds):.0f} s", share, *_error_cells(found), *_coverage_cells(found)[:1]])
+    head = ["probes", "time of the run", "of one", "located", f"within {TARGET_MM:g} mm", "95 % interval"]
+    print_table(f"Two probes against one, card house, orientation errors, {runs} runs of each, errors in mm",
+                [*head, "95th percentile", "median", "maximum", "inside the 95 % ellipsoid"], rows)  # fmt: skip
+
+
 def _simulated_runs(model: ProbeModel, compliance: tuple[float, float] | None = None) -> Iterator[SimulatedRun]:
     """Yield simulated runs without end, except those whose base position error makes a touch miss its edge.
 
@@ -109,24 +131,30 @@ def _simulated_runs(model: ProbeModel, compliance: tuple[float, float] | None = 
             )
 
 
-def _by_command(model: ProbeModel, simulated: SimulatedRun, seed: int, options: Sequence[str] = ()) -> PointErrors:
-    """Locate the points of a run with the command `explore` and options for the orientation errors of the base."""
+def _by_command(
+    model: ProbeModel, simulated: Sequence[SimulatedRun], seed: int, options: Sequence[str] = ()
+) -> PointErrors:
+    """Locate the points of a run, or of several probes at once, with the command `explore` and some of its options."""
     with tempfile.TemporaryDirectory() as folder:
-        at = Path(folder)
-        write_frozen(model, at / "large.probe.json")
-        write_run(simulated, model, at, np.random.default_rng(1000 + seed))
-        _run(["explore", f"{at}/large.probe.json", f"{at}/house.mcap", "--pose", f"{at}/poses.csv",
+        at, recordings, poses = Path(folder), list[str](), list[str]()
+        names = ["large"] if len(simulated) == 1 else [f"probe{i}" for i in range(len(simulated))]
+        for i, (name, each) in enumerate(zip(names, simulated, strict=True)):
+            write_frozen(replace(model, name=name), at / f"{name}.probe.json")
+            write_run(each, replace(model, name=name), at / name, np.random.default_rng(1000 * (i + 1) + seed))
+            recordings, poses = [*recordings, f"{at}/{name}/house.mcap"], [*poses, "--pose", f"{at}/{name}/poses.csv"]
+        _run(["explore", *(f"{at}/{name}.probe.json" for name in names), *recordings, *poses,
               "--tare-s", "0.5:3.5", "--average", "36", "--out", f"{at}/found", *options])  # fmt: skip
         with (at / "found/points.csv").open(encoding="utf-8") as file:
             found = [row for row in csv.DictReader(file) if row["result"] == "ok"]
     names = [f"{axis}_world_mm" for axis in "xyz"]
     names += [f"cov_world_{name}_mm2" for name in ("xx", "xy", "xz", "yy", "yz", "zz")]
     rows = np.array([[float(row[name]) for name in names] for row in found]).reshape(-1, 9)
-    times = [float(row["time_s"]) for row in found]
-    truth, starts = (np.array([t.p_world for t in simulated.touches]) / MM, [t.start for t in simulated.touches])
-    nearest = [int(np.argmin(np.abs(np.array(starts) - time))) for time in times]
-    missing = max(sum(not t.target.repeated for t in simulated.touches) - len(found), 0)
-    return _point_errors(rows, truth[nearest], missing)
+    truth = []
+    for row in found:
+        touches = simulated[max(names.index(row["touch_numbers"].split()[0]), 0) if len(names) > 1 else 0].touches
+        truth.append(min(touches, key=lambda touch: abs(touch.start - float(row["time_s"]))).p_world / MM)
+    missing = max(sum(not t.target.repeated for each in simulated for t in each.touches) - len(found), 0)
+    return _point_errors(rows, np.array(truth), missing)
 
 
 def _point_errors(rows: Array, truth: Array, missing: int) -> PointErrors:

@@ -11,7 +11,7 @@
     Estimator ─┬─ validate (measurements) ──→ ValidationReport
                ├─ estimate (recording) ─────→ RecordingEstimates
                ├─ live (source) ────────────→ EstimateUpdate, EstimateUpdate, ...
-               └─ explore (source, poses) ──→ Exploration, its map
+               └─ `mapping.explore.Exploration` (source, poses) ──→ LocatedTouch, LocatedTouch, ..., their map
 
 One `ProbeGeometry` feeds CAD, rod and estimator. The functions compute; reading options and writing files belongs to
 the commands in `probedesign.cli`, except for `export`, whose solids and meshes exist as files only. Each function
@@ -19,7 +19,6 @@ imports what its own step needs, so that an export loads no estimator and an est
 """
 
 from collections.abc import Callable, Generator, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
     from probedesign.core.parallel import OnProgress
     from probedesign.design import Design
     from probedesign.estimation.estimator import Estimator, Method
-    from probedesign.estimation.tolerances import Tolerances
     from probedesign.identification.measured_print import Calipers, MeasuredAxis, MeasuredDiameters
     from probedesign.identification.result import Identification
     from probedesign.live import Log
@@ -42,8 +40,6 @@ if TYPE_CHECKING:
     from probedesign.live.run import Progress, RecordingEstimates
     from probedesign.live.sources.replay import RecordingOptions
     from probedesign.live.sources.source import Source
-    from probedesign.mapping.explore import Exploration
-    from probedesign.mapping.touch_point import LocatedTouch
     from probedesign.optimization.constraints import OptimizationProblem
     from probedesign.optimization.optimum import MonteCarloCheck, Optimum
     from probedesign.planning.candidates import Instruments
@@ -272,35 +268,3 @@ def live(
     from probedesign.live.run import estimate_stream
 
     return estimate_stream(estimator, source, options, log, sink, commands, poses)
-
-
-def explore(
-    estimator: "Estimator",
-    source: "Source",
-    options: "ProcessingOptions",
-    poses: "BasePoses",
-    log: "Log",
-    priors: "Tolerances | None",
-    min_separation: float,
-    on_touch: "Callable[[LocatedTouch], None]",
-    *,
-    one_object: bool = False,
-) -> "Exploration":
-    """Collect touches from a moving base until the source ends or Ctrl-C; the touches up to then are kept.
-
-    Args:
-        priors: standard deviations of the error sources; those of the estimator if None.
-        min_separation: smallest distance between two points of the map [m].
-        on_touch: takes each touch when it has ended.
-        one_object: whether all touches are of one object, whose compliance is the same everywhere.
-
-    Returns:
-        The touches; `Exploration.map` combines them to points of the world.
-    """
-    from probedesign.mapping.explore import Exploration
-
-    exploration = Exploration(estimator, priors, min_separation, one_object)
-    with suppress(KeyboardInterrupt):
-        for touch in exploration.run(source, options, poses, log):
-            on_touch(touch)
-    return exploration

@@ -243,7 +243,7 @@ def _explore(bundle: Path, folder: Path, skipped: list[str]) -> tuple[dict[str, 
                 out=maps,
                 force=True,
                 reading=ReadingOptions(tare_s=TARE, average=AVERAGE),
-                base=BaseOptions(pose=str(rehearsal / "poses.csv")),
+                base=BaseOptions(pose=[str(rehearsal / "poses.csv")]),
             )
     except MissingDependencyError as error:
         skipped.append(str(error))

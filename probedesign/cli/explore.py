@@ -2,8 +2,12 @@
 
 import json
 import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,22 +20,20 @@ from probedesign.cli.options import (
     ReadingOptions,
     RehearsalOptions,
     SuggestionOptions,
+    check_names,
     frozen_probe,
 )
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_overwrite, check_writable
 
 if TYPE_CHECKING:
-    from probedesign.estimation.estimator import Estimator
-    from probedesign.live.poses.base_poses import BasePoses
+    from probedesign.live.outputs.sinks import UdpPublisher
     from probedesign.live.processing.chain import ProcessingOptions
-    from probedesign.live.sources.source import Source
     from probedesign.mapping.contact_map import ContactMap
     from probedesign.mapping.explore import Exploration
     from probedesign.mapping.known_object import KnownObject, ObjectPose
     from probedesign.mapping.next_touch import Suggestion
     from probedesign.mapping.shapes import Shape
-    from probedesign.mapping.touch_point import LocatedTouch
     from probedesign.reports.map_page import MapScene
 
 FILES = ("points.csv", "points.ply", "points.html", "points.svg", "shapes.json")
@@ -65,7 +67,7 @@ def explore(
     Args:
         bundle: the frozen probe: NAME.probe.json, its folder, or NAME of exports/NAME.
         more: the recording: MCAP, a ROS 2 bag, or CSV with named units; see docs/recording-format.md. Before it,
-            further frozen probes of a recording of several, whose touches make one map.
+            further frozen probes whose touches make one map: of one recording of all, or of one recording each.
         out: output folder.
         force: replace existing files.
         apart_mm: smallest distance between points of the object [mm]. Touches that are significantly nearer to each
@@ -75,110 +77,170 @@ def explore(
         manifest: manifest.json of the printed parts; its geometry must be the bundle's.
         as_json: print one JSON document with the points and their uncertainty.
     """
-    from probedesign import pipeline
-    from probedesign.live.sources.replay import ReplaySource, check_readable
-    from probedesign.mapping.explore import LoadedRecording, joint_map, parse_min_separation
-    from probedesign.reports.map_page import MapScene
+    from probedesign.mapping.explore import parse_min_separation
     from probedesign.simulation import simulated_run
-    from probedesign.simulation.scenes import true_outlines
+    from probedesign.simulation.scenes import SOURCE, true_outlines
     from probedesign.web.home import refresh_home
 
-    reading, base = reading or ReadingOptions(), base or BaseOptions()
-    if rehearsal is not None and rehearsal.rehearse is not None:
-        model = pipeline.load_estimator(bundle, manifest).model
-        written = rehearsal.write(rehearsal.rehearse, model, base.base(model), force)
-        return print(f"wrote {', '.join(map(str, written))}")
-    bundles, recording = [bundle, *map(frozen_probe, more[:-1])], more[-1] if more else None
+    reading, base, suggestion = reading or ReadingOptions(), base or BaseOptions(), suggestion or SuggestionOptions()
+    rehearsing = rehearsal is not None and rehearsal.rehearse is not None
+    bundles, recordings = _arguments([bundle, *more], manifest, out, force)
+    processing = None if rehearsing else reading.processing(recordings)
+    suggestion.check()
+    explorations = _explorations(bundles, manifest, base, parse_min_separation(apart_mm), one_object)
+    models = [each.estimator.model for each in explorations.values()]
+    if rehearsal is not None and rehearsing:
+        return print(f"wrote {', '.join(map(str, rehearsal.write(models, base, one_object, force)))}")
+    publisher, titles, sources = suggestion.publisher(models), list[str](), set[str]()
+    recorded = {name: recordings[min(i, len(recordings) - 1)] for i, name in enumerate(explorations) if recordings}
+    answer = partial(_understood, explorations, suggestion, publisher, processing is None)
+    if processing is None:
+        _follow(explorations, reading, base, answer)
+    else:
+        for name in explorations:
+            title, source = _explore(explorations, name, recorded.get(name), reading, base, processing)
+            titles, sources = [*titles, title], sources | {source}
+    scene, document = answer()
+    cloud, rehearsed = scene.contact_map, sources == {SOURCE}
+    if out is not None:
+        probe = ", ".join(f"{model.name} {model.fingerprint}" for model in models)
+        uncertainty = [base.base(model).summary for model in models]
+        notes = [*dict.fromkeys(titles), f"probe {probe}", _summary(cloud), *dict.fromkeys(uncertainty)]
+        _write(out, replace(scene, truth=true_outlines(SOURCE) if rehearsed else ()), probe, notes, document)
+        for model in models:
+            refresh_home(model)
+    if rehearsed and (score := simulated_run.score(cloud, recorded)):
+        document["score"] = score
+    _print(cloud, scene.lines, document, out, as_json)
+
+
+def _arguments(
+    paths: list[Path], manifest: Path | None, out: Path | None, force: bool
+) -> tuple[list[Path], list[Path]]:
+    """Return the frozen probes and the recordings of the command, after checking that all files can be used.
+
+    A path is a recording by its suffix or its content.
+    """
+    from probedesign.live.sources.replay import check_readable
+    from probedesign.live.sources.rosbag import is_bag
+
+    bundles, recordings = list[Path](), list[Path]()
+    for path in paths:
+        recorded = is_bag(path) or path.suffix.lower() == ".csv" or (path.is_file() and path.suffix != ".json")
+        (recordings if recorded and path != paths[0] else bundles).append(path)
     if manifest is not None and len(bundles) > 1:
         raise InputError("--manifest belongs to one probe; check each probe in a run of its own")
-    processing, apart = reading.processing(recording), parse_min_separation(apart_mm)
-    (suggestion := suggestion or SuggestionOptions()).check()
+    if recordings and len(recordings) not in (1, len(bundles)):
+        raise InputError(f"{len(recordings)} recordings of {len(bundles)} probes: give one of all, or one of each")
     if out is not None:
         if out.exists() and not out.is_dir():
             raise InputError(f"--out {out} is a file; choose a folder")
         check_writable(out / FILES[0])
         for name in FILES:
             check_overwrite(out / name, force)
-    if recording is not None:
-        check_readable(recording)
-    estimators = {each.model.name: each for each in (pipeline.load_estimator(path, manifest) for path in bundles)}
-    if len(estimators) < len(bundles):
-        raise InputError("two of the frozen probes have one name; a recording of several has one of each name")
-    several, explorations = len(bundles) > 1, {}
-    for name, estimator in estimators.items():
-        explorations[name], source, uncertainty = _explored(
-            estimator, recording, reading, base, (processing, apart, one_object), name if several else ""
-        )
-    cloud = joint_map(explorations) if several else explorations[name].map()
-    shapes, best, lines, document = _understood(cloud, estimators, explorations, suggestion)
-    recorded_from = source.recorded_from if isinstance(source, LoadedRecording | ReplaySource) else ""
-    if out is not None:
-        probe = ", ".join(f"{name} {each.model.fingerprint}" for name, each in estimators.items())
-        notes = [source.title, f"probe {probe}", _summary(cloud), uncertainty]
-        ghost = None if best is None else best.axis_world
-        scene = MapScene(cloud, true_outlines(recorded_from), tuple(shapes), tuple(lines), ghost)
-        _write(out, scene, probe, notes, document)
-        for each in estimators.values():
-            refresh_home(each.model)
-    if score := simulated_run.score(cloud, recording, recorded_from):
-        document["score"] = score
-    _print(cloud, lines, document, out, as_json)
+    for path in recordings:
+        check_readable(path)
+    return [bundles[0], *map(frozen_probe, bundles[1:])], recordings
 
 
-def _explored(
-    estimator: "Estimator",
+def _explorations(
+    bundles: list[Path], manifest: Path | None, base: BaseOptions, apart: float, one_object: bool
+) -> "dict[str, Exploration]":
+    """Return an exploration without touches for each probe by its name.
+
+    One object has the same prior of its compliance for all of them.
+    """
+    from probedesign import pipeline
+    from probedesign.mapping.explore import Exploration
+
+    loaded = [pipeline.load_estimator(path, manifest) for path in bundles]
+    check_names([each.model.name for each in loaded])
+    softest = max(each.priors.object_compliance for each in loaded)
+    priors = [base.base(each.model).apply_to(each.priors) for each in loaded]
+    if one_object:
+        priors = [replace(each, object_compliance=softest) for each in priors]
+    return {
+        each.model.name: Exploration(each, prior, apart, one_object) for each, prior in zip(loaded, priors, strict=True)
+    }
+
+
+def _explore(
+    explorations: "Mapping[str, Exploration]",
+    name: str,
     recording: Path | None,
     reading: ReadingOptions,
     base: BaseOptions,
-    processing: "tuple[ProcessingOptions, float, bool]",
-    probe: str,
-) -> "tuple[Exploration, Source, str]":
-    """Return the touches of one probe, their source, and the uncertainty of the base in one line.
+    processing: "ProcessingOptions",
+) -> tuple[str, str]:
+    """Collect the touches of one probe; return the title of their source, and what was recorded, if it says so.
 
-    Args:
-        estimator: of the probe.
-        recording: the recording; None for a live source.
-        reading: how it is read.
-        base: the poses of the base.
-        processing: how the readings are processed, the least distance of points [m], and whether all are of one object.
-        probe: name of the probe where there are several.
-    """
-    from probedesign import pipeline
-
-    uncertainty, of = base.base(estimator.model), f"{probe}: " if probe else ""
-    source, poses = _open(estimator, recording, reading, base, probe)
-    for note in (source.title, *source.notes, poses.title, *poses.notes, uncertainty.notice):
-        print_note(of + note)
-
-    def on_touch(touch: "LocatedTouch") -> None:
-        if recording is None:
-            print_note(f"touch {touch.segment.number} ended: {touch.result}")
-
-    options, apart, one_object = processing
-    priors = uncertainty.apply_to(estimator.priors)
-    with interrupt_on_termination():
-        exploration = pipeline.explore(estimator, source, options, poses, print_note, priors, apart, on_touch,
-                                       one_object=one_object)  # fmt: skip
-    if exploration.n_without_pose:
-        counts = f"{exploration.n_without_pose} of {exploration.n_readings} readings"
-        print_note(f"{of}{counts} have no base pose and are ignored")
-    return exploration, source, uncertainty.summary
-
-
-def _open(
-    estimator: "Estimator", recording: Path | None, reading: ReadingOptions, base: BaseOptions, probe: str
-) -> "tuple[Source, BasePoses]":
-    """Open readings and poses, with all kernels compiled before the first reading arrives.
-
-    `probe` is the name of the probe where there are several.
+    All kernels are compiled before the first reading arrives.
     """
     from probedesign.live.run import warm_up
     from probedesign.mapping.explore import check_poses
 
-    poses = check_poses(base.poses(print_note, probe), None)
+    exploration, of = explorations[name], f"{name}: " if len(explorations) > 1 else ""
+    estimator = exploration.estimator
+
+    def log(line: str) -> None:
+        print_note(of + line)
+
+    poses = check_poses(base.poses(log, list(explorations), name), None)
     with show_progress("loading the rod kernels"):
-        warm_up(estimator, print_note, fusing=True)
-        return reading.open(recording, estimator.model, poses, print_note), poses
+        warm_up(estimator, log, fusing=True)
+        source = reading.open(recording, estimator.model, poses, log)
+    for note in (source.title, *source.notes, poses.title, *poses.notes, base.base(estimator.model).notice):
+        log(note)
+    with interrupt_on_termination(), suppress(KeyboardInterrupt):
+        for touch in exploration.run(source, processing, poses, log):
+            if recording is None:
+                log(f"touch {touch.segment.number} ended: {touch.result}")
+    if exploration.n_without_pose:
+        counts = f"{exploration.n_without_pose} of {exploration.n_readings} readings"
+        log(f"{counts} have no base pose and are ignored")
+    return source.title, getattr(source, "recorded_from", "")
+
+
+def _follow(
+    explorations: "Mapping[str, Exploration]",
+    reading: ReadingOptions,
+    base: BaseOptions,
+    answer: Callable[[], tuple["MapScene", dict[str, Any]]],
+) -> None:
+    """Follow the estimates of a run of `live` until --seconds or Ctrl-C, and answer when a touch has ended."""
+    from probedesign.live.datagrams import Listener, parse_listen_address
+    from probedesign.live.poses.open import parse_gravity
+    from probedesign.mapping.explore import followed_update
+
+    first, option = next(iter(explorations)), f"--follow {reading.follow}"
+    gravity = parse_gravity(base.gravity_world)
+    for exploration in explorations.values() if gravity is not None else ():
+        exploration.gravity_world = np.asarray(gravity)
+    parse = partial(followed_update, explorations[first].gravity_world)
+    listener = Listener(option, "estimates", parse_listen_address(option), parse)
+    print_note(" ".join(listener.notes))
+    end, latest = monotonic() + (reading.seconds or math.inf), dict.fromkeys(explorations, -math.inf)
+    with interrupt_on_termination(), closing(listener):
+        listener.start()
+        with suppress(KeyboardInterrupt):
+            while monotonic() < end:
+                listener.wait(0.2)
+                for line in listener.pop_messages():
+                    print_note(line)
+                for _, update, _ in listener.pop():
+                    name = first if update is None else update.probe or first
+                    if update is None or name not in explorations:
+                        continue
+                    new_run, latest[name] = update.reading.time < latest[name], update.reading.time
+                    ended = list(explorations[name].finish(print_note)) if new_run else []
+                    ended += explorations[name].take(update, print_note)
+                    for touch in ended:
+                        print_note(f"{name}: touch {touch.segment.number} ended: {touch.result}")
+                    if ended:
+                        print_note("\n".join(answer()[0].lines))
+    print_note(listener.summary)
+    for exploration in explorations.values():
+        list(exploration.finish(print_note))
 
 
 def _write(out: Path, scene: "MapScene", probe: str, notes: list[str], document: dict[str, Any]) -> None:
@@ -194,33 +256,48 @@ def _write(out: Path, scene: "MapScene", probe: str, notes: list[str], document:
 
 
 def _understood(
-    cloud: "ContactMap",
-    estimators: "dict[str, Estimator]",
-    explorations: "dict[str, Exploration]",
+    explorations: "Mapping[str, Exploration]",
     options: SuggestionOptions,
-) -> "tuple[list[Shape], Suggestion | None, list[str], dict[str, Any]]":
-    """Return the shapes and the next touch, and both with a known object as lines and for a JSON document."""
-    from probedesign.mapping.shapes import ShapeFit, TouchSet, missing, shapes_document
+    publisher: "UdpPublisher | None",
+    following: bool,
+) -> "tuple[MapScene, dict[str, Any]]":
+    """Return the map with its shapes and the next touch, and the latter for a JSON document, which is published.
 
-    touched, friction = TouchSet.of(cloud), max(each.model.friction for each in estimators.values())
+    Raises:
+        InputError: a suggestion is not possible; while a run is followed it is a line.
+    """
+    from probedesign.mapping.explore import joint_map
+    from probedesign.mapping.shapes import ShapeFit, TouchSet, missing, shapes_document
+    from probedesign.reports.map_page import MapScene
+
+    cloud = joint_map(explorations) if len(explorations) > 1 else next(iter(explorations.values())).map()
+    touched, friction = TouchSet.of(cloud), max(each.estimator.model.friction for each in explorations.values())
     shapes, known = ShapeFit(touched, friction).shapes(), options.known(touched, friction)
-    lines = [*(shape.text for shape in shapes), missing(touched, shapes)]
+    lines, ghost = [*(shape.text for shape in shapes), missing(touched, shapes)], None
     document: dict[str, Any] = {"shapes": shapes_document(shapes)}
     if known is not None:
         at, lines = known[1], [*lines, known[1].text]
         document["object"] = {"T_world_object": at.T_world_object.tolist(), "cov": at.cov.tolist(),
                               "touches": at.touches, "left_out": at.left_out}  # fmt: skip
-    best = None
     if options.suggest:
-        best = _suggested(options, estimators, explorations, shapes, known)
-        document["suggestion"], lines = best.document, [*lines, *best.lines]
-    return shapes, best, [line for line in lines if line], document
+        try:
+            best = _suggested(options, explorations, shapes, known)
+            document["suggestion"], lines, ghost = best.document, [*lines, *best.lines], best.axis_world
+            rod = explorations[best.probe or next(iter(explorations))].estimator.model.rod
+            radius = [float(rod.radius_at(s)) for s in np.linspace(0.0, rod.length, len(ghost))]
+            ghost = np.column_stack([ghost, radius])
+        except InputError as error:
+            if not following:
+                raise
+            lines = [*lines, str(error)]
+    if publisher is not None:
+        publisher.send_map(document)
+    return MapScene(cloud, (), tuple(shapes), tuple(line for line in lines if line), ghost), document
 
 
 def _suggested(
     options: SuggestionOptions,
-    estimators: "dict[str, Estimator]",
-    explorations: "dict[str, Exploration]",
+    explorations: "Mapping[str, Exploration]",
     shapes: "list[Shape]",
     known: "tuple[KnownObject, ObjectPose] | None",
 ) -> "Suggestion":
@@ -232,24 +309,26 @@ def _suggested(
     from probedesign.mapping.next_touch import suggest
 
     problem, best = InputError("--suggest needs a touch with a base at rest"), None
-    for name, estimator in estimators.items():
-        poses = [each.T_world_base for touch in explorations[name].touches for each in touch.segment.intervals]
+    for name, exploration in explorations.items():
+        poses = [each.T_world_base for touch in exploration.touches for each in touch.segment.intervals]
         if not poses:
             continue
         try:
-            found = suggest(estimator, np.array(poses), explorations[name].gravity_world, options.goal, shapes, known,
-                            1e-3 * options.force_limit_mN)  # fmt: skip
+            found = suggest(exploration.estimator, np.array(poses), exploration.gravity_world, options.goal, shapes,
+                            known, 1e-3 * options.force_limit_mN)  # fmt: skip
         except InputError as error:
             problem = error
             continue
         if best is None or found.after < best.after:
-            best = replace(found, probe=name if len(estimators) > 1 else "")
+            best = replace(found, probe=name if len(explorations) > 1 else "")
     if best is None:
         raise problem
     return best
 
 
-def _print(cloud: "ContactMap", lines: list[str], document: dict[str, Any], out: Path | None, as_json: bool) -> None:
+def _print(
+    cloud: "ContactMap", lines: Sequence[str], document: dict[str, Any], out: Path | None, as_json: bool
+) -> None:
     """Print one JSON document, or one line per point, `lines` on the shapes, and a summary."""
     from probedesign.mapping.contact_map import map_document, map_lines
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from probedesign.cli.console import interrupt_on_termination
-from probedesign.cli.options import FrozenProbe, Method, Tare
+from probedesign.cli.options import FrozenProbe, Method, Tare, check_names
 from probedesign.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -185,19 +185,15 @@ _SHARED = ("sim:", "replay:")
 
 
 def _check_pairs(names: list[str], sources: list[str], poses: list[str]) -> None:
-    from probedesign.live.recordings.schemas import ros_name
-
     for option, values in (("--source", sources), ("--pose", poses)):
         if len(values) != len(names):
             raise InputError(
                 f"{len(values)} {option} for {len(names)} probe{'s' * (len(names) > 1)}: give one for each, in the "
                 "order of the probes"
             )
+    check_names(names)
     sensors = [re.sub(r"//(localhost|127[.\d]+|\[::1\])", "//127.0.0.1", source) for source in sources]
-    for i, (name, source) in enumerate(zip(names, sources, strict=True)):
-        if ros_name(name) in map(ros_name, names[:i]):
-            raise InputError(f"two probes are named {name}, which is the prefix of their data; deploy one from a "
-                             "design with another name")  # fmt: skip
+    for i, source in enumerate(sources):
         if sensors[i] in sensors[:i] and not source.startswith(_SHARED):
             raise InputError(f"--source {source} is given twice; each probe has a sensor of its own")
 

@@ -19,6 +19,7 @@ from probedesign.core.files import EXPORTS, chosen_exports, file_in
 
 if TYPE_CHECKING:
     from probedesign.estimation.model import ProbeModel
+    from probedesign.live.outputs.sinks import UdpPublisher
     from probedesign.live.poses.base_poses import BasePoses
     from probedesign.live.processing.chain import ProcessingOptions
     from probedesign.live.sources.source import Source
@@ -62,6 +63,16 @@ def frozen_probe(given: Path) -> Path:
 def uncalibrated_probe(given: Path) -> Path:
     """Return the frozen probe of an argument as `frozen_probe`, without its calibration."""
     return _frozen_probes(given)[0]
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Raise InputError if two probes of a run have one name, as topics of ROS have it."""
+    from probedesign.live.recordings.schemas import ros_name
+
+    for i, name in enumerate(names):
+        if ros_name(name) in map(ros_name, names[:i]):
+            raise InputError(f"two probes are named {name}, which is the prefix of their data; deploy one from a "
+                             "design with another name")  # fmt: skip
 
 
 def _frozen_probes(given: Path) -> tuple[Path, list[Path]]:
@@ -189,6 +200,10 @@ class ReadingOptions:
     """End this many seconds after the first reading."""
     source: str | None = None
     """Live source instead of a recording, as for `live`. Ends with the source, at --seconds or with Ctrl-C."""
+    follow: str | None = None
+    """Instead of a recording, take the touches of a run of `live --publish udp://HOST:PORT` with poses and a tare, at
+    udp://[HOST]:PORT. After each touch the map is printed and, with --publish, sent. Ends at --seconds or with
+    Ctrl-C."""
     mend: bool = False
     """Continue with a recording that lacks lines or its end."""
     topic: str = ""
@@ -198,8 +213,8 @@ class ReadingOptions:
     other_probe: bool = False
     """Accept a recording that was made with another probe."""
 
-    def processing(self, recording: Path | None) -> "ProcessingOptions":
-        """Return how the readings are processed.
+    def processing(self, recordings: Sequence[Path]) -> "ProcessingOptions | None":
+        """Return how the readings are processed; None if they are followed.
 
         Raises:
             InputError: there is no input, or more than one; there is no tare; or a value is out of range.
@@ -207,7 +222,11 @@ class ReadingOptions:
         from probedesign.live.processing.chain import ProcessingOptions
         from probedesign.live.processing.tare import parse_tare
 
-        if (recording is None) == (self.source is None):
+        if self.follow is not None:
+            if recordings or self.source is not None or self.tare_s is not None or self.tare is not None:
+                raise InputError("--follow takes the touches of a run of `live`: no recording, --source or tare")
+            return None
+        if bool(recordings) == (self.source is not None):
             raise InputError("explore needs either a recording or --source for a live run, not both")
         if self.tare_s is None and self.tare is None:
             raise InputError(
@@ -242,8 +261,9 @@ class ReadingOptions:
 class BaseOptions:
     """Poses of the base in `explore`, and their uncertainty."""
 
-    pose: str = "fixed"
-    """Poses of the base: FILE.csv or .jsonl, a ROS 2 bag or udp://:PORT, as for `live`."""
+    pose: list[str] | None = None
+    """Poses of the base: FILE.csv or .jsonl, a ROS 2 bag or udp://:PORT, as for `live`. Of several probes one each, in
+    their order, or the recording that has those of all. Default: fixed."""
     pose_latency_ms: float = 0.0
     """Delay of a pose relative to a reading of the same time [ms]."""
     gravity_world: str | None = None
@@ -271,17 +291,38 @@ class BaseOptions:
         stated = {name: value for name, value in given.items() if value is not None}
         return replace(BasePoseUncertainty.from_model(model), **stated)
 
-    def poses(self, log: Callable[[str], None], probe: str = "") -> "BasePoses | None":
-        """Return the poses, None for a fixed base; those of a probe where a recording has several.
+    def poses(self, log: Callable[[str], None], probes: Sequence[str], probe: str) -> "BasePoses | None":
+        """Return the poses of a probe of several, None for a fixed base.
+
+        Args:
+            log: takes messages for the user.
+            probes: names of all probes.
+            probe: name of the probe.
 
         Raises:
-            InputError: the poses cannot be opened.
+            InputError: the poses cannot be opened, or not every probe has some.
         """
         from probedesign.live.poses.open import open_poses
         from probedesign.live.recordings.schemas import BASE
+        from probedesign.live.sources.rosbag import is_bag_path
 
-        pose = f"{self.pose}?topic={replace(BASE, probe=probe).path}" if probe and "?" not in self.pose else self.pose
-        return open_poses(pose, self.pose_latency_ms, self.gravity_world, log)
+        given = self.pose or ["fixed"]
+        shared = len(given) == 1 < len(probes) and is_bag_path(Path(given[0]))
+        if not shared and len(given) != len(probes):
+            raise InputError(
+                f"{len(given)} --pose for {len(probes)} probe{'s' * (len(probes) > 1)}: give one for each, in their "
+                "order, or one recording with the poses of all"
+            )
+        topic = f"?topic={replace(BASE, probe=probe).path}" if shared else ""
+        try:
+            return open_poses(
+                given[0] + topic if shared else given[probes.index(probe)],
+                self.pose_latency_ms,
+                self.gravity_world,
+                log,
+            )
+        except InputError as error:
+            raise InputError(f"{probe}: {error}" if len(probes) > 1 else str(error)) from None
 
 
 @Parameter(name="*")
@@ -299,17 +340,19 @@ class RehearsalOptions:
     friction_spread: float = 0.2
     """Standard deviation of the friction coefficient's logarithm from touch to touch."""
 
-    def write(self, folder: Path, model: "ProbeModel", base: "BasePoseUncertainty", force: bool) -> tuple[Path, ...]:
+    def write(self, models: Sequence["ProbeModel"], base: "BaseOptions", one_object: bool, force: bool) -> list[Path]:
         """Simulate the run, write its files and return them; the error of the base's pose is drawn from `base`.
 
+        Several probes touch at the same time, each its side of the house; each has a folder of its own.
+
         Raises:
-            InputError: seed or friction are out of range, the probe cannot touch the house, or files exist already.
+            InputError: seed or friction are out of range, a probe cannot touch the house, or files exist already.
         """
         import numpy as np
 
         from probedesign.estimation.tolerances import Tolerances
         from probedesign.rod.friction import MAX_FRICTION
-        from probedesign.simulation.scenes import touch_targets
+        from probedesign.simulation.scenes import shared_targets, touch_targets
         from probedesign.simulation.simulated_run import RunErrors, check_run_files, simulate_run, write_run
 
         if self.seed < 0:
@@ -318,20 +361,32 @@ class RehearsalOptions:
             raise InputError(f"--friction {self.friction:g} must lie in 0 ... {MAX_FRICTION:g}")
         if not 0.0 <= self.friction_spread <= 1.0:
             raise InputError(f"--friction-spread {self.friction_spread:g} must lie in 0 ... 1")
-        check_run_files(folder, force)  # before the simulation
-        rng, of_cards = np.random.default_rng(self.seed), np.random.default_rng([self.seed, 1])
-        compliance = Tolerances.of(model).object_compliance
-        targets = touch_targets(lambda: compliance * abs(of_cards.normal()))
+        folder = self.rehearse or Path()
+        folders = [folder / model.name for model in models] if len(models) > 1 else [folder]
+        for each in folders:  # before the simulation
+            check_run_files(each, force)
+        of_cards = np.random.default_rng([self.seed, 1])
+        compliance = max(Tolerances.of(model).object_compliance for model in models)
+        of_one = compliance * abs(of_cards.normal()) if one_object else None
+        targets = touch_targets(lambda: compliance * abs(of_cards.normal()) if of_one is None else of_one)
+        written = list[Path]()
         with show_progress("simulating touches of a card house"):
-            errors = RunErrors.from_priors(model, base, self.friction, self.friction_spread)
-            run = simulate_run(model, targets, rng, errors)
-            return write_run(run, model, folder, rng, force)
+            for i, (model, part) in enumerate(zip(models, shared_targets(targets, len(models)), strict=True)):
+                rng = np.random.default_rng([self.seed, 1 + i] if i else self.seed)
+                errors = RunErrors.from_priors(model, base.base(model), self.friction, self.friction_spread)
+                run = simulate_run(model, part, rng, errors)
+                written += write_run(run, model, folders[i], rng, force)
+        return written
 
 
 @Parameter(name="*")
 @dataclass
 class SuggestionOptions:
     """A known object and the next touch."""
+
+    publish: str | None = None
+    """Send shapes and next touch as a JSON datagram to udp://HOST:PORT, or as messages to the node of ROS 2 at
+    ros2://HOST:PORT."""
 
     suggest: bool = False
     """Print the touch that is expected to improve the goal most, with the pose of the base."""
@@ -347,6 +402,15 @@ class SuggestionOptions:
     """Standard deviation of the first guess of its position, on each axis [mm]."""
     object_std_deg: float = 10.0
     """Standard deviation of the first guess of its rotation, about each axis [deg]."""
+
+    def publisher(self, models: Sequence["ProbeModel"]) -> "UdpPublisher | None":
+        """Return what --publish sends with; raises InputError if its address is invalid."""
+        from probedesign.live.outputs.message_streams import SCHEME, RosPublisher
+        from probedesign.live.outputs.sinks import UdpPublisher
+
+        if self.publish is not None and self.publish.startswith(SCHEME):
+            return RosPublisher(self.publish, models, print_note)
+        return None if self.publish is None else UdpPublisher(self.publish, print_note)
 
     def check(self) -> None:
         """Raise InputError where an option is out of range, before the recording is read."""

@@ -5,19 +5,24 @@ from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
+from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.model import ProbeModel
 from probedesign.estimation.tolerances import Tolerances
-from probedesign.live.blocks import Block
-from probedesign.live.outputs.sinks import Sink
+from probedesign.live.blocks import Block, WrenchReading
+from probedesign.live.datagrams import Parsed
+from probedesign.live.outputs.sinks import SCHEMA, Sink
 from probedesign.live.poses.base_poses import BasePoses
 from probedesign.live.poses.open import FIXED
 from probedesign.live.processing.chain import ProcessingOptions
+from probedesign.live.processing.estimates import EstimateUpdate
+from probedesign.live.processing.touches import Contact
 from probedesign.live.run import estimate_stream
 from probedesign.live.sources.replay import RecordingOptions, open_recording
 from probedesign.live.sources.source import Source
@@ -125,6 +130,7 @@ class Exploration:
     one_object: bool = False  #: whether all touches are of one object, whose compliance is the same everywhere.
     touches: list[LocatedTouch] = field(default_factory=list)  #: touches so far, in order of time.
     gravity_world: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))  #: of the run [m/s²], (3,).
+    _segmenter: TouchSegmenter = field(default_factory=TouchSegmenter)
     n_readings: int = 0  #: number of readings.
     n_without_pose: int = 0  #: number of readings without a pose.
     _low: Array = field(default_factory=lambda: np.full(3, np.inf))
@@ -143,51 +149,95 @@ class Exploration:
         Raises:
             InputError: the tare window is invalid, or the source fails.
         """
-        segmenter, self.gravity_world = TouchSegmenter(), poses.gravity_world
+        self.gravity_world = poses.gravity_world
         try:
             with closing(estimate_stream(self.estimator, source, options, log, sink, None, poses)) as updates:
                 for update in updates:
-                    self.n_readings += 1
-                    self.n_without_pose += update.stale == "pose"
-                    p = update.T_world_base[:3, 3]
-                    self._low, self._high = np.fmin(self._low, p), np.fmax(self._high, p)
-                    for segment in segmenter.update(update):
-                        yield self._located(segment, poses, log)
+                    yield from self.take(update, log)
         except KeyboardInterrupt:
             log("interrupted; the touches so far are evaluated")
-        for segment in segmenter.finish():
-            yield self._located(segment, poses, log)
+        yield from self.finish(log)
+
+    def take(self, update: EstimateUpdate, log: Callable[[str], None]) -> Iterator[LocatedTouch]:
+        """Yield the touch that an estimate completes, if any."""
+        self.n_readings += 1
+        self.n_without_pose += update.stale == "pose"
+        p = update.T_world_base[:3, 3]
+        self._low, self._high = np.fmin(self._low, p), np.fmax(self._high, p)
+        for segment in self._segmenter.update(update):
+            yield self._located(segment, log)
+
+    def finish(self, log: Callable[[str], None]) -> Iterator[LocatedTouch]:
+        """Yield the touch that has not ended, if any."""
+        for segment in self._segmenter.finish():
+            yield self._located(segment, log)
 
     def map(self) -> ContactMap:
         """Return the map of all touches so far."""
         priors = self.priors or self.estimator.priors
         return build_map(self.touches, priors.youngs_modulus, self.min_separation, priors.object_compliance)
 
-    def _located(self, segment: TouchSegment, poses: BasePoses, log: Callable[[str], None]) -> LocatedTouch:
+    def _located(self, segment: TouchSegment, log: Callable[[str], None]) -> LocatedTouch:
         if problem := _too_little_motion(float((self._high - self._low).max())):
             log(problem)
             segment = replace(segment, refused=True)
         priors = self.priors or self.estimator.priors
-        touch = locate_touch(segment, self.estimator, priors, poses.gravity_world, self.one_object)
+        touch = locate_touch(segment, self.estimator, priors, self.gravity_world, self.one_object)
         self.touches.append(touch)
         return touch
+
+
+def followed_update(gravity_world: Array, values: Mapping[str, Any]) -> Parsed[EstimateUpdate | None]:
+    """Return the estimate of a datagram of `live --publish udp://`; None for an event or a reading without a pose.
+
+    Args:
+        gravity_world: gravity in the world [m/s²], (3,).
+        values: content of the datagram.
+
+    Raises:
+        InputError: it is none, or of a run without poses.
+    """
+    sequence = values.get("number")
+    if values.get("schema") != SCHEMA or type(sequence) is not int:
+        raise InputError("is not one of `live --publish udp://`")
+    if values.get("kind") == "estimate" and "phase" not in values:
+        raise InputError("is of a run without poses; start `live` with --pose")
+    if values.get("kind") != "estimate" or "T_world_base" not in values:
+        return Parsed(None, sequence=sequence)
+    try:
+        T = np.array(values["T_world_base"], dtype=float).reshape(4, 4)
+        wrench = np.array([*values["mount_force_base_N"], *values["mount_moment_base_Nm"]], dtype=float).reshape(6)
+        time, touch = float(values["time_s"]), float(values["touch"] or math.nan)
+        if not np.isfinite([*T.ravel(), *wrench, time]).all() or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3)):
+            raise ValueError
+    except (KeyError, TypeError, ValueError):
+        raise InputError("has no valid pose, wrench or time") from None
+    contacts = () if math.isnan(touch) else (Contact(int(touch), time),)
+    reading = WrenchReading(time, wrench, T[:3, :3].T @ gravity_world)
+    update = EstimateUpdate(
+        reading, Estimate("no_contact"), values["phase"], T_world_base=T, wrench_base=wrench, contacts=contacts,
+        probe=str(values.get("probe", "")),
+    )  # fmt: skip
+    return Parsed(update, sequence=sequence)
 
 
 def joint_map(explorations: Mapping[str, Exploration]) -> ContactMap:
     """Return one map of the touches of several probes by their names, each with error sources of its own.
 
-    Touches of one point by two probes are fused as those by one, and what one probe knows better helps the other.
+    Touches of one point by two probes are fused as those by one, and what one probe knows better helps the other. So
+    does the compliance of one object, for which all probes have the same prior.
     """
     runs = [exploration.touches for exploration in explorations.values()]
-    vectors = [[touch.point.information_vector for touch in touches if touch.point is not None] for touches in runs]
-    sizes = [len(known[0]) if known else 0 for known in vectors]
+    names = [[touch.point.names for touch in touches if touch.point is not None] for touches in runs]
+    sizes = [len(known[0]) - (known[0][-1:] == ("object",)) if known else 0 for known in names]
     touches = [
         replace(touch, probe=name, point=touch.point and touch.point.among(sizes, i))
         for i, (name, exploration) in enumerate(explorations.items())
         for touch in exploration.touches
     ]
     first = next(iter(explorations.values()))
-    return build_map(touches, first.estimator.priors.youngs_modulus, first.min_separation)
+    priors = first.priors or first.estimator.priors
+    return build_map(touches, priors.youngs_modulus, first.min_separation, priors.object_compliance)
 
 
 def parse_min_separation(millimetres: float) -> float:

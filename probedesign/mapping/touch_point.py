@@ -144,16 +144,20 @@ class ConditionalPoint:
     def among(self, sizes: list[int], number: int) -> "ConditionalPoint":
         """Return the point conditional on the error sources of several probes, of which those of one concern it.
 
+        The compliance of one object is the last column of all of them.
+
         Args:
-            sizes: number of common error sources of each probe.
+            sizes: number of common error sources of each probe, without that compliance.
             number: number of the probe of this point.
         """
+        shared = self.names[-1:] if self.names[-1:] == ("object",) else ()
         J, start = sum(sizes), sum(sizes[:number])
-        columns = slice(start, start + sizes[number])
+        columns = [*range(start, start + sizes[number]), *([J] if shared else [])]
+        J += len(shared)
         sensitivity, information, vector = np.zeros((3, J)), np.zeros((J, J)), np.zeros(J)
         sensitivity[:, columns], vector[columns] = self.sensitivity, self.information_vector
-        information[columns, columns] = self.information
-        return ConditionalPoint(self.mean, sensitivity, self.cov, information, vector)
+        information[np.ix_(columns, columns)] = self.information
+        return ConditionalPoint(self.mean, sensitivity, self.cov, information, vector, shared)
 
     def position(self, common: Array) -> Array:
         """Return the point for given common error sources (J,) [m], (3,)."""

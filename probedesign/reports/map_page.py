@@ -25,6 +25,7 @@ from probedesign.mapping.contact_map import (
     unlocated_lines,
 )
 from probedesign.mapping.shapes import Shape
+from probedesign.mapping.touch_point import LocatedTouch
 from probedesign.reports.html_page import HtmlTable, html_document
 
 # Scene
@@ -45,7 +46,24 @@ class MapScene:
     shapes: tuple[Shape, ...] = ()  #: shapes that the touches support.
     #: lines of text on the shapes and the next touch.
     lines: tuple[str, ...] = ()
-    ghost: Array | None = None  #: axis of the probe at the suggested touch, from base to tip [m], (k, 3).
+    #: the probe at the suggested touch: its axis from base to tip and its radius [m], (k, 4).
+    ghost: Array | None = None
+
+    @property
+    def strokes(self) -> dict[str, str]:
+        """Return the colour of the normals of each probe that located a point, by its name."""
+        probes = sorted({point.touches[0].probe for point in self.contact_map.points}) or [""]
+        return {probe: STROKE_COLOURS[i % len(STROKE_COLOURS)] for i, probe in enumerate(probes)}
+
+    @property
+    def film(self) -> list[tuple[str, str, int | None]]:
+        """Return the touches in order of time: label, one line of text, and the number of the point from 0."""
+        points = enumerate(self.contact_map.points)
+        touches: list[tuple[LocatedTouch, int | None]] = [(touch, i) for i, point in points for touch in point.touches]
+        touches += [(touch, None) for touch in self.contact_map.unlocated]
+        touches.sort(key=lambda pair: pair[0].segment.start)
+        return [(touch.label, f"touch {touch.label} at {touch.segment.start:.1f} s: "
+                 + (touch.result if i is None else f"point {i + 1}"), i) for touch, i in touches]  # fmt: skip
 
     @property
     def centre_mm(self) -> Array:
@@ -71,7 +89,9 @@ class MapScene:
     def _corners_mm(self) -> Array:
         points = np.array([point.p_world for point in self.contact_map.points]).reshape(-1, 3)
         drawn = [line for shape in self.shapes for line in shape.outlines]
-        corners = np.concatenate([points, *self.truth, *drawn, *([] if self.ghost is None else [self.ghost])]) / MM
+        corners = (
+            np.concatenate([points, *self.truth, *drawn, *([] if self.ghost is None else [self.ghost[:, :3]])]) / MM
+        )
         return corners if len(corners) else np.zeros((1, 3))
 
 
@@ -95,7 +115,8 @@ class ParallelProjection:
         return np.asarray(np.asarray(points) @ self.axes.T)
 
 
-TRUTH_COLOUR, STROKE_COLOUR, SHAPE_COLOUR, GHOST_COLOUR = "#a08c5a", "#999", "#0b7a4b", "#8a4fbf"
+TRUTH_COLOUR, SHAPE_COLOUR, GHOST_COLOUR = "#a08c5a", "#0b7a4b", "#8a4fbf"
+STROKE_COLOURS = ("#999", "#c2188a", "#0097a7", "#b35c00")  #: Of the normals, by the probe of a point's first touch.
 SYMBOL_SIZE = (34, 14)  #: Width and height of a symbol of the legend, in units of SVG.
 
 
@@ -116,15 +137,16 @@ def map_symbols(ellipsoids: str, scene: MapScene) -> list[tuple[str, str]]:
         (element("ellipse", cx=17, cy=7, rx=12, ry=5, fill=blue, fill_opacity=0.25, stroke=blue),
          f"its 95 % ellipsoid, {ellipsoids}"),
         (colour_scale, f"RMS error from {MIN_RMS_MM:g} mm or less (blue) to {MAX_RMS_MM:g} mm or more (red)"),
-        (element("path", d="M6 7H28", stroke=STROKE_COLOUR),
-         "outward normal of the object, from the force on the probe; its length has no meaning"),
     ]  # fmt: skip
+    for probe, colour in scene.strokes.items():
+        meaning = "outward normal of the object, from the force on the probe" + (f" {probe}" if probe else "")
+        symbols.append((element("path", d="M6 7H28", stroke=colour), f"{meaning}; its length has no meaning"))
     if scene.shapes:
         line = element("path", d="M4 7H30", stroke=SHAPE_COLOUR, stroke_width=2)
         symbols.append((line, "shape by its touches; ellipses at its ends: its 95 % region across, magnified alike"))
     if scene.ghost is not None:
         line = element("path", d="M4 7H30", stroke=GHOST_COLOUR, stroke_width=3, stroke_opacity=0.5)
-        symbols.append((line, "the probe at the suggested next touch"))
+        symbols.append((line, "ghost of the probe at the suggested next touch"))
     if scene.truth:
         outline = element("path", d="M5 12L12 3H30L23 12Z", fill="none", stroke=TRUTH_COLOUR, stroke_width=0.8)
         edge = element("path", d="M5 12L12 3", stroke=TRUTH_COLOUR, stroke_width=2)
@@ -140,8 +162,8 @@ def hex_colour(rms_mm: float) -> str:
 
 # Still picture
 
-#: Size of the picture, its margin, and the space for the legend at the top.
-WIDTH, HEIGHT, MARGIN, LEGEND_HEIGHT = 760.0, 640.0, 46.0, 126.0
+#: Size of the picture, its margin, and the height of a line of the legend at its top.
+WIDTH, HEIGHT, MARGIN, LEGEND_STEP = 760.0, 640.0, 46.0, 18.0
 SCALE_BARS_MM = (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 NORMAL_LENGTH = 14.0  #: Length of a normal that lies in the plane of the picture, in its units.
 
@@ -151,17 +173,19 @@ def map_svg(scene: MapScene) -> bytes:
     view, points, times = ParallelProjection(), scene.contact_map.points, scene.magnification
     polygons = [view.project(polygon) / MM for polygon in scene.truth]
     drawn = [view.project(line) / MM for shape in scene.shapes for line in shape.outlines]
-    ghost = [] if scene.ghost is None else [view.project(scene.ghost) / MM]
+    ghost = [] if scene.ghost is None else [view.project(scene.ghost[:, :3]) / MM]
     p = view.project(np.array([point.p_world for point in points]).reshape(-1, 3)) / MM
     covs = view.axes @ np.array([point.cov_world for point in points]).reshape(-1, 3, 3) @ view.axes.T
     extents = times * statistics.sigmas_95(3) * np.sqrt(np.diagonal(covs, axis1=1, axis2=2)) / MM
     shown = np.concatenate([p - extents, p + extents, *polygons, *drawn, *ghost])
     low, high = (shown.min(axis=0), shown.max(axis=0)) if len(shown) else (np.zeros(2), np.zeros(2))
-    space = np.array([WIDTH - 2.0 * MARGIN, HEIGHT - MARGIN - LEGEND_HEIGHT])
+    symbols = map_symbols("in scale" if times == 1 else f"drawn {times} times as large", scene)
+    above = LEGEND_STEP * (len(symbols) + 1)
+    space = np.array([WIDTH - 2.0 * MARGIN, HEIGHT - MARGIN - above])
     scale, origin = float((space / np.maximum(high - low, MIN_SPAN_MM)).min()), 0.5 * (low + high)
 
     def at(flat: Array) -> Array:
-        centre = np.array([0.5 * WIDTH, 0.5 * (HEIGHT + LEGEND_HEIGHT - MARGIN)])
+        centre = np.array([0.5 * WIDTH, 0.5 * (HEIGHT + above - MARGIN)])
         return np.asarray((flat - origin) * (scale, -scale) + centre)
 
     canvas, placed = Canvas(WIDTH, HEIGHT), [at(flat) for flat in p]
@@ -170,10 +194,10 @@ def map_svg(scene: MapScene) -> bytes:
         canvas.polylines([polygon[:2]], 2.0, TRUTH_COLOUR)
     canvas.polylines([at(line) for line in drawn], 2.0, SHAPE_COLOUR)
     canvas.polylines([at(line) for line in ghost], 4.0, GHOST_COLOUR)
-    normals = [(xy, xy + NORMAL_LENGTH * (view.axes @ point.direction) * (1.0, -1.0))
-               for point, xy in zip(points, placed, strict=True) if point.direction is not None]  # fmt: skip
-    canvas.polylines(normals, 1.0, STROKE_COLOUR)
     for point, (x, y) in zip(points, placed, strict=True):
+        if point.direction is not None:
+            end = (x, y) + NORMAL_LENGTH * (view.axes @ point.direction) * (1.0, -1.0)
+            canvas.polylines([((x, y), end)], 1.0, scene.strokes[point.touches[0].probe])
         half_axes, axes = statistics.ellipsoid_95(view.axes @ point.cov_world @ view.axes.T)
         ry, rx = half_axes / MM * times * scale
         colour, turn = hex_colour(point.rms / MM), -math.degrees(math.atan2(axes[1, 1], axes[0, 1]))
@@ -190,10 +214,9 @@ def map_svg(scene: MapScene) -> bytes:
     right, y = WIDTH - 30.0, HEIGHT - 30.0
     canvas.polylines([((right - length * scale, y), (right, y))], 2.0, "#111")
     canvas.text((right, y - 6), f"{length:g} mm", 12, "end")
-    size = "in scale" if times == 1 else f"drawn {times} times as large"
-    for i, (symbol, meaning) in enumerate(map_symbols(size, scene)):
+    for i, (symbol, meaning) in enumerate(symbols):
         words = element("text", text=meaning, x=42, y=11, font_size=11, fill="#333")
-        canvas.add("g", symbol, words, transform=f"translate(16 {12 + 18 * i})")
+        canvas.add("g", symbol, words, transform=f"translate(16 {12 + LEGEND_STEP * i:g})")
     return str(canvas).encode()
 
 
@@ -204,13 +227,14 @@ ORBIT = SCRIPT.with_name("orbit.js")
 STYLE = """canvas { width: 100%; height: 150mm; border: 0.4pt solid #bbb; color: #111; touch-action: none; cursor: grab;
   display: block; box-sizing: border-box }
 #status { color: var(--soft); min-height: 1.4em; margin: 1mm 0 3mm; font-size: 9.5pt }
-#times { margin: 0 0 1.5mm } #times label { margin-left: 3mm } #times input { vertical-align: -1px }
+#times, #film { margin: 0 0 1.5mm } #times label, #film label { margin-left: 3mm } #times input { vertical-align: -1px }
+#film input { width: min(90mm, 50%); vertical-align: middle } #film button { min-width: 5em }
 .legend { list-style: none; padding: 0; margin: 0 0 5mm; color: var(--soft); font-size: 9.5pt }
 .legend svg { vertical-align: -2px; margin-right: 1.5mm }
 .still { display: none }
 """
 #: On paper and without scripts: the still picture, which has its own legend.
-STILL_STYLE = "canvas, #times, #status, .legend { display: none } .still { display: block }"
+STILL_STYLE = "canvas, #times, #film, #status, .legend { display: none } .still { display: block }"
 HINT = "Drag or use the arrow keys to rotate, scroll to zoom, double-click to reset; point at a point to read it."
 HEAD = ("point", "x [mm]", "y [mm]", "z [mm]", "± [mm]", "common part [mm]", "force [mN]", "touches")
 
@@ -230,10 +254,16 @@ def map_page(scene: MapScene, title: str, about: Sequence[str]) -> bytes:
     )
     below = (*unlocated_lines(scene.contact_map), *scene.lines)
     unlocated = "".join(f"<p>{escape(line)}.</p>" for line in below)
+    steps = len(scene.film)
+    film = (
+        '<form id="film"><button type="button">Play</button><label>Touches in order of time '
+        f'<input type="range" min="1" max="{steps}" value="{steps}"></label></form>\n'
+    )
     body = (
         f'<form id="times">Magnification of ellipsoids {choices}</form>\n'
         '<canvas id="map" role="img" tabindex="0" aria-label="points and their ellipsoids"></canvas>'
         f'<div class="still">{map_svg(scene).decode()}</div>\n<p id="status">{HINT}</p>\n'
+        f"{film if steps > 1 else ''}"
         f'<ul class="legend">{symbols}</ul>\n'
         f"{_table(scene.contact_map)}{unlocated}\n"
         f'<script type="application/json" id="data">{data}</script>\n'
@@ -245,17 +275,19 @@ def map_page(scene: MapScene, title: str, about: Sequence[str]) -> bytes:
 
 
 def _data(scene: MapScene) -> dict[str, Any]:
-    view = ParallelProjection()
+    view, film = ParallelProjection(), scene.film
+    step = {label: k for k, (label, _, _) in enumerate(film)}
     return {
         "azimuth": view.azimuth, "elevation": view.elevation, "flat": 1.0, "centre": scene.centre_mm.tolist(),
         "radius": scene.radius_mm, "radius_95": statistics.sigmas_95(3), "normal": NORMAL_LENGTH, "hint": HINT,
         "truth": [(polygon / MM).tolist() for polygon in scene.truth], "truth_colour": TRUTH_COLOUR,
-        "stroke_colour": STROKE_COLOUR, "shape_colour": SHAPE_COLOUR, "ghost_colour": GHOST_COLOUR,
+        "film": [[text, i] for _, text, i in film], "shape_colour": SHAPE_COLOUR, "ghost_colour": GHOST_COLOUR,
         "ghost": None if scene.ghost is None else (scene.ghost / MM).tolist(),
         "shapes": [
             {
                 "lines": [(line / MM).tolist() for line in shape.outlines],
                 "ends": (shape.ends / MM).tolist(),
+                "step": max(step.get(label, 0) for label in shape.touches),
                 "covs": [[float(cov[i, j] / MM**2) for _, i, j in COVARIANCE_ENTRIES] for cov in shape.end_covs],
             }
             for shape in scene.shapes
@@ -264,6 +296,8 @@ def _data(scene: MapScene) -> dict[str, Any]:
             {
                 "p": (point.p_world / MM).tolist(),
                 "cov": [float(point.cov_world[i, j] / MM**2) for _, i, j in COVARIANCE_ENTRIES],
+                "step": min(step[touch.label] for touch in point.touches),
+                "stroke": scene.strokes[point.touches[0].probe],
                 "colour": hex_colour(point.rms / MM), "text": point_line(number, point),
                 "normal": None if point.direction is None else point.direction.tolist(),
             }

@@ -308,6 +308,12 @@ MIN_FRACTION, MAX_FRACTION = 0.50, 0.95  #: Range of fractions of the length tha
 N_REPEATED = 5  #: Number of targets that are touched twice, from another depth.
 
 
+def shared_targets(targets: Sequence[TouchTarget], n: int) -> list[list[TouchTarget]]:
+    """Return the targets of each of several probes that touch at the same time, from the left part to the right one."""
+    order = sorted(range(len(targets)), key=lambda i: float(targets[i].p_world[0]))
+    return [[targets[i] for i in sorted(part.tolist())] for part in np.array_split(order, n)]
+
+
 def touch_targets(compliance: Callable[[], float] = lambda: 0.0) -> tuple[TouchTarget, ...]:
     """Return the targets in touching order: 25 points, then five of them again at another fraction of the length.
 

@@ -8,7 +8,7 @@ where the base came from, the contact is followed from pose to pose.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -434,21 +434,24 @@ def write_run(
     return paths
 
 
-def score(contact_map: ContactMap, recording: Path | None, recorded_from: str) -> str:
-    """Return how far the points of a map are from the truth beside its recording, in one line; empty without truth.
+def score(contact_map: ContactMap, recordings: Mapping[str, Path]) -> str:
+    """Return how far the points of a map are from the truth beside its recordings, in one line; empty without truth.
 
     A point is compared with the true one of the touch that began when its first touch did.
+
+    Args:
+        contact_map: the map.
+        recordings: recording of each probe by its name.
     """
-    if recording is None or recorded_from != SOURCE or not contact_map.points:
+    truth = {probe: recording.parent / FILES[2] for probe, recording in recordings.items()}
+    if not truth or not contact_map.points or not all(path.is_file() for path in truth.values()):
         return ""
-    path = recording.parent / FILES[2]
-    if not path.is_file():
-        return ""
-    true = np.genfromtxt(path, delimiter=",", skip_header=1, ndmin=2)
-    if true.shape[1] != len(TRUTH_COLUMNS) or not np.isfinite(true).all():
+    tables = {probe: np.genfromtxt(path, delimiter=",", skip_header=1, ndmin=2) for probe, path in truth.items()}
+    if not all(t.shape[1] == len(TRUTH_COLUMNS) and np.isfinite(t).all() for t in tables.values()):
         return ""
     inside, squares = 0, 0.0
     for point in contact_map.points:
+        true = tables[point.touches[0].probe or next(iter(tables))]
         row = int(np.abs(true[:, 0] - point.touches[0].segment.start).argmin())
         error = point.p_world - true[row, 1:4] * MM
         inside += float(error @ np.linalg.solve(point.cov_world, error)) <= statistics.max_chi2(3, 0.05)

@@ -1,14 +1,16 @@
 """Tests of the map: common errors are counted once, vague touches remain separate."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from probedesign.estimation.fusion_state import HALF_NORMAL
 from probedesign.mapping.contact_map import build_map, map_document, map_lines, touch_numbers
 from probedesign.mapping.explore import joint_map
-from probedesign.mapping.touch_point import NEVER_SETTLED, RESULT_MEANINGS, LocatedTouch
-from tests.mapping.synthetic_touches import BY_STIFFNESS, STD_E, touch
+from probedesign.mapping.touch_point import NEVER_SETTLED, RESULT_MEANINGS, ConditionalPoint, LocatedTouch
+from tests.mapping.synthetic_touches import BY_STIFFNESS, STD_E, conditional_point, touch
 
 
 def test_errors_of_the_base_do_not_average_out():
@@ -36,7 +38,7 @@ def test_the_error_sources_of_two_probes_are_their_own():
     """A point far from a second probe's keeps its uncertainty, and one that both touch has that of a mean."""
     alone = build_map([touch(1, (0, 0, 0), 0.02e-3)], STD_E).points[0].cov_world
     runs = {name: SimpleNamespace(touches=[touch(1, (x, 0, 0), 0.02e-3)], min_separation=5e-3,
-                                  estimator=SimpleNamespace(priors=SimpleNamespace(youngs_modulus=STD_E)))
+                                  priors=SimpleNamespace(youngs_modulus=STD_E, object_compliance=0.0))
             for name, x in (("left", 0.0), ("right", 0.0))}  # fmt: skip
     (both,) = joint_map(runs).points
     assert both.cov_world == pytest.approx(0.5 * alone, rel=1e-9, abs=1e-20)
@@ -90,3 +92,25 @@ def test_more_inconsistent_touches_than_located_ones_give_a_warning(n_located, n
     located = [touch(n, (0.05 * n, 0.0, 0.0), 1e-3) for n in range(n_located)]
     warnings = map_document(build_map([*located, *lost], STD_E))["doubts"]
     assert len(warnings) == n_warnings and all(line.startswith("3 touches") for line in warnings)
+
+
+def test_probes_of_one_object_share_its_compliance():
+    """Two probes with information 3 on it each leave a variance of 1/(1 + 3 + 3), and their mean value of it."""
+    points = []
+    for number, value in enumerate((0.4, 0.6)):
+        point = conditional_point((0.1 * number, 0.0, 0.0), 1e-3)
+        B = np.column_stack([point.sensitivity, [0.0, 1e-3, 0.0]])
+        information, vector = np.zeros((5, 5)), np.zeros(5)
+        information[4, 4], vector[4] = 3.0, 3.0 * value
+        one = ConditionalPoint(point.mean, B, point.cov, information, vector, (*point.names, "object"))
+        points.append(replace(touch(number + 1, (0, 0, 0), 1e-3), point=one))
+    explorations = {
+        name: SimpleNamespace(touches=[each], priors=SimpleNamespace(youngs_modulus=STD_E, object_compliance=0.05),
+                              min_separation=5e-3)
+        for name, each in zip(("left", "right"), points, strict=True)
+    }  # fmt: skip
+    both = joint_map(explorations)
+    mean, std = 0.05 * np.array(HALF_NORMAL)
+    assert both.object_compliance == pytest.approx(mean + std * 3.0 / 7.0, rel=1e-9)
+    assert both.std_object_compliance == pytest.approx(std / np.sqrt(7.0), rel=1e-9)
+    assert len(both.common) == 2 * len(conditional_point((0, 0, 0), 1e-3).names) + 1

@@ -3,6 +3,10 @@
 import csv
 import io
 import json
+import signal
+import socket
+import subprocess
+import sys
 from contextlib import closing, redirect_stdout
 from dataclasses import replace
 
@@ -232,3 +236,79 @@ def test_a_recording_of_two_probes_makes_one_map_that_names_them(probe, house, t
         "left 2, right 2",
     ]
     assert lines[-1] == "2 points from 6 touches"
+
+
+def test_two_recordings_of_two_probes_make_one_map_with_the_same_points(probe, house, found, tmp_path, capsys):
+    """Each has its own files; the touches of both halve the variance that they do not have in common."""
+    model, bundles, run_of_each = load_estimator(probe).model, [], []
+    for name in ("left", "right"):
+        write_frozen(replace(model, name=name), tmp_path / f"{name}.probe.json")
+        bundles.append(str(tmp_path / f"{name}.probe.json"))
+    blocks = list(open_recording(house[1] / "house.mcap", model).blocks())
+    for name in ("left", "right"):
+        with closing(McapRecorder(tmp_path / f"{name}.mcap", replace(model, name=name))) as recorder:
+            for block in blocks:
+                recorder.on_samples(block)
+        run_of_each.append(str(tmp_path / f"{name}.mcap"))
+    options = ["--average", "36", "--tare-s", "0.5:3.5"]
+    poses = ["--pose", str(house[1] / "poses.csv")]
+    assert run(["explore", *bundles, *run_of_each, *poses, *poses, *options, "--json"]) == 0
+    points = json.loads(capsys.readouterr().out)["points"]
+    for both, alone in zip(points, found[1], strict=True):
+        assert np.linalg.norm(place(both) - place(alone)) < 1.0
+        assert both["rms_mm"] < float(alone["rms_mm"]) and "left" in both["touch_numbers"]
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda a, b, r, p: [a, a, r, *p, *p], "two probes are named left"),
+        (lambda a, b, r, p: [a, b, r, r, *p], "1 --pose for 2 probes"),
+        (lambda a, b, r, p: [a, b, r, "--pose", r], "left: "),
+        (lambda a, b, r, p: [a, b, r, r, r, *p], "3 recordings of 2 probes"),
+        (lambda a, b, r, p: [a, b, "--follow", "udp://:9000", "--source", "sim:", *p], "--follow takes the touches"),
+        (lambda a, b, r, p: [a, b, r, *p, *p, "--publish", "http://here"], "udp://HOST:PORT"),
+    ],
+)
+def test_several_probes_without_names_recordings_or_poses_of_their_own_are_refused(
+    change, named, probe, house, tmp_path, capsys
+):
+    for name in ("left", "right"):
+        write_frozen(replace(load_estimator(probe).model, name=name), tmp_path / f"{name}.probe.json")
+    files = [str(path) for path in (tmp_path / "left.probe.json", tmp_path / "right.probe.json",
+                                    house[1] / "house.mcap")]  # fmt: skip
+    words = change(*files, ["--pose", str(house[1] / "poses.csv")])
+    line = refused(capsys, ["explore", *words, *(["--tare-s", "0.5:3.5"] if "--follow" not in words else [])])
+    assert named in line
+
+
+def test_a_run_of_live_is_followed_and_answered_with_the_next_touch(probe, house, found, tmp_path):
+    """Over real sockets: the points are those of the recording, and each touch is answered with shapes."""
+    answers, free = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    with answers, free:
+        for each in (answers, free):
+            each.bind(("127.0.0.1", 0))
+        port, sender = free.getsockname()[1], [sys.executable, "-m", "probedesign.cli.main"]
+        free.close()
+        trimesh.creation.box((63.5, 63.5, 89.0)).export(tmp_path / "object.stl")
+        following = subprocess.Popen(
+            [*sender, "explore", str(probe), "--follow", f"udp://:{port}", "--suggest", "--goal", "pose", "--object",
+             str(tmp_path / "object.stl"), "--object-at=-30,32,45", "--publish",
+             f"udp://127.0.0.1:{answers.getsockname()[1]}", "--out", str(tmp_path / "out")],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)  # fmt: skip
+        assert "listening" in following.stderr.readline()
+        run_of_it = [*sender, "live", str(probe), "--source", f"replay:{house[1]}/house.mcap?speed=5", "--pose",
+                     str(house[1] / "poses.csv"), "--tare-s", "0.5:3.5", "--average", "36", "--rate-hz", "200",
+                     "--publish", f"udp://127.0.0.1:{port}"]  # fmt: skip
+        assert subprocess.run(run_of_it, capture_output=True, check=False).returncode == 0
+        answers.settimeout(60.0)
+        first, second = (json.loads(answers.recv(65536)) for _ in range(2))
+        following.send_signal(signal.SIGINT)
+        printed, _ = following.communicate(timeout=120)
+    assert following.returncode == 0 and "next touch" in printed
+    assert np.shape(first["suggestion"]["T_world_base"]["contact"]) == (4, 4)
+    assert second["number"] == first["number"] + 1 and first["kind"] == "map"
+    with (tmp_path / "out/points.csv").open() as file:
+        for here, there in zip(csv.DictReader(file), found[1], strict=True):
+            # The estimates of `live` skip some readings, so the noise differs by a little.
+            assert np.linalg.norm(place(here) - place(there)) < 0.3 * float(there["rms_mm"])

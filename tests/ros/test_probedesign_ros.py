@@ -238,6 +238,35 @@ def test_lost_datagrams_are_counted(node):
 # services
 
 
+def test_shapes_and_the_next_touch_of_explore_are_published(node, estimator):
+    """Beside a run whose datagrams have numbers of their own; a plane of 40 by 20 mm, an edge along x."""
+    T = np.eye(4)
+    T[:3, 3] = 0.1, 0.2, 0.3
+    plane = {"kind": "plane", "p_mm": [10.0, 0.0, 0.0], "axes": np.eye(3).tolist(), "radius_mm": None,
+             "extent_mm": [[0.0, 40.0], [0.0, 20.0]]}  # fmt: skip
+    edge = plane | {"kind": "edge", "axes": np.roll(np.eye(3), -1, axis=0).tolist(), "extent_mm": [[-30.0, 30.0]]}
+    best = {"p_world_mm": [0.0, 0.0, 50.0], "normal_world": [0.0, 0.0, 1.0], "T_world_base": {"contact": T.tolist()}}
+    lines = []
+    for probe in ("", "left"):
+        publisher = RosPublisher(f"ros2://127.0.0.1:{node._receiver.port}", [estimator.model], lines.append)
+        publisher.on_event(0.0, "mark: before")
+        publisher.send_map({"shapes": [plane, edge], "suggestion": best | {"probe": probe}})
+        publisher.close()
+    node.receive()
+    assert node._receiver.counts["lost"] == node._receiver.counts["malformed"] == 0
+    assert [sent(node, f"~{probe}/next_touch")[-1].pose.position.y for probe in ("", "/left")] == [0.2, 0.2]
+    removed, flat, bar, arrow = sent(node, "~/shapes")[-1].markers
+    assert removed.action == 3 and flat.header.frame_id == "world" and arrow.points[-1].z == pytest.approx(0.05)
+    assert (flat.pose.position.x, flat.pose.position.y, flat.scale.x) == pytest.approx((0.03, 0.01, 0.04))
+    q = bar.pose.orientation
+    assert Rotation.from_quat([q.x, q.y, q.z, q.w]).apply([0.0, 0.0, bar.scale.z]) == pytest.approx([0.06, 0.0, 0.0])
+    publisher = RosPublisher(f"ros2://127.0.0.1:{node._receiver.port}", [estimator.model], lines.append)
+    publisher.send_map({"shapes": [{"kind": "plane"}]})
+    publisher.close()
+    node.receive()
+    assert node._receiver.counts["malformed"] == 1
+
+
 def test_every_command_is_a_service(ros, node):
     assert set(ros.COMMANDS.values()) == set(RUN_COMMANDS)
     assert set(node.services_made) == {f"~/{name}" for name in (*ros.COMMANDS, "command")}

@@ -4,9 +4,14 @@ They go to Foxglove and PlotJuggler by the WebSocket protocol of Foxglove, and a
 """
 
 import base64
+import json
 import math
-from collections.abc import Sequence
-from time import monotonic
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from time import monotonic, time_ns
+from typing import Any
+
+import numpy as np
 
 from probedesign.core.errors import InputError, require
 from probedesign.estimation.model import ProbeModel
@@ -14,6 +19,7 @@ from probedesign.live import Log, split_address
 from probedesign.live.blocks import Block
 from probedesign.live.outputs.recording import BackgroundWriter
 from probedesign.live.outputs.sinks import UdpPublisher
+from probedesign.live.poses.base_poses import pose_from_matrix
 from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.recordings import schemas
 from probedesign.live.recordings.messages import MessageEncoder
@@ -196,6 +202,16 @@ class RosPublisher(MessageEncoder, UdpPublisher):
         """Send the messages of an estimate."""
         MessageEncoder.on_estimate(self, update)
         self.encode()
+
+    def send_map(self, document: Mapping[str, Any]) -> None:
+        """Send shapes and next touch of `explore`, the latter also as the pose of the base."""
+        now = np.array([time_ns()])
+        self.add(schemas.MAP, now, schemas.texts([json.dumps(document)]))
+        if "suggestion" in document:
+            best = document["suggestion"]
+            at = pose_from_matrix(0.0, np.array(best["T_world_base"]["contact"]))
+            topic = replace(schemas.NEXT_TOUCH, probe=best["probe"])
+            self.add(topic, now, schemas.stamped("world", now, [[*at.p, *at.q]]))
 
     def on_event(self, time: float, line: str) -> None:
         """Send an event."""

@@ -6,6 +6,7 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
@@ -13,6 +14,8 @@ from pathlib import Path
 from queue import SimpleQueue
 from time import monotonic
 from typing import Any, Protocol
+
+import numpy as np
 
 from probedesign.core.errors import InputError
 from probedesign.core.files import check_regular
@@ -215,12 +218,22 @@ class UdpPublisher(Sink):
             raise InputError(f"{option} {address}: {error.strerror or error}") from None
         self._socket.setblocking(False)
         self._address, self._log, self._option = address, log, option
-        self.sent, self.dropped = 0, 0
+        self.sent, self.dropped, self._lock = 0, 0, threading.RLock()
 
     def on_estimate(self, update: EstimateUpdate) -> None:
-        """Send the row of `live --json` and its time stamps."""
+        """Send the row of `live --json`, its time stamps and, with poses, what `explore --follow` takes."""
         kind: Row = {"kind": "estimate", **({"probe": update.probe} if update.probe else {})}
-        self._send(kind | update_row(update) | time_stamps(update.reading.received))
+        followed: dict[str, Any] = {}
+        wrench, T = update.wrench_base + update.drift_base, update.T_world_base
+        if update.fused is not None and np.isfinite(wrench).all() and np.isfinite(T).all():
+            force, moment = np.split(wrench, 2)
+            followed = {"T_world_base": T.tolist(), "mount_force_base_N": force.tolist(),
+                        "mount_moment_base_Nm": moment.tolist()}  # fmt: skip
+        self._send(kind | update_row(update) | followed | time_stamps(update.reading.received))
+
+    def send_map(self, document: Mapping[str, Any]) -> None:
+        """Send shapes and next touch of `explore`."""
+        self._send({"kind": "map", **document})
 
     def on_event(self, time: float, line: str) -> None:
         """Send an event."""
@@ -233,16 +246,17 @@ class UdpPublisher(Sink):
         self._socket.close()
         self._log(f"published {self.sent} datagrams to {self._address}{lost}")
 
-    def _send(self, message: Row) -> None:
-        counted: Row = {"schema": SCHEMA, "number": self.sent + self.dropped + 1} | message
-        try:
-            self._socket.sendto(json_line(counted).encode(), self._receiver)
-            self.sent += 1
-        except OSError as error:
-            self.dropped += 1
-            if self.dropped == 1:
-                why = error.strerror or error
-                self._log(f"{self._option} {self._address}: a datagram was not sent: {why}; the run continues")
+    def _send(self, message: Mapping[str, Any]) -> None:
+        with self._lock:  # events come from the threads of all probes
+            counted = {"schema": SCHEMA, "number": self.sent + self.dropped + 1, **message}
+            try:
+                self._socket.sendto(json_line(counted).encode(), self._receiver)
+                self.sent += 1
+            except OSError as error:
+                self.dropped += 1
+                if self.dropped == 1:
+                    why = error.strerror or error
+                    self._log(f"{self._option} {self._address}: a datagram was not sent: {why}; the run continues")
 
 
 def time_stamps(received: float) -> Row:

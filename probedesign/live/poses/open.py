@@ -35,7 +35,7 @@ def open_poses(
     """
     if not abs(latency_ms) <= 1e3 * MAX_LATENCY:
         raise InputError(f"--pose-latency-ms {latency_ms:g} must be within ±{1e3 * MAX_LATENCY:g}")
-    latency, gravity = 1e-3 * latency_ms, _gravity(gravity_world)
+    latency, gravity = 1e-3 * latency_ms, parse_gravity(gravity_world)
     if spec == FIXED:
         if latency or gravity is not None:
             others = "a file of poses, a ROS 2 bag or a robot"
@@ -62,7 +62,12 @@ def open_poses(
     )
 
 
-def _gravity(text: str | None) -> Array | None:
+def parse_gravity(text: str | None) -> Array | None:
+    """Return the vector of --gravity-world [m/s²], (3,); None if it is not given.
+
+    Raises:
+        InputError: it cannot be read, or is no gravity.
+    """
     if text is None:
         return None
     try:

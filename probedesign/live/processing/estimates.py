@@ -2,7 +2,9 @@
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -164,9 +166,9 @@ def csv_line(row: Row) -> str:
     return ",".join([repr(time), *fields]) + "\n"
 
 
-def json_line(row: Row) -> str:
+def json_line(row: Mapping[str, Any]) -> str:
     """Return the row as one line of JSON, with null for non-finite numbers."""
-    finite = {n: v if isinstance(v, str) or math.isfinite(v) else None for n, v in row.items()}
+    finite = {n: None if isinstance(v, float) and not math.isfinite(v) else v for n, v in row.items()}
     return json.dumps(finite, allow_nan=False)
 
 

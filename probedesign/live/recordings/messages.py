@@ -273,8 +273,8 @@ def update_messages(
             contact = [math.nan] * len(contact)
         numbers.append([*map(float, contact), float(estimate.detection_chi2)])
         codes.append((_RESULT_CODES[estimate.result], schemas.PHASES.index(update.phase)))
-        line, T = json_line(update_row(update)), update.T_world_base
-        lines.append(f'{line[:-1]}, "T_world_base": {json.dumps(T.tolist())}}}' if np.isfinite(T).all() else line)
+        known = {"T_world_base": update.T_world_base.tolist()} if np.isfinite(update.T_world_base).all() else {}
+        lines.append(json_line(update_row(update) | known))
     yield schemas.STATE, stamps, stamped(f"{frames}base", stamps, numbers, codes)
     yield schemas.ESTIMATE, stamps, texts(lines)
 

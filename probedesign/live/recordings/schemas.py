@@ -296,6 +296,9 @@ EVENT = Topic("/probedesign/event", TEXT)  #: JSON of a tare, a mark, silence, l
 STATE = Topic("/probedesign/state", CONTACT_STATE)
 #: The bent probe, the sensor, and the contact with its 95 % ellipsoid and its force.
 SCENE = Topic("/probedesign/scene", MARKERS)
+#: Pose of the base at the first contact of the touch that `explore --suggest` suggests; not recorded.
+NEXT_TOUCH = Topic("/probedesign/next_touch", POSE)
+MAP = Topic("/probedesign/map", TEXT)  #: Shapes and next touch of `explore` as JSON; not recorded.
 TF = Topic("/tf", TRANSFORMS)  #: Pose of the base in the world, as `BASE`.
 TF_STATIC = Topic("/tf_static", TRANSFORMS, latched=True)  #: Pose of the sensor in the base.
 TOPICS = (RAW, BLOCK, WITHOUT_BIAS, CONTACT, CONTACT_WORLD, BASE, ESTIMATE, EVENT, STATE, SCENE, TF, TF_STATIC)

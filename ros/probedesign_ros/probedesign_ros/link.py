@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 MAX_DATAGRAM = 65536
+MAX_SENDERS = 16  # whose numbers are known: a run, and `explore --follow` beside it
 MAX_AT_ONCE = 500  # datagrams per call, so that a flood leaves time for services
 
 
@@ -52,7 +53,7 @@ class Receiver:
 
     def __init__(self, host: str, port: int) -> None:
         self.counts: Counter = Counter()
-        self._last: int | None = None
+        self._last: dict[tuple, int] = {}  # number of the last datagram of each sender
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind((host, port))
         self._socket.setblocking(False)
@@ -66,7 +67,7 @@ class Receiver:
         """Yield the messages that have arrived, up to `MAX_AT_ONCE`; malformed datagrams are counted."""
         for _ in range(MAX_AT_ONCE):
             try:
-                datagram = self._socket.recv(MAX_DATAGRAM)
+                datagram, sender = self._socket.recvfrom(MAX_DATAGRAM)
             except BlockingIOError:
                 return
             except OSError:
@@ -77,9 +78,11 @@ class Receiver:
                 self.counts["malformed"] += 1
                 continue
             if message.number is not None:
-                if self._last is not None and message.number > self._last + 1:
-                    self.counts["lost"] += message.number - self._last - 1
-                self._last = message.number  # it begins anew with a new run
+                last = self._last.pop(sender, message.number)
+                self.counts["lost"] += max(message.number - last - 1, 0)
+                if len(self._last) >= MAX_SENDERS:
+                    self._last.clear()
+                self._last[sender] = message.number  # it begins anew with a new run
             self.counts["received"] += 1
             yield message
 

@@ -7,6 +7,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 CHI_95 = 2.7955  # square root of the 95 % quantile of χ² with three degrees of freedom, 7.8147
 MIN_DIAMETER = 1.8e-3  # m, so that a small ellipsoid remains visible
 ARROW_LENGTH = 0.03  # m
+THICKNESS = 5e-4  # m, of a plane, so that it is visible
 LIFETIME_S = 1  # after which a contact without a newer one disappears
 
 
@@ -50,6 +51,39 @@ def contact_markers(header, position, cov, force):
         start = (np.asarray(position) - ARROW_LENGTH * np.asarray(force) / norm).tolist()
         arrow.points = [Point(x=p[0], y=p[1], z=p[2]) for p in (start, position)]
         arrow.scale.x, arrow.scale.y, arrow.scale.z = 1.2e-3, 3.2e-3, 5e-3
+        markers.append(arrow)
+    return MarkerArray(markers=markers)
+
+
+def shape_markers(header, document):
+    """Return the shapes of `explore` and an arrow to the next touch, after a marker that removes the earlier ones."""
+    markers = [_marker(header, "shapes", 0)]
+    markers[0].action = Marker.DELETEALL
+    for number, shape in enumerate(document["shapes"]):
+        axes, extent = np.array(shape["axes"]).T, 1e-3 * np.array(shape["extent_mm"]).reshape(-1, 2)
+        centre, size = 1e-3 * np.array(shape["p_mm"]), extent[:, 1] - extent[:, 0]
+        middle, round_to = extent.mean(axis=1), 2e-3 * (shape["radius_mm"] or 1.0)
+        if shape["kind"] == "plane":
+            kind, centre, scale = Marker.CUBE, centre + axes[:, :2] @ middle, (size[0], size[1], THICKNESS)
+        elif shape["kind"] in ("edge", "cylinder"):
+            kind, centre, scale = Marker.CYLINDER, centre + axes[:, 2] * middle[0], (round_to, round_to, size[0])
+        else:
+            kind, scale = Marker.SPHERE, (round_to, round_to, round_to)
+        marker = _marker(header, "shapes", kind)
+        marker.id, marker.lifetime.sec = number, 0
+        marker.pose.position = Point(x=float(centre[0]), y=float(centre[1]), z=float(centre[2]))
+        x, y, z, w = map(float, quaternion_of(axes))
+        marker.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
+        marker.scale.x, marker.scale.y, marker.scale.z = (float(max(part, THICKNESS)) for part in scale)
+        marker.color.r, marker.color.g, marker.color.b = 0.04, 0.48, 0.29
+        markers.append(marker)
+    best = document.get("suggestion")
+    if best is not None:
+        x = 1e-3 * np.array(best["p_world_mm"])
+        start = x + ARROW_LENGTH * np.array(best["normal_world"])
+        arrow = _marker(header, "next touch", Marker.ARROW)
+        arrow.points = [Point(x=p[0], y=p[1], z=p[2]) for p in (start.tolist(), x.tolist())]
+        arrow.scale.x, arrow.scale.y, arrow.scale.z, arrow.lifetime.sec = 1.2e-3, 3.2e-3, 5e-3, 0
         markers.append(arrow)
     return MarkerArray(markers=markers)
 

@@ -5,6 +5,7 @@ Messages are those of a recording, with the same covariances and encoding; frame
 same messages. In a run with several probes the topics begin with the name of the probe.
 """
 
+import json
 import math
 import re
 import sys
@@ -22,13 +23,13 @@ from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from probedesign_ros.link import Commander, Receiver
-from probedesign_ros.markers import contact_markers, no_contact
+from probedesign_ros.markers import contact_markers, no_contact, shape_markers
 from probedesign_ros.parameters import PARAMETERS, checked
 
 TOPICS = {
@@ -40,6 +41,8 @@ TOPICS = {
     "/probedesign/estimate": String,
     "/probedesign/event": String,
     "/probedesign/guard": String,
+    "/probedesign/map": String,
+    "/probedesign/next_touch": PoseStamped,
     "/tf": TFMessage,
     "/tf_static": TFMessage,
 }
@@ -80,6 +83,8 @@ class ProbeNode(Node):
         self._transforms = self._outputs.get("/tf") or self._publisher(TFMessage, "/tf")
         self._markers = {"": self.create_publisher(MarkerArray, "~/markers", 10)}
         self._contacts, self._states, self._reported = {}, {}, {}
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._shapes = self.create_publisher(MarkerArray, "~/shapes", latched)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         # a service waits for the reply of the run, the topics go on meanwhile
         group = MutuallyExclusiveCallbackGroup()
@@ -119,6 +124,13 @@ class ProbeNode(Node):
                 self._receiver.counts["malformed"] += 1
                 continue
             self._adapt(message)
+            if topic == "/probedesign/map":
+                try:
+                    header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self._world)
+                    self._shapes.publish(shape_markers(header, json.loads(message.data)))
+                except (ValueError, TypeError, KeyError, IndexError):
+                    self._receiver.counts["malformed"] += 1
+                    continue
             if probe not in self._markers:
                 self._markers[probe] = self.create_publisher(MarkerArray, f"~{probe}/markers", 10)
                 names = [name for name in TOPICS if not name.startswith("/tf")]
