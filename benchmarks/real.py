@@ -4,6 +4,7 @@ The files are not part of the project: `--data` names the folder, docs/real-data
 """
 
 import csv
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -13,13 +14,22 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.figures import draw_allan, draw_bamboo
 from benchmarks.timing import print_table
+from benchmarks.touches import ROOT
 from probedesign.core.frames import Array
 from probedesign.core.units import GRAM, MM, MPA
+from probedesign.design import check_design, load_design
 from probedesign.design.catalog import RESINS
+from probedesign.design.edit import tables_of
 from probedesign.design.sensor_catalog import SENSORS
 from probedesign.estimation.bias import WALK_STEPS
+from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.tolerances import Tolerances
+from probedesign.live.blocks import Block
+from probedesign.live.processing.chain import Chain, ProcessingOptions
+from probedesign.live.processing.estimates import EstimateUpdate
 from probedesign.live.processing.payload import Rest, calibrate, tool_model
+from probedesign.live.processing.tare import TareWindow
+from probedesign.probe import build_probe
 from probedesign.rod.rod import Rod
 
 Row = list[str]
@@ -214,9 +224,32 @@ def nano17(folder: Path) -> list[Row]:
              f"{walk[worst]:.1f} steps/√s", f"{WALK_STEPS:g} steps/√s", f"{walk[worst] / WALK_STEPS:.0f} times"],
             [f"{name} {calibration}: drift within 4.5 s, worst channel", f"{np.abs(ends).max():.1f} steps",
              f"{WALK_STEPS * np.sqrt(4.5):.2f} steps", "-"],
+            [f"{name} {calibration}: readings of live after a tare of 1 s", "free", live_results(steps, calibration),
+             "-"],
         ]  # fmt: skip
     draw_allan(curves, WALK_STEPS)
     return rows
+
+
+def live_results(steps: Array, calibration: str) -> str:
+    """Return how often each result occurs in `live` with the large probe on a sensor.
+
+    Args:
+        steps: samples of the sensor without load, in steps of the resolution, (n, 6).
+        calibration: of the sensor.
+    """
+    tables = tables_of(load_design(ROOT / "designs/large.toml"))
+    model = build_probe(check_design(tables | {"sensor": tables["sensor"] | {"calibration": calibration}})).model
+    step = np.array(SENSORS["nano17"].calibration(calibration).resolution)
+    free = model.to_sensor(model.rod.solve(model.gravity_base).wrench_base, model.gravity_base)
+    chain = Chain(Estimator(model), ProcessingOptions(TareWindow(0.0, 1.0), None), None, lambda line: None)
+    t, updates = np.arange(len(steps)) / RATE_HZ, list[EstimateUpdate]()
+    for i in range(0, len(t), 20):
+        part = slice(i, i + 20)
+        read = free + steps[part] * step
+        updates += chain.process(Block(t[part], read, model.gravity_base, np.full(len(read), np.nan)))
+    results = Counter(update.estimate.result for update in [*updates, *chain.finish()])
+    return ", ".join(f"{code} {n / results.total():.0%}" for code, n in results.most_common())
 
 
 # A payload on an arm -------------------------------------------------------------------------------------------------
