@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
@@ -36,7 +37,8 @@ if TYPE_CHECKING:
     from probedesign.mapping.shapes import Shape
     from probedesign.reports.map_page import MapScene
 
-FILES = ("points.csv", "points.ply", "points.html", "points.svg", "shapes.json")
+FILES = ("points.csv", "points.ply", "points.html", "points.svg", "shapes.json",
+         *(["shapes.ply"] if find_spec("trimesh") is not None else []))  # fmt: skip
 ELLIPSOIDS = (
     "The ellipsoids contain the true point with a probability of 95 %, given the stated uncertainty of stiffness, "
     "base, robot and bias. ± is the RMS distance."
@@ -246,12 +248,13 @@ def _follow(
 def _write(out: Path, scene: "MapScene", probe: str, notes: list[str], document: dict[str, Any]) -> None:
     """Write table, points, page, picture and shapes; `notes` on the origin of the points are for the page."""
     from probedesign.mapping.contact_map import map_csv, map_ply
-    from probedesign.reports.map_page import map_page, map_svg
+    from probedesign.reports.map_page import map_mesh, map_page, map_svg
 
     origin = f"probedesign explore, probe {probe}"
     contents = (map_csv(scene.contact_map), map_ply(scene.contact_map, origin),
                 map_page(scene, "Points touched", [*notes, ELLIPSOIDS]), map_svg(scene),
-                json.dumps(document, indent=1).encode())  # fmt: skip
+                json.dumps(document, indent=1).encode(),
+                *(map_mesh(scene) for name in FILES if name == "shapes.ply"))  # fmt: skip
     write_files(out, zip(FILES, contents, strict=True))
 
 
@@ -275,6 +278,9 @@ def _understood(
     shapes, known = ShapeFit(touched, friction).shapes(), options.known(touched, friction)
     lines, ghost = [*(shape.text for shape in shapes), missing(touched, shapes)], None
     document: dict[str, Any] = {"shapes": shapes_document(shapes)}
+    if math.isfinite(cloud.object_compliance):
+        document["object_compliance_m_N"] = cloud.object_compliance
+        document["std_object_compliance_m_N"] = cloud.std_object_compliance
     if known is not None:
         at, lines = known[1], [*lines, known[1].text]
         document["object"] = {"T_world_object": at.T_world_object.tolist(), "cov": at.cov.tolist(),

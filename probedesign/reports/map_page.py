@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from probedesign.core import statistics
-from probedesign.core.frames import Array
+from probedesign.core.frames import Array, pose
 from probedesign.core.svg import Canvas, element
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.mapping.contact_map import (
@@ -158,6 +158,40 @@ def map_symbols(ellipsoids: str, scene: MapScene) -> list[tuple[str, str]]:
 def hex_colour(rms_mm: float) -> str:
     """Return the colour of an RMS error [mm] as #rrggbb."""
     return "#{:02x}{:02x}{:02x}".format(*rms_colour(rms_mm))
+
+
+def map_mesh(scene: MapScene) -> bytes:
+    """Return shapes and points as PLY in millimetres with colours: meshes of what was touched and 95 % ellipsoids.
+
+    Edges are bars of 1 mm, corners and tips balls of 2 mm, planes 0.2 mm thick.
+
+    Raises:
+        ImportError: trimesh is missing.
+    """
+    import trimesh
+    from trimesh.creation import box, cylinder, icosphere
+    from trimesh.exchange.ply import export_ply
+
+    meshes = []
+    for shape in scene.shapes:
+        extent, middle = np.ptp(shape.extent, axis=1) / MM, np.zeros(3)
+        if shape.kind == "plane":
+            mesh, middle[:2] = box((*np.maximum(extent, 0.2), 0.2)), shape.extent.mean(axis=1)
+        elif shape.kind in ("edge", "cylinder"):
+            mesh, middle[2] = cylinder(shape.radius / MM or 0.5, max(float(extent[0]), 0.2)), shape.extent[0].mean()
+        else:
+            mesh = icosphere(3, shape.radius / MM or 1.0)
+        mesh.apply_transform(pose(shape.frame, (shape.p + shape.frame @ middle) / MM))
+        meshes.append((mesh, SHAPE_COLOUR))
+    for point in scene.contact_map.points:
+        half_axes, axes = statistics.ellipsoid_95(point.cov_world)
+        T = pose(axes, point.p_world / MM)
+        T[:3, :3] *= half_axes / MM
+        meshes.append((icosphere(2).apply_transform(T), hex_colour(point.rms / MM)))
+    for mesh, colour in meshes:
+        mesh.visual.vertex_colors = trimesh.visual.color.hex_to_rgba(colour)
+    whole = trimesh.util.concatenate([mesh for mesh, _ in meshes]) if meshes else trimesh.Trimesh()
+    return bytes(export_ply(whole))
 
 
 # Still picture

@@ -1,17 +1,20 @@
 """The page of a map with shapes and the suggested touch."""
 
+import io
 import json
 import re
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import trimesh
 
 from benchmarks.shapes import draw_touches, object_of
+from probedesign.core.units import MM
 from probedesign.mapping.contact_map import build_map
 from probedesign.mapping.shapes import KINDS, ShapeFit
 from probedesign.mapping.touch_point import LocatedTouch
-from probedesign.reports.map_page import MapScene, map_page, map_svg
+from probedesign.reports.map_page import MapScene, map_mesh, map_page, map_svg
 from tests.mapping.synthetic_touches import STD_E, touch
 
 
@@ -32,6 +35,13 @@ def test_shapes_of_each_kind_and_the_next_touch_are_drawn_and_listed():
         assert len(shape["ends"]) == len(shape["covs"])
     assert page.count("±") > len(KINDS)
     assert b"next touch" in map_svg(scene)
+    solid = trimesh.load_mesh(io.BytesIO(map_mesh(scene)), file_type="ply")
+    for shape in shapes:  # all of its touched part is beside its mesh, to the half width of its bar or ball
+        assert (
+            trimesh.proximity.closest_point_naive(solid, shape.ends / MM)[1].max() < max(1.0, shape.radius / MM) + 1e-3
+        )
+    assert len(np.unique(solid.visual.vertex_colors, axis=0)) == 2
+    assert b"element vertex 0\n" in map_mesh(MapScene(build_map([], STD_E)))
 
 
 def test_the_film_has_the_touches_of_all_probes_in_order_of_time():
