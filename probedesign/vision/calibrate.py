@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
-from probedesign.vision.camera import DISTORTIONS, LINEAR, Camera
+from probedesign.vision.camera import LINEAR, Camera
 
 #: Control points that leave a plane by less [px, RMS] cannot be distinguished from coplanar ones: three times a click's
 #: error of about a pixel (assumed).
@@ -85,19 +85,10 @@ def control_points(
     """Return control points (n, 3) [m] with pixels (n, 2) and names, 1 ... n if None, for a calibration.
 
     Raises:
-        InputError: shapes that do not match, numbers that are not finite, too few, doubled or coplanar points.
+        InputError: too few, doubled or coplanar points.
     """
     world, image = np.asarray(points_world, dtype=float), np.asarray(pixels, dtype=float)
-    if world.ndim != 2 or world.shape[1] != 3 or image.shape != (len(world), 2):
-        raise InputError(
-            f"camera {camera}: control points must be n x 3 and pixels n x 2, not {world.shape}, {image.shape}"
-        )
     control = ControlPoints(camera, labels or tuple(str(i + 1) for i in range(len(world))), world, image)
-    if distortion not in DISTORTIONS:
-        control.fail(f"{distortion} coefficients of distortion; choose {', '.join(map(str, DISTORTIONS))}")
-    bad = ~(np.isfinite(world).all(axis=1) & np.isfinite(image).all(axis=1))
-    if bad.any():
-        control.fail(f"control {control.named(bad)}: a coordinate is not finite")
     if len(world) < min_points(distortion):
         bends = f" and {distortion} of distortion" if distortion else ""
         control.fail(
@@ -189,8 +180,8 @@ def calibrate(
         The camera, with covariance, residuals and outliers.
 
     Raises:
-        InputError: too few points, coplanar, doubled or mirrored ones, numbers that are not finite, too many outliers,
-            or points that do not determine the camera.
+        InputError: too few points, coplanar, doubled or mirrored ones, too many outliers, or points that do not
+            determine the camera.
     """
     names = None if labels is None else tuple(labels)
     control = control_points(name, points_world, pixels, names, distortion)

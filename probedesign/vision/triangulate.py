@@ -67,8 +67,8 @@ def triangulate(
         labels: names of the markers (m,); 1 ... m if None.
 
     Raises:
-        InputError: fewer than two cameras, two along one line of sight, a marker that fewer than two saw, or pixels
-            that contradict each other: swapped cameras, markers out of order.
+        InputError: two cameras along one line of sight, a marker that fewer than two saw, or pixels that contradict
+            each other: swapped cameras, markers out of order.
     """
     seen = observations(cameras, pixels, std_px, labels)
     located = _located(seen)
@@ -135,17 +135,11 @@ def observations(
 ) -> MarkerObservations:
     """Return checked observations; see `triangulate`."""
     places = np.asarray(pixels, dtype=float)
-    if len(cameras) < 2:
-        raise InputError("markers in space need at least two cameras; with one, measure them otherwise")
-    if places.ndim != 3 or places.shape[::2] != (len(cameras), 2):
-        raise InputError(f"pixels must be {len(cameras)} x markers x 2, not {places.shape}")
     number = places.shape[1]
     names = tuple(labels) if labels is not None else tuple(str(i + 1) for i in range(number))
     of_cameras = [[max(camera.std_px, MIN_STD_PX)] for camera in cameras]
     std = np.asarray(of_cameras if std_px is None else std_px, dtype=float)
     seen = MarkerObservations(tuple(cameras), names, places, np.broadcast_to(std, places.shape[:2]))
-    if not (seen.std_px[seen.mask] > 0).all():
-        raise InputError("a pixel's standard deviation must be above 0 px")
     for label, by in zip(seen.labels, seen.mask.T, strict=True):
         by_cameras = [camera.name for camera, yes in zip(cameras, by, strict=True) if yes]
         if len(by_cameras) < 2:

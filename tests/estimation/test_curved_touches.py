@@ -40,12 +40,11 @@ def touches_at(model, fraction, phi, force):
     return solve(Probes.of([model.rod] * len(phi)), GRAVITY, s, phi, force, axes="surface")
 
 
-@pytest.mark.parametrize("gravity", [GRAVITY, np.array([-3.0, 2.0, -9.0])])
-@pytest.mark.parametrize("name", CURVED)
+@pytest.mark.parametrize(("name", "gravity"), zip(CURVED, [(-3.0, 2.0, -9.0), GRAVITY, (-3.0, 2.0, -9.0)], strict=True))
 @pytest.mark.parametrize("method", ["ml", "force_moment"])
 def test_without_noise_a_touch_is_located_or_has_no_point(name, gravity, method):
     """Within 0.02 mm; the force–moment method knows no friction."""
-    model = model_of(name)
+    model, gravity = model_of(name), np.array(gravity)
     touches, asked = reference_touches(
         model, gravity, upright=-1.0, **({"frictions": (0.0,)} if method != "ml" else {})
     )

@@ -102,6 +102,7 @@ CASES = [
 @pytest.mark.parametrize(("moments", "friction"), CASES)
 @pytest.mark.parametrize("priors", PRIORS)
 def test_the_solver_is_dense_least_squares(priors, moments, friction, large, gravity, pressed):
+    """Also the change of each touch, and the points of the last touch with their covariances."""
     state = linearised(large, gravity, pressed, priors, moments, friction)
     compliance = tuple(state.compliance)
     chi2, x, cov_x = state.solved()
@@ -114,6 +115,16 @@ def test_the_solver_is_dense_least_squares(priors, moments, friction, large, gra
     assert state.cov[3, 3] == pytest.approx(wanted.cov[3, 3], rel=1e-5)
     # A robot that is exact counts as one of 1e-8 m, whose squares cancel to ten digits.
     assert chi2 == pytest.approx(wanted.chi2, rel=1e-4)
+    points, covs = state.points()
+    size = np.trace(wanted.cov[:3, :3])
+    np.testing.assert_allclose(points[1:], wanted.points, rtol=0, atol=1e-5 * math.sqrt(size))
+    np.testing.assert_allclose(covs[1:], wanted.covs, rtol=0, atol=1e-6 * size)
+    before = state.touches.copy()
+    state.step(1.0, 1.0)
+    for k in np.flatnonzero(state.touched):
+        own = wanted.own[k, :5]
+        if np.abs(own[[1, 3, 4]]).max() < 0.5:  # a longer step is shortened
+            np.testing.assert_allclose(state.touches[k, :5] - before[k, :5], own, rtol=1e-4, atol=1e-9)
 
 
 @pytest.mark.parametrize("moments", [None, "sensor"])
@@ -129,26 +140,6 @@ def test_the_misfit_with_a_step_of_the_object_is_dense_least_squares(priors, mom
         assert weights.min() > 0.0
         assert weights.max() < 1.0
         assert chi2 < fixed
-
-
-@pytest.mark.parametrize(("moments", "friction"), CASES)
-@pytest.mark.parametrize("priors", PRIORS)
-def test_the_touches_of_the_poses_are_those_of_dense_least_squares(priors, moments, friction, large, gravity, pressed):
-    """Compare the change of each touch, and the points of the last touch with their covariances."""
-    state = linearised(large, gravity, pressed, priors, moments, friction)
-    compliance = tuple(state.compliance)
-    state.solved()
-    wanted = oracle_of(state, compliance=compliance)
-    points, covs = state.points()
-    size = np.trace(wanted.cov[:3, :3])
-    np.testing.assert_allclose(points[1:], wanted.points, rtol=0, atol=1e-5 * math.sqrt(size))
-    np.testing.assert_allclose(covs[1:], wanted.covs, rtol=0, atol=1e-6 * size)
-    before = state.touches.copy()
-    state.step(1.0, 1.0)
-    for k in np.flatnonzero(state.touched):
-        own = wanted.own[k, :5]
-        if np.abs(own[[1, 3, 4]]).max() < 0.5:  # a longer step is shortened
-            np.testing.assert_allclose(state.touches[k, :5] - before[k, :5], own, rtol=1e-4, atol=1e-9)
 
 
 # Without noise

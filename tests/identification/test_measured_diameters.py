@@ -96,7 +96,7 @@ def test_intervals_cover_true_diameters(probe: str) -> None:
 
 
 @pytest.mark.parametrize("probe", [CONE, CYLINDER, PROFILE])
-@pytest.mark.parametrize("print_scale", [-0.02, -0.015, 0.0, 0.015, 0.02])
+@pytest.mark.parametrize("print_scale", [-0.02, 0.0, 0.02])
 @pytest.mark.parametrize("reach", [0.95, 0.4])
 def test_intervals_cover_a_print_that_shrank_as_a_whole(probe: str, print_scale: float, reach: float) -> None:
     """Prints of one scale, measured along the probe or near its base alone."""

@@ -27,8 +27,7 @@ def followed(solver, first, point, steps=12):
 
 
 @pytest.mark.parametrize("line", [False, True])
-@pytest.mark.parametrize("friction", [0.1, 0.5, 1.0])
-@pytest.mark.parametrize("name", RODS)
+@pytest.mark.parametrize(("name", "friction"), [("cone", 0.1), ("profile", 1.0), *((name, 0.5) for name in RODS)])
 def test_coulombs_law_at_the_touched_point(name, friction, line):
     """In every step: the touched point is the object's, a line is tangent, the force stays in the cone, and where it
     slips it lies on the cone and drags the rod with the object."""

@@ -87,7 +87,6 @@ def lose(*where):
         (spoiled(lose(1, 3)), "marker 4 is seen by camera left only"),
         (spoiled(lose(slice(None), 3)), "marker 4 is seen by no camera"),
         (spoiled(lambda p: p.__setitem__((0, 9), p[0, 9] + (0, 25))), "marker 10: its pixels are not of one point"),
-        (pixels_of()[:1], "must be 2 x markers x 2"),
     ],
 )
 def test_pictures_that_contradict_are_refused_in_one_line(pixels, words):
@@ -96,13 +95,9 @@ def test_pictures_that_contradict_are_refused_in_one_line(pixels, words):
     assert "\n" not in str(caught.value)
 
 
-def test_cameras_must_be_two_and_see_from_two_sides():
+def test_cameras_must_see_from_two_sides():
     left = camera("left")
-    with pytest.raises(InputError, match="at least two cameras"):
-        triangulate([left], pixels_of()[:1], 0.2)
     centre = left.p_world + 0.1 * (np.array([0.1, 0, 0]) - left.p_world)
     rear = left.looking("rear", centre, (0.1, 0, 0), 3000.0, (1920, 1080))
     with pytest.raises(InputError, match="cameras left and rear look along one line"):
         triangulate([left, rear], pixels_of((left, rear)), 0.2)
-    with pytest.raises(InputError, match="above 0 px"):
-        triangulate(PAIR, pixels_of(), 0.0)
