@@ -679,10 +679,6 @@ def _mistakes(problem: LeastSquaresProblem, pair: tuple[str, str] | None) -> Ite
     if any(np.any(test.force_world) for test in tests if test.force_world is not None):
         for name, what, factor in (("sign", "with the opposite sign", -1.0), ("unit", "in mN", 1e-3)):
             yield Mistake(name, f"{name}: known forces {what}; check tests.csv", partial(_known, factor))
-    if any(len(test.marker_s) or test.p_touch_world is not None for test in tests):
-        for factor, size in ((1e3, "small"), (1e-3, "large")):
-            words = f"unit: places of the reference a thousand times too {size}; check the columns in mm"
-            yield Mistake("unit", words, partial(_resized, factor))
     if any(len(test.marker_s) > 2 for test in tests):
         for shift, size in ((1, "low"), (-1, "high")):
             yield Mistake("marker", f"marker: all numbers too {size} by 1; check s_mm", partial(_shifted, shift))
@@ -723,11 +719,6 @@ def _in_frame(actual: CommonParameters, stated: CommonParameters, test: Measured
 
 def _known(factor: float, test: MeasuredTest) -> MeasuredTest:
     return test if test.force_world is None else replace(test, force_world=factor * test.force_world)
-
-
-def _resized(factor: float, test: MeasuredTest) -> MeasuredTest:
-    touch = None if test.p_touch_world is None else factor * test.p_touch_world
-    return replace(test, p_markers_world=factor * test.p_markers_world, p_touch_world=touch)
 
 
 def _shifted(shift: int, test: MeasuredTest) -> MeasuredTest:
