@@ -38,8 +38,7 @@ from probedesign.core.frames import Array, inverse, pose, wrench_map
 from probedesign.core.units import MM
 from probedesign.estimation.estimate import FusedEstimate
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import WALK_SECONDS
+from probedesign.estimation.model import WALK_SECONDS, ProbeModel
 from tests.reference.cosserat import solve
 
 PLACES = (0.3, 0.95)  #: Range of the touched places over the length.

@@ -14,8 +14,7 @@ from benchmarks.touches import paper_models
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel, Tolerances
 from tests.reference.cosserat import Touches, solve
 from tests.reference.round_rods import Probes
 

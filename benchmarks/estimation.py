@@ -33,8 +33,7 @@ from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.estimation.estimate import FusedEstimate
 from probedesign.estimation.estimator import Estimator, Method
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.estimation.tracker import Tracker
 
 #: Number of draws of each row, by table, and rounds of the timed calls.

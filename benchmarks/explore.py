@@ -27,8 +27,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.frozen_probe import write_frozen
 from probedesign.mapping.touch_point import BasePoseUncertainty
 from probedesign.rod.friction import ASSUMED_FRICTION

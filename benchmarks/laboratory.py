@@ -15,8 +15,7 @@ from probedesign.campaigns.manifest import LENGTH_SCALE, WEIGHT_STD, WRIST
 from probedesign.core.frames import Array, pose, wrench_map
 from probedesign.core.units import MM
 from probedesign.estimation.error_sources import BEFORE_KNOTS, parameters_of, turns_of
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
+from probedesign.estimation.model import WALK_SECONDS, ProbeModel, Tolerances
 from probedesign.identification.identify import IdentificationData
 from probedesign.identification.parameters import DEGREE, POISSON, POISSON_STD, CommonParameters
 from probedesign.identification.residuals import MassMeasurement, MeasuredTest

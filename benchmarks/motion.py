@@ -26,8 +26,7 @@ from probedesign.core.frames import Array, rotation_under_gravity
 from probedesign.core.units import MM
 from probedesign.estimation.bias import WALK_STEPS
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.geometry.mass import MassProperties, combined
 from probedesign.live.blocks import Block
 from probedesign.live.poses.base_poses import BasePoses, TimedPose

@@ -18,7 +18,7 @@ from probedesign.campaigns import read_campaign
 from probedesign.core.frames import Array, inverse, wrench_map
 from probedesign.core.units import MM
 from probedesign.design import Design, load_design
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import Tolerances
 from probedesign.planning.candidates import READINGS, STD_MARK, CandidateTest, Instruments
 from probedesign.planning.plan import Plan, tables
 from probedesign.prediction.touches import DIRECTIONS

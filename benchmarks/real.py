@@ -23,7 +23,7 @@ from probedesign.design.edit import tables_of
 from probedesign.design.sensor_catalog import SENSORS
 from probedesign.estimation.bias import WALK_STEPS
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import Tolerances
 from probedesign.live.blocks import Block
 from probedesign.live.processing.chain import Chain, ProcessingOptions
 from probedesign.live.processing.estimates import EstimateUpdate

@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from probedesign.core.frames import Array, inverse, wrench_map
 from probedesign.core.units import MM
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.rod.rod import Rod
 from tests.reference.cosserat import Touches, solve
 from tests.reference.round_rods import Probes

@@ -13,9 +13,8 @@ from probedesign.core.frames import Array, pose
 from probedesign.design import check_design, load_design
 from probedesign.design.edit import tables_of
 from probedesign.estimation.error_sources import ErrorSources
-from probedesign.estimation.model import ProbeModel
+from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.estimation.multistart import placed
-from probedesign.estimation.tolerances import Tolerances
 from probedesign.probe import build_probe
 from probedesign.rod.contact import RodContact, solve_surface_force
 from probedesign.rod.kernels import surface_contact as surface

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from probedesign.estimation.detector import Detector
     from probedesign.estimation.estimate import Estimate, FusedEstimate
     from probedesign.estimation.estimator import Estimator
-    from probedesign.estimation.tolerances import Tolerances
-    from probedesign.estimation.tolerances import Tolerances as Priors
+    from probedesign.estimation.model import Tolerances
+    from probedesign.estimation.model import Tolerances as Priors
     from probedesign.estimation.tracker import Tracker
     from probedesign.frozen_probe import load_estimator
     from probedesign.geometry import CrossSection
@@ -56,7 +56,7 @@ _MODULES = {
     "estimation.detector": ("Detector",),
     "estimation.estimator": ("Estimator",),
     "estimation.estimate": ("Estimate", "FusedEstimate"),
-    "estimation.tolerances": ("Tolerances",),
+    "estimation.model": ("Tolerances",),
     "estimation.tracker": ("Tracker",),
     "frozen_probe": ("load_estimator",),
     "geometry": ("CrossSection",),
@@ -76,7 +76,7 @@ _RENAMED = {"SensorModel": "Sensor"}
 #: Module and attribute of each public name; `Priors` is a second name of `Tolerances`, the priors of an estimator.
 _LOCATIONS = {
     _RENAMED.get(name, name): (f"probedesign.{module}", name) for module, names in _MODULES.items() for name in names
-} | {"Priors": ("probedesign.estimation.tolerances", "Tolerances")}
+} | {"Priors": ("probedesign.estimation.model", "Tolerances")}
 __all__ = [
     "Campaign", "CoulombSolver", "CrossSection", "Design", "Detector", "Equilibrium", "Estimate", "Estimator",
     "FusedEstimate", "Identification", "InputError", "Noise", "Prediction", "PressSchedule", "Priors", "Probe",

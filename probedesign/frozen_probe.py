@@ -22,8 +22,7 @@ from probedesign.core.frames import Array, is_pose
 from probedesign.design.catalog import Provenance, Quantity
 from probedesign.design.sensors import DEFAULT_SENSOR, NANO17_BODY, Noise
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.geometry import Axis, Flange, ProbeGeometry
 from probedesign.geometry.cross_section import CrossSection
 from probedesign.geometry.mass import MassProperties

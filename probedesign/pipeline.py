@@ -92,7 +92,7 @@ def measure(design: "Design", calipers: "Calipers", calipers_std_mm: float) -> "
 
 def measure_axis(design: "Design", points: Path) -> "MeasuredAxis":
     """Fit the axis of a print to points of its outline."""
-    from probedesign.estimation.tolerances import BOW_SHARE
+    from probedesign.estimation.model import BOW_SHARE
     from probedesign.identification.measured_print import fit_axis, read_outline
     from probedesign.probe import build_probe
 
@@ -213,7 +213,7 @@ def load_estimator(
         InputError: the file is unreadable, or the friction is NaN or below 0.
     """
     from probedesign import frozen_probe
-    from probedesign.estimation.tolerances import Tolerances
+    from probedesign.estimation.model import Tolerances
 
     estimator = frozen_probe.load_estimator(bundle, manifest)
     if exact_model:

@@ -22,8 +22,7 @@ from probedesign.mount import Mount, T_sensor_robotflange, build_geometry, held_
 
 if TYPE_CHECKING:
     from probedesign.estimation.estimator import Estimator
-    from probedesign.estimation.model import ProbeModel
-    from probedesign.estimation.tolerances import Tolerances
+    from probedesign.estimation.model import ProbeModel, Tolerances
     from probedesign.prediction.fused import PressSchedule
     from probedesign.prediction.predict import Prediction
     from probedesign.rod.equilibrium import Equilibrium
@@ -92,8 +91,7 @@ class Probe(Displayed):
     @cached_property
     def model(self) -> "ProbeModel":
         """Return the model from which the estimator computes: rod, mount, sensor, priors and their sources."""
-        from probedesign.estimation.model import ProbeModel
-        from probedesign.estimation.tolerances import Tolerances
+        from probedesign.estimation.model import ProbeModel, Tolerances
 
         d = self.design
         sensor, calibration = d.sensor_model, d.calibration
@@ -175,7 +173,7 @@ class Probe(Displayed):
                 friction alone remain; otherwise every error source of the design's tolerances counts.
         """
         from probedesign.estimation.estimator import Estimator
-        from probedesign.estimation.tolerances import Tolerances
+        from probedesign.estimation.model import Tolerances
 
         return Estimator(self.model, Tolerances.none() if exact else None)
 
@@ -217,7 +215,7 @@ class Probe(Displayed):
     @property
     def tolerances(self) -> "Tolerances":
         """Return the standard deviations of the parameters of the probe, from its design."""
-        from probedesign.estimation.tolerances import Tolerances
+        from probedesign.estimation.model import Tolerances
 
         return Tolerances.of(self.model)
 

@@ -17,7 +17,7 @@ from probedesign.core.errors import InputError
 from probedesign.design import check_design, load_design, parse_design
 from probedesign.design.io import draft_design
 from probedesign.design.sensors import Noise
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import Tolerances
 from probedesign.frozen_probe import check_manifest, deploy_model, freeze, load_estimator, load_model, write_frozen
 from probedesign.probe import build_probe
 

@@ -15,8 +15,7 @@ from probedesign.campaigns.manifest import FILE as MANIFEST
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import GRAM, MM, N_MM
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel, Tolerances
 
 #: Margin for errors of the reference, noise and drift of the sensor, in standard deviations: exceeded by one valid pair
 #: in 3 million.

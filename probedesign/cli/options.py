@@ -350,7 +350,7 @@ class RehearsalOptions:
         """
         import numpy as np
 
-        from probedesign.estimation.tolerances import Tolerances
+        from probedesign.estimation.model import Tolerances
         from probedesign.rod.friction import MAX_FRICTION
         from probedesign.simulation.scenes import shared_targets, touch_targets
         from probedesign.simulation.simulated_run import RunErrors, check_run_files, simulate_run, write_run

@@ -34,8 +34,7 @@ from probedesign.estimation.bias import (
     observe_block,
     variance_now,
 )
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
+from probedesign.estimation.model import WALK_SECONDS, ProbeModel, Tolerances
 from probedesign.rod.kernels import inner, kernel
 from probedesign.rod.kernels.linalg import forward
 

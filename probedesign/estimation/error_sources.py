@@ -15,8 +15,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, inverse, wrench_map
 from probedesign.core.units import MM
 from probedesign.estimation import multistart, uncertainty_kernel
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.rod.equilibrium import Equilibrium
 from probedesign.rod.kernels import surface_contact
 from probedesign.rod.rod import Rod, bow_curvature

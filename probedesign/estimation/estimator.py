@@ -29,8 +29,7 @@ from probedesign.estimation.bias import RAMP_STEPS
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimate import Candidate, Estimate, FusedEstimate, MomentsAbout, Result
 from probedesign.estimation.force_moment import Problem
-from probedesign.estimation.model import Observation, ProbeModel, covariance
-from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
+from probedesign.estimation.model import WALK_SECONDS, Observation, ProbeModel, Tolerances, covariance
 from probedesign.estimation.uncertainty_kernel import WIDE
 from probedesign.rod.equilibrium import Equilibrium
 

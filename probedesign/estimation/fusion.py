@@ -30,8 +30,7 @@ from probedesign.estimation.fusion_state import (
     dof_of,
 )
 from probedesign.estimation.likelihood import locate
-from probedesign.estimation.model import Observation, ProbeModel
-from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
+from probedesign.estimation.model import WALK_SECONDS, Observation, ProbeModel, Tolerances
 from probedesign.estimation.uncertainty_kernel import NODE, TAIL
 from probedesign.rod.kernels.surface_contact import PHI, POINT, TIP, TOUCH, VALUE
 

@@ -19,8 +19,7 @@ from probedesign.core.units import MM
 from probedesign.estimation import fusion_kernel, multistart
 from probedesign.estimation.error_sources import FINE, ErrorSources
 from probedesign.estimation.estimate import FusedEstimate, MomentsAbout, Result
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.rod.kernels.surface_contact import (
     ALONG,
     AROUND,

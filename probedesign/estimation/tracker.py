@@ -26,7 +26,7 @@ from probedesign.estimation.estimate import FusedEstimate, MomentsAbout, Result
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fusion import Fusion, Posterior, Reading
 from probedesign.estimation.fusion_state import PRESSED_FRICTION, SINGLE_FRICTION, FusionState, channels_of, creep_since
-from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
+from probedesign.estimation.model import WALK_SECONDS, Tolerances
 
 MAX_KEYFRAMES = 8
 #: Readings of the last keyframe at which all keyframes are linearised anew: its first ones move the point most.

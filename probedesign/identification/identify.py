@@ -18,8 +18,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.estimation.bias import RAMP_STEPS
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
+from probedesign.estimation.model import WALK_SECONDS, ProbeModel, Tolerances
 from probedesign.identification import result
 from probedesign.identification.fit_checks import (
     LABELS,

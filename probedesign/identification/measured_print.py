@@ -34,7 +34,7 @@ from probedesign.core.units import MM
 from probedesign.design import Design
 from probedesign.design.edit import Change
 from probedesign.design.schema import SCALE_RANGE
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import Tolerances
 from probedesign.geometry import Axis, ProbeGeometry
 from probedesign.geometry.probe_geometry import filleted
 from probedesign.mount import build_geometry

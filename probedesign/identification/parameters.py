@@ -24,8 +24,7 @@ from probedesign.core.frames import Array, inverse, pose, wrench_map
 from probedesign.core.units import MM, MPA
 from probedesign.estimation.bias import RAMP_STEPS
 from probedesign.estimation.error_sources import BEFORE_KNOTS, bow_of, curvature_std, parameters_of, scaled_curvature
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
+from probedesign.estimation.model import WALK_SECONDS, ProbeModel, Tolerances
 from probedesign.rod.rod import Rod, bow_curvature
 
 DEGREE = math.pi / 180.0

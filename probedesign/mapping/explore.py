@@ -13,8 +13,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.estimate import Estimate
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.live.blocks import Block, WrenchReading
 from probedesign.live.datagrams import Parsed
 from probedesign.live.outputs.sinks import SCHEMA, Sink

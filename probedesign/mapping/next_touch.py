@@ -28,7 +28,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.frames import Array, pose
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import Tolerances
 from probedesign.mapping.known_object import KnownObject, ObjectPose, by_pose
 from probedesign.mapping.shapes import KINDS, Shape, by_parameters
 from probedesign.prediction.fused import LinearizedPresses, PressSchedule

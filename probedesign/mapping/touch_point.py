@@ -24,8 +24,7 @@ from probedesign.estimation.estimate import RESULTS, FusedEstimate
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fusion import Fusion, Reading
 from probedesign.estimation.fusion_state import FusionState, channels_of
-from probedesign.estimation.model import ProbeModel, covariance
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel, Tolerances, covariance
 from probedesign.mapping.segmentation import TouchSegment
 
 #: Largest standard deviations accepted: beyond them errors are no longer linear in a rotation, and touches of one point

@@ -17,8 +17,7 @@ from probedesign.estimation.contact_fit import MIN_FRICTION
 from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimate import MomentsAbout
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.prediction.budget import error_budget
 from probedesign.prediction.fused import MAX_TOUCHES, LinearizedPresses, PressSchedule
 from probedesign.prediction.predict import finite_or_none, tip_sag

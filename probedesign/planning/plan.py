@@ -27,8 +27,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.files import check_replaceable, check_writable, replaced_folder
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import WALK_SECONDS
+from probedesign.estimation.model import WALK_SECONDS, ProbeModel
 from probedesign.identification.fit_checks import conditional_estimate, unobservable_direction
 from probedesign.identification.identify import TEST_SECONDS, data_of
 from probedesign.identification.parameters import OWNER, PARAMETERS, ParameterValues, columns_of

@@ -27,8 +27,7 @@ from probedesign.estimation.error_sources import CAUSES as SOURCES
 from probedesign.estimation.estimate import MomentsAbout
 from probedesign.estimation.fusion import Fusion, Reading
 from probedesign.estimation.fusion_state import channels_of
-from probedesign.estimation.model import ProbeModel, covariance
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel, Tolerances, covariance
 from probedesign.prediction.budget import radius_95
 from probedesign.prediction.touches import Touches
 from probedesign.prediction.workspace import ACCURACIES_MM, force_for_accuracy

@@ -26,8 +26,7 @@ from probedesign.core.statistics import max_chi2
 from probedesign.core.units import MM
 from probedesign.estimation.error_sources import BEFORE_KNOTS, parameters_of, turns_of
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.prediction.fused import FusedCondition, PressSchedule
 from probedesign.prediction.predict import PRESSING, Condition, MonteCarloResult, Prediction
 from probedesign.prediction.touches import SurfaceRod, angle_of

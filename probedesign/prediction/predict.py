@@ -14,8 +14,7 @@ from probedesign.core.notebook import Tabular
 from probedesign.core.parallel import OnProgress, quiet
 from probedesign.core.units import MM
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import AFTER_AN_HOUR, Tolerances
+from probedesign.estimation.model import AFTER_AN_HOUR, ProbeModel, Tolerances
 from probedesign.prediction.budget import CAUSES
 from probedesign.prediction.fused import (
     FUSED_CAUSES,

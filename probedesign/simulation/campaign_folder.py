@@ -14,8 +14,7 @@ from probedesign.core.files import check_replaceable, replaced_folder
 from probedesign.core.frames import Array
 from probedesign.core.units import MM
 from probedesign.estimation.error_sources import bow_of
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import WALK_SECONDS
+from probedesign.estimation.model import WALK_SECONDS, ProbeModel
 from probedesign.simulation.ground_truth import STD_BASE, CampaignPlan, GroundTruth, SimulatedTest
 from probedesign.simulation.stereo_rig import CLICK_PX, CONTROL_PX, SIZE_PX, StereoRig, take_photographs
 from probedesign.vision.camera import Camera

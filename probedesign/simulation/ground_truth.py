@@ -14,8 +14,7 @@ from probedesign.core.frames import Array, pose, rotation_under_gravity, wrench_
 from probedesign.core.units import MM
 from probedesign.design.catalog import CONDITIONS
 from probedesign.estimation.error_sources import BEFORE_KNOTS, curvature_std, parameters_of, scaled_curvature, turns_of
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.prediction.monte_carlo import perturbed_rod
 from probedesign.prediction.touches import DIRECTIONS
 from probedesign.rod.contact import solve_contact

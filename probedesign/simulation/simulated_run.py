@@ -22,8 +22,7 @@ from probedesign.core.frames import Array, pose
 from probedesign.core.units import MILLINEWTON, MM
 from probedesign.estimation.bias import WALK_STEPS
 from probedesign.estimation.error_sources import BEFORE_KNOTS
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.geometry import Axis
 from probedesign.live.blocks import Block
 from probedesign.live.poses.base_poses import TimedPose, pose_from_matrix

@@ -24,8 +24,7 @@ from probedesign.core.statistics import rms
 from probedesign.core.units import MM
 from probedesign.estimation.estimate import RESULTS, Estimate
 from probedesign.estimation.estimator import Estimator, Method
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
+from probedesign.estimation.model import WALK_SECONDS, ProbeModel, Tolerances
 from probedesign.prediction.predict import predict_touch
 from probedesign.rod.equilibrium import Equilibrium
 

@@ -9,7 +9,7 @@ import pytest
 from probedesign.core.frames import pose
 from probedesign.design import check_design
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import Tolerances
 from probedesign.probe import build_probe
 from tests.estimation.test_location import reference_touches
 from tests.estimation.true_touches import EXACT

@@ -16,7 +16,7 @@ from probedesign.estimation.error_sources import ErrorSources
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fusion import TAIL, Fusion, Reading, _moments
 from probedesign.estimation.fusion_state import OBJECT_STEP, SINGLE_FRICTION, channels_of
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import Tolerances
 from probedesign.rod.kernels.surface_contact import AROUND, BY_PARAMETER, POINT
 from tests.estimation.true_touches import EXACT, presses, settle, sources_of, wrenches_of
 from tests.reference import fusion as dense

@@ -10,7 +10,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.statistics import NORMAL_FORCE
 from probedesign.estimation.estimate import RESULTS
 from probedesign.estimation.estimator import ALARM_CHI2, Estimator
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import Tolerances
 from tests.estimation.true_touches import EXACT, settle, sources_of
 
 MOUNTS = [(9.81, 0, 0), (0, -9.81, 0), (0, 0, 9.81), (0, 0, -9.81), (5.66, 5.66, -5.66)]

@@ -10,7 +10,7 @@ from scipy import stats
 from probedesign.core.errors import InputError
 from probedesign.core.frames import pose, rotation_z
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
+from probedesign.estimation.model import WALK_SECONDS, Tolerances
 from probedesign.estimation.tracker import Tracker
 from tests.estimation.true_touches import EXACT, presses, settle, sources_of, wrenches_of
 

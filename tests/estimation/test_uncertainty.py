@@ -12,8 +12,8 @@ from probedesign.core.frames import pose, wrench_map
 from probedesign.estimation.contact_fit import FIT_SCRATCH, residuals
 from probedesign.estimation.error_sources import BEFORE_KNOTS, CAUSES, ErrorSources
 from probedesign.estimation.estimator import Estimator
+from probedesign.estimation.model import Tolerances
 from probedesign.estimation.multistart import FIT
-from probedesign.estimation.tolerances import Tolerances
 from probedesign.estimation.uncertainty_kernel import measurement_covariance, posterior, whitening
 from probedesign.rod.kernels import kernel
 from probedesign.rod.kernels.surface_contact import BY_PARAMETER, BY_TOUCH, CENTRE, POINT

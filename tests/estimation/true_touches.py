@@ -6,8 +6,7 @@ import numpy as np
 
 from probedesign.core.frames import Array, pose
 from probedesign.estimation.error_sources import ErrorSources
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.rod.kernels.surface_contact import CENTRE, DEAD, POINT, TIP, TOUCH, VALUE
 
 EXACT = Tolerances.none()

@@ -13,8 +13,7 @@ from probedesign.core.errors import InputError
 from probedesign.design import check_design, parse_design
 from probedesign.design.edit import edit_text
 from probedesign.design.io import render_design
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import ProbeModel, Tolerances
 from probedesign.identification.design_update import design_changes
 from probedesign.identification.identify import IdentificationData, data_of, drift_sizes, identify
 from probedesign.identification.parameters import MAX_ROOT_DEVIATION, PARAMETERS, CommonParameters
@@ -237,7 +236,7 @@ def test_uninformative_tests_are_refused(model: ProbeModel) -> None:
 
 
 def _shared(model: ProbeModel) -> CommonParameters:
-    from probedesign.estimation.tolerances import Tolerances
+    from probedesign.estimation.model import Tolerances
 
     return CommonParameters(model, Tolerances.of(model), 1e-4, 1e-3)
 

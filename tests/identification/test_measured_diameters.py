@@ -11,7 +11,7 @@ from probedesign.core.frames import Array
 from probedesign.design import Design, load_design, parse_design
 from probedesign.design.edit import as_new_print, tables_of
 from probedesign.design.io import render_design, write_design
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import Tolerances
 from probedesign.frozen_probe import _model_of, freeze
 from probedesign.identification.measured_print import PRINT_SCALE_STD, Calipers, covering, fit_diameters, read_calipers
 from probedesign.mount import build_geometry

@@ -12,7 +12,7 @@ from probedesign.core.units import MM
 from probedesign.estimation.estimate import FusedEstimate
 from probedesign.estimation.fusion import Fusion, Reading
 from probedesign.estimation.fusion_state import HALF_NORMAL, channels_of
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import Tolerances
 from probedesign.mapping.contact_map import build_map
 from probedesign.mapping.touch_point import BasePoseUncertainty, ConditionalPoint
 from probedesign.simulation.scenes import touch_targets

@@ -16,7 +16,7 @@ from probedesign.core.errors import InputError
 from probedesign.core.units import MM
 from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import Tolerances
 from probedesign.planning.candidates import Bench, Instruments
 from probedesign.planning.plan import HANG_EVERY, PREPARATION, Information, checklist_text, make_plan, tables
 from probedesign.reports.plan_page import plan_page

@@ -14,7 +14,7 @@ from probedesign.design.catalog import RESINS
 from probedesign.design.io import draft_design
 from probedesign.estimation.error_sources import parameters_of
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.tolerances import SOURCES, Tolerances
+from probedesign.estimation.model import SOURCES, Tolerances
 from probedesign.geometry.cross_section import CrossSection
 from probedesign.prediction.budget import CAUSES
 from probedesign.prediction.monte_carlo import (

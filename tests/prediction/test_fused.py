@@ -13,7 +13,7 @@ from probedesign.cli.main import run
 from probedesign.core.errors import InputError
 from probedesign.design import load_design
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import Tolerances
 from probedesign.prediction.fused import FUSED_CAUSES, LinearizedPresses, PressSchedule
 from probedesign.prediction.monte_carlo import MonteCarloPlan, PrintSamples, locate_draws, run_monte_carlo
 from probedesign.prediction.predict import along_csv, conditions_csv, predict

@@ -15,7 +15,7 @@ from probedesign.design.edit import tables_of
 from probedesign.design.sensors import Noise
 from probedesign.estimation.estimator import Estimator
 from probedesign.estimation.fusion_state import SINGLE_FRICTION
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import Tolerances
 from probedesign.optimization.objective import Task, design_metrics
 from probedesign.prediction.budget import radius_95
 from probedesign.prediction.fused import LinearizedPresses, PressSchedule

@@ -6,7 +6,7 @@ from probedesign.core.errors import InputError
 from probedesign.design.catalog import RESINS, STIFFNESS_SPREAD
 from probedesign.design.edit import tables_of
 from probedesign.design.io import load_design, parse_design, render_design
-from probedesign.estimation.tolerances import Tolerances
+from probedesign.estimation.model import Tolerances
 from probedesign.probe import build_probe
 from probedesign.studio.session import MAX_PINNED, MERGE_SECONDS, Session, StudioTouch, with_knots, with_options
 

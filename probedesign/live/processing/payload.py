@@ -26,8 +26,7 @@ from probedesign.core.statistics import MISFIT_CHANCE, max_chi2
 from probedesign.core.units import GRAM
 from probedesign.design.catalog import Quantity
 from probedesign.design.sensors import Noise
-from probedesign.estimation.model import ProbeModel
-from probedesign.estimation.tolerances import WALK_SECONDS, Tolerances
+from probedesign.estimation.model import WALK_SECONDS, ProbeModel, Tolerances
 from probedesign.geometry import Flange
 from probedesign.geometry.mass import NOTHING
 from probedesign.live import Log

@@ -9,7 +9,7 @@ import numpy as np
 from probedesign.core.errors import InputError
 from probedesign.core.frames import Array
 from probedesign.estimation.estimator import Estimator
-from probedesign.estimation.tolerances import WALK_SECONDS
+from probedesign.estimation.model import WALK_SECONDS
 from probedesign.live import Log
 from probedesign.live.blocks import WrenchReading
 
