@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import combinations
 
 import cadquery as cq
@@ -249,6 +249,7 @@ def printed_solid(design: Design, part: str, ruled: bool = False) -> cq.Solid:
     return draw[part]()
 
 
+@lru_cache(maxsize=2)  # a script draws, mounts and exports the parts of one design
 def build_cad(design: Design) -> CadModel:
     """Build the CAD model of a design.
 

@@ -127,12 +127,12 @@ def changed_model(design: Design, changed: Mapping[str, cq.Workplane]) -> CadMod
     """
     solids: dict[str, cq.Solid] = {}
     for name, part in changed.items():
-        found = part.findSolid().Solids() if isinstance(part, cq.Workplane) else []
-        if len(found) != 1:
-            raise InputError(f"{name}: has {len(found)} solids; give a CadQuery Workplane with one solid")
-        if not found[0].isValid() or found[0].Volume() <= 0.0:
+        pieces = part.findSolid().Solids() if isinstance(part, cq.Workplane) else []
+        if len(pieces) != 1:
+            raise InputError(f"{name}: has {len(pieces)} solids; give a CadQuery Workplane with one solid")
+        if not pieces[0].isValid() or pieces[0].Volume() <= 0.0:
             raise CheckFailedError(f"{name}: the changed solid is not valid; check its last operation")
-        solids[name] = found[0]
+        solids[name] = pieces[0]
     design.sensor_model.check_holes_known()
     model = build_cad(design)
     parts: dict[str, CadPart] = {
@@ -169,7 +169,7 @@ def _measured(group: ScrewGroup, parts: Mapping[str, CadPart]) -> ScrewGroup:
     A part is cut by a tube between the screw's hole and the rim of its head, up to the thread. Its piece nearest to the
     head counts: a gap within a part makes the grip smaller and the entry larger than they are.
     """
-    up, found = -1.0 if group.up else 1.0, []  # towards the head
+    up, measured_groups = -1.0 if group.up else 1.0, []  # towards the head
     thread = group.seat - up * group.grip if len(CLAMPED[group.name]) == 1 else -up  # a nut moves with its part
     low, high = min(thread, up), max(thread, up)
     for p in group.points:
@@ -182,10 +182,10 @@ def _measured(group: ScrewGroup, parts: Mapping[str, CadPart]) -> ScrewGroup:
                 raise CheckFailedError(f"{group.name}: a head of {group.standard} meets no seat in the {name}")
             ends.append(max(pieces, key=lambda z: float((up * z).max())))
         grip = sum(float(z[1] - z[0]) for z in ends)
-        found.append(replace(group, grip=grip, seat=float(up * (up * ends[0]).max())))
-    for measured in found:
+        measured_groups.append(replace(group, grip=grip, seat=float(up * (up * ends[0]).max())))
+    for measured in measured_groups:
         measured.check()
-    return min(found, key=lambda measured: measured.grip)
+    return min(measured_groups, key=lambda measured: measured.grip)
 
 
 def _tagged(design: Design, part: str, solid: cq.Shape) -> cq.Workplane:

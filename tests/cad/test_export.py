@@ -21,6 +21,7 @@ pytest.importorskip("cadquery", reason="the parts are drawn with CadQuery: pip i
 import cadquery as cq
 import trimesh
 
+from probedesign import pipeline
 from probedesign.cad import export_parts
 from probedesign.cad.documents import Documents
 from probedesign.cad.exchange import reproducible, step_bytes
@@ -389,5 +390,5 @@ def test_a_missing_package_is_one_line(tmp_path: Path, monkeypatch: pytest.Monke
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(MissingDependencyError, match=r"^export needs .*pip install 'probedesign\[cad\]'$"):
-        export_parts(design_of(), tmp_path / "large")
+        pipeline.export(design_of(), tmp_path / "large", lambda step: None)
     assert list(tmp_path.iterdir()) == []
